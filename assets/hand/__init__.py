@@ -1,0 +1,1 @@
+"""Data of the hand and its build script."""

@@ -1,0 +1,1 @@
+"""Data of the objects and its build script."""

@@ -1,0 +1,125 @@
+"""Builds the 16 objects (needs the ``build`` extra): ``python -m r2h_batch.assets.objects.build_objects [NAME ...]``.
+
+Solids come from shapes_s0.py and shapes_s1.py in millimetres, are remeshed to even triangles, centred on their bounding
+box, and written as ``<name>.npz``; ``report.json`` states what came out. Two runs give the same bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from manifold3d import Manifold
+
+from r2h_batch.assets.objects import shapes_s0, shapes_s1
+from r2h_batch.assets.objects.remesh import Surface, imprint, remesh
+from r2h_batch.assets.objects.shapes import Parts, Spec
+from r2h_batch.objects import OBJECT_NAMES, ObjectModel, build_object, load_objects, object_digest
+
+HERE = Path(__file__).resolve().parent
+SPECS = {s.name: s for s in (*shapes_s0.SPECS, *shapes_s1.SPECS)}
+
+
+def build(spec: Spec) -> ObjectModel:
+    """One object, from its solid to all derived data."""
+    part = Parts()
+    surface = _labelled_surface(spec, spec.solid(part), part)
+    names = list(spec.parts)
+    for source, (normal, offset), target in spec.cuts:
+        unit = np.asarray(normal, float) / np.linalg.norm(normal)
+        imprint(surface, lambda p, u=unit, d=offset: p[0] * u[0] + p[1] * u[1] + p[2] * u[2] - d, 0.15 * spec.edge)
+        old, new = names.index(source), names.index(target)
+        for k, face in enumerate(surface.f):
+            if face is not None and surface.label[k] == old:
+                middle = np.mean([surface.v[a] for a in face], axis=0)
+                if middle @ unit > offset:
+                    surface.label[k] = new
+    remesh(surface, [dict(spec.fine).get(n, spec.edge) for n in names])
+    vertices, faces, label = surface.arrays()
+    vertices = (vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2) / 1000
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    wanted = [names.index(p) for p in spec.receiver]
+    return build_object(
+        mesh,
+        spec.name,
+        spec.split,
+        receiver=np.isin(label, wanted) if spec.split == "S1" else None,
+        mass=spec.mass,
+        instruction=f"hand over the {spec.name.replace('_', ' ')}{' ' + spec.take if spec.take else ''} to human",
+        face_part=label,
+        part_names=spec.parts,
+    )
+
+
+def report(model: ObjectModel, spec: Spec) -> dict[str, object]:
+    """The figures of one object; lengths in millimetres."""
+    mesh = model.mesh
+    size = (mesh.extents * 1000).round(1)
+    pieces = [trimesh.Trimesh(v.astype(float), f, process=False) for v, f in model.pieces]
+    planes = [(p.face_normals, np.einsum("ij,ij->i", p.face_normals, p.triangles[:, 0])) for p in pieces]
+    depth = np.min([(model.points.astype(float) @ n.T - d).max(axis=1) for n, d in planes], axis=0)
+    ratio = mesh.area_faces / (mesh.edges_unique_length[mesh.faces_unique_edges].max(axis=1) ** 2 * np.sqrt(3) / 4)
+    hull = trimesh.Trimesh(model.hull_vertices.astype(float), model.hull_faces, process=False)
+    return {
+        "size_mm": size.tolist(),
+        "table_mm": list(spec.size),
+        "size_error_percent": (100 * (np.sort(size) / np.sort(spec.size) - 1)).round(1).tolist(),
+        "mass_kg": model.mass,
+        "faces": len(model.faces),
+        "hull_vertices": len(model.hull_vertices),
+        "hull_overshoot_mm": round(1e3 * _overshoot(mesh, hull), 3),
+        "volume_cm3": round(float(mesh.volume) * 1e6, 2),
+        "hull_volume_cm3": round(float(hull.volume) * 1e6, 2),
+        "watertight": bool(mesh.is_watertight and mesh.is_winding_consistent),
+        "bodies": int(mesh.body_count),
+        "triangle_quality_p1_median": np.quantile(ratio, [0.01, 0.5]).round(3).tolist(),
+        "pieces": len(pieces),
+        "pieces_volume_cm3": round(float(sum(p.volume for p in pieces)) * 1e6, 2),
+        "surface_points_outside_pieces_mm": [round(float(np.quantile(depth, q)) * 1000, 3) for q in (0.5, 0.95, 1.0)],
+        "parts": {n: int((model.face_part == k).sum()) for k, n in enumerate(model.part_names)},
+        "receiver_parts": list(spec.receiver),
+        "receiver_area_share": round(float(mesh.area_faces[model.receiver_face].sum() / mesh.area), 3),
+        "frame": spec.frame,
+        "digest": object_digest(model),
+    }
+
+
+def _overshoot(mesh: trimesh.Trimesh, hull: trimesh.Trimesh) -> float:
+    exact = trimesh.convex.convex_hull(mesh.vertices)
+    offset = np.einsum("ij,ij->i", exact.face_normals, exact.triangles[:, 0])
+    return max(0.0, float((hull.vertices @ exact.face_normals.T - offset).max()))
+
+
+def _labelled_surface(spec: Spec, solid: Manifold, part: Parts) -> Surface:
+    mesh = solid.to_mesh64()
+    label = np.zeros(len(mesh.tri_verts), np.int64)
+    bounds = np.asarray(mesh.run_index) // 3
+    for k, original in enumerate(mesh.run_original_id):
+        label[bounds[k] : bounds[k + 1]] = spec.parts.index(part.names[int(original)])
+    return Surface(np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64), label)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="objects to build (default: all)")
+    parser.add_argument("--out", type=Path, default=HERE)
+    args = parser.parse_args()
+    path = args.out / "report.json"
+    figures = json.loads(path.read_text())["objects"] if path.exists() else {}
+    for name in args.names or OBJECT_NAMES:
+        model = build(SPECS[name])
+        arrays = {f.name: np.asarray(getattr(model, f.name)) for f in fields(model)}
+        np.savez_compressed(args.out / f"{name}.npz", **arrays)
+        figures[name] = report(model, SPECS[name])
+        print(name, {k: v for k, v in figures[name].items() if k not in ("frame", "digest", "parts")}, flush=True)
+    ordered = {n: figures[n] for n in OBJECT_NAMES if n in figures}
+    total = object_digest(load_objects()) if args.out == HERE and len(ordered) == len(OBJECT_NAMES) else None
+    path.write_text(json.dumps({"digest": total, "objects": ordered}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Data of the robot and its build script."""

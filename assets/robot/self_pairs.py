@@ -1,0 +1,102 @@
+"""Which links of the robot can touch: a table of contact rates per pair of links, measured with MuJoCo C.
+
+    python -m r2h_batch.assets.robot.self_pairs [--configurations 20000]
+
+Prints, for each pair of links, the joints between them, the share of random configurations in which their primitives
+overlap (gripper at 85 mm and closed, both present) and the smallest distance seen. Pairs at 1 are neighbours in their
+sockets: not checked. Pairs at 0 are not checked either if the distance stays well above 0.
+"""
+
+import argparse
+from itertools import combinations
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.robot import JOINTS, Kind, Robot, gripper_primitives_at, load_robot
+
+OPENINGS_M = (0.085, 0.0)
+FAR_M = 0.05
+
+
+def mjcf(robot: Robot) -> str:
+    """The primitives as a MuJoCo model; geom names are `link/primitive`, finger shapes carry their opening's number."""
+    T_gripper_ee = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee
+    geoms: dict[str, list[str]] = {link: [] for link in robot.links}
+    for name, link, kind, T, size in zip(
+        robot.arm.names, robot.arm.link, robot.arm.kind, robot.arm.T_link_prim, robot.arm.size, strict=True
+    ):
+        geoms[robot.links[link]].append(_geom(f"{robot.links[link]}/{name}", int(kind), T, size))
+    for i, opening in enumerate(OPENINGS_M):
+        for name, kind, T, size in zip(
+            robot.gripper.names,
+            robot.gripper.kind,
+            gripper_primitives_at(robot, opening),
+            robot.gripper.size,
+            strict=True,
+        ):
+            geoms["gripper"].append(_geom(f"gripper/{name}@{i}", int(kind), T_gripper_ee @ T, size))
+    xml, tail = "".join(geoms["base"]), ""
+    for i in range(JOINTS):
+        xml += f'<body {_pose(robot.T_parent_joint[i])}><joint name="{robot.joints[i]}"/>' + "".join(
+            geoms[robot.links[i + 1]]
+        )
+        tail += "</body>"
+    xml += f"<body {_pose(robot.T_wrist3_flange @ robot.T_flange_gripper)}>" + "".join(geoms["gripper"]) + "</body>"
+    return (
+        '<mujoco><option><flag filterparent="disable"/></option><size memory="64M"/>'
+        f'<default><geom mass="0.1" margin="{FAR_M}" gap="0"/></default>'
+        f"<worldbody>{xml}{tail}</worldbody></mujoco>"
+    )
+
+
+def contact_rates(robot: Robot, configurations: int, seed: int = 0) -> dict[tuple[str, str], tuple[float, float]]:
+    """Per pair of links: share of configurations in contact, smallest distance in m (FAR_M if it was never nearer)."""
+    model = mujoco.MjModel.from_xml_string(mjcf(robot))
+    data = mujoco.MjData(model)
+    owner = np.array([robot.links.index(model.geom(g).name.split("/")[0]) for g in range(model.ngeom)])
+    touched = np.zeros((len(robot.links),) * 2, int)
+    nearest = np.full((len(robot.links),) * 2, FAR_M)
+    for q in np.random.default_rng(seed).uniform(-np.pi, np.pi, (configurations, JOINTS)):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        pairs = np.sort(owner[data.contact.geom], axis=1)
+        np.minimum.at(nearest, (pairs[:, 0], pairs[:, 1]), data.contact.dist)
+        hit = np.unique(pairs[data.contact.dist <= 0.0], axis=0)
+        touched[hit[:, 0], hit[:, 1]] += 1
+    return {
+        (robot.links[a], robot.links[b]): (touched[a, b] / configurations, float(nearest[a, b]))
+        for a, b in combinations(range(len(robot.links)), 2)
+    }
+
+
+def _geom(name: str, kind: int, T: NDArray[np.float64], size: NDArray[np.float64]) -> str:
+    numbers = size if kind == Kind.BOX else size[:2]
+    return f'<geom name="{name}" type="{Kind(kind).name.lower()}" size="{_text(numbers)}" {_pose(T)}/>'
+
+
+def _pose(T: NDArray[np.float64]) -> str:
+    quat_wxyz = Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)
+    return f'pos="{_text(T[:3, 3])}" quat="{_text(quat_wxyz)}"'
+
+
+def _text(numbers: NDArray[np.float64]) -> str:
+    return " ".join(repr(float(n)) for n in numbers)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Contact rates of the robot's links with each other.")
+    parser.add_argument("--configurations", type=int, default=20_000)
+    robot = load_robot()
+    checked = {tuple(robot.links[i] for i in pair) for pair in robot.self_pairs}
+    for (a, b), (rate, distance) in contact_rates(robot, parser.parse_args().configurations).items():
+        state = "checked" if (a, b) in checked else "-"
+        print(f"{a:10s} {b:10s} contact {rate:7.4f}  nearest {1e3 * distance:7.2f} mm  {state}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""Benchmark lines `name value` on stdout, and the same as JSON with commit, versions and hardware."""
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = (
+    "warp-lang",
+    "torch",
+    "numpy",
+    "mujoco",
+    "mujoco-warp",
+    "pytorch-kinematics",
+    "ur-analytic-ik",
+    "ompl",
+    "python-fcl",
+)
+
+
+class Report:
+    """Collects figures; every figure is printed the moment it is known."""
+
+    def __init__(self) -> None:
+        self.values: dict[str, float | int | str | bool] = {}
+
+    def add(self, name: str, value: float | int | str | bool) -> None:
+        """Prints and keeps one figure; `name` is `bench.metric`, a name can be given once."""
+        if name in self.values:
+            raise ValueError(f"{name} was reported already")
+        value = value.item() if hasattr(value, "item") else value
+        self.values[name] = value
+        print(name, f"{value:.6g}" if isinstance(value, float) else value, flush=True)
+
+    def write(self, path: str | Path | None) -> None:
+        """Writes the figures with where they come from; nothing if `path` is None."""
+        if path is None:
+            return
+        data = {
+            "values": self.values,
+            "commit": _git("rev-parse", "HEAD"),
+            "changed_files": len(
+                [x for x in (_git("status", "--porcelain", "--untracked-files=no") or "").splitlines() if x]
+            ),
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "versions": {"python": platform.python_version()} | {p: v for p in PACKAGES if (v := _version(p))},
+            "hardware": hardware(),
+        }
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        Path(path).write_text(json.dumps(data, indent=1) + "\n")
+
+
+def hardware() -> dict[str, object]:
+    """CPU model, cores this process may use, load (other work on the machine), GPU if there is one."""
+    gpus = _run("nvidia-smi", "--query-gpu=name", "--format=csv,noheader")
+    return {
+        "cpu": _cpu_model(),
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "load_1min": round(os.getloadavg()[0], 2),
+        "devices": ["cpu", *(gpus.splitlines() if gpus else [])],
+        "platform": f"{platform.system()} {platform.machine()}",
+    }
+
+
+def arguments(description: str | None) -> argparse.ArgumentParser:
+    """A parser with the options all benchmarks share."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="write the figures with commit, versions and hardware"
+    )
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
+    return parser
+
+
+def _cpu_model() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _git(*args: str) -> str | None:
+    return _run("git", "-C", str(ROOT), *args)
+
+
+def _run(*command: str) -> str | None:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None

@@ -1,0 +1,172 @@
+"""How fast, how complete is the IK? Against pytorch-kinematics' PseudoInverseIK and against closed forms.
+
+python bench/ik.py [--targets N] [--device cpu|cuda:0] [--json FILE]
+
+Half of the targets come from random joint angles, half are handover-like: ee origin 0.45-0.80 m from joint 1's axis,
+0.1-0.7 m high, any orientation (an eighth of these is out of reach). On a CPU, times are process time of one thread, so
+that other work on the machine counts little; figures ending in _wall are wall time. Every time is the best of several.
+
+missed, branch_completeness: against ur-analytic-ik. ratio_to_closed_form: against this project's own closed form in the
+same kernel (no seeds), so that no call overhead flatters. ratio_to_ur_analytic_ik_python: one Python call a pose.
+"""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pytorch_kinematics
+import torch
+import ur_analytic_ik
+from _report import Report, arguments
+
+from r2h_batch import se3
+from r2h_batch.ik import IkResult, reference_chain, solve_ik
+from r2h_batch.kernels.ik_step import STATUS_CONVERGED, STATUS_EDGE, STATUS_SINGULAR
+from r2h_batch.launch import cpu_threads
+from r2h_batch.robot import ee_pose, load_robot
+
+REPEATS = 5
+NO_SEEDS = np.zeros((0, 6))
+
+
+def make_targets(n: int, seed: int = 0) -> torch.Tensor:
+    """T_world_ee (n, 4, 4): random joint angles, then handover-like poses."""
+    rng = np.random.default_rng(seed)
+    m = n - n // 2
+    R = np.linalg.qr(rng.normal(size=(m, 3, 3)))[0]
+    R[:, :, 0] *= np.linalg.det(R)[:, None]
+    r, azimuth = rng.uniform(0.45, 0.80, m), rng.uniform(-np.pi, np.pi, m)
+    T = np.tile(np.eye(4), (m, 1, 1))
+    T[:, :3, :3] = R
+    T[:, :3, 3] = np.stack([r * np.cos(azimuth), r * np.sin(azimuth), rng.uniform(0.1, 0.7, m)], 1)
+    any_q = ee_pose(load_robot(), rng.uniform(-np.pi, np.pi, (n // 2, 6)))
+    return torch.from_numpy(np.concatenate([any_q, T]).astype(np.float32))
+
+
+def best_time(run: Callable[[], object], clock: Callable[[], float], repeats: int = REPEATS) -> float:
+    """The shortest of several runs: noise only adds."""
+    times = []
+    for _ in range(repeats):
+        start = clock()
+        run()
+        times.append(clock() - start)
+    return min(times)
+
+
+def closed_form(targets: torch.Tensor) -> tuple[list[list[np.ndarray]], float]:
+    """All solutions of ur-analytic-ik (C++), and the time in s of the calls alone. Its base is world turned by pi."""
+    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
+    T = turn @ se3.orthonormalise(targets.double()).cpu().numpy() @ np.linalg.inv(load_robot().T_flange_ee)
+    poses = [np.ascontiguousarray(t) for t in T]
+    solve = ur_analytic_ik.ur5e.inverse_kinematics
+    start = time.process_time()
+    solutions = [solve(pose) for pose in poses]
+    return solutions, time.process_time() - start
+
+
+def completeness(report: Report, result: IkResult, oracle: list[list[np.ndarray]]) -> None:
+    q, valid, reachable = result.q.double().cpu().numpy(), result.valid.cpu().numpy(), result.reachable.cpu().numpy()
+    missed = extra = branches = found = 0
+    for i, solutions in enumerate(oracle):
+        missed += bool(solutions) and not reachable[i]
+        extra += bool(reachable[i]) and not solutions
+        branches += len(solutions)
+        mine = q[i][valid[i]]
+        for s in solutions:
+            found += (
+                bool((np.abs((mine - s + np.pi) % (2 * np.pi) - np.pi).max(axis=1, initial=0) < 1e-3).any())
+                if len(mine)
+                else 0
+            )
+    report.add("ik.missed", missed)
+    report.add("ik.solved_where_closed_form_fails", extra)
+    report.add("ik.branch_completeness", found / branches)
+    converged = result.status == int(STATUS_CONVERGED)
+    report.add("ik.pairs_converged", int(converged.sum()))
+    report.add("ik.pairs_rescued", int(result.rescued.sum()))
+    report.add("ik.pairs_at_the_edge", int((result.status == int(STATUS_EDGE)).sum()))
+    report.add("ik.pairs_singular", int((result.status == int(STATUS_SINGULAR)).sum()))
+    report.add("ik.steps_per_pair", float(result.steps[converged].double().mean()))
+    report.add("ik.unreachable", int((~result.reachable).sum()))
+    report.add("ik.unreachable_proven", int(result.unreachable_proven.sum()))
+    report.add("ik.position_error_max_m", float(result.position_error_m[result.valid].max()))
+    report.add("ik.rotation_error_max_rad", float(result.rotation_error_rad[result.valid].max()))
+
+
+def pseudo_inverse(report: Report, targets: torch.Tensor, reachable: torch.Tensor) -> dict[int, float]:
+    """Seconds per target of PseudoInverseIK by restarts; one thread, its default tolerances (1 mm and 0.01 rad)."""
+    chain = reference_chain(device=targets.device)
+    limits = torch.tensor([[-torch.pi, torch.pi]] * 6, device=targets.device)
+    matrices = pytorch_kinematics.Transform3d(matrix=targets)
+    seconds = {}
+    for restarts in (5, 20):
+        solutions = []
+
+        def run(restarts: int = restarts, solutions: list = solutions) -> None:
+            torch.manual_seed(0)  # its seeds come from the global generator
+            solver = pytorch_kinematics.PseudoInverseIK(
+                chain, max_iterations=30, num_retries=restarts, joint_limits=limits, regularlization=1e-6,
+                early_stopping_any_converged=True, early_stopping_no_improvement="all",
+            )  # fmt: skip
+            solutions.append(solver.solve(matrices).converged_any)
+
+        clock = time.process_time if targets.device.type == "cpu" else time.perf_counter
+        seconds[restarts] = best_time(run, clock, repeats=3) / len(targets)
+        converged = solutions[-1]
+        report.add(f"ik.pytorch_kinematics_{restarts}_restarts.targets_per_s", 1 / seconds[restarts])
+        report.add(
+            f"ik.pytorch_kinematics_{restarts}_restarts.success", float((converged & reachable).sum() / reachable.sum())
+        )
+    return seconds
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--targets", type=int, default=100_000, help="default: 100000")
+    parser.add_argument("--reference-targets", type=int, default=1000, help="for PseudoInverseIK; default: 1000")
+    args = parser.parse_args()
+    report = Report()
+    torch.set_num_threads(1)
+    targets = make_targets(args.targets).to(args.device)
+    on_cpu = targets.device.type == "cpu"
+
+    clock = time.process_time if on_cpu else time.perf_counter
+
+    def solve(threads: int | None, seeds: np.ndarray | None = None) -> Callable[[], IkResult]:
+        def run() -> IkResult:
+            result = solve_ik(targets, threads=threads, seeds=seeds)
+            if not on_cpu:
+                torch.cuda.synchronize()
+            return result
+
+        return run
+
+    result = solve(1)()
+    report.add("ik.device", str(targets.device))
+    report.add("ik.targets", args.targets)
+    seconds = best_time(solve(1), clock) / args.targets
+    report.add("ik.targets_per_s", 1 / seconds)
+    report.add("ik.us_per_target", seconds * 1e6)
+    if on_cpu:
+        report.add("ik.threads", cpu_threads())
+        report.add("ik.targets_per_s_all_threads_wall", args.targets / best_time(solve(None), time.perf_counter))
+    report.add("ik.success", float(result.reachable.float().mean()))
+    oracle, oracle_seconds = closed_form(targets)
+    completeness(report, result, oracle)
+    without_seeds = best_time(solve(1, NO_SEEDS), clock) / args.targets
+    report.add("ik.closed_form.targets_per_s", 1 / without_seeds)
+    report.add("ik.ratio_to_closed_form", without_seeds / seconds)
+    report.add("ik.ratio_to_ur_analytic_ik_python", oracle_seconds / args.targets / seconds)
+
+    some = torch.randperm(args.targets, generator=torch.Generator().manual_seed(0))[: args.reference_targets]
+    some = some.to(targets.device)
+    solvable = torch.tensor([bool(s) for s in oracle], device=targets.device)[some]
+    report.add("ik.success_of_reachable", float((result.reachable[some] & solvable).sum() / solvable.sum()))
+    reference = pseudo_inverse(report, targets[some].contiguous(), solvable)
+    report.add("ik.ratio_to_pytorch_kinematics", reference[20] / seconds)
+    report.add("ik.ratio_to_pytorch_kinematics_5_restarts", reference[5] / seconds)
+    report.write(args.json)
+
+
+if __name__ == "__main__":
+    main()

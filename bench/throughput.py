@@ -1,0 +1,176 @@
+"""How many whole trials per second does Evaluator.score judge, and where does the time go?
+
+python bench/throughput.py [--trials N] [--device cpu|cuda:0] [--json FILE]
+python bench/throughput.py --freeze
+
+The mix is frozen in bench/mix.npz: the first 1,024 trials of r2h-v0, S0 and S1 by turns, half of them (drawn by chance)
+with the predictions of the method `oracle`, half with those of `random`. --freeze makes it again with today's methods.
+mix_is_current says whether today's trials are still those the mix was made for. Cold: one process' first call, kernels
+compiled or loaded from Warp's cache, whichever it is. Warm: the median of several further calls.
+core_s_per_trial is process time, so other work on the machine counts little. stage.*_share are shares of the process
+time of one more warm call, taken around the stages of evaluate.py; other = what is left (tensors, checks).
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import torch
+from _report import Report, arguments
+
+import r2h_batch.evaluate as evaluate
+import r2h_batch.launch as launch
+import r2h_batch.plan as plan
+from r2h_batch.config import EvalConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.trials import trials_digest, trials_with_ids
+from r2h_batch.types import Outcome, PlanReason, Scores
+
+REPEATS = 5
+MIX = Path(__file__).with_name("mix.npz")
+MIX_TRIALS = 1024
+STAGES: dict[str, tuple[Any, tuple[str, ...]]] = {
+    "grasp": (evaluate, ("close_gripper", "attach")),
+    "place": (evaluate.Scene, ("place",)),
+    "ik": (evaluate, ("solve_ik",)),
+    "plan": (evaluate, ("plan_paths",)),
+    "execute": (evaluate, ("time_path", "time_at")),
+    "reach": (evaluate.metrics, ("reach",)),
+    "affordance": (evaluate.metrics, ("affordance",)),
+    "safe": (evaluate.metrics, ("safe",)),
+}
+
+
+class Clock:
+    """Time spent inside wrapped functions, by name: process time on a CPU, wall time with synchronisation on a GPU."""
+
+    def __init__(self, device: str) -> None:
+        self.spent: dict[str, float] = {}
+        self._cuda = device != "cpu"
+
+    def now(self) -> float:
+        if self._cuda:
+            torch.cuda.synchronize()
+            return time.perf_counter()
+        return time.process_time()
+
+    def wrap(self, name: str, function: Callable) -> Callable:
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            start = self.now()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                self.spent[name] = self.spent.get(name, 0.0) + self.now() - start
+
+        return timed
+
+    def wrap_kernel(self, function: Callable) -> Callable:
+        def timed(kernel: Any, *args: Any, **kwargs: Any) -> None:
+            self.wrap(f"kernel.{kernel.key}", function)(kernel, *args, **kwargs)
+
+        return timed
+
+
+@contextmanager
+def watched(device: str) -> Iterator[Clock]:
+    """A clock around every stage and every planning kernel."""
+    clock = Clock(device)
+    with ExitStack() as stack:
+        for name, (owner, functions) in STAGES.items():
+            for f in functions:
+                stack.enter_context(mock.patch.object(owner, f, clock.wrap(name, getattr(owner, f))))
+        stack.enter_context(mock.patch.object(plan, "launch_trials", clock.wrap_kernel(launch.launch_trials)))
+        yield clock
+
+
+def freeze(evaluator: Evaluator) -> None:
+    """Writes the mix: trial ids, predictions, which of them are the oracle's, and the digest of the trials."""
+    from r2h_batch.methods import oracle, random
+
+    scene = evaluator.scene
+    trials = trials_with_ids(torch.arange(MIX_TRIALS), objects=scene.objects, hand_set=scene.hands.set)
+    by_oracle = torch.zeros(MIX_TRIALS, dtype=torch.bool)
+    by_oracle[torch.from_numpy(np.random.default_rng(0).permutation(MIX_TRIALS)[: MIX_TRIALS // 2])] = True
+    best = oracle.predict(trials[by_oracle], scene, seed=0, evaluator=evaluator)
+    any_ = random.predict(trials, scene, seed=0)
+    T_obj_ee, T_world_ee = any_.T_obj_ee.cpu().clone(), any_.T_world_ee.cpu().clone()
+    T_obj_ee[by_oracle], T_world_ee[by_oracle] = best.T_obj_ee.cpu(), best.T_world_ee.cpu()
+    np.savez_compressed(
+        MIX, trial_id=trials.trial_id, T_obj_ee=T_obj_ee, T_world_ee=T_world_ee, by_oracle=by_oracle, digest=trials_digest(trials)
+    )
+
+
+def score_time(run: Callable[[], Scores]) -> tuple[float, float, Scores]:
+    """Wall and process seconds of one call, and what it returned."""
+    wall, process = time.perf_counter(), time.process_time()
+    scores = run()
+    if scores.outcome.is_cuda:
+        torch.cuda.synchronize()
+    return time.perf_counter() - wall, time.process_time() - process, scores
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--trials", type=int, default=MIX_TRIALS, help="more than the mix has: the mix again")
+    parser.add_argument("--freeze", action="store_true", help="make the mix again and stop")
+    parser.add_argument("--threads", type=int, default=None, help="CPU threads (default: one per core)")
+    options = parser.parse_args()
+    report = Report()
+
+    start = time.perf_counter()
+    evaluator = Evaluator(EvalConfig(), device=options.device, threads=options.threads)
+    if options.freeze:
+        freeze(evaluator)
+        return
+    with np.load(MIX, allow_pickle=False) as mix:
+        rows = torch.arange(options.trials) % len(mix["trial_id"])
+        whole = trials_with_ids(
+            torch.from_numpy(mix["trial_id"]), objects=evaluator.scene.objects, hand_set=evaluator.scene.hands.set
+        )
+        current = trials_digest(whole) == str(mix["digest"])
+        T_obj_ee, T_world_ee = (torch.from_numpy(mix[k])[rows].to(options.device) for k in ("T_obj_ee", "T_world_ee"))
+        by_oracle = torch.from_numpy(mix["by_oracle"])[rows]
+    trials = whole[rows].to(options.device)
+    report.add("throughput.setup_s", time.perf_counter() - start)
+    report.add("throughput.trials", options.trials)
+    report.add("throughput.mix_is_current", current)
+    report.add("throughput.threads", launch.cpu_threads(options.threads))
+
+    def run() -> Scores:
+        return evaluator.score(T_obj_ee, T_world_ee, trials)
+
+    cold, _, _ = score_time(run)
+    report.add("throughput.trials_per_s_cold", options.trials / cold)
+    times = [score_time(run)[:2] for _ in range(REPEATS)]
+    report.add("throughput.trials_per_s_warm", options.trials / statistics.median(t[0] for t in times))
+    report.add("throughput.trials_per_s_warm_best", options.trials / min(t[0] for t in times))
+    report.add("throughput.core_s_per_trial", min(t[1] for t in times) / options.trials)
+    report.add("throughput.trials_per_core_s", options.trials / min(t[1] for t in times))
+
+    with watched(options.device) as clock:
+        start = clock.now()
+        scores = run()
+        total = clock.now() - start
+    for name in STAGES:
+        report.add(f"throughput.stage.{name}_share", clock.spent.get(name, 0.0) / total)
+    report.add("throughput.stage.other_share", 1 - sum(clock.spent.get(name, 0.0) for name in STAGES) / total)
+    for name in sorted(k for k in clock.spent if k.startswith("kernel.")):
+        report.add(f"throughput.{name}_share", clock.spent[name] / total)
+
+    path = scores.path_len > 0
+    report.add("throughput.straight_line_share", float((scores.path_len[path] == 2).double().mean()))
+    report.add("throughput.success_of_oracle_half", float(scores.success.cpu()[by_oracle].double().mean()))
+    for outcome in Outcome:
+        report.add(f"throughput.outcome.{outcome.name.lower()}", int((scores.outcome == int(outcome)).sum()))
+    for reason in PlanReason:
+        report.add(f"throughput.plan_reason.{reason.name.lower()}", int((scores.plan_reason == int(reason)).sum()))
+    report.write(options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,26 @@
+"""Signed distance and closest point to a triangle mesh that need not be closed (sign by winding number)."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def signed_distance(
+    mesh: wp.uint64,
+    reach: wp.float32,
+    points_in: wp.array(dtype=wp.vec3),
+    distance_out: wp.array(dtype=wp.float32),
+    closest_out: wp.array(dtype=wp.vec3),
+):
+    """distance_out: negative where the winding number is above 0.5; +reach where nothing is nearer than that."""
+    i = wp.tid()
+    p = points_in[i]
+    query = wp.mesh_query_point_sign_winding_number(mesh, p, reach, 2.0, 0.5)
+    if query.result:
+        closest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+        distance_out[i] = query.sign * wp.length(p - closest)
+        closest_out[i] = closest
+    else:
+        distance_out[i] = reach
+        closest_out[i] = p

@@ -1,0 +1,210 @@
+"""Clearance between gripper primitives and a triangle surface: the least signed distance of its points.
+
+The signed distance of a point to a primitive is its distance outside and minus its depth (distance to the nearest face)
+inside. Over a solid the least value is found on its surface, unless the primitive's middle is buried in it: then it is
+minus the primitive's inner radius. Depths are thus lower bounds on how far the bodies would have to be moved apart.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.gjk import BOX, CAPSULE, CYLINDER, HULL, Body, gjk
+from r2h_batch.kernels.gripper import Gripper, drive_from_gap, finger_pose
+from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit
+
+wp.set_module_options({"enable_backward": False})
+
+TOUCH_M = wp.constant(1.0e-6)
+DEPTH_M = wp.constant(5.0e-6)
+
+
+@wp.func
+def signed_distance(kind: int, size: wp.vec3, x: wp.vec3) -> float:
+    """Distance of point x to the primitive in its frame, minus the depth when inside."""
+    d = wp.length(x) - size[0]
+    if kind == BOX:
+        q = wp.vec3(wp.abs(x[0]) - size[0], wp.abs(x[1]) - size[1], wp.abs(x[2]) - size[2])
+        outside = wp.vec3(wp.max(q[0], 0.0), wp.max(q[1], 0.0), wp.max(q[2], 0.0))
+        d = wp.length(outside) + wp.min(wp.max(q[0], wp.max(q[1], q[2])), 0.0)
+    elif kind == CYLINDER:
+        r = wp.sqrt(x[0] * x[0] + x[1] * x[1]) - size[0]
+        z = wp.abs(x[2]) - size[1]
+        u = wp.max(r, 0.0)
+        v = wp.max(z, 0.0)
+        d = wp.sqrt(u * u + v * v) + wp.min(wp.max(r, z), 0.0)
+    elif kind == CAPSULE:
+        d = wp.length(wp.vec3(x[0], x[1], wp.max(wp.abs(x[2]) - size[1], 0.0))) - size[0]
+    return d
+
+
+@wp.func
+def inner_radius(kind: int, size: wp.vec3) -> float:
+    """Depth of the primitive's middle."""
+    r = size[0]
+    if kind == BOX:
+        r = wp.min(size[0], wp.min(size[1], size[2]))
+    elif kind == CYLINDER:
+        r = wp.min(size[0], size[1])
+    return r
+
+
+@wp.func
+def eroded(kind: int, size: wp.vec3, depth: float) -> Body:
+    """The primitive's points at least `depth` deep, as a GJK body (capsule, sphere: their axis, grown by the rest)."""
+    body = Body()
+    body.kind = kind
+    body.size = size
+    if kind == BOX:
+        body.size = wp.vec3(wp.max(size[0] - depth, 0.0), wp.max(size[1] - depth, 0.0), wp.max(size[2] - depth, 0.0))
+    elif kind == CYLINDER:
+        body.size = wp.vec3(wp.max(size[0] - depth, 0.0), wp.max(size[1] - depth, 0.0), 0.0)
+    else:
+        body.radius = wp.max(size[0] - depth, 0.0)
+    return body
+
+
+@wp.func
+def triangle_clearance(
+    points: wp.array(dtype=wp.vec3), tri: int, kind: int, size: wp.vec3, R: wp.mat33, p: wp.vec3, best: float
+) -> float:
+    """Least signed distance of a triangle's points to a primitive, or something >= best if it is not below `best`.
+
+    R, p take the triangle to the primitive's frame.
+    """
+    u = R * points[3 * tri] + p
+    v = R * points[3 * tri + 1] + p
+    w = R * points[3 * tri + 2] + p
+    middle = (u + v + w) / 3.0
+    r = wp.sqrt(wp.max(wp.length_sq(u - middle), wp.max(wp.length_sq(v - middle), wp.length_sq(w - middle))))
+    least = signed_distance(kind, size, middle) - r  # no point of the triangle is nearer
+    clearance = float(least)
+    if least < best:
+        # its corners are points of it too
+        clearance = wp.min(
+            wp.min(best, signed_distance(kind, size, u)),
+            wp.min(signed_distance(kind, size, v), signed_distance(kind, size, w)),
+        )
+        depth = wp.max(-clearance, 0.0)
+        a = Body()
+        a.kind = HULL
+        a.start = 3 * tri
+        a.count = 3
+        d = gjk(a, R, p, points, eroded(kind, size, depth), points, p - middle, wp.max(clearance, 0.0), 0.0)
+        if d.upper > TOUCH_M:
+            clearance = wp.min(clearance, d.lower - depth)
+        else:
+            low = float(depth)
+            high = wp.min(inner_radius(kind, size), -least)
+            while high - low > DEPTH_M:
+                half = 0.5 * (low + high)
+                d = gjk(a, R, p, points, eroded(kind, size, half), points, p - middle, 0.0, 0.0)
+                if d.upper <= TOUCH_M:
+                    low = half
+                else:
+                    high = half
+            clearance = -low
+    return clearance
+
+
+@wp.func
+def _in_box(surfaces: Surfaces, s: int, x: wp.vec3) -> bool:
+    """Whether x (object frame) lies in surface s's bounding box."""
+    low = surfaces.low[s]
+    high = surfaces.high[s]
+    return x[0] > low[0] and x[0] < high[0] and x[1] > low[1] and x[1] < high[1] and x[2] > low[2] and x[2] < high[2]
+
+
+@wp.func
+def _inside(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: wp.vec3) -> bool:
+    """Whether x (ee frame) lies inside closed surface s; R, t: object to ee frame."""
+    rx = wp.vec3(R[0, 0], R[0, 1], R[0, 2])
+    rz = wp.vec3(R[2, 0], R[2, 1], R[2, 2])
+    winding = int(0)
+    for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
+        ball = surfaces.node_sphere[node]
+        at = center(ball)
+        if wp.abs(wp.dot(rx, at) + t[0] - x[0]) <= ball[3] and wp.abs(wp.dot(rz, at) + t[2] - x[2]) <= ball[3]:
+            begin = surfaces.leaf_first[surfaces.node_first[node]]
+            end = surfaces.leaf_first[surfaces.node_first[node + 1]]
+            for tri in range(begin, end):
+                a = R * surfaces.points[3 * tri] + t
+                b = R * surfaces.points[3 * tri + 1] + t
+                c = R * surfaces.points[3 * tri + 2] + t
+                hit, y = line_hit(a, b, c, x[0], x[2])
+                if y < x[1]:
+                    winding += hit
+    return winding != 0
+
+
+@wp.kernel
+def primitives_clearance(
+    first: int,
+    gripper: Gripper,
+    surfaces: Surfaces,
+    surface_offset: int,
+    used: int,
+    solid: int,
+    cap: float,
+    T_obj_ee_in: wp.array(dtype=wp.mat44),
+    object_index_in: wp.array(dtype=wp.int32),
+    opening_in: wp.array(dtype=wp.float32),
+    R_scratch: wp.array2d(dtype=wp.mat33),
+    p_scratch: wp.array2d(dtype=wp.vec3),
+    clearance_out: wp.array(dtype=wp.float32),
+    witness_out: wp.array(dtype=wp.int32),
+):
+    """Least clearance (m) of the primitives in bit mask `used` at each trial's opening, and which one has it.
+
+    Exact below `cap`; `cap` and -1 beyond. The surface is object_index + surface_offset; `solid` counts its inside too.
+    """
+    trial = first + wp.tid()
+    s = object_index_in[trial] + surface_offset
+    R_ee_obj, t_ee_obj = inverse_pose(T_obj_ee_in[trial])
+    drive = drive_from_gap(gripper, opening_in[trial])
+    best = float(cap)
+    witness = int(-1)
+    count = gripper.kind.shape[0]
+    for i in range(count):
+        R, p = finger_pose(gripper, i, drive)
+        R_scratch[trial, i] = wp.transpose(R) * R_ee_obj
+        p_scratch[trial, i] = wp.transpose(R) * (t_ee_obj - p)
+        if solid != 0 and (used >> i) & 1 != 0:
+            x = wp.transpose(R_ee_obj) * (p - t_ee_obj)
+            r = inner_radius(gripper.kind[i], gripper.size[i])
+            if -r < best and _in_box(surfaces, s, x) and _inside(surfaces, s, R_ee_obj, t_ee_obj, p):
+                best = -r
+                witness = i
+    # some points first: a small `best` spares most triangles
+    for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
+        x = surfaces.points[3 * surfaces.leaf_first[surfaces.node_first[node]]]
+        for i in range(count):
+            if (used >> i) & 1 != 0:
+                d = signed_distance(gripper.kind[i], gripper.size[i], R_scratch[trial, i] * x + p_scratch[trial, i])
+                if d < best:
+                    best = d
+                    witness = i
+    for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
+        near = int(0)
+        ball = surfaces.node_sphere[node]
+        for i in range(count):
+            if (used >> i) & 1 != 0:
+                x = R_scratch[trial, i] * center(ball) + p_scratch[trial, i]
+                if signed_distance(gripper.kind[i], gripper.size[i], x) - ball[3] < best:
+                    near = near | (1 << i)
+        if near != 0:
+            for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
+                ball = surfaces.leaf_sphere[leaf]
+                for i in range(count):
+                    if (near >> i) & 1 != 0:
+                        R = R_scratch[trial, i]
+                        p = p_scratch[trial, i]
+                        kind = gripper.kind[i]
+                        size = gripper.size[i]
+                        x = R * center(ball) + p
+                        if signed_distance(kind, size, x) - ball[3] < best:
+                            for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
+                                d = triangle_clearance(surfaces.points, tri, kind, size, R, p, best)
+                                if d < best:
+                                    best = d
+                                    witness = i
+    clearance_out[trial] = best
+    witness_out[trial] = witness

@@ -1,0 +1,78 @@
+"""Bounding capsules and lever arms for the collision kernels (float64 NumPy, on loading a scene)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from r2h_batch.robot import Kind, Robot, gripper_primitives_at, lever_bound_for_sphere, lever_bounds
+
+Array = NDArray[np.float64]
+
+OPENINGS_M = np.linspace(0.0015, 0.086, 60)
+BETWEEN_OPENINGS_M = 1e-3
+"""The pads' parts move less than this between two sampled openings (1.4 mm of gap)."""
+
+
+def capsule_of_primitive(kind: int, size: Array) -> tuple[Array, float]:
+    """Half axis (3,) and radius of a capsule about the primitive's centre that holds it."""
+    if kind == Kind.BOX:
+        long = int(np.argmax(size))
+        axis = np.zeros(3)
+        axis[long] = size[long]
+        return axis, float(np.linalg.norm(np.delete(size, long)))
+    if kind in (Kind.CAPSULE, Kind.CYLINDER):
+        return np.array([0.0, 0.0, size[1]]), float(size[0])
+    return np.zeros(3), float(size[0])
+
+
+def capsule_of_balls(centers: Array, radii: Array) -> tuple[Array, Array, float]:
+    """End points and radius of a small capsule that holds all balls (N, 3), (N,); exact containment, greedy axis."""
+    candidates = [*np.eye(3), np.linalg.svd(centers - centers.mean(0), full_matrices=False)[2][0] if len(centers) > 1 else np.eye(3)[0]]
+    best: tuple[float, Array, Array, float] | None = None
+    for axis in candidates:
+        along = centers @ axis
+        across = centers - along[:, None] * axis
+        middle = (across.min(0) + across.max(0)) / 2
+        middle = middle - (middle @ axis) * axis  # of a slanted axis' box it is not across
+        for _ in range(50):  # a few steps towards the smallest enclosing circle (Badoiu and Clarkson 2003)
+            far = np.argmax(np.linalg.norm(across - middle, axis=1) + radii)
+            middle = middle + (across[far] - middle) * 0.05
+        off = np.linalg.norm(across - middle, axis=1)
+        radius = float((off + radii).max())
+        slack = np.sqrt(np.maximum((radius - radii) ** 2 - off**2, 0.0))
+        low, high = float((along + slack).min()), float((along - slack).max())
+        if low > high:
+            low = high = (low + high) / 2
+        volume = np.pi * radius**2 * (high - low) + 4 / 3 * np.pi * radius**3
+        if best is None or volume < best[0]:
+            best = (volume, middle + low * axis, middle + high * axis, radius)
+    assert best is not None
+    return best[1], best[2], best[3] + 1e-6
+
+
+def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
+    """End points and radius of a small capsule that holds the points (N, 3)."""
+    return capsule_of_balls(points, np.zeros(len(points)))
+
+
+def gripper_balls(robot: Robot) -> tuple[Array, Array]:
+    """Ends of the gripper primitives' capsules at every opening, (G, n, 3) in the wrist_3 frame, and radii (G,)."""
+    T_wrist_ee = robot.T_wrist3_flange @ robot.T_flange_ee
+    T = np.einsum("ij,ngjk->gnik", T_wrist_ee, gripper_primitives_at(robot, OPENINGS_M))
+    ends, radii = [], []
+    for g in range(len(robot.gripper.names)):
+        axis, radius = capsule_of_primitive(int(robot.gripper.kind[g]), robot.gripper.size[g])
+        turned = T[g, :, :3, :3] @ axis
+        ends.append(np.concatenate([T[g, :, :3, 3] - turned, T[g, :, :3, 3] + turned]))
+        radii.append(radius + BETWEEN_OPENINGS_M)
+    return np.stack(ends), np.array(radii)
+
+
+def robot_levers(robot: Robot) -> Array:
+    """(N, 6) bounds for arm and gripper primitives: largest distance of any point from each joint's axis, any posture."""
+    ends, radii = gripper_balls(robot)
+    gripper = [
+        np.max([lever_bound_for_sphere(robot, 6, c, r) for c in e[:: max(1, len(e) // 24)]] + [lever_bound_for_sphere(robot, 6, e[-1], r)], axis=0)
+        + BETWEEN_OPENINGS_M * 6
+        for e, r in zip(ends, radii, strict=True)
+    ]
+    return np.concatenate([lever_bounds(robot).T, np.array(gripper)])

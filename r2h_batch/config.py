@@ -1,0 +1,104 @@
+"""Every number a verdict depends on, in SI units, each with where it comes from."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+HOME_Q = (-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483)
+"""Start of every trial, rad: gripper straight down, TCP at (0.421, 0, 0.449) m [choice]."""
+
+CLEARANCE_CAP_M = 0.05
+"""Clearances are exact below this and a lower bound above it."""
+
+BORDERLINE_M = 1e-4
+"""Half width of the band around a threshold in which float32 geometry is not trusted."""
+
+
+def _positive(owner: object, *names: str) -> None:
+    for name in names:
+        value = getattr(owner, name)
+        if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
+            raise ValueError(f"{type(owner).__name__}.{name} is {value!r}; it must be a finite number above 0")
+
+
+def _one_of(owner: object, name: str, allowed: tuple[str, ...]) -> None:
+    if getattr(owner, name) not in allowed:
+        raise ValueError(f"{type(owner).__name__}.{name} is {getattr(owner, name)!r}; allowed are {', '.join(allowed)}")
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """Where a criterion turns from pass to fail (paper, Sec. Evaluation Metrics)."""
+
+    w_max_m: float = 0.085  # aperture of the 2F-85
+    reach_radius_m: float = 0.10  # r_h
+    reach_offset_m: float = 0.12  # d_h
+    safe_margin_m: float = 0.0  # distance a hand must keep to count as untouched
+    pad_squeeze_m: float = 0.001  # [choice] the rubber pads give this much in total: fingers that hold a region meet it
+
+    def __post_init__(self) -> None:
+        _positive(self, "w_max_m", "reach_radius_m", "reach_offset_m")
+        if self.safe_margin_m < 0 or self.pad_squeeze_m < 0:
+            raise ValueError("Thresholds.safe_margin_m and pad_squeeze_m must be 0 or more metres")
+
+
+@dataclass(frozen=True)
+class PlanConfig:
+    """How a path from home to the handover pose is looked for."""
+
+    goals: Literal["set", "one"] = "set"  # all collision-free branches, or the paper's single one
+    edge_check: Literal["exact", "moveit"] = "exact"  # conservative advancement, or samples at MoveIt's resolution
+    object_collision: Literal["hull", "pieces"] = "hull"
+    hand_clearance_m: float = 0.003  # kept along the path wherever the goal keeps it [choice]
+    range_rad: float = 1.5  # longest RRT extension
+    rounds: tuple[int, ...] = (50, 500, 5000)  # iterations of each budget round
+    shortcuts: int = 30  # random shortcuts after the greedy pass
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _one_of(self, "goals", ("set", "one"))
+        _one_of(self, "edge_check", ("exact", "moveit"))
+        _one_of(self, "object_collision", ("hull", "pieces"))
+        _positive(self, "range_rad")
+        if self.hand_clearance_m < 0:
+            raise ValueError(f"PlanConfig.hand_clearance_m is {self.hand_clearance_m}; it must be 0 or more metres")
+        if not self.rounds or any(n < 1 for n in self.rounds) or self.shortcuts < 0:
+            raise ValueError(f"PlanConfig.rounds is {self.rounds}, shortcuts {self.shortcuts}; rounds must be 1 or more")
+
+
+@dataclass(frozen=True)
+class ExecConfig:
+    """The time law: a trapezoid per segment, all joints together, at a fraction of the joint limits."""
+
+    scale: float = 0.1  # MoveIt 2's default velocity and acceleration scaling
+    max_velocity_rad_s: float = math.pi
+    max_acceleration_rad_s2: float = 5.0
+
+    def __post_init__(self) -> None:
+        _positive(self, "scale", "max_velocity_rad_s", "max_acceleration_rad_s2")
+
+
+@dataclass(frozen=True)
+class EvalConfig:
+    """All of it. `preset("paper")` differs from the default where the paper's pipeline is known to differ."""
+
+    thresholds: Thresholds = field(default_factory=Thresholds)
+    plan: PlanConfig = field(default_factory=PlanConfig)
+    execute: ExecConfig = field(default_factory=ExecConfig)
+    width: Literal["pads", "whole"] = "pads"  # material between the pads, or the whole object's extent
+    chunk: int = 2048  # trials held in memory at once
+    name: str = "default"
+
+    def __post_init__(self) -> None:
+        _one_of(self, "width", ("pads", "whole"))
+        if self.chunk < 1:
+            raise ValueError(f"EvalConfig.chunk is {self.chunk}; it must be 1 or more trials")
+
+    @staticmethod
+    def preset(name: str) -> "EvalConfig":
+        """`default` (to be right) or `paper` (to compare with the paper's figures)."""
+        if name == "default":
+            return EvalConfig()
+        if name == "paper":
+            return EvalConfig(plan=PlanConfig(goals="one", edge_check="moveit", hand_clearance_m=0.0), name="paper")
+        raise ValueError(f"unknown preset {name!r}; allowed are default, paper")

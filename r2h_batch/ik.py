@@ -1,0 +1,229 @@
+"""Joint angles that bring the ee frame to a pose: all branches of the UR5e, residuals, a proof where there is none."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float, Int, UInt8
+from torch import Tensor
+
+from r2h_batch.config import HOME_Q
+from r2h_batch.kernels import ik_step
+from r2h_batch.kernels.fk import UrParameters, vec6d
+from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.robot import Robot, load_robot
+
+BRANCHES = 8
+ITERATIONS = 20
+"""Damped least squares steps per seed; the mean is 7."""
+
+POSITION_TOLERANCE_M = 1e-5
+ROTATION_TOLERANCE_RAD = 1e-5
+CHUNK = 512
+"""Targets a thread takes at a time: a target takes about 3 us, so the launch would dominate a smaller chunk."""
+
+
+@dataclass(frozen=True)
+class IkResult:
+    """Up to 8 branches for each of B targets.
+
+    Slot 4 s + 2 e + w holds the branch with s = 1 where the wrist centre lies behind the shoulder (seen along the arm's
+    plane), e = 1 where sin q3 < 0, w = 1 where sin q5 < 0. Each joint stands at the turn nearest to home within limits.
+    """
+
+    q: Float[Tensor, "b 8 6"]
+    """Joint angles, rad; NaN where not valid."""
+    valid: Bool[Tensor, "b 8"]
+    """The slot holds a solution: both errors below tolerance for the float32 angles in `q`."""
+    position_error_m: Float[Tensor, "b 8"]
+    """Distance between the targets' and the reached ee origin, float64 inside; inf where there is no branch."""
+    rotation_error_rad: Float[Tensor, "b 8"]
+    """Angle between the targets' and the reached ee axes; inf where there is no branch."""
+    status: UInt8[Tensor, "b 4"]
+    """How the pair of branches 2 s + w was settled: a STATUS_* code of kernels/ik_step.py."""
+    steps: Int[Tensor, "b 4"]
+    """Damped least squares steps spent on the pair, over all seeds tried."""
+
+    @property
+    def reachable(self) -> Bool[Tensor, "b"]:
+        """At least one branch was found."""
+        return self.valid.any(1)
+
+    @property
+    def unreachable_proven(self) -> Bool[Tensor, "b"]:
+        """The closed form has no solution, for no pose within about 1 um and 1 urad either. False for inactive rows."""
+        return (self.status == int(ik_step.STATUS_UNREACHABLE)).all(1)
+
+    @property
+    def singular(self) -> Bool[Tensor, "b"]:
+        """Some pair has sin q5 = 0 (< 1e-6): its slots hold points of a line of solutions (q6 = home if on it)."""
+        return (self.status == int(ik_step.STATUS_SINGULAR)).any(1)
+
+    @property
+    def rescued(self) -> Bool[Tensor, "b 4"]:
+        """Pairs of branches that exist but that no seed converged to: the closed form's own solution stands in."""
+        return self.status == int(ik_step.STATUS_RESCUED)
+
+
+def solve_ik(
+    T_world_ee: Float[Tensor, "b 4 4"],
+    *,
+    active: Bool[Tensor, "b"] | None = None,
+    robot: Robot | None = None,
+    home: Sequence[float] = HOME_Q,
+    seeds: Float[np.ndarray, "s 6"] | None = None,
+    iterations: int = ITERATIONS,
+    threads: int | None = None,
+) -> IkResult:
+    """All branches for every target, on the device of `T_world_ee`; a row depends on nothing but its own target.
+
+    Rows with `active` False, NaN or no rigid transform have no valid branch and are not proven unreachable.
+    `seeds`: joint angles to start from, joint 1 relative to the wrist centre's azimuth (default: the committed set).
+    """
+    if T_world_ee.ndim != 3 or T_world_ee.shape[1:] != (4, 4) or T_world_ee.dtype != torch.float32:
+        raise ValueError(f"T_world_ee is {T_world_ee.dtype} {tuple(T_world_ee.shape)}; it must be float32 (B, 4, 4)")
+    n, device = len(T_world_ee), T_world_ee.device
+    if active is None:
+        active = torch.ones(n, dtype=torch.bool, device=device)
+    if active.shape != (n,) or active.dtype != torch.bool or active.device != device:
+        raise ValueError(
+            f"active is {active.dtype} {tuple(active.shape)} on {active.device}; it must be bool ({n},) on {device}"
+        )
+    robot = load_robot() if robot is None else robot
+    if len(home) != 6 or not ((robot.lower <= home) & (home <= robot.upper)).all():
+        raise ValueError(f"home is {tuple(home)}; it must be 6 joint angles in rad within the robot's limits")
+    if iterations < 1:
+        raise ValueError(f"iterations is {iterations}; it must be 1 or more")
+    start = ik_seeds() if seeds is None else np.asarray(seeds, dtype=np.float64)
+    if start.ndim != 2 or start.shape[1] != 6 or not np.isfinite(start).all():
+        raise ValueError(f"seeds have shape {start.shape}; they must be finite joint angles (S, 6) in rad")
+
+    init_warp()
+    place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
+    result = IkResult(
+        q=torch.empty((n, BRANCHES, 6), device=device),
+        valid=torch.empty((n, BRANCHES), dtype=torch.bool, device=device),
+        position_error_m=torch.empty((n, BRANCHES), device=device),
+        rotation_error_rad=torch.empty((n, BRANCHES), device=device),
+        status=torch.empty((n, 4), dtype=torch.uint8, device=device),
+        steps=torch.empty((n, 4), dtype=torch.int32, device=device),
+    )
+    if n == 0:
+        return result
+    inputs = [
+        ur_parameters(robot, home),
+        iterations,
+        wp.float64(POSITION_TOLERANCE_M),
+        wp.float64(ROTATION_TOLERANCE_RAD),
+        wp.array(_cos_sin(start), dtype=wp.float64, device=place),
+        wp.from_torch(T_world_ee.detach().contiguous()),
+        wp.from_torch(active.contiguous()),
+        wp.from_torch(result.q),
+        wp.from_torch(result.valid),
+        wp.from_torch(result.position_error_m),
+        wp.from_torch(result.rotation_error_rad),
+        wp.from_torch(result.status),
+        wp.from_torch(result.steps),
+    ]
+    launch_trials(ik_step.solve_ik_kernel, n, inputs, device=place, threads=threads, chunk=CHUNK, width=4)
+    return result
+
+
+JACOBIAN_STEPS = 100
+"""Steps of the numerical solver per start; it needs 5 to 30."""
+
+
+def one_branch(
+    ik: IkResult, T_world_ee: Float[Tensor, "b 4 4"], *, home: Sequence[float] = HOME_Q, threads: int | None = None
+) -> Bool[Tensor, "b 8"]:
+    """`ik.valid` with one branch left for each target: the one that a numerical Jacobian solver started at home reaches.
+
+    As MoveIt's default solver: damped least squares on the whole arm, joints clamped to their limits; where it sticks it
+    starts again, here from the committed seeds in order. If that fails too, the first valid branch stands in.
+    """
+    from r2h_batch.kernels.ik_jacobian import first_branch
+
+    n, device, robot = len(T_world_ee), T_world_ee.device, load_robot()
+    place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
+    T = np.stack([*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee])
+    slot, start = (torch.full((n,), -1, dtype=torch.int32, device=device) for _ in range(2))
+    inputs = [
+        JACOBIAN_STEPS,
+        wp.array(T[:, :3, :3], dtype=wp.mat33d, device=place),
+        wp.array(T[:, :3, 3], dtype=wp.vec3d, device=place),
+        wp.array(robot.lower, dtype=wp.float64, device=place),
+        wp.array(robot.upper, dtype=wp.float64, device=place),
+        wp.array(np.concatenate([np.array(home)[None], ik_seeds()]), dtype=wp.float64, device=place),
+        wp.from_torch(T_world_ee.detach().contiguous(), dtype=wp.mat44),
+        wp.from_torch(ik.q),
+        wp.from_torch(ik.valid),
+        wp.from_torch(slot),
+        wp.from_torch(start),
+    ]
+    launch_trials(first_branch, n, inputs, device=place, threads=threads, chunk=64)
+    slot = torch.where(slot >= 0, slot.long(), ik.valid.to(torch.int8).argmax(1))
+    return ik.valid & (torch.arange(BRANCHES, device=device) == slot[:, None])
+
+
+@cache
+def ik_seeds() -> np.ndarray:
+    """The committed seeds (S, 6) in rad, in the order they are tried (made by assets/robot/build_ik_seeds.py)."""
+    with (files("r2h_batch.assets") / "robot" / "ik_seeds.npy").open("rb") as file:
+        seeds: np.ndarray = np.load(file)
+    seeds.setflags(write=False)
+    return seeds
+
+
+def ur_parameters(robot: Robot, home: Sequence[float] = HOME_Q) -> UrParameters:
+    """The link lengths, limits and home that the kernels need; refuses a robot without a UR's structure."""
+    T = [*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee]
+    ur = UrParameters()
+    ur.d1, ur.a2, ur.a3 = T[0][2, 3], -T[2][0, 3], -T[3][0, 3]
+    ur.d4, ur.d5, ur.tool = T[3][2, 3], -T[4][1, 3], T[5][1, 3] + T[6][2, 3]
+    straight, half = np.eye(3), np.diag([-1.0, -1.0, 1.0])
+    up, down = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    rotations = [half, up, straight, straight, up, down, straight]
+    d6 = float(T[5][1, 3])
+    origins = [
+        [0, 0, ur.d1], [0, 0, 0], [-ur.a2, 0, 0], [-ur.a3, 0, ur.d4], [0, -ur.d5, 0], [0, d6, 0], [0, 0, ur.tool - d6]
+    ]  # fmt: skip
+    for i, (R, p) in enumerate(zip(rotations, origins, strict=True)):
+        if np.abs(T[i][:3, :3] - R).max() > 1e-9 or np.abs(T[i][:3, 3] - p).max() > 1e-9:
+            raise ValueError(
+                f"robot frame {i} is not that of a UR arm with a straight tool: the IK kernel cannot be used"
+            )
+    ur.home, ur.lower, ur.upper = vec6d(*home), vec6d(*robot.lower), vec6d(*robot.upper)
+    return ur
+
+
+def reference_chain(**to: Any) -> Any:
+    """pytorch-kinematics' chain base_link -> ee from airo-models' URDF: reference for FK, Jacobian and its own IK.
+
+    Keyword arguments go to `chain.to` (dtype, device).
+    """
+    import airo_models
+    import pytorch_kinematics
+
+    text = Path(airo_models.get_urdf_path("ur5e")).read_text()
+    x, y, z = load_robot().T_flange_ee[:3, 3]
+    ee = (
+        '<link name="ee"/><joint name="tool0-ee" type="fixed"><parent link="tool0"/><child link="ee"/>'
+        f'<origin rpy="0 0 0" xyz="{x} {y} {z}"/></joint></robot>'
+    )
+    text = re.sub(r'\sdrake:\w+="[^"]*"', "", text).replace("</robot>", ee)  # lxml refuses the undeclared prefix
+    chain = pytorch_kinematics.build_serial_chain_from_urdf(text.encode(), "ee", "base_link")
+    return chain.to(**to) if to else chain
+
+
+def _cos_sin(q: np.ndarray) -> np.ndarray:
+    """The kernels' state (S, 12) of joint angles: (cos, sin) of q1, q2, q2 + q3, q2 + q3 + q4, q5, q6."""
+    psi2 = q[:, 1] + q[:, 2]
+    angles = np.stack([q[:, 0], q[:, 1], psi2, psi2 + q[:, 3], q[:, 4], q[:, 5]], 1)
+    return np.stack([np.cos(angles), np.sin(angles)], -1).reshape(len(q), 12)

@@ -1,0 +1,60 @@
+"""Launches a kernel over trials: all CPU cores on a CPU, one launch on a GPU."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from typing import Any
+
+import warp as wp
+
+CHUNK = 32
+"""Trials a thread takes at a time: small enough that one hard trial does not leave the other core idle."""
+
+
+def init_warp() -> None:
+    """Starts Warp without its banner (stdout is for results)."""
+    wp.config.log_level = wp.LOG_WARNING
+    wp.init()
+
+
+def cpu_threads(threads: int | None = None) -> int:
+    """The number of worker threads: as asked, or one per core this process may use."""
+    if threads is not None:
+        if threads < 1:
+            raise ValueError(f"threads is {threads}; it must be 1 or more")
+        return threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@lru_cache(maxsize=4)
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="r2h")
+
+
+def launch_trials(
+    kernel: Any, n: int, inputs: Sequence[Any], *, device: str, threads: int | None = None, chunk: int = CHUNK, width: int = 1
+) -> None:
+    """Runs `kernel(first, *inputs)` for trials 0..n-1, trial = first + wp.tid() (and a second index if `width` > 1).
+
+    Warp runs a CPU kernel as one serial loop but releases the interpreter lock, so threads over chunks use all cores.
+    Chunks only say who computes a trial: results do not depend on them.
+    """
+    if n == 0:
+        return
+    if device != "cpu":
+        wp.launch(kernel, dim=(n, width) if width > 1 else n, inputs=[0, *inputs], device=device)
+        return
+    threads = cpu_threads(threads)
+
+    def run(first: int) -> None:
+        m = min(chunk, n - first)
+        wp.launch(kernel, dim=(m, width) if width > 1 else m, inputs=[first, *inputs], device="cpu")
+
+    if threads == 1 or n <= chunk:
+        for first in range(0, n, chunk):
+            run(first)
+        return
+    run(0)  # loads (and, the first time, compiles) the module before threads race for it
+    for future in [_pool(threads).submit(run, first) for first in range(chunk, n, chunk)]:
+        future.result()

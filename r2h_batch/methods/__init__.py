@@ -1,0 +1,1 @@
+"""One file per handover method: a batch of trials in, grasp and handover poses out."""

@@ -1,0 +1,126 @@
+"""The five criteria of the paper (Sec. Evaluation Metrics): one function per equation, each a signed margin in metres."""
+
+from dataclasses import dataclass
+
+import torch
+import warp as wp
+from jaxtyping import Bool, Float32, Int32
+from torch import Tensor
+
+from r2h_batch import se3
+from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
+from r2h_batch.grasp import Grasp, attach, region_distance
+from r2h_batch.kernels import reach as reach_kernels
+from r2h_batch.kernels import safe as safe_kernels
+from r2h_batch.launch import launch_trials
+from r2h_batch.plan import Plan
+from r2h_batch.scene import Placed, Scene
+
+SAFE_TOLERANCE_M = 2e-5
+"""How exactly the smallest distance over time is located."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """Margin of one criterion (m, NaN where not evaluated), whether it passes, and where it is defined."""
+
+    margin: Float32[Tensor, " b"]
+    passed: Bool[Tensor, " b"]
+    evaluated: Bool[Tensor, " b"]
+
+    @staticmethod
+    def of(margin: Tensor, evaluated: Tensor, *, touching_passes: bool) -> "Criterion":
+        """Passes above 0, and at 0 where touching passes."""
+        passed = (margin >= 0) if touching_passes else (margin > 0)
+        return Criterion(torch.where(evaluated, margin, torch.nan), passed & evaluated, evaluated)
+
+
+def stability(grasp: Grasp, active: Bool[Tensor, " b"]) -> Criterion:
+    """Stability(g) <=> w_O(g) <= w_max: margin w_max - w; negative when nothing is held or the open gripper cuts in."""
+    return Criterion.of(grasp.margin_m, active, touching_passes=True)
+
+
+def plan(planned: Plan, active: Bool[Tensor, " b"]) -> Criterion:
+    """Plan(g, h) <=> h in S_plan(g): margin is the smallest clearance along the path, -inf when there is none."""
+    found = planned.length > 0
+    criterion = Criterion.of(torch.where(found, planned.clearance_m, -torch.inf), active, touching_passes=False)
+    return Criterion(criterion.margin, found & active, active)
+
+
+def reach(
+    scene: Scene,
+    T_world_obj: Float32[Tensor, "b 4 4"],
+    ball_center: Float32[Tensor, "b 3"],
+    object_index: Int32[Tensor, " b"],
+    active: Bool[Tensor, " b"],
+    thresholds: Thresholds,
+    *,
+    threads: int | None = None,
+) -> Criterion:
+    """Reach(g, h) <=> V_O(g, h) meets the ball B_h: margin r_h - dist(c_h, object solid). Touching passes."""
+    x = se3.apply(se3.inverse(T_world_obj), ball_center).contiguous()
+    distance = torch.zeros(len(x), dtype=torch.float32, device=x.device)
+    nearest = torch.zeros((len(x), 3), dtype=torch.float32, device=x.device)
+    inputs = [
+        10.0, scene.object_mesh_ids, wp.from_torch(object_index.to(torch.int32)), wp.from_torch(x, dtype=wp.vec3),
+        wp.from_torch(distance), wp.from_torch(nearest, dtype=wp.vec3),
+    ]  # fmt: skip
+    launch_trials(reach_kernels.point_to_object, len(x), inputs, device=scene.device, threads=threads, chunk=256)
+    return Criterion.of(thresholds.reach_radius_m - distance, active, touching_passes=True)
+
+
+def affordance(
+    scene: Scene,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    grasp: Grasp,
+    active: Bool[Tensor, " b"],
+    thresholds: Thresholds,
+    *,
+    threads: int | None = None,
+) -> Criterion:
+    """Affordance(g) <=> V_grip(g) does not meet G_O^H(g): margin is the fingers' distance to the region. S1 only.
+
+    The fingers are taken `pad_squeeze_m` tighter than the material between them, so that fingers which hold the region
+    itself meet it clearly and not within rounding.
+    """
+    opening = torch.where(grasp.width_m <= thresholds.w_max_m, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m)
+    attached = attach(T_obj_ee, grasp.shift_m)
+    distance, _ = region_distance(
+        scene.grasp_tables, attached, object_index, opening.clamp(min=0.0), cap_m=CLEARANCE_CAP_M, threads=threads
+    )
+    return Criterion.of(distance, active & ~torch.isnan(distance), touching_passes=False)
+
+
+@dataclass(frozen=True)
+class Touch:
+    """Where the robot is nearest to the hand: robot body (Scene.part_names), path segment and fraction, hand point (world)."""
+
+    body: Int32[Tensor, " b"]
+    segment: Int32[Tensor, " b"]
+    fraction: Float32[Tensor, " b"]
+    point: Float32[Tensor, "b 3"]
+
+
+def safe(
+    scene: Scene, placed: Placed, planned: Plan, active: Bool[Tensor, " b"], thresholds: Thresholds, *, threads: int | None = None
+) -> tuple[Criterion, Touch]:
+    """Safe(g, h) <=> M_hand does not meet M_robot(g, h) over the motion: margin is the smallest distance over time.
+
+    Exact hand mesh against the robot's primitives, without the object; exact below 5 cm, a lower bound above, an overlap
+    bound below 0. Defined where there is a motion. Touching fails.
+    """
+    b, device = len(active), active.device
+    distance = torch.zeros(b, dtype=torch.float32, device=device)
+    body, segment = (torch.full((b,), -1, dtype=torch.int32, device=device) for _ in range(2))
+    fraction = torch.zeros(b, dtype=torch.float32, device=device)
+    point = torch.zeros((b, 3), dtype=torch.float32, device=device)
+    inputs = [
+        CLEARANCE_CAP_M, SAFE_TOLERANCE_M, scene.world, scene.hand_mesh, placed.bodies, wp.from_torch(planned.path),
+        wp.from_torch(planned.length), wp.from_torch(distance), wp.from_torch(body), wp.from_torch(segment),
+        wp.from_torch(fraction), wp.from_torch(point, dtype=wp.vec3),
+    ]  # fmt: skip
+    launch_trials(safe_kernels.safe_distance, b, inputs, device=scene.device, threads=threads, chunk=16)
+    defined = active & (planned.length > 0)
+    criterion = Criterion.of(distance - thresholds.safe_margin_m, defined, touching_passes=False)
+    return criterion, Touch(torch.where(defined, body, -1), segment, fraction, point)

@@ -1,0 +1,256 @@
+"""Table I as text: Markdown, LaTeX, CSV or JSON from the rows of `aggregate.summarise`. Formatting only."""
+
+import csv
+import io
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import floor, log10
+from pathlib import Path
+from typing import Any, Literal
+
+from r2h_batch.aggregate import RATES, TIMES, Mean, Rate, Row, summarise, verdicts
+from r2h_batch.results import Run, load_run
+
+FORMATS = ("md", "latex", "csv", "json")
+
+NA = "n/a"
+TERMINAL = 120
+HEADINGS = {
+    "sr": "SR",
+    "t_plan_s": "T_plan",
+    "t_exec_s": "T_exec",
+    "t_tot_s": "T_tot",
+    "f_plan": "F_plan",
+    "f_reach": "F_reach",
+    "f_safe": "F_safe",
+    "f_stab": "F_stab",
+    "f_afford": "F_afford",
+}
+"""Table I's columns in its order."""
+
+FOOTNOTES = (
+    "SR and F_*: percent of all N planned trials of the split; a trial counts once, at its first failure in the order"
+    " Stability, Plan, Reach, Affordance, Safe. With invalid and missing they add up to 100.",
+    "T_plan: mean over the trials in which planning ran, amortised (batch wall time / B), without the method's own"
+    " time; T_exec: mean over the trials with a path; T_tot = T_plan + T_exec; the counts are in the last table.",
+    "Avg: mean of the two splits, S0's F_afford (not evaluated) taken as 0.",
+    "Intervals: 95 %. Wilson speaks about more trials with these objects; the object-clustered t interval about new"
+    " objects of the same kind.",
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a report shows: rows in order, and where they come from (protocol, digest, preset, device, ...)."""
+
+    rows: tuple[Row, ...]
+    origin: Mapping[str, str]
+
+
+def table_of(run: Run) -> Table:
+    """The table of every method stored in a run folder."""
+    header = run.header
+    origin = {
+        "preset": str(header["configuration"].get("name", "custom")),
+        "protocol": str(header["protocol"]),
+        "trials": ", ".join(f"{n} {split}" for split, n in header["trials"].items()),
+        "trials digest": str(header["digests"]["trials"]),
+        "device": str(header["device"]["name"]),
+        "r2h_batch": str(header["versions"]["r2h_batch"]),
+    }
+    return Table(summarise([verdicts(run, method) for method in run.methods]), origin)
+
+
+def render(table: Table, fmt: str) -> str:
+    """The table as text that ends in a newline; `fmt` is one of `FORMATS`."""
+    writers: dict[str, Callable[[Table], str]] = {"md": _md, "latex": _latex, "csv": _csv, "json": _json}
+    if fmt not in writers:
+        raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
+    return writers[fmt](table)
+
+
+def cell(row: Row, column: str) -> str:
+    """One cell of Table I: rates with one decimal, seconds with two or more, `n/a` where nothing is defined."""
+    if column in TIMES:
+        return _seconds(row.times[column])
+    rate = row.rates[column]
+    return NA if rate is None else f"{rate.percent:.1f}"
+
+
+def _seconds(mean: Mean) -> str:
+    """Two decimals, or two digits below 0.1 s (amortised planning takes less than a millisecond)."""
+    if mean.value is None:
+        return NA
+    return f"{mean.value:.2f}" if mean.value >= 0.1 or mean.value == 0 else _two_digits(mean.value)
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.{1 - floor(log10(value))}f}"
+
+
+def _invalid(row: Row) -> int:
+    return row.counts["invalid_input"] + row.counts["invalid_sim"]
+
+
+def _interval(rate: Rate | None) -> str:
+    return NA if rate is None else f"{rate.low:.1f}-{rate.high:.1f}"
+
+
+def _aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) -> str:
+    """A Markdown table that also reads well as plain text; the first `left` columns are left-aligned.
+
+    The pipes at the edges go where the table would otherwise be wider than a terminal.
+    """
+    widths = [max(3, *(len(line[i]) for line in (headings, *lines))) for i in range(len(headings))]
+
+    def text(cells: Sequence[str]) -> str:
+        padded = [c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(cells, widths))]
+        return f"| {' | '.join(padded)} |"
+
+    rule = "|" + "|".join("-" * (w + 2) if i < left else "-" * (w + 1) + ":" for i, w in enumerate(widths)) + "|"
+    table = [text(headings), rule, *map(text, lines)]
+    return "\n".join(table if len(rule) <= TERMINAL else [line[2:-2] for line in table])
+
+
+def _plain(method: str) -> str:
+    return method.replace("|", "\\|")
+
+
+def _md(table: Table) -> str:
+    rates = [c for c in HEADINGS if c in RATES]
+    names = [(row.split, _plain(row.method)) for row in table.rows]
+    main = [[*n, *(cell(row, c) for c in HEADINGS)] for n, row in zip(names, table.rows)]
+    ends = [[*n, *(_interval(row.rates[c]) for c in rates)] for n, row in zip(names, table.rows)]
+    counts = [
+        [
+            *n,
+            str(row.n),
+            _interval(row.sr_new_objects),
+            str(row.times["t_plan_s"].count),
+            str(row.times["t_exec_s"].count),
+            cell(row, "t_method_s"),
+            str(_invalid(row)),
+            str(row.counts["missing"]),
+        ]
+        for n, row in zip(names, table.rows)
+    ]
+    others = ("N", "SR new obj.", "n T_plan", "n T_exec", "T_method", "invalid", "missing")
+    parts = [
+        "  \n".join(f"{key}: {value}" for key, value in table.origin.items()),
+        "Rates in percent, times in seconds.",
+        _aligned(["Split", "Method", *HEADINGS.values()], main, 2),
+        "Wilson 95 % intervals of the rates.",
+        _aligned(["Split", "Method", *(HEADINGS[c] for c in rates)], ends, 2),
+        "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial.",
+        _aligned(["Split", "Method", *others], counts, 2),
+        "\n".join(_wrapped(note) for note in FOOTNOTES),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _wrapped(note: str, width: int = 118) -> str:
+    lines, line = [], "-"
+    for word in note.split():
+        if len(line) + 1 + len(word) > width:
+            lines.append(line)
+            line = " "
+        line += " " + word
+    return "\n".join([*lines, line])
+
+
+_TEX = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+_TEX |= {c: "\\" + c for c in "&%$#_{}"}
+
+
+def _tex(text: str) -> str:
+    return "".join(_TEX.get(c, c) for c in text)
+
+
+def _latex(table: Table) -> str:
+    def value(row: Row, column: str) -> str:
+        rate = row.rates.get(column)
+        ends = "" if rate is None else rf" {{\scriptsize[{rate.low:.1f}, {rate.high:.1f}]}}"
+        return cell(row, column) + ends
+
+    def heading(name: str) -> str:
+        symbol, _, index = name.partition("_")
+        return rf"$\mathrm{{{symbol}}}$" if not index else rf"${symbol}_{{\text{{{index}}}}}$"
+
+    lines = [
+        "% needs booktabs and amsmath",
+        *(f"% {key}: {_tex(value)}" for key, value in table.origin.items()),
+        r"\begin{tabular}{ll" + "r" * len(HEADINGS) + "}",
+        r"\toprule",
+        r" & & Success (\%) & \multicolumn{3}{c}{Time (s)} & \multicolumn{5}{c}{Failure (\%)} \\",
+        r"\cmidrule(lr){3-3}\cmidrule(lr){4-6}\cmidrule(lr){7-11}",
+        "Split & Method & " + " & ".join(map(heading, HEADINGS.values())) + r" \\",
+    ]
+    previous = None
+    for row in table.rows:
+        if row.split != previous:
+            lines.append(r"\midrule")
+        first = row.split if row.split != previous else ""
+        lines.append(" & ".join([first, _tex(row.method), *(value(row, c) for c in HEADINGS)]) + r" \\")
+        previous = row.split
+    lines.append(r"\bottomrule")
+    provenance = "; ".join(f"{key} {value}" for key, value in table.origin.items())
+    sizes = "; ".join(
+        f"{row.split} {row.method}: N={row.n}, T_plan over {row.times['t_plan_s'].count},"
+        f" T_exec over {row.times['t_exec_s'].count}, invalid {_invalid(row)}, missing {row.counts['missing']},"
+        f" SR for new objects {_interval(row.sr_new_objects)}"
+        for row in table.rows
+    )
+    for note in (*FOOTNOTES, sizes + ".", provenance + "."):
+        lines.append(rf"\multicolumn{{11}}{{@{{}}p{{\linewidth}}@{{}}}}{{\footnotesize {_tex(note)}}} \\")
+    return "\n".join([*lines, r"\end{tabular}"]) + "\n"
+
+
+def _record(row: Row) -> dict[str, Any]:
+    """One flat row: every number of the table under its own name, None where nothing is defined."""
+    record: dict[str, Any] = {"split": row.split, "method": row.method, "n": row.n, "n_objects": row.n_objects}
+    for name in RATES:
+        rate = row.rates[name]
+        record |= {name: rate and rate.percent, f"{name}_low": rate and rate.low, f"{name}_high": rate and rate.high}
+    new = row.sr_new_objects
+    record |= {"sr_new_objects_low": new and new.low, "sr_new_objects_high": new and new.high}
+    for name in TIMES:
+        record |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
+    return record | {f"n_{name}": count for name, count in row.counts.items()}
+
+
+def _csv(table: Table) -> str:
+    text = io.StringIO()
+    records = [_record(row) | {k.replace(" ", "_"): v for k, v in table.origin.items()} for row in table.rows]
+    if records:
+        writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({k: NA if v is None else v for k, v in record.items()} for record in records)
+    return text.getvalue()
+
+
+def _json(table: Table) -> str:
+    data = {"format": 1, "origin": dict(table.origin), "rows": list(map(_record, table.rows)), "notes": FOOTNOTES}
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def main(run: Path, /, *, format: Literal["md", "latex", "csv", "json"] = "md") -> int:
+    """Print the table of a run folder.
+
+    Args:
+        run: a run folder, as `python -m r2h_batch.sweep --out` writes it.
+        format: md, latex, csv or json.
+    """
+    try:
+        sys.stdout.write(render(table_of(load_run(run)), format))
+    except (ValueError, OSError) as error:
+        print(f"report: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    import tyro
+
+    sys.exit(tyro.cli(main))

@@ -1,0 +1,170 @@
+"""Scores as table rows: the documented Parquet schemas of a run folder and the way from tensors to them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
+
+SPLITS = ("S0", "S1")
+
+MISSING = max(Outcome) + 1
+"""Outcome code of a planned trial for which the method gave no prediction: it counts as a failure of its own kind."""
+
+OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing")
+"""Name of every outcome code, in order."""
+
+_NAME = pa.dictionary(pa.int32(), pa.string())
+_POSE = pa.list_(pa.float32(), 16)
+
+TRIAL_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("object", _NAME, nullable=False),
+        pa.field("split", _NAME, nullable=False),
+        pa.field("hand_index", pa.int32(), nullable=False),
+        pa.field("side", _NAME, nullable=False),  # of the receiving hand: right, left
+        pa.field("outcome", _NAME, nullable=False),  # OUTCOME_NAMES
+        *(pa.field(f"passed_{c}", pa.bool_()) for c in CRITERIA),  # null: not evaluated
+        *(pa.field(f"margin_{c}_m", pa.float32()) for c in CRITERIA),  # positive: passes; null: none is defined
+        pa.field("plan_reason", _NAME),  # types.PlanReason
+        pa.field("plan_pair", _NAME),  # types.CollidingPair, null: none
+        pa.field("borderline", pa.bool_()),
+        pa.field("t_plan_s", pa.float32()),  # amortised: batch wall time / B; null: planning did not run
+        pa.field("t_exec_s", pa.float32()),  # null: no path
+        pa.field("t_method_s", pa.float32()),  # null: not measured
+        pa.field("width_m", pa.float32()),
+        pa.field("opening_m", pa.float32()),
+        pa.field("grasp_shift_m", pa.float32()),
+        pa.field("q_goal", pa.list_(pa.float32(), 6)),  # rad, UR order; null: no goal
+        pa.field("witness_plan_part", _NAME),  # robot part of Plan's and of Safe's smallest clearance
+        pa.field("witness_safe_part", _NAME),
+        pa.field("witness_time_s", pa.float32()),  # of Safe's
+        pa.field("witness_point_m", pa.list_(pa.float32(), 3)),  # of Safe's, world frame
+    ]
+)
+POSE_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("T_obj_ee", _POSE, nullable=False),  # row-major 4x4
+        pa.field("T_world_ee", _POSE, nullable=False),
+    ]
+)
+PATH_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("q_goal", pa.list_(pa.float32(), 6)),
+        pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
+        pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad, UR order
+    ]
+)
+
+
+@dataclass(frozen=True)
+class TrialNames:
+    """Names behind the indices of `Trials` and `Scores`: objects with their splits, sides of hands, robot parts."""
+
+    objects: Sequence[str]
+    object_splits: Sequence[str]
+    hand_sides: Sequence[str]
+    parts: Sequence[str] = ()
+
+
+def _array(values: Any) -> np.ndarray:
+    return values.detach().cpu().numpy() if hasattr(values, "detach") else np.asarray(values)
+
+
+def _named(codes: Any, names: Sequence[str]) -> pa.DictionaryArray:
+    """Dictionary column; a code outside the names is null."""
+    codes = _array(codes).astype(np.int32)
+    outside = (codes < 0) | (codes >= len(names))
+    return pa.DictionaryArray.from_arrays(pa.array(codes, mask=outside), pa.array(list(names), pa.string()))
+
+
+def _floats(values: Any) -> pa.Array:
+    """float32 column, NaN as null."""
+    return pa.array(_array(values).astype(np.float32), pa.float32(), from_pandas=True)
+
+
+def _vectors(values: Any) -> pa.Array:
+    """Column of fixed-size lists from (B, n); a row with NaN in it is null."""
+    values = _array(values).astype(np.float32)
+    flat = pa.array(values.reshape(-1), pa.float32())
+    mask = pa.array(np.isnan(values).any(axis=1), pa.bool_())
+    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1], mask=mask)
+
+
+def _trial_columns(trials: Trials, names: TrialNames) -> dict[str, Any]:
+    objects = _array(trials.object_index)
+    split_of = np.array([SPLITS.index(s) for s in names.object_splits], np.int32)
+    side_of = np.array([("right", "left").index(s) for s in names.hand_sides], np.int32)
+    return {
+        "trial_id": pa.array(_array(trials.trial_id), pa.int64()),
+        "object": _named(objects, names.objects),
+        "split": _named(split_of[objects], SPLITS),
+        "hand_index": pa.array(_array(trials.hand_index), pa.int32()),
+        "side": _named(side_of[_array(trials.hand_index)], ("right", "left")),
+    }
+
+
+def score_rows(trials: Trials, scores: Scores, names: TrialNames, t_method_s: Any = None) -> pa.Table:
+    """Rows of `TRIAL_SCHEMA` for B scored trials; `t_method_s` (B,) or None where it was not measured."""
+    ids = _array(scores.trial_id)
+    if not np.array_equal(ids, _array(trials.trial_id)):
+        raise ValueError("scores and trials must have the same trial_id in the same order")
+    passed, evaluated, margin = _array(scores.passed), _array(scores.evaluated), _array(scores.margin)
+    pair = _array(scores.plan_pair).astype(np.int32)
+    part = _array(scores.witness_part)
+    seconds = np.full(len(ids), np.nan, np.float32) if t_method_s is None else t_method_s
+    columns = {
+        **_trial_columns(trials, names),
+        "outcome": _named(scores.outcome, OUTCOME_NAMES),
+        **{f"passed_{c}": pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i]) for i, c in enumerate(CRITERIA)},
+        **{f"margin_{c}_m": _floats(margin[:, i]) for i, c in enumerate(CRITERIA)},
+        "plan_reason": _named(scores.plan_reason, [r.name.lower() for r in PlanReason]),
+        "plan_pair": _named(np.where(pair == CollidingPair.NONE, -1, pair), [p.name.lower() for p in CollidingPair]),
+        "borderline": pa.array(_array(scores.borderline), pa.bool_()),
+        **{k: _floats(getattr(scores, k)) for k in ("t_plan_s", "t_exec_s", "width_m", "opening_m", "grasp_shift_m")},
+        "t_method_s": _floats(seconds),
+        "q_goal": _vectors(scores.q_goal),
+        "witness_plan_part": _named(part[:, 0], names.parts),
+        "witness_safe_part": _named(part[:, 1], names.parts),
+        "witness_time_s": _floats(scores.witness_time_s),
+        "witness_point_m": _vectors(scores.witness_point),
+    }
+    return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
+
+
+def missing_rows(trials: Trials, names: TrialNames) -> pa.Table:
+    """Rows of `TRIAL_SCHEMA` for trials without a prediction: outcome `missing`, nothing else."""
+    n = len(trials)
+    columns = {**_trial_columns(trials, names), "outcome": _named(np.full(n, MISSING), OUTCOME_NAMES)}
+    arrays = [columns[f.name] if f.name in columns else pa.nulls(n, f.type) for f in TRIAL_SCHEMA]
+    return pa.table(arrays, schema=TRIAL_SCHEMA)
+
+
+def pose_rows(predictions: Predictions) -> pa.Table:
+    """Rows of `POSE_SCHEMA`, bit for bit what was scored."""
+    poses = [_array(p).astype(np.float32).reshape(-1) for p in (predictions.T_obj_ee, predictions.T_world_ee)]
+    arrays = [pa.FixedSizeListArray.from_arrays(pa.array(p, pa.float32()), 16) for p in poses]
+    return pa.table([pa.array(_array(predictions.trial_id), pa.int64()), *arrays], schema=POSE_SCHEMA)
+
+
+def path_rows(scores: Scores) -> pa.Table:
+    """Rows of `PATH_SCHEMA` for the trials that have a path."""
+    length = _array(scores.path_len).astype(np.int64)
+    rows = np.flatnonzero(length > 0)
+    path, time = _array(scores.path).astype(np.float32), _array(scores.path_time_s).astype(np.float32)
+    kept = np.arange(path.shape[1]) < length[rows, None]
+    offsets = pa.array(np.concatenate([[0], np.cumsum(length[rows])]), pa.int32())
+    waypoints = pa.FixedSizeListArray.from_arrays(pa.array(path[rows][kept].reshape(-1), pa.float32()), 6)
+    arrays = [
+        pa.array(_array(scores.trial_id)[rows], pa.int64()),
+        _vectors(_array(scores.q_goal)[rows]),
+        pa.ListArray.from_arrays(offsets, pa.array(time[rows][kept], pa.float32())),
+        pa.ListArray.from_arrays(offsets, waypoints),
+    ]
+    return pa.table(arrays, schema=PATH_SCHEMA)

@@ -1,0 +1,310 @@
+"""Robot, gripper, hands, objects and table as tables on a device: what every stage's kernels read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Float32
+from numpy.typing import NDArray
+from torch import Tensor
+
+from r2h_batch import bounds, se3
+from r2h_batch.config import EvalConfig
+from r2h_batch.grasp import GraspTables, grasp_tables, gripper_tables
+from r2h_batch.hand import HandModel, HandSet, load_hand, load_hand_set, palm_frame
+from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.objects import ObjectModel, load_objects
+from r2h_batch.robot import Kind, Robot, load_robot
+
+TABLE_CENTER = (-0.025, 0.0, -0.025)
+TABLE_HALF = (0.475, 0.6, 0.025)
+"""Top at z = 0, x from -0.5 to 0.45 m, |y| <= 0.6 m [choice]; 5 cm thick."""
+
+MAX_PARTNERS = 64
+"""As in kernels/check.py."""
+
+
+@dataclass(frozen=True)
+class Hands:
+    """The receiver hands of a scene, posed: H hands, right and left, in their own (wrist) frames, metres."""
+
+    model: HandModel
+    set: HandSet
+    vertices: Float32[Tensor, "h v 3"]
+    joints: Float32[Tensor, "h 16 3"]
+    palm_point: Float32[Tensor, "h 3"]
+    palm_normal: Float32[Tensor, "h 3"]
+
+    @staticmethod
+    def posed(model: HandModel, hand_set: HandSet) -> "Hands":
+        """All hands of a set, posed once."""
+        geometry = model.pose(hand_set.pose, hand_set.shape, hand_set.side)
+        return Hands(model, hand_set, geometry.vertices, geometry.joints, *palm_frame(geometry.joints, hand_set.side))
+
+    def piece_points(self, hand: int, piece: int) -> NDArray[np.float32]:
+        """Hull points of one convex piece of one hand, hand frame."""
+        offsets = self.set.hull_offsets
+        at = hand * len(self.model.piece_names) + piece
+        return self.vertices[hand, self.set.hull_vertex_ids[int(offsets[at]) : int(offsets[at + 1])].long()].numpy()
+
+
+class Scene:
+    """Everything that stays the same over trials. `objects` and `hands` are indexed by `Trials.object_index, hand_index`."""
+
+    def __init__(
+        self,
+        device: str | torch.device = "cpu",
+        *,
+        config: EvalConfig | None = None,
+        objects: Sequence[ObjectModel] | None = None,
+        hand_set: HandSet | None = None,
+    ) -> None:
+        init_warp()
+        self.device = str(torch.device(device))
+        self.config = config or EvalConfig()
+        self.robot: Robot = load_robot()
+        self.objects = tuple(objects) if objects is not None else load_objects()
+        if not self.objects:
+            raise ValueError("a scene needs at least one object; objects is empty")
+        self.hands = Hands.posed(load_hand(), hand_set or load_hand_set())
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of the robot's bodies as numbered in `Scores.witness_part`; the last is the attached object."""
+        arm = [self.robot.arm.names[i] for i in self._arm_order]
+        return (*arm, *self.robot.gripper.names, "object")
+
+    @cached_property
+    def T_wrist_ee(self) -> NDArray[np.float64]:
+        """ee in the wrist_3 frame, float64."""
+        return np.asarray(self.robot.T_wrist3_flange @ self.robot.T_flange_ee)
+
+    @cached_property
+    def _arm_order(self) -> NDArray[np.int64]:
+        return np.argsort(self.robot.arm.link, kind="stable")
+
+    @cached_property
+    def world(self) -> "wp.struct":
+        """The `World` of r2h_batch.kernels.world, on the scene's device."""
+        from r2h_batch.kernels.world import World
+
+        w = World()
+        for fill in (self._fill_robot, self._fill_hands, self._fill_objects):
+            for name, (value, dtype) in fill().items():
+                if isinstance(value, int):
+                    setattr(w, name, value)
+                else:
+                    array = np.ascontiguousarray(value, dtype=np.int32 if dtype is wp.int32 else np.float32)
+                    setattr(w, name, wp.array(array, dtype=dtype, device=self.device))
+        w.points = wp.array(np.concatenate([self._hand_points[0], self._object_points[0]]), dtype=wp.vec3, device=self.device)
+        w.table_center = wp.vec3(*TABLE_CENTER)
+        w.table_half = wp.vec3(*TABLE_HALF)
+        return w
+
+    def _fill_robot(self) -> dict:
+        robot, order = self.robot, self._arm_order
+        kind = np.concatenate([robot.arm.kind[order], robot.gripper.kind])
+        size = np.concatenate([robot.arm.size[order], robot.gripper.size])
+        link = np.concatenate([robot.arm.link[order], np.full(len(robot.gripper.names), 7)])
+        n_arm, n_robot = len(order), len(kind)
+        if n_robot > 62 or len(self.hands.model.piece_names) + 1 + n_arm > MAX_PARTNERS:
+            raise ValueError(f"{n_robot} robot primitives and {len(self.hands.model.piece_names)} hand pieces: more than the kernels' masks hold")
+        caps = [bounds.capsule_of_primitive(int(k), s) for k, s in zip(kind, size, strict=True)]
+        levers = bounds.robot_levers(robot)[np.concatenate([order, np.arange(n_arm, n_robot)])]
+        ends, radii = bounds.gripper_balls(robot)
+        link_caps, link_lever = [], []
+        for k in range(8):
+            if k < 7:
+                mine = np.flatnonzero(link[:n_arm] == k)
+                T = robot.arm.T_link_prim[order[mine]]
+                axes = np.stack([T[i, :3, :3] @ caps[b][0] for i, b in enumerate(mine)])
+                centers = np.concatenate([T[:, :3, 3] - axes, T[:, :3, 3] + axes])
+                radius = np.tile([caps[b][1] for b in mine], 2)
+            else:
+                mine = np.arange(n_arm, n_robot)
+                centers, radius = ends.reshape(-1, 3), np.repeat(radii, ends.shape[1])
+            link_caps.append(bounds.capsule_of_balls(centers, radius))
+            link_lever.append(levers[mine].max(0))
+        partners = np.zeros(9, np.int32)
+        for a, b in robot.self_pairs:
+            partners[max(a, b)] |= 1 << int(min(a, b))
+        for a in robot.object_pairs:
+            partners[8] |= 1 << int(a)
+        return {
+            "joint_R": (robot.T_parent_joint[:, :3, :3], wp.mat33),
+            "joint_p": (robot.T_parent_joint[:, :3, 3], wp.vec3),
+            "lower": (robot.lower, wp.float32),
+            "upper": (robot.upper, wp.float32),
+            "n_arm": (int(n_arm), wp.int32),
+            "n_robot": (int(n_robot), wp.int32),
+            "body_link": (link, wp.int32),
+            "kind": (kind, wp.int32),
+            "size": (size, wp.vec3),
+            "radius": (np.where(kind <= Kind.CAPSULE, size[:, 0], 0.0), wp.float32),
+            "cap_radius": ([c[1] for c in caps], wp.float32),
+            "cap_axis": ([c[0] for c in caps], wp.vec3),
+            "body_R": (robot.arm.T_link_prim[order][:, :3, :3], wp.mat33),
+            "body_p": (robot.arm.T_link_prim[order][:, :3, 3], wp.vec3),
+            "lever": (levers, wp.float32),
+            "link_first": (np.searchsorted(link, np.arange(9)), wp.int32),
+            "link_c0": ([c[0] for c in link_caps], wp.vec3),
+            "link_c1": ([c[1] for c in link_caps], wp.vec3),
+            "link_radius": ([c[2] for c in link_caps], wp.float32),
+            "link_lever": (link_lever, wp.float32),
+            "self_links": (partners, wp.int32),
+            "table_from": (int(np.searchsorted(link, robot.links.index("upper_arm"))), wp.int32),
+        }
+
+    @cached_property
+    def _hand_points(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Hull points of all pieces of all hands, and where each piece starts."""
+        v = self.hands.vertices.numpy()
+        offsets = self.hands.set.hull_offsets.numpy()
+        n_pieces = len(self.hands.model.piece_names)
+        hand = np.repeat(np.arange(len(v)), np.diff(offsets[::n_pieces]))
+        return v[hand, self.hands.set.hull_vertex_ids.numpy()], offsets.astype(np.int32)
+
+    def _fill_hands(self) -> dict:
+        points, start = self._hand_points
+        low, high = (f.reduceat(points, start[:-1], axis=0) for f in (np.minimum, np.maximum))
+        center = (low + high) / 2
+        piece = np.repeat(np.arange(len(center)), np.diff(start))
+        radius = np.maximum.reduceat(np.linalg.norm(points - center[piece], axis=1), start[:-1])
+        v = self.hands.vertices.numpy()
+        hand_center = (v.min(1) + v.max(1)) / 2
+        hand_radius = np.linalg.norm(v - hand_center[:, None], axis=2).max(1)
+        return {
+            "n_pieces": (len(self.hands.model.piece_names), wp.int32),
+            "piece_start": (start, wp.int32),
+            "piece_center": (center, wp.vec3),
+            "piece_radius": (radius + 1e-6, wp.float32),
+            "hand_center": (hand_center, wp.vec3),
+            "hand_radius": (hand_radius + 1e-6, wp.float32),
+        }
+
+    @cached_property
+    def _object_points(self) -> tuple[NDArray[np.float32], list[int], list[int]]:
+        """Hull points of all objects' collision bodies, first hull of each object, first point of each hull."""
+        bodies = [
+            [o.hull_vertices] if self.config.plan.object_collision == "hull" else [v for v, _ in o.pieces] for o in self.objects
+        ]
+        hulls = [np.asarray(h, np.float32) for body in bodies for h in body]
+        first = np.cumsum([0] + [len(b) for b in bodies])
+        return np.concatenate(hulls), first.tolist(), np.cumsum([0] + [len(h) for h in hulls]).tolist()
+
+    def _fill_objects(self) -> dict:
+        points, first, start = self._object_points
+        caps = [bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in zip(start[:-1], start[1:], strict=True)]
+        shift = len(self._hand_points[0])
+        return {
+            "hull_first": (first, wp.int32),
+            "hull_start": (np.array(start) + shift, wp.int32),
+            "hull_c0": ([c[0] for c in caps], wp.vec3),
+            "hull_c1": ([c[1] for c in caps], wp.vec3),
+            "hull_radius": ([c[2] for c in caps], wp.float32),
+        }
+
+    @cached_property
+    def grasp_tables(self) -> GraspTables:
+        """Object surfaces, receiver regions and the gripper, for grasp.py."""
+        return grasp_tables(self.objects, self.device)
+
+    @cached_property
+    def _object_meshes(self) -> list[wp.Mesh]:
+        return [
+            wp.Mesh(
+                points=wp.array(o.vertices.astype(np.float32), dtype=wp.vec3, device=self.device),
+                indices=wp.array(o.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self.device),
+                support_winding_number=True,
+            )
+            for o in self.objects
+        ]
+
+    @cached_property
+    def object_mesh_ids(self) -> wp.array:
+        """Handles of the objects' meshes for Warp's mesh queries."""
+        return wp.array([m.id for m in self._object_meshes], dtype=wp.uint64, device=self.device)
+
+    @cached_property
+    def hand_mesh(self) -> "wp.struct":
+        """The `HandMesh` of r2h_batch.kernels.safe: exact hand surfaces, faces grouped by the piece that encloses them."""
+        from r2h_batch.kernels.safe import HandMesh
+
+        model, v = self.hands.model, self.hands.vertices.numpy()
+        faces = model.faces.numpy()
+        owner = np.full(len(faces), -1)
+        for k, piece in reversed(list(enumerate(model.pieces))):
+            owner[np.isin(faces, piece.numpy()).all(1)] = k
+        if (owner < 0).any():
+            raise ValueError(f"{(owner < 0).sum()} faces of the hand lie in no convex piece: rebuild hand.npz")
+        order = np.argsort(owner, kind="stable")
+        corners = v[:, faces[order]]  # (H, F, 3, 3)
+        center = (corners.min(2) + corners.max(2)) / 2
+        radius = np.linalg.norm(corners - center[:, :, None], axis=3).max(2) + 1e-6
+        mesh = HandMesh()
+        mesh.n_vertices, mesh.n_faces = v.shape[1], len(faces)
+        mesh.vertices = wp.array(v.reshape(-1, 3), dtype=wp.vec3, device=self.device)
+        mesh.faces = wp.array(faces[order].astype(np.int32), dtype=wp.int32, device=self.device)
+        mesh.piece_face = wp.array(np.searchsorted(owner[order], np.arange(len(model.pieces) + 1)).astype(np.int32), dtype=wp.int32, device=self.device)
+        ball = np.concatenate([center, radius[..., None]], 2).reshape(-1, 4).astype(np.float32)
+        mesh.face_ball = wp.array(ball, dtype=wp.vec4, device=self.device)
+        return mesh
+
+    def palm(self, hand_index: Tensor, T_world_hand: Float32[Tensor, "n 4 4"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Palm point p_h, palm normal n_h and ball centre c_h (n, 3) in the world (paper: c_h = p_h + d_h n_h)."""
+        i = hand_index.long().cpu()
+        p = se3.apply(T_world_hand, self.hands.palm_point[i].to(T_world_hand.device))
+        turn = T_world_hand.clone()
+        turn[..., :3, 3] = 0.0
+        n = se3.apply(turn, self.hands.palm_normal[i].to(T_world_hand.device))
+        return p, n, p + self.config.thresholds.reach_offset_m * n
+
+    def place(
+        self,
+        object_index: Tensor,
+        hand_index: Tensor,
+        T_obj_ee: Float32[Tensor, "b 4 4"],
+        T_world_hand: Float32[Tensor, "b 4 4"],
+        opening_m: Float32[Tensor, " b"],
+        *,
+        threads: int | None = None,
+    ) -> "Placed":
+        """Bodies of B trials: hand in the world, fingers at their opening, object attached (`T_obj_ee` after closing moved it)."""
+        from r2h_batch.kernels.place import place_bodies
+        from r2h_batch.kernels.world import TrialBodies
+
+        b, device = len(object_index), object_index.device
+        gripper = gripper_tables(self.device)
+        count = gripper.kind.shape[0]
+        out = [
+            torch.empty(shape, dtype=torch.float32, device=device)
+            for shape in ((b, 3, 3), (b, 3), (b, count, 3, 3), (b, count, 3), (b, 3, 3), (b, 3), (b, 6))
+        ]
+        types = (wp.mat33, wp.vec3, wp.mat33, wp.vec3, wp.mat33, wp.vec3, wp.float32)
+        arrays = [wp.from_torch(t, dtype=d) for t, d in zip(out, types, strict=True)]
+        objects = object_index.to(torch.int32).contiguous()
+        hands = hand_index.to(torch.int32).contiguous()
+        R = wp.mat33(*self.T_wrist_ee[:3, :3].astype(np.float32).ravel())
+        p = wp.vec3(*self.T_wrist_ee[:3, 3].astype(np.float32))
+        inputs = [
+            self.world, gripper, R, p, wp.from_torch(objects), wp.from_torch(T_obj_ee.contiguous(), dtype=wp.mat44),
+            wp.from_torch(T_world_hand.contiguous(), dtype=wp.mat44), wp.from_torch(opening_m.contiguous()), *arrays,
+        ]  # fmt: skip
+        launch_trials(place_bodies, b, inputs, device=self.device, threads=threads, chunk=256)
+        bodies = TrialBodies()
+        bodies.hand, bodies.object = wp.from_torch(hands), wp.from_torch(objects)
+        names = ("R_hand_world", "p_hand_world", "R_wrist_grip", "p_wrist_grip", "R_wrist_obj", "p_wrist_obj", "object_lever")
+        for name, array in zip(names, arrays, strict=True):
+            setattr(bodies, name, array)
+        return Placed(bodies, (objects, hands, *out))
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where the bodies of B trials sit: the kernels' struct, and the tensors that own its memory."""
+
+    bodies: "wp.struct"
+    owners: tuple[Tensor, ...]

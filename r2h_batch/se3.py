@@ -1,0 +1,67 @@
+"""Homogeneous transforms as (..., 4, 4) tensors: checks, inverse, construction."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+ROTATION_TOLERANCE = 1e-3
+"""Largest entry of R R^T - I that is accepted (and then re-orthonormalised)."""
+
+
+def matmul(a: Float[Tensor, "*#b 4 4"], b: Float[Tensor, "*#b 4 4"]) -> Float[Tensor, "*b 4 4"]:
+    """`a @ b` row by row: a torch matmul may round a row differently at another batch size, this cannot."""
+    total = a[..., :, 0, None] * b[..., None, 0, :]
+    for k in range(1, 4):
+        total = total + a[..., :, k, None] * b[..., None, k, :]
+    return total
+
+
+def apply(T: Float[Tensor, "*#b 4 4"], p: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3"]:
+    """The points `T @ p`, one per transform."""
+    return T[..., :3, 0] * p[..., 0, None] + T[..., :3, 1] * p[..., 1, None] + T[..., :3, 2] * p[..., 2, None] + T[..., :3, 3]
+
+
+def inverse(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
+    """The inverse of rigid transforms."""
+    out = torch.zeros_like(T)
+    R_t = T[..., :3, :3].transpose(-1, -2)
+    t = T[..., :3, 3]
+    out[..., :3, :3] = R_t
+    out[..., :3, 3] = -(R_t[..., 0] * t[..., 0, None] + R_t[..., 1] * t[..., 1, None] + R_t[..., 2] * t[..., 2, None])
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def translation(p: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 4 4"]:
+    """Transforms that only move by `p`."""
+    T = torch.eye(4, dtype=p.dtype, device=p.device).expand(*p.shape[:-1], 4, 4).clone()
+    T[..., :3, 3] = p
+    return T
+
+
+def from_rotation(R: Float[Tensor, "*b 3 3"], p: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 4 4"]:
+    """Transforms from rotation matrices and origins."""
+    T = translation(p)
+    T[..., :3, :3] = R
+    return T
+
+
+def is_pose(T: Float[Tensor, "*b 4 4"]) -> Bool[Tensor, "*b"]:
+    """True for finite rigid transforms: R R^T = I within 1e-3, det R > 0, bottom row (0, 0, 0, 1)."""
+    finite = torch.isfinite(T).all(-1).all(-1)
+    safe = torch.where(finite[..., None, None], T, torch.zeros_like(T))
+    x, y, z = safe[..., :3, 0], safe[..., :3, 1], safe[..., :3, 2]
+    gram = torch.stack([(x * x).sum(-1) - 1, (y * y).sum(-1) - 1, (z * z).sum(-1) - 1, (x * y).sum(-1), (x * z).sum(-1), (y * z).sum(-1)], -1)
+    det = (torch.linalg.cross(x, y) * z).sum(-1)
+    bottom = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=T.dtype, device=T.device)
+    bottom_ok = ((safe[..., 3, :] - bottom).abs() <= 1e-6).all(-1)
+    in_reach = (safe[..., :3, 3].abs() < 1e3).all(-1)  # a kilometre away is a unit error, and float32 has lost the millimetre
+    return finite & (gram.abs() <= ROTATION_TOLERANCE).all(-1) & (det > 0) & bottom_ok & in_reach
+
+
+def orthonormalise(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
+    """`T` with its z axis kept in direction and x, y made exactly orthonormal (Gram-Schmidt z, y, x; row by row)."""
+    z = T[..., :3, 2] / T[..., :3, 2].square().sum(-1, keepdim=True).sqrt()
+    y = T[..., :3, 1] - z * (T[..., :3, 1] * z).sum(-1, keepdim=True)
+    y = y / y.square().sum(-1, keepdim=True).sqrt()
+    return from_rotation(torch.stack([torch.linalg.cross(y, z), y, z], -1), T[..., :3, 3])

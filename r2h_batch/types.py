@@ -1,0 +1,123 @@
+"""The types that walk through the stages: trials in, predictions beside them, scores out."""
+
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+
+import torch
+from jaxtyping import Bool, Float32, Int8, Int32, Int64
+from torch import Tensor
+
+CRITERIA = ("stability", "plan", "reach", "affordance", "safe")
+"""Column order of every (B, 5) tensor, and the order in which the first failure is looked for."""
+
+
+class Outcome(IntEnum):
+    """A trial's verdict: success, the first criterion that failed, or why it was not judged."""
+
+    SUCCESS = 0
+    STABILITY = 1
+    PLAN = 2
+    REACH = 3
+    AFFORDANCE = 4
+    SAFE = 5
+    INVALID_INPUT = 6
+    INVALID_SIM = 7
+
+
+class PlanReason(IntEnum):
+    """Why Plan passed or failed; `IK_*` are proven, `NO_PATH_IN_BUDGET` is not.
+
+    With `PlanConfig.goals = "one"` only one branch is looked at: `IK_IN_COLLISION` then says nothing about the others.
+    """
+
+    OK = 0
+    START_IN_COLLISION = 1
+    IK_UNREACHABLE = 2
+    IK_IN_COLLISION = 3
+    NO_PATH_IN_BUDGET = 4
+    NOT_EVALUATED = 5
+
+
+class CollidingPair(IntEnum):
+    """Which two bodies met (a row of `Scores.plan_pair`); HAND, TABLE and SELF are met by the robot itself."""
+
+    NONE = 0
+    HAND = 1
+    TABLE = 2
+    SELF = 3
+    OBJECT_HAND = 4
+    OBJECT_TABLE = 5
+    OBJECT_ROBOT = 6
+
+
+class _Rows:
+    """Rows of several tensors with one leading size: ``len``, selection and ``to``."""
+
+    def __len__(self) -> int:
+        return int(getattr(self, fields(self)[0].name).shape[0])  # type: ignore[arg-type]
+
+    def __getitem__(self, rows):
+        """The selected rows; `rows` is a slice, an index tensor or a mask."""
+        return replace(self, **{f.name: v[rows] for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)})  # type: ignore[type-var,arg-type]
+
+    def to(self, device: str | torch.device):
+        """The same rows on another device."""
+        return replace(self, **{f.name: v.to(device) for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)})  # type: ignore[type-var,arg-type]
+
+
+@dataclass(frozen=True)
+class Trials(_Rows):
+    """N trials: which object is handed to which hand, and where that hand stands (world frame, metres)."""
+
+    trial_id: Int64[Tensor, " n"]
+    object_index: Int32[Tensor, " n"]
+    hand_index: Int32[Tensor, " n"]
+    T_world_hand: Float32[Tensor, "n 4 4"]
+
+
+@dataclass(frozen=True)
+class Predictions(_Rows):
+    """A method's answer for N trials: grasp pose in the object frame and handover pose in the world (metres)."""
+
+    trial_id: Int64[Tensor, " n"]
+    T_obj_ee: Float32[Tensor, "n 4 4"]
+    T_world_ee: Float32[Tensor, "n 4 4"]
+    t_method_s: Float32[Tensor, " n"] | None = None
+    method: str = "unnamed"
+
+
+@dataclass(frozen=True)
+class Scores(_Rows):
+    """Verdicts of B trials. (B, 5) columns follow `CRITERIA`; what was not evaluated is a mask, its margin NaN.
+
+    `margin` is in metres, positive when the criterion passes. `witness_part` names the robot part
+    (`Scene.part_names`) of Plan's and Safe's smallest clearance, `witness_time_s` and `witness_point` (world frame)
+    when and where Safe's occurs. `borderline` marks trials with a margin within 0.1 mm of the verdict changing.
+    """
+
+    trial_id: Int64[Tensor, " b"]
+    outcome: Int8[Tensor, " b"]
+    success: Bool[Tensor, " b"]
+    passed: Bool[Tensor, "b 5"]
+    evaluated: Bool[Tensor, "b 5"]
+    margin: Float32[Tensor, "b 5"]
+    borderline: Bool[Tensor, " b"]
+    plan_reason: Int8[Tensor, " b"]
+    plan_pair: Int8[Tensor, " b"]
+    witness_part: Int32[Tensor, "b 2"]
+    witness_time_s: Float32[Tensor, " b"]
+    witness_point: Float32[Tensor, "b 3"]
+    t_plan_s: Float32[Tensor, " b"]
+    t_exec_s: Float32[Tensor, " b"]
+    q_goal: Float32[Tensor, "b 6"]
+    width_m: Float32[Tensor, " b"]
+    opening_m: Float32[Tensor, " b"]
+    grasp_shift_m: Float32[Tensor, " b"]
+    path: Float32[Tensor, "b w 6"]
+    path_time_s: Float32[Tensor, "b w"]
+    path_len: Int32[Tensor, " b"]
+
+    @staticmethod
+    def concatenate(parts: list["Scores"]) -> "Scores":
+        """One `Scores` with the rows of all parts, in order."""
+        return Scores(**{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Scores)})

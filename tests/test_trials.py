@@ -1,0 +1,381 @@
+"""Trials: the generator against known answers, the reachable set, independence, and the files for methods."""
+
+import json
+import math
+import subprocess
+import sys
+from collections import Counter
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from scipy import stats
+
+from r2h_batch import rng
+from r2h_batch.bounds import capsule_of_primitive
+from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
+from r2h_batch.hand import load_hand, load_hand_set, palm_frame
+from r2h_batch.objects import S0_NAMES, S1_NAMES, build_object, load_objects
+from r2h_batch.predictions import align, load_predictions
+from r2h_batch.robot import ee_pose, forward_kinematics, gripper_primitives_at, load_robot
+from r2h_batch.trial_files import main, write_trials
+from r2h_batch.trials import TCP_ROOM_M, make_trials, trials_digest, trials_with_ids
+from r2h_batch.types import PlanReason, Trials
+
+MANY = 10_000
+
+
+@cache
+def many() -> Trials:
+    """20,000 trials, generated once."""
+    return make_trials(trials=MANY)
+
+
+@cache
+def hand_vertices() -> torch.Tensor:
+    hands = load_hand_set()
+    return load_hand().pose(hands.pose, hands.shape, hands.side).vertices.double()
+
+
+def palms(trials: Trials) -> tuple[np.ndarray, np.ndarray]:
+    """c_h and n_h in the world by matrix products."""
+    hands = load_hand_set()
+    joints = load_hand().pose(hands.pose, hands.shape, hands.side).joints.double()
+    point, normal = (x[trials.hand_index.long()].numpy() for x in palm_frame(joints, hands.side))
+    T = trials.T_world_hand.double().numpy()
+    n = np.einsum("nij,nj->ni", T[:, :3, :3], normal)
+    return np.einsum("nij,nj->ni", T[:, :3, :3], point) + T[:, :3, 3] + 0.12 * n, n
+
+
+def posed(trials: Trials, rows: slice) -> np.ndarray:
+    """Vertices of the trials' hands in the world (n, V, 3)."""
+    T = trials.T_world_hand[rows].double()
+    return (hand_vertices()[trials.hand_index[rows].long()] @ T[:, :3, :3].mT + T[:, None, :3, 3]).numpy()
+
+
+@pytest.mark.parametrize(
+    ("counter", "key", "answer"),
+    [
+        ((0, 0, 0, 0), (0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),
+        ((0xFFFFFFFF,) * 4, (0xFFFFFFFF,) * 2, (0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD)),
+        (
+            (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344),
+            (0xA4093822, 0x299F31D0),
+            (0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1),
+        ),
+    ],
+)
+def test_philox_gives_the_known_answers_of_random123(counter, key, answer):
+    got = rng.philox4x32(np.array(counter, np.uint64)[:, None].repeat(3, 1), key)
+    assert [tuple(int(w) for w in column) for column in got.T] == [answer] * 3
+
+
+def test_uniform_draws_depend_on_every_word_of_the_counter_and_fill_the_interval():
+    ids = np.arange(50_000) + 2**33
+    u = rng.uniforms((1, 2), ids, 7, purpose=3, attempt=4)
+    assert u.shape == (7, 50_000) and u.min() > 0 and u.max() < 1
+    for row in u:
+        assert stats.kstest(row, "uniform").pvalue > 1e-3
+    assert abs(np.corrcoef(u)[np.triu_indices(7, 1)]).max() < 0.02
+    for other in (
+        rng.uniforms((1, 3), ids, 7, purpose=3, attempt=4),
+        rng.uniforms((1, 2), ids - 2**33, 7, purpose=3, attempt=4),
+        rng.uniforms((1, 2), ids, 7, purpose=2, attempt=4),
+        rng.uniforms((1, 2), ids, 7, purpose=3, attempt=5),
+    ):
+        assert (u == other).mean() < 1e-3
+    assert np.array_equal(rng.uniforms((1, 2), ids[5:6], 3, purpose=3, attempt=4)[:, 0], u[:3, 5])
+
+
+def test_rotations_are_proper_and_uniform():
+    inside, R = rng.rotation(rng.uniforms((5, 6), np.arange(60_000), 4, purpose=0))
+    assert inside.mean() == pytest.approx((math.pi / 4) ** 2, abs=0.01)
+    R = R[inside]
+    assert np.abs(np.einsum("nij,nkj->nik", R, R) - np.eye(3)).max() < 1e-14 and np.linalg.det(R).min() > 0.99
+    for entry in (R[:, 0, 0], R[:, 1, 2], R[:, 2, 2]):  # each entry of a uniform rotation is uniform in [-1, 1]
+        assert stats.kstest(entry, "uniform", (-1, 2)).pvalue > 1e-3
+    angle = np.arccos(np.clip((np.trace(R, axis1=1, axis2=2) - 1) / 2, -1, 1))
+    assert stats.kstest(angle, lambda a: (a - np.sin(a)) / np.pi).pvalue > 1e-3
+
+
+def test_trials_take_objects_in_turn_and_every_object_meets_both_hands_alike():
+    trials = make_trials(trials=120)
+    assert trials.trial_id.tolist() == [2 * i for i in range(120)] + [2 * i + 1 for i in range(120)]
+    assert trials.object_index[:120].tolist() == [i % 6 for i in range(120)]
+    assert trials.object_index[120:].tolist() == [6 + i % 10 for i in range(120)]
+    side = load_hand_set().side[trials.hand_index.long()]
+    for split in (side[:120], side[120:]):
+        assert split[:6].tolist() == [0, 1, 0, 1, 0, 1]
+    met = Counter(zip(trials.object_index.tolist(), side.tolist(), strict=True))
+    assert set(met.values()) == {10, 6} and len(met) == 32
+
+
+def test_a_users_object_takes_its_turn_and_an_odd_number_of_objects_still_meets_both_hands():
+    import trimesh
+
+    mine = build_object(trimesh.creation.box((0.05, 0.04, 0.1)), "mine", "S0")
+    trials = make_trials(["S0"], 140, objects=(*load_objects(), mine))
+    assert trials.object_index[:8].tolist() == [0, 1, 2, 3, 4, 5, 16, 0]
+    side = load_hand_set().side[trials.hand_index.long()]
+    met = Counter(zip(trials.object_index.tolist(), side.tolist(), strict=True))
+    assert set(met.values()) == {10} and len(met) == 14
+
+
+def test_every_posture_of_a_side_is_equally_likely():
+    hand = many().hand_index.numpy()
+    for first in (0, 200):
+        counts = np.bincount(hand[(hand >= first) & (hand < first + 200)] - first, minlength=200)
+        assert counts.sum() == MANY and stats.chisquare(counts).pvalue > 1e-3
+
+
+def test_poses_are_rigid_and_palms_lie_in_the_reachable_set():
+    trials = many()
+    R = trials.T_world_hand[:, :3, :3].double()
+    assert (R @ R.mT - torch.eye(3, dtype=torch.float64)).abs().max() < 1e-6 and torch.linalg.det(R).min() > 0.999
+    assert torch.equal(trials.T_world_hand[:, 3], torch.tensor([0.0, 0, 0, 1]).expand(2 * MANY, 4))
+    c, n = palms(trials)
+    r, azimuth = np.hypot(c[:, 0], c[:, 1]), np.degrees(np.arctan2(c[:, 1], c[:, 0]))
+    to_robot = np.degrees(np.arccos(np.clip(-(c[:, 0] * n[:, 0] + c[:, 1] * n[:, 1]) / r, -1, 1)))
+    up = np.degrees(np.arccos(np.clip(n[:, 2], -1, 1)))
+    slack = 1e-5
+    assert r.min() > 0.45 - slack and r.max() < 0.80 + slack and np.abs(azimuth).max() < 50 + slack * 100
+    assert c[:, 2].min() > 0.10 - slack and c[:, 2].max() < 0.60 + slack
+    assert (np.minimum(to_robot, up) < 75.01).all() and to_robot.max() < 120.01
+    assert r.min() < 0.455 and r.max() > 0.795 and np.abs(azimuth).max() > 49 and to_robot.max() > 119  # and fill it
+    assert c[:, 2].min() < 0.105 and c[:, 2].max() > 0.595 and np.minimum(to_robot, up).max() > 74.5
+
+
+def test_ball_centre_normal_and_roll_are_uniform_before_the_hand_has_to_be_clear():
+    """Far from table, arm and TCP nothing is rejected, so there the draw is the plain one."""
+    trials = many()
+    c, n = palms(trials)
+    r, azimuth = np.hypot(c[:, 0], c[:, 1]), np.arctan2(c[:, 1], c[:, 0])
+    tcp = ee_pose(load_robot(), HOME_Q)[:3, 3]
+    far = np.linalg.norm(c - tcp, axis=1)
+    hands = load_hand_set()
+    joints = load_hand().pose(hands.pose, hands.shape, hands.side).joints.double()
+    point, normal = palm_frame(joints, hands.side)
+    span = (hand_vertices() - (point + 0.12 * normal)[:, None]).norm(dim=2).max().item()
+    assert span < 0.28
+    rows = (r > 0.72) & (far > TCP_ROOM_M + span) & (c[:, 2] > span + 0.005)
+    assert rows.sum() > 800
+    side = load_hand_set().side[trials.hand_index.long()].numpy()
+    rolled = trials.T_world_hand[:, :3, 0].double().numpy()
+    e = np.cross(n, [0.3, 0.5, 0.8])
+    e /= np.linalg.norm(e, axis=1, keepdims=True)
+    f = np.cross(n, e)
+    roll = np.arctan2((rolled * f).sum(1), (rolled * e).sum(1))
+    for s in (0, 1):
+        assert stats.kstest(roll[rows & (side == s)], "uniform", (-np.pi, 2 * np.pi)).pvalue > 1e-3
+    assert np.hypot(0.72 * math.cos(math.radians(40)) - tcp[0], 0.72 * math.sin(math.radians(40))) > TCP_ROOM_M + span
+    ring = rows & (np.abs(azimuth) > np.radians(40))  # here at every height
+    assert ring.sum() > 300
+    assert stats.kstest(c[ring, 2], "uniform", (span + 0.005, 0.595 - span)).pvalue > 1e-3
+    assert stats.kstest(r[ring] ** 2, "uniform", (0.72**2, 0.80**2 - 0.72**2)).pvalue > 1e-3
+    assert stats.kstest(np.degrees(np.abs(azimuth[ring])), "uniform", (40, 10)).pvalue > 1e-3
+    to_robot = -(c[:, 0] * n[:, 0] + c[:, 1] * n[:, 1]) / r
+    inside = ring & (to_robot > math.cos(math.radians(75)))  # a whole cone: its cosine is uniform
+    low = math.cos(math.radians(75))
+    assert stats.kstest(to_robot[inside], "uniform", (low, 1 - low)).pvalue > 1e-3
+
+
+def test_no_vertex_of_a_hand_is_near_the_tcp_the_table_or_the_arm_at_home():
+    robot = load_robot()
+    tcp = ee_pose(robot, HOME_Q)[:3, 3]
+    T = forward_kinematics(robot, HOME_Q)[robot.arm.link] @ robot.arm.T_link_prim
+    nearest = [np.inf, np.inf]
+    for first in range(0, 20_000, 2000):
+        v = posed(many(), slice(first, first + 2000, 10))
+        nearest[0] = min(nearest[0], np.linalg.norm(v - tcp, axis=2).min())
+        in_table = (v[..., 2] < 0.00499) & (v[..., 0] < 0.45499) & (np.abs(v[..., 1]) < 0.60499)
+        assert not in_table.any()
+        for t, kind, size in zip(T, robot.arm.kind, robot.arm.size, strict=True):
+            axis, radius = capsule_of_primitive(int(kind), size)
+            local = (v - t[:3, 3]) @ t[:3, :3]
+            half = np.linalg.norm(axis)
+            along = np.clip(local @ axis / max(half, 1e-12) ** 2, -1, 1) if half else np.zeros(local.shape[:2])
+            nearest[1] = min(nearest[1], (np.linalg.norm(local - along[..., None] * axis, axis=2) - radius).min())
+    assert TCP_ROOM_M - 1e-6 <= nearest[0] < TCP_ROOM_M + 0.005
+    assert nearest[1] >= 0.005 - 1e-6
+
+
+def test_the_open_gripper_at_home_lies_inside_the_room_kept_around_the_tcp():
+    robot = load_robot()
+    for T, size in zip(gripper_primitives_at(robot, 0.085), robot.gripper.size, strict=True):
+        assert np.linalg.norm(T[:3, 3]) + np.linalg.norm(size) < TCP_ROOM_M
+
+
+def test_a_trial_is_the_same_alone_in_another_order_and_in_a_longer_run():
+    trials = make_trials(trials=500)
+    row = trials.trial_id.tolist().index(37)
+    alone = trials_with_ids(torch.tensor([37]))
+    assert torch.equal(alone.T_world_hand[0], trials.T_world_hand[row])
+    assert (alone.object_index[0], alone.hand_index[0]) == (trials.object_index[row], trials.hand_index[row])
+    order = torch.randperm(1000, generator=torch.Generator().manual_seed(1))
+    shuffled = trials_with_ids(trials.trial_id[order])
+    assert trials_digest(shuffled) == trials_digest(trials[order])
+    longer = many()
+    assert trials_digest(longer[torch.cat([torch.arange(500), MANY + torch.arange(500)])]) == trials_digest(trials)
+    assert len(make_trials(trials=0)) == 0
+
+
+def test_the_digest_names_what_matters_and_is_the_same_in_another_process():
+    trials = make_trials(trials=40)
+    code = "from r2h_batch.trials import *; print(trials_digest(make_trials(trials=40)))"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    assert told == trials_digest(trials)
+    moved, other_hand, other_object = (
+        Trials(**{k: getattr(trials, k).clone() for k in ("trial_id", "object_index", "hand_index", "T_world_hand")})
+        for _ in range(3)
+    )
+    moved.T_world_hand[3, 0, 3] = torch.nextafter(moved.T_world_hand[3, 0, 3], torch.tensor(9.0))
+    other_hand.hand_index[3] += 1
+    other_object.object_index[3] += 1
+    assert len({trials_digest(t) for t in (trials, moved, other_hand, other_object, trials[1:])}) == 5
+    assert trials_digest(trials) == trials_digest(trials, objects=load_objects())
+
+
+def test_the_draws_are_frozen_whatever_the_assets_are():
+    """Which hand of 200 and which proposal: changes only with the protocol. (trials_digest changes with any asset.)"""
+    (u,) = rng.uniforms(rng.key_of("r2h-v0"), np.arange(6), 1, purpose=0)
+    assert rng.choice(u, 200).tolist() == FROZEN_HANDS
+    first = rng.uniforms(rng.key_of("r2h-v0"), np.array([0, 1, 1000, 2**40]), 7, purpose=1, attempt=2)
+    assert [int(x) for x in (first[[0, 6]] * 2**32).ravel()] == FROZEN_WORDS
+
+
+FROZEN_HANDS = [88, 186, 42, 71, 47, 141]
+FROZEN_WORDS = [3602869735, 3313465624, 2751513646, 3665985258, 2951970252, 2807896769, 1581692607, 3825774211]
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: make_trials(["S2"]), "allowed are S0, S1"),
+        (lambda: make_trials(["S0", "S0"]), "once"),
+        (lambda: make_trials(trials=-1), "0 or more"),
+        (lambda: make_trials(["S1"], objects=load_objects(["cup"])), "no object belongs to split S1"),
+        (lambda: trials_with_ids(torch.tensor([-2])), "negative"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_in_words(call, told):
+    with pytest.raises(ValueError, match=told):
+        call()
+
+
+def test_no_trial_starts_in_collision():
+    """The robot at home, a cup in the gripper: 2,000 trials."""
+    from r2h_batch.evaluate import Evaluator
+
+    trials = make_trials(trials=1000)
+    cup = load_objects(["cup"])
+    trials = Trials(trials.trial_id, torch.zeros_like(trials.object_index), trials.hand_index, trials.T_world_hand)
+    evaluator = Evaluator(EvalConfig(plan=PlanConfig(rounds=(1,), shortcuts=0)), objects=cup)
+    grasp = torch.eye(4).repeat(len(trials), 1, 1)
+    grasp[:, 2, 3] = -0.12
+    out_of_reach = torch.eye(4).repeat(len(trials), 1, 1)
+    out_of_reach[:, 0, 3] = 3.0  # so that nothing is planned after the start was looked at
+    reasons = evaluator.score(grasp, out_of_reach, trials).plan_reason
+    assert reasons.unique().tolist() == [int(PlanReason.IK_UNREACHABLE)]
+    into = Trials(trials.trial_id[:8], trials.object_index[:8], trials.hand_index[:8], trials.T_world_hand[:8].clone())
+    into.T_world_hand[:, :3, 3] += (
+        torch.from_numpy(ee_pose(load_robot(), HOME_Q)[:3, 3]).float() - torch.from_numpy(palms(into)[0]).float()
+    )
+    into.T_world_hand[:, :3, 3] += torch.from_numpy(0.12 * palms(into)[1]).float()
+    reasons = evaluator.score(grasp[:8], out_of_reach[:8], into).plan_reason
+    assert reasons.unique().tolist() == [int(PlanReason.START_IN_COLLISION)]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trials") / "made" / "here"
+    digest = write_trials(folder, ["S0", "S1"], 12)
+    return folder, digest
+
+
+def test_written_files_hold_what_the_manifest_says(written):
+    folder, digest = written
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["protocol"] == "r2h-v0" and manifest["digests"]["trials"] == digest
+    assert digest == trials_digest(make_trials(trials=12)) and digest in (folder / "README.md").read_text()
+    names = {f"objects/{n}.npz" for n in (*S0_NAMES, *S1_NAMES)}
+    assert {str(p.relative_to(folder)) for p in folder.rglob("*.npz")} == names | {"trials.npz", "hands.npz"}
+    for file in ("trials.npz", "hands.npz", *sorted(names)):
+        said = manifest["arrays"][file if file in manifest["arrays"] else "objects/NAME.npz"]
+        with np.load(folder / file, allow_pickle=False) as data:
+            assert set(data.files) == set(said)
+            for key, about in said.items():
+                assert data[key].dtype.name == about["dtype"] or data[key].dtype.kind == "U", (file, key)
+                fits = (b is None or a == b for a, b in zip(data[key].shape, about["shape"], strict=True))
+                assert all(fits), (file, key)
+                assert len(about["meaning"]) > 3
+    assert (folder / "README.md").read_text().count("| ") > 100
+
+
+def test_written_trials_agree_with_the_library(written):
+    folder, _ = written
+    trials = make_trials(trials=12)
+    made, hands = np.load(folder / "trials.npz"), np.load(folder / "hands.npz")
+    for key in ("trial_id", "object_index", "hand_index", "T_world_hand"):
+        assert np.array_equal(made[key], getattr(trials, key).numpy())
+    c, n = palms(trials)
+    assert np.abs(made["ball_center"] - c).max() < 1e-6 and np.abs(made["palm_normal"] - n).max() < 1e-6
+    assert made["object_name"].tolist()[10:14] == ["cup", "wineglass", "hammer", "pliers"]
+    assert "screwdriver" in made["instruction"][16] and made["split"].tolist() == ["S0"] * 12 + ["S1"] * 12
+    again = load_hand().pose(*(torch.from_numpy(made[k]) for k in ("pose", "shape", "side"))).joints.double()
+    T = trials.T_world_hand.double()
+    assert np.abs((again @ T[:, :3, :3].mT + T[:, None, :3, 3]).numpy() - made["joints"]).max() < 1e-6
+    assert np.array_equal(hands["vertices"][made["hand_index"]], hand_vertices()[trials.hand_index.long()].float())
+    for o in load_objects():
+        data = np.load(folder / "objects" / f"{o.name}.npz")
+        assert np.array_equal(data["vertices"], o.vertices) and data["occupancy"].sum() == o.occupancy.sum()
+        assert data["grasp_T_obj_ee"].shape == (100, 4, 4) and data["grasp_part"].max() < len(data["part_names"])
+        assert data["point_receiver"].any() == (o.split == "S1")
+
+
+def test_a_predictions_file_made_from_the_written_files_is_accepted(written, tmp_path):
+    folder, _ = written
+    made = np.load(folder / "trials.npz")
+    grasp = np.stack([np.load(folder / "objects" / f"{n}.npz")["grasp_T_obj_ee"][0] for n in made["object_name"]])
+    goal = np.eye(4, dtype=np.float32)[None].repeat(len(grasp), 0)
+    goal[:, :3, 3] = made["ball_center"]
+    np.savez(tmp_path / "mine.npz", trial_id=made["trial_id"], T_obj_ee=grasp, T_world_ee=goal, method="mine")
+    predictions = load_predictions(tmp_path / "mine.npz")
+    trials = make_trials(trials=12)
+    assert align(predictions, trials.trial_id, source="mine.npz").tolist() == list(range(24))
+    assert predictions.method == "mine"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--out", "x", "--trails", "3"], "did you mean --trials?"),
+        (["--out", "x", "--trials", "0"], "1 or more"),
+        (["--out", "x", "--trials", "ten"], "1 or more"),
+        (["--out", "x", "--splits", "S3"], "invalid choice: 'S3'"),
+        (["--out", "x", "--protocol", "r2h-v9"], "invalid choice: 'r2h-v9'"),
+        (["--trials", "3"], "--out"),
+        (["--out", "{full}"], "not an empty folder"),
+        (["--out", "x", "--object-mesh", "missing.obj"], "missing.obj"),
+    ],
+)
+def test_a_wrong_command_line_gets_one_clear_line_and_code_2(arguments, told, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("keep me")
+    arguments = [a.format(full=tmp_path / "full") for a in arguments]
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = stop.code
+    captured = capsys.readouterr()
+    assert code == 2 and captured.out == ""
+    assert len(captured.err.strip().splitlines()) == 1 and told in captured.err
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "mine.txt"]
+
+
+def test_the_command_writes_and_says_where(tmp_path, capsys):
+    assert main(["--out", str(tmp_path / "out"), "--trials", "2", "--splits", "S1"]) == 0
+    captured = capsys.readouterr()
+    assert "r2h-v0" in captured.out and trials_digest(make_trials(["S1"], 2)) in captured.out
+    assert len(list((tmp_path / "out" / "objects").iterdir())) == len(S1_NAMES)
