@@ -11,7 +11,6 @@ from r2h_batch.kernels.gjk import BOX, ROUNDING_M, Body, from_ball, gjk, support
 from r2h_batch.kernels.world import (
     GRIPPER,
     OBJECT,
-    WRIST_3,
     TrialBodies,
     World,
     body_pose,
@@ -22,6 +21,7 @@ from r2h_batch.kernels.world import (
     hull_body,
     link_frame,
     motion,
+    object_body,
     robot_body,
     swept_capsule,
     twists,
@@ -218,7 +218,7 @@ def examine(
 
             shape = robot_body(world, wp.min(b, world.n_robot - 1))
             if link == OBJECT:
-                shape = hull_body(world.hull_start, hull)
+                shape = object_body(world, hull)
 
             # partners of this body that bounding volumes cannot settle
             n = int(0)
@@ -306,7 +306,11 @@ def examine(
                                     continue
                                 n_hat = toward / far
                                 low = swept_capsule(c0, c1, rb, n_hat, w_b - w[other], v_b - v[other], bend_other)
-                                low = low - wp.max(wp.dot(n_hat, po - axis), wp.dot(n_hat, po + axis)) - world.cap_radius[o]
+                                low = (
+                                    low
+                                    - wp.max(wp.dot(n_hat, po - axis), wp.dot(n_hat, po + axis))
+                                    - world.cap_radius[o]
+                                )
                                 if low >= target:
                                     continue
                                 if low + SLACK_M < target:
@@ -390,12 +394,11 @@ def examine(
                     out.body = b
                     return out
                 apart = dist.lower
-                if moving and apart < margin + m and apart >= margin and dist.upper > 0.0:
-                    # not clear of anything that the levers allow, but perhaps of where it really goes
-                    if apart > margin + 0.5 * bend_pair:
-                        n_hat = dist.v / wp.length(dist.v)
-                        beside = wp.dot(n_hat, support(other_shape, world.points, n_hat)) + other_shape.radius
-                        apart = m - beside + swept_support(shape, Rr, pr, world.points, n_hat, wr, vr, bend_pair)
+                if moving and apart < margin + m and apart > margin + 0.5 * bend_pair and dist.upper > 0.0:
+                    # not clear of everything that the levers allow, but perhaps of where it really goes
+                    n_hat = dist.v / wp.length(dist.v)
+                    beside = wp.dot(n_hat, support(other_shape, world.points, n_hat)) + other_shape.radius
+                    apart = m - beside + swept_support(shape, Rr, pr, world.points, n_hat, wr, vr, bend_pair)
                 if apart < margin + m:
                     if i < n_hand:
                         hand_open = hand_open | bit

@@ -5,8 +5,6 @@ v . w / |v| over the iterations, less the radii and a rounding allowance: in flo
 distance in 80,000 pairs, while |v| itself can collapse to 0 between separated thin bodies.
 """
 
-from typing import Any
-
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
@@ -16,6 +14,12 @@ CAPSULE = wp.constant(1)
 CYLINDER = wp.constant(2)
 BOX = wp.constant(3)
 HULL = wp.constant(4)
+CELLS = wp.constant(5)
+
+CELLS_PER_EDGE = wp.constant(6)
+"""A CELLS body is a hull whose points are sorted by direction: 6 x 6 cells on each face of a cube around the origin. Its
+first 216 rows in `points` give, for each cell, where its points start (counted from the body's first row) and how many
+they are; only those can be farthest in a direction of that cell (r2h_batch.bounds.support_cells)."""
 
 ROUNDING_M = wp.constant(1.0e-6)
 MAX_ITERATIONS = wp.constant(32)
@@ -62,13 +66,35 @@ class Distance:
 
 
 @wp.func
+def direction_cell(d: wp.vec3):
+    """The cell of a CELLS body that a direction falls into."""
+    a = wp.vec3(wp.abs(d[0]), wp.abs(d[1]), wp.abs(d[2]))
+    axis = int(0)
+    if a[1] > a[axis]:
+        axis = 1
+    if a[2] > a[axis]:
+        axis = 2
+    scale = 0.5 * float(CELLS_PER_EDGE) / wp.max(a[axis], 1.0e-30)
+    u = wp.clamp(int(0.5 * float(CELLS_PER_EDGE) + scale * d[(axis + 1) % 3]), 0, CELLS_PER_EDGE - 1)
+    v = wp.clamp(int(0.5 * float(CELLS_PER_EDGE) + scale * d[(axis + 2) % 3]), 0, CELLS_PER_EDGE - 1)
+    face = 2 * axis + wp.where(d[axis] < 0.0, 1, 0)
+    return (face * CELLS_PER_EDGE + u) * CELLS_PER_EDGE + v
+
+
+@wp.func
 def support(body: Body, points: wp.array(dtype=wp.vec3), d: wp.vec3):
     """The core's farthest point along d, in the body's frame."""
     p = wp.vec3(0.0, 0.0, 0.0)
-    if body.kind == HULL:
+    if body.kind == HULL or body.kind == CELLS:
+        lo = body.start
+        count = body.count
+        if body.kind == CELLS:
+            row = points[body.start + direction_cell(d)]
+            lo = body.start + int(row[0])
+            count = int(row[1])
         best = float(-1.0e30)
-        at = int(body.start)
-        for i in range(body.start, body.start + body.count):
+        at = int(lo)
+        for i in range(lo, lo + count):
             t = wp.dot(points[i], d)
             if t > best:
                 best = t

@@ -13,7 +13,9 @@ from r2h_batch.kernels.world import TrialBodies, World, vec6
 wp.set_module_options({"enable_backward": False})
 
 GOALS = wp.constant(8)
-CLEARANCE_CAP = wp.constant(0.0065)  # a little over twice what a path has to keep: a goal's clearance matters below that
+CLEARANCE_CAP = wp.constant(
+    0.0065
+)  # a little over twice what a path has to keep: a goal's clearance matters below that
 
 
 @wp.func
@@ -216,7 +218,9 @@ def rrt_connect(
 
 @wp.func
 def _waypoint(path: wp.array3d(dtype=float), trial: int, k: int):
-    return vec6(path[trial, k, 0], path[trial, k, 1], path[trial, k, 2], path[trial, k, 3], path[trial, k, 4], path[trial, k, 5])
+    return vec6(
+        path[trial, k, 0], path[trial, k, 1], path[trial, k, 2], path[trial, k, 3], path[trial, k, 4], path[trial, k, 5]
+    )
 
 
 @wp.func

@@ -218,7 +218,9 @@ def posture_distance(
             vb = v[link_frame(link)]
             shape = robot_body(world, b)
             still = int(0)
-            if wp.length(from_point(world.hand_center[hand], pb - axis, pb + axis)) - world.hand_radius[hand] - rb < out.distance - tolerance + m:
+            hulls_met = int(0)
+            around = wp.length(from_point(world.hand_center[hand], pb - axis, pb + axis)) - world.hand_radius[hand] - rb
+            if around < out.distance - tolerance + m:
                 for i in range(world.n_pieces):
                     piece = hand * world.n_pieces + i
                     limit = out.distance - tolerance + m
@@ -244,16 +246,17 @@ def posture_distance(
                         shape, Rb, pb, world.points, hull, world.points, world.piece_center[piece],
                         wp.max(limit, out.distance), 0.05,
                     )  # fmt: skip
-                    if h.lower >= limit or (still == 1 and h.lower >= out.distance):
+                    met = h.upper <= TOUCH_M  # then GJK's bound says nothing of how deep: the faces have to
+                    if not met and (h.lower >= limit or (still == 1 and h.lower >= out.distance)):
                         continue
                     low = h.lower - m
-                    if h.upper > 0.0 and h.lower > 0.0:
+                    if not met and h.lower > 0.0:
                         n_hat = h.v / wp.length(h.v)
                         beside = wp.dot(n_hat, support(hull, world.points, n_hat))
                         low = wp.max(low, swept_support(shape, Rb, pb, world.points, n_hat, wb, vb, bend) - beside)
-                    if low >= out.distance - tolerance and h.lower >= out.distance:
+                    if not met and low >= out.distance - tolerance and h.lower >= out.distance:
                         continue
-                    if h.lower >= out.distance and h.lower < out.distance - tolerance + 0.5 * bend:
+                    if not met and h.lower >= out.distance and h.lower < out.distance - tolerance + 0.5 * bend:
                         still = 1  # too long a stretch to settle here, and nothing nearer in its middle
                         continue
                     near = nearest_to_mesh(
@@ -267,12 +270,15 @@ def posture_distance(
                         out.changed = 1
                     if near.open > 0:
                         still = 1
-                    # inside the hull but clear of its faces: in a hollow of the mesh, or wholly inside the hand
-                    if h.upper <= 0.0 and near.distance > 0.0 and inside_mesh(mesh, hand, pb, tri):
-                        out.distance = wp.min(-near.distance, -TOUCH_M)
-                        out.point = pb
-                        out.body = b
-                        out.changed = 1
+                    if met:
+                        hulls_met = 1
+            # in a hull but clear of all faces: in a hollow of the mesh, or wholly inside the hand
+            if hulls_met == 1 and out.distance > 0.0 and inside_mesh(mesh, hand, pb, tri):
+                out.distance = wp.min(-out.distance, -TOUCH_M)
+                out.point = pb
+                out.body = b
+                out.changed = 1
+                still = 1
             if still == 0:
                 mask[0] = mask[0] & ~bit
     if mask[0] != wp.uint64(0):

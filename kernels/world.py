@@ -7,7 +7,7 @@ Links are numbered 0 base ... 6 wrist_3, 7 gripper, 8 object; 7 and 8 ride on wr
 
 import warp as wp
 
-from r2h_batch.kernels.gjk import HULL, Body
+from r2h_batch.kernels.gjk import CELLS, HULL, Body
 
 wp.set_module_options({"enable_backward": False})
 
@@ -37,7 +37,9 @@ class World:
     cap_axis: wp.array(dtype=wp.vec3)  # from its middle to one end, in the body frame
     body_R: wp.array(dtype=wp.mat33)  # (n_arm,) in the link frame
     body_p: wp.array(dtype=wp.vec3)
-    lever: wp.array2d(dtype=float)  # (n_robot, 6) largest distance of a body's points from each joint's axis, any posture
+    lever: wp.array2d(
+        dtype=float
+    )  # (n_robot, 6) largest distance of a body's points from each joint's axis, any posture
     link_first: wp.array(dtype=int)  # (9,) bodies of link k: link_first[k] .. link_first[k + 1], k = 0..7
     link_c0: wp.array(dtype=wp.vec3)  # (8,) bounding capsule of the whole link (7 in the wrist_3 frame, any opening)
     link_c1: wp.array(dtype=wp.vec3)
@@ -56,6 +58,7 @@ class World:
     hand_radius: wp.array(dtype=float)
     hull_first: wp.array(dtype=int)  # (O + 1,) hulls of object o: hull_first[o] .. hull_first[o + 1]
     hull_start: wp.array(dtype=int)  # (hulls + 1,)
+    hull_cells: wp.array(dtype=int)  # (hulls,) the same hulls' points by direction (gjk.CELLS)
     hull_c0: wp.array(dtype=wp.vec3)
     hull_c1: wp.array(dtype=wp.vec3)
     hull_radius: wp.array(dtype=float)
@@ -78,7 +81,12 @@ class TrialBodies:
 
 @wp.func
 def forward_kinematics(
-    world: World, R_hand_world: wp.mat33, p_hand_world: wp.vec3, q: vec6, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3)
+    world: World,
+    R_hand_world: wp.mat33,
+    p_hand_world: wp.vec3,
+    q: vec6,
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
 ):
     """Writes the frames of links 0..6 in the hand frame."""
     Rk = R_hand_world
@@ -139,6 +147,15 @@ def hull_body(starts: wp.array(dtype=int), hull: int):
     b.kind = HULL
     b.start = starts[hull]
     b.count = starts[hull + 1] - b.start
+    return b
+
+
+@wp.func
+def object_body(world: World, hull: int):
+    """One hull of an object as a shape."""
+    b = Body()
+    b.kind = CELLS
+    b.start = world.hull_cells[hull]
     return b
 
 

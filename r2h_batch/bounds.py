@@ -26,7 +26,10 @@ def capsule_of_primitive(kind: int, size: Array) -> tuple[Array, float]:
 
 def capsule_of_balls(centers: Array, radii: Array) -> tuple[Array, Array, float]:
     """End points and radius of a small capsule that holds all balls (N, 3), (N,); exact containment, greedy axis."""
-    candidates = [*np.eye(3), np.linalg.svd(centers - centers.mean(0), full_matrices=False)[2][0] if len(centers) > 1 else np.eye(3)[0]]
+    candidates = [
+        *np.eye(3),
+        np.linalg.svd(centers - centers.mean(0), full_matrices=False)[2][0] if len(centers) > 1 else np.eye(3)[0],
+    ]
     best: tuple[float, Array, Array, float] | None = None
     for axis in candidates:
         along = centers @ axis
@@ -54,6 +57,36 @@ def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
     return capsule_of_balls(points, np.zeros(len(points)))
 
 
+CELLS_PER_EDGE = 6
+"""As in kernels/gjk.py."""
+
+
+def support_cells(points: Array) -> Array:
+    """Rows (216 + n, 3) of a hull for kernels/gjk.py: first row and number of points of each direction cell, then points.
+
+    A cell keeps every point that can be farthest along some direction of it: those that no other point beats in all four
+    corner directions (a linear function that is smaller at the corners is smaller in between).
+    """
+    edges = np.linspace(-1.0, 1.0, CELLS_PER_EDGE + 1)
+    header, kept, total = [], [], 6 * CELLS_PER_EDGE**2
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            for u in range(CELLS_PER_EDGE):
+                for v in range(CELLS_PER_EDGE):
+                    corner = np.empty((4, 3))
+                    corner[:, axis] = sign
+                    corner[:, (axis + 1) % 3] = edges[[u, u + 1, u, u + 1]]
+                    corner[:, (axis + 2) % 3] = edges[[v, v, v + 1, v + 1]]
+                    height = points @ corner.T
+                    rivals = np.unique(np.append(height.argmax(0), np.argsort(height.sum(1))[-8:]))
+                    beaten = (height[:, None] < height[None, rivals] - 1e-9).all(2).any(1)
+                    cell = points[~beaten]
+                    header.append((total, len(cell), 0))
+                    kept.append(cell)
+                    total += len(cell)
+    return np.concatenate([np.array(header, dtype=np.float64), *kept])
+
+
 def gripper_balls(robot: Robot) -> tuple[Array, Array]:
     """Ends of the gripper primitives' capsules at every opening, (G, n, 3) in the wrist_3 frame, and radii (G,)."""
     T_wrist_ee = robot.T_wrist3_flange @ robot.T_flange_ee
@@ -71,7 +104,11 @@ def robot_levers(robot: Robot) -> Array:
     """(N, 6) bounds for arm and gripper primitives: largest distance of any point from each joint's axis, any posture."""
     ends, radii = gripper_balls(robot)
     gripper = [
-        np.max([lever_bound_for_sphere(robot, 6, c, r) for c in e[:: max(1, len(e) // 24)]] + [lever_bound_for_sphere(robot, 6, e[-1], r)], axis=0)
+        np.max(
+            [lever_bound_for_sphere(robot, 6, c, r) for c in e[:: max(1, len(e) // 24)]]
+            + [lever_bound_for_sphere(robot, 6, e[-1], r)],
+            axis=0,
+        )
         + BETWEEN_OPENINGS_M * 6
         for e, r in zip(ends, radii, strict=True)
     ]

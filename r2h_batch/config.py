@@ -63,7 +63,9 @@ class PlanConfig:
         if self.hand_clearance_m < 0:
             raise ValueError(f"PlanConfig.hand_clearance_m is {self.hand_clearance_m}; it must be 0 or more metres")
         if not self.rounds or any(n < 1 for n in self.rounds) or self.shortcuts < 0:
-            raise ValueError(f"PlanConfig.rounds is {self.rounds}, shortcuts {self.shortcuts}; rounds must be 1 or more")
+            raise ValueError(
+                f"PlanConfig.rounds is {self.rounds}, shortcuts {self.shortcuts}; rounds must be 1 or more"
+            )
 
 
 @dataclass(frozen=True)

@@ -35,9 +35,7 @@ class Evaluator:
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
         self.threads = threads
 
-    def score(
-        self, T_obj_ee: Float32[Tensor, "b 4 4"], T_world_ee: Float32[Tensor, "b 4 4"], trials: Trials
-    ) -> Scores:
+    def score(self, T_obj_ee: Float32[Tensor, "b 4 4"], T_world_ee: Float32[Tensor, "b 4 4"], trials: Trials) -> Scores:
         """Verdicts of B handovers: outcome, five criteria with margins (m), reasons, times, joint path.
 
         `T_obj_ee`: grasp, ee in the object's frame. `T_world_ee`: handover, ee in the world. Metres; rotations off by at
@@ -68,7 +66,9 @@ class Evaluator:
         plan_start = time.perf_counter()
         ik = solve_ik(T_world_ee, active=active, threads=threads)
         branches = ik.valid if config.plan.goals == "set" else one_branch(ik, T_world_ee, threads=threads)
-        planned = plan_paths(scene, placed, ik.q, branches, active, _random_key(trials.trial_id), config.plan, threads=threads)
+        planned = plan_paths(
+            scene, placed, ik.q, branches, active, _random_key(trials.trial_id), config.plan, threads=threads
+        )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         motion = time_path(planned.path, planned.length, config.execute)
 
@@ -102,7 +102,9 @@ class Evaluator:
             plan_pair=torch.where(active, planned.pair, int(CollidingPair.NONE)).to(torch.int8),
             witness_part=torch.stack([torch.where(found, planned.body, -1), touch.body], 1),
             witness_time_s=torch.where(
-                witnessed, time_at(planned.path, planned.length, motion, touch.segment, touch.fraction, config.execute), nan
+                witnessed,
+                time_at(planned.path, planned.length, motion, touch.segment, touch.fraction, config.execute),
+                nan,
             ),
             witness_point=torch.where(witnessed[:, None], touch.point, torch.nan),
             t_plan_s=torch.where(active, t_plan_s, torch.nan).float(),
@@ -119,7 +121,11 @@ class Evaluator:
     def _check(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> None:
         device = torch.device(self.scene.device)
         n = len(trials)
-        for name, value in (("T_obj_ee", T_obj_ee), ("T_world_ee", T_world_ee), ("trials.T_world_hand", trials.T_world_hand)):
+        for name, value in (
+            ("T_obj_ee", T_obj_ee),
+            ("T_world_ee", T_world_ee),
+            ("trials.T_world_hand", trials.T_world_hand),
+        ):
             if not isinstance(value, Tensor):
                 raise TypeError(f"{name} is a {type(value).__name__}; it must be a torch tensor (B, 4, 4)")
             if value.dtype != torch.float32:
@@ -134,14 +140,18 @@ class Evaluator:
         ):
             if index.shape != (n,) or index.dtype != torch.int32:
                 raise ValueError(f"trials.{name} is {index.dtype} {tuple(index.shape)}; it must be int32 ({n},)")
-            if n and not (0 <= int(index.min()) and int(index.max()) < count):
-                raise ValueError(f"trials.{name} runs from {int(index.min())} to {int(index.max())}; the scene has 0 to {count - 1}")
+            if n and not (int(index.min()) >= 0 and int(index.max()) < count):
+                raise ValueError(
+                    f"trials.{name} runs from {int(index.min())} to {int(index.max())}; the scene has 0 to {count - 1}"
+                )
 
 
 def _usable(T: Tensor, active: Tensor) -> Tensor:
     """Orthonormal poses, the identity where a row is not active."""
     eye = torch.eye(4, dtype=T.dtype, device=T.device)
-    return torch.where(active[:, None, None], se3.orthonormalise(torch.where(active[:, None, None], T.detach(), eye)), eye).contiguous()
+    return torch.where(
+        active[:, None, None], se3.orthonormalise(torch.where(active[:, None, None], T.detach(), eye)), eye
+    ).contiguous()
 
 
 def _random_key(trial_id: Tensor) -> Tensor:
@@ -159,4 +169,3 @@ def _first_failure(passed: Tensor, evaluated: Tensor, active: Tensor) -> Tensor:
         outcome[evaluated[:, i] & ~passed[:, i]] = i + 1
     outcome[~active] = int(Outcome.INVALID_INPUT)
     return outcome
-

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, Literal
 
 import numpy as np
@@ -173,10 +174,10 @@ def region_distance(
     cap_m: float = 0.05,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
-    """Distance (m) of the fingers at `opening_m` to the receiver's region, and the primitive (order of `Robot.gripper`).
+    """Distance (m) of the fingers at `opening_m` to the receiver's region, and the primitive (as in `Robot.gripper`).
 
     Exact below `cap_m`, `cap_m` beyond; negative: minus the depth of the region's deepest point in a finger. NaN and -1
-    for an object without a region. `T_obj_ee` is the attachment (`attach`). The palm does not count, all that moves does.
+    for an object without a region. `T_obj_ee` is the attachment (`attach`). All that moves counts, the palm does not.
     """
     distance, part = _clearance(
         tables, T_obj_ee, object_index, opening_m, tables.objects, tables.moving, False, cap_m, threads
@@ -233,7 +234,7 @@ def gripper_poses(
 
 @lru_cache(maxsize=4)
 def gripper_tables(device: str = "cpu") -> Gripper:
-    """The gripper of robot.json as the kernels' struct: linkage, and its primitives at drive angle 0 in the ee frame."""
+    """The gripper of robot.json for the kernels: linkage, and the primitives at drive angle 0 in the ee frame."""
     init_warp()
     robot = load_robot()
     link, prims = robot.linkage, robot.gripper
@@ -301,9 +302,9 @@ def _split(centers: NDArray[np.float32], rows: NDArray[np.intp], most: int) -> l
 
 
 def _bounds(points: NDArray[np.float32], first: list[int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Spheres (x, y, z, radius) around the points of each group, and half sides of boxes about their centres; rounded up."""
+    """Spheres (x, y, z, radius) around each group's points, half sides of boxes about their centres; rounded up."""
     spheres, halves = np.zeros((len(first) - 1, 4), np.float32), np.zeros((len(first) - 1, 3), np.float32)
-    for i, (a, b) in enumerate(zip(first[:-1], first[1:], strict=True)):
+    for i, (a, b) in enumerate(pairwise(first)):
         group = points[a:b].astype(np.float64)
         center = ((group.min(axis=0) + group.max(axis=0)) / 2).astype(np.float32)
         spheres[i, :3] = center
@@ -313,7 +314,8 @@ def _bounds(points: NDArray[np.float32], first: list[int]) -> tuple[NDArray[np.f
 
 
 def _empty_poses(n: int, count: int, device: str) -> tuple[Tensor, Tensor]:
-    return tuple(torch.empty((n, count, *shape), dtype=torch.float32, device=device) for shape in ((3, 3), (3,)))  # type: ignore[return-value]
+    R = torch.empty((n, count, 3, 3), dtype=torch.float32, device=device)
+    return R, torch.empty((n, count, 3), dtype=torch.float32, device=device)
 
 
 def _poses(T_obj_ee: Tensor, object_index: Tensor) -> list[Any]:
@@ -333,7 +335,7 @@ def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor) -> int
                 f"{name} is {value.dtype} {tuple(value.shape)} on {value.device}; "
                 f"expected contiguous {dtype} {shape} on {tables.device}"
             )
-    if n and not (0 <= int(object_index.min()) and int(object_index.max()) < tables.objects):
+    if n and (int(object_index.min()) < 0 or int(object_index.max()) >= tables.objects):
         given = f"[{int(object_index.min())}, {int(object_index.max())}]"
         raise ValueError(f"object_index lies in {given}; allowed is [0, {tables.objects - 1}]: the tables' objects")
     return n

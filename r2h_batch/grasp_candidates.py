@@ -204,7 +204,7 @@ def _contact(
 
 
 def _diverse(model: ObjectModel, every: Candidates, count: int) -> Candidates:
-    """Greedy by score, none too like one already taken; the allowed likeness grows until `count` are found."""
+    """Greedy by score among the better half, none too like one already taken; that bar falls until `count` are found."""
     order = np.argsort(-every.score, kind="stable")
     every = every.rows(order)
     y, z = every.T_obj_ee[:, :3, 1].astype(np.float64), every.T_obj_ee[:, :3, 2].astype(np.float64)
@@ -215,6 +215,9 @@ def _diverse(model: ObjectModel, every: Candidates, count: int) -> Candidates:
     if model.split != "S0":
         stages.insert(0, (off_region, min(int(REGION_SHARE * count), int(off_region.sum()))))
     for allowed, wanted in stages:
+        better = allowed & (every.score >= np.median(every.score[allowed])) if allowed.any() else allowed
+        if better.sum() > 2 * wanted:
+            allowed = better
         radius = float(np.linalg.norm(np.ptp(model.vertices, axis=0))) / 4
         while len(taken) < wanted:
             free = allowed.copy()

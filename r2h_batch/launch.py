@@ -33,7 +33,14 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 
 def launch_trials(
-    kernel: Any, n: int, inputs: Sequence[Any], *, device: str, threads: int | None = None, chunk: int = CHUNK, width: int = 1
+    kernel: Any,
+    n: int,
+    inputs: Sequence[Any],
+    *,
+    device: str,
+    threads: int | None = None,
+    chunk: int = CHUNK,
+    width: int = 1,
 ) -> None:
     """Runs `kernel(first, *inputs)` for trials 0..n-1, trial = first + wp.tid() (and a second index if `width` > 1).
 
@@ -45,16 +52,22 @@ def launch_trials(
     if device != "cpu":
         wp.launch(kernel, dim=(n, width) if width > 1 else n, inputs=[0, *inputs], device=device)
         return
-    threads = cpu_threads(threads)
+    workers = min(cpu_threads(threads), -(-n // chunk))
+    # Arguments are packed once per worker (here: the first packing compiles the module); a launch then costs microseconds.
+    commands = [wp.launch(kernel, dim=1, inputs=[0, *inputs], device="cpu", record_cmd=True) for _ in range(workers)]
+    firsts = iter(range(0, n, chunk))  # next() is atomic: whoever is free takes the next chunk
 
-    def run(first: int) -> None:
-        m = min(chunk, n - first)
-        wp.launch(kernel, dim=(m, width) if width > 1 else m, inputs=[first, *inputs], device="cpu")
+    def work(command: wp.Launch) -> None:
+        size = 0
+        for first in firsts:
+            rows = min(chunk, n - first)
+            if rows != size:
+                size = rows
+                command.set_dim((rows, width) if width > 1 else rows)
+            command.set_param_at_index(0, first)
+            command.launch()
 
-    if threads == 1 or n <= chunk:
-        for first in range(0, n, chunk):
-            run(first)
-        return
-    run(0)  # loads (and, the first time, compiles) the module before threads race for it
-    for future in [_pool(threads).submit(run, first) for first in range(chunk, n, chunk)]:
+    futures = [_pool(workers).submit(work, command) for command in commands[1:]]
+    work(commands[0])
+    for future in futures:
         future.result()

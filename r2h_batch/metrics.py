@@ -84,7 +84,9 @@ def affordance(
     The fingers are taken `pad_squeeze_m` tighter than the material between them, so that fingers which hold the region
     itself meet it clearly and not within rounding.
     """
-    opening = torch.where(grasp.width_m <= thresholds.w_max_m, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m)
+    opening = torch.where(
+        grasp.width_m <= thresholds.w_max_m, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m
+    )
     attached = attach(T_obj_ee, grasp.shift_m)
     distance, _ = region_distance(
         scene.grasp_tables, attached, object_index, opening.clamp(min=0.0), cap_m=CLEARANCE_CAP_M, threads=threads
@@ -103,7 +105,13 @@ class Touch:
 
 
 def safe(
-    scene: Scene, placed: Placed, planned: Plan, active: Bool[Tensor, " b"], thresholds: Thresholds, *, threads: int | None = None
+    scene: Scene,
+    placed: Placed,
+    planned: Plan,
+    active: Bool[Tensor, " b"],
+    thresholds: Thresholds,
+    *,
+    threads: int | None = None,
 ) -> tuple[Criterion, Touch]:
     """Safe(g, h) <=> M_hand does not meet M_robot(g, h) over the motion: margin is the smallest distance over time.
 

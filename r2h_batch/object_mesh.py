@@ -306,7 +306,7 @@ def _rebuilt(mesh: trimesh.Trimesh, label: str, done: list[str]) -> trimesh.Trim
 def _contoured(
     mesh: trimesh.Trimesh, inside: Callable[[NDArray[np.float64]], NDArray[np.float64]], edge: float
 ) -> tuple[trimesh.Trimesh | None, float, float]:
-    """The surface where the field is zero; how far the given surface sticks out of it, and how far it is off that one."""
+    """The surface where the field is zero, how far the given one sticks out of it, and how far it is from that one."""
     low, high = mesh.bounds
     solid = level_set_solid(inside, [*(low - 3 * edge), *(high + 3 * edge)], edge)
     if solid.is_empty():
@@ -334,12 +334,14 @@ def _open_bodies(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, trimesh.Trimes
 
 
 def _simplified(solid: Any, tolerance: float, most: int) -> tuple[Any, float]:
-    """At most ``most`` faces, and the tolerance (m) that it took."""
+    """At most ``most`` faces, and the distance (m) below which its surface moved."""
+    moved = tolerance
     small = solid.simplify(tolerance)
     while small.num_tri() > most:
         tolerance *= 1.5
-        small = solid.simplify(tolerance)
-    return small, tolerance
+        moved += tolerance
+        small = small.simplify(tolerance)
+    return small, moved
 
 
 def _decimated(mesh: trimesh.Trimesh, label: str, done: list[str]) -> trimesh.Trimesh:

@@ -146,8 +146,8 @@ def build_object(
     A mesh that is not a closed solid is repaired, and a warning says what was done; what cannot be repaired raises
     :class:`ObjectMeshError`. ``scale`` multiplies the coordinates (0.001 for millimetres). Without ``mass``
     (kg) the density is 600 kg/m^3. An S1 object needs its receiver's region: ``receiver`` is either ``"z<0.3"``
-    (axis, comparison, fraction of the bounding box from its low side), or one bool per face or face indices
-    (array, or ``.npy`` file) of a mesh that needs no repair; without it, S1 takes the lighter half of the longest
+    (axis, comparison, fraction of the bounding box from its low side), or one bool per face or face indices (array,
+    or ``.npy`` file) of a mesh that needs no repair; without it, S1 takes the lighter half of the longest
     axis, with a warning. ``face_part`` labels the faces of a mesh that needs no repair. ``pieces=False`` skips the convex
     decomposition (seconds to a minute): the hull is then the only piece.
     """

@@ -61,7 +61,9 @@ def plan_paths(
     moveit = int(config.edge_check == "moveit")
 
     start_clear, start_pair, _ = run.check(home.expand(b, 6).contiguous(), active, 1)
-    goal_clear, goal_pair, clearance = run.check(q.reshape(-1, 6), (valid & active[:, None] & start_clear[:, None]).reshape(-1), 8)
+    goal_clear, goal_pair, clearance = run.check(
+        q.reshape(-1, 6), (valid & active[:, None] & start_clear[:, None]).reshape(-1), 8
+    )
     goal_clear, goal_pair, clearance = (x.view(b, 8) for x in (goal_clear, goal_pair, clearance))
 
     goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, home, config)
@@ -87,7 +89,20 @@ def plan_paths(
                 home, part, key, kept.view(-1, 6), n_kept, path_margin, nodes, parents, path, length, chunk=1,
             )  # fmt: skip
             found = part[length[part.long()] > 0]
-            run(rrt.shortcut, len(found), config.shortcuts, config.seed, moveit, *run.tables, found, key, path_margin, path, length, chunk=1)
+            run(
+                rrt.shortcut,
+                len(found),
+                config.shortcuts,
+                config.seed,
+                moveit,
+                *run.tables,
+                found,
+                key,
+                path_margin,
+                path,
+                length,
+                chunk=1,
+            )
         todo = todo[length[todo.long()] == 0]
         if not len(todo):
             break
@@ -95,7 +110,19 @@ def plan_paths(
     least = torch.full((b,), -torch.inf, dtype=torch.float32, device=device)
     pair = torch.zeros(b, dtype=torch.int32, device=device)
     body = torch.full((b,), -1, dtype=torch.int32, device=device)
-    run(rrt.path_clearance, b, CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, *run.tables, path, length, least, pair, body, chunk=8)
+    run(
+        rrt.path_clearance,
+        b,
+        CLEARANCE_CAP_M,
+        CLEARANCE_TOLERANCE_M,
+        *run.tables,
+        path,
+        length,
+        least,
+        pair,
+        body,
+        chunk=8,
+    )
 
     reason = torch.full((b,), int(PlanReason.NO_PATH_IN_BUDGET), dtype=torch.int32, device=device)
     reason[length > 0] = int(PlanReason.OK)
@@ -128,11 +155,24 @@ class _Launcher:
         clear = torch.zeros(n, dtype=torch.bool, device=q.device)
         pair = torch.zeros(n, dtype=torch.int32, device=q.device)
         clearance = torch.zeros(n, dtype=torch.float32, device=q.device)
-        self(rrt.check_postures, n, per_trial, *self.tables, active.contiguous(), q.contiguous(), clear, pair, clearance, chunk=64)
+        self(
+            rrt.check_postures,
+            n,
+            per_trial,
+            *self.tables,
+            active.contiguous(),
+            q.contiguous(),
+            clear,
+            pair,
+            clearance,
+            chunk=64,
+        )
         return clear, pair, clearance
 
 
-def _sort_goals(q: Tensor, clear: Tensor, clearance: Tensor, home: Tensor, config: PlanConfig) -> tuple[Tensor, Tensor, Tensor]:
+def _sort_goals(
+    q: Tensor, clear: Tensor, clearance: Tensor, home: Tensor, config: PlanConfig
+) -> tuple[Tensor, Tensor, Tensor]:
     """Free goals, nearest to home first: (b * 8, 6), their number (b,), the hand clearance a path to each must keep (b, 8)."""
     b = len(q)
     distance = torch.zeros(q.shape[:2], dtype=torch.float64, device=q.device)
@@ -147,7 +187,9 @@ def _sort_goals(q: Tensor, clear: Tensor, clearance: Tensor, home: Tensor, confi
     return goals, n_goals, keep.contiguous()
 
 
-def _goals_for_search(goals: Tensor, n_goals: Tensor, margin: Tensor, *, everything: bool) -> tuple[Tensor, Tensor, Tensor]:
+def _goals_for_search(
+    goals: Tensor, n_goals: Tensor, margin: Tensor, *, everything: bool
+) -> tuple[Tensor, Tensor, Tensor]:
     """The goals that one search may end at, and the hand clearance that all of it keeps.
 
     A tree has one margin. First only goals that allow (nearly) the widest one; in the last round all of them.
@@ -159,4 +201,8 @@ def _goals_for_search(goals: Tensor, n_goals: Tensor, margin: Tensor, *, everyth
     order = torch.where(use, slot, 8 + slot).argsort(dim=1)
     rows = torch.arange(len(goals), device=goals.device)[:, None]
     kept_margin = torch.where(use, margin, torch.inf).amin(1)
-    return goals[rows, order].contiguous(), use.sum(1).to(torch.int32), torch.where(there.any(1), kept_margin, 0.0).contiguous()
+    return (
+        goals[rows, order].contiguous(),
+        use.sum(1).to(torch.int32),
+        torch.where(there.any(1), kept_margin, 0.0).contiguous(),
+    )

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -99,7 +100,8 @@ class Scene:
                 else:
                     array = np.ascontiguousarray(value, dtype=np.int32 if dtype is wp.int32 else np.float32)
                     setattr(w, name, wp.array(array, dtype=dtype, device=self.device))
-        w.points = wp.array(np.concatenate([self._hand_points[0], self._object_points[0]]), dtype=wp.vec3, device=self.device)
+        points = np.concatenate([self._hand_points[0], self._object_points[0], *self._object_cells])
+        w.points = wp.array(points, dtype=wp.vec3, device=self.device)
         w.table_center = wp.vec3(*TABLE_CENTER)
         w.table_half = wp.vec3(*TABLE_HALF)
         return w
@@ -111,7 +113,9 @@ class Scene:
         link = np.concatenate([robot.arm.link[order], np.full(len(robot.gripper.names), 7)])
         n_arm, n_robot = len(order), len(kind)
         if n_robot > 62 or len(self.hands.model.piece_names) + 1 + n_arm > MAX_PARTNERS:
-            raise ValueError(f"{n_robot} robot primitives and {len(self.hands.model.piece_names)} hand pieces: more than the kernels' masks hold")
+            raise ValueError(
+                f"{n_robot} robot primitives and {len(self.hands.model.piece_names)} hand pieces: more than the kernels' masks hold"
+            )
         caps = [bounds.capsule_of_primitive(int(k), s) for k, s in zip(kind, size, strict=True)]
         levers = bounds.robot_levers(robot)[np.concatenate([order, np.arange(n_arm, n_robot)])]
         ends, radii = bounds.gripper_balls(robot)
@@ -189,19 +193,29 @@ class Scene:
     def _object_points(self) -> tuple[NDArray[np.float32], list[int], list[int]]:
         """Hull points of all objects' collision bodies, first hull of each object, first point of each hull."""
         bodies = [
-            [o.hull_vertices] if self.config.plan.object_collision == "hull" else [v for v, _ in o.pieces] for o in self.objects
+            [o.hull_vertices] if self.config.plan.object_collision == "hull" else [v for v, _ in o.pieces]
+            for o in self.objects
         ]
         hulls = [np.asarray(h, np.float32) for body in bodies for h in body]
         first = np.cumsum([0] + [len(b) for b in bodies])
         return np.concatenate(hulls), first.tolist(), np.cumsum([0] + [len(h) for h in hulls]).tolist()
 
+    @cached_property
+    def _object_cells(self) -> list[NDArray[np.float32]]:
+        """The same hulls with their points sorted by direction (kernels/gjk.py, CELLS)."""
+        points, _, start = self._object_points
+        return [bounds.support_cells(points[a:b].astype(np.float64)).astype(np.float32) for a, b in pairwise(start)]
+
     def _fill_objects(self) -> dict:
         points, first, start = self._object_points
-        caps = [bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in zip(start[:-1], start[1:], strict=True)]
+        caps = [
+            bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)
+        ]
         shift = len(self._hand_points[0])
         return {
             "hull_first": (first, wp.int32),
             "hull_start": (np.array(start) + shift, wp.int32),
+            "hull_cells": (np.cumsum([0] + [len(c) for c in self._object_cells])[:-1] + shift + len(points), wp.int32),
             "hull_c0": ([c[0] for c in caps], wp.vec3),
             "hull_c1": ([c[1] for c in caps], wp.vec3),
             "hull_radius": ([c[2] for c in caps], wp.float32),
@@ -248,7 +262,11 @@ class Scene:
         mesh.n_vertices, mesh.n_faces = v.shape[1], len(faces)
         mesh.vertices = wp.array(v.reshape(-1, 3), dtype=wp.vec3, device=self.device)
         mesh.faces = wp.array(faces[order].astype(np.int32), dtype=wp.int32, device=self.device)
-        mesh.piece_face = wp.array(np.searchsorted(owner[order], np.arange(len(model.pieces) + 1)).astype(np.int32), dtype=wp.int32, device=self.device)
+        mesh.piece_face = wp.array(
+            np.searchsorted(owner[order], np.arange(len(model.pieces) + 1)).astype(np.int32),
+            dtype=wp.int32,
+            device=self.device,
+        )
         ball = np.concatenate([center, radius[..., None]], 2).reshape(-1, 4).astype(np.float32)
         mesh.face_ball = wp.array(ball, dtype=wp.vec4, device=self.device)
         return mesh
@@ -296,7 +314,15 @@ class Scene:
         launch_trials(place_bodies, b, inputs, device=self.device, threads=threads, chunk=256)
         bodies = TrialBodies()
         bodies.hand, bodies.object = wp.from_torch(hands), wp.from_torch(objects)
-        names = ("R_hand_world", "p_hand_world", "R_wrist_grip", "p_wrist_grip", "R_wrist_obj", "p_wrist_obj", "object_lever")
+        names = (
+            "R_hand_world",
+            "p_hand_world",
+            "R_wrist_grip",
+            "p_wrist_grip",
+            "R_wrist_obj",
+            "p_wrist_obj",
+            "object_lever",
+        )
         for name, array in zip(names, arrays, strict=True):
             setattr(bodies, name, array)
         return Placed(bodies, (objects, hands, *out))

@@ -18,7 +18,12 @@ def matmul(a: Float[Tensor, "*#b 4 4"], b: Float[Tensor, "*#b 4 4"]) -> Float[Te
 
 def apply(T: Float[Tensor, "*#b 4 4"], p: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3"]:
     """The points `T @ p`, one per transform."""
-    return T[..., :3, 0] * p[..., 0, None] + T[..., :3, 1] * p[..., 1, None] + T[..., :3, 2] * p[..., 2, None] + T[..., :3, 3]
+    return (
+        T[..., :3, 0] * p[..., 0, None]
+        + T[..., :3, 1] * p[..., 1, None]
+        + T[..., :3, 2] * p[..., 2, None]
+        + T[..., :3, 3]
+    )
 
 
 def inverse(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
@@ -51,11 +56,23 @@ def is_pose(T: Float[Tensor, "*b 4 4"]) -> Bool[Tensor, "*b"]:
     finite = torch.isfinite(T).all(-1).all(-1)
     safe = torch.where(finite[..., None, None], T, torch.zeros_like(T))
     x, y, z = safe[..., :3, 0], safe[..., :3, 1], safe[..., :3, 2]
-    gram = torch.stack([(x * x).sum(-1) - 1, (y * y).sum(-1) - 1, (z * z).sum(-1) - 1, (x * y).sum(-1), (x * z).sum(-1), (y * z).sum(-1)], -1)
+    gram = torch.stack(
+        [
+            (x * x).sum(-1) - 1,
+            (y * y).sum(-1) - 1,
+            (z * z).sum(-1) - 1,
+            (x * y).sum(-1),
+            (x * z).sum(-1),
+            (y * z).sum(-1),
+        ],
+        -1,
+    )
     det = (torch.linalg.cross(x, y) * z).sum(-1)
     bottom = torch.tensor([0.0, 0.0, 0.0, 1.0], dtype=T.dtype, device=T.device)
     bottom_ok = ((safe[..., 3, :] - bottom).abs() <= 1e-6).all(-1)
-    in_reach = (safe[..., :3, 3].abs() < 1e3).all(-1)  # a kilometre away is a unit error, and float32 has lost the millimetre
+    in_reach = (safe[..., :3, 3].abs() < 1e3).all(
+        -1
+    )  # a kilometre away is a unit error, and float32 has lost the millimetre
     return finite & (gram.abs() <= ROTATION_TOLERANCE).all(-1) & (det > 0) & bottom_ok & in_reach
 
 

@@ -58,11 +58,15 @@ class _Rows:
 
     def __getitem__(self, rows):
         """The selected rows; `rows` is a slice, an index tensor or a mask."""
-        return replace(self, **{f.name: v[rows] for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)})  # type: ignore[type-var,arg-type]
+        return replace(
+            self, **{f.name: v[rows] for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}
+        )  # type: ignore[type-var,arg-type]
 
     def to(self, device: str | torch.device):
         """The same rows on another device."""
-        return replace(self, **{f.name: v.to(device) for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)})  # type: ignore[type-var,arg-type]
+        return replace(
+            self, **{f.name: v.to(device) for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}
+        )  # type: ignore[type-var,arg-type]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
-from oracle import CLASSES, MujocoScene, Staged, mujoco_scene
+from oracle import CLASSES, MujocoScene, Staged, mujoco_scene, samples
 
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.scene import Scene
@@ -188,6 +188,11 @@ def ompl_solve(
         states = setup.getSolutionPath().getStates()
         path = np.array([[s[j] for j in range(6)] for s in states])
     return OmplPath(path, seconds, checker.checks - before)
+
+
+def dense(path: Array, step_rad: float = 1 / 320) -> Array:
+    """Samples of a polyline (W, 6) at most `step_rad` apart (L2)."""
+    return np.stack(list(samples(path, step_rad)))
 
 
 def staged(problems, row: int) -> Staged:

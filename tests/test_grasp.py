@@ -38,6 +38,10 @@ def _box(size, at=(0.0, 0.0, 0.0)) -> manifold3d.Manifold:
     return manifold3d.Manifold.cube(size, True).translate(at)
 
 
+def _rod(length: float, radius: float) -> manifold3d.Manifold:
+    return manifold3d.Manifold.cylinder(length, radius, radius, 64, True)
+
+
 @cache
 def _shapes() -> dict[str, trimesh.Trimesh]:
     """Shapes that a gripper closes on in different ways, each watertight."""
@@ -51,10 +55,10 @@ def _shapes() -> dict[str, trimesh.Trimesh]:
         "l_shape": _box((0.03, 0.02, 0.12)) + _box((0.03, 0.10, 0.025), (0, 0.04, 0.06)),
         "block": _box((0.1, 0.1, 0.1)),
         "sheet_block": _box((0.2, 0.05, 0.2)),
-        "dumbbell": manifold3d.Manifold.cylinder(0.16, 0.011, 0.016, 48, True)
+        "dumbbell": manifold3d.Manifold.cylinder(0.16, 0.011, 0.016, 64, True)
         + manifold3d.Manifold.sphere(0.04, 64).translate((0, 0, 0.09)),
         "comb": comb,
-        "pipe": manifold3d.Manifold.cylinder(0.14, 0.03, 0.03, 64, True) - manifold3d.Manifold.cylinder(0.2, 0.027, 0.027, 64, True),
+        "pipe": _rod(0.14, 0.03) - _rod(0.2, 0.027),
     }  # fmt: skip
     return {name: _solid(shape) for name, shape in out.items()}
 
@@ -162,7 +166,7 @@ def test_material_at_a_given_gap_is_what_manifold3d_cuts_out() -> None:
         found = (float(low[i]), float(high[i])) if low[i] <= high[i] else None
         if (twin is None) == (found is None) and (twin is None or np.allclose(twin, found, rtol=0, atol=BAND)):
             continue
-        # a corner or a flat face within 0.1 mm of the prism's side: the answer must lie between a thinner and a thicker prism's
+        # a corner or a face within 0.1 mm of the prism's side: the answer lies between a thinner and a thicker prism's
         steps += 1
         thin, thick = (_width64(meshes[index[i]], T[i].numpy(), gap[i], grow) for grow in (-BAND, BAND))
         width = found[1] - found[0] if found else -1.0
@@ -395,7 +399,11 @@ def _fcl_model(vertices: np.ndarray, faces: np.ndarray) -> fcl.BVHModel:
 
 
 def _fcl_hits(model: fcl.BVHModel, kind: int, size: np.ndarray, T: np.ndarray) -> bool:
-    shape = fcl.Box(*(2 * size)) if kind == Kind.BOX else fcl.Cylinder(size[0], 2 * size[1])
+    shape = (
+        fcl.Box(*(2 * size))
+        if kind == Kind.BOX
+        else (fcl.Cylinder if kind == Kind.CYLINDER else fcl.Capsule)(size[0], 2 * size[1])
+    )
     a, b = fcl.CollisionObject(model), fcl.CollisionObject(shape, fcl.Transform(T[:3, :3], T[:3, 3]))
     return fcl.collide(a, b, fcl.CollisionRequest(), fcl.CollisionResult()) > 0
 
@@ -479,7 +487,7 @@ def test_wrong_shapes_types_and_indices_are_refused() -> None:
     for args, named in bad:
         with pytest.raises(ValueError, match=named):
             close_gripper(_tables(), *args)
-    with pytest.raises(ValueError, match="pads.*whole"):
+    with pytest.raises(ValueError, match=r"pads.*whole"):
         close_gripper(_tables(), T, index, mode="object")  # type: ignore[arg-type]
 
 

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy import stats
 
+from r2h_batch.config import EvalConfig, Thresholds
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle, random
 from r2h_batch.methods.candidates import candidates_of
@@ -128,6 +129,20 @@ def test_a_trial_that_nobody_can_solve_keeps_the_proposal_that_got_farthest():
     assert scores.outcome.tolist() == [int(Outcome.PLAN)] * 4
     assert scores.plan_reason.tolist() == [int(PlanReason.IK_UNREACHABLE)] * 4
     assert scores.passed[:, CRITERIA.index("stability")].all()
+
+
+def test_the_proposal_that_got_farthest_is_kept_over_the_rounds():
+    """A ball of 1 mm is hardly ever met, so trials stay unsolved and differ in how far off they are."""
+    hard = Evaluator(EvalConfig(thresholds=Thresholds(reach_radius_m=0.001)))
+    trials = make_trials(trials=12)
+    fan = oracle._Fan(trials, hard, 0)
+    rounds = [oracle._how_far(hard.score(*fan.proposals(np.arange(24), r), trials)) for r in range(4)]
+    for r in (1, 4):
+        answer = oracle.predict(trials, hard.scene, evaluator=hard, rounds=r)
+        reached = oracle._how_far(hard.score(answer.T_obj_ee, answer.T_world_ee, trials))
+        solved = torch.stack(rounds[:r]) == 6
+        assert torch.equal(reached, torch.stack(rounds[:r]).amax(0)) and not solved.any(0).all()
+    assert len({int(torch.stack(rounds)[:, i].argmax()) for i in range(24)}) > 2
 
 
 def test_a_proposal_ranks_by_its_first_failure_and_then_by_its_margin():

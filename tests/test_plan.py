@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from oracle import mujoco_scene
-from planning_twins import HAND_MARGIN_M, checker_of, motion_samples, ompl_solve, recheck, staged
+from planning_twins import HAND_MARGIN_M, checker_of, dense, motion_samples, ompl_solve, recheck, staged
 from problems import Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, PlanConfig
@@ -172,15 +172,6 @@ def only_ompl(p: Problems, *, budget_s: float) -> list[tuple[int, float]]:
             goal_m = min(abs(checker.hand_clearance(found.path[-1])[1]), checker.twin.clearances(found.path[-1]).least)
             missed.append((int(row), goal_m))
     return missed
-
-
-def dense(path: np.ndarray, step: float = 1 / 320) -> np.ndarray:
-    """Samples of a polyline at most `step` rad apart."""
-    parts = [path[:1]]
-    for a, b in zip(path[:-1], path[1:], strict=True):
-        n = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))
-        parts.append(a + (b - a) * (np.arange(1, n + 1) / n)[:, None])
-    return np.concatenate(parts)
 
 
 def test_almost_nothing_that_ompl_solves_is_missed():

@@ -13,6 +13,7 @@ import torch
 from scipy import stats
 
 from r2h_batch import rng
+from r2h_batch import trials as trials_module
 from r2h_batch.bounds import capsule_of_primitive
 from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
 from r2h_batch.hand import load_hand, load_hand_set, palm_frame
@@ -180,22 +181,55 @@ def test_ball_centre_normal_and_roll_are_uniform_before_the_hand_has_to_be_clear
     assert stats.kstest(to_robot[inside], "uniform", (low, 1 - low)).pvalue > 1e-3
 
 
-def test_no_vertex_of_a_hand_is_near_the_tcp_the_table_or_the_arm_at_home():
-    robot = load_robot()
-    tcp = ee_pose(robot, HOME_Q)[:3, 3]
+def test_the_ball_centre_is_drawn_uniformly_in_volume():
+    inside, c = trials_module._ball_center(rng.uniforms((8, 9), np.arange(200_000), 3, purpose=0))
+    r, azimuth = np.hypot(c[:, 0], c[:, 1])[inside], np.degrees(np.arctan2(c[:, 1], c[:, 0]))[inside]
+    assert inside.mean() > 0.6
+    assert stats.kstest(r**2, "uniform", (0.45**2, 0.80**2 - 0.45**2)).pvalue > 1e-3
+    assert stats.kstest(azimuth, "uniform", (-50, 100)).pvalue > 1e-3
+    assert stats.kstest(c[inside, 2], "uniform", (0.10, 0.50)).pvalue > 1e-3
+
+
+def arm_distance(points: np.ndarray) -> np.ndarray:
+    """Distance of points (..., 3) to the nearest of the arm primitives' capsules at home."""
+    robot, nearest = load_robot(), np.inf
     T = forward_kinematics(robot, HOME_Q)[robot.arm.link] @ robot.arm.T_link_prim
+    for t, kind, size in zip(T, robot.arm.kind, robot.arm.size, strict=True):
+        axis, radius = capsule_of_primitive(int(kind), size)
+        local = (points - t[:3, 3]) @ t[:3, :3]
+        along = np.clip(local @ axis / max(axis @ axis, 1e-12), -1, 1)
+        nearest = np.minimum(nearest, np.linalg.norm(local - along[..., None] * axis, axis=-1) - radius)
+    return nearest
+
+
+def test_hands_anywhere_around_the_robot_are_sorted_out_vertex_by_vertex():
+    n = 600
+    u = rng.uniforms((3, 3), np.arange(4 * n), 8, purpose=0)
+    inside, R = rng.rotation(u[:4])
+    rows = np.flatnonzero(inside)[:n]
+    T = np.zeros((n, 4, 4))
+    T[:, :3, :3], T[:, :3, 3] = R[rows], (u[4:7, rows] * [[0.9], [0.9], [0.9]] + [[-0.2], [-0.45], [-0.05]]).T
+    hand = (u[7, rows] * 400).astype(np.int64)
+    v = np.einsum("nij,nvj->nvi", T[:, :3, :3], hand_vertices()[hand].numpy()) + T[:, None, :3, 3]
+    tcp = np.linalg.norm(v - ee_pose(load_robot(), HOME_Q)[:3, 3], axis=2).min(1) < 0.20
+    low, high = np.array([-0.505, -0.605, -0.055]), np.array([0.455, 0.605, 0.005])
+    table = ((v > low) & (v < high)).all(2).any(1)
+    arm = arm_distance(v).min(1) < 0.005
+    for alone in (tcp & ~table & ~arm, table & ~tcp & ~arm, arm & ~tcp & ~table, ~(arm | tcp | table)):
+        assert alone.sum() > 20
+    clear = trials_module._hand_is_clear(T, hand, trials_module._hands(load_hand_set()))
+    assert np.array_equal(clear, ~(tcp | table | arm))
+
+
+def test_no_vertex_of_a_hand_is_near_the_tcp_the_table_or_the_arm_at_home():
+    tcp = ee_pose(load_robot(), HOME_Q)[:3, 3]
     nearest = [np.inf, np.inf]
     for first in range(0, 20_000, 2000):
         v = posed(many(), slice(first, first + 2000, 10))
         nearest[0] = min(nearest[0], np.linalg.norm(v - tcp, axis=2).min())
         in_table = (v[..., 2] < 0.00499) & (v[..., 0] < 0.45499) & (np.abs(v[..., 1]) < 0.60499)
         assert not in_table.any()
-        for t, kind, size in zip(T, robot.arm.kind, robot.arm.size, strict=True):
-            axis, radius = capsule_of_primitive(int(kind), size)
-            local = (v - t[:3, 3]) @ t[:3, :3]
-            half = np.linalg.norm(axis)
-            along = np.clip(local @ axis / max(half, 1e-12) ** 2, -1, 1) if half else np.zeros(local.shape[:2])
-            nearest[1] = min(nearest[1], (np.linalg.norm(local - along[..., None] * axis, axis=2) - radius).min())
+        nearest[1] = min(nearest[1], arm_distance(v[:50]).min())
     assert TCP_ROOM_M - 1e-6 <= nearest[0] < TCP_ROOM_M + 0.005
     assert nearest[1] >= 0.005 - 1e-6
 

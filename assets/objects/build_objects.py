@@ -1,6 +1,6 @@
 """Builds the 16 objects (needs the ``build`` extra): ``python -m r2h_batch.assets.objects.build_objects [NAME ...]``.
 
-Solids come from shapes_s0.py and shapes_s1.py in millimetres, are remeshed to even triangles, centred on their bounding
+Solids come from the shapes_*.py files in millimetres, are remeshed to even triangles, centred on their bounding
 box, and written as ``<name>.npz``; ``report.json`` states what came out. Two runs give the same bytes.
 """
 
@@ -15,13 +15,13 @@ import numpy as np
 import trimesh
 from manifold3d import Manifold
 
-from r2h_batch.assets.objects import shapes_s0, shapes_s1
+from r2h_batch.assets.objects import shapes_s0, shapes_s1, shapes_s1_goods
 from r2h_batch.assets.objects.remesh import Surface, imprint, remesh
 from r2h_batch.assets.objects.shapes import Parts, Spec
 from r2h_batch.objects import OBJECT_NAMES, ObjectModel, build_object, load_objects, object_digest
 
 HERE = Path(__file__).resolve().parent
-SPECS = {s.name: s for s in (*shapes_s0.SPECS, *shapes_s1.SPECS)}
+SPECS = {s.name: s for s in (*shapes_s0.SPECS, *shapes_s1.SPECS, *shapes_s1_goods.SPECS)}
 
 
 def build(spec: Spec) -> ObjectModel:

@@ -120,7 +120,8 @@ class Surface:
                 old = self.normal(px, py, pz)
                 corners = (at if x == keep else px, at if y == keep else py, at if z == keep else pz)
                 new = self.normal(*corners)
-                if new[3] <= 0 or old[3] > 1e-12 and new[0] * old[0] + new[1] * old[1] + new[2] * old[2] < least_turn:
+                turn = new[0] * old[0] + new[1] * old[1] + new[2] * old[2]
+                if new[3] <= 0 or (old[3] > 1e-12 and turn < least_turn):
                     return False
                 worst = max(_gap(corners[0], corners[1]), _gap(corners[1], corners[2]), _gap(corners[2], corners[0]))
                 before = max(_gap(px, py), _gap(py, pz), _gap(pz, px))

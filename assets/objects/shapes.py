@@ -26,8 +26,12 @@ class Parts:
 
 @dataclass(frozen=True)
 class Spec:
-    """What makes one object. ``edge`` is the triangles' size, ``fine`` that of single parts. ``cuts`` divide a part along a plane (points with n.p > d get the new name);
-    ``receiver`` names the parts of the receiver's region."""
+    """What makes one object; ``size`` is scene.md's box.
+
+    ``edge`` is the triangles' size, ``fine`` that of single parts. ``cuts`` divide a part along a plane: faces with
+    n.p > d get the new name. ``receiver`` names the parts of the receiver's region, ``take`` its name in the
+    instruction.
+    """
 
     name: str
     split: str
@@ -146,6 +150,12 @@ def sweep(
         for i, s in enumerate(sections if len(sections) == len(p) else list(sections) * len(p))
     ]
     return loft(rings, closed)
+
+
+def along_x(stations: list[tuple[float, float, float]], count: int, power: float = 2.4, n: int = 24) -> Manifold:
+    """A straight loft: (x, half width y, half height z) stations, smoothed."""
+    x, a, b = spline(stations, count).T
+    return loft([np.column_stack([np.full(n, x[i]), oval(a[i], b[i], n, power)]) for i in range(count)])
 
 
 def spline(points: ArrayLike, count: int, closed: bool = False) -> NDArray[np.float64]:

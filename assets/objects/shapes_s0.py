@@ -37,11 +37,18 @@ def game_controller(part: Parts) -> Manifold:
     for x, y in ((-24, 3), (24, 3)):
         sticks.append(cylinder((x, y, 8), (x, y, 17), 12.5, 11))
         sticks.append(cylinder((x, y, 15), (x, y, 23), 4.5))
-        sticks.append(revolve([(0, 22), (6.5, 22), (8.5, 24), (8.5, 27), (6.5, 28.5), (0, 27.5)], 28).translate((x, y, 0)))
+        sticks.append(
+            revolve([(0, 22), (6.5, 22), (8.5, 24), (8.5, 27), (6.5, 28.5), (0, 27.5)], 28).translate((x, y, 0))
+        )
     pad = union([box(24, 8, 10, 1.5, (-47, 22, 14.5)), box(8, 24, 10, 1.5, (-47, 22, 14.5))])
-    buttons = [capsule((47 + dx, 22 + dy, 12), (47 + dx, 22 + dy, 14.8), 5, 5, 20) for dx, dy in ((10, 0), (-10, 0), (0, 10), (0, -10))]
+    buttons = [
+        capsule((47 + dx, 22 + dy, 12), (47 + dx, 22 + dy, 14.8), 5, 5, 20)
+        for dx, dy in ((10, 0), (-10, 0), (0, 10), (0, -10))
+    ]
     small = [box(9, 4, 8, 1.8, (s * 20, 26, 14)) for s in (-1, 1)]
-    triggers = [box(30, 12, 9, 4, (s * 47, 42, 6)) for s in (-1, 1)] + [box(26, 14, 12, 5, (s * 47, 41, -6)) for s in (-1, 1)]
+    triggers = [box(30, 12, 9, 4, (s * 47, 42, 6)) for s in (-1, 1)] + [
+        box(26, 14, 12, 5, (s * 47, 41, -6)) for s in (-1, 1)
+    ]
     return (
         body
         + part("stick", union(sticks))
@@ -74,8 +81,12 @@ def headphones(part: Parts) -> Manifold:
     total = part("band", band) + part("padding", pad)
     for s in (-1, 1):
         arm = box(15, 6.5, 52, 2.5, (0, s * 75.5, 4))
-        cup = revolve([(0, 0), (34, 0), (36.5, 3), (37.5, 8), (36, 14), (29, 18.5), (18, 20), (17, 21.5), (0, 21.5)], 40)
-        cushion = revolve([(0, 2), (16, 2), (16.5, -4), (19, -9), (24, -12), (29, -12), (34, -9), (36, -4), (36, 2)], 40)
+        cup = revolve(
+            [(0, 0), (34, 0), (36.5, 3), (37.5, 8), (36, 14), (29, 18.5), (18, 20), (17, 21.5), (0, 21.5)], 40
+        )
+        cushion = revolve(
+            [(0, 2), (16, 2), (16.5, -4), (19, -9), (24, -12), (29, -12), (34, -9), (36, -4), (36, 2)], 40
+        )
         turn = (90 if s < 0 else -90, 0, 0)
         total += part("slider", arm)
         total += part("cup", cup.rotate(turn).translate((0, s * 63.5, -39)))
@@ -90,16 +101,35 @@ def eyeglasses(part: Parts) -> Manifold:
         path = np.stack([-0.0022 * (outline[:, 0] + s * 34) ** 2 + 8, outline[:, 0] + s * 34.5, outline[:, 1]], axis=1)
         total += part("rim", sweep(path, [oval(1.9, 2.4, 12, 2.6)], up=(1, 0, 0), closed=True))
         lens = extrude(oval(24.5, 18.5, 40, 2.8), -0.9, 0.9).refine_to_length(4.0)
-        lens = lens.warp_batch(lambda p, s=s: np.stack([p[:, 2] - 0.0022 * (p[:, 0] + s * 34) ** 2 + 8, p[:, 0] + s * 34.5, p[:, 1]], axis=1))
+        lens = lens.warp_batch(
+            lambda p, s=s: np.stack(
+                [p[:, 2] - 0.0022 * (p[:, 0] + s * 34) ** 2 + 8, p[:, 0] + s * 34.5, p[:, 1]], axis=1
+            )
+        )
         total += part("lens", lens)
-        total += part("nose_pad", capsule((3, s * 8.6, -5), (0, s * 10.8, -11), 2.0, 2.2, 12) + capsule((6, s * 11.4, -4), (3, s * 8.6, -6), 1.4, 1.4, 12))
+        total += part(
+            "nose_pad",
+            capsule((3, s * 8.6, -5), (0, s * 10.8, -11), 2.0, 2.2, 12)
+            + capsule((6, s * 11.4, -4), (3, s * 8.6, -6), 1.4, 1.4, 12),
+        )
         hinge = box(9, 9, 8, 1.8, (-2.5, s * 62.5, 9.5))
-        temple = spline([(0, s * 65.5, 9.5), (-50, s * 66.5, 9.5), (-95, s * 66, 8.5), (-112, s * 65, 4), (-125, s * 64, -6), (-134, s * 63, -19)], 45)
+        temple = spline(
+            [
+                (0, s * 65.5, 9.5),
+                (-50, s * 66.5, 9.5),
+                (-95, s * 66, 8.5),
+                (-112, s * 65, 4),
+                (-125, s * 64, -6),
+                (-134, s * 63, -19),
+            ],
+            45,
+        )
         w = np.interp(np.arange(45), [0, 8, 30, 44], [3.6, 2.6, 2.4, 3.4])
         total += part("hinge", hinge)
         total += part("temple", sweep(temple, [oval(1.8, b, 12, 2.6) for b in w]))
     bridge = spline([(7, -11.5, 6), (8.5, -6, 9), (8.8, 0, 10), (8.5, 6, 9), (7, 11.5, 6)], 15)
-    return total + part("bridge", sweep(bridge, [oval(1.9, 2.3, 12, 2.6)], up=(0, 0, 1)))
+    whole = total + part("bridge", sweep(bridge, [oval(1.9, 2.3, 12, 2.6)], up=(0, 0, 1)))
+    return whole.scale((0.985, 1.02, 1.09))
 
 
 def cup(part: Parts) -> Manifold:
@@ -130,7 +160,7 @@ SPECS = (
          eyeglasses, frame="x the direction of sight, y to the left, z up"),
     Spec("cup", "S0", (100, 80, 80), 0.04, 4.0, ("wall", "rim", "base"), cup,
          cuts=(("wall", ((0, 0, 1), 92), "rim"), ("wall", ((0, 0, -1), -6), "base")), frame="z out of the opening"),
-    Spec("wineglass", "S0", (172, 71, 71), 0.15, 4.2, ("bowl", "rim", "stem", "foot"), wineglass, fine=(("stem", 2.6),),
+    Spec("wineglass", "S0", (172, 71, 71), 0.15, 4.7, ("bowl", "rim", "stem", "foot"), wineglass, fine=(("stem", 3.4),),
          cuts=(("bowl", ((0, 0, 1), 164), "rim"), ("bowl", ((0, 0, -1), -78), "stem"), ("stem", ((0, 0, -1), -10), "foot")),
          frame="z out of the opening"),
 )  # fmt: skip
