@@ -229,10 +229,23 @@ def _set(path: wp.array3d(dtype=float), trial: int, k: int, q: vec6):
         path[trial, k, j] = q[j]
 
 
+@wp.func
+def _duration(a: vec6, b: vec6, speed: float, acceleration: float):
+    """Time of a segment, stopping at both ends (r2h_batch.execute)."""
+    d = float(0.0)
+    for j in range(6):
+        d = wp.max(d, wp.abs(b[j] - a[j]))
+    if d >= speed * speed / acceleration:
+        return d / speed + speed / acceleration
+    return 2.0 * wp.sqrt(d / acceleration)
+
+
 @wp.kernel
 def shortcut(
     first: int,
     tries: int,
+    speed: float,  # of the time law, rad/s and rad/s^2
+    acceleration: float,
     seed: int,
     moveit: int,
     world: World,
@@ -243,7 +256,10 @@ def shortcut(
     path: wp.array3d(dtype=float),
     length: wp.array(dtype=int),
 ):
-    """Shortens paths in place: first every waypoint that can be skipped, then random shortcuts between segments."""
+    """Shortens paths in place: first every waypoint that can be skipped, then random shortcuts that save time.
+
+    The arm stops at waypoints, so a shortcut that adds one has to save more than a stop: asked before its edge is checked.
+    """
     trial = trial_in[first + wp.tid()]
     n = int(length[trial])
     rng = wp.rand_init(seed + 1, key_in[trial])
@@ -275,6 +291,13 @@ def shortcut(
             b0 = _waypoint(path, trial, j)
             a = a0 + s * (_waypoint(path, trial, i + 1) - a0)
             b = b0 + t * (_waypoint(path, trial, j + 1) - b0)
+            saved = float(0.0)
+            for m in range(i, j + 1):
+                saved += _duration(_waypoint(path, trial, m), _waypoint(path, trial, m + 1), speed, acceleration)
+            saved -= _duration(a0, a, speed, acceleration) + _duration(a, b, speed, acceleration)
+            saved -= _duration(b, _waypoint(path, trial, j + 1), speed, acceleration)
+            if saved <= 0.0:
+                continue
         found = edge(world, bodies, trial, a, b, margin, 0.0, 0.0, 0.0, moveit, 0)
         if found.status != FREE:
             if drop:

@@ -228,6 +228,7 @@ def from_segment(b0: wp.vec3, b1: wp.vec3, a0: wp.vec3, a1: wp.vec3):
     c = wp.dot(u, r)
     s = float(0.0)
     t = float(0.0)
+    parallel = bool(False)
     if a <= 1.0e-12:
         if e > 1.0e-12:
             t = wp.clamp(f / e, 0.0, 1.0)
@@ -236,6 +237,7 @@ def from_segment(b0: wp.vec3, b1: wp.vec3, a0: wp.vec3, a1: wp.vec3):
     else:
         b = wp.dot(u, v)
         denom = a * e - b * b
+        parallel = denom < 1.0e-3 * a * e
         if denom > 1.0e-9 * a * e:
             s = wp.clamp((b * f - c * e) / denom, 0.0, 1.0)
         t = (b * s + f) / e
@@ -245,7 +247,13 @@ def from_segment(b0: wp.vec3, b1: wp.vec3, a0: wp.vec3, a1: wp.vec3):
         elif t > 1.0:
             t = 1.0
             s = wp.clamp((b - c) / a, 0.0, 1.0)
-    return r + s * u - t * v
+    out = r + s * u - t * v
+    if parallel:  # where they are nearest is rounding noise then, up to 0.14 mm too far: an end may be nearer
+        ends = wp.matrix_from_rows(from_point(b0, a0, a1), from_point(b1, a0, a1), -from_point(a0, b0, b1), -from_point(a1, b0, b1))
+        for k in range(4):
+            if wp.length_sq(ends[k]) < wp.length_sq(out):
+                out = ends[k]
+    return out
 
 
 @wp.func

@@ -79,7 +79,7 @@ def support_cells(points: Array) -> Array:
                     corner[:, (axis + 2) % 3] = edges[[v, v, v + 1, v + 1]]
                     height = points @ corner.T
                     rivals = np.unique(np.append(height.argmax(0), np.argsort(height.sum(1))[-8:]))
-                    beaten = (height[:, None] < height[None, rivals] - 1e-9).all(2).any(1)
+                    beaten = np.any(np.all(height[:, None] < height[None, rivals] - 1e-9, axis=2), axis=1)
                     cell = points[~beaten]
                     header.append((total, len(cell), 0))
                     kept.append(cell)

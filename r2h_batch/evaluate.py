@@ -53,7 +53,7 @@ class Evaluator:
 
     def _score_chunk(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         scene, config, threads = self.scene, self.config, self.threads
-        T_world_hand, objects = trials.T_world_hand, trials.object_index
+        T_world_hand, objects = trials.T_world_hand, trials.object_index.contiguous()
         active = se3.is_pose(T_obj_ee) & se3.is_pose(T_world_ee) & se3.is_pose(T_world_hand)
         T_obj_ee, T_world_ee, T_world_hand = (_usable(T, active) for T in (T_obj_ee, T_world_ee, T_world_hand))
 
@@ -66,8 +66,9 @@ class Evaluator:
         plan_start = time.perf_counter()
         ik = solve_ik(T_world_ee, active=active, threads=threads)
         branches = ik.valid if config.plan.goals == "set" else one_branch(ik, T_world_ee, threads=threads)
+        key = _random_key(trials.trial_id)
         planned = plan_paths(
-            scene, placed, ik.q, branches, active, _random_key(trials.trial_id), config.plan, threads=threads
+            scene, placed, ik.q, branches, active, key, config.plan, execute=config.execute, threads=threads
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         motion = time_path(planned.path, planned.length, config.execute)
@@ -120,6 +121,8 @@ class Evaluator:
 
     def _check(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> None:
         device = torch.device(self.scene.device)
+        if not isinstance(trials, Trials):
+            raise TypeError(f"trials is a {type(trials).__name__}; it must be r2h_batch.Trials")
         n = len(trials)
         for name, value in (
             ("T_obj_ee", T_obj_ee),
@@ -138,8 +141,10 @@ class Evaluator:
             ("object_index", trials.object_index, len(self.scene.objects)),
             ("hand_index", trials.hand_index, len(self.scene.hands.set)),
         ):
-            if index.shape != (n,) or index.dtype != torch.int32:
-                raise ValueError(f"trials.{name} is {index.dtype} {tuple(index.shape)}; it must be int32 ({n},)")
+            if index.shape != (n,) or index.dtype != torch.int32 or index.device.type != device.type:
+                raise ValueError(
+                    f"trials.{name} is {index.dtype} {tuple(index.shape)} on {index.device}; it must be int32 ({n},) on {device}"
+                )
             if n and not (int(index.min()) >= 0 and int(index.max()) < count):
                 raise ValueError(
                     f"trials.{name} runs from {int(index.min())} to {int(index.max())}; the scene has 0 to {count - 1}"

@@ -40,6 +40,7 @@ REGION_SHARE = 0.4
 
 SEEDS, APPROACHES, ROUNDS = 3000, 6, 8
 ENOUGH = 1200
+POOREST = 0.25  # share of the pool that is left out where it is large enough
 WIDEST_M = 0.082  # leaves the open pads 1.5 mm on each side
 DEPTH_M = 0.012  # how far the contact may lie from the pads' centre along the approach
 CLEARANCE_M = 0.001
@@ -204,7 +205,7 @@ def _contact(
 
 
 def _diverse(model: ObjectModel, every: Candidates, count: int) -> Candidates:
-    """Greedy by score among the better half, none too like one already taken; that bar falls until `count` are found."""
+    """Greedy by score without the pool's poorest, none too like one already taken; that bar falls until `count` are found."""
     order = np.argsort(-every.score, kind="stable")
     every = every.rows(order)
     y, z = every.T_obj_ee[:, :3, 1].astype(np.float64), every.T_obj_ee[:, :3, 2].astype(np.float64)
@@ -215,7 +216,7 @@ def _diverse(model: ObjectModel, every: Candidates, count: int) -> Candidates:
     if model.split != "S0":
         stages.insert(0, (off_region, min(int(REGION_SHARE * count), int(off_region.sum()))))
     for allowed, wanted in stages:
-        better = allowed & (every.score >= np.median(every.score[allowed])) if allowed.any() else allowed
+        better = allowed & (every.score >= np.quantile(every.score[allowed], POOREST)) if allowed.any() else allowed
         if better.sum() > 2 * wanted:
             allowed = better
         radius = float(np.linalg.norm(np.ptp(model.vertices, axis=0))) / 4

@@ -32,6 +32,7 @@ __all__ = [
     "load_objects",
     "object_digest",
     "object_from_argument",
+    "read_object",
 ]
 
 S0_NAMES = ("game_controller", "bowl", "headphones", "eyeglasses", "cup", "wineglass")
@@ -215,11 +216,12 @@ def object_from_argument(argument: str) -> ObjectModel:
 
 
 def _load(name: str) -> ObjectModel:
-    return _read(str(resources.files("r2h_batch.assets.objects").joinpath(f"{name}.npz")))
+    return read_object(str(resources.files("r2h_batch.assets.objects").joinpath(f"{name}.npz")))
 
 
 @lru_cache(maxsize=64)
-def _read(path: str) -> ObjectModel:
+def read_object(path: str) -> ObjectModel:
+    """The object stored in one ``.npz`` of assets/objects' format."""
     with np.load(path, allow_pickle=False) as data:
         values: dict[str, object] = {f.name: data[f.name] for f in fields(ObjectModel)}
     for key in ("name", "split", "instruction"):

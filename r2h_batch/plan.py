@@ -8,7 +8,7 @@ import warp as wp
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, PlanConfig
+from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, ExecConfig, PlanConfig
 from r2h_batch.kernels import rrt
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene import Placed, Scene
@@ -48,6 +48,7 @@ def plan_paths(
     key: Int32[Tensor, " b"],
     config: PlanConfig,
     *,
+    execute: ExecConfig | None = None,
     threads: int | None = None,
 ) -> Plan:
     """Paths from home to the free branches `q` (rad), and why there is none where there is none.
@@ -56,6 +57,7 @@ def plan_paths(
     with certified edges. Rows that are not `active` get NOT_EVALUATED.
     """
     b, device = len(active), q.device
+    execute = execute or ExecConfig()
     run = _Launcher(scene, placed, threads)
     home = torch.tensor([HOME_Q], dtype=torch.float32, device=device)
     moveit = int(config.edge_check == "moveit")
@@ -93,6 +95,8 @@ def plan_paths(
                 rrt.shortcut,
                 len(found),
                 config.shortcuts,
+                execute.scale * execute.max_velocity_rad_s,
+                execute.scale * execute.max_acceleration_rad_s2,
                 config.seed,
                 moveit,
                 *run.tables,

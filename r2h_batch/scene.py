@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -88,7 +89,7 @@ class Scene:
         return np.argsort(self.robot.arm.link, kind="stable")
 
     @cached_property
-    def world(self) -> "wp.struct":
+    def world(self) -> Any:
         """The `World` of r2h_batch.kernels.world, on the scene's device."""
         from r2h_batch.kernels.world import World
 
@@ -243,7 +244,7 @@ class Scene:
         return wp.array([m.id for m in self._object_meshes], dtype=wp.uint64, device=self.device)
 
     @cached_property
-    def hand_mesh(self) -> "wp.struct":
+    def hand_mesh(self) -> Any:
         """The `HandMesh` of r2h_batch.kernels.safe: exact hand surfaces, faces grouped by the piece that encloses them."""
         from r2h_batch.kernels.safe import HandMesh
 
@@ -271,13 +272,18 @@ class Scene:
         mesh.face_ball = wp.array(ball, dtype=wp.vec4, device=self.device)
         return mesh
 
+    @cached_property
+    def _palms(self) -> tuple[Tensor, Tensor]:
+        return self.hands.palm_point.to(self.device), self.hands.palm_normal.to(self.device)
+
     def palm(self, hand_index: Tensor, T_world_hand: Float32[Tensor, "n 4 4"]) -> tuple[Tensor, Tensor, Tensor]:
         """Palm point p_h, palm normal n_h and ball centre c_h (n, 3) in the world (paper: c_h = p_h + d_h n_h)."""
-        i = hand_index.long().cpu()
-        p = se3.apply(T_world_hand, self.hands.palm_point[i].to(T_world_hand.device))
+        point, normal = self._palms
+        i = hand_index.long()
+        p = se3.apply(T_world_hand, point[i])
         turn = T_world_hand.clone()
         turn[..., :3, 3] = 0.0
-        n = se3.apply(turn, self.hands.palm_normal[i].to(T_world_hand.device))
+        n = se3.apply(turn, normal[i])
         return p, n, p + self.config.thresholds.reach_offset_m * n
 
     def place(
@@ -332,5 +338,5 @@ class Scene:
 class Placed:
     """Where the bodies of B trials sit: the kernels' struct, and the tensors that own its memory."""
 
-    bodies: "wp.struct"
+    bodies: Any
     owners: tuple[Tensor, ...]

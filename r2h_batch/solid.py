@@ -48,7 +48,7 @@ def winding_number(solid: trimesh.Trimesh, count: int) -> NDArray[np.int64]:
 
 def _grid(solid: trimesh.Trimesh, count: int) -> tuple[NDArray[np.float64], float]:
     low, high = solid.bounds
-    pitch = float((high - low).max() / (count - 2))
+    pitch = float((high - low).max() / (count - 2.5))  # more than one voxel to spare on each side
     return (low + high) / 2 - pitch * count / 2, pitch
 
 

@@ -260,7 +260,7 @@ def _jobs(
 
 
 def _stored(predictions: "Predictions", _: "Trials", rows: "torch.Tensor | None") -> "Predictions":
-    return predictions[rows]
+    return predictions if rows is None else predictions[rows]
 
 
 def _method_job(name: str, evaluator: "Evaluator", seed: int) -> Job:

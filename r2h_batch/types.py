@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
+from typing import Self
 
 import torch
 from jaxtyping import Bool, Float32, Int8, Int32, Int64
@@ -50,23 +51,24 @@ class CollidingPair(IntEnum):
     OBJECT_ROBOT = 6
 
 
+@dataclass(frozen=True)
 class _Rows:
     """Rows of several tensors with one leading size: ``len``, selection and ``to``."""
 
     def __len__(self) -> int:
-        return int(getattr(self, fields(self)[0].name).shape[0])  # type: ignore[arg-type]
+        return len(getattr(self, fields(self)[0].name))
 
-    def __getitem__(self, rows):
+    def __getitem__(self, rows: slice | Tensor) -> Self:
         """The selected rows; `rows` is a slice, an index tensor or a mask."""
-        return replace(
-            self, **{f.name: v[rows] for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}
-        )  # type: ignore[type-var,arg-type]
+        return replace(self, **{name: value[rows] for name, value in self._tensors().items()})
 
-    def to(self, device: str | torch.device):
+    def to(self, device: str | torch.device) -> Self:
         """The same rows on another device."""
-        return replace(
-            self, **{f.name: v.to(device) for f in fields(self) if isinstance(v := getattr(self, f.name), Tensor)}
-        )  # type: ignore[type-var,arg-type]
+        return replace(self, **{name: value.to(device) for name, value in self._tensors().items()})
+
+    def _tensors(self) -> dict[str, Tensor]:
+        values = ((f.name, getattr(self, f.name)) for f in fields(self))
+        return {name: value for name, value in values if isinstance(value, Tensor)}
 
 
 @dataclass(frozen=True)

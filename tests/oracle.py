@@ -359,18 +359,37 @@ class MujocoScene:
                     distance[name], geoms[name] = x, (self.names[a[i]], self.names[b[i]])
         return Clearances(distance, geoms)
 
+    def least(self, q: ArrayLike, *, cap: float = 0.05, margins: dict[str, float] | None = None) -> tuple[float, str]:
+        """Smallest clearance less its class's margin at a posture, and the class; `cap` and "" where nothing is below."""
+        m, d = self.model, self.data
+        d.qpos[:] = q
+        mujoco.mj_kinematics(m, d)
+        a, b = self.pairs.T
+        margin = np.array([(margins or {}).get(k, 0.0) for k in CLASSES])[self.pair_class]
+        lower = self._lower_bounds(a, b) - margin
+        mine = np.flatnonzero(lower < cap)
+        best, name = cap, ""
+        for i in mine[np.argsort(lower[mine])]:
+            if lower[i] >= best:
+                break
+            x = mujoco.mj_geomDistance(m, d, a[i], b[i], best + margin[i] + 0.01, None) - margin[i]
+            if x < best:
+                best, name = x, CLASSES[self.pair_class[i]]
+        return best, name
+
     def _lower_bounds(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
-        """Distance of bounding balls, or of the second's ball to the first's exact shape where that is a box or cylinder."""
+        """Distance of bounding balls, or of one's ball to the other's exact shape where that is a primitive; never too large."""
         m, d = self.model, self.data
         x = d.geom_xpos[b] - d.geom_xpos[a]
         lower = np.linalg.norm(x, axis=1) - m.geom_rbound[a] - m.geom_rbound[b]
-        local = np.einsum("nij,ni->nj", d.geom_xmat[a].reshape(-1, 3, 3), x)
-        for geom, kind in _KIND_OF_TYPE.items():
-            rows = np.flatnonzero((m.geom_type[a] == geom) & (lower < 0.1))
-            if len(rows):
-                size = [m.geom_size[a[rows], k] for k in range(3)]
-                exact = primitive_distance(kind, np.stack(size, -1) if kind == Kind.BOX else size, local[rows])
-                lower[rows] = np.maximum(lower[rows], exact - m.geom_rbound[b[rows]])
+        for one, two, sign in ((a, b, 1.0), (b, a, -1.0)):
+            local = np.einsum("nij,ni->nj", d.geom_xmat[one].reshape(-1, 3, 3), sign * x)
+            for geom, kind in _KIND_OF_TYPE.items():
+                rows = np.flatnonzero((m.geom_type[one] == geom) & (lower < 0.2))
+                if len(rows):
+                    size = [m.geom_size[one[rows], k] for k in range(3)]
+                    exact = primitive_distance(kind, np.stack(size, -1) if kind == Kind.BOX else size, local[rows])
+                    lower[rows] = np.maximum(lower[rows], exact - m.geom_rbound[two[rows]])
         return lower - 1e-9
 
     def least_along(
@@ -390,12 +409,9 @@ class MujocoScene:
             last = q
             if free > min(best, cap):
                 continue
-            found = self.clearances(q, cap=2 * cap)
-            slack = {k: x - (margins or {}).get(k, 0.0) for k, x in found.distance.items()}
-            nearest = min(slack, key=lambda k: slack[k])
-            free = min(slack[nearest], 2 * cap - max((margins or {"": 0.0}).values()))
-            if slack[nearest] < min(best, cap):
-                best, name, where = slack[nearest], nearest, q
+            free, nearest = self.least(q, cap=4 * cap, margins=margins)
+            if free < min(best, cap):
+                best, name, where = free, nearest, q
                 if best < 0:
                     break
         return best, name, where

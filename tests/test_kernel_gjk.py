@@ -9,9 +9,11 @@ import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
 
+from r2h_batch import bounds
 from r2h_batch.kernels import gjk as kernel
-from r2h_batch.kernels.world import point_segment, segment_segment
+from r2h_batch.kernels.world import from_point, from_segment
 from r2h_batch.launch import init_warp
+from r2h_batch.objects import OBJECT_NAMES, load_objects
 from r2h_batch.robot import Kind
 
 wp.set_module_options({"enable_backward": False})
@@ -27,6 +29,8 @@ def _body(kind: wp.array(dtype=int), size: wp.array(dtype=wp.vec3), start: wp.ar
     b.size = size[i]
     b.start = start[i]
     b.count = start[i + 1] - start[i]
+    if b.kind == kernel.HULL and size[i][0] < 0.0:
+        b.kind = kernel.CELLS
     if b.kind <= 1:
         b.radius = b.size[0]
     return b
@@ -69,8 +73,8 @@ def segments(
     distance_out: wp.array(dtype=float), point_out: wp.array(dtype=float),
 ):  # fmt: skip
     i = wp.tid()
-    distance_out[i] = segment_segment(a0[i], a1[i], b0[i], b1[i])
-    point_out[i] = point_segment(a0[i], b0[i], b1[i])
+    distance_out[i] = wp.length(from_segment(b0[i], b1[i], a0[i], a1[i]))
+    point_out[i] = wp.length(from_point(a0[i], b0[i], b1[i]))
 
 
 class Pairs:
@@ -113,8 +117,14 @@ class Pairs:
             line /= np.maximum(np.linalg.norm(line, axis=1), 1e-9)[:, None]
             self.p = (self.p + (gap - d)[:, None] * line).astype(np.float32)
 
-    def run(self, needed=1e9, relative_gap=0.0, *, swap=False):
+    def run(self, needed=1e9, relative_gap=0.0, *, swap=False, cells=False):
+        """Kernel results; with `cells` the hulls of body a are given sorted by direction (gjk.CELLS)."""
         n = len(self)
+        sizes, points_of = list(self.sizes), list(self.points)
+        if cells:
+            hull = self.kinds[0] == Kind.HULL
+            sizes[0] = np.where(hull[:, None], -1.0, sizes[0]).astype(np.float32)
+            points_of[0] = [bounds.support_cells(x.astype(np.float64)).astype(np.float32) if h else x for x, h in zip(points_of[0], hull, strict=True)]
         R, p = self.R, self.p
         first, second = 0, 1
         if swap:
@@ -123,9 +133,9 @@ class Pairs:
             R, p = R64.transpose(0, 2, 1).astype(np.float32), (-np.einsum("nji,nj->ni", R64, self.p)).astype(np.float32)
         args = []
         for k in (first, second):
-            start = np.cumsum([0] + [len(x) for x in self.points[k]]).astype(np.int32)
-            points = np.concatenate(self.points[k])
-            args.append([wp.array(self.kinds[k].astype(np.int32), dtype=int), wp.array(self.sizes[k], dtype=wp.vec3), wp.array(start, dtype=int), wp.array(points, dtype=wp.vec3)])
+            start = np.cumsum([0] + [len(x) for x in points_of[k]]).astype(np.int32)
+            points = np.concatenate(points_of[k])
+            args.append([wp.array(self.kinds[k].astype(np.int32), dtype=int), wp.array(sizes[k], dtype=wp.vec3), wp.array(start, dtype=int), wp.array(points, dtype=wp.vec3)])
         center = np.stack([x.mean(0) for x in self.points[second]]).astype(np.float32)
         out = [wp.zeros(n, dtype=t) for t in (float, float, wp.vec3, wp.vec3)]
         wp.launch(pair_distance, n, [needed, relative_gap, *args[0], wp.array(R, dtype=wp.mat33), wp.array(p, dtype=wp.vec3), *args[1], wp.array(center, dtype=wp.vec3), *out], device="cpu")
@@ -217,6 +227,43 @@ def test_the_nearest_points_are_points_of_the_bodies_at_that_distance():
         core = oracle.Bodies(body.points, body.disc, np.zeros(n), body.R, body.p)
         _, off = oracle.convex_distance(oracle.bodies([0] * n, np.zeros((n, 3)), T), core)
         assert off[apart].max() <= 5e-6
+
+
+def test_hulls_sorted_by_direction_are_the_same_hulls():
+    rng = np.random.default_rng(10)
+    pairs = Pairs(np.full(500, Kind.HULL), rng.integers(0, 5, 500), rng)
+    plain, sorted_ = pairs.run(), pairs.run(cells=True)
+    high = pairs.truth()[1]
+    assert (sorted_[0] - np.maximum(high, 0)).max() <= ABOVE_TRUTH_M
+    assert np.abs(plain[0] - sorted_[0])[high > 1e-5].max() <= 1e-5
+
+
+@wp.kernel
+def farthest(
+    cells: int, points: wp.array(dtype=wp.vec3), count: int, d: wp.array(dtype=wp.vec3), height_out: wp.array(dtype=float)
+):  # fmt: skip
+    i = wp.tid()
+    b = kernel.Body()
+    b.kind = wp.where(cells == 1, kernel.CELLS, kernel.HULL)
+    b.count = count
+    height_out[i] = wp.dot(kernel.support(b, points, d[i]), d[i])
+
+
+@pytest.mark.parametrize("name", OBJECT_NAMES)
+def test_the_farthest_point_by_direction_is_the_farthest_point(name):
+    hull = load_objects([name])[0].hull_vertices
+    d = np.random.default_rng(11).normal(size=(20_000, 3))
+    edges = np.linspace(-1, 1, kernel.CELLS_PER_EDGE + 1) if isinstance(kernel.CELLS_PER_EDGE, int) else np.linspace(-1, 1, 7)
+    d[:2000] = np.random.default_rng(12).choice(edges, (2000, 3)) + np.random.default_rng(13).choice([0, 1e-7, -1e-7], (2000, 3))
+    d[2000:2006] = np.concatenate([np.eye(3), -np.eye(3)])
+    d = wp.array(d.astype(np.float32), dtype=wp.vec3)
+    heights = []
+    for cells in (0, 1):
+        points = bounds.support_cells(hull.astype(np.float64)) if cells else hull
+        out = wp.zeros(len(d), dtype=float)
+        wp.launch(farthest, len(d), [cells, wp.array(points.astype(np.float32), dtype=wp.vec3), len(points), d, out], device="cpu")
+        heights.append(out.numpy())
+    assert (heights[0] - heights[1] <= 1e-7).all()
 
 
 def test_it_agrees_with_mujoco_c():

@@ -54,6 +54,21 @@ def winding_number(mesh, points):
     return total
 
 
+def surface_distance(mesh, p):
+    """Distance to the nearest triangle (trimesh's closest_point is 0.7 mm off on triangles of 0.2 mm)."""
+    corners = mesh.triangles
+    height = np.einsum("ij,ij->i", p - corners[:, 0], mesh.face_normals)
+    foot = p - height[:, None] * mesh.face_normals
+    within = np.ones(len(corners), bool)
+    best = np.inf
+    for k in range(3):
+        a, e = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
+        within &= np.einsum("ij,ij->i", np.cross(e, foot - a), mesh.face_normals) >= 0
+        t = np.clip(np.einsum("ij,ij->i", p - a, e) / np.einsum("ij,ij->i", e, e), 0, 1)
+        best = min(best, np.linalg.norm(p - a - t[:, None] * e, axis=1).min())
+    return min(best, np.abs(height[within]).min(initial=np.inf))
+
+
 def first_exit(mesh, origin, direction):
     """(t, face) of the nearest crossing of a ray beyond 1e-5 m."""
     a, b, c = mesh.triangles.transpose(1, 0, 2)
@@ -188,8 +203,9 @@ def test_surface_points_lie_on_their_faces_with_their_normals_labels_and_fair_sh
     mesh = model.mesh
     assert model.points.shape == model.normals.shape == (2048, 3)
     corners = mesh.triangles[model.point_face]
-    closest = trimesh.triangles.closest_point(corners, model.points.astype(float))
-    assert np.linalg.norm(closest - model.points, axis=1).max() < 1e-7
+    weight = trimesh.triangles.points_to_barycentric(corners, model.points.astype(float))
+    assert weight.min() > -1e-4 and weight.max() < 1 + 1e-4
+    assert np.abs(np.einsum("ij,ijk->ik", weight, corners) - model.points).max() < 1e-7
     assert np.abs(model.normals - mesh.face_normals[model.point_face]).max() < 1e-6
     assert (model.point_part == model.face_part[model.point_face]).all()
     share = np.bincount(model.face_part, mesh.area_faces, len(model.part_names)) / mesh.area
@@ -209,10 +225,8 @@ def test_voxels_agree_with_solid_angles_and_the_surface(name):
     inside = winding_number(model.mesh, center) > 0.5
     full = occupancy[tuple(ijk.T)]
     assert full[inside].all()
-    triangles = model.mesh.triangles
     for c in center[full & ~inside][:40]:
-        closest = trimesh.triangles.closest_point(triangles, np.tile(c, (len(triangles), 1)))
-        assert np.linalg.norm(closest - c, axis=1).min() <= model.voxel_pitch * np.sqrt(3) / 2 + 1e-9
+        assert surface_distance(model.mesh, c) <= model.voxel_pitch * np.sqrt(3) / 2 + 1e-9
     touched = np.floor((model.points - model.voxel_origin) / model.voxel_pitch).astype(int)
     assert occupancy[tuple(touched.T)].all(), "a voxel with surface in it is empty"
     assert not occupancy[0].any() and not occupancy[-1].any()

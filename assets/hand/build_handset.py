@@ -1,4 +1,4 @@
-"""Builds ``handset.npz``: python -m r2h_batch.assets.hand.build_handset, after build_hand. Deterministic, some minutes.
+"""Builds ``handset.npz``: python -m r2h_batch.assets.hand.build_handset, after build_hand. Deterministic, some six CPU minutes.
 
 200 right and 200 left receiving postures. Hand i is drawn from Philox(SEED, i) until it keeps the joint ranges and cuts
 nowhere deeper than 2 mm into itself, so hand i does not depend on the others.

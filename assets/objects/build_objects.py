@@ -18,7 +18,7 @@ from manifold3d import Manifold
 from r2h_batch.assets.objects import shapes_s0, shapes_s1, shapes_s1_goods
 from r2h_batch.assets.objects.remesh import Surface, imprint, remesh
 from r2h_batch.assets.objects.shapes import Parts, Spec
-from r2h_batch.objects import OBJECT_NAMES, ObjectModel, build_object, load_objects, object_digest
+from r2h_batch.objects import OBJECT_NAMES, ObjectModel, build_object, object_digest, read_object
 
 HERE = Path(__file__).resolve().parent
 SPECS = {s.name: s for s in (*shapes_s0.SPECS, *shapes_s1.SPECS, *shapes_s1_goods.SPECS)}
@@ -38,6 +38,7 @@ def build(spec: Spec) -> ObjectModel:
                 middle = np.mean([surface.v[a] for a in face], axis=0)
                 if middle @ unit > offset:
                     surface.label[k] = new
+    _absorb_specks(surface, spec.edge**2)
     remesh(surface, [dict(spec.fine).get(n, spec.edge) for n in names])
     vertices, faces, label = surface.arrays()
     vertices = (vertices - (vertices.min(axis=0) + vertices.max(axis=0)) / 2) / 1000
@@ -88,6 +89,25 @@ def report(model: ObjectModel, spec: Spec) -> dict[str, object]:
     }
 
 
+def _absorb_specks(surface: Surface, area: float) -> None:
+    """Patches of a label smaller than an area take the label that borders them most."""
+    vertices, faces, label = surface.arrays()
+    live = [k for k, face in enumerate(surface.f) if face is not None]
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    pairs, length = (
+        mesh.face_adjacency,
+        np.linalg.norm(np.diff(vertices[mesh.face_adjacency_edges], axis=1)[:, 0], axis=1),
+    )
+    same = label[pairs[:, 0]] == label[pairs[:, 1]]
+    patch = trimesh.graph.connected_component_labels(pairs[same], node_count=len(faces))
+    for k in np.flatnonzero(np.bincount(patch, mesh.area_faces) < area):
+        border = ~same & (patch[pairs] == k).any(axis=1)
+        other = np.where(patch[pairs[border, 0]] == k, label[pairs[border, 1]], label[pairs[border, 0]])
+        new = int(np.argmax(np.bincount(other, length[border])))
+        for f in np.flatnonzero(patch == k):
+            surface.label[live[f]] = new
+
+
 def _overshoot(mesh: trimesh.Trimesh, hull: trimesh.Trimesh) -> float:
     exact = trimesh.convex.convex_hull(mesh.vertices)
     offset = np.einsum("ij,ij->i", exact.face_normals, exact.triangles[:, 0])
@@ -117,7 +137,8 @@ def main() -> None:
         figures[name] = report(model, SPECS[name])
         print(name, {k: v for k, v in figures[name].items() if k not in ("frame", "digest", "parts")}, flush=True)
     ordered = {n: figures[n] for n in OBJECT_NAMES if n in figures}
-    total = object_digest(load_objects()) if args.out == HERE and len(ordered) == len(OBJECT_NAMES) else None
+    stored = [read_object(str(args.out / f"{n}.npz")) for n in ordered]
+    total = object_digest(stored) if len(stored) == len(OBJECT_NAMES) else None
     path.write_text(json.dumps({"digest": total, "objects": ordered}, indent=1) + "\n")
 
 

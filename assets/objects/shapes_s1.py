@@ -196,7 +196,7 @@ def screwdriver(part: Parts) -> Manifold:
     ):
         rho = r * (1 - max(flute, 0) * (1 - np.cos(6 * t)))
         rings.append(np.column_stack([np.full(n, x), rho * np.cos(t), rho * np.sin(t)]))
-    shaft = cylinder((-14, 0, 0), (96, 0, 0), 3.2, n=20)
+    shaft = cylinder((-14, 0, 0), (96, 0, 0), 3.2, n=14)
     tip = loft(
         [
             np.column_stack([np.full(20, x), oval(a, b, 20, p)])
@@ -258,7 +258,7 @@ SPECS = (
          cuts=(("handle", ((1, 0, 0), -10), "neck"),), receiver=("handle", "grip"), take="handle",
          frame="x to the head, z to the bristles"),
     Spec("screwdriver", "S1", (216, 34, 33), 0.097, 2.9, ("handle", "shaft", "tip"), screwdriver,
-         fine=(("tip", 1.6), ("shaft", 2.2)), receiver=("handle",), take="handle", frame="x to the tip"),
+         fine=(("tip", 1.6), ("shaft", 1.6)), receiver=("handle",), take="handle", frame="x to the tip"),
     Spec("scissors", "S1", (198, 88, 15), 0.082, 2.8, ("blade", "shank", "loop", "pivot"), scissors,
          receiver=("loop",), take="loops", frame="x to the blades' tips, z along the pivot"),
 )  # fmt: skip

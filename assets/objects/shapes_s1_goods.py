@@ -225,10 +225,10 @@ SPECS = (
          cuts=(("body", ((0, 0, -1), -96), "base"), ("body", ((0, 0, 1), 196), "neck")), fine=(("cap", 2.6),),
          receiver=("base",), take="body",
          frame="z to the cap"),
-    Spec("trigger_sprayer", "S1", (290, 100, 75), 0.55, 5.2,
+    Spec("trigger_sprayer", "S1", (290, 100, 75), 0.55, 5.6,
          ("bottle", "neck", "collar", "head", "nozzle", "trigger"), trigger_sprayer,
          cuts=(("bottle", ((0, 0, 1), 142), "neck"),),
-         fine=(("collar", 2.8), ("nozzle", 2.8), ("trigger", 3.0), ("head", 4.2)),
+         fine=(("collar", 3.2), ("nozzle", 2.8), ("trigger", 3.0), ("head", 4.2)),
          receiver=("neck", "collar", "head", "trigger"), take="grip",
          frame="x to the nozzle, z up"),
 )  # fmt: skip

@@ -1,0 +1,136 @@
+"""A trial's verdict does not depend on who else is in its batch: bitwise equal Scores on one device."""
+
+from dataclasses import fields, replace
+from functools import cache
+
+import pytest
+import torch
+from problems import Batch, default_evaluator, make_batch
+
+from r2h_batch.config import EvalConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.types import Outcome, Scores
+
+SIZE = 66
+
+
+@cache
+def batch(n: int) -> Batch:
+    """Trials of both splits, sensible and random predictions, among them searched paths and failures of all kinds."""
+    return make_batch(default_evaluator().scene, n, random_share=0.4)
+
+
+def score(b: Batch, evaluator: Evaluator | None = None) -> Scores:
+    return (evaluator or default_evaluator()).score(b.T_obj_ee, b.T_world_ee, b.trials)
+
+
+@cache
+def reference() -> Scores:
+    return score(batch(SIZE))
+
+
+@cache
+def evaluator_with(chunk: int, threads: int | None) -> Evaluator:
+    """The default evaluator's tables under another chunk size and thread count."""
+    twin = object.__new__(Evaluator)
+    base = default_evaluator()
+    twin.config, twin.scene, twin.threads = replace(base.config, chunk=chunk), base.scene, threads
+    return twin
+
+
+def assert_same(a: Scores, b: Scores) -> None:
+    """Bitwise equal, NaN equal to NaN; only t_plan_s is a measured time."""
+    for f in fields(Scores):
+        x, y = getattr(a, f.name), getattr(b, f.name)
+        assert x.shape == y.shape and x.dtype == y.dtype and x.device == y.device, f.name
+        if f.name != "t_plan_s":
+            assert x.contiguous().numpy().tobytes() == y.contiguous().numpy().tobytes(), f.name
+
+
+def test_the_reference_batch_holds_every_kind_of_row():
+    s = reference()
+    assert {Outcome.SUCCESS, Outcome.PLAN, Outcome.REACH} <= {Outcome(int(x)) for x in s.outcome}
+    assert (s.path_len > 2).any() and (s.path_len == 0).any()
+
+
+def test_the_same_batch_gives_the_same_bits_again():
+    assert_same(reference(), score(batch(SIZE)))
+
+
+@pytest.mark.parametrize("n", [1, 2, 33])
+def test_smaller_batches_give_the_same_rows(n):
+    b = batch(SIZE)
+    for first in range(0, SIZE, n)[: 5 if n == 1 else None]:
+        rows = slice(first, first + n)
+        assert_same(reference()[rows], score(b.rows(rows)))
+
+
+def test_searched_paths_do_not_depend_on_their_batch():
+    """Rows with a path of more than two waypoints alone: RRT-Connect's random numbers belong to the trial."""
+    rows = torch.nonzero(reference().path_len > 2).flatten()
+    assert len(rows) >= 3
+    for row in rows[:6].tolist():
+        assert_same(reference()[row : row + 1], score(batch(SIZE).rows(slice(row, row + 1))))
+
+
+def test_an_empty_batch_gives_empty_scores_of_the_same_types():
+    empty = score(batch(SIZE).rows(slice(0, 0)))
+    for f in fields(Scores):
+        x, y = getattr(empty, f.name), getattr(reference(), f.name)
+        assert x.shape == (0, *y.shape[1:]) and x.dtype == y.dtype, f.name
+
+
+def test_order_changes_nothing():
+    order = torch.randperm(SIZE, generator=torch.Generator().manual_seed(0))
+    assert_same(reference()[order], score(batch(SIZE).rows(order)))
+
+
+@pytest.mark.parametrize(("chunk", "threads"), [(1, 1), (7, 2), (64, 3), (2048, 1), (2048, 5)])
+def test_chunk_size_and_thread_count_change_nothing(chunk, threads):
+    assert_same(reference(), score(batch(SIZE), evaluator_with(chunk, threads)))
+
+
+def test_a_second_evaluator_agrees():
+    assert_same(reference(), score(batch(SIZE), Evaluator(EvalConfig(chunk=16), threads=1)))
+
+
+def test_one_bad_row_changes_no_other():
+    b = batch(SIZE)
+    T_world_ee = b.T_world_ee.clone()
+    T_world_ee[13, 0, 0] = torch.nan
+    s = score(Batch(b.trials, b.T_obj_ee, T_world_ee))
+    keep = torch.arange(SIZE) != 13
+    assert int(s.outcome[13]) == Outcome.INVALID_INPUT
+    assert_same(s[keep], reference()[keep])
+
+
+def test_random_numbers_follow_the_trial_id_and_not_the_row():
+    """The same handover under another trial id may find another path, but its geometry is judged the same."""
+    b = batch(SIZE)
+    other = Batch(replace(b.trials, trial_id=b.trials.trial_id + 1000), b.T_obj_ee, b.T_world_ee)
+    s = score(other)
+    assert torch.equal(s.margin[:, [0, 2]], reference().margin[:, [0, 2]])
+    assert torch.equal(s.plan_reason == 2, reference().plan_reason == 2)
+    straight = reference().path_len == 2
+    assert torch.equal(s.path[straight], reference().path[straight])
+
+
+@pytest.mark.slow
+def test_two_thousand_rows_agree_with_small_batches_other_chunks_and_one_bad_row_in_4096():
+    b = batch(2048)
+    whole = score(b)
+    for rows in (slice(0, 33), slice(1000, 1033), slice(2047, 2048)):
+        assert_same(whole[rows], score(b.rows(rows)))
+    order = torch.randperm(2048, generator=torch.Generator().manual_seed(1))
+    assert_same(whole[order], score(b.rows(order), evaluator_with(500, 3)))
+    twice = Batch(
+        type(b.trials)(*(torch.cat([getattr(b.trials, f.name)] * 2) for f in fields(b.trials))),
+        torch.cat([b.T_obj_ee] * 2),
+        torch.cat([b.T_world_ee] * 2),
+    )
+    twice.T_obj_ee[2048 + 77] = 0
+    s = score(twice)
+    assert int(s.outcome[2048 + 77]) == Outcome.INVALID_INPUT
+    assert_same(s[:2048], whole)
+    keep = torch.arange(2048) != 77
+    assert_same(s[2048:][keep], whole[keep])
