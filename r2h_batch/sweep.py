@@ -56,6 +56,12 @@ class Options:
     """Your own objects, FILE[:S0|S1]: they take turns with the built-in objects of that split."""
     preset: Literal["default", "paper"] = "default"
     """default: exact planning to any branch. paper: one goal, MoveIt's edge resolution, to compare with the paper."""
+    width: Literal["pads", "whole"] = "pads"
+    """Stability measures the material between the pads, or the whole object's extent along the closing axis."""
+    object_collision: Literal["hull", "pieces"] = "hull"
+    """The attached object in planning: its convex hull (as in the paper), or its convex decomposition."""
+    edge_check: Literal["preset", "exact", "moveit"] = "preset"
+    """Path edges: as the preset says, certified, or sampled at MoveIt's resolution."""
     format: Literal["md", "latex", "csv", "json"] = "md"
     """Format of the table on stdout."""
     save_paths: bool = False
@@ -214,6 +220,9 @@ def _prepare(options: Options) -> "tuple[Evaluator, Trials, dict[str, Any]]":
     if options.device != "cpu" and not torch.cuda.is_available():
         raise UsageError(f"--device {options.device}: torch sees no CUDA device; use --device cpu")
     config = EvalConfig.preset(options.preset)
+    edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
+    plan = dataclasses.replace(config.plan, object_collision=options.object_collision, edge_check=edge_check)
+    config = dataclasses.replace(config, plan=plan, width=options.width)
     built_in = load_objects()
     objects = (*built_in, *(object_from_argument(mesh) for mesh in options.object_mesh))
     splits = [s for s in ("S0", "S1") if s in options.splits]
