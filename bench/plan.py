@@ -7,14 +7,19 @@ MuJoCo C; both planners get the same start and goals. Ours is timed over the bat
 bodies on (goal checks, search, shortcuts, smallest clearance; IK apart); OMPL inside solve() only, without simplification,
 its model made beforehand. OMPL's states are checked by MuJoCo C through a Python callback; us_per_check says what one
 costs with the callback. Its edges are sampled every 1/64 rad. A problem counts as solved by OMPL if its path passes the
-re-check at 1/320 rad. ratio_to_ompl compares process times, one core each (the median of OMPL over our mean per
-problem), so that other work on the machine counts little; _wall compares wall times, ours on all cores.
+re-check at 1/320 rad. Our paths are certified between samples too, are shortened, and carry their smallest clearance;
+us_search_core leaves those two extras out.
+
+ratio_to_ompl: process times, one core each, the median of OMPL over our mean per problem: other work on the machine counts
+little. ratio_to_ompl_wall: wall times, ours on all cores. ratio_to_ompl_search: with us_search_core. ratio_to_ompl_fine:
+OMPL's edges sampled every 1/320 rad, as finely as the re-check.
 """
 
 import statistics
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import torch
@@ -24,9 +29,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from planning_twins import Checker, checker_of, dense, motion_samples, ompl_solve, recheck
 from problems import Batch, Problems, solve
 
+from r2h_batch import plan
 from r2h_batch.config import HOME_Q, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.execute import time_path
+from r2h_batch.ik import solve_ik
+from r2h_batch.launch import launch_trials
 from r2h_batch.scene import Scene
 from r2h_batch.trials import trials_with_ids
 
@@ -51,8 +59,6 @@ def free_rows(scene: Scene, problems: Problems, wanted: int) -> tuple[list[int],
 
 def planned(scene: Scene, batch: Batch, threads: int | None, clock) -> tuple[Problems, float]:
     """The batch solved, and the best time of several runs without the IK's (measured apart, subtracted)."""
-    from r2h_batch.ik import solve_ik
-
     best = float("inf")
     for _ in range(REPEATS):
         start = clock()
@@ -61,6 +67,20 @@ def planned(scene: Scene, batch: Batch, threads: int | None, clock) -> tuple[Pro
         solve_ik(batch.T_world_ee, threads=threads)
         best = min(best, (middle - start) - (clock() - middle))
     return problems, best
+
+
+def kernel_seconds(scene: Scene, batch: Batch) -> dict[str, float]:
+    """Process time in each planning kernel, one thread, seconds for the batch."""
+    spent: dict[str, float] = {}
+
+    def timed(kernel, *args, **kwargs) -> None:
+        start = time.process_time()
+        launch_trials(kernel, *args, **kwargs)
+        spent[kernel.key] = spent.get(kernel.key, 0.0) + time.process_time() - start
+
+    with mock.patch.object(plan, "launch_trials", timed):
+        solve(scene, batch, threads=1)
+    return spent
 
 
 def main() -> None:
@@ -82,6 +102,11 @@ def main() -> None:
     problems, seconds = planned(scene, batch, 1, time.process_time)
     _, wall = planned(scene, batch, None, time.perf_counter)
     report.add("plan.us_per_problem_core", seconds / n * 1e6)
+    kernels = kernel_seconds(scene, batch)
+    for name, spent in sorted(kernels.items()):
+        report.add(f"plan.kernel.{name}_us", spent / n * 1e6)
+    search = seconds - kernels.get("path_clearance", 0.0) - kernels.get("shortcut", 0.0)
+    report.add("plan.us_search_core", search / n * 1e6)
     report.add("plan.problems_per_s_core", n / seconds)
     report.add("plan.problems_per_s_wall", n / wall)
     found = (problems.plan.length > 0).cpu().numpy()
@@ -140,7 +165,21 @@ def main() -> None:
     report.add("plan.ompl_checks_per_problem", checks / n)
     report.add("plan.ompl_us_per_check", sum(cpu) / checks * 1e6)
     report.add("plan.ratio_to_ompl", statistics.median(cpu) / (seconds / n))
+    report.add("plan.ratio_to_ompl_search", statistics.median(cpu) / (search / n))
     report.add("plan.ratio_to_ompl_wall", statistics.median(walls) / (wall / n))
+    fine = []
+    for row in range(0, n, 4):
+        before = time.process_time()
+        ompl_solve(
+            checkers[row],
+            goals[row],
+            scene.robot.lower,
+            scene.robot.upper,
+            budget_s=options.budget_s,
+            resolution_rad=1 / 320,
+        )
+        fine.append(time.process_time() - before)
+    report.add("plan.ratio_to_ompl_fine", statistics.median(fine) / (seconds / n))
     report.write(options.json)
 
 

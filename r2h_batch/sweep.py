@@ -224,7 +224,8 @@ def _prepare(options: Options) -> "tuple[Evaluator, Trials, dict[str, Any]]":
     plan = dataclasses.replace(config.plan, object_collision=options.object_collision, edge_check=edge_check)
     config = dataclasses.replace(config, plan=plan, width=options.width)
     built_in = load_objects()
-    objects = (*built_in, *(object_from_argument(mesh) for mesh in options.object_mesh))
+    pieces = options.object_collision == "pieces"  # a convex decomposition takes up to a minute: only where it is used
+    objects = (*built_in, *(object_from_argument(mesh, pieces=pieces) for mesh in options.object_mesh))
     splits = [s for s in ("S0", "S1") if s in options.splits]
     trials = make_trials(splits, options.trials, objects=objects)
     evaluator = Evaluator(config, device=options.device, objects=objects, threads=options.threads)

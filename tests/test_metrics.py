@@ -89,7 +89,9 @@ def test_reach_is_the_balls_radius_less_its_centres_distance_to_the_solid():
     _, _, center = scene.palm(batch.trials.hand_index, batch.trials.T_world_hand)
     inside = 0
     for row in range(0, N, 2):
-        T_world_obj = batch.T_world_ee[row].double().numpy() @ np.linalg.inv(problems.T_obj_ee_attached[row].double().numpy())
+        T_world_obj = batch.T_world_ee[row].double().numpy() @ np.linalg.inv(
+            problems.T_obj_ee_attached[row].double().numpy()
+        )
         x = np.linalg.inv(T_world_obj) @ np.append(center[row].double().numpy(), 1.0)
         mesh = of_object(row)
         distance = float(trimesh.proximity.closest_point_naive(mesh, x[None, :3])[1][0])
@@ -114,7 +116,9 @@ def test_the_balls_centre_is_twelve_centimetres_out_of_the_palm():
     np.testing.assert_allclose(normal.numpy(), n, atol=2e-6)
     np.testing.assert_allclose(center.numpy(), roots.mean(1) + 0.12 * n, atol=2e-6)
     # out of the palm: relaxed fingers curl to this side
-    tips = scene.hands.vertices[batch.trials.hand_index.long()].double().numpy()[:, scene.hands.model.tip_vertices.numpy()]
+    tips = (
+        scene.hands.vertices[batch.trials.hand_index.long()].double().numpy()[:, scene.hands.model.tip_vertices.numpy()]
+    )
     tips = np.einsum("nij,nkj->nki", T[:, :3, :3], tips) + T[:, None, :3, 3]
     along = np.einsum("nki,ni->nk", tips - roots.mean(1)[:, None], n).mean(1)
     assert (along > -0.02).all() and along.mean() > 0.01
@@ -127,7 +131,9 @@ def test_reach_passes_up_to_the_balls_radius(gap, passes):
     top = float(scene.objects[0].vertices[:, 0].max())
     corner = scene.objects[0].vertices[scene.objects[0].vertices[:, 0].argmax()]
     center = torch.tensor([[top + gap, float(corner[1]), float(corner[2])]])
-    c = metrics.reach(scene, T, center, torch.zeros(1, dtype=torch.int32), torch.ones(1, dtype=torch.bool), Thresholds())
+    c = metrics.reach(
+        scene, T, center, torch.zeros(1, dtype=torch.int32), torch.ones(1, dtype=torch.bool), Thresholds()
+    )
     assert bool(c.passed[0]) is passes
 
 
@@ -165,7 +171,10 @@ def open_surface_distance(kind: int, size: np.ndarray, T: np.ndarray, triangles:
     inverse = np.linalg.inv(T)
     local = triangles @ inverse[:3, :3].T + inverse[:3, 3]
     center = local.mean(1)
-    near = oracle.primitive_distance(Kind(kind), size, center) - np.linalg.norm(local - center[:, None], axis=2).max(1) < cap
+    near = (
+        oracle.primitive_distance(Kind(kind), size, center) - np.linalg.norm(local - center[:, None], axis=2).max(1)
+        < cap
+    )
     if not near.any():
         return cap
     n = int(near.sum())
@@ -179,9 +188,8 @@ def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
     batch, _, s = scored()
     scene = default_evaluator().scene
     grasp = close_gripper(scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
-    raw, _ = region_distance(
-        scene.grasp_tables, attach(batch.T_obj_ee, grasp.shift_m), batch.trials.object_index, grasp.opening_m, cap_m=CLEARANCE_CAP_M
-    )
+    closed = attach(batch.T_obj_ee, grasp.shift_m), batch.trials.object_index
+    raw, _ = region_distance(scene.grasp_tables, *closed, grasp.opening_m, cap_m=CLEARANCE_CAP_M)
     holding = (raw.abs() < 1e-4) & s.evaluated[:, AFFORDANCE]
     assert holding.any()
     assert (s.margin[holding, AFFORDANCE] < -1e-4).all()
@@ -189,9 +197,7 @@ def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
     c = metrics.affordance(
         scene, batch.T_obj_ee, batch.trials.object_index, too_wide, torch.ones(N, dtype=torch.bool), Thresholds()
     )
-    open_, _ = region_distance(
-        scene.grasp_tables, attach(batch.T_obj_ee, grasp.shift_m), batch.trials.object_index, too_wide.opening_m, cap_m=CLEARANCE_CAP_M
-    )
+    open_, _ = region_distance(scene.grasp_tables, *closed, too_wide.opening_m, cap_m=CLEARANCE_CAP_M)
     assert torch.equal(c.margin[c.evaluated], open_[c.evaluated])
 
 
@@ -228,9 +234,13 @@ def test_safe_is_the_smallest_distance_of_the_timed_motion_and_the_witness_says_
         name = evaluator.scene.part_names[int(s.witness_part[row, 1])]
         geom = twin.model.geom(name)
         twin.safe_at(triangles, q)  # puts the model there
-        x = twin.data.geom_xmat[geom.id].reshape(3, 3).T @ (s.witness_point[row].double().numpy() - twin.data.geom_xpos[geom.id])
+        x = twin.data.geom_xmat[geom.id].reshape(3, 3).T @ (
+            s.witness_point[row].double().numpy() - twin.data.geom_xpos[geom.id]
+        )
         kind = Kind.BOX if int(geom.type[0]) == 6 else (Kind.CYLINDER if int(geom.type[0]) == 5 else Kind.CAPSULE)
-        assert float(oracle.primitive_distance(kind, geom.size, x)) == pytest.approx(float(s.margin[row, SAFE]), abs=1e-4)
+        assert float(oracle.primitive_distance(kind, geom.size, x)) == pytest.approx(
+            float(s.margin[row, SAFE]), abs=1e-4
+        )
 
 
 def posture_at(path: np.ndarray, times: np.ndarray, when: float, config) -> np.ndarray:
@@ -240,7 +250,11 @@ def posture_at(path: np.ndarray, times: np.ndarray, when: float, config) -> np.n
     delta, total, t = path[k + 1] - path[k], times[k + 1] - times[k], when - times[k]
     whole, ramp = np.abs(delta).max(), min(v / a, total / 2)
     t = np.clip(t, 0, total)
-    s = a * t * t / 2 if t < ramp else (whole - a * (total - t) ** 2 / 2 if total - t < ramp else a * ramp * ramp / 2 + a * ramp * (t - ramp))
+    s = a * ramp * ramp / 2 + a * ramp * (t - ramp)
+    if t < ramp:
+        s = a * t * t / 2
+    elif total - t < ramp:
+        s = whole - a * (total - t) ** 2 / 2
     return path[k] + s / whole * delta
 
 
