@@ -340,3 +340,9 @@ class Placed:
 
     bodies: Any
     owners: tuple[Tensor, ...]
+
+
+if __name__ == "__main__":
+    from r2h_batch.export import main
+
+    raise SystemExit(main())
