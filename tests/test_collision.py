@@ -96,7 +96,9 @@ def test_verdicts_agree_with_convex_pieces_of_objects_too(name):
     from r2h_batch.config import EvalConfig, PlanConfig
     from r2h_batch.objects import load_objects
 
-    scene = Scene(config=replace(EvalConfig(), plan=PlanConfig(object_collision="pieces")), objects=load_objects([name]))
+    scene = Scene(
+        config=replace(EvalConfig(), plan=PlanConfig(object_collision="pieces")), objects=load_objects([name])
+    )
     wrong, _, _ = compare_postures(scene, 4, 100, seed=3)
     assert not wrong, wrong[:3]
 
@@ -139,7 +141,9 @@ def test_edges_certified_free_never_penetrate_when_sampled_densely(scene, hand_m
             slack, name, q = twin.least_along(edge, margins=margins, cap=0.02)
             least = min(least, slack)
             assert slack > -1e-6, (staged, name, q.tolist())
-    print(f"\n{certified} edges certified free ({refused} refused), smallest clearance beyond the margin {least * 1e3:.2f} mm")
+    print(
+        f"\n{certified} edges certified free ({refused} refused), smallest clearance beyond the margin {least * 1e3:.2f} mm"
+    )
     assert certified >= 15 and refused >= 10
 
 
@@ -150,7 +154,11 @@ def clearance_of(scene, placed, paths, kernel=rrt.path_clearance):
     for k, p in enumerate(paths):
         path[k, : len(p)] = torch.tensor(p, dtype=torch.float32)
     length = torch.tensor([len(p) for p in paths], dtype=torch.int32)
-    least, pair, body = torch.full((n,), -9.0), torch.zeros(n, dtype=torch.int32), torch.full((n,), -1, dtype=torch.int32)
+    least, pair, body = (
+        torch.full((n,), -9.0),
+        torch.zeros(n, dtype=torch.int32),
+        torch.full((n,), -1, dtype=torch.int32),
+    )
     _Launcher(scene, placed, None)(
         kernel, n, CAP_M, CLEARANCE_TOLERANCE_M, scene.world, placed.bodies, path, length, least, pair, body, chunk=8
     )
@@ -165,7 +173,11 @@ def test_path_clearance_is_the_smallest_sampled_one(scene):
         steps = rng.normal(size=(2, 6)) * rng.choice([0.02, 0.1, 0.3])
         paths.append(np.stack([b, b + steps[0], b + steps[0] + steps[1]]).astype(np.float32).astype(np.float64))
     least, pair, body = clearance_of(scene, oracle.place(scene, stages), paths)
-    chosen = [*np.flatnonzero((least > 0) & (least < CAP_M))[:20], *np.flatnonzero(least <= 0)[:10], *np.flatnonzero(least == CAP_M)[:2]]
+    chosen = [
+        *np.flatnonzero((least > 0) & (least < CAP_M))[:20],
+        *np.flatnonzero(least <= 0)[:10],
+        *np.flatnonzero(least == CAP_M)[:2],
+    ]
     off, pairs = [], Counter()
     for k in chosen:
         truth, name, _ = oracle.mujoco_scene(scene, stages[k]).least_along(paths[k], cap=CAP_M, step_rad=1 / 160)
@@ -257,12 +269,17 @@ def test_bounding_capsules_and_balls_of_hulls_pieces_and_hands_hold_their_points
     points = w.points.numpy()
     start, c0, c1, radius = (getattr(w, n).numpy() for n in ("hull_start", "hull_c0", "hull_c1", "hull_radius"))
     for h in range(len(radius)):
-        assert distance_to_segment(points[start[h] : start[h + 1]].astype(np.float64), c0[h], c1[h]).max() <= radius[h] + 1e-7
+        assert (
+            distance_to_segment(points[start[h] : start[h + 1]].astype(np.float64), c0[h], c1[h]).max()
+            <= radius[h] + 1e-7
+        )
     start, center, ball = w.piece_start.numpy(), w.piece_center.numpy(), w.piece_radius.numpy()
     piece = np.repeat(np.arange(len(center)), np.diff(start))
     assert (np.linalg.norm(points[: start[-1]] - center[piece], axis=1) <= ball[piece] + 1e-7).all()
     hand = piece // w.n_pieces
-    assert (np.linalg.norm(points[: start[-1]] - w.hand_center.numpy()[hand], axis=1) <= w.hand_radius.numpy()[hand] + 1e-7).all()
+    assert (
+        np.linalg.norm(points[: start[-1]] - w.hand_center.numpy()[hand], axis=1) <= w.hand_radius.numpy()[hand] + 1e-7
+    ).all()
 
 
 def test_capsules_of_primitives_and_balls_hold_random_ones():
