@@ -117,7 +117,8 @@ def _trial_again(
         raise ExportError(
             f"{run}: has the user's objects {', '.join(own) or 'none'}; give their --object-mesh as in the sweep"
         )
-    objects = (*load_objects(), *(object_from_argument(m) for m in object_mesh))
+    pieces = header["configuration"]["plan"]["object_collision"] == "pieces"  # as the sweep builds them
+    objects = (*load_objects(), *(object_from_argument(m, pieces=pieces) for m in object_mesh))
     digests = header["digests"]
     trials = make_trials([s for s, n in header["trials"].items() if n], 0, objects=objects)
     small = sum(header["trials"].values()) <= CHECKED_TRIALS

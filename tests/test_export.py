@@ -1,6 +1,7 @@
 """Exported trials open in plain MuJoCo elsewhere, and MuJoCo's distances on them are the stored margins."""
 
 import csv
+import dataclasses
 import json
 import shutil
 import subprocess
@@ -283,15 +284,7 @@ def test_samples_agree_with_the_evaluators_own_clock():
     q = np.cumsum(rng.normal(size=(4, 6)) * [[0.5], [0.5], [0.02], [0.8]], axis=0)
     path, length = torch.tensor(q[None], dtype=torch.float32), torch.tensor([4], dtype=torch.int32)
     motion = time_path(path, length, config)
-    header = {
-        "configuration": {
-            "execute": {
-                "scale": config.scale,
-                "max_velocity_rad_s": config.max_velocity_rad_s,
-                "max_acceleration_rad_s2": config.max_acceleration_rad_s2,
-            }
-        }
-    }
+    header = {"configuration": {"execute": dataclasses.asdict(config)}}
     stored = export.StoredTrial(
         header,
         "",
@@ -374,6 +367,24 @@ def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys):
     header["digests"]["hand_set"] = "0" * 64
     (other / "run.json").write_text(json.dumps(header))
     assert "hand_set" in refused(["--run", other, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
+
+
+def test_a_users_own_mesh_is_asked_for_and_comes_along(tmp_path, capsys):
+    file = tmp_path / "brick.obj"
+    trimesh.creation.box((0.03, 0.06, 0.16)).subdivide().subdivide().export(file)
+    folder = tmp_path / "run"
+    # six built-in objects of S0 take their turns first: trial 12 is the user's
+    arguments = ["--method", "random", "--splits", "S0", "--trials", "7", "--save-paths", "--out", str(folder)]
+    assert sweep.main([*arguments, "--object-mesh", str(file)]) == 0
+    capsys.readouterr()
+    command = ["--run", folder, "--trial", 12, "--out", tmp_path / "x"]
+    message = refused(command, capsys)
+    assert "brick" in message and "--object-mesh" in message
+    assert export.main([*map(str, command), "--object-mesh", str(file)]) == 0
+    capsys.readouterr()
+    assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
+    trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().subdivide().export(file)
+    assert "objects" in refused([*command, "--object-mesh", file], capsys)
 
 
 def test_the_command_of_the_readme_works(run, tmp_path):
