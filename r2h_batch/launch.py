@@ -28,7 +28,8 @@ def cpu_threads(threads: int | None = None) -> int:
 
 
 @lru_cache(maxsize=4)
-def _pool(threads: int) -> ThreadPoolExecutor:
+def thread_pool(threads: int) -> ThreadPoolExecutor:
+    """The process' worker threads."""
     return ThreadPoolExecutor(threads, thread_name_prefix="r2h")
 
 
@@ -71,7 +72,7 @@ def launch_trials(
             command.set_param_at_index(0, first)
             command.launch()
 
-    futures = [_pool(workers).submit(work, command) for command in commands[1:]]
+    futures = [thread_pool(workers).submit(work, command) for command in commands[1:]]
     work(commands[0])
     for future in futures:
         future.result()
