@@ -66,12 +66,11 @@ def execute(
     found = torch.nonzero(length > 0).flatten().cpu().numpy()
     reference_s = motion.t_exec_s.double().cpu().numpy()[found]
     done = run(found, np.minimum(reference_s + config.dwell_s, limit))
-    restless = ~done.settled & done.valid & (reference_s + config.dwell_s < limit)
-    late = torch.nonzero(restless[torch.from_numpy(found)]).flatten().cpu().numpy()
-    if len(late):
-        again = run(found[late], np.full(len(late), limit))
-        done = _merged(done, again, torch.from_numpy(found[late]))
-    return done
+    restless = (~done.settled & done.valid).cpu().numpy()[found] & (reference_s + config.dwell_s < limit)
+    late = found[restless]
+    if not len(late):
+        return done
+    return _merged(done, run(late, np.full(len(late), limit)), torch.from_numpy(late).to(path.device))
 
 
 def _merged(first: Executed, again: Executed, rows: Tensor) -> Executed:

@@ -98,7 +98,9 @@ def test_a_stick_held_low_before_an_open_palm_is_a_success(item):
     assert float(s.margin[0, REACH]) == pytest.approx(0.10, abs=1e-5)
     assert not s.borderline[0]
     n = int(s.path_len[0])
-    assert torch.equal(s.q_goal[0], s.path[0, n - 1]) and float(s.path_time_s[0, n - 1]) == float(s.t_exec_s[0]) > 5
+    assert torch.equal(s.q_goal[0], s.path[0, n - 1]) and float(s.t_exec_s[0]) > 5
+    # the last millimetre of the reference is within the tolerance already
+    assert float(s.path_time_s[0, n - 1]) - 0.2 < float(s.t_exec_s[0]) < float(s.path_time_s[0, n - 1]) + 0.1
     assert float(s.t_plan_s[0]) > 0
 
 
