@@ -11,6 +11,8 @@ from r2h_batch.kernels.reference import Law, servo_command
 wp.set_module_options({"enable_backward": False})
 
 IDLE = wp.constant(-1)
+OVERFLOW = wp.constant(1)
+NOT_FINITE = wp.constant(2)
 
 
 @wp.struct
@@ -74,6 +76,7 @@ def start_next(worlds: Worlds, queue: Queue, fields: Fields, w: int, sample_out:
         return
     worlds.slot[w] = slot
     worlds.step[w] = 0
+    fields.overflow[w] = 0  # the simulator only ever adds to it
     body = fields.body_pos.shape[1] - 1
     fields.body_pos[w, body] = queue.pos[slot]
     fields.body_quat[w, body] = queue.quat[slot]
@@ -107,8 +110,9 @@ def command_worlds(
     path_in: wp.array3d(dtype=float),
     time_in: wp.array2d(dtype=float),
     length_in: wp.array(dtype=int),
+    failed_out: wp.array(dtype=int),  # (n,) OVERFLOW, NOT_FINITE
 ):
-    """Before a step: the servos' commands."""
+    """Before a step: the servos' commands. One that is not finite is noted: torque limits would hide it in the motion."""
     w = wp.tid()
     slot = worlds.slot[w]
     if slot == IDLE:
@@ -116,6 +120,8 @@ def command_worlds(
     c = servo_command(law, path_in, time_in, length_in, queue.row[slot], wp.float64(worlds.step[w]) * law.step)
     for j in range(6):
         fields.ctrl[w, j] = float(c[j])
+        if not wp.isfinite(c[j]):
+            failed_out[slot] = failed_out[slot] | NOT_FINITE
 
 
 @wp.func
@@ -133,7 +139,7 @@ def finish_step(
     fields: Fields,
     sample_out: wp.array3d(dtype=float),  # (n, W, 6)
     acceleration_out: wp.array2d(dtype=float),  # (n, 6)
-    failed_out: wp.array(dtype=int),  # (n,) 1: overflow
+    failed_out: wp.array(dtype=int),  # (n,)
 ):
     """After a step: record, note overflows, refill the world when its trial is over."""
     w = wp.tid()
@@ -143,7 +149,7 @@ def finish_step(
     step = worlds.step[w] + 1
     worlds.step[w] = step
     if went_wrong(fields, w):
-        failed_out[slot] = 1
+        failed_out[slot] = failed_out[slot] | OVERFLOW
     for j in range(6):
         v = fields.qvel[w, j]
         a = wp.abs(v - worlds.qvel[w, j]) / step_s

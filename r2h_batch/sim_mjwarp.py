@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from r2h_batch.dynamics import loaded_model
-from r2h_batch.kernels.worlds import Fields, Queue, Worlds, command_worlds, finish_step, start_worlds
+from r2h_batch.kernels.worlds import OVERFLOW, Fields, Queue, Worlds, command_worlds, finish_step, start_worlds
 from r2h_batch.simulation import Job, Samples
 
 MAX_WORLDS = {"cpu": 256, "cuda": 4096}
@@ -38,19 +38,20 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
                 break
             q, acceleration, failed = _run(job, todo, NJMAX * 4**turn, NACONMAX * 4**turn)
             out.q[todo, : q.shape[1]], out.acceleration[todo] = q, acceleration
-            out.valid[todo] = ~failed & np.isfinite(q).all((1, 2)) & np.isfinite(acceleration).all(1)
-            todo = todo[failed]
+            out.valid[todo] = (failed == 0) & np.isfinite(q).all((1, 2)) & np.isfinite(acceleration).all(1)
+            todo = todo[failed & OVERFLOW != 0]
     return out
 
 
 def _run(job: Job, todo: np.ndarray, njmax: int, naconmax: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """q (n, W, 6), largest acceleration (n, 6) and whether a buffer overflowed (n,), for places `todo` of the job."""
+    """q (n, W, 6), largest acceleration (n, 6) and what went wrong (n,: OVERFLOW, NOT_FINITE), for places `todo` of the job."""
     device, n = job.device, len(todo)
     nworld = min(n, MAX_WORLDS["cpu" if device == "cpu" else "cuda"])
     host = _without_reset_flag(job.model)
     with wp.ScopedDevice(device):
         model = mjw.put_model(host, batch_sizes=dict.fromkeys(BATCHED, nworld))
         data = mjw.make_data(host, nworld=nworld, njmax=njmax, naconmax=naconmax)
+        model.opt.warn_overflow = 0  # it prints to stdout; the bits are read below
         queue, fields = _queue(job, todo), _fields(model, data)
         worlds = Worlds()
         worlds.slot, worlds.step = (wp.zeros(nworld, dtype=wp.int32) for _ in range(2))
@@ -61,7 +62,7 @@ def _run(job: Job, todo: np.ndarray, njmax: int, naconmax: int) -> tuple[np.ndar
         failed = wp.zeros(n, dtype=wp.int32)
 
         def step() -> None:
-            wp.launch(command_worlds, nworld, [job.law, worlds, queue, fields, *job.tables])
+            wp.launch(command_worlds, nworld, [job.law, worlds, queue, fields, *job.tables, failed])
             mjw.step(model, data)
             inputs = [job.record_steps, host.opt.timestep, worlds, queue, fields, sample, acceleration, failed]
             wp.launch(finish_step, nworld, inputs)
@@ -80,7 +81,7 @@ def _run(job: Job, todo: np.ndarray, njmax: int, naconmax: int) -> tuple[np.ndar
     steps = np.arange(q.shape[1])[None]
     last = job.samples[todo][:, None]
     q = np.where((steps <= last)[..., None], q, q[np.arange(n), job.samples[todo]][:, None])
-    return q, acceleration.numpy(), failed.numpy() != 0
+    return q, acceleration.numpy(), failed.numpy()
 
 
 def _without_reset_flag(model: mujoco.MjModel) -> mujoco.MjModel:
