@@ -7,6 +7,7 @@ Score in [0, 1] = 0.4 alignment + 0.35 contact + 0.25 balance:
 """
 
 import hashlib
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,7 +102,15 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None
         raise ValueError(
             f"{model.name}: no grasp found; the gripper needs a part narrower than {stroke} that it can reach"
         )
-    return _diverse(model, every, count)
+    chosen = _diverse(model, every, count)
+    free = int((chosen.region_m > REGION_CLEARANCE_M).sum())
+    if model.split != "S0" and free < 0.25 * len(chosen):
+        warnings.warn(
+            f"{model.name}: {free} of {len(chosen)} grasps keep {1e3 * REGION_CLEARANCE_M:.0f} mm from the receiver's region; "
+            "is the region too large, or the rest of the object too wide for the gripper?",
+            stacklevel=2,
+        )
+    return chosen
 
 
 def _proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threads: int | None) -> F32:

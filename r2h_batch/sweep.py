@@ -56,6 +56,14 @@ class Options:
     """Your own objects, FILE[:S0|S1]: they take turns with the built-in objects of that split."""
     preset: Literal["default", "paper"] = "default"
     """default: exact planning to any branch. paper: one goal, MoveIt's edge resolution, to compare with the paper."""
+    width: Literal["pads", "whole"] = "pads"
+    """Stability measures the material between the pads, or the whole object's extent along the closing axis."""
+    object_collision: Literal["hull", "pieces"] = "hull"
+    """The attached object in planning: its convex hull (as in the paper), or its convex decomposition."""
+    edge_check: Literal["preset", "exact", "moveit"] = "preset"
+    """Path edges: as the preset says, certified, or sampled at MoveIt's resolution."""
+    sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
+    """Who moves the arm: MuJoCo C, MuJoCo-Warp, nobody (the motion as planned); auto: mujoco on a CPU, mjwarp on CUDA."""
     format: Literal["md", "latex", "csv", "json"] = "md"
     """Format of the table on stdout."""
     save_paths: bool = False
@@ -214,8 +222,15 @@ def _prepare(options: Options) -> "tuple[Evaluator, Trials, dict[str, Any]]":
     if options.device != "cpu" and not torch.cuda.is_available():
         raise UsageError(f"--device {options.device}: torch sees no CUDA device; use --device cpu")
     config = EvalConfig.preset(options.preset)
+    edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
+    plan = dataclasses.replace(config.plan, object_collision=options.object_collision, edge_check=edge_check)
+    execution = dataclasses.replace(config.execute, sim=options.sim)
+    engine = execution.engine(options.device)
+    execution = dataclasses.replace(execution, sim=engine)
+    config = dataclasses.replace(config, plan=plan, execute=execution, width=options.width)
     built_in = load_objects()
-    objects = (*built_in, *(object_from_argument(mesh) for mesh in options.object_mesh))
+    pieces = options.object_collision == "pieces"  # a convex decomposition takes up to a minute: only where it is used
+    objects = (*built_in, *(object_from_argument(mesh, pieces=pieces) for mesh in options.object_mesh))
     splits = [s for s in ("S0", "S1") if s in options.splits]
     trials = make_trials(splits, options.trials, objects=objects)
     evaluator = Evaluator(config, device=options.device, objects=objects, threads=options.threads)
@@ -228,6 +243,11 @@ def _prepare(options: Options) -> "tuple[Evaluator, Trials, dict[str, Any]]":
             "objects": object_digest(objects),
             "hand_set": evaluator.scene.hands.set.digest,
             "code": provenance.code_digest(),
+        },
+        "motion": {
+            "engine": engine,
+            "step_s": execution.step_s if engine != "none" else None,
+            "sample_s": execution.step_s * execution.record_steps if engine != "none" else None,
         },
         "objects": [{"name": o.name, "split": o.split, "built_in": i < len(built_in)} for i, o in enumerate(objects)],
         "seed": options.seed,
