@@ -1,6 +1,6 @@
 """How fast and how faithfully do the engines move the arm, and what does the executed motion change?
 
-python bench/execute.py [--trials N] [--ask speed parity tracking step edges payload] [--json FILE]
+python bench/execute.py [--trials N] [--ask speed parity tracking step edges payload closing] [--json FILE]
 
 Trials and predictions are those of bench/mix.npz (half oracle, half random; S0 and S1 by turns). Speed counts process time,
 so other work on the machine counts little; `trial` = the whole Evaluator.score. Tracking errors are those of the point
@@ -25,13 +25,18 @@ from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.dynamics import Payload
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.execute import Executed, execute
+from r2h_batch.grasp import attach, close_gripper, grasp_tables
+from r2h_batch.grasp_physics import close_in_physics
 from r2h_batch.kernels.reference import Law, servo_commands
+from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.objects import load_objects
 from r2h_batch.robot import ee_pose
 from r2h_batch.trials import trials_with_ids
 from r2h_batch.types import Scores
 
 MIX = Path(__file__).with_name("mix.npz")
-ASK = ("speed", "parity", "tracking", "step", "edges", "payload")
+ASK = ("speed", "parity", "tracking", "step", "edges", "payload", "closing")
+GRASPS = 8  # candidates of each object that are closed in physics
 TIP_M = np.array([0.0, 0.0, 0.02, 1.0])  # fingertips in the ee frame
 
 
@@ -75,7 +80,7 @@ def changed(a: Scores, b: Scores) -> tuple[int, int, list[int]]:
 
 def speed(mix: Mix, report: Report) -> None:
     for engine in ("none", "mujoco", "mjwarp"):
-        scores, executed, seen = mix.score(ExecConfig(sim=engine))
+        _, executed, seen = mix.score(ExecConfig(sim=engine))
         report.add(f"execute.speed.{engine}.whole_trials_per_core_s", mix.n / seen["seconds"])
         if engine == "none":
             continue
@@ -95,6 +100,11 @@ def speed(mix: Mix, report: Report) -> None:
         report.add(f"execute.speed.mjwarp.worlds_{worlds}.steps_per_core_s", steps / seen["execute_s"])
 
 
+def worst_margin(a: Scores, b: Scores) -> float:
+    """Largest difference of Safe's margins, m."""
+    return float(torch.nan_to_num(a.margin[:, 4] - b.margin[:, 4]).abs().max())
+
+
 def parity(mix: Mix, report: Report) -> None:
     a, ea, _ = mix.score(ExecConfig(sim="mujoco"))
     b, eb, _ = mix.score(ExecConfig(sim="mjwarp"))
@@ -106,7 +116,7 @@ def parity(mix: Mix, report: Report) -> None:
     report.add("execute.parity.dq_max_rad", float(worst.max()))
     report.add("execute.parity.dq_p99_of_trials_rad", float(np.percentile(worst, 99)))
     report.add("execute.parity.t_exec_max_difference_s", float((a.t_exec_s - b.t_exec_s)[moved].abs().max()))
-    report.add("execute.parity.safe_margin_max_difference_m", float(torch.nan_to_num(a.margin[:, 4] - b.margin[:, 4]).abs().max()))
+    report.add("execute.parity.safe_margin_max_difference_m", worst_margin(a, b))
     differ, outside, ids = changed(a, b)
     report.add("execute.parity.verdicts_that_differ", differ)
     report.add("execute.parity.outside_the_band", f"{outside} {ids}")
@@ -163,7 +173,7 @@ def step(mix: Mix, report: Report) -> None:
         report.add(f"{name}.verdicts_that_differ", differ)
         report.add(f"{name}.outside_the_band", f"{outside} {ids}")
         report.add(f"{name}.dq_max_rad", float((ea.path - eb.path).abs().max()))
-        report.add(f"{name}.safe_margin_max_difference_m", float(torch.nan_to_num(a.margin[:, 4] - b.margin[:, 4]).abs().max()))
+        report.add(f"{name}.safe_margin_max_difference_m", worst_margin(a, b))
         report.add(f"{name}.t_exec_max_difference_s", float(torch.nan_to_num(a.t_exec_s - b.t_exec_s).abs().max()))
 
 
@@ -183,6 +193,29 @@ def edges(mix: Mix, report: Report) -> None:
             low = s.margin[moved, 4]
             report.add(f"{name}.smallest_safe_margin_mm", float(low.min()) * 1e3)
             report.add(f"{name}.trials_below_1_mm", int((low < 1e-3).sum()))
+
+
+def closing(mix: Mix, report: Report) -> None:
+    """Opening at rest in physics against the geometric one, per object; friction grasps that outlast weight and shaking."""
+    objects, rng = load_objects(), np.random.default_rng(0)
+    grasps = [c.T_obj_ee[rng.permutation(len(c))[:GRASPS]] for c in candidates_of(objects)]
+    index = np.repeat(np.arange(len(objects)), [len(g) for g in grasps]).astype(np.int32)
+    T = torch.from_numpy(np.concatenate(grasps).astype(np.float32))
+    grasp = close_gripper(grasp_tables(objects, "cpu"), T, torch.from_numpy(index))
+    start = time.process_time()
+    done = close_in_physics(objects, index, attach(T, grasp.shift_m).double().numpy(), shake=True, threads=mix.threads)
+    report.add("execute.closing.core_ms_per_grasp", (time.process_time() - start) / len(index) * 1e3)
+    off = (done.opening_m - grasp.opening_m.double().numpy()) * 1e3
+    report.add("execute.closing.grasps", len(index))
+    report.add("execute.closing.within_1_mm_share", float((np.abs(off) < 1).mean()))
+    still = done.moved_m < 1e-3
+    report.add("execute.closing.not_moved_share", float(still.mean()))
+    report.add("execute.closing.not_moved_within_1_mm_share", float((np.abs(off[still]) < 1).mean()))
+    report.add("execute.closing.held_share", float(done.held.mean()))
+    for o, model in enumerate(objects):
+        mine = index == o
+        report.add(f"execute.closing.{model.name}.physics_less_geometry_mm", " ".join(f"{x:.2f}" for x in off[mine]))
+        report.add(f"execute.closing.{model.name}.slip_mm", " ".join(f"{x:.1f}" for x in done.slip_m[mine] * 1e3))
 
 
 def main() -> None:

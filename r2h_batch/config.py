@@ -82,7 +82,7 @@ class ExecConfig:
     settle_position_m: float = 0.001  # at rest: the ee stays this near to the goal,
     settle_rotation_rad: float = math.radians(0.5)  # and turned by no more than this
     settle_limit_s: float = 20.0  # later than this: Plan failure, not_settled
-    dwell_s: float = 0.5  # how long it must be seen to stay
+    dwell_s: float = 0.5  # it is watched this long after its reference has ended, and must stay for half of that
 
     def __post_init__(self) -> None:
         _one_of(self, "sim", ("auto", "none", "mujoco", "mjwarp"))
@@ -107,11 +107,13 @@ class EvalConfig:
     plan: PlanConfig = field(default_factory=PlanConfig)
     execute: ExecConfig = field(default_factory=ExecConfig)
     width: Literal["pads", "whole"] = "pads"  # material between the pads, or the whole object's extent
+    stability: Literal["geometric", "physics"] = "geometric"  # physics: the friction grasp must also outlast a shake
     chunk: int = 2048  # trials held in memory at once
     name: str = "default"
 
     def __post_init__(self) -> None:
         _one_of(self, "width", ("pads", "whole"))
+        _one_of(self, "stability", ("geometric", "physics"))
         if self.chunk < 1:
             raise ValueError(f"EvalConfig.chunk is {self.chunk}; it must be 1 or more trials")
 

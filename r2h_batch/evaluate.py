@@ -87,8 +87,11 @@ class Evaluator:
         T_world_obj = se3.matmul(T_world_ee, se3.inverse(attached))
         _, _, ball_center = scene.palm(trials.hand_index, T_world_hand)
         safe, touch = metrics.safe(scene, placed, executed, active, config.thresholds, threads=threads)
+        steady = metrics.stability(grasp, active)
+        if config.stability == "physics":
+            steady = metrics.stability_in_physics(scene, grasp, attached, objects, active, threads=threads)
         criteria = [
-            metrics.stability(grasp, active),
+            steady,
             metrics.plan(planned, executed, active),
             metrics.reach(scene, T_world_obj, ball_center, objects, active, config.thresholds, threads=threads),
             metrics.affordance(scene, T_obj_ee, objects, grasp, active, config.thresholds, threads=threads),

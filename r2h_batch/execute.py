@@ -105,7 +105,10 @@ class _Runner:
         self.law.lead, self.law.step = 1.0 / SERVO_RATE, config.step_s
         device = "cpu" if engine == "mujoco" else scene.device
         self.device = device
-        self.tables = tuple(wp.from_torch(t.to(device).contiguous()) for t in (self.path, motion.time_s, length))
+        path_in, time_in, length_in = (
+            wp.from_torch(t.to(device).contiguous()) for t in (self.path, motion.time_s, length)
+        )
+        self.tables = (path_in, time_in, length_in)
         T_wrist_gripper = scene.robot.T_wrist3_flange @ scene.robot.T_flange_gripper
         T_wrist_obj = np.tile(np.eye(4), (len(length), 1, 1))
         T_wrist_obj[:, :3, :3], T_wrist_obj[:, :3, 3] = placed.R_wrist_obj.cpu(), placed.p_wrist_obj.cpu()

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Bool, Float32, Int32
@@ -11,6 +12,7 @@ from r2h_batch import se3
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.execute import Executed
 from r2h_batch.grasp import Grasp, attach, region_distance
+from r2h_batch.grasp_physics import DROPPED_M, close_in_physics
 from r2h_batch.kernels import reach as reach_kernels
 from r2h_batch.kernels import safe as safe_kernels
 from r2h_batch.launch import launch_trials
@@ -39,6 +41,30 @@ class Criterion:
 def stability(grasp: Grasp, active: Bool[Tensor, " b"]) -> Criterion:
     """Stability(g) <=> w_O(g) <= w_max: margin w_max - w; negative when nothing is held or the open gripper cuts in."""
     return Criterion.of(grasp.margin_m, active, touching_passes=True)
+
+
+def stability_in_physics(
+    scene: Scene,
+    grasp: Grasp,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    active: Bool[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> Criterion:
+    """Stability(g) as above, and the friction grasp holds the object through its weight and a shake along three axes.
+
+    Margin: the smaller of w_max - w and 2 cm - slip. `T_obj_ee` after closing. The shake is simulated on the CPU.
+    """
+    geometric = stability(grasp, active)
+    rows = torch.nonzero(geometric.passed).flatten()
+    closed = close_in_physics(
+        scene.objects, object_index[rows].cpu().numpy(), T_obj_ee[rows].double().cpu().numpy(), shake=True, threads=threads
+    )
+    left = torch.from_numpy(np.nan_to_num(DROPPED_M - closed.slip_m, nan=-np.inf))
+    margin = geometric.margin.clone()
+    margin[rows] = torch.minimum(margin[rows], left.to(margin))
+    return Criterion.of(margin, active, touching_passes=True)
 
 
 def plan(planned: Plan, executed: Executed, active: Bool[Tensor, " b"]) -> Criterion:

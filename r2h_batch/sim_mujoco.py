@@ -1,6 +1,7 @@
 """Motion in MuJoCo C: every trial its own rollout, on all cores."""
 
-import threading
+from collections.abc import Iterator
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -28,22 +29,21 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
         index = torch.from_numpy(job.rows[rows.start : rows.stop].astype(np.int32))
         inputs = [job.law, wp.from_torch(index), *job.tables, wp.from_torch(command)]
         launch_trials(servo_commands, len(rows), inputs, device="cpu", threads=threads, chunk=1, width=command.shape[1])
-        todo, lock = iter(rows), threading.Lock()
-
-        def work(todo=todo, lock=lock, first=first, command=command.numpy(), steps=steps) -> None:
-            data = mujoco.MjData(job.model)
-            while True:
-                with lock:
-                    i = next(todo, None)
-                if i is None:
-                    return
-                _run(job, i, data, command[i - first, : steps[i - first]], out)
-
+        todo = iter(rows)  # next() is atomic: whoever is free takes the next trial
+        work = partial(_work, job, todo, first, command.numpy(), steps, out)
         futures = [thread_pool(workers).submit(work) for _ in range(workers - 1)]
         work()
         for future in futures:
             future.result()
     return out
+
+
+def _work(
+    job: Job, todo: Iterator[int], first: int, command: np.ndarray, steps: np.ndarray, out: Samples
+) -> None:  # fmt: skip
+    data = mujoco.MjData(job.model)
+    for i in todo:
+        _run(job, i, data, command[i - first, : steps[i - first]], out)
 
 
 def _run(job: Job, i: int, data: mujoco.MjData, command: np.ndarray, out: Samples) -> None:

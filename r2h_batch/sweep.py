@@ -58,6 +58,8 @@ class Options:
     """default: exact planning to any branch. paper: one goal, MoveIt's edge resolution, to compare with the paper."""
     width: Literal["pads", "whole"] = "pads"
     """Stability measures the material between the pads, or the whole object's extent along the closing axis."""
+    stability: Literal["geometric", "physics"] = "geometric"
+    """physics: the object must also stay in a friction grasp through its weight and a shake along three axes."""
     object_collision: Literal["hull", "pieces"] = "hull"
     """The attached object in planning: its convex hull (as in the paper), or its convex decomposition."""
     edge_check: Literal["preset", "exact", "moveit"] = "preset"
@@ -227,7 +229,7 @@ def _prepare(options: Options) -> "tuple[Evaluator, Trials, dict[str, Any]]":
     execution = dataclasses.replace(config.execute, sim=options.sim)
     engine = execution.engine(options.device)
     execution = dataclasses.replace(execution, sim=engine)
-    config = dataclasses.replace(config, plan=plan, execute=execution, width=options.width)
+    config = dataclasses.replace(config, plan=plan, execute=execution, width=options.width, stability=options.stability)
     built_in = load_objects()
     pieces = options.object_collision == "pieces"  # a convex decomposition takes up to a minute: only where it is used
     objects = (*built_in, *(object_from_argument(mesh, pieces=pieces) for mesh in options.object_mesh))
