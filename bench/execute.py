@@ -1,6 +1,6 @@
 """How fast and how faithfully do the engines move the arm, and what does the executed motion change?
 
-python bench/execute.py [--trials N] [--ask speed parity tracking step edges payload closing] [--json FILE]
+python bench/execute.py [--trials N] [--ask speed parity tracking step edges payload batches closing] [--json FILE]
 
 Trials and predictions are those of bench/mix.npz (half oracle, half random; S0 and S1 by turns). Speed counts process time,
 so other work on the machine counts little; `trial` = the whole Evaluator.score. Tracking errors are those of the point
@@ -35,7 +35,7 @@ from r2h_batch.trials import trials_with_ids
 from r2h_batch.types import Scores
 
 MIX = Path(__file__).with_name("mix.npz")
-ASK = ("speed", "parity", "tracking", "step", "edges", "payload", "closing")
+ASK = ("speed", "parity", "tracking", "step", "edges", "payload", "batches", "closing")
 GRASPS = 8  # candidates of each object that are closed in physics
 TIP_M = np.array([0.0, 0.0, 0.02, 1.0])  # fingertips in the ee frame
 
@@ -120,6 +120,27 @@ def parity(mix: Mix, report: Report) -> None:
     differ, outside, ids = changed(a, b)
     report.add("execute.parity.verdicts_that_differ", differ)
     report.add("execute.parity.outside_the_band", f"{outside} {ids}")
+
+
+def batches(mix: Mix, report: Report) -> None:
+    """The same trials in batches of other sizes and in another order: rows that differ in any bit of a verdict or margin."""
+    for engine in ("mujoco", "mjwarp"):
+        n = min(mix.n, 256)
+        evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim=engine)), device=mix.device, threads=mix.threads)
+        whole = evaluator.score(mix.g[:n], mix.h[:n], mix.trials[:n])
+        order = torch.randperm(n, generator=torch.Generator().manual_seed(0))
+        cases = {"permuted": [order], "7": torch.arange(n).split(7), "1": torch.arange(min(n, 24)).split(1)}
+        for name, parts in cases.items():
+            differ = 0
+            for rows in parts:
+                s = evaluator.score(mix.g[rows], mix.h[rows], mix.trials[rows])
+                same = (s.outcome == whole.outcome[rows]) & _same(s.margin, whole.margin[rows]).all(1)
+                differ += int((~(same & _same(s.t_exec_s, whole.t_exec_s[rows]))).sum())
+            report.add(f"execute.batches.{engine}.{name}.rows_that_differ", differ)
+
+
+def _same(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    return (a == b) | (a.isnan() & b.isnan())
 
 
 def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: str = "known_object") -> None:

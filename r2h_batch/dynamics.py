@@ -99,6 +99,12 @@ def arm_model(robot: Robot, *, step_s: float, payload_known: bool = True) -> muj
 def loaded_model(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> mujoco.MjModel:
     """A copy of the arm's model that holds this payload; `data` is scratch."""
     model = copy.copy(model)
+    load(model, payload, data)
+    return model
+
+
+def load(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> None:
+    """Puts a payload into the model itself, whatever it held before; `data` is scratch."""
     i = model.nbody - 1
     inertia, axes = np.linalg.eigh(payload.inertia)
     axes[:, 2] *= np.linalg.det(axes)
@@ -109,7 +115,6 @@ def loaded_model(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -
     model.body_mass[i] = payload.mass
     model.body_inertia[i] = np.maximum(inertia, 1e-12)
     mujoco.mj_setConst(model, data)  # subtree masses, which the centres of mass are divided by
-    return model
 
 
 def _add_body(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.launch import cpu_threads, thread_pool
 from r2h_batch.objects import ObjectModel
-from r2h_batch.robot import Robot, drive_from_gap, load_robot, pad_center_z
+from r2h_batch.robot import Robot, drive_from_gap, load_robot
 
 Array = NDArray[np.float64]
 

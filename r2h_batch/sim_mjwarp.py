@@ -8,7 +8,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from r2h_batch.dynamics import loaded_model
+from r2h_batch.dynamics import load
 from r2h_batch.kernels.worlds import OVERFLOW, Fields, Queue, Worlds, command_worlds, finish_step, start_worlds
 from r2h_batch.simulation import Job, Samples
 
@@ -48,6 +48,7 @@ def _run(job: Job, todo: np.ndarray, njmax: int, naconmax: int) -> tuple[np.ndar
     device, n = job.device, len(todo)
     nworld = min(n, MAX_WORLDS["cpu" if device == "cpu" else "cuda"])
     host = _without_reset_flag(job.model)
+    wp.synchronize_device(device)  # the job's tables were written on torch's stream
     with wp.ScopedDevice(device):
         model = mjw.put_model(host, batch_sizes=dict.fromkeys(BATCHED, nworld))
         data = mjw.make_data(host, nworld=nworld, njmax=njmax, naconmax=naconmax)
@@ -91,10 +92,11 @@ def _without_reset_flag(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 def _queue(job: Job, todo: np.ndarray) -> Queue:
-    scratch = mujoco.MjData(job.model)
+    model = copy.copy(job.model)
+    scratch = mujoco.MjData(model)
     rows: dict[str, list[np.ndarray]] = {name: [] for name in BATCHED}
     for i in todo:
-        model = loaded_model(job.model, job.payloads[i], scratch)
+        load(model, job.payloads[i], scratch)
         for name, values in rows.items():
             values.append(getattr(model, name).copy())
     table = {name: np.stack(values).astype(np.float32) for name, values in rows.items()}

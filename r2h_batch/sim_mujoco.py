@@ -1,5 +1,6 @@
 """Motion in MuJoCo C: every trial its own rollout, on all cores."""
 
+import copy
 from collections.abc import Iterator
 from functools import partial
 
@@ -9,7 +10,7 @@ import torch
 import warp as wp
 from mujoco import rollout
 
-from r2h_batch.dynamics import loaded_model
+from r2h_batch.dynamics import load
 from r2h_batch.kernels.reference import servo_commands
 from r2h_batch.launch import cpu_threads, launch_trials, thread_pool
 from r2h_batch.simulation import Job, Samples
@@ -41,13 +42,16 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
 def _work(
     job: Job, todo: Iterator[int], first: int, command: np.ndarray, steps: np.ndarray, out: Samples
 ) -> None:  # fmt: skip
-    data = mujoco.MjData(job.model)
+    model = copy.copy(job.model)
+    data = mujoco.MjData(model)
     for i in todo:
-        _run(job, i, data, command[i - first, : steps[i - first]], out)
+        _run(job, i, model, data, command[i - first, : steps[i - first]], out)
 
 
-def _run(job: Job, i: int, data: mujoco.MjData, command: np.ndarray, out: Samples) -> None:
-    model = loaded_model(job.model, job.payloads[i], data)
+def _run(
+    job: Job, i: int, model: mujoco.MjModel, data: mujoco.MjData, command: np.ndarray, out: Samples
+) -> None:  # fmt: skip
+    load(model, job.payloads[i], data)
     start = np.zeros((1, 1 + 2 * model.nv))
     start[0, 1 : 1 + model.nq] = job.start[i]
     state, _ = rollout.rollout(model, data, start, np.ascontiguousarray(command)[None])
