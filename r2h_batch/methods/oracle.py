@@ -1,7 +1,8 @@
 """The upper bound: candidates x a fan of handover poses, judged by the evaluator itself (spec: baselines.md).
 
 In rounds: every trial that is still unsolved proposes one grasp and one pose, the evaluator scores them all at once
-(the motion as planned, without the simulator), and what succeeds is kept. Where nothing succeeds, the proposal that failed last in the paper's order stays.
+(the motion as planned, without the simulator), and what succeeds is kept. Where nothing succeeds, the proposal that
+failed last in the paper's order stays.
 """
 
 from functools import lru_cache
