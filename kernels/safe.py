@@ -23,7 +23,7 @@ from r2h_batch.kernels.world import (
     vec6,
 )
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
 
 MAX_LEVEL = wp.constant(15)
 SLACK_M = wp.constant(0.03)
@@ -128,7 +128,7 @@ def nearest_to_mesh(
         center = wp.vec3(ball[0], ball[1], ball[2])
         toward = R * from_ball(body, wp.transpose(R) * (center - p))
         far = wp.length(toward)
-        apart = far - ball[3]
+        apart = wp.where(far > 0.0, far - ball[3], -1.0e30)  # a centre inside the body says nothing of how deep
         limit = out.distance - tolerance + moves
         if apart >= limit:
             continue
@@ -227,7 +227,7 @@ def posture_distance(
                     center = world.piece_center[piece]
                     toward = Rb * from_ball(shape, wp.transpose(Rb) * (center - pb))
                     far = wp.length(toward)
-                    apart = far - world.piece_radius[piece]
+                    apart = wp.where(far > 0.0, far - world.piece_radius[piece], -1.0e30)
                     if apart >= limit:
                         continue
                     if apart >= out.distance:
@@ -302,7 +302,7 @@ def safe_distance(
     fraction_out: wp.array(dtype=float),
     point_out: wp.array(dtype=wp.vec3),  # world frame
 ):
-    """Smallest signed robot-hand distance along each path: exact to `tolerance` below `cap`, a lower bound above.
+    """Smallest signed robot-hand distance along each path: exact to `tolerance` (or 0.2 %) below `cap`, a lower bound above.
 
     The goal posture comes first: it is usually the nearest, and prunes the rest. Overlaps are negative and grow with the
     depth of the deepest triangle in a primitive; they are located to half their size.
@@ -344,9 +344,7 @@ def safe_distance(
                 t = 1.0
                 d = 0.0 * delta
             mask[0] = stack[level]
-            allowed = tolerance
-            if best < 0.0:
-                allowed = wp.max(tolerance, -0.5 * best)
+            allowed = wp.max(tolerance, wp.where(best < 0.0, -0.5 * best, 0.002 * best))
             found = posture_distance(world, mesh, bodies, trial, a + t * delta, d, best, allowed, mask, R, p, w, v, tri)
             if found.changed == 1:
                 best = found.distance

@@ -41,7 +41,7 @@ REGION_SHARE = 0.4
 
 SEEDS, APPROACHES, ROUNDS = 3000, 6, 8
 ENOUGH = 1200
-POOREST = 0.25  # share of the pool that is left out where it is large enough
+POOREST = 0.1  # share of the pool that is left out where it is large enough
 WIDEST_M = 0.082  # leaves the open pads 1.5 mm on each side
 DEPTH_M = 0.012  # how far the contact may lie from the pads' centre along the approach
 CLEARANCE_M = 0.001
@@ -94,7 +94,7 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None
         rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
         pool.append(_graded(model, tables, mesh, _proposals(model, mesh, rng, threads), threads))
         found, off_region = sum(map(len, pool)), sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool)
-        if found >= ENOUGH and (model.split == "S0" or off_region >= ENOUGH // 4):
+        if found >= ENOUGH and (model.split == "S0" or off_region >= ENOUGH // 4 or found >= 3 * ENOUGH):
             break
     every = Candidates(*(np.concatenate([getattr(c, name) for c in pool]) for name in Candidates.__dataclass_fields__))
     if len(every) == 0:

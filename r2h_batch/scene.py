@@ -371,3 +371,9 @@ class Placed:
     def p_wrist_obj(self) -> Float32[Tensor, "b 3"]:
         """Where the object's origin is in the wrist_3 frame."""
         return self.owners[7]
+
+
+if __name__ == "__main__":
+    from r2h_batch.export import main
+
+    raise SystemExit(main())

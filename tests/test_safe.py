@@ -162,7 +162,7 @@ def test_a_robot_wholly_inside_the_hand_is_a_collision(hand):
 
 
 def test_margins_of_overlaps_grow_with_the_overlap(scene):
-    """A hand is pushed into the gripper from the side: the margin falls all the way, through zero, without a jump."""
+    """A hand is pushed into the gripper's flat side: the margin is minus the depth, and falls all the way."""
     start = gripper_body_center(scene, HOME)
     x = ee_pose(scene.robot, HOME)[:3, 0]
     for hand in (0, 37, 200, 301):
@@ -177,8 +177,7 @@ def test_margins_of_overlaps_grow_with_the_overlap(scene):
         distance, *_ = safe_of(scene, stages, [stay(HOME)] * len(stages))
         assert distance[0] > 0 > distance[-1]
         assert (np.diff(distance) < 1e-5).all(), (hand, distance)
-        deep = distance < -1e-4
-        assert distance[deep].min() < -0.004 and deep.sum() >= 5
+        assert np.abs(distance + depth).max() <= 2e-4 or (distance <= 2e-4 - depth).all()  # other parts may be met deeper
 
 
 def test_the_margin_does_not_depend_on_batch_or_threads(scene):
