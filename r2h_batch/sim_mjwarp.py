@@ -1,6 +1,7 @@
 """Motion in batched MuJoCo-Warp worlds: one captured graph, worlds refilled from a queue until it is empty."""
 
 import copy
+import logging
 import threading
 
 import mujoco
@@ -12,7 +13,8 @@ from r2h_batch.dynamics import load
 from r2h_batch.kernels.worlds import OVERFLOW, Fields, Queue, Worlds, command_worlds, finish_step, start_worlds
 from r2h_batch.simulation import Job, Samples
 
-MAX_WORLDS = {"cpu": 256, "cuda": 4096}
+MAX_WORLDS = {"cpu": 64, "cuda": 4096}
+"""More are no faster on a CPU, and fewer are refilled more often."""
 POLL = 32
 """Graph launches between two looks at how many trials are left."""
 
@@ -25,6 +27,7 @@ BATCHED = (
     "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_subtreemass", "dof_invweight0",
 )  # fmt: skip
 
+_log = logging.getLogger(__name__)
 _one_at_a_time = threading.Lock()  # on a CPU, mjw.step in two threads at once crashes (shared tile storage)
 
 
@@ -36,17 +39,31 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
         for turn in range(TRIES):
             if not len(todo):
                 break
-            q, acceleration, failed = _run(job, todo, NJMAX * 4**turn, NACONMAX * 4**turn)
+            q, acceleration, failed = _run_in_memory(job, todo, NJMAX * 4**turn, NACONMAX * 4**turn)
             out.q[todo, : q.shape[1]], out.acceleration[todo] = q, acceleration
             out.valid[todo] = (failed == 0) & np.isfinite(q).all((1, 2)) & np.isfinite(acceleration).all(1)
             todo = todo[failed & OVERFLOW != 0]
     return out
 
 
-def _run(job: Job, todo: np.ndarray, njmax: int, naconmax: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _run_in_memory(job: Job, todo: np.ndarray, njmax: int, naconmax: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """`_run` in as many worlds as the device has memory for: half as many whenever it says that it has not."""
+    worlds = min(len(todo), MAX_WORLDS["cpu" if job.device == "cpu" else "cuda"])
+    while True:
+        try:
+            return _run(job, todo, worlds, njmax, naconmax)
+        except RuntimeError as error:
+            if worlds == 1 or "allocate" not in str(error).lower():
+                raise
+            worlds //= 2
+            _log.warning("out of device memory: going on with %d worlds", worlds)
+
+
+def _run(
+    job: Job, todo: np.ndarray, nworld: int, njmax: int, naconmax: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """q (n, W, 6), largest acceleration (n, 6) and what went wrong (n,: OVERFLOW, NOT_FINITE), for places `todo` of the job."""
     device, n = job.device, len(todo)
-    nworld = min(n, MAX_WORLDS["cpu" if device == "cpu" else "cuda"])
     host = _without_reset_flag(job.model)
     wp.synchronize_device(device)  # the job's tables were written on torch's stream
     with wp.ScopedDevice(device):

@@ -262,8 +262,8 @@ def test_too_few_constraints_are_noticed_and_the_trial_runs_again_with_more(monk
     assert enough.valid.all()
     calls, honest = [], sim_mjwarp._run
 
-    def counted(job, todo, njmax, naconmax):
-        answer = honest(job, todo, njmax, naconmax)
+    def counted(job, todo, worlds, njmax, naconmax):
+        answer = honest(job, todo, worlds, njmax, naconmax)
         calls.append((todo.tolist(), njmax, answer[2].tolist()))
         return answer
 
@@ -276,6 +276,39 @@ def test_too_few_constraints_are_noticed_and_the_trial_runs_again_with_more(monk
     hopeless = run(MJWARP, path, length, n=2)
     assert hopeless.valid.tolist() == [True, False]
     assert torch.equal(hopeless.path[0], enough.path[0])
+
+
+def test_without_memory_for_all_worlds_half_as_many_give_the_same_motion(monkeypatch, caplog):
+    honest, tried = sim_mjwarp._run, []
+
+    def small(job, todo, worlds, njmax, naconmax):
+        tried.append(worlds)
+        if worlds > 3:
+            raise RuntimeError(f"Failed to allocate {worlds} bytes on device 'cuda:0'")
+        return honest(job, todo, worlds, njmax, naconmax)
+
+    monkeypatch.setattr(sim_mjwarp, "_run", small)
+    e = run(MJWARP)
+    moved = int((problems().plan.length > 0).sum())
+    assert tried == [moved, moved // 2, moved // 4] and tried[-1] < moved  # worlds were refilled
+    assert torch.equal(e.path, reference_run(MJWARP).path) and f"{moved // 4} worlds" in caplog.text
+    with pytest.raises(RuntimeError, match="illegal"):
+        monkeypatch.setattr(sim_mjwarp, "_run", lambda *a: (_ for _ in ()).throw(RuntimeError("illegal address")))
+        run(MJWARP)
+
+
+@pytest.mark.gpu
+def test_a_gpu_moves_the_arm_as_mujoco_does_on_the_cpu():
+    if not torch.cuda.is_available():
+        pytest.skip("there is no GPU")
+    b = problems(64).batch
+    on_cpu = Evaluator(EvalConfig(execute=MUJOCO)).score(b.T_obj_ee, b.T_world_ee, b.trials)
+    on_gpu = Evaluator(device="cuda").score(b.T_obj_ee.cuda(), b.T_world_ee.cuda(), b.trials.to("cuda")).to("cpu")
+    same_path = (on_cpu.path_len == on_gpu.path_len) & ((on_cpu.path - on_gpu.path).abs().amax((1, 2)) < 1e-5)
+    assert same_path.sum() > 32
+    a, g = on_cpu[same_path], on_gpu[same_path]
+    assert torch.equal(a.outcome[~a.borderline], g.outcome[~a.borderline])
+    np.testing.assert_allclose(a.t_exec_s.numpy(), g.t_exec_s.numpy(), atol=0.017)
 
 
 def test_more_contacts_than_there_is_room_for_are_noticed_by_their_count(monkeypatch):
