@@ -164,6 +164,8 @@ def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: s
     report.add(f"execute.tracking.{name}.trials", len(error))
     for key, value in (("mean", each.mean()), ("p95", np.percentile(each, 95)), ("max", each.max())):
         report.add(f"execute.tracking.{name}.{key}_mm", float(value))
+    report.add(f"execute.tracking.{name}.slack_mean_um", float(executed.slack_m[rows].mean()) * 1e6)
+    report.add(f"execute.tracking.{name}.slack_max_um", float(executed.slack_m[rows].max()) * 1e6)
     report.add(f"execute.tracking.{name}.not_settled", int((~executed.settled[rows]).sum()))
     t = scores.t_exec_s[~scores.t_exec_s.isnan()].numpy()
     for key, value in (("mean", t.mean()), *((f"p{p}", np.percentile(t, p)) for p in (5, 50, 95, 100))):
