@@ -343,7 +343,7 @@ def path_clearance(
     pair_out: wp.array(dtype=int),
     body_out: wp.array(dtype=int),
 ):
-    """Smallest clearance over all pairs along each path below `cap`, located to `tolerance` or 1 %."""
+    """Smallest clearance over all pairs along each path, exact to `tolerance` below `cap`."""
     trial = first + wp.tid()
     n = length_in[trial]
     if n == 0:
@@ -354,8 +354,7 @@ def path_clearance(
         i = n - 1 - k
         a = _waypoint(path_in, trial, i)
         b = _waypoint(path_in, trial, wp.min(i + 1, n - 1))
-        allowed = wp.max(tolerance, 0.01 * best)
-        found = edge(world, bodies, trial, a, b, 0.0, 0.0, best, allowed, 2, 0)
+        found = edge(world, bodies, trial, a, b, 0.0, 0.0, best, tolerance, 2, 0)
         if found.best < best:
             best = found.best
             pair_out[trial] = found.pair

@@ -27,6 +27,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, 
 
 MAX_LEVEL = wp.constant(15)
 SLACK_M = wp.constant(0.03)
+HAND_SLACK_M = wp.constant(0.06)
 """A ball about a piece rarely understates a distance by more: pairs that would need it wait for shorter stretches."""
 TOUCH_M = wp.constant(1.0e-6)
 """Bodies nearer than this count as touching: GJK's rounding allowance."""
@@ -155,6 +156,8 @@ def nearest_to_mesh(
             if value < out.distance:
                 out.distance = value
                 out.point = d.point - d.v
+                if wp.dot(d.v, d.v) == 0.0:  # through the core: any point of the face is a witness
+                    out.point = (tri[0] + tri[1] + tri[2]) / 3.0
                 out.changed = 1
             if out.open > 0:
                 break
@@ -219,12 +222,27 @@ def posture_distance(
             shape = robot_body(world, b)
             still = int(0)
             hulls_met = int(0)
-            around = wp.length(from_point(world.hand_center[hand], pb - axis, pb + axis)) - world.hand_radius[hand] - rb
-            if around < out.distance - tolerance + m:
+            toward = from_point(world.hand_center[hand], pb - axis, pb + axis)
+            far = wp.length(toward)
+            apart = far - world.hand_radius[hand] - rb
+            near_hand = apart < out.distance - tolerance + m
+            if near_hand and apart > out.distance:
+                n_hat = toward / far
+                low = swept_support(shape, Rb, pb, world.points, n_hat, wb, vb, bend)
+                low = low - wp.dot(n_hat, world.hand_center[hand]) - world.hand_radius[hand]
+                if low >= out.distance - tolerance:
+                    near_hand = False
+                elif low + HAND_SLACK_M < out.distance - tolerance:
+                    near_hand = False
+                    still = 1
+            if near_hand:
+                size = wp.length(axis) + rb
                 for i in range(world.n_pieces):
                     piece = hand * world.n_pieces + i
                     limit = out.distance - tolerance + m
                     center = world.piece_center[piece]
+                    if wp.length(center - pb) - world.piece_radius[piece] - size >= limit:
+                        continue
                     toward = Rb * from_ball(shape, wp.transpose(Rb) * (center - pb))
                     far = wp.length(toward)
                     apart = wp.where(far > 0.0, far - world.piece_radius[piece], -1.0e30)
@@ -275,7 +293,8 @@ def posture_distance(
             # in a hull but clear of all faces: in a hollow of the mesh, or wholly inside the hand
             if hulls_met == 1 and out.distance > 0.0 and inside_mesh(mesh, hand, pb, tri):
                 out.distance = wp.min(-out.distance, -TOUCH_M)
-                out.point = pb
+                if out.body != b:
+                    out.point = pb  # no face of the hand was nearer than what was already known: the body's own middle
                 out.body = b
                 out.changed = 1
                 still = 1

@@ -1,8 +1,8 @@
 """One stored trial as a folder that plain MuJoCo opens: `python -m r2h_batch.scene --run DIR --trial ID --out DIR2`.
 
-    scene.xml, meshes/   robot, gripper at its opening, object, hand, table; key frames `home` and `goal`
-    trajectory.csv       time_s and the six joints (rad): the planned motion (the servos' reference) at 100 Hz and all waypoints
-    trial.json           poses, verdict, margins, witness, reasons, digests
+scene.xml, meshes/   robot, gripper at its opening, object, hand, table; key frames `home` and `goal`
+trajectory.csv       time_s and the six joints (rad): the planned motion (the servos' reference) at 100 Hz and all waypoints
+trial.json           poses, verdict, margins, witness, reasons, digests
 """
 
 import argparse
@@ -43,7 +43,9 @@ class StoredTrial:
     object_model: Any
 
 
-def load_trial(run: str | Path, trial_id: int, *, method: str | None = None, object_mesh: Sequence[str] = ()) -> StoredTrial:
+def load_trial(
+    run: str | Path, trial_id: int, *, method: str | None = None, object_mesh: Sequence[str] = ()
+) -> StoredTrial:
     """The trial as it was scored; `object_mesh` as given to the sweep. Raises `ExportError`, `results.RunError`."""
     from r2h_batch.config import HOME_Q
     from r2h_batch.results import load_run
@@ -58,7 +60,7 @@ def load_trial(run: str | Path, trial_id: int, *, method: str | None = None, obj
     if row["opening_m"] is None:
         raise ExportError(f"trial {trial_id} of {method!r} was not judged ({row['outcome']}): there is nothing to show")
     poses = _row(stored.poses(method), trial_id, f"{run}: poses of {method!r}")
-    path = [p for p in _rows(stored.paths(method), trial_id)]
+    path = _rows(stored.paths(method), trial_id)
     objects, T_world_hand = _trial_again(header, row, object_mesh, str(run))
     T_obj_ee, T_world_ee = (_orthonormal(np.array(poses[k]).reshape(4, 4)) for k in ("T_obj_ee", "T_world_ee"))
     attached = T_obj_ee.copy()
@@ -74,7 +76,9 @@ def _method(stored: Any, method: str | None) -> str:
     if method is None and len(names) == 1:
         return str(names[0])
     if method is None:
-        raise ExportError(f"{stored.folder}: holds several methods, choose one with --method: {', '.join(names) or 'none'}")
+        raise ExportError(
+            f"{stored.folder}: holds several methods, choose one with --method: {', '.join(names) or 'none'}"
+        )
     if method not in names:
         raise ExportError(f"{stored.folder}: no method {method!r}; it has {', '.join(names) or 'none'}")
     return method
@@ -96,7 +100,9 @@ def _row(table: Any, trial_id: int, where: str) -> dict[str, Any]:
     return rows[0]
 
 
-def _trial_again(header: dict[str, Any], row: dict[str, Any], object_mesh: Sequence[str], run: str) -> tuple[Any, Array]:
+def _trial_again(
+    header: dict[str, Any], row: dict[str, Any], object_mesh: Sequence[str], run: str
+) -> tuple[Any, Array]:
     """The objects of the run and this trial's T_world_hand, made from the protocol and checked against the digests."""
     import torch
 
@@ -108,7 +114,9 @@ def _trial_again(header: dict[str, Any], row: dict[str, Any], object_mesh: Seque
         raise ExportError(f"{run}: protocol {header['protocol']!r}; this version makes the trials of {PROTOCOL!r}")
     own = [o["name"] for o in header["objects"] if not o["built_in"]]
     if len(object_mesh) != len(own):
-        raise ExportError(f"{run}: has the user's objects {', '.join(own) or 'none'}; give their --object-mesh as in the sweep")
+        raise ExportError(
+            f"{run}: has the user's objects {', '.join(own) or 'none'}; give their --object-mesh as in the sweep"
+        )
     objects = (*load_objects(), *(object_from_argument(m) for m in object_mesh))
     digests = header["digests"]
     trials = make_trials([s for s, n in header["trials"].items() if n], 0, objects=objects)
@@ -157,7 +165,10 @@ def export_trial(stored: StoredTrial, out: str | Path) -> Path:
     keyframes = [("home", np.array(HOME_Q)), *([("goal", stored.q[-1])] if len(stored.q) > 1 else [])]
     write_scene(folder, robot, Hands.posed(load_hand(), load_hand_set()), bodies, keyframes)
     time_s, q = trajectory(stored)
-    lines = [",".join(("time_s", *robot.joints)), *(",".join(f"{x:.9g}" for x in (t, *row)) for t, row in zip(time_s, q, strict=True))]
+    lines = [
+        ",".join(("time_s", *robot.joints)),
+        *(",".join(f"{x:.9g}" for x in (t, *row)) for t, row in zip(time_s, q, strict=True)),
+    ]
     (folder / "trajectory.csv").write_text("\n".join(lines) + "\n")
     (folder / "trial.json").write_text(json.dumps(describe(stored), indent=1, allow_nan=False) + "\n")
     return folder
@@ -245,7 +256,12 @@ def _finite(value: float | None) -> float | str | None:
 
 
 def render_strip(
-    folder: str | Path, png: str | Path, *, moments: Sequence[float] = (0.0, 0.6, 1.0), width: int = 600, height: int = 600
+    folder: str | Path,
+    png: str | Path,
+    *,
+    moments: Sequence[float] = (0.0, 0.6, 1.0),
+    width: int = 600,
+    height: int = 600,
 ) -> None:
     """A picture of the exported trial: the moments (fractions of its duration) side by side. Needs MUJOCO_GL=osmesa or egl."""
     import mujoco
@@ -313,8 +329,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--trial", required=True, type=int, metavar="ID", help="trial id")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder to write")
     parser.add_argument("--method", help="needed where the run holds several")
-    parser.add_argument("--object-mesh", nargs="*", default=[], metavar="FILE", help="the user's objects, as in the sweep")
-    parser.add_argument("--render", metavar="PNG", help="also a picture: start, middle, goal (MUJOCO_GL=osmesa without a screen)")
+    parser.add_argument(
+        "--object-mesh", nargs="*", default=[], metavar="FILE", help="the user's objects, as in the sweep"
+    )
+    parser.add_argument(
+        "--render", metavar="PNG", help="also a picture: start, middle, goal (MUJOCO_GL=osmesa without a screen)"
+    )
     options = parser.parse_args(arguments)
     try:
         stored = load_trial(options.run, options.trial, method=options.method, object_mesh=options.object_mesh)

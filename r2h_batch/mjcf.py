@@ -72,7 +72,9 @@ class _Writer:
         SubElement(self.asset, "texture", sky, width="64", height="384")
         self.worldbody = SubElement(self.root, "worldbody")
         SubElement(self.worldbody, "light", pos="-0.6 -1.2 2.4", dir="0.45 0.5 -1", diffuse="0.45 0.45 0.45")
-        SubElement(self.worldbody, "light", pos="1.4 1.0 2.0", dir="-0.5 -0.4 -1", diffuse="0.25 0.25 0.25", castshadow="false")
+        SubElement(
+            self.worldbody, "light", pos="1.4 1.0 2.0", dir="-0.5 -0.4 -1", diffuse="0.25 0.25 0.25", castshadow="false"
+        )
 
     def write(self, keyframes: Iterable[tuple[str, Array]]) -> Path:
         table = SubElement(self.worldbody, "body", name="table")
@@ -124,7 +126,11 @@ class _Writer:
             seen.add((part, side))
             origin = np.eye(4)
             origin[:3, 3] = part_origin(part)
-            T = finger_motion(robot, motion, int(side), drive_from_gap(gap)) @ (turned if side < 0 else np.eye(4)) @ origin
+            T = (
+                finger_motion(robot, motion, int(side), drive_from_gap(gap))
+                @ (turned if side < 0 else np.eye(4))
+                @ origin
+            )
             name = f"gripper/{'left' if side < 0 else 'right'}_{part}_visual"
             if part == "pad":  # a box in the model it comes from
                 box = {"type": "box", "size": _text(robot.linkage.pad_half_size), "rgba": _COLORS["pad"]}
@@ -155,7 +161,9 @@ class _Writer:
         faces = hands.model.faces_by_side[int(hands.set.side[k])].numpy()
         vertices = hands.vertices[k].numpy()
         self._write_obj("hand_mesh", vertices, faces)
-        self._mesh_geom(body, "hand/mesh_visual", "hand_mesh", {**_VISUAL, "rgba": _COLORS["hand"]}, file="hand_mesh.obj")
+        self._mesh_geom(
+            body, "hand/mesh_visual", "hand_mesh", {**_VISUAL, "rgba": _COLORS["hand"]}, file="hand_mesh.obj"
+        )
 
     def _add_exclusions(self) -> None:
         robot, contact = self.robot, SubElement(self.root, "contact")
@@ -186,7 +194,9 @@ class _Writer:
         self._write_obj(mesh, points[hull.vertices], at[faces])
         self._mesh_geom(body, name, mesh, _collision(), file=f"{mesh}.obj", inertia="convex")
 
-    def _add_visual(self, body: Element, name: str, triangles: Array, T: Array, rgba: str, mesh: str = "") -> None:
+    def _add_visual(
+        self, body: Element, name: str, triangles: NDArray[np.floating], T: Array, rgba: str, mesh: str = ""
+    ) -> None:
         mesh = mesh or name.replace("/", "_").removesuffix("_visual")
         path = self.folder / "meshes" / f"{mesh}.stl"
         if not any(m.get("name") == mesh for m in self.asset):
@@ -206,7 +216,7 @@ class _Writer:
         (self.folder / "meshes" / f"{mesh}.obj").write_text("\n".join(lines) + "\n")
 
 
-def _write_stl(path: Path, triangles: Array) -> None:
+def _write_stl(path: Path, triangles: NDArray[np.floating]) -> None:
     """Binary STL; normals are left to the reader."""
     rows = np.zeros(len(triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     rows["corners"] = triangles

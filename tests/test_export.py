@@ -77,7 +77,9 @@ def clearances(model, data, q):
     for name, one, two in pairs:
         for a in ids[one]:
             for b in ids[two]:
-                gap = np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) - model.geom_rbound[a] - model.geom_rbound[b]
+                gap = (
+                    np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) - model.geom_rbound[a] - model.geom_rbound[b]
+                )
                 if gap < least[name]:
                     least[name] = min(least[name], mujoco.mj_geomDistance(model, data, a, b, 0.07, None))
     return least
@@ -103,9 +105,14 @@ def test_the_folder_opens_elsewhere_and_names_say_what_is_what(exported):
         wanted = {f"robot/{n}" for n in robot.arm.names} | {f"gripper/{n}" for n in robot.gripper.names}
         wanted |= {"object/hull", "table/top", "hand/mesh_visual", "object/mesh_visual", "gripper/body_visual"}
         wanted |= {f"robot/{link}_visual" for link in robot.links[:7]}
-        wanted |= {f"gripper/{s}_{p}_visual" for s in ("left", "right") for p in ("outer_finger", "inner_knuckle", "pad")}
+        wanted |= {
+            f"gripper/{s}_{p}_visual" for s in ("left", "right") for p in ("outer_finger", "inner_knuckle", "pad")
+        }
         assert wanted <= set(names)
-        files = {m.get("file") for m in __import__("xml.etree.ElementTree").etree.ElementTree.parse(folder / "scene.xml").iter("mesh")}
+        files = {
+            m.get("file")
+            for m in __import__("xml.etree.ElementTree").etree.ElementTree.parse(folder / "scene.xml").iter("mesh")
+        }
         assert files == {p.name for p in (folder / "meshes").iterdir()}
         assert not any("/" in f or "\\" in f for f in files)
 
@@ -116,7 +123,11 @@ def test_distances_on_the_exported_geoms_are_those_of_the_planners_bodies(export
     for stored, folder in exported.values():
         model, data = load(folder)
         staged = oracle.Staged(
-            objects[stored.row["object"]], stored.row["hand_index"], stored.T_obj_ee_attached, stored.T_world_hand, stored.row["opening_m"]
+            objects[stored.row["object"]],
+            stored.row["hand_index"],
+            stored.T_obj_ee_attached,
+            stored.T_world_hand,
+            stored.row["opening_m"],
         )
         twin = oracle.mujoco_scene(scene, staged)
         for q in (*stored.q, *(stored.q[-1] + rng.normal(size=(6, 6)) * 0.2)):
@@ -135,7 +146,9 @@ def test_the_stored_margins_are_what_mujoco_measures_along_the_trajectory(export
         _, rows = trajectory(folder)
         margin, safe = stored.row["margin_plan_m"], stored.row["margin_safe_m"]
         q = rows[:, 1:]
-        least = [min(clearances(model, data, x).values()) for x in q[:: max(1, len(q) // 60)]] + [min(clearances(model, data, q[-1]).values())]
+        least = [min(clearances(model, data, x).values()) for x in q[:: max(1, len(q) // 60)]] + [
+            min(clearances(model, data, q[-1]).values())
+        ]
         assert min(least) >= margin - 5e-5
         vertices, faces = _hand_mesh(model, data, folder)
         distance = min(_robot_distance(model, data, vertices[faces], x) for x in (*q[:: max(1, len(q) // 12)], q[-1]))
@@ -171,7 +184,12 @@ def _robot_distance(model, data, triangles, q):
                 continue
             T = np.eye(4)
             T[:3, :3], T[:3, 3] = data.geom_xmat[i].reshape(3, 3), data.geom_xpos[i]
-            best = min(best, oracle.mesh_distance(oracle._KIND_OF_TYPE[int(model.geom_type[i])], model.geom_size[i], T, triangles, cap=best))
+            best = min(
+                best,
+                oracle.mesh_distance(
+                    oracle._KIND_OF_TYPE[int(model.geom_type[i])], model.geom_size[i], T, triangles, cap=best
+                ),
+            )
     return best
 
 
@@ -182,7 +200,9 @@ def test_the_hand_mesh_is_the_exact_closed_surface_and_poses_are_the_trials(expo
         vertices, faces = _hand_mesh(model, data, folder)
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         assert mesh.is_watertight and mesh.volume > 1e-4
-        exact = oracle.hand_triangles(scene, oracle.Staged(0, stored.row["hand_index"], np.eye(4), stored.T_world_hand, 0.05))
+        exact = oracle.hand_triangles(
+            scene, oracle.Staged(0, stored.row["hand_index"], np.eye(4), stored.T_world_hand, 0.05)
+        )
         assert np.abs(vertices[faces] - exact).max() <= 1e-7
         data.qpos[:] = stored.q[-1]
         mujoco.mj_forward(model, data)
@@ -215,7 +235,9 @@ def test_visual_meshes_lie_within_the_collision_geoms(exported):
         out = np.full(len(x), np.inf)
         for g in found[link]:
             local = (x - data.geom_xpos[g]) @ data.geom_xmat[g].reshape(3, 3)
-            out = np.minimum(out, oracle.primitive_distance(oracle._KIND_OF_TYPE[int(model.geom_type[g])], model.geom_size[g], local))
+            out = np.minimum(
+                out, oracle.primitive_distance(oracle._KIND_OF_TYPE[int(model.geom_type[g])], model.geom_size[g], local)
+            )
         assert out.max() <= 6e-4, (name, out.max())
 
 
@@ -261,8 +283,27 @@ def test_samples_agree_with_the_evaluators_own_clock():
     q = np.cumsum(rng.normal(size=(4, 6)) * [[0.5], [0.5], [0.02], [0.8]], axis=0)
     path, length = torch.tensor(q[None], dtype=torch.float32), torch.tensor([4], dtype=torch.int32)
     motion = time_path(path, length, config)
-    header = {"configuration": {"execute": {"scale": config.scale, "max_velocity_rad_s": config.max_velocity_rad_s, "max_acceleration_rad_s2": config.max_acceleration_rad_s2}}}
-    stored = export.StoredTrial(header, "", {}, np.eye(4), np.eye(4), np.eye(4), np.eye(4), path[0].double().numpy(), motion.time_s[0].numpy(), None)
+    header = {
+        "configuration": {
+            "execute": {
+                "scale": config.scale,
+                "max_velocity_rad_s": config.max_velocity_rad_s,
+                "max_acceleration_rad_s2": config.max_acceleration_rad_s2,
+            }
+        }
+    }
+    stored = export.StoredTrial(
+        header,
+        "",
+        {},
+        np.eye(4),
+        np.eye(4),
+        np.eye(4),
+        np.eye(4),
+        path[0].double().numpy(),
+        motion.time_s[0].numpy(),
+        None,
+    )
     t, postures = export.trajectory(stored)
     ends = motion.time_s[0].double().numpy()
     for time, posture in zip(t[1:-1], postures[1:-1], strict=True):
@@ -322,7 +363,9 @@ def test_a_run_without_paths_is_refused_naming_the_flag(run, tmp_path, capsys):
     for method in header["methods"]:
         method["files"].pop("paths")
     (bare / "run.json").write_text(json.dumps(header))
-    assert "--save-paths" in refused(["--run", bare, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
+    assert "--save-paths" in refused(
+        ["--run", bare, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys
+    )
 
 
 def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys):
@@ -334,7 +377,19 @@ def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys):
 
 
 def test_the_command_of_the_readme_works(run, tmp_path):
-    command = [sys.executable, "-m", "r2h_batch.scene", "--run", str(run), "--trial", "1", "--method", "oracle", "--out", str(tmp_path / "x")]
+    command = [
+        sys.executable,
+        "-m",
+        "r2h_batch.scene",
+        "--run",
+        str(run),
+        "--trial",
+        "1",
+        "--method",
+        "oracle",
+        "--out",
+        str(tmp_path / "x"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip() == str(tmp_path / "x") and (tmp_path / "x" / "scene.xml").is_file()
