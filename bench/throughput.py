@@ -26,7 +26,7 @@ from _report import Report, arguments
 import r2h_batch.evaluate as evaluate
 import r2h_batch.launch as launch
 import r2h_batch.plan as plan
-from r2h_batch.config import EvalConfig
+from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.trials import trials_digest, trials_with_ids
 from r2h_batch.types import Outcome, PlanReason, Scores
@@ -39,7 +39,7 @@ STAGES: dict[str, tuple[Any, tuple[str, ...]]] = {
     "place": (evaluate.Scene, ("place",)),
     "ik": (evaluate, ("solve_ik",)),
     "plan": (evaluate, ("plan_paths",)),
-    "execute": (evaluate, ("time_path", "time_at")),
+    "execute": (evaluate, ("time_path", "execute", "executed_time_at", "time_at")),
     "reach": (evaluate.metrics, ("reach",)),
     "affordance": (evaluate.metrics, ("affordance",)),
     "safe": (evaluate.metrics, ("safe",)),
@@ -122,13 +122,15 @@ def score_time(run: Callable[[], Scores]) -> tuple[float, float, Scores]:
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--trials", type=int, default=MIX_TRIALS, help="more than the mix has: the mix again")
+    parser.add_argument("--sim", default="none", choices=("none", "mujoco", "mjwarp"), help="see bench/execute.py")
     parser.add_argument("--freeze", action="store_true", help="make the mix again and stop")
     parser.add_argument("--threads", type=int, default=None, help="CPU threads (default: one per core)")
     options = parser.parse_args()
     report = Report()
 
     start = time.perf_counter()
-    evaluator = Evaluator(EvalConfig(), device=options.device, threads=options.threads)
+    config = EvalConfig(execute=ExecConfig(sim=options.sim))
+    evaluator = Evaluator(config, device=options.device, threads=options.threads)
     if options.freeze:
         freeze(evaluator)
         return
@@ -143,6 +145,7 @@ def main() -> None:
     trials = whole[rows].to(options.device)
     report.add("throughput.setup_s", time.perf_counter() - start)
     report.add("throughput.trials", options.trials)
+    report.add("throughput.sim", options.sim)
     report.add("throughput.mix_is_current", current)
     report.add("throughput.threads", launch.cpu_threads(options.threads))
 

@@ -70,14 +70,33 @@ class PlanConfig:
 
 @dataclass(frozen=True)
 class ExecConfig:
-    """The time law: a trapezoid per segment, all joints together, at a fraction of the joint limits."""
+    """The time law (a trapezoid per segment, all joints together, at a fraction of the joint limits), and who moves the arm."""
 
     scale: float = 0.1  # MoveIt 2's default velocity and acceleration scaling
     max_velocity_rad_s: float = math.pi
     max_acceleration_rad_s2: float = 5.0
+    sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"  # auto: mujoco on a CPU, mjwarp on CUDA; none: kinematic
+    step_s: float = 0.002  # of simulator and servos: the real controller's 500 Hz
+    record_steps: int = 4  # steps between two samples of the executed motion
+    payload: Literal["known", "unknown"] = "known"  # whether the controller compensates the object's weight
+    settle_position_m: float = 0.001  # at rest: the ee stays this near to the goal,
+    settle_rotation_rad: float = math.radians(0.5)  # and turned by no more than this
+    settle_limit_s: float = 20.0  # later than this: Plan failure, not_settled
+    dwell_s: float = 0.5  # it is watched this long after its reference has ended, and must stay for half of that
 
     def __post_init__(self) -> None:
-        _positive(self, "scale", "max_velocity_rad_s", "max_acceleration_rad_s2")
+        _one_of(self, "sim", ("auto", "none", "mujoco", "mjwarp"))
+        _one_of(self, "payload", ("known", "unknown"))
+        _positive(self, "scale", "max_velocity_rad_s", "max_acceleration_rad_s2", "step_s", "record_steps")
+        _positive(self, "settle_position_m", "settle_rotation_rad", "settle_limit_s", "dwell_s")
+        if int(self.record_steps) != self.record_steps:
+            raise ValueError(f"ExecConfig.record_steps is {self.record_steps}; it must be a whole number of steps")
+
+    def engine(self, device: str) -> Literal["none", "mujoco", "mjwarp"]:
+        """The engine that `sim` means on a device."""
+        if self.sim != "auto":
+            return self.sim
+        return "mujoco" if device == "cpu" else "mjwarp"
 
 
 @dataclass(frozen=True)
@@ -88,11 +107,13 @@ class EvalConfig:
     plan: PlanConfig = field(default_factory=PlanConfig)
     execute: ExecConfig = field(default_factory=ExecConfig)
     width: Literal["pads", "whole"] = "pads"  # material between the pads, or the whole object's extent
+    stability: Literal["geometric", "physics"] = "geometric"  # physics: the friction grasp must also outlast a shake
     chunk: int = 2048  # trials held in memory at once
     name: str = "default"
 
     def __post_init__(self) -> None:
         _one_of(self, "width", ("pads", "whole"))
+        _one_of(self, "stability", ("geometric", "physics"))
         if self.chunk < 1:
             raise ValueError(f"EvalConfig.chunk is {self.chunk}; it must be 1 or more trials")
 

@@ -1,7 +1,10 @@
 """The Evaluator: a batch of handovers in, verdicts with margins and reasons out. The stages in order, nothing else."""
 
+import copy
 import time
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 
 import torch
 from jaxtyping import Float32
@@ -9,7 +12,7 @@ from torch import Tensor
 
 from r2h_batch import metrics, se3
 from r2h_batch.config import BORDERLINE_M, EvalConfig
-from r2h_batch.execute import time_at, time_path
+from r2h_batch.execute import execute, executed_time_at, time_at, time_path
 from r2h_batch.grasp import attach, close_gripper
 from r2h_batch.hand import HandSet
 from r2h_batch.ik import one_branch, solve_ik
@@ -17,7 +20,7 @@ from r2h_batch.launch import one_torch_thread
 from r2h_batch.objects import ObjectModel
 from r2h_batch.plan import plan_paths
 from r2h_batch.scene import Scene
-from r2h_batch.types import CollidingPair, Outcome, Scores, Trials
+from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores, Trials
 
 
 class Evaluator:
@@ -35,6 +38,13 @@ class Evaluator:
         self.config = config or EvalConfig()
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
         self.threads = threads
+
+    @cached_property
+    def kinematic(self) -> "Evaluator":
+        """The same evaluator with the motion taken as planned (`sim="none"`): for methods that score while they search."""
+        twin = copy.copy(self)
+        twin.config = replace(self.config, execute=replace(self.config.execute, sim="none"))
+        return twin
 
     def score(self, T_obj_ee: Float32[Tensor, "b 4 4"], T_world_ee: Float32[Tensor, "b 4 4"], trials: Trials) -> Scores:
         """Verdicts of B handovers: outcome, five criteria with margins (m), reasons, times, joint path.
@@ -74,25 +84,38 @@ class Evaluator:
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         motion = time_path(planned.path, planned.length, config.execute)
+        executed = execute(scene, placed, planned.path, planned.length, motion, config.execute, threads=threads)
 
         T_world_obj = se3.matmul(T_world_ee, se3.inverse(attached))
         _, _, ball_center = scene.palm(trials.hand_index, T_world_hand)
-        safe, touch = metrics.safe(scene, placed, planned, active, config.thresholds, threads=threads)
+        safe, touch = metrics.safe(scene, placed, executed, active, config.thresholds, threads=threads)
+        steady = metrics.stability(grasp, active)
+        if config.stability == "physics":
+            steady = metrics.stability_in_physics(scene, grasp, attached, objects, active, threads=threads)
         criteria = [
-            metrics.stability(grasp, active),
-            metrics.plan(planned, active),
+            steady,
+            metrics.plan(planned, executed, active),
             metrics.reach(scene, T_world_obj, ball_center, objects, active, config.thresholds, threads=threads),
             metrics.affordance(scene, T_obj_ee, objects, grasp, active, config.thresholds, threads=threads),
             safe,
         ]
-        evaluated = torch.stack([c.evaluated for c in criteria], 1)
-        passed = torch.stack([c.passed for c in criteria], 1)
-        margin = torch.stack([c.margin for c in criteria], 1)
+        judged = executed.valid[:, None]
+        evaluated = torch.stack([c.evaluated for c in criteria], 1) & judged
+        passed = torch.stack([c.passed for c in criteria], 1) & judged
+        margin = torch.where(judged, torch.stack([c.margin for c in criteria], 1), torch.nan)
         outcome = _first_failure(passed, evaluated, active)
+        outcome[active & ~executed.valid] = int(Outcome.INVALID_SIM)
+        restless = (planned.length > 0) & executed.valid & ~executed.settled
         found = planned.length > 0
         nan = torch.full_like(motion.t_exec_s, torch.nan)
         goal = planned.path[torch.arange(len(trials), device=active.device), (planned.length - 1).clamp(min=0).long()]
         witnessed = touch.body >= 0
+        if executed.sample_s is None:
+            witness_time_s = time_at(
+                planned.path, planned.length, motion, touch.segment, touch.fraction, config.execute
+            )
+        else:
+            witness_time_s = executed_time_at(executed, touch.segment, touch.fraction)
         return Scores(
             trial_id=trials.trial_id,
             outcome=outcome,
@@ -101,17 +124,13 @@ class Evaluator:
             evaluated=evaluated,
             margin=margin,
             borderline=(evaluated & (margin.abs() < BORDERLINE_M)).any(1),
-            plan_reason=planned.reason.to(torch.int8),
+            plan_reason=torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(torch.int8),
             plan_pair=torch.where(active, planned.pair, int(CollidingPair.NONE)).to(torch.int8),
             witness_part=torch.stack([torch.where(found, planned.body, -1), touch.body], 1),
-            witness_time_s=torch.where(
-                witnessed,
-                time_at(planned.path, planned.length, motion, touch.segment, touch.fraction, config.execute),
-                nan,
-            ),
+            witness_time_s=torch.where(witnessed, witness_time_s, nan),
             witness_point=torch.where(witnessed[:, None], touch.point, torch.nan),
             t_plan_s=torch.where(active, t_plan_s, torch.nan).float(),
-            t_exec_s=motion.t_exec_s,
+            t_exec_s=executed.t_exec_s,
             q_goal=torch.where(found[:, None], goal, torch.nan),
             width_m=torch.where(active, grasp.width_m, nan),
             opening_m=torch.where(active, grasp.opening_m, nan),

@@ -1,7 +1,7 @@
 """One stored trial as a folder that plain MuJoCo opens: `python -m r2h_batch.scene --run DIR --trial ID --out DIR2`.
 
 scene.xml, meshes/   robot, gripper at its opening, object, hand, table; key frames `home` and `goal`
-trajectory.csv       time_s and the six joints (rad): the motion at 100 Hz and all waypoints
+trajectory.csv       time_s and the six joints (rad): the planned motion (the servos' reference) at 100 Hz and all waypoints
 trial.json           poses, verdict, margins, witness, reasons, digests
 """
 
@@ -176,7 +176,7 @@ def export_trial(stored: StoredTrial, out: str | Path) -> Path:
 
 
 def trajectory(stored: StoredTrial, rate_hz: float = RATE_HZ) -> tuple[Array, Array]:
-    """Times (N,) and postures (N, 6) of the executed motion: `rate_hz` samples and every waypoint, in order."""
+    """Times (N,) and postures (N, 6) of the planned motion: `rate_hz` samples and every waypoint, in order."""
     execute = stored.header["configuration"]["execute"]
     speed, gain = (execute["scale"] * execute[k] for k in ("max_velocity_rad_s", "max_acceleration_rad_s2"))
     times, postures, start = [0.0], [stored.q[0]], 0.0

@@ -45,7 +45,8 @@ def one_torch_thread(device: str) -> Iterator[None]:
 
 
 @lru_cache(maxsize=4)
-def _pool(threads: int) -> ThreadPoolExecutor:
+def thread_pool(threads: int) -> ThreadPoolExecutor:
+    """The process' worker threads."""
     return ThreadPoolExecutor(threads, thread_name_prefix="r2h")
 
 
@@ -88,7 +89,7 @@ def launch_trials(
             command.set_param_at_index(0, first)
             command.launch()
 
-    futures = [_pool(workers).submit(work, command) for command in commands[1:]]
+    futures = [thread_pool(workers).submit(work, command) for command in commands[1:]]
     work(commands[0])
     for future in futures:
         future.result()

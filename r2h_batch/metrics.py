@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Bool, Float32, Int32
@@ -9,7 +10,9 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
+from r2h_batch.execute import Executed
 from r2h_batch.grasp import Grasp, attach, region_distance
+from r2h_batch.grasp_physics import DROPPED_M, close_in_physics
 from r2h_batch.kernels import reach as reach_kernels
 from r2h_batch.kernels import safe as safe_kernels
 from r2h_batch.launch import launch_trials
@@ -40,9 +43,36 @@ def stability(grasp: Grasp, active: Bool[Tensor, " b"]) -> Criterion:
     return Criterion.of(grasp.margin_m, active, touching_passes=True)
 
 
-def plan(planned: Plan, active: Bool[Tensor, " b"]) -> Criterion:
-    """Plan(g, h) <=> h in S_plan(g): margin is the smallest clearance along the path, -inf when there is none."""
-    found = planned.length > 0
+def stability_in_physics(
+    scene: Scene,
+    grasp: Grasp,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    active: Bool[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> Criterion:
+    """Stability(g) as above, and the friction grasp holds the object through its weight and a shake along three axes.
+
+    Margin: the smaller of w_max - w and 2 cm - slip. `T_obj_ee` after closing. The shake is simulated on the CPU.
+    """
+    geometric = stability(grasp, active)
+    rows = torch.nonzero(geometric.passed).flatten()
+    closed = close_in_physics(
+        scene.objects, object_index[rows].cpu().numpy(), T_obj_ee[rows].double().cpu().numpy(), shake=True, threads=threads
+    )
+    left = torch.from_numpy(np.nan_to_num(DROPPED_M - closed.slip_m, nan=-np.inf))
+    margin = geometric.margin.clone()
+    margin[rows] = torch.minimum(margin[rows], left.to(margin))
+    return Criterion.of(margin, active, touching_passes=True)
+
+
+def plan(planned: Plan, executed: Executed, active: Bool[Tensor, " b"]) -> Criterion:
+    """Plan(g, h) <=> h in S_plan(g): margin is the smallest clearance along the path.
+
+    -inf when there is none, or when the arm did not come to rest at its end.
+    """
+    found = (planned.length > 0) & executed.settled
     criterion = Criterion.of(torch.where(found, planned.clearance_m, -torch.inf), active, touching_passes=False)
     return Criterion(criterion.margin, found & active, active)
 
@@ -107,7 +137,7 @@ class Touch:
 def safe(
     scene: Scene,
     placed: Placed,
-    planned: Plan,
+    executed: Executed,
     active: Bool[Tensor, " b"],
     thresholds: Thresholds,
     *,
@@ -116,7 +146,8 @@ def safe(
     """Safe(g, h) <=> M_hand does not meet M_robot(g, h) over the motion: margin is the smallest distance over time.
 
     Exact hand mesh against the robot's primitives, without the object; exact below 5 cm, a lower bound above, an overlap
-    bound below 0. Defined where there is a motion. Touching fails.
+    bound below 0, all less what the motion may have been off the lines between its samples. Defined where there is a
+    motion. Touching fails.
     """
     b, device = len(active), active.device
     distance = torch.zeros(b, dtype=torch.float32, device=device)
@@ -124,11 +155,11 @@ def safe(
     fraction = torch.zeros(b, dtype=torch.float32, device=device)
     point = torch.zeros((b, 3), dtype=torch.float32, device=device)
     inputs = [
-        CLEARANCE_CAP_M, SAFE_TOLERANCE_M, scene.world, scene.hand_mesh, placed.bodies, wp.from_torch(planned.path),
-        wp.from_torch(planned.length), wp.from_torch(distance), wp.from_torch(body), wp.from_torch(segment),
+        CLEARANCE_CAP_M, SAFE_TOLERANCE_M, scene.world, scene.hand_mesh, placed.bodies, wp.from_torch(executed.path),
+        wp.from_torch(executed.length), wp.from_torch(distance), wp.from_torch(body), wp.from_torch(segment),
         wp.from_torch(fraction), wp.from_torch(point, dtype=wp.vec3),
     ]  # fmt: skip
     launch_trials(safe_kernels.safe_distance, b, inputs, device=scene.device, threads=threads, chunk=16)
-    defined = active & (planned.length > 0)
-    criterion = Criterion.of(distance - thresholds.safe_margin_m, defined, touching_passes=False)
+    defined = active & (executed.length > 0)
+    criterion = Criterion.of(distance - executed.slack_m - thresholds.safe_margin_m, defined, touching_passes=False)
     return criterion, Touch(torch.where(defined, body, -1), segment, fraction, point)

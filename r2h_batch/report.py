@@ -34,7 +34,8 @@ FOOTNOTES = (
     "SR and F_*: percent of all N planned trials of the split; a trial counts once, at its first failure in the order"
     " Stability, Plan, Reach, Affordance, Safe. With invalid and missing they add up to 100.",
     "T_plan: mean over the trials in which planning ran, amortised (batch wall time / B), without the method's own"
-    " time; T_exec: mean over the trials with a path; T_tot = T_plan + T_exec; the counts are in the last table.",
+    " time; T_exec: mean over the trials whose arm came to rest at its goal; T_tot = T_plan + T_exec; the counts are in"
+    " the last table.",
     "Avg: mean of the two splits, S0's F_afford (not evaluated) taken as 0.",
     "Intervals: 95 %. Wilson speaks about more trials with these objects; the object-clustered t interval about new"
     " objects of the same kind.",
@@ -60,6 +61,8 @@ def table_of(run: Run) -> Table:
         "device": str(header["device"]["name"]),
         "r2h_batch": str(header["versions"]["r2h_batch"]),
     }
+    if "motion" in header:
+        origin["motion"] = str(header["motion"]["engine"]).replace("none", "as planned")
     return Table(summarise([verdicts(run, method) for method in run.methods]), origin)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from jaxtyping import Float32
+from jaxtyping import Float32, Int32
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -83,6 +83,22 @@ class Scene:
     def T_wrist_ee(self) -> NDArray[np.float64]:
         """ee in the wrist_3 frame, float64."""
         return np.asarray(self.robot.T_wrist3_flange @ self.robot.T_flange_ee)
+
+    @cached_property
+    def tool(self) -> Any:
+        """The `Tool` of r2h_batch.kernels.reference."""
+        from r2h_batch.kernels.reference import Tool
+
+        tool = Tool()
+        tool.joint_R, tool.joint_p = self.world.joint_R, self.world.joint_p
+        tool.R_wrist_ee = wp.mat33(*self.T_wrist_ee[:3, :3].astype(np.float32).ravel())
+        tool.p_wrist_ee = wp.vec3(*self.T_wrist_ee[:3, 3].astype(np.float32))
+        return tool
+
+    @cached_property
+    def levers(self) -> Tensor:
+        """(n_robot, 6) bounds in m on the distance of each robot body's points from each joint's axis."""
+        return torch.from_numpy(np.asarray(self._fill_robot()["lever"][0], np.float64))
 
     @cached_property
     def _arm_order(self) -> NDArray[np.int64]:
@@ -340,6 +356,21 @@ class Placed:
 
     bodies: Any
     owners: tuple[Tensor, ...]
+
+    @property
+    def object_index(self) -> Int32[Tensor, " b"]:
+        """Which object is held."""
+        return self.owners[0]
+
+    @property
+    def R_wrist_obj(self) -> Float32[Tensor, "b 3 3"]:
+        """How the object is turned in the wrist_3 frame."""
+        return self.owners[6]
+
+    @property
+    def p_wrist_obj(self) -> Float32[Tensor, "b 3"]:
+        """Where the object's origin is in the wrist_3 frame."""
+        return self.owners[7]
 
 
 if __name__ == "__main__":

@@ -58,10 +58,14 @@ class Options:
     """default: exact planning to any branch. paper: one goal, MoveIt's edge resolution, to compare with the paper."""
     width: Literal["pads", "whole"] = "pads"
     """Stability measures the material between the pads, or the whole object's extent along the closing axis."""
+    stability: Literal["geometric", "physics"] = "geometric"
+    """physics: the object must also stay in a friction grasp through its weight and a shake along three axes."""
     object_collision: Literal["hull", "pieces"] = "hull"
     """The attached object in planning: its convex hull (as in the paper), or its convex decomposition."""
     edge_check: Literal["preset", "exact", "moveit"] = "preset"
     """Path edges: as the preset says, certified, or sampled at MoveIt's resolution."""
+    sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
+    """Who moves the arm: MuJoCo C, MuJoCo-Warp, nobody (the motion as planned); auto: mujoco on a CPU, mjwarp on CUDA."""
     format: Literal["md", "latex", "csv", "json"] = "md"
     """Format of the table on stdout."""
     save_paths: bool = False
@@ -222,7 +226,10 @@ def _prepare(options: Options) -> "tuple[Evaluator, Trials, dict[str, Any]]":
     config = EvalConfig.preset(options.preset)
     edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
     plan = dataclasses.replace(config.plan, object_collision=options.object_collision, edge_check=edge_check)
-    config = dataclasses.replace(config, plan=plan, width=options.width)
+    execution = dataclasses.replace(config.execute, sim=options.sim)
+    engine = execution.engine(options.device)
+    execution = dataclasses.replace(execution, sim=engine)
+    config = dataclasses.replace(config, plan=plan, execute=execution, width=options.width, stability=options.stability)
     built_in = load_objects()
     pieces = options.object_collision == "pieces"  # a convex decomposition takes up to a minute: only where it is used
     objects = (*built_in, *(object_from_argument(mesh, pieces=pieces) for mesh in options.object_mesh))
@@ -238,6 +245,11 @@ def _prepare(options: Options) -> "tuple[Evaluator, Trials, dict[str, Any]]":
             "objects": object_digest(objects),
             "hand_set": evaluator.scene.hands.set.digest,
             "code": provenance.code_digest(),
+        },
+        "motion": {
+            "engine": engine,
+            "step_s": execution.step_s if engine != "none" else None,
+            "sample_s": execution.step_s * execution.record_steps if engine != "none" else None,
         },
         "objects": [{"name": o.name, "split": o.split, "built_in": i < len(built_in)} for i, o in enumerate(objects)],
         "seed": options.seed,

@@ -26,7 +26,7 @@ class Outcome(IntEnum):
 
 
 class PlanReason(IntEnum):
-    """Why Plan passed or failed; `IK_*` are proven, `NO_PATH_IN_BUDGET` is not.
+    """Why Plan passed or failed; `IK_*` are proven, `NO_PATH_IN_BUDGET` is not; `NOT_SETTLED`: the motion did not come to rest.
 
     With `PlanConfig.goals = "one"` only one branch is looked at: `IK_IN_COLLISION` then says nothing about the others.
     """
@@ -37,6 +37,7 @@ class PlanReason(IntEnum):
     IK_IN_COLLISION = 3
     NO_PATH_IN_BUDGET = 4
     NOT_EVALUATED = 5
+    NOT_SETTLED = 6
 
 
 class CollidingPair(IntEnum):

@@ -100,7 +100,9 @@ def test_a_stick_held_low_before_an_open_palm_is_a_success(item):
     assert float(s.margin[0, REACH]) == pytest.approx(0.10, abs=1e-5)
     assert not s.borderline[0]
     n = int(s.path_len[0])
-    assert torch.equal(s.q_goal[0], s.path[0, n - 1]) and float(s.path_time_s[0, n - 1]) == float(s.t_exec_s[0]) > 5
+    assert torch.equal(s.q_goal[0], s.path[0, n - 1]) and float(s.t_exec_s[0]) > 5
+    # the last millimetre of the reference is within the tolerance already
+    assert float(s.path_time_s[0, n - 1]) - 0.2 < float(s.t_exec_s[0]) < float(s.path_time_s[0, n - 1]) + 0.1
     assert float(s.t_plan_s[0]) > 0
 
 
@@ -247,12 +249,13 @@ def test_a_path_whose_samples_step_over_the_hand_is_not_safe_and_the_exact_check
 def test_a_planned_path_with_exact_edges_is_safe_because_pieces_enclose_the_hand():
     evaluator = default_evaluator()
     batch = make_batch(evaluator.scene, 512, random_share=0.3)
-    s = evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
-    found = s.path_len > 0
-    assert found.sum() > 200
-    assert (s.passed[:, SAFE] == found).all()
-    clear = found & (s.margin[:, PLAN] < 0.049) & (s.plan_pair == int(CollidingPair.HAND))
-    assert clear.any() and (s.margin[clear, SAFE] >= s.margin[clear, PLAN] - 3e-5).all()
+    for config, tolerance in ((evaluator.kinematic, 3e-5), (evaluator, 6e-4)):  # the servos stray by up to 0.5 mm
+        s = config.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
+        found = s.path_len > 0
+        assert found.sum() > 200
+        assert (s.passed[:, SAFE] == found).all()
+        clear = found & (s.margin[:, PLAN] < 0.049) & ((s.plan_pair == int(CollidingPair.HAND)))
+        assert clear.any() and (s.margin[clear, SAFE] >= s.margin[clear, PLAN] - tolerance).all()
 
 
 # --- order ---------------------------------------------------------------------------------------------------------

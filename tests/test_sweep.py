@@ -49,7 +49,7 @@ def test_help_lists_every_flag_and_answers_at_once():
     assert done.returncode == 0 and done.stderr == ""
     for name in ("method", "splits", "trials", "device", "out", "seed", "predictions", "object-mesh", "preset"):
         assert f"--{name}" in done.stdout
-    for name in ("format", "save-paths", "threads", "allow-missing"):
+    for name in ("format", "save-paths", "threads", "allow-missing", "sim"):
         assert f"--{name}" in done.stdout
     assert seconds < 0.7
 
@@ -394,7 +394,7 @@ def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
         table = run.trials(method)
         assert table.num_rows == 12 and run.poses(method).num_rows == 12
         assert len(set(table["object"].to_pylist())) == 12
-        has_path = [r["trial_id"] for r in table.to_pylist() if r["t_exec_s"] is not None]
+        has_path = [r["trial_id"] for r in table.to_pylist() if r["t_exec_s"] is not None]  # all come to rest
         assert run.paths(method)["trial_id"].to_pylist() == has_path
     outcomes = run.trials("oracle")["outcome"].to_pylist()
     assert outcomes.count("success") >= 10
@@ -415,6 +415,24 @@ def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
     timing = ["t_plan_s", "t_method_s"]
     a, b = (r.drop_columns(timing) for r in (run.trials("random"), load_run(tmp_path / "b").trials("random again")))
     assert a.equals(b)
+
+
+@needs_evaluator
+def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
+    found = {}
+    for sim in ("auto", "none", "mjwarp"):
+        done = command("--method", "random", "--trials", 6, "--sim", sim, "--out", tmp_path / sim, env=WITH_HOME)
+        assert done.returncode == 0, done.stderr
+        run = load_run(tmp_path / sim)
+        header = json.loads((tmp_path / sim / "run.json").read_text())
+        found[sim] = header["motion"], header["configuration"]["execute"]["sim"], run.trials("random")
+    assert found["auto"][:2] == ({"engine": "mujoco", "step_s": 0.002, "sample_s": 0.008}, "mujoco")
+    assert found["none"][:2] == ({"engine": "none", "step_s": None, "sample_s": None}, "none")
+    assert found["mjwarp"][0]["engine"] == found["mjwarp"][1] == "mjwarp"
+    times = {k: [t for t in v[2]["t_exec_s"].to_pylist() if t is not None] for k, v in found.items()}
+    assert len(times["auto"]) >= 4 and times["auto"] == pytest.approx(times["mjwarp"], abs=0.009)
+    assert all(0.02 < a - b < 0.3 for a, b in zip(times["none"], times["auto"], strict=True))  # 1 mm before the end
+    assert found["auto"][2]["outcome"].equals(found["none"][2]["outcome"])
 
 
 @needs_evaluator

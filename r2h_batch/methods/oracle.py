@@ -1,7 +1,8 @@
 """The upper bound: candidates x a fan of handover poses, judged by the evaluator itself (spec: baselines.md).
 
-In rounds: every trial that is still unsolved proposes one grasp and one pose, the evaluator scores them all at once,
-and what succeeds is kept. Where nothing succeeds, the proposal that failed last in the paper's order stays.
+In rounds: every trial that is still unsolved proposes one grasp and one pose, the evaluator scores them all at once
+(the motion as planned, without the simulator), and what succeeds is kept. Where nothing succeeds, the proposal that
+failed last in the paper's order stays.
 """
 
 from functools import lru_cache
@@ -43,6 +44,7 @@ def predict(
     """For each trial the first proposal that succeeds, else the one that got farthest; drawn by (seed, trial id)."""
     if evaluator is None:
         evaluator = Evaluator(scene.config, device=scene.device, objects=scene.objects, hand_set=scene.hands.set)
+    evaluator = evaluator.kinematic
     n, home = len(trials), trials.trial_id.device
     trials = trials.to(scene.device)
     fan = _Fan(trials, evaluator, seed)

@@ -1,0 +1,257 @@
+"""How fast and how faithfully do the engines move the arm, and what does the executed motion change?
+
+python bench/execute.py [--trials N] [--ask speed parity tracking step edges payload batches closing] [--json FILE]
+
+Trials and predictions are those of bench/mix.npz (half oracle, half random; S0 and S1 by turns). Speed counts process time,
+so other work on the machine counts little; `trial` = the whole Evaluator.score. Tracking errors are those of the point
+between the fingertips, against the reference at the same time. A trial is in the band when one of its margins is within
+0.1 mm of 0 in either run.
+"""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import torch
+import warp as wp
+from _report import Report, arguments
+
+import r2h_batch.evaluate as evaluate
+from r2h_batch import sim_mjwarp
+from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.dynamics import Payload
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.execute import Executed, execute
+from r2h_batch.grasp import attach, close_gripper, grasp_tables
+from r2h_batch.grasp_physics import close_in_physics
+from r2h_batch.kernels.reference import Law, servo_commands
+from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.objects import load_objects
+from r2h_batch.robot import ee_pose
+from r2h_batch.trials import trials_with_ids
+from r2h_batch.types import Scores
+
+MIX = Path(__file__).with_name("mix.npz")
+ASK = ("speed", "parity", "tracking", "step", "edges", "payload", "batches", "closing")
+GRASPS = 8  # candidates of each object that are closed in physics
+TIP_M = np.array([0.0, 0.0, 0.02, 1.0])  # fingertips in the ee frame
+
+
+class Mix:
+    """The frozen trials, scored under any execution."""
+
+    def __init__(self, n: int, device: str, threads: int | None) -> None:
+        self.device, self.threads, self.n = device, threads, n
+        with np.load(MIX, allow_pickle=False) as mix:
+            rows = torch.arange(n) % len(mix["trial_id"])
+            self.trials = trials_with_ids(torch.from_numpy(mix["trial_id"]))[rows].to(device)
+            self.g, self.h = (torch.from_numpy(mix[k])[rows].to(device) for k in ("T_obj_ee", "T_world_ee"))
+
+    def score(self, config: ExecConfig, plan: PlanConfig | None = None) -> tuple[Scores, Executed, dict[str, Any]]:
+        """Scores, the executed motion, what execute was given, and process seconds under `seconds`."""
+        evaluator = Evaluator(EvalConfig(execute=config, plan=plan or PlanConfig()), device=self.device, threads=self.threads)
+        seen: dict[str, Any] = {}
+
+        def watched(scene: Any, placed: Any, path: Any, length: Any, motion: Any, c: Any, **k: Any) -> Executed:
+            start = time.process_time()
+            seen.update(placed=placed, path=path, length=length, motion=motion, scene=scene)
+            seen["executed"] = execute(scene, placed, path, length, motion, c, **k)
+            seen["execute_s"] = time.process_time() - start
+            return seen["executed"]
+
+        few = slice(0, 8)
+        evaluator.score(self.g[few], self.h[few], self.trials[few])
+        with mock.patch.object(evaluate, "execute", watched):
+            start = time.process_time()
+            scores = evaluator.score(self.g, self.h, self.trials)
+            seen["seconds"] = time.process_time() - start
+        return scores, seen["executed"], seen
+
+
+def changed(a: Scores, b: Scores) -> tuple[int, int, list[int]]:
+    """Trials whose verdict differs, those of them outside the 0.1 mm band, and the ids of the latter."""
+    differ = a.outcome != b.outcome
+    outside = differ & ~(a.borderline | b.borderline)
+    return int(differ.sum()), int(outside.sum()), a.trial_id[outside].tolist()
+
+
+def speed(mix: Mix, report: Report) -> None:
+    for engine in ("none", "mujoco", "mjwarp"):
+        _, executed, seen = mix.score(ExecConfig(sim=engine))
+        report.add(f"execute.speed.{engine}.whole_trials_per_core_s", mix.n / seen["seconds"])
+        if engine == "none":
+            continue
+        steps = int((executed.length.clamp(min=1) - 1).sum()) * 4
+        moved = int((executed.length > 0).sum())
+        report.add(f"execute.speed.{engine}.moved_trials", moved)
+        report.add(f"execute.speed.{engine}.moved_trials_per_core_s", moved / seen["execute_s"])
+        report.add(f"execute.speed.{engine}.steps_per_core_s", steps / seen["execute_s"])
+    for worlds in (1, 16, 64, 256, 1024):
+        n = max(2 * worlds, 4) if worlds < 1024 else 1024
+        if n > mix.n:
+            continue
+        part = Mix(n, mix.device, mix.threads)
+        with mock.patch.dict(sim_mjwarp.MAX_WORLDS, {"cpu": worlds, "cuda": worlds}):
+            _, executed, seen = part.score(ExecConfig(sim="mjwarp"))
+        steps = int((executed.length.clamp(min=1) - 1).sum()) * 4
+        report.add(f"execute.speed.mjwarp.worlds_{worlds}.steps_per_core_s", steps / seen["execute_s"])
+
+
+def worst_margin(a: Scores, b: Scores) -> float:
+    """Largest difference of Safe's margins, m."""
+    return float(torch.nan_to_num(a.margin[:, 4] - b.margin[:, 4]).abs().max())
+
+
+def parity(mix: Mix, report: Report) -> None:
+    a, ea, _ = mix.score(ExecConfig(sim="mujoco"))
+    b, eb, _ = mix.score(ExecConfig(sim="mjwarp"))
+    moved = ea.length > 0
+    report.add("execute.parity.trials", mix.n)
+    report.add("execute.parity.moved_trials", int(moved.sum()))
+    report.add("execute.parity.same_length", bool(torch.equal(ea.length, eb.length)))
+    worst = (ea.path - eb.path).abs().amax((1, 2))[moved].cpu().numpy()
+    report.add("execute.parity.dq_max_rad", float(worst.max()))
+    report.add("execute.parity.dq_p99_of_trials_rad", float(np.percentile(worst, 99)))
+    report.add("execute.parity.t_exec_max_difference_s", float((a.t_exec_s - b.t_exec_s)[moved].abs().max()))
+    report.add("execute.parity.safe_margin_max_difference_m", worst_margin(a, b))
+    differ, outside, ids = changed(a, b)
+    report.add("execute.parity.verdicts_that_differ", differ)
+    report.add("execute.parity.outside_the_band", f"{outside} {ids}")
+
+
+def batches(mix: Mix, report: Report) -> None:
+    """The same trials in batches of other sizes and in another order: rows that differ in any bit of a verdict or margin."""
+    for engine in ("mujoco", "mjwarp"):
+        n = min(mix.n, 256)
+        evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim=engine)), device=mix.device, threads=mix.threads)
+        whole = evaluator.score(mix.g[:n], mix.h[:n], mix.trials[:n])
+        order = torch.randperm(n, generator=torch.Generator().manual_seed(0))
+        cases = {"permuted": [order], "7": torch.arange(n).split(7), "1": torch.arange(min(n, 24)).split(1)}
+        for name, parts in cases.items():
+            differ = 0
+            for rows in parts:
+                s = evaluator.score(mix.g[rows], mix.h[rows], mix.trials[rows])
+                same = (s.outcome == whole.outcome[rows]) & _same(s.margin, whole.margin[rows]).all(1)
+                differ += int((~(same & _same(s.t_exec_s, whole.t_exec_s[rows]))).sum())
+            report.add(f"execute.batches.{engine}.{name}.rows_that_differ", differ)
+
+
+def _same(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    return (a == b) | (a.isnan() & b.isnan())
+
+
+def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: str = "known_object") -> None:
+    config = config or ExecConfig(sim="mujoco")
+    scores, executed, seen = mix.score(config)
+    rows = torch.nonzero(executed.length > 0).flatten()
+    law = Law()
+    law.speed, law.acceleration = config.scale * config.max_velocity_rad_s, config.scale * config.max_acceleration_rad_s2
+    law.lead, law.step = 0.0, executed.sample_s
+    reference = torch.zeros((len(rows), executed.path.shape[1], 6), dtype=torch.float64)
+    tables = [wp.from_torch(t.contiguous()) for t in (seen["path"], seen["motion"].time_s, seen["length"], reference)]
+    wp.launch(
+        servo_commands, dim=reference.shape[:2], inputs=[0, law, wp.from_torch(rows.to(torch.int32)), *tables], device="cpu"
+    )
+    robot, error = seen["scene"].robot, []
+    for i, row in enumerate(rows.tolist()):
+        n = int(executed.length[row])
+        tips = [(ee_pose(robot, q) @ TIP_M)[:, :3] for q in (executed.path[row, :n].double().numpy(), reference[i, :n].numpy())]
+        error.append(np.linalg.norm(tips[0] - tips[1], axis=1))
+    each = np.concatenate(error) * 1e3
+    report.add(f"execute.tracking.{name}.trials", len(error))
+    for key, value in (("mean", each.mean()), ("p95", np.percentile(each, 95)), ("max", each.max())):
+        report.add(f"execute.tracking.{name}.{key}_mm", float(value))
+    report.add(f"execute.tracking.{name}.slack_mean_um", float(executed.slack_m[rows].mean()) * 1e6)
+    report.add(f"execute.tracking.{name}.slack_max_um", float(executed.slack_m[rows].max()) * 1e6)
+    report.add(f"execute.tracking.{name}.not_settled", int((~executed.settled[rows]).sum()))
+    t = scores.t_exec_s[~scores.t_exec_s.isnan()].numpy()
+    for key, value in (("mean", t.mean()), *((f"p{p}", np.percentile(t, p)) for p in (5, 50, 95, 100))):
+        report.add(f"execute.t_exec.{name}.{key}_s", float(value))
+
+
+def payload(mix: Mix, report: Report) -> None:
+    """The same motions with nothing and with a 1 kg ball of 6 cm between the fingers, compensated and not."""
+    for mass in (0.0, 1.0):
+        def ball(model: Any, T: Any, mass: float = mass) -> Payload:
+            T = np.eye(4)
+            T[2, 3] = 0.1422
+            return Payload(T, max(mass, 1e-6), np.zeros(3), np.eye(3) * 0.4 * max(mass, 1e-6) * 0.03**2)
+
+        for known in ("known", "unknown"):
+            with mock.patch.object(Payload, "of", staticmethod(ball)):
+                tracking(mix, report, ExecConfig(sim="mujoco", payload=known), f"{mass:g}_kg_{known}")
+
+
+def step(mix: Mix, report: Report) -> None:
+    """The same motions at other time steps, sampled at the same times."""
+    base = ExecConfig(sim="mujoco", step_s=0.001, record_steps=8)
+    a, ea, _ = mix.score(base)
+    for step_s, record in ((0.002, 4), (0.004, 2)):
+        b, eb, _ = mix.score(replace(base, step_s=step_s, record_steps=record))
+        name = f"execute.step.{1000 * step_s:g}_ms_against_1_ms"
+        differ, outside, ids = changed(a, b)
+        report.add(f"{name}.verdicts_that_differ", differ)
+        report.add(f"{name}.outside_the_band", f"{outside} {ids}")
+        report.add(f"{name}.dq_max_rad", float((ea.path - eb.path).abs().max()))
+        report.add(f"{name}.safe_margin_max_difference_m", worst_margin(a, b))
+        report.add(f"{name}.t_exec_max_difference_s", float(torch.nan_to_num(a.t_exec_s - b.t_exec_s).abs().max()))
+
+
+def edges(mix: Mix, report: Report) -> None:
+    """Safe under the two edge checks, on the planned and on the executed motion."""
+    for check, plan in (
+        ("exact", PlanConfig()),
+        ("exact_no_margin", PlanConfig(hand_clearance_m=0.0)),
+        ("moveit", PlanConfig(edge_check="moveit", hand_clearance_m=0.0)),
+    ):
+        for engine in ("none", "mujoco"):
+            s, _, _ = mix.score(ExecConfig(sim=engine), plan)
+            moved = s.evaluated[:, 4]
+            name = f"execute.edges.{check}.{engine}"
+            report.add(f"{name}.moved", int(moved.sum()))
+            report.add(f"{name}.not_safe", int((moved & ~s.passed[:, 4]).sum()))
+            low = s.margin[moved, 4]
+            report.add(f"{name}.smallest_safe_margin_mm", float(low.min()) * 1e3)
+            report.add(f"{name}.trials_below_1_mm", int((low < 1e-3).sum()))
+
+
+def closing(mix: Mix, report: Report) -> None:
+    """Opening at rest in physics against the geometric one, per object; friction grasps that outlast weight and shaking."""
+    objects, rng = load_objects(), np.random.default_rng(0)
+    grasps = [c.T_obj_ee[rng.permutation(len(c))[:GRASPS]] for c in candidates_of(objects)]
+    index = np.repeat(np.arange(len(objects)), [len(g) for g in grasps]).astype(np.int32)
+    T = torch.from_numpy(np.concatenate(grasps).astype(np.float32))
+    grasp = close_gripper(grasp_tables(objects, "cpu"), T, torch.from_numpy(index))
+    start = time.process_time()
+    done = close_in_physics(objects, index, attach(T, grasp.shift_m).double().numpy(), shake=True, threads=mix.threads)
+    report.add("execute.closing.core_ms_per_grasp", (time.process_time() - start) / len(index) * 1e3)
+    off = (done.opening_m - grasp.opening_m.double().numpy()) * 1e3
+    report.add("execute.closing.grasps", len(index))
+    report.add("execute.closing.within_1_mm_share", float((np.abs(off) < 1).mean()))
+    still = done.moved_m < 1e-3
+    report.add("execute.closing.not_moved_share", float(still.mean()))
+    report.add("execute.closing.not_moved_within_1_mm_share", float((np.abs(off[still]) < 1).mean()))
+    report.add("execute.closing.held_share", float(done.held.mean()))
+    for o, model in enumerate(objects):
+        mine = index == o
+        report.add(f"execute.closing.{model.name}.physics_less_geometry_mm", " ".join(f"{x:.2f}" for x in off[mine]))
+        report.add(f"execute.closing.{model.name}.slip_mm", " ".join(f"{x:.1f}" for x in done.slip_m[mine] * 1e3))
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--trials", type=int, default=512)
+    parser.add_argument("--threads", type=int, default=None, help="CPU threads (default: one per core)")
+    parser.add_argument("--ask", nargs="+", choices=ASK, default=ASK)
+    options = parser.parse_args()
+    report, mix = Report(), Mix(options.trials, options.device, options.threads)
+    for name in options.ask:
+        globals()[name](mix, report)
+    report.write(options.json)
+
+
+if __name__ == "__main__":
+    main()
