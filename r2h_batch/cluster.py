@@ -1,5 +1,6 @@
 """Score shards on a Ray cluster: one actor per device with a warm Evaluator, shards fed to actors that are ready."""
 
+import contextlib
 import os
 import signal
 import sys
@@ -14,7 +15,7 @@ from r2h_batch import jobs as bench_jobs
 from r2h_batch.engine import Stopped, chunk_of, score_shard, warm_up
 from r2h_batch.jobs import Bench, Job
 from r2h_batch.manifest import Shard, differing, quarantine_path
-from r2h_batch.options import Options, UsageError
+from r2h_batch.options import Options
 from r2h_batch.progress import Log, progress
 from r2h_batch.writing import RunFolder, ShardWriter
 
@@ -83,10 +84,8 @@ def score_on_ray(
     quarantined and the others go on. Ctrl-C stores what is finished.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    try:
-        import ray
-    except ImportError:
-        raise UsageError("--engine ray needs Ray; pip install 'r2h_batch[ray]'") from None
+    import ray
+
     for job in jobs:  # compiles the kernels once, before several processes would at the same time
         warm_up(job, bench)
     todo = deque((j.name, s) for j in jobs for s in folder.todo(j.name, options.part))
@@ -94,6 +93,19 @@ def score_on_ray(
         return
     for name, shard in todo:
         quarantine_path(folder.folder, folder.slugs[name], shard).unlink(missing_ok=True)
+    with contextlib.redirect_stdout(sys.stderr):  # Ray's threads print; stdout is for the table
+        _on_cluster(ray, bench, todo, folder, options, stopping, log)
+
+
+def _on_cluster(
+    ray: Any,
+    bench: Bench,
+    todo: "deque[Task]",
+    folder: RunFolder,
+    options: Options,
+    stopping: Callable[[], bool],
+    log: Log,
+) -> None:
     handlers = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     ray.init(address=options.address or None, log_to_driver=False, include_dashboard=False, logging_level="ERROR")
     for number, handler in handlers.items():  # Ray puts its own in their place, which end the driver at once

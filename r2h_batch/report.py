@@ -98,7 +98,7 @@ def _interval(rate: Rate | None) -> str:
     return NA if rate is None else f"{rate.low:.1f}-{rate.high:.1f}"
 
 
-def _aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) -> str:
+def aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) -> str:
     """A Markdown table that also reads well as plain text; the first `left` columns are left-aligned.
 
     The pipes at the edges go where the table would otherwise be wider than a terminal.
@@ -140,11 +140,11 @@ def _md(table: Table) -> str:
     parts = [
         "  \n".join(f"{key}: {value}" for key, value in table.origin.items()),
         "Rates in percent, times in seconds.",
-        _aligned(["Split", "Method", *HEADINGS.values()], main, 2),
+        aligned(["Split", "Method", *HEADINGS.values()], main, 2),
         "Wilson 95 % intervals of the rates.",
-        _aligned(["Split", "Method", *(HEADINGS[c] for c in rates)], ends, 2),
+        aligned(["Split", "Method", *(HEADINGS[c] for c in rates)], ends, 2),
         "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial.",
-        _aligned(["Split", "Method", *others], counts, 2),
+        aligned(["Split", "Method", *others], counts, 2),
         "\n".join(_wrapped(note) for note in FOOTNOTES),
     ]
     return "\n\n".join(parts) + "\n"

@@ -57,12 +57,16 @@ def stop_signals() -> Iterator[Callable[[], bool]]:
 
 def run(options: Options, stopping: Callable[[], bool] = lambda: False) -> int:
     """Score every job's shards, print the table of the whole run folder once it is complete."""
+    from importlib.util import find_spec
+
     from r2h_batch import jobs as bench_jobs
-    from r2h_batch import report, results
+    from r2h_batch import results
     from r2h_batch.engine import Stopped, score_local
     from r2h_batch.progress import Log
 
     try:
+        if options.engine == "ray" and find_spec("ray") is None:
+            raise UsageError("--engine ray needs Ray: pip install 'r2h_batch[ray]'")
         files = bench_jobs.load_files(options)
         bench = bench_jobs.prepare(options)
         jobs = bench_jobs.make_jobs(options, files, bench)

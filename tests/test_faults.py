@@ -118,12 +118,13 @@ def test_two_sweeps_on_one_folder_share_the_work_and_one_takes_over_when_the_oth
 
 
 def test_a_read_only_folder_is_one_line_with_what_to_do(tmp_path):
-    if os.geteuid() == 0:
-        pytest.skip("root may write anywhere")
-    out = tmp_path / "run"
-    out.mkdir(mode=0o500)
+    out = Path("/sys/r2h_batch_run")  # nobody may make folders there, root neither
+    if os.geteuid() != 0:
+        out = tmp_path / "run"
+        out.mkdir(mode=0o500)
     code, table, error = finish(start(tmp_path, out))
     assert code == 2 and table == "" and "cannot be written" in error and "choose another --out" in error
+    assert "Traceback" not in error
 
 
 def test_a_full_disk_is_one_line_and_the_sweep_goes_on_after_freeing(tmp_path, undisturbed):
