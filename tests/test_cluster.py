@@ -42,6 +42,7 @@ def test_kill_9_of_an_actor_costs_its_shard_only(tmp_path, undisturbed):
     same_rows(out, undisturbed)
 
 
+@pytest.mark.slow
 def test_kill_9_of_the_driver_leaves_a_folder_that_goes_on(tmp_path, undisturbed):
     out = tmp_path / "run"
     sweep = start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0.2")
@@ -57,6 +58,7 @@ def test_kill_9_of_the_driver_leaves_a_folder_that_goes_on(tmp_path, undisturbed
     same_rows(out, undisturbed)
 
 
+@pytest.mark.slow
 def test_a_stop_signal_stores_what_is_being_scored_and_ends_with_130(tmp_path, undisturbed):
     out = tmp_path / "run"
     sweep = start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0.3")
@@ -86,6 +88,7 @@ def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_ag
     same_rows(out, undisturbed, DEADLY)
 
 
+@pytest.mark.slow
 def test_a_shard_that_kills_its_worker_once_is_stored(tmp_path, undisturbed):
     out = tmp_path / "run"
     code, _, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="47", FAKE_TIMES="2"))
@@ -93,6 +96,7 @@ def test_a_shard_that_kills_its_worker_once_is_stored(tmp_path, undisturbed):
     same_rows(out, undisturbed, DEADLY)
 
 
+@pytest.mark.slow
 def test_kill_9_of_a_second_node_moves_its_shards_to_the_first(tmp_path, undisturbed, monkeypatch):
     from ray.cluster_utils import Cluster
 
