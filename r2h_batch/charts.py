@@ -2,6 +2,7 @@
 
 import html
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -24,6 +25,23 @@ LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5
 DASHES = ("", "6 3", "2 3", "8 3 2 3")
 
 LABEL, BAR, ROW, FONT = 250, 560, 22, 12
+
+
+class Box(Protocol):
+    """What a box of a box plot shows."""
+
+    @property
+    def mean(self) -> float: ...
+    @property
+    def median(self) -> float: ...
+    @property
+    def q1(self) -> float: ...
+    @property
+    def q3(self) -> float: ...
+    @property
+    def min(self) -> float: ...
+    @property
+    def max(self) -> float: ...
 
 
 def outcome_bars(bars: Sequence[tuple[str, Mapping[str, int]]]) -> str:
@@ -52,9 +70,7 @@ def outcome_bars(bars: Sequence[tuple[str, Mapping[str, int]]]) -> str:
     return f"<div class=scroll>{''.join(parts)}</svg></div>{_legend([(o, COLORS[o], '') for o in used])}"
 
 
-def histograms(
-    title: str, series: Mapping[str, Histogram], *, scale: float, unit: str, zero: bool = False
-) -> str:
+def histograms(title: str, series: Mapping[str, Histogram], *, scale: float, unit: str, zero: bool = False) -> str:
     """Steps of several histograms over one axis as shares of each one's count; `zero` marks 0."""
     width, height, left, bottom = 420, 190, 40, 34
     inner_w, inner_h = width - left - 12, height - bottom - 24
@@ -88,9 +104,7 @@ def histograms(
             f'<path d="{"".join(points)}" fill="none" stroke="{color}" stroke-width="1.6" stroke-dasharray="{dash}">'
             f"<title>{tip}</title></path>"
         )
-    names = [
-        (name, LINES[i % len(LINES)], DASHES[i // len(LINES) % len(DASHES)]) for i, name in enumerate(shares)
-    ]
+    names = [(name, LINES[i % len(LINES)], DASHES[i // len(LINES) % len(DASHES)]) for i, name in enumerate(shares)]
     return f"<figure>{''.join(parts)}</svg>{_legend(names)}</figure>"
 
 
@@ -116,3 +130,45 @@ def _legend(entries: Sequence[tuple[str, str, str]]) -> str:
         for name, color, dash in entries
     )
     return f"<div class=legend>{marks}</div>"
+
+
+def box_plots(groups: Mapping[str, Mapping[str, Box]]) -> str:
+    """Boxes of ratings from 1 to 5, one group per method, one colour per dimension; a dotted line at the midpoint 3."""
+    names = list(dict.fromkeys(d for boxes in groups.values() for d in boxes))
+    step, left, top, unit = 34, 40, 20, 56
+    group_w = step * len(names) + 40
+    width, base = left + group_w * len(groups) + 10, top + 4 * unit
+
+    def at_y(rating: float) -> float:
+        return base - unit * (rating - 1)
+
+    parts = [_open(width, base + 58)]
+    for rating in range(1, 6):
+        dash = ' stroke-dasharray="2 3"' if rating == 3 else ""
+        color = "#444" if rating == 3 else "#ddd"
+        parts.append(f'<path d="M{left} {at_y(rating)}H{width - 10}" stroke="{color}"{dash}/>')
+        parts.append(_label(left - 8, at_y(rating) + 4, str(rating), "end"))
+    for g, (method, boxes) in enumerate(groups.items()):
+        start = left + group_w * g + 20
+        parts.append(_label(start + step * len(names) / 2, base + 22, method, "middle"))
+        for k, name in enumerate(names):
+            if name not in boxes:
+                continue
+            box, x, color = boxes[name], start + step * k + step / 2, LINES[k % len(LINES)]
+            low, q1, q3, high = map(at_y, (box.min, box.q1, box.q3, box.max))
+            tip = html.escape(
+                f"{method}, {name}: median {box.median:g}, Q1 {box.q1:g}, Q3 {box.q3:g}, mean {box.mean:.2f}"
+            )
+            parts.append(
+                f'<g stroke="{color}"><title>{tip}</title>'
+                f'<path d="M{x} {low}V{q1}M{x} {q3}V{high}M{x - 6} {low}h12M{x - 6} {high}h12"/>'
+                f'<rect x="{x - 11}" y="{q3}" width="22" height="{max(q1 - q3, 1)}" fill="{color}" fill-opacity="0.2"/>'
+                f'<path d="M{x - 11} {at_y(box.median)}h22" stroke-width="2.5"/>'
+                f'<path d="M{x} {at_y(box.mean) - 5}l5 5l-5 5l-5 -5z" fill="#fff"/></g>'
+            )
+    x = float(left)
+    for k, name in enumerate(names):
+        parts.append(f'<rect x="{x}" y="{base + 36}" width="11" height="11" fill="{LINES[k % len(LINES)]}"/>')
+        parts.append(_label(x + 16, base + 46, name))
+        x += 30 + 7 * len(name)
+    return "".join([*parts, "</svg>\n"])

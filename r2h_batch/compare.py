@@ -86,7 +86,8 @@ def pair_up(runs: Sequence[Run]) -> Paired:
     for run in runs[1:]:
         for key in SAME:
             if (mine := first.header.get(key)) != (other := run.header.get(key)):
-                keys = [k for k in mine if mine[k] != other.get(k)] if isinstance(mine, dict) else []
+                both = isinstance(mine, dict) and isinstance(other, dict)
+                keys = [k for k in mine if mine[k] != other.get(k)] if both else []
                 what = f"{key} ({', '.join(keys)})" if keys else key
                 raise ValueError(
                     f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired;"

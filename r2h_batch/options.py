@@ -152,17 +152,23 @@ def load_config(path: Path) -> Options:
     allowed = [f.name for f in fields(Options)]
     for key in data:
         if key not in allowed:
-            raise UsageError(f"{path}: unknown field {key!r}{_close(str(key), allowed)}; allowed are {', '.join(allowed)}")
+            raise UsageError(
+                f"{path}: unknown field {key!r}{_close(str(key), allowed)}; allowed are {', '.join(allowed)}"
+            )
     config = pydantic.ConfigDict(extra="forbid", strict=True)
     model: Any = pydantic.create_model(
-        "Config", __config__=config, **{f.name: (f.type, f.default) for f in fields(Options)}  # type: ignore[call-overload]
+        "Config",
+        __config__=config,
+        **{f.name: (f.type, f.default) for f in fields(Options)},  # type: ignore[call-overload]
     )
     try:
         checked = model.model_validate_json(json.dumps(data, default=str), strict=True)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise UsageError(f"{path}: {where} is {first['input']!r}; {first['msg'].lower()}") from None
+        raise UsageError(
+            f"{path}: {where} is {first['input']!r}; {first['msg'][0].lower()}{first['msg'][1:]}"
+        ) from None
     return Options(**checked.model_dump())
 
 
@@ -184,10 +190,11 @@ def _read_yaml(path: Path) -> dict[str, Any]:
             return super().compose_node(parent, index)
 
         def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-            keys = [k.value for k, _ in node.value]
-            for key, (mark, _) in zip(keys, node.value):
-                if keys.count(key) > 1:
-                    raise yaml.MarkedYAMLError(problem=f"{key} is given twice", problem_mark=mark.start_mark)
+            seen = set()
+            for key, _ in node.value:
+                if key.value in seen:
+                    raise yaml.MarkedYAMLError(problem=f"{key.value} is given twice", problem_mark=key.start_mark)
+                seen.add(key.value)
             return super().construct_mapping(node, deep)
 
     try:

@@ -10,7 +10,7 @@ import numpy as np
 
 from r2h_batch import breakdown, charts
 from r2h_batch.aggregate import RATES, Row, Verdicts, verdicts
-from r2h_batch.report import FOOTNOTES, HEADINGS, NA, Table, best_cells, cell, table_of
+from r2h_batch.report import BEST_NOTE, FOOTNOTES, HEADINGS, NA, Table, best_cells, cell, table_of
 from r2h_batch.results import Run
 from r2h_batch.types import CRITERIA
 
@@ -24,11 +24,23 @@ def page(run: Run) -> str:
     body = [
         f"<h1>{_text(run.folder.resolve().name)}</h1>",
         f"<p class=origin>{' &middot; '.join(f'{_text(k)} <b>{_text(v)}</b>' for k, v in table.origin.items())}</p>",
-        _section("Table I", _table(table), "".join(f"<li>{_text(n)}</li>" for n in FOOTNOTES)),
-        _section("Failures by method", charts.outcome_bars([(f"{r.split}  {r.method}", r.counts) for r in _split_rows(table)])),
+        _section("Table I", _table(table), "".join(f"<li>{_text(n)}</li>" for n in (*FOOTNOTES, BEST_NOTE))),
+        _section(
+            "Failures by method",
+            charts.outcome_bars([(f"{r.split}  {r.method}", r.counts) for r in _split_rows(table)]),
+        ),
         *(_by_object(v) for v in methods),
-        _section("Margins", _margins(run), "<li>Positive: the criterion passes. Margins outside the range count in the outermost bins; a Plan without a path has none.</li>"),
-        _section("Times", _times(methods), "<li>T_plan is amortised (batch wall time / B): it is the same for all trials of a batch.</li>"),
+        _section(
+            "Margins",
+            _margins(run),
+            "<li>Positive: the criterion passes. Margins outside the range count in the outermost bins;"
+            " a Plan without a path has none.</li>",
+        ),
+        _section(
+            "Times",
+            _times(methods),
+            "<li>T_plan is amortised (batch wall time / B): it is the same for all trials of a batch.</li>",
+        ),
         _section("Criteria that fail together", "".join(map(_co_failures, methods))),
         _search(run),
         _section("Choices and versions", _facts(run.header)),

@@ -80,7 +80,9 @@ def rescore(
         ("safe-margin", safe, 0.0, CLEARANCE_CAP_M - BORDERLINE_M),
     ):
         if bad := [v for v in given if not low <= v <= high]:
-            raise ValueError(f"--{name} {bad[0]:g} cannot be rescored exactly; allowed is {low:g} to {high:g}: sweep again")
+            raise ValueError(
+                f"--{name} {bad[0]:g} cannot be rescored exactly; allowed is {low:g} to {high:g}: sweep again"
+            )
     grid = list(product(radii, widths, safe))
     if len(grid) > MAX_POINTS:
         raise ValueError(f"{len(grid)} combinations of thresholds; at most {MAX_POINTS} are allowed")

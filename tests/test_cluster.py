@@ -99,7 +99,6 @@ def test_a_shard_that_kills_its_worker_once_is_stored(tmp_path, undisturbed):
 @pytest.mark.slow
 def test_kill_9_of_a_second_node_moves_its_shards_to_the_first(tmp_path, undisturbed, monkeypatch):
     from ray.cluster_utils import Cluster
-
     from test_faults import environment
 
     for key, value in environment(tmp_path).items():

@@ -93,7 +93,7 @@ def test_names_cannot_break_out_of_the_page(tmp_path):
 
 
 def test_bars_are_as_long_as_the_shares_and_name_them():
-    text = charts.outcome_bars([("x", {o: 0 for o in charts.OUTCOME_NAMES} | {"success": 3, "plan": 1})])
+    text = charts.outcome_bars([("x", dict.fromkeys(charts.OUTCOME_NAMES, 0) | {"success": 3, "plan": 1})])
     widths = [float(w) for w in re.findall(r'<rect [^>]*width="([\d.]+)"', text)]
     assert widths == [0.75 * charts.BAR, 0.25 * charts.BAR]
     assert "plan 1 of 4 (25.0 %)" in text and "75.0 %  n=4" in text
@@ -133,5 +133,5 @@ def test_the_search_works_in_a_browser(paper, tmp_path):
     shown = subprocess.run(line, capture_output=True, text=True, timeout=120, check=True).stdout
     expected = run.trials(run.methods[0])["outcome"].to_pylist().count("reach")
     assert f"{expected} of 1000 trials; margins in mm" in shown
-    rows = shown.partition("<div id=\"search\">")[2].partition("<script")[0].count("<tr>")
+    rows = shown.partition('<div id="search">')[2].partition("<script")[0].count("<tr>")
     assert rows == expected + 1

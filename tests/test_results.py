@@ -259,7 +259,7 @@ def test_totals_are_asserted_on_reading(tmp_path):
     receipt = read_json(path)
     receipt["outcomes"]["S0"]["success"] += 1
     path.write_text(json.dumps(receipt))
-    with pytest.raises(RunError, match="holds {'S0': 7, 'S1': 6} trials, planned were {'S0': 6, 'S1': 6}"):
+    with pytest.raises(RunError, match=r"holds \{'S0': 7, 'S1': 6\} trials, planned were \{'S0': 6, 'S1': 6\}"):
         load_run(tmp_path / "run")
 
 

@@ -117,20 +117,6 @@ def test_several_methods_splits_files_and_meshes_are_taken():
 # --- the run, with a fake evaluator ---------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def fake(monkeypatch):
-    """Replaces everything that needs geometry; `fake.evaluator` is the one of the last run."""
-    state = SimpleNamespace(evaluator=None)
-
-    def prepare(options):
-        bench = fake_bench.prepare(options)
-        state.evaluator = bench.evaluator
-        return bench
-
-    monkeypatch.setattr(jobs, "prepare", prepare)
-    return state
-
-
 class Interrupted:
     """A method that hears a stop signal while it works."""
 
