@@ -85,10 +85,11 @@ def pair_up(runs: Sequence[Run]) -> Paired:
     first = runs[0]
     for run in runs[1:]:
         for key in SAME:
-            if (mine := first.header.get(key)) != (other := run.header.get(key)):
-                both = isinstance(mine, dict) and isinstance(other, dict)
-                keys = [k for k in mine if mine[k] != other.get(k)] if both else []
-                what = f"{key} ({', '.join(keys)})" if keys else key
+            mine, other = first.header.get(key), run.header.get(key)
+            if mine != other:
+                what = key
+                if isinstance(mine, dict) and isinstance(other, dict):
+                    what += f" ({', '.join(k for k in mine if mine[k] != other.get(k))})"
                 raise ValueError(
                     f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired;"
                     " sweep both methods with the same version and options"
