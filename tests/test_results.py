@@ -1,34 +1,26 @@
 """Run folders: what is written is read back, whole or not at all, and never mixed with another run."""
 
 import json
-import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-import torch
 from made_runs import NAMES, make_header, make_predictions, make_scores, make_trials, read_json, store, write_run
 
-from r2h_batch import manifest, results, storage
+from r2h_batch import manifest, storage
 from r2h_batch.manifest import RunError, shards_of
 from r2h_batch.results import load_run
 from r2h_batch.rows import (
     DETAIL_SCHEMA,
     OUTCOME_NAMES,
-    PATH_SCHEMA,
-    POSE_SCHEMA,
     TRIAL_SCHEMA,
-    detail_rows,
-    missing_rows,
-    path_rows,
     pose_rows,
     score_rows,
 )
-from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason
+from r2h_batch.types import CRITERIA, Outcome
 from r2h_batch.writing import open_run
 
 OUTCOMES = np.array([0, 1, 2, 3, 5, 6, 7, 0, 4, 5, 2, 0])
@@ -84,23 +76,6 @@ def test_every_column_comes_back_as_it_was_scored(tmp_path):
     assert table["t_method_s"].null_count == len(table)
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, 33])
-def test_rows_of_any_number_of_trials_have_the_schemas(n):
-    trials = make_trials(n, 0)
-    scores = make_scores(trials, np.arange(n) % 3)
-    tables = (
-        (score_rows(trials, scores, NAMES, torch.zeros(n)), TRIAL_SCHEMA),
-        (missing_rows(trials, NAMES), TRIAL_SCHEMA),
-        (detail_rows(trials, scores, NAMES), DETAIL_SCHEMA),
-        (pose_rows(make_predictions(trials)), POSE_SCHEMA),
-        (path_rows(scores), PATH_SCHEMA),
-    )
-    for table, schema in tables:
-        table.validate(full=True)
-        assert table.schema.equals(schema)
-    assert [t.num_rows for t, _ in tables[:4]] == [n] * 4
-
-
 def test_poses_come_back_bit_for_bit_even_when_they_are_not_numbers(tmp_path):
     trials = make_trials(4, 4)
     predictions = make_predictions(trials)
@@ -134,21 +109,6 @@ def test_what_was_not_asked_for_is_not_stored_and_asking_for_it_says_how_to_get_
     with pytest.raises(RunError, match=f"--save-{kind}"):
         getattr(load_run(tmp_path / "run"), kind)("m")
     assert not (tmp_path / "run" / kind).exists()
-
-
-def test_a_missing_trial_is_a_row_with_its_names_and_nothing_else():
-    trials = make_trials(2, 1)
-    for row in missing_rows(trials, NAMES).to_pylist():
-        assert row["outcome"] == "missing" and row["object"] and row["split"] and row["side"]
-        known = ("trial_id", "object", "split", "side", "outcome")
-        assert all(v is None for k, v in row.items() if k not in known)
-
-
-def test_scores_in_another_order_than_their_trials_are_refused():
-    trials = make_trials(3, 0)
-    scores = make_scores(trials, np.zeros(3, int))
-    with pytest.raises(ValueError, match="same order"):
-        score_rows(trials[torch.tensor([1, 0, 2])], scores, NAMES)
 
 
 def test_the_manifest_says_what_was_run_how_it_ended_and_where_it_is(tmp_path):
@@ -370,103 +330,6 @@ def test_a_claim_is_given_to_one_at_a_time_and_falls_with_its_process(tmp_path):
             assert mine
 
 
-DAMAGE = {"flip": "flipped", "truncate": "truncated", "remove": "missing", "append": "too long"}
-
-
-def damage(path, how):
-    data = bytearray(path.read_bytes())
-    if how == "flip":
-        data[len(data) // 2] ^= 1
-        path.write_bytes(data)
-    elif how == "truncate":
-        path.write_bytes(data[:-10])
-    elif how == "append":
-        path.write_bytes(data + b"0")
-    else:
-        path.unlink()
-
-
-@pytest.mark.parametrize("how", list(DAMAGE))
-def test_a_damaged_shard_is_named_verify_marks_it_and_only_it_is_written_again(tmp_path, how, capsys):
-    folder = tmp_path / "run"
-    trials, scores = write(folder, shard_trials=5)
-    digest = load_run(folder).digest("m")
-    bad = files_of(folder)[1]
-    damage(bad, how)
-    with pytest.raises(RunError, match=f"{bad.name}: {DAMAGE[how]}.*results verify"):
-        load_run(folder)
-    assert results.main("verify", folder) == 1
-    out = capsys.readouterr().out
-    assert str(bad) in out and DAMAGE[how] in out and "m: 1 of 3 shards to be scored: 1" in out
-    run = load_run(folder)
-    assert run.unfinished == ("m",) and [s.index for s in run.missing("m")] == [1]
-    again = open_run(folder, make_header(6, 6))
-    store(again, "m", trials, scores)
-    assert load_run(folder).digest("m") == digest
-    assert results.main("verify", folder) == 0
-    assert "as it was written" in capsys.readouterr().out
-
-
-def test_a_shard_of_another_run_or_method_is_foreign(tmp_path, capsys):
-    for name, seed in (("a", 0), ("b", 1)):
-        write(tmp_path / name, shard_trials=5, seed=seed)
-    digest = load_run(tmp_path / "a").digest("m")
-    for kind in ("manifest", "trials"):
-        for file in sorted((tmp_path / "b" / kind / "m").iterdir())[:1]:
-            (tmp_path / "a" / kind / "m" / file.name).write_bytes(file.read_bytes())
-    with pytest.raises(RunError, match="foreign"):
-        load_run(tmp_path / "a")
-    assert results.main("verify", tmp_path / "a") == 1
-    assert "foreign" in capsys.readouterr().out
-    trials = make_trials(6, 6)
-    run = open_run(tmp_path / "a", make_header(6, 6))
-    assert [s.index for s in run.todo("m")] if run.slugs else False
-    store(run, "m", trials, make_scores(trials, OUTCOMES))
-    assert load_run(tmp_path / "a").digest("m") == digest
-
-
-def test_a_file_that_no_receipt_names_is_set_aside(tmp_path, capsys):
-    write(tmp_path / "run")
-    stray = tmp_path / "run" / "trials" / "m" / "000007-0123456789abcdef.parquet"
-    stray.write_bytes(files_of(tmp_path / "run")[0].read_bytes())
-    load_run(tmp_path / "run")  # it is no part of the run
-    assert results.main("verify", tmp_path / "run") == 1
-    assert "foreign: no receipt names it; set aside" in capsys.readouterr().out
-    assert not stray.exists() and len(files_of(tmp_path / "run")) == 1
-
-
-def test_the_digest_command_prints_what_the_library_says(tmp_path, capsys):
-    write(tmp_path / "run")
-    assert results.main("digest", tmp_path / "run") == 0
-    assert capsys.readouterr().out == f"{load_run(tmp_path / 'run').digest('m')}  m\n"
-    assert results.main("digest", tmp_path) == 2
-    assert "no run.json" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("content", ["{", "[]", '{"format": 99}', "nothing", "[" * 100_000, '{"format": 2}'])
-def test_a_run_json_that_is_damaged_or_of_another_format_is_refused(tmp_path, content):
-    write(tmp_path / "run")
-    (tmp_path / "run" / "run.json").write_text(content)
-    with pytest.raises(RunError, match=r"run\.json"):
-        load_run(tmp_path / "run")
-
-
-def test_a_run_json_that_was_edited_is_refused(tmp_path):
-    write(tmp_path / "run")
-    path = tmp_path / "run" / "run.json"
-    path.write_text(path.read_text().replace('"seed": 0', '"seed": 1'))
-    with pytest.raises(RunError, match="its own hash"):
-        load_run(tmp_path / "run")
-
-
-def test_a_table_of_another_schema_is_refused_naming_the_column(tmp_path):
-    write(tmp_path / "run")
-    (path,) = files_of(tmp_path / "run")
-    pq.write_table(pq.read_table(path, partitioning=None).drop_columns(["margin_safe_m"]), path)
-    with pytest.raises(RunError, match="margin_safe_m"):
-        load_run(tmp_path / "run", verify=False).trials("m")
-
-
 def test_a_method_that_is_not_there_is_refused_with_those_that_are(tmp_path):
     run = write_run(tmp_path / "run", {"a": np.zeros(2, int), "b": np.zeros(2, int)}, 1, 1)
     with pytest.raises(RunError, match="it has a, b"):
@@ -485,38 +348,3 @@ def test_equal_rows_give_equal_bytes(tmp_path):
     for name in ("a", "b"):
         write(tmp_path / name)
     assert [p.name for p in files_of(tmp_path / "a")] == [p.name for p in files_of(tmp_path / "b")]
-
-
-@pytest.mark.parametrize("when", ["sync_file", "link_once", "write_json_once"])
-def test_a_disk_that_fills_up_leaves_no_partial_shard_and_the_folder_goes_on_after_freeing(tmp_path, monkeypatch, when):
-    write(tmp_path / "run", method="first")
-
-    def full(*_):
-        raise OSError(28, os.strerror(28))
-
-    run = open_run(tmp_path / "run", make_header(6, 6))
-    run.register("second", {"kind": "test"})
-    monkeypatch.setattr(f"r2h_batch.writing.{when}", full)
-    trials = make_trials(6, 6)
-    run = open_run(tmp_path / "run", make_header(6, 6))
-    with pytest.raises(OSError, match="No space"):
-        run.slugs["second"] = "second"
-        with run.write("second", shards_of(run.header)[0]) as writer:
-            writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES), NAMES))
-    monkeypatch.undo()
-    assert not files_of(tmp_path / "run", "trials/second") and not list((tmp_path / "run").rglob("*.tmp"))
-    assert load_run(tmp_path / "run").methods == ("first",)
-    write(tmp_path / "run", method="second")
-    assert load_run(tmp_path / "run").methods == ("first", "second")
-
-
-def test_outcome_names_follow_the_enum():
-    assert OUTCOME_NAMES[Outcome.INVALID_SIM] == "invalid_sim" and OUTCOME_NAMES[-1] == "missing"
-
-
-def test_the_documentation_names_every_column_and_every_word_in_it():
-    text = (Path(__file__).parent.parent / "docs" / "run_folder.md").read_text(encoding="utf-8")
-    columns = [f.name for schema in manifest.SCHEMAS.values() for f in schema]
-    words = [*OUTCOME_NAMES, *(r.name.lower() for r in PlanReason), *(p.name.lower() for p in CollidingPair if p)]
-    for name in (*columns, *words, *manifest.IDENTITY):
-        assert f"`{name}`" in text, name

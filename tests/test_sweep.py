@@ -1,6 +1,5 @@
 """The sweep command: what it refuses, prints and stores. The evaluator is a fake except at the end."""
 
-import importlib.util
 import json
 import os
 import resource
@@ -18,7 +17,6 @@ from made_runs import make_predictions, make_trials
 from r2h_batch import jobs, sweep
 from r2h_batch.predictions import write_predictions
 from r2h_batch.results import load_run
-from r2h_batch.types import Predictions
 
 PLAIN = {k: v for k, v in os.environ.items() if k not in ("HOME", "TERM", "LANG", "LC_ALL")} | {
     "LANG": "C",
@@ -402,58 +400,3 @@ def test_without_out_the_folder_is_named_after_the_time(fake, here, tmp_path, ca
     assert sweep.main(["--method", f"{here}:best", "--trials", "2"]) == 0
     folder = capsys.readouterr().err.splitlines()[-1].removeprefix("run folder: ")
     assert folder.startswith("runs/2") and load_run(tmp_path / folder).methods == ("my_rules:best",)
-
-
-# --- with the evaluator ---------------------------------------------------------------------------------------------
-
-needs_evaluator = pytest.mark.skipif(
-    any(
-        importlib.util.find_spec(f"r2h_batch.{m}") is None
-        for m in ("evaluate", "trials", "methods.random", "methods.oracle")
-    ),
-    reason="r2h_batch.evaluate, trials and methods are not there yet",
-)
-
-
-@needs_evaluator
-def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
-    line = ["--method", "random", "oracle", "--trials", 6, "--out", tmp_path / "run", "--save-paths", "--save-poses"]
-    done = command(*line, env=WITH_HOME)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.isascii() and done.stdout.startswith("preset: default")
-    assert done.stderr.splitlines()[-1] == f"run folder: {tmp_path / 'run'}"
-    run = load_run(tmp_path / "run")
-    assert run.methods == ("random", "oracle")
-    for method in run.methods:
-        table = run.trials(method)
-        assert table.num_rows == 12 and run.poses(method).num_rows == 12
-        assert len(set(table["object"].to_pylist())) == 12
-        has_path = [r["trial_id"] for r in table.to_pylist() if r["t_exec_s"] is not None]
-        assert run.paths(method)["trial_id"].to_pylist() == has_path
-    outcomes = run.trials("oracle")["outcome"].to_pylist()
-    assert outcomes.count("success") >= 10
-
-
-@needs_evaluator
-def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
-    first = command("--method", "random", "--trials", 8, "--out", tmp_path / "a", "--save-poses", env=WITH_HOME)
-    assert first.returncode == 0, first.stderr
-    run = load_run(tmp_path / "a")
-    poses = run.poses("random")
-    parts = [torch.tensor(poses[k].to_pylist()).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
-    order = torch.randperm(len(parts[0]), generator=torch.Generator().manual_seed(1))
-    ids = torch.tensor(poses["trial_id"].to_pylist())
-    write_predictions(tmp_path / "p.safetensors", Predictions(ids, *parts, None, "random again")[order])
-    second = command("--predictions", tmp_path / "p.safetensors", "--trials", 8, "--out", tmp_path / "b", env=WITH_HOME)
-    assert second.returncode == 0, second.stderr
-    timing = ["t_plan_s", "t_method_s"]
-    a, b = (r.drop_columns(timing) for r in (run.trials("random"), load_run(tmp_path / "b").trials("random again")))
-    assert a.equals(b)
-
-
-@needs_evaluator
-def test_another_device_without_a_gpu_is_refused():
-    if torch.cuda.is_available():
-        pytest.skip("there is a GPU")
-    done = command("--method", "random", "--trials", 1, "--device", "cuda")
-    assert done.returncode == 2 and done.stdout == "" and "no CUDA device" in done.stderr
