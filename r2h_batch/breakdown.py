@@ -125,9 +125,9 @@ def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
         if whole:
             kept.append(table)
             continue
-        outcome = np.array([OUTCOME_NAMES.index(o) for o in table["outcome"].to_pylist()])
-        if (seen >= each).all() or not len(table):
-            continue
+        column = table["outcome"].combine_chunks()
+        codes = np.array([OUTCOME_NAMES.index(word) for word in column.dictionary.to_pylist()], np.int64)
+        outcome = codes[column.indices.to_numpy()]
         rows = np.concatenate([np.flatnonzero(outcome == k)[: max(each - seen[k], 0)] for k in range(MISSING + 1)])
         seen += np.bincount(outcome[rows], minlength=MISSING + 1)
         kept.append(table.take(pa.array(np.sort(rows))))

@@ -169,7 +169,8 @@ def _feed(
                     print(f"{name}: shard {shard.index} failed {TRIES} times", file=sys.stderr, flush=True)
                 continue
             pool.idle.append(actor)
-            folder.commit(name, shard, writer, seconds)
+            with folder.claim(name, shard):  # no other sweep takes the files for foreign ones meanwhile
+                folder.commit(name, shard, writer, seconds)
             advance(shard.last - shard.first)
     if stopping():
         raise Stopped

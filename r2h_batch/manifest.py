@@ -73,8 +73,8 @@ def read_header(folder: Path) -> dict[str, Any]:
         raise RunError(f"{path}: format {header.get('format')!r}; this version reads format {FORMAT}")
     try:
         good = header["hash"] == run_hash(header) and sum(header["trials"].values()) >= 0
-    except (KeyError, TypeError, AttributeError) as error:
-        raise RunError(f"{path}: a field is missing or of another type ({error})") from error
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise RunError(f"{path}: a field is missing, of another type or no number ({error})") from error
     if not good:
         raise RunError(f"{path}: its fields do not agree with its own hash; restore it, or sweep into another --out")
     return header

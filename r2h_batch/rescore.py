@@ -135,9 +135,7 @@ class _Margins:
                 continue
             margin = spare(float(np.float32(threshold)))
             good = margin >= 0 if touching else margin > 0
-            old = self.state[criterion]
-            if criterion == "stability":  # a grasp that fails for another reason than its width still does
-                good &= old == PASSED
+            old = self.state[criterion]  # a grasp that failed has a margin below 0, for whatever reason: it still fails
             state[criterion] = np.where(old > 0, np.where(good, PASSED, FAILED), old)
             near |= (old > 0) & (np.abs(margin) < ROUNDING_M)
         pattern = np.zeros(len(self.split), np.int64)

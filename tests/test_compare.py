@@ -88,6 +88,17 @@ def test_one_object_has_no_interval_for_new_ones_and_no_nan():
     assert "n/a" in compare.render([c]) and "nan" not in compare.render([c])
 
 
+def test_objects_and_splits_of_different_sizes_weigh_by_their_trials():
+    objects = np.repeat(np.arange(6), [5, 90, 20, 40, 1, 60])
+    split = (objects >= 3).astype(int)
+    success = np.stack([np.ones(216), np.zeros(216), objects == 1])
+    for c in compare.compare(paired(success, objects, split)):
+        pair = c.pairs[0]
+        assert (pair.difference, pair.low, pair.high) == (100, 100, 100)
+    third = next(p for p in c.pairs if (p.a, p.b) == ("m1", "m2"))
+    assert third.difference == pytest.approx(-100 * 90 / 216) and third.low < third.difference < third.high
+
+
 @pytest.mark.parametrize("n", [1, 2, 33])
 @pytest.mark.parametrize("value", [0, 1])
 def test_methods_that_all_fail_or_all_succeed_are_tied(n, value):

@@ -88,6 +88,14 @@ def test_the_digest_command_prints_what_the_library_says(tmp_path, capsys):
     assert "no run.json" in capsys.readouterr().err
 
 
+def test_a_run_json_with_a_number_that_is_none_is_refused(tmp_path):
+    write(tmp_path / "run")
+    path = tmp_path / "run" / "run.json"
+    path.write_text(path.read_text().replace('"seed": 0', '"seed": NaN'))
+    with pytest.raises(RunError, match=r"run\.json: a field is missing"):
+        load_run(tmp_path / "run")
+
+
 @pytest.mark.parametrize("content", ["{", "[]", '{"format": 99}', "nothing", "[" * 100_000, '{"format": 2}'])
 def test_a_run_json_that_is_damaged_or_of_another_format_is_refused(tmp_path, content):
     write(tmp_path / "run")
