@@ -43,7 +43,7 @@ def test_a_wrong_difference_in_the_table_would_be_named(monkeypatch, tmp_path):
 
 def test_rank_correlation_is_scipys_with_its_exact_p_value():
     random = np.random.default_rng(0)
-    for n in (3, 4, 5, 6):
+    for n in (3, 4, 5):
         x, y = random.random(n), np.round(random.random(n), 1)
         found = study_stats.spearman(x, y)
         assert found.rho == pytest.approx(stats.spearmanr(x, y).statistic)
