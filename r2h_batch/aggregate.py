@@ -28,6 +28,11 @@ TIMES = ("t_plan_s", "t_exec_s", "t_tot_s", "t_method_s")
 
 _REQUIRED = np.array([c != "affordance" for c in CRITERIA])
 
+UNEVALUATED, FAILED, PASSED = 0, 1, 2
+"""What a criterion says about a trial: a digit of its pattern."""
+PATTERNS = np.array(np.unravel_index(np.arange(3 ** len(CRITERIA)), (3,) * len(CRITERIA))).T
+"""(243, 5) the criteria's words of every pattern; a trial's pattern is the row, invalid and missing trials have row 0."""
+
 
 @dataclass(frozen=True)
 class Rate:
@@ -74,6 +79,8 @@ class Verdicts:
     t_exec_s: np.ndarray
     t_method_s: np.ndarray
     splits: tuple[str, ...] = SPLITS  # planned ones
+    objects: tuple[str, ...] = ()  # names behind the codes
+    pattern: np.ndarray | None = None  # row of `PATTERNS`: the five verdicts on their own
 
     def __post_init__(self) -> None:
         n = len(self.outcome)
@@ -127,13 +134,14 @@ def clustered_interval(success: np.ndarray, cluster: np.ndarray, confidence: flo
     Never narrower than the Wilson interval (with few clusters the between-cluster variance can come out as 0).
     None with fewer than two clusters.
     """
-    success = np.asarray(success, bool)
-    _, index = np.unique(np.asarray(cluster), return_inverse=True)
+    success, cluster = np.asarray(success, bool), np.asarray(cluster)
+    index = cluster if cluster.dtype.kind in "iu" else np.unique(cluster, return_inverse=True)[1]
     n = np.bincount(index).astype(np.float64)
+    x = np.bincount(index[success], minlength=len(n))[n > 0]
+    n = n[n > 0]
     k = len(n)
     if k < 2:
         return None
-    x = np.bincount(index, weights=success)
     p = x.sum() / n.sum()
     error = np.sqrt(k / (k - 1) * np.sum((x - p * n) ** 2)) / n.sum()
     half = stdtrit(k - 1, 0.5 + confidence / 2) * error
@@ -225,33 +233,72 @@ def average_row(rows: Sequence[Row]) -> Row:
 
 def verdicts(run: Run, method: str) -> Verdicts:
     """A stored method's verdicts, checked: counts as planned, outcomes equal to the stored criteria's first failure."""
-    plain = ["object", "split", "outcome", "t_plan_s", "t_exec_s", "t_method_s"]
-    table = run.trials(method, [*plain, *(f"passed_{c}" for c in CRITERIA)])
-
-    def codes(name: str, order: Sequence[str]) -> np.ndarray:
-        column = table[name].combine_chunks().cast(pa.dictionary(pa.int32(), pa.string()))
-        at = {word: i for i, word in enumerate(order)}
-        words = column.dictionary.to_pylist()
-        if unknown := [w for w in words if w not in at]:
-            raise ValueError(f"{method}: {name} holds {unknown[0]!r}; known are {', '.join(order)}")
-        return np.array([at[w] for w in words], np.int8)[column.indices.to_numpy(zero_copy_only=False)]
-
-    outcome, split = codes("outcome", OUTCOME_NAMES), codes("split", SPLITS)
-    stored = [table[f"passed_{c}"].combine_chunks() for c in CRITERIA]
-    passed = np.stack([c.fill_null(False).to_numpy(zero_copy_only=False) for c in stored], axis=1)
-    evaluated = np.stack([c.is_valid().to_numpy(zero_copy_only=False) for c in stored], axis=1)
-    judged = outcome < Outcome.INVALID_INPUT
-    required = _REQUIRED | (split == SPLITS.index("S1"))[:, None]
-    expected = first_failure(passed[judged], evaluated[judged], required[judged])
-    if (wrong := int((expected != outcome[judged]).sum())) > 0:
-        raise ValueError(f"{method}: {wrong} stored outcomes are not the first failure of the stored criteria")
+    times = ("t_plan_s", "t_exec_s", "t_method_s")
+    columns = ["object", "split", "outcome", *times, *(f"passed_{c}" for c in CRITERIA)]
+    names: list[str] = []
+    parts: dict[str, list[np.ndarray]] = {k: [] for k in ("split", "object", "outcome", "pattern", *times)}
+    for table in run.shards("trials", method, columns):
+        part = {
+            "split": _codes(method, table, "split", SPLITS).astype(np.int8),
+            "object": _codes(method, table, "object", names, grow=True).astype(np.int32),
+            "outcome": _codes(method, table, "outcome", OUTCOME_NAMES).astype(np.int8),
+            "pattern": _pattern(table),
+            **{k: table[k].to_numpy().astype(np.float32) for k in times},
+        }
+        _check_outcomes(method, part["outcome"], part["pattern"], part["split"])
+        for key, values in part.items():
+            parts[key].append(values)
+    empty = np.zeros(0, np.int8)
+    arrays = {k: np.concatenate(v) if v else empty for k, v in parts.items()}
     planned = run.header["trials"]
     for name, count in planned.items():
-        if (found := int((split == SPLITS.index(name)).sum())) != count:
+        if (found := int((arrays["split"] == SPLITS.index(name)).sum())) != count:
             raise ValueError(f"{method}: {found} rows in {name}, {count} were planned")
-    times = {k: table[k].to_numpy().astype(np.float32) for k in ("t_plan_s", "t_exec_s", "t_method_s")}
-    objects = table["object"].combine_chunks().indices.to_numpy()
-    return Verdicts(method=method, split=split, object=objects, outcome=outcome, splits=tuple(planned), **times)
+    return Verdicts(method=method, splits=tuple(planned), objects=tuple(names), **arrays)
+
+
+def _codes(method: str, table: pa.Table, name: str, order: Sequence[str], *, grow: bool = False) -> np.ndarray:
+    """Codes of a column of words: places in `order`, which new words extend if it may `grow`."""
+    column = table[name].combine_chunks()
+    words = column.dictionary.to_pylist()
+    if grow and isinstance(order, list):
+        order.extend(w for w in words if w not in order)
+    if unknown := [w for w in words if w not in order]:
+        raise ValueError(f"{method}: {name} holds {unknown[0]!r}; known are {', '.join(order)}")
+    return np.array([order.index(w) for w in words], np.int32)[column.indices.to_numpy(zero_copy_only=False)]
+
+
+def _pattern(table: pa.Table) -> np.ndarray:
+    pattern = np.zeros(len(table), np.uint8)
+    for c in CRITERIA:
+        column = table[f"passed_{c}"].combine_chunks()
+        passed = column.fill_null(False).to_numpy(zero_copy_only=False)
+        pattern = 3 * pattern + column.is_valid().to_numpy(zero_copy_only=False) + passed
+    return pattern
+
+
+def pattern_outcomes(order: Sequence[str] = CRITERIA) -> np.ndarray:
+    """(2, 243) outcome of every pattern on S0 and on S1 for an order of the criteria; -1: a needed one was not looked at."""
+    if sorted(order) != sorted(CRITERIA):
+        raise ValueError(f"an order of criteria is {', '.join(order)}; it must hold each of {', '.join(CRITERIA)} once")
+    columns = [CRITERIA.index(c) for c in order]
+    failed = PATTERNS[:, columns] == FAILED
+    codes = np.array([Outcome[c.upper()] for c in order], np.int8)
+    first = np.where(failed.any(1), codes[failed.argmax(1)], np.int8(Outcome.SUCCESS)).astype(np.int8)
+    table = np.tile(first, (2, 1))
+    for k, required in enumerate((_REQUIRED, np.ones(len(CRITERIA), bool))):
+        unseen = ((PATTERNS == UNEVALUATED) & required).any(1)
+        table[k, (first == Outcome.SUCCESS) & unseen] = -1
+    return table
+
+
+def _check_outcomes(method: str, outcome: np.ndarray, pattern: np.ndarray, split: np.ndarray) -> None:
+    expected = pattern_outcomes()[split, pattern]
+    judged = outcome < Outcome.INVALID_INPUT
+    if (unseen := int((judged & (expected < 0)).sum())) > 0:
+        raise ValueError(f"{method}: {unseen} rows have no failure but a criterion that was not evaluated")
+    if (wrong := int((judged & (expected != outcome)).sum())) > 0:
+        raise ValueError(f"{method}: {wrong} stored outcomes are not the first failure of the stored criteria")
 
 
 def summarise(methods: Sequence[Verdicts]) -> tuple[Row, ...]:

@@ -10,8 +10,11 @@ from math import floor, log10
 from pathlib import Path
 from typing import Any, Literal
 
+from r2h_batch import breakdown
 from r2h_batch.aggregate import RATES, TIMES, Mean, Rate, Row, summarise, verdicts
 from r2h_batch.results import Run, load_run
+from r2h_batch.rows import SPLITS
+from r2h_batch.types import CRITERIA
 
 FORMATS = ("md", "latex", "csv", "json")
 
@@ -42,6 +45,12 @@ FOOTNOTES = (
 )
 
 
+BEST_NOTE = (
+    "Bold: best value of the split. It does not say that the difference is more than chance:"
+    " python -m r2h_batch.compare does."
+)
+
+
 @dataclass(frozen=True)
 class Table:
     """What a report shows: rows in order, and where they come from (protocol, digest, preset, device, ...)."""
@@ -50,9 +59,12 @@ class Table:
     origin: Mapping[str, str]
 
 
-def table_of(run: Run) -> Table:
-    """The table of every method stored in a run folder."""
+def table_of(run: Run, order: Sequence[str] = CRITERIA) -> Table:
+    """The table of every complete method of a run folder, first failures looked for in `order`."""
     header = run.header
+    rows = [verdicts(run, method) for method in run.methods]
+    if tuple(order) != CRITERIA:
+        rows = [breakdown.in_order(v, order) for v in rows]
     origin = {
         "preset": str(header["configuration"].get("name", "custom")),
         "protocol": str(header["protocol"]),
@@ -63,7 +75,9 @@ def table_of(run: Run) -> Table:
     }
     if "motion" in header:
         origin["motion"] = str(header["motion"]["engine"]).replace("none", "as planned")
-    return Table(summarise([verdicts(run, method) for method in run.methods]), origin)
+    if tuple(order) != CRITERIA:
+        origin["order of criteria"] = ", ".join(order)
+    return Table(summarise(rows), origin)
 
 
 def render(table: Table, fmt: str) -> str:
@@ -101,7 +115,7 @@ def _interval(rate: Rate | None) -> str:
     return NA if rate is None else f"{rate.low:.1f}-{rate.high:.1f}"
 
 
-def _aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) -> str:
+def aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) -> str:
     """A Markdown table that also reads well as plain text; the first `left` columns are left-aligned.
 
     The pipes at the edges go where the table would otherwise be wider than a terminal.
@@ -143,11 +157,11 @@ def _md(table: Table) -> str:
     parts = [
         "  \n".join(f"{key}: {value}" for key, value in table.origin.items()),
         "Rates in percent, times in seconds.",
-        _aligned(["Split", "Method", *HEADINGS.values()], main, 2),
+        aligned(["Split", "Method", *HEADINGS.values()], main, 2),
         "Wilson 95 % intervals of the rates.",
-        _aligned(["Split", "Method", *(HEADINGS[c] for c in rates)], ends, 2),
+        aligned(["Split", "Method", *(HEADINGS[c] for c in rates)], ends, 2),
         "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial.",
-        _aligned(["Split", "Method", *others], counts, 2),
+        aligned(["Split", "Method", *others], counts, 2),
         "\n".join(_wrapped(note) for note in FOOTNOTES),
     ]
     return "\n\n".join(parts) + "\n"
@@ -163,6 +177,19 @@ def _wrapped(note: str, width: int = 118) -> str:
     return "\n".join([*lines, line])
 
 
+def best_cells(table: Table) -> set[tuple[str, str, str]]:
+    """(split, method, column) of the best printed value of each split, ties included; none where all are equal."""
+    best = set()
+    for split in dict.fromkeys(row.split for row in table.rows):
+        rows = [row for row in table.rows if row.split == split]
+        for column in HEADINGS:
+            values = {row.method: float(cell(row, column)) for row in rows if cell(row, column) != NA}
+            if len(set(values.values())) > 1:
+                top = (max if column == "sr" else min)(values.values())
+                best |= {(split, method, column) for method, value in values.items() if value == top}
+    return best
+
+
 _TEX = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 _TEX |= {c: "\\" + c for c in "&%$#_{}"}
 
@@ -172,10 +199,13 @@ def _tex(text: str) -> str:
 
 
 def _latex(table: Table) -> str:
+    best = best_cells(table)
+
     def value(row: Row, column: str) -> str:
         rate = row.rates.get(column)
         ends = "" if rate is None else rf" {{\scriptsize[{rate.low:.1f}, {rate.high:.1f}]}}"
-        return cell(row, column) + ends
+        text = cell(row, column)
+        return (rf"\textbf{{{text}}}" if (row.split, row.method, column) in best else text) + ends
 
     def heading(name: str) -> str:
         symbol, _, index = name.partition("_")
@@ -205,7 +235,7 @@ def _latex(table: Table) -> str:
         f" SR for new objects {_interval(row.sr_new_objects)}"
         for row in table.rows
     )
-    for note in (*FOOTNOTES, sizes + ".", provenance + "."):
+    for note in (*FOOTNOTES, BEST_NOTE, sizes + ".", provenance + "."):
         lines.append(rf"\multicolumn{{11}}{{@{{}}p{{\linewidth}}@{{}}}}{{\footnotesize {_tex(note)}}} \\")
     return "\n".join([*lines, r"\end{tabular}"]) + "\n"
 
@@ -238,22 +268,67 @@ def _json(table: Table) -> str:
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
-def main(run: Path, /, *, format: Literal["md", "latex", "csv", "json"] = "md") -> int:
+def object_lines(run: Run) -> str:
+    """Table I's columns for every method and object, and which criteria fail together, as Markdown."""
+    lines, parts = [], []
+    for method in run.methods:
+        v = verdicts(run, method)
+        for name, row in breakdown.by_object(v):
+            ends = _interval(row.rates["sr"])
+            lines.append([row.split, name, _plain(method), str(row.n), *(cell(row, c) for c in HEADINGS), ends])
+        for split in v.splits:
+            counts = breakdown.co_failures(v, v.split == SPLITS.index(split))
+            pairs = [
+                [c, *(f"{f}/{e}" if e else NA for f, e in zip(counts.failed[i], counts.evaluated[i]))]
+                for i, c in enumerate(CRITERIA)
+            ]
+            parts += [
+                f"{_plain(method)}, {split}: trials that fail both / in which both were evaluated.",
+                aligned(["", *CRITERIA], pairs, 1),
+            ]
+    headings = ["Split", "Object", "Method", "N", *HEADINGS.values(), "SR 95 %"]
+    return "\n\n".join([aligned(headings, lines, 3), *parts]) + "\n"
+
+
+def main(
+    run: Path,
+    /,
+    *,
+    format: Literal["md", "latex", "csv", "json", "html"] = "md",
+    by_object: bool = False,
+    order: str = "",
+) -> int:
     """Print the table of a run folder.
 
     Args:
         run: a run folder, as `python -m r2h_batch.sweep --out` writes it.
-        format: md, latex, csv or json.
+        format: md, latex, csv or json; html: one page with charts and a search over trials, no network needed.
+        by_object: each object's rates and the criteria that fail together, instead of Table I.
+        order: look for the first failure in another order, such as reach,plan (the others follow).
     """
     try:
-        sys.stdout.write(render(table_of(load_run(run)), format))
+        stored = load_run(run)
+        if not stored.methods:
+            raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+        if by_object:
+            text = object_lines(stored)
+        elif format == "html":
+            from r2h_batch.page import page
+
+            text = page(stored)
+        else:
+            text = render(table_of(stored, breakdown.parse_order(order) if order else CRITERIA), format)
     except (ValueError, OSError) as error:
         print(f"report: {error}", file=sys.stderr)
         return 2
-    return 0
+    sys.stdout.write(text)
+    for name in stored.unfinished:
+        missing = sum(s.last - s.first for s in stored.missing(name))
+        print(f"report: {name} is not in the table, {missing} of its trials are not scored yet", file=sys.stderr)
+    return 1 if stored.unfinished else 0
 
 
 if __name__ == "__main__":
     import tyro
 
-    sys.exit(tyro.cli(main))
+    sys.exit(tyro.cli(main, config=(tyro.conf.FlagCreatePairsOff,)))

@@ -1,102 +1,78 @@
-"""The run folder: `run.json` beside one Parquet file per method, written whole or not at all, read back checked.
+"""Read a run folder back, checked. `python -m r2h_batch.results verify DIR` finds damaged and foreign shards."""
 
-runs/NAME/run.json                what was run: protocol, digests, configuration, versions, device, command, methods
-runs/NAME/trials/METHOD.parquet   one row per planned trial, `rows.TRIAL_SCHEMA`
-runs/NAME/poses/METHOD.parquet    the two poses that were scored, `rows.POSE_SCHEMA`
-runs/NAME/paths/METHOD.parquet    with --save-paths: waypoints and times, `rows.PATH_SCHEMA`
-"""
-
-import fcntl
 import hashlib
-import json
-import os
-import re
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-from uuid import uuid4
+from typing import Any, Literal
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from r2h_batch.rows import PATH_SCHEMA, POSE_SCHEMA, TRIAL_SCHEMA
+from r2h_batch.manifest import (
+    FORMAT,
+    SCHEMAS,
+    RunError,
+    Shard,
+    problems,
+    quarantine_path,
+    read_header,
+    read_methods,
+    read_receipt,
+    receipt_path,
+    shards_of,
+)
+from r2h_batch.storage import claim
 
-FORMAT = 1
-"""Version of the run folder: of run.json's fields and of the three schemas."""
-
-SCHEMAS = {"trials": TRIAL_SCHEMA, "poses": POSE_SCHEMA, "paths": PATH_SCHEMA}
-
-IDENTITY = ("format", "protocol", "trials", "configuration", "digests", "seed", "device", "versions", "save_paths")
-"""Fields of run.json that must agree for two sweeps to share a folder."""
-
-
-class RunError(ValueError):
-    """A run folder that cannot be written or read: the message names the file and what to do."""
-
-
-def _sync(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{uuid4().hex}.tmp")
-
-
-def _write_json(path: Path, data: Mapping[str, Any]) -> None:
-    temporary = _temporary(path)
-    try:
-        with temporary.open("w", encoding="utf-8") as file:
-            json.dump(data, file, indent=1, allow_nan=False)
-            file.write("\n")
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    _sync(path.parent)
-
-
-def _read_header(folder: Path) -> dict[str, Any]:
-    path = folder / "run.json"
-    try:
-        header = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise RunError(f"{folder}: no run.json, so it is not a run folder") from None
-    except (ValueError, OSError) as error:
-        raise RunError(f"{path}: cannot be read ({error})") from error
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        found = header.get("format") if isinstance(header, dict) else header
-        raise RunError(f"{path}: format {found!r}; this version reads format {FORMAT}")
-    return header
+TIMING = ("t_plan_s", "t_method_s")
+"""Columns of the trials that depend on the machine and the hour: not part of a digest."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """A stored run: `header` is run.json, the methods' tables are read on demand."""
+    """A stored run: `header` is run.json, `entries` its methods with their receipts, tables are read on demand."""
 
     folder: Path
     header: dict[str, Any]
+    entries: tuple[dict[str, Any], ...]
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Names of the methods whose rows are complete, in the order in which they were run."""
-        return tuple(m["name"] for m in self.header["methods"])
+        """Names of the methods whose rows are all there, in the order in which they were added."""
+        return tuple(e["name"] for e in self.entries if not self.missing(e["name"]))
+
+    @property
+    def unfinished(self) -> tuple[str, ...]:
+        """Names of the methods of which shards are still to be scored."""
+        return tuple(e["name"] for e in self.entries if self.missing(e["name"]))
+
+    def missing(self, method: str) -> list[Shard]:
+        """Shards of a method that are planned and not stored."""
+        stored = self.entry(method)["receipts"]
+        return [s for s in shards_of(self.header) if s.index not in stored]
+
+    def quarantined(self, method: str) -> list[Shard]:
+        """Missing shards of a method that failed three times in the last attempt."""
+        slug = self.entry(method)["slug"]
+        return [s for s in self.missing(method) if quarantine_path(self.folder, slug, s).exists()]
+
+    def entry(self, method: str) -> dict[str, Any]:
+        """What is known about a method: source, command, slug, and `receipts` by number of shard."""
+        for entry in self.entries:
+            if entry["name"] == method:
+                return entry
+        names = ", ".join(e["name"] for e in self.entries) or "none"
+        raise RunError(f"{self.folder}: no method {method!r}; it has {names}")
 
     def trials(self, method: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """One row per planned trial, `rows.TRIAL_SCHEMA` or some of its columns."""
+        """One row per trial, `rows.TRIAL_SCHEMA` or some of its columns, in the plan's order."""
         return self._read("trials", method, columns)
+
+    def details(self, method: str) -> pa.Table:
+        """Goal, grasp and witness of the scored trials, `rows.DETAIL_SCHEMA`."""
+        return self._read("details", method, None)
 
     def poses(self, method: str) -> pa.Table:
         """The scored poses, `rows.POSE_SCHEMA`: no rows for missing trials."""
@@ -106,163 +82,127 @@ class Run:
         """Waypoints and times of the trials that have a path, `rows.PATH_SCHEMA`."""
         return self._read("paths", method, None)
 
-    def entry(self, method: str) -> dict[str, Any]:
-        """What run.json says about a method."""
-        for entry in self.header["methods"]:
-            if entry["name"] == method:
-                return entry
-        raise RunError(f"{self.folder}: no method {method!r}; it has {', '.join(self.methods) or 'none'}")
+    def shards(self, kind: str, method: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+        """The stored tables of a kind, shard by shard: what does not fit into memory at once."""
+        for receipt in self.entry(method)["receipts"].values():
+            if kind not in receipt["files"]:
+                raise RunError(f"{self.folder}: method {method!r} has no {kind}; sweep again with --save-{kind}")
+            yield self._table(kind, self.folder / receipt["files"][kind]["path"], columns)
 
     def verify(self) -> None:
-        """Raise unless every file of every method is there with the sha256 that run.json gives."""
-        for entry in self.header["methods"]:
-            for stored in entry["files"].values():
-                path = self.folder / stored["path"]
-                if not path.is_file():
-                    raise RunError(f"{path}: missing; run the sweep again with another --out")
-                if _sha256(path) != stored["sha256"]:
-                    raise RunError(
-                        f"{path}: differs from the sha256 in run.json; run the sweep again with another --out"
-                    )
+        """Raise unless every file of every receipt is there with its sha256."""
+        for _, shard, file, what in problems(self.folder, self.header):
+            if shard is not None:
+                raise RunError(
+                    f"{file}: {what}; `python -m r2h_batch.results verify {self.folder}` marks it, the sweep redoes it"
+                )
+
+    def digest(self, method: str) -> str:
+        """sha256 (hex) over all rows of a method without `TIMING`: the same for any shards, chunks and workers."""
+        columns = [c for c in SCHEMAS["trials"].names if c not in TIMING]
+        hashes = {(c, part): hashlib.sha256() for c in columns for part in ("given", "value")}
+        for table in self.shards("trials", method, columns):
+            for name in columns:
+                column = table[name].combine_chunks()
+                hashes[name, "given"].update(column.is_valid().to_numpy(zero_copy_only=False).tobytes())
+                hashes[name, "value"].update(_plain(column).tobytes())
+        return hashlib.sha256(b"".join(h.digest() for h in hashes.values())).hexdigest()
 
     def _read(self, kind: str, method: str, columns: Sequence[str] | None) -> pa.Table:
-        stored = self.entry(method)["files"].get(kind)
-        if stored is None:
-            raise RunError(f"{self.folder}: method {method!r} has no {kind}; sweep again with --save-paths")
-        path = self.folder / stored["path"]
+        tables = list(self.shards(kind, method, columns))
+        if not tables:
+            names = SCHEMAS[kind].names if columns is None else columns
+            return pa.schema([SCHEMAS[kind].field(n) for n in names]).empty_table()
+        return pa.concat_tables(tables).unify_dictionaries()
+
+    def _table(self, kind: str, path: Path, columns: Sequence[str] | None) -> pa.Table:
+        schema = SCHEMAS[kind]
+        names = schema.names if columns is None else list(columns)
         try:
-            table = pq.read_table(path, columns=None if columns is None else list(columns), partitioning=None)
+            table = pq.read_table(path, columns=names, partitioning=None)
         except (OSError, pa.ArrowException) as error:
             raise RunError(f"{path}: cannot be read ({error})") from error
-        schema = SCHEMAS[kind]
-        for name in schema.names if columns is None else columns:
+        for name in names:
             if name not in table.column_names or table.schema.field(name).type != schema.field(name).type:
                 raise RunError(f"{path}: column {name!r} is missing or of another type than format {FORMAT} says")
         return table
 
 
+def _plain(column: pa.Array) -> np.ndarray:
+    """Values as numbers of fixed size: words by their hash, empty ones as 0, so that equal rows give equal bytes."""
+    if pa.types.is_dictionary(column.type):
+        words = [hashlib.sha256(w.encode()).digest()[:8] for w in column.dictionary.to_pylist()]
+        codes = np.frombuffer(b"".join([*words, bytes(8)]), "<u8")
+        return codes[column.indices.fill_null(len(words)).to_numpy()]
+    return np.asarray(column.fill_null(False if pa.types.is_boolean(column.type) else 0))
+
+
 def load_run(folder: str | Path, *, verify: bool = True) -> Run:
     """The run stored in `folder`; with `verify`, every file is compared with its sha256 first."""
     folder = Path(folder)
-    run = Run(folder, _read_header(folder))
+    header = read_header(folder)
+    entries = []
+    for entry in read_methods(folder):
+        here = [s for s in shards_of(header) if receipt_path(folder, entry["slug"], s).exists()]
+        entries.append({**entry, "receipts": {s.index: read_receipt(folder, header, entry, s) for s in here}})
+    run = Run(folder, header, tuple(entries))
     if verify:
         run.verify()
     return run
 
 
-class MethodWriter:
-    """Streams one method's rows into temporary files; `RunFolder.write` turns them into the method's files."""
-
-    def __init__(self, writers: Mapping[str, pq.ParquetWriter]) -> None:
-        self._writers = writers
-        self.outcomes: dict[str, Counter[str]] = {}
-
-    def append(self, **tables: pa.Table) -> None:
-        """Add rows: `trials`, and `poses` and `paths` where there are any."""
-        for kind, table in tables.items():
-            for field in SCHEMAS[kind]:
-                if not field.nullable and table[field.name].null_count:
-                    raise ValueError(f"{kind}: column {field.name!r} has {table[field.name].null_count} empty rows")
-            self._writers[kind].write_table(table)
-        if "trials" in tables:
-            keys = pa.table({k: tables["trials"][k].cast(pa.string()) for k in ("split", "outcome")})
-            for row in keys.group_by(["split", "outcome"]).aggregate([([], "count_all")]).to_pylist():
-                self.outcomes.setdefault(row["split"], Counter())[row["outcome"]] += row["count_all"]
-
-
-class RunFolder:
-    """A run folder being written, locked against other sweeps; made by `open_run`."""
-
-    def __init__(self, folder: Path, header: dict[str, Any], command: Sequence[str]) -> None:
-        self.folder, self.header, self.command = folder, header, list(command)
-
-    def stored(self, method: str, source: Mapping[str, Any]) -> bool:
-        """Whether the method's rows are complete; an error if they came from another source."""
-        for entry in self.header["methods"]:
-            if entry["name"] == method:
-                if entry["source"] != dict(source):
-                    raise RunError(f"{self.folder}: already holds {method!r} from another source; choose another --out")
-                return True
-        return False
-
-    @contextmanager
-    def write(self, method: str, source: Mapping[str, Any]) -> Iterator[MethodWriter]:
-        """A writer for a method's rows; when the block ends well they appear at once, else nothing does."""
-        name = self._file_name(method)
-        kinds = [k for k in SCHEMAS if k != "paths" or self.header["save_paths"]]
-        finals = {k: self.folder / k / f"{name}.parquet" for k in kinds}
-        temporary = {k: _temporary(p) for k, p in finals.items()}
-        metadata = {"r2h_batch.format": str(FORMAT), "r2h_batch.method": method}
-        try:
-            with ExitStack() as stack:
-                writers = {}
-                for kind, path in temporary.items():
-                    path.parent.mkdir(exist_ok=True)
-                    schema = SCHEMAS[kind].with_metadata(metadata)
-                    writers[kind] = stack.enter_context(pq.ParquetWriter(path, schema, compression="zstd"))
-                writer = MethodWriter(writers)
-                yield writer
-            planned = {s: n for s, n in self.header["trials"].items() if n}
-            found = {s: counts.total() for s, counts in writer.outcomes.items()}
-            if found != planned:
-                raise RunError(f"{self.folder}: {method!r} has {found} rows, planned were {planned}")
-            files = {k: {"path": f"{k}/{p.name}", "sha256": _commit(temporary[k], p)} for k, p in finals.items()}
-        finally:
-            for path in temporary.values():
-                path.unlink(missing_ok=True)
-        outcomes = {s: dict(sorted(c.items())) for s, c in sorted(writer.outcomes.items())}
-        entry = {"name": method, "source": dict(source), "command": self.command, "rows": sum(found.values())}
-        self.header["methods"].append({**entry, "outcomes": outcomes, "files": files})
-        _write_json(self.folder / "run.json", self.header)
-
-    def _file_name(self, method: str) -> str:
-        """A portable file name for a method, unlike that of any other method in the folder."""
-        name = re.sub(r"[^A-Za-z0-9._-]+", "_", method).strip("._")[:60] or "method"
-        taken = {Path(m["files"]["trials"]["path"]).stem.lower() for m in self.header["methods"]}
-        if name.lower() in taken:
-            name += "-" + hashlib.sha256(method.encode()).hexdigest()[:8]
-        return name
+def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
+    """Take everything that cannot be trusted out of the run, keeping it as FILE.bad; one line for each."""
+    lines = []
+    slugs = {e["name"]: e["slug"] for e in read_methods(folder)}
+    for method, shard, file, what in list(problems(folder, header)):
+        number = int(file.stem.partition("-")[0]) if shard is None and file.stem[:6].isdigit() else -1
+        name = shard.name if shard is not None else f"{number:06d}"
+        with claim(folder / ".claims" / f"{slugs[method]}-{name}") as mine:
+            if not mine:  # another sweep is between a file and its receipt
+                continue
+            if shard is not None:
+                receipt = receipt_path(folder, slugs[method], shard)
+                if receipt.exists():
+                    receipt.replace(receipt.with_suffix(".json.bad"))
+            if file.exists():
+                file.replace(file.with_name(file.name + ".bad"))
+        again = f"shard {shard.index} of {method!r} will be scored again" if shard else "set aside"
+        lines.append(f"{file}: {what}; {again}")
+    return lines
 
 
-def _commit(temporary: Path, final: Path) -> str:
-    """Make a finished temporary file appear under its name, durably; returns its sha256."""
-    with temporary.open("rb") as file:
-        os.fsync(file.fileno())
-    digest = _sha256(temporary)
-    os.replace(temporary, final)
-    _sync(final.parent)
-    return digest
+def main(command: Literal["verify", "digest"], folder: Path, /) -> int:
+    """Check a run folder, or print the digest of each method's rows.
 
-
-@contextmanager
-def open_run(folder: str | Path, header: Mapping[str, Any]) -> Iterator[RunFolder]:
-    """The folder, locked and ready to take methods: new or of the same configuration; anything else is refused."""
-    folder = Path(folder)
-    other = "choose another --out"
+    Args:
+        command: verify: find truncated, flipped and foreign shards and mark them for rerun; digest: of all rows.
+        folder: a run folder, as `python -m r2h_batch.sweep --out` writes it.
+    """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        foreign = not (folder / "run.json").exists() and [
-            p.name for p in folder.iterdir() if not p.name.startswith(".")
-        ]
-        if foreign:
-            raise RunError(f"{folder}: not empty and not a run folder (it has {min(foreign)!r}); {other}")
-        lock = (folder / ".lock").open("w")
-    except OSError as error:
-        raise RunError(f"{folder}: cannot be written ({error.strerror or error}); {other}") from error
-    with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise RunError(f"{folder}: another sweep is writing to it; {other}") from None
-        for stale in folder.glob("**/.*.tmp"):
-            stale.unlink()
-        new = {"format": FORMAT, **json.loads(json.dumps(header, allow_nan=False)), "methods": []}
-        if (folder / "run.json").exists():
-            old = _read_header(folder)
-            if differing := [k for k in IDENTITY if old.get(k) != new.get(k)]:
-                raise RunError(f"{folder}: a run with another {', '.join(differing)}; {other}")
-            Run(folder, old).verify()
-            new = old
-        else:
-            _write_json(folder / "run.json", new)
-        yield RunFolder(folder, new, header.get("command", ()))
+        if command == "verify":
+            lines = mark_for_rerun(folder, read_header(folder))
+            print("\n".join(lines or [f"{folder}: every stored shard is as it was written"]))
+            run = load_run(folder, verify=False)
+            for name in run.unfinished:
+                missing = [str(s.index) for s in run.missing(name)]
+                print(f"{name}: {len(missing)} of {len(shards_of(run.header))} shards to be scored: {_first(missing)}")
+            return 1 if lines else 0
+        run = load_run(folder)
+        for name in (e["name"] for e in run.entries):
+            left = len(run.missing(name))
+            print(f"{run.digest(name)}  {name}" + (f" (without {left} shards)" if left else ""))
+    except (ValueError, OSError) as error:
+        print(f"results: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _first(items: Sequence[str], n: int = 10) -> str:
+    return ", ".join(items[:n]) + (", ..." if len(items) > n else "")
+
+
+if __name__ == "__main__":
+    import tyro
+
+    sys.exit(tyro.cli(main))

@@ -25,7 +25,6 @@ TRIAL_SCHEMA = pa.schema(
         pa.field("trial_id", pa.int64(), nullable=False),
         pa.field("object", _NAME, nullable=False),
         pa.field("split", _NAME, nullable=False),
-        pa.field("hand_index", pa.int32(), nullable=False),
         pa.field("side", _NAME, nullable=False),  # of the receiving hand: right, left
         pa.field("outcome", _NAME, nullable=False),  # OUTCOME_NAMES
         *(pa.field(f"passed_{c}", pa.bool_()) for c in CRITERIA),  # null: not evaluated
@@ -36,6 +35,12 @@ TRIAL_SCHEMA = pa.schema(
         pa.field("t_plan_s", pa.float32()),  # amortised: batch wall time / B; null: planning did not run
         pa.field("t_exec_s", pa.float32()),  # null: no path
         pa.field("t_method_s", pa.float32()),  # null: not measured
+    ]
+)
+DETAIL_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("hand_index", pa.int32(), nullable=False),
         pa.field("width_m", pa.float32()),
         pa.field("opening_m", pa.float32()),
         pa.field("grasp_shift_m", pa.float32()),
@@ -105,7 +110,6 @@ def _trial_columns(trials: Trials, names: TrialNames) -> dict[str, Any]:
         "trial_id": pa.array(_array(trials.trial_id), pa.int64()),
         "object": _named(objects, names.objects),
         "split": _named(split_of[objects], SPLITS),
-        "hand_index": pa.array(_array(trials.hand_index), pa.int32()),
         "side": _named(side_of[_array(trials.hand_index)], ("right", "left")),
     }
 
@@ -117,7 +121,6 @@ def score_rows(trials: Trials, scores: Scores, names: TrialNames, t_method_s: An
         raise ValueError("scores and trials must have the same trial_id in the same order")
     passed, evaluated, margin = _array(scores.passed), _array(scores.evaluated), _array(scores.margin)
     pair = _array(scores.plan_pair).astype(np.int32)
-    part = _array(scores.witness_part)
     seconds = np.full(len(ids), np.nan, np.float32) if t_method_s is None else t_method_s
     columns = {
         **_trial_columns(trials, names),
@@ -127,15 +130,26 @@ def score_rows(trials: Trials, scores: Scores, names: TrialNames, t_method_s: An
         "plan_reason": _named(scores.plan_reason, [r.name.lower() for r in PlanReason]),
         "plan_pair": _named(np.where(pair == CollidingPair.NONE, -1, pair), [p.name.lower() for p in CollidingPair]),
         "borderline": pa.array(_array(scores.borderline), pa.bool_()),
-        **{k: _floats(getattr(scores, k)) for k in ("t_plan_s", "t_exec_s", "width_m", "opening_m", "grasp_shift_m")},
+        "t_plan_s": _floats(scores.t_plan_s),
+        "t_exec_s": _floats(scores.t_exec_s),
         "t_method_s": _floats(seconds),
+    }
+    return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
+
+
+def detail_rows(trials: Trials, scores: Scores, names: TrialNames) -> pa.Table:
+    """Rows of `DETAIL_SCHEMA` for B scored trials: what one looks at when one looks at a trial."""
+    part = _array(scores.witness_part)
+    columns = {
+        "trial_id": pa.array(_array(trials.trial_id), pa.int64()),
+        "hand_index": pa.array(_array(trials.hand_index), pa.int32()),
+        **{k: _floats(getattr(scores, k)) for k in ("width_m", "opening_m", "grasp_shift_m", "witness_time_s")},
         "q_goal": _vectors(scores.q_goal),
         "witness_plan_part": _named(part[:, 0], names.parts),
         "witness_safe_part": _named(part[:, 1], names.parts),
-        "witness_time_s": _floats(scores.witness_time_s),
         "witness_point_m": _vectors(scores.witness_point),
     }
-    return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
+    return pa.table([columns[f.name] for f in DETAIL_SCHEMA], schema=DETAIL_SCHEMA)
 
 
 def missing_rows(trials: Trials, names: TrialNames) -> pa.Table:

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 
 from r2h_batch import results
-from r2h_batch.rows import TrialNames, path_rows, pose_rows, score_rows
+from r2h_batch.rows import TrialNames, detail_rows, path_rows, pose_rows, score_rows
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
+from r2h_batch.writing import RunFolder, open_run
 
 OBJECTS = ("bowl", "cup", "eyeglasses", "hammer", "knife", "scissors")
 NAMES = TrialNames(
@@ -19,7 +20,7 @@ NAMES = TrialNames(
     parts=("base", "forearm", "left_pad"),
 )
 FAILED = {Outcome.STABILITY: 0, Outcome.PLAN: 1, Outcome.REACH: 2, Outcome.AFFORDANCE: 3, Outcome.SAFE: 4}
-TABLE_1 = Path(__file__).parent / "data" / "table1.csv"
+TABLE_1 = Path(__file__).parent.parent / "r2h_batch" / "paper" / "table1.csv"
 
 
 def make_trials(n_s0: int, n_s1: int) -> Trials:
@@ -111,7 +112,7 @@ def make_header(n_s0: int, n_s1: int, **changes: object) -> dict:
         "configuration": {"name": "default"},
         "digests": {"trials": "0123456789abcdef"},
         "seed": 0,
-        "save_paths": False,
+        "stored": [],
         "device": {"kind": "cpu", "name": "cpu: test"},
         "versions": {"r2h_batch": "0.1.0"},
         "command": ["made", "by", "hand"],
@@ -119,17 +120,26 @@ def make_header(n_s0: int, n_s1: int, **changes: object) -> dict:
     return {**header, **changes}
 
 
+def store(run: RunFolder, method: str, trials: Trials, scores: Scores, t_method_s: torch.Tensor | None = None) -> None:
+    """All of a method's shards that are not there yet, with what the header asks for."""
+    run.register(method, {"kind": "test"})
+    for shard in run.todo(method):
+        rows = slice(shard.first, shard.last)
+        part, scored = trials[rows], scores[rows]
+        with run.write(method, shard) as writer:
+            seconds = None if t_method_s is None else t_method_s[rows]
+            writer.append(trials=score_rows(part, scored, NAMES, seconds))
+            more = {"details": detail_rows(part, scored, NAMES), "poses": pose_rows(make_predictions(part))}
+            more["paths"] = path_rows(scored)
+            writer.append(**{k: more[k] for k in run.header["stored"]})
+
+
 def write_run(folder: Path, methods: dict[str, np.ndarray], n_s0: int, n_s1: int, **changes: object) -> results.Run:
     """A stored run in which method -> outcome codes of its n_s0 + n_s1 trials."""
     trials = make_trials(n_s0, n_s1)
-    header = make_header(n_s0, n_s1, **changes)
-    with results.open_run(folder, header) as run:
-        for name, outcome in methods.items():
-            scores = make_scores(trials, outcome)
-            with run.write(name, {"kind": "test"}) as writer:
-                writer.append(trials=score_rows(trials, scores, NAMES), poses=pose_rows(make_predictions(trials)))
-                if header["save_paths"]:
-                    writer.append(paths=path_rows(scores))
+    run = open_run(folder, make_header(n_s0, n_s1, **changes))
+    for name, outcome in methods.items():
+        store(run, name, trials, make_scores(trials, outcome))
     return results.load_run(folder)
 
 
@@ -145,20 +155,18 @@ def paper_run(folder: Path) -> results.Run:
     columns = {"f_stab": Outcome.STABILITY, "f_plan": Outcome.PLAN, "f_reach": Outcome.REACH}
     columns |= {"f_afford": Outcome.AFFORDANCE, "f_safe": Outcome.SAFE}
     trials = make_trials(500, 500)
-    with results.open_run(folder, make_header(500, 500)) as run:
-        for method in dict.fromkeys(m for _, m in cells):
-            with run.write(method, {"kind": "paper"}) as writer:
-                for split, rows in (("S0", slice(0, 500)), ("S1", slice(500, 1000))):
-                    cell = cells[split, method]
-                    counts = {code: round(5 * float(cell[name] or 0)) for name, code in columns.items()}
-                    outcome = np.repeat(list(counts), list(counts.values()))
-                    outcome = np.concatenate([outcome, np.zeros(500 - len(outcome), int)])
-                    np.random.default_rng(11).shuffle(outcome)
-                    part = trials[rows]
-                    seconds = {k: float(cell[k]) for k in ("t_plan_s", "t_exec_s")}
-                    scores = make_scores(part, outcome, **seconds)
-                    table = score_rows(part, scores, NAMES, torch.full((500,), 0.02))
-                    writer.append(trials=table, poses=pose_rows(make_predictions(part)))
+    run = open_run(folder, make_header(500, 500))
+    for method in dict.fromkeys(m for _, m in cells):
+        parts = []
+        for split, rows in (("S0", slice(0, 500)), ("S1", slice(500, 1000))):
+            cell = cells[split, method]
+            counts = {code: round(5 * float(cell[name] or 0)) for name, code in columns.items()}
+            outcome = np.repeat(list(counts), list(counts.values()))
+            outcome = np.concatenate([outcome, np.zeros(500 - len(outcome), int)])
+            np.random.default_rng(11).shuffle(outcome)
+            seconds = {k: float(cell[k]) for k in ("t_plan_s", "t_exec_s")}
+            parts.append(make_scores(trials[rows], outcome, **seconds))
+        store(run, method, trials, Scores.concatenate(parts), torch.full((1000,), 0.02))
     return results.load_run(folder)
 
 

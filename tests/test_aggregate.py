@@ -243,8 +243,8 @@ def test_rows_that_are_not_as_many_as_planned_are_refused(tmp_path):
 
 
 def _replace_column(run, name, values) -> None:
-    path = run.folder / run.entry("m")["files"]["trials"]["path"]
-    table = pq.read_table(path)
+    path = run.folder / run.entry("m")["receipts"][0]["files"]["trials"]["path"]
+    table = pq.read_table(path, partitioning=None)
     pq.write_table(table.set_column(table.column_names.index(name), name, values), path)
 
 

@@ -15,6 +15,8 @@ from made_runs import paper_run, table_1, write_run
 
 from r2h_batch import report
 from r2h_batch.aggregate import RATES, Mean
+from r2h_batch.breakdown import parse_order
+from r2h_batch.types import CRITERIA
 
 COLUMNS = list(report.HEADINGS)
 
@@ -57,10 +59,26 @@ def test_latex_gives_back_every_cell_of_table_1(paper, expected):
         cells = [c.strip() for c in line.removesuffix(r" \\").split("&")]
         if len(cells) == 11 and cells[0] != "Split":
             split = cells[0] or split
-            found[split, cells[1]] = [c.partition(" ")[0] for c in cells[2:]]
+            found[split, cells[1]] = [re.sub(r"\\textbf\{(.*?)\}", r"\1", c).partition(" ")[0] for c in cells[2:]]
     assert found == expected
     assert text.count(r"\midrule") == 3 and r"\toprule" in text and r"\bottomrule" in text
     assert text.count("{") == text.count("}")
+
+
+def test_latex_marks_the_best_value_of_each_split_and_column_and_says_what_that_means(paper):
+    text = report.render(paper, "latex")
+    bold, split = {}, ""
+    for line in text.splitlines():
+        cells = [c.strip() for c in line.removesuffix(r" \\").split("&")]
+        if len(cells) == 11 and cells[0] != "Split":
+            split = cells[0] or split
+            for column, text_of in zip(COLUMNS, cells[2:]):
+                if r"\textbf{" in text_of:
+                    bold.setdefault((split, column), []).append(cells[1])
+    assert bold["S0", "sr"] == ["Contact-Handover"] and bold["S1", "sr"] == ["Intent-Handover"]
+    assert bold["S0", "f_reach"] == ["FC-Handover"] and bold["S1", "f_stab"] == ["Handover-VA"]
+    assert ("S0", "f_afford") not in bold
+    assert report.BEST_NOTE.split(":")[0] in text
 
 
 def test_csv_gives_back_every_cell_of_table_1(paper, expected):
@@ -191,3 +209,35 @@ def test_the_command_refuses_a_folder_that_is_no_run(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2 and done.stdout == ""
     assert "no run.json" in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_another_order_keeps_the_success_rate_and_names_itself(tmp_path, capsys):
+    run = write_run(tmp_path / "run", {"m": np.array([0, 1, 2, 3, 5, 1])}, 3, 3)
+    plain, reach = (report.table_of(run, order) for order in (CRITERIA, parse_order("reach")))
+    for a, b in zip(plain.rows, reach.rows):
+        assert a.rates["sr"] == b.rates["sr"] and a.counts["reach"] < b.counts["reach"]
+    assert report.main(run.folder, order="reach,plan") == 0
+    assert "order of criteria: reach, plan, stability, affordance, safe" in capsys.readouterr().out
+    assert report.main(run.folder, order="reach,plam") == 2
+    assert "unknown criterion 'plam'; allowed are stability" in capsys.readouterr().err
+
+
+def test_by_object_prints_a_line_for_each_and_which_criteria_fail_together(tmp_path, capsys):
+    run = write_run(tmp_path / "run", {"m": np.array([0, 1, 2, 3, 5, 1] * 5)}, 15, 15)
+    assert report.main(run.folder, by_object=True) == 0
+    first, *pairs = md_tables(capsys.readouterr().out)
+    assert [r[1] for r in first[1:]] == ["bowl", "cup", "eyeglasses", "hammer", "knife", "scissors"]
+    assert all(r[3] == "5" for r in first[1:]) and len(pairs) == 2
+    assert pairs[0][3][1] == "5/15" and pairs[0][1][4] == "n/a"  # reach with stability; affordance in S0
+
+
+def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):
+    run = write_run(tmp_path / "run", {"a": np.zeros(8, int), "b": np.zeros(8, int)}, 4, 4, shard_trials=3)
+    (run.folder / "manifest" / "b" / "000001.json").unlink()
+    assert report.main(run.folder) == 1
+    captured = capsys.readouterr()
+    assert captured.err == "report: b is not in the table, 3 of its trials are not scored yet\n"
+    assert {r[1] for r in md_tables(captured.out)[0][1:]} == {"a"}
+    (run.folder / "manifest" / "a" / "000000.json").unlink()
+    assert report.main(run.folder) == 2
+    assert "no method is complete" in capsys.readouterr().err

@@ -1,6 +1,5 @@
 """The sweep command: what it refuses, prints and stores. The evaluator is a fake except at the end."""
 
-import importlib.util
 import json
 import os
 import resource
@@ -9,15 +8,15 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
+import fake_bench
 import numpy as np
 import pytest
 import torch
-from made_runs import NAMES, make_header, make_predictions, make_scores, make_trials
+from made_runs import make_predictions, make_trials
 
-from r2h_batch import sweep
+from r2h_batch import jobs, sweep
 from r2h_batch.predictions import write_predictions
 from r2h_batch.results import load_run
-from r2h_batch.types import Outcome, Predictions
 
 PLAIN = {k: v for k, v in os.environ.items() if k not in ("HOME", "TERM", "LANG", "LC_ALL")} | {
     "LANG": "C",
@@ -116,23 +115,16 @@ def test_several_methods_splits_files_and_meshes_are_taken():
 # --- the run, with a fake evaluator ---------------------------------------------------------------------------------
 
 
-class FakeEvaluator:
-    """Success where the trial id is even, else a Plan failure; a pose that is not finite is INVALID_INPUT."""
+class Interrupted:
+    """A method that hears a stop signal while it works."""
 
-    def __init__(self):
-        self.config = SimpleNamespace(chunk=2048)
-        self.sizes = []
-        objects = [SimpleNamespace(name=n, split=s) for n, s in zip(NAMES.objects, NAMES.object_splits)]
-        sides = torch.tensor([("right", "left").index(s) for s in NAMES.hand_sides])
-        hands = SimpleNamespace(set=SimpleNamespace(side=sides, digest="h"))
-        self.scene = SimpleNamespace(device="cpu", objects=objects, hands=hands, part_names=NAMES.parts)
+    def __init__(self, number):
+        self.number, self.calls = number, 0
 
-    def score(self, T_obj_ee, T_world_ee, trials):
-        assert T_obj_ee.shape == T_world_ee.shape == (len(trials), 4, 4)
-        self.sizes.append(len(trials))
-        outcome = np.where(trials.trial_id.numpy() % 2 == 0, Outcome.SUCCESS, Outcome.PLAN)
-        outcome[~torch.isfinite(T_world_ee).all(-1).all(-1).numpy()] = Outcome.INVALID_INPUT
-        return make_scores(trials, outcome)
+    def __call__(self, trials, scene, *, seed):
+        self.calls += 1
+        signal.raise_signal(self.number)
+        return fake_bench.best(trials, scene, seed=seed)
 
 
 @pytest.fixture
@@ -141,46 +133,18 @@ def fake(monkeypatch):
     state = SimpleNamespace(evaluator=None)
 
     def prepare(options):
-        n = {s: options.trials if s in options.splits else 0 for s in ("S0", "S1")}
-        trials = make_trials(n["S0"], n["S1"])
-        state.evaluator = FakeEvaluator()
-        planned = {s: k for s, k in n.items() if k}
-        header = make_header(0, 0, trials=planned, seed=options.seed, save_paths=options.save_paths)
-        return state.evaluator, trials, header
+        bench = fake_bench.prepare(options)
+        state.evaluator = bench.evaluator
+        return bench
 
-    monkeypatch.setattr(sweep, "_prepare", prepare)
+    monkeypatch.setattr(jobs, "prepare", prepare)
     return state
-
-
-def best(trials, scene, *, seed):
-    """A user's method: a pose that depends on trial id and seed only."""
-    T = torch.eye(4).repeat(len(trials), 1, 1)
-    T[:, 0, 3] = trials.trial_id.float() + 1000 * seed
-    return T, T + len(scene.objects)
-
-
-def timed(trials, scene, *, seed):
-    """A user's method with its own clock."""
-    T_obj_ee, T_world_ee = best(trials, scene, seed=seed)
-    return Predictions(trials.trial_id, T_obj_ee, T_world_ee, torch.full((len(trials),), 0.25), "ignored")
-
-
-def wrong(trials, scene, *, seed):
-    """A user's method that forgets half of the trials."""
-    return tuple(p[::2] for p in best(trials, scene, seed=seed))
-
-
-class Interrupted:
-    """Called as a method, it presses Ctrl-C."""
-
-    def __call__(self, trials, scene, *, seed):
-        signal.raise_signal(signal.SIGTERM)
 
 
 @pytest.fixture
 def here(monkeypatch):
     """The name under which this file's methods can be imported."""
-    monkeypatch.setitem(sys.modules, "my_rules", sys.modules[__name__])
+    monkeypatch.setitem(sys.modules, "my_rules", fake_bench)
     return "my_rules"
 
 
@@ -205,6 +169,7 @@ def test_what_was_scored_and_how_is_in_the_run_folder(fake, here, tmp_path):
         "300",
         "--seed",
         "2",
+        "--save-poses",
         "--save-paths",
         "--out",
         str(out),
@@ -214,7 +179,7 @@ def test_what_was_scored_and_how_is_in_the_run_folder(fake, here, tmp_path):
     assert run.methods == ("my_rules:best", "my_rules:timed")
     assert fake.evaluator.sizes == [32, 256, 256, 88] * 2
     trials = make_trials(300, 300)
-    expected, _ = best(trials, fake.evaluator.scene, seed=2)
+    expected, _ = fake_bench.best(trials, fake.evaluator.scene, seed=2)
     for method in run.methods:
         poses = run.poses(method)
         assert np.array_equal(np.array(poses["T_obj_ee"].to_pylist(), np.float32).reshape(-1, 4, 4), expected.numpy())
@@ -233,7 +198,8 @@ def test_a_predictions_file_in_any_order_is_scored_as_what_it_is(fake, tmp_path,
     order = torch.tensor([7, 3, 0, 5, 1, 2, 6, 4])
     write_predictions(tmp_path / f"p{suffix}", made[order])
     file, out = str(tmp_path / f"p{suffix}"), str(tmp_path / "run")
-    assert sweep.main(["--predictions", file, "--trials", "4", "--out", out, "--format", "json"]) == 0
+    line = ["--predictions", file, "--trials", "4", "--out", out, "--format", "json", "--save-poses"]
+    assert sweep.main(line) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert [(r["split"], r["method"], r["sr"], r["n_invalid_input"]) for r in rows][:2] == [
         ("S0", "Mine (learned)", 50.0, 0),
@@ -329,7 +295,7 @@ def test_two_files_with_one_method_name_are_refused(fake, tmp_path, capsys):
 
 
 def test_a_bad_predictions_file_is_refused_before_anything_else_happens(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(sweep, "_prepare", lambda _: pytest.fail("prepared"))
+    monkeypatch.setattr(jobs, "prepare", lambda _: pytest.fail("prepared"))
     (tmp_path / "p.npz").write_bytes(b"PK\x03\x04 nothing")
     assert sweep.main(["--predictions", str(tmp_path / "p.npz"), "--out", str(tmp_path / "run")]) == 2
     assert sweep.main(["--predictions", str(tmp_path / "none.npz"), "--out", str(tmp_path / "run")]) == 2
@@ -338,25 +304,91 @@ def test_a_bad_predictions_file_is_refused_before_anything_else_happens(monkeypa
     assert "no such file" in captured.err and not (tmp_path / "run").exists()
 
 
-def test_a_stop_signal_ends_with_130_and_leaves_a_folder_that_can_go_on(fake, here, tmp_path, capsys, monkeypatch):
-    before = signal.getsignal(signal.SIGTERM)
-    monkeypatch.setattr(sys.modules[here], "stop", Interrupted(), raising=False)
-    line = ["--trials", "3", "--out", str(tmp_path / "run"), "--format", "csv"]
-    try:
-        assert sweep.main(["--method", f"{here}:best", f"{here}:stop", *line]) == 130
-        assert capsys.readouterr().err.splitlines()[-1].startswith("sweep: interrupted")
-        assert load_run(tmp_path / "run").methods == ("my_rules:best",)
-        assert not list((tmp_path / "run").rglob("*.tmp"))
-        assert sweep.main(["--method", f"{here}:best", f"{here}:timed", *line]) == 0
-    finally:
-        signal.signal(signal.SIGTERM, before)
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stop_signal_ends_with_130_after_the_chunk_and_leaves_a_folder_that_goes_on(
+    fake, here, tmp_path, capsys, monkeypatch, number
+):
+    before = [signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT)]
+    stop = Interrupted(number)
+    monkeypatch.setattr(fake_bench, "stop", stop, raising=False)
+    line = ["--trials", "3", "--chunk", "2", "--out", str(tmp_path / "run"), "--format", "csv"]
+    methods = ["--method", f"{here}:best", f"{here}:stop"]
+    assert sweep.main([*methods, *line]) == 130
+    assert capsys.readouterr().err.splitlines()[-1].startswith("sweep: interrupted")
+    assert stop.calls == 1
+    run = load_run(tmp_path / "run")
+    assert run.methods == ("my_rules:best",) and run.unfinished == ("my_rules:stop",)
+    assert not list((tmp_path / "run").rglob("*.tmp"))
+    assert [signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT)] == before
+    monkeypatch.setattr(fake_bench, "stop", fake_bench.best)
+    assert sweep.main([*methods, *line]) == 0
+    assert "my_rules:best: already in the run folder" in capsys.readouterr().err
+    run = load_run(tmp_path / "run")
+    assert run.digest("my_rules:stop") == run.digest("my_rules:best")
+
+
+def test_stored_shards_are_not_scored_again_and_a_damaged_one_is(fake, here, tmp_path, capsys):
+    line = ["--method", f"{here}:best", "--trials", "10", "--shard-trials", "4", "--out", str(tmp_path / "run")]
+    assert sweep.main(line) == 0
+    run = load_run(tmp_path / "run")
+    digest = run.digest("my_rules:best")
+    victim = sorted((tmp_path / "run" / "trials").rglob("*.parquet"))[3]
+    victim.write_bytes(victim.read_bytes()[:-1])
+    capsys.readouterr()
+    assert sweep.main(line) == 0
+    error = capsys.readouterr().err
+    assert "truncated" in error and "shard 3 of 'my_rules:best' will be scored again" in error
+    assert "my_rules:best: 4 trials in" in error
+    assert load_run(tmp_path / "run").digest("my_rules:best") == digest
+
+
+def test_any_chunk_shard_and_part_gives_the_same_digest(fake, here, tmp_path, capsys):
+    write_predictions(tmp_path / "p.npz", make_predictions(make_trials(40, 40), "m")[torch.arange(0, 80, 3)])
+    base = ["--method", f"{here}:best", "--predictions", str(tmp_path / "p.npz"), "--allow-missing", "--trials", "40"]
+    digests = set()
+    for name, more in (
+        ("plain", [[]]),
+        ("small", [["--chunk", "3", "--shard-trials", "11"]]),
+        ("odd", [["--chunk", "7", "--shard-trials", "80"]]),
+        ("parts", [["--shard", f"{i}/3", "--shard-trials", "9"] for i in (2, 1, 3)]),
+    ):
+        out = str(tmp_path / name)
+        for extra in more:
+            assert sweep.main([*base, *extra, "--out", out, "--format", "csv"]) == 0
+        run = load_run(out)
+        digests.add((run.digest("my_rules:best"), run.digest("m")))
+        assert run.unfinished == ()
+    assert len(digests) == 1
+
+
+def test_parts_of_a_sweep_print_the_table_with_the_last_and_log_apart(fake, here, tmp_path, capsys):
+    base = ["--method", f"{here}:best", "--trials", "6", "--shard-trials", "5", "--out", str(tmp_path / "run")]
+    for part, table in (("1/2", False), ("2/2", True)):
+        assert sweep.main([*base, "--shard", part]) == 0
+        captured = capsys.readouterr()
+        assert ("SR" in captured.out) == table
+        assert ("shards that other parts have to score: my_rules:best 1;" in captured.err) != table
+    log = json.loads((tmp_path / "run" / "progress-1.json").read_text())["methods"]["my_rules:best"]
+    assert (log["done"], log["planned"], log["left_s"]) == (7, 7, 0) and log["trials_per_s"] > 0
+
+
+def test_force_new_takes_the_next_free_folder(fake, here, tmp_path, capsys):
+    line = ["--method", f"{here}:best", "--trials", "3", "--out", str(tmp_path / "run")]
+    assert sweep.main(line) == 0
+    assert sweep.main([*line, "--seed", "1"]) == 2
+    assert "--force-new" in capsys.readouterr().err
+    assert sweep.main([*line, "--seed", "1", "--force-new"]) == 0
+    assert sweep.main([*line, "--seed", "2", "--force-new"]) == 0
+    assert sweep.main([*line, "--seed", "2", "--force-new"]) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "run-2", "run-3"]
+    assert [load_run(tmp_path / n).header["seed"] for n in ("run", "run-2", "run-3")] == [0, 1, 2]
 
 
 def test_a_full_disk_is_one_line_and_exit_code_1(fake, here, tmp_path, capsys, monkeypatch):
     def full(*_, **__):
         raise OSError(28, os.strerror(28))
 
-    monkeypatch.setattr("r2h_batch.results._commit", full)
+    monkeypatch.setattr("r2h_batch.writing.sync_file", full)
     assert sweep.main(["--method", f"{here}:best", "--trials", "3", "--out", str(tmp_path / "run")]) == 1
     error = capsys.readouterr().err
     assert error.splitlines()[-1] == "sweep: writing the run folder: No space left on device"
@@ -368,76 +400,3 @@ def test_without_out_the_folder_is_named_after_the_time(fake, here, tmp_path, ca
     assert sweep.main(["--method", f"{here}:best", "--trials", "2"]) == 0
     folder = capsys.readouterr().err.splitlines()[-1].removeprefix("run folder: ")
     assert folder.startswith("runs/2") and load_run(tmp_path / folder).methods == ("my_rules:best",)
-
-
-# --- with the evaluator ---------------------------------------------------------------------------------------------
-
-needs_evaluator = pytest.mark.skipif(
-    any(
-        importlib.util.find_spec(f"r2h_batch.{m}") is None
-        for m in ("evaluate", "trials", "methods.random", "methods.oracle")
-    ),
-    reason="r2h_batch.evaluate, trials and methods are not there yet",
-)
-
-
-@needs_evaluator
-def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
-    line = ["--method", "random", "oracle", "--trials", 6, "--out", tmp_path / "run", "--save-paths"]
-    done = command(*line, env=WITH_HOME)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.isascii() and done.stdout.startswith("preset: default")
-    assert done.stderr.splitlines()[-1] == f"run folder: {tmp_path / 'run'}"
-    run = load_run(tmp_path / "run")
-    assert run.methods == ("random", "oracle")
-    for method in run.methods:
-        table = run.trials(method)
-        assert table.num_rows == 12 and run.poses(method).num_rows == 12
-        assert len(set(table["object"].to_pylist())) == 12
-        has_path = [r["trial_id"] for r in table.to_pylist() if r["t_exec_s"] is not None]  # all come to rest
-        assert run.paths(method)["trial_id"].to_pylist() == has_path
-    outcomes = run.trials("oracle")["outcome"].to_pylist()
-    assert outcomes.count("success") >= 10
-
-
-@needs_evaluator
-def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
-    first = command("--method", "random", "--trials", 8, "--out", tmp_path / "a", env=WITH_HOME)
-    assert first.returncode == 0, first.stderr
-    run = load_run(tmp_path / "a")
-    poses = run.poses("random")
-    parts = [torch.tensor(poses[k].to_pylist()).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
-    order = torch.randperm(len(parts[0]), generator=torch.Generator().manual_seed(1))
-    ids = torch.tensor(poses["trial_id"].to_pylist())
-    write_predictions(tmp_path / "p.safetensors", Predictions(ids, *parts, None, "random again")[order])
-    second = command("--predictions", tmp_path / "p.safetensors", "--trials", 8, "--out", tmp_path / "b", env=WITH_HOME)
-    assert second.returncode == 0, second.stderr
-    timing = ["t_plan_s", "t_method_s"]
-    a, b = (r.drop_columns(timing) for r in (run.trials("random"), load_run(tmp_path / "b").trials("random again")))
-    assert a.equals(b)
-
-
-@needs_evaluator
-def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
-    found = {}
-    for sim in ("auto", "none", "mjwarp"):
-        done = command("--method", "random", "--trials", 6, "--sim", sim, "--out", tmp_path / sim, env=WITH_HOME)
-        assert done.returncode == 0, done.stderr
-        run = load_run(tmp_path / sim)
-        header = json.loads((tmp_path / sim / "run.json").read_text())
-        found[sim] = header["motion"], header["configuration"]["execute"]["sim"], run.trials("random")
-    assert found["auto"][:2] == ({"engine": "mujoco", "step_s": 0.002, "sample_s": 0.008}, "mujoco")
-    assert found["none"][:2] == ({"engine": "none", "step_s": None, "sample_s": None}, "none")
-    assert found["mjwarp"][0]["engine"] == found["mjwarp"][1] == "mjwarp"
-    times = {k: [t for t in v[2]["t_exec_s"].to_pylist() if t is not None] for k, v in found.items()}
-    assert len(times["auto"]) >= 4 and times["auto"] == pytest.approx(times["mjwarp"], abs=0.009)
-    assert all(0.02 < a - b < 0.3 for a, b in zip(times["none"], times["auto"], strict=True))  # 1 mm before the end
-    assert found["auto"][2]["outcome"].equals(found["none"][2]["outcome"])
-
-
-@needs_evaluator
-def test_another_device_without_a_gpu_is_refused():
-    if torch.cuda.is_available():
-        pytest.skip("there is a GPU")
-    done = command("--method", "random", "--trials", 1, "--device", "cuda")
-    assert done.returncode == 2 and done.stdout == "" and "no CUDA device" in done.stderr

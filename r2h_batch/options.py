@@ -1,0 +1,261 @@
+"""The options of a sweep, from flags and from a YAML file, checked. Imports nothing heavy."""
+
+import contextlib
+import difflib
+import io
+import itertools
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+METHODS = ("random", "oracle")
+"""Built-in methods: modules of `r2h_batch.methods` with a `predict(trials, scene, *, seed, evaluator)`."""
+
+KINDS = ("details", "poses", "paths")
+"""What is stored beside the trials when asked for."""
+
+MAX_CONFIG_BYTES = 1 << 20
+
+
+class UsageError(Exception):
+    """A command line that cannot be run: one line that says what was given and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Score handover methods on the benchmark's trials and print Table I."""
+
+    method: tuple[str, ...] = ()
+    """Methods to score: random, oracle, or your own package.module:function (trials, scene, *, seed) -> Predictions."""
+    predictions: tuple[str, ...] = ()
+    """Predictions files (.npz or .safetensors) to score."""
+    splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1")
+    """S0 free handover, S1 functional."""
+    trials: int = 500
+    """Trials of each split."""
+    device: str = "cpu"
+    """cpu, cuda or cuda:N."""
+    out: str = ""
+    """Run folder; runs/DATE-TIME unless given. The same command again goes on where the last one stopped."""
+    force_new: bool = False
+    """If --out holds another run, write to OUT-2, OUT-3, ... instead."""
+    seed: int = 0
+    """Seed of the methods; the trials do not depend on it."""
+    object_mesh: tuple[str, ...] = ()
+    """Your own objects, FILE[:S0|S1]: they take turns with the built-in objects of that split."""
+    preset: Literal["default", "paper"] = "default"
+    """default: exact planning to any branch. paper: one goal, MoveIt's edge resolution, to compare with the paper."""
+    width: Literal["pads", "whole"] = "pads"
+    """Stability measures the material between the pads, or the whole object's extent along the closing axis."""
+    stability: Literal["geometric", "physics"] = "geometric"
+    """physics: the object must also stay in a friction grasp through its weight and a shake along three axes."""
+    object_collision: Literal["hull", "pieces"] = "hull"
+    """The attached object in planning: its convex hull (as in the paper), or its convex decomposition."""
+    edge_check: Literal["preset", "exact", "moveit"] = "preset"
+    """Path edges: as the preset says, certified, or sampled at MoveIt's resolution."""
+    sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
+    """Who moves the arm: MuJoCo C, MuJoCo-Warp, nobody (the motion as planned); auto: mujoco on a CPU, mjwarp on CUDA."""
+    format: Literal["md", "latex", "csv", "json"] = "md"
+    """Format of the table on stdout."""
+    save_details: bool = False
+    """Also store joint goal, opening, shift and witness of every trial."""
+    save_poses: bool = False
+    """Also store the two poses that were scored."""
+    save_paths: bool = False
+    """Also store waypoints, times and joint goal of every trial."""
+    threads: int | None = None
+    """CPU threads; all cores unless given."""
+    allow_missing: bool = False
+    """Count trials that a predictions file leaves out as failures instead of refusing the file."""
+    shard: str = "1/1"
+    """I/N: score only part I of N of the shards, for job arrays; every part writes to the same --out."""
+    shard_trials: int = 0
+    """Trials of a shard; 0: 100000 or a minute of work, whichever is smaller."""
+    chunk: int = 0
+    """Trials scored at once between two looks at the clock; 0: 256 on a CPU, 2048 on a GPU."""
+    engine: Literal["local", "ray"] = "local"
+    """local: this process. ray: actors of a Ray cluster, one Evaluator each."""
+    address: str = ""
+    """Ray cluster to join: auto or HOST:PORT; empty: one on this machine."""
+    workers: int = 0
+    """Ray actors; 0: one for each GPU, or one for each 4 CPUs where there is none."""
+    gpus_per_worker: float = 0.0
+    """GPUs of each actor; 0: 1 with --device cuda."""
+
+    @property
+    def stored(self) -> list[str]:
+        """What is stored beside the trials."""
+        return [kind for kind in KINDS if getattr(self, f"save_{kind}")]
+
+    @property
+    def part(self) -> tuple[int, int]:
+        """(I, N) of --shard I/N."""
+        i, _, n = self.shard.partition("/")
+        return int(i), int(n)
+
+
+def check(options: Options) -> Options:
+    """The options, or a `UsageError` about the first that cannot be."""
+    if not options.method and not options.predictions:
+        raise UsageError(f"nothing to score: give --method {' '.join(METHODS)} or --predictions FILE")
+    for name in options.method:
+        if name not in METHODS and ":" not in name:
+            raise UsageError(
+                f"unknown method {name!r}{_close(name, METHODS)}; allowed are {', '.join(METHODS)}"
+                " or your own package.module:function"
+            )
+    least = {"trials": 1, "threads": 1, "shard_trials": 0, "chunk": 0, "workers": 0, "gpus_per_worker": 0}
+    for name, low in least.items():
+        value = getattr(options, name)
+        if value is not None and not value >= low:
+            raise UsageError(f"--{name.replace('_', '-')} is {value}; it must be {low} or more")
+    for name in ("method", "splits", "predictions"):
+        given = getattr(options, name)
+        if twice := [g for g in given if given.count(g) > 1]:
+            raise UsageError(f"--{name} {twice[0]} is given twice; once is enough")
+    if not options.splits:
+        raise UsageError("--splits names no split; allowed are S0, S1")
+    if options.device not in ("cpu", "cuda") and not (
+        options.device.startswith("cuda:") and options.device[5:].isascii() and options.device[5:].isdigit()
+    ):
+        raise UsageError(f"--device is {options.device!r}; allowed are cpu, cuda, cuda:N")
+    i, slash, n = options.shard.partition("/")
+    if not (slash and i.isdigit() and n.isdigit() and 1 <= int(i) <= int(n)):
+        raise UsageError(f"--shard is {options.shard!r}; it must be I/N with I from 1 to N, such as 2/8")
+    if options.part[1] > 1 and not options.out:
+        raise UsageError("--shard needs --out: all parts write to one folder")
+    if options.engine == "local" and (options.workers or options.address or options.gpus_per_worker):
+        raise UsageError("--workers, --address and --gpus-per-worker belong to --engine ray")
+    return options
+
+
+def parse(arguments: Sequence[str]) -> Options:
+    """The checked options of a command line; raises `UsageError` with one line."""
+    import tyro
+
+    arguments, path = _without_config(arguments)
+    default = Options() if path is None else load_config(Path(path))
+    box = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(box):
+            options = tyro.cli(
+                Options,
+                prog="python -m r2h_batch.sweep [--config FILE.yaml]",
+                default=default,
+                args=list(arguments),
+                config=(tyro.conf.FlagCreatePairsOff,),
+            )
+    except SystemExit as stop:
+        if not stop.code:
+            raise  # --help
+        raise UsageError(_one_line(box.getvalue(), arguments)) from None
+    return check(options)
+
+
+def load_config(path: Path) -> Options:
+    """Options from a YAML file with the flags' names as fields; anything unknown or mistyped is refused by its path."""
+    import pydantic
+
+    data = _read_yaml(path)
+    allowed = [f.name for f in fields(Options)]
+    for key in data:
+        if key not in allowed:
+            raise UsageError(
+                f"{path}: unknown field {key!r}{_close(str(key), allowed)}; allowed are {', '.join(allowed)}"
+            )
+    config = pydantic.ConfigDict(extra="forbid", strict=True)
+    model: Any = pydantic.create_model(
+        "Config",
+        __config__=config,
+        **{f.name: (f.type, f.default) for f in fields(Options)},  # type: ignore[call-overload]
+    )
+    try:
+        checked = model.model_validate_json(json.dumps(data, default=str), strict=True)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UsageError(
+            f"{path}: {where} is {first['input']!r}; {first['msg'][0].lower()}{first['msg'][1:]}"
+        ) from None
+    return Options(**checked.model_dump())
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        import yaml
+    except ImportError:
+        raise UsageError("--config needs PyYAML; pip install pyyaml") from None
+
+    class Loader(yaml.SafeLoader):
+        """Plain data only: no tags, no anchors (a small file could grow without end), no key twice."""
+
+        def compose_node(self, parent: Any, index: Any) -> Any:
+            event = self.peek_event()
+            if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
+                raise yaml.MarkedYAMLError(problem="anchors and aliases are not allowed", problem_mark=event.start_mark)
+            if getattr(event, "tag", None):
+                raise yaml.MarkedYAMLError(problem=f"tag {event.tag} is not allowed", problem_mark=event.start_mark)
+            return super().compose_node(parent, index)
+
+        def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+            seen = set()
+            for key, _ in node.value:
+                if key.value in seen:
+                    raise yaml.MarkedYAMLError(problem=f"{key.value} is given twice", problem_mark=key.start_mark)
+                seen.add(key.value)
+            return super().construct_mapping(node, deep)
+
+    try:
+        if path.stat().st_size > MAX_CONFIG_BYTES:
+            raise UsageError(f"{path}: {path.stat().st_size} bytes; at most {MAX_CONFIG_BYTES} are allowed")
+        data = yaml.load(path.read_text(encoding="utf-8"), Loader)
+    except OSError as error:
+        raise UsageError(f"{path}: {error.strerror or error}") from None
+    except (yaml.MarkedYAMLError, UnicodeDecodeError, yaml.YAMLError, RecursionError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" line {mark.line + 1}" if mark else ""
+        raise UsageError(f"{path}:{where} {getattr(error, 'problem', None) or error or 'nested too deeply'}") from None
+    if not isinstance(data, dict):
+        raise UsageError(f"{path}: must hold fields like `trials: 500`, not a {type(data).__name__}")
+    return data
+
+
+def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None]:
+    """The command line without --config FILE, and FILE."""
+    kept, path, rest = [], None, iter(arguments)
+    for argument in rest:
+        name, equals, value = argument.partition("=")
+        if name != "--config":
+            kept.append(argument)
+            continue
+        path = value if equals else next(rest, "")
+        if not path:
+            raise UsageError("--config names no file")
+    return kept, path
+
+
+def _one_line(box: str, arguments: Sequence[str]) -> str:
+    flags = ["--config", *("--" + f.name.replace("_", "-") for f in fields(Options))]
+    for argument in arguments:
+        name = argument.partition("=")[0].replace("_", "-")
+        if name.startswith("-") and name not in (*flags, "-h", "--help") and not name[1:].replace(".", "").isdigit():
+            return f"unknown flag {name}{_close(name, flags)}; allowed are {', '.join(flags)}"
+    lines = [line.strip("\u2502| \n") for line in box.splitlines()]
+    worded = [any(c.isalnum() for c in line) for line in lines]
+    start = worded.index(True) + 1 if any(worded) else 0  # tyro prints a title, the message, a rule or blank, hints
+    message = itertools.takewhile(
+        lambda i: worded[i], itertools.dropwhile(lambda i: not worded[i], range(start, len(lines)))
+    )
+    return " ".join(lines[i] for i in message) or "the command line was not understood; see --help"
+
+
+def _close(name: str, allowed: Sequence[str]) -> str:
+    near = difflib.get_close_matches(name, allowed, n=1)
+    return f", did you mean {near[0]}?" if near else ""
+
+
+def as_yaml(options: Options) -> str:
+    """The options as a file that `load_config` reads back equal."""
+    return "".join(f"{key}: {json.dumps(value)}\n" for key, value in asdict(options).items())

@@ -1,0 +1,129 @@
+"""Options from YAML: the same fields as the flags, and one line with the field's path for everything else."""
+
+import dataclasses
+
+import pytest
+from test_sweep import command
+
+from r2h_batch.options import Options, UsageError, as_yaml, check, load_config, parse
+
+
+def write(tmp_path, text):
+    path = tmp_path / "sweep.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_every_field_comes_back_from_a_file(tmp_path):
+    options = Options(
+        method=("random", "my.rules:best"),
+        predictions=("a.npz",),
+        splits=("S1",),
+        trials=7,
+        device="cuda:1",
+        out="runs/x",
+        force_new=True,
+        seed=3,
+        object_mesh=("mug.obj:S0",),
+        preset="paper",
+        format="csv",
+        save_details=True,
+        save_poses=True,
+        save_paths=True,
+        threads=2,
+        allow_missing=True,
+        shard="2/3",
+        shard_trials=50,
+        chunk=9,
+        engine="ray",
+        address="auto",
+        workers=4,
+        gpus_per_worker=0.5,
+    )
+    default = Options()
+    assert all(getattr(options, f.name) != getattr(default, f.name) for f in dataclasses.fields(Options))
+    assert load_config(write(tmp_path, as_yaml(options))) == options
+    assert check(options) == options
+
+
+def test_flags_win_over_the_file(tmp_path):
+    path = write(tmp_path, "method: [random]\ntrials: 9\nseed: 4\nsave_paths: true\n")
+    options = parse(["--config", str(path), "--trials", "5"])
+    assert (options.method, options.trials, options.seed, options.save_paths) == (("random",), 5, 4, True)
+    assert parse([f"--config={path}", "--method", "oracle"]).method == ("oracle",)
+
+
+BILLION = "a: &a [1,1]\nb: &b [*a,*a]\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("trails: 3", ["unknown field 'trails'", "did you mean trials?", "save_paths"]),
+        ("trials: many", ["trials is 'many'", "valid integer"]),
+        ("trials: 3.5", ["trials is 3.5"]),
+        ("trials: '3'", ["trials is '3'"]),
+        ("trials: true", ["trials is True"]),
+        ("trials:", ["trials is None"]),
+        ("method: random", ["method is 'random'", "array"]),
+        ("method: [random, 3]", ["method.1 is 3", "string"]),
+        ("splits: [S0, S2]", ["splits.1 is 'S2'", "'S0' or 'S1'"]),
+        ("preset: fast", ["preset is 'fast'", "'default' or 'paper'"]),
+        ("save_paths: 1", ["save_paths is 1", "boolean"]),
+        ("out: 2020-01-01\nseed: x", ["seed is 'x'"]),
+        ("trials: 3\ntrials: 4", ["line 2", "trials is given twice"]),
+        ("method: !!python/object/apply:os.system [ls]", ["line 1", "tag", "not allowed"]),
+        ("seed: !mine 3", ["tag", "not allowed"]),
+        (BILLION, ["line 1", "anchors and aliases are not allowed"]),
+        ("- random", ["must hold fields", "list"]),
+        ("", ["must hold fields"]),
+        ("a: [", ["sweep.yaml"]),
+        ("trials: .nan", ["trials"]),
+        ("[" * 50_000, ["sweep.yaml"]),
+        ("seed: 1\n\0", ["sweep.yaml"]),
+    ],
+)
+def test_a_bad_file_is_refused_by_the_path_of_the_field(tmp_path, text, parts):
+    path = write(tmp_path, text)
+    with pytest.raises(UsageError) as refused:
+        load_config(path)
+    message = " ".join(str(refused.value).split())
+    for part in (str(path), *parts):
+        assert part in message
+    assert len(message) < 1000
+
+
+def test_a_file_that_is_not_there_is_too_large_or_no_text_is_refused(tmp_path):
+    with pytest.raises(UsageError, match="No such file"):
+        load_config(tmp_path / "none.yaml")
+    with pytest.raises(UsageError, match="at most 1048576"):
+        load_config(write(tmp_path, "#" * (1 << 20) + "\n"))
+    (tmp_path / "b.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(UsageError, match=r"b\.yaml"):
+        load_config(tmp_path / "b.yaml")
+
+
+def test_the_command_says_so_in_one_line_and_exits_with_2(tmp_path):
+    path = write(tmp_path, "method: [random]\nplan: {budget: 3}\n")
+    done = command("--config", path)
+    assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+    assert done.stderr.startswith(f"sweep: {path}: unknown field 'plan'")
+    assert command("--config").stderr == "sweep: --config names no file\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "part"),
+    [
+        ("--shard 0/3", "--shard is '0/3'; it must be I/N"),
+        ("--shard 4/3", "--shard is '4/3'"),
+        ("--shard 2", "--shard is '2'"),
+        ("--shard 1/2", "--shard needs --out"),
+        ("--workers 2", "belong to --engine ray"),
+        ("--chunk -1", "--chunk is -1; it must be 0 or more"),
+        ("--engine dask", "dask"),
+    ],
+)
+def test_options_of_engines_are_checked(line, part):
+    with pytest.raises(UsageError) as refused:
+        parse(["--method", "random", *line.split()])
+    assert part in " ".join(str(refused.value).split())

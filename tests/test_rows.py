@@ -1,0 +1,67 @@
+"""Table rows: the documented schemas for any number of trials."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from made_runs import NAMES, make_predictions, make_scores, make_trials
+
+from r2h_batch import manifest
+from r2h_batch.rows import (
+    DETAIL_SCHEMA,
+    OUTCOME_NAMES,
+    PATH_SCHEMA,
+    POSE_SCHEMA,
+    TRIAL_SCHEMA,
+    detail_rows,
+    missing_rows,
+    path_rows,
+    pose_rows,
+    score_rows,
+)
+from r2h_batch.types import CollidingPair, Outcome, PlanReason
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 33])
+def test_rows_of_any_number_of_trials_have_the_schemas(n):
+    trials = make_trials(n, 0)
+    scores = make_scores(trials, np.arange(n) % 3)
+    tables = (
+        (score_rows(trials, scores, NAMES, torch.zeros(n)), TRIAL_SCHEMA),
+        (missing_rows(trials, NAMES), TRIAL_SCHEMA),
+        (detail_rows(trials, scores, NAMES), DETAIL_SCHEMA),
+        (pose_rows(make_predictions(trials)), POSE_SCHEMA),
+        (path_rows(scores), PATH_SCHEMA),
+    )
+    for table, schema in tables:
+        table.validate(full=True)
+        assert table.schema.equals(schema)
+    assert [t.num_rows for t, _ in tables[:4]] == [n] * 4
+
+
+def test_a_missing_trial_is_a_row_with_its_names_and_nothing_else():
+    trials = make_trials(2, 1)
+    for row in missing_rows(trials, NAMES).to_pylist():
+        assert row["outcome"] == "missing" and row["object"] and row["split"] and row["side"]
+        known = ("trial_id", "object", "split", "side", "outcome")
+        assert all(v is None for k, v in row.items() if k not in known)
+
+
+def test_scores_in_another_order_than_their_trials_are_refused():
+    trials = make_trials(3, 0)
+    scores = make_scores(trials, np.zeros(3, int))
+    with pytest.raises(ValueError, match="same order"):
+        score_rows(trials[torch.tensor([1, 0, 2])], scores, NAMES)
+
+
+def test_outcome_names_follow_the_enum():
+    assert OUTCOME_NAMES[Outcome.INVALID_SIM] == "invalid_sim" and OUTCOME_NAMES[-1] == "missing"
+
+
+def test_the_documentation_names_every_column_and_every_word_in_it():
+    text = (Path(__file__).parent.parent / "docs" / "run_folder.md").read_text(encoding="utf-8")
+    columns = [f.name for schema in manifest.SCHEMAS.values() for f in schema]
+    words = [*OUTCOME_NAMES, *(r.name.lower() for r in PlanReason), *(p.name.lower() for p in CollidingPair if p)]
+    for name in (*columns, *words, *manifest.IDENTITY):
+        assert f"`{name}`" in text, name
