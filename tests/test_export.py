@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -78,10 +79,8 @@ def clearances(model, data, q):
     for name, one, two in pairs:
         for a in ids[one]:
             for b in ids[two]:
-                gap = (
-                    np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]) - model.geom_rbound[a] - model.geom_rbound[b]
-                )
-                if gap < least[name]:
+                gap = np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b])
+                if gap - model.geom_rbound[a] - model.geom_rbound[b] < least[name]:
                     least[name] = min(least[name], mujoco.mj_geomDistance(model, data, a, b, 0.07, None))
     return least
 
@@ -110,10 +109,7 @@ def test_the_folder_opens_elsewhere_and_names_say_what_is_what(exported):
             f"gripper/{s}_{p}_visual" for s in ("left", "right") for p in ("outer_finger", "inner_knuckle", "pad")
         }
         assert wanted <= set(names)
-        files = {
-            m.get("file")
-            for m in __import__("xml.etree.ElementTree").etree.ElementTree.parse(folder / "scene.xml").iter("mesh")
-        }
+        files = {m.get("file") for m in ElementTree.parse(folder / "scene.xml").iter("mesh")}
         assert files == {p.name for p in (folder / "meshes").iterdir()}
         assert not any("/" in f or "\\" in f for f in files)
 
@@ -158,13 +154,9 @@ def test_the_stored_margins_are_what_mujoco_measures_along_the_trajectory(export
             at = q[np.abs(rows[:, 0] - stored.row["witness_time_s"]).argmin()]
             assert abs(_robot_distance(model, data, vertices[faces], at) - safe) <= 1.5e-3  # 10 ms beside it at most
             part = stored.row["witness_safe_part"]
-            assert f"robot/{part}" in _names(model) or f"gripper/{part}" in _names(model)
+            assert {f"robot/{part}", f"gripper/{part}"} & {model.geom(i).name for i in range(model.ngeom)}
             judged += 1
     assert judged >= 1
-
-
-def _names(model):
-    return {model.geom(i).name for i in range(model.ngeom)}
 
 
 def _hand_mesh(model, data, folder):
