@@ -254,7 +254,7 @@ def test_a_planned_path_with_exact_edges_is_safe_because_pieces_enclose_the_hand
         found = s.path_len > 0
         assert found.sum() > 200
         assert (s.passed[:, SAFE] == found).all()
-        clear = found & (s.margin[:, PLAN] < 0.049) & ((s.plan_pair == int(CollidingPair.HAND)))
+        clear = found & (s.margin[:, PLAN] < 0.049) & (s.plan_pair == int(CollidingPair.HAND))
         assert clear.any() and (s.margin[clear, SAFE] >= s.margin[clear, PLAN] - tolerance).all()
 
 
