@@ -161,19 +161,8 @@ def test_the_table_goes_to_stdout_and_everything_else_to_stderr(fake, here, tmp_
 
 def test_what_was_scored_and_how_is_in_the_run_folder(fake, here, tmp_path):
     out = tmp_path / "run"
-    line = [
-        "--method",
-        f"{here}:best",
-        f"{here}:timed",
-        "--trials",
-        "300",
-        "--seed",
-        "2",
-        "--save-poses",
-        "--save-paths",
-        "--out",
-        str(out),
-    ]
+    flags = "--trials 300 --seed 2 --save-poses --save-paths --out"
+    line = ["--method", f"{here}:best", f"{here}:timed", *flags.split(), str(out)]
     assert sweep.main(line) == 0
     run = load_run(out)
     assert run.methods == ("my_rules:best", "my_rules:timed")
