@@ -53,11 +53,13 @@ def load_trial(
     stored = load_run(run)
     header = stored.header
     method = _method(stored, method)
-    if not header["save_paths"]:
+    if "paths" not in header["stored"]:
         raise ExportError(f"{run}: stored without paths; sweep again with --save-paths and another --out")
     rows = stored.trials(method)
     row = _row(rows, trial_id, f"{run}: method {method!r}")
-    if row["opening_m"] is None:
+    for details in _rows(stored.details(method), trial_id):
+        row |= details
+    if row.get("opening_m") is None:
         raise ExportError(f"trial {trial_id} of {method!r} was not judged ({row['outcome']}): there is nothing to show")
     poses = _row(stored.poses(method), trial_id, f"{run}: poses of {method!r}")
     path = _rows(stored.paths(method), trial_id)

@@ -64,7 +64,7 @@ class Options:
     save_poses: bool = False
     """Also store the two poses that were scored."""
     save_paths: bool = False
-    """Also store waypoints, times and joint goal of every trial."""
+    """Also store waypoints and times of every trial, its details and its poses: all that r2h_batch.scene needs."""
     threads: int | None = None
     """CPU threads; all cores unless given."""
     allow_missing: bool = False
@@ -86,8 +86,8 @@ class Options:
 
     @property
     def stored(self) -> list[str]:
-        """What is stored beside the trials."""
-        return [kind for kind in KINDS if getattr(self, f"save_{kind}")]
+        """What is stored beside the trials; with paths everything, so that any trial can be opened elsewhere."""
+        return [kind for kind in KINDS if self.save_paths or getattr(self, f"save_{kind}")]
 
     @property
     def part(self) -> tuple[int, int]:

@@ -15,7 +15,7 @@ import pytest
 import torch
 import trimesh
 
-from r2h_batch import export, sweep
+from r2h_batch import export, hand, sweep
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.execute import time_at, time_path
 from r2h_batch.results import load_run
@@ -311,8 +311,10 @@ def test_the_description_holds_the_verdict(exported, run):
 
 
 def test_a_trial_without_a_path_shows_the_robot_at_home(run, tmp_path):
-    rows = load_run(run).trials("random").to_pylist()
-    without = [r["trial_id"] for r in rows if r["t_exec_s"] is None and r["opening_m"] is not None]
+    stored = load_run(run)
+    judged = stored.details("random")["trial_id"].to_pylist()
+    rows = stored.trials("random").to_pylist()
+    without = [r["trial_id"] for r in rows if r["t_exec_s"] is None and r["trial_id"] in judged]
     if not without:
         pytest.skip("random found a path in all of these trials")
     folder = export.export_trial(export.load_trial(run, without[0], method="random"), tmp_path / "x")
@@ -341,24 +343,17 @@ def test_what_is_not_there_is_refused_with_what_is(run, tmp_path, capsys):
     assert not (tmp_path / "x").exists()
 
 
-def test_a_run_without_paths_is_refused_naming_the_flag(run, tmp_path, capsys):
-    bare = shutil.copytree(run, tmp_path / "bare")
-    header = json.loads((bare / "run.json").read_text())
-    header["save_paths"] = False
-    for method in header["methods"]:
-        method["files"].pop("paths")
-    (bare / "run.json").write_text(json.dumps(header))
-    assert "--save-paths" in refused(
-        ["--run", bare, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys
-    )
+def test_a_run_without_paths_is_refused_naming_the_flag(tmp_path, capsys):
+    bare = tmp_path / "bare"
+    assert sweep.main(["--method", "random", "--splits", "S0", "--trials", "1", "--sim", "none", "--out", str(bare)]) == 0
+    capsys.readouterr()
+    assert "--save-paths" in refused(["--run", bare, "--trial", 0, "--out", tmp_path / "x"], capsys)
 
 
-def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys):
-    other = shutil.copytree(run, tmp_path / "other")
-    header = json.loads((other / "run.json").read_text())
-    header["digests"]["hand_set"] = "0" * 64
-    (other / "run.json").write_text(json.dumps(header))
-    assert "hand_set" in refused(["--run", other, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
+def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):
+    other = dataclasses.replace(hand.load_hand_set(), digest="0" * 64)
+    monkeypatch.setattr(hand, "load_hand_set", lambda: other)
+    assert "hand_set" in refused(["--run", run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
 
 
 def test_a_users_own_mesh_is_asked_for_and_comes_along(tmp_path, capsys):
