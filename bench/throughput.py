@@ -101,7 +101,12 @@ def freeze(evaluator: Evaluator) -> None:
     T_obj_ee, T_world_ee = any_.T_obj_ee.cpu().clone(), any_.T_world_ee.cpu().clone()
     T_obj_ee[by_oracle], T_world_ee[by_oracle] = best.T_obj_ee.cpu(), best.T_world_ee.cpu()
     np.savez_compressed(
-        MIX, trial_id=trials.trial_id, T_obj_ee=T_obj_ee, T_world_ee=T_world_ee, by_oracle=by_oracle, digest=trials_digest(trials)
+        MIX,
+        trial_id=trials.trial_id,
+        T_obj_ee=T_obj_ee,
+        T_world_ee=T_world_ee,
+        by_oracle=by_oracle,
+        digest=trials_digest(trials),
     )
 
 

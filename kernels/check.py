@@ -37,6 +37,7 @@ OPEN = wp.constant(2)
 MAX_PARTNERS = wp.constant(64)
 MAY_MEET = wp.constant(256)  # added to a partner that bounding volumes do not keep apart in the middle of the stretch
 SLACK_M = wp.constant(0.03)
+HAND_SLACK_M = wp.constant(0.06)
 """Bounding volumes rarely understate a distance by more: a pair that would need it stays open without asking GJK."""
 
 
@@ -224,10 +225,25 @@ def examine(
             n = int(0)
             if do_hand:
                 target = wp.where(query.track == 1, out.best - query.tolerance, query.hand_margin)
-                if wp.length(from_point(hand_center, c0, c1)) - hand_radius - rb < target + mb:
+                toward = from_point(hand_center, c0, c1)
+                far = wp.length(toward)
+                near = far - hand_radius - rb < target + mb
+                if near and moving and far - hand_radius - rb > target + query.tolerance:
+                    n_hat = toward / far
+                    low = swept_capsule(c0, c1, rb, n_hat, w_b, v_b, bend) - wp.dot(n_hat, hand_center) - hand_radius
+                    if low >= target:
+                        near = False
+                    elif low + HAND_SLACK_M < target:
+                        near = False
+                        hand_open = hand_open | bit
+                if near:
+                    middle = 0.5 * (c0 + c1)
+                    around = 0.5 * wp.length(c1 - c0) + rb + target + mb
                     for i in range(world.n_pieces):
                         piece = hand * world.n_pieces + i
                         center = world.piece_center[piece]
+                        if wp.length(center - middle) - world.piece_radius[piece] >= around:
+                            continue
                         toward = wp.vec3(0.0, 0.0, 0.0)
                         if link == OBJECT:
                             toward = from_point(center, c0, c1)
@@ -293,6 +309,19 @@ def examine(
                         else:
                             m = motion(world.lever, b, other, query.d)
                             bend_other = curvature(world.lever, b, other, query.d)
+                        # the other link as a whole first
+                        o0 = R[other] * world.link_c0[other] + p[other]
+                        o1 = R[other] * world.link_c1[other] + p[other]
+                        ro = world.link_radius[other]
+                        toward = from_segment(o0, o1, c0, c1)
+                        far = wp.length(toward)
+                        if far - rb - ro >= target + m:
+                            continue
+                        if moving and far - rb - ro > target + query.tolerance:
+                            n_hat = toward / far
+                            low = swept_capsule(c0, c1, rb, n_hat, w_b - w[other], v_b - v[other], bend_other)
+                            if low - wp.max(wp.dot(n_hat, o0), wp.dot(n_hat, o1)) - ro >= target:
+                                continue
                         for o in range(world.link_first[other], world.link_first[other + 1]):
                             Ro, po = body_pose(world, bodies, trial, R, p, o)
                             axis = Ro * world.cap_axis[o]

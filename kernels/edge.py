@@ -90,7 +90,9 @@ def edge(
         elif found.status != FREE:
             result.pair = found.pair
             result.body = found.body
-        if mode == 1 or mode == 3:
+        if mode == 2 and result.best < 0.0:
+            running = False  # bodies meet: how deep is not measured, and a long overlap would be halved without end
+        elif mode == 1 or mode == 3:
             index += 1
             if found.status != FREE:
                 result.status = BLOCKED

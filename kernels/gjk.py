@@ -203,10 +203,12 @@ def _closest_on_triangle(s: Simplex):
         total = va + vb + vc
         if nn > 0.0 and total > 0.0:
             r.n = 3
-            r.w1 = vb / total
-            r.w2 = vc / total
-            r.w0 = 1.0 - r.w1 - r.w2
-            r.v = n * (wp.dot(a, n) / nn)  # more exact than the weighted sum for thin triangles
+            # plane and areas seen from the nearest point: for thin triangles va, vb, vc are mostly rounding
+            v = n * (wp.dot(a, n) / nn)
+            r.w0 = wp.clamp(wp.dot(n, wp.cross(b - v, c - v)) / nn, 0.0, 1.0)
+            r.w1 = wp.clamp(wp.dot(n, wp.cross(c - v, a - v)) / nn, 0.0, 1.0 - r.w0)
+            r.w2 = 1.0 - r.w0 - r.w1
+            r.v = v
         else:
             r = _closest_on_segment(_keep(s, 0, 1))
     return r

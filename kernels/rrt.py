@@ -10,7 +10,7 @@ from r2h_batch.kernels.check import FREE
 from r2h_batch.kernels.edge import edge
 from r2h_batch.kernels.world import TrialBodies, World, vec6
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
 
 GOALS = wp.constant(8)
 CLEARANCE_CAP = wp.constant(
@@ -149,9 +149,11 @@ def rrt_connect(
         if connecting == 0:
             count += 1
             grow = wp.where(n0 <= n1, 0, 1)
+            # mostly within half a turn of home, where paths are short; every fourth time anywhere within the limits
+            around = wp.where(count % 4 == 0, 6.2831853, 3.1415926)
             for j in range(6):
-                lo = wp.max(world.lower[j], home_in[0, j] - 3.1415926)
-                hi = wp.min(world.upper[j], home_in[0, j] + 3.1415926)
+                lo = wp.max(world.lower[j], home_in[0, j] - around)
+                hi = wp.min(world.upper[j], home_in[0, j] + around)
                 target[j] = lo + (hi - lo) * wp.randf(rng)
         base = wp.where(grow == 0, base0, base1)
         n = wp.where(grow == 0, n0, n1)

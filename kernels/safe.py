@@ -23,10 +23,11 @@ from r2h_batch.kernels.world import (
     vec6,
 )
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
 
 MAX_LEVEL = wp.constant(15)
 SLACK_M = wp.constant(0.03)
+HAND_SLACK_M = wp.constant(0.06)
 """A ball about a piece rarely understates a distance by more: pairs that would need it wait for shorter stretches."""
 TOUCH_M = wp.constant(1.0e-6)
 """Bodies nearer than this count as touching: GJK's rounding allowance."""
@@ -128,7 +129,7 @@ def nearest_to_mesh(
         center = wp.vec3(ball[0], ball[1], ball[2])
         toward = R * from_ball(body, wp.transpose(R) * (center - p))
         far = wp.length(toward)
-        apart = far - ball[3]
+        apart = wp.where(far > 0.0, far - ball[3], -1.0e30)  # a centre inside the body says nothing of how deep
         limit = out.distance - tolerance + moves
         if apart >= limit:
             continue
@@ -155,6 +156,8 @@ def nearest_to_mesh(
             if value < out.distance:
                 out.distance = value
                 out.point = d.point - d.v
+                if wp.dot(d.v, d.v) == 0.0:  # through the core: any point of the face is a witness
+                    out.point = (tri[0] + tri[1] + tri[2]) / 3.0
                 out.changed = 1
             if out.open > 0:
                 break
@@ -219,15 +222,30 @@ def posture_distance(
             shape = robot_body(world, b)
             still = int(0)
             hulls_met = int(0)
-            around = wp.length(from_point(world.hand_center[hand], pb - axis, pb + axis)) - world.hand_radius[hand] - rb
-            if around < out.distance - tolerance + m:
+            toward = from_point(world.hand_center[hand], pb - axis, pb + axis)
+            far = wp.length(toward)
+            apart = far - world.hand_radius[hand] - rb
+            near_hand = apart < out.distance - tolerance + m
+            if near_hand and apart > out.distance:
+                n_hat = toward / far
+                low = swept_support(shape, Rb, pb, world.points, n_hat, wb, vb, bend)
+                low = low - wp.dot(n_hat, world.hand_center[hand]) - world.hand_radius[hand]
+                if low >= out.distance - tolerance:
+                    near_hand = False
+                elif low + HAND_SLACK_M < out.distance - tolerance:
+                    near_hand = False
+                    still = 1
+            if near_hand:
+                size = wp.length(axis) + rb
                 for i in range(world.n_pieces):
                     piece = hand * world.n_pieces + i
                     limit = out.distance - tolerance + m
                     center = world.piece_center[piece]
+                    if wp.length(center - pb) - world.piece_radius[piece] - size >= limit:
+                        continue
                     toward = Rb * from_ball(shape, wp.transpose(Rb) * (center - pb))
                     far = wp.length(toward)
-                    apart = far - world.piece_radius[piece]
+                    apart = wp.where(far > 0.0, far - world.piece_radius[piece], -1.0e30)
                     if apart >= limit:
                         continue
                     if apart >= out.distance:
@@ -275,7 +293,8 @@ def posture_distance(
             # in a hull but clear of all faces: in a hollow of the mesh, or wholly inside the hand
             if hulls_met == 1 and out.distance > 0.0 and inside_mesh(mesh, hand, pb, tri):
                 out.distance = wp.min(-out.distance, -TOUCH_M)
-                out.point = pb
+                if out.body != b:
+                    out.point = pb  # no face of the hand was nearer than what was already known: the body's own middle
                 out.body = b
                 out.changed = 1
                 still = 1
@@ -302,7 +321,7 @@ def safe_distance(
     fraction_out: wp.array(dtype=float),
     point_out: wp.array(dtype=wp.vec3),  # world frame
 ):
-    """Smallest signed robot-hand distance along each path: exact to `tolerance` below `cap`, a lower bound above.
+    """Smallest signed robot-hand distance along each path: exact to `tolerance` (or 0.2 %) below `cap`, a lower bound above.
 
     The goal posture comes first: it is usually the nearest, and prunes the rest. Overlaps are negative and grow with the
     depth of the deepest triangle in a primitive; they are located to half their size.
@@ -344,9 +363,7 @@ def safe_distance(
                 t = 1.0
                 d = 0.0 * delta
             mask[0] = stack[level]
-            allowed = tolerance
-            if best < 0.0:
-                allowed = wp.max(tolerance, -0.5 * best)
+            allowed = wp.max(tolerance, wp.where(best < 0.0, -0.5 * best, 0.002 * best))
             found = posture_distance(world, mesh, bodies, trial, a + t * delta, d, best, allowed, mask, R, p, w, v, tri)
             if found.changed == 1:
                 best = found.distance

@@ -249,7 +249,9 @@ def from_segment(b0: wp.vec3, b1: wp.vec3, a0: wp.vec3, a1: wp.vec3):
             s = wp.clamp((b - c) / a, 0.0, 1.0)
     out = r + s * u - t * v
     if parallel:  # where they are nearest is rounding noise then, up to 0.14 mm too far: an end may be nearer
-        ends = wp.matrix_from_rows(from_point(b0, a0, a1), from_point(b1, a0, a1), -from_point(a0, b0, b1), -from_point(a1, b0, b1))
+        ends = wp.matrix_from_rows(
+            from_point(b0, a0, a1), from_point(b1, a0, a1), -from_point(a0, b0, b1), -from_point(a1, b0, b1)
+        )
         for k in range(4):
             if wp.length_sq(ends[k]) < wp.length_sq(out):
                 out = ends[k]

@@ -52,7 +52,7 @@ class PlanConfig:
     hand_clearance_m: float = 0.003  # kept along the path wherever the goal keeps it [choice]
     range_rad: float = 1.5  # longest RRT extension
     rounds: tuple[int, ...] = (50, 500, 5000)  # iterations of each budget round
-    shortcuts: int = 30  # random shortcuts after the greedy pass
+    shortcuts: int = 15  # random shortcuts after the greedy pass
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -13,6 +13,7 @@ from r2h_batch.execute import time_at, time_path
 from r2h_batch.grasp import attach, close_gripper
 from r2h_batch.hand import HandSet
 from r2h_batch.ik import one_branch, solve_ik
+from r2h_batch.launch import one_torch_thread
 from r2h_batch.objects import ObjectModel
 from r2h_batch.plan import plan_paths
 from r2h_batch.scene import Scene
@@ -45,10 +46,11 @@ class Evaluator:
         """
         self._check(T_obj_ee, T_world_ee, trials)
         n, chunk = len(trials), self.config.chunk
-        parts = [
-            self._score_chunk(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
-            for i in range(0, max(n, 1), chunk)
-        ]
+        with one_torch_thread(self.scene.device):
+            parts = [
+                self._score_chunk(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
+                for i in range(0, max(n, 1), chunk)
+            ]
         return parts[0] if len(parts) == 1 else Scores.concatenate(parts)
 
     def _score_chunk(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:

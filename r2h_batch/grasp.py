@@ -319,6 +319,8 @@ def _empty_poses(n: int, count: int, device: str) -> tuple[Tensor, Tensor]:
 
 
 def _poses(T_obj_ee: Tensor, object_index: Tensor) -> list[Any]:
+    if len(T_obj_ee) == 0:  # Warp refuses the strides that torch gives some empty tensors
+        T_obj_ee = torch.empty((0, 4, 4), dtype=torch.float32, device=T_obj_ee.device)
     return [wp.from_torch(T_obj_ee, dtype=wp.mat44), wp.from_torch(object_index)]
 
 

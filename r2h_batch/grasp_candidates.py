@@ -7,6 +7,7 @@ Score in [0, 1] = 0.4 alignment + 0.35 contact + 0.25 balance:
 """
 
 import hashlib
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,7 +41,7 @@ REGION_SHARE = 0.4
 
 SEEDS, APPROACHES, ROUNDS = 3000, 6, 8
 ENOUGH = 1200
-POOREST = 0.25  # share of the pool that is left out where it is large enough
+POOREST = 0.1  # share of the pool that is left out where it is large enough
 WIDEST_M = 0.082  # leaves the open pads 1.5 mm on each side
 DEPTH_M = 0.012  # how far the contact may lie from the pads' centre along the approach
 CLEARANCE_M = 0.001
@@ -93,7 +94,7 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None
         rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
         pool.append(_graded(model, tables, mesh, _proposals(model, mesh, rng, threads), threads))
         found, off_region = sum(map(len, pool)), sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool)
-        if found >= ENOUGH and (model.split == "S0" or off_region >= ENOUGH // 4):
+        if found >= ENOUGH and (model.split == "S0" or off_region >= ENOUGH // 4 or found >= 3 * ENOUGH):
             break
     every = Candidates(*(np.concatenate([getattr(c, name) for c in pool]) for name in Candidates.__dataclass_fields__))
     if len(every) == 0:
@@ -101,7 +102,15 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None
         raise ValueError(
             f"{model.name}: no grasp found; the gripper needs a part narrower than {stroke} that it can reach"
         )
-    return _diverse(model, every, count)
+    chosen = _diverse(model, every, count)
+    free = int((chosen.region_m > REGION_CLEARANCE_M).sum())
+    if model.split != "S0" and free < 0.25 * len(chosen):
+        warnings.warn(
+            f"{model.name}: {free} of {len(chosen)} grasps keep {1e3 * REGION_CLEARANCE_M:.0f} mm from the receiver's region; "
+            "is the region too large, or the rest of the object too wide for the gripper?",
+            stacklevel=2,
+        )
+    return chosen
 
 
 def _proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threads: int | None) -> F32:

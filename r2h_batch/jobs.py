@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -78,8 +78,12 @@ def prepare(options: Options) -> Bench:
     if options.device != "cpu" and not torch.cuda.is_available():
         raise UsageError(f"--device {options.device}: torch sees no CUDA device; use --device cpu")
     config = EvalConfig.preset(options.preset)
+    edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
+    plan = replace(config.plan, object_collision=options.object_collision, edge_check=edge_check)
+    config = replace(config, plan=plan, width=options.width)
     built_in = load_objects()
-    objects = (*built_in, *(object_from_argument(mesh) for mesh in options.object_mesh))
+    pieces = options.object_collision == "pieces"  # a convex decomposition takes up to a minute: only where it is used
+    objects = (*built_in, *(object_from_argument(mesh, pieces=pieces) for mesh in options.object_mesh))
     splits = [s for s in SPLITS if s in options.splits]
     first_trials = make_trials(splits, min(options.trials, DIGEST_TRIALS), objects=objects)
     evaluator = Evaluator(config, device=options.device, objects=objects, threads=options.threads)

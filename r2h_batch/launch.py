@@ -1,8 +1,9 @@
 """Launches a kernel over trials: all CPU cores on a CPU, one launch on a GPU."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
@@ -25,6 +26,22 @@ def cpu_threads(threads: int | None = None) -> int:
             raise ValueError(f"threads is {threads}; it must be 1 or more")
         return threads
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def one_torch_thread(device: str) -> Iterator[None]:
+    """On a CPU: torch works on one thread inside. Its tensors here are small, and its idle threads spin on our cores."""
+    import torch
+
+    threads = torch.get_num_threads()
+    if device != "cpu" or threads == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 @lru_cache(maxsize=4)

@@ -279,21 +279,27 @@ def _rebuilt(mesh: trimesh.Trimesh, label: str, done: list[str]) -> trimesh.Trim
     plate = 0.65 * edge
     sheets, solids = _open_bodies(mesh)
 
-    def solid_inside(p: NDArray[np.float64]) -> NDArray[np.float64]:
+    def full(p: NDArray[np.float64]) -> NDArray[np.float64]:
         return -signed_distance(mesh, p)[0]
 
-    def plates_too(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.maximum(-signed_distance(mesh, p)[0], plate - np.abs(signed_distance(sheets, p)[0]))
+    def with_plates(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.maximum(solid(p), plate - np.abs(signed_distance(sheets, p)[0]))
 
-    def plates_only(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        field = plate - np.abs(signed_distance(sheets, p)[0])
-        return np.maximum(field, -signed_distance(solids, p)[0]) if len(solids.faces) else field
+    def all_thicker(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.maximum(solid(p), plate - np.abs(signed_distance(mesh, p)[0]))
 
-    new, lost, gained = _contoured(mesh, solid_inside, edge)
+    def closed_only(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        return -signed_distance(solids, p)[0] if len(solids.faces) else np.full(len(p), -np.inf)
+
     how = ""
-    if (lost > edge or gained > 2 * edge) and len(sheets.faces):
-        new, lost, gained = _contoured(mesh, plates_too if gained <= 2 * edge else plates_only, edge)
+    new, lost, gained = _contoured(mesh, full, edge)
+    solid = full if gained <= 2 * edge else closed_only
+    if (lost > edge or solid is closed_only) and len(sheets.faces):
+        new, lost, gained = _contoured(mesh, with_plates, edge)
         how = f", open sheets made {2e3 * plate:.2f} mm thick"
+    if lost > edge:
+        new, lost, gained = _contoured(mesh, all_thicker, edge)
+        how = f", every surface grown by {1e3 * plate:.2f} mm to keep thin parts"
     if new is None:
         raise ObjectMeshError(f"{label}: the surface encloses nothing; give a mesh of a solid")
     done.append(

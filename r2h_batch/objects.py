@@ -207,12 +207,12 @@ def build_object(
     )
 
 
-def object_from_argument(argument: str) -> ObjectModel:
+def object_from_argument(argument: str, *, pieces: bool = True) -> ObjectModel:
     """The object of the command line's ``FILE[:S0|S1[:RECEIVER]]``, e.g. ``mug.obj``, ``saw.stl:S1:x<0.4``."""
     match = re.fullmatch(r"(?P<file>.+?)(?::(?P<split>S\d+)(?::(?P<receiver>.+))?)?", argument)
     if match is None:
         raise ObjectMeshError(f"object mesh {argument!r}: expected FILE[:S0|S1[:RECEIVER]], e.g. saw.stl:S1:x<0.4")
-    return build_object(match["file"], split=match["split"] or "S0", receiver=match["receiver"])
+    return build_object(match["file"], split=match["split"] or "S0", receiver=match["receiver"], pieces=pieces)
 
 
 def _load(name: str) -> ObjectModel:

@@ -47,6 +47,12 @@ class Options:
     """Your own objects, FILE[:S0|S1]: they take turns with the built-in objects of that split."""
     preset: Literal["default", "paper"] = "default"
     """default: exact planning to any branch. paper: one goal, MoveIt's edge resolution, to compare with the paper."""
+    width: Literal["pads", "whole"] = "pads"
+    """Stability measures the material between the pads, or the whole object's extent along the closing axis."""
+    object_collision: Literal["hull", "pieces"] = "hull"
+    """The attached object in planning: its convex hull (as in the paper), or its convex decomposition."""
+    edge_check: Literal["preset", "exact", "moveit"] = "preset"
+    """Path edges: as the preset says, certified, or sampled at MoveIt's resolution."""
     format: Literal["md", "latex", "csv", "json"] = "md"
     """Format of the table on stdout."""
     save_details: bool = False

@@ -115,7 +115,7 @@ class Scene:
         n_arm, n_robot = len(order), len(kind)
         if n_robot > 62 or len(self.hands.model.piece_names) + 1 + n_arm > MAX_PARTNERS:
             raise ValueError(
-                f"{n_robot} robot primitives and {len(self.hands.model.piece_names)} hand pieces: more than the kernels' masks hold"
+                f"{n_robot} robot primitives and {len(self.hands.model.piece_names)} hand pieces: the kernels' masks hold fewer"
             )
         caps = [bounds.capsule_of_primitive(int(k), s) for k, s in zip(kind, size, strict=True)]
         levers = bounds.robot_levers(robot)[np.concatenate([order, np.arange(n_arm, n_robot)])]
@@ -296,7 +296,7 @@ class Scene:
         *,
         threads: int | None = None,
     ) -> "Placed":
-        """Bodies of B trials: hand in the world, fingers at their opening, object attached (`T_obj_ee` after closing moved it)."""
+        """Bodies of B trials: hand in the world, fingers at their opening, object attached (after closing moved it)."""
         from r2h_batch.kernels.place import place_bodies
         from r2h_batch.kernels.world import TrialBodies
 
@@ -340,3 +340,9 @@ class Placed:
 
     bodies: Any
     owners: tuple[Tensor, ...]
+
+
+if __name__ == "__main__":
+    from r2h_batch.export import main
+
+    raise SystemExit(main())

@@ -1,4 +1,4 @@
-"""Slow, independent twins in float64: MuJoCo C for clearances, NumPy for convex distance and the exact hand mesh.
+"""Slow, independent twins in float64: MuJoCo C for clearances, NumPy (convex_twin.py) for convex bodies and exact meshes.
 
 Nothing here uses the project's kernels, scene tables, bounds or levers; only the numbers of robot.json, the posed hand
 vertices and the objects' points are shared.
@@ -7,11 +7,13 @@ vertices and the objects' points are shared.
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import mujoco
 import numpy as np
 import torch
+from convex_twin import bodies, convex_distance, mesh_distance, primitive_distance, winding_number
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -21,205 +23,27 @@ from r2h_batch.scene import Placed, Scene
 
 Array = NDArray[np.float64]
 
+__all__ = [
+    "CLASSES",
+    "MujocoScene",
+    "Staged",
+    "bodies",
+    "convex_distance",
+    "hand_triangles",
+    "mesh_distance",
+    "mujoco_scene",
+    "place",
+    "primitive_distance",
+    "random_stages",
+    "samples",
+    "winding_number",
+]
+
 CLASSES = ("hand", "table", "self", "object_hand", "object_table", "object_robot")
 """Names of r2h_batch.types.CollidingPair 1..6, lower case, in that order."""
 
 TABLE_POS, TABLE_HALF = (-0.025, 0.0, -0.025), (0.475, 0.6, 0.025)  # benchmark.md, 5 cm thick
 FAR_M = 10.0
-MESH_PAIR_GAP_M = 1e-9
-
-
-# --- convex distance in float64 ------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Bodies:
-    """N convex bodies in world coordinates: conv(points) + disc about local z + ball. Points (N, P, 3) in the body frame."""
-
-    points: Array
-    disc: Array  # (N,) radius of a disc in the local xy plane that the points are swept by (cylinders)
-    ball: Array  # (N,)
-    R: Array  # (N, 3, 3)
-    p: Array  # (N, 3)
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def __getitem__(self, rows: Any) -> "Bodies":
-        return Bodies(self.points[rows], self.disc[rows], self.ball[rows], self.R[rows], self.p[rows])
-
-    def support(self, d: Array) -> Array:
-        """Farthest points (N, 3) of the bodies without their balls along world directions d (N, 3)."""
-        local = np.einsum("nij,ni->nj", self.R, d)
-        at = np.einsum("npj,nj->np", self.points, local).argmax(1)
-        best = self.points[np.arange(len(self)), at].copy()
-        across = np.hypot(local[:, 0], local[:, 1])
-        scale = np.divide(self.disc, across, out=np.zeros_like(across), where=across > 1e-300)
-        best[:, :2] += scale[:, None] * local[:, :2]
-        return np.einsum("nij,nj->ni", self.R, best) + self.p
-
-
-def bodies(kinds: ArrayLike, sizes: Any, T: Array, points: Any = None) -> Bodies:
-    """Bodies from kinds, MuJoCo-like sizes and poses (N, 4, 4); `points[i]` are a HULL's points."""
-    cores, disc, ball = [], [], []
-    for i, kind in enumerate(np.asarray(kinds)):
-        size = np.zeros(3) if sizes is None else np.asarray(sizes[i], np.float64)
-        z = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-        core, d, b = np.zeros((1, 3)), 0.0, 0.0
-        if kind == Kind.SPHERE:
-            b = size[0]
-        elif kind == Kind.CAPSULE:
-            core, b = z * size[1], size[0]
-        elif kind == Kind.CYLINDER:
-            core, d = z * size[1], size[0]
-        elif kind == Kind.BOX:
-            core = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * size
-        else:
-            core = np.asarray(points[i], np.float64)
-        cores.append(core)
-        disc.append(d)
-        ball.append(b)
-    most = max((len(c) for c in cores), default=1)
-    padded = np.stack([np.concatenate([c, np.repeat(c[:1], most - len(c), 0)]) for c in cores]) if cores else np.zeros((0, 1, 3))
-    T = np.asarray(T, np.float64)
-    return Bodies(padded, np.array(disc), np.array(ball), T[:, :3, :3].copy(), T[:, :3, 3].copy())
-
-
-def convex_distance(a: Bodies, b: Bodies, *, iterations: int = 300, gap: float = 1e-10) -> tuple[Array, Array]:
-    """Lower and upper bounds (N,) of the pairs' distances: GJK with every subset of the simplex tried, so nothing is lost.
-
-    Both bounds are certificates in float64 whatever happened on the way: a separating plane, and two points of the bodies.
-    Cores that meet have bounds minus the balls; both are then <= 0.
-    """
-    n = len(a)
-    v = a.p - b.p
-    v[np.einsum("ni,ni->n", v, v) < 1e-24] = (1.0, 0.0, 0.0)
-    lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
-    simplex, used = np.zeros((n, 4, 3)), np.zeros((n, 4), bool)
-    live = np.arange(n)
-    for _ in range(iterations):
-        if not len(live):
-            break
-        va = v[live]
-        length = np.linalg.norm(va, axis=1)
-        w = a[live].support(-va) - b[live].support(va)
-        lower[live] = np.maximum(lower[live], np.einsum("ni,ni->n", va, w) / length)
-        open_ = upper[live] - lower[live] > gap
-        live, w = live[open_], w[open_]
-        if not len(live):
-            break
-        slot = used[live].argmin(1)  # a simplex of four never gets here
-        simplex[live, slot] = w
-        used[live, slot] = True
-        best, weights = _nearest_in_simplex(simplex[live], used[live])
-        size = np.linalg.norm(best, axis=1)
-        fell = size < upper[live]
-        upper[live] = np.minimum(upper[live], size)
-        v[live] = best
-        used[live] = weights > 0
-        live = live[fell & (size > 1e-12) & ~(weights > 0).all(1)]
-    inside = upper <= 1e-12
-    lower = np.where(inside, np.minimum(lower, 0.0), lower)
-    return lower - a.ball - b.ball, upper - a.ball - b.ball
-
-
-_SUBSETS = [[i for i in range(4) if m >> i & 1] for m in range(1, 16)]
-
-
-def _nearest_in_simplex(points: Array, used: Array) -> tuple[Array, Array]:
-    """Nearest point to the origin in conv(points[used]) and its weights (N, 4), by trying all subsets."""
-    n = len(points)
-    best, best_weights, best_size = np.zeros((n, 3)), np.zeros((n, 4)), np.full(n, np.inf)
-    for subset in _SUBSETS:
-        rows = np.flatnonzero(used[:, subset].all(1))
-        if not len(rows):
-            continue
-        k = len(subset)
-        w = points[rows][:, subset]
-        if k == 1:
-            part = np.ones((len(rows), 1))
-        else:
-            edges = w[:, 1:] - w[:, :1]
-            gram = np.einsum("nik,njk->nij", edges, edges)
-            right = -np.einsum("nik,nk->ni", edges, w[:, 0])
-            good = np.linalg.det(gram) > 1e-14 * np.prod(np.einsum("nii->ni", gram), axis=1)
-            rows, w, gram, right = rows[good], w[good], gram[good], right[good]
-            tail = np.linalg.solve(gram, right[..., None])[..., 0] if len(rows) else np.zeros((0, k - 1))
-            part = np.concatenate([1 - tail.sum(1, keepdims=True), tail], 1)
-            good = (part > 0).all(1)
-            rows, w, part = rows[good], w[good], part[good]
-        point = np.einsum("ni,nik->nk", part, w)
-        if k == 4:
-            point = np.zeros_like(point)
-        size = np.linalg.norm(point, axis=1)
-        better = size < best_size[rows]
-        rows, part, point, size = rows[better], part[better], point[better], size[better]
-        best[rows], best_size[rows] = point, size
-        best_weights[rows] = 0.0
-        best_weights[rows[:, None], subset] = part
-    return best, best_weights
-
-
-# --- the exact hand mesh -------------------------------------------------------------------------------------------
-
-
-def primitive_distance(kind: int, size: Any, x: Array) -> Array:
-    """Signed distance of points x (..., 3), in the primitive's frame, to its surface: negative inside. Closed form."""
-    if kind == Kind.BOX:
-        q = np.abs(x) - size
-        return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
-    if kind == Kind.CYLINDER:
-        q = np.stack([np.hypot(x[..., 0], x[..., 1]) - size[0], np.abs(x[..., 2]) - size[1]], -1)
-        return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
-    along = np.clip(x[..., 2], -size[1], size[1]) if kind == Kind.CAPSULE else 0.0 * x[..., 2]
-    return np.linalg.norm(x - along[..., None] * np.array([0.0, 0.0, 1.0]), axis=-1) - size[0]
-
-
-def winding_number(x: Array, triangles: Array) -> float:
-    """How often the closed surface (F, 3, 3) goes round x (van Oosterom and Strackee 1983)."""
-    t = triangles - x
-    length = np.linalg.norm(t, axis=2)
-    a, b, c = t[:, 0], t[:, 1], t[:, 2]
-    la, lb, lc = length.T
-    dot = lambda u, w: np.einsum("fi,fi->f", u, w)  # noqa: E731
-    angle = np.arctan2(
-        np.einsum("fi,fi->f", a, np.cross(b, c)), la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb
-    )
-    return float(angle.sum() / (2 * np.pi))
-
-
-def mesh_distance(kind: int, size: Array, T: Array, triangles: Array, *, cap: float = np.inf) -> float:
-    """Distance of a primitive at T to a closed surface's triangles (F, 3, 3): 0 where they meet, -1 where one holds the other.
-
-    Exact to 1e-9 m below `cap`, `cap` above.
-    """
-    inverse = np.linalg.inv(T)
-    local = triangles @ inverse[:3, :3].T + inverse[:3, 3]
-    corners = primitive_distance(kind, size, local)
-    best = min(float(cap), max(float(corners.min()), 0.0))
-    if corners.min() < 0 < corners.max():
-        return 0.0
-    if corners.max() <= 0:
-        return -1.0
-    if best > 0:
-        center = local.mean(1)
-        lower = primitive_distance(kind, size, center) - np.linalg.norm(local - center[:, None], axis=2).max(1)
-        order = np.argsort(lower)
-        for first in range(0, len(order), 16):
-            faces = order[first : first + 16]
-            faces = faces[lower[faces] < best]
-            if not len(faces):
-                break
-            n = len(faces)
-            a = bodies([kind] * n, [size] * n, np.tile(np.eye(4), (n, 1, 1)))
-            b = bodies([Kind.HULL] * n, None, np.tile(np.eye(4), (n, 1, 1)), local[faces])
-            best = min(best, float(np.maximum(convex_distance(a, b, gap=MESH_PAIR_GAP_M)[1], 0.0).min()))
-            if best < MESH_PAIR_GAP_M:
-                return 0.0
-    return -1.0 if abs(winding_number(np.zeros(3), local)) > 0.5 else best
-
-
-# --- MuJoCo C ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -257,7 +81,11 @@ class MujocoScene:
         spec = mujoco.MjSpec()
         spec.option.ccd_iterations = 500
         spec.option.ccd_tolerance = 1e-9
-        self.groups: dict[str, list[str]] = {link: [] for link in self.robot.links} | {"hand": [], "object": [], "table": []}
+        self.groups: dict[str, list[str]] = {link: [] for link in self.robot.links} | {
+            "hand": [],
+            "object": [],
+            "table": [],
+        }
         wrist = self._add_arm(spec)
         self._add_gripper(wrist)
         T_wrist_obj = self.robot.T_wrist3_flange @ self.robot.T_flange_ee @ np.linalg.inv(staged.T_obj_ee)
@@ -267,7 +95,9 @@ class MujocoScene:
         pieces = [scene.hands.piece_points(staged.hand_index, k) for k in range(len(scene.hands.model.piece_names))]
         self._add_hulls(spec, spec.worldbody.add_body(name="hand", **_pose(staged.T_world_hand)), "hand", pieces)
         self.groups["table"].append("table")
-        spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=TABLE_HALF, pos=TABLE_POS, **_PASSIVE)
+        spec.worldbody.add_geom(
+            name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=TABLE_HALF, pos=TABLE_POS, **_PASSIVE
+        )
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.names = [self.model.geom(i).name for i in range(self.model.ngeom)]
@@ -281,12 +111,18 @@ class MujocoScene:
                 body.add_joint(name=robot.joints[k - 1], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
             body.explicitinertial, body.mass, body.inertia = True, 1.0, [1, 1, 1]
             for i in np.flatnonzero(robot.arm.link == k):
-                self._add_primitive(body, link, robot.arm.names[i], int(robot.arm.kind[i]), robot.arm.size[i], robot.arm.T_link_prim[i])
+                self._add_primitive(
+                    body, link, robot.arm.names[i], int(robot.arm.kind[i]), robot.arm.size[i], robot.arm.T_link_prim[i]
+                )
         return body
 
     def _add_gripper(self, wrist: Any) -> None:
         g = self.robot.gripper
-        T = self.robot.T_wrist3_flange @ self.robot.T_flange_ee @ gripper_primitives_at(self.robot, self.staged.opening_m)
+        T = (
+            self.robot.T_wrist3_flange
+            @ self.robot.T_flange_ee
+            @ gripper_primitives_at(self.robot, self.staged.opening_m)
+        )
         for i, name in enumerate(g.names):
             self._add_primitive(wrist, "gripper", name, int(g.kind[i]), g.size[i], T[i])
 
@@ -298,7 +134,9 @@ class MujocoScene:
         body.explicitinertial, body.mass, body.inertia = True, 1.0, [1, 1, 1]
         for k, points in enumerate(hulls):
             name = f"{group}_{k}"
-            mesh = spec.add_mesh(name=name, uservert=np.asarray(points, np.float64)[ConvexHull(points).vertices].ravel())
+            mesh = spec.add_mesh(
+                name=name, uservert=np.asarray(points, np.float64)[ConvexHull(points).vertices].ravel()
+            )
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             self.groups[group].append(name)
             body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **_PASSIVE)
@@ -329,15 +167,20 @@ class MujocoScene:
             ends[k] = max((np.linalg.norm(m.geom_pos[i]) + m.geom_rbound[i] for i in geoms), default=0.0)
         held = m.body("object").id
         geoms = [i for i in range(m.ngeom) if m.geom_bodyid[i] == held]
-        ends[6] = max(ends[6], np.linalg.norm(m.body_pos[held]) + max(np.linalg.norm(m.geom_pos[i]) + m.geom_rbound[i] for i in geoms))
+        ends[6] = max(
+            ends[6],
+            np.linalg.norm(m.body_pos[held]) + max(np.linalg.norm(m.geom_pos[i]) + m.geom_rbound[i] for i in geoms),
+        )
         out = np.zeros(6)
-        for j in range(5, -1, -1):  # seen from joint j's origin: its own link, or the next joint's origin and what hangs there
+        for j in range(
+            5, -1, -1
+        ):  # seen from joint j's origin: its own link, or the next joint's origin and what hangs there
             tail = max(ends[j + 1], (np.linalg.norm(self.robot.T_parent_joint[j + 1][:3, 3]) + tail) if j < 5 else 0.0)
             out[j] = tail
         return out
 
     def motion(self, dq: ArrayLike) -> float:
-        """No distance changes by more than this (m) when the joints turn by dq: two bodies' distance feels only the joints between them."""
+        """No distance changes by more than this (m) when the joints turn by dq: it feels only the joints between."""
         return float(np.abs(np.asarray(dq, np.float64)) @ self.reach)
 
     def clearances(self, q: ArrayLike, *, cap: float = 0.05) -> Clearances:
@@ -416,8 +259,10 @@ class MujocoScene:
                     break
         return best, name, where
 
-    def safe_along(self, scene: Scene, path: ArrayLike, *, step_rad: float = 1 / 320, cap: float = 0.05) -> tuple[float, Array]:
-        """Smallest distance of robot and exact hand mesh over the samples of a polyline, its posture; `mesh_distance`'s values."""
+    def safe_along(
+        self, scene: Scene, path: ArrayLike, *, step_rad: float = 1 / 320, cap: float = 0.05
+    ) -> tuple[float, Array]:
+        """Smallest distance of robot and exact hand mesh over a polyline's samples, its posture; `mesh_distance`'s values."""
         triangles = hand_triangles(scene, self.staged)
         best, where, free, last = cap, np.asarray(path, np.float64)[0], 0.0, None
         for q in samples(path, step_rad):
@@ -470,7 +315,7 @@ def samples(path: ArrayLike, step_rad: float) -> Iterator[Array]:
     """Postures along a polyline (W, 6), all waypoints among them, neighbours at most `step_rad` apart (L2), float64."""
     path = np.asarray(path, np.float64)
     yield path[0]
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in pairwise(path):
         n = max(1, int(np.ceil(np.linalg.norm(b - a) / step_rad)))
         for k in range(1, n + 1):
             yield a + (b - a) * (k / n)
@@ -497,7 +342,15 @@ def random_stages(scene: Scene, rng: np.random.Generator, n: int) -> tuple[list[
         middle = scene.hands.vertices[hand].numpy().mean(0)
         T[:3, 3] = p + away - T[:3, :3] @ middle
         T_obj_ee = _random_pose(rng, rng.normal(size=3) * 0.03)
-        stages.append(Staged(int(rng.integers(len(scene.objects))), hand, _single(T_obj_ee), _single(T), float(np.float32(rng.uniform(0.004, 0.085)))))
+        stages.append(
+            Staged(
+                int(rng.integers(len(scene.objects))),
+                hand,
+                _single(T_obj_ee),
+                _single(T),
+                float(np.float32(rng.uniform(0.004, 0.085))),
+            )
+        )
         postures[k] = q
     return stages, postures
 

@@ -5,6 +5,7 @@ at every sample of every path. Contacts miss bodies that overlap deeply; a motio
 overlaps first, so dense samples do not.
 """
 
+import time
 from dataclasses import dataclass
 
 import mujoco
@@ -132,7 +133,8 @@ def motion_samples(path: Array, times: Array, config: ExecConfig, step_rad: floa
         t = np.linspace(0, total, n + 1)[1:]
         ramp = min(v / a, total / 2)
         back = total - t
-        s = np.where(t < ramp, a * t * t / 2, np.where(back < ramp, whole - a * back * back / 2, a * ramp * ramp / 2 + a * ramp * (t - ramp)))
+        cruise = a * ramp * ramp / 2 + a * ramp * (t - ramp)
+        s = np.where(t < ramp, a * t * t / 2, np.where(back < ramp, whole - a * back * back / 2, cruise))
         out.append(path[k] + (s / whole)[:, None] * delta)
     return np.concatenate(out)
 
@@ -147,11 +149,16 @@ class OmplPath:
 
 
 def ompl_solve(
-    checker: Checker, goals: Array, lower: Array, upper: Array, *, budget_s: float, resolution_rad: float = 1 / 64, range_rad: float = 1.5
+    checker: Checker,
+    goals: Array,
+    lower: Array,
+    upper: Array,
+    *,
+    budget_s: float,
+    resolution_rad: float = 1 / 64,
+    range_rad: float = 1.5,
 ) -> OmplPath:
     """RRTConnect from home to any of the goals (G, 6), straight joint-space steps checked every `resolution_rad`."""
-    import time
-
     ou.setLogLevel(ou.LogLevel.LOG_NONE)
     space = ob.RealVectorStateSpace(6)
     bounds = ob.RealVectorBounds(6)

@@ -4,7 +4,7 @@
 gripper coming from the robot's side. They are not chosen by looking at verdicts, so some fail.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 
 import numpy as np
@@ -20,7 +20,7 @@ from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.plan import Plan, plan_paths
 from r2h_batch.scene import Placed, Scene
 from r2h_batch.trials import trials_with_ids
-from r2h_batch.types import Trials
+from r2h_batch.types import Scores, Trials
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Problems:
 
 
 def make_batch(scene: Scene, n: int, *, seed: int = 0, random_share: float = 0.5) -> Batch:
-    """Trials 0 to n - 1 (S0 and S1 by turns); predictions `random` (benchmark's bound) or sensible, by a coin keyed by the seed."""
+    """Trials 0 to n - 1 (S0 and S1 by turns); predictions `random` (as the benchmark's bound) or sensible, by a coin."""
     trials = trials_with_ids(torch.arange(n), objects=scene.objects, hand_set=scene.hands.set)
     rng = np.random.default_rng(seed)
     random = rng.random(n) < random_share
@@ -81,7 +81,9 @@ def make_batch(scene: Scene, n: int, *, seed: int = 0, random_share: float = 0.5
 def solve(scene: Scene, batch: Batch, config: PlanConfig | None = None, *, threads: int | None = None) -> Problems:
     """Grasp, placing, IK and planning of a batch, in the Evaluator's order and with its random keys."""
     t = batch.trials
-    T_obj_ee, T_world_ee, T_world_hand = (se3.orthonormalise(T) for T in (batch.T_obj_ee, batch.T_world_ee, t.T_world_hand))
+    T_obj_ee, T_world_ee, T_world_hand = (
+        se3.orthonormalise(T) for T in (batch.T_obj_ee, batch.T_world_ee, t.T_world_hand)
+    )
     grasp = close_gripper(scene.grasp_tables, T_obj_ee, t.object_index, threads=threads)
     attached = attach(T_obj_ee, grasp.shift_m)
     placed = scene.place(t.object_index, t.hand_index, attached, T_world_hand, grasp.opening_m, threads=threads)
@@ -97,6 +99,15 @@ def solve(scene: Scene, batch: Batch, config: PlanConfig | None = None, *, threa
 def default_evaluator() -> Evaluator:
     """One Evaluator for all tests of a process."""
     return Evaluator(EvalConfig())
+
+
+def assert_same(a: Scores, b: Scores) -> None:
+    """Bitwise equal, NaN equal to NaN; only t_plan_s is a measured time."""
+    for f in fields(Scores):
+        x, y = getattr(a, f.name), getattr(b, f.name)
+        assert x.shape == y.shape and x.dtype == y.dtype and x.device == y.device, f.name
+        if f.name != "t_plan_s":
+            assert x.contiguous().numpy().tobytes() == y.contiguous().numpy().tobytes(), f.name
 
 
 def _in_unit_ball(rng: np.random.Generator, n: int) -> np.ndarray:

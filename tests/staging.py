@@ -84,7 +84,9 @@ class Staged:
 
     object_index: int = STICK
     T_obj_ee: np.ndarray = field(default_factory=lambda: hold_across(-0.07))
-    T_world_ee: np.ndarray = field(default_factory=lambda: frame(AHEAD, np.array([0.0, 1, 0]), np.array([0.5, 0, 0.33])))
+    T_world_ee: np.ndarray = field(
+        default_factory=lambda: frame(AHEAD, np.array([0.0, 1, 0]), np.array([0.5, 0, 0.33]))
+    )
     T_world_hand: np.ndarray | None = None
     trial_id: int = 0
 

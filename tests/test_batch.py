@@ -5,7 +5,7 @@ from functools import cache
 
 import pytest
 import torch
-from problems import Batch, default_evaluator, make_batch
+from problems import Batch, assert_same, default_evaluator, make_batch
 
 from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
@@ -36,15 +36,6 @@ def evaluator_with(chunk: int, threads: int | None) -> Evaluator:
     base = default_evaluator()
     twin.config, twin.scene, twin.threads = replace(base.config, chunk=chunk), base.scene, threads
     return twin
-
-
-def assert_same(a: Scores, b: Scores) -> None:
-    """Bitwise equal, NaN equal to NaN; only t_plan_s is a measured time."""
-    for f in fields(Scores):
-        x, y = getattr(a, f.name), getattr(b, f.name)
-        assert x.shape == y.shape and x.dtype == y.dtype and x.device == y.device, f.name
-        if f.name != "t_plan_s":
-            assert x.contiguous().numpy().tobytes() == y.contiguous().numpy().tobytes(), f.name
 
 
 def test_the_reference_batch_holds_every_kind_of_row():

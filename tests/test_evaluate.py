@@ -1,12 +1,12 @@
-"""Every verdict and every Plan reason from a scene built to give exactly that; inputs that must be refused."""
+"""Every verdict and every Plan reason from a scene built to give exactly that."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from oracle import mujoco_scene
 from oracle import Staged as Twin
+from oracle import mujoco_scene
 from planning_twins import Checker, dense, recheck
 from problems import default_evaluator, make_batch
 from staging import (
@@ -32,7 +32,7 @@ from staging import (
 from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
 from r2h_batch.grasp import attach, close_gripper
 from r2h_batch.ik import solve_ik
-from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Scores, Trials
+from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Scores
 
 Y = np.array([0.0, 1, 0])
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)
@@ -92,7 +92,9 @@ def test_a_stick_held_low_before_an_open_palm_is_a_success(item):
     assert s.evaluated[0].tolist() == [True, True, True, s1, True]
     assert s.passed[0].tolist() == [True, True, True, s1, True]
     assert (s.margin[0][s.evaluated[0]] > 0).all() and torch.isnan(s.margin[0][~s.evaluated[0]]).all()
-    assert float(s.width_m[0]) == pytest.approx(0.02, abs=1e-5) and float(s.opening_m[0]) == pytest.approx(0.02, abs=1e-5)
+    assert float(s.width_m[0]) == pytest.approx(0.02, abs=1e-5) and float(s.opening_m[0]) == pytest.approx(
+        0.02, abs=1e-5
+    )
     assert float(s.margin[0, STABILITY]) == pytest.approx(0.065, abs=1e-5)
     # the stick's axis passes through c_h: the whole ball's radius is left
     assert float(s.margin[0, REACH]) == pytest.approx(0.10, abs=1e-5)
@@ -106,22 +108,19 @@ def test_a_stick_held_low_before_an_open_palm_is_a_success(item):
 
 
 @pytest.mark.parametrize(
-    ("item", "margin"),
+    ("item", "width", "margin"),
     [
-        (GOOD.but(object_index=CUBE, T_obj_ee=hold_across(0.0)), -0.015),
-        (GOOD.but(T_obj_ee=hold_across(-0.2)), -0.085),
-        (GOOD.but(T_obj_ee=moved(hold_across(-0.07), y=0.045)), None),
+        (GOOD.but(object_index=CUBE, T_obj_ee=hold_across(0.0)), 0.10, -0.015),
+        (GOOD.but(T_obj_ee=hold_across(-0.2)), np.nan, -0.085),
+        (GOOD.but(T_obj_ee=moved(hold_across(-0.07), y=0.045)), 0.02, -0.0042),
     ],
     ids=["too wide", "nothing between the pads", "open finger cuts"],
 )
-def test_unstable_grasps_are_dropped(item, margin):
+def test_unstable_grasps_are_dropped(item, width, margin):
     s = judge(item)
     assert verdict(s)[0] == "STABILITY" and not s.success[0]
-    assert float(s.margin[0, STABILITY]) < 0
-    if margin is not None:
-        assert float(s.margin[0, STABILITY]) == pytest.approx(margin, abs=1e-4)
-    if "cube" not in str(item.object_index) and item.object_index != CUBE and margin is not None:
-        assert torch.isnan(s.width_m[0])  # nothing is held
+    assert float(s.width_m[0]) == pytest.approx(width, abs=1e-5, nan_ok=True)
+    assert float(s.margin[0, STABILITY]) == pytest.approx(margin, abs=1e-4)
 
 
 # --- plan ----------------------------------------------------------------------------------------------------------
@@ -144,7 +143,9 @@ def test_a_start_in_collision_names_the_pair(pair):
 
 
 GOAL = {
-    "HAND": GOOD.but(T_world_ee=frame(AHEAD, Y, np.array([0.65, 0, 0.25])), T_world_hand=hand_at(np.array([0.66, 0, 0.25]), BACK, UP)),
+    "HAND": GOOD.but(
+        T_world_ee=frame(AHEAD, Y, np.array([0.65, 0, 0.25])), T_world_hand=hand_at(np.array([0.66, 0, 0.25]), BACK, UP)
+    ),
     "TABLE": GOOD.but(T_world_ee=frame(DOWN, Y, np.array([0.4, 0, 0.0])), T_world_hand=OUT_OF_THE_WAY),
     "SELF": GOOD.but(T_world_ee=frame(AHEAD, Y, np.array([0.0, 0, 0.3])), T_world_hand=OUT_OF_THE_WAY),
     "OBJECT_HAND": GOOD.but(
@@ -191,7 +192,11 @@ def assert_no_path(s: Scores) -> None:
     assert float(s.margin[0, PLAN]) == -np.inf and not s.passed[0, PLAN]
     assert not s.evaluated[0, SAFE] and torch.isnan(s.margin[0, SAFE])
     assert int(s.path_len[0]) == 0 and torch.isnan(s.q_goal[0]).all() and torch.isnan(s.t_exec_s[0])
-    assert s.witness_part[0].tolist() == [-1, -1] and torch.isnan(s.witness_time_s[0]) and torch.isnan(s.witness_point[0]).all()
+    assert (
+        s.witness_part[0].tolist() == [-1, -1]
+        and torch.isnan(s.witness_time_s[0])
+        and torch.isnan(s.witness_point[0]).all()
+    )
 
 
 # --- reach, affordance ---------------------------------------------------------------------------------------------
@@ -246,7 +251,7 @@ def test_a_planned_path_with_exact_edges_is_safe_because_pieces_enclose_the_hand
     found = s.path_len > 0
     assert found.sum() > 200
     assert (s.passed[:, SAFE] == found).all()
-    clear = found & (s.margin[:, PLAN] < 0.049) & ((s.plan_pair == int(CollidingPair.HAND)))
+    clear = found & (s.margin[:, PLAN] < 0.049) & (s.plan_pair == int(CollidingPair.HAND))
     assert clear.any() and (s.margin[clear, SAFE] >= s.margin[clear, PLAN] - 3e-5).all()
 
 
@@ -269,143 +274,3 @@ def test_the_verdict_is_the_first_failure_in_the_papers_order_and_the_others_are
     assert s.passed[2].tolist()[:3] == [False, False, False]
     assert s.evaluated[:, :4].all()
     assert s.passed.shape == (3, len(CRITERIA))
-
-
-# --- bad rows ------------------------------------------------------------------------------------------------------
-
-
-def spoiled(T: torch.Tensor, how: str) -> torch.Tensor:
-    T = T.clone()
-    if how == "nan":
-        T[0, 1] = torch.nan
-    elif how == "inf":
-        T[2, 3] = torch.inf
-    elif how == "reflection":
-        T[:3, 0] *= -1
-    elif how == "scale":
-        T[:3, :3] *= 1.01
-    elif how == "zero rotation":
-        T[:3, :3] = 0
-    elif how == "bottom row":
-        T[3, 0] = 0.1
-    elif how == "bottom corner":
-        T[3, 3] = 2.0
-    elif how == "far away":
-        T[0, 3] = 1e9
-    return T
-
-
-HOW = ("nan", "inf", "reflection", "scale", "zero rotation", "bottom row", "bottom corner", "far away")
-
-
-@pytest.mark.parametrize("which", ["T_obj_ee", "T_world_ee", "T_world_hand"])
-def test_rows_that_are_no_pose_are_invalid_and_leave_their_neighbours_untouched(which):
-    evaluator = default_evaluator()
-    good = make_batch(evaluator.scene, 2 * len(HOW), random_share=0.3)
-    bad_rows = torch.arange(0, 2 * len(HOW), 2)
-    tensors = {"T_obj_ee": good.T_obj_ee.clone(), "T_world_ee": good.T_world_ee.clone(), "T_world_hand": good.trials.T_world_hand.clone()}
-    for row, how in zip(bad_rows.tolist(), HOW, strict=True):
-        tensors[which][row] = spoiled(tensors[which][row], how)
-    trials = replace(good.trials, T_world_hand=tensors["T_world_hand"])
-    s = evaluator.score(tensors["T_obj_ee"], tensors["T_world_ee"], trials)
-    bad = s[bad_rows]
-    assert (bad.outcome == int(Outcome.INVALID_INPUT)).all() and not bad.success.any()
-    assert torch.isnan(bad.margin).all() and not bad.passed.any() and not bad.evaluated.any() and not bad.borderline.any()
-    assert (bad.plan_reason == int(PlanReason.NOT_EVALUATED)).all() and (bad.plan_pair == 0).all()
-    for name in ("t_plan_s", "t_exec_s", "q_goal", "width_m", "opening_m", "grasp_shift_m", "witness_time_s", "witness_point"):
-        assert torch.isnan(getattr(bad, name)).all(), name
-    assert (bad.path_len == 0).all() and (bad.witness_part == -1).all()
-    kept = bad_rows + 1
-    alone = evaluator.score(good.T_obj_ee[kept], good.T_world_ee[kept], good.trials[kept])
-    assert_same(s[kept], alone)
-
-
-def assert_same(a: Scores, b: Scores) -> None:
-    """Bitwise equal, NaN equal to NaN; t_plan_s is a measured time."""
-    from dataclasses import fields
-
-    for f in fields(Scores):
-        if f.name == "t_plan_s":
-            continue
-        x, y = getattr(a, f.name), getattr(b, f.name)
-        assert x.shape == y.shape and x.dtype == y.dtype, f.name
-        assert x.contiguous().numpy().tobytes() == y.contiguous().numpy().tobytes(), f.name
-
-
-def test_a_rotation_off_by_less_than_a_thousandth_is_accepted_as_its_nearest_neighbour():
-    item = GOOD
-    T_obj_ee, T_world_ee, trials = batch_of([item])
-    for T in (T_obj_ee, T_world_ee, trials.T_world_hand):
-        T[:, :3, :3] *= 1.0004  # R R^T is off by 8e-4
-    s = staged_evaluator().score(T_obj_ee, T_world_ee, trials)
-    clean = judge(item)
-    assert verdict(s) == verdict(clean)
-    torch.testing.assert_close(s.margin, clean.margin, atol=1e-5, rtol=0, equal_nan=True)
-
-
-# --- refused before any work ---------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def no_work(monkeypatch):
-    """Fails the test if a stage is entered."""
-
-    def refuse(*_, **__):
-        raise AssertionError("work was done before the input was checked")
-
-    monkeypatch.setattr("r2h_batch.evaluate.close_gripper", refuse)
-    monkeypatch.setattr("r2h_batch.evaluate.solve_ik", refuse)
-
-
-def wrong_inputs() -> dict:
-    T_obj_ee, T_world_ee, trials = batch_of([GOOD, GOOD])
-    return {
-        "single pose": (T_obj_ee[0], T_world_ee, trials, ValueError, "T_obj_ee"),
-        "3 x 4": (T_obj_ee, T_world_ee[:, :3], trials, ValueError, "T_world_ee"),
-        "too few rows": (T_obj_ee[:1], T_world_ee, trials, ValueError, "T_obj_ee"),
-        "too many rows": (T_obj_ee, torch.cat([T_world_ee, T_world_ee]), trials, ValueError, "T_world_ee"),
-        "float64": (T_obj_ee.double(), T_world_ee, trials, TypeError, "T_obj_ee"),
-        "integers": (T_obj_ee, T_world_ee.int(), trials, TypeError, "T_world_ee"),
-        "half": (T_obj_ee, T_world_ee.half(), trials, TypeError, "T_world_ee"),
-        "numpy": (T_obj_ee.numpy(), T_world_ee, trials, TypeError, "T_obj_ee"),
-        "none": (T_obj_ee, None, trials, TypeError, "T_world_ee"),
-        "meta device": (T_obj_ee.to("meta"), T_world_ee, trials, ValueError, "T_obj_ee"),
-        "hand pose shape": (T_obj_ee, T_world_ee, replace(trials, T_world_hand=trials.T_world_hand[:1]), ValueError, "T_world_hand"),
-        "hand pose dtype": (T_obj_ee, T_world_ee, replace(trials, T_world_hand=trials.T_world_hand.double()), TypeError, "T_world_hand"),
-        "object dtype": (T_obj_ee, T_world_ee, replace(trials, object_index=trials.object_index.long()), (TypeError, ValueError), "object_index"),
-        "object shape": (T_obj_ee, T_world_ee, replace(trials, object_index=trials.object_index[:1]), ValueError, "object_index"),
-        "object 99": (T_obj_ee, T_world_ee, replace(trials, object_index=trials.object_index + 99), ValueError, "object_index"),
-        "object -1": (T_obj_ee, T_world_ee, replace(trials, object_index=trials.object_index - 5), ValueError, "object_index"),
-        "hand 9999": (T_obj_ee, T_world_ee, replace(trials, hand_index=trials.hand_index + 9999), ValueError, "hand_index"),
-        "object on meta": (T_obj_ee, T_world_ee, replace(trials, object_index=trials.object_index.to("meta")), ValueError, "object_index"),
-        "no trials": (T_obj_ee, T_world_ee, None, TypeError, "trials"),
-    }
-
-
-@pytest.mark.parametrize("case", wrong_inputs())
-def test_wrong_inputs_are_refused_by_name_before_any_work(case, no_work):
-    T_obj_ee, T_world_ee, trials, error, name = wrong_inputs()[case]
-    with pytest.raises(error, match=name):
-        staged_evaluator().score(T_obj_ee, T_world_ee, trials)
-
-
-def test_gradients_strides_and_views_change_nothing():
-    T_obj_ee, T_world_ee, trials = batch_of([GOOD, GOOD.but(object_index=TOOL), START["HAND"]])
-    evaluator = staged_evaluator()
-    plain = evaluator.score(T_obj_ee, T_world_ee, trials)
-    assert_same(plain, evaluator.score(T_obj_ee.clone().requires_grad_(), T_world_ee.clone().requires_grad_(), trials))
-
-    def strided(x: torch.Tensor) -> torch.Tensor:
-        wide = torch.zeros(len(x), 2, *x.shape[1:], dtype=x.dtype)
-        wide[:, 1] = x
-        return wide[:, 1]
-
-    def transposed(T: torch.Tensor) -> torch.Tensor:
-        return T.transpose(1, 2).contiguous().transpose(1, 2)
-
-    other = Trials(
-        strided(trials.trial_id), strided(trials.object_index), strided(trials.hand_index), transposed(trials.T_world_hand)
-    )
-    assert not other.T_world_hand.is_contiguous()
-    assert_same(plain, evaluator.score(transposed(T_obj_ee), strided(T_world_ee), other))
-    assert not plain.path.requires_grad

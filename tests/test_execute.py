@@ -41,7 +41,9 @@ def made_paths(rng: np.random.Generator, n: int, width: int = 8) -> tuple[torch.
     return torch.from_numpy(path), torch.from_numpy(length.astype(np.int32))
 
 
-def passing_times(path: torch.Tensor, length: torch.Tensor, motion: Motion, row: int, fractions: np.ndarray, config=LAW):
+def passing_times(
+    path: torch.Tensor, length: torch.Tensor, motion: Motion, row: int, fractions: np.ndarray, config=LAW
+):
     """Times (S, F) at which a row's path passes fractions of its segments."""
     n = int(length[row]) - 1
     k = n * len(fractions)

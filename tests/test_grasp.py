@@ -480,6 +480,13 @@ def test_rows_do_not_depend_on_batch_order_or_threads(count: int) -> None:
         assert torch.equal(torch.nan_to_num(again), torch.nan_to_num(far[rows]))
 
 
+def test_no_rows_left_by_a_filter_are_no_rows() -> None:
+    T, index = _grasps(4, seed=0)
+    none = torch.zeros(4, dtype=torch.bool)
+    empty = close_gripper(_tables(), T[none].contiguous(), index[none])
+    assert all(len(getattr(empty, name)) == 0 for name in ("width_m", "opening_m", "cut_m", "margin_m"))
+
+
 def test_wrong_shapes_types_and_indices_are_refused() -> None:
     T, index = _grasps(4, seed=0)
     bad = [((T[:, :3].contiguous(), index), "T_obj_ee"), ((T.double(), index), "T_obj_ee")]

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
 from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.assets.hand.build_handset import (
     JOINT_RANGE_DEG,
@@ -28,8 +31,6 @@ from r2h_batch.hand import (
     palm_frame,
     rotation_from_axis_angle,
 )
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 MIRROR = np.array([-1.0, 1.0, 1.0])
 SAMPLE = range(0, 400, 21)  # 20 hands: both sides, every posture

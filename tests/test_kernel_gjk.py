@@ -2,6 +2,7 @@
 
 import itertools
 
+import convex_twin
 import mujoco
 import numpy as np
 import oracle
@@ -83,8 +84,16 @@ class Pairs:
     def __init__(self, kinds_a, kinds_b, rng, *, smallest=2e-3, largest=0.12):
         n = len(kinds_a)
         self.kinds = (np.asarray(kinds_a), np.asarray(kinds_b))
-        self.sizes = [np.exp(rng.uniform(np.log(smallest), np.log(largest), (n, 3))).astype(np.float32) for _ in range(2)]
-        self.points = [[self._hull(s, rng) if k == Kind.HULL else np.zeros((1, 3), np.float32) for k, s in zip(kk, ss, strict=True)] for kk, ss in zip(self.kinds, self.sizes, strict=True)]
+        self.sizes = [
+            np.exp(rng.uniform(np.log(smallest), np.log(largest), (n, 3))).astype(np.float32) for _ in range(2)
+        ]
+        self.points = [
+            [
+                self._hull(s, rng) if k == Kind.HULL else np.zeros((1, 3), np.float32)
+                for k, s in zip(kk, ss, strict=True)
+            ]
+            for kk, ss in zip(self.kinds, self.sizes, strict=True)
+        ]
         self.R = Rotation.random(n, random_state=rng).as_matrix().astype(np.float32)
         self.p = (rng.normal(size=(n, 3)) * 0.15).astype(np.float32)
 
@@ -124,7 +133,10 @@ class Pairs:
         if cells:
             hull = self.kinds[0] == Kind.HULL
             sizes[0] = np.where(hull[:, None], -1.0, sizes[0]).astype(np.float32)
-            points_of[0] = [bounds.support_cells(x.astype(np.float64)).astype(np.float32) if h else x for x, h in zip(points_of[0], hull, strict=True)]
+            points_of[0] = [
+                bounds.support_cells(x.astype(np.float64)).astype(np.float32) if h else x
+                for x, h in zip(points_of[0], hull, strict=True)
+            ]
         R, p = self.R, self.p
         first, second = 0, 1
         if swap:
@@ -135,10 +147,31 @@ class Pairs:
         for k in (first, second):
             start = np.cumsum([0] + [len(x) for x in points_of[k]]).astype(np.int32)
             points = np.concatenate(points_of[k])
-            args.append([wp.array(self.kinds[k].astype(np.int32), dtype=int), wp.array(sizes[k], dtype=wp.vec3), wp.array(start, dtype=int), wp.array(points, dtype=wp.vec3)])
+            args.append(
+                [
+                    wp.array(self.kinds[k].astype(np.int32), dtype=int),
+                    wp.array(sizes[k], dtype=wp.vec3),
+                    wp.array(start, dtype=int),
+                    wp.array(points, dtype=wp.vec3),
+                ]
+            )
         center = np.stack([x.mean(0) for x in self.points[second]]).astype(np.float32)
         out = [wp.zeros(n, dtype=t) for t in (float, float, wp.vec3, wp.vec3)]
-        wp.launch(pair_distance, n, [needed, relative_gap, *args[0], wp.array(R, dtype=wp.mat33), wp.array(p, dtype=wp.vec3), *args[1], wp.array(center, dtype=wp.vec3), *out], device="cpu")
+        wp.launch(
+            pair_distance,
+            n,
+            [
+                needed,
+                relative_gap,
+                *args[0],
+                wp.array(R, dtype=wp.mat33),
+                wp.array(p, dtype=wp.vec3),
+                *args[1],
+                wp.array(center, dtype=wp.vec3),
+                *out,
+            ],
+            device="cpu",
+        )
         return [x.numpy() for x in out]
 
 
@@ -224,7 +257,7 @@ def test_the_nearest_points_are_points_of_the_bodies_at_that_distance():
         n = len(x)
         T = np.tile(np.eye(4), (n, 1, 1))
         T[:, :3, 3] = x
-        core = oracle.Bodies(body.points, body.disc, np.zeros(n), body.R, body.p)
+        core = convex_twin.Bodies(body.points, body.disc, np.zeros(n), body.R, body.p)
         _, off = oracle.convex_distance(oracle.bodies([0] * n, np.zeros((n, 3)), T), core)
         assert off[apart].max() <= 5e-6
 
@@ -253,15 +286,26 @@ def farthest(
 def test_the_farthest_point_by_direction_is_the_farthest_point(name):
     hull = load_objects([name])[0].hull_vertices
     d = np.random.default_rng(11).normal(size=(20_000, 3))
-    edges = np.linspace(-1, 1, kernel.CELLS_PER_EDGE + 1) if isinstance(kernel.CELLS_PER_EDGE, int) else np.linspace(-1, 1, 7)
-    d[:2000] = np.random.default_rng(12).choice(edges, (2000, 3)) + np.random.default_rng(13).choice([0, 1e-7, -1e-7], (2000, 3))
+    edges = (
+        np.linspace(-1, 1, kernel.CELLS_PER_EDGE + 1)
+        if isinstance(kernel.CELLS_PER_EDGE, int)
+        else np.linspace(-1, 1, 7)
+    )
+    d[:2000] = np.random.default_rng(12).choice(edges, (2000, 3)) + np.random.default_rng(13).choice(
+        [0, 1e-7, -1e-7], (2000, 3)
+    )
     d[2000:2006] = np.concatenate([np.eye(3), -np.eye(3)])
     d = wp.array(d.astype(np.float32), dtype=wp.vec3)
     heights = []
     for cells in (0, 1):
         points = bounds.support_cells(hull.astype(np.float64)) if cells else hull
         out = wp.zeros(len(d), dtype=float)
-        wp.launch(farthest, len(d), [cells, wp.array(points.astype(np.float32), dtype=wp.vec3), len(points), d, out], device="cpu")
+        wp.launch(
+            farthest,
+            len(d),
+            [cells, wp.array(points.astype(np.float32), dtype=wp.vec3), len(points), d, out],
+            device="cpu",
+        )
         heights.append(out.numpy())
     assert (heights[0] - heights[1] <= 1e-7).all()
 
@@ -269,7 +313,7 @@ def test_the_farthest_point_by_direction_is_the_farthest_point(name):
 def test_it_agrees_with_mujoco_c():
     """One model with two geoms per pair of kinds, posed anew for every pair."""
     rng = np.random.default_rng(8)
-    kinds = np.array([k for k in itertools.product((1, 2, 3, 4), repeat=2)])
+    kinds = np.array(list(itertools.product((1, 2, 3, 4), repeat=2)))
     worst, compared = 0.0, 0
     for ka, kb in kinds:
         pairs = Pairs(np.full(150, ka), np.full(150, kb), rng)

@@ -209,7 +209,7 @@ def test_surface_points_lie_on_their_faces_with_their_normals_labels_and_fair_sh
     assert np.abs(model.normals - mesh.face_normals[model.point_face]).max() < 1e-6
     assert (model.point_part == model.face_part[model.point_face]).all()
     share = np.bincount(model.face_part, mesh.area_faces, len(model.part_names)) / mesh.area
-    assert np.abs(np.bincount(model.point_part, minlength=len(share)) / 2048 - share).max() < 0.005
+    assert np.abs(np.bincount(model.point_part, minlength=len(share)) / 2048 - share).max() < 0.012
 
 
 @every_object
@@ -432,8 +432,13 @@ def test_an_open_sheet_is_rebuilt_as_a_hollow_shell_and_the_deviation_is_stated(
 def test_two_faces_of_a_flat_sheet_enclose_nothing_and_are_rebuilt():
     corners = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]
     both = [[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]]
-    model, said = built(trimesh.Trimesh(corners, both, process=False))
-    assert "rebuilt" in said and model.mesh.volume > 0.5e-5 * 0.1
+    sheet = trimesh.Trimesh(corners, both, process=False)
+    model, said = built(sheet)
+    assert "open sheets made" in said and model.mesh.volume > 0.5e-5 * 0.1
+    wire = trimesh.creation.cylinder(2e-4, 0.1, sections=8)
+    wire.apply_translation((0.0507, 0.0491, 0.05))
+    model, said = built(trimesh.util.concatenate([sheet, wire]))
+    assert "to keep thin parts" in said and model.mesh.bounds[1, 2] > 0.099
 
 
 def test_overlapping_bodies_are_united_and_a_cavity_stays():

@@ -64,10 +64,10 @@ def judge_paths(p: Problems) -> int:
         assert np.linalg.norm(np.diff(samples, axis=0), axis=1).max() <= 1 / 320 * 1.0001
         assert np.abs(samples[-1] - path[-1]).max() < 1e-6
         seen = recheck(checker, samples)
-        goal_free, goal_hand = checker.hand_clearance(path[-1])
+        goal_hand = checker.hand_clearance(path[-1])[1]
         if seen.penetrating:
             penetrating.append((row, seen.penetrating, checker.classes(seen.where)))
-        if seen.hand_m < min(0.003, goal_hand - GOAL_ROOM_M) - CONTACT_M and seen.hand_m < 0.5 * goal_hand - CONTACT_M:
+        if seen.hand_m < min(0.003, goal_hand - GOAL_ROOM_M) - CONTACT_M:
             too_near.append((row, seen.hand_m, goal_hand))
     assert not penetrating, penetrating
     assert not too_near, too_near
@@ -107,7 +107,7 @@ def test_the_reported_clearance_is_the_smallest_of_the_motion():
     p = problems(512)
     rows = np.flatnonzero(p.plan.length.numpy() > 0)[::10]
     for row in rows:
-        sampled, kind, q = mujoco_scene(default_evaluator().scene, staged(p, row)).least_along(
+        sampled, kind, _ = mujoco_scene(default_evaluator().scene, staged(p, row)).least_along(
             waypoints(p, row), step_rad=1 / 100, cap=CLEARANCE_CAP_M
         )
         reported = float(p.plan.clearance_m[row])
@@ -226,7 +226,9 @@ def test_one_goal_is_the_branch_a_jacobian_solver_reaches_from_home():
             continue
         apart = np.abs((p.ik.q[row].numpy() - q + np.pi) % (2 * np.pi) - np.pi).max(1)
         checked += 1
-        same += bool(np.nanargmin(np.where(p.ik.valid[row].numpy(), apart, np.nan)) == int(one[row].to(torch.int8).argmax()))
+        same += bool(
+            np.nanargmin(np.where(p.ik.valid[row].numpy(), apart, np.nan)) == int(one[row].to(torch.int8).argmax())
+        )
     assert checked > 40 and same >= 0.95 * checked
 
 
@@ -236,7 +238,9 @@ def jacobian_ik(robot, target: np.ndarray) -> np.ndarray | None:
 
     def error(q):
         at = ee_pose(robot, q)
-        return np.concatenate([target[:3, 3] - at[:3, 3], Rotation.from_matrix(target[:3, :3] @ at[:3, :3].T).as_rotvec()])
+        return np.concatenate(
+            [target[:3, 3] - at[:3, 3], Rotation.from_matrix(target[:3, :3] @ at[:3, :3].T).as_rotvec()]
+        )
 
     def motion(q, j):
         h = np.zeros(6)
@@ -309,4 +313,3 @@ def test_solving_ik_again_gives_the_goals_that_were_planned_to():
     p = problems(512)
     again = solve_ik(p.batch.T_world_ee)
     assert torch.equal(again.valid, p.ik.valid)
-

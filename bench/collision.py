@@ -1,0 +1,246 @@
+"""How fast and how right is a yes-or-no collision check? Own kernel, MuJoCo C and mujoco-warp on the same configurations.
+
+python bench/collision.py [--trials N] [--per-trial M] [--json FILE]
+
+Trials of r2h-v0 with their object in the gripper (tests/problems.py: half random, half sensible predictions). Half of the
+configurations of a trial are uniform in the box that the planner samples (home +- pi), half lie within 0.2 rad of
+straight lines from home to the IK solutions of the handover pose. Every engine does forward kinematics and checks the same
+pairs: robot against hand pieces, table and itself, object hull against hand, table and arm. `_noself`: without the
+robot's and the object's pairs with the robot.
+
+Times are process time of one thread, the best of several runs, taken in turns; other work on the machine counts little.
+MuJoCo C runs mj_kinematics and mj_collision; what the Python loop around them costs is measured on an empty model and taken
+off. mujoco-warp runs kinematics and collision from a captured graph, one world per configuration; conversion is not
+counted. A disagreement counts when MuJoCo C's distance of that configuration is more than 0.1 mm from zero.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import torch
+import warp as wp
+from _report import Report, arguments
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+import oracle
+from problems import make_batch, solve
+
+from r2h_batch.config import HOME_Q, EvalConfig
+from r2h_batch.kernels.check import FREE
+from r2h_batch.kernels.edge import edge
+from r2h_batch.kernels.world import TrialBodies, World, vec6
+from r2h_batch.launch import launch_trials
+from r2h_batch.scene import Scene
+
+BAND_M = 1e-4
+REPEATS = 5
+SELF = ("self", "object_robot")
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def is_free(
+    first: int,
+    per_trial: int,
+    world: World,
+    bodies: TrialBodies,
+    q_in: wp.array2d(dtype=float),
+    free_out: wp.array(dtype=wp.bool),
+):
+    row = first + wp.tid()
+    q = vec6(q_in[row, 0], q_in[row, 1], q_in[row, 2], q_in[row, 3], q_in[row, 4], q_in[row, 5])
+    found = edge(world, bodies, row / per_trial, q, q, 0.0, 0.0, 0.0, 0.0, 3, 0)
+    free_out[row] = found.status == FREE
+
+
+def configurations(scene: Scene, n: int, per_trial: int, seed: int = 0):
+    """Planning problems and postures (n, per_trial, 6), float32 values in float64."""
+    rng = np.random.default_rng(seed)
+    problems = solve(scene, make_batch(scene, n, seed=seed), threads=1)
+    home = np.array(HOME_Q)
+    q = home + rng.uniform(-np.pi, np.pi, (n, per_trial, 6))
+    valid, branches = problems.ik.valid.numpy(), problems.ik.q.numpy()
+    for k in range(n):
+        ends = branches[k][valid[k]]
+        if len(ends):
+            m = per_trial - per_trial // 2
+            along = rng.uniform(0, 1.05, (m, 1))
+            q[k, :m] = home + along * (ends[rng.integers(0, len(ends), m)] - home) + rng.uniform(-0.2, 0.2, (m, 6))
+    return problems, q.astype(np.float32).astype(np.float64)
+
+
+def twin_of(scene: Scene, problems, row: int) -> oracle.MujocoScene:
+    t = problems.batch.trials
+    double = lambda T: T[row].double().numpy()  # noqa: E731
+    staged = oracle.Staged(
+        int(t.object_index[row]), int(t.hand_index[row]), double(problems.T_obj_ee_attached), double(t.T_world_hand),
+        float(problems.opening_m[row]),
+    )  # fmt: skip
+    return oracle.mujoco_scene(scene, staged)
+
+
+def let_collide(twin: oracle.MujocoScene, classes: tuple[str, ...]) -> mujoco.MjModel:
+    """The twin's model with contacts between exactly the pairs of these classes (MuJoCo's bit masks)."""
+    m = twin.model
+    groups = [*twin.robot.links, "object", "hand", "table"]
+    of = np.zeros(m.ngeom, int)
+    for i, name in enumerate(groups):
+        of[[m.geom(g).id for g in twin.groups[name]]] = i
+    partners = np.zeros(len(groups), int)
+    for (a, b), k in zip(twin.pairs, twin.pair_class, strict=True):
+        if oracle.CLASSES[k] in classes:
+            partners[of[a]] |= 1 << of[b]
+    m.geom_contype[:] = 1 << of
+    m.geom_conaffinity[:] = partners[of]
+    for body in range(m.nbody):
+        mine = m.geom_bodyid == body
+        m.body_contype[body] = np.bitwise_or.reduce(m.geom_contype[mine], initial=0)
+        m.body_conaffinity[body] = np.bitwise_or.reduce(m.geom_conaffinity[mine], initial=0)
+    m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+    m.opt.ccd_iterations, m.opt.ccd_tolerance = 35, 1e-6  # MuJoCo's own defaults
+    return m
+
+
+def run_c(models, datas, q, free) -> None:
+    for k, (m, d) in enumerate(zip(models, datas, strict=True)):
+        qpos, rows = d.qpos, q[k]
+        for i in range(len(rows)):
+            qpos[:] = rows[i]
+            mujoco.mj_kinematics(m, d)
+            mujoco.mj_collision(m, d)
+            free[k, i] = d.ncon == 0
+
+
+def python_overhead(count: int) -> float:
+    """Process time of the same loop over an almost empty model."""
+    empty = mujoco.MjModel.from_xml_string("<mujoco/>")
+    d, qpos = mujoco.MjData(empty), np.zeros(6)
+    free, rows = np.zeros((1, count), bool), np.zeros((count, 6))
+    times = []
+    for _ in range(3):
+        start = time.process_time()
+        for i in range(count):
+            qpos[:] = rows[i]
+            mujoco.mj_kinematics(empty, d)
+            mujoco.mj_collision(empty, d)
+            free[0, i] = d.ncon == 0
+        times.append(time.process_time() - start)
+    return min(times)
+
+
+class MujocoWarp:
+    """mujoco-warp on the CPU: per trial a model, per configuration a world, kinematics and collision as one graph."""
+
+    def __init__(self, models, datas, q) -> None:
+        import mujoco_warp as mjw
+
+        self.runs = []
+        per_trial = q.shape[1]
+        for k, (m, d) in enumerate(zip(models, datas, strict=True)):
+            model, data = mjw.put_model(m), mjw.put_data(m, d, nworld=per_trial, nconmax=96, njmax=1)
+            wp.copy(data.qpos, wp.array(q[k].astype(np.float32), dtype=float, device="cpu"))
+            mjw.kinematics(model, data)
+            mjw.collision(model, data)
+            with wp.ScopedCapture(device="cpu") as capture:
+                mjw.kinematics(model, data)
+                mjw.collision(model, data)
+            self.runs.append((model, data, capture.graph))
+
+    def run(self) -> None:
+        for _, _, graph in self.runs:
+            wp.capture_launch(graph)
+
+    def free(self) -> tuple[np.ndarray, bool]:
+        """Free or not per configuration, and whether contacts were dropped."""
+        out, dropped = [], False
+        for _, data, _ in self.runs:
+            n = int(data.nacon.numpy()[0])
+            dropped |= n > data.naconmax
+            hit = np.zeros(data.nworld, bool)
+            hit[data.contact.worldid.numpy()[: min(n, data.naconmax)]] = True
+            out.append(~hit)
+        return np.stack(out), dropped
+
+
+def fastest(run, others=()) -> list[float]:
+    """Shortest process time of each run, taken in turns."""
+    times = [[] for _ in range(1 + len(others))]
+    for _ in range(REPEATS):
+        for i, f in enumerate((run, *others)):
+            start = time.process_time()
+            f()
+            times[i].append(time.process_time() - start)
+    return [min(t) for t in times]
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--trials", type=int, default=32)
+    parser.add_argument("--per-trial", type=int, default=320)
+    parser.add_argument(
+        "--no-warp", action="store_true", help="leave mujoco-warp out (its kernels take minutes to compile)"
+    )
+    args = parser.parse_args()
+    torch.set_num_threads(1)
+    report = Report()
+    scene = Scene("cpu", config=EvalConfig())
+    problems, q = configurations(scene, args.trials, args.per_trial)
+    count = q.shape[0] * q.shape[1]
+    report.add("collision.configs", count)
+    flat = wp.array(q.reshape(-1, 6).astype(np.float32), dtype=float, device="cpu")
+    twins = [twin_of(scene, problems, k) for k in range(args.trials)]
+    least = [[t.least(x, cap=2e-3) for x in rows] for t, rows in zip(twins, q, strict=True)]
+    truth = np.array([[x[0] for x in rows] for rows in least])
+    report.add("collision.free_share", float((truth > 0).mean()))
+    report.add("collision.borderline", int((np.abs(truth) < BAND_M).sum()))
+    overhead = python_overhead(count)
+    report.add("collision.mujoco_c_python_us_taken_off", overhead / count * 1e6)
+    with_self = scene.world.self_links
+    for suffix, classes in (("", oracle.CLASSES), ("_noself", tuple(c for c in oracle.CLASSES if c not in SELF))):
+        scene.world.self_links = with_self if suffix == "" else wp.zeros(9, dtype=int, device="cpu")
+        models = [let_collide(t, classes) for t in twins]
+        datas = [t.data for t in twins]
+        own, c_free = wp.zeros(count, dtype=wp.bool, device="cpu"), np.zeros(q.shape[:2], bool)
+
+        def run_own(own=own) -> None:
+            launch_trials(
+                is_free,
+                count,
+                [args.per_trial, scene.world, problems.placed.bodies, flat, own],
+                device="cpu",
+                threads=1,
+                chunk=1024,
+            )
+
+        def run_mujoco(models=models, datas=datas, c_free=c_free) -> None:
+            run_c(models, datas, q, c_free)
+
+        run_own()
+        run_mujoco()
+        warp = None if args.no_warp else MujocoWarp(models, datas, q)
+        times = fastest(run_own, (run_mujoco, *([warp.run] if warp else [])))
+        times[1] -= overhead
+        flags = own.numpy().reshape(q.shape[:2])
+        report.add(f"collision.configs_per_s{suffix}", count / times[0])
+        report.add(f"collision.mujoco_c_configs_per_s{suffix}", count / times[1])
+        report.add(f"collision.ratio_to_mujoco_c{suffix}", times[1] / times[0])
+        if warp:
+            report.add(f"collision.mujoco_warp_configs_per_s{suffix}", count / times[2])
+            report.add(f"collision.ratio_to_mujoco_warp{suffix}", times[2] / times[0])
+        if suffix == "":
+            clear = np.abs(truth) >= BAND_M
+            report.add("collision.disagreements_outside_band", int(((flags != (truth > 0)) & clear).sum()))
+            report.add("collision.mujoco_c_contacts_missed", int((c_free & (truth < -BAND_M)).sum()))
+            if warp:
+                hits, dropped = warp.free()
+                report.add("collision.mujoco_warp_disagreements", int(((hits != (truth > 0)) & clear).sum()))
+                report.add("collision.mujoco_warp_dropped_contacts", dropped)
+    report.write(args.json)
+
+
+if __name__ == "__main__":
+    main()

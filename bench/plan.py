@@ -1,0 +1,187 @@
+"""How many problems does the planner solve, how fast, and are its paths free? Against OMPL's RRTConnect on MuJoCo C.
+
+python bench/plan.py [--problems N] [--device cpu|cuda:0] [--json FILE]
+
+Problems: rows of the frozen mix (bench/mix.npz, see throughput.py) whose start and at least one IK branch are free in
+MuJoCo C; both planners get the same start and goals. Ours is timed over the batch with everything from placing the
+bodies on (goal checks, search, shortcuts, smallest clearance; IK apart); OMPL inside solve() only, without simplification,
+its model made beforehand. OMPL's states are checked by MuJoCo C through a Python callback; us_per_check says what one
+costs with the callback. Its edges are sampled every 1/64 rad. A problem counts as solved by OMPL if its path passes the
+re-check at 1/320 rad. Our paths are certified between samples too, are shortened, and carry their smallest clearance;
+us_search_core leaves those two extras out.
+
+ratio_to_ompl: process times, one core each, the median of OMPL over our mean per problem: other work on the machine counts
+little. ratio_to_ompl_wall: wall times, ours on all cores. ratio_to_ompl_search: with us_search_core. ratio_to_ompl_fine:
+OMPL's edges sampled every 1/320 rad, as finely as the re-check.
+"""
+
+import statistics
+import sys
+import time
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import torch
+from _report import Report, arguments
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+from planning_twins import Checker, checker_of, dense, motion_samples, ompl_solve, recheck
+from problems import Batch, Problems, solve
+
+from r2h_batch import plan
+from r2h_batch.config import HOME_Q, EvalConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.execute import time_path
+from r2h_batch.ik import solve_ik
+from r2h_batch.launch import launch_trials
+from r2h_batch.scene import Scene
+from r2h_batch.trials import trials_with_ids
+
+MIX = Path(__file__).with_name("mix.npz")
+REPEATS = 3
+
+
+def free_rows(scene: Scene, problems: Problems, wanted: int) -> tuple[list[int], list[Checker], list[np.ndarray]]:
+    """Rows, judges and goals of the first problems whose start and at least one goal are free in MuJoCo C."""
+    rows, checkers, goals = [], [], []
+    for row in range(len(problems.batch)):
+        if len(rows) == wanted:
+            break
+        checker = checker_of(scene, problems, row)
+        free = [q for q in problems.ik.q[row][problems.ik.valid[row]].double().cpu().numpy() if checker.valid(q)]
+        if free and checker.valid(HOME_Q):
+            rows.append(row)
+            checkers.append(checker)
+            goals.append(np.array(free))
+    return rows, checkers, goals
+
+
+def planned(scene: Scene, batch: Batch, threads: int | None, clock) -> tuple[Problems, float]:
+    """The batch solved, and the best time of several runs without the IK's (measured apart, subtracted)."""
+    best = float("inf")
+    for _ in range(REPEATS):
+        start = clock()
+        problems = solve(scene, batch, threads=threads)
+        middle = clock()
+        solve_ik(batch.T_world_ee, threads=threads)
+        best = min(best, (middle - start) - (clock() - middle))
+    return problems, best
+
+
+def kernel_seconds(scene: Scene, batch: Batch) -> dict[str, float]:
+    """Process time in each planning kernel, one thread, seconds for the batch."""
+    spent: dict[str, float] = {}
+
+    def timed(kernel, *args, **kwargs) -> None:
+        start = time.process_time()
+        launch_trials(kernel, *args, **kwargs)
+        spent[kernel.key] = spent.get(kernel.key, 0.0) + time.process_time() - start
+
+    with mock.patch.object(plan, "launch_trials", timed):
+        solve(scene, batch, threads=1)
+    return spent
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--problems", type=int, default=300)
+    parser.add_argument("--budget-s", type=float, default=10.0, help="OMPL's time for one problem")
+    parser.add_argument("--resolution-rad", type=float, default=1 / 64, help="OMPL's edge resolution")
+    options = parser.parse_args()
+    report = Report()
+    scene = Evaluator(EvalConfig(), device=options.device).scene
+    with np.load(MIX, allow_pickle=False) as mix:
+        trials = trials_with_ids(torch.from_numpy(mix["trial_id"]), objects=scene.objects, hand_set=scene.hands.set)
+        whole = Batch(trials, torch.from_numpy(mix["T_obj_ee"]), torch.from_numpy(mix["T_world_ee"]))
+    rows, checkers, goals = free_rows(scene, solve(scene, whole), options.problems)
+    batch = whole.rows(torch.tensor(rows))
+    n = len(batch)
+    report.add("plan.problems", n)
+
+    problems, seconds = planned(scene, batch, 1, time.process_time)
+    _, wall = planned(scene, batch, None, time.perf_counter)
+    report.add("plan.us_per_problem_core", seconds / n * 1e6)
+    kernels = kernel_seconds(scene, batch)
+    for name, spent in sorted(kernels.items()):
+        report.add(f"plan.kernel.{name}_us", spent / n * 1e6)
+    search = seconds - kernels.get("path_clearance", 0.0) - kernels.get("shortcut", 0.0)
+    report.add("plan.us_search_core", search / n * 1e6)
+    report.add("plan.problems_per_s_core", n / seconds)
+    report.add("plan.problems_per_s_wall", n / wall)
+    found = (problems.plan.length > 0).cpu().numpy()
+    report.add("plan.solved", int(found.sum()))
+    report.add("plan.straight_line_share", float(problems.plan.straight.cpu().numpy()[found].mean()))
+    hard = torch.nonzero(~problems.plan.straight.cpu()).flatten()
+    if len(hard):
+        _, seconds_hard = planned(scene, batch.rows(hard), 1, time.process_time)
+        report.add("plan.us_per_searched_problem_core", seconds_hard / len(hard) * 1e6)
+
+    latency = []
+    for row in range(min(n, 150)):
+        one = batch.rows(slice(row, row + 1))
+        start = time.perf_counter()
+        solve(scene, one, threads=1)
+        latency.append(time.perf_counter() - start)
+    report.add("plan.latency_ms_median", statistics.median(latency) * 1e3)
+    report.add("plan.latency_ms_p95", float(np.quantile(latency, 0.95)) * 1e3)
+
+    config = scene.config.execute
+    motion = time_path(problems.plan.path, problems.plan.length, config)
+    penetrating = samples = 0
+    for row in np.flatnonzero(found):
+        k = int(problems.plan.length[row])
+        path, times = (x[row, :k].double().cpu().numpy() for x in (problems.plan.path, motion.time_s))
+        seen = recheck(checkers[row], motion_samples(path, times, config))
+        penetrating += seen.penetrating > 0
+        samples += seen.samples
+    report.add("plan.penetrating_paths", penetrating)
+    report.add("plan.configurations_rechecked", samples)
+
+    cpu, walls, checks, solved, invalid, only = [], [], 0, 0, 0, []
+    for row in range(n):
+        before = time.process_time()
+        answer = ompl_solve(
+            checkers[row], goals[row], scene.robot.lower, scene.robot.upper,
+            budget_s=options.budget_s, resolution_rad=options.resolution_rad,
+        )  # fmt: skip
+        cpu.append(time.process_time() - before)
+        walls.append(answer.seconds)
+        checks += answer.checks
+        if answer.path is None:
+            continue
+        if recheck(checkers[row], dense(answer.path)).penetrating:
+            invalid += 1
+            continue
+        solved += 1
+        if not found[row]:
+            only.append(int(batch.trials.trial_id[row]))
+    report.add("plan.ompl_solved", solved)
+    report.add("plan.ompl_paths_penetrating", invalid)
+    report.add("plan.only_ompl", len(only))
+    report.add("plan.only_ompl_trial_ids", " ".join(map(str, only)) or "none")
+    report.add("plan.ompl_ms_median", statistics.median(cpu) * 1e3)
+    report.add("plan.ompl_ms_mean", statistics.mean(cpu) * 1e3)
+    report.add("plan.ompl_checks_per_problem", checks / n)
+    report.add("plan.ompl_us_per_check", sum(cpu) / checks * 1e6)
+    report.add("plan.ratio_to_ompl", statistics.median(cpu) / (seconds / n))
+    report.add("plan.ratio_to_ompl_search", statistics.median(cpu) / (search / n))
+    report.add("plan.ratio_to_ompl_wall", statistics.median(walls) / (wall / n))
+    fine = []
+    for row in range(0, n, 4):
+        before = time.process_time()
+        ompl_solve(
+            checkers[row],
+            goals[row],
+            scene.robot.lower,
+            scene.robot.upper,
+            budget_s=options.budget_s,
+            resolution_rad=1 / 320,
+        )
+        fine.append(time.process_time() - before)
+    report.add("plan.ratio_to_ompl_fine", statistics.median(fine) / (seconds / n))
+    report.write(options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,168 @@
+"""Bad rows, wrong arguments, strides and gradients at the Evaluator's border."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from problems import assert_same, default_evaluator, make_batch
+from staging import BACK, TOOL, Staged, batch_of, hand_at, judge, staged_evaluator
+
+from r2h_batch.types import Outcome, PlanReason, Trials
+
+GOOD = Staged()
+OUT_OF_THE_WAY = hand_at(np.array([1.5, 1.5, 0.4]), BACK, np.array([0.0, 0, 1]))
+
+
+# --- bad rows ------------------------------------------------------------------------------------------------------
+
+
+def spoiled(T: torch.Tensor, how: str) -> torch.Tensor:
+    T = T.clone()
+    if how == "nan":
+        T[0, 1] = torch.nan
+    elif how == "inf":
+        T[2, 3] = torch.inf
+    elif how == "reflection":
+        T[:3, 0] *= -1
+    elif how == "scale":
+        T[:3, :3] *= 1.01
+    elif how == "zero rotation":
+        T[:3, :3] = 0
+    elif how == "bottom row":
+        T[3, 0] = 0.1
+    elif how == "bottom corner":
+        T[3, 3] = 2.0
+    elif how == "far away":
+        T[0, 3] = 1e9
+    return T
+
+
+HOW = ("nan", "inf", "reflection", "scale", "zero rotation", "bottom row", "bottom corner", "far away")
+
+
+@pytest.mark.parametrize("which", ["T_obj_ee", "T_world_ee", "T_world_hand"])
+def test_rows_that_are_no_pose_are_invalid_and_leave_their_neighbours_untouched(which):
+    evaluator = default_evaluator()
+    good = make_batch(evaluator.scene, 2 * len(HOW), random_share=0.3)
+    bad_rows = torch.arange(0, 2 * len(HOW), 2)
+    tensors = {
+        "T_obj_ee": good.T_obj_ee.clone(),
+        "T_world_ee": good.T_world_ee.clone(),
+        "T_world_hand": good.trials.T_world_hand.clone(),
+    }
+    for row, how in zip(bad_rows.tolist(), HOW, strict=True):
+        tensors[which][row] = spoiled(tensors[which][row], how)
+    trials = replace(good.trials, T_world_hand=tensors["T_world_hand"])
+    s = evaluator.score(tensors["T_obj_ee"], tensors["T_world_ee"], trials)
+    bad = s[bad_rows]
+    assert (bad.outcome == int(Outcome.INVALID_INPUT)).all() and not bad.success.any()
+    assert (
+        torch.isnan(bad.margin).all() and not bad.passed.any() and not bad.evaluated.any() and not bad.borderline.any()
+    )
+    assert (bad.plan_reason == int(PlanReason.NOT_EVALUATED)).all() and (bad.plan_pair == 0).all()
+    for name in (
+        "t_plan_s",
+        "t_exec_s",
+        "q_goal",
+        "width_m",
+        "opening_m",
+        "grasp_shift_m",
+        "witness_time_s",
+        "witness_point",
+    ):
+        assert torch.isnan(getattr(bad, name)).all(), name
+    assert (bad.path_len == 0).all() and (bad.witness_part == -1).all()
+    kept = bad_rows + 1
+    alone = evaluator.score(good.T_obj_ee[kept], good.T_world_ee[kept], good.trials[kept])
+    assert_same(s[kept], alone)
+
+
+@pytest.mark.parametrize("how", ["scaled", "sheared"])
+def test_a_rotation_off_by_less_than_a_thousandth_is_accepted_as_a_rotation(how):
+    T_obj_ee, T_world_ee, trials = batch_of([GOOD])
+    for T in (T_obj_ee, T_world_ee, trials.T_world_hand):
+        if how == "scaled":
+            T[:, :3, :3] *= 1.0004  # R R^T is off by 8e-4
+        else:
+            T[:, :3, 0] += 8e-4 * T[:, :3, 1]
+    s = staged_evaluator().score(T_obj_ee, T_world_ee, trials)
+    clean = judge(GOOD)
+    assert s.outcome.tolist() == clean.outcome.tolist() == [int(Outcome.SUCCESS)]
+    assert s.plan_pair.tolist() == clean.plan_pair.tolist()
+    torch.testing.assert_close(s.margin, clean.margin, atol=1e-5 if how == "scaled" else 2e-3, rtol=0, equal_nan=True)
+
+
+# --- refused before any work ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def no_work(monkeypatch):
+    """Fails the test if a stage is entered."""
+
+    def refuse(*_, **__):
+        raise AssertionError("work was done before the input was checked")
+
+    monkeypatch.setattr("r2h_batch.evaluate.close_gripper", refuse)
+    monkeypatch.setattr("r2h_batch.evaluate.solve_ik", refuse)
+
+
+def wrong_inputs() -> dict:
+    grasp, handover, trials = batch_of([GOOD, GOOD])
+
+    def but(**changes) -> tuple:
+        return grasp, handover, replace(trials, **changes)
+
+    return {
+        "single pose": ((grasp[0], handover, trials), ValueError, "T_obj_ee"),
+        "3 x 4": ((grasp, handover[:, :3], trials), ValueError, "T_world_ee"),
+        "too few rows": ((grasp[:1], handover, trials), ValueError, "T_obj_ee"),
+        "too many rows": ((grasp, torch.cat([handover, handover]), trials), ValueError, "T_world_ee"),
+        "float64": ((grasp.double(), handover, trials), TypeError, "T_obj_ee"),
+        "integers": ((grasp, handover.int(), trials), TypeError, "T_world_ee"),
+        "half": ((grasp, handover.half(), trials), TypeError, "T_world_ee"),
+        "numpy": ((grasp.numpy(), handover, trials), TypeError, "T_obj_ee"),
+        "none": ((grasp, None, trials), TypeError, "T_world_ee"),
+        "meta device": ((grasp.to("meta"), handover, trials), ValueError, "T_obj_ee"),
+        "hand pose shape": (but(T_world_hand=trials.T_world_hand[:1]), ValueError, "T_world_hand"),
+        "hand pose dtype": (but(T_world_hand=trials.T_world_hand.double()), TypeError, "T_world_hand"),
+        "object dtype": (but(object_index=trials.object_index.long()), (TypeError, ValueError), "object_index"),
+        "object shape": (but(object_index=trials.object_index[:1]), ValueError, "object_index"),
+        "object 99": (but(object_index=trials.object_index + 99), ValueError, "object_index"),
+        "object -5": (but(object_index=trials.object_index - 5), ValueError, "object_index"),
+        "object on meta": (but(object_index=trials.object_index.to("meta")), ValueError, "object_index"),
+        "hand 9999": (but(hand_index=trials.hand_index + 9999), ValueError, "hand_index"),
+        "no trials": ((grasp, handover, None), TypeError, "trials"),
+    }
+
+
+@pytest.mark.parametrize("case", wrong_inputs())
+def test_wrong_inputs_are_refused_by_name_before_any_work(case, no_work):
+    arguments, error, name = wrong_inputs()[case]
+    with pytest.raises(error, match=name):
+        staged_evaluator().score(*arguments)
+
+
+def test_gradients_strides_and_views_change_nothing():
+    T_obj_ee, T_world_ee, trials = batch_of([GOOD, GOOD.but(object_index=TOOL), GOOD.but(T_world_hand=OUT_OF_THE_WAY)])
+    evaluator = staged_evaluator()
+    plain = evaluator.score(T_obj_ee, T_world_ee, trials)
+    assert_same(plain, evaluator.score(T_obj_ee.clone().requires_grad_(), T_world_ee.clone().requires_grad_(), trials))
+
+    def strided(x: torch.Tensor) -> torch.Tensor:
+        wide = torch.zeros(len(x), 2, *x.shape[1:], dtype=x.dtype)
+        wide[:, 1] = x
+        return wide[:, 1]
+
+    def transposed(T: torch.Tensor) -> torch.Tensor:
+        return T.transpose(1, 2).contiguous().transpose(1, 2)
+
+    other = Trials(
+        strided(trials.trial_id),
+        strided(trials.object_index),
+        strided(trials.hand_index),
+        transposed(trials.T_world_hand),
+    )
+    assert not other.T_world_hand.is_contiguous()
+    assert_same(plain, evaluator.score(transposed(T_obj_ee), strided(T_world_ee), other))
+    assert not plain.path.requires_grad
