@@ -11,7 +11,8 @@ from planning_twins import motion_samples, staged
 from problems import Batch, Problems, default_evaluator, make_batch, solve
 
 from r2h_batch import metrics, se3
-from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, Thresholds
+from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, ExecConfig, Thresholds
+from r2h_batch.execute import Executed, execute, time_path
 from r2h_batch.grasp import Grasp, attach, close_gripper, region_distance
 from r2h_batch.robot import Kind, gripper_primitives_at
 from r2h_batch.types import CRITERIA, Outcome, PlanReason, Scores
@@ -24,7 +25,15 @@ N = 256
 def scored() -> tuple[Batch, Problems, Scores]:
     evaluator = default_evaluator()
     batch = make_batch(evaluator.scene, N, random_share=0.4)
-    return batch, solve(evaluator.scene, batch), evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
+    scores = evaluator.kinematic.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
+    return batch, solve(evaluator.scene, batch), scores
+
+
+def as_planned(problems: Problems) -> Executed:
+    """The planned motion itself as what was executed."""
+    config, plan = ExecConfig(sim="none"), problems.plan
+    motion = time_path(plan.path, plan.length, config)
+    return execute(default_evaluator().scene, problems.placed, plan.path, plan.length, motion, config)
 
 
 def of_object(scores_row: int) -> trimesh.Trimesh:
@@ -262,8 +271,8 @@ def test_a_safety_margin_is_taken_off():
     _, problems, s = scored()
     scene = default_evaluator().scene
     active = torch.ones(N, dtype=torch.bool)
-    plain, _ = metrics.safe(scene, problems.placed, problems.plan, active, Thresholds())
-    strict, _ = metrics.safe(scene, problems.placed, problems.plan, active, Thresholds(safe_margin_m=0.02))
+    plain, _ = metrics.safe(scene, problems.placed, as_planned(problems), active, Thresholds())
+    strict, _ = metrics.safe(scene, problems.placed, as_planned(problems), active, Thresholds(safe_margin_m=0.02))
     found = s.path_len > 0
     assert torch.equal(plain.margin[found], s.margin[found, SAFE])
     torch.testing.assert_close(strict.margin[found], plain.margin[found] - 0.02)
@@ -279,9 +288,9 @@ def test_inactive_rows_are_not_judged():
     T_world_obj = se3.matmul(batch.T_world_ee, se3.inverse(problems.T_obj_ee_attached))
     for c in (
         metrics.stability(grasp, none),
-        metrics.plan(problems.plan, none),
+        metrics.plan(problems.plan, as_planned(problems), none),
         metrics.reach(scene, T_world_obj, center, batch.trials.object_index, none, Thresholds()),
         metrics.affordance(scene, batch.T_obj_ee, batch.trials.object_index, grasp, none, Thresholds()),
-        metrics.safe(scene, problems.placed, problems.plan, none, Thresholds())[0],
+        metrics.safe(scene, problems.placed, as_planned(problems), none, Thresholds())[0],
     ):
         assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()

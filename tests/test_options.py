@@ -29,6 +29,8 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         width="whole",
         object_collision="pieces",
         edge_check="moveit",
+        stability="physics",
+        sim="none",
         format="csv",
         save_details=True,
         save_poses=True,
