@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float32, Float64, Int32
 from torch import Tensor
 
 from r2h_batch.config import ExecConfig
-from r2h_batch.dynamics import SERVO_RATE, Payload, arm_model
+from r2h_batch.dynamics import SERVO_RATE, Payload
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene import Placed, Scene
+from r2h_batch.scene_model import TrialScene
 from r2h_batch.simulation import Job, Samples
 
 
@@ -99,7 +100,6 @@ class _Runner:
         self.scene, self.config, self.threads = scene, config, threads
         self.path, self.length = path.contiguous(), length
         self.simulate = import_module(f"r2h_batch.sim_{engine}").simulate
-        self.model = arm_model(scene.robot, step_s=config.step_s, payload_known=config.payload == "known")
         self.law = Law()
         self.law.speed, self.law.acceleration = _limits(config)
         self.law.lead, self.law.step = 1.0 / SERVO_RATE, config.step_s
@@ -113,7 +113,9 @@ class _Runner:
         T_wrist_obj = np.tile(np.eye(4), (len(length), 1, 1))
         T_wrist_obj[:, :3, :3], T_wrist_obj[:, :3, 3] = placed.R_wrist_obj.cpu(), placed.p_wrist_obj.cpu()
         self.T_gripper_obj = np.linalg.inv(T_wrist_gripper) @ T_wrist_obj
-        self.objects = placed.object_index.cpu().numpy()
+        self.objects, self.hands = placed.object_index.cpu().numpy(), placed.hand_index.cpu().numpy()
+        self.T_world_hand = placed.T_world_hand.double().cpu().numpy()
+        self.opening_m = placed.opening_m.cpu().numpy()
 
     def __call__(self, rows: np.ndarray, duration_s: np.ndarray) -> Executed:
         sample_s = self.config.step_s * self.config.record_steps
@@ -121,12 +123,15 @@ class _Runner:
         order = np.argsort(-samples, kind="stable")
         rows, samples = rows[order], samples[order]
         job = Job(
-            self.model, self.law, self.tables, rows,
-            [Payload.of(self.scene.objects[self.objects[i]], self.T_gripper_obj[i]) for i in rows],
+            self.scene.model(self.hands[rows], self.config), self.law, self.tables, rows, [self._trial(i) for i in rows],
             self.path[torch.from_numpy(rows), 0].double().cpu().numpy(),
             samples, self.config.record_steps, self.device,
         )  # fmt: skip
         return self._judged(job, self.simulate(job, threads=self.threads), sample_s)
+
+    def _trial(self, i: int) -> TrialScene:
+        held = Payload.of(self.scene.objects[self.objects[i]], self.T_gripper_obj[i])
+        return TrialScene(held, int(self.objects[i]), int(self.hands[i]), self.T_world_hand[i], float(self.opening_m[i]))
 
     def _judged(self, job: Job, answer: Samples, sample_s: float) -> Executed:
         """When each motion came to rest, and how far it may have been off its samples."""
@@ -153,6 +158,7 @@ class _Runner:
         acceleration = torch.zeros((b, 1, 6), dtype=torch.float64, device=device)
         acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)
         slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
+        slack[rows] += torch.from_numpy(np.nan_to_num(answer.sway_m)).to(device)
         t_exec = torch.where(settled, at.float(), torch.nan)
         return Executed(path, length, t_exec, settled, valid, slack.float(), sample_s)
 
