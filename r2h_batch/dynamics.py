@@ -92,7 +92,9 @@ def add_arm(spec: mujoco.MjSpec, robot: Robot, parent: mujoco.MjsBody) -> list[m
     bodies = [parent.add_body(name=robot.links[0])]
     for i in range(JOINTS):
         inertia = _rolled(LINK_INERTIA[i], LINK_ROLL[i])
-        body = add_body(bodies[-1], robot.links[i + 1], robot.T_parent_joint[i], LINK_MASS_KG[i], LINK_COM_M[i], inertia)
+        body = add_body(
+            bodies[-1], robot.links[i + 1], robot.T_parent_joint[i], LINK_MASS_KG[i], LINK_COM_M[i], inertia
+        )
         torque = float(robot.max_torque[i])
         body.add_joint(
             name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=ARMATURE,

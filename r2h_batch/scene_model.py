@@ -35,6 +35,9 @@ FINGER_KP, FINGER_KV = 200.0, 2.0
 """The gripper's motor, at a driver (kg m^2, N m/rad, N m s/rad) [choice]: the 2F-85's gear is self-locking, so it holds its
 opening stiffly whatever moves it."""
 
+RIGID = (0.99, 0.999, 1e-4, 0.5, 2.0)
+"""Of the loops' constraints: what share of a load they take up."""
+
 FINGER_COM_M, FINGER_GYRATION_M = 0.02, 0.015
 """Of the inner finger beyond its pin; the other parts' centres are half way along them [choice: 70 g in all]."""
 
@@ -99,7 +102,9 @@ class FingerLevers:
                 continue
             pivot = np.array([0.0, robot.gripper_side[i] * pivots[motion][0], pivots[motion][1]])
             center = robot.gripper.T_link_prim[i][:3, 3]
-            far[motion] = max(far[motion], float(np.linalg.norm(center - pivot) + np.linalg.norm(robot.gripper.size[i])))
+            far[motion] = max(
+                far[motion], float(np.linalg.norm(center - pivot) + np.linalg.norm(robot.gripper.size[i]))
+            )
         return FingerLevers(far["driver"], float(np.hypot(*link.pin_from_driver_yz)), far["pin"], far["inner_knuckle"])
 
 
@@ -123,7 +128,9 @@ class SceneModel:
         self.levers = levers or FingerLevers(0.0, 0.0, 0.0, 0.0)
         self.hand_body = model.body("hand").id if self.full else -1
         bodies = [self.hand_body, model.body("object").id] if self.full else []
-        self.varied = np.concatenate([np.flatnonzero(model.geom_bodyid == b) for b in bodies]) if bodies else np.zeros(0, int)
+        self.varied = (
+            np.concatenate([np.flatnonzero(model.geom_bodyid == b) for b in bodies]) if bodies else np.zeros(0, int)
+        )
         """geoms whose mesh is the trial's: hand, then object"""
 
     @staticmethod
@@ -197,7 +204,13 @@ def scene_model(
         if model is None or not wanted <= model.hands.keys():
             wanted |= set() if model is None else set(model.hands)
             model = build_scene_model(
-                robot, objects, hands, wanted, step_s=step_s, payload_known=payload_known, object_collision=object_collision
+                robot,
+                objects,
+                hands,
+                wanted,
+                step_s=step_s,
+                payload_known=payload_known,
+                object_collision=object_collision,
             )
             _kept[key] = (tuple(objects), model)  # holds the objects, so that no others get their ids
         _kept.move_to_end(key)
@@ -242,7 +255,9 @@ def build_scene_model(
     links = add_arm(spec, robot, spec.worldbody)
     for k, link in enumerate(links):
         for i in np.flatnonzero(robot.arm.link == k):
-            _add_primitive(link, robot.arm, int(i), robot.arm.T_link_prim[i], *partners[k], f"robot/{robot.arm.names[i]}")
+            _add_primitive(
+                link, robot.arm, int(i), robot.arm.T_link_prim[i], *partners[k], f"robot/{robot.arm.names[i]}"
+            )
         _add_visual(spec, link, f"robot/{robot.links[k]}_visual", robot.links[k], np.eye(4), robot.links[k])
     gripper = _add_fingers(spec, links[-1], robot, partners[7])
     body = add_object(gripper, payload_known=payload_known)
@@ -343,16 +358,19 @@ def _add_fingers(
             com = np.array([0.0, 0.0, FINGER_COM_M]) if motion == "pin" else pin / 2
             body = add_body(parent, f"{name}_{motion}", T, mass, com, np.eye(3) * mass * FINGER_GYRATION_M**2)
             body.add_joint(
-                name=f"{name}_{motion}", type=hinge, axis=[side, 0, 0], armature=FINGER_ARMATURE if motion == "driver" else 1e-5
+                name=f"{name}_{motion}",
+                type=hinge,
+                axis=[side, 0, 0],
+                armature=FINGER_ARMATURE if motion == "driver" else 1e-5,
             )
             carriers[motion, side] = (body, origin + at)
         spec.add_equality(
             type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=f"{name}_inner_knuckle",
-            name2=f"{name}_pin", data=[*pin, *[0] * (mujoco.mjNEQDATA - 3)], solref=stiff,
+            name2=f"{name}_pin", data=[*pin, *[0] * (mujoco.mjNEQDATA - 3)], solref=stiff, solimp=RIGID,
         )  # fmt: skip
     spec.add_equality(
         type=mujoco.mjtEq.mjEQ_JOINT, objtype=mujoco.mjtObj.mjOBJ_JOINT, name1="left_driver", name2="right_driver",
-        data=[0, 1, *[0] * (mujoco.mjNEQDATA - 2)], solref=stiff,
+        data=[0, 1, *[0] * (mujoco.mjNEQDATA - 2)], solref=stiff, solimp=RIGID,
     )  # fmt: skip
     add_servo(spec, "right_driver", FINGER_KP, FINGER_KV)
     _add_finger_geoms(spec, robot, carriers, contact)
@@ -421,7 +439,9 @@ def _add_visual(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, mesh: str,
 def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: Array, faces: Any, *, convex: bool) -> None:
     face = {} if faces is None else {"userface": np.asarray(faces, np.int32).ravel()}
     # convex: or meshes that no geom uses yet would get no hull
-    spec.add_mesh(name=name, uservert=np.asarray(vertices, np.float64).ravel(), inertia=_CONVEX if convex else _SHELL, **face)
+    spec.add_mesh(
+        name=name, uservert=np.asarray(vertices, np.float64).ravel(), inertia=_CONVEX if convex else _SHELL, **face
+    )
 
 
 def _add_mesh_geom(

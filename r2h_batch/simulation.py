@@ -34,7 +34,9 @@ class Samples:
 
     q: NDArray[np.float32]  # (n, W, 6) rad
     acceleration: NDArray[np.float64]  # (n, 6) largest change of speed per step, rad/s^2
-    sway_m: NDArray[np.float64]  # (n,) how far any point of the fingers was from where their opening has it, at any step
+    sway_m: NDArray[
+        np.float64
+    ]  # (n,) how far any point of the fingers was from where their opening has it, at any step
     valid: NDArray[np.bool_]
     failed_state: NDArray[np.float64]
     """(n, nq + nv) qpos and qvel as last seen before the simulator failed; NaN where it did not"""
