@@ -4,6 +4,7 @@ where there is no display (set before mujoco is imported)."""
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -115,7 +116,7 @@ def _replayed(evaluator: Evaluator, trial: Trials, p: Predictions) -> tuple[Scor
         Payload.of(model, T_gripper_obj), 0, int(trial.hand_index[0]), T_world_hand[0].double().cpu().numpy(),
         float(scores.opening_m[0]),
     )  # fmt: skip
-    on_cpu = {k: v.cpu() for k, v in vars(executed).items() if isinstance(v, torch.Tensor)}
+    on_cpu: dict[str, Any] = {k: v.cpu() for k, v in vars(executed).items() if isinstance(v, torch.Tensor)}
     return scores.to("cpu"), replace(executed, **on_cpu), bodies
 
 
