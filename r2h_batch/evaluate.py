@@ -12,7 +12,7 @@ from torch import Tensor
 
 from r2h_batch import metrics, se3
 from r2h_batch.config import BORDERLINE_M, EvalConfig
-from r2h_batch.execute import execute, executed_time_at, time_at, time_path
+from r2h_batch.execute import Executed, execute, executed_time_at, time_at, time_path
 from r2h_batch.grasp import attach, close_gripper
 from r2h_batch.hand import HandSet
 from r2h_batch.ik import one_branch, solve_ik
@@ -46,24 +46,34 @@ class Evaluator:
         twin.config = replace(self.config, execute=replace(self.config.execute, sim="none"))
         return twin
 
-    def score(self, T_obj_ee: Float32[Tensor, "b 4 4"], T_world_ee: Float32[Tensor, "b 4 4"], trials: Trials) -> Scores:
+    def score(
+        self,
+        T_obj_ee: Float32[Tensor, "b 4 4"],
+        T_world_ee: Float32[Tensor, "b 4 4"],
+        trials: Trials,
+        *,
+        keep_motion: bool = False,
+    ) -> Scores:
         """Verdicts of B handovers: outcome, five criteria with margins (m), reasons, times, joint path.
 
         `T_obj_ee`: grasp, ee in the object's frame. `T_world_ee`: handover, ee in the world. Metres; rotations off by at
         most 1e-3 are re-orthonormalised, rows that are no pose come back as INVALID_INPUT and leave the others untouched.
         Rows do not depend on their batch: same bits for any batch size, order, chunk and thread count on one device.
+        `keep_motion`: also return the executed joint angles (24 kB for 8 s of motion).
         Raises ValueError, TypeError before any work when shape, dtype or device do not fit.
         """
         self._check(T_obj_ee, T_world_ee, trials)
         n, chunk = len(trials), self.config.chunk
         with one_torch_thread(self.scene.device):
             parts = [
-                self._score_chunk(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
+                self._score_chunk(
+                    T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk], keep_motion
+                )
                 for i in range(0, max(n, 1), chunk)
             ]
         return parts[0] if len(parts) == 1 else Scores.concatenate(parts)
 
-    def _score_chunk(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
+    def _score_chunk(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool) -> Scores:
         scene, config, threads = self.scene, self.config, self.threads
         T_world_hand, objects = trials.T_world_hand, trials.object_index.contiguous()
         active = se3.is_pose(T_obj_ee) & se3.is_pose(T_world_ee) & se3.is_pose(T_world_hand)
@@ -89,9 +99,9 @@ class Evaluator:
         T_world_obj = se3.matmul(T_world_ee, se3.inverse(attached))
         _, _, ball_center = scene.palm(trials.hand_index, T_world_hand)
         safe, touch = metrics.safe(scene, placed, executed, active, config.thresholds, threads=threads)
-        steady = metrics.stability(grasp, active)
+        steady, slip = metrics.stability(grasp, active), torch.full_like(grasp.width_m, torch.nan)
         if config.stability == "physics":
-            steady = metrics.stability_in_physics(scene, grasp, attached, objects, active, threads=threads)
+            steady, slip = metrics.stability_in_physics(scene, grasp, attached, objects, active, threads=threads)
         criteria = [
             steady,
             metrics.plan(planned, executed, active),
@@ -116,6 +126,7 @@ class Evaluator:
             )
         else:
             witness_time_s = executed_time_at(executed, touch.segment, touch.fraction)
+        kept, kept_len = _kept_motion(executed, keep_motion)
         return Scores(
             trial_id=trials.trial_id,
             outcome=outcome,
@@ -135,9 +146,12 @@ class Evaluator:
             width_m=torch.where(active, grasp.width_m, nan),
             opening_m=torch.where(active, grasp.opening_m, nan),
             grasp_shift_m=torch.where(active, grasp.shift_m, nan),
+            slip_m=slip,
             path=planned.path,
             path_time_s=motion.time_s,
             path_len=planned.length,
+            motion=kept,
+            motion_len=kept_len,
         )
 
     def _check(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> None:
@@ -178,6 +192,12 @@ def _usable(T: Tensor, active: Tensor) -> Tensor:
     return torch.where(
         active[:, None, None], se3.orthonormalise(torch.where(active[:, None, None], T.detach(), eye)), eye
     ).contiguous()
+
+
+def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor]:
+    """Recorded samples and their number: of all that moved, or only of those whose simulation failed."""
+    length = executed.recorded if keep else torch.where(executed.valid, 0, executed.recorded)
+    return executed.path[:, : int(length.max()) if len(length) else 0].clone(), length
 
 
 def _random_key(trial_id: Tensor) -> Tensor:

@@ -29,8 +29,8 @@ class Executed:
     """The motion that happened, as joint lines between samples `sample_s` apart (kinematic: the planned path itself).
 
     `t_exec_s`: when the arm came to rest at its goal, NaN where it did not or there is no path. `valid`: False where the
-    simulator failed (nothing else of such a row means anything). `slack_m`: how far any point of the robot may have been
-    off the lines between two samples.
+    simulator failed: such a row has no length, but `path` still holds its `recorded` samples. `slack_m`: how far any point
+    of the robot may have been off the lines between two samples.
     """
 
     path: Float32[Tensor, "b w 6"]
@@ -39,6 +39,7 @@ class Executed:
     settled: Bool[Tensor, " b"]
     valid: Bool[Tensor, " b"]
     slack_m: Float32[Tensor, " b"]
+    recorded: Int32[Tensor, " b"]
     sample_s: float | None
 
 
@@ -60,7 +61,8 @@ def execute(
     engine = config.engine(scene.device)
     if engine == "none":
         true = torch.ones_like(length, dtype=torch.bool)
-        return Executed(path, length, motion.t_exec_s, length > 0, true, torch.zeros_like(motion.t_exec_s), None)
+        slack = torch.zeros_like(motion.t_exec_s)
+        return Executed(path, length, motion.t_exec_s, length > 0, true, slack, torch.zeros_like(length), None)
     run = _Runner(scene, placed, path, length, motion, config, engine, threads)
     limit = config.settle_limit_s + config.dwell_s
     found = torch.nonzero(length > 0).flatten().cpu().numpy()
@@ -77,7 +79,7 @@ def _merged(first: Executed, again: Executed, rows: Tensor) -> Executed:
     """`first` with the rows that ran again."""
     width = max(first.path.shape[1], again.path.shape[1])
     parts = {}
-    for name in ("path", "length", "t_exec_s", "settled", "valid", "slack_m"):
+    for name in ("path", "length", "t_exec_s", "settled", "valid", "slack_m", "recorded"):
         a, b = getattr(first, name), getattr(again, name)
         if name == "path":
             a, b = (torch.nn.functional.pad(x, (0, 0, 0, width - x.shape[1])) for x in (a, b))
@@ -140,7 +142,7 @@ class _Runner:
         valid[rows] = torch.from_numpy(answer.valid & np.isfinite(answer.q).all((1, 2))).to(device)
         length = torch.zeros(b, dtype=torch.int32, device=device)
         length[rows] = torch.from_numpy(job.samples + 1).to(device, torch.int32)
-        length = torch.where(valid, length, 0)
+        recorded, length = length, torch.where(valid, length, 0)
         goal = self.path[torch.arange(b, device=device), (self.length - 1).clamp(min=0).long()][:, None].contiguous()
         first = torch.zeros(b, dtype=torch.int32, device=device)
         arrays = [wp.from_torch(t) for t in (goal, path, length, first)]
@@ -154,7 +156,7 @@ class _Runner:
         acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)
         slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
         t_exec = torch.where(settled, at.float(), torch.nan)
-        return Executed(path, length, t_exec, settled, valid, slack.float(), sample_s)
+        return Executed(path, length, t_exec, settled, valid, slack.float(), recorded, sample_s)
 
 
 def time_path(path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], config: ExecConfig) -> Motion:
@@ -198,7 +200,9 @@ def time_at(
     ramp = torch.minimum(torch.full_like(whole, v * v / (2 * a)), whole / 2)
     t = torch.where(near <= ramp, (2 * near / a).sqrt(), (2 * ramp / a).sqrt() + (near - ramp) / v)
     t = torch.where(s <= whole / 2, t, total - t)
-    passed = torch.minimum((motion.time_s[rows, at] + t).float(), motion.time_s[rows, at + 1])  # never after its own end
+    passed = torch.minimum(
+        (motion.time_s[rows, at] + t).float(), motion.time_s[rows, at + 1]
+    )  # never after its own end
     return torch.where(length > 0, passed, torch.nan)
 
 

@@ -51,20 +51,27 @@ def stability_in_physics(
     active: Bool[Tensor, " b"],
     *,
     threads: int | None = None,
-) -> Criterion:
+) -> tuple[Criterion, Float32[Tensor, " b"]]:
     """Stability(g) as above, and the friction grasp holds the object through its weight and a shake along three axes.
 
-    Margin: the smaller of w_max - w and 2 cm - slip. `T_obj_ee` after closing. The shake is simulated on the CPU.
+    Margin: the smaller of w_max - w and 2 cm - slip. Second: the slip, m; NaN where nothing was shaken.
+    `T_obj_ee` after closing. The shake is simulated on the CPU.
     """
     geometric = stability(grasp, active)
     rows = torch.nonzero(geometric.passed).flatten()
     closed = close_in_physics(
-        scene.objects, object_index[rows].cpu().numpy(), T_obj_ee[rows].double().cpu().numpy(), shake=True, threads=threads
+        scene.objects,
+        object_index[rows].cpu().numpy(),
+        T_obj_ee[rows].double().cpu().numpy(),
+        shake=True,
+        threads=threads,
     )
     left = torch.from_numpy(np.nan_to_num(DROPPED_M - closed.slip_m, nan=-np.inf))
     margin = geometric.margin.clone()
     margin[rows] = torch.minimum(margin[rows], left.to(margin))
-    return Criterion.of(margin, active, touching_passes=True)
+    slip = torch.full_like(margin, torch.nan)
+    slip[rows] = torch.from_numpy(closed.slip_m).to(slip)
+    return Criterion.of(margin, active, touching_passes=True), slip
 
 
 def plan(planned: Plan, executed: Executed, active: Bool[Tensor, " b"]) -> Criterion:

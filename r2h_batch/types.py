@@ -7,6 +7,7 @@ from typing import Self
 import torch
 from jaxtyping import Bool, Float32, Int8, Int32, Int64
 from torch import Tensor
+from torch.nn.functional import pad
 
 CRITERIA = ("stability", "plan", "reach", "affordance", "safe")
 """Column order of every (B, 5) tensor, and the order in which the first failure is looked for."""
@@ -100,6 +101,9 @@ class Scores(_Rows):
     `margin` is in metres, positive when the criterion passes. `witness_part` names the robot part
     (`Scene.part_names`) of Plan's and Safe's smallest clearance, `witness_time_s` and `witness_point` (world frame)
     when and where Safe's occurs. `borderline` marks trials with a margin within 0.1 mm of the verdict changing.
+    `slip_m`: how far the object slipped in the shake (NaN unless `stability = "physics"` shook it). `motion`: the executed
+    joint angles, one row every `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the trials
+    whose simulation failed, up to the failure, and of all that moved where `score(keep_motion=True)` asked for it.
     """
 
     trial_id: Int64[Tensor, " b"]
@@ -120,11 +124,16 @@ class Scores(_Rows):
     width_m: Float32[Tensor, " b"]
     opening_m: Float32[Tensor, " b"]
     grasp_shift_m: Float32[Tensor, " b"]
+    slip_m: Float32[Tensor, " b"]
     path: Float32[Tensor, "b w 6"]
     path_time_s: Float32[Tensor, "b w"]
     path_len: Int32[Tensor, " b"]
+    motion: Float32[Tensor, "b s 6"]
+    motion_len: Int32[Tensor, " b"]
 
     @staticmethod
     def concatenate(parts: list["Scores"]) -> "Scores":
         """One `Scores` with the rows of all parts, in order."""
+        longest = max(p.motion.shape[1] for p in parts)
+        parts = [replace(p, motion=pad(p.motion, (0, 0, 0, longest - p.motion.shape[1]))) for p in parts]
         return Scores(**{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Scores)})

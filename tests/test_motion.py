@@ -120,7 +120,9 @@ def test_a_motion_that_cannot_come_to_rest_in_time_is_run_to_the_limit_and_fails
     moved = good.plan_reason == int(PlanReason.OK)
     assert moved.sum() >= 8 and (bad.plan_reason[moved] == int(PlanReason.NOT_SETTLED)).all()
     assert torch.equal(bad.plan_reason[~moved], good.plan_reason[~moved])
-    assert (bad.margin[moved, 1] == -torch.inf).all() and not bad.passed[moved, 1].any() and bad.evaluated[moved, 1].all()
+    assert (
+        (bad.margin[moved, 1] == -torch.inf).all() and not bad.passed[moved, 1].any() and bad.evaluated[moved, 1].all()
+    )
     held = moved & good.passed[:, 0]
     assert (bad.outcome[held] == int(Outcome.PLAN)).all() and torch.isnan(bad.t_exec_s[moved]).all()
     assert evaluator.config.execute.sim == "auto"
@@ -231,6 +233,7 @@ def test_what_the_simulator_failed_on_is_invalid_sim_and_not_scored(config, monk
         answer = honest(job, threads=threads)
         hit.append(int(job.rows[2]))
         answer.valid[2] = False
+        answer.q[2, 5:] = np.nan
         return answer
 
     monkeypatch.setattr(engine, "simulate", failing)
@@ -239,6 +242,10 @@ def test_what_the_simulator_failed_on_is_invalid_sim_and_not_scored(config, monk
     assert int(bad.outcome[row]) == Outcome.INVALID_SIM and not bad.success[row]
     assert not bad.evaluated[row].any() and not bad.passed[row].any() and torch.isnan(bad.margin[row]).all()
     assert torch.isnan(bad.t_exec_s[row]) and torch.isnan(bad.witness_time_s[row])
+    assert (
+        torch.isfinite(bad.motion[row, :5]).all() and torch.isnan(bad.motion[row, 5 : int(bad.motion_len[row])]).all()
+    )
+    assert bad.motion_len[row] > 5 and (bad.motion_len > 0).sum() == 1 and good.motion.shape[1] == 0
     keep = torch.arange(N) != row
     assert torch.equal(bad.outcome[keep], good.outcome[keep])
     assert torch.equal(torch.nan_to_num(bad.margin[keep]), torch.nan_to_num(good.margin[keep]))
@@ -350,8 +357,12 @@ def test_a_hand_wholly_inside_the_arm_is_touched_and_does_not_change_the_motion(
     q = p.plan.path[row, 0].double().numpy()
     upper_arm = forward_kinematics(evaluator.scene.robot, q)[2]
     T_world_hand[row, :3, 3] = torch.from_numpy((upper_arm @ [-0.2, 0, 0.138, 1])[:3]).float()
-    placed = evaluator.scene.place(trials.object_index, trials.hand_index, p.T_obj_ee_attached, T_world_hand, p.opening_m)
-    inside = execute(evaluator.scene, placed, p.plan.path, p.plan.length, time_path(p.plan.path, p.plan.length, MUJOCO), MUJOCO)
+    placed = evaluator.scene.place(
+        trials.object_index, trials.hand_index, p.T_obj_ee_attached, T_world_hand, p.opening_m
+    )
+    inside = execute(
+        evaluator.scene, placed, p.plan.path, p.plan.length, time_path(p.plan.path, p.plan.length, MUJOCO), MUJOCO
+    )
     assert torch.equal(inside.path, e.path) and inside.valid.all()
     active = torch.ones(N, dtype=torch.bool)
     judged, _ = metrics.safe(evaluator.scene, placed, inside, active, Thresholds())
