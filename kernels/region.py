@@ -7,7 +7,8 @@ minus the primitive's inner radius. Depths are thus lower bounds on how far the 
 
 import warp as wp
 
-from r2h_batch.kernels.gjk import BOX, CAPSULE, CYLINDER, HULL, Body, gjk
+from r2h_batch.kernels.body import BOX, CAPSULE, CYLINDER, HULL, Body
+from r2h_batch.kernels.gjk import gjk
 from r2h_batch.kernels.gripper import Gripper, drive_from_gap, finger_pose
 from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit
 

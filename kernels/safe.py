@@ -6,7 +6,8 @@ and bounding volumes prune, and triangles decide.
 
 import warp as wp
 
-from r2h_batch.kernels.gjk import BOX, CYLINDER, HULL, Body, from_ball, gjk, support, swept_support
+from r2h_batch.kernels.body import BOX, CYLINDER, HULL, Body, from_ball, support, swept_support
+from r2h_batch.kernels.gjk import gjk
 from r2h_batch.kernels.world import (
     OBJECT,
     TrialBodies,

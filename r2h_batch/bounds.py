@@ -58,11 +58,11 @@ def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
 
 
 CELLS_PER_EDGE = 6
-"""As in kernels/gjk.py."""
+"""As in kernels/body.py."""
 
 
 def support_cells(points: Array) -> Array:
-    """Rows (216 + n, 3) of a hull for kernels/gjk.py: first row and number of points of each direction cell, then points.
+    """Rows (216 + n, 3) of a hull for kernels/body.py: first row and number of points of each direction cell, then points.
 
     A cell keeps every point that can be farthest along some direction of it: those that no other point beats in all four
     corner directions (a linear function that is smaller at the corners is smaller in between).

@@ -219,7 +219,7 @@ class Scene:
 
     @cached_property
     def _object_cells(self) -> list[NDArray[np.float32]]:
-        """The same hulls with their points sorted by direction (kernels/gjk.py, CELLS)."""
+        """The same hulls with their points sorted by direction (kernels/body.py, CELLS)."""
         points, _, start = self._object_points
         return [bounds.support_cells(points[a:b].astype(np.float64)).astype(np.float32) for a, b in pairwise(start)]
 
