@@ -6,7 +6,7 @@ import pytest
 import torch
 import trimesh
 import warp as wp
-from grasp_cases import BAND, box, pose_at, random_grasps, shapes, tables_of_shapes
+from grasp_cases import BAND, PAD_X, PAD_Z, box, pose_at, random_grasps, shapes, tables_of_shapes
 
 from r2h_batch.grasp import (
     OPEN_GAP_M,
