@@ -300,6 +300,7 @@ def test_samples_agree_with_the_evaluators_own_clock():
         path[0].double().numpy(),
         motion.time_s[0].numpy(),
         None,
+        None,
     )
     t, postures = export.trajectory(stored)
     ends = motion.time_s[0].double().numpy()
