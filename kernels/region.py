@@ -7,7 +7,7 @@ minus the primitive's inner radius. Depths are thus lower bounds on how far the 
 
 import warp as wp
 
-from r2h_batch.kernels.body import BOX, CAPSULE, CYLINDER, HULL, Body
+from r2h_batch.kernels.body import BOX, CAPSULE, CYLINDER, HULL, SPHERE, Body
 from r2h_batch.kernels.gjk import gjk
 from r2h_batch.kernels.gripper import Gripper, drive_from_gap, finger_pose
 from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit
@@ -136,6 +136,35 @@ def _inside(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: wp.vec3) -> 
     return winding != 0
 
 
+@wp.func
+def _box_half(kind: int, size: wp.vec3, R: wp.mat33) -> wp.vec3:
+    """Half sides of a box along the outer axes that holds a primitive turned by R; a little more, for rounding."""
+    h = wp.vec3(1.0e-6, 1.0e-6, 1.0e-6)
+    for k in range(3):
+        if kind == BOX:
+            h[k] += wp.abs(R[k, 0]) * size[0] + wp.abs(R[k, 1]) * size[1] + wp.abs(R[k, 2]) * size[2]
+        elif kind != SPHERE:
+            h[k] += wp.abs(R[k, 2]) * size[1] + size[0]
+        else:
+            h[k] += size[0]
+    return h
+
+
+@wp.func
+def _near_groups(
+    low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), x: wp.vec3, radius: float, mask: wp.array(dtype=int)
+) -> int:
+    """Bits of the primitives whose group's box is nearer than `radius` to x (ee frame)."""
+    near = int(0)
+    for g in range(3):
+        a = low[g] - x
+        b = x - high[g]
+        d = wp.vec3(wp.max(wp.max(a[0], b[0]), 0.0), wp.max(wp.max(a[1], b[1]), 0.0), wp.max(wp.max(a[2], b[2]), 0.0))
+        if wp.dot(d, d) < radius * radius:
+            near = near | mask[g]
+    return near
+
+
 @wp.kernel
 def primitives_clearance(
     first: int,
@@ -164,8 +193,21 @@ def primitives_clearance(
     best = float(cap)
     witness = int(-1)
     count = gripper.kind.shape[0]
+    # boxes (ee frame) around the body's and each finger's primitives: most of the surface is far from all three
+    low = wp.zeros(shape=3, dtype=wp.vec3)
+    high = wp.zeros(shape=3, dtype=wp.vec3)
+    mask = wp.zeros(shape=3, dtype=int)
+    for g in range(3):
+        low[g] = wp.vec3(1.0e30, 1.0e30, 1.0e30)
+        high[g] = wp.vec3(-1.0e30, -1.0e30, -1.0e30)
     for i in range(count):
         R, p = finger_pose(gripper, i, drive)
+        if (used >> i) & 1 != 0:
+            g = int(gripper.side[i]) + 1
+            half = _box_half(gripper.kind[i], gripper.size[i], R)
+            low[g] = wp.min(low[g], p - half)
+            high[g] = wp.max(high[g], p + half)
+            mask[g] = mask[g] | (1 << i)
         R_scratch[trial, i] = wp.transpose(R) * R_ee_obj
         p_scratch[trial, i] = wp.transpose(R) * (t_ee_obj - p)
         if solid != 0 and (used >> i) & 1 != 0:
@@ -177,8 +219,12 @@ def primitives_clearance(
     # some points first: a small `best` spares most triangles
     for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
         x = surfaces.points[3 * surfaces.leaf_first[surfaces.node_first[node]]]
+        ball = surfaces.node_sphere[node]
+        around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)
+        if around == 0:
+            continue
         for i in range(count):
-            if (used >> i) & 1 != 0:
+            if (around >> i) & 1 != 0:
                 d = signed_distance(gripper.kind[i], gripper.size[i], R_scratch[trial, i] * x + p_scratch[trial, i])
                 if d < best:
                     best = d
@@ -186,8 +232,11 @@ def primitives_clearance(
     for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
         near = int(0)
         ball = surfaces.node_sphere[node]
+        around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)
+        if around == 0:
+            continue
         for i in range(count):
-            if (used >> i) & 1 != 0:
+            if (around >> i) & 1 != 0:
                 x = R_scratch[trial, i] * center(ball) + p_scratch[trial, i]
                 if signed_distance(gripper.kind[i], gripper.size[i], x) - ball[3] < best:
                     near = near | (1 << i)

@@ -225,9 +225,7 @@ class Scene:
 
     def _fill_objects(self) -> dict:
         points, first, start = self._object_points
-        caps = [
-            bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)
-        ]
+        caps = [bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
         shift = len(self._hand_points[0])
         return {
             "hull_first": (first, wp.int32),
@@ -237,6 +235,13 @@ class Scene:
             "hull_c1": ([c[1] for c in caps], wp.vec3),
             "hull_radius": ([c[2] for c in caps], wp.float32),
         }
+
+    @cached_property
+    def hull_balls(self) -> wp.array:
+        """For each object hull the centre (object frame) and the radius of the largest ball inside it."""
+        points, _, start = self._object_points
+        balls = [bounds.inner_ball(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
+        return wp.array(np.stack(balls).astype(np.float32), dtype=wp.vec4, device=self.device)
 
     @cached_property
     def grasp_tables(self) -> GraspTables:
