@@ -57,6 +57,19 @@ def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
     return capsule_of_balls(points, np.zeros(len(points)))
 
 
+def inner_ball(points: Array) -> Array:
+    """Centre and radius (4,) of the largest ball inside the points' convex hull; a little less in float32."""
+    from scipy.optimize import linprog
+    from scipy.spatial import ConvexHull
+
+    faces = ConvexHull(points).equations  # unit normals: n . x + d + r <= 0
+    A = np.column_stack([faces[:, :3], np.ones(len(faces))])
+    found = linprog([0, 0, 0, -1], A_ub=A, b_ub=-faces[:, 3], bounds=[(None, None)] * 3 + [(0, None)])
+    if not found.success:
+        raise ValueError(f"no ball fits into a hull of {len(points)} points: {found.message}")
+    return np.append(found.x[:3], max(found.x[3] - 1e-6, 1e-6))
+
+
 CELLS_PER_EDGE = 6
 """As in kernels/gjk.py."""
 

@@ -239,6 +239,13 @@ class Scene:
         }
 
     @cached_property
+    def hull_balls(self) -> wp.array:
+        """For each object hull the centre (object frame) and the radius of the largest ball inside it."""
+        points, _, start = self._object_points
+        balls = [bounds.inner_ball(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
+        return wp.array(np.stack(balls).astype(np.float32), dtype=wp.vec4, device=self.device)
+
+    @cached_property
     def grasp_tables(self) -> GraspTables:
         """Object surfaces, receiver regions and the gripper, for grasp.py."""
         return grasp_tables(self.objects, self.device)

@@ -124,6 +124,12 @@ class Scores(_Rows):
     path_time_s: Float32[Tensor, "b w"]
     path_len: Int32[Tensor, " b"]
 
+    def by_trial(self, k: int) -> Self:
+        """The same rows as views (N, k, ...): k candidates for each of N trials, as they were scored."""
+        if k < 1 or len(self) % k:
+            raise ValueError(f"k is {k}; {len(self)} rows can only be split by a divisor of their number")
+        return replace(self, **{name: x.unflatten(0, (len(self) // k, k)) for name, x in self._tensors().items()})
+
     @staticmethod
     def concatenate(parts: list["Scores"]) -> "Scores":
         """One `Scores` with the rows of all parts, in order."""
