@@ -13,6 +13,7 @@ from torch import Tensor
 from r2h_batch import metrics, se3
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.execute import execute, executed_time_at, time_at, time_path
+from r2h_batch.gradients import differentiable
 from r2h_batch.grasp import Grasp, attach, close_gripper
 from r2h_batch.hand import HandSet
 from r2h_batch.ik import IkResult, one_branch, solve_ik
@@ -158,7 +159,7 @@ class Evaluator:
         outcome = _first_failure(passed, evaluated, active)
         b, nan = len(trials), torch.full_like(goal.clearance_m, torch.nan)
         none = torch.empty((b, 0, 6), dtype=torch.float32, device=active.device)
-        return Scores(
+        scores = Scores(
             trial_id=trials.trial_id,
             outcome=outcome,
             success=outcome == int(Outcome.SUCCESS),
@@ -181,6 +182,9 @@ class Evaluator:
             path_time_s=none[:, :, 0],
             path_len=torch.zeros_like(goal.reason),
         )
+        if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
+            return differentiable(self, scores, T_obj_ee, T_world_ee, trials, held, goal)
+        return scores
 
     def _hold(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> "_Held":
         """Which rows are poses; the object in the closed gripper, everything at its place."""
