@@ -23,6 +23,7 @@ from r2h_batch.kernels.width import FAR, between_gaps, close_on
 wp.set_module_options({"enable_backward": False})
 
 MEET_M = wp.constant(1.0e-6)
+RIDGE_M = wp.constant(2.0e-5)
 REFINEMENTS = wp.constant(8)
 STEP_M = wp.constant(2.0e-5)
 """Twice the accuracy to which closing locates the opening: the sweep of this much contains what the pads met."""
@@ -75,6 +76,62 @@ def outwards(kind: int, size: wp.vec3, x: wp.vec3):
                 n = wp.vec3(0.0, 0.0, wp.where(x[2] < 0.0, -1.0, 1.0))
             elif r > 0.0:
                 n = wp.vec3(x[0] / r, x[1] / r, 0.0)
+    return n
+
+
+@wp.func
+def outwards_inside(kind: int, size: wp.vec3, x: wp.vec3, u: wp.vec3, v: wp.vec3, w: wp.vec3):
+    """How the least signed distance of triangle uvw changes per motion of it, x being its deepest point in a primitive.
+
+    The deepest point mostly lies on a ridge, equally far from two or three faces. There the change is the mixture of
+    their normals (Kuhn-Tucker multipliers) that is square to what x may slide along: an edge, or the triangle.
+    """
+    n = outwards(kind, size, x)
+    if kind == BOX or kind == CYLINDER:
+        q = wp.vec3(wp.abs(x[0]) - size[0], wp.abs(x[1]) - size[1], wp.abs(x[2]) - size[2])
+        axes = wp.mat33(
+            wp.sign(x[0]), 0.0, 0.0,
+            0.0, wp.sign(x[1]), 0.0,
+            0.0, 0.0, wp.sign(x[2]),
+        )  # fmt: skip
+        if kind == CYLINDER:  # its side and its end
+            r = wp.sqrt(x[0] * x[0] + x[1] * x[1])
+            q = wp.vec3(r - size[0], -1.0e30, wp.abs(x[2]) - size[1])
+            if r > 0.0:
+                axes[0, 0] = x[0] / r
+                axes[0, 1] = x[1] / r
+            axes[1, 1] = 0.0
+        top = wp.max(q[0], wp.max(q[1], q[2]))
+        active = int(0)
+        for k in range(3):
+            if q[k] > top - RIDGE_M:
+                active += 1
+        if active > 1:
+            edge = v - u
+            nearest = wp.length_sq(wp.cross(edge, x - u)) / wp.max(wp.length_sq(edge), 1.0e-30)
+            for k in range(2):
+                other = wp.where(k == 0, w - v, u - w)
+                start = wp.where(k == 0, v, w)
+                d = wp.length_sq(wp.cross(other, x - start)) / wp.max(wp.length_sq(other), 1.0e-30)
+                if d < nearest:
+                    nearest = d
+                    edge = other
+            square = wp.cross(v - u, w - u)
+            mixed = wp.vec3(0.0, 0.0, 0.0)
+            total = float(0.0)
+            for k in range(3):
+                if q[k] > top - RIDGE_M:
+                    face = wp.vec3(axes[k, 0], axes[k, 1], axes[k, 2])
+                    weight = wp.abs(wp.dot(face, square))
+                    if active == 2 and nearest < RIDGE_M * RIDGE_M:
+                        weight = float(0.0)
+                        for m in range(3):
+                            if m != k and q[m] > top - RIDGE_M:
+                                weight = wp.abs(wp.dot(wp.vec3(axes[m, 0], axes[m, 1], axes[m, 2]), edge))
+                    mixed = mixed + weight * face
+                    total += weight
+            if total > 0.0:
+                n = mixed / total
     return n
 
 
@@ -171,7 +228,9 @@ def triangle_witness(
     if s < out.distance:
         out.distance = s
         out.x = x
-    if out.distance < best:
+    if out.distance < wp.min(best, -RIDGE_M):
+        out.n = outwards_inside(kind, size, out.x, u, v, w)
+    elif out.distance < best:
         out.n = outwards(kind, size, out.x)
     return out
 

@@ -18,12 +18,13 @@ from r2h_batch.ik import ur_parameters
 from r2h_batch.metrics import squeezed
 from r2h_batch.pose import Goal
 from r2h_batch.robot import ee_pose, load_robot
+from r2h_batch.straight_through import with_gradient
 from r2h_batch.types import CollidingPair, PlanReason, Scores, Trials
 
 if TYPE_CHECKING:
     from r2h_batch.evaluate import Evaluator, _Held
 
-__all__ = ["differentiable", "with_gradient"]
+__all__ = ["differentiable"]
 
 
 def differentiable(
@@ -148,21 +149,3 @@ def _lengths() -> first_order.UrLengths:
 @lru_cache(maxsize=4)
 def _home_pose(device: str) -> Tensor:
     return torch.from_numpy(ee_pose(load_robot(), HOME_Q)).float().to(device)
-
-
-class _WithGradient(torch.autograd.Function):
-    """Value of the first, gradient of the second."""
-
-    @staticmethod
-    def forward(ctx: object, value: Tensor, change: Tensor) -> Tensor:
-        return value.clone()
-
-    @staticmethod
-    def backward(ctx: object, *gradient: Tensor) -> tuple[None, Tensor]:
-        return None, gradient[0]
-
-
-def with_gradient(value: Float[Tensor, "*b"], change: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
-    """`value`, bit for bit, with the gradient of `change`."""
-    out: Tensor = _WithGradient.apply(value, change)  # type: ignore[no-untyped-call]
-    return out
