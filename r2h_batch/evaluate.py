@@ -10,14 +10,15 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from r2h_batch import metrics, se3
+from r2h_batch import metrics, se3, torch_op
+from r2h_batch.capture import Captured
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.execute import execute, executed_time_at, time_at, time_path
 from r2h_batch.gradients import differentiable
 from r2h_batch.grasp import Grasp, attach, close_gripper
 from r2h_batch.hand import HandSet
 from r2h_batch.ik import IkResult, one_branch, solve_ik
-from r2h_batch.inputs import Stages, checked_inputs
+from r2h_batch.inputs import Stages, check_indices, checked_inputs
 from r2h_batch.launch import one_torch_thread
 from r2h_batch.metrics import Criterion
 from r2h_batch.objects import ObjectModel
@@ -25,6 +26,9 @@ from r2h_batch.plan import plan_paths
 from r2h_batch.pose import judge_goals, safe_at
 from r2h_batch.scene import Placed, Scene
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores, Trials
+
+POSE_CHUNK_CUDA = 1 << 16
+"""Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
 
 
 class Evaluator:
@@ -42,12 +46,14 @@ class Evaluator:
         self.config = config or EvalConfig()
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
         self.threads = threads
+        self.handle = torch_op.register(self)
 
     @cached_property
     def kinematic(self) -> "Evaluator":
         """The same evaluator with the motion taken as planned (`sim="none"`): for methods that score while they search."""
         twin = copy.copy(self)
         twin.config = replace(self.config, execute=replace(self.config.execute, sim="none"))
+        twin.handle = torch_op.register(twin)
         return twin
 
     def score(
@@ -73,7 +79,19 @@ class Evaluator:
         K candidates for each of N trials: poses (N, K, 4, 4), rows of the result in that order (`Scores.by_trial`).
         """
         T_obj_ee, T_world_ee, trials = checked_inputs(self.scene, T_obj_ee, T_world_ee, trials, stages)
+        if torch.compiler.is_compiling():
+            return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
+        check_indices(self.scene, trials)
+        return self._score(T_obj_ee, T_world_ee, trials, stages)
+
+    def capture(self, b: int, *, stages: Stages = "pose") -> Captured:
+        """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on CUDA one graph."""
+        return Captured(self, b, stages)
+
+    def _score(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages) -> Scores:
         n, chunk = len(trials), self.config.chunk
+        if stages == "pose" and T_obj_ee.is_cuda:
+            chunk = max(chunk, POSE_CHUNK_CUDA)
         judge = self._score_pose if stages == "pose" else self._score_chunk
         with one_torch_thread(self.scene.device):
             parts = [
@@ -190,6 +208,11 @@ class Evaluator:
         """Which rows are poses; the object in the closed gripper, everything at its place."""
         scene, T_world_hand, objects = self.scene, trials.T_world_hand, trials.object_index.contiguous()
         active = se3.is_pose(T_obj_ee) & se3.is_pose(T_world_ee) & se3.is_pose(T_world_hand)
+        hands = trials.hand_index
+        if objects.is_cuda:  # on a CPU they were looked at before any work
+            for index, count in ((objects, len(scene.objects)), (hands, len(scene.hands.set))):
+                active = active & (index >= 0) & (index < count)
+            objects, hands = torch.where(active, objects, 0), torch.where(active, hands, 0)
         T_obj_ee, T_world_ee, T_world_hand = (_usable(T, active) for T in (T_obj_ee, T_world_ee, T_world_hand))
         grasp = close_gripper(
             scene.grasp_tables,
@@ -200,8 +223,8 @@ class Evaluator:
             threads=self.threads,
         )
         attached = attach(T_obj_ee, grasp.shift_m)
-        placed = scene.place(objects, trials.hand_index, attached, T_world_hand, grasp.opening_m, threads=self.threads)
-        return _Held(active, T_obj_ee, T_world_ee, T_world_hand, trials.hand_index, objects, grasp, attached, placed)
+        placed = scene.place(objects, hands, attached, T_world_hand, grasp.opening_m, threads=self.threads)
+        return _Held(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, placed)
 
     def _branches(self, held: "_Held") -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""
@@ -262,6 +285,5 @@ def _first_failure(passed: Tensor, evaluated: Tensor, active: Tensor) -> Tensor:
     """The outcome: the first criterion, in the paper's order, that was evaluated and failed."""
     outcome = torch.full(passed.shape[:1], int(Outcome.SUCCESS), dtype=torch.int8, device=passed.device)
     for i in reversed(range(passed.shape[1])):
-        outcome[evaluated[:, i] & ~passed[:, i]] = i + 1
-    outcome[~active] = int(Outcome.INVALID_INPUT)
-    return outcome
+        outcome = outcome.masked_fill(evaluated[:, i] & ~passed[:, i], i + 1)
+    return outcome.masked_fill(~active, int(Outcome.INVALID_INPUT))

@@ -118,11 +118,11 @@ def solve_ik(
     if n == 0:
         return result
     inputs = [
-        ur_parameters(robot, home),
+        default_ur() if robot is load_robot() and tuple(home) == HOME_Q else ur_parameters(robot, home),
         iterations,
         wp.float64(POSITION_TOLERANCE_M),
         wp.float64(ROTATION_TOLERANCE_RAD),
-        wp.array(_cos_sin(start), dtype=wp.float64, device=place),
+        _seed_states(place) if seeds is None else wp.array(_cos_sin(start), dtype=wp.float64, device=place),
         wp.from_torch(T_world_ee.detach().contiguous()),
         wp.from_torch(active.contiguous()),
         wp.from_torch(result.q),
@@ -170,6 +170,18 @@ def one_branch(
     launch_trials(first_branch, n, inputs, device=place, threads=threads, chunk=64)
     slot = torch.where(slot >= 0, slot.long(), ik.valid.to(torch.int8).argmax(1))
     return ik.valid & (torch.arange(BRANCHES, device=device) == slot[:, None])
+
+
+@cache
+def _seed_states(device: str) -> wp.array:
+    """The committed seeds on a device, for the kernel."""
+    return wp.array(_cos_sin(ik_seeds()), dtype=wp.float64, device=device)
+
+
+@cache
+def default_ur() -> UrParameters:
+    """The parameters of the committed robot, home at its home."""
+    return ur_parameters(load_robot())
 
 
 @cache

@@ -18,8 +18,7 @@ def checked_inputs(
 ) -> tuple[Tensor, Tensor, Trials]:
     """Poses (B, 4, 4) and B trials; (N, K) candidates become N K rows, each trial K times in turn.
 
-    Raises ValueError, TypeError from shapes, dtypes and devices alone, and on a CPU from the indices; on CUDA looking at
-    them would wait for the device, so there rows with an index outside the scene become INVALID_INPUT.
+    Raises ValueError, TypeError from shapes, dtypes and devices alone.
     """
     device = torch.device(scene.device)
     if stages not in get_args(Stages):
@@ -44,22 +43,31 @@ def checked_inputs(
             raise ValueError(f"{name} has shape {tuple(value.shape)}; with {n} trials it must be {allowed}")
         if value.device.type != device.type:
             raise ValueError(f"{name} is on {value.device}, the evaluator on {device}: move one of them")
-    for name, index, count in (
-        ("object_index", trials.object_index, len(scene.objects)),
-        ("hand_index", trials.hand_index, len(scene.hands.set)),
-    ):
+    for name, index in (("object_index", trials.object_index), ("hand_index", trials.hand_index)):
         if index.shape != (n,) or index.dtype != torch.int32 or index.device.type != device.type:
             raise ValueError(
                 f"trials.{name} is {index.dtype} {tuple(index.shape)} on {index.device}; it must be int32 ({n},) on {device}"
             )
-        if n and device.type == "cpu" and not (int(index.min()) >= 0 and int(index.max()) < count):
-            raise ValueError(
-                f"trials.{name} runs from {int(index.min())} to {int(index.max())}; the scene has 0 to {count - 1}"
-            )
     if many:
         T_obj_ee, T_world_ee = T_obj_ee.reshape(n * k, 4, 4), T_world_ee.reshape(n * k, 4, 4)
         trials = repeated(trials, k)
-    return T_obj_ee, T_world_ee, trials
+    return T_obj_ee.detach(), T_world_ee.detach(), trials
+
+
+def check_indices(scene: Scene, trials: Trials) -> None:
+    """Raises ValueError for an object or hand outside the scene; on CUDA looking at them would wait for the device.
+
+    There rows with such an index become INVALID_INPUT.
+    """
+    if torch.device(scene.device).type != "cpu" or not len(trials):
+        return
+    for name, index, count in (
+        ("object_index", trials.object_index, len(scene.objects)),
+        ("hand_index", trials.hand_index, len(scene.hands.set)),
+    ):
+        low, high = int(index.min()), int(index.max())
+        if low < 0 or high >= count:
+            raise ValueError(f"trials.{name} runs from {low} to {high}; the scene has 0 to {count - 1}")
 
 
 def repeated(trials: Trials, k: int) -> Trials:

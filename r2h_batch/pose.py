@@ -10,12 +10,11 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, Thresholds
-from r2h_batch.ik import IkResult, ur_parameters
+from r2h_batch.ik import IkResult, default_ur
 from r2h_batch.kernels import goal as goal_kernels
 from r2h_batch.kernels import ik_nearest
 from r2h_batch.launch import launch_trials
 from r2h_batch.metrics import Criterion
-from r2h_batch.robot import load_robot
 from r2h_batch.scene import Placed, Scene
 from r2h_batch.types import PlanReason
 
@@ -80,7 +79,7 @@ def judge_goals(
     launch_trials(goal_kernels.choose_goal, b, [*start, *chosen], chunk=64, **on)  # type: ignore[arg-type]
 
     inputs = [
-        ur_parameters(load_robot()), wp.float64(ROTATION_LEVER_M), wp.from_torch(active & ~branches.any(1)),
+        default_ur(), wp.float64(ROTATION_LEVER_M), wp.from_torch(active & ~branches.any(1)),
         wp.from_torch(T_world_ee, dtype=wp.mat44), wp.from_torch(q), wp.from_torch(residual),
     ]  # fmt: skip
     launch_trials(ik_nearest.nearest_posture, b, inputs, chunk=256, **on)  # type: ignore[arg-type]

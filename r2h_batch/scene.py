@@ -232,9 +232,7 @@ class Scene:
 
     def _fill_objects(self) -> dict:
         points, first, start = self._object_points
-        caps = [
-            bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)
-        ]
+        caps = [bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
         shift = len(self._hand_points[0])
         return {
             "hull_first": (first, wp.int32),

@@ -1,0 +1,93 @@
+"""Scoring as one opaque operator for torch.compile: r2h_batch::score, with shapes but no work for tracing."""
+
+from dataclasses import fields
+from itertools import count
+from typing import TYPE_CHECKING
+from weakref import WeakValueDictionary
+
+import torch
+from torch import Tensor
+
+from r2h_batch.types import Scores, Trials
+
+if TYPE_CHECKING:
+    from r2h_batch.evaluate import Evaluator
+
+_numbers = count()
+_evaluators: "WeakValueDictionary[int, Evaluator]" = WeakValueDictionary()
+"""An operator's arguments are tensors and numbers: this is how it finds its evaluator again."""
+
+WAYPOINTS = {"pose": 0, "all": 32}
+"""Width of `Scores.path`; 32 as in plan.py."""
+
+RETURNED = tuple(f.name for f in fields(Scores) if f.name != "trial_id")
+"""What the operator returns, in order; it may not return an input, so trial ids are put back outside."""
+
+_SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
+    "outcome": (torch.int8, ()),
+    "success": (torch.bool, ()),
+    "passed": (torch.bool, (5,)),
+    "evaluated": (torch.bool, (5,)),
+    "margin": (torch.float32, (5,)),
+    "borderline": (torch.bool, ()),
+    "plan_reason": (torch.int8, ()),
+    "plan_pair": (torch.int8, ()),
+    "witness_part": (torch.int32, (2,)),
+    "witness_point": (torch.float32, (3,)),
+    "q_goal": (torch.float32, (6,)),
+    "path": (torch.float32, (-1, 6)),
+    "path_time_s": (torch.float32, (-1,)),
+    "path_len": (torch.int32, ()),
+}
+"""Per row; -1 stands for the path's width, what is not listed is one float."""
+
+
+def register(evaluator: "Evaluator") -> int:
+    """The number under which the operator finds this evaluator for as long as it lives."""
+    number = next(_numbers)
+    _evaluators[number] = evaluator
+    return number
+
+
+@torch.library.custom_op("r2h_batch::score", mutates_args=())
+def score_op(
+    T_obj_ee: Tensor,
+    T_world_ee: Tensor,
+    trial_id: Tensor,
+    object_index: Tensor,
+    hand_index: Tensor,
+    T_world_hand: Tensor,
+    evaluator: int,
+    stages: str,
+) -> list[Tensor]:
+    """The tensors of `Evaluator.score` in the order of RETURNED."""
+    if evaluator not in _evaluators:
+        raise RuntimeError("the evaluator of this compiled function is gone: keep a reference to it")
+    trials = Trials(trial_id, object_index, hand_index, T_world_hand)
+    scores = _evaluators[evaluator].score(T_obj_ee, T_world_ee, trials, stages)  # type: ignore[arg-type]
+    return [getattr(scores, name).clone() for name in RETURNED]
+
+
+@score_op.register_fake
+def _(
+    T_obj_ee: Tensor,
+    T_world_ee: Tensor,
+    trial_id: Tensor,
+    object_index: Tensor,
+    hand_index: Tensor,
+    T_world_hand: Tensor,
+    evaluator: int,
+    stages: str,
+) -> list[Tensor]:
+    out = []
+    for name in RETURNED:
+        dtype, shape = _SHAPES.get(name, (torch.float32, ()))
+        row = [WAYPOINTS[stages] if n == -1 else n for n in shape]
+        out.append(T_obj_ee.new_empty((T_obj_ee.shape[0], *row), dtype=dtype))
+    return out
+
+
+def call(evaluator: int, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: str) -> Scores:
+    """`Evaluator.score` of checked rows through the operator: what torch.compile sees."""
+    rows = (trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand)
+    return Scores(trials.trial_id, *score_op(T_obj_ee, T_world_ee, *rows, evaluator, stages))
