@@ -12,7 +12,9 @@ from torch import Tensor, nn
 
 from r2h_batch import se3
 
-CLOUD = 160
+CLOUD = 96
+SEEN = 512
+"""Of an object's points, those that features are made from: the first ones, themselves an area-weighted sample."""
 NEAR_M, SCALE_M = 0.03, 0.05
 STEPS = 16
 """Euler steps from noise to sample."""
@@ -61,7 +63,7 @@ class Encoder(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.each = nn.Sequential(nn.Linear(8, 64), nn.SiLU(), nn.Linear(64, 128), nn.SiLU(), nn.Linear(128, 128))
+        self.each = nn.Sequential(nn.Linear(8, 64), nn.SiLU(), nn.Linear(64, 128))
 
     def forward(self, cloud: Tensor) -> Tensor:
         return self.each(cloud).amax(1)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from generator import CLOUD, Flow, cloud_in, frame_of, to_numbers, to_pose
+from generator import CLOUD, SEEN, Flow, cloud_in, frame_of, to_numbers, to_pose
 from torch import Tensor
 
 from r2h_batch import Evaluator, Trials, make_trials, reward, se3
@@ -37,9 +37,8 @@ class Clouds:
     @staticmethod
     def of(evaluator: Evaluator) -> "Clouds":
         objects = evaluator.scene.objects
-        region = [o.receiver_face[o.point_face] for o in objects]
-        stack = lambda rows: torch.from_numpy(np.stack(rows))  # noqa: E731
-        return Clouds(stack([o.points for o in objects]), stack([o.normals for o in objects]), stack(region))
+        rows = ([x[:SEEN] for x in (o.points, o.normals, o.receiver_face[o.point_face])] for o in objects)
+        return Clouds(*(torch.from_numpy(np.stack(x)) for x in zip(*rows, strict=True)))
 
     def rows(self, objects: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         i = objects.long()
@@ -125,33 +124,43 @@ class Generator:
     random: torch.Generator
 
     def _seed(self, n: int) -> Tensor:
-        return torch.randint(0, 2048, (n, CLOUD // 2), generator=self.random)
+        return torch.randint(0, SEEN, (n, CLOUD // 2), generator=self.random)
 
-    def grasp_condition(self, objects: Tensor, point: Tensor) -> tuple[Tensor, Tensor]:
-        """The frame at a surface point, and the code of what is around it."""
+    def around(self, objects: Tensor, point: Tensor) -> tuple[Tensor, Tensor]:
+        """The frame at a surface point, and the cloud seen from it."""
         T_obj_point = self.clouds.point_frames(objects, point)
-        return T_obj_point, self.grasp.encoder(cloud_in(T_obj_point, *self.clouds.rows(objects), self._seed(len(point))))
+        return T_obj_point, cloud_in(T_obj_point, *self.clouds.rows(objects), self._seed(len(point)))
 
-    def pose_condition(self, T_obj_ee: Tensor, objects: Tensor, stands: Tensor) -> Tensor:
-        """The code of the object as the gripper sees it, and where the palm is."""
+    def held(self, T_obj_ee: Tensor, objects: Tensor, stands: Tensor) -> tuple[Tensor, Tensor]:
+        """The cloud as the gripper sees it, and what else decides the pose: the palm, where the object's middle is."""
         cloud = cloud_in(T_obj_ee, *self.clouds.rows(objects), self._seed(len(objects)))
         middle = se3.apply(se3.inverse(T_obj_ee), self.clouds.middle(objects))
-        return torch.cat([self.pose.encoder(cloud), stands, middle * 10], -1)
+        return cloud, torch.cat([stands, middle * 10], -1)
 
-    def losses(self, data: Examples, rows: Tensor, evaluator: Evaluator) -> Tensor:
-        trials, T_obj_ee, T_world_ee = data.trials[rows], data.T_obj_ee[rows], data.T_world_ee[rows]
-        objects = trials.object_index
-        T_obj_point, code = self.grasp_condition(objects, data.point[rows])
-        target = to_numbers(se3.matmul(se3.inverse(T_obj_point), T_obj_ee))
-        elsewhere = torch.randint(0, 2048, (len(rows),), generator=self.random)
-        _, other = self.grasp_condition(objects, elsewhere)
-        chosen = torch.nn.functional.softplus(-self.grasp.logit(code)) + torch.nn.functional.softplus(self.grasp.logit(other))
-        T_world_palm, stands = palm_frames(evaluator, trials)
-        handed = se3.matmul(se3.inverse(T_world_palm), T_world_ee)
-        condition = self.pose_condition(T_obj_ee, objects, stands)
-        handover = to_numbers(self.from_ee(handed, T_obj_ee, objects))
+    def lessons(self, data: Examples, evaluator: Evaluator) -> list[Tensor]:
+        """What training needs of all examples, worked out once: clouds and numbers to be reached."""
+        parts = []
+        for rows in torch.arange(len(data.point)).split(1024):
+            trials, T_obj_ee, T_world_ee = data.trials[rows], data.T_obj_ee[rows], data.T_world_ee[rows]
+            objects = trials.object_index
+            T_obj_point, cloud = self.around(objects, data.point[rows])
+            elsewhere = torch.randint(0, SEEN, (len(rows),), generator=self.random)
+            T_world_palm, stands = palm_frames(evaluator, trials)
+            handed = self.from_ee(se3.matmul(se3.inverse(T_world_palm), T_world_ee), T_obj_ee, objects)
+            grasp = to_numbers(se3.matmul(se3.inverse(T_obj_point), T_obj_ee))
+            held = self.held(T_obj_ee, objects, stands)
+            parts.append((cloud, self.around(objects, elsewhere)[1], grasp, *held, to_numbers(handed)))
+        return [torch.cat(column) for column in zip(*parts, strict=True)]
+
+    def loss(self, lessons: list[Tensor], rows: Tensor) -> Tensor:
+        """Both flows' and the surface points' logits'."""
+        cloud, other, grasp, held, more, handed = (x[rows] for x in lessons)
+        code = self.grasp.encoder(cloud)
+        softplus = torch.nn.functional.softplus
+        chosen = softplus(-self.grasp.logit(code)) + softplus(self.grasp.logit(self.grasp.encoder(other)))
+        condition = torch.cat([self.pose.encoder(held), more], -1)
         return (
-            self.grasp.loss(target, code, self.random) + self.pose.loss(handover, condition, self.random) + 0.2 * chosen.mean()
+            self.grasp.loss(grasp, code, self.random) + self.pose.loss(handed, condition, self.random) + 0.2 * chosen.mean()
         )
 
     def from_ee(self, T_palm_ee: Tensor, T_obj_ee: Tensor, objects: Tensor) -> Tensor:
@@ -169,14 +178,16 @@ class Generator:
         """One handover for each trial; with guidance, the last numbers of both flows climb the soft score."""
         objects = trials.object_index
         with torch.no_grad():
-            tries = torch.stack([torch.randint(0, 2048, (len(objects),), generator=self.random) for _ in range(24)], 1)
-            logits = torch.cat([self.grasp.logit(self.grasp_condition(objects, tries[:, k])[1]) for k in range(24)], 1)
+            tries = torch.stack([torch.randint(0, SEEN, (len(objects),), generator=self.random) for _ in range(24)], 1)
+            codes = (self.grasp.encoder(self.around(objects, tries[:, k])[1]) for k in range(24))
+            logits = torch.cat([self.grasp.logit(code) for code in codes], 1)
             pick = torch.multinomial(torch.softmax(logits, 1), 1, generator=self.random)
-            T_obj_point, code = self.grasp_condition(objects, tries.gather(1, pick)[:, 0])
+            T_obj_point, cloud = self.around(objects, tries.gather(1, pick)[:, 0])
             T_world_palm, stands = palm_frames(evaluator, trials)
-            x = self.grasp.sample(code, self.random)
+            x = self.grasp.sample(self.grasp.encoder(cloud), self.random)
             T_obj_ee = se3.matmul(T_obj_point, to_pose(x))
-            y = self.pose.sample(self.pose_condition(T_obj_ee, objects, stands), self.random)
+            held, more = self.held(T_obj_ee, objects, stands)
+            y = self.pose.sample(torch.cat([self.pose.encoder(held), more], -1), self.random)
 
         def poses(x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
             T_obj_ee = se3.matmul(T_obj_point, to_pose(x))
@@ -210,13 +221,14 @@ def train(evaluator: Evaluator, data: Examples, clouds: Clouds, *, steps: int, b
     torch.manual_seed(seed)
     random = torch.Generator().manual_seed(seed)
     model = Generator(Flow(0), Flow(8 + 3), clouds, random)
+    lessons = model.lessons(data, evaluator)
     weights = [*model.grasp.parameters(), *model.pose.parameters()]
     adam = torch.optim.AdamW(weights, lr=1e-3, weight_decay=1e-4)
     decay = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps)
     shown = 0.0
     for step in range(steps):
         rows = torch.randint(0, len(data.point), (batch,), generator=random)
-        loss = model.losses(data, rows, evaluator)
+        loss = model.loss(lessons, rows)
         adam.zero_grad()
         loss.backward()
         adam.step()
@@ -231,7 +243,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--proposals", type=int, default=60_000)
     parser.add_argument("--steps", type=int, default=3000)
-    parser.add_argument("--batch", type=int, default=256)
+    parser.add_argument("--batch", type=int, default=192)
     parser.add_argument("--trials", type=int, default=500, help="of each split; those on held-out objects are judged")
     parser.add_argument("--candidates", type=int, default=16, help="N of best-of-N, and the steps of guidance")
     parser.add_argument("--seed", type=int, default=0)

@@ -76,6 +76,8 @@ class Evaluator:
         `margin[:, PLAN]`: posture and clearance of `r2h_batch.pose.Goal`, always finite. `margin[:, SAFE]`: the hand's exact
         mesh at `q_goal`, evaluated for every pose. No path: `path_len` 0, `path` of width 0, times NaN.
 
+        With stages="pose", margins lead back to poses that require a gradient (docs/training_loop.md).
+
         K candidates for each of N trials: poses (N, K, 4, 4), rows of the result in that order (`Scores.by_trial`).
         """
         T_obj_ee, T_world_ee, trials = checked_inputs(self.scene, T_obj_ee, T_world_ee, trials, stages)
@@ -93,6 +95,8 @@ class Evaluator:
         if stages == "pose" and T_obj_ee.is_cuda:
             chunk = max(chunk, POSE_CHUNK_CUDA)
         judge = self._score_pose if stages == "pose" else self._score_chunk
+        if stages != "pose":  # a path's margins have no gradient here
+            T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
         with one_torch_thread(self.scene.device):
             parts = [
                 judge(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
