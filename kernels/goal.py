@@ -114,6 +114,7 @@ def goal_clearance(
     slot: wp.array(dtype=int),  # the free branch, or -1: then the one with the largest clearance is put here
     q_goal: wp.array2d(dtype=float),  # (B, 6) unreachable targets: the nearest posture, already here
     clearance_out: wp.array(dtype=float),
+    nearest_out: wp.array(dtype=int),  # the nearest pair, of colliding goals too
     body_out: wp.array(dtype=int),
     other_out: wp.array(dtype=int),
     push_out: wp.array(dtype=wp.vec3),  # world frame
@@ -127,6 +128,7 @@ def goal_clearance(
     reason = reason_in[trial]
     body_out[trial] = -1
     other_out[trial] = -1
+    nearest_out[trial] = 0
     if reason == NOT_EVALUATED:
         return
     R = wp.zeros(shape=7, dtype=wp.mat33)
@@ -174,6 +176,7 @@ def goal_clearance(
     clearance_out[trial] = clearance
     body_out[trial] = best.body
     other_out[trial] = best.other
+    nearest_out[trial] = best.pair
     R_world_hand = wp.transpose(bodies.R_hand_world[trial])
     push_out[trial] = R_world_hand * best.push
     point_out[trial] = R_world_hand * (best.point - bodies.p_hand_world[trial])

@@ -14,6 +14,7 @@ from r2h_batch import metrics, se3, torch_op
 from r2h_batch.capture import Captured
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.execute import Executed, execute, executed_time_at, time_at, time_path
+from r2h_batch.gradients import differentiable
 from r2h_batch.grasp import Grasp, attach, close_gripper
 from r2h_batch.hand import HandSet
 from r2h_batch.ik import IkResult, one_branch, solve_ik
@@ -78,6 +79,8 @@ class Evaluator:
         `margin[:, PLAN]`: posture and clearance of `r2h_batch.pose.Goal`, always finite. `margin[:, SAFE]`: the hand's exact
         mesh at `q_goal`, evaluated for every pose. No path: `path_len` 0, `path` of width 0, times NaN.
 
+        With stages="pose", margins lead back to poses that require a gradient (docs/training_loop.md).
+
         K candidates for each of N trials: poses (N, K, 4, 4), rows of the result in that order (`Scores.by_trial`).
         """
         T_obj_ee, T_world_ee, trials = checked_inputs(self.scene, T_obj_ee, T_world_ee, trials, stages)
@@ -97,6 +100,8 @@ class Evaluator:
         if stages == "pose" and T_obj_ee.is_cuda:
             chunk = max(chunk, POSE_CHUNK_CUDA)
         judge = self._score_pose if stages == "pose" else partial(self._score_chunk, keep_motion=keep_motion)
+        if stages != "pose":  # a path's margins have no gradient here
+            T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
         with one_torch_thread(self.scene.device):
             parts = [
                 judge(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
@@ -185,7 +190,7 @@ class Evaluator:
         outcome = _first_failure(passed, evaluated, active)
         b, nan = len(trials), torch.full_like(goal.clearance_m, torch.nan)
         none = torch.empty((b, 0, 6), dtype=torch.float32, device=active.device)
-        return Scores(
+        scores = Scores(
             trial_id=trials.trial_id,
             outcome=outcome,
             success=outcome == int(Outcome.SUCCESS),
@@ -211,6 +216,9 @@ class Evaluator:
             motion=none,
             motion_len=torch.zeros_like(goal.reason),
         )
+        if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
+            return differentiable(self, scores, T_obj_ee, T_world_ee, trials, held, goal)
+        return scores
 
     def _hold(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> "_Held":
         """Which rows are poses; the object in the closed gripper, everything at its place."""

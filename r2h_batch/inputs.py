@@ -51,7 +51,7 @@ def checked_inputs(
     if many:
         T_obj_ee, T_world_ee = T_obj_ee.reshape(n * k, 4, 4), T_world_ee.reshape(n * k, 4, 4)
         trials = repeated(trials, k)
-    return T_obj_ee.detach(), T_world_ee.detach(), trials
+    return T_obj_ee, T_world_ee, trials
 
 
 def check_indices(scene: Scene, trials: Trials) -> None:

@@ -121,14 +121,18 @@ def affordance(
     The fingers are taken `pad_squeeze_m` tighter than the material between them, so that fingers which hold the region
     itself meet it clearly and not within rounding.
     """
-    opening = torch.where(
-        grasp.width_m <= thresholds.w_max_m, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m
-    )
+    opening = squeezed(grasp, thresholds)
     attached = attach(T_obj_ee, grasp.shift_m)
     distance, _ = region_distance(
-        scene.grasp_tables, attached, object_index, opening.clamp(min=0.0), cap_m=CLEARANCE_CAP_M, threads=threads
+        scene.grasp_tables, attached, object_index, opening, cap_m=CLEARANCE_CAP_M, threads=threads
     )
     return Criterion.of(distance, active & ~torch.isnan(distance), touching_passes=False)
+
+
+def squeezed(grasp: Grasp, thresholds: Thresholds) -> Float32[Tensor, " b"]:
+    """The opening (m) of fingers that hold: `pad_squeeze_m` tighter than the material between them."""
+    held = grasp.width_m <= thresholds.w_max_m
+    return torch.where(held, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m).clamp(min=0.0)
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ class Goal:
     slot: Int32[Tensor, " b"]  # of the branch (IkResult), -1: none
     q: Float32[Tensor, "b 6"]
     clearance_m: Float32[Tensor, " b"]
+    nearest: Int32[Tensor, " b"]  # CollidingPair of the nearest pair, whatever `pair` says
     body: Int32[Tensor, " b"]  # Scene.part_names; -1: none
     other: Int32[Tensor, " b"]  # hand piece or robot body it is nearest to; -1: none, or the table
     push: Float32[Tensor, "b 3"]
@@ -64,7 +65,7 @@ def judge_goals(
     """The goals of B handover poses whose IK is solved; `branches` are those that may be used (`goals="one"`: one)."""
     b, device = len(active), active.device
     home = _home(str(device))
-    reason, pair, slot, body, other = (torch.empty(b, dtype=torch.int32, device=device) for _ in range(5))
+    reason, pair, slot, nearest, body, other = (torch.empty(b, dtype=torch.int32, device=device) for _ in range(6))
     q = torch.full((b, 6), torch.nan, dtype=torch.float32, device=device)
     residual = torch.zeros(b, dtype=torch.float32, device=device)
     clearance = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
@@ -86,11 +87,11 @@ def judge_goals(
     inputs = [
         CLEARANCE_CAP_M, scene.world, scene.hull_balls, placed.bodies, wp.from_torch(home), wp.from_torch(reason),
         wp.from_torch(branches), every, wp.from_torch(residual), wp.from_torch(pair), wp.from_torch(slot),
-        wp.from_torch(q), wp.from_torch(clearance), wp.from_torch(body), wp.from_torch(other),
+        wp.from_torch(q), wp.from_torch(clearance), wp.from_torch(nearest), wp.from_torch(body), wp.from_torch(other),
         wp.from_torch(push, dtype=wp.vec3), wp.from_torch(point, dtype=wp.vec3),
     ]  # fmt: skip
     launch_trials(goal_kernels.goal_clearance, b, inputs, chunk=64, **on)  # type: ignore[arg-type]
-    return Goal(reason, pair, slot, q, clearance, body, other, push, point)
+    return Goal(reason, pair, slot, q, clearance, nearest, body, other, push, point)
 
 
 def safe_at(

@@ -80,6 +80,13 @@ class Scene:
         return (*arm, *self.robot.gripper.names, "object")
 
     @cached_property
+    def body_links(self) -> NDArray[np.int64]:
+        """The link that carries each robot body (order of `part_names`): 0 base ... 6 wrist_3, 7 gripper."""
+        return np.concatenate([self.robot.arm.link[self._arm_order], np.full(len(self.robot.gripper.names), 7)]).astype(
+            np.int64
+        )
+
+    @cached_property
     def T_wrist_ee(self) -> NDArray[np.float64]:
         """ee in the wrist_3 frame, float64."""
         return np.asarray(self.robot.T_wrist3_flange @ self.robot.T_flange_ee)

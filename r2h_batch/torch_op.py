@@ -1,8 +1,9 @@
 """Scoring as one opaque operator for torch.compile: r2h_batch::score, with shapes but no work for tracing."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from itertools import count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 from weakref import WeakValueDictionary
 
 import torch
@@ -85,6 +86,63 @@ def _(
         row = [WAYPOINTS[stages] if n == -1 else n for n in shape]
         out.append(T_obj_ee.new_empty((T_obj_ee.shape[0], *row), dtype=dtype))
     return out
+
+
+@torch.library.custom_op("r2h_batch::score_backward", mutates_args=())
+def score_backward_op(
+    T_obj_ee: Tensor,
+    T_world_ee: Tensor,
+    trial_id: Tensor,
+    object_index: Tensor,
+    hand_index: Tensor,
+    T_world_hand: Tensor,
+    margin_gradient: Tensor,
+    evaluator: int,
+) -> list[Tensor]:
+    """What a gradient of the margins is with respect to the two poses; scores once more to find the witnesses."""
+    trials = Trials(trial_id, object_index, hand_index, T_world_hand)
+    stream = torch.cuda.current_stream(T_obj_ee.device) if T_obj_ee.is_cuda else None
+
+    def differentiate() -> list[Tensor]:
+        with torch.enable_grad(), torch.cuda.stream(stream):
+            poses = T_obj_ee.detach().requires_grad_(), T_world_ee.detach().requires_grad_()
+            margin = _evaluators[evaluator].score(*poses, trials, "pose").margin
+        gradients = torch.autograd.grad(margin, poses, margin_gradient, allow_unused=True)
+        return [torch.zeros_like(p) if g is None else g.contiguous() for g, p in zip(gradients, poses, strict=True)]
+
+    # Inside an operator autograd is switched off for this thread, whatever enable_grad says
+    with ThreadPoolExecutor(1) as aside:
+        return aside.submit(differentiate).result()
+
+
+@score_backward_op.register_fake
+def _(
+    T_obj_ee: Tensor,
+    T_world_ee: Tensor,
+    trial_id: Tensor,
+    object_index: Tensor,
+    hand_index: Tensor,
+    T_world_hand: Tensor,
+    margin_gradient: Tensor,
+    evaluator: int,
+) -> list[Tensor]:
+    return [T_obj_ee.new_empty(T_obj_ee.shape), T_world_ee.new_empty(T_world_ee.shape)]
+
+
+def _remember(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+    *tensors, ctx.evaluator, ctx.stages = inputs
+    ctx.save_for_backward(*tensors)
+
+
+def _backward(ctx: Any, gradients: list[Tensor | None]) -> tuple[Tensor | None, ...]:
+    gradient = gradients[RETURNED.index("margin")]
+    if gradient is None or ctx.stages != "pose":
+        return (None,) * 8
+    g, h = score_backward_op(*ctx.saved_tensors, gradient.contiguous(), ctx.evaluator)
+    return g, h, *(None,) * 6
+
+
+torch.library.register_autograd("r2h_batch::score", _backward, setup_context=_remember)
 
 
 def call(evaluator: int, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: str) -> Scores:

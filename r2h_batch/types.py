@@ -137,6 +137,15 @@ class Scores(_Rows):
             raise ValueError(f"k is {k}; {len(self)} rows can only be split by a divisor of their number")
         return replace(self, **{name: x.unflatten(0, (len(self) // k, k)) for name, x in self._tensors().items()})
 
+    def soft(self, *, temperature_m: float, log: bool = False) -> Float32[Tensor, " b"]:
+        """Smooth success in (0, 1), above 0.5 exactly where `success`; its logarithm with `log` (r2h_batch.soft).
+
+        Differentiable where `margin` is: scored with stages="pose" from poses that require a gradient.
+        """
+        from r2h_batch.soft import soft_success
+
+        return soft_success(self.margin, self.evaluated, self.success, temperature_m=temperature_m, log=log)
+
     @staticmethod
     def concatenate(parts: list["Scores"]) -> "Scores":
         """One `Scores` with the rows of all parts, in order."""

@@ -44,7 +44,11 @@ def test_a_compiled_training_step_scores_as_the_plain_one_in_one_graph(batch):
     for given in (batch.T_obj_ee, T_obj_ee):
         margin, success = compiled(given, batch.T_world_ee, batch.trials)
         expected = step(batch.T_obj_ee, batch.T_world_ee, batch.trials)
-        assert torch.equal(margin, expected[0]) and torch.equal(success, expected[1]) and not margin.requires_grad
+        assert torch.equal(margin, expected[0]) and torch.equal(success, expected[1])
+    plain = T_obj_ee.detach().clone().requires_grad_()
+    (wanted,) = torch.autograd.grad(step(plain, batch.T_world_ee, batch.trials)[0].sum(), plain)
+    (given,) = torch.autograd.grad(margin.sum(), T_obj_ee)
+    assert wanted.any() and torch.equal(given, wanted)
     with torch.inference_mode():
         assert torch.equal(step(batch.T_obj_ee.clone(), batch.T_world_ee, batch.trials)[0], expected[0])
     with torch.no_grad():
