@@ -82,7 +82,9 @@ def finger_room(
     nearest = float(most * most)
     for j in range(seeds.shape[1]):
         if j != own and used[trial, j] != wp.uint8(0):
-            nearest = wp.min(nearest, wp.min(wp.length_sq(seeds[trial, j] - left), wp.length_sq(seeds[trial, j] - right)))
+            nearest = wp.min(
+                nearest, wp.min(wp.length_sq(seeds[trial, j] - left), wp.length_sq(seeds[trial, j] - right))
+            )
     return wp.sqrt(nearest)
 
 

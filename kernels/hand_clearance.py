@@ -83,6 +83,6 @@ def gripper_to_hand(
                 if best > 0.0 and signed_distance(kind, size, middle) - ball[3] < best:
                     a.start = trial * hands.n_points + hands.piece_start[piece]
                     a.count = hands.piece_start[piece + 1] - hands.piece_start[piece]
-                    d = gjk(a, R, p, hands.points, b, hands.points, p - middle, best, 0.01)
+                    d = gjk(a, R, p, hands.points, b, hands.points, p - middle, best, 0.0)
                     best = wp.min(best, wp.max(d.lower, 0.0))
     clearance_out[trial, k] = best

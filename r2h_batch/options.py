@@ -123,7 +123,9 @@ def check(options: Options) -> Options:
         if twice := [g for g in given if given.count(g) > 1]:
             raise UsageError(f"--{name} {twice[0]} is given twice; once is enough")
     if not (math.isfinite(options.predictor_noise) and options.predictor_noise >= 0):
-        raise UsageError(f"--predictor-noise is {options.predictor_noise}; it must be 0 (the truth) or more, 1 is the default")
+        raise UsageError(
+            f"--predictor-noise is {options.predictor_noise}; it must be 0 (the truth) or more, 1 is the default"
+        )
     if options.predictor and "contact" not in options.method:
         raise UsageError("--predictor is the contact network of --method contact; add that method, or leave it out")
     if not options.splits:

@@ -62,7 +62,7 @@ def three_boxes() -> tuple[Array, Array, Array, Array]:
 
 def depth_steps(low_m: float, high_m: float, step_m: float) -> Array:
     """Depths from `low_m` to `high_m`, ends included."""
-    return low_m + step_m * np.arange(round((high_m - low_m) / step_m) + 1)
+    return np.asarray(low_m + step_m * np.arange(round((high_m - low_m) / step_m) + 1), np.float64)
 
 
 def box_grasps(
@@ -72,7 +72,7 @@ def box_grasps(
     *,
     voxel_m: float,
     azimuth_step: float,
-    depths_m: Sequence[float],
+    depths_m: Sequence[float] | Array,
     crop_m: float,
     threads: int | None = None,
 ) -> BoxGrasps:
@@ -83,7 +83,9 @@ def box_grasps(
     cloud, device, b = _clouds(scene, voxel_m), scene.device, len(object_index)
     count = round(math.pi / azimuth_step)
     if not 1 <= count <= 30:
-        raise ValueError(f"azimuth_step is {azimuth_step} rad, {count} azimuths; allowed are 1 to 30: give 0.105 or more")
+        raise ValueError(
+            f"azimuth_step is {azimuth_step} rad, {count} azimuths; allowed are 1 to 30: give 0.105 or more"
+        )
     angle = azimuth_step * np.arange(count)
     turns = np.stack([np.cos(angle), np.sin(angle)], 1).astype(np.float32)
     depth = np.asarray(depths_m, np.float32)
@@ -95,7 +97,7 @@ def box_grasps(
     if b:
         o, points = wp.from_torch(object_index.contiguous()), wp.from_torch(cloud.points, dtype=wp.vec3)
         seeds, use = wp.from_torch(seed, dtype=wp.vec3), wp.from_torch(used)
-        inputs = [
+        inputs: list[Any] = [
             points, wp.from_torch(cloud.order), wp.from_torch(cloud.voxel_start), GRASP, o,
             wp.from_torch(role.contiguous()), seeds, use,
         ]  # fmt: skip

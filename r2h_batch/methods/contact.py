@@ -158,5 +158,7 @@ def blocked_contact(
         wp.from_torch(count.to(torch.int32).contiguous()), wp.from_torch(contact.float().contiguous()),
         wp.from_torch(out),
     ]  # fmt: skip
-    launch_trials(blocked_kernels.blocked_contact, len(out), inputs, device=device, threads=threads, chunk=8, width=width)
+    launch_trials(
+        blocked_kernels.blocked_contact, len(out), inputs, device=device, threads=threads, chunk=8, width=width
+    )
     return out

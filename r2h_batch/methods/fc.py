@@ -49,9 +49,7 @@ def predict(
         target = predict_target(part, scene, seed=seed, noise=noise)
         rows, exists = table.rows(part.object_index)
         score = opposition(table.T_obj_ee[rows][..., :3, 2], taking.wrist_to_middle)
-        clear = candidates_clear_of(
-            scene, table, part.object_index, taking.vertices, clearance_m, threads=threads
-        )
+        clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)
         row = taken(rows, least(score, clear, exists))
         T_obj_ee = table.T_obj_ee[row]
         frames = approach_frames(-target.wrist_to_middle, torch.tensor(HOME_X, device=scene.device))

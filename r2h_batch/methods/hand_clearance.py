@@ -72,7 +72,5 @@ def gripper_clearance(
         wp.from_torch(count.to(torch.int32).contiguous()), wp.from_torch(T_hand_ee.contiguous(), dtype=wp.mat44),
         wp.from_torch(opening_m.contiguous()), wp.from_torch(out),
     ]  # fmt: skip
-    launch_trials(
-        kernels.gripper_to_hand, n, inputs, device=hand.device, threads=threads, chunk=8, width=width
-    )
+    launch_trials(kernels.gripper_to_hand, n, inputs, device=hand.device, threads=threads, chunk=8, width=width)
     return out

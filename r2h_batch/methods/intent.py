@@ -72,7 +72,9 @@ def predict(
         raise ValueError(f"{len(instructions)} instructions for {len(trials)} trials; give one for each, or None")
     objects = trials.object_index.cpu().tolist()
     said = [scene.objects[i].instruction for i in objects] if instructions is None else list(instructions)
-    named = torch.from_numpy(np.stack([_named_parts(scene, i, text) for i, text in zip(objects, said)] or [_no_parts(scene)]))
+    named = torch.from_numpy(
+        np.stack([_named_parts(scene, i, text) for i, text in zip(objects, said)] or [_no_parts(scene)])
+    )
     named = named.to(scene.device)
     hit_part, hit_region = approach_hits(scene)
 

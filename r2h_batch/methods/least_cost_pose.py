@@ -1,6 +1,7 @@
 """Contact-Handover's orientation: of a fan of handover poses above a palm, the one of least collision cost with the hand."""
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import torch
@@ -113,7 +114,7 @@ def hand_sample(scene: Scene, count: int) -> Int64[Tensor, " h"]:
 
 
 @lru_cache(maxsize=4)
-def _boxes(scene: Scene) -> tuple[wp.array, wp.array]:
+def _boxes(scene: Scene) -> tuple[Any, Any]:
     corners = np.stack([(o.vertices.min(0), o.vertices.max(0)) for o in scene.objects]).astype(np.float32)
-    low, high = (wp.array(np.ascontiguousarray(corners[:, i]), dtype=wp.vec3, device=scene.device) for i in (0, 1))
-    return low, high
+    arrays: list[Any] = [wp.array(np.ascontiguousarray(corners[:, i]), dtype=wp.vec3, device=scene.device) for i in (0, 1)]
+    return arrays[0], arrays[1]
