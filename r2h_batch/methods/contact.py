@@ -39,8 +39,8 @@ HEIGHT_M = 0.15
 BLOCKED_M = 0.02
 """A contact point this near to the gripper is blocked: a fingertip is 14-20 mm thick and cannot get between."""
 
-EPS_M = 0.03
-"""DBSCAN: grasps nearer than this are neighbours. Twice the pads' width of 22 mm less the overlap a pad needs."""
+EPS_M = 0.022
+"""DBSCAN: grasp points nearer than the pads' width of 22 mm are neighbours: pads there overlap, it is one place."""
 
 MIN_SAMPLES = 3
 """DBSCAN: a grasp with fewer neighbours (itself counted) may be an outlier: two alike can be chance, three are a place."""
