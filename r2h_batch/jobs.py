@@ -189,14 +189,15 @@ def _method_job(name: str, evaluator: "Evaluator", options: Options) -> Job:
     source = {"kind": "method", "function": f"{module_name}:{function_name}"}
     source["sha256"] = provenance.file_digest([Path(module.__file__)]) if module.__file__ else ""
     title = name
-    if built_in and hasattr(module, "STAND_IN"):
+    if "noise" in takes:
         from r2h_batch.predictors import PredictorNoise, load_predictor
 
         extra["noise"] = PredictorNoise().scaled(options.predictor_noise)
-        own = options.predictor if "predictor" in takes else ""
+        own = options.predictor if built_in and "predictor" in takes else ""
         if own:
             extra["predictor"] = load_predictor(own)
-        title = table_name(module.TITLE, Path(own).name or module.STAND_IN, options.predictor_noise)
+        if built_in:
+            title = table_name(module.TITLE, Path(own).name or module.STAND_IN, options.predictor_noise)
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
     def predict(trials: Trials, _: object) -> Predictions:

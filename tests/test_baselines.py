@@ -295,7 +295,9 @@ def test_contacts_orientation_has_the_least_cost_of_those_the_arm_reaches():
             in_obj = x @ T_obj_ee[k, :3, :3].double().numpy().T + T_obj_ee[k, :3, 3].double().numpy()
             d = -trimesh.proximity.signed_distance(mesh, in_obj)
             for g in range(len(q)):
-                d = np.minimum(d, primitive_distance(int(robot.gripper.kind[g]), robot.gripper.size[g], (x - q[g]) @ R[g]))
+                d = np.minimum(
+                    d, primitive_distance(int(robot.gripper.kind[g]), robot.gripper.size[g], (x - q[g]) @ R[g])
+                )
             assert cost[m] == pytest.approx(np.maximum(0.03 - d, 0).mean(), abs=2e-6)
 
 
