@@ -200,6 +200,18 @@ def test_intent_does_as_it_is_told():
         predict(intent, s1, instructions=said[:1])
 
 
+def test_the_region_is_what_the_sentence_names():
+    scene = evaluator().scene
+    some = trials()[trials().trial_id == 1]  # a hammer
+    model = scene.objects[int(some.object_index[0])]
+    assert model.name == "hammer"
+    assert [model.part_names[k] for k in intent.named_parts(scene, some, None)[0].nonzero()[:, 0]] == ["grip"]
+    free = trials()[trials().trial_id == 0]
+    assert not intent.named_parts(scene, free, None).any()
+    words = intent.named_parts(scene, free, ["hand me the controller by its grip"])[0]
+    assert [scene.objects[0].part_names[k] for k in words.nonzero()[:, 0]] == ["grip"]
+
+
 def near_gripper(i: int) -> NDArray[np.bool_]:
     """(K, P) cloud points nearer than 2 cm to each candidate's gripper."""
     model, robot = evaluator().scene.objects[int(trials().object_index[i])], load_robot()
@@ -377,3 +389,25 @@ def test_seed_and_noise_change_what_is_seen_and_no_noise_sees_the_target_hand_as
         above = point + 0.15 * normal
         assert (exact.T_world_ee[:, :3, 3] - above).abs().max() < 1e-5
         assert (again.T_world_ee[:, :3, 3] - above).abs().max() < 1e-5
+
+
+@pytest.mark.gpu
+@pytest.mark.parametrize("name", METHODS)
+def test_a_gpu_chooses_the_same_grasps_and_poses(name):
+    scene = Evaluator(device="cuda").scene
+    options = {"predictor": ends} if name == "contact" else {}
+    found = METHODS[name].predict(trials(), scene, **options)
+    near = (found.T_obj_ee - answer(name).T_obj_ee).abs().amax((1, 2)) < 1e-4
+    near &= (found.T_world_ee - answer(name).T_world_ee).abs().amax((1, 2)) < 1e-3
+    assert near.float().mean() > 0.9  # equal costs and touching within rounding may fall the other way
+
+
+@pytest.mark.slow
+def test_the_kernels_compile_for_a_gpu(tmp_path):
+    import warp as wp
+
+    from r2h_batch.kernels import approach_hit, blocked, box_grasps, hand_clearance, label_icp, pose_cost
+
+    for module in (approach_hit, blocked, box_grasps, hand_clearance, label_icp, pose_cost):
+        wp.compile_aot_module(module, arch=90, module_dir=str(tmp_path), use_ptx=True)
+    assert len(list(tmp_path.glob("*.ptx"))) == 6

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 import warp as wp
 from jaxtyping import Bool, Float, Int64
-from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.evaluate import Evaluator
@@ -70,16 +69,12 @@ def predict(
     table, w_max = candidate_table(scene), scene.config.thresholds.w_max_m
     if instructions is not None and len(instructions) != len(trials):
         raise ValueError(f"{len(instructions)} instructions for {len(trials)} trials; give one for each, or None")
-    objects = trials.object_index.cpu().tolist()
-    said = [scene.objects[i].instruction for i in objects] if instructions is None else list(instructions)
-    named = torch.from_numpy(
-        np.stack([_named_parts(scene, i, text) for i, text in zip(objects, said)] or [_no_parts(scene)])
-    )
-    named = named.to(scene.device)
+    named = named_parts(scene, trials, instructions).to(scene.device)
     hit_part, hit_region = approach_hits(scene)
 
     def choose(part: Trials, here: slice) -> tuple[Tensor, Tensor]:
-        taking = retrieve_receiving(part, scene, said[here], seed=seed, noise=noise)
+        said = None if instructions is None else instructions[here]
+        taking = retrieve_receiving(part, scene, said, seed=seed, noise=noise)
         target = predict_target(part, scene, seed=seed, noise=noise)
         rows, exists = table.rows(part.object_index)
         in_region = hit_region[rows] & named[here].gather(1, hit_part[rows])
@@ -124,17 +119,24 @@ def approach_hits(scene: Scene) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]
     return torch.from_numpy(part).to(scene.device), torch.from_numpy(region).to(scene.device)
 
 
-def _no_parts(scene: Scene) -> NDArray[np.bool_]:
-    return np.zeros(max(len(o.part_names) for o in scene.objects), bool)
+def named_parts(scene: Scene, trials: Trials, instructions: Sequence[str] | None) -> Bool[Tensor, "n p"]:
+    """The part labels of the region R_o that each trial's instruction names; none where it names the object alone."""
+    index = trials.object_index.cpu().long()
+    if instructions is None:
+        return torch.stack([_region(scene, i, o.instruction) for i, o in enumerate(scene.objects)])[index]
+    pairs = list(zip(index.tolist(), instructions, strict=True))
+    number = {pair: k for k, pair in enumerate(dict.fromkeys(pairs))}
+    regions = torch.stack(
+        [_region(scene, *pair) for pair in number] or [_region(scene, 0, scene.objects[0].instruction)]
+    )
+    return regions[torch.tensor([number[pair] for pair in pairs], dtype=torch.int64)]
 
 
 @lru_cache(maxsize=65536)
-def _named_parts(scene: Scene, object_index: int, instruction: str) -> NDArray[np.bool_]:
-    """(parts,) the labels of the region R_o that an instruction names; none where it names the object alone."""
-    parts = _no_parts(scene)
-    intent = intents_of(scene.objects[object_index])[
-        understand(instruction, scene.objects, object_index=object_index).intent
-    ]
+def _region(scene: Scene, object_index: int, instruction: str) -> Bool[Tensor, " p"]:
+    region = torch.zeros(max(len(o.part_names) for o in scene.objects), dtype=torch.bool)
+    understood = understand(instruction, scene.objects, object_index=object_index)
+    intent = intents_of(scene.objects[object_index])[understood.intent]
     if intent.part != ANYWHERE:
-        parts[list(intent.labels)] = True
-    return parts
+        region[list(intent.labels)] = True
+    return region

@@ -116,5 +116,7 @@ def hand_sample(scene: Scene, count: int) -> Int64[Tensor, " h"]:
 @lru_cache(maxsize=4)
 def _boxes(scene: Scene) -> tuple[Any, Any]:
     corners = np.stack([(o.vertices.min(0), o.vertices.max(0)) for o in scene.objects]).astype(np.float32)
-    arrays: list[Any] = [wp.array(np.ascontiguousarray(corners[:, i]), dtype=wp.vec3, device=scene.device) for i in (0, 1)]
+    arrays: list[Any] = [
+        wp.array(np.ascontiguousarray(corners[:, i]), dtype=wp.vec3, device=scene.device) for i in (0, 1)
+    ]
     return arrays[0], arrays[1]
