@@ -59,7 +59,7 @@ def intents_of(model: ObjectModel) -> tuple[Intent, ...]:
         if not chosen:
             continue
         said = f"{name} {part}"
-        phrases = (
+        phrases: tuple[str, ...] = (
             f"hand over the {said} to human",
             f"pass me the {name} by its {part}",
             f"give me the {name}, {part} first",
@@ -153,8 +153,9 @@ def _only_of(text: str, model: ObjectModel, parts: list[str]) -> str | None:
         if part in takeable:
             return part
     if parts:
+        allowed = _listed([p for p in dict.fromkeys(takeable) if p != ANYWHERE])
         raise InstructionError(
-            f"{text!r}: the receiver of the {model.name.replace('_', ' ')} takes {_listed(dict.fromkeys(takeable))}, "
+            f"{text!r}: the receiver of the {model.name.replace('_', ' ')} takes {allowed}, "
             f"not {parts[0]}; name one of these, or only the object"
         )
     return None
@@ -232,7 +233,7 @@ def _thing(model: ObjectModel) -> Thing:
     if model.name in THINGS and any(set(p) & set(model.part_names) for p in THINGS[model.name].parts.values()):
         return THINGS[model.name]
     allowed = _takeable(model)
-    parts = {n.replace("_", " "): (n,) for i, n in enumerate(model.part_names) if i in allowed}
+    parts: dict[str, tuple[str, ...]] = {n.replace("_", " "): (n,) for i, n in enumerate(model.part_names) if i in allowed}
     if model.split == "S1":
         first = re.search(r"hand over the .*?(\w+) to human", model.instruction)
         if first and first[1] not in parts and first[1] not in model.name:

@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.hand import HandModel, load_hand
 from r2h_batch.hand_contact import PALM, REGIONS, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
-from r2h_batch.kernels import close_hand
 from r2h_batch.instructions import intents_of
+from r2h_batch.kernels import close_hand
 from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.objects import ObjectModel
 
@@ -109,7 +109,8 @@ def _try(
     family, R, start, direction, retreat = _proposals(model, flip, rng)
     travel = _approach(field, families, family, R, start, direction, threads)
     near = travel < 2 * STANDOFF_M - 0.01
-    family, R, start, direction, retreat, travel = (x[near] for x in (family, R, start, direction, retreat, travel))
+    family, R, start, direction = family[near], R[near], start[near], direction[near]
+    travel, retreat = travel[near], retreat[near]
     p = start + (travel - retreat)[:, None] * direction
     flexion, gap = _close(field, families, family, R, p, threads)
     held = (gap[:, THUMB] < CONTACT_M) & ((gap[:, :THUMB] < CONTACT_M).sum(1) >= 1) & (gap.min(1) > -2 * DEEPEST_M)

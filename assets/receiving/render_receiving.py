@@ -15,6 +15,8 @@ from r2h_batch.hand import load_hand
 from r2h_batch.objects import ObjectModel, load_objects
 from r2h_batch.receiving import load_receiving
 
+VIEW_RADIUS_M = 0.125
+"""Half the height of what a tile shows, around the hand: long objects are cut off."""
 SKIN = (0.87, 0.66, 0.54, 1.0)
 
 
@@ -57,10 +59,8 @@ def render(
     mujoco.mj_forward(compiled, data)
     camera = mujoco.MjvCamera()
     camera.azimuth, camera.elevation = azimuth, elevation
-    every = np.concatenate([model.vertices, hand])
-    camera.lookat = (every.min(0) + every.max(0)) / 2
-    radius = float(np.linalg.norm(every - camera.lookat, axis=1).max())
-    camera.distance = 0.95 * radius / np.tan(np.radians(compiled.vis.global_.fovy / 2))
+    camera.lookat = (hand.min(0) + hand.max(0)) / 2
+    camera.distance = VIEW_RADIUS_M / np.tan(np.radians(compiled.vis.global_.fovy / 2))
     with mujoco.Renderer(compiled, 2 * size, 2 * size) as renderer:
         renderer.update_scene(data, camera)
         picture = renderer.render().astype(np.float32)
@@ -92,7 +92,7 @@ def contact_sheet(
             side = sides[column % len(sides)]
             mine = grasps.rows_of(row, side).numpy()
             i = mine[(column // len(sides)) * len(mine) // -(-columns // len(sides))]
-            # seen from the thumb's side of the back of the hand, so that the fingers' closing can be judged
+            # seen from the palm's and the thumb's side, where the fingers close
             azimuth, elevation = _view(joints[i], side)
             picture = render(model, skin[i], side, tile, azimuth, elevation)
             x, y = column * tile, row * (tile + 18)
@@ -104,12 +104,12 @@ def contact_sheet(
 
 
 def _view(joints: NDArray[np.float32], side: int) -> tuple[float, float]:
-    """Azimuth and elevation (degrees) of a camera that looks at the thumb's side of a hand."""
+    """Azimuth and elevation (degrees) of a camera that looks at a hand's palm, from its thumb's side."""
     fingers = joints[4] - joints[0]
     across = joints[1] - joints[7]
     palm = np.cross(joints[1] - joints[0], joints[7] - joints[0]) * (-1 if side else 1)
     unit = [v / np.linalg.norm(v) for v in (across, fingers, palm)]
-    look = -(0.75 * unit[0] - 0.1 * unit[1] + 0.45 * unit[2])
+    look = -(0.6 * unit[0] + 0.2 * unit[1] + 0.75 * unit[2])
     look /= np.linalg.norm(look)
     return float(np.degrees(np.arctan2(look[1], look[0]))), float(np.degrees(np.arcsin(look[2])))
 

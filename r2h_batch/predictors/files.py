@@ -45,7 +45,7 @@ def _torchscript(path: Path) -> ContactPredictor:
     if not zipfile.is_zipfile(path):
         with path.open("rb") as file:
             magic = file.read(2)
-        kind = "a pickle, which runs code when read" if magic[:1] == b"\x80" else "neither"
+        kind = "a pickle, which runs code when read" if magic[:1] == b"\x80" else "neither TorchScript nor safetensors"
         raise PredictorError(f"predictor {path}: {kind}; {_HOW}")
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()

@@ -114,7 +114,7 @@ def predict_receiving(
     n, count = len(trials), len(scene.objects)
     labels = torch.full((n,), -1, dtype=torch.int32) if part is None else part.cpu()
     names = max(len(o.part_names) for o in scene.objects)
-    if n and not (-1 <= int(labels.min()) and int(labels.max()) < names):
+    if n and not (int(labels.min()) >= -1 and int(labels.max()) < names):
         raise ValueError(f"part is {int(labels.min())} to {int(labels.max())}; it must be -1 (any) to {names - 1}")
     grasps = load_receiving(scene.objects)
     fits = torch.ones((count, names + 1, len(grasps)), dtype=torch.bool)  # label -1 stands last
@@ -189,8 +189,7 @@ def _drawn(
 
 def _rows(grasps: ReceivingGrasps, fits: Tensor) -> tuple[Tensor, Tensor]:
     """Rows of `grasps` for (object, side, choice), padded (O, 2, C, L), and how many; where nothing fits, all do."""
-    objects, choices, total = fits.shape
-    mine = torch.stack([grasps.object_index == i for i in range(objects)])[:, None] & torch.stack(
+    mine = torch.stack([grasps.object_index == i for i in range(len(fits))])[:, None] & torch.stack(
         [grasps.side == s for s in (0, 1)]
     )
     kept = mine[:, :, None] & fits[:, None]

@@ -24,6 +24,7 @@ WAVES = 12
 WAVELENGTH_M = (0.03, 0.12)
 """Between a finger's width and a handle's length: a border is misplaced as a whole more than point by point."""
 _PARTS = 0
+_CHUNK = 4096  # 32 MB an array
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +52,19 @@ def predict_parts(trials: Trials, scene: Scene, *, seed: int = 0, noise: Predict
     z = torch.from_numpy(
         normals(rng.key_of(f"parts {seed}"), trial_ids(trials.trial_id), WAVES, purpose=_PARTS).astype(np.float32)
     )
+    seen = torch.empty((len(at), clouds.label.shape[1]), dtype=torch.uint8)
+    for first in range(0, len(at), _CHUNK):
+        rows = slice(first, first + _CHUNK)
+        seen[rows] = _shifted(clouds, at[rows], z[:, rows] * (noise.border_m * (2.0 / WAVES) ** 0.5))
+    return _split(seen, device)
+
+
+def _shifted(clouds: _Clouds, at: Tensor, z: Tensor) -> Tensor:
+    """Labels of objects `at` with the waves' amplitudes z (k, n) in metres."""
     shift = torch.zeros((len(at), clouds.label.shape[1]))
     for k in range(WAVES):
         shift = shift + z[k][:, None] * clouds.wave[:, k][at]
-    shift = shift * (noise.border_m * (2.0 / WAVES) ** 0.5)
-    seen = torch.where(clouds.offset[at] + clouds.sign[at] * shift < 0, clouds.other[at], clouds.label[at])
-    return _split(seen, device)
+    return torch.where(clouds.offset[at] + clouds.sign[at] * shift < 0, clouds.other[at], clouds.label[at])
 
 
 def _split(label: Tensor, device: torch.device) -> SeenParts:

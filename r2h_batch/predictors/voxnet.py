@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
@@ -17,11 +17,11 @@ from r2h_batch.predictors.files import PredictorError
 
 __all__ = ["VoxNet", "load_voxnet", "read_voxnet"]
 
-WIDTHS = (12, 24, 40)
+WIDTHS = (8, 20, 40)
 
 
 class VoxNet(nn.Module):
-    """Contact probability of every voxel; 64^3 goes down to 8^3 and back, with what each size saw beside it."""
+    """Contact probability of every voxel; 64^3 goes down to 8^3 and back up, with what each size saw beside it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -31,17 +31,32 @@ class VoxNet(nn.Module):
         self.down3 = _block(b, c, stride=2)
         self.deep = _block(c, c)
         self.up2 = _block(c + b, b)
-        self.up1 = _block(b + a, a)
-        self.out = nn.Conv3d(a + CHANNELS, 1, kernel_size=1)
+        self.up1 = nn.Sequential(nn.Conv3d(b + a, 2 * a, kernel_size=1), nn.LeakyReLU(0.1))
+        self.out = nn.Conv3d(2 * a + CHANNELS, 1, kernel_size=1)
 
-    def logits(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k 64 64 64"]:
-        """Log odds of contact."""
+    def features(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k f 32 32 32"]:
+        """What is known of each 2 x 2 x 2 voxels."""
         x1 = self.down1(grid)
         x2 = self.down2(x1)
         x3 = self.deep(self.down3(x2))
         x2 = self.up2(torch.cat([_doubled(x3), x2], 1))
-        x1 = self.up1(torch.cat([_doubled(x2), x1], 1))
-        return self.out(torch.cat([_doubled(x1), grid], 1))[:, 0]
+        return self.up1(torch.cat([_doubled(x2), x1], 1))
+
+    def logits(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k 64 64 64"]:
+        """Log odds of contact."""
+        return self.out(torch.cat([_doubled(self.features(grid)), grid], 1))[:, 0]
+
+    def logits_at(
+        self, grid: Float32[Tensor, "k 5 64 64 64"], voxel: Int64[Tensor, "k p 3"]
+    ) -> Float32[Tensor, "k p"]:
+        """The same at some voxels only: for training, where most of a grid is empty."""
+        at = (2 * voxel + 1).float() / grid.shape[-1] - 1  # voxel centres, from -1 to 1
+        seen = nn.functional.grid_sample(
+            self.features(grid), at.flip(-1)[:, :, None, None], padding_mode="border", align_corners=False
+        )
+        i, j, k = voxel.unbind(-1)
+        given = grid[torch.arange(len(grid))[:, None], :, i, j, k].transpose(1, 2)[..., None, None]
+        return self.out(torch.cat([seen, given], 1))[:, 0, :, 0, 0]
 
     def forward(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k 64 64 64"]:
         """Probability of contact; what it says of empty voxels means nothing."""
