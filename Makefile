@@ -33,7 +33,7 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.assets.objects.build_grasps
 
 bench: $(VENV)/.installed-test  ## all benchmarks, results under bench/results/
-	for b in collision ik plan throughput execute; do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
+	for b in collision ik plan throughput execute methods; do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
 
 clean:
 	rm -rf $(VENV) build *.egg-info

@@ -45,6 +45,8 @@ class RunError(ValueError):
 def run_hash(header: Mapping[str, Any]) -> str:
     """sha256 (hex) over what decides the rows: the identity of a run and its shard size."""
     data: dict[str, Any] = {k: header.get(k) for k in IDENTITY}
+    if "predictors" in header:  # folders from before there were any keep their hash
+        data["predictors"] = header["predictors"]
     data["device"] = (header.get("device") or {}).get("kind")
     data["shard_trials"] = header["shard_trials"]
     return hashlib.sha256(json.dumps(data, sort_keys=True, allow_nan=False).encode()).hexdigest()
@@ -56,7 +58,7 @@ def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     def value(header: Mapping[str, Any], key: str) -> Any:
         return (header.get(key) or {}).get("kind") if key == "device" else header.get(key)
 
-    return [k for k in IDENTITY if value(old, k) != value(new, k)]
+    return [k for k in (*IDENTITY, "predictors") if value(old, k) != value(new, k)]
 
 
 def read_json(path: Path) -> dict[str, Any]:
