@@ -5,7 +5,8 @@ The same pieces and the same distance as the planner's: what keeps clear here ke
 
 import warp as wp
 
-from r2h_batch.kernels.gjk import HULL, Body, gjk
+from r2h_batch.kernels.body import HULL, Body
+from r2h_batch.kernels.gjk import gjk
 from r2h_batch.kernels.gripper import Gripper, drive_from_gap, finger_pose
 from r2h_batch.kernels.region import eroded, signed_distance
 from r2h_batch.kernels.surface import inverse_pose
