@@ -66,7 +66,9 @@ def palm_frames(evaluator: Evaluator, trials: Trials) -> tuple[Tensor, Tensor]:
     return T, torch.cat([center * 2, T[:, 2, :3], out.norm(dim=-1, keepdim=True), side], -1)
 
 
-def proposals(evaluator: Evaluator, trials: Trials, clouds: Clouds, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+def proposals(
+    evaluator: Evaluator, trials: Trials, clouds: Clouds, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
     """Rough handovers to filter: a stored candidate, the region's middle near the ball's centre, any approach from behind."""
     grasps, first, count = stacked(candidates_of(evaluator.scene.objects))
     o = trials.object_index.long()
@@ -160,7 +162,9 @@ class Generator:
         chosen = softplus(-self.grasp.logit(code)) + softplus(self.grasp.logit(self.grasp.encoder(other)))
         condition = torch.cat([self.pose.encoder(held), more], -1)
         return (
-            self.grasp.loss(grasp, code, self.random) + self.pose.loss(handed, condition, self.random) + 0.2 * chosen.mean()
+            self.grasp.loss(grasp, code, self.random)
+            + self.pose.loss(handed, condition, self.random)
+            + 0.2 * chosen.mean()
         )
 
     def from_ee(self, T_palm_ee: Tensor, T_obj_ee: Tensor, objects: Tensor) -> Tensor:
@@ -207,7 +211,9 @@ def guided(evaluator: Evaluator, trials: Trials, poses, x: Tensor, y: Tensor, st
     climb = torch.optim.Adam([z], lr=0.06, betas=(0.8, 0.95))
     best, kept = torch.full((len(z),), -torch.inf), z.detach().clone()
     for _ in range(steps):
-        soft = evaluator.score(*poses(z[:, :9], z[:, 9:]), trials, stages="pose").soft(temperature_m=TEMPERATURE_M, log=True)
+        soft = evaluator.score(*poses(z[:, :9], z[:, 9:]), trials, stages="pose").soft(
+            temperature_m=TEMPERATURE_M, log=True
+        )
         better = soft.detach() > best
         best, kept = torch.where(better, soft.detach(), best), torch.where(better[:, None], z.detach(), kept)
         climb.zero_grad()
@@ -284,11 +290,26 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
         scores = evaluator.score(g.contiguous(), h.contiguous(), trials)  # the whole benchmark
         passed = int(scores.success.sum())
         low, high = wilson_interval(passed, len(trials))
-        rates[name] = {"passed": passed, "trials": len(trials), "rate": passed / len(trials), "low": float(low), "high": float(high)}
+        rates[name] = {
+            "passed": passed,
+            "trials": len(trials),
+            "rate": passed / len(trials),
+            "low": float(low),
+            "high": float(high),
+        }
         rates[name]["outcomes"] = torch.bincount(scores.outcome.long(), minlength=8).tolist()
-        print(f"{name:20s} {passed / len(trials):6.1%}  [{float(low):.1%}, {float(high):.1%}] of {len(trials)} trials", flush=True)
+        print(
+            f"{name:20s} {passed / len(trials):6.1%}  [{float(low):.1%}, {float(high):.1%}] of {len(trials)} trials",
+            flush=True,
+        )
     seconds = dict(zip(("collect", "train", "sample"), np.diff(clock).round(1).tolist(), strict=True))
-    result = {"held_out": HELD_OUT, "examples": len(data.point), "seconds": seconds, "rates": rates, "options": vars(args) | {"out": str(args.out)}}
+    result = {
+        "held_out": HELD_OUT,
+        "examples": len(data.point),
+        "seconds": seconds,
+        "rates": rates,
+        "options": vars(args) | {"out": str(args.out)},
+    }
     (args.out / "results").mkdir(parents=True, exist_ok=True)
     (args.out / "results" / "training_loop.json").write_text(json.dumps(result, indent=1) + "\n")
     draw(rates, args.out / "training_loop.png")
@@ -305,7 +326,10 @@ def draw(rates: dict, path: Path) -> None:
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     at = range(len(rates))
     heights = [100 * r["rate"] for r in rates.values()]
-    spread = [[100 * (r["rate"] - r["low"]) for r in rates.values()], [100 * (r["high"] - r["rate"]) for r in rates.values()]]
+    spread = [
+        [100 * (r["rate"] - r["low"]) for r in rates.values()],
+        [100 * (r["high"] - r["rate"]) for r in rates.values()],
+    ]
     axes.bar(at, heights, width=0.55, color=["#9aa5b1", "#4c78a8", "#54a24b"])
     axes.errorbar(at, heights, yerr=spread, fmt="none", ecolor="#222222", capsize=5, lw=1.2)
     for i, (h, up) in enumerate(zip(heights, spread[1], strict=True)):

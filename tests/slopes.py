@@ -12,7 +12,8 @@ from r2h_batch.types import Scores
 LEVER_M = 0.05
 """Slopes per radian are compared times this: they then are of order 1, like those per metre."""
 
-STEP_M = 1e-4
+STEPS = torch.tensor(([1e-4] * 3 + [1e-3] * 3) * 2)
+"""Of the differences, m and rad."""
 SCALE = torch.tensor(([1.0] * 3 + [LEVER_M] * 3) * 2)
 
 
@@ -71,7 +72,7 @@ def measured_slopes(evaluator: Evaluator, batch: Batch) -> Slopes:
     same = torch.ones(n, dtype=torch.bool)
     for j in range(12):
         xi = torch.zeros(12)
-        xi[j] = STEP_M / SCALE[j] if j % 6 >= 3 else STEP_M
+        xi[j] = STEPS[j]
         ahead, behind = (
             evaluator.score(
                 twist.retract(batch.T_obj_ee, (sign * xi[:6]).expand(n, 6)).contiguous(),
@@ -81,7 +82,8 @@ def measured_slopes(evaluator: Evaluator, batch: Batch) -> Slopes:
             )
             for sign in (1.0, -1.0)
         )
-        measured[:, :, j] = (ahead.margin - behind.margin) / (2 * STEP_M)
-        bend[:, :, j] = (ahead.margin + behind.margin - 2 * scores.margin).abs() / STEP_M
+        scale = SCALE[j] / STEPS[j]
+        measured[:, :, j] = (ahead.margin - behind.margin) * (0.5 * scale)
+        bend[:, :, j] = (ahead.margin + behind.margin - 2 * scores.margin).abs() * scale
         same &= (ahead.plan_reason == scores.plan_reason) & (behind.plan_reason == scores.plan_reason)
     return Slopes(scores, gradient * SCALE, measured, bend, same)

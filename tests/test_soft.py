@@ -37,9 +37,7 @@ def test_it_is_above_one_half_exactly_where_everything_passes(temperature_m):
 def test_every_failing_criterion_pulls_and_what_was_not_evaluated_does_not():
     margin, evaluated, success = made()
     margin.requires_grad_()
-    (slope,) = torch.autograd.grad(
-        soft_success(margin, evaluated, success, temperature_m=5e-3, log=True).sum(), margin
-    )
+    (slope,) = torch.autograd.grad(soft_success(margin, evaluated, success, temperature_m=5e-3, log=True).sum(), margin)
     assert torch.isfinite(slope).all() and (slope >= 0).all() and not slope[~evaluated].any()
     fails = evaluated & (margin < 0) & torch.isfinite(margin)
     assert (slope[fails & ~success[:, None]] > 0).all()
