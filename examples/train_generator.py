@@ -125,6 +125,15 @@ class Generator:
     clouds: Clouds
     random: torch.Generator
 
+    def state(self) -> dict[str, dict[str, Tensor]]:
+        """All weights."""
+        return {"grasp": self.grasp.state_dict(), "pose": self.pose.state_dict()}
+
+    def load(self, state: dict[str, dict[str, Tensor]]) -> None:
+        """Takes over the weights of `state`."""
+        self.grasp.load_state_dict(state["grasp"])
+        self.pose.load_state_dict(state["pose"])
+
     def _seed(self, n: int) -> Tensor:
         return torch.randint(0, SEEN, (n, CLOUD // 2), generator=self.random)
 
@@ -230,7 +239,7 @@ def train(evaluator: Evaluator, data: Examples, clouds: Clouds, *, steps: int, b
     lessons = model.lessons(data, evaluator)
     weights = [*model.grasp.parameters(), *model.pose.parameters()]
     adam = torch.optim.AdamW(weights, lr=1e-3, weight_decay=1e-4)
-    decay = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps)
+    decay = torch.optim.lr_scheduler.CosineAnnealingLR(adam, max(steps, 1))
     shown = 0.0
     for step in range(steps):
         rows = torch.randint(0, len(data.point), (batch,), generator=random)
@@ -253,6 +262,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     parser.add_argument("--trials", type=int, default=500, help="of each split; those on held-out objects are judged")
     parser.add_argument("--candidates", type=int, default=16, help="N of best-of-N, and the steps of guidance")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--weights", type=Path, help="kept here; where the file exists, nothing is trained")
     parser.add_argument("--out", type=Path, default=Path("docs"), help="training_loop.png, results/training_loop.json")
     args = parser.parse_args(argv)
     random = torch.Generator().manual_seed(args.seed)
@@ -262,13 +272,20 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     held_out = torch.tensor([names.index(n) for n in HELD_OUT])
     training = torch.tensor([i for i in range(len(names)) if i not in held_out.tolist()])
 
-    clock = [time.perf_counter()]
+    clock, cpu = [time.perf_counter()], [time.process_time()]
     data = collect(evaluator, clouds, args.proposals, training, random)
     clock.append(time.perf_counter())
+    cpu.append(time.process_time())
     print(f"{len(data.point)} examples of {args.proposals} proposals in {clock[1] - clock[0]:.0f} s", flush=True)
-    model = train(evaluator, data, clouds, steps=args.steps, batch=args.batch, seed=args.seed)
+    kept = args.weights is not None and args.weights.exists()
+    model = train(evaluator, data, clouds, steps=0 if kept else args.steps, batch=args.batch, seed=args.seed)
+    if kept:
+        model.load(torch.load(args.weights, weights_only=True))
+    elif args.weights is not None:
+        torch.save(model.state(), args.weights)
     clock.append(time.perf_counter())
-    print(f"trained in {clock[2] - clock[1]:.0f} s", flush=True)
+    cpu.append(time.process_time())
+    print(f"trained in {clock[2] - clock[1]:.0f} s ({cpu[2] - cpu[1]:.0f} core-seconds)", flush=True)
 
     trials = make_trials(["S0", "S1"], args.trials)
     trials = trials[torch.isin(trials.object_index, held_out.int())]
@@ -285,6 +302,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
         f"guided, {args.candidates} steps": model.sample(evaluator, trials, guide_steps=args.candidates),
     }
     clock.append(time.perf_counter())
+    cpu.append(time.process_time())
     rates = {}
     for name, (g, h) in ways.items():
         scores = evaluator.score(g.contiguous(), h.contiguous(), trials)  # the whole benchmark
@@ -302,13 +320,15 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
             f"{name:20s} {passed / len(trials):6.1%}  [{float(low):.1%}, {float(high):.1%}] of {len(trials)} trials",
             flush=True,
         )
-    seconds = dict(zip(("collect", "train", "sample"), np.diff(clock).round(1).tolist(), strict=True))
+    stages = ("collect", "train", "sample")
+    seconds, core = (dict(zip(stages, np.diff(x).round(1).tolist(), strict=True)) for x in (clock, cpu))
     result = {
         "held_out": HELD_OUT,
         "examples": len(data.point),
         "seconds": seconds,
+        "core_seconds": core,
         "rates": rates,
-        "options": vars(args) | {"out": str(args.out)},
+        "options": {k: str(v) if isinstance(v, Path) else v for k, v in vars(args).items()},
     }
     (args.out / "results").mkdir(parents=True, exist_ok=True)
     (args.out / "results" / "training_loop.json").write_text(json.dumps(result, indent=1) + "\n")
