@@ -85,6 +85,9 @@ def triangle_clearance(
         )
         depth = wp.max(-clearance, 0.0)
         probe = wp.where(depth > 0.0, depth + DEPTH_M, 0.0)  # known to be `depth` deep: is it any deeper?
+        high = wp.min(inner_radius(kind, size), -least)
+        if probe > 0.0 and probe >= high:
+            return clearance
         a = Body()
         a.kind = HULL
         a.start = 3 * tri
@@ -95,7 +98,6 @@ def triangle_clearance(
                 clearance = wp.min(clearance, d.lower)
         else:
             low = float(probe)
-            high = wp.min(inner_radius(kind, size), -least)
             while high - low > DEPTH_M:
                 half = 0.5 * (low + high)
                 d = gjk(a, R, p, points, eroded(kind, size, half), points, p - middle, 0.0, 0.0)
