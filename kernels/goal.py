@@ -11,6 +11,8 @@ from r2h_batch.kernels.world import TrialBodies, World, vec6
 wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
 
 BRANCHES = wp.constant(8)
+TIE_M = wp.constant(1.0e-5)
+"""Branches that differ by less are equal (the hand mostly meets gripper and object, which stand alike in all): the first."""
 
 # PlanReason codes, as in r2h_batch.types
 OK = wp.constant(0)
@@ -141,7 +143,7 @@ def goal_clearance(
         wanted = step == chosen
         if step < BRANCHES and chosen < 0:
             wanted = valid_in[trial, step]
-        floor = best.clearance
+        floor = best.clearance + TIE_M
         q = vec6()
         if step == BRANCHES:
             wanted = reason == START_IN_COLLISION
@@ -149,9 +151,14 @@ def goal_clearance(
             q = _load(home_in, 0)
         else:
             q = _load(q_in, trial * BRANCHES + step)
-        if wanted:
-            found = posture_clearance(world, hull_ball, bodies, trial, q, cap, floor, R, p)
-            if found.clearance > best.clearance or step == BRANCHES:
+        # a first look for something deeper than the best branch's margin, then everything
+        attempt = wp.where(floor > -1.0e29 and floor < 0.0, 0, 1)
+        while wanted and attempt < 2:
+            look = wp.where(attempt == 0, floor, cap)
+            found = posture_clearance(world, hull_ball, bodies, trial, q, look, floor, R, p)
+            wanted = found.clearance >= look or attempt == 1
+            attempt += 1
+            if wanted and attempt == 2 and (found.clearance > floor or step == BRANCHES):
                 best = found
                 if step < BRANCHES:
                     slot[trial] = step

@@ -74,7 +74,10 @@ def posture_clearance(
     R: wp.array(dtype=wp.mat33),  # (7,) scratch
     p: wp.array(dtype=wp.vec3),
 ):
-    """The nearest of all pairs of a posture, exact below `cap`; given up as soon as it is not above `floor`."""
+    """The nearest of all pairs of a posture, exact below `cap`; given up as soon as it is not above `floor`.
+
+    `cap` below 0: only overlaps deeper than that are looked for, which is quick.
+    """
     out = Nearest()
     out.clearance = cap
     out.body = -1
@@ -90,8 +93,8 @@ def posture_clearance(
     first_hull = world.hull_first[bodies.object[trial]]
     n_hulls = world.hull_first[bodies.object[trial] + 1] - first_hull
 
-    for back in range(9):  # the object and the gripper first: mostly they are nearest, and prune the rest
-        link = OBJECT - back
+    for back in range(9):  # gripper and object first: mostly they are nearest, and prune the rest
+        link = wp.where(back < 2, GRIPPER + back, OBJECT - back)
         lo = int(world.n_robot)
         hi = int(world.n_robot + n_hulls)
         self_with = world.self_links[link]
@@ -190,47 +193,60 @@ def posture_clearance(
                 Rr = Rt * Rb
                 pr = Rt * (pb - po)
 
-                scale = float(1.0)
+                # phase 0: do they meet? 1: deeper than what is known? 2, 4: as deep as `floor`? 3: grow from a free scale
+                phase = wp.where(out.clearance < 0.0, 1, 0)
+                scale = wp.where(out.clearance < 0.0, 1.0 + out.clearance / inner, 1.0)
                 shrunk = shape
-                value = float(0.0)
+                shrunk.radius = scale * shape.radius
+                value = float(out.clearance)
                 push = wp.vec3(0.0, 0.0, 0.0)
                 at = wp.vec3(0.0, 0.0, 0.0)
-                step = int(0)
-                while step <= GROWTH_STEPS:
-                    needed = wp.where(step == 0, wp.max(out.clearance, 0.0), 1.0e30)
+                steps = int(0)
+                running = bool(True)
+                while running:
+                    needed = wp.where(phase == 0, wp.max(out.clearance, 0.0), wp.where(phase == 1, 0.0, 1.0e30))
                     at_scale = pr + (1.0 - scale) * (Rr * middle)
                     dist = gjk(
                         shrunk, scale * Rr, at_scale, world.points, other_shape, world.points, center, needed, 0.0
                     )
-                    if step == 0:
+                    if phase == 0 and dist.lower >= 0.0:
+                        running = False
                         value = dist.lower
-                        if dist.lower >= 0.0:
-                            if dist.lower < out.clearance:
-                                push = wp.normalize(dist.v)
-                                at = dist.point
-                            step = GROWTH_STEPS
-                        else:  # they meet: shrink to the centre, then grow until they touch
-                            scale = 0.0
-                            shrunk.radius = 0.0
-                            value = -inner
+                        if dist.lower < out.clearance:
+                            push = wp.normalize(dist.v)
+                            at = dist.point
+                    elif phase == 1 and dist.lower >= 0.0:
+                        running = False
+                    elif phase < 2 and floor > -inner:
+                        phase = 2
+                        scale = 1.0 + floor / inner
+                    elif phase < 2:
+                        phase = 3
+                        scale = 0.0
+                        value = -inner
+                    elif phase == 2 and dist.lower <= TOUCH_M:
+                        phase = 4  # GJK has rare false hits: a branch is given up after two
+                        scale = 0.95 * scale
+                    elif dist.lower <= TOUCH_M:
+                        running = False
+                        if phase == 4:
+                            out.clearance = floor - TOUCH_M
+                            return out
                     else:
-                        if dist.lower <= TOUCH_M:
-                            step = GROWTH_STEPS
-                        else:
-                            n_hat = wp.normalize(dist.v)
-                            d = -(wp.transpose(Rr) * n_hat)
-                            reach = wp.dot(n_hat, Rr * (support(shape, world.points, d) - middle)) - shape.radius
-                            if reach < -1.0e-9:
-                                scale = wp.min(scale - (dist.lower + TOUCH_M) / reach, 1.0)
-                                value = -(1.0 - scale) * inner
-                                push = (-inner / reach) * n_hat
-                                at = dist.point
-                            else:
-                                step = GROWTH_STEPS
-                            shrunk.radius = scale * shape.radius
-                            if scale >= 1.0:
-                                step = GROWTH_STEPS
-                    step += 1
+                        phase = 3
+                        n_hat = wp.normalize(dist.v)
+                        d = -(wp.transpose(Rr) * n_hat)
+                        reach = wp.dot(n_hat, Rr * (support(shape, world.points, d) - middle)) - shape.radius
+                        running = reach < -1.0e-9
+                        if running:
+                            scale = wp.min(scale - (dist.lower + TOUCH_M) / reach, 1.0)
+                            value = -(1.0 - scale) * inner
+                            push = (-inner / reach) * n_hat
+                            at = dist.point
+                        steps += 1
+                        if scale >= 1.0 or steps >= GROWTH_STEPS:
+                            running = False
+                    shrunk.radius = scale * shape.radius
                 if value < out.clearance:
                     out.clearance = value
                     out.pair = wp.where(link == OBJECT, pair + 3, pair)
