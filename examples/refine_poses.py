@@ -1,6 +1,6 @@
 """Gradient ascent on the soft score: how many failing random candidates become handovers that pass the whole benchmark?
 
-    python examples/refine_poses.py --trials 500
+python examples/refine_poses.py --trials 500
 """
 
 import argparse
@@ -28,7 +28,10 @@ def refine(
         scores = evaluator.score(pose[:, 0], pose[:, 1], trials, stages="pose")
         soft = scores.soft(temperature_m=0.005, log=True)
         better = soft.detach() > best
-        best, best_pose = torch.where(better, soft.detach(), best), torch.where(better[:, None, None, None], pose, best_pose)
+        best, best_pose = (
+            torch.where(better, soft.detach(), best),
+            torch.where(better[:, None, None, None], pose, best_pose),
+        )
         (gradient,) = torch.autograd.grad(soft.sum(), pose)
         slope = twist.tangent(pose.detach(), gradient) * scale  # per metre, also of turning
         first, second = 0.8 * first + 0.2 * slope, 0.95 * second + 0.05 * slope.square().sum(-1, keepdim=True) / 6
@@ -57,7 +60,9 @@ def main(argv: list[str] | None = None) -> tuple[float, float]:
     after = evaluator.score(*refined, trials)
     rates = before.success.float().mean().item(), after.success.float().mean().item()
     print(f"{len(before)} random candidates, {before.success.sum()} pass the benchmark ({rates[0]:.1%})")
-    print(f"{rows.sum()} failing ones refined in {args.steps} steps ({seconds:.1f} s): {after.success.sum()} pass ({rates[1]:.1%})")
+    print(
+        f"{rows.sum()} failing ones refined in {args.steps} steps ({seconds:.1f} s): {after.success.sum()} pass ({rates[1]:.1%})"
+    )
     return rates
 
 

@@ -18,5 +18,7 @@ start = time.perf_counter()
 scores = evaluator.score(T_obj_ee, T_world_ee, trials, stages="pose")  # no path is searched: "all" judges the survivors
 best = reward.best_of_k(reward.quality(scores), K)  # (N,) which of the K
 passed = scores.by_trial(K).success.gather(1, best[:, None])
-print(f"{N * K} candidates in {time.perf_counter() - start:.2f} s: {scores.success.float().mean():.1%} pass the pose stage,")
+print(
+    f"{N * K} candidates in {time.perf_counter() - start:.2f} s: {scores.success.float().mean():.1%} pass the pose stage,"
+)
 print(f"the best of {K} does in {passed.float().mean():.1%} of {N} trials")

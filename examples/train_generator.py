@@ -66,7 +66,9 @@ def palm_frames(evaluator: Evaluator, trials: Trials) -> tuple[Tensor, Tensor]:
     return T, torch.cat([center * 2, T[:, 2, :3], out.norm(dim=-1, keepdim=True), side], -1)
 
 
-def proposals(evaluator: Evaluator, trials: Trials, clouds: Clouds, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+def proposals(
+    evaluator: Evaluator, trials: Trials, clouds: Clouds, generator: torch.Generator
+) -> tuple[Tensor, Tensor]:
     """Rough handovers to filter: a stored candidate, the region's middle near the ball's centre, any approach from behind."""
     grasps, first, count = stacked(candidates_of(evaluator.scene.objects))
     o = trials.object_index.long()
@@ -123,6 +125,15 @@ class Generator:
     clouds: Clouds
     random: torch.Generator
 
+    def state(self) -> dict[str, dict[str, Tensor]]:
+        """All weights."""
+        return {"grasp": self.grasp.state_dict(), "pose": self.pose.state_dict()}
+
+    def load(self, state: dict[str, dict[str, Tensor]]) -> None:
+        """Takes over the weights of `state`."""
+        self.grasp.load_state_dict(state["grasp"])
+        self.pose.load_state_dict(state["pose"])
+
     def _seed(self, n: int) -> Tensor:
         return torch.randint(0, SEEN, (n, CLOUD // 2), generator=self.random)
 
@@ -160,7 +171,9 @@ class Generator:
         chosen = softplus(-self.grasp.logit(code)) + softplus(self.grasp.logit(self.grasp.encoder(other)))
         condition = torch.cat([self.pose.encoder(held), more], -1)
         return (
-            self.grasp.loss(grasp, code, self.random) + self.pose.loss(handed, condition, self.random) + 0.2 * chosen.mean()
+            self.grasp.loss(grasp, code, self.random)
+            + self.pose.loss(handed, condition, self.random)
+            + 0.2 * chosen.mean()
         )
 
     def from_ee(self, T_palm_ee: Tensor, T_obj_ee: Tensor, objects: Tensor) -> Tensor:
@@ -207,7 +220,9 @@ def guided(evaluator: Evaluator, trials: Trials, poses, x: Tensor, y: Tensor, st
     climb = torch.optim.Adam([z], lr=0.06, betas=(0.8, 0.95))
     best, kept = torch.full((len(z),), -torch.inf), z.detach().clone()
     for _ in range(steps):
-        soft = evaluator.score(*poses(z[:, :9], z[:, 9:]), trials, stages="pose").soft(temperature_m=TEMPERATURE_M, log=True)
+        soft = evaluator.score(*poses(z[:, :9], z[:, 9:]), trials, stages="pose").soft(
+            temperature_m=TEMPERATURE_M, log=True
+        )
         better = soft.detach() > best
         best, kept = torch.where(better, soft.detach(), best), torch.where(better[:, None], z.detach(), kept)
         climb.zero_grad()
@@ -224,7 +239,7 @@ def train(evaluator: Evaluator, data: Examples, clouds: Clouds, *, steps: int, b
     lessons = model.lessons(data, evaluator)
     weights = [*model.grasp.parameters(), *model.pose.parameters()]
     adam = torch.optim.AdamW(weights, lr=1e-3, weight_decay=1e-4)
-    decay = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps)
+    decay = torch.optim.lr_scheduler.CosineAnnealingLR(adam, max(steps, 1))
     shown = 0.0
     for step in range(steps):
         rows = torch.randint(0, len(data.point), (batch,), generator=random)
@@ -247,6 +262,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     parser.add_argument("--trials", type=int, default=500, help="of each split; those on held-out objects are judged")
     parser.add_argument("--candidates", type=int, default=16, help="N of best-of-N, and the steps of guidance")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--weights", type=Path, help="kept here; where the file exists, nothing is trained")
     parser.add_argument("--out", type=Path, default=Path("docs"), help="training_loop.png, results/training_loop.json")
     args = parser.parse_args(argv)
     random = torch.Generator().manual_seed(args.seed)
@@ -256,13 +272,20 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     held_out = torch.tensor([names.index(n) for n in HELD_OUT])
     training = torch.tensor([i for i in range(len(names)) if i not in held_out.tolist()])
 
-    clock = [time.perf_counter()]
+    clock, cpu = [time.perf_counter()], [time.process_time()]
     data = collect(evaluator, clouds, args.proposals, training, random)
     clock.append(time.perf_counter())
+    cpu.append(time.process_time())
     print(f"{len(data.point)} examples of {args.proposals} proposals in {clock[1] - clock[0]:.0f} s", flush=True)
-    model = train(evaluator, data, clouds, steps=args.steps, batch=args.batch, seed=args.seed)
+    kept = args.weights is not None and args.weights.exists()
+    model = train(evaluator, data, clouds, steps=0 if kept else args.steps, batch=args.batch, seed=args.seed)
+    if kept:
+        model.load(torch.load(args.weights, weights_only=True))
+    elif args.weights is not None:
+        torch.save(model.state(), args.weights)
     clock.append(time.perf_counter())
-    print(f"trained in {clock[2] - clock[1]:.0f} s", flush=True)
+    cpu.append(time.process_time())
+    print(f"trained in {clock[2] - clock[1]:.0f} s ({cpu[2] - cpu[1]:.0f} core-seconds)", flush=True)
 
     trials = make_trials(["S0", "S1"], args.trials)
     trials = trials[torch.isin(trials.object_index, held_out.int())]
@@ -279,16 +302,34 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
         f"guided, {args.candidates} steps": model.sample(evaluator, trials, guide_steps=args.candidates),
     }
     clock.append(time.perf_counter())
+    cpu.append(time.process_time())
     rates = {}
     for name, (g, h) in ways.items():
         scores = evaluator.score(g.contiguous(), h.contiguous(), trials)  # the whole benchmark
         passed = int(scores.success.sum())
         low, high = wilson_interval(passed, len(trials))
-        rates[name] = {"passed": passed, "trials": len(trials), "rate": passed / len(trials), "low": float(low), "high": float(high)}
+        rates[name] = {
+            "passed": passed,
+            "trials": len(trials),
+            "rate": passed / len(trials),
+            "low": float(low),
+            "high": float(high),
+        }
         rates[name]["outcomes"] = torch.bincount(scores.outcome.long(), minlength=8).tolist()
-        print(f"{name:20s} {passed / len(trials):6.1%}  [{float(low):.1%}, {float(high):.1%}] of {len(trials)} trials", flush=True)
-    seconds = dict(zip(("collect", "train", "sample"), np.diff(clock).round(1).tolist(), strict=True))
-    result = {"held_out": HELD_OUT, "examples": len(data.point), "seconds": seconds, "rates": rates, "options": vars(args) | {"out": str(args.out)}}
+        print(
+            f"{name:20s} {passed / len(trials):6.1%}  [{float(low):.1%}, {float(high):.1%}] of {len(trials)} trials",
+            flush=True,
+        )
+    stages = ("collect", "train", "sample")
+    seconds, core = (dict(zip(stages, np.diff(x).round(1).tolist(), strict=True)) for x in (clock, cpu))
+    result = {
+        "held_out": HELD_OUT,
+        "examples": len(data.point),
+        "seconds": seconds,
+        "core_seconds": core,
+        "rates": rates,
+        "options": {k: str(v) if isinstance(v, Path) else v for k, v in vars(args).items()},
+    }
     (args.out / "results").mkdir(parents=True, exist_ok=True)
     (args.out / "results" / "training_loop.json").write_text(json.dumps(result, indent=1) + "\n")
     draw(rates, args.out / "training_loop.png")
@@ -305,7 +346,10 @@ def draw(rates: dict, path: Path) -> None:
     figure, axes = plt.subplots(figsize=(5.2, 3.2), layout="constrained")
     at = range(len(rates))
     heights = [100 * r["rate"] for r in rates.values()]
-    spread = [[100 * (r["rate"] - r["low"]) for r in rates.values()], [100 * (r["high"] - r["rate"]) for r in rates.values()]]
+    spread = [
+        [100 * (r["rate"] - r["low"]) for r in rates.values()],
+        [100 * (r["high"] - r["rate"]) for r in rates.values()],
+    ]
     axes.bar(at, heights, width=0.55, color=["#9aa5b1", "#4c78a8", "#54a24b"])
     axes.errorbar(at, heights, yerr=spread, fmt="none", ecolor="#222222", capsize=5, lw=1.2)
     for i, (h, up) in enumerate(zip(heights, spread[1], strict=True)):

@@ -10,7 +10,7 @@ import warp as wp
 from r2h_batch.kernels.body import BOX, CAPSULE, CYLINDER, HULL, SPHERE, Body
 from r2h_batch.kernels.gjk import gjk
 from r2h_batch.kernels.gripper import Gripper, drive_from_gap, finger_pose
-from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit
+from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit, may_hit
 
 wp.set_module_options({"enable_backward": False})
 
@@ -85,16 +85,20 @@ def triangle_clearance(
             wp.min(signed_distance(kind, size, v), signed_distance(kind, size, w)),
         )
         depth = wp.max(-clearance, 0.0)
+        probe = wp.where(depth > 0.0, depth + DEPTH_M, 0.0)  # known to be `depth` deep: is it any deeper?
+        high = wp.min(inner_radius(kind, size), -least)
+        if probe > 0.0 and probe >= high:
+            return clearance
         a = Body()
         a.kind = HULL
         a.start = 3 * tri
         a.count = 3
-        d = gjk(a, R, p, points, eroded(kind, size, depth), points, p - middle, wp.max(clearance, 0.0), 0.0)
+        d = gjk(a, R, p, points, eroded(kind, size, probe), points, p - middle, wp.max(clearance, 0.0), 0.0)
         if d.upper > TOUCH_M:
-            clearance = wp.min(clearance, d.lower - depth)
+            if probe == 0.0:
+                clearance = wp.min(clearance, d.lower)
         else:
-            low = float(depth)
-            high = wp.min(inner_radius(kind, size), -least)
+            low = float(probe)
             while high - low > DEPTH_M:
                 half = 0.5 * (low + high)
                 d = gjk(a, R, p, points, eroded(kind, size, half), points, p - middle, 0.0, 0.0)
@@ -124,15 +128,19 @@ def _inside(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: wp.vec3) -> 
         ball = surfaces.node_sphere[node]
         at = center(ball)
         if wp.abs(wp.dot(rx, at) + t[0] - x[0]) <= ball[3] and wp.abs(wp.dot(rz, at) + t[2] - x[2]) <= ball[3]:
-            begin = surfaces.leaf_first[surfaces.node_first[node]]
-            end = surfaces.leaf_first[surfaces.node_first[node + 1]]
-            for tri in range(begin, end):
-                a = R * surfaces.points[3 * tri] + t
-                b = R * surfaces.points[3 * tri + 1] + t
-                c = R * surfaces.points[3 * tri + 2] + t
-                hit, y = line_hit(a, b, c, x[0], x[2])
-                if y < x[1]:
-                    winding += hit
+            for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
+                ball = surfaces.leaf_sphere[leaf]
+                at = center(ball)
+                if wp.abs(wp.dot(rx, at) + t[0] - x[0]) <= ball[3] and wp.abs(wp.dot(rz, at) + t[2] - x[2]) <= ball[3]:
+                    for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
+                        if not may_hit(surfaces, tri, rz, x[2] - t[2]):
+                            continue
+                        a = R * surfaces.points[3 * tri] + t
+                        b = R * surfaces.points[3 * tri + 1] + t
+                        c = R * surfaces.points[3 * tri + 2] + t
+                        hit, y = line_hit(a, b, c, x[0], x[2])
+                        if y < x[1]:
+                            winding += hit
     return winding != 0
 
 

@@ -129,7 +129,7 @@ def nearest_to_mesh(
     for face in range(mesh.piece_face[piece], mesh.piece_face[piece + 1]):
         ball = mesh.face_ball[hand * mesh.n_faces + face]
         center = wp.vec3(ball[0], ball[1], ball[2])
-        toward = R * from_ball(body, wp.transpose(R) * (center - p))
+        toward = from_ball(body, wp.transpose(R) * (center - p))  # in the body's frame
         far = wp.length(toward)
         apart = far - ball[3]
         limit = out.distance - tolerance + moves
@@ -141,7 +141,7 @@ def nearest_to_mesh(
         if apart >= out.distance:
             if out.open > 0:
                 continue  # the stretch has to be halved anyway
-            n_hat = toward / far
+            n_hat = R * (toward / far)
             low = swept_support(body, R, p, world.points, n_hat, w, v, bend) - wp.dot(n_hat, center) - ball[3]
             if low >= out.distance - tolerance:
                 continue

@@ -8,7 +8,7 @@ cross-section is inside, so the line along its centre tells. What overlaps is on
 import warp as wp
 
 from r2h_batch.kernels.gripper import Gripper, gap_from_drive, pad_center_z_range
-from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit
+from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit, may_hit
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,12 +24,12 @@ vec24i = wp.types.vector(24, wp.int32)
 
 
 @wp.func
-def _clip(p: float, d: float, low: float, high: float, t0: float, t1: float):
-    """[t0, t1] cut to where low <= p + t d <= high."""
-    if d == 0.0:
-        if p < low or p > high:
-            t0 = 2.0
-    else:
+def _clip(p: float, q: float, low: float, high: float, t0: float, t1: float):
+    """[t0, t1] cut to where low <= p + t (q - p) <= high."""
+    if (p < low and q < low) or (p > high and q > high):
+        t0 = 2.0
+    elif p < low or q < low or p > high or q > high:
+        d = q - p
         u = (low - p) / d
         v = (high - p) / d
         t0 = wp.max(t0, wp.min(u, v))
@@ -52,8 +52,10 @@ def _triangle_in_prism(a: wp.vec3, b: wp.vec3, c: wp.vec3, half_x: float, z_low:
             p = c
             q = a
         d = q - p
-        t0, t1 = _clip(p[0], d[0], -half_x, half_x, 0.0, 1.0)
-        t0, t1 = _clip(p[2], d[2], z_low, z_high, t0, t1)
+        t0, t1 = _clip(p[0], q[0], -half_x, half_x, 0.0, 1.0)
+        if t0 > t1:
+            continue
+        t0, t1 = _clip(p[2], q[2], z_low, z_high, t0, t1)
         if t0 <= t1:
             y0 = p[1] + t0 * d[1]
             y1 = wp.where(t1 >= 1.0, q[1], p[1] + t1 * d[1])
@@ -129,6 +131,8 @@ def solid_along_line(
     """The y at which the line (x, ., z) of the ee frame lies inside closed surface s, as runs. R, t: object to ee frame."""
     rx = wp.vec3(R[0, 0], R[0, 1], R[0, 2])
     rz = wp.vec3(R[2, 0], R[2, 1], R[2, 2])
+    ax = wp.vec3(wp.abs(rx[0]), wp.abs(rx[1]), wp.abs(rx[2]))
+    az = wp.vec3(wp.abs(rz[0]), wp.abs(rz[1]), wp.abs(rz[2]))
     n = int(0)
     ys = vec24()
     windings = vec24i()
@@ -139,12 +143,15 @@ def solid_along_line(
             and wp.abs(wp.dot(rz, center(ball)) + t[2] - z) <= ball[3]
         ):
             for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
-                ball = surfaces.leaf_sphere[leaf]
+                at = center(surfaces.leaf_sphere[leaf])
+                half = surfaces.leaf_half[leaf]
                 if (
-                    wp.abs(wp.dot(rx, center(ball)) + t[0] - x) <= ball[3]
-                    and wp.abs(wp.dot(rz, center(ball)) + t[2] - z) <= ball[3]
+                    wp.abs(wp.dot(rx, at) + t[0] - x) <= wp.dot(ax, half) + JOIN_M
+                    and wp.abs(wp.dot(rz, at) + t[2] - z) <= wp.dot(az, half) + JOIN_M
                 ):
                     for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
+                        if not may_hit(surfaces, tri, rz, z - t[2]):
+                            continue
                         winding, y = line_hit(
                             R * surfaces.points[3 * tri] + t,
                             R * surfaces.points[3 * tri + 1] + t,

@@ -88,7 +88,7 @@ def outwards_inside(kind: int, size: wp.vec3, x: wp.vec3, u: wp.vec3, v: wp.vec3
     their normals (Kuhn-Tucker multipliers) that is square to what x may slide along: an edge, or the triangle.
     """
     n = outwards(kind, size, x)
-    if kind == BOX or kind == CYLINDER:
+    if kind >= CYLINDER:
         q = wp.vec3(wp.abs(x[0]) - size[0], wp.abs(x[1]) - size[1], wp.abs(x[2]) - size[2])
         axes = wp.mat33(
             wp.sign(x[0]), 0.0, 0.0,

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from r2h_batch.kernels.body import BOX, CAPSULE, CYLINDER
+from r2h_batch.kernels.body import BOX, CAPSULE
 from r2h_batch.kernels.gripper import Gripper
 from r2h_batch.kernels.ik_jacobian import mat67d, solve_spd
 from r2h_batch.kernels.region import signed_distance

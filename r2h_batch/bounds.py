@@ -58,16 +58,23 @@ def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
 
 
 def inner_ball(points: Array) -> Array:
-    """Centre and radius (4,) of the largest ball inside the points' convex hull; a little less in float32."""
+    """Centre and radius (4,) of the largest ball inside the points' hull (of equals the most central), a little less."""
     from scipy.optimize import linprog
     from scipy.spatial import ConvexHull
 
     faces = ConvexHull(points).equations  # unit normals: n . x + d + r <= 0
-    A = np.column_stack([faces[:, :3], np.ones(len(faces))])
-    found = linprog([0, 0, 0, -1], A_ub=A, b_ub=-faces[:, 3], bounds=[(None, None)] * 3 + [(0, None)])
-    if not found.success:
-        raise ValueError(f"no ball fits into a hull of {len(points)} points: {found.message}")
-    return np.append(found.x[:3], max(found.x[3] - 1e-6, 1e-6))
+    n, d = faces[:, :3], faces[:, 3]
+    one = np.ones((len(n), 1))
+    free = [(None, None)] * 3
+    largest = linprog([0, 0, 0, -1], A_ub=np.hstack([n, one]), b_ub=-d, bounds=[*free, (0, None)])
+    if not largest.success:
+        raise ValueError(f"no ball fits into a hull of {len(points)} points: {largest.message}")
+    radius = 0.999 * largest.x[3]
+    middle, eye = (points.min(0) + points.max(0)) / 2, np.eye(3)
+    A = np.vstack([np.hstack([n, 0 * n]), np.hstack([eye, -eye]), np.hstack([-eye, -eye])])
+    central = linprog([0, 0, 0, 1, 1, 1], A_ub=A, b_ub=np.r_[-d - radius, middle, -middle], bounds=[*free, *free])
+    center = central.x[:3] if central.success else largest.x[:3]
+    return np.append(center, max(radius - 1e-6, 1e-6))
 
 
 CELLS_PER_EDGE = 6

@@ -14,7 +14,19 @@ from torch import Tensor
 from r2h_batch import se3
 from r2h_batch.kernels.witness import EMPTY, MATERIAL, STEP_HIGH, STEP_LOW
 
-__all__ = ["Arm", "Closed", "Closing", "Contact", "Held", "attached", "carried", "closed", "missed", "receded", "separation"]
+__all__ = [
+    "Arm",
+    "Closed",
+    "Closing",
+    "Contact",
+    "Held",
+    "attached",
+    "carried",
+    "closed",
+    "missed",
+    "receded",
+    "separation",
+]
 
 
 @dataclass(frozen=True)
@@ -68,7 +80,9 @@ def closed(T_obj_ee: Float[Tensor, "b 4 4"], c: Closing) -> Closed:
     zero = torch.zeros_like(c.lift)
     follows, step = c.state == MATERIAL, (c.state == STEP_LOW) | (c.state == STEP_HIGH)
     material = (y[:, 1] - y[:, 0]) / (1 - (rise[:, 1] - rise[:, 0])).clamp(min=STEEPEST)
-    on_step = torch.where(c.state == STEP_LOW, d[:, 0, 2], d[:, 1, 2]) / torch.where(step, c.lift, torch.ones_like(zero))
+    on_step = torch.where(c.state == STEP_LOW, d[:, 0, 2], d[:, 1, 2]) / torch.where(
+        step, c.lift, torch.ones_like(zero)
+    )
     opening = torch.where(follows, material, torch.where(step, on_step, zero))
     y = y + rise * torch.where(follows, opening, zero)[:, None]
     return Closed(

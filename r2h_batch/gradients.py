@@ -18,6 +18,7 @@ from r2h_batch.ik import ur_parameters
 from r2h_batch.metrics import squeezed
 from r2h_batch.pose import Goal
 from r2h_batch.robot import ee_pose, load_robot
+from r2h_batch.scene import Scene
 from r2h_batch.straight_through import with_gradient
 from r2h_batch.types import CollidingPair, PlanReason, Scores, Trials
 
@@ -38,7 +39,8 @@ def differentiable(
 ) -> Scores:
     """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses; rows that are no poses do not."""
     return replace(
-        scores, margin=with_gradient(scores.margin, _Changes(evaluator, scores, trials, held, goal)(T_obj_ee, T_world_ee))
+        scores,
+        margin=with_gradient(scores.margin, _Changes(evaluator, scores, trials, held, goal)(T_obj_ee, T_world_ee)),
     )
 
 
@@ -79,15 +81,16 @@ class _Changes:
             scene, held.placed, goal.q, body, margin[:, 4] + config.thresholds.safe_margin_m, **launch
         )
         self.hand_normal = torch.where(found[:, None], normal, 0.0)
-        links = torch.as_tensor(scene.body_links, device=body.device)
+        links, q_home, T_home = _tables(scene, str(body.device))
         with_robot = (goal.nearest == int(CollidingPair.SELF)) | (goal.nearest == int(CollidingPair.OBJECT_ROBOT))
         self.body, self.other = (
             _carrier(x, links, n_robot) for x in (goal.body, torch.where(with_robot, goal.other, -1))
         )
         self.safe_body = _carrier(body, links, n_robot)
-        q_home = torch.tensor(HOME_Q, device=body.device)
-        self.T_world_ee_0 = torch.where(self.start[:, None, None], _home_pose(str(body.device)), held.T_world_ee)
-        self.arm = witnesses.arm_at(scene, torch.where(self.start[:, None] | ~held.active[:, None], q_home, goal.q), **launch)
+        self.T_world_ee_0 = torch.where(self.start[:, None, None], T_home, held.T_world_ee)
+        self.arm = witnesses.arm_at(
+            scene, torch.where(self.start[:, None] | ~held.active[:, None], q_home, goal.q), **launch
+        )
         self.safe_arm = witnesses.arm_at(scene, torch.where(held.active[:, None], goal.q, q_home), **launch)
         self.fingers, self.safe_fingers = (
             witnesses.finger_motion(
@@ -147,5 +150,7 @@ def _lengths() -> first_order.UrLengths:
 
 
 @lru_cache(maxsize=4)
-def _home_pose(device: str) -> Tensor:
-    return torch.from_numpy(ee_pose(load_robot(), HOME_Q)).float().to(device)
+def _tables(scene: Scene, device: str) -> tuple[Tensor, Tensor, Tensor]:
+    """Links of the robot's bodies, home's joint angles and its ee pose, on a device."""
+    T_home = torch.from_numpy(ee_pose(load_robot(), HOME_Q)).float()
+    return torch.from_numpy(scene.body_links).to(device), torch.tensor(HOME_Q).to(device), T_home.to(device)

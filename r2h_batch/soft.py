@@ -47,7 +47,9 @@ def soft_success(
     half = torch.full_like(failing, 0.5)
     least, above = torch.finfo(margin.dtype).tiny, torch.nextafter(half, torch.ones_like(half))
     change = torch.where(success, 0.5 + 0.5 * passing, 0.5 * torch.exp(failing))
-    value = torch.where(success, torch.clamp(change, above, torch.nextafter(torch.ones_like(half), half)), change.clamp(least, 0.5))
+    value = torch.where(
+        success, torch.clamp(change, above, torch.nextafter(torch.ones_like(half), half)), change.clamp(least, 0.5)
+    )
     value = torch.where(judged, value, torch.full_like(value, least))
     if log:
         change = torch.where(success, torch.log(change.clamp(min=0.5)), failing - _LOG_2)

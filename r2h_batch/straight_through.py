@@ -19,5 +19,5 @@ class _WithGradient(torch.autograd.Function):
 
 def with_gradient(value: Float[Tensor, "*b"], change: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
     """`value`, bit for bit, with the gradient of `change`."""
-    out: Tensor = _WithGradient.apply(value, change)  # type: ignore[no-untyped-call]
+    out: Tensor = _WithGradient.apply(value, change)
     return out

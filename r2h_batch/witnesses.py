@@ -4,15 +4,14 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-
 import torch
 import warp as wp
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.grasp import OPEN_GAP_M
 from r2h_batch.first_order import Arm, Closing, Contact
+from r2h_batch.grasp import OPEN_GAP_M
 from r2h_batch.kernels import reach as reach_kernels
 from r2h_batch.kernels import witness as kernels
 from r2h_batch.kernels import witness_posture as posture_kernels
@@ -40,7 +39,11 @@ def closing(
     """What the pads met, where the evaluator found `width_m` (NaN: nothing); `T_obj_ee` before the object moved."""
     b, device = len(T_obj_ee), T_obj_ee.device
     points = torch.zeros((b, 4, 3), device=device)
-    slope_x, slope_z, lift = torch.zeros((b, 4), device=device), torch.zeros((b, 4), device=device), torch.zeros(b, device=device)
+    slope_x, slope_z, lift = (
+        torch.zeros((b, 4), device=device),
+        torch.zeros((b, 4), device=device),
+        torch.zeros(b, device=device),
+    )
     state = torch.zeros(b, dtype=torch.int32, device=device)
     tables = scene.grasp_tables
     launch_trials(
@@ -148,9 +151,7 @@ def finger_motion(
         scene.grasp_tables.gripper, wp.from_torch(part.contiguous()), wp.from_torch(opening_m.contiguous()),
         wp.from_torch(point_ee.contiguous(), dtype=wp.vec3), wp.from_torch(velocity, dtype=wp.vec3),
     ]  # fmt: skip
-    launch_trials(
-        posture_kernels.finger_velocities, len(part), inputs, device=scene.device, threads=threads, chunk=256
-    )
+    launch_trials(posture_kernels.finger_velocities, len(part), inputs, device=scene.device, threads=threads, chunk=256)
     return velocity
 
 
