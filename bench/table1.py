@@ -58,6 +58,35 @@ def finding_lines(cell: Cells) -> list[str]:
     return lines
 
 
+def finger_lines(run) -> list[str]:
+    """F_plan by where the receiver's fingers point (in the horizontal plane's sense: towards the robot or away)."""
+    import numpy as np
+    import torch
+
+    from r2h_batch.scene import Scene
+    from r2h_batch.trials import trials_with_ids
+
+    scene, tip = Scene(), 1
+    ids = np.array(run.trials(run.methods[0])["trial_id"])
+    trials = trials_with_ids(torch.from_numpy(ids))
+    hand = trials.hand_index.long()
+    fingers = scene.hands.vertices[hand, int(scene.hands.model.tip_vertices[tip])] - scene.hands.joints[hand, 0]
+    fingers = torch.einsum("nij,nj->ni", trials.T_world_hand[:, :3, :3], fingers).double().numpy()
+    center = scene.palm(trials.hand_index, trials.T_world_hand)[2].double().numpy() * [1.0, 1.0, 0.0]
+    cos = -(fingers * center).sum(1) / np.linalg.norm(fingers, axis=1) / np.linalg.norm(center, axis=1)
+    angle = np.degrees(np.arccos(np.clip(cos, -1, 1)))
+    edges = [(0, 60), (60, 90), (90, 120), (120, 181)]
+    inside = [(angle >= a) & (angle < b) for a, b in edges]
+    heads = [f"{a}-{min(b, 180)} deg (n = {int(m.sum())})" for (a, b), m in zip(edges, inside)]
+    lines = ["| F_plan in % | " + " | ".join(heads) + " |", "|---|" + "--:|" * len(edges)]
+    for method in run.methods:
+        rows = run.trials(method)
+        failed = np.array(rows["outcome"].to_pylist()) == "plan"
+        failed = failed[np.argsort(np.array(rows["trial_id"]))][np.argsort(np.argsort(ids))]
+        lines.append(f"| {method} | " + " | ".join(f"{100 * failed[m].mean():.1f}" for m in inside) + " |")
+    return lines
+
+
 def sweep(folder: Path, trials: int, noise: float, more: list[str]) -> list[str]:
     """Runs (or goes on with) one sweep; its command."""
     from r2h_batch import sweep as command
@@ -110,6 +139,11 @@ def write(folder: Path, out: Path, name: str, title: str, line: list[str]) -> No
         "## The paper's findings",
         "Point estimates of the four methods; whether two of them differ by more than chance says the intervals above.",
         "\n".join(finding_lines(cell)),
+        "## Plan failures by where the receiver's fingers point",
+        "Angle between the true hand's direction (wrist to middle tip) and the horizontal direction to the robot. The"
+        " protocol leaves a hand's roll free: fingers that point away from the robot ask FC- and Intent-Handover, which"
+        " oppose the gripper to them, for poses that no arm on this side takes.",
+        "\n".join(finger_lines(run)),
         "## By object",
         object_lines(run).rstrip(),
     ]

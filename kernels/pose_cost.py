@@ -16,6 +16,9 @@ def pose_cost(
     first: int,
     gripper: Gripper,
     zone: float,
+    axis_low: float,  # the gripper at any opening lies within axis_radius of this stretch of ee's z axis
+    axis_high: float,
+    axis_radius: float,
     mesh_in: wp.array(dtype=wp.uint64),  # one per object
     low_in: wp.array(dtype=wp.vec3),  # (O,) bounding boxes, object frame
     high_in: wp.array(dtype=wp.vec3),
@@ -40,19 +43,27 @@ def pose_cost(
     drive = drive_from_gap(gripper, opening_in[trial])
     total = float(0.0)
     nearest = wp.zeros(shape=256, dtype=float)
+    beside = wp.zeros(shape=256, dtype=int)
+    count = int(0)
     for h in range(hand_in.shape[1]):
-        x = R_obj * (R_ee * hand_in[trial, h] + p_ee) + p_obj
+        y = R_ee * hand_in[trial, h] + p_ee
+        off = y - wp.vec3(0.0, 0.0, wp.clamp(y[2], axis_low, axis_high))
+        if wp.length(off) < axis_radius + zone:
+            beside[count] = h
+            count += 1
+        x = R_obj * y + p_obj
         d = float(zone)
         if x[0] > low[0] and x[1] > low[1] and x[2] > low[2] and x[0] < high[0] and x[1] < high[1] and x[2] < high[2]:
             query = wp.mesh_query_point_sign_normal(mesh_in[o], x, 1.0)
             if query.result:
-                y = wp.mesh_eval_position(mesh_in[o], query.face, query.u, query.v)
-                d = wp.min(d, query.sign * wp.length(y - x))
+                at = wp.mesh_eval_position(mesh_in[o], query.face, query.u, query.v)
+                d = wp.min(d, query.sign * wp.length(at - x))
         nearest[h] = d
     for g in range(gripper.kind.shape[0]):
         R, p = finger_pose(gripper, g, drive)
         Rt = wp.transpose(R)
-        for h in range(hand_in.shape[1]):
+        for i_h in range(count):
+            h = beside[i_h]
             x = Rt * (R_ee * hand_in[trial, h] + p_ee - p)
             nearest[h] = wp.min(nearest[h], signed_distance(gripper.kind[g], gripper.size[g], x))
     for h in range(hand_in.shape[1]):

@@ -17,7 +17,7 @@ from r2h_batch.methods import contact, fc, handover_va, intent
 from r2h_batch.methods.box_grasps import box_grasps, depth_steps
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.hand_clearance import gripper_clearance, posed_hand
-from r2h_batch.methods.least_cost_pose import approach_fan, collision_cost, hand_sample
+from r2h_batch.methods.least_cost_pose import approach_fan, collision_cost, gripper_capsule, hand_sample
 from r2h_batch.methods.palm_pose import roll_angles
 from r2h_batch.methods.utility_axis import align_templates
 from r2h_batch.predictors import (
@@ -83,7 +83,7 @@ def clear_of(vertices: torch.Tensor, T: torch.Tensor, opening: torch.Tensor) -> 
 def chosen_candidate(i: int, T_obj_ee: torch.Tensor) -> int:
     """Which candidate of its object trial i got."""
     T, _, _ = candidates(i)
-    (k,) = torch.nonzero((T == T_obj_ee).all(2).all(1)).flatten().tolist()
+    (k,) = torch.nonzero((T_obj_ee == T).all(2).all(1)).flatten().tolist()
     return k
 
 
@@ -311,6 +311,22 @@ def test_contacts_orientation_has_the_least_cost_of_those_the_arm_reaches():
                     d, primitive_distance(int(robot.gripper.kind[g]), robot.gripper.size[g], (x - q[g]) @ R[g])
                 )
             assert cost[m] == pytest.approx(np.maximum(0.03 - d, 0).mean(), abs=2e-6)
+
+
+def test_the_grippers_capsule_holds_it_at_any_opening():
+    low, high, radius = gripper_capsule()
+    robot = load_robot()
+    R, p = (x.double().numpy() for x in gripper_poses(torch.tensor([0.0, 0.0137, 0.0411, 0.085])))
+    axis = np.array([[0.0, 0.0, z] for z in np.linspace(low, high, 400)])
+    d = np.random.default_rng(0).normal(size=(300, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    outside = axis[:, None] + (radius + 1e-3) * d  # a millimetre off the capsule, or inside of it
+    gap = np.linalg.norm(outside[:, :, None] - axis[None, None, ::8], axis=3).min(2)
+    outside = outside[gap > radius + 5e-4]
+    for n in range(4):
+        for g, (kind, size) in enumerate(zip(robot.gripper.kind, robot.gripper.size, strict=True)):
+            assert primitive_distance(int(kind), size, (outside - p[n, g]) @ R[n, g]).min() > 0
+    assert radius < 0.1 and high < 0.03
 
 
 def test_the_fan_faces_the_palm_and_starts_straight_into_it():

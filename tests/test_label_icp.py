@@ -30,8 +30,9 @@ def twin(points: np.ndarray, role: np.ndarray, iterations: int, tolerance: float
     source = source.astype(np.float64)
     colour = label / np.sqrt(2) * np.eye(3)  # any two labels are `label` apart
     tree = cKDTree(np.concatenate([points, colour[role]], 1))
-    R, p, before = np.eye(3), points.mean(0), 0.0
-    for step in range(1, iterations + 1):
+    R, p, before, step = np.eye(3), points.mean(0), 0.0, 0
+    while step < iterations:
+        step += 1
         distance, at = tree.query(np.concatenate([source @ R.T + p, colour[names]], 1))
         target = points[at]
         H = (source - source.mean(0)).T @ (target - target.mean(0))

@@ -100,6 +100,6 @@ def test_poses_are_reachable_where_the_arm_has_a_solution():
     T = poses_at(rolled(R, roll_angles(8)), torch.tensor([[0.42, 0.0, 0.45], [3.0, 0.0, 0.45]]))
     assert T.dtype == torch.float32 and T.shape == (2, 8, 4, 4)
     assert reachable(T).tolist() == [[True] * 8, [False] * 8]
-    each = torch.stack([torch.stack([p for p in poses_at(R[:, None], torch.tensor([[0.42, 0.0, z]]).expand(2, 3))])
-                        for z in (0.1, 0.9, 1.2)], 1)[:, :, 0]  # fmt: skip
+    heights = torch.tensor([[[0.42, 0.0, z] for z in (0.1, 0.9, 1.2)]] * 2)
+    each = poses_at(R[:, None].expand(2, 3, 3, 3), heights)
     assert torch.equal(reachable(each).flatten(), solve_ik(each.reshape(-1, 4, 4).contiguous()).reachable)

@@ -10,15 +10,16 @@ from jaxtyping import Float, Float32, Int32, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.grasp import gripper_tables
+from r2h_batch.grasp import OPEN_GAP_M, gripper_poses, gripper_tables
 from r2h_batch.kernels import pose_cost as kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.palm_pose import apply_rotation, approach_frames, least, poses_at, reachable, roll_angles, rolled
 from r2h_batch.methods.placing import HOME_X, above_palm
 from r2h_batch.predictors import TargetHand
+from r2h_batch.robot import Kind, load_robot
 from r2h_batch.scene import Scene
 
-__all__ = ["approach_fan", "collision_cost", "hand_sample", "least_cost_pose"]
+__all__ = ["approach_fan", "collision_cost", "gripper_capsule", "hand_sample", "least_cost_pose"]
 
 DIRECTIONS = 32
 """Approach directions that are tried, spread over the half sphere that faces the palm: neighbours 25 degrees apart."""
@@ -92,7 +93,7 @@ def collision_cost(
         return out
     low, high = _boxes(scene)
     inputs = [
-        gripper_tables(scene.device), float(zone_m), scene.object_mesh_ids, low, high,
+        gripper_tables(scene.device), float(zone_m), *gripper_capsule(), scene.object_mesh_ids, low, high,
         wp.from_torch(object_index.contiguous()), wp.from_torch(opening_m.contiguous()),
         wp.from_torch(T_obj_ee.contiguous(), dtype=wp.mat44), wp.from_torch(T_world_ee.contiguous(), dtype=wp.mat44),
         wp.from_torch(hand_points.contiguous(), dtype=wp.vec3), wp.from_torch(out),
@@ -111,6 +112,19 @@ def hand_sample(scene: Scene, count: int) -> Int64[Tensor, " h"]:
         taken.append(int(np.argmax(apart)))
         apart = np.minimum(apart, ((skin - skin[taken[-1]]) ** 2).sum(1))
     return torch.tensor(taken, dtype=torch.int64, device=scene.device)
+
+
+@lru_cache(maxsize=1)
+def gripper_capsule() -> tuple[float, float, float]:
+    """Low and high end on ee's z axis, and radius, of a capsule that holds the gripper at any opening (m)."""
+    robot, slack = load_robot(), 1e-3  # what parts move between two of the openings looked at
+    R, p = (x.double().numpy() for x in gripper_poses(torch.linspace(0.0, OPEN_GAP_M, 61)))
+    size = robot.gripper.size
+    half = np.where((robot.gripper.kind == Kind.BOX)[:, None], size, np.stack([size[:, 0], size[:, 0], size[:, 1]], 1))
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T  # of the boxes that hold the primitives
+    points = (p[:, :, None] + np.einsum("ngij,cgj->ngci", R, corners[:, None] * half)).reshape(-1, 3)
+    radius = float(np.hypot(points[:, 0], points[:, 1]).max()) + slack
+    return float(points[:, 2].min()) - slack, float(points[:, 2].max()) + slack, radius
 
 
 @lru_cache(maxsize=4)
