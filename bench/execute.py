@@ -1,13 +1,14 @@
 """How fast and how faithfully do the engines move the arm, and what does the executed motion change?
 
-python bench/execute.py [--trials N] [--ask speed parity tracking step edges payload batches closing] [--json FILE]
+python bench/execute.py [--trials N] [--ask speed worlds models parity tracking step edges payload batches closing] [--json FILE]
 
 Trials and predictions are those of bench/mix.npz (half oracle, half random; S0 and S1 by turns). Speed counts process time,
 so other work on the machine counts little; `trial` = the whole Evaluator.score. Tracking errors are those of the point
 between the fingertips, against the reference at the same time. A trial is in the band when one of its margins is within
-0.1 mm of 0 in either run.
+0.1 mm of 0 in either run. With --ask, the figures of an existing FILE that are not measured again stay in it.
 """
 
+import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -35,7 +36,8 @@ from r2h_batch.trials import trials_with_ids
 from r2h_batch.types import Scores
 
 MIX = Path(__file__).with_name("mix.npz")
-ASK = ("speed", "parity", "tracking", "step", "edges", "payload", "batches", "closing")
+ASK = ("speed", "worlds", "models", "parity", "tracking", "step", "edges", "payload", "batches", "closing")
+CPU_WORLDS, CUDA_WORLDS = (1, 16, 64, 256), (256, 1024, 4096, 16384)
 GRASPS = 8  # candidates of each object that are closed in physics
 TIP_M = np.array([0.0, 0.0, 0.02, 1.0])  # fingertips in the ee frame
 
@@ -58,10 +60,10 @@ class Mix:
         seen: dict[str, Any] = {}
 
         def watched(scene: Any, placed: Any, path: Any, length: Any, motion: Any, c: Any, **k: Any) -> Executed:
-            start = time.process_time()
+            start, wall = time.process_time(), time.perf_counter()
             seen.update(placed=placed, path=path, length=length, motion=motion, scene=scene)
             seen["executed"] = execute(scene, placed, path, length, motion, c, **k)
-            seen["execute_s"] = time.process_time() - start
+            seen["execute_s"], seen["execute_wall_s"] = time.process_time() - start, time.perf_counter() - wall
             return seen["executed"]
 
         few = slice(0, 8)
@@ -81,25 +83,76 @@ def changed(a: Scores, b: Scores) -> tuple[int, int, list[int]]:
 
 
 def speed(mix: Mix, report: Report) -> None:
-    for engine in ("none", "mujoco", "mjwarp"):
-        _, executed, seen = mix.score(ExecConfig(sim=engine))
-        report.add(f"execute.speed.{engine}.whole_trials_per_core_s", mix.n / seen["seconds"])
+    cases = (("none", "scene"), ("mujoco", "scene"), ("mujoco", "arm"), ("mjwarp", "scene"), ("mjwarp", "arm"))
+    for engine, model in cases:
+        most = 128 if (engine, model, mix.device) == ("mjwarp", "scene", "cpu") else mix.n  # some 4 a second
+        part = Mix(min(mix.n, most), mix.device, mix.threads)
+        _, executed, seen = part.score(ExecConfig(sim=engine, model=model))
+        name = f"execute.speed.{engine}" + (f".{model}" if engine != "none" else "")
+        report.add(f"{name}.whole_trials_per_core_s", part.n / seen["seconds"])
         if engine == "none":
             continue
-        steps = int((executed.length.clamp(min=1) - 1).sum()) * 4
         moved = int((executed.length > 0).sum())
-        report.add(f"execute.speed.{engine}.moved_trials", moved)
-        report.add(f"execute.speed.{engine}.moved_trials_per_core_s", moved / seen["execute_s"])
-        report.add(f"execute.speed.{engine}.steps_per_core_s", steps / seen["execute_s"])
-    for worlds in (1, 16, 64, 256, 1024):
-        n = max(2 * worlds, 4) if worlds < 1024 else 1024
-        if n > mix.n:
-            continue
-        part = Mix(n, mix.device, mix.threads)
-        with mock.patch.dict(sim_mjwarp.MAX_WORLDS, {"cpu": worlds, "cuda": worlds}):
-            _, executed, seen = part.score(ExecConfig(sim="mjwarp"))
-        steps = int((executed.length.clamp(min=1) - 1).sum()) * 4
-        report.add(f"execute.speed.mjwarp.worlds_{worlds}.steps_per_core_s", steps / seen["execute_s"])
+        report.add(f"{name}.moved_trials", moved)
+        report.add(f"{name}.moved_trials_per_core_s", moved / seen["execute_s"])
+        report.add(f"{name}.steps_per_core_s", steps_of(executed) / seen["execute_s"])
+        report.add(f"{name}.steps_per_s", steps_of(executed) / seen["execute_wall_s"])
+
+
+def steps_of(executed: Executed) -> int:
+    """Steps of all trials."""
+    return int((executed.length.clamp(min=1) - 1).sum()) * ExecConfig().record_steps
+
+
+def worlds(mix: Mix, report: Report) -> None:
+    """mujoco-warp by its number of worlds: steps per second, and the bytes that a world more takes.
+
+    Two trials a world, watched for 0.5 s each on a CPU, to their ends on CUDA.
+    """
+    cuda = mix.device != "cpu"
+    config = ExecConfig(sim="mjwarp") if cuda else ExecConfig(sim="mjwarp", settle_limit_s=0.01, dwell_s=0.49)
+    used: dict[int, int] = {}
+    honest = sim_mjwarp._fields
+
+    def watched(model: Any, data: Any) -> Any:
+        used[data.nworld] = array_bytes(model) + array_bytes(data)
+        return honest(model, data)
+
+    for n in CUDA_WORLDS if cuda else CPU_WORLDS:
+        part = Mix(max(3 * n, 24), mix.device, mix.threads)  # about two of three have a path
+        sizes = {"cpu": n, "cuda": n}
+        with mock.patch.dict(sim_mjwarp.MAX_WORLDS, sizes), mock.patch.object(sim_mjwarp, "_fields", watched):
+            _, executed, seen = part.score(config)
+        per = "wall" if cuda else "core"
+        seconds = seen["execute_wall_s"] if cuda else seen["execute_s"]
+        report.add(f"execute.worlds.{n}.steps_per_{per}_s", steps_of(executed) / seconds)
+        report.add(f"execute.worlds.{n}.moved_trials", int((executed.length > 0).sum()))
+    low, high = min(used), max(used)
+    report.add("execute.worlds.bytes_per_world", (used[high] - used[low]) / (high - low))
+
+
+def array_bytes(value: Any) -> int:
+    """Bytes of all Warp arrays in a dataclass, nested ones included."""
+    if isinstance(value, wp.array):
+        return int(value.capacity)
+    return sum(array_bytes(v) for v in vars(value).values()) if hasattr(value, "__dataclass_fields__") else 0
+
+
+def models(mix: Mix, report: Report) -> None:
+    """The whole scene against the arm alone with a rigid gripper, in MuJoCo C: what the linkage and the contacts change."""
+    a, ea, sa = mix.score(ExecConfig(sim="mujoco", model="arm"))
+    b, eb, sb = mix.score(ExecConfig(sim="mujoco"))
+    moved = ea.length > 0
+    report.add("execute.models.moved_trials", int(moved.sum()))
+    report.add("execute.models.scene_time_over_arm_time", sb["execute_s"] / sa["execute_s"])
+    report.add("execute.models.dq_max_rad", float((ea.path - eb.path).abs().max()))
+    sway = (eb.slack_m - ea.slack_m)[moved] * 1e6
+    report.add("execute.models.finger_sway_mean_um", float(sway.mean()))
+    report.add("execute.models.finger_sway_max_um", float(sway.max()))
+    differ, outside, ids = changed(a, b)
+    report.add("execute.models.verdicts_that_differ", differ)
+    report.add("execute.models.outside_the_band", f"{outside} {ids}")
+    report.add("execute.models.safe_margin_max_difference_m", worst_margin(a, b))
 
 
 def worst_margin(a: Scores, b: Scores) -> float:
@@ -127,11 +180,15 @@ def parity(mix: Mix, report: Report) -> None:
 def batches(mix: Mix, report: Report) -> None:
     """The same trials in batches of other sizes and in another order: rows that differ in any bit of a verdict or margin."""
     for engine in ("mujoco", "mjwarp"):
-        n = min(mix.n, 256)
+        n = min(mix.n, 256 if engine == "mujoco" else 32)
         evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim=engine)), device=mix.device, threads=mix.threads)
         whole = evaluator.score(mix.g[:n], mix.h[:n], mix.trials[:n])
         order = torch.randperm(n, generator=torch.Generator().manual_seed(0))
-        cases = {"permuted": [order], "7": torch.arange(n).split(7), "1": torch.arange(min(n, 24)).split(1)}
+        cases = {
+            "permuted": [order],
+            "7": torch.arange(n).split(7),
+            "1": torch.arange(min(n, 24 if engine == "mujoco" else 6)).split(1),
+        }
         for name, parts in cases.items():
             differ = 0
             for rows in parts:
@@ -178,6 +235,10 @@ def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: s
     report.add(f"execute.tracking.{name}.slack_mean_um", float(executed.slack_m[rows].mean()) * 1e6)
     report.add(f"execute.tracking.{name}.slack_max_um", float(executed.slack_m[rows].max()) * 1e6)
     report.add(f"execute.tracking.{name}.not_settled", int((~executed.settled[rows]).sum()))
+    certified = executed.deviation_m < scores.margin[:, 1] - 1e-4  # the margin is located to 0.1 mm
+    report.add(f"execute.tracking.{name}.deviation_max_mm", float(executed.deviation_m[rows].max()) * 1e3)
+    report.add(f"execute.tracking.{name}.deviation_mean_mm", float(executed.deviation_m[rows].mean()) * 1e3)
+    report.add(f"execute.tracking.{name}.certified_free_share", float(certified[rows].double().mean()))
     t = scores.t_exec_s[~scores.t_exec_s.isnan()].numpy()
     for key, value in (("mean", t.mean()), *((f"p{p}", np.percentile(t, p)) for p in (5, 50, 95, 100))):
         report.add(f"execute.t_exec.{name}.{key}_s", float(value))
@@ -262,6 +323,9 @@ def main() -> None:
     report, mix = Report(), Mix(options.trials, options.device, options.threads)
     for name in options.ask:
         globals()[name](mix, report)
+    if options.json and options.json.exists():
+        old = json.loads(options.json.read_text())["values"]
+        report.values = {**{k: v for k, v in old.items() if k.split(".")[1] not in options.ask}, **report.values}
     report.write(options.json)
 
 

@@ -1,66 +1,90 @@
-"""A picture like the paper's Fig. 4: methods x moments for some trials, rendered offscreen.
+"""What the methods' handovers of one trial look like: a row for each method, along the motion that was executed.
 
-MUJOCO_GL=osmesa python bench/strips.py docs/baselines_fig4.png --trials 21 5 24
+python -m bench.strips --trial ID --out FILE.png [--method random oracle ...] [--predictions FILE ...] [--frames 5]
+
+The scene is the one that was simulated, rendered by MuJoCo; the row's title says what came of it. Needs matplotlib.
 """
 
 import argparse
-import contextlib
-import io
-import tempfile
+import os
+from collections.abc import Sequence
 from pathlib import Path
 
-METHODS = ("fc", "handover-va", "contact", "intent")
-MOMENTS = (0.0, 0.4, 0.7, 1.0)
+os.environ.setdefault("MUJOCO_GL", "osmesa")  # read when mujoco is imported
+
+import numpy as np
+import torch
+
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.jobs import load_files, make_jobs, prepare
+from r2h_batch.options import Options
+from r2h_batch.render import Strip, strips
+from r2h_batch.trials import trials_with_ids
+from r2h_batch.types import Outcome, Predictions
+
+
+def answers(trial_id: int, methods: Sequence[str], files: Sequence[str]) -> tuple[Evaluator, list[Predictions]]:
+    """An evaluator, and each method's and file's answer to one trial (those that have one)."""
+    options = Options(
+        method=tuple(methods), predictions=tuple(files), trials=max(500, trial_id // 2 + 1), allow_missing=True
+    )
+    bench = prepare(options)
+    found = []
+    place = int(torch.nonzero(bench.ids(0, bench.planned) == trial_id).flatten()[0])
+    for job in make_jobs(options, load_files(options), bench):
+        row = None if job.rows is None else job.rows[place : place + 1]
+        if row is not None and int(row[0]) < 0:
+            print(f"{job.name} has no answer to trial {trial_id}")
+            continue
+        p = job.predict(bench.trials(torch.tensor([trial_id])), row)
+        found.append(Predictions(p.trial_id, p.T_obj_ee, p.T_world_ee, method=job.name))
+    return bench.evaluator, found
+
+
+def draw(rows: Sequence[Strip], title: str, out: Path, *, frames: int) -> None:
+    """Writes the grid of pictures: methods by times."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt
+
+    height, width = rows[0].images.shape[1:3]
+    figure = plt.figure(figsize=(2.4 * frames, (2.4 * height / width + 0.32) * len(rows) + 0.35), dpi=160)
+    parts = figure.subfigures(len(rows) + 1, 1, height_ratios=[0.35, *[2.4 * height / width + 0.32] * len(rows)])
+    parts[0].text(0.5, 0.5, title, ha="center", va="center", fontsize=10)
+    for part, row in zip(parts[1:], rows, strict=True):
+        color = "#1b6e3c" if row.outcome == Outcome.SUCCESS else "#a3262a"
+        part.text(0.005, 0.995, row.method, ha="left", va="top", fontsize=9, weight="bold")
+        part.text(0.995, 0.995, row.verdict, ha="right", va="top", fontsize=9, color=color)
+        axes = part.subplots(1, frames, gridspec_kw={"wspace": 0.02})
+        part.subplots_adjust(left=0.005, right=0.995, top=1 - 0.26 / (2.4 * height / width + 0.32), bottom=0.01)
+        for k, axis in enumerate(np.atleast_1d(axes)):
+            axis.set_axis_off()
+            if k < len(row.images):
+                axis.imshow(row.images[k])
+                axis.text(0.03, 0.05, f"{row.time_s[k]:.1f} s", transform=axis.transAxes, fontsize=7, color="#333333")
+            elif k == 1:
+                axis.text(0.0, 0.5, "no motion", transform=axis.transAxes, fontsize=8, color="#777777")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(out, metadata={"Software": None})
+    plt.close(figure)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("png", type=Path)
-    parser.add_argument("--trials", type=int, nargs="+", default=[21, 5, 24], help="trial ids (2 i in S0, 2 i + 1 in S1)")
-    parser.add_argument("--noise", default="1", help="--predictor-noise")
-    parser.add_argument("--size", type=int, default=300, help="pixels of a frame")
-    given = parser.parse_args()
-
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    from r2h_batch import sweep
-    from r2h_batch.export import export_trial, load_trial, render_strip
-    from r2h_batch.results import load_run
-
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary) / "run"
-        line = ["--method", *METHODS, "--trials", str(max(given.trials) // 2 + 1), "--predictor-noise", given.noise]
-        with contextlib.redirect_stdout(io.StringIO()):
-            if code := sweep.main([*line, "--save-paths", "--out", str(folder)]):
-                raise SystemExit(code)
-        names = load_run(folder).methods
-        figure, axes = plt.subplots(
-            len(names), len(given.trials), squeeze=False, layout="constrained",
-            figsize=(len(MOMENTS) * len(given.trials) * 1.35, 1.75 * len(names)),
-        )  # fmt: skip
-        for j, trial in enumerate(given.trials):
-            for i, name in enumerate(names):
-                stored = load_trial(folder, trial, method=name)
-                scene = export_trial(stored, Path(temporary) / f"{trial}-{i}")
-                png = Path(temporary) / f"{trial}-{i}.png"
-                render_strip(scene, png, moments=MOMENTS, width=given.size, height=given.size)
-                verdict = stored.row["outcome"] + (
-                    f" ({stored.row['plan_reason']})" if stored.row["outcome"] == "plan" else ""
-                )
-                axes[i, j].imshow(plt.imread(png))
-                axes[i, j].set_axis_off()
-                side = (
-                    f"trial {trial}, {stored.row['object'].replace('_', ' ')}, {stored.row['side']} hand\n"
-                    if i == 0
-                    else ""
-                )
-                axes[i, j].set_title(f"{side}{name}: {verdict}", fontsize=7)
-        given.png.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(given.png, dpi=140)
-    print(given.png)
+    parser.add_argument("--trial", type=int, required=True, help="trial id of the protocol")
+    parser.add_argument("--method", nargs="*", default=[], help="as in a sweep")
+    parser.add_argument("--predictions", nargs="*", default=[], help="as in a sweep")
+    parser.add_argument("--frames", type=int, default=5)
+    parser.add_argument("--out", type=Path, required=True)
+    options = parser.parse_args()
+    evaluator, found = answers(options.trial, options.method, options.predictions)
+    trial = trials_with_ids(torch.tensor([options.trial]), objects=evaluator.scene.objects)
+    rows = strips(evaluator, trial, found, frames=options.frames)
+    name = evaluator.scene.objects[int(trial.object_index[0])].name.replace("_", " ")
+    draw(rows, f"trial {options.trial}: {name}", options.out, frames=options.frames)
+    for row in rows:
+        print(f"{row.method}: {row.verdict}")
 
 
 if __name__ == "__main__":

@@ -82,6 +82,38 @@ def servo_commands(
         command_out[row, step, j] = c[j]
 
 
+@wp.kernel
+def path_deviation(
+    first: int,
+    law: Law,
+    lever: wp.array2d(dtype=float),  # (bodies, 6)
+    object_lever_in: wp.array2d(dtype=float),  # (B, 6)
+    path_in: wp.array3d(dtype=float),
+    time_in: wp.array2d(dtype=float),
+    length_in: wp.array(dtype=int),
+    motion_in: wp.array3d(dtype=float),
+    motion_length_in: wp.array(dtype=int),
+    deviation_out: wp.array(dtype=float),
+):
+    """How far any point of robot and object was, at most, from where the path has it at a sample's time (m)."""
+    trial = first + wp.tid()
+    worst = float(0.0)
+    for k in range(motion_length_in[trial]):
+        c = servo_command(law, path_in, time_in, length_in, trial, f64(k) * law.step)
+        off = vec6()
+        held = float(0.0)
+        for j in range(6):
+            off[j] = float(wp.abs(f64(motion_in[trial, k, j]) - c[j]))
+            held += off[j] * object_lever_in[trial, j]
+        worst = wp.max(worst, held)
+        for b in range(lever.shape[0]):
+            at = float(0.0)
+            for j in range(6):
+                at += off[j] * lever[b, j]
+            worst = wp.max(worst, at)
+    deviation_out[trial] = worst
+
+
 @wp.struct
 class Tool:
     """Joint frames and the ee in the wrist_3 frame."""

@@ -76,6 +76,9 @@ class ExecConfig:
     max_velocity_rad_s: float = math.pi
     max_acceleration_rad_s2: float = 5.0
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"  # auto: mujoco on a CPU, mjwarp on CUDA; none: kinematic
+    model: Literal["scene", "arm"] = (
+        "scene"  # what is simulated: the whole scene, or the arm with a rigid gripper, no contacts
+    )
     step_s: float = 0.002  # of simulator and servos: the real controller's 500 Hz
     record_steps: int = 4  # steps between two samples of the executed motion
     payload: Literal["known", "unknown"] = "known"  # whether the controller compensates the object's weight
@@ -86,6 +89,7 @@ class ExecConfig:
 
     def __post_init__(self) -> None:
         _one_of(self, "sim", ("auto", "none", "mujoco", "mjwarp"))
+        _one_of(self, "model", ("scene", "arm"))
         _one_of(self, "payload", ("known", "unknown"))
         _positive(self, "scale", "max_velocity_rad_s", "max_acceleration_rad_s2", "step_s", "record_steps")
         _positive(self, "settle_position_m", "settle_rotation_rad", "settle_limit_s", "dwell_s")

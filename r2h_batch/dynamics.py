@@ -1,4 +1,4 @@
-"""Masses, inertias and servo gains of the arm, and the MuJoCo model that moves it: no contacts, one attached object."""
+"""Masses, inertias and servo gains of the arm, and MuJoCo bodies made of them."""
 
 import copy
 from dataclasses import dataclass
@@ -32,6 +32,9 @@ GRIPPER_MASS_KG = 1.05  # 2F-85 with its coupling
 GRIPPER_COM_M = (0.0, 0.0, 0.055)  # [choice] a box of the gripper's size, gripper frame
 GRIPPER_BOX_M = (0.075, 0.15, 0.14)
 
+FINGER_MASS_KG = {"outer_knuckle": 0.00853, "outer_finger": 0.02261, "inner_finger": 0.0104, "inner_knuckle": 0.02712}
+"""airo-models, robotiq_2f_85.urdf; a pad is part of its inner finger."""
+
 ARMATURE = 0.1
 """Rotor inertia behind the gear, kg m^2 [choice]: MuJoCo Menagerie's value for this arm."""
 
@@ -58,42 +61,72 @@ class Payload:
 
 
 def arm_model(robot: Robot, *, step_s: float, payload_known: bool = True) -> mujoco.MjModel:
-    """The UR5e with gripper and a placeholder object, as position servos.
+    """The UR5e with gripper and a placeholder object, as position servos: no geoms, the gripper rigid.
 
-    force = kp (ctrl - q) - kv qd: with ctrl = q_ref + qd_ref kv / kp that is a position and velocity servo. Weight is
-    compensated, as the real controller does, and counts against the torque limits; the object's too where its mass is
-    known to the controller. No geoms: paths are certified free, the first touch already decides a trial, and the motion
-    after it must not depend on it. NaN is left where it appears (no automatic reset).
+    scene_model.py builds the whole scene around the same arm.
     """
+    spec = new_spec(step_s)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    gripper = add_gripper(add_arm(spec, robot, spec.worldbody)[-1], robot, GRIPPER_MASS_KG)
+    add_object(gripper, payload_known=payload_known)
+    return spec.compile()
+
+
+def new_spec(step_s: float) -> mujoco.MjSpec:
+    """An empty model with the project's integrator. NaN is left where it appears (no automatic reset)."""
     spec = mujoco.MjSpec()
     spec.compiler.autolimits, spec.compiler.degree = True, False
     spec.compiler.boundmass, spec.compiler.boundinertia = 1e-9, 1e-12
     spec.option.timestep = step_s
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_CONTACT | mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-    body = spec.worldbody.add_body(name="base")
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    return spec
+
+
+def add_arm(spec: mujoco.MjSpec, robot: Robot, parent: mujoco.MjsBody) -> list[mujoco.MjsBody]:
+    """The arm's bodies, base to wrist_3, each with its mass, joint and servo.
+
+    force = kp (ctrl - q) - kv qd: with ctrl = q_ref + qd_ref kv / kp that is a position and velocity servo. Weight is
+    compensated, as the real controller does, and counts against the torque limits.
+    """
+    bodies = [parent.add_body(name=robot.links[0])]
     for i in range(JOINTS):
         inertia = _rolled(LINK_INERTIA[i], LINK_ROLL[i])
-        body = _add_body(body, robot.links[i + 1], robot.T_parent_joint[i], LINK_MASS_KG[i], LINK_COM_M[i], inertia)
+        body = add_body(
+            bodies[-1], robot.links[i + 1], robot.T_parent_joint[i], LINK_MASS_KG[i], LINK_COM_M[i], inertia
+        )
         torque = float(robot.max_torque[i])
         body.add_joint(
             name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=ARMATURE,
             range=[robot.lower[i], robot.upper[i]], actfrcrange=[-torque, torque], actgravcomp=True,
         )  # fmt: skip
-        spec.add_actuator(
-            name=robot.joints[i], target=robot.joints[i], trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            gaintype=mujoco.mjtGain.mjGAIN_FIXED, biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            gainprm=[KP[i], *[0] * 9], biasprm=[0, -KP[i], -KP[i] / SERVO_RATE, *[0] * 7],
-        )  # fmt: skip
-    x, y, z = np.square(GRIPPER_BOX_M) * GRIPPER_MASS_KG / 12
-    box = np.diag([y + z, x + z, x + y])
+        add_servo(spec, robot.joints[i], KP[i], KP[i] / SERVO_RATE)
+        bodies.append(body)
+    return bodies
+
+
+def add_servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float) -> None:
+    """force = kp (ctrl - q) - kv qd at a joint."""
+    spec.add_actuator(
+        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE, gainprm=[kp, *[0] * 9], biasprm=[0, -kp, -kv, *[0] * 7],
+    )  # fmt: skip
+
+
+def add_gripper(wrist: mujoco.MjsBody, robot: Robot, mass: float) -> mujoco.MjsBody:
+    """The gripper's body: a box of its size, of what mass the moving parts leave."""
+    x, y, z = np.square(GRIPPER_BOX_M) * mass / 12
     T = robot.T_wrist3_flange @ robot.T_flange_gripper
-    body = _add_body(body, "gripper", T, GRIPPER_MASS_KG, GRIPPER_COM_M, box)
+    return add_body(wrist, robot.links[7], T, mass, GRIPPER_COM_M, np.diag([y + z, x + z, x + y]))
+
+
+def add_object(gripper: mujoco.MjsBody, *, payload_known: bool) -> mujoco.MjsBody:
+    """The object's body with placeholders that `load` replaces; its weight is compensated where the controller knows it."""
     # turned and shifted inertia: with a plain one the compiler would mark the frames as equal, for all payloads
     tilted = _rolled((1.0, 0.1, 0.2, 2.0, 0.3, 2.5), 0.3) * 1e-4
-    body = _add_body(body, "object", _transform((0.1, 0.2, 0.3), 0.4), 0.1, (0.01, 0.02, 0.03), tilted)
+    body = add_body(gripper, "object", _transform((0.1, 0.2, 0.3), 0.4), 0.1, (0.01, 0.02, 0.03), tilted)
     body.gravcomp = float(payload_known)
-    return spec.compile()
+    return body
 
 
 def loaded_model(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> mujoco.MjModel:
@@ -104,33 +137,35 @@ def loaded_model(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -
 
 
 def load(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> None:
-    """Puts a payload into the model itself, whatever it held before; `data` is scratch."""
+    """Puts a payload into the model itself (its last body), whatever it held before; `data` is scratch."""
     i = model.nbody - 1
     inertia, axes = np.linalg.eigh(payload.inertia)
     axes[:, 2] *= np.linalg.det(axes)
     model.body_pos[i] = payload.T_gripper_obj[:3, 3]
-    model.body_quat[i] = _quat(payload.T_gripper_obj[:3, :3])
+    model.body_quat[i] = quat_wxyz(payload.T_gripper_obj[:3, :3])
     model.body_ipos[i] = payload.com
-    model.body_iquat[i] = _quat(axes)
+    model.body_iquat[i] = quat_wxyz(axes)
     model.body_mass[i] = payload.mass
     model.body_inertia[i] = np.maximum(inertia, 1e-12)
     mujoco.mj_setConst(model, data)  # subtree masses, which the centres of mass are divided by
 
 
-def _add_body(
+def add_body(
     parent: mujoco.MjsBody, name: str, T: Array, mass: float, com: ArrayLike, inertia: Array
 ) -> mujoco.MjsBody:
+    """A body at T in its parent, of the given mass properties, its weight compensated."""
     xx, yy, zz, xy, xz, yz = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     return parent.add_body(
-        name=name, pos=T[:3, 3], quat=_quat(T[:3, :3]), explicitinertial=True, mass=mass, ipos=com,
+        name=name, pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]), explicitinertial=True, mass=mass, ipos=com,
         fullinertia=[xx, yy, zz, xy, xz, yz], gravcomp=1.0,
     )  # fmt: skip
 
 
-def _quat(R: ArrayLike) -> Array:
-    quat_wxyz = np.empty(4)
-    mujoco.mju_mat2Quat(quat_wxyz, np.asarray(R, np.float64).ravel())
-    return quat_wxyz
+def quat_wxyz(R: ArrayLike) -> Array:
+    """The quaternion of a rotation matrix, as MuJoCo orders it."""
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.asarray(R, np.float64).ravel())
+    return quat
 
 
 def _transform(p: ArrayLike, roll: float) -> Array:

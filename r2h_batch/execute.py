@@ -10,9 +10,10 @@ from jaxtyping import Bool, Float32, Float64, Int32
 from torch import Tensor
 
 from r2h_batch.config import ExecConfig
-from r2h_batch.dynamics import SERVO_RATE, Payload, arm_model
+from r2h_batch.dynamics import SERVO_RATE, Payload
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene import Placed, Scene
+from r2h_batch.scene_model import TrialScene
 from r2h_batch.simulation import Job, Samples
 
 
@@ -30,7 +31,10 @@ class Executed:
 
     `t_exec_s`: when the arm came to rest at its goal, NaN where it did not or there is no path. `valid`: False where the
     simulator failed: such a row has no length, but `path` still holds its `recorded` samples. `slack_m`: how far any point
-    of the robot may have been off the lines between two samples.
+    of the robot may have been off the lines between two samples, fingers that gave way included. `deviation_m`: a bound on
+    how far any point of robot or object ever was from where the planned path has it at that time; below the path's clearance
+    it certifies that the motion touched nothing of what planning checks. `failed_state`: qpos and qvel as the simulator had
+    them before it failed.
     """
 
     path: Float32[Tensor, "b w 6"]
@@ -39,8 +43,10 @@ class Executed:
     settled: Bool[Tensor, " b"]
     valid: Bool[Tensor, " b"]
     slack_m: Float32[Tensor, " b"]
+    deviation_m: Float32[Tensor, " b"]
     recorded: Int32[Tensor, " b"]
     sample_s: float | None
+    failed_state: Float64[Tensor, "b s"] | None = None
 
 
 def execute(
@@ -61,8 +67,8 @@ def execute(
     engine = config.engine(scene.device)
     if engine == "none":
         true = torch.ones_like(length, dtype=torch.bool)
-        slack = torch.zeros_like(motion.t_exec_s)
-        return Executed(path, length, motion.t_exec_s, length > 0, true, slack, torch.zeros_like(length), None)
+        zero = torch.zeros_like(motion.t_exec_s)
+        return Executed(path, length, motion.t_exec_s, length > 0, true, zero, zero, torch.zeros_like(length), None)
     run = _Runner(scene, placed, path, length, motion, config, engine, threads)
     limit = config.settle_limit_s + config.dwell_s
     found = torch.nonzero(length > 0).flatten().cpu().numpy()
@@ -79,7 +85,7 @@ def _merged(first: Executed, again: Executed, rows: Tensor) -> Executed:
     """`first` with the rows that ran again."""
     width = max(first.path.shape[1], again.path.shape[1])
     parts = {}
-    for name in ("path", "length", "t_exec_s", "settled", "valid", "slack_m", "recorded"):
+    for name in ("path", "length", "t_exec_s", "settled", "valid", "slack_m", "deviation_m", "recorded", "failed_state"):
         a, b = getattr(first, name), getattr(again, name)
         if name == "path":
             a, b = (torch.nn.functional.pad(x, (0, 0, 0, width - x.shape[1])) for x in (a, b))
@@ -101,21 +107,22 @@ class _Runner:
         self.scene, self.config, self.threads = scene, config, threads
         self.path, self.length = path.contiguous(), length
         self.simulate = import_module(f"r2h_batch.sim_{engine}").simulate
-        self.model = arm_model(scene.robot, step_s=config.step_s, payload_known=config.payload == "known")
         self.law = Law()
         self.law.speed, self.law.acceleration = _limits(config)
         self.law.lead, self.law.step = 1.0 / SERVO_RATE, config.step_s
         device = "cpu" if engine == "mujoco" else scene.device
         self.device = device
-        path_in, time_in, length_in = (
-            wp.from_torch(t.to(device).contiguous()) for t in (self.path, motion.time_s, length)
-        )
+        self.placed, tables = placed, (self.path, motion.time_s, length)
+        self.planned = [wp.from_torch(t.contiguous()) for t in tables]
+        path_in, time_in, length_in = (wp.from_torch(t.to(device).contiguous()) for t in tables)
         self.tables = (path_in, time_in, length_in)
         T_wrist_gripper = scene.robot.T_wrist3_flange @ scene.robot.T_flange_gripper
         T_wrist_obj = np.tile(np.eye(4), (len(length), 1, 1))
         T_wrist_obj[:, :3, :3], T_wrist_obj[:, :3, 3] = placed.R_wrist_obj.cpu(), placed.p_wrist_obj.cpu()
         self.T_gripper_obj = np.linalg.inv(T_wrist_gripper) @ T_wrist_obj
-        self.objects = placed.object_index.cpu().numpy()
+        self.objects, self.hands = placed.object_index.cpu().numpy(), placed.hand_index.cpu().numpy()
+        self.T_world_hand = placed.T_world_hand.double().cpu().numpy()
+        self.opening_m = placed.opening_m.cpu().numpy()
 
     def __call__(self, rows: np.ndarray, duration_s: np.ndarray) -> Executed:
         sample_s = self.config.step_s * self.config.record_steps
@@ -123,12 +130,17 @@ class _Runner:
         order = np.argsort(-samples, kind="stable")
         rows, samples = rows[order], samples[order]
         job = Job(
-            self.model, self.law, self.tables, rows,
-            [Payload.of(self.scene.objects[self.objects[i]], self.T_gripper_obj[i]) for i in rows],
+            self.scene.model(self.hands[rows], self.config), self.law, self.tables, rows, [self._trial(i) for i in rows],
             self.path[torch.from_numpy(rows), 0].double().cpu().numpy(),
             samples, self.config.record_steps, self.device,
         )  # fmt: skip
         return self._judged(job, self.simulate(job, threads=self.threads), sample_s)
+
+    def _trial(self, i: int) -> TrialScene:
+        held = Payload.of(self.scene.objects[self.objects[i]], self.T_gripper_obj[i])
+        return TrialScene(
+            held, int(self.objects[i]), int(self.hands[i]), self.T_world_hand[i], float(self.opening_m[i])
+        )
 
     def _judged(self, job: Job, answer: Samples, sample_s: float) -> Executed:
         """When each motion came to rest, and how far it may have been off its samples."""
@@ -155,8 +167,30 @@ class _Runner:
         acceleration = torch.zeros((b, 1, 6), dtype=torch.float64, device=device)
         acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)
         slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
+        slack[rows] += torch.from_numpy(np.nan_to_num(answer.sway_m)).to(device)
         t_exec = torch.where(settled, at.float(), torch.nan)
-        return Executed(path, length, t_exec, settled, valid, slack.float(), recorded, sample_s)
+        state = torch.full((b, answer.failed_state.shape[1]), torch.nan, dtype=torch.float64, device=device)
+        state[rows] = torch.from_numpy(answer.failed_state).to(device)
+        held = (acceleration[:, 0] * self.placed.object_lever.to(device)).sum(-1) * sample_s**2 / 8
+        deviation = self._deviation(path, length, sample_s) + torch.maximum(slack, held)
+        deviation = torch.where(length > 0, deviation, 0.0)
+        return Executed(path, length, t_exec, settled, valid, slack.float(), deviation.float(), recorded, sample_s, state)
+
+    def _deviation(self, motion: Tensor, length: Tensor, sample_s: float) -> Tensor:
+        """Of the lines between samples from the planned path: at the samples, and what the path curves between two in time."""
+        from r2h_batch.kernels.reference import Law, path_deviation
+
+        law = Law()
+        law.speed, law.acceleration = _limits(self.config)
+        law.lead, law.step = 0.0, sample_s
+        lever = self.scene.levers.float().to(motion.device).contiguous()
+        held = self.placed.object_lever
+        deviation = torch.zeros(len(length), dtype=torch.float32, device=motion.device)
+        inputs = [law, *(wp.from_torch(t) for t in (lever, held)), *self.planned]
+        inputs += [wp.from_torch(t) for t in (motion, length, deviation)]
+        launch_trials(path_deviation, len(length), inputs, device=self.scene.device, threads=self.threads, chunk=16)
+        reach = torch.maximum(lever.double().sum(1).amax(), held.double().sum(1))
+        return deviation.double() + law.acceleration * sample_s**2 / 8 * reach
 
 
 def time_path(path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], config: ExecConfig) -> Motion:

@@ -97,6 +97,7 @@ def prepare(options: Options) -> Bench:
         },
         "motion": {
             "engine": config.execute.sim,
+            "model": config.execute.model if config.execute.sim != "none" else None,
             "step_s": config.execute.step_s if config.execute.sim != "none" else None,
             "sample_s": config.execute.step_s * config.execute.record_steps if config.execute.sim != "none" else None,
         },
@@ -127,7 +128,7 @@ def _configuration(options: Options) -> "EvalConfig":
     config = EvalConfig.preset(options.preset)
     edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
     plan = replace(config.plan, object_collision=options.object_collision, edge_check=edge_check)
-    execute = replace(config.execute, sim=options.sim)
+    execute = replace(config.execute, sim=options.sim, model=options.sim_model)
     execute = replace(execute, sim=execute.engine(options.device))
     return replace(config, plan=plan, execute=execute, width=options.width, stability=options.stability)
 

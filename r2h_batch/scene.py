@@ -1,6 +1,6 @@
 """Robot, gripper, hands, objects and table as tables on a device: what every stage's kernels read."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import bounds, se3
-from r2h_batch.config import EvalConfig
+from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.grasp import GraspTables, grasp_tables, gripper_tables
 from r2h_batch.hand import HandModel, HandSet, load_hand, load_hand_set, palm_frame
 from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.objects import ObjectModel, load_objects
 from r2h_batch.robot import Kind, Robot, load_robot
+from r2h_batch.scene_model import SceneModel, scene_model
 
 TABLE_CENTER = (-0.025, 0.0, -0.025)
 TABLE_HALF = (0.475, 0.6, 0.025)
@@ -27,6 +28,9 @@ TABLE_HALF = (0.475, 0.6, 0.025)
 
 MAX_PARTNERS = 64
 """As in kernels/check.py."""
+
+TABLE_FROM_LINK = 2
+"""Links from this on are checked against the table: base and shoulder stand on it."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,14 @@ class Scene:
         tool.R_wrist_ee = wp.mat33(*self.T_wrist_ee[:3, :3].astype(np.float32).ravel())
         tool.p_wrist_ee = wp.vec3(*self.T_wrist_ee[:3, 3].astype(np.float32))
         return tool
+
+    def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> SceneModel:
+        """The scene as one MuJoCo model, which takes any trial with one of these hands: what is simulated and rendered."""
+        execute = execute or self.config.execute
+        return scene_model(
+            self.robot, self.objects, self.hands, hand_indices, step_s=execute.step_s, full=execute.model == "scene",
+            payload_known=execute.payload == "known", object_collision=self.config.plan.object_collision,
+        )  # fmt: skip
 
     @cached_property
     def levers(self) -> Tensor:
@@ -359,7 +371,7 @@ class Scene:
         )
         for name, array in zip(names, arrays, strict=True):
             setattr(bodies, name, array)
-        return Placed(bodies, (objects, hands, *out))
+        return Placed(bodies, (objects, hands, *out, T_world_hand, opening_m))
 
 
 @dataclass(frozen=True)
@@ -373,6 +385,26 @@ class Placed:
     def object_index(self) -> Int32[Tensor, " b"]:
         """Which object is held."""
         return self.owners[0]
+
+    @property
+    def hand_index(self) -> Int32[Tensor, " b"]:
+        """Whose hand stands there."""
+        return self.owners[1]
+
+    @property
+    def object_lever(self) -> Float32[Tensor, "b 6"]:
+        """Bounds in m on the distance of the object's points from each joint's axis."""
+        return self.owners[8]
+
+    @property
+    def T_world_hand(self) -> Float32[Tensor, "b 4 4"]:
+        """Where the hand stands."""
+        return self.owners[9]
+
+    @property
+    def opening_m(self) -> Float32[Tensor, " b"]:
+        """Gap between the pads."""
+        return self.owners[10]
 
     @property
     def R_wrist_obj(self) -> Float32[Tensor, "b 3 3"]:

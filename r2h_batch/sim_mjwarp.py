@@ -3,15 +3,27 @@
 import copy
 import logging
 import threading
+from dataclasses import dataclass
 
 import mujoco
 import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from r2h_batch.dynamics import load
-from r2h_batch.kernels.worlds import OVERFLOW, Fields, Queue, Worlds, command_worlds, finish_step, start_worlds
-from r2h_batch.simulation import Job, Samples
+from r2h_batch.kernels.worlds import (
+    OVERFLOW,
+    Fields,
+    Fingers,
+    Queue,
+    Record,
+    Shapes,
+    Worlds,
+    command_worlds,
+    finish_step,
+    start_worlds,
+)
+from r2h_batch.scene_model import MESH_FIELDS, SceneModel
+from r2h_batch.simulation import Job, Samples, warnings_unwritten
 
 MAX_WORLDS = {"cpu": 64, "cuda": 4096}
 """More are no faster on a CPU, and fewer are refilled more often."""
@@ -19,12 +31,17 @@ POLL = 32
 """Graph launches between two looks at how many trials are left."""
 
 TRIES = 3
-NJMAX, NACONMAX = 8, 8
-"""First size of the buffers (constraints per world, contacts of all worlds): six joint limits are all there can be.
-Every further try has four times as much."""
+NJMAX, NACON_PER_WORLD = 32, 16
+"""First size of the buffers: constraints per world (7 of the linkage; joint limits, 4 per contact), and contacts, of which
+all worlds have one pool that also takes the pairs that are near. Every further try has four times as much."""
 
 BATCHED = (
-    "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_subtreemass", "dof_invweight0",
+    "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_subtreemass", "body_invweight0",
+    "dof_invweight0",
+)  # fmt: skip
+STATE = (
+    "mocap_pos", "mocap_quat", "qpos", "qvel", "ctrl", "qacc_warmstart", "nacon", "ncollision", "nefc", "overflow",
+    "naconmax", "njmax",
 )  # fmt: skip
 
 _log = logging.getLogger(__name__)
@@ -35,23 +52,36 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
     """Recorded motion of the job's trials. What overflowed a buffer runs again in larger ones; then it is not valid."""
     out = Samples.empty(job)
     todo = np.arange(len(job.rows))
-    with _one_at_a_time:
+    with _one_at_a_time, warnings_unwritten():
         for turn in range(TRIES):
             if not len(todo):
                 break
-            q, acceleration, failed = _run_in_memory(job, todo, NJMAX * 4**turn, NACONMAX * 4**turn)
-            out.q[todo, : q.shape[1]], out.acceleration[todo] = q, acceleration
-            out.valid[todo] = (failed == 0) & np.isfinite(q).all((1, 2)) & np.isfinite(acceleration).all(1)
-            todo = todo[failed & OVERFLOW != 0]
+            run = _run_in_memory(job, todo, NJMAX * 4**turn, NACON_PER_WORLD * 4**turn)
+            out.q[todo, : run.q.shape[1]], out.acceleration[todo], out.sway_m[todo] = run.q, run.acceleration, run.sway
+            finite = np.isfinite(run.q).all((1, 2)) & np.isfinite(run.acceleration).all(1) & np.isfinite(run.sway)
+            out.valid[todo] = (run.failed == 0) & finite
+            out.failed_state[todo] = np.where(out.valid[todo][:, None], np.nan, run.state)
+            todo = todo[run.failed & OVERFLOW != 0]
     return out
 
 
-def _run_in_memory(job: Job, todo: np.ndarray, njmax: int, naconmax: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class Run:
+    """What one run of n trials recorded (as `Record`)."""
+
+    q: np.ndarray
+    acceleration: np.ndarray
+    sway: np.ndarray
+    failed: np.ndarray
+    state: np.ndarray
+
+
+def _run_in_memory(job: Job, todo: np.ndarray, njmax: int, nacon_per_world: int) -> Run:
     """`_run` in as many worlds as the device has memory for: half as many whenever it says that it has not."""
     worlds = min(len(todo), MAX_WORLDS["cpu" if job.device == "cpu" else "cuda"])
     while True:
         try:
-            return _run(job, todo, worlds, njmax, naconmax)
+            return _run(job, todo, worlds, njmax, nacon_per_world * worlds)
         except RuntimeError as error:
             if worlds == 1 or "allocate" not in str(error).lower():
                 raise
@@ -59,30 +89,31 @@ def _run_in_memory(job: Job, todo: np.ndarray, njmax: int, naconmax: int) -> tup
             _log.warning("out of device memory: going on with %d worlds", worlds)
 
 
-def _run(
-    job: Job, todo: np.ndarray, nworld: int, njmax: int, naconmax: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
-    """q (n, W, 6), largest acceleration (n, 6) and what went wrong (n,: OVERFLOW, NOT_FINITE), for places `todo` of the job."""
+def _run(job: Job, todo: np.ndarray, nworld: int, njmax: int, naconmax: int) -> Run:
+    """What the trials at places `todo` of the job do in `nworld` worlds, and what went wrong (OVERFLOW, NOT_FINITE)."""
     device, n = job.device, len(todo)
-    host = _without_reset_flag(job.model)
+    host = _for_warp(job.scene.model)
     wp.synchronize_device(device)  # the job's tables were written on torch's stream
     with wp.ScopedDevice(device):
-        model = mjw.put_model(host, batch_sizes=dict.fromkeys(BATCHED, nworld))
+        batched = (*BATCHED, *MESH_FIELDS) if job.scene.full else BATCHED
+        model = mjw.put_model(host, batch_sizes=dict.fromkeys(batched, nworld))
         data = mjw.make_data(host, nworld=nworld, njmax=njmax, naconmax=naconmax)
         model.opt.warn_overflow = 0  # it prints to stdout; the bits are read below
-        queue, fields = _queue(job, todo), _fields(model, data)
+        queue, shapes, fields = _queue(job, todo), _shapes(job.scene), _fields(model, data)
         worlds = Worlds()
         worlds.slot, worlds.step = (wp.zeros(nworld, dtype=wp.int32) for _ in range(2))
-        worlds.qvel = wp.zeros((nworld, host.nv), dtype=wp.float32)
+        worlds.qpos, worlds.qvel = (wp.zeros((nworld, host.nv), dtype=wp.float32) for _ in range(2))
         worlds.taken, worlds.left = wp.zeros(1, dtype=wp.int32), wp.full(1, n, dtype=wp.int32)
-        sample = wp.zeros((n, int(job.samples[todo].max()) + 1, host.nq), dtype=wp.float32)
-        acceleration = wp.zeros((n, host.nv), dtype=wp.float32)
-        failed = wp.zeros(n, dtype=wp.int32)
+        record = Record()
+        record.q = wp.zeros((n, int(job.samples[todo].max()) + 1, 6), dtype=wp.float32)
+        record.acceleration = wp.zeros((n, 6), dtype=wp.float32)
+        record.sway, record.failed = wp.zeros(n, dtype=wp.float32), wp.zeros(n, dtype=wp.int32)
+        record.state = wp.zeros((n, host.nq + host.nv), dtype=wp.float32)
 
         def step() -> None:
-            wp.launch(command_worlds, nworld, [job.law, worlds, queue, fields, *job.tables, failed])
+            wp.launch(command_worlds, nworld, [job.law, worlds, queue, fields, *job.tables, record])
             mjw.step(model, data)
-            inputs = [job.record_steps, host.opt.timestep, worlds, queue, fields, sample, acceleration, failed]
+            inputs = [job.record_steps, host.opt.timestep, _fingers(job.scene), worlds, queue, shapes, fields, record]
             wp.launch(finish_step, nworld, inputs)
 
         for kernel in (command_worlds, finish_step):
@@ -91,29 +122,33 @@ def _run(
         with wp.ScopedCapture() as capture:
             for _ in range(job.record_steps):
                 step()
-        wp.launch(start_worlds, nworld, [worlds, queue, fields, sample])
+        wp.launch(start_worlds, nworld, [worlds, queue, shapes, fields, record])
         while int(worlds.left.numpy()[0]) > 0:
             for _ in range(POLL):
                 wp.capture_launch(capture.graph)
-        q = sample.numpy()
+        q = record.q.numpy()
     steps = np.arange(q.shape[1])[None]
     last = job.samples[todo][:, None]
     q = np.where((steps <= last)[..., None], q, q[np.arange(n), job.samples[todo]][:, None])
-    return q, acceleration.numpy(), failed.numpy()
+    return Run(q, *(getattr(record, k).numpy() for k in ("acceleration", "sway", "failed", "state")))
 
 
-def _without_reset_flag(model: mujoco.MjModel) -> mujoco.MjModel:
+def _for_warp(model: mujoco.MjModel) -> mujoco.MjModel:
     model = copy.copy(model)
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # it never resets, and refuses the flag
+    # boxes as in MuJoCo C, by their faces: the general routine makes one contact of four, and a gripper that meets the
+    # table bounces off
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
     return model
 
 
 def _queue(job: Job, todo: np.ndarray) -> Queue:
-    model = copy.copy(job.model)
+    scene, trials = job.scene, [job.trials[i] for i in todo]
+    model = copy.copy(scene.model)
     scratch = mujoco.MjData(model)
     rows: dict[str, list[np.ndarray]] = {name: [] for name in BATCHED}
-    for i in todo:
-        load(model, job.payloads[i], scratch)
+    for trial in trials:
+        scene.load(model, trial, scratch)
         for name, values in rows.items():
             values.append(getattr(model, name).copy())
     table = {name: np.stack(values).astype(np.float32) for name, values in rows.items()}
@@ -121,7 +156,9 @@ def _queue(job: Job, todo: np.ndarray) -> Queue:
     queue.n = len(todo)
     queue.row = wp.array(job.rows[todo].astype(np.int32), dtype=wp.int32)
     queue.steps = wp.array((job.samples[todo] * job.record_steps).astype(np.int32), dtype=wp.int32)
-    queue.start = wp.array(job.start[todo].astype(np.float32), dtype=wp.float32)
+    start = [scene.start(t, q) for t, q in zip(trials, job.start[todo], strict=True)]
+    queue.start = wp.array(np.array(start, np.float32), dtype=wp.float32)
+    queue.hold = wp.array(np.array([scene.hold(t) for t in trials], np.float32), dtype=wp.float32)
     for name, dtype in (
         ("pos", wp.vec3),
         ("quat", wp.quat),
@@ -133,13 +170,37 @@ def _queue(job: Job, todo: np.ndarray) -> Queue:
     queue.mass = wp.array(np.ascontiguousarray(table["body_mass"][:, -1]), dtype=wp.float32)
     queue.subtreemass = wp.array(table["body_subtreemass"], dtype=wp.float32)
     queue.dof_invweight = wp.array(table["dof_invweight0"], dtype=wp.float32)
+    queue.body_invweight = wp.array(table["body_invweight0"], dtype=wp.vec2)
+    if scene.full:
+        queue.mesh = wp.array(np.stack([scene.meshes(t) for t in trials]).astype(np.int32), dtype=wp.int32)
+        at = scene.hand_body
+        queue.hand_pos = wp.array(np.ascontiguousarray(table["body_pos"][:, at]), dtype=wp.vec3)
+        queue.hand_quat = wp.array(np.ascontiguousarray(table["body_quat"][:, at]), dtype=wp.quat)
     return queue
+
+
+def _shapes(scene: SceneModel) -> Shapes:
+    shapes = Shapes()
+    shapes.geom = wp.array(scene.varied.astype(np.int32), dtype=wp.int32)
+    if scene.full:
+        for name, dtype in (("size", wp.vec3), ("rbound", wp.float32), ("pos", wp.vec3), ("quat", wp.quat)):
+            setattr(shapes, name, wp.array(scene.shapes[f"geom_{name}"].astype(np.float32), dtype=dtype))
+        aabb = scene.shapes["geom_aabb"].astype(np.float32).reshape(-1, 2, 3)
+        shapes.aabb = wp.array(aabb, dtype=wp.vec3)
+    return shapes
+
+
+def _fingers(scene: SceneModel) -> Fingers:
+    fingers = Fingers()
+    for name in ("driver", "pin_arm", "pin", "inner_knuckle"):
+        setattr(fingers, name, getattr(scene.levers, name))
+    return fingers
 
 
 def _fields(model: mjw.Model, data: mjw.Data) -> Fields:
     fields = Fields()
-    for name in BATCHED:
+    for name in (*BATCHED, *MESH_FIELDS):
         setattr(fields, name, getattr(model, name))
-    for name in ("qpos", "qvel", "ctrl", "qacc_warmstart", "nacon", "nefc", "overflow", "naconmax", "njmax"):
+    for name in STATE:
         setattr(fields, name, getattr(data, name))
     return fields

@@ -33,6 +33,7 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         edge_check="moveit",
         stability="physics",
         sim="none",
+        sim_model="arm",
         format="csv",
         save_details=True,
         save_poses=True,

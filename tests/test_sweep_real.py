@@ -86,13 +86,15 @@ def test_one_process_two_ray_workers_and_three_parts_give_the_same_digest(tmp_pa
 def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
     found = {}
     for sim in ("auto", "none", "mjwarp"):
-        done = command("--method", "random", "--trials", 6, "--sim", sim, "--out", tmp_path / sim, env=WITH_HOME)
+        flags = ["--sim", sim, "--sim-model", "arm" if sim == "mjwarp" else "scene", "--out", tmp_path / sim]
+        done = command("--method", "random", "--trials", 6, *flags, env=WITH_HOME)
         assert done.returncode == 0, done.stderr
         run = load_run(tmp_path / sim)
         header = json.loads((tmp_path / sim / "run.json").read_text())
         found[sim] = header["motion"], header["configuration"]["execute"]["sim"], run.trials("random")
-    assert found["auto"][:2] == ({"engine": "mujoco", "step_s": 0.002, "sample_s": 0.008}, "mujoco")
-    assert found["none"][:2] == ({"engine": "none", "step_s": None, "sample_s": None}, "none")
+    assert found["auto"][:2] == ({"engine": "mujoco", "model": "scene", "step_s": 0.002, "sample_s": 0.008}, "mujoco")
+    assert found["none"][:2] == ({"engine": "none", "model": None, "step_s": None, "sample_s": None}, "none")
+    assert found["mjwarp"][0]["model"] == "arm"
     assert found["mjwarp"][0]["engine"] == found["mjwarp"][1] == "mjwarp"
     times = {k: [t for t in v[2]["t_exec_s"].to_pylist() if t is not None] for k, v in found.items()}
     assert len(times["auto"]) >= 4 and times["auto"] == pytest.approx(times["mjwarp"], abs=0.009)
