@@ -14,21 +14,14 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.objects import ObjectModel
 from r2h_batch.robot import Kind, Primitives, Robot, drive_from_gap, finger_motion, gripper_primitives_at
-from r2h_batch.scene import TABLE_CENTER, TABLE_HALF, Hands
+from r2h_batch.scene import TABLE_CENTER, TABLE_FROM_LINK, TABLE_HALF, Hands
+from r2h_batch.scene_model import COLORS
 
 Array = NDArray[np.float64]
 
-FROM_LINK = {"table": 2}
-"""Links up to this index are not checked against the table: base and shoulder stand on it."""
-
 _TYPES = {Kind.SPHERE: "sphere", Kind.CAPSULE: "capsule", Kind.CYLINDER: "cylinder", Kind.BOX: "box"}
 _VISUAL = {"contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
-_COLORS = {
-    "base": "0.45 0.46 0.48 1", "shoulder": "0.62 0.65 0.68 1", "upper_arm": "0.72 0.74 0.77 1",
-    "forearm": "0.72 0.74 0.77 1", "wrist_1": "0.62 0.65 0.68 1", "wrist_2": "0.62 0.65 0.68 1",
-    "wrist_3": "0.45 0.46 0.48 1", "gripper": "0.22 0.23 0.25 1", "pad": "0.10 0.10 0.11 1",
-    "hand": "0.87 0.68 0.56 1", "object": "0.16 0.44 0.70 1", "table": "0.80 0.77 0.72 1", "collision": "0.9 0.3 0.2 0.4",
-}  # fmt: skip
+_COLORS = {name: " ".join(f"{x:.2f}" for x in (*rgb, 0.4 if name == "collision" else 1)) for name, rgb in COLORS.items()}
 
 
 @dataclass(frozen=True)
@@ -170,7 +163,7 @@ class _Writer:
         checked = {frozenset((robot.links[a], robot.links[b])) for a, b in robot.self_pairs}
         checked |= {frozenset(("object", robot.links[a])) for a in robot.object_pairs}
         checked |= {frozenset((link, "hand")) for link in (*robot.links, "object")}
-        checked |= {frozenset((link, "table")) for link in (*robot.links[FROM_LINK["table"] :], "object")}
+        checked |= {frozenset((link, "table")) for link in (*robot.links[TABLE_FROM_LINK :], "object")}
         for a, b in combinations((*robot.links, "object", "hand", "table"), 2):
             if frozenset((a, b)) not in checked:
                 SubElement(contact, "exclude", body1=a, body2=b)

@@ -60,6 +60,9 @@ _TYPES = {
     Kind.SPHERE: mujoco.mjtGeom.mjGEOM_SPHERE, Kind.CAPSULE: mujoco.mjtGeom.mjGEOM_CAPSULE,
     Kind.CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER, Kind.BOX: mujoco.mjtGeom.mjGEOM_BOX,
 }  # fmt: skip
+Mesh = tuple[str, Array, Any, bool]
+"""Name, vertices, faces (None: their hull's), whether it collides as a convex body."""
+
 _CONVEX, _SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX, mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
@@ -202,7 +205,11 @@ def scene_model(
     with _keeping:
         _, model = _kept.get(key, (None, None))
         if model is None or not wanted <= model.hands.keys():
-            wanted |= set() if model is None else set(model.hands)
+            have = set() if model is None else set(model.hands)
+            wanted |= (
+                have  # and twice as many as before, so that a long sweep compiles a few times and not for each chunk
+            )
+            wanted |= set([h for h in range(len(hands.set)) if h not in wanted][: max(2 * len(have) - len(wanted), 0)])
             model = build_scene_model(
                 robot,
                 objects,
@@ -271,17 +278,17 @@ def build_scene_model(
     # body boxes are compiled for the first object in its placeholder's axes: boxes that hold any object in any axes
     first, count = model.body_bvhadr[-1], model.body_bvhnum[-1]
     model.bvh_aabb[first : first + count] = [0, 0, 0, 2, 2, 2]
-    return SceneModel(model, _shapes(spec.meshes, model), np.array(object_rows), hand_rows, FingerLevers.of(robot))
+    return SceneModel(model, _shapes(meshes, model), np.array(object_rows), hand_rows, FingerLevers.of(robot))
 
 
 def _trial_meshes(
     objects: Sequence[ObjectModel], hands: Any, hand_indices: list[int], object_collision: str, skins: bool
-) -> tuple[list[tuple[str, Array, Any, bool]], list[list[int]], dict[int, NDArray[np.int64]]]:
-    """Meshes (name, vertices, faces, convex) of objects and hands; which of them each object's and hand's geoms show.
+) -> tuple[list[Mesh], list[list[int]], dict[int, NDArray[np.int64]]]:
+    """Meshes of objects and hands; which of them each object's and hand's geoms show.
 
     An object has its surface first, then its collision bodies; with fewer pieces than others the last is repeated.
     """
-    meshes: list[tuple[str, Array, Any, bool]] = []
+    meshes: list[Mesh] = []
 
     def add(name: str, vertices: ArrayLike, faces: Any, *, convex: bool) -> int:
         meshes.append((name, np.asarray(vertices, np.float64), faces, convex))
@@ -306,14 +313,14 @@ def _trial_meshes(
     return meshes, object_rows, hand_rows
 
 
-def _shapes(meshes: Sequence[mujoco.MjsMesh], model: mujoco.MjModel) -> dict[str, Array]:
-    """The `MESH_FIELDS` that a geom has with each mesh of the model: as compiled, one geom for each."""
+def _shapes(meshes: Sequence[Mesh], model: mujoco.MjModel) -> dict[str, Array]:
+    """The `MESH_FIELDS` that a geom has with each of the model's first meshes: as compiled, one geom for each."""
     stock = mujoco.MjSpec()
-    for mesh in meshes:
-        stock.add_mesh(name=mesh.name, uservert=mesh.uservert, userface=mesh.userface, inertia=mesh.inertia)
-        stock.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name)
+    for name, vertices, faces, convex in meshes:
+        _add_mesh(stock, name, vertices, faces, convex=convex)
+        stock.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
     compiled = stock.compile()
-    assert [m.name for m in meshes] == [model.mesh(i).name for i in range(model.nmesh)]
+    assert [mesh[0] for mesh in meshes] == [model.mesh(i).name for i in range(len(meshes))]
     return {name: np.array(getattr(compiled, name)) for name in MESH_FIELDS}
 
 
