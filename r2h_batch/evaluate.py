@@ -144,7 +144,7 @@ class Evaluator:
             )
         else:
             witness_time_s = executed_time_at(executed, touch.segment, touch.fraction)
-        kept, kept_len = _kept_motion(executed, keep_motion)
+        kept, kept_len, failed_state = _kept_motion(executed, keep_motion)
         return Scores(
             trial_id=trials.trial_id,
             outcome=outcome,
@@ -170,6 +170,7 @@ class Evaluator:
             path_len=planned.length,
             motion=kept,
             motion_len=kept_len,
+            failed_state=failed_state,
         )
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
@@ -215,6 +216,7 @@ class Evaluator:
             path_len=torch.zeros_like(goal.reason),
             motion=none,
             motion_len=torch.zeros_like(goal.reason),
+            failed_state=none[:, :, 0].double(),
         )
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             return differentiable(self, scores, T_obj_ee, T_world_ee, trials, held, goal)
@@ -289,10 +291,13 @@ def _usable(T: Tensor, active: Tensor) -> Tensor:
     ).contiguous()
 
 
-def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor]:
-    """Recorded samples and their number: of all that moved, or only of those whose simulation failed."""
+def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
+    """Recorded samples and their number, of all that moved or only of those whose simulation failed; and their state then."""
     length = executed.recorded if keep else torch.where(executed.valid, 0, executed.recorded)
-    return executed.path[:, : int(length.max()) if len(length) else 0].clone(), length
+    state = executed.failed_state
+    if state is None or executed.valid.all():
+        state = torch.empty((len(length), 0), dtype=torch.float64, device=length.device)
+    return executed.path[:, : int(length.max()) if len(length) else 0].clone(), length, state
 
 
 def _random_key(trial_id: Tensor) -> Tensor:

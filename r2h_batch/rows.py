@@ -83,6 +83,7 @@ FAILURE_SCHEMA = pa.schema(
         pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
         pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad: the reference
         pa.field("executed_q", pa.list_(pa.list_(pa.float32(), 6))),  # what the simulator made of it, NaN and all
+        pa.field("failed_state", pa.list_(pa.float64())),  # qpos and qvel of the model before it failed
     ]
 )
 """Everything needed to run a trial again whose simulation failed, and how far it came."""
@@ -206,6 +207,7 @@ def failure_rows(trials: Trials, predictions: Predictions, scores: Scores, names
         *(_poses(_array(p)[rows]) for p in (trials.T_world_hand, predictions.T_obj_ee, predictions.T_world_ee)),
         _floats(_array(scores.opening_m)[rows]),
         *_motion_columns(scores, rows),
+        pa.array(list(_array(scores.failed_state)[rows]), pa.list_(pa.float64())),
     ]
     return pa.table(arrays, schema=FAILURE_SCHEMA)
 

@@ -21,7 +21,7 @@ _evaluators: "WeakValueDictionary[int, Evaluator]" = WeakValueDictionary()
 WAYPOINTS = {"pose": 0, "all": 32}
 """Width of `Scores.path`; 32 as in plan.py."""
 
-RETURNED = tuple(f.name for f in fields(Scores) if f.name not in ("trial_id", "motion", "motion_len"))
+RETURNED = tuple(f.name for f in fields(Scores) if f.name not in ("trial_id", "motion", "motion_len", "failed_state"))
 """What the operator returns, in order; it may not return an input, so trial ids are put back outside. It keeps no motion."""
 
 _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
@@ -150,4 +150,5 @@ def call(evaluator: int, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, s
     rows = (trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand)
     values = dict(zip(RETURNED, score_op(T_obj_ee, T_world_ee, *rows, evaluator, stages), strict=True))
     motion, motion_len = T_obj_ee.new_empty((len(T_obj_ee), 0, 6)), torch.zeros_like(values["path_len"])
-    return Scores(trial_id=trials.trial_id, **values, motion=motion, motion_len=motion_len)
+    state = motion[:, :, 0].double()
+    return Scores(trial_id=trials.trial_id, **values, motion=motion, motion_len=motion_len, failed_state=state)

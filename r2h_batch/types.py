@@ -5,7 +5,7 @@ from enum import IntEnum
 from typing import Self
 
 import torch
-from jaxtyping import Bool, Float32, Int8, Int32, Int64
+from jaxtyping import Bool, Float32, Float64, Int8, Int32, Int64
 from torch import Tensor
 from torch.nn.functional import pad
 
@@ -104,6 +104,7 @@ class Scores(_Rows):
     `slip_m`: how far the object slipped in the shake (NaN unless `stability = "physics"` shook it). `motion`: the executed
     joint angles, one row every `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the trials
     whose simulation failed, up to the failure, and of all that moved where `score(keep_motion=True)` asked for it.
+    `failed_state`: qpos and qvel of the simulator when it failed (width 0 where none did, NaN in the other rows).
     """
 
     trial_id: Int64[Tensor, " b"]
@@ -130,6 +131,7 @@ class Scores(_Rows):
     path_len: Int32[Tensor, " b"]
     motion: Float32[Tensor, "b s 6"]
     motion_len: Int32[Tensor, " b"]
+    failed_state: Float64[Tensor, "b s"]
 
     def by_trial(self, k: int) -> Self:
         """The same rows as views (N, k, ...): k candidates for each of N trials, as they were scored."""
@@ -150,5 +152,13 @@ class Scores(_Rows):
     def concatenate(parts: list["Scores"]) -> "Scores":
         """One `Scores` with the rows of all parts, in order."""
         longest = max(p.motion.shape[1] for p in parts)
-        parts = [replace(p, motion=pad(p.motion, (0, 0, 0, longest - p.motion.shape[1]))) for p in parts]
+        states = max(p.failed_state.shape[1] for p in parts)
+        parts = [
+            replace(
+                p,
+                motion=pad(p.motion, (0, 0, 0, longest - p.motion.shape[1])),
+                failed_state=pad(p.failed_state, (0, states - p.failed_state.shape[1]), value=torch.nan),
+            )
+            for p in parts
+        ]
         return Scores(**{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Scores)})

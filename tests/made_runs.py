@@ -93,6 +93,7 @@ def make_scores(trials: Trials, outcome: np.ndarray, *, t_plan_s: float = 0.1, t
         path_len=torch.from_numpy(lengths.astype(np.int32)),
         motion=torch.from_numpy(path[:, ::-1].copy()),
         motion_len=torch.from_numpy(np.where(has_path, 5, 0).astype(np.int32)),
+        failed_state=torch.arange(3 * n, dtype=torch.float64).reshape(n, 3),
     )
 
 

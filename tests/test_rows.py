@@ -60,7 +60,7 @@ def test_what_the_simulator_failed_on_can_be_run_again_from_its_row():
         assert row["hand_index"] == int(trials.hand_index[i])
     q = np.array(rows[0]["executed_q"], np.float32)
     assert np.array_equal(q, scores.motion[1, :4].numpy(), equal_nan=True) and np.isnan(q[2:]).all()
-    assert rows[1]["executed_q"] is None
+    assert rows[1]["executed_q"] is None and rows[1]["failed_state"] == [9.0, 10.0, 11.0]
 
 
 def test_a_missing_trial_is_a_row_with_its_names_and_nothing_else():
