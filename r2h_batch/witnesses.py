@@ -14,6 +14,7 @@ from r2h_batch.first_order import Arm, Closing, Contact
 from r2h_batch.grasp import OPEN_GAP_M
 from r2h_batch.kernels import reach as reach_kernels
 from r2h_batch.kernels import witness as kernels
+from r2h_batch.kernels import witness_closing as closing_kernels
 from r2h_batch.kernels import witness_posture as posture_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.robot import load_robot
@@ -47,7 +48,7 @@ def closing(
     state = torch.zeros(b, dtype=torch.int32, device=device)
     tables = scene.grasp_tables
     launch_trials(
-        kernels.closing_witness,
+        closing_kernels.closing_witness,
         b,
         [tables.gripper, tables.surfaces, OPEN_GAP_M, int(scene.config.width == "whole"), _mat44(T_obj_ee)]
         + [wp.from_torch(object_index), wp.from_torch(points, dtype=wp.vec3)]
