@@ -196,6 +196,7 @@ def triangle_witness(
     if d.upper <= MEET_M:  # deeper than its corners: where the primitive, eroded until it just touches, is met
         low = float(depth)
         high = float(inner_radius(kind, size))
+        apart = int(0)
         while high - low > DEPTH_M:
             half = 0.5 * (low + high)
             d = gjk(a, R, p, points, eroded(kind, size, half), points, p - middle, 0.0, 0.0)
@@ -204,6 +205,11 @@ def triangle_witness(
             else:
                 high = half
                 x = d.point
+                apart = 1
+        if apart == 0:  # as deep as can be: where the triangle runs through the primitive's innermost points
+            x = middle
+            for _ in range(REFINEMENTS):
+                x = closest_on_triangle(x + from_ball(eroded(kind, size, low), x), u, v, w)
     elif depth == 0.0:
         shape = Body()
         shape.kind = kind
