@@ -125,7 +125,7 @@ class Generator:
 def guided(evaluator: Evaluator, trials: Trials, poses, x: Tensor, y: Tensor, steps: int) -> tuple[Tensor, Tensor]:  # type: ignore[no-untyped-def]
     """The flows' numbers moved along the gradient of the evaluator's soft score; the best on the way is kept."""
     z = torch.cat([x, y], 1).detach().requires_grad_(True)
-    climb = torch.optim.Adam([z], lr=0.06, betas=(0.8, 0.95))
+    climb = torch.optim.Adam([z], lr=0.12, betas=(0.8, 0.95))
     best, kept = torch.full((len(z),), -torch.inf), z.detach().clone()
     for _ in range(steps):
         soft = evaluator.score(*poses(z[:, :9], z[:, 9:]), trials, stages="pose").soft(
