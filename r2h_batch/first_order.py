@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float, Int32, Int64
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.kernels.witness import EMPTY, MATERIAL, STEP_HIGH, STEP_LOW
+from r2h_batch.kernels.witness_closing import EMPTY, MATERIAL, STEP_HIGH, STEP_LOW
 
 __all__ = [
     "Arm",
@@ -34,7 +34,7 @@ class Closing:
     """Between which points the pads stand, at the grasp `T_obj_ee`: 4 points are low, high as met, low, high as judged.
 
     `slope_*`: how far y follows a wall of the pads' prism that cuts the surface there; `lift`: how the pads rise per
-    metre of opening. `state`: what the opening depends on, a code of kernels/witness.py.
+    metre of opening. `state`: what the opening depends on, a code of kernels/witness_closing.py.
     """
 
     T_obj_ee: Float[Tensor, "b 4 4"]

@@ -62,9 +62,15 @@ class _Changes:
             scene, held.T_obj_ee, held.objects, opened, grasp.cut_m, self.cuts, region=False, **launch
         )
 
+        # nothing between the pads: the number says no more, the way to the nearest material does
+        self.empty = held.active & ~self.cuts & grasp.empty
+        self.to_material = witnesses.nearest_to_point(
+            scene, se3.inverse(held.T_obj_ee), torch.zeros_like(held.T_obj_ee[:, :3, 3]), held.objects, **launch
+        )
+
         T_world_obj = se3.matmul(held.T_world_ee, se3.inverse(held.attached))
         _, _, ball = scene.palm(held.hands, held.T_world_hand)
-        self.to_palm = witnesses.nearest_to_palm(scene, T_world_obj, ball, held.objects, **launch)
+        self.to_palm = witnesses.nearest_to_point(scene, T_world_obj, ball, held.objects, **launch)
 
         near = self.evaluated[:, 3] & (margin[:, 3] < CLEARANCE_CAP_M)
         self.region = witnesses.fingers(
@@ -112,7 +118,10 @@ class _Changes:
         poses = first_order.Held(T_world_ee, held.T_world_ee, attached, held.attached, change.opening)
 
         cut = first_order.separation(T_obj_ee, held.T_obj_ee, zero, self.cut)
+        material, towards = self.to_material
+        missing = se3.apply(se3.inverse(T_obj_ee), material) - se3.apply(se3.inverse(held.T_obj_ee), material)
         stability = torch.where(self.cuts, cut, torch.where(self.material, -change.width, zero))
+        stability = torch.where(self.empty, -first_order.dot(towards, missing), stability)
         nearest, away = self.to_palm
         reach = -first_order.receded(nearest, away, poses)
         affordance = first_order.separation(attached, held.attached, change.opening, self.region)

@@ -14,12 +14,13 @@ from r2h_batch.first_order import Arm, Closing, Contact
 from r2h_batch.grasp import OPEN_GAP_M
 from r2h_batch.kernels import reach as reach_kernels
 from r2h_batch.kernels import witness as kernels
+from r2h_batch.kernels import witness_closing as closing_kernels
 from r2h_batch.kernels import witness_posture as posture_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.robot import load_robot
 from r2h_batch.scene import Placed, Scene
 
-__all__ = ["arm_at", "closing", "finger_motion", "fingers", "hand_contact", "nearest_to_palm"]
+__all__ = ["arm_at", "closing", "finger_motion", "fingers", "hand_contact", "nearest_to_point"]
 
 DAMPING = 1e-3
 """Of the arm's inverse Jacobian (metres and radians alike): postures with smaller singular values count as stuck there."""
@@ -47,7 +48,7 @@ def closing(
     state = torch.zeros(b, dtype=torch.int32, device=device)
     tables = scene.grasp_tables
     launch_trials(
-        kernels.closing_witness,
+        closing_kernels.closing_witness,
         b,
         [tables.gripper, tables.surfaces, OPEN_GAP_M, int(scene.config.width == "whole"), _mat44(T_obj_ee)]
         + [wp.from_torch(object_index), wp.from_torch(points, dtype=wp.vec3)]
@@ -91,23 +92,23 @@ def fingers(
     return Contact(point, normal, finger, part >= 0)
 
 
-def nearest_to_palm(
+def nearest_to_point(
     scene: Scene,
-    T_world_obj: Float32[Tensor, "b 4 4"],
-    ball_center: Float32[Tensor, "b 3"],
+    T_frame_obj: Float32[Tensor, "b 4 4"],
+    point: Float32[Tensor, "b 3"],
     object_index: Int32[Tensor, " b"],
     *,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
-    """The object's point nearest to c_h (object frame), and the direction from c_h to it (world; zero inside the object)."""
-    x = se3.apply(se3.inverse(T_world_obj), ball_center).contiguous()
+    """The object's point nearest to `point` of some frame (object frame), and the way there (that frame; zero inside)."""
+    x = se3.apply(se3.inverse(T_frame_obj), point).contiguous()
     distance, nearest = torch.zeros(len(x), device=x.device), torch.zeros((len(x), 3), device=x.device)
     inputs = [
         10.0, scene.object_mesh_ids, wp.from_torch(object_index), wp.from_torch(x, dtype=wp.vec3),
         wp.from_torch(distance), wp.from_torch(nearest, dtype=wp.vec3),
     ]  # fmt: skip
     launch_trials(reach_kernels.point_to_object, len(x), inputs, device=scene.device, threads=threads, chunk=256)
-    away = se3.apply(T_world_obj, nearest) - ball_center
+    away = se3.apply(T_frame_obj, nearest) - point
     outside = (distance > 0)[:, None]
     return nearest, torch.where(outside, away / torch.where(outside[:, 0], distance, 1.0)[:, None], 0.0)
 
