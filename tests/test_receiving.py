@@ -132,7 +132,10 @@ def test_contacts_agree_with_trimesh(grasps) -> None:
 
 def test_the_files_are_the_ones_reported_and_fit_hand_and_objects(grasps) -> None:
     known = report()
-    with (resources.files("r2h_batch.assets.receiving") / "receiving.npz").open("rb") as stream, np.load(stream) as data:
+    with (
+        (resources.files("r2h_batch.assets.receiving") / "receiving.npz").open("rb") as stream,
+        np.load(stream) as data,
+    ):
         assert arrays_digest(dict(data)) == known["digest"]
     assert known["objects_digest"] == object_digest(OBJECTS)
     hand = load_hand()

@@ -38,7 +38,7 @@ class VoxNet(nn.Module):
         for layer in self.modules():
             if isinstance(layer, nn.Conv3d) and layer is not self.out:
                 nn.init.kaiming_normal_(layer.weight, a=0.1, nonlinearity="leaky_relu")
-                nn.init.zeros_(layer.bias)
+                nn.init.constant_(layer.bias, 0.0)  # type: ignore[arg-type]  # there is one
 
     def features(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k f 32 32 32"]:
         """What is known of each 2 x 2 x 2 voxels."""
@@ -52,9 +52,7 @@ class VoxNet(nn.Module):
         """Log odds of contact."""
         return self.out(torch.cat([_doubled(self.features(grid)), _centred(grid)], 1))[:, 0]
 
-    def logits_at(
-        self, grid: Float32[Tensor, "k 5 64 64 64"], voxel: Int64[Tensor, "k p 3"]
-    ) -> Float32[Tensor, "k p"]:
+    def logits_at(self, grid: Float32[Tensor, "k 5 64 64 64"], voxel: Int64[Tensor, "k p 3"]) -> Float32[Tensor, "k p"]:
         """The same at some voxels only: for training, where most of a grid is empty."""
         at = (2 * voxel + 1).float() / grid.shape[-1] - 1  # voxel centres, from -1 to 1
         seen = nn.functional.grid_sample(
