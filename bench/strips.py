@@ -16,7 +16,9 @@ MOMENTS = (0.0, 0.4, 0.7, 1.0)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("png", type=Path)
-    parser.add_argument("--trials", type=int, nargs="+", default=[21, 5, 24], help="trial ids (2 i in S0, 2 i + 1 in S1)")
+    parser.add_argument(
+        "--trials", type=int, nargs="+", default=[21, 5, 24], help="trial ids (2 i in S0, 2 i + 1 in S1)"
+    )
     parser.add_argument("--noise", default="1", help="--predictor-noise")
     parser.add_argument("--size", type=int, default=300, help="pixels of a frame")
     given = parser.parse_args()
