@@ -233,7 +233,9 @@ def _thing(model: ObjectModel) -> Thing:
     if model.name in THINGS and any(set(p) & set(model.part_names) for p in THINGS[model.name].parts.values()):
         return THINGS[model.name]
     allowed = _takeable(model)
-    parts: dict[str, tuple[str, ...]] = {n.replace("_", " "): (n,) for i, n in enumerate(model.part_names) if i in allowed}
+    parts: dict[str, tuple[str, ...]] = {
+        n.replace("_", " "): (n,) for i, n in enumerate(model.part_names) if i in allowed
+    }
     if model.split == "S1":
         first = re.search(r"hand over the .*?(\w+) to human", model.instruction)
         if first and first[1] not in parts and first[1] not in model.name:

@@ -124,37 +124,3 @@ def _stored() -> dict[str, NDArray[Any]]:
         return {}
     with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
         return {k: data[k] for k in data.files}
-
-
-def describe_grasps(model: ObjectModel, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
-    """Counts and figures in mm of one object's grasps (`FIELDS` as arrays), measured on the exact meshes."""
-    from r2h_batch.hand_contact import ObjectSurface, hand_depth, measure_contact
-
-    none = torch.zeros(len(arrays["side"]), dtype=torch.int32)
-    grasps = ReceivingGrasps(none, **{k: torch.from_numpy(arrays[k]) for k in FIELDS}, instruction=none)
-    surface = ObjectSurface(model.vertices, model.faces)
-    skin = grasps.vertices.numpy()
-    contact = measure_contact(surface, skin)
-    points = np.concatenate([model.points, model.vertices])
-    thin = np.zeros(len(grasps), np.float32)
-    for side in (0, 1):
-        mine = arrays["side"] == side
-        thin[mine] = hand_depth(points, skin[mine], side)
-    touching = (contact.gap <= CONTACT_M).sum(1)
-    palm = grasps.joints.numpy()[:, [0, 1, 4, 7, 10]].mean(1)
-    apart = np.linalg.norm(palm[:, None] - palm[None], axis=2) + np.eye(len(palm))
-    return {
-        "right": int((arrays["side"] == 0).sum()),
-        "left": int((arrays["side"] == 1).sum()),
-        "regions_touching": [int(touching.min()), float(touching.mean().round(2))],
-        "thumb_gap_max_mm": _mm(np.abs(contact.gap[:, 4]).max()),
-        "hand_in_object_mm": [_mm(contact.depth.mean()), _mm(contact.depth.max())],
-        "object_in_hand_mm": [_mm(thin.mean()), _mm(thin.max())],
-        "back_in_object_max_mm": _mm(contact.back_depth.max()),
-        "palm_nearest_neighbour_mm": _mm(np.median(apart.min(1))),
-        "parts": {name: int((arrays["part"] == i).sum()) for i, name in enumerate(model.part_names)},
-    }
-
-
-def _mm(value: Any) -> float:
-    return round(1000 * float(value), 2)

@@ -6,33 +6,25 @@ A left hand is sampled as a right hand on the mirrored object: nothing about it 
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from r2h_batch.hand import HandModel, load_hand
-from r2h_batch.hand_contact import PALM, REGIONS, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
+from r2h_batch.assets.hand.measure import hull_planes, self_cut
+from r2h_batch.hand import load_hand
+from r2h_batch.hand_closing import DEEPEST_M, FAMILIES, close, come_down, distance_field, load_families, posture
+from r2h_batch.hand_contact import PALM, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
 from r2h_batch.instructions import intents_of
-from r2h_batch.kernels import close_hand
-from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.launch import init_warp
 from r2h_batch.objects import ObjectModel
 
 __all__ = ["PER_SIDE", "sample_receiving"]
 
 PER_SIDE = 32
-FAMILIES = 64
-"""Hands to close: shape, spread, thumb's place, and how the joints share the closing."""
 PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 3000, 4, 240, 16
 STANDOFF_M = 0.25
-STEP_RAD = float(np.radians(1.5))
-DEEPEST_M = 0.0005
-PITCH_M, MARGIN_M = 0.0015, 0.02
 
 CONTACT_M = 0.004
 DEPTH_M, BACK_DEPTH_M, THIN_DEPTH_M = 0.004, 0.001, 0.004
@@ -45,43 +37,32 @@ ON_REGION = 0.6
 BEST = 0.7
 """Share of a pool, best scores first, that the choice is made from where it is large enough."""
 
-# Degrees. What a finger opens to, then its limits; the thumb's place is drawn, its limits are anatomical.
-OPEN = (((-12, 12), (4, 26), (2, 14)), ((-14, 4), (-8, 4), (-8, 8)))
-LIMITS = ((88.0, 105.0, 72.0), (44.0, 58.0, 78.0))
-FAN = (1.0, 0.2, -1.2, -0.6)
-
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class _Families:
-    """What `ClosingHands` holds, and the same as numbers: shape (K, 10), turns (K, 16, 3) in degrees."""
-
-    tables: Any
-    shape: F32
-    turns: F64
-
-
 def sample_receiving(
-    model: ObjectModel, *, per_side: int = PER_SIDE, threads: int | None = None
+    model: ObjectModel, *, per_side: int = PER_SIDE, self_cut_m: float | None = None, threads: int | None = None
 ) -> dict[str, NDArray[Any]]:
     """Arrays as in `receiving.FIELDS`: `per_side` right-hand and as many left-hand holds; the same object, the same holds.
 
-    Each holds with thumb and a finger from opposite sides and with three regions of the hand or more. Raises if an
-    object has fewer than `per_side`.
+    Each holds with thumb and a finger from opposite sides and with three regions of the hand or more. `self_cut_m`: how
+    deep a hand may cut into itself where digits press on each other; None: not asked. Raises if an object has fewer than
+    `per_side`.
     """
     init_warp()
-    right = _holds(model, False, per_side, threads)
-    left = _holds(model, True, per_side, threads)
+    right = _holds(model, False, per_side, self_cut_m, threads)
+    left = _holds(model, True, per_side, self_cut_m, threads)
     return {k: np.concatenate([right[k], left[k]]) for k in right}
 
 
-def _holds(model: ObjectModel, mirror: bool, count: int, threads: int | None) -> dict[str, NDArray[Any]]:
+def _holds(
+    model: ObjectModel, mirror: bool, count: int, self_cut_m: float | None, threads: int | None
+) -> dict[str, NDArray[Any]]:
     flip = np.array([-1.0 if mirror else 1.0, 1.0, 1.0], np.float32)
     vertices, faces = model.vertices * flip, model.faces[:, ::-1] if mirror else model.faces
     surface = ObjectSurface(vertices, faces)
-    field = _field(surface, threads)
+    field = distance_field(surface, threads)
     points = np.concatenate([model.points * flip, vertices])
     pool: list[dict[str, NDArray[Any]]] = []
     digest = hashlib.sha256(f"receiving {model.name} {'left' if mirror else 'right'}".encode()).digest()
@@ -93,29 +74,30 @@ def _holds(model: ObjectModel, mirror: bool, count: int, threads: int | None) ->
         if len(held) >= ENOUGH and all(np.isin(held, i.labels).sum() >= ENOUGH_OF_PART for i in intents_of(model)):
             break
     every = {k: np.concatenate([p[k] for p in pool]) for k in pool[0]}
-    if len(every["part"]) < count:
+    chosen = _diverse(model, every, count, self_cut_m)
+    if len(chosen) < count:
         raise ValueError(
-            f"{model.name}: {len(every['part'])} {'left' if mirror else 'right'} receiving grasps found, {count} wanted; "
+            f"{model.name}: {len(chosen)} {'left' if mirror else 'right'} receiving grasps found, {count} wanted; "
             "a hand must be able to hold the receiver's region (S1) or some part (S0) between thumb and fingers"
         )
-    return _as_arrays(model, every, _diverse(model, every, count), flip)
+    return _as_arrays(model, every, chosen, flip)
 
 
 def _try(
     model: ObjectModel, flip: F32, surface: ObjectSurface, field: Any, points: F32, rng: Any, threads: int | None
 ) -> dict[str, NDArray[Any]]:
     """One round of proposals, those kept: hand pose, posture, what they touch, score."""
-    families = _families()
+    families = load_families()
     family, R, start, direction, retreat = _proposals(model, flip, rng)
-    travel = _approach(field, families, family, R, start, direction, threads)
+    travel = come_down(field, families, family, R, start, direction, farthest=2 * STANDOFF_M, threads=threads)
     near = travel < 2 * STANDOFF_M - 0.01
     family, R, start, direction = family[near], R[near], start[near], direction[near]
     travel, retreat = travel[near], retreat[near]
     p = start + (travel - retreat)[:, None] * direction
-    flexion, gap = _close(field, families, family, R, p, threads)
+    flexion, gap = close(field, families, family, R, p, threads)
     held = (gap[:, THUMB] < CONTACT_M) & ((gap[:, :THUMB] < CONTACT_M).sum(1) >= 1) & (gap.min(1) > -2 * DEEPEST_M)
     family, R, p, flexion = (x[held] for x in (family, R, p, flexion))
-    pose = _pose(families.turns[family], flexion)
+    pose = posture(families.turns[family], flexion)
     posed = load_hand().pose(torch.from_numpy(pose), torch.from_numpy(families.shape[family]))
     skin = np.einsum("nij,nvj->nvi", R, posed.vertices.numpy()) + p[:, None]
     joints = np.einsum("nij,nvj->nvi", R, posed.joints.numpy()) + p[:, None]
@@ -229,7 +211,9 @@ def _segment_distance(a: F64, b: F64, c: F64, d: F64) -> F64:
     return np.linalg.norm(p[:, :, None] - q[:, None], axis=3).min((1, 2))
 
 
-def _diverse(model: ObjectModel, every: dict[str, NDArray[Any]], count: int) -> NDArray[np.int64]:
+def _diverse(
+    model: ObjectModel, every: dict[str, NDArray[Any]], count: int, self_cut_m: float | None
+) -> NDArray[np.int64]:
     """Rows of the best scores, none too like one already taken; that bar falls until `count` are found.
 
     Every part that instructions name gets its share first, as far as it can be held.
@@ -240,23 +224,36 @@ def _diverse(model: ObjectModel, every: dict[str, NDArray[Any]], count: int) -> 
     stages = [(np.isin(every["part"], labels), min(count // 4, count // len(wanted))) for labels in wanted.values()]
     stages.append((np.ones(len(order), bool), count))
     taken: list[int] = []
+    usable = np.ones(len(order), bool)
     for allowed, number in stages:
         mine = order[allowed[order]]
         mine = mine[: max(number, int(BEST * len(mine)))]
-        number = min(number, len(mine))
         scale = 1.0
-        while (len(taken) if number == count else int(allowed[taken].sum())) < number:
+        while int(allowed[taken].sum()) < min(number, int(usable[mine].sum())):
             for i in mine:
-                if i in taken:
+                if int(allowed[taken].sum()) >= number:
+                    break
+                if i in taken or not usable[i]:
                     continue
                 apart = np.linalg.norm(palm[taken] - palm[i], axis=1) / 0.04
                 turn = 1 - np.einsum("mij,ij->m", every["R"][taken], every["R"][i]) / 3  # 0 alike, 4/3 opposite
-                if not taken or (apart + 2 * turn).min() >= scale:
+                if taken and (apart + 2 * turn).min() < scale:
+                    continue
+                # measured only of those that are wanted: 50 ms each
+                usable[i] = self_cut_m is None or _self_cut(every["pose"][i], every["family"][i]) <= self_cut_m
+                if usable[i]:
                     taken.append(int(i))
-                if (len(taken) if number == count else int(allowed[taken].sum())) == number:
-                    break
             scale *= 0.75
-    return np.array(taken)
+    return np.array(taken, np.int64)
+
+
+def _self_cut(pose: F32, family: int) -> float:
+    """How deep (m) a right hand's skin cuts into itself."""
+    hand = load_hand()
+    shape = load_families().shape[family]
+    skin = hand.pose(torch.from_numpy(pose)[None], torch.from_numpy(shape)[None]).vertices[0].double().numpy()
+    pieces = [p.numpy() for p in hand.pieces]
+    return self_cut(skin, hand.faces.numpy(), [hull_planes(skin[p]) for p in pieces], pieces)
 
 
 def _as_arrays(
@@ -272,121 +269,9 @@ def _as_arrays(
         "side": np.full(len(rows), int(mirror), np.int8),
         "T_obj_hand": T,
         "pose": pose.astype(np.float32),
-        "shape": _families().shape[every["family"][rows]],
+        "shape": load_families().shape[every["family"][rows]],
         "part": every["part"][rows],
     }
-
-
-def _pose(turns: F64, flexion: F32) -> F32:
-    """(n, 48) axis-angle poses: a family's turns with the flexion that closing found."""
-    axes = load_hand().joint_axes.double().numpy()
-    turns = turns.copy()
-    turns[:, 1:, 0] = np.degrees(flexion.reshape(len(flexion), 15))
-    local = Rotation.from_euler("XYZ", turns.reshape(-1, 3), degrees=True).as_matrix().reshape(-1, 16, 3, 3)
-    turned = axes @ local @ axes.transpose(0, 2, 1)
-    return Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 48).astype(np.float32)
-
-
-@lru_cache(maxsize=1)
-def _families() -> _Families:
-    model = load_hand()
-    rng = np.random.Generator(np.random.Philox(key=0x52324852))
-    shape = np.clip(0.6 * rng.standard_normal((FAMILIES, 10)), -1.5, 1.5).astype(np.float32)
-    turns, rate = np.zeros((FAMILIES, 16, 3)), np.zeros((FAMILIES, 16))
-    limit = np.zeros(16)
-    for k in range(FAMILIES):
-        common = rng.random(3)
-        spread = -2 + 10 * rng.random()
-        share = np.array([1.0, 0.5 + rng.random(), 0.3 + 0.6 * rng.random()])
-        for f in range(4):
-            for j in range(3):
-                low, high = OPEN[0][j]
-                turns[k, 1 + 3 * f + j, 0] = low + (high - low) * (0.7 * common[j] + 0.3 * rng.random())
-                rate[k, 1 + 3 * f + j] = share[j]
-            turns[k, 1 + 3 * f, 1] = FAN[f] * spread
-        for j in range(3):
-            low, high = OPEN[1][j]
-            turns[k, 13 + j, 0] = low + (high - low) * rng.random()
-        turns[k, 13, 1:] = [-22 + 48 * rng.random(), 28 * rng.random()]
-        rate[k, 13:16] = [1.0, 0.4 + 0.8 * rng.random(), 0.2 + 0.8 * rng.random()]
-    for f in range(5):
-        limit[1 + 3 * f : 4 + 3 * f] = np.radians(LIMITS[int(f == THUMB)])
-    return _Families(_tables(model, shape, turns, rate, limit), shape, turns)
-
-
-def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> Any:
-    """The `ClosingHands` of these families."""
-    rest = model.pose(torch.zeros((FAMILIES, 48)), torch.from_numpy(shape))
-    segment = model.weights.argmax(1).numpy()
-    order = np.argsort(segment, kind="stable")
-    moved = order[np.searchsorted(segment[order], 1) :]  # without the palm
-    skin = rest.vertices.numpy()[:, moved] - rest.joints.numpy()[:, segment[moved]]
-    first = np.searchsorted(segment[moved], np.arange(17))
-    root_turn = Rotation.from_euler("XYZ", (turns * [0, 1, 1]).reshape(-1, 3), degrees=True).as_matrix()
-    opened = model.pose(torch.from_numpy(_pose(turns, np.radians(turns[:, 1:, 0]))), torch.from_numpy(shape))
-    open_skin = opened.vertices.numpy()[:, ::2]
-    tables = close_hand.ClosingHands()
-    tables.n_points, tables.n_open = skin.shape[1], open_skin.shape[1]
-    values = {
-        "joints": (rest.joints.numpy().reshape(-1, 3), wp.vec3),
-        "axes": (model.joint_axes.numpy(), wp.mat33),
-        "root_turn": (root_turn, wp.mat33),
-        "flexion": (np.radians(turns[:, :, 0]).ravel(), wp.float32),
-        "rate": (rate.ravel(), wp.float32),
-        "limit": (limit, wp.float32),
-        "skin": (skin.reshape(-1, 3), wp.vec3),
-        "open_skin": (open_skin.reshape(-1, 3), wp.vec3),
-    }
-    for name, (value, dtype) in values.items():
-        setattr(tables, name, wp.array(np.ascontiguousarray(value, np.float32), dtype=dtype, device="cpu"))
-    tables.segment_first = wp.array(first.astype(np.int32), dtype=wp.int32, device="cpu")
-    return tables
-
-
-def _field(surface: ObjectSurface, threads: int | None) -> Any:
-    """The object's signed distance at grid nodes."""
-    low = surface.vertices.min(0) - MARGIN_M
-    nodes = np.ceil((np.ptp(surface.vertices, axis=0) + 2 * MARGIN_M) / PITCH_M).astype(int) + 1
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in nodes), indexing="ij"), -1).reshape(-1, 3)
-    value, _, _ = surface.distance(low + PITCH_M * grid, 1.0, threads)
-    field = close_hand.Field()
-    field.origin, field.pitch, field.nodes = wp.vec3(*low.tolist()), PITCH_M, wp.vec3i(*nodes.tolist())
-    field.value = wp.array(value, dtype=wp.float32, device="cpu")
-    return field
-
-
-def _approach(
-    field: Any, families: _Families, family: Any, R: F32, start: F32, direction: F32, threads: int | None
-) -> F32:
-    travel = np.empty(len(family), np.float32)
-    inputs = ((family, wp.int32), (R, wp.mat33), (start, wp.vec3), (direction, wp.vec3), (travel, wp.float32))
-    launch_trials(
-        close_hand.approach,
-        len(family),
-        [field, families.tables, 2 * STANDOFF_M, *(_array(x, d) for x, d in inputs)],
-        device="cpu",
-        threads=threads,
-    )
-    return travel
-
-
-def _close(field: Any, families: _Families, family: Any, R: F32, p: F32, threads: int | None) -> tuple[F32, F32]:
-    """Flexion (n, 5, 3) in rad, and each digit's distance (n, 5)."""
-    flexion, gap = np.empty((len(family), 5, 3), np.float32), np.empty((len(family), 5), np.float32)
-    inputs = ((family, wp.int32), (R, wp.mat33), (p, wp.vec3), (flexion, wp.vec3), (gap, wp.float32))
-    launch_trials(
-        close_hand.close_fingers,
-        len(family),
-        [field, families.tables, STEP_RAD, DEEPEST_M, *(_array(x, d) for x, d in inputs)],
-        device="cpu",
-        threads=threads,
-        width=len(REGIONS) - 1,
-    )
-    return flexion, gap
-
-
-def _array(x: NDArray[Any], dtype: Any) -> Any:
-    return wp.array(np.ascontiguousarray(x), dtype=dtype, device="cpu", copy=False)
 
 
 def _tilted(z: F64, angle: F64, turn: F64) -> F64:

@@ -95,7 +95,9 @@ def test_logits_at_voxels_are_the_dense_ones() -> None:
 def test_augmentation_moves_points_and_solid_together() -> None:
     objects = load_objects(["hammer", "power_drill"])
     data = Examples(
-        contact_grids(objects), torch.stack([voxel_of_points(o) for o in objects]), torch.zeros(2, len(objects[0].points))
+        contact_grids(objects),
+        torch.stack([voxel_of_points(o) for o in objects]),
+        torch.zeros(2, len(objects[0].points)),
     )
     assert all(data.grid[i, 0][tuple(data.voxel[i].T)].mean() > 0.999 for i in (0, 1))
     generator = torch.Generator().manual_seed(1)

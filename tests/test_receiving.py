@@ -45,7 +45,7 @@ def depth_and_gaps(grasps, row: int) -> tuple[float, float, float, np.ndarray, n
     skin = skin @ T[:3, :3].T + T[:3, 3]
     assert np.abs(skin - grasps.vertices[row].numpy()).max() < 1e-6
     cloud = sample_surface(solid.vertices, solid.faces, 20_000, seed=1)
-    near = np.flatnonzero(cKDTree(cloud).query(skin)[0] < 0.012)
+    near = np.flatnonzero(cKDTree(cloud).query(skin)[0] < 0.008)
     _, distance, face = trimesh.proximity.closest_point(solid, skin[near])
     signed = np.full(len(skin), 1.0)
     inside = winding_number(solid.vertices, solid.faces, skin[near]) > 0.5
@@ -55,7 +55,7 @@ def depth_and_gaps(grasps, row: int) -> tuple[float, float, float, np.ndarray, n
     region = palmar_region()
     closest = [np.flatnonzero(region == r)[signed[region == r].argmin()] for r in range(len(REGIONS))]
     body = trimesh.Trimesh(skin, hand.faces_by_side[side].numpy(), process=False)
-    points = np.concatenate([model.points, model.vertices, cloud[:6000]])
+    points = np.concatenate([model.points, model.vertices, cloud[:4000]])
     points = points[((points > skin.min(0)) & (points < skin.max(0))).all(1)]
     held = points[winding_number(body.vertices, body.faces, points) > 0.5]
     thin = trimesh.proximity.closest_point(body, held)[1].max() if len(held) else 0.0
@@ -76,7 +76,7 @@ def check(grasps, row: int) -> None:
 
 
 def test_a_sample_of_the_frozen_grasps_touches_and_does_not_cut(grasps) -> None:
-    for index in range(len(OBJECTS)):
+    for index in (1, 3, 6, 12):  # a thin wall, thin rods, a handle, a body with corners
         rows = grasps.rows_of(index, index % 2)
         check(grasps, int(rows[(7 * index) % len(rows)]))
 
@@ -123,7 +123,7 @@ def test_contacts_agree_with_trimesh(grasps) -> None:
     model = OBJECTS[6]
     depth, back, _, gap, normal = depth_and_gaps(grasps, row)
     contact = measure_contact(ObjectSurface(model.vertices, model.faces), grasps.vertices[row : row + 1].numpy())
-    near = gap < 0.012
+    near = gap < 0.006
     assert np.abs(contact.gap[0] - gap)[near].max() < 2e-6
     assert abs(contact.depth[0] - depth) < 2e-6 and abs(contact.back_depth[0] - back) < 2e-6
     assert near[PALM] or near.sum() >= 3
@@ -132,7 +132,10 @@ def test_contacts_agree_with_trimesh(grasps) -> None:
 
 def test_the_files_are_the_ones_reported_and_fit_hand_and_objects(grasps) -> None:
     known = report()
-    with (resources.files("r2h_batch.assets.receiving") / "receiving.npz").open("rb") as stream, np.load(stream) as data:
+    with (
+        (resources.files("r2h_batch.assets.receiving") / "receiving.npz").open("rb") as stream,
+        np.load(stream) as data,
+    ):
         assert arrays_digest(dict(data)) == known["digest"]
     assert known["objects_digest"] == object_digest(OBJECTS)
     hand = load_hand()

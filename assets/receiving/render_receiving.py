@@ -21,9 +21,12 @@ SKIN = (0.87, 0.66, 0.54, 1.0)
 
 
 def render(
-    model: ObjectModel, hand: NDArray[np.float32], side: int, size: int, azimuth: float, elevation: float
+    model: ObjectModel, hand: NDArray[np.float32], side: int, size: int, views: Sequence[tuple[float, float]]
 ) -> NDArray[np.uint8]:
-    """(size, size, 3) picture of an object and a hand on it (skin in the object's frame), on white."""
+    """(size, size, 3) picture of an object and a hand on it (skin in the object's frame), on white.
+
+    Of the views (azimuth and elevation in degrees) the one that shows most of the hand.
+    """
     spec = mujoco.MjSpec()
     spec.visual.headlight.ambient = [0.35] * 3
     spec.visual.headlight.diffuse = [0.45] * 3
@@ -58,9 +61,15 @@ def render(
     data = mujoco.MjData(compiled)
     mujoco.mj_forward(compiled, data)
     camera = mujoco.MjvCamera()
-    camera.azimuth, camera.elevation = azimuth, elevation
     camera.lookat = (hand.min(0) + hand.max(0)) / 2
     camera.distance = VIEW_RADIUS_M / np.tan(np.radians(compiled.vis.global_.fovy / 2))
+    shown = []
+    with mujoco.Renderer(compiled, 64, 64) as small:
+        small.enable_segmentation_rendering()
+        for camera.azimuth, camera.elevation in views:
+            small.update_scene(data, camera)
+            shown.append(int((small.render()[:, :, 0] == 0).sum()))  # the hand is geom 0
+    camera.azimuth, camera.elevation = views[int(np.argmax(shown))]
     with mujoco.Renderer(compiled, 2 * size, 2 * size) as renderer:
         renderer.update_scene(data, camera)
         picture = renderer.render().astype(np.float32)
@@ -92,34 +101,36 @@ def contact_sheet(
             side = sides[column % len(sides)]
             mine = grasps.rows_of(row, side).numpy()
             i = mine[(column // len(sides)) * len(mine) // -(-columns // len(sides))]
-            # seen from the palm's and the thumb's side, where the fingers close
-            azimuth, elevation = _view(joints[i], side)
-            picture = render(model, skin[i], side, tile, azimuth, elevation)
+            picture = render(model, skin[i], side, tile, _views(joints[i], side))
             x, y = column * tile, row * (tile + 18)
             sheet.paste(Image.fromarray(picture), (x, y))
-            text = f"{model.name.replace('_', ' ')} {'RL'[side]}{i}: {model.part_names[int(grasps.part[i])]}"
+            text = f"{('right', 'left')[side]}: {model.part_names[int(grasps.part[i])].replace('_', ' ')}"
+            text = text if column else model.name.replace("_", " ")
             draw.text((x + tile / 2, y + tile), text, fill=(40, 40, 40), font=font, anchor="ma")
     path.parent.mkdir(parents=True, exist_ok=True)
     sheet.quantize(160, dither=Image.Dither.NONE).save(path, optimize=True)
 
 
-def _view(joints: NDArray[np.float32], side: int) -> tuple[float, float]:
-    """Azimuth and elevation (degrees) of a camera that looks at a hand's palm, from its thumb's side."""
+def _views(joints: NDArray[np.float32], side: int) -> list[tuple[float, float]]:
+    """Azimuth and elevation (degrees) of cameras on a hand's palm, thumb, fingertip and little finger sides."""
     fingers = joints[4] - joints[0]
     across = joints[1] - joints[7]
     palm = np.cross(joints[1] - joints[0], joints[7] - joints[0]) * (-1 if side else 1)
-    unit = [v / np.linalg.norm(v) for v in (across, fingers, palm)]
-    look = -(0.6 * unit[0] + 0.2 * unit[1] + 0.75 * unit[2])
-    look /= np.linalg.norm(look)
-    return float(np.degrees(np.arctan2(look[1], look[0]))), float(np.degrees(np.arcsin(look[2])))
+    thumb, ahead, front = (v / np.linalg.norm(v) for v in (across, fingers, palm))
+    views = []
+    for x, y, z in ((0.6, 0.2, 0.75), (0.95, 0.0, 0.3), (0.7, 0.6, 0.4), (0.2, 0.9, 0.4), (-0.7, 0.3, 0.65)):
+        look = -(x * thumb + y * ahead + z * front)
+        look /= np.linalg.norm(look)
+        views.append((float(np.degrees(np.arctan2(look[1], look[0]))), float(np.degrees(np.arcsin(look[2])))))
+    return views
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("names", nargs="*")
-    parser.add_argument("--tile", type=int, default=190)
-    parser.add_argument("--columns", type=int, default=6)
+    parser.add_argument("--tile", type=int, default=150)
+    parser.add_argument("--columns", type=int, default=8)
     args = parser.parse_args()
     contact_sheet(load_objects(args.names or None), args.out, tile=args.tile, columns=args.columns)
 

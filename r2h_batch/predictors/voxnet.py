@@ -18,6 +18,8 @@ from r2h_batch.predictors.files import PredictorError
 __all__ = ["VoxNet", "load_voxnet", "read_voxnet"]
 
 WIDTHS = (8, 20, 40)
+MIDDLE_M, SPREAD_M = 0.1, 0.05
+"""Scales of objects that fit a hand."""
 
 
 class VoxNet(nn.Module):
@@ -33,10 +35,14 @@ class VoxNet(nn.Module):
         self.up2 = _block(c + b, b)
         self.up1 = nn.Sequential(nn.Conv3d(b + a, 2 * a, kernel_size=1), nn.LeakyReLU(0.1))
         self.out = nn.Conv3d(2 * a + CHANNELS, 1, kernel_size=1)
+        for layer in self.modules():
+            if isinstance(layer, nn.Conv3d) and layer is not self.out:
+                nn.init.kaiming_normal_(layer.weight, a=0.1, nonlinearity="leaky_relu")
+                nn.init.constant_(layer.bias, 0.0)  # type: ignore[arg-type]  # there is one
 
     def features(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k f 32 32 32"]:
         """What is known of each 2 x 2 x 2 voxels."""
-        x1 = self.down1(grid)
+        x1 = self.down1(_centred(grid))
         x2 = self.down2(x1)
         x3 = self.deep(self.down3(x2))
         x2 = self.up2(torch.cat([_doubled(x3), x2], 1))
@@ -44,18 +50,16 @@ class VoxNet(nn.Module):
 
     def logits(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k 64 64 64"]:
         """Log odds of contact."""
-        return self.out(torch.cat([_doubled(self.features(grid)), grid], 1))[:, 0]
+        return self.out(torch.cat([_doubled(self.features(grid)), _centred(grid)], 1))[:, 0]
 
-    def logits_at(
-        self, grid: Float32[Tensor, "k 5 64 64 64"], voxel: Int64[Tensor, "k p 3"]
-    ) -> Float32[Tensor, "k p"]:
+    def logits_at(self, grid: Float32[Tensor, "k 5 64 64 64"], voxel: Int64[Tensor, "k p 3"]) -> Float32[Tensor, "k p"]:
         """The same at some voxels only: for training, where most of a grid is empty."""
         at = (2 * voxel + 1).float() / grid.shape[-1] - 1  # voxel centres, from -1 to 1
         seen = nn.functional.grid_sample(
             self.features(grid), at.flip(-1)[:, :, None, None], padding_mode="border", align_corners=False
         )
         i, j, k = voxel.unbind(-1)
-        given = grid[torch.arange(len(grid))[:, None], :, i, j, k].transpose(1, 2)[..., None, None]
+        given = _centred(grid)[torch.arange(len(grid))[:, None], :, i, j, k].transpose(1, 2)[..., None, None]
         return self.out(torch.cat([seen, given], 1))[:, 0, :, 0, 0]
 
     def forward(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k 64 64 64"]:
@@ -66,9 +70,13 @@ class VoxNet(nn.Module):
 def _block(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
     return nn.Sequential(
         nn.Conv3d(inputs, outputs, kernel_size=3, stride=stride, padding=1),
-        nn.GroupNorm(4, outputs),
         nn.LeakyReLU(0.1),
     )
+
+
+def _centred(grid: Tensor) -> Tensor:
+    """The grid with the objects' scale (metres) brought to about -1 to 1, like the other channels."""
+    return torch.cat([grid[:, :4], (grid[:, 4:] - MIDDLE_M) / SPREAD_M], 1)
 
 
 def _doubled(x: Tensor) -> Tensor:
