@@ -32,6 +32,7 @@ from r2h_batch.kernels.reference import Law, servo_commands
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.objects import load_objects
 from r2h_batch.robot import ee_pose
+from r2h_batch.scene_model import MESH_FIELDS
 from r2h_batch.trials import trials_with_ids
 from r2h_batch.types import Scores
 
@@ -115,7 +116,8 @@ def worlds(mix: Mix, report: Report) -> None:
     honest = sim_mjwarp._fields
 
     def watched(model: Any, data: Any) -> Any:
-        used[data.nworld] = array_bytes(model) + array_bytes(data)
+        rows = (*sim_mjwarp.BATCHED, *MESH_FIELDS)  # the rest of the model is there once
+        used[data.nworld] = array_bytes(data) + sum(getattr(model, name).capacity for name in rows)
         return honest(model, data)
 
     for n in CUDA_WORLDS if cuda else CPU_WORLDS:

@@ -1,6 +1,7 @@
 """What the methods' handovers of one trial look like: a row for each method, along the motion that was executed.
 
 python -m bench.strips --trial ID --out FILE.png [--method random oracle ...] [--predictions FILE ...] [--frames 5]
+    [--preset default|paper]
 
 The scene is the one that was simulated, rendered by MuJoCo; the row's title says what came of it. Needs matplotlib.
 """
@@ -9,6 +10,7 @@ import argparse
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 os.environ.setdefault("MUJOCO_GL", "osmesa")  # read when mujoco is imported
 
@@ -17,17 +19,19 @@ import torch
 
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.jobs import load_files, make_jobs, prepare
-from r2h_batch.options import Options
+from r2h_batch.options import Options, UsageError, check
+from r2h_batch.predictions import PredictionsError
 from r2h_batch.render import Strip, strips
 from r2h_batch.trials import trials_with_ids
 from r2h_batch.types import Outcome, Predictions
 
 
-def answers(trial_id: int, methods: Sequence[str], files: Sequence[str]) -> tuple[Evaluator, list[Predictions]]:
+def answers(
+    trial_id: int, methods: Sequence[str], files: Sequence[str], preset: str
+) -> tuple[Evaluator, list[Predictions]]:
     """An evaluator, and each method's and file's answer to one trial (those that have one)."""
-    options = Options(
-        method=tuple(methods), predictions=tuple(files), trials=max(500, trial_id // 2 + 1), allow_missing=True
-    )
+    plan: Any = {"preset": preset, "trials": max(500, trial_id // 2 + 1), "allow_missing": True}
+    options = check(Options(method=tuple(methods), predictions=tuple(files), **plan))
     bench = prepare(options)
     found = []
     place = int(torch.nonzero(bench.ids(0, bench.planned) == trial_id).flatten()[0])
@@ -75,10 +79,16 @@ def main() -> None:
     parser.add_argument("--trial", type=int, required=True, help="trial id of the protocol")
     parser.add_argument("--method", nargs="*", default=[], help="as in a sweep")
     parser.add_argument("--predictions", nargs="*", default=[], help="as in a sweep")
+    parser.add_argument("--preset", default="default", choices=("default", "paper"))
     parser.add_argument("--frames", type=int, default=5)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    evaluator, found = answers(options.trial, options.method, options.predictions)
+    if options.trial < 0:
+        parser.error(f"--trial is {options.trial}; it must be 0 or more")
+    try:
+        evaluator, found = answers(options.trial, options.method, options.predictions, options.preset)
+    except (UsageError, PredictionsError) as error:
+        parser.error(str(error))
     trial = trials_with_ids(torch.tensor([options.trial]), objects=evaluator.scene.objects)
     rows = strips(evaluator, trial, found, frames=options.frames)
     name = evaluator.scene.objects[int(trial.object_index[0])].name.replace("_", " ")

@@ -4,15 +4,21 @@ import copy
 from functools import cache
 
 import mujoco
+import mujoco_warp as mjw
 import numpy as np
 import pytest
+import warp as wp
 from test_dynamics import mass_matrix, some_payload
 
+from r2h_batch import sim_mjwarp
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.dynamics import GRIPPER_MASS_KG, LINK_MASS_KG, Payload
+from r2h_batch.kernels.worlds import Record, Worlds, start_worlds
+from r2h_batch.launch import init_warp
 from r2h_batch.robot import drive_from_gap, ee_pose, forward_kinematics, gripper_primitives_at
 from r2h_batch.scene import TABLE_FROM_LINK, Scene
-from r2h_batch.scene_model import SceneModel, TrialScene, build_scene_model
+from r2h_batch.scene_model import MESH_FIELDS, SceneModel, TrialScene, build_scene_model
+from r2h_batch.simulation import Job
 
 HANDS = (3, 250, 17)
 STEP_S = 0.002
@@ -150,12 +156,8 @@ def test_contacts_of_any_object_are_those_of_a_model_compiled_for_it_alone(colli
     """Objects swung into the forearm: stale boxes, frames or hulls of another object would lose or move contacts."""
     rng, s, met = np.random.default_rng(3), scene(), 0
     q = np.array(HOME_Q)
-    T_world_gripper, forearm = (forward_kinematics(s.robot, q)[k] for k in (7, 3))
     for o in range(0, len(s.objects), 3 if collision == "hull" else 5):
-        trial = some_trial(rng, o)
-        T = trial.payload.T_gripper_obj.copy()
-        T[:3, 3] = (np.linalg.inv(T_world_gripper) @ forearm @ [-0.2, 0.0, 0.06, 1])[:3]
-        trial = TrialScene(Payload.of(s.objects[o], T), 0, 3, np.eye(4), 0.05)
+        trial = TrialScene(into_the_forearm(rng, o, q), 0, 3, np.eye(4), 0.05)
         alone = build_scene_model(s.robot, [s.objects[o]], s.hands, [3], step_s=STEP_S, object_collision=collision)
         many = TrialScene(trial.payload, o, 3, np.eye(4), 0.05)
         a, b = at(alone, trial, q)[1], at(built(collision), many, q, (some_trial(rng, (o + 3) % 16, 17),))[1]
@@ -165,6 +167,56 @@ def test_contacts_of_any_object_are_those_of_a_model_compiled_for_it_alone(colli
             assert {tuple(c) for c in contacts(a)} == {tuple(c) for c in contacts(b)}
         met += a.ncon > 0
     assert met >= 3
+
+
+def into_the_forearm(rng: np.random.Generator, object_index: int, q: np.ndarray) -> Payload:
+    """An object whose frame's origin is inside the forearm, turned at random."""
+    T_world_gripper, forearm = (forward_kinematics(scene().robot, q)[k] for k in (7, 3))
+    T = some_trial(rng, object_index).payload.T_gripper_obj.copy()
+    T[:3, 3] = (np.linalg.inv(T_world_gripper) @ forearm @ [-0.2, 0.0, 0.06, 1])[:3]
+    return Payload.of(scene().objects[object_index], T)
+
+
+def test_worlds_of_mujoco_warp_each_have_the_body_of_their_own_trial():
+    """Sixteen objects in sixteen worlds, put in by the kernel that refills them: deepest contact and pose as in MuJoCo C."""
+    init_warp()
+    rng, q, model = np.random.default_rng(6), np.array(HOME_Q), built()
+    trials = []
+    for o in range(16):
+        T_world_hand = some_trial(rng, 0).T_world_hand
+        trials.append(TrialScene(into_the_forearm(rng, o, q), o, HANDS[o % 3], T_world_hand, 0.02 + 0.004 * o))
+    order = rng.permutation(16)  # which world runs which trial
+    job = Job(
+        model, None, (None, None, None), np.arange(16), trials, np.tile(q, (16, 1)), np.full(16, 2), 1, "cpu",
+    )  # fmt: skip
+    host = sim_mjwarp._for_warp(model.model)
+    sizes = dict.fromkeys((*sim_mjwarp.BATCHED, *MESH_FIELDS), 16)
+    m, d = mjw.put_model(host, batch_sizes=sizes), mjw.make_data(host, nworld=16, njmax=512, naconmax=2048)
+    m.opt.warn_overflow = 0
+    worlds, record = Worlds(), Record()
+    worlds.slot, worlds.step = wp.zeros(16, dtype=int), wp.zeros(16, dtype=int)
+    worlds.qpos, worlds.qvel = wp.zeros((16, 12)), wp.zeros((16, 12))
+    worlds.taken, record.q = wp.zeros(1, dtype=int), wp.zeros((16, 3, 6))
+    queue = sim_mjwarp._queue(job, order)
+    wp.launch(
+        start_worlds, 16, [worlds, queue, sim_mjwarp._shapes(model), sim_mjwarp._fields(m, d), record], device="cpu"
+    )
+    mjw.kinematics(m, d)
+    mjw.collision(m, d)
+    n = int(d.nacon.numpy()[0])
+    assert 16 < n <= d.naconmax and not d.overflow.numpy().any()
+    world, depth = d.contact.worldid.numpy()[:n], d.contact.dist.numpy()[:n]
+    slot = worlds.slot.numpy()
+    hand, geoms = model.hand_body, model.varied
+    for w in range(16):
+        _, data = at(model, trials[order[slot[w]]], q)
+        np.testing.assert_allclose(d.geom_xpos.numpy()[w][geoms], data.geom_xpos[geoms], atol=2e-6)
+        np.testing.assert_allclose(d.geom_xmat.numpy()[w][geoms].reshape(-1, 9), data.geom_xmat[geoms], atol=2e-6)
+        np.testing.assert_allclose(d.xpos.numpy()[w, hand], data.xpos[hand], atol=1e-6)
+        mine = depth[world == w]
+        assert (data.ncon > 0) == (len(mine) > 0)
+        if data.ncon:
+            assert float(mine.min()) == pytest.approx(min(c.dist for c in data.contact), abs=1e-3)
 
 
 def contacts(data: mujoco.MjData) -> list[list[float]]:
