@@ -151,6 +151,9 @@ def nearest_to_mesh(
         triangle_points(mesh, hand, face, tri)
         shape = body
         for attempt in range(2):
+            if attempt == 0 and moves == 0.0 and out.distance < 0.0 and (body.kind == BOX or body.kind == CYLINDER):
+                shape = eroded(body)  # only faces that meet it matter any more: at once how deep
+                continue
             d = gjk(shape, R, p, world.points, b, tri, center, wp.max(limit, out.distance), 0.0)
             value = wp.max(d.lower, -shape.radius)
             if attempt == 0 and d.upper <= TOUCH_M and (body.kind == BOX or body.kind == CYLINDER):

@@ -97,11 +97,11 @@ class Evaluator:
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, keep_motion: bool = False
     ) -> Scores:
         n, chunk = len(trials), self.config.chunk
-        if stages == "pose" and T_obj_ee.is_cuda:
-            chunk = max(chunk, POSE_CHUNK_CUDA)
-        judge = self._score_pose if stages == "pose" else partial(self._score_chunk, keep_motion=keep_motion)
-        if stages != "pose":  # a path's margins have no gradient here
+        if stages == "pose":  # without paths a row needs a quarter of the memory
+            chunk = max(chunk, POSE_CHUNK_CUDA) if T_obj_ee.is_cuda else 4 * chunk
+        else:  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
+        judge = self._score_pose if stages == "pose" else partial(self._score_chunk, keep_motion=keep_motion)
         with one_torch_thread(self.scene.device):
             parts = [
                 judge(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
