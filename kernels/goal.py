@@ -6,7 +6,7 @@ from r2h_batch.kernels.check import FREE
 from r2h_batch.kernels.edge import edge
 from r2h_batch.kernels.posture import Nearest, posture_clearance
 from r2h_batch.kernels.safe import HandMesh, posture_distance
-from r2h_batch.kernels.world import TrialBodies, World, vec6
+from r2h_batch.kernels.world import WRIST_3, TrialBodies, World, vec6
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -138,11 +138,12 @@ def goal_clearance(
     best.clearance = -1.0e30
     best.body = -1
     best.other = -1
+    settled = bool(False)
     # step 8 is home, for starts in collision
     for step in range(BRANCHES + 1):
         wanted = step == chosen
         if step < BRANCHES and chosen < 0:
-            wanted = valid_in[trial, step]
+            wanted = valid_in[trial, step] and not settled
         floor = best.clearance + TIE_M
         q = vec6()
         if step == BRANCHES:
@@ -162,6 +163,9 @@ def goal_clearance(
                 best = found
                 if step < BRANCHES:
                     slot[trial] = step
+                # what rides on the wrist meets hand and table alike in every branch: none can be better
+                if best.clearance < 0.0 and best.pair % 3 != 0 and best.body >= world.link_first[WRIST_3]:
+                    settled = True
     if slot[trial] >= 0:
         for j in range(6):
             q_goal[trial, j] = q_in[trial * BRANCHES + slot[trial], j]

@@ -62,7 +62,7 @@ def compare(b: Batch, evaluator: Evaluator) -> tuple[Scores, Scores]:
     assert torch.isfinite(p.margin[judged][:, [PLAN, SAFE]]).all() and torch.isfinite(p.q_goal[judged]).all()
     assert torch.equal(p.margin[judged, PLAN] > 0, p.passed[judged, PLAN])
     same = free & (a.path_len > 0) & (a.q_goal == p.q_goal).all(1)
-    assert (a.margin[same, PLAN] <= p.margin[same, PLAN] + 1e-6).all()
+    assert (a.margin[same, PLAN] <= p.margin[same, PLAN] + 1.01e-4).all()  # along a path located to 0.1 mm
     assert (a.margin[same, SAFE] <= p.margin[same, SAFE] + 1.1e-4).all()  # along a path to 0.2 %, here exact
     return a, p
 
@@ -87,7 +87,7 @@ def test_other_ways_to_plan_agree_as_well(plan):
 
 @pytest.mark.slow
 def test_a_hundred_thousand_candidates_of_all_objects_agree():
-    """pytest -m slow tests/test_pose.py: about ten minutes."""
+    """pytest -m slow tests/test_pose.py: several minutes."""
     evaluator, seen, objects = default_evaluator().kinematic, torch.zeros(5, dtype=torch.long), set()
     for part in range(25):
         b = make_batch(evaluator.scene, 4000, seed=part, random_share=0.4)
