@@ -44,8 +44,8 @@ def differentiable(
     )
 
 
-HELD_M = 2e-5
-"""Fingers that overlap the region by their squeeze and no more than this hold it."""
+HELD_M = 3e-5
+"""Fingers that overlap the region by their squeeze, give or take this, hold it."""
 
 
 class _Changes:
@@ -83,8 +83,8 @@ class _Changes:
         )  # fmt: skip
 
         # fingers that hold the region overlap it by their squeeze, wherever they go along it: the way to what is not region
-        squeeze = 0.5 * config.thresholds.pad_squeeze_m + HELD_M
-        holds = near & (margin[:, 3] < 0) & (margin[:, 3] > -squeeze)
+        squeeze = 0.5 * config.thresholds.pad_squeeze_m
+        holds = near & (margin[:, 3] < 0) & ((margin[:, 3] + squeeze).abs() < HELD_M)
         self.free = witnesses.off_region(scene, held.T_obj_ee, held.objects, holds, **launch)
 
         # Safe and Plan: which bodies, what carries them, how fingers move there

@@ -126,7 +126,7 @@ def off_region(
     Among the object's 2048 sample points; the way is zero where not wanted, or where all of the object is region.
     """
     points, free = _sample_points(scene)
-    x = T_obj_ee[:, :3, 3].contiguous()
+    x = T_obj_ee[:, :3, 3].clone(memory_format=torch.contiguous_format)
     nearest, found = torch.zeros_like(x), torch.zeros(len(x), dtype=torch.bool, device=x.device)
     inputs = [
         points, free, wp.from_torch(object_index), wp.from_torch(wanted.contiguous()), wp.from_torch(x, dtype=wp.vec3),
