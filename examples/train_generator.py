@@ -10,6 +10,7 @@ import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,14 +34,15 @@ class Generator:
     clouds: Clouds
     random: torch.Generator
 
-    def state(self) -> dict[str, dict[str, Tensor]]:
-        """All weights."""
-        return {"grasp": self.grasp.state_dict(), "pose": self.pose.state_dict()}
+    def state(self, spent: dict[str, float]) -> dict[str, Any]:
+        """All weights, and what training them took."""
+        return {"grasp": self.grasp.state_dict(), "pose": self.pose.state_dict(), "spent": spent}
 
-    def load(self, state: dict[str, dict[str, Tensor]]) -> None:
-        """Takes over the weights of `state`."""
+    def load(self, state: dict[str, Any]) -> dict[str, float]:
+        """Takes over the weights of `state`; returns what training them took."""
         self.grasp.load_state_dict(state["grasp"])
         self.pose.load_state_dict(state["pose"])
+        return state["spent"]
 
     def _seed(self, n: int) -> Tensor:
         return torch.randint(0, SEEN, (n, CLOUD // 2), generator=self.random)
@@ -185,15 +187,17 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     clock.append(time.perf_counter())
     cpu.append(time.process_time())
     print(f"{len(data.point)} examples of {args.proposals} proposals in {clock[1] - clock[0]:.0f} s", flush=True)
-    kept = args.weights is not None and args.weights.exists()
-    model = train(evaluator, data, clouds, steps=0 if kept else args.steps, batch=args.batch, seed=args.seed)
-    if kept:
-        model.load(torch.load(args.weights, weights_only=True))
-    elif args.weights is not None:
-        torch.save(model.state(), args.weights)
+    if args.weights is not None and args.weights.exists():
+        model = train(evaluator, data, clouds, steps=0, batch=args.batch, seed=args.seed)
+        spent = model.load(torch.load(args.weights, weights_only=True))
+    else:
+        model = train(evaluator, data, clouds, steps=args.steps, batch=args.batch, seed=args.seed)
+        spent = {"seconds": time.perf_counter() - clock[-1], "core_seconds": time.process_time() - cpu[-1]}
+        if args.weights is not None:
+            torch.save(model.state(spent), args.weights)
+    print("trained in {seconds:.0f} s ({core_seconds:.0f} core-seconds)".format(**spent), flush=True)
     clock.append(time.perf_counter())
     cpu.append(time.process_time())
-    print(f"trained in {clock[2] - clock[1]:.0f} s ({cpu[2] - cpu[1]:.0f} core-seconds)", flush=True)
 
     trials = make_trials(["S0", "S1"], args.trials)
     trials = trials[torch.isin(trials.object_index, held_out.int())]
@@ -230,6 +234,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
         )
     stages = ("collect", "train", "sample")
     seconds, core = (dict(zip(stages, np.diff(x).round(1).tolist(), strict=True)) for x in (clock, cpu))
+    seconds["train"], core["train"] = round(spent["seconds"], 1), round(spent["core_seconds"], 1)
     result = {
         "held_out": HELD_OUT,
         "examples": len(data.point),

@@ -310,3 +310,29 @@ def surface_witness(
     if part >= 0:
         x = R_ee_obj * point + t_ee_obj
         finger_out[trial] = finger_velocity(gripper, part, opening_in[trial], x)
+
+
+@wp.kernel
+def nearest_of_points(
+    first: int,
+    point_in: wp.array2d(dtype=wp.vec3),  # (O, P) points of each object, object frame
+    counts_in: wp.array2d(dtype=wp.bool),  # (O, P) which of them count
+    object_index_in: wp.array(dtype=wp.int32),
+    wanted_in: wp.array(dtype=wp.bool),
+    x_in: wp.array(dtype=wp.vec3),  # object frame
+    found_out: wp.array(dtype=wp.bool),
+    nearest_out: wp.array(dtype=wp.vec3),
+):
+    """The nearest to x of an object's points that count."""
+    trial = first + wp.tid()
+    found_out[trial] = False
+    if wanted_in[trial]:
+        o = object_index_in[trial]
+        best = float(1.0e30)
+        for k in range(point_in.shape[1]):
+            if counts_in[o, k]:
+                d = wp.length_sq(point_in[o, k] - x_in[trial])
+                if d < best:
+                    best = d
+                    nearest_out[trial] = point_in[o, k]
+                    found_out[trial] = True

@@ -44,6 +44,10 @@ def differentiable(
     )
 
 
+HELD_M = 3e-5
+"""Fingers that overlap the region by their squeeze, give or take this, hold it."""
+
+
 class _Changes:
     """The first-order change of all margins (B, 5) as a function of the poses; finding the witnesses is done once."""
 
@@ -77,6 +81,11 @@ class _Changes:
             scene, held.attached, held.objects, squeezed(grasp, config.thresholds), margin[:, 3], near, region=True,
             **launch,
         )  # fmt: skip
+
+        # fingers that hold the region overlap it by their squeeze, wherever they go along it: the way to what is not region
+        squeeze = 0.5 * config.thresholds.pad_squeeze_m
+        holds = near & (margin[:, 3] < 0) & ((margin[:, 3] + squeeze).abs() < HELD_M)
+        self.free = witnesses.off_region(scene, held.T_obj_ee, held.objects, holds, **launch)
 
         # Safe and Plan: which bodies, what carries them, how fingers move there
         self.unreachable = goal.reason == int(PlanReason.IK_UNREACHABLE)
@@ -124,7 +133,10 @@ class _Changes:
         stability = torch.where(self.empty, -first_order.dot(towards, missing), stability)
         nearest, away = self.to_palm
         reach = -first_order.receded(nearest, away, poses)
+        free, towards = self.free
+        aside = se3.apply(se3.inverse(T_obj_ee), free) - se3.apply(se3.inverse(held.T_obj_ee), free)
         affordance = first_order.separation(attached, held.attached, change.opening, self.region)
+        affordance = affordance - first_order.dot(towards, aside)
 
         safe = -first_order.dot(
             self.hand_normal,

@@ -20,7 +20,7 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.robot import load_robot
 from r2h_batch.scene import Placed, Scene
 
-__all__ = ["arm_at", "closing", "finger_motion", "fingers", "hand_contact", "nearest_to_point"]
+__all__ = ["arm_at", "closing", "finger_motion", "fingers", "hand_contact", "nearest_to_point", "off_region"]
 
 DAMPING = 1e-3
 """Of the arm's inverse Jacobian (metres and radians alike): postures with smaller singular values count as stuck there."""
@@ -111,6 +111,42 @@ def nearest_to_point(
     away = se3.apply(T_frame_obj, nearest) - point
     outside = (distance > 0)[:, None]
     return nearest, torch.where(outside, away / torch.where(outside[:, 0], distance, 1.0)[:, None], 0.0)
+
+
+def off_region(
+    scene: Scene,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    wanted: Bool[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
+    """The object's surface point nearest to the ee origin that is not in the receiver's region, and the way there (ee frame).
+
+    Among the object's 2048 sample points; the way is zero where not wanted, or where all of the object is region.
+    """
+    points, free = _sample_points(scene)
+    x = T_obj_ee[:, :3, 3].clone(memory_format=torch.contiguous_format)
+    nearest, found = torch.zeros_like(x), torch.zeros(len(x), dtype=torch.bool, device=x.device)
+    inputs = [
+        points, free, wp.from_torch(object_index), wp.from_torch(wanted.contiguous()), wp.from_torch(x, dtype=wp.vec3),
+        wp.from_torch(found), wp.from_torch(nearest, dtype=wp.vec3),
+    ]  # fmt: skip
+    launch_trials(kernels.nearest_of_points, len(x), inputs, device=scene.device, threads=threads, chunk=256)
+    way = se3.apply(se3.inverse(T_obj_ee), nearest)
+    length = (way[:, 0].square() + way[:, 1].square() + way[:, 2].square()).sqrt()[:, None]
+    return nearest, torch.where(found[:, None] & (length > 0), way / length.clamp(min=1e-9), 0.0)
+
+
+@lru_cache(maxsize=4)
+def _sample_points(scene: Scene) -> tuple[Any, Any]:
+    """Surface points of all objects, and which are not in the receiver's region."""
+    points = np.stack([o.points for o in scene.objects]).astype(np.float32)
+    free = np.stack([~o.receiver_face[o.point_face] for o in scene.objects])
+    return (
+        wp.array(points, dtype=wp.vec3, device=scene.device),
+        wp.array(free, dtype=wp.bool, device=scene.device),
+    )
 
 
 def hand_contact(

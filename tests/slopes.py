@@ -38,8 +38,9 @@ class Slopes:
         return (self.gradient - self.measured)[:, criterion].abs().amax(1)
 
     def plateau(self, criterion: int) -> torch.Tensor:
-        """Rows (B,) whose margin does not change at all: capped, or as deep in something as that number goes."""
-        return self.measured[:, criterion].abs().amax(1) < 1e-3
+        """Rows (B,) whose margin does not change: capped, or as deep as that number goes (depths are known to 5 um)."""
+        least = torch.where(self.scores.margin[:, criterion] < 0, 0.03, 1e-3)
+        return self.measured[:, criterion].abs().amax(1) < least
 
 
 def candidates(evaluator: Evaluator, n: int, *, seed: int = 3) -> Batch:
