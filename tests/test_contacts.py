@@ -115,12 +115,13 @@ def test_training_is_the_same_twice_and_learns() -> None:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        first, losses = train(data, 10, seed=5)
-        again, _ = train(data, 10, seed=5)
+        first, _ = train(data, 3, seed=5)
+        again, _ = train(data, 3, seed=5)
+        _, losses = train(data, 30, seed=5)
     finally:
         torch.set_num_threads(threads)
     assert all(torch.equal(a, b) for a, b in zip(first.parameters(), again.parameters(), strict=True))
-    assert np.mean(losses[-2:]) < 0.9 * losses[0]
+    assert np.mean(losses[-5:]) < 0.8 * losses[0]
 
 
 def test_contacts_are_read_at_the_clouds_points_and_do_not_depend_on_the_batch(scene, trials) -> None:
@@ -150,6 +151,7 @@ def test_a_python_function_takes_the_networks_place(scene, trials, monkeypatch, 
         assert np.array_equal(found[row].numpy()[clear] == 1.0, x[clear] > 0)
 
 
+@pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
 def test_torchscript_and_safetensors_files_take_the_networks_place(scene, trials, tmp_path) -> None:
     class Half(torch.nn.Module):
         def forward(self, grid: torch.Tensor) -> torch.Tensor:
@@ -166,7 +168,7 @@ def test_torchscript_and_safetensors_files_take_the_networks_place(scene, trials
 def test_wrong_answers_of_a_predictor_are_refused(scene, trials) -> None:
     with pytest.raises(ValueError, match=r"wrong_shape returned shape \(1, 64, 64\).*need a tensor \(1, 64, 64, 64\)"):
         predict_contacts(trials, scene, predictor=wrong_shape)
-    with pytest.raises(ValueError, match=r"logits returned values from .* apply a sigmoid"):
+    with pytest.raises(ValueError, match=r"logits returned values from .*\(apply a sigmoid"):
         predict_contacts(trials, scene, predictor=logits)
 
 

@@ -22,12 +22,12 @@ def scene():
 
 @pytest.fixture(scope="module")
 def trials(scene):
-    return make_trials(trials=600, objects=scene.objects)
+    return make_trials(trials=200, objects=scene.objects)
 
 
 @pytest.fixture(scope="module")
 def few(trials):
-    return trials[torch.arange(0, len(trials), 19)]
+    return trials[torch.arange(0, len(trials), 7)]
 
 
 def test_a_receiving_hand_without_noise_is_a_frozen_grasp_of_object_and_side(scene, trials) -> None:
@@ -40,7 +40,7 @@ def test_a_receiving_hand_without_noise_is_a_frozen_grasp_of_object_and_side(sce
     few = slice(0, 20)
     assert torch.equal(seen.joints[few], grasps.joints[seen.grasp[few]])
     assert torch.equal(seen.vertices[few], grasps.vertices[seen.grasp[few]])
-    assert len(seen.grasp.unique()) > 0.5 * len(grasps)
+    assert len(seen.grasp.unique()) > 0.25 * len(grasps)
 
 
 def test_the_receiving_hands_error_is_as_stated_and_scales(scene, trials) -> None:
@@ -72,20 +72,23 @@ def test_the_target_hand_is_the_trials_own_without_noise_and_as_far_off_as_state
     assert torch.equal(own_point, seen.palm_point) and torch.equal(own_normal, seen.palm_normal)
 
 
-@pytest.mark.parametrize("rows", [0, 1, 2, 33])
-def test_a_row_depends_on_seed_and_trial_id_only(scene, trials, rows) -> None:
-    order = torch.randperm(len(trials), generator=torch.Generator().manual_seed(rows))[:rows]
-    for predict, names in (
+@pytest.mark.parametrize(
+    ("predict", "names"),
+    [
         (predict_receiving, ("T", "grasp", "joints", "vertices", "wrist_to_middle")),
         (retrieve_receiving, ("T", "grasp")),
         (predict_target, ("T", "ball_center", "vertices")),
         (predict_parts, ("label", "usage")),
-    ):
-        whole, part = predict(trials, scene, seed=3), predict(trials[order], scene, seed=3)
-        other = predict(trials, scene, seed=4)
+    ],
+)
+def test_a_row_depends_on_seed_and_trial_id_only(scene, trials, predict, names) -> None:
+    whole, other = predict(trials, scene, seed=3), predict(trials, scene, seed=4)
+    for rows in (0, 1, 2, 33):
+        order = torch.randperm(len(trials), generator=torch.Generator().manual_seed(rows))[:rows]
+        part = predict(trials[order], scene, seed=3)
         for name in names:
             value = getattr(whole, name)
-            assert torch.equal(value[order], getattr(part, name)), (predict.__name__, name)
+            assert torch.equal(value[order], getattr(part, name)), (name, rows)
             assert not torch.equal(value, getattr(other, name))
 
 
@@ -132,7 +135,7 @@ def test_label_noise_stays_near_borders_and_grows_with_the_width(scene, trials) 
         seen = predict_parts(trials, scene, noise=PredictorNoise(border_m=width))
         wrong = seen.label != true.label
         shares.append(float(wrong.float().mean()))
-        for row in range(0, len(trials), 151):
+        for row in range(0, len(trials), 57):
             model = scene.objects[int(trials.object_index[row])]
             for i in torch.nonzero(wrong[row])[:, 0].tolist():
                 other = model.points[model.point_part == int(seen.label[row, i])]
