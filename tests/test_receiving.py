@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import cKDTree
 from test_hand import skinning_twin
 
-from r2h_batch.assets.hand.measure import sample_surface, winding_number
+from r2h_batch.assets.hand.measure import hull_planes, sample_surface, winding_number
 from r2h_batch.hand import arrays_digest, load_hand, palm_frame
 from r2h_batch.hand_contact import PALM, REGIONS, THUMB, ObjectSurface, measure_contact, palmar_region
 from r2h_batch.instructions import intents_of
@@ -57,6 +57,11 @@ def depth_and_gaps(grasps, row: int) -> tuple[float, float, float, np.ndarray, n
     body = trimesh.Trimesh(skin, hand.faces_by_side[side].numpy(), process=False)
     points = np.concatenate([model.points, model.vertices, cloud[:4000]])
     points = points[((points > skin.min(0)) & (points < skin.max(0))).all(1)]
+    within = np.zeros(len(points), bool)  # the pieces' hulls enclose the skin
+    for piece in hand.pieces:
+        plane = hull_planes(skin[piece.numpy()])
+        within |= (points @ plane[:, :3].T + plane[:, 3] < 1e-6).all(1)
+    points = points[within]
     held = points[winding_number(body.vertices, body.faces, points) > 0.5]
     thin = trimesh.proximity.closest_point(body, held)[1].max() if len(held) else 0.0
     back = float(max(0.0, -signed[region < 0].min()))
