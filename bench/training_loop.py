@@ -5,7 +5,8 @@ python bench/training_loop.py [--device cpu|cuda:0] [--largest N] [--peer N] [--
 Candidates: the frozen mix of bench/throughput.py (bench/mix.npz: 1,024 trials of r2h-v0, half with the oracle's poses, half
 with random ones), repeated; `perturbed`: the oracle's half moved by 1 cm (grasp), 3 cm and 10 degrees (handover), normal
 distributions, as a generator in training proposes them. Figures of a size come from one call after another, the median of
-several; core_us is process time (other work on the machine counts little), its smallest. kernel.*_us: process time inside
+several; core_us is process time (other work on the machine counts little), its smallest, and candidates_per_2_core_s
+what two cores would do at that price with nothing else to do. kernel.*_us: process time inside
 each kernel's launch at B = 4,096, by occurrence; beyond_kernels_us is what a call takes beside them. On CUDA there is one
 kind of time: wall, synchronised. training: one step of a small generator (three layers of 256, Adam) on 4,096 candidates,
 scored each step. The peer judges the same candidates one by one with MuJoCo C, trimesh, FCL and ur-analytic-ik
@@ -101,7 +102,7 @@ def sizes(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, l
         report.add(f"{name}.candidates_per_s", b / median)
         report.add(f"{name}.candidates_per_s_best", b / best)
         report.add(f"{name}.core_us_per_candidate", 1e6 * core / b)
-        report.add(f"{name}.candidates_per_s_of_two_idle_cores", 2 * b / core)
+        report.add(f"{name}.candidates_per_2_core_s", 2 * b / core)
     for b in (1, 64):
         captured, c = evaluator.capture(b), repeated(mix, b)
         _, best, _ = clock.of(lambda captured=captured, c=c: captured(*c), 30)  # type: ignore[misc]

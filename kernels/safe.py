@@ -7,6 +7,7 @@ and bounding volumes prune, and triangles decide.
 import warp as wp
 
 from r2h_batch.kernels.gjk import BOX, CYLINDER, HULL, Body, from_ball, gjk, support, swept_support
+from r2h_batch.kernels.hand_mesh import HandMesh, inside_mesh, triangle_points
 from r2h_batch.kernels.region import signed_distance
 from r2h_batch.kernels.world import (
     OBJECT,
@@ -35,18 +36,6 @@ TOUCH_M = wp.constant(1.0e-6)
 
 
 @wp.struct
-class HandMesh:
-    """The exact surfaces of H posed hands (hand frame): F faces each, every face in exactly one convex piece."""
-
-    n_vertices: int
-    n_faces: int
-    vertices: wp.array(dtype=wp.vec3)  # (H * V,)
-    faces: wp.array2d(dtype=int)  # (F, 3) grouped by piece; winding does not matter here
-    piece_face: wp.array(dtype=int)  # (n_pieces + 1,) first face of each piece
-    face_ball: wp.array(dtype=wp.vec4)  # (H * F,) bounding ball: centre, radius
-
-
-@wp.struct
 class Nearest:
     """Signed distance so far, the robot body it belongs to, and the hand's point nearest to that body (hand frame)."""
 
@@ -55,32 +44,6 @@ class Nearest:
     point: wp.vec3
     changed: int
     open: int
-
-
-@wp.func
-def triangle_points(mesh: HandMesh, hand: int, face: int, tri: wp.array(dtype=wp.vec3)):
-    """Writes a face's corners."""
-    base = hand * mesh.n_vertices
-    for k in range(3):
-        tri[k] = mesh.vertices[base + mesh.faces[face, k]]
-
-
-@wp.func
-def inside_mesh(mesh: HandMesh, hand: int, x: wp.vec3, tri: wp.array(dtype=wp.vec3)):
-    """Whether x is inside the hand's closed surface: winding number by solid angles (van Oosterom and Strackee 1983)."""
-    total = float(0.0)
-    for face in range(mesh.n_faces):
-        triangle_points(mesh, hand, face, tri)
-        a = tri[0] - x
-        b = tri[1] - x
-        c = tri[2] - x
-        la = wp.length(a)
-        lb = wp.length(b)
-        lc = wp.length(c)
-        total += wp.atan2(
-            wp.dot(a, wp.cross(b, c)), la * lb * lc + wp.dot(a, b) * lc + wp.dot(b, c) * la + wp.dot(c, a) * lb
-        )
-    return wp.abs(total) > 3.14159265
 
 
 @wp.func
@@ -150,6 +113,9 @@ def nearest_to_mesh(
         triangle_points(mesh, hand, face, tri)
         shape = body
         for attempt in range(2):
+            if attempt == 0 and moves == 0.0 and out.distance < 0.0 and (body.kind == BOX or body.kind == CYLINDER):
+                shape = eroded(body)  # only faces that meet it matter any more: at once how deep
+                continue
             d = gjk(shape, R, p, world.points, b, tri, center, wp.max(limit, out.distance), 0.0)
             value = wp.max(d.lower, -shape.radius)
             if attempt == 0 and d.upper <= TOUCH_M and (body.kind == BOX or body.kind == CYLINDER):

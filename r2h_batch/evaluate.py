@@ -92,8 +92,8 @@ class Evaluator:
 
     def _score(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages) -> Scores:
         n, chunk = len(trials), self.config.chunk
-        if stages == "pose" and T_obj_ee.is_cuda:
-            chunk = max(chunk, POSE_CHUNK_CUDA)
+        if stages == "pose":  # without paths a row needs a quarter of the memory
+            chunk = max(chunk, POSE_CHUNK_CUDA) if T_obj_ee.is_cuda else 4 * chunk
         judge = self._score_pose if stages == "pose" else self._score_chunk
         if stages != "pose":  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()

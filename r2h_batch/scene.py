@@ -65,7 +65,10 @@ class Scene:
         hand_set: HandSet | None = None,
     ) -> None:
         init_warp()
-        self.device = str(torch.device(device))
+        device = torch.device(device)
+        if device.type == "cuda" and device.index is None:  # tensors say cuda:0
+            device = torch.device("cuda", torch.cuda.current_device())
+        self.device = str(device)
         self.config = config or EvalConfig()
         self.robot: Robot = load_robot()
         self.objects = tuple(objects) if objects is not None else load_objects()
