@@ -199,6 +199,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     clock.append(time.perf_counter())
     cpu.append(time.process_time())
 
+    model.random.manual_seed(args.seed + 1)  # the same samples whether trained now or before
     trials = make_trials(["S0", "S1"], args.trials)
     trials = trials[torch.isin(trials.object_index, held_out.int())]
     plain = model.sample(evaluator, trials)
@@ -241,7 +242,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
         "seconds": seconds,
         "core_seconds": core,
         "rates": rates,
-        "options": {k: str(v) if isinstance(v, Path) else v for k, v in vars(args).items()},
+        "options": {k: v for k, v in vars(args).items() if not isinstance(v, Path)},
     }
     (args.out / "results").mkdir(parents=True, exist_ok=True)
     (args.out / "results" / "training_loop.json").write_text(json.dumps(result, indent=1) + "\n")

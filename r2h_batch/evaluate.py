@@ -79,7 +79,7 @@ class Evaluator:
         `margin[:, PLAN]`: posture and clearance of `r2h_batch.pose.Goal`, always finite. `margin[:, SAFE]`: the hand's exact
         mesh at `q_goal`, evaluated for every pose. No path: `path_len` 0, `path` of width 0, times NaN.
 
-        With stages="pose", margins lead back to poses that require a gradient (docs/training_loop.md).
+        With stages="pose", margins lead back to poses that require a gradient (docs/gradients.md).
 
         K candidates for each of N trials: poses (N, K, 4, 4), rows of the result in that order (`Scores.by_trial`).
         """
@@ -219,7 +219,7 @@ class Evaluator:
             failed_state=none[:, :, 0].double(),
         )
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
-            return differentiable(self, scores, T_obj_ee, T_world_ee, trials, held, goal)
+            return differentiable(self, scores, T_obj_ee, T_world_ee, held, goal)
         return scores
 
     def _hold(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> "_Held":

@@ -15,18 +15,9 @@ from r2h_batch import se3
 from r2h_batch.kernels.witness_closing import EMPTY, MATERIAL, STEP_HIGH, STEP_LOW
 
 __all__ = [
-    "Arm",
-    "Closed",
-    "Closing",
-    "Contact",
-    "Held",
-    "attached",
-    "carried",
-    "closed",
-    "missed",
-    "receded",
-    "separation",
-]
+    "Arm", "Closed", "Closing", "Contact", "Held", "UrLengths",
+    "attached", "carried", "closed", "missed", "receded", "separation",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Margins that can be differentiated: the evaluator's own numbers forward, first-order changes at the witnesses backward.
 
-What is behind each gradient, and where margins have kinks: docs/training_loop.md.
+What is behind each gradient, and where margins have kinks: docs/gradients.md.
 """
 
 from dataclasses import replace
@@ -20,7 +20,7 @@ from r2h_batch.pose import Goal
 from r2h_batch.robot import ee_pose, load_robot
 from r2h_batch.scene import Scene
 from r2h_batch.straight_through import with_gradient
-from r2h_batch.types import CollidingPair, PlanReason, Scores, Trials
+from r2h_batch.types import CollidingPair, PlanReason, Scores
 
 if TYPE_CHECKING:
     from r2h_batch.evaluate import Evaluator, _Held
@@ -33,14 +33,13 @@ def differentiable(
     scores: Scores,
     T_obj_ee: Float[Tensor, "b 4 4"],
     T_world_ee: Float[Tensor, "b 4 4"],
-    trials: Trials,
     held: "_Held",
     goal: Goal,
 ) -> Scores:
     """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses; rows that are no poses do not."""
     return replace(
         scores,
-        margin=with_gradient(scores.margin, _Changes(evaluator, scores, trials, held, goal)(T_obj_ee, T_world_ee)),
+        margin=with_gradient(scores.margin, _Changes(evaluator, scores, held, goal)(T_obj_ee, T_world_ee)),
     )
 
 
@@ -51,7 +50,7 @@ HELD_M = 3e-5
 class _Changes:
     """The first-order change of all margins (B, 5) as a function of the poses; finding the witnesses is done once."""
 
-    def __init__(self, evaluator: "Evaluator", scores: Scores, trials: Trials, held: "_Held", goal: Goal) -> None:
+    def __init__(self, evaluator: "Evaluator", scores: Scores, held: "_Held", goal: Goal) -> None:
         scene, threads, config = evaluator.scene, evaluator.threads, evaluator.config
         self.held, self.goal, grasp = held, goal, held.grasp
         self.evaluated, margin = scores.evaluated, scores.margin.detach()

@@ -1,5 +1,6 @@
 """Gradients of margins: against finite differences of the evaluator's own numbers, float64 twins, and in hostile batches."""
 
+import copy
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
@@ -93,7 +94,7 @@ def changes_in_float64(rows: Any) -> tuple[_Changes, torch.Tensor, torch.Tensor]
     held = evaluator._hold(rows.T_obj_ee, rows.T_world_ee, rows.trials)
     ik, branches = evaluator._branches(held)
     goal = judge_goals(evaluator.scene, held.placed, held.T_world_ee, ik, branches, held.active)
-    changes = _Changes(evaluator, scores, rows.trials, held, goal)
+    changes = _Changes(evaluator, scores, held, goal)
     for name, value in vars(changes).items():
         setattr(changes, name, doubled(value))
     return changes, changes.held.T_obj_ee, changes.held.T_world_ee
@@ -305,6 +306,9 @@ def test_gradients_do_not_depend_on_batch_order_or_threads(batch):
     finally:
         evaluator.threads = threads
     assert torch.equal(whole, alone)
+    chunked = copy.copy(evaluator)
+    chunked.config = replace(evaluator.config, chunk=7)
+    assert torch.equal(gradients(chunked, batch.rows(slice(0, 33)))[1], whole)
     assert gradients(evaluator, batch.rows(slice(0, 0)))[1].shape == (0, 5, 12)
 
 
