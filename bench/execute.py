@@ -247,7 +247,10 @@ def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: s
 
 
 def payload(mix: Mix, report: Report) -> None:
-    """The same motions with nothing and with a 1 kg ball of 6 cm between the fingers, compensated and not."""
+    """The same motions with nothing and with a 1 kg ball of 6 cm between the fingers, compensated and not.
+
+    The arm alone: in the scene the trial's object would come along, on a grasp that nobody planned for.
+    """
     for mass in (0.0, 1.0):
 
         def ball(model: Any, T: Any, mass: float = mass) -> Payload:
@@ -257,7 +260,7 @@ def payload(mix: Mix, report: Report) -> None:
 
         for known in ("known", "unknown"):
             with mock.patch.object(Payload, "of", staticmethod(ball)):
-                tracking(mix, report, ExecConfig(sim="mujoco", payload=known), f"{mass:g}_kg_{known}")
+                tracking(mix, report, ExecConfig(sim="mujoco", model="arm", payload=known), f"{mass:g}_kg_{known}")
 
 
 def step(mix: Mix, report: Report) -> None:
