@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from r2h_batch.launch import cpu_threads, thread_pool
 from r2h_batch.objects import ObjectModel
 from r2h_batch.robot import Robot, drive_from_gap, load_robot
+from r2h_batch.simulation import warnings_unwritten
 
 Array = NDArray[np.float64]
 
@@ -63,7 +64,8 @@ def close_in_physics(
     def one(i: int) -> tuple[float, float, float]:
         return _close(robot, objects[int(object_index[i])], np.asarray(T_obj_ee[i], np.float64), down if shake else None)
 
-    rows = list(thread_pool(cpu_threads(threads)).map(one, range(len(object_index))))
+    with warnings_unwritten():
+        rows = list(thread_pool(cpu_threads(threads)).map(one, range(len(object_index))))
     opening, moved, slip = np.array(rows, np.float64).reshape(-1, 3).T
     return Closed(opening, moved, slip, np.isfinite(slip) & (slip < DROPPED_M))
 
