@@ -7,25 +7,33 @@ clearance (branch and bound, `track`). Masks carry what is already settled from 
 
 import warp as wp
 
-from r2h_batch.kernels.gjk import BOX, ROUNDING_M, Body, from_ball, gjk, support, swept_support
+from r2h_batch.kernels.body import BOX, Body, support, swept_support
+from r2h_batch.kernels.gjk import gjk
+from r2h_batch.kernels.partners import (
+    MAY_MEET,
+    Mover,
+    Near,
+    Query,
+    bodies_near,
+    link_clears_hand,
+    link_clears_table,
+    links_in_reach,
+    pieces_near,
+    table_near,
+)
 from r2h_batch.kernels.world import (
-    GRIPPER,
     OBJECT,
     TrialBodies,
     World,
     body_pose,
     curvature,
     forward_kinematics,
-    from_point,
-    from_segment,
     hull_body,
     link_frame,
     motion,
     object_body,
     robot_body,
-    swept_capsule,
     twists,
-    vec6,
 )
 
 wp.set_module_options({"enable_backward": False})
@@ -35,31 +43,12 @@ BLOCKED = wp.constant(1)
 OPEN = wp.constant(2)
 
 MAX_PARTNERS = wp.constant(64)
-MAY_MEET = wp.constant(256)  # added to a partner that bounding volumes do not keep apart in the middle of the stretch
-SLACK_M = wp.constant(0.03)
-HAND_SLACK_M = wp.constant(0.06)
-"""Bounding volumes rarely understate a distance by more: a pair that would need it stays open without asking GJK."""
-
 
 # CollidingPair codes, as in r2h_batch.types
 PAIR_HAND = wp.constant(1)
 PAIR_TABLE = wp.constant(2)
 PAIR_SELF = wp.constant(3)
-PAIR_OBJECT_HAND = wp.constant(4)
-PAIR_OBJECT_TABLE = wp.constant(5)
-PAIR_OBJECT_ROBOT = wp.constant(6)
-
-
-@wp.struct
-class Query:
-    """A posture q, and the stretch q +- d that it stands for; what each kind of pair has to keep."""
-
-    q: vec6
-    d: vec6  # half the stretch, rad (zero: the posture alone)
-    hand_margin: float
-    other_margin: float
-    track: int  # 1: look for the smallest clearance below `best` instead of a yes or no
-    tolerance: float  # of that smallest clearance
+PAIR_OF_OBJECT = wp.constant(3)  # added where it is the object that meets them
 
 
 @wp.struct
@@ -72,9 +61,128 @@ class Finding:
     best: float
 
 
+@wp.struct
+class Pair:
+    """A body and its partner, seen from the partner's frame: what GJK is asked, and how much the pair may travel."""
+
+    code: int
+    other: Body
+    center: wp.vec3
+    R: wp.mat33
+    p: wp.vec3
+    w: wp.vec3
+    v: wp.vec3
+    margin: float
+    travel: float
+    bend: float
+
+
 @wp.func
 def _bit(i: int):
     return wp.uint64(1) << wp.uint64(i)
+
+
+@wp.func
+def _target(query: Query, best: float, margin: float):
+    """What a pair has to keep: its margin, or what would improve on the smallest clearance so far."""
+    return wp.where(query.track == 1, best - query.tolerance, margin)
+
+
+@wp.func
+def _mover(
+    world: World, bodies: TrialBodies, trial: int, query: Query, link: int, b: int, hull: int,
+    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    """Body b of a link, or a hull of the object."""
+    out = Mover()
+    out.link = link
+    out.body = b
+    Rb, pb = body_pose(world, bodies, trial, R, p, b)
+    out.R = Rb
+    out.p = pb
+    out.w = w[link_frame(link)]
+    out.v = v[link_frame(link)]
+    out.shape = robot_body(world, wp.min(b, world.n_robot - 1))
+    if link == OBJECT:
+        out.shape = object_body(world, hull)
+        out.c0 = Rb * world.hull_c0[hull] + pb
+        out.c1 = Rb * world.hull_c1[hull] + pb
+        out.radius = world.hull_radius[hull]
+        out.travel = motion(bodies.object_lever, trial, 0, query.d)
+        out.bend = curvature(bodies.object_lever, trial, 0, query.d)
+    else:
+        axis = Rb * world.cap_axis[b]
+        out.c0 = pb - axis
+        out.c1 = pb + axis
+        out.radius = world.cap_radius[b]
+        out.travel = motion(world.lever, b, 0, query.d)
+        out.bend = curvature(world.lever, b, 0, query.d)
+    return out
+
+
+@wp.func
+def _pair(mover: Mover):
+    """A pair whose partner stands still in the hand's frame, which is the mover's."""
+    out = Pair()
+    out.R = mover.R
+    out.p = mover.p
+    out.w = mover.w
+    out.v = mover.v
+    out.travel = mover.travel
+    out.bend = mover.bend
+    return out
+
+
+@wp.func
+def _pair_with_piece(world: World, query: Query, mover: Mover, piece: int):
+    out = _pair(mover)
+    out.code = PAIR_HAND
+    out.other = hull_body(world.piece_start, piece)
+    out.center = world.piece_center[piece]
+    out.margin = query.hand_margin
+    return out
+
+
+@wp.func
+def _pair_with_table(world: World, query: Query, mover: Mover, R_hand_world: wp.mat33, table_p: wp.vec3):
+    out = _pair(mover)
+    out.code = PAIR_TABLE
+    out.other.kind = BOX
+    out.other.size = world.table_half
+    out.margin = query.other_margin
+    Rt = wp.transpose(R_hand_world)
+    out.R = Rt * mover.R
+    out.p = Rt * (mover.p - table_p)
+    out.v = Rt * (mover.v + wp.cross(mover.w, table_p))
+    out.w = Rt * mover.w
+    return out
+
+
+@wp.func
+def _pair_with_body(
+    world: World, bodies: TrialBodies, trial: int, query: Query, mover: Mover, o: int,
+    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    out = _pair(mover)
+    out.code = PAIR_SELF
+    out.other = robot_body(world, o)
+    out.margin = query.other_margin
+    Ro, po = body_pose(world, bodies, trial, R, p, o)
+    Rt = wp.transpose(Ro)
+    out.R = Rt * mover.R
+    out.p = Rt * (mover.p - po)
+    k = world.body_link[o]
+    wr = mover.w - w[k]
+    vr = mover.v - v[k]
+    out.v = Rt * (vr + wp.cross(wr, po))
+    out.w = Rt * wr
+    if mover.link == OBJECT:
+        out.travel = motion(bodies.object_lever, trial, k, query.d)
+        out.bend = curvature(bodies.object_lever, trial, k, query.d)
+    else:
+        out.travel = motion(world.lever, mover.body, k, query.d)
+        out.bend = curvature(world.lever, mover.body, k, query.d)
+    return out
 
 
 @wp.func
@@ -131,51 +239,21 @@ def examine(
         if not (hand_on or table_on or self_on):
             continue
         if link < OBJECT:  # the link as a whole first
-            Rk = R[link_frame(link)]
-            pk = p[link_frame(link)]
-            c0 = Rk * world.link_c0[link] + pk
-            c1 = Rk * world.link_c1[link] + pk
-            rk = world.link_radius[link]
+            k = link_frame(link)
+            c0 = R[k] * world.link_c0[link] + p[k]
+            c1 = R[k] * world.link_c1[link] + p[k]
             if hand_on:
-                target = wp.where(query.track == 1, out.best - query.tolerance, query.hand_margin)
-                toward = from_point(hand_center, c0, c1)
-                far = wp.length(toward)
-                clear = far - hand_radius - rk - motion(world.link_lever, link, 0, query.d) >= target
-                if moving and not clear and far - hand_radius - rk > target:
-                    n_hat = toward / far
-                    k = link_frame(link)
-                    low = swept_capsule(c0, c1, rk, n_hat, w[k], v[k], curvature(world.link_lever, link, 0, query.d))
-                    clear = low - wp.dot(n_hat, hand_center) - hand_radius >= target
-                if clear:
+                target = _target(query, out.best, query.hand_margin)
+                if link_clears_hand(world, query, target, hand_center, hand_radius, link, c0, c1, w[k], v[k], moving):
                     hand_on = False
                     masks[0] = masks[0] & ~bits
-            if table_on:
-                target = wp.where(query.track == 1, out.best - query.tolerance, query.other_margin)
-                low = wp.min(wp.dot(up, c0 - table_p), wp.dot(up, c1 - table_p)) - world.table_half[2]
-                if low - rk >= target + motion(world.link_lever, link, 1, query.d):
+            target = _target(query, out.best, query.other_margin)
+            if table_on:  # noqa: SIM102 (Warp's `and` evaluates both sides)
+                if link_clears_table(world, query, target, link, c0, c1, up, table_p):
                     table_on = False
                     masks[1] = masks[1] & ~bits
             if self_on:
-                target = wp.where(query.track == 1, out.best - query.tolerance, query.other_margin)
-                for other in range(link):
-                    if (world.self_links[link] >> other) & 1 == 1:
-                        Ro = R[other]
-                        po = p[other]
-                        o0 = Ro * world.link_c0[other] + po
-                        o1 = Ro * world.link_c1[other] + po
-                        toward = from_segment(o0, o1, c0, c1)
-                        far = wp.length(toward)
-                        reach = far - rk - world.link_radius[other]
-                        clear = reach - motion(world.link_lever, link, other, query.d) >= target
-                        if moving and not clear and reach > target:
-                            n_hat = toward / far
-                            k = link_frame(link)
-                            bend_link = curvature(world.link_lever, link, other, query.d)
-                            low = swept_capsule(c0, c1, rk, n_hat, w[k] - w[other], v[k] - v[other], bend_link)
-                            high = wp.max(wp.dot(n_hat, o0), wp.dot(n_hat, o1)) + world.link_radius[other]
-                            clear = low - high >= target
-                        if not clear:
-                            self_with = self_with | (1 << other)
+                self_with = links_in_reach(world, query, target, link, c0, c1, moving, R, p, w, v)
                 if self_with == 0:
                     self_on = False
                     masks[2] = masks[2] & ~bits
@@ -194,241 +272,79 @@ def examine(
             do_self = self_on and (masks[2] & bit) != wp.uint64(0)
             if not (do_hand or do_table or do_self):
                 continue
-            Rb, pb = body_pose(world, bodies, trial, R, p, b)
-            c0 = wp.vec3(0.0, 0.0, 0.0)
-            c1 = wp.vec3(0.0, 0.0, 0.0)
-            rb = float(0.0)
-            mb = float(0.0)
-            bend = float(0.0)
-            w_b = w[link_frame(link)]
-            v_b = v[link_frame(link)]
-            hull = first_hull + b - world.n_robot
-            if link == OBJECT:
-                c0 = Rb * world.hull_c0[hull] + pb
-                c1 = Rb * world.hull_c1[hull] + pb
-                rb = world.hull_radius[hull]
-                mb = motion(bodies.object_lever, trial, 0, query.d)
-                bend = curvature(bodies.object_lever, trial, 0, query.d)
-            else:
-                axis = Rb * world.cap_axis[b]
-                c0 = pb - axis
-                c1 = pb + axis
-                rb = world.cap_radius[b]
-                mb = motion(world.lever, b, 0, query.d)
-                bend = curvature(world.lever, b, 0, query.d)
-
-            shape = robot_body(world, wp.min(b, world.n_robot - 1))
-            if link == OBJECT:
-                shape = object_body(world, hull)
+            mover = _mover(world, bodies, trial, query, link, b, first_hull + b - world.n_robot, R, p, w, v)
 
             # partners of this body that bounding volumes cannot settle
-            n = int(0)
+            found = Near()
             if do_hand:
-                target = wp.where(query.track == 1, out.best - query.tolerance, query.hand_margin)
-                toward = from_point(hand_center, c0, c1)
-                far = wp.length(toward)
-                near = far - hand_radius - rb < target + mb
-                if near and moving and far - hand_radius - rb > target + query.tolerance:
-                    n_hat = toward / far
-                    low = swept_capsule(c0, c1, rb, n_hat, w_b, v_b, bend) - wp.dot(n_hat, hand_center) - hand_radius
-                    if low >= target:
-                        near = False
-                    elif low + HAND_SLACK_M < target:
-                        near = False
-                        hand_open = hand_open | bit
-                if near:
-                    middle = 0.5 * (c0 + c1)
-                    around = 0.5 * wp.length(c1 - c0) + rb + target + mb
-                    for i in range(world.n_pieces):
-                        piece = hand * world.n_pieces + i
-                        center = world.piece_center[piece]
-                        if wp.length(center - middle) - world.piece_radius[piece] >= around:
-                            continue
-                        toward = wp.vec3(0.0, 0.0, 0.0)
-                        if link == OBJECT:
-                            toward = from_point(center, c0, c1)
-                        else:
-                            toward = Rb * from_ball(shape, wp.transpose(Rb) * (center - pb))
-                        far = wp.length(toward)
-                        apart = far - world.piece_radius[piece]
-                        if link == OBJECT:
-                            apart = apart - rb
-                        if apart >= target + mb:
-                            continue
-                        if moving and apart > target + query.tolerance:
-                            if (hand_open & bit) != wp.uint64(0):
-                                continue  # the stretch has to be halved anyway
-                            n_hat = toward / far
-                            low = -wp.dot(n_hat, center) - world.piece_radius[piece]
-                            if link == OBJECT:
-                                low = low + swept_capsule(c0, c1, rb, n_hat, w_b, v_b, bend)
-                            else:
-                                low = low + swept_support(shape, Rb, pb, world.points, n_hat, w_b, v_b, bend)
-                            if low >= target:
-                                continue
-                            if low + SLACK_M < target:
-                                hand_open = hand_open | bit
-                                continue
-                        partner[n] = wp.where(apart > target + query.tolerance, i, i + MAY_MEET)
-                        n += 1
-            n_hand = n
+                target = _target(query, out.best, query.hand_margin)
+                is_open = wp.where((hand_open & bit) != wp.uint64(0), 1, 0)
+                found = pieces_near(
+                    world, query, target, mover, hand, hand_center, hand_radius, moving, is_open, partner
+                )
+                if found.open == 1:
+                    hand_open = hand_open | bit
+            n_hand = found.n
+            target = _target(query, out.best, query.other_margin)
             if do_table:
-                # height above the table's top: joint 1 cannot change it, whatever the distance to the table's edge does
-                target = wp.where(query.track == 1, out.best - query.tolerance, query.other_margin)
-                top = wp.dot(up, table_p) + world.table_half[2]
-                lowest = Rb * support(shape, world.points, -(wp.transpose(Rb) * up)) + pb
-                height = wp.dot(up, lowest) - shape.radius - top - ROUNDING_M
-                low = height
-                if moving:
-                    if link == OBJECT:
-                        low = height - motion(bodies.object_lever, trial, 1, query.d)
-                        if low < target:
-                            bend_up = curvature(bodies.object_lever, trial, 1, query.d)
-                            low = wp.max(low, swept_capsule(c0, c1, rb, up, w_b, v_b, bend_up) - top)
-                    else:
-                        low = height - motion(world.lever, b, 1, query.d)
-                        if low < target:
-                            bend_up = curvature(world.lever, b, 1, query.d)
-                            low = wp.max(low, swept_support(shape, Rb, pb, world.points, up, w_b, v_b, bend_up) - top)
-                if low < target:
-                    if height > target + query.tolerance:
-                        table_open = table_open | bit  # a shorter stretch will tell
-                    else:
-                        partner[n] = MAY_MEET
-                        n += 1
-            n_table = n
+                found = table_near(world, bodies, trial, query, target, mover, up, table_p, moving, n_hand, partner)
+                if found.open == 1:
+                    table_open = table_open | bit
+            n_table = found.n
             if do_self:
-                target = wp.where(query.track == 1, out.best - query.tolerance, query.other_margin)
-                for other in range(wp.min(link, GRIPPER)):
-                    if (self_with >> other) & 1 == 1:
-                        m = float(0.0)
-                        bend_other = float(0.0)
-                        if link == OBJECT:
-                            m = motion(bodies.object_lever, trial, other, query.d)
-                            bend_other = curvature(bodies.object_lever, trial, other, query.d)
-                        else:
-                            m = motion(world.lever, b, other, query.d)
-                            bend_other = curvature(world.lever, b, other, query.d)
-                        # the other link as a whole first
-                        o0 = R[other] * world.link_c0[other] + p[other]
-                        o1 = R[other] * world.link_c1[other] + p[other]
-                        ro = world.link_radius[other]
-                        toward = from_segment(o0, o1, c0, c1)
-                        far = wp.length(toward)
-                        if far - rb - ro >= target + m:
-                            continue
-                        if moving and far - rb - ro > target + query.tolerance:
-                            n_hat = toward / far
-                            low = swept_capsule(c0, c1, rb, n_hat, w_b - w[other], v_b - v[other], bend_other)
-                            if low - wp.max(wp.dot(n_hat, o0), wp.dot(n_hat, o1)) - ro >= target:
-                                continue
-                        for o in range(world.link_first[other], world.link_first[other + 1]):
-                            Ro, po = body_pose(world, bodies, trial, R, p, o)
-                            axis = Ro * world.cap_axis[o]
-                            toward = from_segment(po - axis, po + axis, c0, c1)
-                            far = wp.length(toward)
-                            apart = far - rb - world.cap_radius[o]
-                            if apart >= target + m:
-                                continue
-                            if moving and apart > target + query.tolerance:
-                                if (self_open & bit) != wp.uint64(0):
-                                    continue
-                                n_hat = toward / far
-                                low = swept_capsule(c0, c1, rb, n_hat, w_b - w[other], v_b - v[other], bend_other)
-                                low = (
-                                    low
-                                    - wp.max(wp.dot(n_hat, po - axis), wp.dot(n_hat, po + axis))
-                                    - world.cap_radius[o]
-                                )
-                                if low >= target:
-                                    continue
-                                if low + SLACK_M < target:
-                                    self_open = self_open | bit
-                                    continue
-                            partner[n] = wp.where(apart > target + query.tolerance, o, o + MAY_MEET)
-                            n += 1
+                is_open = wp.where((self_open & bit) != wp.uint64(0), 1, 0)
+                found = bodies_near(
+                    world, bodies, trial, query, target, mover, self_with, moving, is_open, R, p, w, v, n_table, partner
+                )
+                if found.open == 1:
+                    self_open = self_open | bit
 
-            for i in range(n):
+            for i in range(found.n):
                 may_meet = partner[i] >= MAY_MEET
-                other_body = partner[i] & (MAY_MEET - 1)
+                other = partner[i] & (MAY_MEET - 1)
                 if moving and not may_meet:
                     if i < n_hand and (hand_open & bit) != wp.uint64(0):
                         continue
                     if i >= n_table and (self_open & bit) != wp.uint64(0):
                         continue
-                # the partner at the origin of its own frame; this body relative to it
-                other_shape = Body()
-                Rr = Rb
-                pr = pb
-                center = wp.vec3(0.0, 0.0, 0.0)
-                pair = int(PAIR_HAND)
-                m = mb
-                bend_pair = bend
-                margin = query.other_margin
-                wr = w_b
-                vr = v_b
+                pair = Pair()
                 if i < n_hand:
-                    piece = hand * world.n_pieces + other_body
-                    other_shape = hull_body(world.piece_start, piece)
-                    center = world.piece_center[piece]
-                    margin = query.hand_margin
+                    pair = _pair_with_piece(world, query, mover, hand * world.n_pieces + other)
                 elif i < n_table:
-                    pair = PAIR_TABLE
-                    other_shape.kind = BOX
-                    other_shape.size = world.table_half
-                    Rt = wp.transpose(R_hand_world)
-                    Rr = Rt * Rb
-                    pr = Rt * (pb - table_p)
-                    vr = Rt * (vr + wp.cross(wr, table_p))
-                    wr = Rt * wr
+                    pair = _pair_with_table(world, query, mover, R_hand_world, table_p)
                 else:
-                    pair = PAIR_SELF
-                    o = other_body
-                    other_shape = robot_body(world, o)
-                    Ro, po = body_pose(world, bodies, trial, R, p, o)
-                    Rt = wp.transpose(Ro)
-                    Rr = Rt * Rb
-                    pr = Rt * (pb - po)
-                    k = world.body_link[o]
-                    wr = wr - w[k]
-                    vr = vr - v[k]
-                    vr = Rt * (vr + wp.cross(wr, po))
-                    wr = Rt * wr
-                    if link == OBJECT:
-                        m = motion(bodies.object_lever, trial, k, query.d)
-                        bend_pair = curvature(bodies.object_lever, trial, k, query.d)
-                    else:
-                        m = motion(world.lever, b, k, query.d)
-                        bend_pair = curvature(world.lever, b, k, query.d)
+                    pair = _pair_with_body(world, bodies, trial, query, mover, other, R, p, w, v)
                 if link == OBJECT:
-                    pair = pair + 3
-                if query.track == 1:
-                    margin = out.best - query.tolerance
-                needed = margin + m
+                    pair.code = pair.code + PAIR_OF_OBJECT
+                margin = _target(query, out.best, pair.margin)
+                needed = margin + pair.travel
                 if query.track == 1:
                     needed = wp.max(needed, out.best)  # a clearance that becomes the best must have converged
-                dist = gjk(shape, Rr, pr, world.points, other_shape, world.points, center, needed, gap)
+                dist = gjk(
+                    mover.shape, pair.R, pair.p, world.points, pair.other, world.points, pair.center, needed, gap
+                )
                 if query.track == 1:
                     if dist.lower < out.best:
                         # a core that is met has no clearance, only an overlap that GJK does not measure
                         out.best = wp.max(dist.lower, -1.0e-6)
                         if dist.upper <= 0.0 and dist.lower > -1.0e-6:
                             out.best = -1.0e-6
-                        out.pair = pair
+                        out.pair = pair.code
                         out.body = b
                     margin = out.best - query.tolerance
                 elif dist.upper <= margin or (gap == 0.0 and dist.lower < margin):
                     out.status = BLOCKED
-                    out.pair = pair
+                    out.pair = pair.code
                     out.body = b
                     return out
                 apart = dist.lower
-                if moving and apart < margin + m and apart > margin + 0.5 * bend_pair and dist.upper > 0.0:
+                if moving and apart < margin + pair.travel and apart > margin + 0.5 * pair.bend and dist.upper > 0.0:
                     # not clear of everything that the levers allow, but perhaps of where it really goes
                     n_hat = dist.v / wp.length(dist.v)
-                    beside = wp.dot(n_hat, support(other_shape, world.points, n_hat)) + other_shape.radius
-                    apart = m - beside + swept_support(shape, Rr, pr, world.points, n_hat, wr, vr, bend_pair)
-                if apart < margin + m:
+                    beside = wp.dot(n_hat, support(pair.other, world.points, n_hat)) + pair.other.radius
+                    swept = swept_support(mover.shape, pair.R, pair.p, world.points, n_hat, pair.w, pair.v, pair.bend)
+                    apart = pair.travel - beside + swept
+                if apart < margin + pair.travel:
                     if i < n_hand:
                         hand_open = hand_open | bit
                     elif i < n_table:

@@ -2,7 +2,8 @@
 
 import warp as wp
 
-from r2h_batch.kernels.check import BLOCKED, FREE, OPEN, Finding, Query, examine
+from r2h_batch.kernels.check import BLOCKED, FREE, OPEN, Finding, examine
+from r2h_batch.kernels.partners import Query
 from r2h_batch.kernels.world import TrialBodies, World, vec6
 
 wp.set_module_options({"enable_backward": False})

@@ -7,9 +7,10 @@ minus the primitive's inner radius. Depths are thus lower bounds on how far the 
 
 import warp as wp
 
-from r2h_batch.kernels.gjk import BOX, CAPSULE, CYLINDER, HULL, Body, gjk
+from r2h_batch.kernels.body import BOX, CAPSULE, CYLINDER, HULL, SPHERE, Body
+from r2h_batch.kernels.gjk import gjk
 from r2h_batch.kernels.gripper import Gripper, drive_from_gap, finger_pose
-from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit
+from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit, may_hit
 
 wp.set_module_options({"enable_backward": False})
 
@@ -84,16 +85,20 @@ def triangle_clearance(
             wp.min(signed_distance(kind, size, v), signed_distance(kind, size, w)),
         )
         depth = wp.max(-clearance, 0.0)
+        probe = wp.where(depth > 0.0, depth + DEPTH_M, 0.0)  # known to be `depth` deep: is it any deeper?
+        high = wp.min(inner_radius(kind, size), -least)
+        if probe > 0.0 and probe >= high:
+            return clearance
         a = Body()
         a.kind = HULL
         a.start = 3 * tri
         a.count = 3
-        d = gjk(a, R, p, points, eroded(kind, size, depth), points, p - middle, wp.max(clearance, 0.0), 0.0)
+        d = gjk(a, R, p, points, eroded(kind, size, probe), points, p - middle, wp.max(clearance, 0.0), 0.0)
         if d.upper > TOUCH_M:
-            clearance = wp.min(clearance, d.lower - depth)
+            if probe == 0.0:
+                clearance = wp.min(clearance, d.lower)
         else:
-            low = float(depth)
-            high = wp.min(inner_radius(kind, size), -least)
+            low = float(probe)
             while high - low > DEPTH_M:
                 half = 0.5 * (low + high)
                 d = gjk(a, R, p, points, eroded(kind, size, half), points, p - middle, 0.0, 0.0)
@@ -123,16 +128,49 @@ def _inside(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: wp.vec3) -> 
         ball = surfaces.node_sphere[node]
         at = center(ball)
         if wp.abs(wp.dot(rx, at) + t[0] - x[0]) <= ball[3] and wp.abs(wp.dot(rz, at) + t[2] - x[2]) <= ball[3]:
-            begin = surfaces.leaf_first[surfaces.node_first[node]]
-            end = surfaces.leaf_first[surfaces.node_first[node + 1]]
-            for tri in range(begin, end):
-                a = R * surfaces.points[3 * tri] + t
-                b = R * surfaces.points[3 * tri + 1] + t
-                c = R * surfaces.points[3 * tri + 2] + t
-                hit, y = line_hit(a, b, c, x[0], x[2])
-                if y < x[1]:
-                    winding += hit
+            for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
+                ball = surfaces.leaf_sphere[leaf]
+                at = center(ball)
+                if wp.abs(wp.dot(rx, at) + t[0] - x[0]) <= ball[3] and wp.abs(wp.dot(rz, at) + t[2] - x[2]) <= ball[3]:
+                    for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
+                        if not may_hit(surfaces, tri, rz, x[2] - t[2]):
+                            continue
+                        a = R * surfaces.points[3 * tri] + t
+                        b = R * surfaces.points[3 * tri + 1] + t
+                        c = R * surfaces.points[3 * tri + 2] + t
+                        hit, y = line_hit(a, b, c, x[0], x[2])
+                        if y < x[1]:
+                            winding += hit
     return winding != 0
+
+
+@wp.func
+def _box_half(kind: int, size: wp.vec3, R: wp.mat33) -> wp.vec3:
+    """Half sides of a box along the outer axes that holds a primitive turned by R; a little more, for rounding."""
+    h = wp.vec3(1.0e-6, 1.0e-6, 1.0e-6)
+    for k in range(3):
+        if kind == BOX:
+            h[k] += wp.abs(R[k, 0]) * size[0] + wp.abs(R[k, 1]) * size[1] + wp.abs(R[k, 2]) * size[2]
+        elif kind != SPHERE:
+            h[k] += wp.abs(R[k, 2]) * size[1] + size[0]
+        else:
+            h[k] += size[0]
+    return h
+
+
+@wp.func
+def _near_groups(
+    low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), x: wp.vec3, radius: float, mask: wp.array(dtype=int)
+) -> int:
+    """Bits of the primitives whose group's box is nearer than `radius` to x (ee frame)."""
+    near = int(0)
+    for g in range(3):
+        a = low[g] - x
+        b = x - high[g]
+        d = wp.vec3(wp.max(wp.max(a[0], b[0]), 0.0), wp.max(wp.max(a[1], b[1]), 0.0), wp.max(wp.max(a[2], b[2]), 0.0))
+        if wp.dot(d, d) < radius * radius:
+            near = near | mask[g]
+    return near
 
 
 @wp.kernel
@@ -163,8 +201,21 @@ def primitives_clearance(
     best = float(cap)
     witness = int(-1)
     count = gripper.kind.shape[0]
+    # boxes (ee frame) around the body's and each finger's primitives: most of the surface is far from all three
+    low = wp.zeros(shape=3, dtype=wp.vec3)
+    high = wp.zeros(shape=3, dtype=wp.vec3)
+    mask = wp.zeros(shape=3, dtype=int)
+    for g in range(3):
+        low[g] = wp.vec3(1.0e30, 1.0e30, 1.0e30)
+        high[g] = wp.vec3(-1.0e30, -1.0e30, -1.0e30)
     for i in range(count):
         R, p = finger_pose(gripper, i, drive)
+        if (used >> i) & 1 != 0:
+            g = int(gripper.side[i]) + 1
+            half = _box_half(gripper.kind[i], gripper.size[i], R)
+            low[g] = wp.min(low[g], p - half)
+            high[g] = wp.max(high[g], p + half)
+            mask[g] = mask[g] | (1 << i)
         R_scratch[trial, i] = wp.transpose(R) * R_ee_obj
         p_scratch[trial, i] = wp.transpose(R) * (t_ee_obj - p)
         if solid != 0 and (used >> i) & 1 != 0:
@@ -176,8 +227,12 @@ def primitives_clearance(
     # some points first: a small `best` spares most triangles
     for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
         x = surfaces.points[3 * surfaces.leaf_first[surfaces.node_first[node]]]
+        ball = surfaces.node_sphere[node]
+        around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)
+        if around == 0:
+            continue
         for i in range(count):
-            if (used >> i) & 1 != 0:
+            if (around >> i) & 1 != 0:
                 d = signed_distance(gripper.kind[i], gripper.size[i], R_scratch[trial, i] * x + p_scratch[trial, i])
                 if d < best:
                     best = d
@@ -185,8 +240,11 @@ def primitives_clearance(
     for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
         near = int(0)
         ball = surfaces.node_sphere[node]
+        around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)
+        if around == 0:
+            continue
         for i in range(count):
-            if (used >> i) & 1 != 0:
+            if (around >> i) & 1 != 0:
                 x = R_scratch[trial, i] * center(ball) + p_scratch[trial, i]
                 if signed_distance(gripper.kind[i], gripper.size[i], x) - ball[3] < best:
                     near = near | (1 << i)

@@ -6,7 +6,10 @@ and bounding volumes prune, and triangles decide.
 
 import warp as wp
 
-from r2h_batch.kernels.gjk import BOX, CYLINDER, HULL, Body, from_ball, gjk, support, swept_support
+from r2h_batch.kernels.body import BOX, CYLINDER, HULL, Body, from_ball, support, swept_support
+from r2h_batch.kernels.gjk import gjk
+from r2h_batch.kernels.hand_mesh import HandMesh, inside_mesh, triangle_points
+from r2h_batch.kernels.region import signed_distance
 from r2h_batch.kernels.world import (
     OBJECT,
     TrialBodies,
@@ -34,18 +37,6 @@ TOUCH_M = wp.constant(1.0e-6)
 
 
 @wp.struct
-class HandMesh:
-    """The exact surfaces of H posed hands (hand frame): F faces each, every face in exactly one convex piece."""
-
-    n_vertices: int
-    n_faces: int
-    vertices: wp.array(dtype=wp.vec3)  # (H * V,)
-    faces: wp.array2d(dtype=int)  # (F, 3) grouped by piece; winding does not matter here
-    piece_face: wp.array(dtype=int)  # (n_pieces + 1,) first face of each piece
-    face_ball: wp.array(dtype=wp.vec4)  # (H * F,) bounding ball: centre, radius
-
-
-@wp.struct
 class Nearest:
     """Signed distance so far, the robot body it belongs to, and the hand's point nearest to that body (hand frame)."""
 
@@ -54,32 +45,6 @@ class Nearest:
     point: wp.vec3
     changed: int
     open: int
-
-
-@wp.func
-def triangle_points(mesh: HandMesh, hand: int, face: int, tri: wp.array(dtype=wp.vec3)):
-    """Writes a face's corners."""
-    base = hand * mesh.n_vertices
-    for k in range(3):
-        tri[k] = mesh.vertices[base + mesh.faces[face, k]]
-
-
-@wp.func
-def inside_mesh(mesh: HandMesh, hand: int, x: wp.vec3, tri: wp.array(dtype=wp.vec3)):
-    """Whether x is inside the hand's closed surface: winding number by solid angles (van Oosterom and Strackee 1983)."""
-    total = float(0.0)
-    for face in range(mesh.n_faces):
-        triangle_points(mesh, hand, face, tri)
-        a = tri[0] - x
-        b = tri[1] - x
-        c = tri[2] - x
-        la = wp.length(a)
-        lb = wp.length(b)
-        lc = wp.length(c)
-        total += wp.atan2(
-            wp.dot(a, wp.cross(b, c)), la * lb * lc + wp.dot(a, b) * lc + wp.dot(b, c) * la + wp.dot(c, a) * lb
-        )
-    return wp.abs(total) > 3.14159265
 
 
 @wp.func
@@ -127,16 +92,19 @@ def nearest_to_mesh(
     for face in range(mesh.piece_face[piece], mesh.piece_face[piece + 1]):
         ball = mesh.face_ball[hand * mesh.n_faces + face]
         center = wp.vec3(ball[0], ball[1], ball[2])
-        toward = R * from_ball(body, wp.transpose(R) * (center - p))
+        toward = from_ball(body, wp.transpose(R) * (center - p))  # in the body's frame
         far = wp.length(toward)
-        apart = wp.where(far > 0.0, far - ball[3], -1.0e30)  # a centre inside the body says nothing of how deep
+        apart = far - ball[3]
         limit = out.distance - tolerance + moves
+        if far == 0.0:  # a centre inside the body: no point of the face is deeper than this
+            deepest = signed_distance(body.kind, body.size, wp.transpose(R) * (center - p)) - ball[3] - TOUCH_M
+            apart = wp.where(deepest >= limit, deepest, -1.0e30)
         if apart >= limit:
             continue
         if apart >= out.distance:
             if out.open > 0:
                 continue  # the stretch has to be halved anyway
-            n_hat = toward / far
+            n_hat = R * (toward / far)
             low = swept_support(body, R, p, world.points, n_hat, w, v, bend) - wp.dot(n_hat, center) - ball[3]
             if low >= out.distance - tolerance:
                 continue
@@ -146,6 +114,9 @@ def nearest_to_mesh(
         triangle_points(mesh, hand, face, tri)
         shape = body
         for attempt in range(2):
+            if attempt == 0 and moves == 0.0 and out.distance < 0.0 and (body.kind == BOX or body.kind == CYLINDER):
+                shape = eroded(body)  # only faces that meet it matter any more: at once how deep
+                continue
             d = gjk(shape, R, p, world.points, b, tri, center, wp.max(limit, out.distance), 0.0)
             value = wp.max(d.lower, -shape.radius)
             if attempt == 0 and d.upper <= TOUCH_M and (body.kind == BOX or body.kind == CYLINDER):
@@ -220,6 +191,7 @@ def posture_distance(
             wb = w[link_frame(link)]
             vb = v[link_frame(link)]
             shape = robot_body(world, b)
+            core = eroded(shape)
             still = int(0)
             hulls_met = int(0)
             toward = from_point(world.hand_center[hand], pb - axis, pb + axis)
@@ -235,7 +207,7 @@ def posture_distance(
                 elif low + HAND_SLACK_M < out.distance - tolerance:
                     near_hand = False
                     still = 1
-            if near_hand:
+            if near_hand and -core.radius < out.distance - tolerance:  # it cannot be met deeper than that
                 size = wp.length(axis) + rb
                 for i in range(world.n_pieces):
                     piece = hand * world.n_pieces + i
@@ -245,7 +217,11 @@ def posture_distance(
                         continue
                     toward = Rb * from_ball(shape, wp.transpose(Rb) * (center - pb))
                     far = wp.length(toward)
-                    apart = wp.where(far > 0.0, far - world.piece_radius[piece], -1.0e30)
+                    apart = far - world.piece_radius[piece]
+                    if far == 0.0:
+                        at = wp.transpose(Rb) * (center - pb)
+                        deepest = signed_distance(shape.kind, shape.size, at) - world.piece_radius[piece] - TOUCH_M
+                        apart = wp.where(deepest >= limit, deepest, -1.0e30)
                     if apart >= limit:
                         continue
                     if apart >= out.distance:
@@ -265,6 +241,12 @@ def posture_distance(
                         wp.max(limit, out.distance), 0.05,
                     )  # fmt: skip
                     met = h.upper <= TOUCH_M  # then GJK's bound says nothing of how deep: the faces have to
+                    if met and out.distance < 0.0:  # unless the whole piece is no deeper than what is known
+                        deep = gjk(
+                            core, Rb, pb, world.points, hull, world.points, world.piece_center[piece], limit, 0.05
+                        )
+                        if deep.lower >= limit:
+                            continue
                     if not met and (h.lower >= limit or (still == 1 and h.lower >= out.distance)):
                         continue
                     low = h.lower - m

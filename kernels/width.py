@@ -8,7 +8,7 @@ cross-section is inside, so the line along its centre tells. What overlaps is on
 import warp as wp
 
 from r2h_batch.kernels.gripper import Gripper, gap_from_drive, pad_center_z_range
-from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit
+from r2h_batch.kernels.surface import Surfaces, center, inverse_pose, line_hit, may_hit
 
 wp.set_module_options({"enable_backward": False})
 
@@ -24,12 +24,12 @@ vec24i = wp.types.vector(24, wp.int32)
 
 
 @wp.func
-def _clip(p: float, d: float, low: float, high: float, t0: float, t1: float):
-    """[t0, t1] cut to where low <= p + t d <= high."""
-    if d == 0.0:
-        if p < low or p > high:
-            t0 = 2.0
-    else:
+def _clip(p: float, q: float, low: float, high: float, t0: float, t1: float):
+    """[t0, t1] cut to where low <= p + t (q - p) <= high."""
+    if (p < low and q < low) or (p > high and q > high):
+        t0 = 2.0
+    elif p < low or q < low or p > high or q > high:
+        d = q - p
         u = (low - p) / d
         v = (high - p) / d
         t0 = wp.max(t0, wp.min(u, v))
@@ -52,8 +52,10 @@ def _triangle_in_prism(a: wp.vec3, b: wp.vec3, c: wp.vec3, half_x: float, z_low:
             p = c
             q = a
         d = q - p
-        t0, t1 = _clip(p[0], d[0], -half_x, half_x, 0.0, 1.0)
-        t0, t1 = _clip(p[2], d[2], z_low, z_high, t0, t1)
+        t0, t1 = _clip(p[0], q[0], -half_x, half_x, 0.0, 1.0)
+        if t0 > t1:
+            continue
+        t0, t1 = _clip(p[2], q[2], z_low, z_high, t0, t1)
         if t0 <= t1:
             y0 = p[1] + t0 * d[1]
             y1 = wp.where(t1 >= 1.0, q[1], p[1] + t1 * d[1])
@@ -74,61 +76,63 @@ def _triangle_in_prism(a: wp.vec3, b: wp.vec3, c: wp.vec3, half_x: float, z_low:
     return low, high
 
 
-@wp.struct
-class Runs:
-    """Up to 24 disjoint intervals of y, in no order."""
-
-    n: int
-    low: vec24
-    high: vec24
-
-
 @wp.func
-def _covered(runs: Runs, low: float, high: float) -> int:
-    """1 when [low, high] lies in one of the runs."""
-    out = int(0)
-    for i in range(runs.n):
-        if low >= runs.low[i] - COVERED_M and high <= runs.high[i] + COVERED_M:
-            out = 1
+def _covered(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a: float, b: float) -> bool:
+    """Whether [a, b] lies in one of the n runs [low, high]."""
+    out = bool(False)
+    for i in range(n):
+        if a >= low[i] - COVERED_M and b <= high[i] + COVERED_M:
+            out = True
     return out
 
 
 @wp.func
-def _add(runs: Runs, low: float, high: float) -> Runs:
-    """The runs with [low, high], joined to those it meets."""
+def _add(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a: float, b: float) -> int:
+    """Joins [a, b] to the runs it meets, in place; the new number of runs."""
     i = int(0)
-    while i < runs.n:
-        if low <= runs.high[i] + JOIN_M and high >= runs.low[i] - JOIN_M:
-            low = wp.min(low, runs.low[i])
-            high = wp.max(high, runs.high[i])
-            runs.n -= 1
-            runs.low[i] = runs.low[runs.n]
-            runs.high[i] = runs.high[runs.n]
+    while i < n:
+        if a <= high[i] + JOIN_M and b >= low[i] - JOIN_M:
+            a = wp.min(a, low[i])
+            b = wp.max(b, high[i])
+            n -= 1
+            low[i] = low[n]
+            high[i] = high[n]
             i = 0  # the grown run may meet one that was passed
         else:
             i += 1
-    if runs.n < MAX_RUNS:
-        runs.low[runs.n] = low
-        runs.high[runs.n] = high
-        runs.n += 1
+    if n < MAX_RUNS:
+        low[n] = a
+        high[n] = b
+        n += 1
     else:  # no room: the nearest run takes it in
         gap = float(FAR)
         k = int(0)
-        for j in range(runs.n):
-            d = wp.max(runs.low[j] - high, low - runs.high[j])
+        for j in range(n):
+            d = wp.max(low[j] - b, a - high[j])
             if d < gap:
                 gap = d
                 k = j
-        runs.low[k] = wp.min(runs.low[k], low)
-        runs.high[k] = wp.max(runs.high[k], high)
-    return runs
+        low[k] = wp.min(low[k], a)
+        high[k] = wp.max(high[k], b)
+    return n
 
 
 @wp.func
-def solid_along_line(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: float, z: float) -> Runs:
-    """The y at which the line (x, ., z) of the ee frame lies inside closed surface s. R, t: object to ee frame."""
+def solid_along_line(
+    surfaces: Surfaces,
+    s: int,
+    R: wp.mat33,
+    t: wp.vec3,
+    x: float,
+    z: float,
+    low: wp.array(dtype=float),
+    high: wp.array(dtype=float),
+) -> int:
+    """The y at which the line (x, ., z) of the ee frame lies inside closed surface s, as runs. R, t: object to ee frame."""
     rx = wp.vec3(R[0, 0], R[0, 1], R[0, 2])
     rz = wp.vec3(R[2, 0], R[2, 1], R[2, 2])
+    ax = wp.vec3(wp.abs(rx[0]), wp.abs(rx[1]), wp.abs(rx[2]))
+    az = wp.vec3(wp.abs(rz[0]), wp.abs(rz[1]), wp.abs(rz[2]))
     n = int(0)
     ys = vec24()
     windings = vec24i()
@@ -139,12 +143,15 @@ def solid_along_line(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: flo
             and wp.abs(wp.dot(rz, center(ball)) + t[2] - z) <= ball[3]
         ):
             for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
-                ball = surfaces.leaf_sphere[leaf]
+                at = center(surfaces.leaf_sphere[leaf])
+                half = surfaces.leaf_half[leaf]
                 if (
-                    wp.abs(wp.dot(rx, center(ball)) + t[0] - x) <= ball[3]
-                    and wp.abs(wp.dot(rz, center(ball)) + t[2] - z) <= ball[3]
+                    wp.abs(wp.dot(rx, at) + t[0] - x) <= wp.dot(ax, half) + JOIN_M
+                    and wp.abs(wp.dot(rz, at) + t[2] - z) <= wp.dot(az, half) + JOIN_M
                 ):
                     for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
+                        if not may_hit(surfaces, tri, rz, z - t[2]):
+                            continue
                         winding, y = line_hit(
                             R * surfaces.points[3 * tri] + t,
                             R * surfaces.points[3 * tri + 1] + t,
@@ -156,9 +163,9 @@ def solid_along_line(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: flo
                             ys[n] = y
                             windings[n] = winding
                             n += 1
-    out = Runs()
+    runs = int(0)
     winding = int(0)
-    low = float(0.0)
+    start = float(0.0)
     for i in range(n):
         k = int(i)
         for j in range(i + 1, n):
@@ -166,13 +173,13 @@ def solid_along_line(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: flo
                 k = j
         y = ys[k]
         if winding == 0:
-            low = y
+            start = y
         winding += windings[k]
         ys[k] = ys[i]
         windings[k] = windings[i]
         if winding == 0 or i == n - 1:
-            out = _add(out, low, y)
-    return out
+            runs = _add(low, high, runs, start, y)
+    return runs
 
 
 @wp.func
@@ -191,7 +198,9 @@ def material_between(
     ax = wp.vec3(wp.abs(rx[0]), wp.abs(rx[1]), wp.abs(rx[2]))
     ay = wp.vec3(wp.abs(ry[0]), wp.abs(ry[1]), wp.abs(ry[2]))
     az = wp.vec3(wp.abs(rz[0]), wp.abs(rz[1]), wp.abs(rz[2]))
-    runs = solid_along_line(surfaces, s, R, t, 0.0, z_mid)
+    run_low = wp.zeros(shape=24, dtype=float)
+    run_high = wp.zeros(shape=24, dtype=float)
+    runs = solid_along_line(surfaces, s, R, t, 0.0, z_mid, run_low, run_high)
     for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
         ball = surfaces.node_sphere[node]
         at = center(ball)
@@ -200,7 +209,7 @@ def material_between(
             and wp.abs(wp.dot(rz, at) + t[2] - z_mid) <= half_z + ball[3]
         ):
             y = wp.dot(ry, at) + t[1]
-            if _covered(runs, y - ball[3], y + ball[3]) == 0:
+            if not _covered(run_low, run_high, runs, y - ball[3], y + ball[3]):
                 for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
                     at = center(surfaces.leaf_sphere[leaf])
                     half = surfaces.leaf_half[leaf]
@@ -208,29 +217,36 @@ def material_between(
                         wp.dot(rz, at) + t[2] - z_mid
                     ) <= half_z + wp.dot(az, half):
                         y = wp.dot(ry, at) + t[1]
-                        if _covered(runs, y - wp.dot(ay, half), y + wp.dot(ay, half)) == 0:
+                        if not _covered(run_low, run_high, runs, y - wp.dot(ay, half), y + wp.dot(ay, half)):
                             for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
-                                a = R * surfaces.points[3 * tri] + t
-                                b = R * surfaces.points[3 * tri + 1] + t
-                                c = R * surfaces.points[3 * tri + 2] + t
+                                p = surfaces.points[3 * tri]
+                                q = surfaces.points[3 * tri + 1]
+                                r = surfaces.points[3 * tri + 2]
+                                y0 = wp.dot(ry, p) + t[1]
+                                y1 = wp.dot(ry, q) + t[1]
+                                y2 = wp.dot(ry, r) + t[1]
+                                low = wp.min(y0, wp.min(y1, y2))
+                                high = wp.max(y0, wp.max(y1, y2))
+                                if _covered(run_low, run_high, runs, low, high):
+                                    continue
+                                a = wp.vec3(wp.dot(rx, p) + t[0], y0, wp.dot(rz, p) + t[2])
+                                b = wp.vec3(wp.dot(rx, q) + t[0], y1, wp.dot(rz, q) + t[2])
+                                c = wp.vec3(wp.dot(rx, r) + t[0], y2, wp.dot(rz, r) + t[2])
                                 x_min = wp.min(a[0], wp.min(b[0], c[0]))
                                 x_max = wp.max(a[0], wp.max(b[0], c[0]))
                                 z_min = wp.min(a[2], wp.min(b[2], c[2]))
                                 z_max = wp.max(a[2], wp.max(b[2], c[2]))
                                 if x_min <= half_x and x_max >= -half_x and z_min <= z_high and z_max >= z_low:
-                                    low = wp.min(a[1], wp.min(b[1], c[1]))
-                                    high = wp.max(a[1], wp.max(b[1], c[1]))
-                                    if _covered(runs, low, high) == 0:
-                                        if x_min < -half_x or x_max > half_x or z_min < z_low or z_max > z_high:
-                                            low, high = _triangle_in_prism(a, b, c, half_x, z_low, z_high)
-                                        if low <= high:
-                                            runs = _add(runs, low, high)
+                                    if x_min < -half_x or x_max > half_x or z_min < z_low or z_max > z_high:
+                                        low, high = _triangle_in_prism(a, b, c, half_x, z_low, z_high)
+                                    if low <= high:
+                                        runs = _add(run_low, run_high, runs, low, high)
     out_low = float(FAR)
     out_high = float(-FAR)
-    for i in range(runs.n):
-        if runs.high[i] > -half_gap and runs.low[i] < half_gap:
-            out_low = wp.min(out_low, runs.low[i])
-            out_high = wp.max(out_high, runs.high[i])
+    for i in range(runs):
+        if run_high[i] > -half_gap and run_low[i] < half_gap:
+            out_low = wp.min(out_low, run_low[i])
+            out_high = wp.max(out_high, run_high[i])
     return out_low, out_high
 
 

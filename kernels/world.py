@@ -7,7 +7,7 @@ Links are numbered 0 base ... 6 wrist_3, 7 gripper, 8 object; 7 and 8 ride on wr
 
 import warp as wp
 
-from r2h_batch.kernels.gjk import CELLS, HULL, Body
+from r2h_batch.kernels.body import CELLS, HULL, Body
 
 wp.set_module_options({"enable_backward": False})
 

@@ -57,12 +57,32 @@ def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
     return capsule_of_balls(points, np.zeros(len(points)))
 
 
+def inner_ball(points: Array) -> Array:
+    """Centre and radius (4,) of the largest ball inside the points' hull (of equals the most central), a little less."""
+    from scipy.optimize import linprog
+    from scipy.spatial import ConvexHull
+
+    faces = ConvexHull(points).equations  # unit normals: n . x + d + r <= 0
+    n, d = faces[:, :3], faces[:, 3]
+    one = np.ones((len(n), 1))
+    free = [(None, None)] * 3
+    largest = linprog([0, 0, 0, -1], A_ub=np.hstack([n, one]), b_ub=-d, bounds=[*free, (0, None)])
+    if not largest.success:
+        raise ValueError(f"no ball fits into a hull of {len(points)} points: {largest.message}")
+    radius = 0.999 * largest.x[3]
+    middle, eye = (points.min(0) + points.max(0)) / 2, np.eye(3)
+    A = np.vstack([np.hstack([n, 0 * n]), np.hstack([eye, -eye]), np.hstack([-eye, -eye])])
+    central = linprog([0, 0, 0, 1, 1, 1], A_ub=A, b_ub=np.r_[-d - radius, middle, -middle], bounds=[*free, *free])
+    center = central.x[:3] if central.success else largest.x[:3]
+    return np.append(center, max(radius - 1e-6, 1e-6))
+
+
 CELLS_PER_EDGE = 6
-"""As in kernels/gjk.py."""
+"""As in kernels/body.py."""
 
 
 def support_cells(points: Array) -> Array:
-    """Rows (216 + n, 3) of a hull for kernels/gjk.py: first row and number of points of each direction cell, then points.
+    """Rows (216 + n, 3) of a hull for kernels/body.py: first row and number of points of each direction cell, then points.
 
     A cell keeps every point that can be farthest along some direction of it: those that no other point beats in all four
     corner directions (a linear function that is smaller at the corners is smaller in between).

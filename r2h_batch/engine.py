@@ -12,8 +12,8 @@ from r2h_batch.jobs import Bench, Job
 from r2h_batch.manifest import SHARD_TRIALS, Shard
 from r2h_batch.options import Options
 from r2h_batch.progress import Log, progress
-from r2h_batch.rows import detail_rows, missing_rows, path_rows, pose_rows, score_rows
-from r2h_batch.types import Trials
+from r2h_batch.rows import detail_rows, failure_rows, missing_rows, path_rows, pose_rows, score_rows
+from r2h_batch.types import Outcome, Trials
 from r2h_batch.writing import RunFolder, ShardWriter
 
 CPU_CHUNK = 256
@@ -107,8 +107,11 @@ def _score_chunk(job: Job, trials: Trials, rows: torch.Tensor | None, bench: Ben
     if answered.any():
         part = trials[answered].to(bench.evaluator.scene.device)
         answers = job.predict(part, None if rows is None else rows[answered]).to(bench.evaluator.scene.device)
-        scores = bench.evaluator.score(answers.T_obj_ee, answers.T_world_ee, part)
+        keep = "paths" in bench.header["stored"]
+        scores = bench.evaluator.score(answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep)
         scored = score_rows(part, scores, names, answers.t_method_s)
+        if (scores.outcome == int(Outcome.INVALID_SIM)).any():
+            tables["failures"] = failure_rows(part, answers, scores, names)
         tables["trials"] = pa.concat_tables([scored, *([tables["trials"]] if "trials" in tables else [])])
         for kind in bench.header["stored"]:
             if kind == "details":

@@ -30,10 +30,11 @@ class Executed:
     """The motion that happened, as joint lines between samples `sample_s` apart (kinematic: the planned path itself).
 
     `t_exec_s`: when the arm came to rest at its goal, NaN where it did not or there is no path. `valid`: False where the
-    simulator failed (nothing else of such a row means anything). `slack_m`: how far any point of the robot may have been
-    off the lines between two samples, fingers that gave way included. `deviation_m`: a bound on how far any point of robot
-    or object ever was from where the planned path has it at that time; below the path's clearance it certifies that the
-    motion touched nothing of what planning checks. `failed_state`: qpos and qvel as the simulator had them before it failed.
+    simulator failed: such a row has no length, but `path` still holds its `recorded` samples. `slack_m`: how far any point
+    of the robot may have been off the lines between two samples, fingers that gave way included. `deviation_m`: a bound on
+    how far any point of robot or object ever was from where the planned path has it at that time; below the path's clearance
+    it certifies that the motion touched nothing of what planning checks. `failed_state`: qpos and qvel as the simulator had
+    them before it failed.
     """
 
     path: Float32[Tensor, "b w 6"]
@@ -43,6 +44,7 @@ class Executed:
     valid: Bool[Tensor, " b"]
     slack_m: Float32[Tensor, " b"]
     deviation_m: Float32[Tensor, " b"]
+    recorded: Int32[Tensor, " b"]
     sample_s: float | None
     failed_state: Float64[Tensor, "b s"] | None = None
 
@@ -66,7 +68,7 @@ def execute(
     if engine == "none":
         true = torch.ones_like(length, dtype=torch.bool)
         zero = torch.zeros_like(motion.t_exec_s)
-        return Executed(path, length, motion.t_exec_s, length > 0, true, zero, zero, None)
+        return Executed(path, length, motion.t_exec_s, length > 0, true, zero, zero, torch.zeros_like(length), None)
     run = _Runner(scene, placed, path, length, motion, config, engine, threads)
     limit = config.settle_limit_s + config.dwell_s
     found = torch.nonzero(length > 0).flatten().cpu().numpy()
@@ -83,7 +85,7 @@ def _merged(first: Executed, again: Executed, rows: Tensor) -> Executed:
     """`first` with the rows that ran again."""
     width = max(first.path.shape[1], again.path.shape[1])
     parts = {}
-    for name in ("path", "length", "t_exec_s", "settled", "valid", "slack_m", "deviation_m", "failed_state"):
+    for name in ("path", "length", "t_exec_s", "settled", "valid", "slack_m", "deviation_m", "recorded", "failed_state"):
         a, b = getattr(first, name), getattr(again, name)
         if name == "path":
             a, b = (torch.nn.functional.pad(x, (0, 0, 0, width - x.shape[1])) for x in (a, b))
@@ -152,7 +154,7 @@ class _Runner:
         valid[rows] = torch.from_numpy(answer.valid & np.isfinite(answer.q).all((1, 2))).to(device)
         length = torch.zeros(b, dtype=torch.int32, device=device)
         length[rows] = torch.from_numpy(job.samples + 1).to(device, torch.int32)
-        length = torch.where(valid, length, 0)
+        recorded, length = length, torch.where(valid, length, 0)
         goal = self.path[torch.arange(b, device=device), (self.length - 1).clamp(min=0).long()][:, None].contiguous()
         first = torch.zeros(b, dtype=torch.int32, device=device)
         arrays = [wp.from_torch(t) for t in (goal, path, length, first)]
@@ -172,7 +174,7 @@ class _Runner:
         held = (acceleration[:, 0] * self.placed.object_lever.to(device)).sum(-1) * sample_s**2 / 8
         deviation = self._deviation(path, length, sample_s) + torch.maximum(slack, held)
         deviation = torch.where(length > 0, deviation, 0.0)
-        return Executed(path, length, t_exec, settled, valid, slack.float(), deviation.float(), sample_s, state)
+        return Executed(path, length, t_exec, settled, valid, slack.float(), deviation.float(), recorded, sample_s, state)
 
     def _deviation(self, motion: Tensor, length: Tensor, sample_s: float) -> Tensor:
         """Of the lines between samples from the planned path: at the samples, and what the path curves between two in time."""
@@ -232,9 +234,7 @@ def time_at(
     ramp = torch.minimum(torch.full_like(whole, v * v / (2 * a)), whole / 2)
     t = torch.where(near <= ramp, (2 * near / a).sqrt(), (2 * ramp / a).sqrt() + (near - ramp) / v)
     t = torch.where(s <= whole / 2, t, total - t)
-    passed = torch.minimum(
-        (motion.time_s[rows, at] + t).float(), motion.time_s[rows, at + 1]
-    )  # never after its own end
+    passed = torch.minimum((motion.time_s[rows, at] + t).float(), motion.time_s[rows, at + 1])  # never after its own end
     return torch.where(length > 0, passed, torch.nan)
 
 

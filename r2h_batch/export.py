@@ -2,6 +2,7 @@
 
 scene.xml, meshes/   robot, gripper at its opening, object, hand, table; key frames `home` and `goal`
 trajectory.csv       time_s and the six joints (rad): the planned motion (the servos' reference) at 100 Hz and all waypoints
+executed.csv         the same of the motion that the simulator made of it, every sample; only where one was run
 trial.json           poses, verdict, margins, witness, reasons, digests
 """
 
@@ -40,6 +41,7 @@ class StoredTrial:
     T_world_hand: Array
     q: Array  # (W, 6) waypoints; home alone where no path was found
     time_s: Array  # (W,)
+    executed_q: Array | None  # (S, 6) every `motion.sample_s` of run.json; None: not simulated
     object_model: Any
 
 
@@ -69,8 +71,9 @@ def load_trial(
     attached[:3, 3] += T_obj_ee[:3, 1] * np.float32(row["grasp_shift_m"])
     q = np.array(path[0]["q"], np.float64) if path else np.array([HOME_Q])
     time_s = np.array(path[0]["time_s"], np.float64) if path else np.zeros(1)
+    executed_q = np.array(path[0]["executed_q"], np.float64) if path and path[0]["executed_q"] else None
     model = next(o for o in objects if o.name == row["object"])
-    return StoredTrial(header, method, row, T_obj_ee, attached, T_world_ee, T_world_hand, q, time_s, model)
+    return StoredTrial(header, method, row, T_obj_ee, attached, T_world_ee, T_world_hand, q, time_s, executed_q, model)
 
 
 def _method(stored: Any, method: str | None) -> str:
@@ -150,7 +153,7 @@ def _orthonormal(T: NDArray[Any]) -> Array:
 
 
 def export_trial(stored: StoredTrial, out: str | Path) -> Path:
-    """Writes scene.xml, trajectory.csv and trial.json; returns the folder. Files of those names are replaced."""
+    """Writes scene.xml, trajectory.csv, executed.csv and trial.json; returns the folder. Such files are replaced."""
     from r2h_batch.config import HOME_Q
     from r2h_batch.hand import load_hand, load_hand_set
     from r2h_batch.mjcf import TrialBodies, write_scene
@@ -167,14 +170,20 @@ def export_trial(stored: StoredTrial, out: str | Path) -> Path:
     robot = load_robot()
     keyframes = [("home", np.array(HOME_Q)), *([("goal", stored.q[-1])] if len(stored.q) > 1 else [])]
     write_scene(folder, robot, Hands.posed(load_hand(), load_hand_set()), bodies, keyframes)
-    time_s, q = trajectory(stored)
-    lines = [
-        ",".join(("time_s", *robot.joints)),
-        *(",".join(f"{x:.9g}" for x in (t, *row)) for t, row in zip(time_s, q, strict=True)),
-    ]
-    (folder / "trajectory.csv").write_text("\n".join(lines) + "\n")
+    _write_csv(folder / "trajectory.csv", robot.joints, *trajectory(stored))
+    executed = folder / "executed.csv"
+    if stored.executed_q is None:
+        executed.unlink(missing_ok=True)  # of an earlier export
+    else:
+        sample_s = stored.header["motion"]["sample_s"]
+        _write_csv(executed, robot.joints, sample_s * np.arange(len(stored.executed_q)), stored.executed_q)
     (folder / "trial.json").write_text(json.dumps(describe(stored), indent=1, allow_nan=False) + "\n")
     return folder
+
+
+def _write_csv(path: Path, joints: Sequence[str], time_s: Array, q: Array) -> None:
+    rows = (",".join(f"{x:.9g}" for x in (t, *row)) for t, row in zip(time_s, q, strict=True))
+    path.write_text("\n".join([",".join(("time_s", *joints)), *rows]) + "\n")
 
 
 def trajectory(stored: StoredTrial, rate_hz: float = RATE_HZ) -> tuple[Array, Array]:
@@ -272,7 +281,8 @@ def render_strip(
     folder = Path(folder)
     model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
     data = mujoco.MjData(model)
-    table = np.loadtxt(folder / "trajectory.csv", delimiter=",", skiprows=1, ndmin=2)
+    motion = folder / "executed.csv" if (folder / "executed.csv").is_file() else folder / "trajectory.csv"
+    table = np.loadtxt(motion, delimiter=",", skiprows=1, ndmin=2)
     data.qpos[:] = table[-1, 1:]
     mujoco.mj_forward(model, data)
     camera = _camera(data.body("hand").xipos - data.body("gripper").xipos, data.body("gripper").xipos)

@@ -118,11 +118,11 @@ def solve_ik(
     if n == 0:
         return result
     inputs = [
-        ur_parameters(robot, home),
+        default_ur() if robot is load_robot() and tuple(home) == HOME_Q else ur_parameters(robot, home),
         iterations,
         wp.float64(POSITION_TOLERANCE_M),
         wp.float64(ROTATION_TOLERANCE_RAD),
-        wp.array(_cos_sin(start), dtype=wp.float64, device=place),
+        _seed_states(place) if seeds is None else wp.array(_cos_sin(start), dtype=wp.float64, device=place),
         wp.from_torch(T_world_ee.detach().contiguous()),
         wp.from_torch(active.contiguous()),
         wp.from_torch(result.q),
@@ -150,17 +150,12 @@ def one_branch(
     """
     from r2h_batch.kernels.ik_jacobian import first_branch
 
-    n, device, robot = len(T_world_ee), T_world_ee.device, load_robot()
+    n, device = len(T_world_ee), T_world_ee.device
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
-    T = np.stack([*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee])
     slot, start = (torch.full((n,), -1, dtype=torch.int32, device=device) for _ in range(2))
     inputs = [
         JACOBIAN_STEPS,
-        wp.array(T[:, :3, :3], dtype=wp.mat33d, device=place),
-        wp.array(T[:, :3, 3], dtype=wp.vec3d, device=place),
-        wp.array(robot.lower, dtype=wp.float64, device=place),
-        wp.array(robot.upper, dtype=wp.float64, device=place),
-        wp.array(np.concatenate([np.array(home)[None], ik_seeds()]), dtype=wp.float64, device=place),
+        *_jacobian_tables(tuple(home), place),
         wp.from_torch(T_world_ee.detach().contiguous(), dtype=wp.mat44),
         wp.from_torch(ik.q),
         wp.from_torch(ik.valid),
@@ -170,6 +165,31 @@ def one_branch(
     launch_trials(first_branch, n, inputs, device=place, threads=threads, chunk=64)
     slot = torch.where(slot >= 0, slot.long(), ik.valid.to(torch.int8).argmax(1))
     return ik.valid & (torch.arange(BRANCHES, device=device) == slot[:, None])
+
+
+@cache
+def _jacobian_tables(home: tuple[float, ...], device: str) -> list[wp.array]:
+    """Joint frames (the last: the ee in wrist_3), limits and starts for `first_branch`, on a device."""
+    robot = load_robot()
+    T = np.stack([*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee])
+    starts = np.concatenate([np.array(home)[None], ik_seeds()])
+    return [
+        wp.array(T[:, :3, :3], dtype=wp.mat33d, device=device),
+        wp.array(T[:, :3, 3], dtype=wp.vec3d, device=device),
+        *(wp.array(x, dtype=wp.float64, device=device) for x in (robot.lower, robot.upper, starts)),
+    ]
+
+
+@cache
+def _seed_states(device: str) -> wp.array:
+    """The committed seeds on a device, for the kernel."""
+    return wp.array(_cos_sin(ik_seeds()), dtype=wp.float64, device=device)
+
+
+@cache
+def default_ur() -> UrParameters:
+    """The parameters of the committed robot, home at its home."""
+    return ur_parameters(load_robot())
 
 
 @cache

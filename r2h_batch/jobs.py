@@ -1,5 +1,6 @@
 """What a process needs to score a part of a sweep: the bench (evaluator, plan, header) and the jobs (who answers)."""
 
+import json
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -102,6 +103,7 @@ def prepare(options: Options) -> Bench:
         },
         "objects": [{"name": o.name, "split": o.split, "built_in": i < len(built_in)} for i, o in enumerate(objects)],
         "seed": options.seed,
+        "predictors": _predictors(options),
         "stored": options.stored,
         "device": {"kind": options.device.partition(":")[0], "name": provenance.device_name(options.device)},
         "versions": provenance.versions(),
@@ -131,6 +133,19 @@ def _configuration(options: Options) -> "EvalConfig":
     return replace(config, plan=plan, execute=execute, width=options.width, stability=options.stability)
 
 
+def _predictors(options: Options) -> dict[str, Any]:
+    """What the methods see: the error model, and which contact network."""
+    from r2h_batch.predictors import PredictorNoise
+
+    file = Path(options.predictor)
+    own = {"file": options.predictor} | ({"sha256": provenance.file_digest([file])} if file.is_file() else {})
+    return {
+        "noise_factor": options.predictor_noise,
+        "noise": asdict(PredictorNoise().scaled(options.predictor_noise)),
+        "contact": own if options.predictor else {"built_in": "VoxNet"},
+    }
+
+
 Files = list[tuple[str, str, Predictions]]
 
 
@@ -142,7 +157,7 @@ def load_files(options: Options) -> Files:
 
 def make_jobs(options: Options, files: Files, bench: Bench) -> list[Job]:
     """Every method and file as a job, aligned with the plan; names must differ."""
-    jobs = [_method_job(name, bench.evaluator, options.seed) for name in options.method]
+    jobs = [_method_job(name, bench.evaluator, options) for name in options.method]
     for path, digest, predictions in files:
         planned = bench.ids(0, bench.planned)
         rows = align(predictions, planned, source=path, allow_missing=options.allow_missing)
@@ -158,23 +173,44 @@ def _stored(predictions: Predictions, _: Trials, rows: torch.Tensor | None) -> P
     return predictions if rows is None else predictions[rows]
 
 
-def _method_job(name: str, evaluator: "Evaluator", seed: int) -> Job:
+def _method_job(name: str, evaluator: "Evaluator", options: Options) -> Job:
     import inspect
 
-    module_name, function_name = (f"r2h_batch.methods.{name}", "predict") if name in METHODS else name.rsplit(":", 1)
+    built_in = name in METHODS
+    module_name, function_name = (
+        (f"r2h_batch.methods.{name.replace('-', '_')}", "predict") if built_in else name.rsplit(":", 1)
+    )
     try:
         module = import_module(module_name)
         function = getattr(module, function_name)
     except (ImportError, AttributeError) as error:
         raise UsageError(f"--method {name}: {error}; it must be package.module:function") from error
-    extra = {"evaluator": evaluator} if "evaluator" in inspect.signature(function).parameters else {}
-    digest = provenance.file_digest([Path(module.__file__)]) if module.__file__ else ""
+    takes = inspect.signature(function).parameters
+    extra: dict[str, Any] = {"evaluator": evaluator} if "evaluator" in takes else {}
+    source = {"kind": "method", "function": f"{module_name}:{function_name}"}
+    source["sha256"] = provenance.file_digest([Path(module.__file__)]) if module.__file__ else ""
+    title = name
+    if "noise" in takes:
+        from r2h_batch.predictors import PredictorNoise, load_predictor
+
+        extra["noise"] = PredictorNoise().scaled(options.predictor_noise)
+        own = options.predictor if built_in and "predictor" in takes else ""
+        if own:
+            extra["predictor"] = load_predictor(own)
+        if built_in:
+            title = table_name(module.TITLE, Path(own).name or module.STAND_IN, options.predictor_noise)
+        source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
     def predict(trials: Trials, _: object) -> Predictions:
-        return _as_predictions(name, trials, lambda: function(trials, evaluator.scene, seed=seed, **extra))
+        return _as_predictions(title, trials, lambda: function(trials, evaluator.scene, seed=options.seed, **extra))
 
-    source = {"kind": "method", "function": f"{module_name}:{function_name}", "sha256": digest}
-    return Job(name, source, predict, warm=name in METHODS)
+    return Job(title, source, predict, warm=built_in)
+
+
+def table_name(title: str, stand_in: str, noise: float) -> str:
+    """A method's name in tables: what stood in for the original network, and the error model it was given."""
+    added = "" if noise == 0 else " + noise" if noise == 1 else f" + {noise:g} x noise"
+    return f"{title} ({stand_in}{added})"
 
 
 def _as_predictions(name: str, trials: Trials, call: Callable[[], Any]) -> Predictions:

@@ -70,9 +70,10 @@ def launch_trials(
     if device != "cpu":
         import torch
 
-        # torch's stream: what torch wrote before is there, what it reads after has been written, nobody waits on the host
-        with wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(torch.device(device)))):
-            wp.launch(kernel, dim=(n, width) if width > 1 else n, inputs=[0, *inputs], device=device)
+        # torch's stream: what torch wrote before is there, what it reads after has been written, nobody waits on the host.
+        # Given to the launch itself: ScopedStream would make it wait for Warp's own stream, which no graph can capture.
+        stream = wp.stream_from_torch(torch.cuda.current_stream(torch.device(device)))
+        wp.launch(kernel, dim=(n, width) if width > 1 else n, inputs=[0, *inputs], stream=stream)
         return
     workers = min(cpu_threads(threads), -(-n // chunk))
     # Arguments are packed once per worker (here: the first packing compiles the module); a launch then costs microseconds.

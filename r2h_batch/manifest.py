@@ -4,6 +4,7 @@ runs/NAME/run.json                              what is run: protocol, digests, 
 runs/NAME/methods/METHOD.json                   a method or predictions file, and where its answers come from
 runs/NAME/manifest/METHOD/000017.json           receipt of a shard: its range, outcomes, and each file with its sha256
 runs/NAME/trials/METHOD/000017-SHA.parquet      its rows; details/, poses/ and paths/ beside it where they were asked for
+runs/NAME/failures/METHOD/000017-SHA.parquet    the trials of it whose simulation failed, if there are any
 runs/NAME/quarantine/METHOD/000017.json         a shard that failed three times, and how
 
 A shard is stored when its receipt is there. Nothing else is ever changed, so any number of processes may share a folder.
@@ -16,13 +17,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.rows import DETAIL_SCHEMA, PATH_SCHEMA, POSE_SCHEMA, TRIAL_SCHEMA
+from r2h_batch.rows import DETAIL_SCHEMA, FAILURE_SCHEMA, PATH_SCHEMA, POSE_SCHEMA, TRIAL_SCHEMA
 from r2h_batch.storage import sha256_of
 
-FORMAT = 2
+FORMAT = 3
 """Version of the run folder: of the JSON files' fields and of the schemas."""
 
-SCHEMAS = {"trials": TRIAL_SCHEMA, "details": DETAIL_SCHEMA, "poses": POSE_SCHEMA, "paths": PATH_SCHEMA}
+SCHEMAS = {
+    "trials": TRIAL_SCHEMA,
+    "details": DETAIL_SCHEMA,
+    "poses": POSE_SCHEMA,
+    "paths": PATH_SCHEMA,
+    "failures": FAILURE_SCHEMA,
+}
 
 SHARD_TRIALS = 100_000
 """Largest shard unless the user says otherwise."""
@@ -38,6 +45,8 @@ class RunError(ValueError):
 def run_hash(header: Mapping[str, Any]) -> str:
     """sha256 (hex) over what decides the rows: the identity of a run and its shard size."""
     data: dict[str, Any] = {k: header.get(k) for k in IDENTITY}
+    if "predictors" in header:  # folders from before there were any keep their hash
+        data["predictors"] = header["predictors"]
     data["device"] = (header.get("device") or {}).get("kind")
     data["shard_trials"] = header["shard_trials"]
     return hashlib.sha256(json.dumps(data, sort_keys=True, allow_nan=False).encode()).hexdigest()
@@ -49,7 +58,7 @@ def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     def value(header: Mapping[str, Any], key: str) -> Any:
         return (header.get(key) or {}).get("kind") if key == "device" else header.get(key)
 
-    return [k for k in IDENTITY if value(old, k) != value(new, k)]
+    return [k for k in (*IDENTITY, "predictors") if value(old, k) != value(new, k)]
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -51,10 +51,11 @@ def stability_in_physics(
     active: Bool[Tensor, " b"],
     *,
     threads: int | None = None,
-) -> Criterion:
+) -> tuple[Criterion, Float32[Tensor, " b"]]:
     """Stability(g) as above, and the friction grasp holds the object through its weight and a shake along three axes.
 
-    Margin: the smaller of w_max - w and 2 cm - slip. `T_obj_ee` after closing. The shake is simulated on the CPU.
+    Margin: the smaller of w_max - w and 2 cm - slip. Second: the slip, m; NaN where nothing was shaken.
+    `T_obj_ee` after closing. The shake is simulated on the CPU.
     """
     geometric = stability(grasp, active)
     rows = torch.nonzero(geometric.passed).flatten()
@@ -64,7 +65,9 @@ def stability_in_physics(
     left = torch.from_numpy(np.nan_to_num(DROPPED_M - closed.slip_m, nan=-np.inf))
     margin = geometric.margin.clone()
     margin[rows] = torch.minimum(margin[rows], left.to(margin))
-    return Criterion.of(margin, active, touching_passes=True)
+    slip = torch.full_like(margin, torch.nan)
+    slip[rows] = torch.from_numpy(closed.slip_m).to(slip)
+    return Criterion.of(margin, active, touching_passes=True), slip
 
 
 def plan(planned: Plan, executed: Executed, active: Bool[Tensor, " b"]) -> Criterion:
@@ -114,14 +117,18 @@ def affordance(
     The fingers are taken `pad_squeeze_m` tighter than the material between them, so that fingers which hold the region
     itself meet it clearly and not within rounding.
     """
-    opening = torch.where(
-        grasp.width_m <= thresholds.w_max_m, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m
-    )
+    opening = squeezed(grasp, thresholds)
     attached = attach(T_obj_ee, grasp.shift_m)
     distance, _ = region_distance(
-        scene.grasp_tables, attached, object_index, opening.clamp(min=0.0), cap_m=CLEARANCE_CAP_M, threads=threads
+        scene.grasp_tables, attached, object_index, opening, cap_m=CLEARANCE_CAP_M, threads=threads
     )
     return Criterion.of(distance, active & ~torch.isnan(distance), touching_passes=False)
+
+
+def squeezed(grasp: Grasp, thresholds: Thresholds) -> Float32[Tensor, " b"]:
+    """The opening (m) of fingers that hold: `pad_squeeze_m` tighter than the material between them."""
+    held = grasp.width_m <= thresholds.w_max_m
+    return torch.where(held, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m).clamp(min=0.0)
 
 
 @dataclass(frozen=True)

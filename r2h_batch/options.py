@@ -5,13 +5,14 @@ import difflib
 import io
 import itertools
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
-METHODS = ("random", "oracle")
-"""Built-in methods: modules of `r2h_batch.methods` with a `predict(trials, scene, *, seed, evaluator)`."""
+METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
+"""Built-in methods: modules of `r2h_batch.methods` (- as _) with a `predict(trials, scene, *, seed, evaluator)`."""
 
 KINDS = ("details", "poses", "paths")
 """What is stored beside the trials when asked for."""
@@ -28,7 +29,8 @@ class Options:
     """Score handover methods on the benchmark's trials and print Table I."""
 
     method: tuple[str, ...] = ()
-    """Methods to score: random, oracle, or your own package.module:function (trials, scene, *, seed) -> Predictions."""
+    """Methods to score: fc, handover-va, contact, intent, random, oracle, or your own package.module:function
+    (trials, scene, *, seed) -> Predictions."""
     predictions: tuple[str, ...] = ()
     """Predictions files (.npz or .safetensors) to score."""
     splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1")
@@ -43,6 +45,11 @@ class Options:
     """If --out holds another run, write to OUT-2, OUT-3, ... instead."""
     seed: int = 0
     """Seed of the methods; the trials do not depend on it."""
+    predictor: str = ""
+    """Your own contact network for --method contact: a TorchScript file, VoxNet weights as .safetensors, or
+    package.module:function; the built-in VoxNet unless given."""
+    predictor_noise: float = 1.0
+    """Factor on the error model of what the methods see (hands, part labels); 0: they see the truth."""
     object_mesh: tuple[str, ...] = ()
     """Your own objects, FILE[:S0|S1]: they take turns with the built-in objects of that split."""
     preset: Literal["default", "paper"] = "default"
@@ -117,6 +124,12 @@ def check(options: Options) -> Options:
         given = getattr(options, name)
         if twice := [g for g in given if given.count(g) > 1]:
             raise UsageError(f"--{name} {twice[0]} is given twice; once is enough")
+    if not (math.isfinite(options.predictor_noise) and options.predictor_noise >= 0):
+        raise UsageError(
+            f"--predictor-noise is {options.predictor_noise}; it must be 0 (the truth) or more, 1 is the default"
+        )
+    if options.predictor and "contact" not in options.method:
+        raise UsageError("--predictor is the contact network of --method contact; add that method, or leave it out")
     if not options.splits:
         raise UsageError("--splits names no split; allowed are S0, S1")
     if options.device not in ("cpu", "cuda") and not (

@@ -17,6 +17,7 @@ PACKAGES = (
     "numpy",
     "pyarrow",
     "pytorch-kinematics",
+    "scikit-learn",
     "scipy",
     "torch",
     "trimesh",

@@ -75,6 +75,8 @@ def table_of(run: Run, order: Sequence[str] = CRITERIA) -> Table:
     }
     if "motion" in header:
         origin["motion"] = str(header["motion"]["engine"]).replace("none", "as planned")
+    if "predictors" in header:
+        origin["predictor noise"] = f"{header['predictors']['noise_factor']:g}"
     if tuple(order) != CRITERIA:
         origin["order of criteria"] = ", ".join(order)
     return Table(summarise(rows), origin)

@@ -82,6 +82,12 @@ class Run:
         """Waypoints and times of the trials that have a path, `rows.PATH_SCHEMA`."""
         return self._read("paths", method, None)
 
+    def failures(self, method: str) -> pa.Table:
+        """The trials whose simulation failed, with what is needed to run them again, `rows.FAILURE_SCHEMA`."""
+        files = [r["files"].get("failures") for r in self.entry(method)["receipts"].values()]
+        tables = [self._table("failures", self.folder / f["path"], None) for f in files if f]
+        return pa.concat_tables([SCHEMAS["failures"].empty_table(), *tables]).unify_dictionaries()
+
     def shards(self, kind: str, method: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
         """The stored tables of a kind, shard by shard: what does not fit into memory at once."""
         for receipt in self.entry(method)["receipts"].values():

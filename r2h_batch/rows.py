@@ -44,6 +44,7 @@ DETAIL_SCHEMA = pa.schema(
         pa.field("width_m", pa.float32()),
         pa.field("opening_m", pa.float32()),
         pa.field("grasp_shift_m", pa.float32()),
+        pa.field("slip_m", pa.float32()),  # in the shake; null: not shaken
         pa.field("q_goal", pa.list_(pa.float32(), 6)),  # rad, UR order; null: no goal
         pa.field("witness_plan_part", _NAME),  # robot part of Plan's and of Safe's smallest clearance
         pa.field("witness_safe_part", _NAME),
@@ -64,8 +65,28 @@ PATH_SCHEMA = pa.schema(
         pa.field("q_goal", pa.list_(pa.float32(), 6)),
         pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
         pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad, UR order
+        pa.field(
+            "executed_q", pa.list_(pa.list_(pa.float32(), 6))
+        ),  # every run.json motion.sample_s; null: not simulated
     ]
 )
+
+FAILURE_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("object", _NAME, nullable=False),
+        pa.field("hand_index", pa.int32(), nullable=False),
+        pa.field("T_world_hand", _POSE, nullable=False),  # row-major 4x4
+        pa.field("T_obj_ee", _POSE, nullable=False),
+        pa.field("T_world_ee", _POSE, nullable=False),
+        pa.field("opening_m", pa.float32()),
+        pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
+        pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad: the reference
+        pa.field("executed_q", pa.list_(pa.list_(pa.float32(), 6))),  # what the simulator made of it, NaN and all
+        pa.field("failed_state", pa.list_(pa.float64())),  # qpos and qvel of the model before it failed
+    ]
+)
+"""Everything needed to run a trial again whose simulation failed, and how far it came."""
 
 
 @dataclass(frozen=True)
@@ -137,13 +158,16 @@ def score_rows(trials: Trials, scores: Scores, names: TrialNames, t_method_s: An
     return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
 
 
+_DETAIL_FLOATS = ("width_m", "opening_m", "grasp_shift_m", "slip_m", "witness_time_s")
+
+
 def detail_rows(trials: Trials, scores: Scores, names: TrialNames) -> pa.Table:
     """Rows of `DETAIL_SCHEMA` for B scored trials: what one looks at when one looks at a trial."""
     part = _array(scores.witness_part)
     columns = {
         "trial_id": pa.array(_array(trials.trial_id), pa.int64()),
         "hand_index": pa.array(_array(trials.hand_index), pa.int32()),
-        **{k: _floats(getattr(scores, k)) for k in ("width_m", "opening_m", "grasp_shift_m", "witness_time_s")},
+        **{k: _floats(getattr(scores, k)) for k in _DETAIL_FLOATS},
         "q_goal": _vectors(scores.q_goal),
         "witness_plan_part": _named(part[:, 0], names.parts),
         "witness_safe_part": _named(part[:, 1], names.parts),
@@ -162,23 +186,52 @@ def missing_rows(trials: Trials, names: TrialNames) -> pa.Table:
 
 def pose_rows(predictions: Predictions) -> pa.Table:
     """Rows of `POSE_SCHEMA`, bit for bit what was scored."""
-    poses = [_array(p).astype(np.float32).reshape(-1) for p in (predictions.T_obj_ee, predictions.T_world_ee)]
-    arrays = [pa.FixedSizeListArray.from_arrays(pa.array(p, pa.float32()), 16) for p in poses]
+    arrays = [_poses(p) for p in (predictions.T_obj_ee, predictions.T_world_ee)]
     return pa.table([pa.array(_array(predictions.trial_id), pa.int64()), *arrays], schema=POSE_SCHEMA)
 
 
 def path_rows(scores: Scores) -> pa.Table:
     """Rows of `PATH_SCHEMA` for the trials that have a path."""
-    length = _array(scores.path_len).astype(np.int64)
-    rows = np.flatnonzero(length > 0)
-    path, time = _array(scores.path).astype(np.float32), _array(scores.path_time_s).astype(np.float32)
-    kept = np.arange(path.shape[1]) < length[rows, None]
-    offsets = pa.array(np.concatenate([[0], np.cumsum(length[rows])]), pa.int32())
-    waypoints = pa.FixedSizeListArray.from_arrays(pa.array(path[rows][kept].reshape(-1), pa.float32()), 6)
+    rows = np.flatnonzero(_array(scores.path_len) > 0)
+    first = [pa.array(_array(scores.trial_id)[rows], pa.int64()), _vectors(_array(scores.q_goal)[rows])]
+    return pa.table([*first, *_motion_columns(scores, rows)], schema=PATH_SCHEMA)
+
+
+def failure_rows(trials: Trials, predictions: Predictions, scores: Scores, names: TrialNames) -> pa.Table:
+    """Rows of `FAILURE_SCHEMA` for the trials whose simulation failed."""
+    rows = np.flatnonzero(_array(scores.outcome) == Outcome.INVALID_SIM)
     arrays = [
-        pa.array(_array(scores.trial_id)[rows], pa.int64()),
-        _vectors(_array(scores.q_goal)[rows]),
-        pa.ListArray.from_arrays(offsets, pa.array(time[rows][kept], pa.float32())),
-        pa.ListArray.from_arrays(offsets, waypoints),
+        pa.array(_array(trials.trial_id)[rows], pa.int64()),
+        _named(_array(trials.object_index)[rows], names.objects),
+        pa.array(_array(trials.hand_index)[rows], pa.int32()),
+        *(_poses(_array(p)[rows]) for p in (trials.T_world_hand, predictions.T_obj_ee, predictions.T_world_ee)),
+        _floats(_array(scores.opening_m)[rows]),
+        *_motion_columns(scores, rows),
+        pa.array(list(_array(scores.failed_state)[rows]), pa.list_(pa.float64())),
     ]
-    return pa.table(arrays, schema=PATH_SCHEMA)
+    return pa.table(arrays, schema=FAILURE_SCHEMA)
+
+
+def _motion_columns(scores: Scores, rows: np.ndarray) -> list[pa.ListArray]:
+    """Times and postures of the waypoints, and the postures that the simulator went through."""
+    length, moved = (_array(n).astype(np.int64)[rows] for n in (scores.path_len, scores.motion_len))
+    time = _array(scores.path_time_s).astype(np.float32)[rows]
+    kept = np.arange(time.shape[1]) < length[:, None]
+    offsets = pa.array(np.concatenate([[0], np.cumsum(length)]), pa.int32())
+    return [
+        pa.ListArray.from_arrays(offsets, pa.array(time[kept], pa.float32())),
+        _postures(_array(scores.path)[rows], length),
+        _postures(_array(scores.motion)[rows], moved, pa.array(moved == 0)),
+    ]
+
+
+def _poses(T: Any) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(_array(T).astype(np.float32).reshape(-1), pa.float32()), 16)
+
+
+def _postures(q: np.ndarray, length: np.ndarray, mask: pa.Array | None = None) -> pa.ListArray:
+    """Column of lists of joint angles: of each row (W, 6) the first `length`; masked rows are null."""
+    kept = np.arange(q.shape[1]) < length[:, None]
+    offsets = pa.array(np.concatenate([[0], np.cumsum(length)]), pa.int32())
+    flat = pa.FixedSizeListArray.from_arrays(pa.array(q[kept].astype(np.float32).reshape(-1), pa.float32()), 6)
+    return pa.ListArray.from_arrays(offsets, flat, mask=mask)

@@ -69,7 +69,10 @@ class Scene:
         hand_set: HandSet | None = None,
     ) -> None:
         init_warp()
-        self.device = str(torch.device(device))
+        device = torch.device(device)
+        if device.type == "cuda" and device.index is None:  # tensors say cuda:0
+            device = torch.device("cuda", torch.cuda.current_device())
+        self.device = str(device)
         self.config = config or EvalConfig()
         self.robot: Robot = load_robot()
         self.objects = tuple(objects) if objects is not None else load_objects()
@@ -82,6 +85,13 @@ class Scene:
         """Names of the robot's bodies as numbered in `Scores.witness_part`; the last is the attached object."""
         arm = [self.robot.arm.names[i] for i in self._arm_order]
         return (*arm, *self.robot.gripper.names, "object")
+
+    @cached_property
+    def body_links(self) -> NDArray[np.int64]:
+        """The link that carries each robot body (order of `part_names`): 0 base ... 6 wrist_3, 7 gripper."""
+        return np.concatenate([self.robot.arm.link[self._arm_order], np.full(len(self.robot.gripper.names), 7)]).astype(
+            np.int64
+        )
 
     @cached_property
     def T_wrist_ee(self) -> NDArray[np.float64]:
@@ -231,7 +241,7 @@ class Scene:
 
     @cached_property
     def _object_cells(self) -> list[NDArray[np.float32]]:
-        """The same hulls with their points sorted by direction (kernels/gjk.py, CELLS)."""
+        """The same hulls with their points sorted by direction (kernels/body.py, CELLS)."""
         points, _, start = self._object_points
         return [bounds.support_cells(points[a:b].astype(np.float64)).astype(np.float32) for a, b in pairwise(start)]
 
@@ -247,6 +257,13 @@ class Scene:
             "hull_c1": ([c[1] for c in caps], wp.vec3),
             "hull_radius": ([c[2] for c in caps], wp.float32),
         }
+
+    @cached_property
+    def hull_balls(self) -> wp.array:
+        """For each object hull the centre (object frame) and the radius of the largest ball inside it."""
+        points, _, start = self._object_points
+        balls = [bounds.inner_ball(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
+        return wp.array(np.stack(balls).astype(np.float32), dtype=wp.vec4, device=self.device)
 
     @cached_property
     def grasp_tables(self) -> GraspTables:

@@ -5,8 +5,9 @@ from enum import IntEnum
 from typing import Self
 
 import torch
-from jaxtyping import Bool, Float32, Int8, Int32, Int64
+from jaxtyping import Bool, Float32, Float64, Int8, Int32, Int64
 from torch import Tensor
+from torch.nn.functional import pad
 
 CRITERIA = ("stability", "plan", "reach", "affordance", "safe")
 """Column order of every (B, 5) tensor, and the order in which the first failure is looked for."""
@@ -100,6 +101,10 @@ class Scores(_Rows):
     `margin` is in metres, positive when the criterion passes. `witness_part` names the robot part
     (`Scene.part_names`) of Plan's and Safe's smallest clearance, `witness_time_s` and `witness_point` (world frame)
     when and where Safe's occurs. `borderline` marks trials with a margin within 0.1 mm of the verdict changing.
+    `slip_m`: how far the object slipped in the shake (NaN unless `stability = "physics"` shook it). `motion`: the executed
+    joint angles, one row every `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the trials
+    whose simulation failed, up to the failure, and of all that moved where `score(keep_motion=True)` asked for it.
+    `failed_state`: qpos and qvel of the simulator when it failed (width 0 where none did, NaN in the other rows).
     """
 
     trial_id: Int64[Tensor, " b"]
@@ -120,11 +125,40 @@ class Scores(_Rows):
     width_m: Float32[Tensor, " b"]
     opening_m: Float32[Tensor, " b"]
     grasp_shift_m: Float32[Tensor, " b"]
+    slip_m: Float32[Tensor, " b"]
     path: Float32[Tensor, "b w 6"]
     path_time_s: Float32[Tensor, "b w"]
     path_len: Int32[Tensor, " b"]
+    motion: Float32[Tensor, "b s 6"]
+    motion_len: Int32[Tensor, " b"]
+    failed_state: Float64[Tensor, "b s"]
+
+    def by_trial(self, k: int) -> Self:
+        """The same rows as views (N, k, ...): k candidates for each of N trials, as they were scored."""
+        if k < 1 or len(self) % k:
+            raise ValueError(f"k is {k}; {len(self)} rows can only be split by a divisor of their number")
+        return replace(self, **{name: x.unflatten(0, (len(self) // k, k)) for name, x in self._tensors().items()})
+
+    def soft(self, *, temperature_m: float, log: bool = False) -> Float32[Tensor, " b"]:
+        """Smooth success in (0, 1), above 0.5 exactly where `success`; its logarithm with `log` (r2h_batch.soft).
+
+        Differentiable where `margin` is: scored with stages="pose" from poses that require a gradient.
+        """
+        from r2h_batch.soft import soft_success
+
+        return soft_success(self.margin, self.evaluated, self.success, temperature_m=temperature_m, log=log)
 
     @staticmethod
     def concatenate(parts: list["Scores"]) -> "Scores":
         """One `Scores` with the rows of all parts, in order."""
+        longest = max(p.motion.shape[1] for p in parts)
+        states = max(p.failed_state.shape[1] for p in parts)
+        parts = [
+            replace(
+                p,
+                motion=pad(p.motion, (0, 0, 0, longest - p.motion.shape[1])),
+                failed_state=pad(p.failed_state, (0, states - p.failed_state.shape[1]), value=torch.nan),
+            )
+            for p in parts
+        ]
         return Scores(**{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Scores)})

@@ -44,7 +44,7 @@ class ShardWriter:
         self.tables: dict[str, list[pa.Table]] = {kind: [] for kind in SCHEMAS}
 
     def append(self, **tables: pa.Table) -> None:
-        """Add rows: `trials`, and `details`, `poses` and `paths` where they are stored."""
+        """Add rows: `trials`, `details`, `poses` and `paths` where they are stored, `failures` where there are any."""
         for kind, table in tables.items():
             for field in SCHEMAS[kind]:
                 if not field.nullable and table[field.name].null_count:
@@ -118,7 +118,8 @@ class RunFolder:
         mine: list[Path] = []
         try:
             files = {}
-            for kind in ("trials", *self.header["stored"]):
+            failed = ["failures"] if len(writer.table("failures")) else []
+            for kind in ("trials", *self.header["stored"], *failed):
                 base = self.folder / kind / slug / shard.name
                 path = self._file(kind, base, writer.table(kind), method)
                 mine.append(path)

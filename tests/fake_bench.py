@@ -30,7 +30,7 @@ class FakeEvaluator:
         hands = SimpleNamespace(set=SimpleNamespace(side=sides, digest="h"))
         self.scene = SimpleNamespace(device="cpu", objects=objects, hands=hands, part_names=NAMES.parts)
 
-    def score(self, T_obj_ee, T_world_ee, trials):
+    def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
         assert T_obj_ee.shape == T_world_ee.shape == (len(trials), 4, 4)
         self.sizes.append(len(trials))
         outcome = np.where(trials.trial_id.numpy() % 2 == 0, Outcome.SUCCESS, Outcome.PLAN)

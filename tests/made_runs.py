@@ -87,9 +87,13 @@ def make_scores(trials: Trials, outcome: np.ndarray, *, t_plan_s: float = 0.1, t
         width_m=floats(np.full(n, 0.04), ~invalid),
         opening_m=floats(np.full(n, 0.041), ~invalid),
         grasp_shift_m=floats(np.zeros(n), ~invalid),
+        slip_m=floats(np.full(n, 0.001), np.arange(n) % 2 == 0),
         path=torch.from_numpy(path),
         path_time_s=torch.from_numpy(np.tile(np.arange(5, dtype=np.float32), (n, 1))),
         path_len=torch.from_numpy(lengths.astype(np.int32)),
+        motion=torch.from_numpy(path[:, ::-1].copy()),
+        motion_len=torch.from_numpy(np.where(has_path, 5, 0).astype(np.int32)),
+        failed_state=torch.arange(3 * n, dtype=torch.float64).reshape(n, 3),
     )
 
 

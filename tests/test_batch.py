@@ -20,13 +20,16 @@ def batch(n: int) -> Batch:
     return make_batch(default_evaluator().scene, n, random_share=0.4)
 
 
-def score(b: Batch, evaluator: Evaluator | None = None) -> Scores:
-    return (evaluator or default_evaluator()).score(b.T_obj_ee, b.T_world_ee, b.trials)
+def score(b: Batch, evaluator: Evaluator | None = None, stages: str = "all") -> Scores:
+    return (evaluator or default_evaluator()).score(b.T_obj_ee, b.T_world_ee, b.trials, stages)
 
 
 @cache
-def reference() -> Scores:
-    return score(batch(SIZE))
+def reference(stages: str = "all") -> Scores:
+    return score(batch(SIZE), None, stages)
+
+
+every_stage = pytest.mark.parametrize("stages", ["all", "pose"])
 
 
 @cache
@@ -44,16 +47,18 @@ def test_the_reference_batch_holds_every_kind_of_row():
     assert (s.path_len > 2).any() and (s.path_len == 0).any()
 
 
-def test_the_same_batch_gives_the_same_bits_again():
-    assert_same(reference(), score(batch(SIZE)))
+@every_stage
+def test_the_same_batch_gives_the_same_bits_again(stages):
+    assert_same(reference(stages), score(batch(SIZE), None, stages))
 
 
+@every_stage
 @pytest.mark.parametrize("n", [1, 2, 33])
-def test_smaller_batches_give_the_same_rows(n):
+def test_smaller_batches_give_the_same_rows(n, stages):
     b = batch(SIZE)
     for first in range(0, SIZE, n)[: 5 if n == 1 else None]:
         rows = slice(first, first + n)
-        assert_same(reference()[rows], score(b.rows(rows)))
+        assert_same(reference(stages)[rows], score(b.rows(rows), None, stages))
 
 
 def test_searched_paths_do_not_depend_on_their_batch():
@@ -64,35 +69,50 @@ def test_searched_paths_do_not_depend_on_their_batch():
         assert_same(reference()[row : row + 1], score(batch(SIZE).rows(slice(row, row + 1))))
 
 
-def test_an_empty_batch_gives_empty_scores_of_the_same_types():
-    empty = score(batch(SIZE).rows(slice(0, 0)))
+@every_stage
+def test_an_empty_batch_gives_empty_scores_of_the_same_types(stages):
+    empty = score(batch(SIZE).rows(slice(0, 0)), None, stages)
     for f in fields(Scores):
-        x, y = getattr(empty, f.name), getattr(reference(), f.name)
+        x, y = getattr(empty, f.name), getattr(reference(stages), f.name)
         assert x.shape == (0, *y.shape[1:]) and x.dtype == y.dtype, f.name
 
 
-def test_order_changes_nothing():
+@every_stage
+def test_order_changes_nothing(stages):
     order = torch.randperm(SIZE, generator=torch.Generator().manual_seed(0))
-    assert_same(reference()[order], score(batch(SIZE).rows(order)))
+    assert_same(reference(stages)[order], score(batch(SIZE).rows(order), None, stages))
 
 
 @pytest.mark.parametrize(("chunk", "threads"), [(1, 1), (7, 2), (64, 3), (2048, 1), (2048, 5)])
-def test_chunk_size_and_thread_count_change_nothing(chunk, threads):
-    assert_same(reference(), score(batch(SIZE), evaluator_with(chunk, threads)))
+@every_stage
+def test_chunk_size_and_thread_count_change_nothing(chunk, threads, stages):
+    assert_same(reference(stages), score(batch(SIZE), evaluator_with(chunk, threads), stages))
 
 
 def test_a_second_evaluator_agrees():
     assert_same(reference(), score(batch(SIZE), Evaluator(EvalConfig(chunk=16), threads=1)))
 
 
-def test_one_bad_row_changes_no_other():
+@every_stage
+def test_one_bad_row_changes_no_other(stages):
     b = batch(SIZE)
     T_world_ee = b.T_world_ee.clone()
     T_world_ee[13, 0, 0] = torch.nan
-    s = score(Batch(b.trials, b.T_obj_ee, T_world_ee))
+    s = score(Batch(b.trials, b.T_obj_ee, T_world_ee), None, stages)
     keep = torch.arange(SIZE) != 13
     assert int(s.outcome[13]) == Outcome.INVALID_INPUT
-    assert_same(s[keep], reference()[keep])
+    assert_same(s[keep], reference(stages)[keep])
+
+
+def test_one_bad_row_among_4096_poses_changes_no_other():
+    small = batch(SIZE)
+    rows = torch.arange(4096) % SIZE
+    b = small.rows(rows)
+    b.T_obj_ee[77] = torch.nan
+    s = score(b, None, "pose")
+    assert int(s.outcome[77]) == Outcome.INVALID_INPUT and (s.outcome == int(Outcome.INVALID_INPUT)).sum() == 1
+    keep = torch.arange(4096) != 77
+    assert_same(s[keep], reference("pose")[rows[keep]])
 
 
 def test_random_numbers_follow_the_trial_id_and_not_the_row():

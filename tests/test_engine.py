@@ -1,22 +1,52 @@
 """How long a shard is, and which trials it holds."""
 
 import time
+from dataclasses import replace
 
 import fake_bench
 import pytest
 import torch
 
 from r2h_batch import engine, jobs
-from r2h_batch.manifest import SHARD_TRIALS
+from r2h_batch.manifest import SHARD_TRIALS, RunError
 from r2h_batch.options import Options
+from r2h_batch.results import load_run
+from r2h_batch.types import Outcome
+from r2h_batch.writing import open_run
 
 
 class Slow(fake_bench.FakeEvaluator):
     """Takes a millisecond a trial."""
 
-    def score(self, T_obj_ee, T_world_ee, trials):
+    def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
         time.sleep(0.001 * len(trials))
         return super().score(T_obj_ee, T_world_ee, trials)
+
+
+class Failing(fake_bench.FakeEvaluator):
+    """Its simulator fails on every trial whose id is a multiple of 5."""
+
+    def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
+        scores = super().score(T_obj_ee, T_world_ee, trials)
+        outcome = torch.where(trials.trial_id % 5 == 0, int(Outcome.INVALID_SIM), scores.outcome)
+        return replace(scores, outcome=outcome.to(torch.int8), success=outcome == int(Outcome.SUCCESS))
+
+
+def test_trials_that_the_simulator_failed_on_are_dumped_into_the_run_folder_and_others_are_not(tmp_path):
+    bench = replace(fake_bench.prepare(Options(method=("x",), trials=12)), evaluator=Failing())
+    run = open_run(tmp_path / "run", {**bench.header, "shard_trials": 8})
+    run.register("m", {"kind": "test"})
+    for shard in run.todo("m"):
+        with run.write("m", shard) as writer:
+            engine.score_shard(jobs.Job("m", {}, predict), shard, writer, bench, 5)
+    stored = load_run(tmp_path / "run")
+    assert stored.failures("m")["trial_id"].to_pylist() == [0, 5, 10, 15, 20]
+    assert stored.trials("m")["outcome"].to_pylist().count("invalid_sim") == 5
+    files = sorted((tmp_path / "run" / "failures").rglob("*.parquet"))
+    stored.verify()
+    files[1].write_bytes(files[1].read_bytes()[:-1])
+    with pytest.raises(RunError, match="failures"):
+        stored.verify()
 
 
 def predict(trials, _):

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 from problems import assert_same, default_evaluator, make_batch
-from staging import BACK, TOOL, Staged, batch_of, hand_at, judge, staged_evaluator
+from staging import BACK, TOOL, Staged, batch_of, hand_at, staged_evaluator
 
 from r2h_batch.types import Outcome, PlanReason, Trials
 
 GOOD = Staged()
+every_stage = pytest.mark.parametrize("stages", ["all", "pose"])
 OUT_OF_THE_WAY = hand_at(np.array([1.5, 1.5, 0.4]), BACK, np.array([0.0, 0, 1]))
 
 
@@ -41,8 +42,9 @@ def spoiled(T: torch.Tensor, how: str) -> torch.Tensor:
 HOW = ("nan", "inf", "reflection", "scale", "zero rotation", "bottom row", "bottom corner", "far away")
 
 
+@every_stage
 @pytest.mark.parametrize("which", ["T_obj_ee", "T_world_ee", "T_world_hand"])
-def test_rows_that_are_no_pose_are_invalid_and_leave_their_neighbours_untouched(which):
+def test_rows_that_are_no_pose_are_invalid_and_leave_their_neighbours_untouched(which, stages):
     evaluator = default_evaluator()
     good = make_batch(evaluator.scene, 2 * len(HOW), random_share=0.3)
     bad_rows = torch.arange(0, 2 * len(HOW), 2)
@@ -54,7 +56,7 @@ def test_rows_that_are_no_pose_are_invalid_and_leave_their_neighbours_untouched(
     for row, how in zip(bad_rows.tolist(), HOW, strict=True):
         tensors[which][row] = spoiled(tensors[which][row], how)
     trials = replace(good.trials, T_world_hand=tensors["T_world_hand"])
-    s = evaluator.score(tensors["T_obj_ee"], tensors["T_world_ee"], trials)
+    s = evaluator.score(tensors["T_obj_ee"], tensors["T_world_ee"], trials, stages)
     bad = s[bad_rows]
     assert (bad.outcome == int(Outcome.INVALID_INPUT)).all() and not bad.success.any()
     assert (
@@ -74,20 +76,21 @@ def test_rows_that_are_no_pose_are_invalid_and_leave_their_neighbours_untouched(
         assert torch.isnan(getattr(bad, name)).all(), name
     assert (bad.path_len == 0).all() and (bad.witness_part == -1).all()
     kept = bad_rows + 1
-    alone = evaluator.score(good.T_obj_ee[kept], good.T_world_ee[kept], good.trials[kept])
+    alone = evaluator.score(good.T_obj_ee[kept], good.T_world_ee[kept], good.trials[kept], stages)
     assert_same(s[kept], alone)
 
 
+@every_stage
 @pytest.mark.parametrize("how", ["scaled", "sheared"])
-def test_a_rotation_off_by_less_than_a_thousandth_is_accepted_as_a_rotation(how):
+def test_a_rotation_off_by_less_than_a_thousandth_is_accepted_as_a_rotation(how, stages):
     T_obj_ee, T_world_ee, trials = batch_of([GOOD])
     for T in (T_obj_ee, T_world_ee, trials.T_world_hand):
         if how == "scaled":
             T[:, :3, :3] *= 1.0004  # R R^T is off by 8e-4
         else:
             T[:, :3, 0] += 8e-4 * T[:, :3, 1]
-    s = staged_evaluator().score(T_obj_ee, T_world_ee, trials)
-    clean = judge(GOOD)
+    s = staged_evaluator().score(T_obj_ee, T_world_ee, trials, stages)
+    clean = staged_evaluator().score(*batch_of([GOOD]), stages)
     assert s.outcome.tolist() == clean.outcome.tolist() == [int(Outcome.SUCCESS)]
     assert s.plan_pair.tolist() == clean.plan_pair.tolist()
     torch.testing.assert_close(s.margin, clean.margin, atol=1e-5 if how == "scaled" else 2e-3, rtol=0, equal_nan=True)
@@ -133,21 +136,37 @@ def wrong_inputs() -> dict:
         "object on meta": (but(object_index=trials.object_index.to("meta")), ValueError, "object_index"),
         "hand 9999": (but(hand_index=trials.hand_index + 9999), ValueError, "hand_index"),
         "no trials": ((grasp, handover, None), TypeError, "trials"),
+        "candidates of other trials": ((grasp[:1, None], handover[:1, None], trials), ValueError, "T_obj_ee"),
+        "candidates for one pose only": ((grasp[:, None], handover, trials), ValueError, "T_world_ee"),
+        "other numbers of candidates": (
+            (grasp[:, None].expand(2, 3, 4, 4), handover[:, None].expand(2, 2, 4, 4), trials),
+            ValueError,
+            "T_world_ee",
+        ),
     }
 
 
+@every_stage
 @pytest.mark.parametrize("case", wrong_inputs())
-def test_wrong_inputs_are_refused_by_name_before_any_work(case, no_work):
+def test_wrong_inputs_are_refused_by_name_before_any_work(case, stages, no_work):
     arguments, error, name = wrong_inputs()[case]
     with pytest.raises(error, match=name):
-        staged_evaluator().score(*arguments)
+        staged_evaluator().score(*arguments, stages)
 
 
-def test_gradients_strides_and_views_change_nothing():
+def test_an_unknown_stage_is_refused(no_work):
+    with pytest.raises(ValueError, match="stages is 'path'; allowed are pose, all"):
+        staged_evaluator().score(*batch_of([GOOD]), "path")
+
+
+@every_stage
+def test_gradients_strides_and_views_change_nothing(stages):
     T_obj_ee, T_world_ee, trials = batch_of([GOOD, GOOD.but(object_index=TOOL), GOOD.but(T_world_hand=OUT_OF_THE_WAY)])
     evaluator = staged_evaluator()
-    plain = evaluator.score(T_obj_ee, T_world_ee, trials)
-    assert_same(plain, evaluator.score(T_obj_ee.clone().requires_grad_(), T_world_ee.clone().requires_grad_(), trials))
+    plain = evaluator.score(T_obj_ee, T_world_ee, trials, stages)
+    assert_same(
+        plain, evaluator.score(T_obj_ee.clone().requires_grad_(), T_world_ee.clone().requires_grad_(), trials, stages)
+    )
 
     def strided(x: torch.Tensor) -> torch.Tensor:
         wide = torch.zeros(len(x), 2, *x.shape[1:], dtype=x.dtype)
@@ -164,5 +183,5 @@ def test_gradients_strides_and_views_change_nothing():
         transposed(trials.T_world_hand),
     )
     assert not other.T_world_hand.is_contiguous()
-    assert_same(plain, evaluator.score(transposed(T_obj_ee), strided(T_world_ee), other))
-    assert not plain.path.requires_grad
+    assert_same(plain, evaluator.score(transposed(T_obj_ee), strided(T_world_ee), other, stages))
+    assert not plain.path.requires_grad and not plain.margin.requires_grad

@@ -85,8 +85,8 @@ def clearances(model, data, q):
     return least
 
 
-def trajectory(folder):
-    with (folder / "trajectory.csv").open() as file:
+def trajectory(folder, name="trajectory.csv"):
+    with (folder / name).open() as file:
         rows = list(csv.reader(file))
     return rows[0], np.array(rows[1:], np.float64)
 
@@ -252,6 +252,18 @@ def test_contacts_are_those_of_the_checked_pairs(exported):
         assert {"table", "self"} <= agreed
 
 
+def test_the_executed_motion_is_beside_the_planned_one_and_close_to_it(exported):
+    for stored, folder in exported.values():
+        _, planned = trajectory(folder)
+        header, rows = trajectory(folder, "executed.csv")
+        assert header == ["time_s", *load_robot().joints]
+        t, q = rows[:, 0], rows[:, 1:]
+        assert t[0] == 0 and np.allclose(np.diff(t), 0.008) and t[-1] >= planned[-1, 0]
+        ideal = np.stack([np.interp(t, planned[:, 0], planned[:, 1 + j]) for j in range(6)], 1)
+        off = np.abs(q - ideal).max()
+        assert 1e-6 < off < 2e-3 and np.abs(q[-1] - stored.row["q_goal"]).max() < 1e-3
+
+
 def test_the_trajectory_is_the_timed_path_with_all_its_waypoints(exported):
     robot = load_robot()
     for stored, folder in exported.values():
@@ -287,6 +299,7 @@ def test_samples_agree_with_the_evaluators_own_clock():
         np.eye(4),
         path[0].double().numpy(),
         motion.time_s[0].numpy(),
+        None,
         None,
     )
     t, postures = export.trajectory(stored)
@@ -345,7 +358,9 @@ def test_what_is_not_there_is_refused_with_what_is(run, tmp_path, capsys):
 
 def test_a_run_without_paths_is_refused_naming_the_flag(tmp_path, capsys):
     bare = tmp_path / "bare"
-    assert sweep.main(["--method", "random", "--splits", "S0", "--trials", "1", "--sim", "none", "--out", str(bare)]) == 0
+    assert (
+        sweep.main(["--method", "random", "--splits", "S0", "--trials", "1", "--sim", "none", "--out", str(bare)]) == 0
+    )
     capsys.readouterr()
     assert "--save-paths" in refused(["--run", bare, "--trial", 0, "--out", tmp_path / "x"], capsys)
 

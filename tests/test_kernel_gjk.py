@@ -11,6 +11,7 @@ import warp as wp
 from scipy.spatial.transform import Rotation
 
 from r2h_batch import bounds
+from r2h_batch.kernels import body as shapes
 from r2h_batch.kernels import gjk as kernel
 from r2h_batch.kernels.world import from_point, from_segment
 from r2h_batch.launch import init_warp
@@ -25,13 +26,13 @@ ABOVE_TRUTH_M = 1e-7
 
 @wp.func
 def _body(kind: wp.array(dtype=int), size: wp.array(dtype=wp.vec3), start: wp.array(dtype=int), i: int):
-    b = kernel.Body()
+    b = shapes.Body()
     b.kind = kind[i]
     b.size = size[i]
     b.start = start[i]
     b.count = start[i + 1] - start[i]
-    if b.kind == kernel.HULL and size[i][0] < 0.0:
-        b.kind = kernel.CELLS
+    if b.kind == shapes.HULL and size[i][0] < 0.0:
+        b.kind = shapes.CELLS
     if b.kind <= 1:
         b.radius = b.size[0]
     return b
@@ -127,7 +128,7 @@ class Pairs:
             self.p = (self.p + (gap - d)[:, None] * line).astype(np.float32)
 
     def run(self, needed=1e9, relative_gap=0.0, *, swap=False, cells=False):
-        """Kernel results; with `cells` the hulls of body a are given sorted by direction (gjk.CELLS)."""
+        """Kernel results; with `cells` the hulls of body a are given sorted by direction (body.CELLS)."""
         n = len(self)
         sizes, points_of = list(self.sizes), list(self.points)
         if cells:
@@ -276,10 +277,10 @@ def farthest(
     cells: int, points: wp.array(dtype=wp.vec3), count: int, d: wp.array(dtype=wp.vec3), height_out: wp.array(dtype=float)
 ):  # fmt: skip
     i = wp.tid()
-    b = kernel.Body()
-    b.kind = wp.where(cells == 1, kernel.CELLS, kernel.HULL)
+    b = shapes.Body()
+    b.kind = wp.where(cells == 1, shapes.CELLS, shapes.HULL)
     b.count = count
-    height_out[i] = wp.dot(kernel.support(b, points, d[i]), d[i])
+    height_out[i] = wp.dot(shapes.support(b, points, d[i]), d[i])
 
 
 @pytest.mark.parametrize("name", OBJECT_NAMES)
@@ -287,8 +288,8 @@ def test_the_farthest_point_by_direction_is_the_farthest_point(name):
     hull = load_objects([name])[0].hull_vertices
     d = np.random.default_rng(11).normal(size=(20_000, 3))
     edges = (
-        np.linspace(-1, 1, kernel.CELLS_PER_EDGE + 1)
-        if isinstance(kernel.CELLS_PER_EDGE, int)
+        np.linspace(-1, 1, shapes.CELLS_PER_EDGE + 1)
+        if isinstance(shapes.CELLS_PER_EDGE, int)
         else np.linspace(-1, 1, 7)
     )
     d[:2000] = np.random.default_rng(12).choice(edges, (2000, 3)) + np.random.default_rng(13).choice(

@@ -283,6 +283,7 @@ def test_what_the_simulator_failed_on_is_invalid_sim_and_not_scored(config, monk
         answer = honest(job, threads=threads)
         hit.append(int(job.rows[2]))
         answer.valid[2] = False
+        answer.q[2, 5:] = np.nan
         return answer
 
     monkeypatch.setattr(engine, "simulate", failing)
@@ -291,6 +292,10 @@ def test_what_the_simulator_failed_on_is_invalid_sim_and_not_scored(config, monk
     assert int(bad.outcome[row]) == Outcome.INVALID_SIM and not bad.success[row]
     assert not bad.evaluated[row].any() and not bad.passed[row].any() and torch.isnan(bad.margin[row]).all()
     assert torch.isnan(bad.t_exec_s[row]) and torch.isnan(bad.witness_time_s[row])
+    assert (
+        torch.isfinite(bad.motion[row, :5]).all() and torch.isnan(bad.motion[row, 5 : int(bad.motion_len[row])]).all()
+    )
+    assert bad.motion_len[row] > 5 and (bad.motion_len > 0).sum() == 1 and good.motion.shape[1] == 0
     keep = torch.arange(N) != row
     assert torch.equal(bad.outcome[keep], good.outcome[keep])
     assert torch.equal(torch.nan_to_num(bad.margin[keep]), torch.nan_to_num(good.margin[keep]))

@@ -16,7 +16,7 @@ def write(tmp_path, text):
 
 def test_every_field_comes_back_from_a_file(tmp_path):
     options = Options(
-        method=("random", "my.rules:best"),
+        method=("random", "contact", "my.rules:best"),
         predictions=("a.npz",),
         splits=("S1",),
         trials=7,
@@ -24,6 +24,8 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         out="runs/x",
         force_new=True,
         seed=3,
+        predictor="net.pt",
+        predictor_noise=0.5,
         object_mesh=("mug.obj:S0",),
         preset="paper",
         width="whole",
@@ -127,6 +129,9 @@ def test_the_command_says_so_in_one_line_and_exits_with_2(tmp_path):
         ("--workers 2", "belong to --engine ray"),
         ("--chunk -1", "--chunk is -1; it must be 0 or more"),
         ("--engine dask", "dask"),
+        ("--predictor-noise -1", "--predictor-noise is -1.0; it must be 0 (the truth) or more"),
+        ("--predictor-noise nan", "--predictor-noise is nan"),
+        ("--predictor net.pt", "--predictor is the contact network of --method contact; add that method"),
     ],
 )
 def test_options_of_engines_are_checked(line, part):

@@ -21,6 +21,7 @@ def test_a_wheel_holds_code_kernels_and_data(tmp_path: Path) -> None:
     for wanted in (
         "r2h_batch/py.typed", "r2h_batch/kernels/gjk.py", "r2h_batch/assets/robot/robot.json",
         "r2h_batch/assets/hand/handset.npz", "r2h_batch/assets/objects/hammer.npz", "r2h_batch/assets/objects/grasps.npz",
+        "r2h_batch/assets/receiving/receiving.npz", "r2h_batch/assets/receiving/voxnet.safetensors",
     ):  # fmt: skip
         assert wanted in names
     assert not [n for n in names if n.startswith(("kernels/", "assets/", "tests/", "bench/"))]

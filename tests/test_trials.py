@@ -1,6 +1,5 @@
 """Trials: the generator against known answers, the reachable set, independence, and the files for methods."""
 
-import json
 import math
 import subprocess
 import sys
@@ -17,10 +16,8 @@ from r2h_batch import trials as trials_module
 from r2h_batch.bounds import capsule_of_primitive
 from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
 from r2h_batch.hand import load_hand, load_hand_set, palm_frame
-from r2h_batch.objects import S0_NAMES, S1_NAMES, build_object, load_objects
-from r2h_batch.predictions import align, load_predictions
+from r2h_batch.objects import build_object, load_objects
 from r2h_batch.robot import ee_pose, forward_kinematics, gripper_primitives_at, load_robot
-from r2h_batch.trial_files import main, write_trials
 from r2h_batch.trials import TCP_ROOM_M, make_trials, trials_digest, trials_with_ids
 from r2h_batch.types import PlanReason, Trials
 
@@ -53,51 +50,6 @@ def posed(trials: Trials, rows: slice) -> np.ndarray:
     """Vertices of the trials' hands in the world (n, V, 3)."""
     T = trials.T_world_hand[rows].double()
     return (hand_vertices()[trials.hand_index[rows].long()] @ T[:, :3, :3].mT + T[:, None, :3, 3]).numpy()
-
-
-@pytest.mark.parametrize(
-    ("counter", "key", "answer"),
-    [
-        ((0, 0, 0, 0), (0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),
-        ((0xFFFFFFFF,) * 4, (0xFFFFFFFF,) * 2, (0x408F276D, 0x41C83B0E, 0xA20BC7C6, 0x6D5451FD)),
-        (
-            (0x243F6A88, 0x85A308D3, 0x13198A2E, 0x03707344),
-            (0xA4093822, 0x299F31D0),
-            (0xD16CFE09, 0x94FDCCEB, 0x5001E420, 0x24126EA1),
-        ),
-    ],
-)
-def test_philox_gives_the_known_answers_of_random123(counter, key, answer):
-    got = rng.philox4x32(np.array(counter, np.uint64)[:, None].repeat(3, 1), key)
-    assert [tuple(int(w) for w in column) for column in got.T] == [answer] * 3
-
-
-def test_uniform_draws_depend_on_every_word_of_the_counter_and_fill_the_interval():
-    ids = np.arange(50_000) + 2**33
-    u = rng.uniforms((1, 2), ids, 7, purpose=3, attempt=4)
-    assert u.shape == (7, 50_000) and u.min() > 0 and u.max() < 1
-    for row in u:
-        assert stats.kstest(row, "uniform").pvalue > 1e-3
-    assert abs(np.corrcoef(u)[np.triu_indices(7, 1)]).max() < 0.02
-    for other in (
-        rng.uniforms((1, 3), ids, 7, purpose=3, attempt=4),
-        rng.uniforms((1, 2), ids - 2**33, 7, purpose=3, attempt=4),
-        rng.uniforms((1, 2), ids, 7, purpose=2, attempt=4),
-        rng.uniforms((1, 2), ids, 7, purpose=3, attempt=5),
-    ):
-        assert (u == other).mean() < 1e-3
-    assert np.array_equal(rng.uniforms((1, 2), ids[5:6], 3, purpose=3, attempt=4)[:, 0], u[:3, 5])
-
-
-def test_rotations_are_proper_and_uniform():
-    inside, R = rng.rotation(rng.uniforms((5, 6), np.arange(60_000), 4, purpose=0))
-    assert inside.mean() == pytest.approx((math.pi / 4) ** 2, abs=0.01)
-    R = R[inside]
-    assert np.abs(np.einsum("nij,nkj->nik", R, R) - np.eye(3)).max() < 1e-14 and np.linalg.det(R).min() > 0.99
-    for entry in (R[:, 0, 0], R[:, 1, 2], R[:, 2, 2]):  # each entry of a uniform rotation is uniform in [-1, 1]
-        assert stats.kstest(entry, "uniform", (-1, 2)).pvalue > 1e-3
-    angle = np.arccos(np.clip((np.trace(R, axis1=1, axis2=2) - 1) / 2, -1, 1))
-    assert stats.kstest(angle, lambda a: (a - np.sin(a)) / np.pi).pvalue > 1e-3
 
 
 def test_trials_take_objects_in_turn_and_every_object_meets_both_hands_alike():
@@ -318,98 +270,3 @@ def test_no_trial_starts_in_collision():
     into.T_world_hand[:, :3, 3] += torch.from_numpy(0.12 * palms(into)[1]).float()
     reasons = evaluator.score(grasp[:8], out_of_reach[:8], into).plan_reason
     assert reasons.unique().tolist() == [int(PlanReason.START_IN_COLLISION)]
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("trials") / "made" / "here"
-    digest = write_trials(folder, ["S0", "S1"], 12)
-    return folder, digest
-
-
-def test_written_files_hold_what_the_manifest_says(written):
-    folder, digest = written
-    manifest = json.loads((folder / "manifest.json").read_text())
-    assert manifest["protocol"] == "r2h-v0" and manifest["digests"]["trials"] == digest
-    assert digest == trials_digest(make_trials(trials=12)) and digest in (folder / "README.md").read_text()
-    names = {f"objects/{n}.npz" for n in (*S0_NAMES, *S1_NAMES)}
-    assert {str(p.relative_to(folder)) for p in folder.rglob("*.npz")} == names | {"trials.npz", "hands.npz"}
-    for file in ("trials.npz", "hands.npz", *sorted(names)):
-        said = manifest["arrays"][file if file in manifest["arrays"] else "objects/NAME.npz"]
-        with np.load(folder / file, allow_pickle=False) as data:
-            assert set(data.files) == set(said)
-            for key, about in said.items():
-                assert data[key].dtype.name == about["dtype"] or data[key].dtype.kind == "U", (file, key)
-                fits = (b is None or a == b for a, b in zip(data[key].shape, about["shape"], strict=True))
-                assert all(fits), (file, key)
-                assert len(about["meaning"]) > 3
-    assert (folder / "README.md").read_text().count("| ") > 100
-
-
-def test_written_trials_agree_with_the_library(written):
-    folder, _ = written
-    trials = make_trials(trials=12)
-    made, hands = np.load(folder / "trials.npz"), np.load(folder / "hands.npz")
-    for key in ("trial_id", "object_index", "hand_index", "T_world_hand"):
-        assert np.array_equal(made[key], getattr(trials, key).numpy())
-    c, n = palms(trials)
-    assert np.abs(made["ball_center"] - c).max() < 1e-6 and np.abs(made["palm_normal"] - n).max() < 1e-6
-    assert made["object_name"].tolist()[10:14] == ["cup", "wineglass", "hammer", "pliers"]
-    assert "screwdriver" in made["instruction"][16] and made["split"].tolist() == ["S0"] * 12 + ["S1"] * 12
-    again = load_hand().pose(*(torch.from_numpy(made[k]) for k in ("pose", "shape", "side"))).joints.double()
-    T = trials.T_world_hand.double()
-    assert np.abs((again @ T[:, :3, :3].mT + T[:, None, :3, 3]).numpy() - made["joints"]).max() < 1e-6
-    assert np.array_equal(hands["vertices"][made["hand_index"]], hand_vertices()[trials.hand_index.long()].float())
-    for o in load_objects():
-        data = np.load(folder / "objects" / f"{o.name}.npz")
-        assert np.array_equal(data["vertices"], o.vertices) and data["occupancy"].sum() == o.occupancy.sum()
-        assert data["grasp_T_obj_ee"].shape == (100, 4, 4) and data["grasp_part"].max() < len(data["part_names"])
-        assert data["point_receiver"].any() == (o.split == "S1")
-
-
-def test_a_predictions_file_made_from_the_written_files_is_accepted(written, tmp_path):
-    folder, _ = written
-    made = np.load(folder / "trials.npz")
-    grasp = np.stack([np.load(folder / "objects" / f"{n}.npz")["grasp_T_obj_ee"][0] for n in made["object_name"]])
-    goal = np.eye(4, dtype=np.float32)[None].repeat(len(grasp), 0)
-    goal[:, :3, 3] = made["ball_center"]
-    np.savez(tmp_path / "mine.npz", trial_id=made["trial_id"], T_obj_ee=grasp, T_world_ee=goal, method="mine")
-    predictions = load_predictions(tmp_path / "mine.npz")
-    trials = make_trials(trials=12)
-    assert align(predictions, trials.trial_id, source="mine.npz").tolist() == list(range(24))
-    assert predictions.method == "mine"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["--out", "x", "--trails", "3"], "did you mean --trials?"),
-        (["--out", "x", "--trials", "0"], "1 or more"),
-        (["--out", "x", "--trials", "ten"], "1 or more"),
-        (["--out", "x", "--splits", "S3"], "invalid choice: 'S3'"),
-        (["--out", "x", "--protocol", "r2h-v9"], "invalid choice: 'r2h-v9'"),
-        (["--trials", "3"], "--out"),
-        (["--out", "{full}"], "not an empty folder"),
-        (["--out", "x", "--object-mesh", "missing.obj"], "missing.obj"),
-    ],
-)
-def test_a_wrong_command_line_gets_one_clear_line_and_code_2(arguments, told, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "full").mkdir()
-    (tmp_path / "full" / "mine.txt").write_text("keep me")
-    arguments = [a.format(full=tmp_path / "full") for a in arguments]
-    try:
-        code = main(arguments)
-    except SystemExit as stop:
-        code = stop.code
-    captured = capsys.readouterr()
-    assert code == 2 and captured.out == ""
-    assert len(captured.err.strip().splitlines()) == 1 and told in captured.err
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "mine.txt"]
-
-
-def test_the_command_writes_and_says_where(tmp_path, capsys):
-    assert main(["--out", str(tmp_path / "out"), "--trials", "2", "--splits", "S1"]) == 0
-    captured = capsys.readouterr()
-    assert "r2h-v0" in captured.out and trials_digest(make_trials(["S1"], 2)) in captured.out
-    assert len(list((tmp_path / "out" / "objects").iterdir())) == len(S1_NAMES)

@@ -1,17 +1,23 @@
 """The 100 grasp candidates that a method may choose from: stored for the built-in objects, sampled for a user's."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import resources
 from typing import Any
 
 import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Int32, Int64
 from numpy.typing import NDArray
+from torch import Tensor
 
+from r2h_batch.grasp import OPEN_GAP_M, close_gripper
 from r2h_batch.grasp_candidates import Candidates, sample_grasps
 from r2h_batch.objects import OBJECT_NAMES, ObjectModel, load_objects
+from r2h_batch.scene import Scene
 
-__all__ = ["candidates_of"]
+__all__ = ["CandidateTable", "candidate_table", "candidates_of"]
 
 
 @lru_cache(maxsize=8)
@@ -27,6 +33,46 @@ def stacked(candidates: Sequence[Candidates]) -> tuple[NDArray[np.float32], NDAr
     """T_obj_ee of all candidates (K, 4, 4), and of each object the first row and the number of rows."""
     count = np.array([len(c) for c in candidates], np.int64)
     return np.concatenate([c.T_obj_ee for c in candidates]), np.cumsum(count) - count, count
+
+
+@dataclass(frozen=True, eq=False)
+class CandidateTable:
+    """All candidates of a scene's O objects, M rows on its device; those of object o are first[o] .. first[o] + count[o]."""
+
+    T_obj_ee: Float32[Tensor, "m 4 4"]
+    opening_m: Float32[Tensor, " m"]
+    """gap between the pads once they have closed on the object"""
+    width_m: Float32[Tensor, " m"]
+    score: Float32[Tensor, " m"]
+    object_index: Int32[Tensor, " m"]
+    first: Int64[Tensor, " o"]
+    count: Int64[Tensor, " o"]
+
+    @property
+    def most(self) -> int:
+        """K, the largest number of candidates that an object has."""
+        return int(self.count.max())
+
+    def rows(self, object_index: Int32[Tensor, " b"]) -> tuple[Int64[Tensor, "b k"], Bool[Tensor, "b k"]]:
+        """Rows of the K candidates of each trial's object, and which of them exist (the others repeat the first)."""
+        o = object_index.long()
+        k = torch.arange(self.most, device=o.device)
+        exists = k < self.count[o][:, None]
+        return self.first[o][:, None] + torch.where(exists, k, 0), exists
+
+
+@lru_cache(maxsize=4)
+def candidate_table(scene: Scene) -> CandidateTable:
+    """The candidates of a scene's objects with the opening that each closes to; made once per scene."""
+    every = candidates_of(scene.objects)
+    T, first, count = stacked(every)
+    index = np.repeat(np.arange(len(count)), count).astype(np.int32)
+    T_obj_ee, object_index = torch.from_numpy(T).to(scene.device), torch.from_numpy(index).to(scene.device)
+    held = close_gripper(scene.grasp_tables, T_obj_ee, object_index, w_max=OPEN_GAP_M)
+    values = (np.concatenate([getattr(c, name) for c in every]) for name in ("width", "score"))
+    width, score = (torch.from_numpy(v).to(scene.device) for v in values)
+    places = (torch.from_numpy(v).to(scene.device) for v in (first, count))
+    return CandidateTable(T_obj_ee, held.opening_m, width, score, object_index, *places)
 
 
 @lru_cache(maxsize=64)

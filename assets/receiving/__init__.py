@@ -1,0 +1,1 @@
+"""Receiving grasps and their build script."""

@@ -1,0 +1,24 @@
+"""Where a gripper's approach axis first meets an object."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def approach_hits(
+    first: int,
+    back_off: float,
+    reach: float,
+    mesh_in: wp.array(dtype=wp.uint64),  # one mesh id per object
+    object_in: wp.array(dtype=int),
+    T_obj_ee_in: wp.array(dtype=wp.mat44),
+    face_out: wp.array(dtype=int),
+):
+    """The face that the ray along ee's z axis hits first, from `back_off` (m) behind its origin; -1 within `reach`: none."""
+    row = first + wp.tid()
+    T = T_obj_ee_in[row]
+    z = wp.vec3(T[0, 2], T[1, 2], T[2, 2])
+    start = wp.vec3(T[0, 3], T[1, 3], T[2, 3]) - back_off * z
+    hit = wp.mesh_query_ray(mesh_in[object_in[row]], start, z, reach)
+    face_out[row] = wp.where(hit.result, hit.face, -1)

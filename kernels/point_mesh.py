@@ -1,0 +1,30 @@
+"""Signed distance of points to a closed mesh, and the outward direction there; launched over points."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.kernel
+def point_mesh_distance(
+    first: int,
+    mesh: wp.uint64,
+    reach: float,
+    point_in: wp.array(dtype=wp.vec3),
+    distance_out: wp.array(dtype=wp.float32),
+    normal_out: wp.array(dtype=wp.vec3),
+    face_out: wp.array(dtype=wp.int32),
+):
+    """Negative inside (winding number above 0.5); nearest face and its normal. +reach and face -1 beyond `reach`."""
+    i = first + wp.tid()
+    p = point_in[i]
+    query = wp.mesh_query_point_sign_winding_number(mesh, p, reach, 2.0, 0.5)
+    if query.result:
+        closest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+        distance_out[i] = query.sign * wp.length(p - closest)
+        normal_out[i] = wp.mesh_eval_face_normal(mesh, query.face)
+        face_out[i] = query.face
+    else:
+        distance_out[i] = reach
+        normal_out[i] = wp.vec3(0.0, 0.0, 0.0)
+        face_out[i] = -1

@@ -1,0 +1,41 @@
+"""A method's answers for any number of trials: a part at a time, on the scene's device, with the time they took."""
+
+import time
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from r2h_batch.launch import one_torch_thread
+from r2h_batch.scene import Scene
+from r2h_batch.types import Predictions, Trials
+
+__all__ = ["answers"]
+
+PART = 512
+"""Trials held in memory at once: a posed hand is 20 kB, the orientations of a trial as much again."""
+
+
+def answers(
+    trials: Trials,
+    scene: Scene,
+    method: str,
+    choose: Callable[[Trials, slice], tuple[Tensor, Tensor]],
+    *,
+    part: int = PART,
+) -> Predictions:
+    """`choose(some trials, their rows) -> T_obj_ee, T_world_ee` (n, 4, 4) for all; t_method_s: wall time over their number."""
+    start = time.perf_counter()
+    home, there = trials.trial_id.device, trials.to(scene.device)
+    grasps = [torch.empty((0, 4, 4), device=scene.device)]
+    poses = [torch.empty((0, 4, 4), device=scene.device)]
+    with one_torch_thread(scene.device):
+        for first in range(0, len(trials), part):
+            rows = slice(first, first + part)
+            T_obj_ee, T_world_ee = choose(there[rows], rows)
+            grasps.append(T_obj_ee)
+            poses.append(T_world_ee)
+    T_obj_ee, T_world_ee = (torch.cat(parts).float().to(home) for parts in (grasps, poses))
+    seconds = (time.perf_counter() - start) / max(len(trials), 1)
+    t_method_s = torch.full((len(trials),), seconds, device=home)
+    return Predictions(trials.trial_id, T_obj_ee, T_world_ee, t_method_s, method)

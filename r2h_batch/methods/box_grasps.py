@@ -1,0 +1,165 @@
+"""Handover-VA's own grasps: top-down on the functional part, a gripper of three boxes, points inside are collisions."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
+from numpy.typing import NDArray
+from torch import Tensor
+
+from r2h_batch.grasp import OPEN_GAP_M, gripper_poses
+from r2h_batch.kernels import box_grasps as kernels
+from r2h_batch.launch import launch_trials
+from r2h_batch.methods.part_roles import GRASP
+from r2h_batch.objects import ObjectModel
+from r2h_batch.robot import Kind, load_robot
+from r2h_batch.scene import Scene
+
+__all__ = ["BoxGrasps", "box_grasps", "depth_steps", "three_boxes"]
+
+FINGER_PARTS = ("pad", "inner_finger")
+"""What counts as a finger; the rest of the gripper is the third box."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BoxGrasps:
+    """Own grasps of B trials, S seeds each: pose, score (m, summed finger room; -1 where not feasible)."""
+
+    T_obj_ee: Float32[Tensor, "b s 4 4"]
+    score: Float32[Tensor, "b s"]
+    seed: Float32[Tensor, "b s 3"]
+    used: Bool[Tensor, "b s"]
+
+
+@lru_cache(maxsize=1)
+def three_boxes() -> tuple[Array, Array, Array, Array]:
+    """Low and high corner (3,) of the finger at +y and of the rest, m, frame ee, gripper open at 85 mm.
+
+    The finger's inner face is the pad's; where its root would reach into the rest, the rest ends it.
+    """
+    robot = load_robot()
+    R, p = (x[0].double().numpy() for x in gripper_poses(torch.tensor([OPEN_GAP_M])))
+    half = np.where(
+        (robot.gripper.kind == Kind.BOX)[:, None], robot.gripper.size,
+        np.stack([robot.gripper.size[:, 0], robot.gripper.size[:, 0], robot.gripper.size[:, 1]], 1),
+    )  # fmt: skip
+    half = np.einsum("gij,gj->gi", np.abs(R), half)
+    finger = np.isin(robot.gripper_part, FINGER_PARTS)
+    mine = finger & (robot.gripper_side > 0)
+    finger_low, finger_high = (p - half)[mine].min(0), (p + half)[mine].max(0)
+    chassis_low, chassis_high = (p - half)[~finger].min(0), (p + half)[~finger].max(0)
+    finger_low[1], finger_low[2] = OPEN_GAP_M / 2, chassis_high[2]
+    return finger_low, finger_high, chassis_low, chassis_high
+
+
+def depth_steps(low_m: float, high_m: float, step_m: float) -> Array:
+    """Depths from `low_m` to `high_m`, ends included."""
+    return np.asarray(low_m + step_m * np.arange(round((high_m - low_m) / step_m) + 1), np.float64)
+
+
+def box_grasps(
+    scene: Scene,
+    object_index: Int32[Tensor, " b"],
+    role: UInt8[Tensor, "b p"],
+    *,
+    voxel_m: float,
+    azimuth_step: float,
+    depths_m: Sequence[float] | Array,
+    crop_m: float,
+    threads: int | None = None,
+) -> BoxGrasps:
+    """Grasps seeded at the voxel means of the points whose role is not GRASP; every point of the cloud is an obstacle.
+
+    `azimuth_step` in rad; azimuths cover half a turn, the gripper being symmetric.
+    """
+    cloud, device, b = _clouds(scene, voxel_m), scene.device, len(object_index)
+    count = round(math.pi / azimuth_step)
+    if not 1 <= count <= 30:
+        raise ValueError(
+            f"azimuth_step is {azimuth_step} rad, {count} azimuths; allowed are 1 to 30: give 0.105 or more"
+        )
+    angle = azimuth_step * np.arange(count)
+    turns = np.stack([np.cos(angle), np.sin(angle)], 1).astype(np.float32)
+    depth = np.asarray(depths_m, np.float32)
+    most = cloud.voxel_start.shape[1] - 1
+    seed = torch.zeros((b, most, 3), device=device)
+    used = torch.zeros((b, most), dtype=torch.uint8, device=device)
+    score = torch.full((b, most), -1.0, device=device)
+    turn, step = (torch.zeros((b, most), dtype=torch.int32, device=device) for _ in range(2))
+    if b:
+        o, points = wp.from_torch(object_index.contiguous()), wp.from_torch(cloud.points, dtype=wp.vec3)
+        seeds, use = wp.from_torch(seed, dtype=wp.vec3), wp.from_torch(used)
+        inputs: list[Any] = [
+            points, wp.from_torch(cloud.order), wp.from_torch(cloud.voxel_start), GRASP, o,
+            wp.from_torch(role.contiguous()), seeds, use,
+        ]  # fmt: skip
+        launch_trials(kernels.voxel_means, b, inputs, device=device, threads=threads, chunk=16, width=most)
+        inputs = [
+            _boxes(), points, wp.array(turns, dtype=wp.vec2, device=device),
+            wp.array(depth, dtype=wp.float32, device=device), float(crop_m), o, seeds, use,
+            wp.from_torch(score), wp.from_torch(turn), wp.from_torch(step),
+        ]  # fmt: skip
+        launch_trials(kernels.top_down_grasps, b, inputs, device=device, threads=threads, chunk=1, width=most)
+    chosen = torch.from_numpy(turns).to(device)[turn.long()]
+    down = torch.from_numpy(depth).to(device)[step.long()]
+    return BoxGrasps(_poses(seed, chosen, down), score, seed, used.bool())
+
+
+def _poses(seed: Tensor, turn: Tensor, depth: Tensor) -> Tensor:
+    """z = -z of the object, y at the azimuth, origin `depth` below the seed."""
+    T = torch.zeros((*seed.shape[:-1], 4, 4), device=seed.device)
+    c, s = turn[..., 0], turn[..., 1]
+    T[..., 0, 0], T[..., 1, 0] = -s, c
+    T[..., 0, 1], T[..., 1, 1] = c, s
+    T[..., 2, 2] = -1.0
+    T[..., :3, 3] = seed
+    T[..., 2, 3] -= depth
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def _boxes() -> Any:
+    boxes = kernels.Boxes()
+    names = ("finger_low", "finger_high", "chassis_low", "chassis_high")
+    for name, corner in zip(names, three_boxes(), strict=True):
+        setattr(boxes, name, wp.vec3(*corner.astype(np.float32)))
+    return boxes
+
+
+@dataclass(frozen=True)
+class _Clouds:
+    points: Float[Tensor, "o p 3"]
+    order: Int32[Tensor, "o p"]
+    voxel_start: Int32[Tensor, "o s"]
+
+
+@lru_cache(maxsize=4)
+def _clouds(scene: Scene, voxel_m: float) -> _Clouds:
+    """The objects' clouds and which points share a voxel of a grid from half a voxel below the cloud's lowest corner."""
+    orders, starts = [], []
+    for model in scene.objects:
+        cells = _cells(model, voxel_m)
+        _, number, size = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+        orders.append(np.argsort(number.ravel(), kind="stable"))
+        starts.append(np.concatenate([[0], np.cumsum(size)]))
+    most = max(map(len, starts))
+    padded = np.stack([np.concatenate([s, np.full(most - len(s), s[-1])]) for s in starts])
+    points = np.stack([o.points for o in scene.objects]).astype(np.float32)
+    return _Clouds(
+        torch.from_numpy(points).to(scene.device),
+        torch.from_numpy(np.stack(orders).astype(np.int32)).to(scene.device),
+        torch.from_numpy(padded.astype(np.int32)).to(scene.device),
+    )
+
+
+def _cells(model: ObjectModel, voxel_m: float) -> NDArray[np.int64]:
+    points = model.points.astype(np.float64)
+    return np.floor((points - points.min(0)) / voxel_m + 0.5).astype(np.int64)

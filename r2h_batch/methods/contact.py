@@ -1,0 +1,164 @@
+"""Contact-Handover (Wang et al. 2024): the grasp that leaves the predicted human contact free; docs/baselines.md.
+
+Grasp: DBSCAN over an object's candidates drops outliers; of the others whose gripper is clear of the hand on the object,
+the one that blocks least of the contact map (probabilities of 0.4 and more). Pose: 15 cm above the estimated palm, in
+the orientation of least collision cost with the estimated hand among those that the arm reaches.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float32, Int32, UInt8
+from torch import Tensor
+
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.grasp import gripper_tables
+from r2h_batch.kernels import blocked as blocked_kernels
+from r2h_batch.launch import launch_trials
+from r2h_batch.methods.batches import answers
+from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.least_cost_pose import least_cost_pose
+from r2h_batch.methods.palm_pose import least
+from r2h_batch.methods.placing import candidates_clear_of, taken
+from r2h_batch.predictors import ContactPredictor, PredictorNoise, predict_contacts, predict_receiving, predict_target
+from r2h_batch.scene import Scene
+from r2h_batch.types import Predictions, Trials
+
+__all__ = ["predict"]
+
+TITLE, STAND_IN = "Contact-Handover", "VoxNet, built-in contacts"
+
+THRESHOLD = 0.4
+"""Contact probability from which a point counts (published)."""
+
+HEIGHT_M = 0.15
+"""The gripper's TCP above the estimated palm centre (published)."""
+
+BLOCKED_M = 0.02
+"""A contact point this near to the gripper is blocked: a fingertip is 14-20 mm thick and cannot get between."""
+
+EPS_M = 0.022
+"""DBSCAN: grasp points nearer than the pads' width of 22 mm are neighbours: pads there overlap, it is one place."""
+
+MIN_SAMPLES = 3
+"""DBSCAN: a grasp with fewer neighbours (itself counted) may be an outlier: two alike can be chance, three are a place."""
+
+CLEARANCE_M = 0.0
+"""What gripper and hand on the object must keep: the paper filters collisions, it asks for no room."""
+
+
+def predict(
+    trials: Trials,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    evaluator: Evaluator | None = None,
+    noise: PredictorNoise | None = None,
+    predictor: ContactPredictor | None = None,
+    threshold: float = THRESHOLD,
+    height_m: float = HEIGHT_M,
+    blocked_m: float = BLOCKED_M,
+    eps_m: float = EPS_M,
+    min_samples: int = MIN_SAMPLES,
+    clearance_m: float = CLEARANCE_M,
+) -> Predictions:
+    """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
+
+    `predictor`: what gives the contact map (`r2h_batch.predictors.load_predictor`); None: the built-in VoxNet.
+    """
+    threads = evaluator.threads if evaluator else None
+    table = candidate_table(scene)
+    clustered = in_clusters(scene, eps_m, min_samples)
+    near = points_near_gripper(scene, blocked_m)
+
+    def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
+        taking = predict_receiving(part, scene, seed=seed, noise=noise)
+        target = predict_target(part, scene, seed=seed, noise=noise)
+        contact = predict_contacts(part, scene, predictor=predictor)
+        rows, exists = table.rows(part.object_index)
+        clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)
+        blocked = blocked_contact(
+            near, contact, table.first[part.object_index.long()], table.count[part.object_index.long()], table.most,
+            threshold=threshold, threads=threads,
+        )  # fmt: skip
+        row = taken(rows, least_blocked(blocked, table.score[rows], clear, clustered[rows], exists))
+        T_world_ee = least_cost_pose(
+            scene, part.object_index, table.T_obj_ee[row], table.opening_m[row], target, height_m, threads=threads
+        )
+        return table.T_obj_ee[row], T_world_ee
+
+    return answers(trials, scene, "contact", choose)
+
+
+def least_blocked(
+    blocked: Float32[Tensor, "b k"],
+    score: Float32[Tensor, "b k"],
+    clear: Bool[Tensor, "b k"],
+    clustered: Bool[Tensor, "b k"],
+    exists: Bool[Tensor, "b k"],
+) -> Tensor:
+    """Index of the least blocked contact among the clear, clustered candidates; of equals the best antipodal score.
+
+    Where none is both: among the clear ones, where none is clear: among all.
+    """
+    pool = torch.where((clear & clustered).any(1, keepdim=True), clear & clustered, clear)
+    pool = torch.where(pool.any(1, keepdim=True), pool, exists) & exists
+    cost = torch.where(pool, blocked.double(), torch.inf)
+    return least(-score, pool & (cost == cost.amin(1, keepdim=True)), exists)
+
+
+@lru_cache(maxsize=8)
+def in_clusters(scene: Scene, eps_m: float, min_samples: int) -> Bool[Tensor, " m"]:
+    """For every row of the candidate table: whether DBSCAN over its object's grasp points puts it in a cluster."""
+    from sklearn.cluster import DBSCAN
+
+    table = candidate_table(scene)
+    kept = np.zeros(len(table.T_obj_ee), bool)
+    points = table.T_obj_ee[:, :3, 3].cpu().numpy().astype(np.float64)
+    for first, count in zip(table.first.tolist(), table.count.tolist(), strict=True):
+        rows = slice(first, first + count)
+        kept[rows] = DBSCAN(eps=eps_m, min_samples=min_samples).fit(points[rows]).labels_ >= 0
+    return torch.from_numpy(kept).to(scene.device)
+
+
+@lru_cache(maxsize=8)
+def points_near_gripper(scene: Scene, radius_m: float) -> UInt8[Tensor, "m p"]:
+    """Which points of its object's cloud each candidate's closed gripper is nearer to than `radius_m`."""
+    table = candidate_table(scene)
+    points = torch.from_numpy(np.stack([o.points for o in scene.objects])).to(scene.device)
+    near = torch.zeros((len(table.T_obj_ee), points.shape[1]), dtype=torch.uint8, device=scene.device)
+    inputs = [
+        gripper_tables(scene.device), float(radius_m), wp.from_torch(points, dtype=wp.vec3),
+        wp.from_torch(table.object_index), wp.from_torch(table.T_obj_ee, dtype=wp.mat44),
+        wp.from_torch(table.opening_m), wp.from_torch(near),
+    ]  # fmt: skip
+    launch_trials(
+        blocked_kernels.points_near_gripper, len(near), inputs, device=scene.device, chunk=16, width=near.shape[1]
+    )
+    return near
+
+
+def blocked_contact(
+    near: UInt8[Tensor, "m p"],
+    contact: Float32[Tensor, "b p"],
+    first: Int32[Tensor, " b"],
+    count: Int32[Tensor, " b"],
+    width: int,
+    *,
+    threshold: float,
+    threads: int | None = None,
+) -> Float32[Tensor, "b k"]:
+    """Sum of the contact probabilities (those of `threshold` and more) that candidate k of each trial blocks."""
+    device = str(near.device)
+    out = torch.zeros((len(contact), width), dtype=torch.float32, device=near.device)
+    inputs = [
+        float(threshold), wp.from_torch(near), wp.from_torch(first.to(torch.int32).contiguous()),
+        wp.from_torch(count.to(torch.int32).contiguous()), wp.from_torch(contact.float().contiguous()),
+        wp.from_torch(out),
+    ]  # fmt: skip
+    launch_trials(
+        blocked_kernels.blocked_contact, len(out), inputs, device=device, threads=threads, chunk=8, width=width
+    )
+    return out

@@ -1,0 +1,68 @@
+"""FC-Handover (Meng et al. 2022): the grasp opposite to the predicted receiving hand, nothing else; docs/baselines.md.
+
+Grasp: of the candidates whose gripper is clear of the hand on the object, the one whose approach axis is most opposed
+to the direction from that hand's wrist to its middle finger tip. Pose: the gripper opposed to the target hand's
+direction, the object's centre at the ball centre c_h.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods.batches import answers
+from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.palm_pose import approach_frames, dot, least, roll_angles, rolled, unit
+from r2h_batch.methods.placing import HOME_X, candidates_clear_of, centers_at, first_fit, object_centers, taken
+from r2h_batch.predictors import PredictorNoise, predict_receiving, predict_target
+from r2h_batch.scene import Scene
+from r2h_batch.types import Predictions, Trials
+
+__all__ = ["predict"]
+
+TITLE, STAND_IN = "FC-Handover", "oracle hand"
+
+ROLLS = 8
+"""Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
+
+CLEARANCE_M = 0.0
+"""What gripper and hand must keep: the paper drops candidates "that collide", it asks for no room."""
+
+
+def predict(
+    trials: Trials,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    evaluator: Evaluator | None = None,
+    noise: PredictorNoise | None = None,
+    rolls: int = ROLLS,
+    clearance_m: float = CLEARANCE_M,
+) -> Predictions:
+    """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id)."""
+    threads = evaluator.threads if evaluator else None
+    table = candidate_table(scene)
+    center = torch.from_numpy(object_centers(scene)).to(scene.device)
+
+    def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
+        taking = predict_receiving(part, scene, seed=seed, noise=noise)
+        target = predict_target(part, scene, seed=seed, noise=noise)
+        rows, exists = table.rows(part.object_index)
+        score = opposition(table.T_obj_ee[rows][..., :3, 2], taking.wrist_to_middle)
+        clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)
+        row = taken(rows, least(score, clear, exists))
+        T_obj_ee = table.T_obj_ee[row]
+        frames = approach_frames(-target.wrist_to_middle, torch.tensor(HOME_X, device=scene.device))
+        T_world_ee = centers_at(
+            rolled(frames, roll_angles(rolls)), T_obj_ee, center[part.object_index.long()], target.ball_center
+        )
+        return T_obj_ee, first_fit(
+            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, threads=threads
+        )
+
+    return answers(trials, scene, "fc", choose)
+
+
+def opposition(z: Float[Tensor, "b k 3"], direction: Float[Tensor, "b 3"]) -> Float[Tensor, "b k"]:
+    """cos(v_g, v_h): -1 where approach axis z and the hand's direction are opposed."""
+    return dot(unit(z.double()), unit(direction.double())[:, None])

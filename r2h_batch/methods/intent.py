@@ -1,0 +1,142 @@
+"""Intent-Handover (Zhang et al. 2026): the grasp opposed to and near the hand that the instruction asks for; docs/baselines.md.
+
+Grasp: of the candidates that fit the gripper and whose approach axis does not first meet the region named by the
+instruction, the least A(g) = cos(v_g, v_h) - |p_g - p_h|, as published (metres; the hand is the one retrieved for the
+instruction, on the object). Pose: 15 cm above the target palm, the gripper opposed to the hand's direction in the palm
+plane, turned 15 degrees inward.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float, Int64
+from torch import Tensor
+
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.instructions import ANYWHERE, intents_of, understand
+from r2h_batch.kernels import approach_hit
+from r2h_batch.launch import launch_trials
+from r2h_batch.methods.batches import answers
+from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.fc import opposition
+from r2h_batch.methods.palm_pose import approach_frames, dot, least, poses_at, roll_angles, rolled, turned_inward
+from r2h_batch.methods.placing import HOME_X, above_palm, first_fit, taken
+from r2h_batch.predictors import PredictorNoise, predict_target, retrieve_receiving
+from r2h_batch.scene import Scene
+from r2h_batch.types import Predictions, Trials
+
+__all__ = ["predict"]
+
+TITLE, STAND_IN = "Intent-Handover", "retrieval"
+
+ROLLS = 8
+"""Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
+
+HEIGHT_M = 0.15
+"""The gripper's TCP above the palm (published for Contact-Handover, whose position rule this is)."""
+
+INWARD_DEG = 15.0
+"""Published. Inward is towards the thumb here: the paper does not say which way."""
+
+CLEARANCE_M = 0.0
+"""What the gripper and the target hand must keep when rolls are tried: touching is a collision, no room is asked for."""
+
+BACK_OFF_M = 0.10
+"""The approach ray starts this far behind the TCP: inside the gripper's body, where a candidate has no material."""
+
+
+def predict(
+    trials: Trials,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    evaluator: Evaluator | None = None,
+    noise: PredictorNoise | None = None,
+    instructions: Sequence[str] | None = None,
+    rolls: int = ROLLS,
+    height_m: float = HEIGHT_M,
+    inward_deg: float = INWARD_DEG,
+    clearance_m: float = CLEARANCE_M,
+) -> Predictions:
+    """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
+
+    `instructions`: one sentence a trial; None: each object's own.
+    """
+    threads = evaluator.threads if evaluator else None
+    table, w_max = candidate_table(scene), scene.config.thresholds.w_max_m
+    if instructions is not None and len(instructions) != len(trials):
+        raise ValueError(f"{len(instructions)} instructions for {len(trials)} trials; give one for each, or None")
+    named = named_parts(scene, trials, instructions).to(scene.device)
+    hit_part, hit_region = approach_hits(scene)
+
+    def choose(part: Trials, here: slice) -> tuple[Tensor, Tensor]:
+        said = None if instructions is None else instructions[here]
+        taking = retrieve_receiving(part, scene, said, seed=seed, noise=noise)
+        target = predict_target(part, scene, seed=seed, noise=noise)
+        rows, exists = table.rows(part.object_index)
+        in_region = hit_region[rows] & named[here].gather(1, hit_part[rows])
+        fits = (table.width_m[rows] <= w_max) & ~in_region
+        score = affordance_score(table.T_obj_ee[rows], taking.wrist_to_middle, taking.palm_point)
+        row = taken(rows, least(score, fits & exists, exists))
+        approach = turned_inward(-target.wrist_to_middle, target.palm_normal, target.side, inward_deg)
+        frames = approach_frames(approach, torch.tensor(HOME_X, device=scene.device))
+        T_world_ee = poses_at(rolled(frames, roll_angles(rolls)), above_palm(target, height_m))
+        return table.T_obj_ee[row], first_fit(
+            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, threads=threads
+        )
+
+    return answers(trials, scene, "intent", choose)
+
+
+def affordance_score(
+    T_obj_ee: Float[Tensor, "b k 4 4"], direction: Float[Tensor, "b 3"], palm_point: Float[Tensor, "b 3"]
+) -> Float[Tensor, "b k"]:
+    """A(g) = cos(v_g, v_h) - |p_g - p_h| in metres: the chosen grasp has the least (opposed to the hand, and far from it)."""
+    apart = T_obj_ee[..., :3, 3].double() - palm_point.double()[:, None]
+    return opposition(T_obj_ee[..., :3, 2], direction) - dot(apart, apart).sqrt()
+
+
+@lru_cache(maxsize=4)
+def approach_hits(scene: Scene) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
+    """For every row of the candidate table: the part that its approach axis meets first, and whether a receiver may take
+    it there (False too where the axis meets nothing)."""
+    table = candidate_table(scene)
+    face = torch.empty(len(table.T_obj_ee), dtype=torch.int32, device=scene.device)
+    inputs = [
+        BACK_OFF_M, 1.0, scene.object_mesh_ids, wp.from_torch(table.object_index),
+        wp.from_torch(table.T_obj_ee, dtype=wp.mat44), wp.from_torch(face),
+    ]  # fmt: skip
+    launch_trials(approach_hit.approach_hits, len(face), inputs, device=scene.device, chunk=64)
+    part, region = np.zeros(len(face), np.int64), np.zeros(len(face), bool)
+    for row, (o, f) in enumerate(zip(table.object_index.tolist(), face.tolist(), strict=True)):
+        model = scene.objects[o]
+        if f >= 0:
+            part[row] = model.face_part[f]
+            region[row] = model.receiver_face[f] or not model.receiver_face.any()
+    return torch.from_numpy(part).to(scene.device), torch.from_numpy(region).to(scene.device)
+
+
+def named_parts(scene: Scene, trials: Trials, instructions: Sequence[str] | None) -> Bool[Tensor, "n p"]:
+    """The part labels of the region R_o that each trial's instruction names; none where it names the object alone."""
+    index = trials.object_index.cpu().long()
+    if instructions is None:
+        return torch.stack([_region(scene, i, o.instruction) for i, o in enumerate(scene.objects)])[index]
+    pairs = list(zip(index.tolist(), instructions, strict=True))
+    number = {pair: k for k, pair in enumerate(dict.fromkeys(pairs))}
+    regions = torch.stack(
+        [_region(scene, *pair) for pair in number] or [_region(scene, 0, scene.objects[0].instruction)]
+    )
+    return regions[torch.tensor([number[pair] for pair in pairs], dtype=torch.int64)]
+
+
+@lru_cache(maxsize=65536)
+def _region(scene: Scene, object_index: int, instruction: str) -> Bool[Tensor, " p"]:
+    region = torch.zeros(max(len(o.part_names) for o in scene.objects), dtype=torch.bool)
+    understood = understand(instruction, scene.objects, object_index=object_index)
+    intent = intents_of(scene.objects[object_index])[understood.intent]
+    if intent.part != ANYWHERE:
+        region[list(intent.labels)] = True
+    return region

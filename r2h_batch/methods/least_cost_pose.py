@@ -1,0 +1,136 @@
+"""Contact-Handover's orientation: of a fan of handover poses above a palm, the one of least collision cost with the hand."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Float, Float32, Int32, Int64
+from numpy.typing import NDArray
+from torch import Tensor
+
+from r2h_batch.grasp import OPEN_GAP_M, gripper_poses, gripper_tables
+from r2h_batch.kernels import pose_cost as kernels
+from r2h_batch.launch import launch_trials
+from r2h_batch.methods.palm_pose import apply_rotation, approach_frames, least, poses_at, reachable, roll_angles, rolled
+from r2h_batch.methods.placing import HOME_X, above_palm
+from r2h_batch.predictors import TargetHand
+from r2h_batch.robot import Kind, load_robot
+from r2h_batch.scene import Scene
+
+__all__ = ["approach_fan", "collision_cost", "gripper_capsule", "hand_sample", "least_cost_pose"]
+
+DIRECTIONS = 32
+"""Approach directions that are tried, spread over the half sphere that faces the palm: neighbours 25 degrees apart."""
+
+ROLLS = 8
+"""Turns about each approach direction."""
+
+ZONE_M = 0.03
+"""Hand points nearer than this to gripper or object cost: about twice the estimate's error of 12 mm an axis."""
+
+HAND_POINTS = 128
+"""Points of the hand's skin that are looked at, spread evenly: about 1 cm apart."""
+
+
+def least_cost_pose(
+    scene: Scene,
+    object_index: Int32[Tensor, " b"],
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    opening_m: Float32[Tensor, " b"],
+    target: TargetHand,
+    height_m: float,
+    *,
+    directions: int = DIRECTIONS,
+    rolls: int = ROLLS,
+    zone_m: float = ZONE_M,
+    threads: int | None = None,
+) -> Float32[Tensor, "b 4 4"]:
+    """T_world_ee `height_m` above each palm with the least cost of those that the arm reaches (of all, if it reaches none).
+
+    Of equal costs the approach nearest to straight into the palm, then the roll nearest to home.
+    """
+    R = approach_fan(target.palm_normal, directions, rolls)
+    T_world_ee = poses_at(R, above_palm(target, height_m))
+    points = target.vertices[:, hand_sample(scene, HAND_POINTS)].contiguous()
+    cost = collision_cost(scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m, threads=threads)
+    best = least(cost, reachable(T_world_ee, threads=threads), torch.ones_like(cost, dtype=torch.bool))
+    return T_world_ee[torch.arange(len(best), device=best.device), best]
+
+
+def approach_fan(palm_normal: Float[Tensor, "b 3"], directions: int, rolls: int) -> Float[Tensor, "b r 3 3"]:
+    """Frames whose z axes spread over the half sphere about -n_h, nearest to it first, each in `rolls` rolls."""
+    k = np.arange(directions) + 0.5
+    z = 1.0 - k / directions
+    turn, ring = np.pi * (3.0 - np.sqrt(5.0)) * k, np.sqrt(1.0 - z * z)
+    lattice = np.round(np.stack([ring * np.cos(turn), ring * np.sin(turn), z], 1), 12)
+    home = torch.tensor(HOME_X, dtype=torch.float64, device=palm_normal.device)
+    into = approach_frames(-palm_normal, home)
+    fan = torch.from_numpy(lattice).to(palm_normal.device)
+    approach = apply_rotation(into[:, None], fan[None])
+    frames = approach_frames(approach, home).reshape(-1, 3, 3)
+    return rolled(frames, roll_angles(rolls)).reshape(len(palm_normal), directions * rolls, 3, 3)
+
+
+def collision_cost(
+    scene: Scene,
+    object_index: Int32[Tensor, " b"],
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    opening_m: Float32[Tensor, " b"],
+    T_world_ee: Float32[Tensor, "b r 4 4"],
+    hand_points: Float32[Tensor, "b h 3"],
+    *,
+    zone_m: float = ZONE_M,
+    threads: int | None = None,
+) -> Float32[Tensor, "b r"]:
+    """Mean over the hand's points (world) of max(0, zone - signed distance to gripper and held object), m."""
+    b, r = T_world_ee.shape[:2]
+    if hand_points.shape[1] > kernels.MOST_POINTS:
+        raise ValueError(f"{hand_points.shape[1]} hand points; the kernel takes {kernels.MOST_POINTS} at most")
+    out = torch.zeros((b, r), dtype=torch.float32, device=scene.device)
+    if b == 0:
+        return out
+    low, high = _boxes(scene)
+    inputs = [
+        gripper_tables(scene.device), float(zone_m), *gripper_capsule(), scene.object_mesh_ids, low, high,
+        wp.from_torch(object_index.contiguous()), wp.from_torch(opening_m.contiguous()),
+        wp.from_torch(T_obj_ee.contiguous(), dtype=wp.mat44), wp.from_torch(T_world_ee.contiguous(), dtype=wp.mat44),
+        wp.from_torch(hand_points.contiguous(), dtype=wp.vec3), wp.from_torch(out),
+    ]  # fmt: skip
+    launch_trials(kernels.pose_cost, b, inputs, device=scene.device, threads=threads, chunk=2, width=r)
+    return out
+
+
+@lru_cache(maxsize=4)
+def hand_sample(scene: Scene, count: int) -> Int64[Tensor, " h"]:
+    """Vertices spread over the hand's skin: each the farthest from those before (flat hand), the first at the wrist."""
+    skin: NDArray[np.float64] = scene.hands.model.vertices.double().numpy()
+    taken = [int(np.argmin((skin**2).sum(1)))]
+    apart = ((skin - skin[taken[0]]) ** 2).sum(1)
+    while len(taken) < min(count, len(skin)):
+        taken.append(int(np.argmax(apart)))
+        apart = np.minimum(apart, ((skin - skin[taken[-1]]) ** 2).sum(1))
+    return torch.tensor(taken, dtype=torch.int64, device=scene.device)
+
+
+@lru_cache(maxsize=1)
+def gripper_capsule() -> tuple[float, float, float]:
+    """Low and high end on ee's z axis, and radius, of a capsule that holds the gripper at any opening (m)."""
+    robot, slack = load_robot(), 1e-3  # what parts move between two of the openings looked at
+    R, p = (x.double().numpy() for x in gripper_poses(torch.linspace(0.0, OPEN_GAP_M, 61)))
+    size = robot.gripper.size
+    half = np.where((robot.gripper.kind == Kind.BOX)[:, None], size, np.stack([size[:, 0], size[:, 0], size[:, 1]], 1))
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T  # of the boxes that hold the primitives
+    points = (p[:, :, None] + np.einsum("ngij,cgj->ngci", R, corners[:, None] * half)).reshape(-1, 3)
+    radius = float(np.hypot(points[:, 0], points[:, 1]).max()) + slack
+    return float(points[:, 2].min()) - slack, float(points[:, 2].max()) + slack, radius
+
+
+@lru_cache(maxsize=4)
+def _boxes(scene: Scene) -> tuple[Any, Any]:
+    corners = np.stack([(o.vertices.min(0), o.vertices.max(0)) for o in scene.objects]).astype(np.float32)
+    arrays: list[Any] = [
+        wp.array(np.ascontiguousarray(corners[:, i]), dtype=wp.vec3, device=scene.device) for i in (0, 1)
+    ]
+    return arrays[0], arrays[1]

@@ -1,0 +1,218 @@
+"""Hands as a method sees them: the receiver's hand on the object, and the target hand in the world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float32, Int8, Int32, Int64
+from torch import Tensor
+
+from r2h_batch import rng, se3
+from r2h_batch.hand import HandGeometry, load_hand, palm_frame
+from r2h_batch.instructions import InstructionError, intents_of, understand
+from r2h_batch.predictors.noise import PredictorNoise, perturbed, trial_ids
+from r2h_batch.receiving import ReceivingGrasps, load_receiving
+from r2h_batch.scene import Scene
+from r2h_batch.types import Trials
+
+__all__ = ["ReceivingHand", "TargetHand", "predict_receiving", "predict_target", "retrieve_receiving"]
+
+MIDDLE_TIP = 1  # in HandModel.tip_vertices
+_GRASP, _RECEIVING, _TARGET = 0, 1, 2  # purposes of the random counters
+
+
+@dataclass(frozen=True, eq=False)
+class _SeenHand:
+    """N hands: row of a bank of posed hands, and where each stands in a frame (obj or world), metres."""
+
+    bank: HandGeometry
+    row: Int64[Tensor, " n"]
+    side: Int8[Tensor, " n"]
+    """0 right, 1 left"""
+    T: Float32[Tensor, "n 4 4"]
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    @cached_property
+    def joints(self) -> Float32[Tensor, "n 16 3"]:
+        """MANO's 16 joints."""
+        return se3.apply(self.T[:, None], self.bank.joints[self.row])
+
+    @cached_property
+    def vertices(self) -> Float32[Tensor, "n v 3"]:
+        """The skin; made at first use (16 KB a trial). Faces: `load_hand().faces_by_side[side]`."""
+        return se3.apply(self.T[:, None], self.bank.vertices[self.row])
+
+    @cached_property
+    def _palm(self) -> tuple[Tensor, Tensor]:
+        return palm_frame(self.joints, self.side)
+
+    @property
+    def palm_point(self) -> Float32[Tensor, "n 3"]:
+        """p_h: mean of wrist and the four finger roots."""
+        return self._palm[0]
+
+    @property
+    def palm_normal(self) -> Float32[Tensor, "n 3"]:
+        """n_h: unit normal out of the palm."""
+        return self._palm[1]
+
+    @cached_property
+    def wrist_to_middle(self) -> Float32[Tensor, "n 3"]:
+        """Unit vector from the wrist to the tip of the middle finger."""
+        tip = int(load_hand().tip_vertices[MIDDLE_TIP])
+        d = se3.apply(self.T, self.bank.vertices[self.row, tip]) - self.joints[:, 0]
+        return d / (d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2]).sqrt()[:, None]
+
+
+@dataclass(frozen=True, eq=False)
+class ReceivingHand(_SeenHand):
+    """The receiver's hand on the object as predicted, frame obj."""
+
+    grasp: Int64[Tensor, " n"]
+    """row of `load_receiving(scene.objects)` that was drawn"""
+
+    @property
+    def T_obj_hand(self) -> Float32[Tensor, "n 4 4"]:
+        """Where the hand stands in the object's frame."""
+        return self.T
+
+
+@dataclass(frozen=True, eq=False)
+class TargetHand(_SeenHand):
+    """The hand that the object is brought to, as estimated, frame world."""
+
+    reach_offset_m: float
+
+    @property
+    def T_world_hand(self) -> Float32[Tensor, "n 4 4"]:
+        """Where the hand stands in the world."""
+        return self.T
+
+    @property
+    def ball_center(self) -> Float32[Tensor, "n 3"]:
+        """c_h = p_h + 0.12 n_h of the estimated hand."""
+        return self.palm_point + self.reach_offset_m * self.palm_normal
+
+
+def predict_receiving(
+    trials: Trials,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    noise: PredictorNoise | None = None,
+    part: Int32[Tensor, " n"] | None = None,
+) -> ReceivingHand:
+    """A receiving grasp of each trial's object and hand side, with the error model; drawn by (seed, trial id).
+
+    `part`: label that the hand should hold, -1 for any; where no grasp holds it, any is drawn.
+    """
+    n, count = len(trials), len(scene.objects)
+    labels = torch.full((n,), -1, dtype=torch.int32) if part is None else part.cpu()
+    names = max(len(o.part_names) for o in scene.objects)
+    if n and not (int(labels.min()) >= -1 and int(labels.max()) < names):
+        raise ValueError(f"part is {int(labels.min())} to {int(labels.max())}; it must be -1 (any) to {names - 1}")
+    grasps = load_receiving(scene.objects)
+    fits = torch.ones((count, names + 1, len(grasps)), dtype=torch.bool)  # label -1 stands last
+    for k in range(names):
+        fits[:, k] = grasps.part == k
+    return _drawn(trials, scene, grasps, fits, labels.long() % (names + 1), seed, noise)
+
+
+def retrieve_receiving(
+    trials: Trials,
+    scene: Scene,
+    instructions: Sequence[str] | None = None,
+    *,
+    seed: int = 0,
+    noise: PredictorNoise | None = None,
+) -> ReceivingHand:
+    """A receiving grasp that answers each trial's instruction (None: the object's own), with the error model.
+
+    Instructions are understood for object, part and purpose (`instructions.understand`); a sentence about another
+    object, or about a part that nobody takes, raises `InstructionError`.
+    """
+    object_index = trials.object_index.cpu().tolist()
+    said = [scene.objects[i].instruction for i in object_index] if instructions is None else list(instructions)
+    if len(said) != len(trials):
+        raise InstructionError(f"{len(said)} instructions for {len(trials)} trials; give one for each, or None")
+    grasps = load_receiving(scene.objects)
+    most = max(len(intents_of(o)) for o in scene.objects)
+    fits = torch.zeros((len(scene.objects), most, len(grasps)), dtype=torch.bool)
+    for i, model in enumerate(scene.objects):
+        for k, intent in enumerate(intents_of(model)):
+            fits[i, k] = torch.isin(grasps.part, torch.tensor(intent.labels, dtype=torch.uint8))
+    answer = {
+        pair: understand(pair[1], scene.objects, object_index=pair[0]).intent
+        for pair in dict.fromkeys(zip(object_index, said, strict=True))
+    }
+    wanted = torch.tensor([answer[pair] for pair in zip(object_index, said, strict=True)], dtype=torch.int64)
+    return _drawn(trials, scene, grasps, fits, wanted, seed, noise)
+
+
+def _drawn(
+    trials: Trials,
+    scene: Scene,
+    grasps: ReceivingGrasps,
+    fits: Tensor,
+    wanted: Tensor,
+    seed: int,
+    noise: PredictorNoise | None,
+) -> ReceivingHand:
+    """Grasps of the object and side with `fits[object, wanted]`, all equally likely, then the error."""
+    noise = PredictorNoise() if noise is None else noise
+    ids, device = trial_ids(trials.trial_id), trials.trial_id.device
+    key = rng.key_of(f"receiving hand {seed}")
+    side = scene.hands.set.side.to(torch.int8)[trials.hand_index.cpu().long()]
+    table, number = _rows(grasps, fits)
+    at = (trials.object_index.cpu().long(), side.long(), wanted)
+    (u,) = rng.uniforms(key, ids, 1, purpose=_GRASP)
+    grasp = table[at][torch.arange(len(ids)), torch.from_numpy(rng.choice(u, number[at].numpy()))]
+    point, _ = palm_frame(grasps.posed.joints, grasps.side)
+    T = perturbed(
+        grasps.T_obj_hand[grasp],
+        point[grasp],
+        ids,
+        key,
+        purpose=_RECEIVING,
+        rotation_deg=noise.receiving_rotation_deg,
+        translation_m=noise.receiving_translation_m,
+    )
+    bank = HandGeometry(grasps.posed.vertices.to(device), grasps.posed.joints.to(device))
+    row = grasp.to(device)
+    return ReceivingHand(bank, row, side.to(device), T.to(device), row)
+
+
+def _rows(grasps: ReceivingGrasps, fits: Tensor) -> tuple[Tensor, Tensor]:
+    """Rows of `grasps` for (object, side, choice), padded (O, 2, C, L), and how many; where nothing fits, all do."""
+    mine = torch.stack([grasps.object_index == i for i in range(len(fits))])[:, None] & torch.stack(
+        [grasps.side == s for s in (0, 1)]
+    )
+    kept = mine[:, :, None] & fits[:, None]
+    kept = torch.where(kept.any(-1, keepdim=True), kept, mine[:, :, None].expand_as(kept))
+    number = kept.sum(-1)
+    order = torch.argsort((~kept).to(torch.uint8), dim=-1, stable=True)
+    return order[..., : int(number.max())], number
+
+
+def predict_target(trials: Trials, scene: Scene, *, seed: int = 0, noise: PredictorNoise | None = None) -> TargetHand:
+    """Each trial's real hand as an estimator sees it, with the error model; drawn by (seed, trial id)."""
+    noise = PredictorNoise() if noise is None else noise
+    hands, device = scene.hands, trials.trial_id.device
+    row = trials.hand_index.long()
+    T = perturbed(
+        trials.T_world_hand,
+        hands.palm_point.to(device)[row],
+        trial_ids(trials.trial_id),
+        rng.key_of(f"target hand {seed}"),
+        purpose=_TARGET,
+        rotation_deg=noise.target_rotation_deg,
+        translation_m=noise.target_translation_m,
+    )
+    bank = HandGeometry(hands.vertices.to(device), hands.joints.to(device))
+    side = hands.set.side.to(device, torch.int8)[row]
+    return TargetHand(bank, row, side, T, scene.config.thresholds.reach_offset_m)

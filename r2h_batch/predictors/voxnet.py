@@ -1,0 +1,113 @@
+"""The built-in contact predictor: a small VoxNet with a decoder, trained on the built-in receiving grasps."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+import torch
+from jaxtyping import Float32, Int64
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor, nn
+
+from r2h_batch.predictors.contacts import CHANNELS
+from r2h_batch.predictors.files import PredictorError
+
+__all__ = ["VoxNet", "load_voxnet", "read_voxnet"]
+
+WIDTHS = (8, 20, 40)
+MIDDLE_M, SPREAD_M = 0.1, 0.05
+"""Scales of objects that fit a hand."""
+
+
+class VoxNet(nn.Module):
+    """Contact probability of every voxel; 64^3 goes down to 8^3 and back up, with what each size saw beside it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        a, b, c = WIDTHS
+        self.down1 = _block(CHANNELS, a, stride=2)
+        self.down2 = _block(a, b, stride=2)
+        self.down3 = _block(b, c, stride=2)
+        self.deep = _block(c, c)
+        self.up2 = _block(c + b, b)
+        self.up1 = nn.Sequential(nn.Conv3d(b + a, 2 * a, kernel_size=1), nn.LeakyReLU(0.1))
+        self.out = nn.Conv3d(2 * a + CHANNELS, 1, kernel_size=1)
+        for layer in self.modules():
+            if isinstance(layer, nn.Conv3d) and layer is not self.out:
+                nn.init.kaiming_normal_(layer.weight, a=0.1, nonlinearity="leaky_relu")
+                nn.init.constant_(layer.bias, 0.0)  # type: ignore[arg-type]  # there is one
+
+    def features(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k f 32 32 32"]:
+        """What is known of each 2 x 2 x 2 voxels."""
+        x1 = self.down1(_centred(grid))
+        x2 = self.down2(x1)
+        x3 = self.deep(self.down3(x2))
+        x2 = self.up2(torch.cat([_doubled(x3), x2], 1))
+        return self.up1(torch.cat([_doubled(x2), x1], 1))
+
+    def logits(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k 64 64 64"]:
+        """Log odds of contact."""
+        return self.out(torch.cat([_doubled(self.features(grid)), _centred(grid)], 1))[:, 0]
+
+    def logits_at(self, grid: Float32[Tensor, "k 5 64 64 64"], voxel: Int64[Tensor, "k p 3"]) -> Float32[Tensor, "k p"]:
+        """The same at some voxels only: for training, where most of a grid is empty."""
+        at = (2 * voxel + 1).float() / grid.shape[-1] - 1  # voxel centres, from -1 to 1
+        seen = nn.functional.grid_sample(
+            self.features(grid), at.flip(-1)[:, :, None, None], padding_mode="border", align_corners=False
+        )
+        i, j, k = voxel.unbind(-1)
+        given = _centred(grid)[torch.arange(len(grid))[:, None], :, i, j, k].transpose(1, 2)[..., None, None]
+        return self.out(torch.cat([seen, given], 1))[:, 0, :, 0, 0]
+
+    def forward(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k 64 64 64"]:
+        """Probability of contact; what it says of empty voxels means nothing."""
+        return torch.sigmoid(self.logits(grid))
+
+
+def _block(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv3d(inputs, outputs, kernel_size=3, stride=stride, padding=1),
+        nn.LeakyReLU(0.1),
+    )
+
+
+def _centred(grid: Tensor) -> Tensor:
+    """The grid with the objects' scale (metres) brought to about -1 to 1, like the other channels."""
+    return torch.cat([grid[:, :4], (grid[:, 4:] - MIDDLE_M) / SPREAD_M], 1)
+
+
+def _doubled(x: Tensor) -> Tensor:
+    return nn.functional.interpolate(x, scale_factor=2.0, mode="trilinear", align_corners=False)
+
+
+@lru_cache(maxsize=1)
+def load_voxnet() -> VoxNet:
+    """The trained network; how it was made: `r2h_batch.predictors.train_voxnet`."""
+    file = resources.files("r2h_batch.assets.receiving") / "voxnet.safetensors"
+    with resources.as_file(file) as path:
+        return read_voxnet(path)
+
+
+def read_voxnet(path: str | Path) -> VoxNet:
+    """A VoxNet with the weights of a .safetensors file."""
+    net = VoxNet()
+    try:
+        found = load_file(str(path))
+    except (SafetensorError, OSError) as error:
+        raise PredictorError(f"predictor {path}: not a readable .safetensors file ({error})") from error
+    wanted = net.state_dict()
+    wrong = [k for k in wanted if k not in found or found[k].shape != wanted[k].shape]
+    extra = [k for k in found if k not in wanted]
+    if wrong or extra:
+        name = (wrong or extra)[0]
+        shape = tuple(found[name].shape) if name in found else "nothing"
+        need = tuple(wanted[name].shape) if name in wanted else "no such weight"
+        raise PredictorError(
+            f"predictor {path}: weight {name!r} is {shape}, VoxNet needs {need}; another network must come as TorchScript "
+            "(torch.jit.save) or as package.module:function"
+        )
+    net.load_state_dict(found)
+    return net.eval()

@@ -1,0 +1,60 @@
+"""Smooth success: a number in (0, 1) that is above 0.5 exactly where all evaluated criteria pass.
+
+With t = temperature_m and m_i the evaluated margins,
+
+    some m_i fails   f = 1/2 prod_i 2 sigmoid(min(m_i, 0) / t)      at most 1/2, every failing criterion pulls
+    all pass         f = 1/2 + 1/2 prod_i tanh(max(m_i, 0) / 2 t)   at least 1/2, the smallest margins pull most
+
+The two meet at 1/2 where the smallest margin is 0, so f is continuous; its kinks are those of the margins and m_i = 0.
+"""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from r2h_batch.straight_through import with_gradient
+
+__all__ = ["soft_success"]
+
+LOWEST_M = -1e3
+"""Stands for a margin of -inf (no path): its gradient is 0."""
+
+
+def soft_success(
+    margin: Float[Tensor, "*b c"],
+    evaluated: Bool[Tensor, "*b c"],
+    success: Bool[Tensor, "*b"],
+    *,
+    temperature_m: float,
+    log: bool = False,
+) -> Float[Tensor, "*b"]:
+    """Smooth success of margins in metres; `success` is the verdict (criteria differ in whether touching passes).
+
+    `log`: its logarithm, which far from success stays linear in the margins where the number itself underflows. Rows
+    that were not evaluated get the smallest positive number; they and NaN margins have gradient 0.
+    """
+    if not temperature_m > 0:
+        raise ValueError(f"temperature_m is {temperature_m}; it must be a number of metres above 0")
+    judged = evaluated.any(-1)
+    m = torch.where(evaluated, margin, torch.full_like(margin, torch.inf)).clamp(min=LOWEST_M) / temperature_m
+    failing = torch.zeros_like(m[..., 0])
+    passing = torch.ones_like(failing)
+    for i in range(m.shape[-1]):  # in a fixed order: the same bits at any batch size
+        finite = torch.isfinite(m[..., i])
+        x = torch.where(finite, m[..., i], torch.ones_like(failing))
+        failing = failing + torch.where(finite & (x <= 0), _LOG_2 + torch.nn.functional.logsigmoid(x), 0.0)
+        passing = passing * torch.where(finite & (x >= 0), torch.tanh(0.5 * x), 1.0)
+    half = torch.full_like(failing, 0.5)
+    least, above = torch.finfo(margin.dtype).tiny, torch.nextafter(half, torch.ones_like(half))
+    change = torch.where(success, 0.5 + 0.5 * passing, 0.5 * torch.exp(failing))
+    value = torch.where(
+        success, torch.clamp(change, above, torch.nextafter(torch.ones_like(half), half)), change.clamp(least, 0.5)
+    )
+    value = torch.where(judged, value, torch.full_like(value, least))
+    if log:
+        change = torch.where(success, torch.log(change.clamp(min=0.5)), failing - _LOG_2)
+        value = torch.where(judged & ~success, change, torch.log(value))
+    return with_gradient(value.detach(), torch.where(judged, change, torch.zeros_like(change)))
+
+
+_LOG_2 = 0.6931471805599453

@@ -1,0 +1,71 @@
+"""The examples run, in a shortened form, and do what they say."""
+
+import json
+import runpy
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+import torch
+
+from r2h_batch import se3
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+
+
+@pytest.fixture(autouse=True)
+def examples_on_the_path(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+
+
+def test_scoring_candidates_is_short_and_prints_two_rates(capsys):
+    lines = (EXAMPLES / "score_candidates.py").read_text().splitlines()
+    assert len([x for x in lines if x.strip() and not x.startswith(("import", "from", '"""'))]) <= 20
+    runpy.run_path(str(EXAMPLES / "score_candidates.py"), run_name="__main__")
+    out = capsys.readouterr().out
+    assert "1024 candidates in" in out and "the best of 16 does in" in out
+
+
+def test_refining_turns_failing_candidates_into_passing_ones(capsys):
+    refine_poses = import_module("refine_poses")
+    before, after = refine_poses.main(["--trials", "16", "--steps", "30"])
+    assert before < 0.3 and after > 0.2
+    assert "failing ones refined in 30 steps" in capsys.readouterr().out
+
+
+def test_a_generator_is_trained_and_judged_in_three_ways(tmp_path):
+    train_generator = import_module("train_generator")
+    short = ["--proposals", "300", "--steps", "6", "--batch", "32", "--trials", "12", "--candidates", "2"]
+    result = train_generator.main([*short, "--out", str(tmp_path), "--weights", str(tmp_path / "weights.pt")])
+    assert json.loads((tmp_path / "results" / "training_loop.json").read_text())["rates"] == result["rates"]
+    assert list(result["rates"]) == ["plain", "best of 2", "guided, 2 steps"]
+    assert all(0 <= r["low"] <= r["rate"] <= r["high"] <= 1 and r["trials"] == 6 for r in result["rates"].values())
+    assert (tmp_path / "training_loop.png").stat().st_size > 5000 and (tmp_path / "weights.pt").exists()
+
+
+def test_poses_survive_the_generators_nine_numbers():
+    generator = import_module("generator")
+    z, towards, origin = torch.randn(3, 50, 3, generator=torch.Generator().manual_seed(0))
+    T = generator.frame_of(z / z.norm(dim=-1, keepdim=True), towards, origin)
+    assert se3.is_pose(T).all()
+    torch.testing.assert_close(generator.to_pose(generator.to_numbers(T)), T, atol=1e-5, rtol=0)
+
+
+def test_flow_matching_learns_a_distribution_and_samples_it():
+    Flow = import_module("generator").Flow
+    torch.manual_seed(0)
+    g = torch.Generator().manual_seed(0)
+    flow = Flow(0)
+    adam = torch.optim.Adam(flow.parameters(), lr=2e-3)
+    code = torch.zeros(256, 128)
+    for _ in range(300):
+        target = torch.randn((256, 9), generator=g) * 0.1 + torch.where(
+            torch.rand((256, 1), generator=g) < 0.5, 1.0, -1.0
+        )
+        adam.zero_grad()
+        flow.loss(target, code, g).backward()
+        adam.step()
+    with torch.no_grad():
+        x = flow.sample(code, g)
+    assert 0.3 < (x[:, 0] > 0).float().mean() < 0.7
+    assert ((x.abs() - 1).abs() < 0.5).float().mean() > 0.8

@@ -1,0 +1,214 @@
+"""Predictions files that are damaged, hostile or something else: refused before any harm, naming the file."""
+
+import io
+import pickle
+import struct
+import tracemalloc
+import zipfile
+
+import numpy as np
+import pytest
+import torch
+from prediction_files import FORMATS, arrays, members, npy, refused, store, zipped
+from safetensors.numpy import save
+
+from r2h_batch import predictions
+from r2h_batch.predictions import MAX_MEMBERS, PredictionsError, load_predictions
+
+
+class _Touch:
+    """Unpickling this creates a file."""
+
+    def __init__(self, path):
+        self.path = str(path)
+
+    def __reduce__(self):
+        return open, (self.path, "w")
+
+
+def test_pickle_object_npz_and_torch_files_are_refused_unread_saying_how_to_convert(tmp_path):
+    touched = tmp_path / "touched"
+    bomb = np.array([_Touch(touched)] * 5, dtype=object)
+    (tmp_path / "p.pkl").write_bytes(pickle.dumps({"T_obj_ee": bomb}))
+    np.savez(tmp_path / "object.npz", **arrays(trial_id=bomb))
+    zipped(tmp_path / "method.npz", [*members(), ("method.npy", npy(np.array(_Touch(touched), dtype=object)))])
+    torch.save({"T_obj_ee": _Touch(touched)}, tmp_path / "new.pt")
+    torch.save({"T_obj_ee": _Touch(touched)}, tmp_path / "old.pt", _use_new_zipfile_serialization=False)
+    torch.save({str(i): torch.zeros(2) for i in range(40)}, tmp_path / "model.npz")
+    np.save(tmp_path / "one.npy", np.zeros(4))
+    for name in ("p.pkl", "object.npz", "new.pt", "old.pt", "model.npz"):
+        refused(tmp_path / name, "pickle", "refused", "np.savez(FILE, trial_id=")
+    refused(tmp_path / "method.npz", "pickle")
+    refused(tmp_path / "one.npy", "single .npy", "np.savez")
+    assert not touched.exists()
+
+
+# --- row 13: bombs --------------------------------------------------------------------------------------------------
+
+
+def declare(path, name: str, size: int) -> None:
+    """Let the archive's directory and local header claim another uncompressed size for a member."""
+    data = bytearray(path.read_bytes())
+    for signature, at_size, at_name in ((b"PK\x01\x02", 24, 46), (b"PK\x03\x04", 22, 30)):
+        at = data.find(signature)
+        while at >= 0:
+            if data[at + at_name : at + at_name + len(name)] == name.encode():
+                data[at + at_size : at + at_size + 4] = struct.pack("<I", size)
+            at = data.find(signature, at + 4)
+    path.write_bytes(data)
+
+
+def test_a_highly_compressed_member_is_refused_before_it_is_unpacked(tmp_path):
+    huge = np.zeros((1_000_000, 4, 4), np.float32)
+    np.savez_compressed(tmp_path / "p.npz", **arrays(T_obj_ee=huge))
+    del huge
+    tracemalloc.start()
+    refused(tmp_path / "p.npz", "T_obj_ee", "at most 200 times", "np.savez instead")
+    assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    tracemalloc.stop()
+
+
+def test_small_constant_arrays_may_compress_well(tmp_path):
+    np.savez_compressed(tmp_path / "p.npz", **arrays(500, T_obj_ee=np.tile(np.eye(4, dtype=np.float32), (500, 1, 1))))
+    assert len(load_predictions(tmp_path / "p.npz")) == 500
+
+
+def test_a_declared_size_beyond_the_limit_is_refused(tmp_path, monkeypatch):
+    store(tmp_path / "p.npz", arrays(200))
+    monkeypatch.setattr(predictions, "MAX_BYTES", 20_000)
+    refused(tmp_path / "p.npz", "at most 20000 are allowed")
+
+
+@pytest.mark.parametrize("shape", [(10**9, 4, 4), (10**18, 10**18, 16), (6, 4, 4), (4, 4, 4), (-5, -4, 4)])
+def test_an_array_header_that_lies_about_its_shape_is_refused_before_allocation(tmp_path, shape):
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": shape})
+    zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), ("T_obj_ee.npy", header.getvalue() + bytes(5 * 64))])
+    tracemalloc.start()
+    refused(tmp_path / "p.npz", "'T_obj_ee'")
+    assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize("size", [100, 500, 100_000])
+def test_a_directory_that_lies_about_a_members_size_is_refused(tmp_path, size):
+    zipped(tmp_path / "p.npz", members())
+    declare(tmp_path / "p.npz", "T_obj_ee.npy", size)
+    refused(tmp_path / "p.npz")
+
+
+def test_duplicate_members_are_refused(tmp_path):
+    refused(zipped(tmp_path / "p.npz", [*members(), members()[1]]), "duplicate member 'T_obj_ee.npy'")
+
+
+def test_too_many_members_are_refused(tmp_path):
+    many = [(f"a{i}.npy", npy(np.zeros(1))) for i in range(MAX_MEMBERS + 1)]
+    refused(zipped(tmp_path / "p.npz", many), f"at most {MAX_MEMBERS}")
+
+
+def test_a_long_header_is_refused(tmp_path):
+    text = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"1," * 30_000 + b"), }"
+    header = b"\x93NUMPY\x02\x00" + struct.pack("<I", len(text) + 1) + text + b"\n"
+    refused(zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), ("T_obj_ee.npy", header)]), "'T_obj_ee'")
+
+
+def test_an_encrypted_member_is_refused(tmp_path):
+    path = zipped(tmp_path / "p.npz", members())
+    data = bytearray(path.read_bytes())
+    for signature, at in ((b"PK\x01\x02", 8), (b"PK\x03\x04", 6)):
+        data[data.find(signature) + at] |= 1
+    path.write_bytes(data)
+    refused(path, "is encrypted; write np.savez")
+
+
+# --- row 14: names that lead out ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["../T_obj_ee.npy", "a/../../x.npy", "/etc/passwd", "..\\x.npy", "C:\\x.npy", "C:x.npy", "\\\\host\\x.npy"]
+)
+def test_members_that_point_outside_are_refused_and_nothing_is_extracted(tmp_path, name):
+    refused(zipped(tmp_path / "p.npz", [*members(), (name, b"x")]), "outside the archive")
+    assert [p.name for p in tmp_path.iterdir()] == ["p.npz"]
+
+
+def test_a_symbolic_link_in_the_archive_is_refused(tmp_path):
+    link = zipfile.ZipInfo("T_obj_ee.npy")
+    link.external_attr = 0o120777 << 16
+    refused(zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), (link, "/etc/passwd")]), "symbolic link")
+
+
+@pytest.mark.parametrize("name", ["sub/T_obj_ee.npy", "T_obj_ee", "notes.txt", "T_OBJ_EE.npy"])
+def test_members_that_are_no_known_array_are_refused(tmp_path, name):
+    refused(zipped(tmp_path / "p.npz", [*members(), (name, b"x")]), "unknown member", "allowed keys are trial_id")
+
+
+# --- row 15: damage -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_file_cut_at_any_place_is_refused_and_named(tmp_path, suffix):
+    data = store(tmp_path / f"whole{suffix}", arrays(3), "m").read_bytes()
+    path = tmp_path / f"cut{suffix}"
+    for n in range(0, len(data), 7):
+        path.write_bytes(data[:n])
+        refused(path)
+
+
+def test_a_flipped_bit_in_the_data_of_an_npz_is_refused(tmp_path):
+    path = store(tmp_path / "p.npz", arrays(200))
+    data = bytearray(path.read_bytes())
+    data[data.find(b"T_world_ee") + 2000] ^= 4
+    path.write_bytes(data)
+    refused(path, "CRC", "write or copy it again")
+
+
+def test_any_flipped_bit_is_refused_or_harmless_and_never_another_error(tmp_path):
+    data = store(tmp_path / "whole.npz", arrays(2)).read_bytes()
+    path, accepted = tmp_path / "flip.npz", 0
+    for at in range(len(data)):
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << (at % 8)
+        path.write_bytes(damaged)
+        try:
+            read = load_predictions(path)
+        except PredictionsError:
+            continue
+        accepted += 1
+        for key, value in arrays(2).items():
+            assert np.array_equal(getattr(read, key).numpy(), value)
+    assert accepted < len(data) / 2
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"\xff" * 64,
+        struct.pack("<Q", 2**62) + b"{}",
+        struct.pack("<Q", 4) + b"{{{{",
+        save(arrays()) + b"tail",
+        struct.pack("<Q", 90)
+        + b'{"trial_id":{"dtype":"I64","shape":[9223372036854775807],"data_offsets":[0,8]}}'.ljust(98),
+    ],
+)
+def test_damaged_safetensors_are_refused(tmp_path, content):
+    (tmp_path / "p.safetensors").write_bytes(content)
+    refused(tmp_path / "p.safetensors", "safetensors")
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("p.csv", b"trial_id,x\n1,2\n"), ("p.json", b"[1, 2]"), ("p.h5", b"\x89HDF\r\n")]
+)
+def test_other_formats_are_refused_saying_what_to_write(tmp_path, name, content):
+    (tmp_path / name).write_bytes(content)
+    refused(tmp_path / name, "neither .npz nor .safetensors", "np.savez")
+
+
+def test_nothing_a_folder_and_an_empty_file_are_refused(tmp_path):
+    (tmp_path / "empty.npz").touch()
+    refused(tmp_path / "none.npz", "no such file")
+    refused(tmp_path, "not a regular file")
+    refused(tmp_path / "empty.npz", "empty")
+
+
+# --- row 16: rows that do not match the plan ------------------------------------------------------------------------
