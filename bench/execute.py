@@ -52,9 +52,7 @@ class Mix:
 
     def score(self, config: ExecConfig, plan: PlanConfig | None = None) -> tuple[Scores, Executed, dict[str, Any]]:
         """Scores, the executed motion, what execute was given, and process seconds under `seconds`."""
-        evaluator = Evaluator(
-            EvalConfig(execute=config, plan=plan or PlanConfig()), device=self.device, threads=self.threads
-        )
+        evaluator = Evaluator(EvalConfig(execute=config, plan=plan or PlanConfig()), device=self.device, threads=self.threads)
         seen: dict[str, Any] = {}
 
         def watched(scene: Any, placed: Any, path: Any, length: Any, motion: Any, c: Any, **k: Any) -> Executed:
@@ -150,26 +148,17 @@ def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: s
     scores, executed, seen = mix.score(config)
     rows = torch.nonzero(executed.length > 0).flatten()
     law = Law()
-    law.speed, law.acceleration = (
-        config.scale * config.max_velocity_rad_s,
-        config.scale * config.max_acceleration_rad_s2,
-    )
+    law.speed, law.acceleration = config.scale * config.max_velocity_rad_s, config.scale * config.max_acceleration_rad_s2
     law.lead, law.step = 0.0, executed.sample_s
     reference = torch.zeros((len(rows), executed.path.shape[1], 6), dtype=torch.float64)
     tables = [wp.from_torch(t.contiguous()) for t in (seen["path"], seen["motion"].time_s, seen["length"], reference)]
     wp.launch(
-        servo_commands,
-        dim=reference.shape[:2],
-        inputs=[0, law, wp.from_torch(rows.to(torch.int32)), *tables],
-        device="cpu",
+        servo_commands, dim=reference.shape[:2], inputs=[0, law, wp.from_torch(rows.to(torch.int32)), *tables], device="cpu"
     )
     robot, error = seen["scene"].robot, []
     for i, row in enumerate(rows.tolist()):
         n = int(executed.length[row])
-        tips = [
-            (ee_pose(robot, q) @ TIP_M)[:, :3]
-            for q in (executed.path[row, :n].double().numpy(), reference[i, :n].numpy())
-        ]
+        tips = [(ee_pose(robot, q) @ TIP_M)[:, :3] for q in (executed.path[row, :n].double().numpy(), reference[i, :n].numpy())]
         error.append(np.linalg.norm(tips[0] - tips[1], axis=1))
     each = np.concatenate(error) * 1e3
     report.add(f"execute.tracking.{name}.trials", len(error))
@@ -186,7 +175,6 @@ def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: s
 def payload(mix: Mix, report: Report) -> None:
     """The same motions with nothing and with a 1 kg ball of 6 cm between the fingers, compensated and not."""
     for mass in (0.0, 1.0):
-
         def ball(model: Any, T: Any, mass: float = mass) -> Payload:
             T = np.eye(4)
             T[2, 3] = 0.1422

@@ -194,24 +194,33 @@ def memory(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock) 
             return int(f.read().split()[1]) * resource.getpagesize() / 1024
 
     c = repeated(mix, 64)
-    for _ in range(50):
+    for _ in range(300):
         evaluator.score(*c, stages="pose")
     before = used_kb()
     for _ in range(1000):
         evaluator.score(*c, stages="pose")
     report.add("training_loop.memory.growth_kb_over_1000_calls", used_kb() - before)
-    peaks = []
-    for b in (4096, 32768):
-        if clock.cuda:
-            torch.cuda.reset_peak_memory_stats()
-            evaluator.score(*repeated(mix, b), stages="pose")
-            peaks.append(torch.cuda.max_memory_allocated() / 1024)
-        else:  # a process of its own: this one has been larger before
-            command = [sys.executable, __file__, "--peak-of", str(b)]
-            done = subprocess.run(command, capture_output=True, text=True, check=True)
-            peaks.append(float(done.stdout.split()[-1]))
-    report.add("training_loop.memory.peak_kb_per_candidate", (peaks[1] - peaks[0]) / (32768 - 4096))
-    report.add("training_loop.memory.peak_mb_of_b32768", peaks[1] / 1024)
+    b = 8192
+    if clock.cuda:
+        torch.cuda.reset_peak_memory_stats()
+        start = torch.cuda.memory_allocated()
+        evaluator.score(*repeated(mix, b), stages="pose")
+        peak = (torch.cuda.max_memory_allocated() - start) / 1024
+    else:  # a process of its own: this one has been larger before
+        command = [sys.executable, __file__, "--peak-of", str(b)]
+        peak = float(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()[-1])
+    report.add("training_loop.memory.peak_kb_per_candidate", peak / b)
+
+
+def print_peak(evaluator: Evaluator, mix: Candidates, b: int) -> None:
+    """How much resident memory (kB) rises at most in one call of size b, after a small one."""
+    evaluator.score(*mix, stages="pose")
+    c = repeated(mix, b)
+    Path("/proc/self/clear_refs").write_text("5")  # forgets the peak so far
+    before = float(Path("/proc/self/status").read_text().split("VmRSS:")[1].split()[0])
+    scores = evaluator.score(*c, stages="pose")
+    peak = float(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
+    print(peak - before if len(scores) == b else "failed")
 
 
 def peer(report: Report, evaluator: Evaluator, mix: Candidates, n: int) -> None:
@@ -255,8 +264,7 @@ def main() -> None:
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), device=options.device, threads=options.threads)
     mix = candidates(evaluator, "mix", options.device)
     if options.peak_of:
-        evaluator.score(*repeated(mix, options.peak_of), stages="pose")
-        print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+        print_peak(evaluator, mix, options.peak_of)
         return
     report.add("training_loop.threads", launch.cpu_threads(options.threads))
 

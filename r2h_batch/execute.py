@@ -198,9 +198,7 @@ def time_at(
     ramp = torch.minimum(torch.full_like(whole, v * v / (2 * a)), whole / 2)
     t = torch.where(near <= ramp, (2 * near / a).sqrt(), (2 * ramp / a).sqrt() + (near - ramp) / v)
     t = torch.where(s <= whole / 2, t, total - t)
-    passed = torch.minimum(
-        (motion.time_s[rows, at] + t).float(), motion.time_s[rows, at + 1]
-    )  # never after its own end
+    passed = torch.minimum((motion.time_s[rows, at] + t).float(), motion.time_s[rows, at + 1])  # never after its own end
     return torch.where(length > 0, passed, torch.nan)
 
 

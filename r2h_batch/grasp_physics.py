@@ -61,9 +61,7 @@ def close_in_physics(
     down = np.array([0.0, 0.0, 1.0]) if down_ee is None else np.asarray(down_ee, np.float64)
 
     def one(i: int) -> tuple[float, float, float]:
-        return _close(
-            robot, objects[int(object_index[i])], np.asarray(T_obj_ee[i], np.float64), down if shake else None
-        )
+        return _close(robot, objects[int(object_index[i])], np.asarray(T_obj_ee[i], np.float64), down if shake else None)
 
     rows = list(thread_pool(cpu_threads(threads)).map(one, range(len(object_index))))
     opening, moved, slip = np.array(rows, np.float64).reshape(-1, 3).T
@@ -134,9 +132,7 @@ def _tie(spec: mujoco.MjSpec, one: str, other: str, factor: float, solref: list[
 
 def _close(robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None) -> tuple[float, float, float]:
     m = gripper_spec(robot, model, T_obj_ee).compile()
-    m.dof_damping[-6:] = [model.mass * 50] * 3 + [
-        float(np.trace(model.inertia)) * 50
-    ] * 3  # nothing drifts off at a touch
+    m.dof_damping[-6:] = [model.mass * 50] * 3 + [float(np.trace(model.inertia)) * 50] * 3  # nothing drifts off at a touch
     data = mujoco.MjData(m)
     data.qpos[:4] = np.array([1, -1, 1, -1]) * float(drive_from_gap(OPEN_M))
     start = data.qpos[4:7].copy()

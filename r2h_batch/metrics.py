@@ -59,11 +59,7 @@ def stability_in_physics(
     geometric = stability(grasp, active)
     rows = torch.nonzero(geometric.passed).flatten()
     closed = close_in_physics(
-        scene.objects,
-        object_index[rows].cpu().numpy(),
-        T_obj_ee[rows].double().cpu().numpy(),
-        shake=True,
-        threads=threads,
+        scene.objects, object_index[rows].cpu().numpy(), T_obj_ee[rows].double().cpu().numpy(), shake=True, threads=threads
     )
     left = torch.from_numpy(np.nan_to_num(DROPPED_M - closed.slip_m, nan=-np.inf))
     margin = geometric.margin.clone()

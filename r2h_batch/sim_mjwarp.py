@@ -122,13 +122,7 @@ def _queue(job: Job, todo: np.ndarray) -> Queue:
     queue.row = wp.array(job.rows[todo].astype(np.int32), dtype=wp.int32)
     queue.steps = wp.array((job.samples[todo] * job.record_steps).astype(np.int32), dtype=wp.int32)
     queue.start = wp.array(job.start[todo].astype(np.float32), dtype=wp.float32)
-    for name, dtype in (
-        ("pos", wp.vec3),
-        ("quat", wp.quat),
-        ("ipos", wp.vec3),
-        ("iquat", wp.quat),
-        ("inertia", wp.vec3),
-    ):
+    for name, dtype in (("pos", wp.vec3), ("quat", wp.quat), ("ipos", wp.vec3), ("iquat", wp.quat), ("inertia", wp.vec3)):
         setattr(queue, name, wp.array(np.ascontiguousarray(table[f"body_{name}"][:, -1]), dtype=dtype))
     queue.mass = wp.array(np.ascontiguousarray(table["body_mass"][:, -1]), dtype=wp.float32)
     queue.subtreemass = wp.array(table["body_subtreemass"], dtype=wp.float32)
