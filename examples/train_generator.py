@@ -175,6 +175,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     parser.add_argument("--weights", type=Path, help="kept here; where the file exists, nothing is trained")
     parser.add_argument("--out", type=Path, default=Path("docs"), help="training_loop.png, results/training_loop.json")
     args = parser.parse_args(argv)
+    torch.set_num_threads(1)  # the networks are small: more threads mostly wait for each other, or for busy cores
     random = torch.Generator().manual_seed(args.seed)
     evaluator = Evaluator()
     clouds = Clouds.of(evaluator)

@@ -101,6 +101,8 @@ def closing_witness(
     whole: int,
     T_obj_ee_in: wp.array(dtype=wp.mat44),
     object_index_in: wp.array(dtype=wp.int32),
+    width_in: wp.array(dtype=wp.float32),  # as the evaluator found them; NaN: empty
+    opening_in: wp.array(dtype=wp.float32),
     point_out: wp.array2d(dtype=wp.vec3),  # (B, 4) low, high of what the pads meet; low, high of what is judged
     slope_x_out: wp.array2d(dtype=wp.float32),
     slope_z_out: wp.array2d(dtype=wp.float32),
@@ -115,11 +117,15 @@ def closing_witness(
     trial = first + wp.tid()
     s = object_index_in[trial]
     R, t = inverse_pose(T_obj_ee_in[trial])
-    c = close_on(gripper, surfaces, s, R, t, open_gap)
-    if c.found == 0:
+    width = width_in[trial]
+    gap = opening_in[trial]
+    if wp.isnan(width):
         state_out[trial] = EMPTY
         return
-    gap = c.opening
+    if whole != 0 or width > open_gap:  # the gripper was left open, or another width was judged
+        c = close_on(gripper, surfaces, s, R, t, open_gap)
+        gap = c.opening
+        width = c.high - c.low
     least = gap_from_drive(gripper, gripper.drive_upper)
     bottom = wp.max(gap - STEP_M, least)
     low, high = between_gaps(gripper, surfaces, s, R, t, bottom, gap, 0.5 * open_gap)
@@ -128,7 +134,7 @@ def closing_witness(
         state = FIXED_GAP
         bottom = gap
         low, high = between_gaps(gripper, surfaces, s, R, t, gap, gap, 0.5 * open_gap)
-    elif c.high - c.low > gap + STEP_M:
+    elif width > gap + STEP_M:
         above_low, above_high = between_gaps(gripper, surfaces, s, R, t, gap, gap, 0.5 * open_gap)
         state = wp.where(above_low - low > high - above_high, STEP_LOW, STEP_HIGH)
     state_out[trial] = state

@@ -55,7 +55,7 @@ class _Changes:
         self.held, self.goal, grasp = held, goal, held.grasp
         self.evaluated, margin = scores.evaluated, scores.margin.detach()
         launch = {"threads": threads}
-        self.closing = witnesses.closing(scene, held.T_obj_ee, held.objects, grasp.width_m, **launch)
+        self.closing = witnesses.closing(scene, held.T_obj_ee, held.objects, grasp.width_m, grasp.opening_m, **launch)
 
         # Stability: the material, or the cut of the open gripper where that is what the margin says
         self.cuts = held.active & (grasp.cut_m < 0) & (margin[:, 0] == grasp.cut_m)

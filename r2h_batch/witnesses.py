@@ -34,10 +34,11 @@ def closing(
     T_obj_ee: Float32[Tensor, "b 4 4"],
     object_index: Int32[Tensor, " b"],
     width_m: Float32[Tensor, " b"],
+    opening_m: Float32[Tensor, " b"],
     *,
     threads: int | None = None,
 ) -> Closing:
-    """What the pads met, where the evaluator found `width_m` (NaN: nothing); `T_obj_ee` before the object moved."""
+    """What the pads met, where the evaluator found these (width NaN: nothing); `T_obj_ee` before the object moved."""
     b, device = len(T_obj_ee), T_obj_ee.device
     points = torch.zeros((b, 4, 3), device=device)
     slope_x, slope_z, lift = (
@@ -51,7 +52,8 @@ def closing(
         closing_kernels.closing_witness,
         b,
         [tables.gripper, tables.surfaces, OPEN_GAP_M, int(scene.config.width == "whole"), _mat44(T_obj_ee)]
-        + [wp.from_torch(object_index), wp.from_torch(points, dtype=wp.vec3)]
+        + [wp.from_torch(x.contiguous()) for x in (object_index, width_m, opening_m)]
+        + [wp.from_torch(points, dtype=wp.vec3)]
         + [wp.from_torch(x) for x in (slope_x, slope_z, lift, state)],
         device=scene.device,
         threads=threads,

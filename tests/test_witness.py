@@ -116,7 +116,7 @@ def test_pads_stand_on_points_of_the_surface_whose_distance_is_the_width(held):
     batch = candidates(evaluator, 200, seed=19)
     objects = batch.trials.object_index
     grasp = close_gripper(evaluator.scene.grasp_tables, batch.T_obj_ee, objects)
-    found = witnesses.closing(evaluator.scene, batch.T_obj_ee, objects, grasp.width_m)
+    found = witnesses.closing(evaluator.scene, batch.T_obj_ee, objects, grasp.width_m, grasp.opening_m)
     x = se3.apply(se3.inverse(batch.T_obj_ee)[:, None], found.point_obj)
     held_rows = ~grasp.empty
     between = x[:, 3, 1] - x[:, 2, 1]
