@@ -158,7 +158,7 @@ def export_trial(stored: StoredTrial, out: str | Path) -> Path:
     from r2h_batch.hand import load_hand, load_hand_set
     from r2h_batch.mjcf import TrialBodies, write_scene
     from r2h_batch.robot import load_robot
-    from r2h_batch.scene import Hands
+    from r2h_batch.world_tables import Hands
 
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)

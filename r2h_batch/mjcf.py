@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.objects import ObjectModel
 from r2h_batch.robot import Kind, Primitives, Robot, drive_from_gap, finger_motion, gripper_primitives_at
-from r2h_batch.scene import TABLE_CENTER, TABLE_FROM_LINK, TABLE_HALF, Hands
 from r2h_batch.scene_model import COLORS
+from r2h_batch.world_tables import TABLE_CENTER, TABLE_FROM_LINK, TABLE_HALF, Hands
 
 Array = NDArray[np.float64]
 

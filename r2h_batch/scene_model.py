@@ -26,6 +26,7 @@ from r2h_batch.model_parts import (
 )
 from r2h_batch.objects import ObjectModel
 from r2h_batch.robot import JOINTS, Robot, drive_from_gap
+from r2h_batch.world_tables import TABLE_CENTER, TABLE_FROM_LINK, TABLE_HALF
 
 Array = NDArray[np.float64]
 
@@ -178,7 +179,7 @@ def build_scene_model(
     object_collision: str = "hull",
     skins: bool = False,
 ) -> SceneModel:
-    """Arm, gripper with its linkage, object, hand and table, for any of the objects and the listed hands (`scene.Hands`).
+    """Arm, gripper with its linkage, object, hand and table, for any of the objects and the listed hands (`world_tables.Hands`).
 
     Contacts push between the pairs that planning checks, without the hand: links with each other and with the table, the
     object with the arm. The hand's first touch decides a trial, and the motion after it must not depend on it; object and
@@ -267,8 +268,6 @@ def _shapes(meshes: Sequence[Mesh], model: mujoco.MjModel) -> dict[str, Array]:
 
 def _partners(robot: Robot) -> list[tuple[int, int]]:
     """(contype, conaffinity) of links 0 to 6, gripper, object, table: contacts between exactly the pairs that may push."""
-    from r2h_batch.scene import TABLE_FROM_LINK
-
     conaffinity = [0] * 10
     for a, b in robot.self_pairs:
         conaffinity[b] |= 1 << int(a)
@@ -280,8 +279,6 @@ def _partners(robot: Robot) -> list[tuple[int, int]]:
 
 
 def _add_table(spec: mujoco.MjSpec, partners: list[tuple[int, int]]) -> None:
-    from r2h_batch.scene import TABLE_CENTER, TABLE_HALF
-
     table = spec.worldbody.add_body(name="table")
     table.add_geom(
         name="table/top", type=mujoco.mjtGeom.mjGEOM_BOX, pos=TABLE_CENTER, size=TABLE_HALF, contype=partners[9][0],

@@ -11,8 +11,8 @@ from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.hand import load_hand, load_hand_set
 from r2h_batch.objects import ObjectModel, build_object
-from r2h_batch.scene import Hands
 from r2h_batch.types import Scores, Trials
+from r2h_batch.world_tables import Hands
 
 STICK, TOOL, CUBE, POLE = range(4)
 """20 mm square sticks along z, 0.20 m long; TOOL's upper half is the receiver's; CUBE has 0.10 m sides; POLE is 1 m long."""

@@ -8,8 +8,8 @@ from scipy.integrate import quad
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.execute import Motion, time_at, time_path
 from r2h_batch.ik import solve_ik
-from r2h_batch.scene import Hands
 from r2h_batch.trials import make_trials
+from r2h_batch.world_tables import Hands
 
 LAW = ExecConfig()
 V, A = LAW.scale * LAW.max_velocity_rad_s, LAW.scale * LAW.max_acceleration_rad_s2

@@ -16,9 +16,10 @@ from r2h_batch.dynamics import GRIPPER_MASS_KG, LINK_MASS_KG, Payload
 from r2h_batch.kernels.worlds import Record, Worlds, start_worlds
 from r2h_batch.launch import init_warp
 from r2h_batch.robot import drive_from_gap, ee_pose, forward_kinematics, gripper_primitives_at
-from r2h_batch.scene import TABLE_FROM_LINK, Scene
+from r2h_batch.scene import Scene
 from r2h_batch.scene_model import MESH_FIELDS, SceneModel, TrialScene, build_scene_model
 from r2h_batch.simulation import Job
+from r2h_batch.world_tables import TABLE_FROM_LINK
 
 HANDS = (3, 250, 17)
 STEP_S = 0.002
