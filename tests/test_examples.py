@@ -14,8 +14,11 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
 @pytest.fixture(autouse=True)
-def examples_on_the_path(monkeypatch):
+def examples_on_the_path_and_torchs_threads_as_they_were(monkeypatch):
     monkeypatch.syspath_prepend(str(EXAMPLES))
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
 
 
 def test_scoring_candidates_is_short_and_prints_two_rates(capsys):
