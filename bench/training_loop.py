@@ -13,6 +13,7 @@ scored each step. The peer judges the same candidates one by one with MuJoCo C, 
 (bench/_pose_peer.py; building its MuJoCo model is not counted). memory: resident kB (CUDA: allocated) around 1,000 calls.
 """
 
+import ctypes
 import resource
 import statistics
 import subprocess
@@ -216,6 +217,7 @@ def print_peak(evaluator: Evaluator, mix: Candidates, b: int) -> None:
     """How much resident memory (kB) rises at most in one call of size b, after a small one."""
     evaluator.score(*mix, stages="pose")
     c = repeated(mix, b)
+    ctypes.CDLL("libc.so.6").malloc_trim(0)  # memory that was used before and kept would hide what a call needs
     Path("/proc/self/clear_refs").write_text("5")  # forgets the peak so far
     before = float(Path("/proc/self/status").read_text().split("VmRSS:")[1].split()[0])
     scores = evaluator.score(*c, stages="pose")
