@@ -30,6 +30,9 @@ from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores, Trials
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
 
+SORTED_ROWS = 256
+"""From here on the pose stage takes the rows of a CPU batch object by object: a tenth faster, for the caches' sake."""
+
 
 class Evaluator:
     """Judges predicted handovers on one device. Build it once: it holds the scene's tables and compiled kernels."""
@@ -102,12 +105,17 @@ class Evaluator:
         else:  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
         judge = self._score_pose if stages == "pose" else partial(self._score_chunk, keep_motion=keep_motion)
+        order = None
+        if stages == "pose" and n >= SORTED_ROWS and not T_obj_ee.is_cuda:
+            order = torch.argsort(trials.object_index, stable=True)
+            T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
         with one_torch_thread(self.scene.device):
             parts = [
                 judge(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
                 for i in range(0, max(n, 1), chunk)
             ]
-        return parts[0] if len(parts) == 1 else Scores.concatenate(parts)
+        scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
+        return scores if order is None else scores[torch.argsort(order)]
 
     def _score_chunk(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool) -> Scores:
         scene, config, threads = self.scene, self.config, self.threads
