@@ -1,6 +1,7 @@
 """The whole scene as one model: where everything is, which pairs push, and that no trial leaves anything of itself behind."""
 
 import copy
+from collections import OrderedDict
 from functools import cache
 
 import mujoco
@@ -10,6 +11,7 @@ import pytest
 import warp as wp
 from test_dynamics import mass_matrix, some_payload
 
+from r2h_batch import scene_model as module
 from r2h_batch import sim_mjwarp
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.dynamics import GRIPPER_MASS_KG, LINK_MASS_KG, Payload
@@ -286,11 +288,11 @@ def test_a_held_opening_stays_while_the_arm_jerks():
     assert 1e-7 < worst < 1e-4 and float(drive_from_gap(0.04)) == trial.drive
 
 
-def test_models_are_kept_and_grow_by_the_hands_that_come():
+def test_models_are_kept_and_grow_by_the_hands_that_come(monkeypatch):
+    monkeypatch.setattr(module, "_kept", OrderedDict())  # not what other tests have brought
     s = scene()
     first = s.model([3])
     assert s.model([3]) is first and Scene().model([3]) is first  # of the process, not of the scene
-    new = next(h for h in range(400) if h not in first.hands)  # other tests may have brought hands of their own
-    more = s.model([3, new])
-    assert more is not first and s.model([new]) is more and {3, new} <= set(more.hands)
+    more = s.model([3, 17])
+    assert more is not first and s.model([17]) is more and {3, 17} <= set(more.hands)
     assert s.model([3], ExecConfig(model="arm")).full is False and s.model([3]).full
