@@ -19,7 +19,7 @@ from r2h_batch.kernels import blocked as blocked_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
-from r2h_batch.methods.least_cost_pose import least_cost_pose
+from r2h_batch.methods.least_cost_pose import DIRECTIONS, HAND_POINTS, ROLLS, ZONE_M, least_cost_pose
 from r2h_batch.methods.palm_pose import least
 from r2h_batch.methods.placing import candidates_clear_of, taken
 from r2h_batch.predictors import ContactPredictor, PredictorNoise, predict_contacts, predict_receiving, predict_target
@@ -63,6 +63,10 @@ def predict(
     eps_m: float = EPS_M,
     min_samples: int = MIN_SAMPLES,
     clearance_m: float = CLEARANCE_M,
+    directions: int = DIRECTIONS,
+    rolls: int = ROLLS,
+    zone_m: float = ZONE_M,
+    hand_points: int = HAND_POINTS,
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
@@ -85,8 +89,9 @@ def predict(
         )  # fmt: skip
         row = taken(rows, least_blocked(blocked, table.score[rows], clear, clustered[rows], exists))
         T_world_ee = least_cost_pose(
-            scene, part.object_index, table.T_obj_ee[row], table.opening_m[row], target, height_m, threads=threads
-        )
+            scene, part.object_index, table.T_obj_ee[row], table.opening_m[row], target, height_m,
+            directions=directions, rolls=rolls, zone_m=zone_m, hand_points=hand_points, threads=threads,
+        )  # fmt: skip
         return table.T_obj_ee[row], T_world_ee
 
     return answers(trials, scene, "contact", choose)

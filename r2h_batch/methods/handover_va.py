@@ -19,7 +19,7 @@ from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.palm_pose import apply_rotation, approach_frames, least, rolled
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, roles_of
 from r2h_batch.methods.placing import first_fit, taken
-from r2h_batch.methods.utility_axis import align_templates
+from r2h_batch.methods.utility_axis import LABEL_M, align_templates
 from r2h_batch.predictors import PredictorNoise, SeenParts, predict_parts, predict_target
 from r2h_batch.scene import Scene
 from r2h_batch.types import Predictions, Trials
@@ -55,6 +55,7 @@ def predict(
     crop_m: float = CROP_M,
     azimuth_step: float = AZIMUTH_STEP,
     rotations: int = ROTATIONS,
+    label_m: float = LABEL_M,
 ) -> Predictions:
     """One grasp and handover pose a trial; labels and target hand predicted with `noise`, drawn by (seed, trial id)."""
     threads = evaluator.threads if evaluator else None
@@ -77,8 +78,9 @@ def predict(
         spare = table.T_obj_ee[taken(rows, least(-table.score[rows], exists, exists))]
         T_obj_ee = torch.where((own.score > 0).any(1)[:, None, None], T_obj_ee, spare)
         axis = align_templates(
-            scene, part.object_index, role, iterations=ICP_STEPS, tolerance_m=ICP_TOLERANCE_M, threads=threads
-        )
+            scene, part.object_index, role,
+            iterations=ICP_STEPS, tolerance_m=ICP_TOLERANCE_M, label_m=label_m, threads=threads,
+        )  # fmt: skip
         R_world_obj = presented(axis.R_obj_template, target.palm_normal, angles)
         T_world_ee = carried(R_world_obj, axis.handle, target.ball_center, T_obj_ee)
         return T_obj_ee, first_fit(scene, T_world_ee, opening.expand(len(part)), None, threads=threads)

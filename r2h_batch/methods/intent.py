@@ -60,6 +60,7 @@ def predict(
     height_m: float = HEIGHT_M,
     inward_deg: float = INWARD_DEG,
     clearance_m: float = CLEARANCE_M,
+    back_off_m: float = BACK_OFF_M,
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
@@ -70,7 +71,7 @@ def predict(
     if instructions is not None and len(instructions) != len(trials):
         raise ValueError(f"{len(instructions)} instructions for {len(trials)} trials; give one for each, or None")
     named = named_parts(scene, trials, instructions).to(scene.device)
-    hit_part, hit_region = approach_hits(scene)
+    hit_part, hit_region = approach_hits(scene, back_off_m)
 
     def choose(part: Trials, here: slice) -> tuple[Tensor, Tensor]:
         said = None if instructions is None else instructions[here]
@@ -100,13 +101,13 @@ def affordance_score(
 
 
 @lru_cache(maxsize=4)
-def approach_hits(scene: Scene) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
+def approach_hits(scene: Scene, back_off_m: float = BACK_OFF_M) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
     """For every row of the candidate table: the part that its approach axis meets first, and whether a receiver may take
     it there (False too where the axis meets nothing)."""
     table = candidate_table(scene)
     face = torch.empty(len(table.T_obj_ee), dtype=torch.int32, device=scene.device)
     inputs = [
-        BACK_OFF_M, 1.0, scene.object_mesh_ids, wp.from_torch(table.object_index),
+        back_off_m, 1.0, scene.object_mesh_ids, wp.from_torch(table.object_index),
         wp.from_torch(table.T_obj_ee, dtype=wp.mat44), wp.from_torch(face),
     ]  # fmt: skip
     launch_trials(approach_hit.approach_hits, len(face), inputs, device=scene.device, chunk=64)

@@ -45,6 +45,7 @@ def least_cost_pose(
     directions: int = DIRECTIONS,
     rolls: int = ROLLS,
     zone_m: float = ZONE_M,
+    hand_points: int = HAND_POINTS,
     threads: int | None = None,
 ) -> Float32[Tensor, "b 4 4"]:
     """T_world_ee `height_m` above each palm with the least cost of those that the arm reaches (of all, if it reaches none).
@@ -53,7 +54,7 @@ def least_cost_pose(
     """
     R = approach_fan(target.palm_normal, directions, rolls)
     T_world_ee = poses_at(R, above_palm(target, height_m))
-    points = target.vertices[:, hand_sample(scene, HAND_POINTS)].contiguous()
+    points = target.vertices[:, hand_sample(scene, hand_points)].contiguous()
     cost = collision_cost(scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m, threads=threads)
     best = least(cost, reachable(T_world_ee, threads=threads), torch.ones_like(cost, dtype=torch.bool))
     return T_world_ee[torch.arange(len(best), device=best.device), best]
