@@ -182,14 +182,14 @@ def parity(mix: Mix, report: Report) -> None:
 def batches(mix: Mix, report: Report) -> None:
     """The same trials in batches of other sizes and in another order: rows that differ in any bit of a verdict or margin."""
     for engine in ("mujoco", "mjwarp"):
-        n = min(mix.n, 256 if engine == "mujoco" else 32)
+        n = min(mix.n, 256)
         evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim=engine)), device=mix.device, threads=mix.threads)
         whole = evaluator.score(mix.g[:n], mix.h[:n], mix.trials[:n])
         order = torch.randperm(n, generator=torch.Generator().manual_seed(0))
         cases = {
             "permuted": [order],
             "7": torch.arange(n).split(7),
-            "1": torch.arange(min(n, 24 if engine == "mujoco" else 6)).split(1),
+            "1": torch.arange(min(n, 24)).split(1),
         }
         for name, parts in cases.items():
             differ = 0
