@@ -148,9 +148,8 @@ def scene_model(
         _, model = _kept.get(key, (None, None))
         if model is None or not wanted <= model.hands.keys():
             have = set() if model is None else set(model.hands)
-            wanted |= (
-                have  # and twice as many as before, so that a long sweep compiles a few times and not for each chunk
-            )
+            # and twice as many as before, so that a long sweep compiles a few times and not for each chunk
+            wanted |= have
             wanted |= set([h for h in range(len(hands.set)) if h not in wanted][: max(2 * len(have) - len(wanted), 0)])
             model = build_scene_model(
                 robot,
