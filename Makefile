@@ -1,21 +1,36 @@
-# Two commands on a fresh clone: `make demo` and `make test`. They need python3 (3.11 to 3.13) and make.
+# Two commands on a fresh clone: `make demo` and `make test`. They need python3 (3.11 or 3.12) and make. `make help`: the rest.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: demo test lint assets bench clean
+.PHONY: help demo test lint check quick-tests golden assets bench lock licences audit clean
+
+help:  ## this list
+	@sed -n 's/^\([a-z]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 demo: $(SETUP)  ## Table I for two methods over all 16 objects, on a small number of trials
 	$(BIN)/python -m r2h_batch.sweep --method random oracle --splits S0 S1 --trials 60 --out runs/demo
 
-test: $(SETUP) $(VENV)/.installed-test  ## linters, types, tests
+test: lint  ## linters, types, and all tests but the slow ones; tells what was left out and how to get it
+	$(BIN)/python -m pytest -q --durations=25
+
+lint: $(VENV)/.installed-test  ## rules, formatting, types
 	$(BIN)/ruff check .
-	$(BIN)/mypy
-	$(BIN)/python -m pytest -q
+	$(BIN)/ruff format --check .
+	$(BIN)/python tests/support/types_of_all.py
+
+check:  ## before every commit: lint, contracts, the quick half of golden and a quick test of each folder; two jobs at once
+	@$(MAKE) --no-print-directory -j2 --output-sync=target lint quick-tests
+
+quick-tests: $(VENV)/.installed-test
+	$(BIN)/python -m pytest -q -m check
+
+golden: $(VENV)/.installed-test  ## rewrites tests/golden.json; CONTRIBUTING.md says when that is allowed
+	$(BIN)/python tests/support/golden.py --write
 
 $(SETUP): pyproject.toml constraints.txt
-	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else f"r2h_batch needs Python 3.11 to 3.13; $(PYTHON) is {v[0]}.{v[1]}. Try: make PYTHON=python3.12 demo")'
+	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 12) else f"r2h_batch needs Python 3.11 or 3.12; $(PYTHON) is {v[0]}.{v[1]}. Try: make PYTHON=python3.12 demo")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -q -c constraints.txt -e .
 	touch $@
@@ -35,7 +50,18 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.predictors.train_voxnet
 
 bench: $(VENV)/.installed-test  ## all benchmarks, results under bench/results/
-	for b in collision ik plan throughput execute methods; do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
+	for b in collision ik plan throughput execute methods help; do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
 
-clean:
-	rm -rf $(VENV) build *.egg-info
+lock: $(VENV)/.installed-test  ## rewrites constraints.txt from what is installed: every package, exact versions
+	$(BIN)/python tools/supply.py lock
+
+licences: $(VENV)/.installed-test  ## rewrites docs/licences.md: bundled data and every package with its licence
+	$(BIN)/python tools/supply.py licences
+
+audit:  ## known advisories against constraints.txt, where a source is reachable
+	$(PYTHON) -m venv $(VENV)-audit
+	$(VENV)-audit/bin/python -m pip install -q pip-audit
+	$(VENV)-audit/bin/python tools/supply.py audit
+
+clean:  ## removes the virtual environment and what was built
+	rm -rf $(VENV) $(VENV)-audit build *.egg-info

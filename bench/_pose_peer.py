@@ -4,24 +4,19 @@ Independent of r2h_batch's kernels: it reads robot, hand and object geometry onl
 the width is found by slicing the mesh twice, cuts and distances by FCL on triangle meshes of the primitives.
 """
 
-import sys
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 import trimesh
 import ur_analytic_ik
+from _twins import Checker, MujocoScene, Staged
 from numpy.typing import NDArray
 from trimesh.intersections import slice_faces_plane
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from oracle import MujocoScene, Staged
-from planning_twins import Checker
-
+from r2h_batch.bodies.robot import Kind, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
 from r2h_batch.config import HOME_Q
-from r2h_batch.robot import Kind, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 
 Array = NDArray[np.float64]
 OPEN_GAP_M, PAD_HALF_X, PAD_HALF_Z = 0.085, 0.011, 0.01875

@@ -2,7 +2,7 @@
 
 python bench/collision.py [--trials N] [--per-trial M] [--json FILE]
 
-Trials of r2h-v0 with their object in the gripper (tests/problems.py: half random, half sensible predictions). Half of the
+Trials of r2h-v0 with their object in the gripper (tests/support/problems.py: half random, half sensible predictions). Half of the
 configurations of a trial are uniform in the box that the planner samples (home +- pi), half lie within 0.2 rad of
 straight lines from home to the IK solutions of the handover pose. Every engine does forward kinematics and checks the same
 pairs: robot against hand pieces, table and itself, object hull against hand, table and arm. `_noself`: without the
@@ -14,47 +14,25 @@ off. mujoco-warp runs kinematics and collision from a captured graph, one world 
 counted. A disagreement counts when MuJoCo C's distance of that configuration is more than 0.1 mm from zero.
 """
 
-import sys
+import argparse
 import time
-from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import torch
 import warp as wp
+from _is_free import is_free
 from _report import Report, arguments
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-import oracle
-from problems import make_batch, solve
+from _twins import make_batch, oracle, solve
 
 from r2h_batch.config import HOME_Q, EvalConfig
-from r2h_batch.kernels.check import FREE
-from r2h_batch.kernels.edge import edge
-from r2h_batch.kernels.world import TrialBodies, World, vec6
 from r2h_batch.launch import launch_trials
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 
 BAND_M = 1e-4
 REPEATS = 5
 SELF = ("self", "object_robot")
-
-wp.set_module_options({"enable_backward": False})
-
-
-@wp.kernel
-def is_free(
-    first: int,
-    per_trial: int,
-    world: World,
-    bodies: TrialBodies,
-    q_in: wp.array2d(dtype=float),
-    free_out: wp.array(dtype=wp.bool),
-):
-    row = first + wp.tid()
-    q = vec6(q_in[row, 0], q_in[row, 1], q_in[row, 2], q_in[row, 3], q_in[row, 4], q_in[row, 5])
-    found = edge(world, bodies, row / per_trial, q, q, 0.0, 0.0, 0.0, 0.0, 3, 0)
-    free_out[row] = found.status == FREE
 
 
 def configurations(scene: Scene, n: int, per_trial: int, seed: int = 0):
@@ -168,7 +146,7 @@ class MujocoWarp:
 
 def fastest(run, others=()) -> list[float]:
     """Shortest process time of each run, taken in turns."""
-    times = [[] for _ in range(1 + len(others))]
+    times: list[list[float]] = [[] for _ in range(1 + len(others))]
     for _ in range(REPEATS):
         for i, f in enumerate((run, *others)):
             start = time.process_time()
@@ -177,21 +155,25 @@ def fastest(run, others=()) -> list[float]:
     return [min(t) for t in times]
 
 
-def main() -> None:
+def options() -> argparse.Namespace:
+    """What the command line asks for."""
     parser = arguments(__doc__)
     parser.add_argument("--trials", type=int, default=32)
     parser.add_argument("--per-trial", type=int, default=320)
     parser.add_argument(
         "--no-warp", action="store_true", help="leave mujoco-warp out (its kernels take minutes to compile)"
     )
-    args = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> None:
+    args = options()
     torch.set_num_threads(1)
     report = Report()
     scene = Scene("cpu", config=EvalConfig())
     problems, q = configurations(scene, args.trials, args.per_trial)
     count = q.shape[0] * q.shape[1]
     report.add("collision.configs", count)
-    flat = wp.array(q.reshape(-1, 6).astype(np.float32), dtype=float, device="cpu")
     twins = [twin_of(scene, problems, k) for k in range(args.trials)]
     least = [[t.least(x, cap=2e-3) for x in rows] for t, rows in zip(twins, q, strict=True)]
     truth = np.array([[x[0] for x in rows] for rows in least])
@@ -202,44 +184,71 @@ def main() -> None:
     with_self = scene.world.self_links
     for suffix, classes in (("", oracle.CLASSES), ("_noself", tuple(c for c in oracle.CLASSES if c not in SELF))):
         scene.world.self_links = with_self if suffix == "" else wp.zeros(9, dtype=int, device="cpu")
-        models = [let_collide(t, classes) for t in twins]
-        datas = [t.data for t in twins]
-        own, c_free = wp.zeros(count, dtype=wp.bool, device="cpu"), np.zeros(q.shape[:2], bool)
-
-        def run_own(own=own) -> None:
-            launch_trials(
-                is_free,
-                count,
-                [args.per_trial, scene.world, problems.placed.bodies, flat, own],
-                device="cpu",
-                threads=1,
-                chunk=1024,
-            )
-
-        def run_mujoco(models=models, datas=datas, c_free=c_free) -> None:
-            run_c(models, datas, q, c_free)
-
-        run_own()
-        run_mujoco()
-        warp = None if args.no_warp else MujocoWarp(models, datas, q)
-        times = fastest(run_own, (run_mujoco, *([warp.run] if warp else [])))
-        times[1] -= overhead
-        flags = own.numpy().reshape(q.shape[:2])
-        report.add(f"collision.configs_per_s{suffix}", count / times[0])
-        report.add(f"collision.mujoco_c_configs_per_s{suffix}", count / times[1])
-        report.add(f"collision.ratio_to_mujoco_c{suffix}", times[1] / times[0])
-        if warp:
-            report.add(f"collision.mujoco_warp_configs_per_s{suffix}", count / times[2])
-            report.add(f"collision.ratio_to_mujoco_warp{suffix}", times[2] / times[0])
+        engines = Engines(scene, problems, twins, classes, q, with_warp=not args.no_warp)
+        report_times(report, suffix, count, engines.times(), overhead)
         if suffix == "":
-            clear = np.abs(truth) >= BAND_M
-            report.add("collision.disagreements_outside_band", int(((flags != (truth > 0)) & clear).sum()))
-            report.add("collision.mujoco_c_contacts_missed", int((c_free & (truth < -BAND_M)).sum()))
-            if warp:
-                hits, dropped = warp.free()
-                report.add("collision.mujoco_warp_disagreements", int(((hits != (truth > 0)) & clear).sum()))
-                report.add("collision.mujoco_warp_dropped_contacts", dropped)
+            report_disagreements(report, engines, truth)
     report.write(args.json)
+
+
+class Engines:
+    """Every engine on the same configurations and pairs, each run once: compiled, and with its answers at hand."""
+
+    def __init__(self, scene: Scene, problems, twins, classes, q: np.ndarray, *, with_warp: bool) -> None:
+        self.models = [let_collide(t, classes) for t in twins]
+        self.datas = [t.data for t in twins]
+        self.q, self.scene, self.bodies = q, scene, problems.placed.bodies
+        self.flat: Any = wp.array(q.reshape(-1, 6).astype(np.float32), dtype=float, device="cpu")
+        self.own = wp.zeros(len(self.flat), dtype=wp.bool, device="cpu")
+        self.c_free = np.zeros(q.shape[:2], bool)
+        self.run_own()
+        self.run_mujoco()
+        self.warp = MujocoWarp(self.models, self.datas, q) if with_warp else None
+
+    def run_own(self) -> None:
+        launch_trials(
+            is_free,
+            len(self.flat),
+            inputs={
+                "per_trial": self.q.shape[1],
+                "world": self.scene.world,
+                "bodies": self.bodies,
+                "q": self.flat,
+            },
+            outputs={"free": self.own},
+            device="cpu",
+            threads=1,
+            chunk=1024,
+        )
+
+    def run_mujoco(self) -> None:
+        run_c(self.models, self.datas, self.q, self.c_free)
+
+    def times(self) -> list[float]:
+        """Shortest process time (s) of the own kernel, of MuJoCo C and, where it runs, of mujoco-warp."""
+        return fastest(self.run_own, (self.run_mujoco, *([self.warp.run] if self.warp else [])))
+
+
+def report_times(report: Report, suffix: str, count: int, times: list[float], overhead: float) -> None:
+    times = [times[0], times[1] - overhead, *times[2:]]
+    report.add(f"collision.configs_per_s{suffix}", count / times[0])
+    report.add(f"collision.mujoco_c_configs_per_s{suffix}", count / times[1])
+    report.add(f"collision.ratio_to_mujoco_c{suffix}", times[1] / times[0])
+    if len(times) > 2:
+        report.add(f"collision.mujoco_warp_configs_per_s{suffix}", count / times[2])
+        report.add(f"collision.ratio_to_mujoco_warp{suffix}", times[2] / times[0])
+
+
+def report_disagreements(report: Report, engines: Engines, truth: np.ndarray) -> None:
+    """`truth`: the twins' smallest distance (m) of each configuration; within BAND_M of zero nobody is wrong."""
+    flags = engines.own.numpy().reshape(truth.shape)
+    clear = np.abs(truth) >= BAND_M
+    report.add("collision.disagreements_outside_band", int(((flags != (truth > 0)) & clear).sum()))
+    report.add("collision.mujoco_c_contacts_missed", int((engines.c_free & (truth < -BAND_M)).sum()))
+    if engines.warp:
+        hits, dropped = engines.warp.free()
+        report.add("collision.mujoco_warp_disagreements", int(((hits != (truth > 0)) & clear).sum()))
+        report.add("collision.mujoco_warp_dropped_contacts", dropped)
 
 
 if __name__ == "__main__":

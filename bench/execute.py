@@ -1,6 +1,6 @@
 """How fast and how faithfully do the engines move the arm, and what does the executed motion change?
 
-python bench/execute.py [--trials N] [--ask speed worlds models parity tracking step edges payload batches closing] [--json FILE]
+python bench/execute.py [--trials N] [--ask speed worlds models auto parity tracking step ...] [--json FILE]
 
 Trials and predictions are those of bench/mix.npz (half oracle, half random; S0 and S1 by turns). Speed counts process time,
 so other work on the machine counts little; `trial` = the whole Evaluator.score. Tracking errors are those of the point
@@ -8,11 +8,12 @@ between the fingertips, against the reference at the same time. A trial is in th
 0.1 mm of 0 in either run. With --ask, the figures of an existing FILE that are not measured again stay in it.
 """
 
+import copy
 import json
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from unittest import mock
 
 import numpy as np
@@ -21,23 +22,26 @@ import warp as wp
 from _report import Report, arguments
 
 import r2h_batch.evaluate as evaluate
-from r2h_batch import sim_mjwarp
-from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
-from r2h_batch.dynamics import Payload
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.execute import Executed, execute
-from r2h_batch.grasp import attach, close_gripper, grasp_tables
-from r2h_batch.grasp_physics import close_in_physics
-from r2h_batch.kernels.reference import Law, servo_commands
+from r2h_batch.judge.grasp import attach, close_gripper
+from r2h_batch.judge.grasp_physics import close_in_physics
+from r2h_batch.kernels.motion.time_law import servo_commands
+from r2h_batch.launch import launch_trials
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.objects import load_objects
-from r2h_batch.robot import ee_pose
-from r2h_batch.scene_model import MESH_FIELDS
-from r2h_batch.trials import trials_with_ids
+from r2h_batch.motion import sim_mjwarp
+from r2h_batch.motion.execute import Executed, execute
+from r2h_batch.motion.time_law import servo_law
+from r2h_batch.scene.dynamics import Payload
+from r2h_batch.scene.grasp_tables import grasp_tables
+from r2h_batch.scene.model import MESH_FIELDS
+from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Scores
 
 MIX = Path(__file__).with_name("mix.npz")
-ASK = ("speed", "worlds", "models", "parity", "tracking", "step", "edges", "payload", "batches", "closing")
+ASK = ("speed", "worlds", "models", "auto", "parity", "tracking", "step", "edges", "payload", "batches", "closing")
 CPU_WORLDS, CUDA_WORLDS = (1, 16, 64, 256), (256, 1024, 4096, 16384)
 GRASPS = 8  # candidates of each object that are closed in physics
 TIP_M = np.array([0.0, 0.0, 0.02, 1.0])  # fingertips in the ee frame
@@ -84,9 +88,15 @@ def changed(a: Scores, b: Scores) -> tuple[int, int, list[int]]:
 
 
 def speed(mix: Mix, report: Report) -> None:
-    cases = (("none", "scene"), ("mujoco", "scene"), ("mujoco", "arm"), ("mjwarp", "scene"), ("mjwarp", "arm"))
+    engines: tuple[Literal["mujoco", "mjwarp"], ...] = ("mujoco", "mjwarp")
+    models: tuple[Literal["auto", "scene", "arm"], ...] = ("auto", "scene", "arm")
+    cases: list[tuple[Literal["none", "mujoco", "mjwarp"], Literal["auto", "scene", "arm"]]] = [
+        ("none", "auto"),
+        *((engine, model) for engine in engines for model in models),
+    ]
     for engine, model in cases:
-        most = 128 if (engine, model, mix.device) == ("mjwarp", "scene", "cpu") else mix.n  # some 4 a second
+        slow = (engine, mix.device) == ("mjwarp", "cpu") and model != "arm"
+        most = 128 if slow else mix.n  # some 4 a second
         part = Mix(min(mix.n, most), mix.device, mix.threads)
         _, executed, seen = part.score(ExecConfig(sim=engine, model=model))
         name = f"execute.speed.{engine}" + (f".{model}" if engine != "none" else "")
@@ -143,7 +153,7 @@ def array_bytes(value: Any) -> int:
 def models(mix: Mix, report: Report) -> None:
     """The whole scene against the arm alone with a rigid gripper, in MuJoCo C: what the linkage and the contacts change."""
     a, ea, sa = mix.score(ExecConfig(sim="mujoco", model="arm"))
-    b, eb, sb = mix.score(ExecConfig(sim="mujoco"))
+    b, eb, sb = mix.score(ExecConfig(sim="mujoco", model="scene"))
     moved = ea.length > 0
     report.add("execute.models.moved_trials", int(moved.sum()))
     report.add("execute.models.scene_time_over_arm_time", sb["execute_s"] / sa["execute_s"])
@@ -157,14 +167,39 @@ def models(mix: Mix, report: Report) -> None:
     report.add("execute.models.safe_margin_max_difference_m", worst_margin(a, b))
 
 
+def auto(mix: Mix, report: Report) -> None:
+    """`model="auto"` against the whole scene, in MuJoCo C: as many trials as asked for, answered by the method `contact`."""
+    from r2h_batch.methods import contact
+
+    evaluator = Evaluator(EvalConfig(), device=mix.device, threads=mix.threads)
+    mix = copy.copy(mix)
+    mix.trials = trials_with_ids(torch.arange(mix.n)).to(mix.device)
+    answers = contact.predict(mix.trials, evaluator.scene, seed=0, evaluator=evaluator)
+    mix.g, mix.h = answers.T_obj_ee.to(mix.device), answers.T_world_ee.to(mix.device)
+    a, ea, sa = mix.score(ExecConfig(sim="mujoco", model="auto"))
+    b, _, sb = mix.score(ExecConfig(sim="mujoco", model="scene"))
+    moved = ea.length > 0
+    report.add("execute.auto.trials", mix.n)
+    report.add("execute.auto.moved_trials", int(moved.sum()))
+    ruled_out = 2 * ea.deviation_m < a.margin[:, 1] - CLEARANCE_TOLERANCE_M
+    report.add("execute.auto.by_the_arm_alone_share", float(ruled_out[moved].double().mean()))
+    report.add("execute.auto.scene_time_over_auto_time", sb["execute_s"] / sa["execute_s"])
+    differ, outside, ids = changed(a, b)
+    report.add("execute.auto.verdicts_that_differ", differ)
+    report.add("execute.auto.outside_the_band", f"{outside} {ids}")
+    report.add("execute.auto.plan_reasons_that_differ", int((a.plan_reason != b.plan_reason).sum()))
+    report.add("execute.auto.t_exec_max_difference_s", float(torch.nan_to_num(a.t_exec_s - b.t_exec_s).abs().max()))
+    report.add("execute.auto.safe_margin_max_difference_m", worst_margin(a, b))
+
+
 def worst_margin(a: Scores, b: Scores) -> float:
     """Largest difference of Safe's margins, m."""
     return float(torch.nan_to_num(a.margin[:, 4] - b.margin[:, 4]).abs().max())
 
 
 def parity(mix: Mix, report: Report) -> None:
-    a, ea, _ = mix.score(ExecConfig(sim="mujoco"))
-    b, eb, _ = mix.score(ExecConfig(sim="mjwarp"))
+    a, ea, _ = mix.score(ExecConfig(sim="mujoco", model="scene"))
+    b, eb, _ = mix.score(ExecConfig(sim="mjwarp", model="scene"))
     moved = ea.length > 0
     report.add("execute.parity.trials", mix.n)
     report.add("execute.parity.moved_trials", int(moved.sum()))
@@ -208,19 +243,22 @@ def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: s
     config = config or ExecConfig(sim="mujoco")
     scores, executed, seen = mix.score(config)
     rows = torch.nonzero(executed.length > 0).flatten()
-    law = Law()
-    law.speed, law.acceleration = (
-        config.scale * config.max_velocity_rad_s,
-        config.scale * config.max_acceleration_rad_s2,
-    )
-    law.lead, law.step = 0.0, executed.sample_s
+    assert executed.sample_s is not None, "engines record samples; only `none` does not"
+    law = servo_law(config, lead_s=0.0, step_s=executed.sample_s)
     reference = torch.zeros((len(rows), executed.path.shape[1], 6), dtype=torch.float64)
-    tables = [wp.from_torch(t.contiguous()) for t in (seen["path"], seen["motion"].time_s, seen["length"], reference)]
-    wp.launch(
+    launch_trials(
         servo_commands,
-        dim=reference.shape[:2],
-        inputs=[0, law, wp.from_torch(rows.to(torch.int32)), *tables],
+        len(rows),
+        inputs={
+            "law": law,
+            "trial": rows.to(torch.int32),
+            "path": seen["path"].contiguous(),
+            "time": seen["motion"].time_s.contiguous(),
+            "length": seen["length"].contiguous(),
+        },
+        outputs={"command": reference},
         device="cpu",
+        width=reference.shape[1],
     )
     robot, error = seen["scene"].robot, []
     for i, row in enumerate(rows.tolist()):

@@ -19,8 +19,8 @@ def picture(model, T_obj_ee, opening, hand, hand_faces, size):
     import torch
     from scipy.spatial.transform import Rotation
 
-    from r2h_batch.grasp import gripper_poses
-    from r2h_batch.robot import load_robot
+    from r2h_batch.bodies.robot import load_robot
+    from r2h_batch.judge.grasp import gripper_poses
 
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth = spec.visual.global_.offheight = size
@@ -72,10 +72,10 @@ def main() -> None:
     import matplotlib.pyplot as plt
 
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.grasp import close_gripper
+    from r2h_batch.judge.grasp import close_gripper
     from r2h_batch.predictors import PredictorNoise, predict_receiving, retrieve_receiving
-    from r2h_batch.trials import trials_with_ids
-    from r2h_batch.types import Outcome
+    from r2h_batch.trials.protocol import trials_with_ids
+    from r2h_batch.verdicts import Outcome
 
     evaluator = Evaluator().kinematic
     scene, trials = evaluator.scene, trials_with_ids(torch.tensor(given.trials))

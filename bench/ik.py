@@ -20,10 +20,10 @@ import ur_analytic_ik
 from _report import Report, arguments
 
 from r2h_batch import se3
-from r2h_batch.ik import IkResult, reference_chain, solve_ik
-from r2h_batch.kernels.ik_step import STATUS_CONVERGED, STATUS_EDGE, STATUS_SINGULAR
+from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.judge.ik import IkResult, reference_chain, solve_ik
+from r2h_batch.kernels.ik.step import STATUS_CONVERGED, STATUS_EDGE, STATUS_SINGULAR
 from r2h_batch.launch import cpu_threads
-from r2h_batch.robot import ee_pose, load_robot
 
 REPEATS = 5
 NO_SEEDS = np.zeros((0, 6))
@@ -100,7 +100,7 @@ def pseudo_inverse(report: Report, targets: torch.Tensor, reachable: torch.Tenso
     matrices = pytorch_kinematics.Transform3d(matrix=targets)
     seconds = {}
     for restarts in (5, 20):
-        solutions = []
+        solutions: list[torch.Tensor] = []
 
         def run(restarts: int = restarts, solutions: list = solutions) -> None:
             torch.manual_seed(0)  # its seeds come from the global generator

@@ -45,7 +45,7 @@ def main() -> None:
     given = parser.parse_args()
 
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.trials import make_trials
+    from r2h_batch.trials.protocol import make_trials
 
     report = Report()
     evaluator = Evaluator(device=given.device)

@@ -16,27 +16,26 @@ OMPL's edges sampled every 1/320 rad, as finely as the re-check.
 """
 
 import statistics
-import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
 import torch
 from _report import Report, arguments
+from _twins import Batch, Checker, Problems, checker_of, dense, motion_samples, ompl_solve, recheck, solve
+from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
-from planning_twins import Checker, checker_of, dense, motion_samples, ompl_solve, recheck
-from problems import Batch, Problems, solve
-
-from r2h_batch import plan
 from r2h_batch.config import HOME_Q, EvalConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.execute import time_path
-from r2h_batch.ik import solve_ik
+from r2h_batch.judge import plan
+from r2h_batch.judge.ik import solve_ik
 from r2h_batch.launch import launch_trials
-from r2h_batch.scene import Scene
-from r2h_batch.trials import trials_with_ids
+from r2h_batch.motion.time_law import time_path
+from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.protocol import trials_with_ids
 
 MIX = Path(__file__).with_name("mix.npz")
 REPEATS = 3
@@ -44,7 +43,9 @@ REPEATS = 3
 
 def free_rows(scene: Scene, problems: Problems, wanted: int) -> tuple[list[int], list[Checker], list[np.ndarray]]:
     """Rows, judges and goals of the first problems whose start and at least one goal are free in MuJoCo C."""
-    rows, checkers, goals = [], [], []
+    rows: list[int] = []
+    checkers: list[Checker] = []
+    goals: list[np.ndarray] = []
     for row in range(len(problems.batch)):
         if len(rows) == wanted:
             break
@@ -83,22 +84,21 @@ def kernel_seconds(scene: Scene, batch: Batch) -> dict[str, float]:
     return spent
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--problems", type=int, default=300)
-    parser.add_argument("--budget-s", type=float, default=10.0, help="OMPL's time for one problem")
-    parser.add_argument("--resolution-rad", type=float, default=1 / 64, help="OMPL's edge resolution")
-    options = parser.parse_args()
-    report = Report()
-    scene = Evaluator(EvalConfig(), device=options.device).scene
-    with np.load(MIX, allow_pickle=False) as mix:
-        trials = trials_with_ids(torch.from_numpy(mix["trial_id"]), objects=scene.objects, hand_set=scene.hands.set)
-        whole = Batch(trials, torch.from_numpy(mix["T_obj_ee"]), torch.from_numpy(mix["T_world_ee"]))
-    rows, checkers, goals = free_rows(scene, solve(scene, whole), options.problems)
-    batch = whole.rows(torch.tensor(rows))
-    n = len(batch)
-    report.add("plan.problems", n)
+@dataclass(frozen=True)
+class OwnTimes:
+    """Our plans of n problems, and the seconds they took: process time of all, of the search alone, wall time."""
 
+    problems: Problems
+    n: int
+    seconds: float
+    search: float
+    wall: float
+    found: NDArray[np.bool_]
+
+
+def own_times(report: Report, scene: Scene, batch: Batch) -> OwnTimes:
+    """Plans the batch on one core and on all, and says where the time goes."""
+    n = len(batch)
     problems, seconds = planned(scene, batch, 1, time.process_time)
     _, wall = planned(scene, batch, None, time.perf_counter)
     report.add("plan.us_per_problem_core", seconds / n * 1e6)
@@ -116,7 +116,12 @@ def main() -> None:
     if len(hard):
         _, seconds_hard = planned(scene, batch.rows(hard), 1, time.process_time)
         report.add("plan.us_per_searched_problem_core", seconds_hard / len(hard) * 1e6)
+    return OwnTimes(problems, n, seconds, search, wall, found)
 
+
+def latencies(report: Report, scene: Scene, batch: Batch) -> None:
+    """One problem at a time."""
+    n = len(batch)
     latency = []
     for row in range(min(n, 150)):
         one = batch.rows(slice(row, row + 1))
@@ -126,6 +131,10 @@ def main() -> None:
     report.add("plan.latency_ms_median", statistics.median(latency) * 1e3)
     report.add("plan.latency_ms_p95", float(np.quantile(latency, 0.95)) * 1e3)
 
+
+def recheck_paths(report: Report, scene: Scene, own: OwnTimes, checkers: list[Checker]) -> None:
+    """Our paths at the postures that are executed, by the oracle."""
+    problems, found = own.problems, own.found
     config = scene.config.execute
     motion = time_path(problems.plan.path, problems.plan.length, config)
     penetrating = samples = 0
@@ -138,6 +147,18 @@ def main() -> None:
     report.add("plan.penetrating_paths", penetrating)
     report.add("plan.configurations_rechecked", samples)
 
+
+def compare_with_ompl(
+    report: Report,
+    scene: Scene,
+    batch: Batch,
+    own: OwnTimes,
+    made: tuple[list[Checker], list[np.ndarray]],
+    options: Any,
+) -> None:
+    """The same problems by OMPL with the oracle's checks. `made`: checker and goals of each problem."""
+    checkers, goals = made
+    n, seconds, search, wall, found = own.n, own.seconds, own.search, own.wall, own.found
     cpu, walls, checks, solved, invalid, only = [], [], 0, 0, 0, []
     for row in range(n):
         before = time.process_time()
@@ -180,6 +201,27 @@ def main() -> None:
         )
         fine.append(time.process_time() - before)
     report.add("plan.ratio_to_ompl_fine", statistics.median(fine) / (seconds / n))
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--problems", type=int, default=300)
+    parser.add_argument("--budget-s", type=float, default=10.0, help="OMPL's time for one problem")
+    parser.add_argument("--resolution-rad", type=float, default=1 / 64, help="OMPL's edge resolution")
+    options = parser.parse_args()
+    report = Report()
+    scene = Evaluator(EvalConfig(), device=options.device).scene
+    with np.load(MIX, allow_pickle=False) as mix:
+        trials = trials_with_ids(torch.from_numpy(mix["trial_id"]), objects=scene.objects, hand_set=scene.hands.set)
+        whole = Batch(trials, torch.from_numpy(mix["T_obj_ee"]), torch.from_numpy(mix["T_world_ee"]))
+    rows, checkers, goals = free_rows(scene, solve(scene, whole), options.problems)
+    batch = whole.rows(torch.tensor(rows))
+    report.add("plan.problems", len(batch))
+
+    own = own_times(report, scene, batch)
+    latencies(report, scene, batch)
+    recheck_paths(report, scene, own, checkers)
+    compare_with_ompl(report, scene, batch, own, (checkers, goals), options)
     report.write(options.json)
 
 

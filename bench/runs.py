@@ -17,9 +17,9 @@ import numpy as np
 import pyarrow as pa
 from _report import ROOT, Report, arguments
 
-from r2h_batch.manifest import SHARD_TRIALS
-from r2h_batch.rows import OUTCOME_NAMES, SPLITS, TRIAL_SCHEMA
-from r2h_batch.types import CRITERIA, CollidingPair, PlanReason
+from r2h_batch.results.manifest import SHARD_TRIALS
+from r2h_batch.results.rows import OUTCOME_NAMES, TRIAL_SCHEMA
+from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
 
 OBJECTS = [f"object_{i:02d}" for i in range(16)]
 BLOCK = 256  # trials that share one amortised time
@@ -57,7 +57,7 @@ def rows(first: int, last: int, n_s0: int) -> pa.Table:
         "trial_id": pa.array(2 * turn + s1),
         "object": words(objects, OBJECTS),
         "split": words(s1.astype(int), list(SPLITS)),
-        "side": words((turn // np.where(s1, 10, 6) + objects) % 2, ["right", "left"]),
+        "side": words((turn // np.where(s1, 10, 6) + objects) % 2, list(SIDES)),
         "outcome": words(outcome, list(OUTCOME_NAMES)),
         **{f"passed_{c}": pa.array(passed[:, i], mask=~evaluated[:, i]) for i, c in enumerate(CRITERIA)},
         **{f"margin_{c}_m": floats(margin[:, i], evaluated[:, i]) for i, c in enumerate(CRITERIA)},
@@ -88,7 +88,7 @@ def header(trials: int) -> dict:
 
 def write(folder: Path, trials: int) -> dict:
     """Through the real writer; making the rows is not counted."""
-    from r2h_batch.writing import open_run
+    from r2h_batch.results.writing import open_run
 
     run = open_run(folder, header(trials))
     run.register("synthetic", {"kind": "bench"})
@@ -105,7 +105,7 @@ def write(folder: Path, trials: int) -> dict:
 
 
 def verify(folder: Path, _: int) -> dict:
-    from r2h_batch.manifest import problems, read_header
+    from r2h_batch.results.manifest import problems, read_header
 
     start = time.perf_counter()
     assert not list(problems(folder, read_header(folder)))
@@ -114,8 +114,8 @@ def verify(folder: Path, _: int) -> dict:
 
 def aggregate(folder: Path, _: int) -> dict:
     """Table I's rows from the stored ones."""
-    from r2h_batch.aggregate import summarise, verdicts
-    from r2h_batch.results import load_run
+    from r2h_batch.results.reading import load_run
+    from r2h_batch.statistics.aggregate import summarise, verdicts
 
     start = time.perf_counter()
     run = load_run(folder, verify=False)
@@ -124,7 +124,7 @@ def aggregate(folder: Path, _: int) -> dict:
 
 
 def digest(folder: Path, _: int) -> dict:
-    from r2h_batch.results import load_run
+    from r2h_batch.results.reading import load_run
 
     start = time.perf_counter()
     load_run(folder, verify=False).digest("synthetic")
@@ -159,9 +159,9 @@ def main() -> None:
     parser.add_argument("--step", choices=STEPS, help="run one step only and print its figures as JSON")
     given = parser.parse_args()
     if given.step:
-        figures = STEPS[given.step](given.folder, given.trials)
+        found = STEPS[given.step](given.folder, given.trials)
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        print(json.dumps({"peak_mb": peak, **figures}))
+        print(json.dumps({"peak_mb": peak, **found}))
         return
     figures = Report()
     figures.add("runs.trials", given.trials)

@@ -18,11 +18,11 @@ import numpy as np
 import torch
 
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.jobs import load_files, make_jobs, prepare
-from r2h_batch.options import Options, UsageError, check
+from r2h_batch.export.pictures import Strip, strips
 from r2h_batch.predictions import PredictionsError
-from r2h_batch.render import Strip, strips
-from r2h_batch.trials import trials_with_ids
+from r2h_batch.sweep.jobs import load_files, make_jobs, prepare
+from r2h_batch.sweep.options import Options, UsageError, check
+from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Outcome, Predictions
 
 
@@ -54,7 +54,8 @@ def draw(rows: Sequence[Strip], title: str, out: Path, *, frames: int) -> None:
 
     height, width = rows[0].images.shape[1:3]
     figure = plt.figure(figsize=(2.4 * frames, (2.4 * height / width + 0.32) * len(rows) + 0.35), dpi=160)
-    parts = figure.subfigures(len(rows) + 1, 1, height_ratios=[0.35, *[2.4 * height / width + 0.32] * len(rows)])
+    ratios = [0.35, *[2.4 * height / width + 0.32] * len(rows)]
+    parts = figure.subfigures(len(rows) + 1, 1, height_ratios=ratios, squeeze=False)[:, 0]
     parts[0].text(0.5, 0.5, title, ha="center", va="center", fontsize=10)
     for part, row in zip(parts[1:], rows, strict=True):
         color = "#1b6e3c" if row.outcome == Outcome.SUCCESS else "#a3262a"

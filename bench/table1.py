@@ -65,15 +65,15 @@ def finger_lines(run) -> list[str]:
     import numpy as np
     import torch
 
-    from r2h_batch.scene import Scene
-    from r2h_batch.trials import trials_with_ids
+    from r2h_batch.scene.scene import Scene
+    from r2h_batch.trials.protocol import trials_with_ids
 
     scene, tip = Scene(), 1
     ids = np.array(run.trials(run.methods[0])["trial_id"])
     trials = trials_with_ids(torch.from_numpy(ids))
     hand = trials.hand_index.long()
-    fingers = scene.hands.vertices[hand, int(scene.hands.model.tip_vertices[tip])] - scene.hands.joints[hand, 0]
-    fingers = torch.einsum("nij,nj->ni", trials.T_world_hand[:, :3, :3], fingers).double().numpy()
+    pointing = scene.hands.vertices[hand, int(scene.hands.model.tip_vertices[tip])] - scene.hands.joints[hand, 0]
+    fingers = torch.einsum("nij,nj->ni", trials.T_world_hand[:, :3, :3], pointing).double().numpy()
     center = scene.palm(trials.hand_index, trials.T_world_hand)[2].double().numpy() * [1.0, 1.0, 0.0]
     cos = -(fingers * center).sum(1) / np.linalg.norm(fingers, axis=1) / np.linalg.norm(center, axis=1)
     angle = np.degrees(np.arccos(np.clip(cos, -1, 1)))
@@ -91,7 +91,7 @@ def finger_lines(run) -> list[str]:
 
 def sweep(folder: Path, trials: int, noise: float, more: list[str]) -> list[str]:
     """Runs (or goes on with) one sweep; its command."""
-    from r2h_batch import sweep as command
+    from r2h_batch.sweep import command as command
 
     line = [
         "--method",
@@ -113,8 +113,9 @@ def sweep(folder: Path, trials: int, noise: float, more: list[str]) -> list[str]
 
 def write(folder: Path, out: Path, name: str, title: str, line: list[str]) -> None:
     """The table of a run folder as .md, .csv and .json."""
-    from r2h_batch.report import object_lines, render, table_of
-    from r2h_batch.results import load_run
+    from r2h_batch.report.objects import object_lines
+    from r2h_batch.report.table import render, table_of
+    from r2h_batch.results.reading import load_run
 
     run = load_run(folder)
     table = table_of(run)

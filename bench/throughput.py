@@ -24,26 +24,30 @@ import torch
 from _report import Report, arguments
 
 import r2h_batch.evaluate as evaluate
+import r2h_batch.judge.hold as hold
+import r2h_batch.judge.plan as plan
+import r2h_batch.judge.verdict as verdict
 import r2h_batch.launch as launch
-import r2h_batch.plan as plan
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.trials import trials_digest, trials_with_ids
+from r2h_batch.trials.protocol import trials_digest, trials_with_ids
 from r2h_batch.types import Outcome, PlanReason, Scores
 
 REPEATS = 5
 MIX = Path(__file__).with_name("mix.npz")
 MIX_TRIALS = 1024
-STAGES: dict[str, tuple[Any, tuple[str, ...]]] = {
-    "grasp": (evaluate, ("close_gripper", "attach")),
-    "place": (evaluate.Scene, ("place",)),
-    "ik": (evaluate, ("solve_ik",)),
-    "plan": (evaluate, ("plan_paths",)),
-    "execute": (evaluate, ("time_path", "execute", "executed_time_at", "time_at")),
-    "reach": (evaluate.metrics, ("reach",)),
-    "affordance": (evaluate.metrics, ("affordance",)),
-    "safe": (evaluate.metrics, ("safe",)),
-}
+STAGES: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
+    ("grasp", hold, ("close_gripper", "attach")),
+    ("place", evaluate.Scene, ("place",)),
+    ("ik", evaluate, ("solve_ik",)),
+    ("plan", evaluate, ("plan_paths",)),
+    ("execute", evaluate, ("time_path", "execute")),
+    ("execute", verdict, ("executed_time_at", "time_at")),
+    ("reach", evaluate.metrics, ("reach",)),
+    ("affordance", evaluate.metrics, ("affordance",)),
+    ("safe", evaluate.metrics, ("safe",)),
+)
+"""Name of a stage, where its functions are looked up when called, and their names."""
 
 
 class Clock:
@@ -81,7 +85,7 @@ def watched(device: str) -> Iterator[Clock]:
     """A clock around every stage and every planning kernel."""
     clock = Clock(device)
     with ExitStack() as stack:
-        for name, (owner, functions) in STAGES.items():
+        for name, owner, functions in STAGES:
             for f in functions:
                 stack.enter_context(mock.patch.object(owner, f, clock.wrap(name, getattr(owner, f))))
         stack.enter_context(mock.patch.object(plan, "launch_trials", clock.wrap_kernel(launch.launch_trials)))
@@ -164,9 +168,10 @@ def main() -> None:
         start = clock.now()
         scores = run()
         total = clock.now() - start
-    for name in STAGES:
+    stages = dict.fromkeys(name for name, _, _ in STAGES)
+    for name in stages:
         report.add(f"throughput.stage.{name}_share", clock.spent.get(name, 0.0) / total)
-    report.add("throughput.stage.other_share", 1 - sum(clock.spent.get(name, 0.0) for name in STAGES) / total)
+    report.add("throughput.stage.other_share", 1 - sum(clock.spent.get(name, 0.0) for name in stages) / total)
     for name in sorted(k for k in clock.spent if k.startswith("kernel.")):
         report.add(f"throughput.{name}_share", clock.spent[name] / total)
 

@@ -32,7 +32,7 @@ from _report import Report, arguments
 from r2h_batch import launch, reward
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.trials import trials_with_ids
+from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import CRITERIA, Outcome, PlanReason, Trials
 
 MIX = Path(__file__).with_name("mix.npz")
@@ -112,7 +112,9 @@ def sizes(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, l
 
 def kernels(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, b: int) -> None:
     """Core time inside each kernel's launch, and what is left of the call."""
-    c, least, calls = repeated(mix, b), {}, []
+    c = repeated(mix, b)
+    least: dict[str, float] = {}
+    calls: list[tuple[float, float]] = []
     for _ in range(5):
         seen: dict[str, int] = {}
         spent: dict[str, float] = {}
@@ -229,7 +231,7 @@ def peer(report: Report, evaluator: Evaluator, mix: Candidates, n: int) -> None:
     """The same candidates one by one; where its verdicts differ although ours are not borderline, by criterion."""
     from _pose_peer import PosePeer
 
-    g, h, trials = (x.cpu() if isinstance(x, torch.Tensor) else x.to("cpu") for x in mix)
+    g, h, trials = mix[0].cpu(), mix[1].cpu(), mix[2].to("cpu")
     rows = torch.from_numpy(np.random.default_rng(1).permutation(len(trials))[:n])
     g, h, trials = g[rows], h[rows], trials[rows]
     scene, spent, differ = evaluator.scene, 0.0, dict.fromkeys(CRITERIA, 0)
@@ -238,10 +240,11 @@ def peer(report: Report, evaluator: Evaluator, mix: Candidates, n: int) -> None:
     one_by_one = PosePeer(scene)
     for i in range(n):
         o, hand = int(trials.object_index[i]), int(trials.hand_index[i])
-        T = [x[i].double().numpy() for x in (g, h, trials.T_world_hand)]
-        checker = one_by_one.build(o, hand, T[0], T[2])
+        T_obj_ee, T_world_ee, T_world_hand = (x[i].double().numpy() for x in (g, h, trials.T_world_hand))
+        middle = ball[i].cpu().double().numpy()
+        checker = one_by_one.build(o, hand, T_obj_ee, T_world_hand)
         start = time.process_time()
-        verdict = one_by_one.judge(checker, o, hand, *T, ball[i].cpu().double().numpy())
+        verdict = one_by_one.judge(checker, o, hand, T_obj_ee, T_world_ee, T_world_hand, middle)
         spent += time.process_time() - start
         for k, name in enumerate(CRITERIA):
             both = verdict[k] is not None and bool(ours.evaluated[i, k]) and (k < 4 or bool(ours.passed[i, 1]))

@@ -8,6 +8,7 @@ The generator sees an object's point cloud and where the palm is; four objects a
 import argparse
 import json
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from handovers import Clouds, Examples, collect, palm_frames
 from torch import Tensor
 
 from r2h_batch import Evaluator, Trials, make_trials, reward, se3
-from r2h_batch.aggregate import wilson_interval
+from r2h_batch.statistics.aggregate import wilson_interval
 
 HELD_OUT = ("cup", "game_controller", "screwdriver", "bottle")
 TEMPERATURE_M = 0.005
@@ -124,15 +125,22 @@ class Generator:
         return se3.orthonormalise(T_obj_ee).contiguous(), se3.orthonormalise(T_world_ee).contiguous()
 
 
-def guided(evaluator: Evaluator, trials: Trials, poses, x: Tensor, y: Tensor, steps: int) -> tuple[Tensor, Tensor]:  # type: ignore[no-untyped-def]
+def guided(
+    evaluator: Evaluator,
+    trials: Trials,
+    poses: Callable[[Tensor, Tensor], tuple[Tensor, Tensor]],
+    x: Tensor,
+    y: Tensor,
+    steps: int,
+) -> tuple[Tensor, Tensor]:
     """The flows' numbers moved along the gradient of the evaluator's soft score; the best on the way is kept."""
     z = torch.cat([x, y], 1).detach().requires_grad_(True)
     climb = torch.optim.Adam([z], lr=0.12, betas=(0.8, 0.95))
     best, kept = torch.full((len(z),), -torch.inf), z.detach().clone()
     for _ in range(steps):
-        soft = evaluator.score(*poses(z[:, :9], z[:, 9:]), trials, stages="pose").soft(
-            temperature_m=TEMPERATURE_M, log=True
-        )
+        T_obj_ee, T_world_ee = poses(z[:, :9], z[:, 9:])
+        scores = evaluator.score(T_obj_ee, T_world_ee, trials, stages="pose")
+        soft = scores.soft(temperature_m=TEMPERATURE_M, log=True)
         better = soft.detach() > best
         best, kept = torch.where(better, soft.detach(), best), torch.where(better[:, None], z.detach(), kept)
         climb.zero_grad()
@@ -164,7 +172,30 @@ def train(evaluator: Evaluator, data: Examples, clouds: Clouds, *, steps: int, b
     return model
 
 
-def main(argv: list[str] | None = None) -> dict[str, object]:
+def judged(evaluator: Evaluator, ways: dict, trials: Trials) -> dict[str, dict]:
+    """How many trials each way passes, on the whole benchmark, with 95 % intervals; printed as they come."""
+    rates: dict[str, dict[str, Any]] = {}
+    for name, (g, h) in ways.items():
+        scores = evaluator.score(g.contiguous(), h.contiguous(), trials)  # the whole benchmark
+        passed = int(scores.success.sum())
+        low, high = wilson_interval(passed, len(trials))
+        rates[name] = {
+            "passed": passed,
+            "trials": len(trials),
+            "rate": passed / len(trials),
+            "low": float(low),
+            "high": float(high),
+        }
+        rates[name]["outcomes"] = torch.bincount(scores.outcome.long(), minlength=8).tolist()
+        print(
+            f"{name:20s} {passed / len(trials):6.1%}  [{float(low):.1%}, {float(high):.1%}] of {len(trials)} trials",
+            flush=True,
+        )
+    return rates
+
+
+def options(argv: list[str] | None) -> argparse.Namespace:
+    """What the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--proposals", type=int, default=60_000)
     parser.add_argument("--steps", type=int, default=3000)
@@ -174,7 +205,11 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--weights", type=Path, help="kept here; where the file exists, nothing is trained")
     parser.add_argument("--out", type=Path, default=Path("docs"), help="training_loop.png, results/training_loop.json")
-    args = parser.parse_args(argv)
+    return parser.parse_args(argv)
+
+
+def main(argv: list[str] | None = None) -> dict[str, object]:
+    args = options(argv)
     torch.set_num_threads(1)  # the networks are small: more threads mostly wait for each other, or for busy cores
     random = torch.Generator().manual_seed(args.seed)
     evaluator = Evaluator()
@@ -217,23 +252,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     }
     clock.append(time.perf_counter())
     cpu.append(time.process_time())
-    rates = {}
-    for name, (g, h) in ways.items():
-        scores = evaluator.score(g.contiguous(), h.contiguous(), trials)  # the whole benchmark
-        passed = int(scores.success.sum())
-        low, high = wilson_interval(passed, len(trials))
-        rates[name] = {
-            "passed": passed,
-            "trials": len(trials),
-            "rate": passed / len(trials),
-            "low": float(low),
-            "high": float(high),
-        }
-        rates[name]["outcomes"] = torch.bincount(scores.outcome.long(), minlength=8).tolist()
-        print(
-            f"{name:20s} {passed / len(trials):6.1%}  [{float(low):.1%}, {float(high):.1%}] of {len(trials)} trials",
-            flush=True,
-        )
+    rates = judged(evaluator, ways, trials)
     stages = ("collect", "train", "sample")
     seconds, core = (dict(zip(stages, np.diff(x).round(1).tolist(), strict=True)) for x in (clock, cpu))
     seconds["train"], core["train"] = round(spent["seconds"], 1), round(spent["core_seconds"], 1)

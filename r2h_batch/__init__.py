@@ -1,30 +1,51 @@
 """Verdicts on robot-to-human handovers, by the thousand: the R2HandoverSim benchmark as a batched evaluator."""
 
+from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-_root = Path(__file__).resolve().parent
-if not (_root / "kernels").exists():  # a checkout or an editable install: kernels/ and assets/ stand beside the package
-    __path__.append(str(_root.parent))
+if TYPE_CHECKING:
+    from r2h_batch.config import EvalConfig
+    from r2h_batch.evaluate import Evaluator
+    from r2h_batch.scene.scene import Scene
+    from r2h_batch.trials.protocol import make_trials
+    from r2h_batch.types import Predictions, Scores, Trials
 
 __version__ = "0.1.0"
 
 __all__ = ["EvalConfig", "Evaluator", "Predictions", "Scene", "Scores", "Trials", "make_trials"]
 
-_HOME = {
-    "EvalConfig": "config",
-    "Evaluator": "evaluate",
-    "Predictions": "types",
-    "Scene": "scene",
-    "Scores": "types",
-    "Trials": "types",
-    "make_trials": "trials",
-}
+_root = Path(__file__).resolve().parent
+if not (_root / "kernels").exists():  # a checkout or an editable install: kernels/ and assets/ stand beside the package
+    __path__.append(str(_root.parent))
 
 
-def __getattr__(name: str) -> object:
-    """The public names, imported when first used: ``--help`` must not wait for torch and Warp."""
-    if name not in _HOME:
-        raise AttributeError(f"module 'r2h_batch' has no attribute {name!r}; it has {', '.join(__all__)}")
-    from importlib import import_module
+def lazy_names(package: str, home: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package that offers names of its modules: imported when first used.
 
-    return getattr(import_module(f"r2h_batch.{_HOME[name]}"), name)
+    `--help` must not wait for torch and Warp. `home`: public name -> module, relative to the package. Type checkers read
+    the imports that stand under TYPE_CHECKING in the same file.
+    """
+
+    def find(name: str) -> object:
+        if name not in home:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}; it has {', '.join(sorted(home))}")
+        return getattr(import_module(f".{home[name]}", package), name)
+
+    return find, lambda: sorted(home)
+
+
+if not TYPE_CHECKING:  # else any name would pass
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "EvalConfig": "config",
+            "Evaluator": "evaluate",
+            "Predictions": "types",
+            "Scene": "scene.scene",
+            "Scores": "types",
+            "Trials": "types",
+            "make_trials": "trials.protocol",
+        },
+    )

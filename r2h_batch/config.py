@@ -7,8 +7,21 @@ from typing import Literal
 HOME_Q = (-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483)
 """Start of every trial, rad: gripper straight down, TCP at (0.421, 0, 0.449) m [choice]."""
 
+OPEN_GAP_M = 0.085
+"""Gap between the pads of the open gripper: the published stroke of the 2F-85."""
+
+BALL_OFFSET_M = 0.12
+"""d_h: how far in front of the palm the centre of the ball lies that an object must meet to be within reach."""
+
+TABLE_CENTER = (-0.025, 0.0, -0.025)
+TABLE_HALF = (0.475, 0.6, 0.025)
+"""Top at z = 0, x from -0.5 to 0.45 m, |y| <= 0.6 m [choice]; 5 cm thick."""
+
 CLEARANCE_CAP_M = 0.05
 """Clearances are exact below this and a lower bound above it."""
+
+CLEARANCE_TOLERANCE_M = 1e-4
+"""How exactly the smallest clearance along a path is located."""
 
 BORDERLINE_M = 1e-4
 """Half width of the band around a threshold in which float32 geometry is not trusted."""
@@ -30,9 +43,9 @@ def _one_of(owner: object, name: str, allowed: tuple[str, ...]) -> None:
 class Thresholds:
     """Where a criterion turns from pass to fail (paper, Sec. Evaluation Metrics)."""
 
-    w_max_m: float = 0.085  # aperture of the 2F-85
+    w_max_m: float = OPEN_GAP_M
     reach_radius_m: float = 0.10  # r_h
-    reach_offset_m: float = 0.12  # d_h
+    reach_offset_m: float = BALL_OFFSET_M
     safe_margin_m: float = 0.0  # distance a hand must keep to count as untouched
     pad_squeeze_m: float = 0.001  # [choice] the rubber pads give this much in total: fingers that hold a region meet it
 
@@ -76,9 +89,9 @@ class ExecConfig:
     max_velocity_rad_s: float = math.pi
     max_acceleration_rad_s2: float = 5.0
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"  # auto: mujoco on a CPU, mjwarp on CUDA; none: kinematic
-    model: Literal["scene", "arm"] = (
-        "scene"  # what is simulated: the whole scene, or the arm with a rigid gripper, no contacts
-    )
+    # What is simulated: the whole scene; the arm with a rigid gripper and no contacts; auto: the arm, and again the whole
+    # scene where the path's clearance does not rule contacts out.
+    model: Literal["auto", "scene", "arm"] = "auto"
     step_s: float = 0.002  # of simulator and servos: the real controller's 500 Hz
     record_steps: int = 4  # steps between two samples of the executed motion
     payload: Literal["known", "unknown"] = "known"  # whether the controller compensates the object's weight
@@ -89,7 +102,7 @@ class ExecConfig:
 
     def __post_init__(self) -> None:
         _one_of(self, "sim", ("auto", "none", "mujoco", "mjwarp"))
-        _one_of(self, "model", ("scene", "arm"))
+        _one_of(self, "model", ("auto", "scene", "arm"))
         _one_of(self, "payload", ("known", "unknown"))
         _positive(self, "scale", "max_velocity_rad_s", "max_acceleration_rad_s2", "step_s", "record_steps")
         _positive(self, "settle_position_m", "settle_rotation_rad", "settle_limit_s", "dwell_s")

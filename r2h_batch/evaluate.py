@@ -3,29 +3,34 @@
 import copy
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property, partial
+from typing import Any
 
 import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from r2h_batch import metrics, se3, torch_op
-from r2h_batch.capture import Captured
-from r2h_batch.config import BORDERLINE_M, EvalConfig
-from r2h_batch.execute import Executed, execute, executed_time_at, time_at, time_path
-from r2h_batch.gradients import differentiable
-from r2h_batch.grasp import Grasp, attach, close_gripper
-from r2h_batch.hand import HandSet
-from r2h_batch.ik import IkResult, one_branch, solve_ik
-from r2h_batch.inputs import Stages, check_indices, checked_inputs
-from r2h_batch.launch import one_torch_thread
-from r2h_batch.metrics import Criterion
-from r2h_batch.objects import ObjectModel
-from r2h_batch.plan import plan_paths
-from r2h_batch.pose import judge_goals, safe_at
-from r2h_batch.scene import Placed, Scene
-from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores, Trials
+from r2h_batch import se3
+from r2h_batch.bodies.hand import HandSet
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.config import EvalConfig
+from r2h_batch.judge import metrics
+from r2h_batch.judge.goal import judge_goals, safe_at
+from r2h_batch.judge.hold import Holding, hold
+from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
+from r2h_batch.judge.inputs import Stages, check_indices, check_stages, checked_inputs, warn_of_no_gradient
+from r2h_batch.judge.metrics import Criterion
+from r2h_batch.judge.plan import plan_paths
+from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
+from r2h_batch.launch import cpu_threads, one_torch_thread
+from r2h_batch.motion.execute import execute
+from r2h_batch.motion.time_law import time_path
+from r2h_batch.scene.scene import Scene
+from r2h_batch.training import torch_op
+from r2h_batch.training.capture import Captured
+from r2h_batch.training.gradients import differentiable
+from r2h_batch.types import Scores, Trials
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
@@ -46,9 +51,22 @@ class Evaluator:
         hand_set: HandSet | None = None,
         threads: int | None = None,
     ) -> None:
+        if config is not None and not isinstance(config, EvalConfig):
+            hint = f"; a device goes by name: Evaluator(device={config!r})" if isinstance(config, str) else ""
+            raise TypeError(f"config is {config!r}; it must be an EvalConfig{hint}")
         self.config = config or EvalConfig()
+        cpu_threads(threads)
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
         self.threads = threads
+        self.handle = torch_op.register(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What copies and pickles hold: the configuration. Copies share the scene's tables, which nobody changes;
+        another process builds its own (`Scene.__reduce__`), rows are bitwise equal."""
+        return {k: v for k, v in self.__dict__.items() if k not in ("handle", "kinematic")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
         self.handle = torch_op.register(self)
 
     @cached_property
@@ -56,7 +74,6 @@ class Evaluator:
         """The same evaluator with the motion taken as planned (`sim="none"`): for methods that score while they search."""
         twin = copy.copy(self)
         twin.config = replace(self.config, execute=replace(self.config.execute, sim="none"))
-        twin.handle = torch_op.register(twin)
         return twin
 
     def score(
@@ -79,7 +96,7 @@ class Evaluator:
         `stages="pose"` judges what needs no path, with the same kernels: Stability, Reach, Affordance (same bits), Plan and
         Safe at the goal posture. A pose that fails here fails there. `passed[:, PLAN]`: home and some branch are free;
         `plan_reason` differs from the full one only where that is NO_PATH_IN_BUDGET or NOT_SETTLED. `q_goal`,
-        `margin[:, PLAN]`: posture and clearance of `r2h_batch.pose.Goal`, always finite. `margin[:, SAFE]`: the hand's exact
+        `margin[:, PLAN]`: posture and clearance of `judge.goal.Goal`, always finite. `margin[:, SAFE]`: the hand's exact
         mesh at `q_goal`, evaluated for every pose. No path: `path_len` 0, `path` of width 0, times NaN.
 
         With stages="pose", margins lead back to poses that require a gradient (docs/gradients.md).
@@ -87,6 +104,8 @@ class Evaluator:
         K candidates for each of N trials: poses (N, K, 4, 4), rows of the result in that order (`Scores.by_trial`).
         """
         T_obj_ee, T_world_ee, trials = checked_inputs(self.scene, T_obj_ee, T_world_ee, trials, stages)
+        if stages == "all" and torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
+            warn_of_no_gradient()
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
         check_indices(self.scene, trials)
@@ -94,17 +113,30 @@ class Evaluator:
 
     def capture(self, b: int, *, stages: Stages = "pose") -> Captured:
         """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on CUDA one graph."""
-        return Captured(self, b, stages)
+        check_stages(stages)
+        device, stability = torch.device(self.scene.device), self.config.stability
+        if device.type == "cuda" and (stages != "pose" or stability == "physics"):
+            raise ValueError(
+                f"stages is {stages!r}, stability {stability!r}: planning and physics wait for the "
+                "device and cannot be captured; capture stages='pose' with stability='geometric'"
+            )
+        return Captured(partial(self._score_checked, stages=stages), device, b)
+
+    def _score_checked(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages) -> Scores:
+        """`score` of tensors whose shapes are known to fit."""
+        check_indices(self.scene, trials)
+        return self._score(T_obj_ee, T_world_ee, trials, stages)
 
     def _score(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, keep_motion: bool = False
     ) -> Scores:
+        """The batch in chunks that bound the memory; rows do not depend on where the cuts are."""
         n, chunk = len(trials), self.config.chunk
         if stages == "pose":  # without paths a row needs a quarter of the memory
             chunk = max(chunk, POSE_CHUNK_CUDA) if T_obj_ee.is_cuda else 4 * chunk
         else:  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
-        judge = self._score_pose if stages == "pose" else partial(self._score_chunk, keep_motion=keep_motion)
+        judge = self._score_pose if stages == "pose" else partial(self._score_motion, keep_motion=keep_motion)
         order = None
         if stages == "pose" and n >= SORTED_ROWS and not T_obj_ee.is_cuda:
             order = torch.argsort(trials.object_index, stable=True)
@@ -117,208 +149,67 @@ class Evaluator:
         scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
         return scores if order is None else scores[torch.argsort(order)]
 
-    def _score_chunk(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool) -> Scores:
+    def _score_motion(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool) -> Scores:
+        """Every stage: hold, IK, plan, move, judge."""
         scene, config, threads = self.scene, self.config, self.threads
-        held = self._hold(T_obj_ee, T_world_ee, trials)
-        active, placed = held.active, held.placed
+        holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
+        active, placed = holding.active, holding.placed
 
         plan_start = time.perf_counter()
-        ik, branches = self._branches(held)
-        key = _random_key(trials.trial_id)
+        ik, branches = self._branches(holding)
+        key = random_key(trials.trial_id)
         planned = plan_paths(
             scene, placed, ik.q, branches, active, key, config.plan, execute=config.execute, threads=threads
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         motion = time_path(planned.path, planned.length, config.execute)
-        executed = execute(scene, placed, planned.path, planned.length, motion, config.execute, threads=threads)
+        certified = planned.clearance_m if config.plan.edge_check == "exact" else None  # sampled edges certify nothing
+        executed = execute(
+            scene, placed, planned.path, planned.length, motion, config.execute, clearance_m=certified, threads=threads
+        )
 
         safe, touch = metrics.safe(scene, placed, executed, active, config.thresholds, threads=threads)
-        (steady, reach, affordance), slip = self._without_posture(held)
+        (steady, reach, affordance), slip = self._without_posture(holding)
         criteria = [steady, metrics.plan(planned, executed, active), reach, affordance, safe]
-        judged = executed.valid[:, None]
-        evaluated = torch.stack([c.evaluated for c in criteria], 1) & judged
-        passed = torch.stack([c.passed for c in criteria], 1) & judged
-        margin = torch.where(judged, torch.stack([c.margin for c in criteria], 1), torch.nan)
-        outcome = _first_failure(passed, evaluated, active)
-        outcome[active & ~executed.valid] = int(Outcome.INVALID_SIM)
-        restless = (planned.length > 0) & executed.valid & ~executed.settled
-        found = planned.length > 0
-        nan = torch.full_like(motion.t_exec_s, torch.nan)
-        goal = planned.path[torch.arange(len(trials), device=active.device), (planned.length - 1).clamp(min=0).long()]
-        witnessed = touch.body >= 0
-        if executed.sample_s is None:
-            witness_time_s = time_at(
-                planned.path, planned.length, motion, touch.segment, touch.fraction, config.execute
-            )
-        else:
-            witness_time_s = executed_time_at(executed, touch.segment, touch.fraction)
-        kept, kept_len, failed_state = _kept_motion(executed, keep_motion)
-        return Scores(
-            trial_id=trials.trial_id,
-            outcome=outcome,
-            success=outcome == int(Outcome.SUCCESS),
-            passed=passed,
-            evaluated=evaluated,
-            margin=margin,
-            borderline=(evaluated & (margin.abs() < BORDERLINE_M)).any(1),
-            plan_reason=torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(torch.int8),
-            plan_pair=torch.where(active, planned.pair, int(CollidingPair.NONE)).to(torch.int8),
-            witness_part=torch.stack([torch.where(found, planned.body, -1), touch.body], 1),
-            witness_time_s=torch.where(witnessed, witness_time_s, nan),
-            witness_point=torch.where(witnessed[:, None], touch.point, torch.nan),
-            t_plan_s=torch.where(active, t_plan_s, torch.nan).float(),
-            t_exec_s=executed.t_exec_s,
-            q_goal=torch.where(found[:, None], goal, torch.nan),
-            width_m=torch.where(active, held.grasp.width_m, nan),
-            opening_m=torch.where(active, held.grasp.opening_m, nan),
-            grasp_shift_m=torch.where(active, held.grasp.shift_m, nan),
-            slip_m=slip,
-            path=planned.path,
-            path_time_s=motion.time_s,
-            path_len=planned.length,
-            motion=kept,
-            motion_len=kept_len,
-            failed_state=failed_state,
+        shared = verdict(trials.trial_id, criteria, holding, slip, executed.valid)
+        return motion_scores(
+            shared, active, planned, motion, executed, touch, config.execute, t_plan_s=t_plan_s, keep_motion=keep_motion
         )
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
-        """As `_score_chunk`, as far as it goes without a path."""
-        held = self._hold(T_obj_ee, T_world_ee, trials)
-        active = held.active
-        ik, branches = self._branches(held)
-        goal = judge_goals(self.scene, held.placed, held.T_world_ee, ik, branches, active, threads=self.threads)
-        safe, body, point = safe_at(
-            self.scene, held.placed, goal.q, active, self.config.thresholds, threads=self.threads
-        )
-        (steady, reach, affordance), slip = self._without_posture(held)
+        """As `_score_motion`, as far as it goes without a path."""
+        scene, config, threads = self.scene, self.config, self.threads
+        holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
+        active, placed = holding.active, holding.placed
+        ik, branches = self._branches(holding)
+        goal = judge_goals(scene, placed, holding.T_world_ee, ik, branches, active, threads=threads)
+        safe, body, point = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
+        (steady, reach, affordance), slip = self._without_posture(holding)
         plan = Criterion(torch.where(active, goal.clearance_m, torch.nan), goal.free, active)
-        criteria = [steady, plan, reach, affordance, safe]
-        evaluated = torch.stack([c.evaluated for c in criteria], 1)
-        passed = torch.stack([c.passed for c in criteria], 1)
-        margin = torch.stack([c.margin for c in criteria], 1)
-        outcome = _first_failure(passed, evaluated, active)
-        b, nan = len(trials), torch.full_like(goal.clearance_m, torch.nan)
-        none = torch.empty((b, 0, 6), dtype=torch.float32, device=active.device)
-        scores = Scores(
-            trial_id=trials.trial_id,
-            outcome=outcome,
-            success=outcome == int(Outcome.SUCCESS),
-            passed=passed,
-            evaluated=evaluated,
-            margin=margin,
-            borderline=(evaluated & (margin.abs() < BORDERLINE_M)).any(1),
-            plan_reason=goal.reason.to(torch.int8),
-            plan_pair=goal.pair.to(torch.int8),
-            witness_part=torch.stack([goal.body, body], 1),
-            witness_time_s=nan,
-            witness_point=point,
-            t_plan_s=nan,
-            t_exec_s=nan,
-            q_goal=goal.q,
-            width_m=torch.where(active, held.grasp.width_m, nan),
-            opening_m=torch.where(active, held.grasp.opening_m, nan),
-            grasp_shift_m=torch.where(active, held.grasp.shift_m, nan),
-            slip_m=slip,
-            path=none,
-            path_time_s=none[:, :, 0],
-            path_len=torch.zeros_like(goal.reason),
-            motion=none,
-            motion_len=torch.zeros_like(goal.reason),
-            failed_state=none[:, :, 0].double(),
-        )
+        shared = verdict(trials.trial_id, [steady, plan, reach, affordance, safe], holding, slip)
+        scores = pose_scores(shared, goal, body, point)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
-            return differentiable(self, scores, T_obj_ee, T_world_ee, held, goal)
+            return differentiable(scene, config, threads, scores, (T_obj_ee, T_world_ee), holding, goal)
         return scores
 
-    def _hold(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> "_Held":
-        """Which rows are poses; the object in the closed gripper, everything at its place."""
-        scene, T_world_hand, objects = self.scene, trials.T_world_hand, trials.object_index.contiguous()
-        active = se3.is_pose(T_obj_ee) & se3.is_pose(T_world_ee) & se3.is_pose(T_world_hand)
-        hands = trials.hand_index
-        if objects.is_cuda:  # on a CPU they were looked at before any work
-            for index, count in ((objects, len(scene.objects)), (hands, len(scene.hands.set))):
-                active = active & (index >= 0) & (index < count)
-            objects, hands = torch.where(active, objects, 0), torch.where(active, hands, 0)
-        T_obj_ee, T_world_ee, T_world_hand = (_usable(T, active) for T in (T_obj_ee, T_world_ee, T_world_hand))
-        grasp = close_gripper(
-            scene.grasp_tables,
-            T_obj_ee,
-            objects,
-            w_max=self.config.thresholds.w_max_m,
-            mode=self.config.width,
-            threads=self.threads,
-        )
-        attached = attach(T_obj_ee, grasp.shift_m)
-        placed = scene.place(objects, hands, attached, T_world_hand, grasp.opening_m, threads=self.threads)
-        return _Held(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, placed)
-
-    def _branches(self, held: "_Held") -> tuple[IkResult, Tensor]:
+    def _branches(self, holding: Holding) -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""
-        ik = solve_ik(held.T_world_ee, active=held.active, threads=self.threads)
+        ik = solve_ik(holding.T_world_ee, active=holding.active, threads=self.threads)
         if self.config.plan.goals == "set":
             return ik, ik.valid
-        return ik, one_branch(ik, held.T_world_ee, threads=self.threads)
+        return ik, one_branch(ik, holding.T_world_ee, threads=self.threads)
 
-    def _without_posture(self, held: "_Held") -> tuple[tuple[Criterion, Criterion, Criterion], Tensor]:
+    def _without_posture(self, holding: Holding) -> tuple[tuple[Criterion, Criterion, Criterion], Tensor]:
         """Stability, Reach, Affordance: they need no joint angles; and how far the object slipped (NaN: not shaken)."""
-        scene, config, threads, active = self.scene, self.config, self.threads, held.active
-        T_world_obj = se3.matmul(held.T_world_ee, se3.inverse(held.attached))
-        _, _, ball_center = scene.palm(held.hands, held.T_world_hand)
-        steady, slip = metrics.stability(held.grasp, active), torch.full_like(held.grasp.width_m, torch.nan)
-        if config.stability == "physics":
+        scene, limits, threads, active = self.scene, self.config.thresholds, self.threads, holding.active
+        objects, grasp = holding.objects, holding.grasp
+        T_world_obj = se3.matmul(holding.T_world_ee, se3.inverse(holding.attached))
+        _, _, ball_center = scene.palm(holding.hands, holding.T_world_hand)
+        steady, slip = metrics.stability(grasp, active), torch.full_like(grasp.width_m, torch.nan)
+        if self.config.stability == "physics":
             steady, slip = metrics.stability_in_physics(
-                scene, held.grasp, held.attached, held.objects, active, threads=threads
+                scene, grasp, holding.attached, objects, active, threads=threads
             )
-        reach = metrics.reach(scene, T_world_obj, ball_center, held.objects, active, config.thresholds, threads=threads)
-        affordance = metrics.affordance(
-            scene, held.T_obj_ee, held.objects, held.grasp, active, config.thresholds, threads=threads
-        )
+        reach = metrics.reach(scene, T_world_obj, ball_center, objects, active, limits, threads=threads)
+        affordance = metrics.affordance(scene, holding.T_obj_ee, objects, grasp, active, limits, threads=threads)
         return (steady, reach, affordance), slip
-
-
-@dataclass(frozen=True)
-class _Held:
-    """B trials with the object in the gripper: clean poses, the grasp, and where all bodies sit."""
-
-    active: Tensor
-    T_obj_ee: Tensor
-    T_world_ee: Tensor
-    T_world_hand: Tensor
-    hands: Tensor
-    objects: Tensor
-    grasp: Grasp
-    attached: Tensor
-    placed: Placed
-
-
-def _usable(T: Tensor, active: Tensor) -> Tensor:
-    """Orthonormal poses, the identity where a row is not active."""
-    eye = torch.eye(4, dtype=T.dtype, device=T.device)
-    return torch.where(
-        active[:, None, None], se3.orthonormalise(torch.where(active[:, None, None], T.detach(), eye)), eye
-    ).contiguous()
-
-
-def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
-    """Recorded samples and their number, of all that moved or only of those whose simulation failed; and their state then."""
-    length = executed.recorded if keep else torch.where(executed.valid, 0, executed.recorded)
-    state = executed.failed_state
-    if state is None or executed.valid.all():
-        state = torch.empty((len(length), 0), dtype=torch.float64, device=length.device)
-    return executed.path[:, : int(length.max()) if len(length) else 0].clone(), length, state
-
-
-def _random_key(trial_id: Tensor) -> Tensor:
-    """31 well-mixed bits of each trial id (the finaliser of splitmix64's predecessor, on 32 bits)."""
-    x = (trial_id ^ (trial_id >> 32)) & 0xFFFFFFFF
-    for shift, factor in ((16, 0x45D9F3B), (16, 0x45D9F3B), (16, 1)):
-        x = ((x ^ (x >> shift)) * factor) & 0xFFFFFFFF
-    return (x & 0x7FFFFFFF).to(torch.int32)
-
-
-def _first_failure(passed: Tensor, evaluated: Tensor, active: Tensor) -> Tensor:
-    """The outcome: the first criterion, in the paper's order, that was evaluated and failed."""
-    outcome = torch.full(passed.shape[:1], int(Outcome.SUCCESS), dtype=torch.int8, device=passed.device)
-    for i in reversed(range(passed.shape[1])):
-        outcome = outcome.masked_fill(evaluated[:, i] & ~passed[:, i], i + 1)
-    return outcome.masked_fill(~active, int(Outcome.INVALID_INPUT))

@@ -1,26 +1,31 @@
 """A method's answers as a file: read with every check before any array is allocated, aligned to trials, written."""
 
+import json
 import os
-import stat
+import sys
+import warnings
 import zipfile
-import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
+from typing import Any
 from uuid import uuid4
 
 import numpy as np
 import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 
+from r2h_batch.files import DAMAGED_ARCHIVE, FileError, archive_members, open_archive, open_file, printable
 from r2h_batch.types import Predictions
 
 MAX_MEMBERS = 16
 MAX_BYTES = 8 << 30
 """Declared size above which a file is refused: about 60 million trials."""
-MAX_RATIO = 200
-RATIO_FREE_BYTES = 1 << 20
-"""Members declared smaller than this may compress as well as they like."""
+MAX_HEADER_BYTES = 100_000
+"""Of a .safetensors file: some thousand times what eight names and shapes need."""
 MAX_METHOD_CHARS = 100
 
 _FLOATS = ("float32", "float64")
@@ -52,9 +57,11 @@ def load_predictions(path: str | Path) -> Predictions:
     Poses are taken as they are: a row whose pose is not finite or not rigid is the evaluator's INVALID_INPUT.
     """
     path = Path(path)
-    kind = _kind(path)
-    method, arrays = _npz(path) if kind == "npz" else _safetensors(path)
-    return _checked(path, arrays, path.stem if method is None else method)
+    try:
+        with _npz(path) if _kind(path) == "npz" else _safetensors(path) as (method, arrays):
+            return _checked(path, arrays, path.stem if method is None else method)
+    except FileError as error:
+        raise PredictionsError(f"{error}; {_HOW}") from error
 
 
 def write_predictions(path: str | Path, predictions: Predictions) -> None:
@@ -73,8 +80,6 @@ def write_predictions(path: str | Path, predictions: Predictions) -> None:
             with temporary.open("wb") as file:
                 np.savez(file, method=np.array(predictions.method), **data)  # type: ignore[arg-type]
         elif path.suffix == ".safetensors":
-            from safetensors.numpy import save_file
-
             save_file(data, temporary, metadata={"method": predictions.method})
         else:
             raise PredictionsError(f"{path}: predictions are written as .npz or .safetensors, not {path.suffix!r}")
@@ -96,7 +101,7 @@ def align(
     unknown = "give only planned trials, or plan more of them (--splits, --trials)"
     _refuse(source, "not in the plan", np.setdiff1d(ids, planned), unknown)
     if len(ids) == 0:
-        return torch.full((len(planned),), -1, dtype=torch.int64)
+        return torch.full((len(planned),), -1, dtype=torch.int64, device="cpu")
     at = np.minimum(np.searchsorted(ids, planned), len(ids) - 1)
     found = ids[at] == planned
     if not allow_missing:
@@ -112,11 +117,7 @@ def _refuse(source: str, what: str, ids: np.ndarray, how: str) -> None:
 
 
 def _kind(path: Path) -> str:
-    if not path.exists():
-        raise PredictionsError(f"{path}: no such file; predictions are a .npz or .safetensors file")
-    if not path.is_file():
-        raise PredictionsError(f"{path}: not a regular file; predictions are a .npz or .safetensors file")
-    with path.open("rb") as file:
+    with open_file(path, MAX_BYTES) as file:
         magic = file.read(16)
     if not magic:
         raise PredictionsError(f"{path}: the file is empty (0 bytes); {_HOW}")
@@ -133,69 +134,51 @@ def _kind(path: Path) -> str:
     raise PredictionsError(f"{path}: neither .npz nor .safetensors; {_HOW}")
 
 
-def _npz(path: Path) -> tuple[str | None, dict[str, _Array]]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = archive.infolist()
-            _check_members(path, members)
-            arrays = {m.filename.removesuffix(".npy"): _npy_header(path, archive, m) for m in members}
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, OSError) as error:
-        raise PredictionsError(f"{path}: truncated or damaged npz ({error}); write or copy it again") from error
-    method = None
-    if (name := arrays.pop("method", None)) is not None:
-        if not name.dtype.startswith(("<U", ">U", "|U")) or name.shape not in ((), (1,)):
+@contextmanager
+def _npz(path: Path) -> Iterator[tuple[str | None, dict[str, _Array]]]:
+    with open_archive(path, MAX_BYTES) as archive:
+        names = [m.orig_filename for m in archive.infolist()]
+        if any(PurePosixPath(n).name == "data.pkl" or n.endswith((".pkl", ".pickle", ".pt")) for n in names):
             raise PredictionsError(
-                f"{path}: 'method' is {name.dtype} {name.shape}; it must be one string: np.array('NAME')"
+                f"{path}: a torch or pickle archive, which can run code when read, is refused; {_HOW}"
             )
-        if np.dtype(name.dtype).itemsize > 4 * MAX_METHOD_CHARS:
-            raise PredictionsError(f"{path}: 'method' is longer than {MAX_METHOD_CHARS} characters")
-        method = str(_read(path, "method", name).reshape(()).item())
-    return method, arrays
+        members = archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)
+        if unknown := [n for n in names if n not in [f"{k}.npy" for k in ("trial_id", "method", *_SHAPES)]]:
+            raise PredictionsError(f"{path}: unknown member {unknown[0]!r}; allowed keys are {_KEYS}")
+        arrays = {m.filename.removesuffix(".npy"): _npy(path, archive, m) for m in members}
+        method = None
+        if (name := arrays.pop("method", None)) is not None:
+            if not name.dtype.startswith(("<U", ">U", "|U")) or name.shape not in ((), (1,)):
+                raise PredictionsError(
+                    f"{path}: 'method' is {name.dtype} {name.shape}; it must be one string: np.array('NAME')"
+                )
+            if np.dtype(name.dtype).itemsize > 4 * MAX_METHOD_CHARS:
+                raise PredictionsError(f"{path}: 'method' is longer than {MAX_METHOD_CHARS} characters")
+            try:
+                # numpy makes a str of any four bytes, and Python ends with a SystemError on those that are none
+                method = _read(path, "method", name).tobytes().decode(f"utf-32-{sys.byteorder[0]}e").rstrip("\0")
+            except ValueError as error:  # four bytes that are no character
+                raise PredictionsError(f"{path}: 'method' is no text ({error})") from error
+        yield method, arrays
 
 
-def _check_members(path: Path, members: list[zipfile.ZipInfo]) -> None:
-    """Refuse, from the archive's directory alone, everything that a predictions file never contains."""
-    names = [m.orig_filename for m in members]
-    if any(PurePosixPath(n).name == "data.pkl" or n.endswith((".pkl", ".pickle", ".pt")) for n in names):
-        raise PredictionsError(f"{path}: a torch or pickle archive, which can run code when read, is refused; {_HOW}")
-    if len(members) > MAX_MEMBERS:
-        raise PredictionsError(f"{path}: {len(members)} members; at most {MAX_MEMBERS} are allowed ({_KEYS})")
-    for m, name in zip(members, names):
-        parts = PurePosixPath(name.replace("\\", "/"))
-        if ".." in parts.parts or parts.is_absolute() or name[1:2] == ":" or "\0" in name:
-            raise PredictionsError(f"{path}: member {name!r} points outside the archive; nothing is extracted")
-        if stat.S_ISLNK(m.external_attr >> 16):
-            raise PredictionsError(f"{path}: member {name!r} is a symbolic link; only arrays are allowed")
-        if name.removesuffix(".npy") not in ("trial_id", "method", *_SHAPES) or not name.endswith(".npy"):
-            raise PredictionsError(f"{path}: unknown member {name!r}; allowed keys are {_KEYS}")
-        if m.flag_bits & 1:
-            raise PredictionsError(f"{path}: member {name!r} is encrypted; {_HOW}")
-        if m.file_size > RATIO_FREE_BYTES and m.file_size > MAX_RATIO * max(m.compress_size, 1):
-            raise PredictionsError(
-                f"{path}: member {name!r} declares {m.file_size} bytes from {m.compress_size}; at most {MAX_RATIO}"
-                " times is allowed: write it with np.savez instead of np.savez_compressed"
-            )
-    if len(set(names)) != len(names):
-        raise PredictionsError(f"{path}: duplicate member {max(names, key=names.count)!r}; every key may appear once")
-    if (total := sum(m.file_size for m in members)) > MAX_BYTES:
-        raise PredictionsError(
-            f"{path}: declares {total} bytes; at most {MAX_BYTES} are allowed: split it into several runs"
-        )
-
-
-def _npy_header(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> _Array:
+def _npy(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> _Array:
+    """What a member's header declares, if the member holds just that."""
     key = member.filename.removesuffix(".npy")
     try:
-        with archive.open(member) as file:
+        with archive.open(member) as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a header that Python takes with a frown
             version = np.lib.format.read_magic(file)
             if version not in ((1, 0), (2, 0)):
                 raise ValueError(f"format version {version}")
             read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-            shape, _, dtype = read(file)
+            shape, fortran, dtype = read(file)
             header = file.tell()
-    except ValueError as error:
-        why = str(error).partition("\n")[0]  # numpy goes on to recommend allow_pickle
-        raise PredictionsError(f"{path}: {key!r} is not a plain array ({why}); {_HOW}") from error
+    except DAMAGED_ARCHIVE:
+        raise
+    except Exception as error:  # the header is Python text: its parser raises whatever it meets
+        why = printable(str(error).partition("\n")[0])  # numpy goes on to recommend allow_pickle
+        raise PredictionsError(f"{path}: {key!r} is not a plain array ({why[:200]}); {_HOW}") from error
     if dtype.hasobject:
         raise PredictionsError(f"{path}: {key!r} has dtype object, which is a pickle and is refused; {_HOW}")
     size = header + int(np.prod([int(s) for s in shape], dtype=object)) * dtype.itemsize
@@ -205,29 +188,58 @@ def _npy_header(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -
         )
 
     def load() -> np.ndarray:
-        with zipfile.ZipFile(path) as again, again.open(member.filename) as file:
-            return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
+        with archive.open(member) as file:
+            file.read(header)
+            data = file.read(size - header)
+            if len(data) != size - header or file.read(1):
+                raise EOFError(f"{key!r} is not as long as its header says")
+        return np.frombuffer(data, dtype).reshape(shape, order="F" if fortran else "C")
 
     return _Array(tuple(shape), dtype.str if dtype.kind == "U" else dtype.name, load)
 
 
-def _safetensors(path: Path) -> tuple[str | None, dict[str, _Array]]:
-    from safetensors import SafetensorError, safe_open
-
-    def load(key: str) -> np.ndarray:
-        with safe_open(path, framework="numpy") as again:
-            return np.asarray(again.get_tensor(key))
-
+@contextmanager
+def _safetensors(path: Path) -> Iterator[tuple[str | None, dict[str, _Array]]]:
+    _check_safetensors_header(path)
     try:
         with safe_open(path, framework="numpy") as file:
-            metadata, arrays = file.metadata() or {}, {}
+            arrays = {}
             for key in file.keys():  # noqa: SIM118 (not a mapping)
                 part = file.get_slice(key)
                 dtype = _SAFETENSORS_DTYPES.get(part.get_dtype(), part.get_dtype())
-                arrays[key] = _Array(tuple(part.get_shape()), dtype, partial(load, key))
+                arrays[key] = _Array(tuple(part.get_shape()), dtype, partial(file.get_tensor, key))
+            yield (file.metadata() or {}).get("method"), arrays
     except (SafetensorError, OSError) as error:
-        raise PredictionsError(f"{path}: truncated or damaged safetensors ({error}); write or copy it again") from error
-    return metadata.get("method"), arrays
+        why = printable(error)
+        raise PredictionsError(f"{path}: truncated or damaged safetensors ({why}); write or copy it again") from error
+
+
+def _check_safetensors_header(path: Path) -> None:
+    """Refuse a header that is longer than it can honestly be, or that names more than a predictions file holds."""
+    with open_file(path, MAX_BYTES) as file:
+        length = int.from_bytes(file.read(8), "little")
+        if length > MAX_HEADER_BYTES:
+            raise PredictionsError(
+                f"{path}: damaged safetensors: a header of {length} bytes; at most {MAX_HEADER_BYTES} are allowed"
+            )
+        text = file.read(length)
+    try:
+        header = json.loads(text, object_pairs_hook=_once)
+        names = header.keys() - {"__metadata__"}
+    except (ValueError, RecursionError, AttributeError) as error:
+        why = printable(error)[:200]
+        raise PredictionsError(f"{path}: damaged safetensors ({why}); write or copy it again") from error
+    if len(names) > MAX_MEMBERS:
+        raise PredictionsError(f"{path}: {len(names)} arrays; at most {MAX_MEMBERS} are allowed ({_KEYS})")
+    _check_keys(path, names)
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"duplicate key {max(names, key=names.count)!r}")
+    return found
 
 
 def _checked(path: Path, arrays: Mapping[str, _Array], method: str) -> Predictions:
@@ -271,8 +283,5 @@ def _check_keys(path: Path, keys: Iterable[str]) -> None:
 
 
 def _read(path: Path, key: str, array: _Array) -> np.ndarray:
-    try:
-        data = array.read()
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, OSError) as error:
-        raise PredictionsError(f"{path}: {key!r} is truncated or damaged ({error}); write or copy it again") from error
+    data = array.read()
     return np.ascontiguousarray(data.astype(data.dtype.newbyteorder("=")))

@@ -44,13 +44,14 @@ def quality(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tens
 
     Any success ranks above any failure; among equals the one farther from its nearest threshold is better.
     """
-    return margin_vector(scores, limit_m=limit_m).amin(1) + 2.0 * limit_m * scores.success
+    margin = margin_vector(scores, limit_m=limit_m).amin(1)
+    return margin + 2.0 * limit_m * scores.success.to(margin.dtype)
 
 
 def rank_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, "n k"]:
     """Rank of each candidate among the k of its trial, 0 for the largest value; ties by candidate number, NaN last."""
     order = _best_first(value, k)
-    places = torch.arange(k, device=value.device).expand_as(order)
+    places = torch.arange(k, dtype=torch.int64, device=value.device).expand_as(order)
     return torch.empty_like(order).scatter_(1, order, places)
 
 

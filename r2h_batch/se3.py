@@ -1,11 +1,44 @@
-"""Homogeneous transforms as (..., 4, 4) tensors: checks, inverse, construction."""
+"""Homogeneous transforms as (..., 4, 4) tensors, and vectors beside them: checks, inverse, construction, products.
 
+Sums over an axis of length 3 or 4 are written out term by term: a row has the same bits at any batch size.
+"""
+
+from typing import TypeVar
+
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from numpy.typing import NDArray
 from torch import Tensor
 
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of R R^T - I that is accepted (and then re-orthonormalised)."""
+
+
+Array = TypeVar("Array", Tensor, NDArray[np.float64])
+"""What works on either is written once."""
+
+
+def dot(a: Float[Tensor, "*#b 3"], b: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b"]:
+    """a . b, term by term."""
+    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
+
+
+def cross(a: Float[Tensor, "*#b 3"], b: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3"]:
+    """a x b, term by term."""
+    return torch.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        -1,
+    )
+
+
+def rotate(R: Array, v: Array) -> Array:
+    """R @ v of rotations (..., 3, 3) and vectors (..., 3), torch or numpy, term by term."""
+    return R[..., 0] * v[..., 0, None] + R[..., 1] * v[..., 1, None] + R[..., 2] * v[..., 2, None]
 
 
 def matmul(a: Float[Tensor, "*#b 4 4"], b: Float[Tensor, "*#b 4 4"]) -> Float[Tensor, "*b 4 4"]:

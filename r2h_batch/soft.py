@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from r2h_batch.straight_through import with_gradient
+__all__ = ["soft_success", "with_gradient"]
 
-__all__ = ["soft_success"]
+_LOG_2 = 0.6931471805599453
 
 LOWEST_M = -1e3
 """Stands for a margin of -inf (no path): its gradient is 0."""
@@ -57,4 +57,17 @@ def soft_success(
     return with_gradient(value.detach(), torch.where(judged, change, torch.zeros_like(change)))
 
 
-_LOG_2 = 0.6931471805599453
+class _WithGradient(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: object, value: Tensor, change: Tensor) -> Tensor:
+        return value.clone()
+
+    @staticmethod
+    def backward(ctx: object, *gradient: Tensor) -> tuple[None, Tensor]:
+        return None, gradient[0]
+
+
+def with_gradient(value: Float[Tensor, "*b"], change: Float[Tensor, "*b"]) -> Float[Tensor, "*b"]:
+    """`value`, bit for bit, with the gradient of `change`."""
+    out: Tensor = _WithGradient.apply(value, change)
+    return out

@@ -1,56 +1,31 @@
 """The types that walk through the stages: trials in, predictions beside them, scores out."""
 
+import operator
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from enum import IntEnum
-from typing import Self
+from typing import Any, Self, SupportsIndex
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Float64, Int8, Int32, Int64
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import pad
 
-CRITERIA = ("stability", "plan", "reach", "affordance", "safe")
-"""Column order of every (B, 5) tensor, and the order in which the first failure is looked for."""
+from r2h_batch.soft import soft_success
+from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Outcome, PlanReason
 
-
-class Outcome(IntEnum):
-    """A trial's verdict: success, the first criterion that failed, or why it was not judged."""
-
-    SUCCESS = 0
-    STABILITY = 1
-    PLAN = 2
-    REACH = 3
-    AFFORDANCE = 4
-    SAFE = 5
-    INVALID_INPUT = 6
-    INVALID_SIM = 7
-
-
-class PlanReason(IntEnum):
-    """Why Plan passed or failed; `IK_*` are proven, `NO_PATH_IN_BUDGET` is not; `NOT_SETTLED`: the motion did not come to rest.
-
-    With `PlanConfig.goals = "one"` only one branch is looked at: `IK_IN_COLLISION` then says nothing about the others.
-    """
-
-    OK = 0
-    START_IN_COLLISION = 1
-    IK_UNREACHABLE = 2
-    IK_IN_COLLISION = 3
-    NO_PATH_IN_BUDGET = 4
-    NOT_EVALUATED = 5
-    NOT_SETTLED = 6
-
-
-class CollidingPair(IntEnum):
-    """Which two bodies met (a row of `Scores.plan_pair`); HAND, TABLE and SELF are met by the robot itself."""
-
-    NONE = 0
-    HAND = 1
-    TABLE = 2
-    SELF = 3
-    OBJECT_HAND = 4
-    OBJECT_TABLE = 5
-    OBJECT_ROBOT = 6
+__all__ = [
+    "CRITERIA",
+    "SIDES",
+    "SPLITS",
+    "CollidingPair",
+    "Outcome",
+    "PlanReason",
+    "Predictions",
+    "Scores",
+    "Trials",
+]
 
 
 @dataclass(frozen=True)
@@ -60,13 +35,28 @@ class _Rows:
     def __len__(self) -> int:
         return len(getattr(self, fields(self)[0].name))
 
-    def __getitem__(self, rows: slice | Tensor) -> Self:
-        """The selected rows; `rows` is a slice, an index tensor or a mask."""
+    def __getitem__(self, rows: SupportsIndex | slice | Sequence[int] | NDArray[Any] | Tensor) -> Self:
+        """The selected rows, always as rows: number 3 is one row, as 3:4; else a slice, indices or a mask."""
+        if isinstance(rows, (bool, tuple)) or rows is None or rows is Ellipsis:
+            raise TypeError(
+                f"rows is {rows!r}; it must be a row's number, a slice, indices or a mask of the {len(self)} rows"
+            )
+        if isinstance(rows, SupportsIndex) and not isinstance(rows, (Tensor, np.ndarray)):
+            row, n = operator.index(rows), len(self)
+            if not -n <= row < n:
+                raise IndexError(f"row {row} of {n} rows; allowed are {-n} to {n - 1}")
+            rows = slice(row % n, row % n + 1)
+        elif isinstance(rows, (Tensor, np.ndarray)) and rows.ndim == 0:
+            rows = rows[None]
         return replace(self, **{name: value[rows] for name, value in self._tensors().items()})
 
     def to(self, device: str | torch.device) -> Self:
         """The same rows on another device."""
         return replace(self, **{name: value.to(device) for name, value in self._tensors().items()})
+
+    def clone(self) -> Self:
+        """The same rows in memory of their own, without history: whoever gets them may write there."""
+        return replace(self, **{name: value.detach().clone() for name, value in self._tensors().items()})
 
     def _tensors(self) -> dict[str, Tensor]:
         values = ((f.name, getattr(self, f.name)) for f in fields(self))
@@ -144,8 +134,6 @@ class Scores(_Rows):
 
         Differentiable where `margin` is: scored with stages="pose" from poses that require a gradient.
         """
-        from r2h_batch.soft import soft_success
-
         return soft_success(self.margin, self.evaluated, self.success, temperature_m=temperature_m, log=log)
 
     @staticmethod

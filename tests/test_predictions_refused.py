@@ -121,6 +121,99 @@ def test_an_encrypted_member_is_refused(tmp_path):
     refused(path, "is encrypted; write np.savez")
 
 
+def bomb(path, compression, claim: int | None = None):
+    """An npz whose poses unpack to 192 MB, and whose directory says that they are `claim` bytes long when packed."""
+    huge = np.zeros((3_000_000, 4, 4), np.float32)
+    zipped(path, [*members(T_obj_ee=None), ("T_obj_ee.npy", npy(huge))], compression)
+    if claim is not None:
+        data = bytearray(path.read_bytes())
+        entry = data.rfind(b"T_obj_ee.npy") - 46
+        assert data[entry : entry + 4] == b"PK\x01\x02"
+        data[entry + 20 : entry + 24] = struct.pack("<I", claim)
+        path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_other_compressions_than_deflate_are_refused(tmp_path, compression):
+    refused(zipped(tmp_path / "p.npz", members(), compression), "allowed are stored and deflated")
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_DEFLATED])
+def test_a_small_file_whose_members_lie_about_their_packed_size_is_refused_unread(tmp_path, compression):
+    path = bomb(tmp_path / "p.npz", compression, claim=2_000_000)
+    assert path.stat().st_size < 1_000_000
+    tracemalloc.start()
+    refused(path)
+    assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    tracemalloc.stop()
+
+
+def test_members_that_share_their_bytes_are_refused(tmp_path):
+    """Both poses are the same 2 MB of the file: its directory says so."""
+    data = arrays(30_000)
+    path = zipped(
+        tmp_path / "p.npz", [("trial_id.npy", npy(data["trial_id"])), ("T_obj_ee.npy", npy(data["T_obj_ee"]))]
+    )
+    raw = bytearray(path.read_bytes())
+    end = raw.rfind(b"PK\x05\x06")
+    last = raw.rfind(b"PK\x01\x02")
+    entry = bytes(raw[last:end]).replace(b"T_obj_ee.npy", b"T_world_ee.npy")
+    entry = entry[:28] + struct.pack("<H", len("T_world_ee.npy")) + entry[30:]
+    files, size = struct.unpack("<HI", raw[end + 10 : end + 16])
+    raw[end + 8 : end + 16] = struct.pack("<HHI", files + 1, files + 1, size + len(entry))
+    path.write_bytes(raw[:end] + entry + raw[end:])
+    assert len(zipfile.ZipFile(path).infolist()) == 3
+    refused(path, "overlap")
+
+
+def test_a_directory_of_a_million_names_is_refused_unread(tmp_path):
+    path = zipped(tmp_path / "p.npz", members())
+    raw = path.read_bytes()
+    end, first = raw.rfind(b"PK\x05\x06"), raw.find(b"PK\x01\x02")
+    many = raw[first:end] * 40_000
+    eocd = raw[end : end + 12] + struct.pack("<II", len(many), first) + b"\0\0"
+    path.write_bytes(raw[:first] + many + eocd)
+    tracemalloc.start()
+    refused(path, "directory")
+    assert tracemalloc.get_traced_memory()[1] < 8 << 20
+    tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"{" * 3000,
+        b"(" * 9000,
+        b"-" * 9000 + b"1",
+        b"\xff\xfe{",
+        b"{'descr': '<f4', 'fortran_order': False, 'shape': (5, 4, 4",
+        b"{'descr': ('<f4', (5,)), 'fortran_order': False, 'shape': (5, 4, 4)}",
+        b"{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (5, 4, 4)}",
+        b"{'descr': 'nonsense', 'fortran_order': False, 'shape': (5, 4, 4)}",
+        b"{'descr': '<f4', 'fortran_order': 3, 'shape': (5, 4, 4)}",
+        b"{'descr': '<f4', 'fortran_order': False, 'shape': ((5,), 4, 4)}",
+        b"{['a']: 1}",
+        b"{'descr': '<f4', 'fortran_order': False, 'shape': (5L, 4L, 4L)}\n'",
+        b"__import__('os')",
+        b"",
+    ],
+    ids=lambda t: repr(t[:40]),
+)
+def test_an_array_header_that_cannot_be_parsed_is_one_line(tmp_path, text, recwarn):
+    header = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
+    refused(zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), ("T_obj_ee.npy", header)]), "'T_obj_ee'")
+    assert not list(recwarn)
+
+
+@pytest.mark.parametrize("character", [0x110000, 0x7FFFFFFF, 0xFFFFFFFF, 0xD800])
+def test_a_method_name_of_bytes_that_are_no_characters_is_refused(tmp_path, character):
+    name = io.BytesIO()
+    np.lib.format.write_array_header_1_0(name, {"descr": "<U1", "fortran_order": False, "shape": ()})
+    content = name.getvalue() + struct.pack("<I", character)
+    refused(zipped(tmp_path / "p.npz", [*members(), ("method.npy", content)]), "'method' is no text")
+
+
 # --- row 14: names that lead out ------------------------------------------------------------------------------------
 
 
@@ -194,6 +287,28 @@ def test_any_flipped_bit_is_refused_or_harmless_and_never_another_error(tmp_path
 def test_damaged_safetensors_are_refused(tmp_path, content):
     (tmp_path / "p.safetensors").write_bytes(content)
     refused(tmp_path / "p.safetensors", "safetensors")
+
+
+def safetensors_with(header: bytes, length: int | None = None) -> bytes:
+    return struct.pack("<Q", len(header) if length is None else length) + header + bytes(1 << 10)
+
+
+@pytest.mark.parametrize(
+    ("content", "part"),
+    [
+        (safetensors_with(b"{" + b" " * 200_000 + b"}"), "header of 200002 bytes; at most 100000"),
+        (safetensors_with(b'{"__metadata__":' + b"[" * 90_000), "damaged"),
+        (safetensors_with(b'{"trial_id":1,"trial_id":2}'), "duplicate key 'trial_id'"),
+        (safetensors_with(b"{" + b",".join(b'"a%d":0' % i for i in range(17)) + b"}"), "17 arrays; at most 16"),
+        (safetensors_with(b"[1]"), "damaged"),
+        (safetensors_with(b"{\xff}"), "damaged"),
+        (safetensors_with(b'{"trial_id":{"shape":[5]},"T_obj_ee":0,"T_world_ee":0}'), "damaged"),
+    ],
+    ids=range(7),
+)
+def test_a_safetensors_header_beyond_its_limits_is_one_line(tmp_path, content, part):
+    (tmp_path / "p.safetensors").write_bytes(content)
+    refused(tmp_path / "p.safetensors", part)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from r2h_batch.assets.hand.measure import piece_report
 from r2h_batch.assets.hand.remesh import marching_tetrahedra, remesh
 from r2h_batch.assets.hand.surface import (
     AXES,
@@ -27,6 +26,7 @@ from r2h_batch.assets.hand.surface import (
     digit_field,
     skin,
 )
+from r2h_batch.bodies.hand_measure import piece_report
 
 HERE = Path(__file__).parent
 EDGE_FINGER, EDGE_PALM, EDGE_WRIST = 4.8, 8.2, 12.5
@@ -51,7 +51,11 @@ def build_surface() -> tuple[np.ndarray, np.ndarray]:
     """Vertices (V,3) in mm and outward faces of the closed skin."""
     v, f = marching_tetrahedra(skin, np.array([-200.0, -45, -65]), np.array([25.0, 30, 105]), 2.0)
     for scale, rounds in ((0.55, 3), (0.8, 2), (1.0, 8)):
-        v, f = remesh(skin, lambda p, s=scale: s * edge_length(p), v, f, rounds)
+
+        def size(p: np.ndarray, scale: float = scale) -> np.ndarray:
+            return scale * edge_length(p)
+
+        v, f = remesh(skin, size, v, f, rounds)
     order = np.lexsort(np.round(v, 6).T[[1, 2, 0]])
     rank = np.argsort(order)
     return v[order], rank[f]

@@ -4,16 +4,16 @@ grasps.npz holds, per object, ``<name>/T_obj_ee`` (100, 4, 4) float32 (ee frame 
 ``<name>/width`` (m), ``<name>/score`` and ``<name>/part`` (uint8, index into the object's ``part_names``).
 """
 
-import hashlib
 import json
 import time
 from pathlib import Path
 
 import numpy as np
 
-from r2h_batch.grasp_candidates import COUNT, REGION_CLEARANCE_M, Candidates, sample_grasps
-from r2h_batch.objects import ObjectModel, load_objects, object_digest
-from r2h_batch.robot import load_robot
+from r2h_batch.bodies.arrays import arrays_digest
+from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest
+from r2h_batch.bodies.robot import load_robot
+from r2h_batch.methods.grasp_candidates import COUNT, REGION_CLEARANCE_M, Candidates, sample_grasps
 
 HERE = Path(__file__).resolve().parent
 
@@ -31,24 +31,14 @@ def main() -> None:
             arrays[f"{model.name}/{key}"] = getattr(found, key)
         report[model.name] = line = _describe(model, found)
         print(f"{model.name:16s} {time.process_time() - begin:5.1f} CPU-s  {json.dumps(line)}", flush=True)
-    np.savez_compressed(HERE / "grasps.npz", **arrays)
+    np.savez_compressed(HERE / "grasps.npz", allow_pickle=False, **arrays)
     summary = {
-        "digest": grasps_digest(arrays),
+        "digest": arrays_digest(arrays),
         "robot_digest": load_robot().digest,
         "objects_digest": object_digest(load_objects()),
         "objects": report,
     }
     (HERE / "grasps_report.json").write_text(json.dumps(summary, indent=1) + "\n")
-
-
-def grasps_digest(arrays: dict[str, np.ndarray]) -> str:
-    """sha256 over names, types, shapes and bytes of all arrays in the order of their names."""
-    digest = hashlib.sha256()
-    for name in sorted(arrays):
-        value = np.ascontiguousarray(arrays[name])
-        digest.update(f"{name}:{value.dtype.str}:{value.shape}:".encode())
-        digest.update(value.tobytes())
-    return digest.hexdigest()
 
 
 def _describe(model: ObjectModel, found: Candidates) -> dict[str, object]:

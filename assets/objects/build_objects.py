@@ -16,9 +16,9 @@ import trimesh
 from manifold3d import Manifold
 
 from r2h_batch.assets.objects import shapes_s0, shapes_s1, shapes_s1_goods
-from r2h_batch.assets.objects.remesh import Surface, imprint, remesh
+from r2h_batch.assets.objects.remesh import Surface, Vec, imprint, remesh
 from r2h_batch.assets.objects.shapes import Parts, Spec
-from r2h_batch.objects import OBJECT_NAMES, ObjectModel, build_object, object_digest, read_object
+from r2h_batch.bodies.objects import OBJECT_NAMES, ObjectModel, build_object, object_digest, read_object
 
 HERE = Path(__file__).resolve().parent
 SPECS = {s.name: s for s in (*shapes_s0.SPECS, *shapes_s1.SPECS, *shapes_s1_goods.SPECS)}
@@ -31,7 +31,11 @@ def build(spec: Spec) -> ObjectModel:
     names = list(spec.parts)
     for source, (normal, offset), target in spec.cuts:
         unit = np.asarray(normal, float) / np.linalg.norm(normal)
-        imprint(surface, lambda p, u=unit, d=offset: p[0] * u[0] + p[1] * u[1] + p[2] * u[2] - d, 0.15 * spec.edge)
+
+        def height(p: Vec, u: np.ndarray = unit, d: float = offset) -> float:
+            return p[0] * u[0] + p[1] * u[1] + p[2] * u[2] - d
+
+        imprint(surface, height, 0.15 * spec.edge)
         old, new = names.index(source), names.index(target)
         for k, face in enumerate(surface.f):
             if face is not None and surface.label[k] == old:
@@ -132,8 +136,8 @@ def main() -> None:
     figures = json.loads(path.read_text())["objects"] if path.exists() else {}
     for name in args.names or OBJECT_NAMES:
         model = build(SPECS[name])
-        arrays = {f.name: np.asarray(getattr(model, f.name)) for f in fields(model)}
-        np.savez_compressed(args.out / f"{name}.npz", **arrays)
+        arrays = {f.name: np.asarray(getattr(model, f.name)) for f in fields(model) if f.name != "grasps"}
+        np.savez_compressed(args.out / f"{name}.npz", allow_pickle=False, **arrays)
         figures[name] = report(model, SPECS[name])
         print(name, {k: v for k, v in figures[name].items() if k not in ("frame", "digest", "parts")}, flush=True)
     ordered = {n: figures[n] for n in OBJECT_NAMES if n in figures}

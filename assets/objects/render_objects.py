@@ -13,7 +13,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.objects import ObjectModel, load_objects
+from r2h_batch.bodies.objects import ObjectModel, load_objects
+from r2h_batch.scene.model_parts import look_on_white
 
 COOL = (
     (0.36, 0.60, 0.78),
@@ -43,18 +44,7 @@ VIEWS: dict[str, tuple[float, float]] = {
 def render(model: ObjectModel, size: int) -> NDArray[np.uint8]:
     """(size, size, 3) picture of one object on white."""
     spec = mujoco.MjSpec()
-    spec.visual.headlight.ambient = [0.35] * 3
-    spec.visual.headlight.diffuse = [0.45] * 3
-    spec.visual.headlight.specular = [0.15] * 3
-    spec.visual.global_.offwidth = spec.visual.global_.offheight = 2 * size
-    spec.visual.map.znear, spec.visual.map.zfar = 0.01, 20
-    spec.visual.quality.offsamples = 0
-    light = spec.worldbody.add_light(pos=[0.5, -0.8, 1.5], dir=[-0.4, 0.55, -1], diffuse=[0.45] * 3, specular=[0.2] * 3)
-    light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    spec.add_texture(
-        name="white", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=[1, 1, 1], rgb2=[1, 1, 1], width=8, height=8,
-    )  # fmt: skip
+    look_on_white(spec, size, highlights=0.15, lamp=0.45, lamp_highlights=0.2)
     normals = _smooth_normals(model.mesh)
     for k in range(len(model.part_names)):
         for taken in (False, True):

@@ -9,6 +9,8 @@ import numpy as np
 from manifold3d import CrossSection, Manifold, Mesh
 from numpy.typing import ArrayLike, NDArray
 
+Point = Sequence[float] | NDArray[np.float64]
+
 Plane = tuple[tuple[float, float, float], float]
 
 
@@ -76,7 +78,7 @@ def cylinder(p: ArrayLike, q: ArrayLike, r: float, r1: float | None = None, n: i
     return _along(Manifold.cylinder(length, r, r if r1 is None else r1, n), axis / length, start)
 
 
-def capsule(p: ArrayLike, q: ArrayLike, r: float, r1: float | None = None, n: int = 16) -> Manifold:
+def capsule(p: Point, q: Point, r: float, r1: float | None = None, n: int = 16) -> Manifold:
     """The hull of two balls."""
     return Manifold.batch_hull(
         [Manifold.sphere(r, n).translate(tuple(p)), Manifold.sphere(r if r1 is None else r1, n).translate(tuple(q))]

@@ -21,7 +21,7 @@ from r2h_batch.assets.objects.shapes import (
     sweep,
     union,
 )
-from r2h_batch.solid import level_set_solid
+from r2h_batch.bodies.solid import level_set_solid
 
 
 def game_controller(part: Parts) -> Manifold:

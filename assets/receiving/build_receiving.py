@@ -19,13 +19,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from r2h_batch.assets.hand import measure
 from r2h_batch.assets.hand.build_hand import write_npz
-from r2h_batch.hand import arrays_digest, load_hand, load_hand_set
-from r2h_batch.hand_contact import ObjectSurface, hand_depth, measure_contact
-from r2h_batch.objects import OBJECT_NAMES, ObjectModel, load_objects, object_digest
-from r2h_batch.receiving import CONTACT_M, FIELDS, ReceivingGrasps
-from r2h_batch.receiving_sampler import sample_receiving
+from r2h_batch.bodies import hand_measure as measure
+from r2h_batch.bodies.arrays import arrays_digest
+from r2h_batch.bodies.hand import load_hand, load_hand_set
+from r2h_batch.bodies.objects import OBJECT_NAMES, ObjectModel, load_objects, object_digest
+from r2h_batch.receiver.hand_contact import ObjectSurface, hand_depth, measure_contact
+from r2h_batch.receiver.receiving import CONTACT_M, FIELDS, ReceivingGrasps
+from r2h_batch.receiver.sampler import sample_receiving
 
 HERE = Path(__file__).resolve().parent
 
@@ -33,7 +34,9 @@ HERE = Path(__file__).resolve().parent
 def describe(model: ObjectModel, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
     """Counts and figures in mm of one object's grasps (`FIELDS` as arrays), measured on the exact meshes."""
     none = torch.zeros(len(arrays["side"]), dtype=torch.int32)
-    grasps = ReceivingGrasps(none, **{k: torch.from_numpy(arrays[k]) for k in FIELDS}, instruction=none)
+    grasps = ReceivingGrasps(
+        none, **{k: torch.from_numpy(arrays[k]) for k in FIELDS}, instruction=none, hand=load_hand()
+    )
     surface = ObjectSurface(model.vertices, model.faces)
     skin = grasps.vertices.numpy()
     contact = measure_contact(surface, skin)

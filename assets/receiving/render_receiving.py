@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.assets.objects.render_objects import COOL, WARM
-from r2h_batch.hand import load_hand
-from r2h_batch.objects import ObjectModel, load_objects
-from r2h_batch.receiving import load_receiving
+from r2h_batch.bodies.hand import load_hand
+from r2h_batch.bodies.objects import ObjectModel, load_objects
+from r2h_batch.receiver.receiving import load_receiving
+from r2h_batch.scene.model_parts import look_on_white
 
 VIEW_RADIUS_M = 0.125
 """Half the height of what a tile shows, around the hand: long objects are cut off."""
@@ -28,25 +29,16 @@ def render(
     Of the views (azimuth and elevation in degrees) the one that shows most of the hand.
     """
     spec = mujoco.MjSpec()
-    spec.visual.headlight.ambient = [0.35] * 3
-    spec.visual.headlight.diffuse = [0.45] * 3
-    spec.visual.headlight.specular = [0.1] * 3
-    spec.visual.global_.offwidth = spec.visual.global_.offheight = 2 * size
-    spec.visual.map.znear, spec.visual.map.zfar = 0.01, 20
-    spec.visual.quality.offsamples = 0
-    light = spec.worldbody.add_light(pos=[0.5, -0.8, 1.5], dir=[-0.4, 0.55, -1], diffuse=[0.4] * 3, specular=[0.1] * 3)
-    light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    spec.add_texture(
-        name="white", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=[1, 1, 1], rgb2=[1, 1, 1], width=8, height=8,
-    )  # fmt: skip
-    pieces = [("hand", hand, load_hand().faces_by_side[side].numpy(), SKIN)]
+    look_on_white(spec, size, highlights=0.1, lamp=0.4, lamp_highlights=0.1)
+    pieces: list[tuple[str, np.ndarray, np.ndarray, tuple[float, ...]]] = [
+        ("hand", hand, load_hand().faces_by_side[side].numpy(), SKIN)
+    ]
     for k in range(len(model.part_names)):
         for taken in (False, True):
             chosen = (model.face_part == k) & (model.receiver_face == taken)
             if chosen.any():
-                color = (WARM if taken else COOL)[k % 6]
-                pieces.append((f"part{k}{taken}", model.vertices, model.faces[chosen], (*color, 1.0)))
+                red, green, blue = (WARM if taken else COOL)[k % 6]
+                pieces.append((f"part{k}{taken}", model.vertices, model.faces[chosen], (red, green, blue, 1.0)))
     for name, vertices, faces, color in pieces:
         corners = vertices[faces].reshape(-1, 3)
         normal = _normals(vertices, faces if name == "hand" else model.faces)

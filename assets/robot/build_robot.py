@@ -24,7 +24,6 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.assets.robot import visuals
 from r2h_batch.assets.robot.fitting import (
     BOX,
     CAPSULE,
@@ -39,6 +38,7 @@ from r2h_batch.assets.robot.fitting import (
     thinned,
     union_distance,
 )
+from r2h_batch.bodies import robot_visuals as visuals
 
 HERE = Path(__file__).resolve().parent
 EE_OFFSET_M = 0.153203152  # flange to the pads' centre at half stroke

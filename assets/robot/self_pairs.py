@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.robot import JOINTS, Kind, Robot, gripper_primitives_at, load_robot
+from r2h_batch.bodies.robot import JOINTS, Kind, Robot, gripper_primitives_at, load_robot
+from r2h_batch.config import OPEN_GAP_M
 
-OPENINGS_M = (0.085, 0.0)
+OPENINGS_M = (OPEN_GAP_M, 0.0)
 FAR_M = 0.05
 
 

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from r2h_batch.launch import one_torch_thread
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 __all__ = ["answers"]
@@ -27,8 +27,8 @@ def answers(
     """`choose(some trials, their rows) -> T_obj_ee, T_world_ee` (n, 4, 4) for all; t_method_s: wall time over their number."""
     start = time.perf_counter()
     home, there = trials.trial_id.device, trials.to(scene.device)
-    grasps = [torch.empty((0, 4, 4), device=scene.device)]
-    poses = [torch.empty((0, 4, 4), device=scene.device)]
+    grasps = [torch.empty((0, 4, 4), dtype=torch.float32, device=scene.device)]
+    poses = [torch.empty((0, 4, 4), dtype=torch.float32, device=scene.device)]
     with one_torch_thread(scene.device):
         for first in range(0, len(trials), part):
             rows = slice(first, first + part)
@@ -37,5 +37,5 @@ def answers(
             poses.append(T_world_ee)
     T_obj_ee, T_world_ee = (torch.cat(parts).float().to(home) for parts in (grasps, poses))
     seconds = (time.perf_counter() - start) / max(len(trials), 1)
-    t_method_s = torch.full((len(trials),), seconds, device=home)
+    t_method_s = torch.full((len(trials),), seconds, dtype=torch.float32, device=home)
     return Predictions(trials.trial_id, T_obj_ee, T_world_ee, t_method_s, method)

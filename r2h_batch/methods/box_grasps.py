@@ -13,13 +13,14 @@ from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.grasp import OPEN_GAP_M, gripper_poses
-from r2h_batch.kernels import box_grasps as kernels
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import Kind, load_robot
+from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.judge.grasp import gripper_poses
+from r2h_batch.kernels.methods import box_grasps as kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.part_roles import GRASP
-from r2h_batch.objects import ObjectModel
-from r2h_batch.robot import Kind, load_robot
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 
 __all__ = ["BoxGrasps", "box_grasps", "depth_steps", "three_boxes"]
 
@@ -46,7 +47,7 @@ def three_boxes() -> tuple[Array, Array, Array, Array]:
     The finger's inner face is the pad's; where its root would reach into the rest, the rest ends it.
     """
     robot = load_robot()
-    R, p = (x[0].double().numpy() for x in gripper_poses(torch.tensor([OPEN_GAP_M])))
+    R, p = (x[0].double().numpy() for x in gripper_poses(torch.tensor([OPEN_GAP_M], dtype=torch.float32, device="cpu")))
     half = np.where(
         (robot.gripper.kind == Kind.BOX)[:, None], robot.gripper.size,
         np.stack([robot.gripper.size[:, 0], robot.gripper.size[:, 0], robot.gripper.size[:, 1]], 1),
@@ -80,42 +81,82 @@ def box_grasps(
 
     `azimuth_step` in rad; azimuths cover half a turn, the gripper being symmetric.
     """
-    cloud, device, b = _clouds(scene, voxel_m), scene.device, len(object_index)
+    cloud, device, index = _clouds(scene, voxel_m), scene.device, object_index.contiguous()
+    turns, depth = _turns(azimuth_step), np.asarray(depths_m, np.float32)
+    seed, used = _seeds(cloud, index, role, device, threads)
+    score = torch.full(used.shape, -1.0, dtype=torch.float32, device=device)
+    turn, step = (torch.zeros(used.shape, dtype=torch.int32, device=device) for _ in range(2))
+    if len(index):
+        launch_trials(
+            kernels.top_down_grasps,
+            len(index),
+            inputs={
+                "boxes": _boxes(),
+                "points": cloud.points,
+                "turns": wp.array(turns, dtype=wp.vec2, device=device),
+                "depths": wp.array(depth, dtype=wp.float32, device=device),
+                "crop": crop_m,
+                "object": index,
+                "seed": seed,
+                "used": used,
+            },
+            outputs={"score": score, "turn": turn, "depth": step},
+            device=device,
+            threads=threads,
+            chunk=1,
+            width=used.shape[1],
+        )
+    chosen = torch.from_numpy(turns).to(device)[turn.long()]
+    down = torch.from_numpy(depth).to(device)[step.long()]
+    return BoxGrasps(_poses(seed, chosen, down), score, seed, used.bool())
+
+
+def _turns(azimuth_step: float) -> NDArray[np.float32]:
+    """Cosine and sine (A, 2) of the azimuths in half a turn."""
     count = round(math.pi / azimuth_step)
     if not 1 <= count <= 30:
         raise ValueError(
             f"azimuth_step is {azimuth_step} rad, {count} azimuths; allowed are 1 to 30: give 0.105 or more"
         )
     angle = azimuth_step * np.arange(count)
-    turns = np.stack([np.cos(angle), np.sin(angle)], 1).astype(np.float32)
-    depth = np.asarray(depths_m, np.float32)
-    most = cloud.voxel_start.shape[1] - 1
-    seed = torch.zeros((b, most, 3), device=device)
-    used = torch.zeros((b, most), dtype=torch.uint8, device=device)
-    score = torch.full((b, most), -1.0, device=device)
-    turn, step = (torch.zeros((b, most), dtype=torch.int32, device=device) for _ in range(2))
-    if b:
-        o, points = wp.from_torch(object_index.contiguous()), wp.from_torch(cloud.points, dtype=wp.vec3)
-        seeds, use = wp.from_torch(seed, dtype=wp.vec3), wp.from_torch(used)
-        inputs: list[Any] = [
-            points, wp.from_torch(cloud.order), wp.from_torch(cloud.voxel_start), GRASP, o,
-            wp.from_torch(role.contiguous()), seeds, use,
-        ]  # fmt: skip
-        launch_trials(kernels.voxel_means, b, inputs, device=device, threads=threads, chunk=16, width=most)
-        inputs = [
-            _boxes(), points, wp.array(turns, dtype=wp.vec2, device=device),
-            wp.array(depth, dtype=wp.float32, device=device), float(crop_m), o, seeds, use,
-            wp.from_torch(score), wp.from_torch(turn), wp.from_torch(step),
-        ]  # fmt: skip
-        launch_trials(kernels.top_down_grasps, b, inputs, device=device, threads=threads, chunk=1, width=most)
-    chosen = torch.from_numpy(turns).to(device)[turn.long()]
-    down = torch.from_numpy(depth).to(device)[step.long()]
-    return BoxGrasps(_poses(seed, chosen, down), score, seed, used.bool())
+    return np.stack([np.cos(angle), np.sin(angle)], 1).astype(np.float32)
+
+
+def _seeds(
+    cloud: "_Clouds",
+    object_index: Int32[Tensor, " b"],
+    role: UInt8[Tensor, "b p"],
+    device: str,
+    threads: int | None,
+) -> tuple[Float32[Tensor, "b s 3"], UInt8[Tensor, "b s"]]:
+    """Mean of the points in each voxel whose role is not GRASP, and whether the voxel has any."""
+    shape = (len(object_index), cloud.voxel_start.shape[1] - 1)
+    seed = torch.zeros((*shape, 3), dtype=torch.float32, device=device)
+    used = torch.zeros(shape, dtype=torch.uint8, device=device)
+    if shape[0]:
+        launch_trials(
+            kernels.voxel_means,
+            shape[0],
+            inputs={
+                "points": cloud.points,
+                "order": cloud.order,
+                "voxel_start": cloud.voxel_start,
+                "avoid": GRASP,
+                "object": object_index,
+                "role": role.contiguous(),
+            },
+            outputs={"seed": seed, "used": used},
+            device=device,
+            threads=threads,
+            chunk=16,
+            width=shape[1],
+        )
+    return seed, used
 
 
 def _poses(seed: Tensor, turn: Tensor, depth: Tensor) -> Tensor:
     """z = -z of the object, y at the azimuth, origin `depth` below the seed."""
-    T = torch.zeros((*seed.shape[:-1], 4, 4), device=seed.device)
+    T = torch.zeros((*seed.shape[:-1], 4, 4), dtype=seed.dtype, device=seed.device)
     c, s = turn[..., 0], turn[..., 1]
     T[..., 0, 0], T[..., 1, 0] = -s, c
     T[..., 0, 1], T[..., 1, 1] = c, s

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -12,10 +11,12 @@ from jaxtyping import Bool, Float32, Int32, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.grasp import OPEN_GAP_M, close_gripper
-from r2h_batch.grasp_candidates import Candidates, sample_grasps
-from r2h_batch.objects import OBJECT_NAMES, ObjectModel, load_objects
-from r2h_batch.scene import Scene
+from r2h_batch.bodies.arrays import stored_arrays
+from r2h_batch.bodies.objects import ObjectModel, is_built_in
+from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.judge.grasp import close_gripper
+from r2h_batch.methods.grasp_candidates import Candidates, sample_grasps, seat_grasps
+from r2h_batch.scene.scene import Scene
 
 __all__ = ["CandidateTable", "candidate_table", "candidates_of"]
 
@@ -56,7 +57,7 @@ class CandidateTable:
     def rows(self, object_index: Int32[Tensor, " b"]) -> tuple[Int64[Tensor, "b k"], Bool[Tensor, "b k"]]:
         """Rows of the K candidates of each trial's object, and which of them exist (the others repeat the first)."""
         o = object_index.long()
-        k = torch.arange(self.most, device=o.device)
+        k = torch.arange(self.most, dtype=torch.int64, device=o.device)
         exists = k < self.count[o][:, None]
         return self.first[o][:, None] + torch.where(exists, k, 0), exists
 
@@ -77,25 +78,15 @@ def candidate_table(scene: Scene) -> CandidateTable:
 
 @lru_cache(maxsize=64)
 def _candidates(model: ObjectModel) -> Candidates:
+    if model.grasps is not None:
+        return seat_grasps(model, model.grasps)
     stored = _stored()
-    if f"{model.name}/T_obj_ee" in stored and _is_built_in(model):
+    if f"{model.name}/T_obj_ee" in stored and is_built_in(model):
         values = {k: stored[f"{model.name}/{k}"] for k in ("T_obj_ee", "width", "score", "part")}
         return Candidates(**values, region_m=np.full(len(values["width"]), np.nan, np.float32))
     return sample_grasps(model)
 
 
-def _is_built_in(model: ObjectModel) -> bool:
-    """Whether this is the built-in object of its name, and not a user's file that is called the same."""
-    if model.name not in OBJECT_NAMES:
-        return False
-    (own,) = load_objects([model.name])
-    return model is own or (np.array_equal(model.vertices, own.vertices) and np.array_equal(model.faces, own.faces))
-
-
 @lru_cache(maxsize=1)
 def _stored() -> dict[str, NDArray[Any]]:
-    file = resources.files("r2h_batch.assets.objects") / "grasps.npz"
-    if not file.is_file():
-        return {}
-    with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-        return {k: data[k] for k in data.files}
+    return stored_arrays("objects", "grasps.npz")

@@ -9,13 +9,12 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-import warp as wp
 from jaxtyping import Bool, Float32, Int32, UInt8
+from sklearn.cluster import DBSCAN
 from torch import Tensor
 
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.grasp import gripper_tables
-from r2h_batch.kernels import blocked as blocked_kernels
+from r2h_batch.kernels.methods import blocked as blocked_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
@@ -23,7 +22,8 @@ from r2h_batch.methods.least_cost_pose import DIRECTIONS, HAND_POINTS, ROLLS, ZO
 from r2h_batch.methods.palm_pose import least
 from r2h_batch.methods.placing import candidates_clear_of, taken
 from r2h_batch.predictors import ContactPredictor, PredictorNoise, predict_contacts, predict_receiving, predict_target
-from r2h_batch.scene import Scene
+from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 __all__ = ["predict"]
@@ -117,8 +117,6 @@ def least_blocked(
 @lru_cache(maxsize=8)
 def in_clusters(scene: Scene, eps_m: float, min_samples: int) -> Bool[Tensor, " m"]:
     """For every row of the candidate table: whether DBSCAN over its object's grasp points puts it in a cluster."""
-    from sklearn.cluster import DBSCAN
-
     table = candidate_table(scene)
     kept = np.zeros(len(table.T_obj_ee), bool)
     points = table.T_obj_ee[:, :3, 3].cpu().numpy().astype(np.float64)
@@ -134,13 +132,21 @@ def points_near_gripper(scene: Scene, radius_m: float) -> UInt8[Tensor, "m p"]:
     table = candidate_table(scene)
     points = torch.from_numpy(np.stack([o.points for o in scene.objects])).to(scene.device)
     near = torch.zeros((len(table.T_obj_ee), points.shape[1]), dtype=torch.uint8, device=scene.device)
-    inputs = [
-        gripper_tables(scene.device), float(radius_m), wp.from_torch(points, dtype=wp.vec3),
-        wp.from_torch(table.object_index), wp.from_torch(table.T_obj_ee, dtype=wp.mat44),
-        wp.from_torch(table.opening_m), wp.from_torch(near),
-    ]  # fmt: skip
     launch_trials(
-        blocked_kernels.points_near_gripper, len(near), inputs, device=scene.device, chunk=16, width=near.shape[1]
+        blocked_kernels.points_near_gripper,
+        len(near),
+        inputs={
+            "gripper": gripper_tables(scene.device),
+            "radius": radius_m,
+            "points": points,
+            "object": table.object_index,
+            "T_obj_ee": table.T_obj_ee,
+            "opening": table.opening_m,
+        },
+        outputs={"near": near},
+        device=scene.device,
+        chunk=16,
+        width=near.shape[1],
     )
     return near
 
@@ -158,12 +164,20 @@ def blocked_contact(
     """Sum of the contact probabilities (those of `threshold` and more) that candidate k of each trial blocks."""
     device = str(near.device)
     out = torch.zeros((len(contact), width), dtype=torch.float32, device=near.device)
-    inputs = [
-        float(threshold), wp.from_torch(near), wp.from_torch(first.to(torch.int32).contiguous()),
-        wp.from_torch(count.to(torch.int32).contiguous()), wp.from_torch(contact.float().contiguous()),
-        wp.from_torch(out),
-    ]  # fmt: skip
     launch_trials(
-        blocked_kernels.blocked_contact, len(out), inputs, device=device, threads=threads, chunk=8, width=width
+        blocked_kernels.blocked_contact,
+        len(out),
+        inputs={
+            "threshold": threshold,
+            "near": near,
+            "row": first.to(torch.int32).contiguous(),
+            "count": count.to(torch.int32).contiguous(),
+            "contact": contact.float().contiguous(),
+        },
+        outputs={"blocked": out},
+        device=device,
+        threads=threads,
+        chunk=8,
+        width=width,
     )
     return out

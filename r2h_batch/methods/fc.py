@@ -9,13 +9,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from r2h_batch import se3
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
-from r2h_batch.methods.palm_pose import approach_frames, dot, least, roll_angles, rolled, unit
+from r2h_batch.methods.palm_pose import approach_frames, least, roll_angles, rolled, unit
 from r2h_batch.methods.placing import HOME_X, candidates_clear_of, centers_at, first_fit, object_centers, taken
 from r2h_batch.predictors import PredictorNoise, predict_receiving, predict_target
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 __all__ = ["predict"]
@@ -52,7 +53,9 @@ def predict(
         clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)
         row = taken(rows, least(score, clear, exists))
         T_obj_ee = table.T_obj_ee[row]
-        frames = approach_frames(-target.wrist_to_middle, torch.tensor(HOME_X, device=scene.device))
+        frames = approach_frames(
+            -target.wrist_to_middle, torch.tensor(HOME_X, dtype=torch.float32, device=scene.device)
+        )
         T_world_ee = centers_at(
             rolled(frames, roll_angles(rolls)), T_obj_ee, center[part.object_index.long()], target.ball_center
         )
@@ -65,4 +68,4 @@ def predict(
 
 def opposition(z: Float[Tensor, "b k 3"], direction: Float[Tensor, "b 3"]) -> Float[Tensor, "b k"]:
     """cos(v_g, v_h): -1 where approach axis z and the hand's direction are opposed."""
-    return dot(unit(z.double()), unit(direction.double())[:, None])
+    return se3.dot(unit(z.double()), unit(direction.double())[:, None])

@@ -8,9 +8,10 @@ import warp as wp
 from jaxtyping import Float32, Int32
 from torch import Tensor
 
-from r2h_batch.grasp import gripper_tables
-from r2h_batch.hand import HandModel
+from r2h_batch.bodies.hand import HandModel
+from r2h_batch.kernels.methods import hand_clearance as kernels
 from r2h_batch.launch import launch_trials
+from r2h_batch.scene.grasp_tables import gripper_tables
 
 __all__ = ["PosedHand", "gripper_clearance", "posed_hand"]
 
@@ -31,8 +32,6 @@ def posed_hand(
     model: HandModel, vertices: Float32[Tensor, "b v 3"], device: str, *, threads: int | None = None
 ) -> PosedHand:
     """Hands with these vertices (the model's order, any one frame a row) as convex pieces."""
-    from r2h_batch.kernels import hand_clearance as kernels
-
     ids = model.piece_vertices.to(vertices.device).long()
     points = vertices[:, ids].float().to(device).contiguous()
     ball = torch.empty((len(points), len(model.piece_names), 4), dtype=torch.float32, device=device)
@@ -42,7 +41,15 @@ def posed_hand(
     struct.piece_start = wp.from_torch(start)
     struct.points = wp.from_torch(points.reshape(-1, 3), dtype=wp.vec3)
     struct.ball = wp.from_torch(ball.reshape(-1, 4), dtype=wp.vec4)
-    launch_trials(kernels.enclose_pieces, len(points), [struct, struct.ball], device=device, threads=threads, chunk=64)
+    launch_trials(
+        kernels.enclose_pieces,
+        len(points),
+        inputs={"hands": struct},
+        outputs={"ball": struct.ball},
+        device=device,
+        threads=threads,
+        chunk=64,
+    )
     return PosedHand(struct, (points, ball, start), device)
 
 
@@ -61,16 +68,26 @@ def gripper_clearance(
 
     Gripper k of hand i stands at row[i] + k of `T_hand_ee` (ee in the frame of the hand's vertices) and `opening_m`.
     """
-    from r2h_batch.kernels import hand_clearance as kernels
-
     n = len(hand)
     out = torch.zeros((n, width), dtype=torch.float32, device=hand.device)
     if n == 0 or width == 0:
         return out
-    inputs = [
-        gripper_tables(hand.device), hand.struct, float(cap_m), wp.from_torch(row.to(torch.int32).contiguous()),
-        wp.from_torch(count.to(torch.int32).contiguous()), wp.from_torch(T_hand_ee.contiguous(), dtype=wp.mat44),
-        wp.from_torch(opening_m.contiguous()), wp.from_torch(out),
-    ]  # fmt: skip
-    launch_trials(kernels.gripper_to_hand, n, inputs, device=hand.device, threads=threads, chunk=8, width=width)
+    launch_trials(
+        kernels.gripper_to_hand,
+        n,
+        inputs={
+            "gripper": gripper_tables(hand.device),
+            "hands": hand.struct,
+            "cap": cap_m,
+            "row": row.to(torch.int32).contiguous(),
+            "count": count.to(torch.int32).contiguous(),
+            "T": T_hand_ee.contiguous(),
+            "opening": opening_m.contiguous(),
+        },
+        outputs={"clearance": out},
+        device=hand.device,
+        threads=threads,
+        chunk=8,
+        width=width,
+    )
     return out

@@ -12,16 +12,17 @@ import torch
 from jaxtyping import Float, Int32, UInt8
 from torch import Tensor
 
+from r2h_batch import se3
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.box_grasps import box_grasps, depth_steps
 from r2h_batch.methods.candidates import candidate_table
-from r2h_batch.methods.palm_pose import apply_rotation, approach_frames, least, rolled
+from r2h_batch.methods.palm_pose import approach_frames, least, rolled
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, roles_of
 from r2h_batch.methods.placing import first_fit, taken
 from r2h_batch.methods.utility_axis import LABEL_M, align_templates
 from r2h_batch.predictors import PredictorNoise, SeenParts, predict_parts, predict_target
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 __all__ = ["predict"]
@@ -62,7 +63,7 @@ def predict(
     depths = depth_steps(DEPTH_LOW_M, DEPTH_HIGH_M, DEPTH_STEP_M)
     angles = [2 * math.pi * k / rotations for k in range(rotations)]
     table = candidate_table(scene)
-    opening = torch.zeros(1, device=scene.device)  # collisions are not checked
+    opening = torch.zeros(1, dtype=torch.float32, device=scene.device)  # collisions are not checked
 
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
         seen = predict_parts(part, scene, seed=seed, noise=noise)
@@ -73,7 +74,7 @@ def predict(
             voxel_m=voxel_m, azimuth_step=azimuth_step, depths_m=depths, crop_m=crop_m, threads=threads,
         )  # fmt: skip
         best = least(-own.score, own.score > 0, torch.ones_like(own.used))
-        T_obj_ee = own.T_obj_ee[torch.arange(len(part), device=best.device), best]
+        T_obj_ee = own.T_obj_ee[torch.arange(len(part), dtype=torch.int64, device=best.device), best]
         rows, exists = table.rows(part.object_index)
         spare = table.T_obj_ee[taken(rows, least(-table.score[rows], exists, exists))]
         T_obj_ee = torch.where((own.score > 0).any(1)[:, None, None], T_obj_ee, spare)
@@ -91,7 +92,9 @@ def predict(
 def point_roles(scene: Scene, object_index: Int32[Tensor, " b"], seen: SeenParts) -> UInt8[Tensor, "b p"]:
     """The role of every cloud point: GRASP in the receiver's region as seen (S1), else by its part as seen."""
     table = torch.from_numpy(roles_of(scene.objects)).to(scene.device)
-    functional = torch.tensor([o.split == "S1" for o in scene.objects], device=scene.device)[object_index.long()]
+    functional = torch.tensor([o.split == "S1" for o in scene.objects], dtype=torch.bool, device=scene.device)[
+        object_index.long()
+    ]
     by_part = table[object_index.long()[:, None], seen.label.to(scene.device).long()]
     by_region = torch.where(seen.usage.to(scene.device), GRASP, FUNCTION).to(torch.uint8)
     return torch.where(functional[:, None], by_region, by_part)
@@ -106,7 +109,7 @@ def presented(
     R_world_template = torch.stack([frame[..., 2], -frame[..., 1], frame[..., 0]], -1)
     turned = rolled(R_world_template, angles, axis=0)
     back = R_obj_template.double().transpose(1, 2)[:, None]
-    return torch.stack([apply_rotation(turned, back[..., k].expand(turned.shape[:3])) for k in range(3)], -1)
+    return torch.stack([se3.rotate(turned, back[..., k].expand(turned.shape[:3])) for k in range(3)], -1)
 
 
 def carried(
@@ -117,9 +120,9 @@ def carried(
 ) -> Float[Tensor, "b r 4 4"]:
     """T_world_ee that carries the object turned so, with its point `point_obj` (frame obj) at `target` (world)."""
     R_obj_ee = T_obj_ee[:, :3, :3].double()[:, None]
-    R = torch.stack([apply_rotation(R_world_obj, R_obj_ee[..., k].expand(R_world_obj.shape[:3])) for k in range(3)], -1)
+    R = torch.stack([se3.rotate(R_world_obj, R_obj_ee[..., k].expand(R_world_obj.shape[:3])) for k in range(3)], -1)
     offset = (T_obj_ee[:, :3, 3].double() - point_obj.double())[:, None]
-    p = target.double()[:, None] + apply_rotation(R_world_obj, offset.expand(R_world_obj.shape[:3]))
+    p = target.double()[:, None] + se3.rotate(R_world_obj, offset.expand(R_world_obj.shape[:3]))
     T = torch.zeros((*R.shape[:2], 4, 4), dtype=torch.float32, device=R.device)
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R.float(), p.float(), 1.0
     return T

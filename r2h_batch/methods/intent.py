@@ -11,21 +11,21 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-import warp as wp
 from jaxtyping import Bool, Float, Int64
 from torch import Tensor
 
+from r2h_batch import se3
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.instructions import ANYWHERE, intents_of, understand
-from r2h_batch.kernels import approach_hit
+from r2h_batch.kernels.methods import approach_hit
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
-from r2h_batch.methods.palm_pose import approach_frames, dot, least, poses_at, roll_angles, rolled, turned_inward
+from r2h_batch.methods.palm_pose import approach_frames, least, poses_at, roll_angles, rolled, turned_inward
 from r2h_batch.methods.placing import HOME_X, above_palm, first_fit, taken
 from r2h_batch.predictors import PredictorNoise, predict_target, retrieve_receiving
-from r2h_batch.scene import Scene
+from r2h_batch.receiver.instructions import ANYWHERE, intents_of, understand
+from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 __all__ = ["predict"]
@@ -78,12 +78,14 @@ def predict(
         taking = retrieve_receiving(part, scene, said, seed=seed, noise=noise)
         target = predict_target(part, scene, seed=seed, noise=noise)
         rows, exists = table.rows(part.object_index)
+        # The receiver's grasp is what the instruction names: a robot grasp whose approach axis enters that part there is out
         in_region = hit_region[rows] & named[here].gather(1, hit_part[rows])
         fits = (table.width_m[rows] <= w_max) & ~in_region
         score = affordance_score(table.T_obj_ee[rows], taking.wrist_to_middle, taking.palm_point)
         row = taken(rows, least(score, fits & exists, exists))
+        # The gripper comes against the hand's own direction, turned towards the thumb; home's x settles the roll's zero
         approach = turned_inward(-target.wrist_to_middle, target.palm_normal, target.side, inward_deg)
-        frames = approach_frames(approach, torch.tensor(HOME_X, device=scene.device))
+        frames = approach_frames(approach, torch.tensor(HOME_X, dtype=torch.float32, device=scene.device))
         T_world_ee = poses_at(rolled(frames, roll_angles(rolls)), above_palm(target, height_m))
         return table.T_obj_ee[row], first_fit(
             scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, threads=threads
@@ -97,7 +99,7 @@ def affordance_score(
 ) -> Float[Tensor, "b k"]:
     """A(g) = cos(v_g, v_h) - |p_g - p_h| in metres: the chosen grasp has the least (opposed to the hand, and far from it)."""
     apart = T_obj_ee[..., :3, 3].double() - palm_point.double()[:, None]
-    return opposition(T_obj_ee[..., :3, 2], direction) - dot(apart, apart).sqrt()
+    return opposition(T_obj_ee[..., :3, 2], direction) - se3.dot(apart, apart).sqrt()
 
 
 @lru_cache(maxsize=4)
@@ -106,11 +108,20 @@ def approach_hits(scene: Scene, back_off_m: float = BACK_OFF_M) -> tuple[Int64[T
     it there (False too where the axis meets nothing)."""
     table = candidate_table(scene)
     face = torch.empty(len(table.T_obj_ee), dtype=torch.int32, device=scene.device)
-    inputs = [
-        back_off_m, 1.0, scene.object_mesh_ids, wp.from_torch(table.object_index),
-        wp.from_torch(table.T_obj_ee, dtype=wp.mat44), wp.from_torch(face),
-    ]  # fmt: skip
-    launch_trials(approach_hit.approach_hits, len(face), inputs, device=scene.device, chunk=64)
+    launch_trials(
+        approach_hit.approach_hits,
+        len(face),
+        inputs={
+            "back_off": back_off_m,
+            "reach": 1.0,
+            "mesh": scene.object_mesh_ids,
+            "object": table.object_index,
+            "T_obj_ee": table.T_obj_ee,
+        },
+        outputs={"face": face},
+        device=scene.device,
+        chunk=64,
+    )
     part, region = np.zeros(len(face), np.int64), np.zeros(len(face), bool)
     for row, (o, f) in enumerate(zip(table.object_index.tolist(), face.tolist(), strict=True)):
         model = scene.objects[o]
@@ -126,16 +137,17 @@ def named_parts(scene: Scene, trials: Trials, instructions: Sequence[str] | None
     if instructions is None:
         return torch.stack([_region(scene, i, o.instruction) for i, o in enumerate(scene.objects)])[index]
     pairs = list(zip(index.tolist(), instructions, strict=True))
+    # Each sentence is understood once however many trials ask it: (object, sentence) -> row of `regions`
     number = {pair: k for k, pair in enumerate(dict.fromkeys(pairs))}
     regions = torch.stack(
         [_region(scene, *pair) for pair in number] or [_region(scene, 0, scene.objects[0].instruction)]
     )
-    return regions[torch.tensor([number[pair] for pair in pairs], dtype=torch.int64)]
+    return regions[torch.tensor([number[pair] for pair in pairs], dtype=torch.int64, device="cpu")]
 
 
 @lru_cache(maxsize=65536)
 def _region(scene: Scene, object_index: int, instruction: str) -> Bool[Tensor, " p"]:
-    region = torch.zeros(max(len(o.part_names) for o in scene.objects), dtype=torch.bool)
+    region = torch.zeros(max(len(o.part_names) for o in scene.objects), dtype=torch.bool, device="cpu")
     understood = understand(instruction, scene.objects, object_index=object_index)
     intent = intents_of(scene.objects[object_index])[understood.intent]
     if intent.part != ANYWHERE:

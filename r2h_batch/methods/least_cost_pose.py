@@ -10,14 +10,17 @@ from jaxtyping import Float, Float32, Int32, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.grasp import OPEN_GAP_M, gripper_poses, gripper_tables
-from r2h_batch.kernels import pose_cost as kernels
+from r2h_batch import se3
+from r2h_batch.bodies.robot import Kind, load_robot
+from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.judge.grasp import gripper_poses
+from r2h_batch.kernels.methods import pose_cost as kernels
 from r2h_batch.launch import launch_trials
-from r2h_batch.methods.palm_pose import apply_rotation, approach_frames, least, poses_at, reachable, roll_angles, rolled
+from r2h_batch.methods.palm_pose import approach_frames, least, poses_at, reachable, roll_angles, rolled
 from r2h_batch.methods.placing import HOME_X, above_palm
 from r2h_batch.predictors import TargetHand
-from r2h_batch.robot import Kind, load_robot
-from r2h_batch.scene import Scene
+from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.scene import Scene
 
 __all__ = ["approach_fan", "collision_cost", "gripper_capsule", "hand_sample", "least_cost_pose"]
 
@@ -57,7 +60,7 @@ def least_cost_pose(
     points = target.vertices[:, hand_sample(scene, hand_points)].contiguous()
     cost = collision_cost(scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m, threads=threads)
     best = least(cost, reachable(T_world_ee, threads=threads), torch.ones_like(cost, dtype=torch.bool))
-    return T_world_ee[torch.arange(len(best), device=best.device), best]
+    return T_world_ee[torch.arange(len(best), dtype=torch.int64, device=best.device), best]
 
 
 def approach_fan(palm_normal: Float[Tensor, "b 3"], directions: int, rolls: int) -> Float[Tensor, "b r 3 3"]:
@@ -69,7 +72,7 @@ def approach_fan(palm_normal: Float[Tensor, "b 3"], directions: int, rolls: int)
     home = torch.tensor(HOME_X, dtype=torch.float64, device=palm_normal.device)
     into = approach_frames(-palm_normal, home)
     fan = torch.from_numpy(lattice).to(palm_normal.device)
-    approach = apply_rotation(into[:, None], fan[None])
+    approach = se3.rotate(into[:, None], fan[None])
     frames = approach_frames(approach, home).reshape(-1, 3, 3)
     return rolled(frames, roll_angles(rolls)).reshape(len(palm_normal), directions * rolls, 3, 3)
 
@@ -93,13 +96,31 @@ def collision_cost(
     if b == 0:
         return out
     low, high = _boxes(scene)
-    inputs = [
-        gripper_tables(scene.device), float(zone_m), *gripper_capsule(), scene.object_mesh_ids, low, high,
-        wp.from_torch(object_index.contiguous()), wp.from_torch(opening_m.contiguous()),
-        wp.from_torch(T_obj_ee.contiguous(), dtype=wp.mat44), wp.from_torch(T_world_ee.contiguous(), dtype=wp.mat44),
-        wp.from_torch(hand_points.contiguous(), dtype=wp.vec3), wp.from_torch(out),
-    ]  # fmt: skip
-    launch_trials(kernels.pose_cost, b, inputs, device=scene.device, threads=threads, chunk=2, width=r)
+    axis_low, axis_high, axis_radius = gripper_capsule()
+    launch_trials(
+        kernels.pose_cost,
+        b,
+        inputs={
+            "gripper": gripper_tables(scene.device),
+            "zone": zone_m,
+            "axis_low": axis_low,
+            "axis_high": axis_high,
+            "axis_radius": axis_radius,
+            "mesh": scene.object_mesh_ids,
+            "low": low,
+            "high": high,
+            "object": object_index.contiguous(),
+            "opening": opening_m.contiguous(),
+            "T_obj_ee": T_obj_ee.contiguous(),
+            "T_world_ee": T_world_ee.contiguous(),
+            "hand": hand_points.contiguous(),
+        },
+        outputs={"cost": out},
+        device=scene.device,
+        threads=threads,
+        chunk=2,
+        width=r,
+    )
     return out
 
 
@@ -119,7 +140,10 @@ def hand_sample(scene: Scene, count: int) -> Int64[Tensor, " h"]:
 def gripper_capsule() -> tuple[float, float, float]:
     """Low and high end on ee's z axis, and radius, of a capsule that holds the gripper at any opening (m)."""
     robot, slack = load_robot(), 1e-3  # what parts move between two of the openings looked at
-    R, p = (x.double().numpy() for x in gripper_poses(torch.linspace(0.0, OPEN_GAP_M, 61)))
+    R, p = (
+        x.double().numpy()
+        for x in gripper_poses(torch.linspace(0.0, OPEN_GAP_M, 61, dtype=torch.float32, device="cpu"))
+    )
     size = robot.gripper.size
     half = np.where((robot.gripper.kind == Kind.BOX)[:, None], size, np.stack([size[:, 0], size[:, 0], size[:, 1]], 1))
     corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T  # of the boxes that hold the primitives

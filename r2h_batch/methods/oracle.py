@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from r2h_batch import rng
+from r2h_batch import rng, se3
+from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.grasp import close_gripper
+from r2h_batch.judge.grasp import close_gripper
+from r2h_batch.judge.metrics import affordance, stability
 from r2h_batch.methods.candidates import candidates_of, stacked
-from r2h_batch.metrics import affordance, stability
-from r2h_batch.objects import ObjectModel
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CRITERIA, Outcome, Predictions, Scores, Trials
 
 __all__ = ["ROUNDS", "predict"]
@@ -49,8 +49,8 @@ def predict(
     trials = trials.to(scene.device)
     fan = _Fan(trials, evaluator, seed)
     farthest = torch.full((n,), -torch.inf, dtype=torch.float64, device=scene.device)
-    T_obj_ee, T_world_ee = (torch.eye(4, device=scene.device).repeat(n, 1, 1) for _ in range(2))
-    todo = torch.arange(n, device=scene.device)
+    T_obj_ee, T_world_ee = (torch.eye(4, dtype=torch.float32, device=scene.device).repeat(n, 1, 1) for _ in range(2))
+    todo = torch.arange(n, dtype=torch.int64, device=scene.device)
     for turn in range(rounds):
         if not len(todo):
             break
@@ -68,7 +68,7 @@ def _how_far(scores: Scores) -> torch.Tensor:
     """How far a proposal got: the number of the criterion that failed first (success: 6), then that one's margin."""
     outcome = scores.outcome.long()
     failed = (outcome - 1).clamp(0, len(CRITERIA) - 1)
-    margin = scores.margin[torch.arange(len(outcome), device=outcome.device), failed].double()
+    margin = scores.margin[torch.arange(len(outcome), dtype=torch.int64, device=outcome.device), failed].double()
     step = torch.where(outcome == int(Outcome.SUCCESS), 1 + len(CRITERIA), outcome)
     judged = outcome <= len(CRITERIA)
     return torch.where(judged, step + 0.5 * torch.nan_to_num(margin, nan=-1.0, neginf=-1.0).clamp(-1.0, 0.0), -1.0)
@@ -94,14 +94,14 @@ class _Fan:
         objects, normal = self._object[rows], self._normal[rows]
         T_obj_ee = self._grasps[self._first[objects] + rng.choice(which, self._count[objects])].astype(np.float64)
         approach = mix[:, None] * self._outwards[rows] - (1.0 - mix)[:, None] * normal
-        frame = _basis(_turned(_basis(approach), _TILTS[rng.choice(tilt, TILTS)]))
-        x, z = _turned(frame, _ROLLS[rng.choice(roll, ROLLS)]), frame[:, :, 2]
+        frame = _basis(se3.rotate(_basis(approach), _TILTS[rng.choice(tilt, TILTS)]))
+        x, z = se3.rotate(frame, _ROLLS[rng.choice(roll, ROLLS)]), frame[:, :, 2]
         R = np.stack([x, np.cross(z, x), z], 2)
-        free = _turned(T_obj_ee[:, :3, :3].transpose(0, 2, 1), self._free[objects] - T_obj_ee[:, :3, 3])  # in ee
+        free = se3.rotate(T_obj_ee[:, :3, :3].transpose(0, 2, 1), self._free[objects] - T_obj_ee[:, :3, 3])  # in ee
         target = self._center[rows] + (NEARER_M + (FARTHER_M - NEARER_M) * far)[:, None] * normal
         T_world_ee = np.zeros((len(rows), 4, 4))
         T_world_ee[:, :3, :3] = R
-        T_world_ee[:, :3, 3] = target - _turned(R, free)
+        T_world_ee[:, :3, 3] = target - se3.rotate(R, free)
         T_world_ee[:, 3, 3] = 1.0
         return torch.from_numpy(T_obj_ee.astype(np.float32)), torch.from_numpy(T_world_ee.astype(np.float32))
 
@@ -149,11 +149,6 @@ def _basis(z: Array) -> Array:
     x = np.stack([1.0 + sign * z[:, 0] ** 2 * a, sign * b, -sign * z[:, 0]], 1)
     y = np.stack([b, sign + z[:, 1] ** 2 * a, -z[:, 1]], 1)
     return np.stack([x, y, z], 2)
-
-
-def _turned(R: Array, v: Array) -> Array:
-    """R @ v, row by row and term by term."""
-    return R[:, :, 0] * v[:, 0, None] + R[:, :, 1] * v[:, 1, None] + R[:, :, 2] * v[:, 2, None]
 
 
 def _kronecker_steps(dimensions: int) -> Array:

@@ -11,13 +11,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.ik import solve_ik
+from r2h_batch.judge.ik import solve_ik
 
 __all__ = [
-    "apply_rotation",
     "approach_frames",
-    "cross",
-    "dot",
     "first_true",
     "least",
     "poses_at",
@@ -31,32 +28,10 @@ __all__ = [
 RIGHT, LEFT = 0, 1
 
 
-def dot(a: Float[Tensor, "*#b 3"], b: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b"]:
-    """a . b, term by term."""
-    return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
-
-
-def cross(a: Float[Tensor, "*#b 3"], b: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3"]:
-    """a x b, term by term."""
-    return torch.stack(
-        [
-            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
-            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
-            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
-        ],
-        -1,
-    )
-
-
 def unit(v: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3"]:
     """v / |v|; zero stays zero."""
-    length = dot(v, v).sqrt()
+    length = se3.dot(v, v).sqrt()
     return v / torch.where(length > 0, length, 1.0)[..., None]
-
-
-def apply_rotation(R: Float[Tensor, "*#b 3 3"], v: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3"]:
-    """R @ v, term by term."""
-    return R[..., 0] * v[..., 0, None] + R[..., 1] * v[..., 1, None] + R[..., 2] * v[..., 2, None]
 
 
 def approach_frames(z: Float[Tensor, "*b 3"], toward: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3 3"]:
@@ -66,11 +41,11 @@ def approach_frames(z: Float[Tensor, "*b 3"], toward: Float[Tensor, "*#b 3"]) ->
     """
     z = unit(z.double())
     toward = unit(toward.double().expand_as(z))
-    across = toward - dot(toward, z)[..., None] * z
+    across = toward - se3.dot(toward, z)[..., None] * z
     spare = torch.nn.functional.one_hot(z.abs().argmin(-1), 3).double()
-    spare = spare - dot(spare, z)[..., None] * z
-    x = unit(torch.where((dot(across, across) > 1e-12)[..., None], across, spare))
-    return torch.stack([x, cross(z, x), z], -1)
+    spare = spare - se3.dot(spare, z)[..., None] * z
+    x = unit(torch.where((se3.dot(across, across) > 1e-12)[..., None], across, spare))
+    return torch.stack([x, se3.cross(z, x), z], -1)
 
 
 def roll_angles(count: int) -> tuple[float, ...]:
@@ -100,10 +75,10 @@ def turned_inward(
     """
     n = unit(palm_normal.double())
     flat = direction.double()
-    flat = unit(flat - dot(flat, n)[..., None] * n)
+    flat = unit(flat - se3.dot(flat, n)[..., None] * n)
     c, s = round(math.cos(math.radians(angle_deg)), 15), round(math.sin(math.radians(angle_deg)), 15)
     sign = torch.where(side.to(flat.device) == LEFT, 1.0, -1.0).double()
-    return c * flat + (s * sign)[..., None] * cross(n, flat)
+    return c * flat + (s * sign)[..., None] * se3.cross(n, flat)
 
 
 def poses_at(R: Float[Tensor, "b r 3 3"], p: Float[Tensor, "*#b 3"]) -> Float[Tensor, "b r 4 4"]:

@@ -6,11 +6,12 @@ from jaxtyping import Float, Float32, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
+from r2h_batch import se3
 from r2h_batch.methods.candidates import CandidateTable
 from r2h_batch.methods.hand_clearance import gripper_clearance, posed_hand
-from r2h_batch.methods.palm_pose import apply_rotation, first_true, poses_at, reachable
+from r2h_batch.methods.palm_pose import first_true, poses_at, reachable
 from r2h_batch.predictors import TargetHand
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 
 __all__ = ["HOME_X", "above_palm", "candidates_clear_of", "centers_at", "first_fit", "object_centers", "taken"]
 
@@ -56,14 +57,14 @@ def first_fit(
     passes = reached
     if hand_vertices is not None:
         hand = posed_hand(scene.hands.model, hand_vertices, scene.device, threads=threads)
-        row = torch.arange(b, device=T_world_ee.device) * r
+        row = torch.arange(b, dtype=torch.int64, device=T_world_ee.device) * r
         distance = gripper_clearance(
             hand, T_world_ee.reshape(-1, 4, 4), opening_m.repeat_interleave(r), row, torch.full_like(row, r), r,
             cap_m=clearance_m + 1e-3, threads=threads,
         )  # fmt: skip
         passes = reached & (distance > clearance_m)
     at = torch.where(passes.any(1), first_true(passes), first_true(reached))
-    return T_world_ee[torch.arange(b, device=at.device), at]
+    return T_world_ee[torch.arange(b, dtype=torch.int64, device=at.device), at]
 
 
 def above_palm(target: TargetHand, height_m: float) -> Float[Tensor, "b 3"]:
@@ -85,10 +86,10 @@ def centers_at(
 ) -> Float32[Tensor, "b r 4 4"]:
     """T_world_ee with these rotations that put the object's point `center_obj` (frame obj) at `target` (world)."""
     R_ee_obj = T_obj_ee[:, :3, :3].double().transpose(1, 2)
-    center_ee = apply_rotation(R_ee_obj, center_obj.double() - T_obj_ee[:, :3, 3].double())
-    return poses_at(R_world_ee, target.double()[:, None] - apply_rotation(R_world_ee, center_ee[:, None]))
+    center_ee = se3.rotate(R_ee_obj, center_obj.double() - T_obj_ee[:, :3, 3].double())
+    return poses_at(R_world_ee, target.double()[:, None] - se3.rotate(R_world_ee, center_ee[:, None]))
 
 
 def taken(rows: Int64[Tensor, "b k"], chosen: Int64[Tensor, " b"]) -> Int64[Tensor, " b"]:
     """The row of the candidate table that each trial has chosen."""
-    return rows[torch.arange(len(rows), device=rows.device), chosen.long()]
+    return rows[torch.arange(len(rows), dtype=torch.int64, device=rows.device), chosen.long()]

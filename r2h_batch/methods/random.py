@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from r2h_batch import rng
 from r2h_batch.methods.candidates import candidates_of, stacked
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 __all__ = ["predict"]

@@ -11,10 +11,10 @@ from jaxtyping import Float32, Float64, Int32, UInt8
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.kernels import label_icp as kernels
+from r2h_batch.kernels.methods import label_icp as kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 
 __all__ = ["Alignment", "align_templates", "handle_template", "wrap_template"]
 
@@ -69,33 +69,73 @@ def align_templates(
     device, b = scene.device, len(object_index)
     o = object_index.contiguous()
     points, extent, mean = _clouds(scene)
-    templates = [handle_template(), wrap_template()]
-    sizes = torch.tensor([float(np.ptp(t, axis=0).max()) for t, _ in templates], dtype=torch.float64, device=device)
+    templates = _templates(device)
     which = (role == WRAP).any(1).to(torch.int32)
-    scale = (extent[o.long()] / sizes[which.long()]).float()
-    start = mean[o.long()].contiguous()
+    scale = (extent[o.long()] / templates.extent[which.long()]).float()
     R = torch.zeros((b, 3, 3), dtype=torch.float64, device=device)
-    p, handle = torch.zeros((b, 3), dtype=torch.float64, device=device), torch.zeros((b, 3), device=device)
+    p, handle = (torch.zeros((b, 3), dtype=kind, device=device) for kind in (torch.float64, torch.float32))
     error = torch.zeros(b, dtype=torch.float64, device=device)
     steps, count = (torch.zeros(b, dtype=torch.int32, device=device) for _ in range(2))
     result = Alignment(R, p, error, steps, scale, handle)
     if b == 0:
         return result
-    first = np.cumsum([0] + [len(t) for t, _ in templates])
-    cloud, roles, index = wp.from_torch(points, dtype=wp.vec3), wp.from_torch(role.contiguous()), wp.from_torch(o)
-    inputs = [
-        cloud,
-        wp.array(np.concatenate([t for t, _ in templates]).astype(np.float32), dtype=wp.vec3, device=device),
-        wp.array(np.concatenate([r for _, r in templates]), dtype=wp.uint8, device=device),
-        wp.array(first.astype(np.int32), dtype=wp.int32, device=device),
-        float(label_m), int(iterations), wp.float64(tolerance_m), index, wp.from_torch(which), wp.from_torch(scale),
-        wp.from_torch(start, dtype=wp.vec3), roles, wp.from_torch(R, dtype=wp.mat33d),
-        wp.from_torch(p, dtype=wp.vec3d), wp.from_torch(error), wp.from_torch(steps),
-    ]  # fmt: skip
-    launch_trials(kernels.align, b, inputs, device=device, threads=threads, chunk=1)
-    inputs = [cloud, GRASP, index, roles, wp.from_torch(handle, dtype=wp.vec3), wp.from_torch(count)]
-    launch_trials(kernels.role_means, b, inputs, device=device, threads=threads, chunk=64)
+    role = role.contiguous()
+    launch_trials(
+        kernels.align,
+        b,
+        inputs={
+            "points": points,
+            "shape": templates.points,
+            "shape_role": templates.role,
+            "shape_first": templates.first,
+            "label_m": label_m,
+            "iterations": iterations,
+            "tolerance": tolerance_m,
+            "object": o,
+            "which": which,
+            "scale": scale,
+            "start": mean[o.long()].contiguous(),
+            "role": role,
+        },
+        outputs={"R": R, "p": p, "error": error, "steps": steps},
+        device=device,
+        threads=threads,
+        chunk=1,
+    )
+    launch_trials(
+        kernels.role_means,
+        b,
+        inputs={"points": points, "wanted": GRASP, "object": o, "role": role},
+        outputs={"mean": handle, "count": count},
+        device=device,
+        threads=threads,
+        chunk=64,
+    )
     return result
+
+
+@dataclass(frozen=True)
+class _Templates:
+    """Both templates in one table: template t has rows first[t] .. first[t + 1] of `points` (m) and `role`."""
+
+    points: wp.array
+    role: wp.array
+    first: wp.array
+    extent: Float64[Tensor, " t"]  # largest of each, m
+
+
+@lru_cache(maxsize=2)
+def _templates(device: str) -> _Templates:
+    """The handle and the rings, in the order that `which` counts them in."""
+    both = (handle_template(), wrap_template())
+    shapes, roles = [points for points, _ in both], [role for _, role in both]
+    first = np.cumsum([0, *map(len, shapes)]).astype(np.int32)
+    return _Templates(
+        wp.array(np.concatenate(shapes).astype(np.float32), dtype=wp.vec3, device=device),
+        wp.array(np.concatenate(roles), dtype=wp.uint8, device=device),
+        wp.array(first, dtype=wp.int32, device=device),
+        torch.tensor([float(np.ptp(t, axis=0).max()) for t in shapes], dtype=torch.float64, device=device),
+    )
 
 
 @lru_cache(maxsize=4)

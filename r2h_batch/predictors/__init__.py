@@ -1,7 +1,8 @@
 """What methods see: estimated hands, parts and contacts. `PredictorNoise().scaled(0)` shows them the truth."""
 
-from r2h_batch.predictors.contacts import ContactPredictor, predict_contacts
-from r2h_batch.predictors.files import PredictorError, load_predictor
+from r2h_batch.predictors.contacts import predict_contacts
+from r2h_batch.predictors.files import load_predictor
+from r2h_batch.predictors.grid import ContactPredictor, PredictorError
 from r2h_batch.predictors.hands import (
     ReceivingHand,
     TargetHand,

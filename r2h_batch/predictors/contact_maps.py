@@ -7,11 +7,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.hand import load_hand
-from r2h_batch.hand_contact import ObjectSurface
+from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.launch import init_warp
-from r2h_batch.objects import ObjectModel
-from r2h_batch.receiving import CONTACT_M, load_receiving
+from r2h_batch.receiver.hand_contact import ObjectSurface
+from r2h_batch.receiver.receiving import CONTACT_M, load_receiving
 
 __all__ = ["contact_map", "touched_points"]
 
@@ -24,7 +23,7 @@ def touched_points(model: ObjectModel) -> NDArray[np.bool_]:
     """(G, P): whether the skin of each of the object's receiving grasps is within 5 mm of each cloud point."""
     init_warp()
     grasps = load_receiving([model])
-    faces = load_hand().faces_by_side.numpy()
+    faces = grasps.hand.faces_by_side.numpy()
     touched = np.zeros((len(grasps), len(model.points)), bool)
     for i, (skin, side) in enumerate(zip(grasps.vertices.numpy(), grasps.side.tolist(), strict=True)):
         near = ((model.points > skin.min(0) - CONTACT_M) & (model.points < skin.max(0) + CONTACT_M)).all(1)

@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import importlib
+import io
 import zipfile
 from pathlib import Path
 
 import torch
 
-from r2h_batch.predictors.contacts import ContactPredictor
+from r2h_batch.files import FileError, archive_members, open_archive, printable, read_file
+from r2h_batch.predictors.grid import ContactPredictor, PredictorError
+from r2h_batch.predictors.voxnet import read_voxnet
 
-__all__ = ["PredictorError", "load_predictor"]
+__all__ = ["load_predictor"]
 
+MAX_BYTES = 4 << 30
+MAX_MEMBERS = 20_000
 _HOW = "give a TorchScript file (torch.jit.save), VoxNet weights as .safetensors, or package.module:function"
-
-
-class PredictorError(ValueError):
-    """A predictor that cannot be used; the message names it, what was found and what is allowed."""
 
 
 def load_predictor(spec: str) -> ContactPredictor:
     """The contact predictor of a TorchScript file, of a .safetensors file (VoxNet's), or ``package.module:function``.
 
-    What it takes and returns: `r2h_batch.predictors.contacts`. Pickles (torch.save, .pkl) are refused: they run code.
+    What it takes and returns: `r2h_batch.predictors.grid`. Pickles (torch.save, .pkl) are refused: they run code.
     """
     path = Path(spec)
     if not path.exists() and ":" in spec and not path.suffix:
@@ -31,30 +32,30 @@ def load_predictor(spec: str) -> ContactPredictor:
         if ":" in spec:
             return _function(spec)
         raise PredictorError(f"predictor {spec}: no such file; {_HOW}")
-    if not path.is_file():
-        raise PredictorError(f"predictor {spec}: not a regular file; {_HOW}")
-    if path.suffix == ".safetensors":
-        from r2h_batch.predictors.voxnet import read_voxnet
-
-        return read_voxnet(path)
-    return _torchscript(path)
+    try:
+        if path.suffix == ".safetensors":
+            return read_voxnet(path)
+        return _torchscript(path)
+    except FileError as error:
+        raise PredictorError(f"predictor {error}; {_HOW}") from None
 
 
 def _torchscript(path: Path) -> ContactPredictor:
     """A ScriptModule in evaluation mode on the CPU."""
-    if not zipfile.is_zipfile(path):
-        with path.open("rb") as file:
-            magic = file.read(2)
+    data = read_file(path, MAX_BYTES)
+    if not zipfile.is_zipfile(io.BytesIO(data)):
+        magic = data[:2]
         kind = "a pickle, which runs code when read" if magic[:1] == b"\x80" else "neither TorchScript nor safetensors"
         raise PredictorError(f"predictor {path}: {kind}; {_HOW}")
-    with zipfile.ZipFile(path) as archive:
-        names = archive.namelist()
+    with open_archive(path, MAX_BYTES) as archive:
+        names = [m.filename for m in archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)]
     if not any(n.endswith("constants.pkl") for n in names) or not any("/code/" in n for n in names):
         raise PredictorError(f"predictor {path}: a torch.save file (a pickle, which runs code when read); {_HOW}")
     try:
-        return torch.jit.load(str(path), map_location="cpu").eval()
+        return torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
     except (RuntimeError, ValueError) as error:
-        raise PredictorError(f"predictor {path}: not a readable TorchScript file ({error}); {_HOW}") from error
+        why = printable(str(error).strip().partition("\n")[0])[:200]
+        raise PredictorError(f"predictor {path}: not a readable TorchScript file ({why}); {_HOW}") from error
 
 
 def _function(spec: str) -> ContactPredictor:

@@ -11,11 +11,11 @@ from jaxtyping import Float32, Int8, Int32, Int64
 from torch import Tensor
 
 from r2h_batch import rng, se3
-from r2h_batch.hand import HandGeometry, load_hand, palm_frame
-from r2h_batch.instructions import InstructionError, intents_of, understand
+from r2h_batch.bodies.hand import HandGeometry, HandModel, palm_frame
 from r2h_batch.predictors.noise import PredictorNoise, perturbed, trial_ids
-from r2h_batch.receiving import ReceivingGrasps, load_receiving
-from r2h_batch.scene import Scene
+from r2h_batch.receiver.instructions import InstructionError, intents_of, understand
+from r2h_batch.receiver.receiving import ReceivingGrasps, load_receiving
+from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
 __all__ = ["ReceivingHand", "TargetHand", "predict_receiving", "predict_target", "retrieve_receiving"]
@@ -33,6 +33,7 @@ class _SeenHand:
     side: Int8[Tensor, " n"]
     """0 right, 1 left"""
     T: Float32[Tensor, "n 4 4"]
+    model: HandModel
 
     def __len__(self) -> int:
         return len(self.row)
@@ -44,7 +45,7 @@ class _SeenHand:
 
     @cached_property
     def vertices(self) -> Float32[Tensor, "n v 3"]:
-        """The skin; made at first use (16 KB a trial). Faces: `load_hand().faces_by_side[side]`."""
+        """The skin; made at first use (16 KB a trial). Faces: `model.faces_by_side[side]`."""
         return se3.apply(self.T[:, None], self.bank.vertices[self.row])
 
     @cached_property
@@ -64,7 +65,7 @@ class _SeenHand:
     @cached_property
     def wrist_to_middle(self) -> Float32[Tensor, "n 3"]:
         """Unit vector from the wrist to the tip of the middle finger."""
-        tip = int(load_hand().tip_vertices[MIDDLE_TIP])
+        tip = int(self.model.tip_vertices[MIDDLE_TIP])
         d = se3.apply(self.T, self.bank.vertices[self.row, tip]) - self.joints[:, 0]
         return d / (d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2]).sqrt()[:, None]
 
@@ -74,7 +75,7 @@ class ReceivingHand(_SeenHand):
     """The receiver's hand on the object as predicted, frame obj."""
 
     grasp: Int64[Tensor, " n"]
-    """row of `load_receiving(scene.objects)` that was drawn"""
+    """row of `load_receiving(scene.objects, scene.hands.model)` that was drawn"""
 
     @property
     def T_obj_hand(self) -> Float32[Tensor, "n 4 4"]:
@@ -112,12 +113,12 @@ def predict_receiving(
     `part`: label that the hand should hold, -1 for any; where no grasp holds it, any is drawn.
     """
     n, count = len(trials), len(scene.objects)
-    labels = torch.full((n,), -1, dtype=torch.int32) if part is None else part.cpu()
+    labels = torch.full((n,), -1, dtype=torch.int32, device="cpu") if part is None else part.cpu()
     names = max(len(o.part_names) for o in scene.objects)
     if n and not (int(labels.min()) >= -1 and int(labels.max()) < names):
         raise ValueError(f"part is {int(labels.min())} to {int(labels.max())}; it must be -1 (any) to {names - 1}")
-    grasps = load_receiving(scene.objects)
-    fits = torch.ones((count, names + 1, len(grasps)), dtype=torch.bool)  # label -1 stands last
+    grasps = load_receiving(scene.objects, scene.hands.model)
+    fits = torch.ones((count, names + 1, len(grasps)), dtype=torch.bool, device="cpu")  # label -1 stands last
     for k in range(names):
         fits[:, k] = grasps.part == k
     return _drawn(trials, scene, grasps, fits, labels.long() % (names + 1), seed, noise)
@@ -140,17 +141,19 @@ def retrieve_receiving(
     said = [scene.objects[i].instruction for i in object_index] if instructions is None else list(instructions)
     if len(said) != len(trials):
         raise InstructionError(f"{len(said)} instructions for {len(trials)} trials; give one for each, or None")
-    grasps = load_receiving(scene.objects)
+    grasps = load_receiving(scene.objects, scene.hands.model)
     most = max(len(intents_of(o)) for o in scene.objects)
-    fits = torch.zeros((len(scene.objects), most, len(grasps)), dtype=torch.bool)
+    fits = torch.zeros((len(scene.objects), most, len(grasps)), dtype=torch.bool, device="cpu")
     for i, model in enumerate(scene.objects):
         for k, intent in enumerate(intents_of(model)):
-            fits[i, k] = torch.isin(grasps.part, torch.tensor(intent.labels, dtype=torch.uint8))
+            fits[i, k] = torch.isin(grasps.part, torch.tensor(intent.labels, dtype=torch.uint8, device="cpu"))
     answer = {
         pair: understand(pair[1], scene.objects, object_index=pair[0]).intent
         for pair in dict.fromkeys(zip(object_index, said, strict=True))
     }
-    wanted = torch.tensor([answer[pair] for pair in zip(object_index, said, strict=True)], dtype=torch.int64)
+    wanted = torch.tensor(
+        [answer[pair] for pair in zip(object_index, said, strict=True)], dtype=torch.int64, device="cpu"
+    )
     return _drawn(trials, scene, grasps, fits, wanted, seed, noise)
 
 
@@ -171,7 +174,9 @@ def _drawn(
     table, number = _rows(grasps, fits)
     at = (trials.object_index.cpu().long(), side.long(), wanted)
     (u,) = rng.uniforms(key, ids, 1, purpose=_GRASP)
-    grasp = table[at][torch.arange(len(ids)), torch.from_numpy(rng.choice(u, number[at].numpy()))]
+    grasp = table[at][
+        torch.arange(len(ids), dtype=torch.int64, device="cpu"), torch.from_numpy(rng.choice(u, number[at].numpy()))
+    ]
     point, _ = palm_frame(grasps.posed.joints, grasps.side)
     T = perturbed(
         grasps.T_obj_hand[grasp],
@@ -184,7 +189,7 @@ def _drawn(
     )
     bank = HandGeometry(grasps.posed.vertices.to(device), grasps.posed.joints.to(device))
     row = grasp.to(device)
-    return ReceivingHand(bank, row, side.to(device), T.to(device), row)
+    return ReceivingHand(bank, row, side.to(device), T.to(device), grasps.hand, row)
 
 
 def _rows(grasps: ReceivingGrasps, fits: Tensor) -> tuple[Tensor, Tensor]:
@@ -215,4 +220,4 @@ def predict_target(trials: Trials, scene: Scene, *, seed: int = 0, noise: Predic
     )
     bank = HandGeometry(hands.vertices.to(device), hands.joints.to(device))
     side = hands.set.side.to(device, torch.int8)[row]
-    return TargetHand(bank, row, side, T, scene.config.thresholds.reach_offset_m)
+    return TargetHand(bank, row, side, T, hands.model, scene.config.thresholds.reach_offset_m)

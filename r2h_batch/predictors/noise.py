@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import rng, se3
-from r2h_batch.hand import rotation_from_axis_angle
+from r2h_batch.bodies.hand import rotation_from_axis_angle
 
 __all__ = ["PredictorNoise", "normals", "perturbed"]
 

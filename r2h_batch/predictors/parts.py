@@ -13,9 +13,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from r2h_batch import rng
-from r2h_batch.objects import ObjectModel
+from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.predictors.noise import PredictorNoise, normals, trial_ids
-from r2h_batch.scene import Scene
+from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
 __all__ = ["SeenParts", "predict_parts"]
@@ -52,7 +52,7 @@ def predict_parts(trials: Trials, scene: Scene, *, seed: int = 0, noise: Predict
     z = torch.from_numpy(
         normals(rng.key_of(f"parts {seed}"), trial_ids(trials.trial_id), WAVES, purpose=_PARTS).astype(np.float32)
     )
-    seen = torch.empty((len(at), clouds.label.shape[1]), dtype=torch.uint8)
+    seen = torch.empty((len(at), clouds.label.shape[1]), dtype=torch.uint8, device="cpu")
     for first in range(0, len(at), _CHUNK):
         rows = slice(first, first + _CHUNK)
         seen[rows] = _shifted(clouds, at[rows], z[:, rows] * (noise.border_m * (2.0 / WAVES) ** 0.5))
@@ -61,7 +61,7 @@ def predict_parts(trials: Trials, scene: Scene, *, seed: int = 0, noise: Predict
 
 def _shifted(clouds: _Clouds, at: Tensor, z: Tensor) -> Tensor:
     """Labels of objects `at` with the waves' amplitudes z (k, n) in metres."""
-    shift = torch.zeros((len(at), clouds.label.shape[1]))
+    shift = torch.zeros((len(at), clouds.label.shape[1]), dtype=torch.float32, device="cpu")
     for k in range(WAVES):
         shift = shift + z[k][:, None] * clouds.wave[:, k][at]
     return torch.where(clouds.offset[at] + clouds.sign[at] * shift < 0, clouds.other[at], clouds.label[at])

@@ -13,7 +13,6 @@ import json
 import multiprocessing
 import platform
 import resource
-import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -25,20 +24,23 @@ import numpy as np
 import torch
 from jaxtyping import Float32, Int64
 from safetensors.torch import save_file
+from scipy.stats import rankdata
 from torch import Tensor
 
-from r2h_batch.objects import OBJECT_NAMES, VOXELS, ObjectModel, load_objects
+from r2h_batch.bodies.objects import OBJECT_NAMES, VOXELS, ObjectModel, load_objects
+from r2h_batch.command_line import tell
 from r2h_batch.predictors.contact_maps import contact_map
-from r2h_batch.predictors.contacts import CONTACT_THRESHOLD, contact_grids, voxel_of_points
+from r2h_batch.predictors.contacts import CONTACT_THRESHOLD
+from r2h_batch.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.predictors.voxnet import VoxNet
-from r2h_batch.receiving import receiving_digest
+from r2h_batch.receiver.receiving import receiving_digest
 
 __all__ = ["main", "train"]
 
 FOLDS = 4
 STEPS, FOLD_STEPS, BATCH, RATE = 900, 350, 4, 4e-3
 TILT_DEG, ZOOM = 12.0, (0.75, 1.0)
-ANYHOW = 0.1
+ANY_ORIENTATION_SHARE = 0.1
 """Share of examples in any of the 48 orientations along the axes; the others are only mirrored in y: the built-in
 objects' frames follow one convention (tools along x, vessels upright), and most of what is to be known needs it."""
 SIZE = (0.8, 1.25)
@@ -67,17 +69,19 @@ def examples(objects: Sequence[ObjectModel]) -> Examples:
 def train(data: Examples, steps: int, seed: int, *, report: str = "") -> tuple[VoxNet, list[float]]:
     """A network after `steps` batches, and the loss of each: cross entropy of contact at the cloud's points."""
     torch.manual_seed(seed)
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator(device="cpu").manual_seed(seed)
     net = VoxNet()
     torch.nn.init.constant_(net.out.bias, float(torch.logit(data.contact.mean())))  # type: ignore[arg-type]
     optimizer = torch.optim.AdamW(net.parameters(), lr=RATE, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=steps, pct_start=0.15)
-    order = torch.zeros(0, dtype=torch.int64)
+    order = torch.zeros(0, dtype=torch.int64, device="cpu")
     losses: list[float] = []
     begin = time.perf_counter()
     for step in range(steps):
         if len(order) < BATCH:
-            order = torch.cat([order, torch.randperm(len(data.grid), generator=generator)])
+            order = torch.cat(
+                [order, torch.randperm(len(data.grid), generator=generator, dtype=torch.int64, device="cpu")]
+            )
         rows, order = order[:BATCH], order[BATCH:]
         grid, voxel, inside = zip(*(augmented(data, int(i), generator) for i in rows), strict=True)
         logits = net.logits_at(torch.stack(grid), torch.stack(voxel))
@@ -91,7 +95,7 @@ def train(data: Examples, steps: int, seed: int, *, report: str = "") -> tuple[V
         losses.append(float(loss.detach()))
         if report and (step + 1) % 50 == 0:
             rate = (time.perf_counter() - begin) / (step + 1)
-            print(f"{report}: step {step + 1}, loss {np.mean(losses[-50:]):.4f}, {rate:.2f} s a step", file=sys.stderr)
+            tell(f"{report}: step {step + 1}, loss {np.mean(losses[-50:]):.4f}, {rate:.2f} s a step")
     return net.eval(), losses
 
 
@@ -100,11 +104,12 @@ def augmented(data: Examples, i: int, generator: torch.Generator) -> tuple[Tenso
 
     The points are given by their voxels (P, 3).
     """
-    u = torch.rand(8, generator=generator)
-    frame = torch.eye(3)
-    if u[6] < ANYHOW:
-        flip = torch.where(torch.rand(3, generator=generator) < 0.5, -1.0, 1.0)
-        frame = torch.diag(flip)[torch.randperm(3, generator=generator)]
+    u = torch.rand(8, generator=generator, dtype=torch.float32, device="cpu")
+    frame = torch.eye(3, dtype=torch.float32, device="cpu")
+    if u[6] < ANY_ORIENTATION_SHARE:
+        mirrored = torch.rand(3, generator=generator, dtype=torch.float32, device="cpu") < 0.5
+        flip = 1.0 - 2.0 * mirrored.float()
+        frame = torch.diag(flip)[torch.randperm(3, generator=generator, dtype=torch.int64, device="cpu")]
     elif u[7] < 0.5:
         frame[1, 1] = -1.0
     turn = torch.nn.functional.normalize(u[:3] - 0.5, dim=0) * np.radians(TILT_DEG) * (2 * u[3] - 1)
@@ -114,7 +119,7 @@ def augmented(data: Examples, i: int, generator: torch.Generator) -> tuple[Tenso
     moved = point @ A.T
     back = torch.linalg.inv(A)
     # grid_sample's x is the last axis
-    theta = torch.zeros(1, 3, 4)
+    theta = torch.zeros(1, 3, 4, dtype=torch.float32, device="cpu")
     theta[0, :, :3] = back.flip(0).flip(1)
     where = torch.nn.functional.affine_grid(theta, [1, 1, VOXELS, VOXELS, VOXELS], align_corners=False)
     occupancy = torch.nn.functional.grid_sample(data.grid[i : i + 1, :1], where, align_corners=False)[0, 0]
@@ -142,8 +147,6 @@ def figures(net: VoxNet, data: Examples, i: int) -> dict[str, float]:
 
 def _auc(score: Any, positive: Any) -> float:
     """Share of (positive, negative) pairs in the right order; ties count half."""
-    from scipy.stats import rankdata
-
     ranks, n = rankdata(score), int(positive.sum())
     if n in (0, len(positive)):
         return float("nan")
@@ -152,7 +155,7 @@ def _auc(score: Any, positive: Any) -> float:
 
 def _skew(v: Tensor) -> Tensor:
     x, y, z = v.tolist()
-    return torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float32, device="cpu")
 
 
 @dataclass(frozen=True)
@@ -170,7 +173,7 @@ def trained(run: Run) -> tuple[dict[str, Tensor], list[float], dict[str, dict[st
     torch.use_deterministic_algorithms(True)
     objects = load_objects()
     data = examples(objects)
-    kept = torch.tensor([i for i in range(len(objects)) if i not in run.left_out])
+    kept = torch.tensor([i for i in range(len(objects)) if i not in run.left_out], dtype=torch.int64, device="cpu")
     part = Examples(data.grid[kept], data.voxel[kept], data.contact[kept])
     net, losses = train(part, run.steps, run.seed, report=f"without {len(run.left_out)} objects, seed {run.seed}")
     judged = run.left_out or range(len(objects))

@@ -5,21 +5,25 @@ from __future__ import annotations
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float32, Int64
 from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors.torch import load
 from torch import Tensor, nn
 
-from r2h_batch.predictors.contacts import CHANNELS
-from r2h_batch.predictors.files import PredictorError
+from r2h_batch.files import printable, read_file
+from r2h_batch.predictors.grid import CHANNELS, PredictorError
 
 __all__ = ["VoxNet", "load_voxnet", "read_voxnet"]
 
 WIDTHS = (8, 20, 40)
 MIDDLE_M, SPREAD_M = 0.1, 0.05
 """Scales of objects that fit a hand."""
+
+_PLAIN: dict[str, Any] = {"dtype": torch.float32, "device": "cpu"}
+"""What the weights are stored as, whatever the caller's program has as its defaults."""
 
 
 class VoxNet(nn.Module):
@@ -33,8 +37,8 @@ class VoxNet(nn.Module):
         self.down3 = _block(b, c, stride=2)
         self.deep = _block(c, c)
         self.up2 = _block(c + b, b)
-        self.up1 = nn.Sequential(nn.Conv3d(b + a, 2 * a, kernel_size=1), nn.LeakyReLU(0.1))
-        self.out = nn.Conv3d(2 * a + CHANNELS, 1, kernel_size=1)
+        self.up1 = nn.Sequential(nn.Conv3d(b + a, 2 * a, kernel_size=1, **_PLAIN), nn.LeakyReLU(0.1))
+        self.out = nn.Conv3d(2 * a + CHANNELS, 1, kernel_size=1, **_PLAIN)
         for layer in self.modules():
             if isinstance(layer, nn.Conv3d) and layer is not self.out:
                 nn.init.kaiming_normal_(layer.weight, a=0.1, nonlinearity="leaky_relu")
@@ -59,7 +63,8 @@ class VoxNet(nn.Module):
             self.features(grid), at.flip(-1)[:, :, None, None], padding_mode="border", align_corners=False
         )
         i, j, k = voxel.unbind(-1)
-        given = _centred(grid)[torch.arange(len(grid))[:, None], :, i, j, k].transpose(1, 2)[..., None, None]
+        row = torch.arange(len(grid), dtype=torch.int64, device=grid.device)[:, None]
+        given = _centred(grid)[row, :, i, j, k].transpose(1, 2)[..., None, None]
         return self.out(torch.cat([seen, given], 1))[:, 0, :, 0, 0]
 
     def forward(self, grid: Float32[Tensor, "k 5 64 64 64"]) -> Float32[Tensor, "k 64 64 64"]:
@@ -67,9 +72,12 @@ class VoxNet(nn.Module):
         return torch.sigmoid(self.logits(grid))
 
 
+MAX_BYTES = 1 << 30
+
+
 def _block(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
     return nn.Sequential(
-        nn.Conv3d(inputs, outputs, kernel_size=3, stride=stride, padding=1),
+        nn.Conv3d(inputs, outputs, kernel_size=3, stride=stride, padding=1, **_PLAIN),
         nn.LeakyReLU(0.1),
     )
 
@@ -95,9 +103,9 @@ def read_voxnet(path: str | Path) -> VoxNet:
     """A VoxNet with the weights of a .safetensors file."""
     net = VoxNet()
     try:
-        found = load_file(str(path))
-    except (SafetensorError, OSError) as error:
-        raise PredictorError(f"predictor {path}: not a readable .safetensors file ({error})") from error
+        found = load(read_file(path, MAX_BYTES))
+    except SafetensorError as error:
+        raise PredictorError(f"predictor {path}: not a readable .safetensors file ({printable(error)})") from error
     wanted = net.state_dict()
     wrong = [k for k in wanted if k not in found or found[k].shape != wanted[k].shape]
     extra = [k for k in found if k not in wanted]

@@ -1,0 +1,196 @@
+"""How a run folder grows: start of a resumed sweep, verify, report, compare, and the driver's work per shard.
+
+`python bench/growth.py --trials 2000000 20000000 --json FILE`. Rows are synthetic, half of them of each of two methods, and go
+through the real writer. Each step is a process of its own, so that its peak memory is its own. `--workers`: simulated
+Ray workers that answer at once; what is left is the driver's own time.
+"""
+
+import json
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+from _report import ROOT, Report, arguments
+
+METHODS = ("synthetic", "other")
+LINEAR = 1.3
+"""A step may take so many times its share of the smaller size's time: a busy machine, not another order of growth."""
+
+
+def open_folder(folder: Path, trials: int, shard_trials: int) -> Any:
+    """The synthetic run folder, with its methods."""
+    from runs import header
+
+    from r2h_batch.results.writing import open_run
+
+    run = open_run(folder, {**header(trials), "shard_trials": shard_trials}, exact=False)
+    for method in METHODS:
+        run.register(method, {"kind": "bench"})
+    return run
+
+
+def write(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
+    """Through the real writer; making the rows is not counted."""
+    from runs import rows
+
+    run, seconds = open_folder(folder, trials // 2, shard_trials), 0.0
+    for method in METHODS:
+        for shard in run.todo(method):
+            table = rows(shard.first, shard.last, trials // 4)
+            start = time.perf_counter()
+            with run.write(method, shard) as writer:
+                writer.append(trials=table)
+            seconds += time.perf_counter() - start
+    size = sum(p.stat().st_size for p in folder.rglob("*") if p.is_file())
+    return {"seconds": seconds, "bytes_per_trial": size / trials}
+
+
+def resume(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
+    """What the same command does before its first trial: the folder opened and verified, shards still to do listed."""
+    from r2h_batch.results.reading import mark_for_rerun
+
+    start = time.perf_counter()
+    run = open_folder(folder, trials // 2, shard_trials)
+    assert not mark_for_rerun(folder, run.header) and not any(run.todo(m) for m in METHODS)
+    return {"seconds": time.perf_counter() - start}
+
+
+def verify(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
+    return command("results", "verify", str(folder))
+
+
+def report(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
+    return command("report", str(folder))
+
+
+def compare(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
+    return command("compare", str(folder))
+
+
+def command(*words: str) -> dict[str, float]:
+    """Wall seconds and peak MiB of a whole command, imports and sha256 included."""
+    start = time.perf_counter()
+    subprocess.run([sys.executable, "-m", "r2h_batch", *words], check=True, stdout=subprocess.DEVNULL, cwd=ROOT)
+    return {
+        "seconds": time.perf_counter() - start,
+        "peak_mib": resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024,
+    }
+
+
+STEPS = {f.__name__: f for f in (write, resume, verify, report, compare)}
+
+
+class Ray:
+    """As much of Ray as the driver sees: every actor is ready and every shard is scored the moment it is asked for."""
+
+    exceptions = SimpleNamespace(RayError=RuntimeError, RayTaskError=KeyError)
+
+    def __init__(self, setting_header: dict[str, Any], answer: Any) -> None:
+        self.header, self.answer = setting_header, answer
+
+    def actor(self) -> Any:
+        """An actor whose methods answer with a new reference."""
+        return SimpleNamespace(
+            header=SimpleNamespace(remote=lambda: Ref(self.header)),
+            score=SimpleNamespace(remote=lambda name, shard: Ref(self.answer(shard))),
+        )
+
+    @staticmethod
+    def wait(refs: list[Any], *, num_returns: int, timeout: float) -> tuple[list[Any], list[Any]]:
+        return refs[:num_returns], refs[num_returns:]
+
+    @staticmethod
+    def get(ref: Any) -> Any:
+        return ref.value
+
+    @staticmethod
+    def kill(actor: Any) -> None:
+        del actor
+
+
+class Ref:
+    """A reference to what is known already."""
+
+    def __init__(self, value: Any) -> None:
+        self.value = value
+
+
+def driver(workers: int, shards: int) -> dict[str, float]:
+    """Milliseconds of the driver for each shard with so many workers: feeding, waiting, storing rows and receipt."""
+    from collections import deque
+
+    from runs import rows
+
+    from r2h_batch.results.writing import ShardWriter
+    from r2h_batch.sweep.cluster import Pool, _feed  # the loop alone: no public way goes round Ray itself
+
+    size = 1000
+    with tempfile.TemporaryDirectory() as temporary:
+        run = open_folder(Path(temporary) / "run", size * shards, size)
+
+        def answer(shard: Any) -> tuple[ShardWriter, float]:
+            writer = ShardWriter()
+            writer.append(trials=rows(shard.first, shard.last, size * shards // 2))
+            return writer, 1.0
+
+        todo, making = deque((METHODS[0], s) for s in run.todo(METHODS[0])), [0.0]
+
+        def timed(shard: Any) -> Any:
+            begin = time.perf_counter()
+            answered = answer(shard)
+            making[0] += time.perf_counter() - begin
+            return answered
+
+        ray = Ray(run.header, timed)
+        setting: Any = SimpleNamespace(header=run.header)
+        pool = Pool(ray, ray.actor)
+        start = time.perf_counter()
+        _feed(pool, workers, todo, run, setting, lambda: False, lambda n: None)
+        return {"ms_per_shard": 1e3 * (time.perf_counter() - start - making[0]) / shards}
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("--trials", type=int, nargs="+", default=[2_000_000, 20_000_000], help="sizes, small to large")
+    parser.add_argument("--shard-trials", type=int, default=100_000)
+    parser.add_argument("--workers", type=int, nargs="*", default=[10, 100, 1000])
+    parser.add_argument("--shards", type=int, default=2000, help="for the driver's work")
+    parser.add_argument("--folder", type=Path, help="where the run folders are made (default: a temporary folder)")
+    parser.add_argument("--step", choices=STEPS, help="run one step only and print its figures as JSON")
+    given = parser.parse_args()
+    if given.step:
+        figures = STEPS[given.step](given.folder, given.trials[0], given.shard_trials)
+        own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(json.dumps({"peak_mib": own, **figures}))
+        return
+    report_ = Report()
+    seconds: dict[tuple[int, str], float] = {}
+    with tempfile.TemporaryDirectory(dir=given.folder) as temporary:
+        for trials in given.trials:
+            folder = Path(temporary) / str(trials)
+            for step in STEPS:
+                line = [sys.executable, __file__, "--step", step, "--folder", str(folder), "--trials", str(trials)]
+                line += ["--shard-trials", str(given.shard_trials)]
+                done = subprocess.run(line, check=True, stdout=subprocess.PIPE, text=True, cwd=ROOT)
+                for name, value in json.loads(done.stdout.splitlines()[-1]).items():
+                    report_.add(f"growth.{trials}.{step}_{name}", value)
+                    seconds[trials, step] = value if name == "seconds" else seconds.get((trials, step), 0.0)
+    first, last = given.trials[0], given.trials[-1]
+    if last > first:
+        for step in STEPS:
+            share = seconds[last, step] / seconds[first, step] / (last / first)
+            report_.add(f"growth.{step}_times_its_share", share)
+            report_.add(f"growth.{step}_linear", share <= LINEAR)
+    for workers in given.workers:  # last: a process's peak memory starts at that of the one which started it
+        for name, value in driver(workers, given.shards).items():
+            report_.add(f"growth.driver_{workers}_workers_{name}", value)
+    report_.write(given.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Bodies, GJK, surfaces: distances between shapes."""

@@ -1,0 +1,1 @@
+"""Closing the gripper on an object."""

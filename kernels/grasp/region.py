@@ -1,0 +1,298 @@
+"""Clearance between gripper primitives and a triangle surface: the least signed distance of its points.
+
+The signed distance of a point to a primitive is its distance outside and minus its depth (distance to the nearest face)
+inside. Over a solid the least value is found on its surface, unless the primitive's middle is buried in it: then it is
+minus the primitive's inner radius. Depths are thus lower bounds on how far the bodies would have to be moved apart.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.body import BOX, HULL, SPHERE, Body
+from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.primitives import TOUCH_M, eroded, inner_radius, signed_distance
+from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose, line_hit, may_hit
+from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
+
+wp.set_module_options({"enable_backward": False})
+
+DEPTH_M = wp.constant(5.0e-6)
+
+
+@wp.func
+def triangle_clearance(
+    points: wp.array(dtype=wp.vec3), tri: int, kind: int, size: wp.vec3, R: wp.mat33, p: wp.vec3, best: float
+) -> float:
+    """Least signed distance of a triangle's points to a primitive, or something >= best if it is not below `best`.
+
+    R, p take the triangle to the primitive's frame. Apart, the distance is GJK's. Where they meet, the triangle is at least
+    d deep exactly when it meets the primitive eroded by d: bisection on d between what is known and what can be.
+    """
+    u = R * points[3 * tri] + p
+    v = R * points[3 * tri + 1] + p
+    w = R * points[3 * tri + 2] + p
+    # a ball about the triangle decides most
+    middle = (u + v + w) / 3.0
+    r = wp.sqrt(wp.max(wp.length_sq(u - middle), wp.max(wp.length_sq(v - middle), wp.length_sq(w - middle))))
+    least = signed_distance(kind, size, middle) - r  # no point of the triangle is nearer
+    clearance = float(least)
+    if least < best:
+        # its corners are points of it too
+        clearance = wp.min(
+            wp.min(best, signed_distance(kind, size, u)),
+            wp.min(signed_distance(kind, size, v), signed_distance(kind, size, w)),
+        )
+        depth = wp.max(-clearance, 0.0)
+        probe = wp.where(depth > 0.0, depth + DEPTH_M, 0.0)  # known to be `depth` deep: is it any deeper?
+        high = wp.min(inner_radius(kind, size), -least)
+        if probe > 0.0 and probe >= high:
+            return clearance
+        a = Body()
+        a.kind = HULL
+        a.start = 3 * tri
+        a.count = 3
+        d = gjk(a, R, p, points, eroded(kind, size, probe), points, p - middle, wp.max(clearance, 0.0), 0.0)
+        if d.upper > TOUCH_M:
+            if probe == 0.0:
+                clearance = wp.min(clearance, d.lower)
+        else:
+            low = float(probe)
+            while high - low > DEPTH_M:
+                half = 0.5 * (low + high)
+                d = gjk(a, R, p, points, eroded(kind, size, half), points, p - middle, 0.0, 0.0)
+                if d.upper <= TOUCH_M:
+                    low = half
+                else:
+                    high = half
+            clearance = -low
+    return clearance
+
+
+@wp.func
+def _in_box(surfaces: Surfaces, s: int, x: wp.vec3) -> bool:
+    """Whether x (object frame) lies in surface s's bounding box."""
+    low = surfaces.low[s]
+    high = surfaces.high[s]
+    return x[0] > low[0] and x[0] < high[0] and x[1] > low[1] and x[1] < high[1] and x[2] > low[2] and x[2] < high[2]
+
+
+@wp.func
+def _inside(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: wp.vec3) -> bool:
+    """Whether x (ee frame) lies inside closed surface s; R, t: object to ee frame."""
+    rx = wp.vec3(R[0, 0], R[0, 1], R[0, 2])
+    rz = wp.vec3(R[2, 0], R[2, 1], R[2, 2])
+    # crossings of the half line from x along -y: 0 outside a closed surface
+    winding = int(0)
+    for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
+        ball = surfaces.node_sphere[node]
+        at = center(ball)
+        if wp.abs(wp.dot(rx, at) + t[0] - x[0]) <= ball[3] and wp.abs(wp.dot(rz, at) + t[2] - x[2]) <= ball[3]:
+            for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
+                ball = surfaces.leaf_sphere[leaf]
+                at = center(ball)
+                if wp.abs(wp.dot(rx, at) + t[0] - x[0]) <= ball[3] and wp.abs(wp.dot(rz, at) + t[2] - x[2]) <= ball[3]:
+                    for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
+                        if not may_hit(surfaces, tri, rz, x[2] - t[2]):
+                            continue
+                        a = R * surfaces.points[3 * tri] + t
+                        b = R * surfaces.points[3 * tri + 1] + t
+                        c = R * surfaces.points[3 * tri + 2] + t
+                        hit, y = line_hit(a, b, c, x[0], x[2])
+                        if y < x[1]:
+                            winding += hit
+    return winding != 0
+
+
+@wp.func
+def _box_half(kind: int, size: wp.vec3, R: wp.mat33) -> wp.vec3:
+    """Half sides of a box along the outer axes that holds a primitive turned by R; a little more, for rounding."""
+    h = wp.vec3(1.0e-6, 1.0e-6, 1.0e-6)
+    for k in range(3):
+        if kind == BOX:
+            h[k] += wp.abs(R[k, 0]) * size[0] + wp.abs(R[k, 1]) * size[1] + wp.abs(R[k, 2]) * size[2]
+        elif kind != SPHERE:
+            h[k] += wp.abs(R[k, 2]) * size[1] + size[0]
+        else:
+            h[k] += size[0]
+    return h
+
+
+@wp.func
+def _near_groups(
+    low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), x: wp.vec3, radius: float, mask: wp.array(dtype=int)
+) -> int:
+    """Bits of the primitives whose group's box is nearer than `radius` to x (ee frame)."""
+    near = int(0)
+    for g in range(3):
+        a = low[g] - x
+        b = x - high[g]
+        d = wp.vec3(wp.max(wp.max(a[0], b[0]), 0.0), wp.max(wp.max(a[1], b[1]), 0.0), wp.max(wp.max(a[2], b[2]), 0.0))
+        if wp.dot(d, d) < radius * radius:
+            near = near | mask[g]
+    return near
+
+
+@wp.func
+def _place_primitives(
+    gripper: Gripper,
+    used: int,
+    drive: float,
+    R_ee_obj: wp.mat33,
+    t_ee_obj: wp.vec3,
+    trial: int,
+    R_out: wp.array2d(dtype=wp.mat33),
+    p_out: wp.array2d(dtype=wp.vec3),
+    low_out: wp.array(dtype=wp.vec3),
+    high_out: wp.array(dtype=wp.vec3),
+    mask_out: wp.array(dtype=int),
+):
+    """Writes the poses object to primitive frame; boxes (ee frame) and bits of the body's and each finger's primitives."""
+    for g in range(3):
+        low_out[g] = wp.vec3(1.0e30, 1.0e30, 1.0e30)
+        high_out[g] = wp.vec3(-1.0e30, -1.0e30, -1.0e30)
+    for i in range(gripper.kind.shape[0]):
+        R, p = finger_pose(gripper, i, drive)
+        if (used >> i) & 1 != 0:
+            g = int(gripper.side[i]) + 1
+            half = _box_half(gripper.kind[i], gripper.size[i], R)
+            low_out[g] = wp.min(low_out[g], p - half)
+            high_out[g] = wp.max(high_out[g], p + half)
+            mask_out[g] = mask_out[g] | (1 << i)
+        R_out[trial, i] = wp.transpose(R) * R_ee_obj
+        p_out[trial, i] = wp.transpose(R) * (t_ee_obj - p)
+
+
+@wp.func
+def _most_buried(
+    gripper: Gripper,
+    used: int,
+    drive: float,
+    surfaces: Surfaces,
+    s: int,
+    R_ee_obj: wp.mat33,
+    t_ee_obj: wp.vec3,
+    best: float,
+):
+    """`best` or, when less, minus the inner radius of a primitive whose middle lies in the solid; which one, or -1."""
+    witness = int(-1)
+    for i in range(gripper.kind.shape[0]):
+        if (used >> i) & 1 != 0:
+            _, p = finger_pose(gripper, i, drive)
+            x = wp.transpose(R_ee_obj) * (p - t_ee_obj)
+            r = inner_radius(gripper.kind[i], gripper.size[i])
+            if -r < best and _in_box(surfaces, s, x) and _inside(surfaces, s, R_ee_obj, t_ee_obj, p):
+                best = -r
+                witness = i
+    return best, witness
+
+
+@wp.func
+def _leaf_clearance(
+    gripper: Gripper,
+    surfaces: Surfaces,
+    leaf: int,
+    near: int,
+    trial: int,
+    R: wp.array2d(dtype=wp.mat33),
+    p: wp.array2d(dtype=wp.vec3),
+    best: float,
+    witness: int,
+):
+    """`best` and `witness` after a leaf's triangles and the primitives in bit mask `near`."""
+    ball = surfaces.leaf_sphere[leaf]
+    for i in range(gripper.kind.shape[0]):
+        if (near >> i) & 1 != 0:
+            Ri = R[trial, i]
+            pi = p[trial, i]
+            kind = gripper.kind[i]
+            size = gripper.size[i]
+            if signed_distance(kind, size, Ri * center(ball) + pi) - ball[3] < best:
+                for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
+                    d = triangle_clearance(surfaces.points, tri, kind, size, Ri, pi, best)
+                    if d < best:
+                        best = d
+                        witness = i
+    return best, witness
+
+
+# Branch and bound over a surface in two levels of bounding spheres (nodes, their leaves, triangles). A primitive's signed
+# distance f never changes faster than the point it is asked at, so |f(x) - f(c)| <= r for every x of a sphere (c, r): what
+# has f(c) - r >= best holds nothing nearer than `best`. In this order, as each lowers `best` for the next:
+#
+# 1. primitives that lie in the solid: the depth of their cores (`_most_buried`);
+# 2. one vertex of every node: an upper bound that spares most triangles;
+# 3. nodes by groups of primitives (chassis, each finger) with a box about each, then by primitive, then their leaves.
+#
+# A primitive's frame (object to primitive) is needed for every sphere: it is written once to the scratch arrays.
+@wp.kernel
+def primitives_clearance(
+    first: int,
+    # tables
+    gripper: Gripper,
+    surfaces: Surfaces,
+    surface_offset: int,
+    used: int,
+    solid: int,
+    cap: float,
+    # trials
+    T_obj_ee_in: wp.array(dtype=wp.mat44),
+    object_index_in: wp.array(dtype=wp.int32),
+    opening_in: wp.array(dtype=wp.float32),
+    # scratch: (B, G) object to primitive frame
+    R_scratch: wp.array2d(dtype=wp.mat33),
+    p_scratch: wp.array2d(dtype=wp.vec3),
+    # out
+    clearance_out: wp.array(dtype=wp.float32),
+    witness_out: wp.array(dtype=wp.int32),
+):
+    """Least clearance (m) of the primitives in bit mask `used` at each trial's opening, and which one has it.
+
+    Exact below `cap`; `cap` and -1 beyond. The surface is object_index + surface_offset; `solid` counts its inside too.
+
+    Branch and bound. `best` starts at the cap and falls: with primitives buried in the solid, with one point of every
+    node, and then with the triangles of nodes and leaves whose sphere a primitive may come nearer to than `best`.
+    """
+    trial = first + wp.tid()
+    s = object_index_in[trial] + surface_offset
+    R_ee_obj, t_ee_obj = inverse_pose(T_obj_ee_in[trial])
+    drive = drive_from_gap(gripper, opening_in[trial])
+    best = float(cap)
+    witness = int(-1)
+    count = gripper.kind.shape[0]
+    # boxes (ee frame) around the body's and each finger's primitives: most of the surface is far from all three
+    low = wp.zeros(shape=3, dtype=wp.vec3)
+    high = wp.zeros(shape=3, dtype=wp.vec3)
+    mask = wp.zeros(shape=3, dtype=int)
+    _place_primitives(gripper, used, drive, R_ee_obj, t_ee_obj, trial, R_scratch, p_scratch, low, high, mask)
+    if solid != 0:
+        best, witness = _most_buried(gripper, used, drive, surfaces, s, R_ee_obj, t_ee_obj, best)
+    # some points first: a small `best` spares most triangles
+    for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
+        x = surfaces.points[3 * surfaces.leaf_first[surfaces.node_first[node]]]
+        ball = surfaces.node_sphere[node]
+        around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)
+        if around == 0:
+            continue
+        for i in range(count):
+            if (around >> i) & 1 != 0:
+                d = signed_distance(gripper.kind[i], gripper.size[i], R_scratch[trial, i] * x + p_scratch[trial, i])
+                if d < best:
+                    best = d
+                    witness = i
+    for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
+        near = int(0)
+        ball = surfaces.node_sphere[node]
+        around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)
+        if around == 0:
+            continue
+        for i in range(count):
+            if (around >> i) & 1 != 0:
+                x = R_scratch[trial, i] * center(ball) + p_scratch[trial, i]
+                if signed_distance(gripper.kind[i], gripper.size[i], x) - ball[3] < best:
+                    near = near | (1 << i)
+        if near != 0:
+            for leaf in range(surfaces.node_first[node], surfaces.node_first[node + 1]):
+                best, witness = _leaf_clearance(
+                    gripper, surfaces, leaf, near, trial, R_scratch, p_scratch, best, witness
+                )
+    clearance_out[trial] = best
+    witness_out[trial] = witness

@@ -1,0 +1,249 @@
+"""The goal posture of a handover pose: which branch the planner would go to first, how clear it is, how near the hand's mesh."""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.hand_mesh import HandMesh
+from r2h_batch.kernels.judge.safe import posture_distance
+from r2h_batch.kernels.plan.codes import (
+    BRANCHES,
+    FREE,
+    PAIR_NONE,
+    PAIR_SELF,
+    POSTURE,
+    REASON_IK_IN_COLLISION,
+    REASON_IK_UNREACHABLE,
+    REASON_NOT_EVALUATED,
+    REASON_OK,
+    REASON_START_IN_COLLISION,
+)
+from r2h_batch.kernels.plan.edge import edge
+from r2h_batch.kernels.plan.posture import PairClearance, posture_clearance
+from r2h_batch.kernels.robot.posture import load
+from r2h_batch.kernels.robot.world import WRIST_3, TrialBodies, World, vec6
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
+
+TIE_M = wp.constant(1.0e-5)
+"""Branches that differ by less are equal (the hand mostly meets gripper and object, which stand alike in all): the first."""
+
+
+@wp.func
+def _nearest_untried(q_in: wp.array2d(dtype=float), trial: int, home: vec6, tried: int):
+    """The branch nearest to home among those whose bit of `tried` is not set; -1: none is left.
+
+    Distances in float64, as the planner sorts its goals: ties fall the same way.
+    """
+    slot = int(-1)
+    least = wp.float64(1e300)
+    for k in range(BRANCHES):
+        if (tried >> k) & 1 == 0:
+            d = wp.float64(0.0)
+            for j in range(6):
+                e = wp.float64(q_in[trial * BRANCHES + k, j] - home[j])
+                d += e * e
+            if d < least:
+                least = d
+                slot = k
+    return slot
+
+
+# The planner goes to the free branch that is nearest to home (joint space), and says what blocks the first valid one if
+# none is free. The same without a path, in one loop around one call of `edge` (inlined, it is most of the kernel):
+#
+# 1. the posture asked for first is home itself (slot -1). If it is not free, no path starts: that reason stands, and the
+#    branches are still tried, as the goal's clearance is measured at whichever is free;
+# 2. then the valid branches by distance from home, until one is free;
+# 3. `tried` has a bit per branch that is done with: invalid ones from the start, others once they were asked. When no bit
+#    is left the reason stays what it was: unreachable without any valid branch, else in collision.
+@wp.kernel
+def choose_goal(
+    first: int,
+    # tables
+    world: World,
+    bodies: TrialBodies,
+    home_in: wp.array2d(dtype=float),  # (1, 6)
+    # trials
+    active_in: wp.array(dtype=wp.bool),  # (B,)
+    valid_in: wp.array2d(dtype=wp.bool),  # (B, 8)
+    q_in: wp.array2d(dtype=float),  # (B * 8, 6)
+    # out
+    reason_out: wp.array(dtype=int),
+    pair_out: wp.array(dtype=int),
+    slot_out: wp.array(dtype=int),
+):
+    """PlanReason as far as it is known without a path, the pair that blocks, and the free branch nearest to home (or -1).
+
+    Branches are tried in the planner's order until one is free; the test is the planner's own (edge, POSTURE).
+    """
+    trial = first + wp.tid()
+    slot_out[trial] = -1
+    pair_out[trial] = PAIR_NONE
+    if not active_in[trial]:
+        reason_out[trial] = REASON_NOT_EVALUATED
+        return
+    home = load(home_in, 0)
+    tried = int(0)  # bit k: branch k is done with
+    first_valid = int(-1)
+    for k in range(BRANCHES):
+        if not valid_in[trial, k]:
+            tried = tried | (1 << k)
+        elif first_valid < 0:
+            first_valid = k
+    reason = int(REASON_IK_IN_COLLISION)
+    if first_valid < 0:
+        reason = REASON_IK_UNREACHABLE
+    slot = int(-1)  # home itself comes first
+    q = home
+    running = bool(True)
+    while running:
+        found = edge(world, bodies, trial, q, q, 0.0, 0.0, 0.0, 0.0, POSTURE, 0)
+        if slot < 0:
+            if found.status != FREE:
+                reason = REASON_START_IN_COLLISION
+                pair_out[trial] = found.pair
+        elif found.status == FREE:
+            slot_out[trial] = slot
+            if reason == REASON_IK_IN_COLLISION:
+                reason = REASON_OK
+                pair_out[trial] = PAIR_NONE
+            running = False
+        elif slot == first_valid and reason == REASON_IK_IN_COLLISION:
+            pair_out[trial] = found.pair  # what blocks the first valid branch stands for all, as in the planner
+        if running:
+            slot = _nearest_untried(q_in, trial, home, tried)
+            if slot < 0:
+                running = False
+            else:
+                tried = tried | (1 << slot)
+                q = load(q_in, trial * BRANCHES + slot)
+    reason_out[trial] = reason
+
+
+@wp.kernel
+def goal_clearance(
+    first: int,
+    cap: float,
+    # tables
+    world: World,
+    hull_ball: wp.array(dtype=wp.vec4),
+    bodies: TrialBodies,
+    home_in: wp.array2d(dtype=float),  # (1, 6)
+    # trials
+    reason_in: wp.array(dtype=int),  # (B,)
+    valid_in: wp.array2d(dtype=wp.bool),  # (B, 8)
+    q_in: wp.array2d(dtype=float),  # (B * 8, 6)
+    residual_in: wp.array(dtype=float),  # of unreachable targets
+    # in and out; out
+    pair_out: wp.array(dtype=int),  # of free goals: the nearest pair
+    slot_inout: wp.array(dtype=int),  # the free branch, or -1: then the one with the largest clearance is put here
+    q_goal_inout: wp.array2d(dtype=float),  # (B, 6) unreachable targets: the nearest posture, already here
+    clearance_out: wp.array(dtype=float),
+    nearest_out: wp.array(dtype=int),  # the nearest pair, of colliding goals too
+    body_out: wp.array(dtype=int),
+    other_out: wp.array(dtype=int),
+    push_out: wp.array(dtype=wp.vec3),  # world frame
+    point_out: wp.array(dtype=wp.vec3),
+):
+    """Clearance of the goal posture (a start in collision: of home), its witness, and the goal posture itself.
+
+    Above 0 exactly where the reason is REASON_OK; unreachable targets have minus their residual.
+
+    One loop, with one call of `posture_clearance`, over the postures that count: the chosen branch where one is free;
+    else all valid branches, the largest clearance of which is kept (by more than TIE_M: the first of equal ones); after
+    the branches home. A branch that has to beat a known overlap is looked at twice: first only for overlaps at least as
+    deep (`cap` = that depth), which is quick and mostly enough to drop it, then for its exact clearance.
+    """
+    trial = first + wp.tid()
+    reason = reason_in[trial]
+    body_out[trial] = -1
+    other_out[trial] = -1
+    nearest_out[trial] = PAIR_NONE
+    if reason == REASON_NOT_EVALUATED:
+        return
+    R = wp.zeros(shape=7, dtype=wp.mat33)
+    p = wp.zeros(shape=7, dtype=wp.vec3)
+    chosen = slot_inout[trial]
+    best = PairClearance()
+    best.clearance = -1.0e30
+    best.body = -1
+    best.other = -1
+    settled = bool(False)
+    for step in range(BRANCHES + 1):  # the last one is home, for starts in collision
+        wanted = step == chosen
+        if step < BRANCHES and chosen < 0:
+            wanted = valid_in[trial, step] and not settled
+        floor = best.clearance + TIE_M
+        q = vec6()
+        if step == BRANCHES:
+            wanted = reason == REASON_START_IN_COLLISION
+            floor = float(-1.0e30)
+            q = load(home_in, 0)
+        else:
+            q = load(q_in, trial * BRANCHES + step)
+        # a first look for something deeper than the best branch's margin, then everything
+        attempt = wp.where(floor > -1.0e29 and floor < 0.0, 0, 1)
+        while wanted and attempt < 2:
+            look = wp.where(attempt == 0, floor, cap)
+            found = posture_clearance(world, hull_ball, bodies, trial, q, look, floor, R, p)
+            wanted = found.clearance >= look or attempt == 1
+            attempt += 1
+            if wanted and attempt == 2 and (found.clearance > floor or step == BRANCHES):
+                best = found
+                if step < BRANCHES:
+                    slot_inout[trial] = step
+                # what rides on the wrist meets hand and table alike in every branch: none can be better
+                if best.clearance < 0.0 and best.pair % PAIR_SELF != 0 and best.body >= world.link_first[WRIST_3]:
+                    settled = True
+    if slot_inout[trial] >= 0:
+        for j in range(6):
+            q_goal_inout[trial, j] = q_in[trial * BRANCHES + slot_inout[trial], j]
+    clearance = best.clearance
+    if reason == REASON_OK:
+        clearance = wp.max(clearance, 1.0e-7)
+        pair_out[trial] = best.pair
+    elif reason == REASON_IK_UNREACHABLE:
+        clearance = -residual_in[trial]
+    else:
+        clearance = wp.min(clearance, -1.0e-6)
+    clearance_out[trial] = clearance
+    body_out[trial] = best.body
+    other_out[trial] = best.other
+    nearest_out[trial] = best.pair
+    R_world_hand = wp.transpose(bodies.R_hand_world[trial])
+    push_out[trial] = R_world_hand * best.push
+    point_out[trial] = R_world_hand * (best.point - bodies.p_hand_world[trial])
+
+
+@wp.kernel
+def goal_safe_distance(
+    first: int,
+    cap: float,
+    world: World,
+    mesh: HandMesh,
+    bodies: TrialBodies,
+    # trials
+    active_in: wp.array(dtype=wp.bool),  # (B,)
+    q_in: wp.array2d(dtype=float),  # (B, 6)
+    # out
+    distance_out: wp.array(dtype=float),
+    body_out: wp.array(dtype=int),
+    point_out: wp.array(dtype=wp.vec3),  # world frame
+):
+    """Signed distance of the robot to the hand's exact mesh at one posture: exact below `cap`, an overlap bound below 0."""
+    trial = first + wp.tid()
+    distance_out[trial] = cap
+    body_out[trial] = -1
+    if not active_in[trial]:
+        return
+    R = wp.zeros(shape=7, dtype=wp.mat33)
+    p = wp.zeros(shape=7, dtype=wp.vec3)
+    tri = wp.zeros(shape=3, dtype=wp.vec3)
+    w = wp.zeros(shape=7, dtype=wp.vec3)
+    v = wp.zeros(shape=7, dtype=wp.vec3)
+    mask = wp.zeros(shape=1, dtype=wp.uint64)
+    mask[0] = (wp.uint64(1) << wp.uint64(world.n_robot)) - wp.uint64(1)
+    found = posture_distance(world, mesh, bodies, trial, load(q_in, trial), vec6(), cap, 0.0, mask, R, p, w, v, tri)
+    distance_out[trial] = found.distance
+    body_out[trial] = found.body
+    if found.body >= 0:
+        point_out[trial] = wp.transpose(bodies.R_hand_world[trial]) * (found.point - bodies.p_hand_world[trial])

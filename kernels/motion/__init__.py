@@ -1,0 +1,1 @@
+"""The time law and the queue of worlds."""

@@ -1,0 +1,263 @@
+"""What a simulated world does around each step: take its command, record, note what went wrong, go on to the next trial.
+
+Worlds are refilled: one that has finished its trial loads the next one's object and hand and starts it, so that all stay
+busy until the queue is empty. Which world a trial runs in makes no difference to it.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.motion.time_law import Law, servo_command
+
+wp.set_module_options({"enable_backward": False})
+
+IDLE = wp.constant(-1)
+OVERFLOW = wp.constant(1)
+NOT_FINITE = wp.constant(2)
+
+
+@wp.struct
+class Shapes:
+    """What a geom has with each mesh of the model; which geoms have a mesh of the trial's."""
+
+    geom: wp.array(dtype=int)
+    size: wp.array(dtype=wp.vec3)
+    aabb: wp.array2d(dtype=wp.vec3)  # (meshes, 2)
+    rbound: wp.array(dtype=float)
+    pos: wp.array(dtype=wp.vec3)
+    quat: wp.array(dtype=wp.quat)
+
+
+@wp.struct
+class Queue:
+    """n trials in the order they are started: row of the batch, steps, start (rad), and what they put into the scene."""
+
+    n: int
+    row: wp.array(dtype=int)
+    steps: wp.array(dtype=int)
+    start: wp.array2d(dtype=float)  # (n, nq)
+    hold: wp.array2d(dtype=float)  # (n, nu - 6)
+    pos: wp.array(dtype=wp.vec3)
+    quat: wp.array(dtype=wp.quat)
+    ipos: wp.array(dtype=wp.vec3)
+    iquat: wp.array(dtype=wp.quat)
+    mass: wp.array(dtype=float)
+    inertia: wp.array(dtype=wp.vec3)
+    subtreemass: wp.array2d(dtype=float)
+    dof_invweight: wp.array2d(dtype=float)
+    body_invweight: wp.array2d(dtype=wp.vec2)
+    mesh: wp.array2d(dtype=int)  # (n, geoms of Shapes)
+    hand_pos: wp.array(dtype=wp.vec3)
+    hand_quat: wp.array(dtype=wp.quat)
+
+
+@wp.struct
+class Worlds:
+    """Per world: the trial it runs (its place in the queue, IDLE: none), steps done, state before the step."""
+
+    slot: wp.array(dtype=int)
+    step: wp.array(dtype=int)
+    qpos: wp.array2d(dtype=float)
+    qvel: wp.array2d(dtype=float)
+    taken: wp.array(dtype=int)  # (1,) trials that were started
+    left: wp.array(dtype=int)  # (1,) trials that are not finished
+
+
+@wp.struct
+class Fields:
+    """Fields of mujoco-warp's Model and Data, one row per world."""
+
+    body_pos: wp.array2d(dtype=wp.vec3)
+    body_quat: wp.array2d(dtype=wp.quat)
+    body_ipos: wp.array2d(dtype=wp.vec3)
+    body_iquat: wp.array2d(dtype=wp.quat)
+    body_mass: wp.array2d(dtype=float)
+    body_inertia: wp.array2d(dtype=wp.vec3)
+    body_subtreemass: wp.array2d(dtype=float)
+    body_invweight0: wp.array2d(dtype=wp.vec2)
+    dof_invweight0: wp.array2d(dtype=float)
+    geom_dataid: wp.array2d(dtype=int)
+    geom_size: wp.array2d(dtype=wp.vec3)
+    geom_aabb: wp.array3d(dtype=wp.vec3)
+    geom_rbound: wp.array2d(dtype=float)
+    geom_pos: wp.array2d(dtype=wp.vec3)
+    geom_quat: wp.array2d(dtype=wp.quat)
+    mocap_pos: wp.array2d(dtype=wp.vec3)
+    mocap_quat: wp.array2d(dtype=wp.quat)
+    qpos: wp.array2d(dtype=float)
+    qvel: wp.array2d(dtype=float)
+    ctrl: wp.array2d(dtype=float)
+    qacc_warmstart: wp.array2d(dtype=float)
+    nacon: wp.array(dtype=int)
+    ncollision: wp.array(dtype=int)
+    nefc: wp.array(dtype=int)
+    overflow: wp.array(dtype=int)
+    naconmax: int
+    njmax: int
+
+
+@wp.struct
+class Fingers:
+    """Levers of the gripper's moving parts (m): driver, pin about the driver's pivot, inner finger, inner knuckle."""
+
+    driver: float
+    pin_arm: float
+    pin: float
+    inner_knuckle: float
+
+
+@wp.struct
+class Record:
+    """What is kept of n trials."""
+
+    q: wp.array3d(dtype=float)  # (n, W, 6)
+    acceleration: wp.array2d(dtype=float)  # (n, 6)
+    sway: wp.array(dtype=float)  # (n,)
+    failed: wp.array(dtype=int)  # (n,) OVERFLOW, NOT_FINITE
+    state: wp.array2d(dtype=float)  # (n, nq + nv) before the first step that was not finite, else after the last
+
+
+@wp.func
+def start_next(worlds: Worlds, queue: Queue, shapes: Shapes, fields: Fields, w: int, record: Record):
+    """Puts the next trial of the queue into a world."""
+    # whichever world is free first takes the next trial
+    slot = wp.atomic_add(worlds.taken, 0, 1)
+    if slot >= queue.n:
+        worlds.slot[w] = IDLE
+        return
+    worlds.slot[w] = slot
+    worlds.step[w] = 0
+    fields.overflow[w] = 0  # the simulator only ever adds to it
+    body = fields.body_pos.shape[1] - 1
+    fields.body_pos[w, body] = queue.pos[slot]
+    fields.body_quat[w, body] = queue.quat[slot]
+    fields.body_ipos[w, body] = queue.ipos[slot]
+    fields.body_iquat[w, body] = queue.iquat[slot]
+    fields.body_mass[w, body] = queue.mass[slot]
+    fields.body_inertia[w, body] = queue.inertia[slot]
+    for b in range(body + 1):
+        fields.body_subtreemass[w, b] = queue.subtreemass[slot, b]
+        fields.body_invweight0[w, b] = queue.body_invweight[slot, b]
+    # geoms whose mesh depends on the trial
+    for k in range(shapes.geom.shape[0]):
+        g = shapes.geom[k]
+        mesh = queue.mesh[slot, k]
+        fields.geom_dataid[w, g] = mesh
+        fields.geom_size[w, g] = shapes.size[mesh]
+        fields.geom_aabb[w, g, 0] = shapes.aabb[mesh, 0]
+        fields.geom_aabb[w, g, 1] = shapes.aabb[mesh, 1]
+        fields.geom_rbound[w, g] = shapes.rbound[mesh]
+        fields.geom_pos[w, g] = shapes.pos[mesh]
+        fields.geom_quat[w, g] = shapes.quat[mesh]
+    for k in range(fields.mocap_pos.shape[1]):
+        fields.mocap_pos[w, k] = queue.hand_pos[slot]
+        fields.mocap_quat[w, k] = queue.hand_quat[slot]
+    for j in range(queue.hold.shape[1]):
+        fields.ctrl[w, 6 + j] = queue.hold[slot, j]
+    for j in range(fields.qpos.shape[1]):
+        fields.dof_invweight0[w, j] = queue.dof_invweight[slot, j]
+        fields.qpos[w, j] = queue.start[slot, j]
+        worlds.qpos[w, j] = queue.start[slot, j]
+        fields.qvel[w, j] = 0.0
+        worlds.qvel[w, j] = 0.0
+        fields.qacc_warmstart[w, j] = 0.0
+    for j in range(6):
+        record.q[slot, 0, j] = queue.start[slot, j]
+
+
+@wp.kernel
+def start_worlds(worlds_inout: Worlds, queue: Queue, shapes: Shapes, fields_inout: Fields, record_out: Record):
+    """The first trial of every world."""
+    start_next(worlds_inout, queue, shapes, fields_inout, wp.tid(), record_out)
+
+
+@wp.kernel
+def command_worlds(
+    law: Law,
+    worlds_inout: Worlds,
+    queue: Queue,
+    fields_inout: Fields,
+    path_in: wp.array3d(dtype=float),
+    time_in: wp.array2d(dtype=float),
+    length_in: wp.array(dtype=int),
+    record_out: Record,
+):
+    """Before a step: the servos' commands. One that is not finite is noted: torque limits would hide it in the motion."""
+    w = wp.tid()
+    slot = worlds_inout.slot[w]
+    if slot == IDLE:
+        return
+    c = servo_command(law, path_in, time_in, length_in, queue.row[slot], wp.float64(worlds_inout.step[w]) * law.step)
+    for j in range(6):
+        fields_inout.ctrl[w, j] = float(c[j])
+        if not wp.isfinite(c[j]):
+            record_out.failed[slot] = record_out.failed[slot] | NOT_FINITE
+
+
+@wp.func
+def went_wrong(fields: Fields, w: int):
+    """Whether this step lost constraints or contacts of a world: flags are not to be trusted alone, counts are compared."""
+    lost = fields.nacon[0] > fields.naconmax or fields.ncollision[0] > fields.naconmax
+    return lost or fields.overflow[w] != 0 or fields.nefc[w] > fields.njmax
+
+
+@wp.func
+def finger_sway(fingers: Fingers, fields: Fields, drive: float, w: int):
+    """How far any point of the fingers is from where drive angle `drive` has it, at most (as SceneModel.sway)."""
+    worst = float(0.0)
+    for side in range(2):
+        j = 6 + 3 * side
+        driver = wp.abs(fields.qpos[w, j] - drive)
+        pin = wp.abs(fields.qpos[w, j] + fields.qpos[w, j + 1])
+        knuckle = wp.abs(fields.qpos[w, j + 2] - drive)
+        worst = wp.max(worst, driver * wp.max(fingers.driver, fingers.pin_arm) + pin * fingers.pin)
+        worst = wp.max(worst, knuckle * fingers.inner_knuckle)
+    return worst
+
+
+@wp.kernel
+def finish_step(
+    record_steps: int,
+    step_s: float,
+    fingers: Fingers,
+    worlds_inout: Worlds,
+    queue: Queue,
+    shapes: Shapes,
+    fields_inout: Fields,
+    record_out: Record,
+):
+    """After a step: record, note what went wrong, refill the world when its trial is over."""
+    w = wp.tid()
+    slot = worlds_inout.slot[w]
+    if slot == IDLE:
+        return
+    nq = fields_inout.qpos.shape[1]
+    step = worlds_inout.step[w] + 1
+    worlds_inout.step[w] = step
+    if went_wrong(fields_inout, w):
+        record_out.failed[slot] = record_out.failed[slot] | OVERFLOW
+    finite = bool(True)
+    for j in range(nq):
+        finite = finite and wp.isfinite(fields_inout.qpos[w, j]) and wp.isfinite(fields_inout.qvel[w, j])
+    if not finite:
+        record_out.failed[slot] = record_out.failed[slot] | NOT_FINITE
+    for j in range(6):
+        a = wp.abs(fields_inout.qvel[w, j] - worlds_inout.qvel[w, j]) / step_s
+        if a > record_out.acceleration[slot, j]:
+            record_out.acceleration[slot, j] = a
+    if nq > 6:
+        record_out.sway[slot] = wp.max(
+            record_out.sway[slot], finger_sway(fingers, fields_inout, queue.hold[slot, 0], w)
+        )
+    if finite:  # the last finite state stays where it is
+        for j in range(nq):
+            worlds_inout.qpos[w, j] = fields_inout.qpos[w, j]
+            worlds_inout.qvel[w, j] = fields_inout.qvel[w, j]
+    if step % record_steps == 0:
+        for j in range(6):
+            record_out.q[slot, step / record_steps, j] = fields_inout.qpos[w, j]
+    if step == queue.steps[slot]:
+        for j in range(nq):
+            record_out.state[slot, j] = worlds_inout.qpos[w, j]
+            record_out.state[slot, nq + j] = worlds_inout.qvel[w, j]
+        wp.atomic_sub(worlds_inout.left, 0, 1)
+        start_next(worlds_inout, queue, shapes, fields_inout, w, record_out)

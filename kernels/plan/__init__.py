@@ -1,0 +1,1 @@
+"""Paths: postures, edges, search."""

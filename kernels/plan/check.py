@@ -1,0 +1,389 @@
+"""One posture against everything: are all pairs clear, over a whole stretch of motion around it?
+
+`examine` serves three questions with one enumeration of pairs and one GJK call site:
+is this posture free (d = 0), is this stretch of an edge free (conservative advancement, see edge.py), and what is the
+smallest clearance (branch and bound, `track`). Masks carry what is already settled from a stretch to its halves: one
+64-bit word per kind of pair (hand, table, self), bit b for body b, and one bit for all hulls of the object.
+
+From the coarse to the fine, each step only for what the one before could not settle:
+
+1. a link as a whole against the ball around the hand, the table, whole links (partners.py: `link_clears_hand` ...);
+2. a body against its partners' bounding volumes: who is near at all is listed (partners.py: `pieces_near` ...);
+3. GJK for each listed pair: a certified lower bound of its distance in the middle of the stretch;
+4. if that is not enough for what the levers allow, the plane that GJK found, against where the body really goes.
+
+A body's bit is cleared when all its pairs of that kind are settled. Once a bit is known to stay set the stretch has to be
+halved anyway; then only pairs that may be too near in its very middle are still asked for (MAY_MEET): they can block.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.body import BOX, Body, support, swept_support
+from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.plan.codes import (
+    BLOCKED,
+    FREE,
+    OPEN,
+    PAIR_HAND,
+    PAIR_NONE,
+    PAIR_OF_OBJECT,
+    PAIR_SELF,
+    PAIR_TABLE,
+)
+from r2h_batch.kernels.plan.partners import (
+    MAY_MEET,
+    Mover,
+    Near,
+    Query,
+    bodies_near,
+    link_clears_hand,
+    link_clears_table,
+    links_in_reach,
+    pieces_near,
+    table_near,
+)
+from r2h_batch.kernels.robot.world import (
+    OBJECT,
+    TrialBodies,
+    World,
+    body_pose,
+    curvature,
+    forward_kinematics,
+    hull_body,
+    link_frame,
+    motion,
+    object_body,
+    robot_body,
+    twists,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+
+@wp.struct
+class Finding:
+    """FREE, BLOCKED or OPEN (undecided); the pair that blocked or is nearest, its body, and the smallest clearance."""
+
+    status: int
+    pair: int
+    body: int
+    best: float
+
+
+@wp.struct
+class Pair:
+    """A body and its partner, seen from the partner's frame: what GJK is asked, and how much the pair may travel."""
+
+    code: int
+    other: Body
+    center: wp.vec3
+    R: wp.mat33
+    p: wp.vec3
+    w: wp.vec3
+    v: wp.vec3
+    margin: float
+    travel: float
+    bend: float
+
+
+@wp.func
+def _bit(i: int):
+    return wp.uint64(1) << wp.uint64(i)
+
+
+@wp.func
+def _target(query: Query, best: float, margin: float):
+    """What a pair has to keep: its margin, or what would improve on the smallest clearance so far."""
+    return wp.where(query.track == 1, best - query.tolerance, margin)
+
+
+@wp.func
+def _mover(
+    world: World, bodies: TrialBodies, trial: int, query: Query, link: int, b: int, hull: int,
+    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    """Body b of a link, or a hull of the object."""
+    out = Mover()
+    out.link = link
+    out.body = b
+    Rb, pb = body_pose(world, bodies, trial, R, p, b)
+    out.R = Rb
+    out.p = pb
+    out.w = w[link_frame(link)]
+    out.v = v[link_frame(link)]
+    out.shape = robot_body(world, wp.min(b, world.n_robot - 1))
+    if link == OBJECT:
+        out.shape = object_body(world, hull)
+        out.c0 = Rb * world.hull_c0[hull] + pb
+        out.c1 = Rb * world.hull_c1[hull] + pb
+        out.radius = world.hull_radius[hull]
+        out.travel = motion(bodies.object_lever, trial, 0, query.d)
+        out.bend = curvature(bodies.object_lever, trial, 0, query.d)
+    else:
+        axis = Rb * world.cap_axis[b]
+        out.c0 = pb - axis
+        out.c1 = pb + axis
+        out.radius = world.cap_radius[b]
+        out.travel = motion(world.lever, b, 0, query.d)
+        out.bend = curvature(world.lever, b, 0, query.d)
+    return out
+
+
+@wp.func
+def _pair(mover: Mover):
+    """A pair whose partner stands still in the hand's frame, which is the mover's."""
+    out = Pair()
+    out.R = mover.R
+    out.p = mover.p
+    out.w = mover.w
+    out.v = mover.v
+    out.travel = mover.travel
+    out.bend = mover.bend
+    return out
+
+
+@wp.func
+def _pair_with_piece(world: World, query: Query, mover: Mover, piece: int):
+    out = _pair(mover)
+    out.code = PAIR_HAND
+    out.other = hull_body(world.piece_start, piece)
+    out.center = world.piece_center[piece]
+    out.margin = query.hand_margin
+    return out
+
+
+@wp.func
+def _pair_with_table(world: World, query: Query, mover: Mover, R_hand_world: wp.mat33, table_p: wp.vec3):
+    out = _pair(mover)
+    out.code = PAIR_TABLE
+    out.other.kind = BOX
+    out.other.size = world.table_half
+    out.margin = query.other_margin
+    Rt = wp.transpose(R_hand_world)
+    out.R = Rt * mover.R
+    out.p = Rt * (mover.p - table_p)
+    out.v = Rt * (mover.v + wp.cross(mover.w, table_p))
+    out.w = Rt * mover.w
+    return out
+
+
+@wp.func
+def _pair_with_body(
+    world: World, bodies: TrialBodies, trial: int, query: Query, mover: Mover, o: int,
+    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    out = _pair(mover)
+    out.code = PAIR_SELF
+    out.other = robot_body(world, o)
+    out.margin = query.other_margin
+    Ro, po = body_pose(world, bodies, trial, R, p, o)
+    Rt = wp.transpose(Ro)
+    out.R = Rt * mover.R
+    out.p = Rt * (mover.p - po)
+    k = world.body_link[o]
+    wr = mover.w - w[k]
+    vr = mover.v - v[k]
+    out.v = Rt * (vr + wp.cross(wr, po))
+    out.w = Rt * wr
+    if mover.link == OBJECT:
+        out.travel = motion(bodies.object_lever, trial, k, query.d)
+        out.bend = curvature(bodies.object_lever, trial, k, query.d)
+    else:
+        out.travel = motion(world.lever, mover.body, k, query.d)
+        out.bend = curvature(world.lever, mover.body, k, query.d)
+    return out
+
+
+# The steps of this file's head, over nine movers: links 0..7 of the robot (a link's bodies share its motion), and the object.
+# For each of them:
+#
+# 1. `bits`: the bodies of this link in the masks. Nothing open in any of the three kinds: on to the next;
+# 2. the link as a whole, with a bounding capsule: hand ball, table top, capsules of other links. What is clear loses all its
+#    bits of that kind at once; `self_with` keeps the links it may meet;
+# 3. each body: partners that bounding volumes cannot settle are listed in one array, pieces, then the table, then bodies,
+#    so that all pairs go through one call of GJK below: inlined, that is most of the code of every planning kernel;
+# 4. each listed pair: BLOCKED ends the function at once, for one pair that meets is enough. Otherwise it is settled, or its
+#    kind's `*_open` gets the body's bit;
+# 5. the link's bits in the masks become what is open. A caller that halves the stretch goes on with these masks.
+#
+# It stays one function: split at 3 and 4, scratch arrays and the found pair would be handed over for each body.
+@wp.func
+def examine(
+    world: World,
+    bodies: TrialBodies,
+    trial: int,
+    query: Query,
+    best: float,
+    masks: wp.array(dtype=wp.uint64),  # hand, table, self: bit = body still to be settled; cleared here
+    R: wp.array(dtype=wp.mat33),  # (7,) scratch: link frames
+    p: wp.array(dtype=wp.vec3),
+    w: wp.array(dtype=wp.vec3),  # (7,) scratch: link twists
+    v: wp.array(dtype=wp.vec3),
+    partner: wp.array(dtype=int),  # (MAX_PARTNERS,) scratch
+):
+    """What is known of the stretch after looking at its middle: FREE, BLOCKED by a pair, or OPEN; the masks say what is open.
+
+    A pair has to keep `target`: its margin, or with `track` what would improve on the smallest clearance so far. BLOCKED:
+    it is nearer than that in the middle. Settled: it is farther than `target` plus what it may travel.
+    """
+    out = Finding()
+    out.status = FREE
+    out.pair = PAIR_NONE
+    out.body = -1
+    out.best = best
+    R_hand_world = bodies.R_hand_world[trial]
+    p_hand_world = bodies.p_hand_world[trial]
+    forward_kinematics(world, R_hand_world, p_hand_world, query.q, R, p)
+    moving = wp.dot(query.d, query.d) > 0.0
+    if moving:
+        twists(query.d, R, p, w, v)
+    hand = bodies.hand[trial]
+    hand_center = world.hand_center[hand]
+    hand_radius = world.hand_radius[hand]
+    up = wp.vec3(R_hand_world[0, 2], R_hand_world[1, 2], R_hand_world[2, 2])  # world z in the hand frame
+    table_p = R_hand_world * world.table_center + p_hand_world
+    first_hull = world.hull_first[bodies.object[trial]]
+    n_hulls = world.hull_first[bodies.object[trial] + 1] - first_hull
+    # GJK may stop 5 % short of the distance where a shorter stretch asks again
+    gap = wp.where(query.track == 1, 0.0, wp.where(moving, 0.05, 0.0))
+
+    for link in range(9):
+        lo = int(world.n_robot)
+        hi = int(world.n_robot + n_hulls)
+        if link < OBJECT:
+            lo = world.link_first[link]
+            hi = world.link_first[link + 1]
+        # bits of this link's bodies; all hulls of the object share one
+        bits = wp.uint64(0)
+        if link == OBJECT:
+            bits = _bit(world.n_robot)
+        else:
+            bits = (_bit(hi) - _bit(0)) & ~(_bit(lo) - _bit(0))
+        hand_on = (masks[0] & bits) != wp.uint64(0)
+        table_on = (masks[1] & bits) != wp.uint64(0)
+        self_on = (masks[2] & bits) != wp.uint64(0)
+        self_with = int(0)
+        if not (hand_on or table_on or self_on):
+            continue
+        if link < OBJECT:  # the link as a whole first
+            k = link_frame(link)
+            c0 = R[k] * world.link_c0[link] + p[k]
+            c1 = R[k] * world.link_c1[link] + p[k]
+            if hand_on:
+                target = _target(query, out.best, query.hand_margin)
+                if link_clears_hand(world, query, target, hand_center, hand_radius, link, c0, c1, w[k], v[k], moving):
+                    hand_on = False
+                    masks[0] = masks[0] & ~bits
+            target = _target(query, out.best, query.other_margin)
+            if table_on:  # noqa: SIM102 (Warp's `and` evaluates both sides)
+                if link_clears_table(world, query, target, link, c0, c1, up, table_p):
+                    table_on = False
+                    masks[1] = masks[1] & ~bits
+            if self_on:
+                self_with = links_in_reach(world, query, target, link, c0, c1, moving, R, p, w, v)
+                if self_with == 0:
+                    self_on = False
+                    masks[2] = masks[2] & ~bits
+            if not (hand_on or table_on or self_on):
+                continue
+        elif self_on:
+            self_with = world.self_links[OBJECT]
+
+        hand_open = wp.uint64(0)
+        table_open = wp.uint64(0)
+        self_open = wp.uint64(0)
+        for b in range(lo, hi):
+            bit = _bit(wp.min(b, world.n_robot))
+            do_hand = hand_on and (masks[0] & bit) != wp.uint64(0)
+            do_table = table_on and (masks[1] & bit) != wp.uint64(0)
+            do_self = self_on and (masks[2] & bit) != wp.uint64(0)
+            if not (do_hand or do_table or do_self):
+                continue
+            mover = _mover(world, bodies, trial, query, link, b, first_hull + b - world.n_robot, R, p, w, v)
+
+            # partners of this body that bounding volumes cannot settle
+            found = Near()
+            if do_hand:
+                target = _target(query, out.best, query.hand_margin)
+                is_open = wp.where((hand_open & bit) != wp.uint64(0), 1, 0)
+                found = pieces_near(
+                    world, query, target, mover, hand, hand_center, hand_radius, moving, is_open, partner
+                )
+                if found.open == 1:
+                    hand_open = hand_open | bit
+            n_hand = found.n
+            target = _target(query, out.best, query.other_margin)
+            if do_table:
+                found = table_near(world, bodies, trial, query, target, mover, up, table_p, moving, n_hand, partner)
+                if found.open == 1:
+                    table_open = table_open | bit
+            n_table = found.n
+            if do_self:
+                is_open = wp.where((self_open & bit) != wp.uint64(0), 1, 0)
+                found = bodies_near(
+                    world, bodies, trial, query, target, mover, self_with, moving, is_open, R, p, w, v, n_table, partner
+                )
+                if found.open == 1:
+                    self_open = self_open | bit
+
+            # the listed pairs, 0 .. n_hand pieces, .. n_table the table, .. found.n own bodies: GJK
+            for i in range(found.n):
+                may_meet = partner[i] >= MAY_MEET
+                other = partner[i] & (MAY_MEET - 1)
+                if moving and not may_meet:  # it cannot block, and its kind is open already
+                    if i < n_hand and (hand_open & bit) != wp.uint64(0):
+                        continue
+                    if i >= n_table and (self_open & bit) != wp.uint64(0):
+                        continue
+                pair = Pair()
+                if i < n_hand:
+                    pair = _pair_with_piece(world, query, mover, hand * world.n_pieces + other)
+                elif i < n_table:
+                    pair = _pair_with_table(world, query, mover, R_hand_world, table_p)
+                else:
+                    pair = _pair_with_body(world, bodies, trial, query, mover, other, R, p, w, v)
+                if link == OBJECT:
+                    pair.code = pair.code + PAIR_OF_OBJECT
+                margin = _target(query, out.best, pair.margin)
+                needed = margin + pair.travel
+                if query.track == 1:
+                    needed = wp.max(needed, out.best)  # a clearance that becomes the best must have converged
+                dist = gjk(
+                    mover.shape, pair.R, pair.p, world.points, pair.other, world.points, pair.center, needed, gap
+                )
+                if query.track == 1:
+                    if dist.lower < out.best:
+                        # a core that is met has no clearance, only an overlap that GJK does not measure
+                        out.best = wp.max(dist.lower, -1.0e-6)
+                        if dist.upper <= 0.0 and dist.lower > -1.0e-6:
+                            out.best = -1.0e-6
+                        out.pair = pair.code
+                        out.body = b
+                    margin = out.best - query.tolerance
+                elif dist.upper <= margin or (gap == 0.0 and dist.lower < margin):
+                    out.status = BLOCKED
+                    out.pair = pair.code
+                    out.body = b
+                    return out
+                # settled for the whole stretch? D - L >= margin, or else along the plane that parts them in the middle
+                apart = dist.lower
+                if moving and apart < margin + pair.travel and apart > margin + 0.5 * pair.bend and dist.upper > 0.0:
+                    # not clear of everything that the levers allow, but perhaps of where it really goes
+                    n_hat = dist.v / wp.length(dist.v)
+                    beside = wp.dot(n_hat, support(pair.other, world.points, n_hat)) + pair.other.radius
+                    swept = swept_support(mover.shape, pair.R, pair.p, world.points, n_hat, pair.w, pair.v, pair.bend)
+                    apart = pair.travel - beside + swept
+                if apart < margin + pair.travel:
+                    if i < n_hand:
+                        hand_open = hand_open | bit
+                    elif i < n_table:
+                        table_open = table_open | bit
+                    else:
+                        self_open = self_open | bit
+        # bits stay set where this link left something open
+        if (hand_open | table_open | self_open) != wp.uint64(0):
+            out.status = OPEN
+        masks[0] = masks[0] & (~bits | hand_open)
+        masks[1] = masks[1] & (~bits | table_open)
+        masks[2] = masks[2] & (~bits | self_open)
+    return out

@@ -1,0 +1,138 @@
+"""Edges of joint space: certified free by conservative advancement, or sampled as MoveIt does; smallest clearance.
+
+A stretch of an edge is its middle posture q and half its length d: the postures q + s d with -1 <= s <= 1. A point of a
+body travels at most L = sum_j |d_j| lever_j from where it is in the middle (`motion`; lever_j: the largest distance of
+the body's points from the axis of joint j). A pair at distance D in the middle thus keeps D - L all along the stretch:
+
+    D - L >= margin    =>    the pair is free on the whole stretch.
+
+Where that fails, the way it really goes may still be clear. With n the direction from the partner to the body in the
+middle, a point x of the body has n . x(s) >= n . (x + s x') - s^2 C / 2, where x' is its velocity relative to the
+partner and C bounds |x''| (`curvature`). The least of it over the body and over s (`swept_support`) less the partner's
+largest n . x is a distance that holds on the whole stretch, and its slack falls with the square of the stretch's length.
+
+What neither settles is bisected. That is conservative advancement (Mirtich 1996) made to halve stretches instead of
+following time, as Schwarzer, Saha and Latombe (2005) do for articulated robots.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_stretch
+from r2h_batch.kernels.plan.check import Finding, examine
+from r2h_batch.kernels.plan.codes import BLOCKED, CERTIFY, CLEARANCE, FREE, MAX_PARTNERS, OPEN, POSTURE, SAMPLES
+from r2h_batch.kernels.plan.partners import Query
+from r2h_batch.kernels.robot.world import TrialBodies, World, vec6
+
+wp.set_module_options({"enable_backward": False})
+
+MOVEIT_SEGMENT_RAD = wp.constant(0.691)
+"""MoveIt's longest valid segment: 0.01 of the space's extent (69.1 rad summed over the joints of a UR5e)."""
+
+
+@wp.func
+def edge(
+    world: World,
+    bodies: TrialBodies,
+    trial: int,
+    a: vec6,
+    b: vec6,
+    hand_margin: float,
+    other_margin: float,
+    best: float,
+    tolerance: float,
+    mode: int,  # CERTIFY, SAMPLES, CLEARANCE (below `best`) or POSTURE (a alone)
+    hand_only: int,
+):
+    """FREE or BLOCKED for the straight joint-space edge a-b; with CLEARANCE the smallest clearance along it.
+
+    CERTIFY: bisection; FREE when every stretch is, BLOCKED as soon as one middle is, or when a stretch of 2^-14 of the
+    edge is still undecided. CLEARANCE: the same walk as branch and bound; a pair is settled when it cannot come nearer
+    than `best` less `tolerance` on the stretch, `best` falls with every middle, and what is undecided at the end counts
+    as settled. It stops where bodies meet. SAMPLES: postures at most MOVEIT_SEGMENT_RAD apart, b included, a not.
+    POSTURE: a alone. With `hand_only` = 1 pairs with the hand are all that is looked at.
+
+    All modes share one call of `examine`: inlined, it is most of the code of a planning kernel.
+    """
+    R = wp.zeros(shape=7, dtype=wp.mat33)
+    p = wp.zeros(shape=7, dtype=wp.vec3)
+    w = wp.zeros(shape=7, dtype=wp.vec3)
+    v = wp.zeros(shape=7, dtype=wp.vec3)
+    partner = wp.zeros(shape=MAX_PARTNERS, dtype=int)
+    masks = wp.zeros(shape=3, dtype=wp.uint64)
+    stack = wp.zeros(shape=48, dtype=wp.uint64)  # per level of the bisection: the masks that its stretches start from
+    everything = ~wp.uint64(0)
+    others = wp.where(hand_only == 1, wp.uint64(0), everything)
+    # base and shoulder stand on the table
+    tabled = others << wp.uint64(world.table_from)
+    stack[0] = everything
+    stack[1] = tabled
+    stack[2] = others
+
+    result = Finding()
+    result.status = FREE
+    result.best = best
+    result.body = -1
+    query = Query()
+    query.hand_margin = hand_margin
+    query.other_margin = other_margin
+    query.track = wp.where(mode == CLEARANCE, 1, 0)
+    query.tolerance = tolerance
+    delta = b - a
+    length = float(0.0)
+    for j in range(6):
+        length += wp.abs(delta[j])
+    steps = int(1)
+    if mode == SAMPLES:
+        steps = wp.max(int(wp.ceil(length / MOVEIT_SEGMENT_RAD)), 1)
+    level = int(0)
+    index = int(0)
+    bisected = mode != SAMPLES and mode != POSTURE
+    running = bool(True)
+    while running:
+        if not bisected:
+            t = float(index) / float(steps)
+            if mode == SAMPLES:
+                t = float(index + 1) / float(steps)
+            query.q = a + t * delta
+            masks[0] = everything
+            masks[1] = tabled
+            masks[2] = others
+        else:
+            query.q = a + middle(level, index) * delta
+            query.d = half_width(level) * delta
+            masks[0] = stack[3 * level]
+            masks[1] = stack[3 * level + 1]
+            masks[2] = stack[3 * level + 2]
+        found = examine(world, bodies, trial, query, result.best, masks, R, p, w, v, partner)
+        if mode == CLEARANCE:
+            if found.best < result.best:
+                result.best = found.best
+                result.pair = found.pair
+                result.body = found.body
+        elif found.status != FREE:
+            result.pair = found.pair
+            result.body = found.body
+        if mode == CLEARANCE and result.best < 0.0:
+            running = False  # bodies meet: how deep is not measured, and a long overlap would be halved without end
+        elif not bisected:
+            index += 1
+            if found.status != FREE:
+                result.status = BLOCKED
+                running = False
+            elif index >= steps:
+                running = False
+        elif found.status == BLOCKED:
+            result.status = BLOCKED
+            running = False
+        elif found.status == OPEN and level + 1 < MAX_LEVEL:
+            level, index = descend(level, index)
+            stack[3 * level] = masks[0]
+            stack[3 * level + 1] = masks[1]
+            stack[3 * level + 2] = masks[2]
+        elif found.status == OPEN and mode == CERTIFY:
+            result.status = BLOCKED
+            running = False
+        else:
+            level, index = next_stretch(level, index)
+            running = level > 0
+    return result

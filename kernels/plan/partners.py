@@ -1,0 +1,285 @@
+"""Who may touch a body over a stretch of motion: what bounding volumes cannot settle.
+
+Each question is asked three times, cheaper bounds first: as the levers allow (`motion`), as the bodies really go to first
+order (swept supports), and, if neither is enough, GJK will be asked - unless the stretch must be halved anyway.
+
+The inequalities are those of edge.py with bounding volumes in place of the bodies: with D the distance of two volumes in
+the middle of the stretch and L what the pair may travel, D - L >= target settles it, and so does the swept volume along
+the direction between them. If even the swept volume falls short by more than bounding volumes understate a distance
+(SLACK_M), GJK could not settle the stretch either: it is left open for its halves, without GJK.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, from_ball, support, swept_support
+from r2h_batch.kernels.geometry.segments import from_point, from_segment, swept_capsule
+from r2h_batch.kernels.robot.world import (
+    GRIPPER,
+    OBJECT,
+    TrialBodies,
+    World,
+    body_pose,
+    curvature,
+    link_frame,
+    motion,
+    vec6,
+)
+
+wp.set_module_options({"enable_backward": False})
+
+MAY_MEET = wp.constant(256)  # added to a partner that bounding volumes do not keep apart in the middle of the stretch
+SLACK_M = wp.constant(0.03)
+HAND_SLACK_M = wp.constant(0.06)
+"""Bounding volumes rarely understate a distance by more: a pair that would need it stays open without asking GJK."""
+
+
+@wp.struct
+class Query:
+    """A posture q, and the stretch q +- d that it stands for; what each kind of pair has to keep."""
+
+    q: vec6
+    d: vec6  # half the stretch, rad (zero: the posture alone)
+    hand_margin: float
+    other_margin: float
+    track: int  # 1: look for the smallest clearance below `best` instead of a yes or no
+    tolerance: float  # of that smallest clearance
+
+
+@wp.struct
+class Mover:
+    """A body of the robot or a hull of the object, in the hand's frame: pose, bounding capsule, twist, what it may travel."""
+
+    link: int
+    body: int
+    shape: Body
+    R: wp.mat33
+    p: wp.vec3
+    c0: wp.vec3
+    c1: wp.vec3
+    radius: float
+    travel: float
+    bend: float
+    w: wp.vec3
+    v: wp.vec3
+
+
+@wp.struct
+class Near:
+    """How many partners are listed so far, and whether the stretch has to be halved for this kind of pair."""
+
+    n: int
+    open: int
+
+
+@wp.func
+def link_clears_hand(
+    world: World, query: Query, target: float, center: wp.vec3, radius: float, link: int,
+    c0: wp.vec3, c1: wp.vec3, w: wp.vec3, v: wp.vec3, moving: bool,
+):  # fmt: skip
+    """Whether a whole link keeps `target` to the ball around the whole hand."""
+    rk = world.link_radius[link]
+    toward = from_point(center, c0, c1)
+    far = wp.length(toward)
+    clear = far - radius - rk - motion(world.link_lever, link, 0, query.d) >= target
+    if moving and not clear and far - radius - rk > target:
+        n_hat = toward / far
+        low = swept_capsule(c0, c1, rk, n_hat, w, v, curvature(world.link_lever, link, 0, query.d))
+        clear = low - wp.dot(n_hat, center) - radius >= target
+    return clear
+
+
+@wp.func
+def link_clears_table(
+    world: World, query: Query, target: float, link: int, c0: wp.vec3, c1: wp.vec3, up: wp.vec3, table_p: wp.vec3
+):
+    """Whether a whole link keeps `target` above the table's top."""
+    low = wp.min(wp.dot(up, c0 - table_p), wp.dot(up, c1 - table_p)) - world.table_half[2]
+    return low - world.link_radius[link] >= target + motion(world.link_lever, link, 1, query.d)
+
+
+@wp.func
+def links_in_reach(
+    world: World, query: Query, target: float, link: int, c0: wp.vec3, c1: wp.vec3, moving: bool,
+    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    """Bits of the links that this link is not clear of as a whole."""
+    rk = world.link_radius[link]
+    found = int(0)
+    for other in range(link):
+        if (world.self_links[link] >> other) & 1 == 1:
+            o0 = R[other] * world.link_c0[other] + p[other]
+            o1 = R[other] * world.link_c1[other] + p[other]
+            toward = from_segment(o0, o1, c0, c1)
+            far = wp.length(toward)
+            reach = far - rk - world.link_radius[other]
+            clear = reach - motion(world.link_lever, link, other, query.d) >= target
+            if moving and not clear and reach > target:
+                n_hat = toward / far
+                k = link_frame(link)
+                bend = curvature(world.link_lever, link, other, query.d)
+                low = swept_capsule(c0, c1, rk, n_hat, w[k] - w[other], v[k] - v[other], bend)
+                high = wp.max(wp.dot(n_hat, o0), wp.dot(n_hat, o1)) + world.link_radius[other]
+                clear = low - high >= target
+            if not clear:
+                found = found | (1 << other)
+    return found
+
+
+@wp.func
+def pieces_near(
+    world: World, query: Query, target: float, mover: Mover, hand: int, center: wp.vec3, radius: float, moving: bool,
+    is_open: int, partner: wp.array(dtype=int),
+):  # fmt: skip
+    """Lists the hand's pieces that may come nearer than `target`."""
+    out = Near()
+    out.open = is_open
+    toward = from_point(center, mover.c0, mover.c1)
+    far = wp.length(toward)
+    # the ball around the whole hand
+    near = far - radius - mover.radius < target + mover.travel
+    if near and moving and far - radius - mover.radius > target + query.tolerance:
+        n_hat = toward / far
+        low = swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, mover.w, mover.v, mover.bend)
+        low = low - wp.dot(n_hat, center) - radius
+        if low >= target:
+            near = False
+        elif low + HAND_SLACK_M < target:
+            near = False
+            out.open = 1
+    if near:
+        # piece by piece: its ball against the mover's ball, its capsule (hulls) or its very shape (primitives)
+        middle = 0.5 * (mover.c0 + mover.c1)
+        around = 0.5 * wp.length(mover.c1 - mover.c0) + mover.radius + target + mover.travel
+        for i in range(world.n_pieces):
+            piece = hand * world.n_pieces + i
+            at = world.piece_center[piece]
+            if wp.length(at - middle) - world.piece_radius[piece] >= around:
+                continue
+            toward = wp.vec3(0.0, 0.0, 0.0)
+            if mover.link == OBJECT:
+                toward = from_point(at, mover.c0, mover.c1)
+            else:
+                toward = mover.R * from_ball(mover.shape, wp.transpose(mover.R) * (at - mover.p))
+            far = wp.length(toward)
+            apart = far - world.piece_radius[piece]
+            if mover.link == OBJECT:
+                apart = apart - mover.radius
+            if apart >= target + mover.travel:
+                continue
+            if moving and apart > target + query.tolerance:
+                if out.open == 1:
+                    continue  # the stretch has to be halved anyway
+                n_hat = toward / far
+                low = -wp.dot(n_hat, at) - world.piece_radius[piece]
+                if mover.link == OBJECT:
+                    low = low + swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, mover.w, mover.v, mover.bend)
+                else:
+                    low = low + swept_support(
+                        mover.shape, mover.R, mover.p, world.points, n_hat, mover.w, mover.v, mover.bend
+                    )
+                if low >= target:
+                    continue
+                if low + SLACK_M < target:
+                    out.open = 1
+                    continue
+            partner[out.n] = wp.where(apart > target + query.tolerance, i, i + MAY_MEET)
+            out.n += 1
+    return out
+
+
+@wp.func
+def table_near(
+    world: World, bodies: TrialBodies, trial: int, query: Query, target: float, mover: Mover, up: wp.vec3,
+    table_p: wp.vec3, moving: bool, n: int, partner: wp.array(dtype=int),
+):  # fmt: skip
+    """Lists the table if the body may come nearer than `target` to the height of its top.
+
+    Joint 1 cannot change that height, whatever the distance to the table's edge does.
+    """
+    out = Near()
+    out.n = n
+    top = wp.dot(up, table_p) + world.table_half[2]
+    lowest = mover.R * support(mover.shape, world.points, -(wp.transpose(mover.R) * up)) + mover.p
+    height = wp.dot(up, lowest) - mover.shape.radius - top - ROUNDING_M
+    low = height
+    if moving:
+        if mover.link == OBJECT:
+            low = height - motion(bodies.object_lever, trial, 1, query.d)
+            if low < target:
+                bend = curvature(bodies.object_lever, trial, 1, query.d)
+                swept = swept_capsule(mover.c0, mover.c1, mover.radius, up, mover.w, mover.v, bend)
+                low = wp.max(low, swept - top)
+        else:
+            low = height - motion(world.lever, mover.body, 1, query.d)
+            if low < target:
+                bend = curvature(world.lever, mover.body, 1, query.d)
+                swept = swept_support(mover.shape, mover.R, mover.p, world.points, up, mover.w, mover.v, bend)
+                low = wp.max(low, swept - top)
+    if low < target:
+        if height > target + query.tolerance:
+            out.open = 1  # a shorter stretch will tell
+        else:
+            partner[out.n] = MAY_MEET
+            out.n += 1
+    return out
+
+
+@wp.func
+def bodies_near(
+    world: World, bodies: TrialBodies, trial: int, query: Query, target: float, mover: Mover, links: int, moving: bool,
+    is_open: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
+    n: int, partner: wp.array(dtype=int),
+):  # fmt: skip
+    """Lists the robot's own bodies, of the links in `links`, that may come nearer than `target`."""
+    out = Near()
+    out.n = n
+    out.open = is_open
+    for other in range(wp.min(mover.link, GRIPPER)):
+        if (links >> other) & 1 == 1:
+            travel = float(0.0)
+            bend = float(0.0)
+            if mover.link == OBJECT:
+                travel = motion(bodies.object_lever, trial, other, query.d)
+                bend = curvature(bodies.object_lever, trial, other, query.d)
+            else:
+                travel = motion(world.lever, mover.body, other, query.d)
+                bend = curvature(world.lever, mover.body, other, query.d)
+            # motion relative to the other link: only the joints between the two turn them against each other
+            wr = mover.w - w[other]
+            vr = mover.v - v[other]
+            # the other link as a whole first
+            o0 = R[other] * world.link_c0[other] + p[other]
+            o1 = R[other] * world.link_c1[other] + p[other]
+            ro = world.link_radius[other]
+            toward = from_segment(o0, o1, mover.c0, mover.c1)
+            far = wp.length(toward)
+            if far - mover.radius - ro >= target + travel:
+                continue
+            if moving and far - mover.radius - ro > target + query.tolerance:
+                n_hat = toward / far
+                low = swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, wr, vr, bend)
+                if low - wp.max(wp.dot(n_hat, o0), wp.dot(n_hat, o1)) - ro >= target:
+                    continue
+            # then its bodies one by one, capsule against capsule
+            for o in range(world.link_first[other], world.link_first[other + 1]):
+                Ro, po = body_pose(world, bodies, trial, R, p, o)
+                axis = Ro * world.cap_axis[o]
+                toward = from_segment(po - axis, po + axis, mover.c0, mover.c1)
+                far = wp.length(toward)
+                apart = far - mover.radius - world.cap_radius[o]
+                if apart >= target + travel:
+                    continue
+                if moving and apart > target + query.tolerance:
+                    if out.open == 1:
+                        continue
+                    n_hat = toward / far
+                    low = swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, wr, vr, bend)
+                    low = low - wp.max(wp.dot(n_hat, po - axis), wp.dot(n_hat, po + axis)) - world.cap_radius[o]
+                    if low >= target:
+                        continue
+                    if low + SLACK_M < target:
+                        out.open = 1
+                        continue
+                partner[out.n] = wp.where(apart > target + query.tolerance, o, o + MAY_MEET)
+                out.n += 1
+    return out

@@ -1,0 +1,384 @@
+"""Smallest clearance of one posture over all pairs that the planner checks, with its witness; overlaps are measured too.
+
+Separated pairs have their distance. Pairs that meet have minus a lower bound of their overlap, from the growth distance
+(Ong and Gilbert 1996). Let the body A hold a ball of radius r about its centre m, and shrink it about m:
+
+    A(s) = m + s (A - m),    s* = the scale at which A(s) only touches the other body B.
+
+rho(n) = max n . (m - x) over A is how far A reaches from m against the unit vector n, so rho(n) >= r. Were A moved clear
+of B along n, it would have to travel h_B(n) - n . m + rho(n), with h_B the support of B. As A(s) meets B for every
+s > s*, no plane parts them there: h_B(n) - n . m >= -s* rho(n). The way out is thus at least (1 - s*) rho(n) in every
+direction, and so at least (1 - s*) r: the clearance is -(1 - s*) r. It is 0 where the bodies touch, falls the deeper
+they meet, and stays at -r once m is in B.
+
+s* is approached from below. At a scale s that is clear of B by g along n, the same plane still parts them at
+s + g / rho(n): each step is certified, and n converges to the normal at the touch. Where A moves by u relative to B, the
+gap grows by n . u, s* by n . u / rho(n), and the clearance by (r / rho(n)) n . u: that vector is `push`.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.body import BOX, Body, from_ball, support
+from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.primitives import TOUCH_M, inner_radius
+from r2h_batch.kernels.geometry.segments import from_point, from_segment
+from r2h_batch.kernels.plan.codes import PAIR_HAND, PAIR_OF_OBJECT, PAIR_SELF, PAIR_TABLE
+from r2h_batch.kernels.robot.world import (
+    GRIPPER,
+    OBJECT,
+    TrialBodies,
+    World,
+    body_pose,
+    forward_kinematics,
+    hull_body,
+    link_frame,
+    object_body,
+    robot_body,
+    vec6,
+)
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+
+GROWTH_STEPS = wp.constant(12)
+
+# What GJK is asked about a pair, in this order (`pair_clearance`).
+MEET = wp.constant(0)  # at full size: do they meet?
+DEEPER = wp.constant(1)  # as small as the deepest overlap so far leaves it: do they meet deeper?
+AT_FLOOR = wp.constant(2)  # as small as an overlap of `floor` leaves it: do they meet as deep as that?
+GROW = wp.constant(3)  # from a scale that is clear, up to the touch
+AT_FLOOR_AGAIN = wp.constant(4)  # a little smaller still: GJK has rare false hits, a posture is given up after two
+
+
+@wp.struct
+class PairClearance:
+    """The nearest pair: clearance (m), CollidingPair, robot body, the body it meets (SELF: robot body), in the hand frame.
+
+    When body and other move by rigid motions, the clearance changes by push . (move of the body's point - the other's).
+    """
+
+    clearance: float
+    pair: int
+    body: int
+    other: int
+    push: wp.vec3
+    point: wp.vec3
+
+
+@wp.struct
+class BodyInPlace:
+    """A body of the robot or a hull of the object, hand frame: pose, bounding capsule c0-c1, the ball that it holds."""
+
+    link: int
+    shape: Body
+    R: wp.mat33
+    p: wp.vec3
+    c0: wp.vec3
+    c1: wp.vec3
+    radius: float
+    middle: wp.vec3  # centre of that ball, in the body's frame
+    inner: float  # its radius
+
+
+@wp.struct
+class Partner:
+    """What a body may meet: a piece of the hand, the table, or a body of another link; its pose in the hand frame."""
+
+    near: int  # 0: bounding volumes keep it farther away than the smallest clearance so far
+    pair: int  # as if the robot itself met it
+    other: int
+    shape: Body
+    center: wp.vec3
+    R: wp.mat33
+    p: wp.vec3
+
+
+@wp.struct
+class Overlap:
+    """Clearance of one pair when it is below what is known; push and point in the partner's frame."""
+
+    clearance: float
+    push: wp.vec3
+    point: wp.vec3
+    given_up: int  # as deep as `floor`: nothing else of this posture matters
+
+
+@wp.func
+def _in_place(
+    world: World,
+    hull_ball: wp.array(dtype=wp.vec4),
+    bodies: TrialBodies,
+    trial: int,
+    link: int,
+    b: int,
+    hull: int,
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
+):
+    """Body b of a link, or a hull of the object."""
+    out = BodyInPlace()
+    out.link = link
+    Rb, pb = body_pose(world, bodies, trial, R, p, b)
+    out.R = Rb
+    out.p = pb
+    out.shape = robot_body(world, wp.min(b, world.n_robot - 1))
+    out.inner = inner_radius(out.shape.kind, out.shape.size)
+    if link == OBJECT:
+        out.shape = object_body(world, hull)
+        ball = hull_ball[hull]
+        out.middle = wp.vec3(ball[0], ball[1], ball[2])
+        out.inner = ball[3]
+        out.c0 = Rb * world.hull_c0[hull] + pb
+        out.c1 = Rb * world.hull_c1[hull] + pb
+        out.radius = world.hull_radius[hull]
+    else:
+        axis = Rb * world.cap_axis[b]
+        out.c0 = pb - axis
+        out.c1 = pb + axis
+        out.radius = world.cap_radius[b]
+    return out
+
+
+@wp.func
+def _hand_piece(world: World, body: BodyInPlace, hand: int, i: int, known: float):
+    """Piece i of the hand, if it may be nearer than `known`: ball against capsule, then ball against primitive."""
+    out = Partner()
+    out.pair = PAIR_HAND
+    out.other = i
+    out.R = wp.identity(3, dtype=float)
+    piece = hand * world.n_pieces + i
+    out.center = world.piece_center[piece]
+    ball = world.piece_radius[piece]
+    if wp.length(from_point(out.center, body.c0, body.c1)) - ball - body.radius < known:
+        out.near = 1
+        if body.link < OBJECT:
+            toward = from_ball(body.shape, wp.transpose(body.R) * (out.center - body.p))
+            if wp.length(toward) - ball >= known:
+                out.near = 0
+    out.shape = hull_body(world.piece_start, piece)
+    return out
+
+
+@wp.func
+def _table(
+    world: World, body: BodyInPlace, R_hand_world: wp.mat33, table_p: wp.vec3, up: wp.vec3, top: float, known: float
+):
+    """The table, if the body's lowest point may be nearer than `known` to the height of its top."""
+    out = Partner()
+    out.pair = PAIR_TABLE
+    out.other = -1
+    lowest = body.R * support(body.shape, world.points, -(wp.transpose(body.R) * up)) + body.p
+    if wp.dot(up, lowest) - body.shape.radius - top - TOUCH_M < known:
+        out.near = 1
+    out.shape.kind = BOX
+    out.shape.size = world.table_half
+    out.R = R_hand_world
+    out.p = table_p
+    return out
+
+
+@wp.func
+def _robot_body(
+    world: World,
+    bodies: TrialBodies,
+    trial: int,
+    body: BodyInPlace,
+    links: int,
+    other: int,
+    known: float,
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
+):
+    """The robot's body `other`, if it belongs to `links` and may be nearer than `known`: capsule against capsule."""
+    out = Partner()
+    out.pair = PAIR_SELF
+    out.other = other
+    if (links >> world.body_link[other]) & 1 == 1:
+        Ro, po = body_pose(world, bodies, trial, R, p, other)
+        axis = Ro * world.cap_axis[other]
+        apart = wp.length(from_segment(po - axis, po + axis, body.c0, body.c1)) - body.radius - world.cap_radius[other]
+        if apart < known:
+            out.near = 1
+        out.shape = robot_body(world, other)
+        out.R = Ro
+        out.p = po
+    return out
+
+
+# A state machine around one call of GJK (the head of this file says why growth is certified). `scale` is how large the body
+# is asked, `known` the smallest clearance so far, `floor` what a branch has to beat to matter:
+#
+#     MEET            scale 1. Apart: the distance is the answer. Else to AT_FLOOR
+#     DEEPER          scale 1 + known / r: as small as an overlap of `known` would have it. Clear: not deeper, done
+#     AT_FLOOR        scale 1 + floor / r. Clear there: growth starts from it. Else to AT_FLOOR_AGAIN
+#     AT_FLOOR_AGAIN  0.95 of that, as the rounding allowance makes a touch look like an overlap. Still met: given up
+#     GROW            scale grows by gap / rho(n) until the gap is TOUCH_M: the clearance is -(1 - scale) r
+#
+# Without a floor in reach of the body's ball growth starts at its centre (scale 0), which is clear unless it is inside.
+@wp.func
+def pair_clearance(world: World, body: BodyInPlace, partner: Partner, known: float, floor: float):
+    """Clearance of one pair if it is below `known` (else `known`), given up when it is not above `floor`.
+
+    One call site of GJK serves all questions. A pair that meets at full size (MEET), or deeper than what is known
+    (DEEPER), is first looked at as deep as `floor`; if it is not, that scale is clear and growth starts there. Without
+    a `floor` in reach of the body's ball it starts at its centre alone (scale 0), which is clear unless it is inside.
+    """
+    out = Overlap()
+    out.clearance = known
+    Rt = wp.transpose(partner.R)
+    R = Rt * body.R  # the body in its partner's frame
+    p = Rt * (body.p - partner.p)
+    phase = wp.where(known < 0.0, DEEPER, MEET)
+    scale = wp.where(known < 0.0, 1.0 + known / body.inner, 1.0)
+    shrunk = body.shape
+    shrunk.radius = scale * body.shape.radius
+    steps = int(0)
+    running = bool(True)
+    while running:
+        # How much GJK has to prove: no more than decides the question; how far exactly only while growing.
+        needed = wp.where(phase == MEET, wp.max(known, 0.0), wp.where(phase == DEEPER, 0.0, 1.0e30))
+        at_scale = p + (1.0 - scale) * (R * body.middle)
+        dist = gjk(shrunk, scale * R, at_scale, world.points, partner.shape, world.points, partner.center, needed, 0.0)
+        if phase == MEET and dist.lower >= 0.0:
+            running = False
+            out.clearance = dist.lower
+            if dist.lower < known:
+                out.push = wp.normalize(dist.v)
+                out.point = dist.point
+        elif phase == DEEPER and dist.lower >= 0.0:
+            running = False
+        elif phase <= DEEPER and floor > -body.inner:
+            phase = AT_FLOOR
+            scale = 1.0 + floor / body.inner
+        elif phase <= DEEPER:
+            phase = GROW
+            scale = 0.0
+            out.clearance = -body.inner
+        elif phase == AT_FLOOR and dist.lower <= TOUCH_M:
+            phase = AT_FLOOR_AGAIN
+            scale = 0.95 * scale
+        elif dist.lower <= TOUCH_M:
+            running = False
+            if phase == AT_FLOOR_AGAIN:
+                out.given_up = 1
+        else:
+            phase = GROW
+            n_hat = wp.normalize(dist.v)
+            d = -(wp.transpose(R) * n_hat)
+            # minus rho(n)
+            reach = wp.dot(n_hat, R * (support(body.shape, world.points, d) - body.middle)) - body.shape.radius
+            running = reach < -1.0e-9
+            if running:
+                scale = wp.min(scale - (dist.lower + TOUCH_M) / reach, 1.0)
+                out.clearance = -(1.0 - scale) * body.inner
+                out.push = (-body.inner / reach) * n_hat
+                out.point = dist.point
+            steps += 1
+            if scale >= 1.0 or steps >= GROWTH_STEPS:
+                running = False
+        shrunk.radius = scale * body.shape.radius
+    return out
+
+
+# Branch and bound over links, bodies and pairs. `out.clearance` starts at `cap` and falls with every nearer pair; nothing
+# whose bounding volumes are farther than that is looked at:
+#
+# 1. gripper and object first, then the arm from the wrist down: the first are nearest mostly, and prune the rest;
+# 2. a link's capsule against the ball about the hand, the table's top, the capsules of links it may meet;
+# 3. a body's capsule against the ball about the hand; then its partners, numbered in one list: pieces of the hand, the
+#    table, bodies of the arm, so that all go through one call of `pair_clearance`;
+# 4. an overlap cannot be deeper than the radius r of the ball within the body: once a pair as deep as that is known, the
+#    body's other pairs are left out;
+# 5. at or below `floor` nobody asks how much: the caller keeps another branch. It returns at once.
+@wp.func
+def posture_clearance(
+    world: World,
+    hull_ball: wp.array(dtype=wp.vec4),  # centre of each object hull and the radius of the ball it holds there
+    bodies: TrialBodies,
+    trial: int,
+    q: vec6,
+    cap: float,
+    floor: float,
+    R: wp.array(dtype=wp.mat33),  # (7,) scratch
+    p: wp.array(dtype=wp.vec3),
+):
+    """The nearest of all pairs of a posture, exact below `cap`; given up as soon as it is not above `floor`.
+
+    `cap` below 0: only overlaps deeper than that are looked for, which is quick. Links, then bodies, then pairs are left
+    out as soon as bounding volumes keep them farther away than the smallest clearance so far (branch and bound).
+    """
+    out = PairClearance()
+    out.clearance = cap
+    out.body = -1
+    out.other = -1
+    R_hand_world = bodies.R_hand_world[trial]
+    forward_kinematics(world, R_hand_world, bodies.p_hand_world[trial], q, R, p)
+    hand = bodies.hand[trial]
+    hand_center = world.hand_center[hand]
+    hand_radius = world.hand_radius[hand]
+    up = wp.vec3(R_hand_world[0, 2], R_hand_world[1, 2], R_hand_world[2, 2])  # world z in the hand frame
+    table_p = R_hand_world * world.table_center + bodies.p_hand_world[trial]
+    top = wp.dot(up, table_p) + world.table_half[2]
+    first_hull = world.hull_first[bodies.object[trial]]
+    n_hulls = world.hull_first[bodies.object[trial] + 1] - first_hull
+
+    for back in range(9):  # gripper and object first: mostly they are nearest, and prune the rest
+        link = wp.where(back < 2, GRIPPER + back, OBJECT - back)
+        lo = int(world.n_robot)
+        hi = int(world.n_robot + n_hulls)
+        self_with = world.self_links[link]
+        near_hand = bool(True)
+        near_table = bool(True)
+        if link < OBJECT:  # the link as a whole first
+            lo = world.link_first[link]
+            hi = world.link_first[link + 1]
+            Rk = R[link_frame(link)]
+            pk = p[link_frame(link)]
+            c0 = Rk * world.link_c0[link] + pk
+            c1 = Rk * world.link_c1[link] + pk
+            rk = world.link_radius[link]
+            near_hand = wp.length(from_point(hand_center, c0, c1)) - hand_radius - rk < out.clearance
+            near_table = hi > world.table_from and wp.min(wp.dot(up, c0), wp.dot(up, c1)) - top - rk < out.clearance
+            for other in range(wp.min(link, GRIPPER)):
+                if (self_with >> other) & 1 == 1:
+                    o0 = R[other] * world.link_c0[other] + p[other]
+                    o1 = R[other] * world.link_c1[other] + p[other]
+                    if wp.length(from_segment(o0, o1, c0, c1)) - rk - world.link_radius[other] >= out.clearance:
+                        self_with = self_with & ~(1 << other)
+            if not (near_hand or near_table or self_with != 0):
+                continue
+        for b in range(lo, hi):
+            body = _in_place(world, hull_ball, bodies, trial, link, b, first_hull + b - world.n_robot, R, p)
+            on_table = near_table and b >= world.table_from
+            ball = wp.length(from_point(hand_center, body.c0, body.c1)) - hand_radius - body.radius
+            on_hand = near_hand and ball < out.clearance
+
+            # its partners: 0 .. n_hand pieces of the hand, .. n_table the table, .. n_all the arm's bodies
+            n_hand = wp.where(on_hand, world.n_pieces, 0)
+            n_table = n_hand + wp.where(on_table, 1, 0)
+            n_all = n_table + wp.where(self_with != 0, world.n_arm, 0)
+            for i in range(n_all):
+                if -body.inner >= out.clearance:
+                    continue  # this body cannot meet anything deeper
+                partner = Partner()
+                if i < n_hand:
+                    partner = _hand_piece(world, body, hand, i, out.clearance)
+                elif i < n_table:
+                    partner = _table(world, body, R_hand_world, table_p, up, top, out.clearance)
+                else:
+                    partner = _robot_body(world, bodies, trial, body, self_with, i - n_table, out.clearance, R, p)
+                if partner.near == 0:
+                    continue
+                found = pair_clearance(world, body, partner, out.clearance, floor)
+                if found.given_up == 1:
+                    out.clearance = floor - TOUCH_M
+                    return out
+                if found.clearance < out.clearance:
+                    out.clearance = found.clearance
+                    out.pair = wp.where(link == OBJECT, partner.pair + PAIR_OF_OBJECT, partner.pair)
+                    out.body = b
+                    out.other = partner.other
+                    out.push = partner.R * found.push
+                    out.point = partner.R * found.point + partner.p
+                    if out.clearance <= floor:
+                        return out
+    return out

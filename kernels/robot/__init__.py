@@ -1,0 +1,1 @@
+"""Kinematics, the gripper's linkage, everything at its place."""

@@ -1,0 +1,210 @@
+"""What every collision kernel reads: robot, hands, objects, table, and where each trial's bodies sit.
+
+All work is done in the trial's *hand frame*: forward kinematics starts from T_hand_world, so the hand's pieces need no
+transform at all. Bodies are numbered: arm primitives, gripper primitives, then the attached object's hulls.
+Links are numbered 0 base ... 6 wrist_3, 7 gripper, 8 object; 7 and 8 ride on wrist_3.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.body import CELLS, HULL, Body
+
+wp.set_module_options({"enable_backward": False})
+
+vec6 = wp.types.vector(length=6, dtype=float)
+
+WRIST_3 = wp.constant(6)
+GRIPPER = wp.constant(7)
+OBJECT = wp.constant(8)
+
+
+@wp.struct
+class World:
+    """Constant over trials. Capsules bound a body: two end points in its frame, and a radius (m)."""
+
+    joint_R: wp.array(dtype=wp.mat33)  # (6,) parent link to joint at q = 0; the joint turns about its z
+    joint_p: wp.array(dtype=wp.vec3)
+    lower: wp.array(dtype=float)  # (6,) joint limits, rad
+    upper: wp.array(dtype=float)
+    n_arm: int
+    n_robot: int  # arm and gripper primitives
+    body_link: wp.array(dtype=int)  # (n_robot,)
+    kind: wp.array(dtype=int)
+    size: wp.array(dtype=wp.vec3)
+    radius: wp.array(dtype=float)  # capsules and spheres: the core's growth
+    cap_radius: wp.array(dtype=float)  # bounding capsule
+    cap_axis: wp.array(dtype=wp.vec3)  # from its middle to one end, in the body frame
+    body_R: wp.array(dtype=wp.mat33)  # (n_arm,) in the link frame
+    body_p: wp.array(dtype=wp.vec3)
+    lever: wp.array2d(
+        dtype=float
+    )  # (n_robot, 6) largest distance of a body's points from each joint's axis, any posture
+    link_first: wp.array(dtype=int)  # (9,) bodies of link k: link_first[k] .. link_first[k + 1], k = 0..7
+    link_c0: wp.array(dtype=wp.vec3)  # (8,) bounding capsule of the whole link (7 in the wrist_3 frame, any opening)
+    link_c1: wp.array(dtype=wp.vec3)
+    link_radius: wp.array(dtype=float)
+    link_lever: wp.array2d(dtype=float)  # (8, 6)
+    self_links: wp.array(dtype=int)  # (9,) bit k of entry l: link l is checked against link k < l (8: the object)
+    table_from: int  # bodies from this one on are checked against the table: base and shoulder stand on it
+    table_center: wp.vec3  # world frame
+    table_half: wp.vec3
+    points: wp.array(dtype=wp.vec3)  # hull points of all hands' pieces (hand frame) and all objects (object frame)
+    n_pieces: int
+    piece_start: wp.array(dtype=int)  # (H * n_pieces + 1,)
+    piece_center: wp.array(dtype=wp.vec3)
+    piece_radius: wp.array(dtype=float)
+    hand_center: wp.array(dtype=wp.vec3)  # (H,)
+    hand_radius: wp.array(dtype=float)
+    hull_first: wp.array(dtype=int)  # (O + 1,) hulls of object o: hull_first[o] .. hull_first[o + 1]
+    hull_start: wp.array(dtype=int)  # (hulls + 1,)
+    hull_cells: wp.array(dtype=int)  # (hulls,) the same hulls' points by direction (geometry/body.py, CELLS)
+    hull_c0: wp.array(dtype=wp.vec3)
+    hull_c1: wp.array(dtype=wp.vec3)
+    hull_radius: wp.array(dtype=float)
+
+
+@wp.struct
+class TrialBodies:
+    """Per trial: which hand and object, and where things sit."""
+
+    hand: wp.array(dtype=int)
+    object: wp.array(dtype=int)
+    R_hand_world: wp.array(dtype=wp.mat33)
+    p_hand_world: wp.array(dtype=wp.vec3)
+    R_wrist_grip: wp.array2d(dtype=wp.mat33)  # (B, n_robot - n_arm) gripper primitives in the wrist_3 frame
+    p_wrist_grip: wp.array2d(dtype=wp.vec3)
+    R_wrist_obj: wp.array(dtype=wp.mat33)
+    p_wrist_obj: wp.array(dtype=wp.vec3)
+    object_lever: wp.array2d(dtype=float)  # (B, 6)
+
+
+@wp.func
+def child_frame(R: wp.mat33, p: wp.vec3, joint_R: wp.mat33, joint_p: wp.vec3, q: float):
+    """R, p of a joint's child link, from its parent's: to the joint's frame, then by q (rad) about its z."""
+    c = wp.cos(q)
+    s = wp.sin(q)
+    return R * joint_R * wp.mat33(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0), R * joint_p + p
+
+
+@wp.func
+def forward_kinematics(
+    world: World,
+    R_hand_world: wp.mat33,
+    p_hand_world: wp.vec3,
+    q: vec6,
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
+):
+    """Writes the frames of links 0..6 in the hand frame."""
+    Rk = R_hand_world
+    pk = p_hand_world
+    R[0] = Rk
+    p[0] = pk
+    for i in range(6):
+        Rk, pk = child_frame(Rk, pk, world.joint_R[i], world.joint_p[i], q[i])
+        R[i + 1] = Rk
+        p[i + 1] = pk
+
+
+@wp.func
+def link_frame(link: int):
+    """The link whose frame carries this one."""
+    return wp.min(link, WRIST_3)
+
+
+@wp.func
+def body_pose(
+    world: World, bodies: TrialBodies, trial: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), body: int
+):
+    """Pose of a robot body or of the object (any body >= n_robot), in the hand frame."""
+    Rk = R[WRIST_3]
+    pk = p[WRIST_3]
+    Rb = bodies.R_wrist_obj[trial]
+    pb = bodies.p_wrist_obj[trial]
+    if body < world.n_arm:
+        k = world.body_link[body]
+        Rk = R[k]
+        pk = p[k]
+        Rb = world.body_R[body]
+        pb = world.body_p[body]
+    elif body < world.n_robot:
+        Rb = bodies.R_wrist_grip[trial, body - world.n_arm]
+        pb = bodies.p_wrist_grip[trial, body - world.n_arm]
+    return Rk * Rb, Rk * pb + pk
+
+
+@wp.func
+def robot_body(world: World, body: int):
+    """The shape of a robot primitive."""
+    b = Body()
+    b.kind = world.kind[body]
+    b.size = world.size[body]
+    b.radius = world.radius[body]
+    return b
+
+
+@wp.func
+def hull_body(starts: wp.array(dtype=int), hull: int):
+    """A point set as a shape."""
+    b = Body()
+    b.kind = HULL
+    b.start = starts[hull]
+    b.count = starts[hull + 1] - b.start
+    return b
+
+
+@wp.func
+def object_body(world: World, hull: int):
+    """One hull of an object as a shape."""
+    b = Body()
+    b.kind = CELLS
+    b.start = world.hull_cells[hull]
+    return b
+
+
+@wp.func
+def motion(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
+    """How far a body's points can move when the joints from `first_joint` on turn by d (rad): sum of |d_j| lever_j."""
+    m = float(0.0)
+    for j in range(first_joint, 6):
+        m += wp.abs(d[j]) * lever[row, j]
+    return m
+
+
+@wp.func
+def curvature(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
+    """Bound on the second derivative of a body's points along q + s d: sum over i, j of |d_i| |d_j| lever_max(i, j).
+
+    |d^2 x / dq_i dq_j| = |z_i x (z_j x (x - o_j))| for i <= j, at most the distance to the outer joint's axis.
+    """
+    c = float(0.0)
+    inner = float(0.0)
+    for j in range(first_joint, 6):
+        # the pairs (i, j) with i < j, twice, and (j, j), all with the outer joint's lever
+        e = wp.abs(d[j])
+        c += e * (e + 2.0 * inner) * lever[row, j]
+        inner += e
+    return c
+
+
+@wp.func
+def twists(
+    d: vec6,
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
+    w: wp.array(dtype=wp.vec3),
+    v: wp.array(dtype=wp.vec3),
+):
+    """Writes each link's velocity field v + w x when the joints turn at rates d (hand frame)."""
+    wk = wp.vec3(0.0, 0.0, 0.0)
+    vk = wp.vec3(0.0, 0.0, 0.0)
+    w[0] = wk
+    v[0] = vk
+    for j in range(6):
+        Rj = R[j + 1]
+        # a turn at rate d_j about an axis z through p has the field z x (x - p) = z x x + p x z
+        z = d[j] * wp.vec3(Rj[0, 2], Rj[1, 2], Rj[2, 2])
+        wk = wk + z
+        vk = vk + wp.cross(p[j + 1], z)
+        w[j + 1] = wk
+        v[j + 1] = vk

@@ -1,0 +1,1 @@
+"""Where a margin is attained, and its first-order change."""

@@ -1,0 +1,159 @@
+"""Which points of robot and hand decide Safe at a posture, and how robot bodies move with the ee frame around it."""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.body import CAPSULE
+from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
+from r2h_batch.kernels.geometry.primitives import rounded, signed_distance
+from r2h_batch.kernels.ik.jacobian import damped_gram, joint_rate, solve_spd
+from r2h_batch.kernels.robot.fk import ee_and_axes
+from r2h_batch.kernels.robot.gripper import Gripper
+from r2h_batch.kernels.robot.world import TrialBodies, World, body_pose, forward_kinematics, vec6
+from r2h_batch.kernels.witness.surface import SurfacePoint, finger_velocity, triangle_witness
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+
+SLACK_M = wp.constant(3.0e-5)
+"""As in r2h_batch.training.witnesses."""
+APART_M = wp.constant(1.0e-5)
+
+
+@wp.func
+def nearest_face(
+    world: World,
+    mesh: HandMesh,
+    hand: int,
+    kind: int,
+    size: wp.vec3,
+    R: wp.mat33,
+    p: wp.vec3,
+    best: float,
+    tri: wp.array(dtype=wp.vec3),
+):
+    """The hand's point of least signed distance to a primitive, in its frame; R, p: hand to primitive frame."""
+    out = SurfacePoint()
+    out.distance = best
+    for i in range(world.n_pieces):
+        piece = hand * world.n_pieces + i
+        if signed_distance(kind, size, R * world.piece_center[piece] + p) - world.piece_radius[piece] < out.distance:
+            for face in range(mesh.piece_face[i], mesh.piece_face[i + 1]):
+                ball = mesh.face_ball[hand * mesh.n_faces + face]
+                x = R * wp.vec3(ball[0], ball[1], ball[2]) + p
+                if signed_distance(kind, size, x) - ball[3] < out.distance:
+                    triangle_points(mesh, hand, face, tri)
+                    near = triangle_witness(tri, 0, kind, size, R, p, out.distance)
+                    if near.distance < out.distance:
+                        out = near
+    return out
+
+
+@wp.kernel
+def hand_witness(
+    first: int,
+    # tables
+    world: World,
+    mesh: HandMesh,
+    bodies: TrialBodies,
+    # trials
+    q_in: wp.array2d(dtype=float),  # (B, 6)
+    body_in: wp.array(dtype=int),  # -1: not wanted
+    distance_in: wp.array(dtype=float),  # of that body, as Safe measures it
+    # out
+    found_out: wp.array(dtype=wp.bool),
+    point_out: wp.array(dtype=wp.vec3),  # world frame
+    normal_out: wp.array(dtype=wp.vec3),  # world frame, the distance grows when the hand's point goes along it
+):
+    """The hand's point that decides Safe at a posture. Overlaps are measured as Safe does: against the body's rounded core.
+
+    Where the hand reaches that core, Safe's number no longer changes: then the way out of the sharp body is given.
+    """
+    trial = first + wp.tid()
+    body = body_in[trial]
+    found_out[trial] = False
+    if body < 0:
+        return
+    R = wp.zeros(shape=7, dtype=wp.mat33)
+    p = wp.zeros(shape=7, dtype=wp.vec3)
+    tri = wp.zeros(shape=3, dtype=wp.vec3)
+    q = vec6()
+    for j in range(6):
+        q[j] = q_in[trial, j]
+    forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q, R, p)
+    Rb, pb = body_pose(world, bodies, trial, R, p, body)
+    Rt = wp.transpose(Rb)
+    pt = -(Rt * pb)
+    hand = bodies.hand[trial]
+    kind = world.kind[body]
+    size = world.size[body]
+    # SLACK_M: the face is found again by distance, and rounding must not lose it
+    distance = distance_in[trial]
+    near = SurfacePoint()
+    near.distance = 1.0e30
+    sign = float(1.0)
+    if distance >= 0.0 or kind <= CAPSULE:
+        near = nearest_face(world, mesh, hand, kind, size, Rt, pt, distance + SLACK_M, tri)
+        near.distance = wp.where(wp.length_sq(near.n) > 0.0, near.distance, 1.0e30)
+    else:
+        core = rounded(kind, size)
+        near = nearest_face(world, mesh, hand, kind, core.size, Rt, pt, distance + core.radius + SLACK_M, tri)
+        if wp.length_sq(near.n) == 0.0 or near.distance < APART_M:
+            near.distance = 1.0e30
+    if near.distance >= 1.0e30:  # the core is met, or the body is wholly inside the hand
+        near = nearest_face(world, mesh, hand, kind, size, Rt, pt, 1.0e30, tri)
+        if near.distance > 0.0 and distance < 0.0:
+            sign = -1.0
+    R_world_hand = wp.transpose(bodies.R_hand_world[trial])
+    found_out[trial] = wp.length_sq(near.n) > 0.0
+    point_out[trial] = R_world_hand * (Rb * near.x + pb - bodies.p_hand_world[trial])
+    normal_out[trial] = sign * (R_world_hand * (Rb * near.n))
+
+
+@wp.kernel
+def finger_velocities(
+    first: int,
+    gripper: Gripper,
+    part_in: wp.array(dtype=int),  # -1: not a gripper primitive
+    opening_in: wp.array(dtype=float),
+    point_in: wp.array(dtype=wp.vec3),  # ee frame
+    velocity_out: wp.array(dtype=wp.vec3),
+):
+    """How points of gripper primitives move per metre of opening, ee frame."""
+    trial = first + wp.tid()
+    if part_in[trial] >= 0:
+        velocity_out[trial] = finger_velocity(gripper, part_in[trial], opening_in[trial], point_in[trial])
+
+
+@wp.kernel
+def arm_jacobian(
+    first: int,
+    # tables
+    damping: wp.float64,
+    joint_R: wp.array(dtype=wp.mat33d),  # (7,) parent link to joint at q = 0; the last: wrist_3 to ee
+    joint_p: wp.array(dtype=wp.vec3d),
+    # trials
+    q_in: wp.array2d(dtype=float),
+    # out
+    axis_out: wp.array2d(dtype=wp.vec3),  # (B, 6) joint axes and points on them, world frame
+    origin_out: wp.array2d(dtype=wp.vec3),
+    inverse_out: wp.array3d(dtype=float),  # (B, 6, 6)
+):
+    """Joint axes at a posture, and J^T (J J^T + damping^2)^-1: joint rates per (velocity of the ee origin, turn), world."""
+    trial = first + wp.tid()
+    n = int(6)
+    q = wp.zeros(shape=6, dtype=wp.float64)
+    axes = wp.zeros(shape=6, dtype=wp.vec3d)
+    linear = wp.zeros(shape=6, dtype=wp.vec3d)
+    for j in range(n):
+        q[j] = wp.float64(q_in[trial, j])
+    _, p = ee_and_axes(joint_R, joint_p, q, axes, linear)
+    for j in range(n):
+        axis_out[trial, j] = wp.vec3(axes[j])
+        origin_out[trial, j] = wp.vec3(linear[j])
+        linear[j] = wp.cross(axes[j], p - linear[j])
+    M = damped_gram(axes, linear, damping * damping)
+    for k in range(n):  # column k: J^T y with (J J^T + damping^2 1) y = e_k
+        A = M
+        A[k, 6] = wp.float64(1.0)
+        y = solve_spd(A)
+        for j in range(n):
+            inverse_out[trial, j, k] = wp.float32(joint_rate(axes[j], linear[j], y))

@@ -1,0 +1,98 @@
+"""The one command: `r2h-batch SUBCOMMAND ...`, or `python -m r2h_batch SUBCOMMAND ...`; `--version` names the version."""
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Literal
+
+import r2h_batch
+from r2h_batch.command_line import Command, answer, nearest, read, refuse
+
+COMMANDS = {
+    "sweep": ("r2h_batch.sweep.command", "Score methods or predictions files on the trials and print Table I."),
+    "trials": ("r2h_batch.export.command", "Write the trials and everything that a method may read."),
+    "scene": ("r2h_batch.export.command", "Write one stored trial as a folder that plain MuJoCo opens."),
+    "import": ("r2h_batch.importers.command", "Turn other people's hands and grasps into files that sweeps read."),
+    "results": ("r2h_batch.results.command", "Check a run folder, or print the digest of its rows."),
+    "report": ("r2h_batch.report.command", "Print the table of a run folder."),
+    "study": ("r2h_batch.study.command", "Simulation against people: the kit of the user study."),
+    "compare": ("r2h_batch.compare.command", "Compare methods on the trials that they share."),
+    "rescore": ("r2h_batch.rescore.command", "Print the rates of a run folder at other thresholds."),
+}
+"""Subcommand -> the module whose `main` (or `NAME_main`, where it holds several) it is, and what it does.
+
+A module is imported when its subcommand is chosen, not before.
+"""
+
+
+def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> int:
+    """Exit code of the chosen subcommand; 2 with one line where there is no such."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    name = given[0] if given else "--help"
+    if name in COMMANDS:
+        if arguments is None:
+            sys.argv = [sys.argv[0], *given[1:]]  # run.json keeps the sweep's command line as the sweep would see it
+        return main_of(name)(given[1:], prog=f"{prog} {name}")
+    return answer(prog, lambda: _about(name, given, prog))
+
+
+def _about(name: str, given: Sequence[str], prog: str) -> int:
+    """What is asked of the command itself: its version, its help, shell completion; or a slip."""
+    if name == "--version":
+        print(f"r2h_batch {r2h_batch.__version__}")
+        return 0
+    if name in ("-h", "--help"):
+        read({name: _described(text) for name, (_, text) in COMMANDS.items()}, ["--help"], prog=prog)
+    if name.startswith("--tyro-"):
+        try:
+            read(_completed(), given, prog=prog)
+        except OSError as error:
+            return refuse(prog, error)
+    kind, allowed = ("flag", ["--help", "--version"]) if name.startswith("-") else ("subcommand", list(COMMANDS))
+    return refuse(prog, f"unknown {kind} {name!r}{nearest(name, allowed)}; allowed are {', '.join(allowed)}")
+
+
+def main_of(name: str) -> Callable[..., int]:
+    """The `main(arguments, prog=...)` of a subcommand."""
+    module = import_module(COMMANDS[name][0])
+    found: Callable[..., int] = getattr(module, f"{name}_main", None) or module.main
+    return found
+
+
+def _completed() -> dict[str, Command]:
+    """Subcommands with all their flags, for shell completion: here every command's module is imported."""
+    from r2h_batch.compare import command as compare
+    from r2h_batch.export import command as export
+    from r2h_batch.report import command as report
+    from r2h_batch.rescore import command as rescore
+    from r2h_batch.sweep.options import Options
+
+    def results(command: Literal["verify", "digest"], folder: Path, /) -> None: ...
+
+    def study(command: Literal["paper", "ratings", "real", "plan"], files: tuple[Path, ...], /) -> None: ...
+
+    def import_(command: Literal["hand", "hands", "grasps"], files: tuple[Path, ...], /) -> None: ...
+
+    return {
+        "sweep": Options,
+        "trials": export.trials,
+        "scene": export.scene,
+        "import": import_,
+        "results": results,
+        "report": report.run,
+        "study": study,
+        "compare": compare.run,
+        "rescore": rescore.run,
+    }
+
+
+def _described(text: str) -> Callable[[], None]:
+    def subcommand() -> None: ...
+
+    subcommand.__doc__ = text
+    return subcommand
+
+
+if __name__ == "__main__":
+    sys.exit(main(prog="python -m r2h_batch"))

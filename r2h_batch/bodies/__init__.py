@@ -1,0 +1,1 @@
+"""Robot, hand, object: loaded numbers and meshes, and bounds on them."""

@@ -1,0 +1,95 @@
+"""What a user's hand.npz and hand set must hold, checked before anything is made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from r2h_batch.files import FileError, printable
+from r2h_batch.files.arrays import read_npz
+
+__all__ = ["read_hand", "read_hand_set"]
+
+HAND: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "vertices": ("f", ("V", 3)),
+    "faces": ("iu", ("F", 3)),
+    "weights": ("f", ("V", 16)),
+    "joints_rest": ("f", (16, 3)),
+    "shape_basis": ("f", ("V", 3, 10)),
+    "joint_shape_basis": ("f", (16, 3, 10)),
+    "parents": ("iu", (16,)),
+    "joint_axes": ("f", (16, 3, 3)),
+    "piece_vertices": ("iu", ("M",)),
+    "piece_offsets": ("iu", ("P+1",)),
+    "piece_names": ("U", ("P",)),
+    "tip_vertices": ("iu", (5,)),
+    "shape_names": ("U", ("S",)),
+}
+PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
+MAX_VERTICES, MAX_HANDS = 20_000, 100_000
+OPTIONAL: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "pose_basis": ("f", ("V", 3, 135)),
+    "pose_mean": ("f", (2, 45)),
+    "pose_components": ("f", (2, 45, 45)),
+}
+SET: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "pose": ("f", ("H", 48)),
+    "shape": ("f", ("H", 10)),
+    "side": ("iu", ("H",)),
+    "posture": ("U", ("H",)),
+}
+
+
+def read_hand(path: str | Path) -> dict[str, np.ndarray]:
+    """The arrays of a hand model as `HandModel.from_arrays` takes them. Raises `FileError`, one line."""
+    where, arrays = printable(path), read_npz(Path(path))
+    left = {f"left_{k}": v for k, v in {**HAND, **OPTIONAL}.items()}
+    given = {k: v for k, v in {**OPTIONAL, **left}.items() if k in arrays}
+    sizes = _check(arrays, {**HAND, **given}, where)
+    if sizes["V"] > MAX_VERTICES:
+        raise FileError(f"{where}: {sizes['V']} vertices; a hand may have {MAX_VERTICES}")
+    if tuple(arrays["parents"].tolist()) != PARENTS:
+        raise FileError(f"{where}: parents are not MANO's, {PARENTS}")
+    offsets = arrays["piece_offsets"].astype(np.int64)
+    if len(offsets) != sizes["P"] + 1 or offsets[0] != 0 or offsets[-1] != sizes["M"] or (np.diff(offsets) < 4).any():
+        raise FileError(f"{where}: piece_offsets do not divide piece_vertices into {sizes['P']} pieces of 4 or more")
+    for name in ("faces", "piece_vertices", "tip_vertices"):
+        if arrays[name].min(initial=0) < 0 or arrays[name].max(initial=0) >= sizes["V"]:
+            raise FileError(f"{where}: {name} names other vertices than the {sizes['V']} there are")
+    weights = [arrays[k] for k in ("weights", "left_weights") if k in arrays]
+    if any(w.min() < 0 or np.abs(w.sum(1) - 1).max() > 1e-3 for w in weights):
+        raise FileError(f"{where}: weights must be 0 or more and sum to 1 for every vertex")
+    return {k: v for k, v in arrays.items() if k in HAND or k in given}
+
+
+def read_hand_set(path: str | Path) -> dict[str, np.ndarray]:
+    """pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set. Raises `FileError`, one line."""
+    where, arrays = printable(path), read_npz(Path(path))
+    sizes = _check(arrays, SET, where)
+    if not 1 <= sizes["H"] <= MAX_HANDS:
+        raise FileError(f"{where}: {sizes['H']} hands; a set may have 1 to {MAX_HANDS}")
+    if not np.isin(arrays["side"], (0, 1)).all():
+        raise FileError(f"{where}: side must be 0 (right) or 1 (left)")
+    return {k: arrays[k] for k in SET}
+
+
+def _check(
+    arrays: Mapping[str, Any], wanted: Mapping[str, tuple[str, tuple[str | int, ...]]], where: str
+) -> dict[str, int]:
+    """Kinds and shapes of all wanted arrays; the sizes that letters stand for."""
+    sizes: dict[str, int] = {}
+    for name, (kind, shape) in wanted.items():
+        if name not in arrays:
+            raise FileError(f"{where}: has no {name}; needed are {', '.join(wanted)}")
+        value = arrays[name]
+        expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in shape)
+        fits = value.ndim == len(shape) and all(isinstance(n, str) or n == m for n, m in zip(expected, value.shape))
+        if not fits or value.dtype.kind not in kind:
+            raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {' x '.join(map(str, expected))}")
+        sizes |= {n: m for n, m in zip(shape, value.shape) if isinstance(n, str)}
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            raise FileError(f"{where}: {name} holds numbers that are not finite")
+    return sizes

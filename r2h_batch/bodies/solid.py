@@ -1,0 +1,170 @@
+"""What solids are made of and asked about: signed distance, winding number, voxels, level sets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+__all__ = ["level_set_solid", "sample_surface", "signed_distance", "solid_occupancy", "winding_number"]
+
+
+POINTS_AT_ONCE = 2048
+"""Points whose distance is asked for between two looks at the clock; each is answered alone."""
+
+
+def signed_distance(
+    mesh: trimesh.Trimesh, points: NDArray[np.float64], tick: Callable[[float], None] | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(N,) distance to the surface, negative where the winding number is above 0.5; (N, 3) closest points. float32.
+
+    `tick` is told the share that is done, every now and then; it may raise to end the work.
+    """
+    import warp as wp  # here: whoever only loads the built-in objects needs no Warp
+
+    from r2h_batch.kernels.geometry.mesh_distance import signed_distance as kernel
+    from r2h_batch.launch import init_warp, launch
+
+    init_warp()
+    center = mesh.bounds.mean(axis=0)
+    surface = wp.Mesh(
+        wp.array(np.asarray(mesh.vertices - center, np.float32), dtype=wp.vec3, device="cpu"),
+        wp.array(np.asarray(mesh.faces, np.int32).ravel(), dtype=wp.int32, device="cpu"),
+        support_winding_number=True,
+    )
+    where: Any = wp.array(np.asarray(points - center, np.float32), dtype=wp.vec3, device="cpu")
+    distance = wp.empty(len(points), dtype=wp.float32, device="cpu")
+    closest = wp.empty(len(points), dtype=wp.vec3, device="cpu")
+    reach = 4.0 * float(np.linalg.norm(mesh.extents)) + float(np.abs(points - center).max(initial=0.0))
+    for first in range(0, len(points), POINTS_AT_ONCE):
+        if tick is not None:
+            tick(first / len(points))
+        part = slice(first, min(first + POINTS_AT_ONCE, len(points)))
+        launch(
+            kernel,
+            part.stop - first,
+            inputs={"mesh": surface.id, "reach": reach, "points": where[part]},
+            outputs={"distance": distance[part], "closest": closest[part]},
+            device="cpu",
+        )
+    return distance.numpy().astype(np.float64), closest.numpy().astype(np.float64) + center
+
+
+def winding_number(solid: trimesh.Trimesh, count: int) -> NDArray[np.int64]:
+    """(n, n, n) winding number at the voxels' centres of :func:`solid_occupancy`'s grid."""
+    origin, pitch = _grid(solid, count)
+    i, j, z, sign = _column_crossings(solid.triangles, origin, pitch, count)
+    above = np.zeros((count, count, count + 1), np.int64)
+    layer = np.ceil((z - origin[2]) / pitch - 0.5).astype(np.int64).clip(0, count)
+    np.add.at(above, (i, j, layer), sign)
+    return np.cumsum(above, axis=2)[:, :, :count]
+
+
+def _grid(solid: trimesh.Trimesh, count: int) -> tuple[NDArray[np.float64], float]:
+    low, high = solid.bounds
+    pitch = float((high - low).max() / (count - 2.5))  # more than one voxel to spare on each side
+    return (low + high) / 2 - pitch * count / 2, pitch
+
+
+def _column_crossings(
+    triangles: NDArray[np.float64], origin: NDArray[np.float64], pitch: float, count: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]:
+    """(i, j, z, sign): where vertical lines through the centres of a count x count grid's columns cross the triangles.
+
+    sign is +1 where the line enters through the triangle (its normal points down), -1 where it leaves. Lines are moved
+    by 1e-5 of the pitch off the centres: symmetric meshes have edges exactly there.
+    """
+    first = origin[:2] + pitch * (0.5 + np.array([1.0e-5, 0.618034e-5]))
+    flat = triangles[:, :, :2]
+    low = np.ceil((flat.min(axis=1) - first) / pitch).astype(np.int64).clip(0, count)
+    high = np.floor((flat.max(axis=1) - first) / pitch).astype(np.int64).clip(-1, count - 1)
+    span = np.maximum(high - low + 1, 0)
+    cells = span[:, 0] * span[:, 1]
+    face = np.repeat(np.arange(len(triangles)), cells)
+    rank = np.arange(cells.sum()) - np.repeat(np.cumsum(cells) - cells, cells)
+    i = low[face, 0] + rank // np.maximum(span[face, 1], 1)
+    j = low[face, 1] + rank % np.maximum(span[face, 1], 1)
+    p = first + pitch * np.stack([i, j], axis=1)
+    a, b, c = triangles[face, 0], triangles[face, 1], triangles[face, 2]
+
+    def area(u: NDArray[np.float64], v: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (v[:, 0] - u[:, 0]) * (w[:, 1] - u[:, 1]) - (v[:, 1] - u[:, 1]) * (w[:, 0] - u[:, 0])
+
+    wa, wb, wc = area(b, c, p), area(c, a, p), area(a, b, p)
+    total = wa + wb + wc
+    hit = ((wa > 0) & (wb > 0) & (wc > 0)) | ((wa < 0) & (wb < 0) & (wc < 0))
+    z = (wa * a[:, 2] + wb * b[:, 2] + wc * c[:, 2])[hit] / total[hit]
+    return i[hit], j[hit], z, -np.sign(total[hit]).astype(np.int64)
+
+
+def solid_occupancy(solid: trimesh.Trimesh, count: int) -> tuple[NDArray[np.bool_], NDArray[np.float64], float]:
+    """((n, n, n) bool, lowest corner, pitch): a voxel is full when its centre is inside the closed surface or the
+    surface passes through it. The grid is a cube around the bounding box with one empty voxel to spare on each side."""
+    origin, pitch = _grid(solid, count)
+    full = winding_number(solid, count) > 0
+    full |= _surface_voxels(solid.triangles, origin, pitch, count)
+    return full, origin, pitch
+
+
+def _surface_voxels(
+    triangles: NDArray[np.float64], origin: NDArray[np.float64], pitch: float, count: int
+) -> NDArray[np.bool_]:
+    """(n, n, n) bool: the voxels that a triangle touches (separating axis test of triangle and cube)."""
+    full = np.zeros((count,) * 3, bool)
+    corners = (triangles - origin) / pitch
+    low = np.floor(corners.min(axis=1)).astype(np.int64).clip(0, count - 1)
+    span = np.floor(corners.max(axis=1)).astype(np.int64).clip(0, count - 1) - low + 1
+    cells = span.prod(axis=1)
+    for block in np.array_split(np.arange(len(triangles)), max(1, int(cells.sum() // 2_000_000))):
+        face = np.repeat(block, cells[block])
+        rank = np.arange(len(face)) - np.repeat(np.cumsum(cells[block]) - cells[block], cells[block])
+        width = span[face]
+        cell = low[face] + np.stack(
+            [rank // (width[:, 1] * width[:, 2]), rank // width[:, 2] % width[:, 1], rank % width[:, 2]], axis=1
+        )
+        t = corners[face] - (cell + 0.5)[:, None, :]
+        edges = np.roll(t, -1, axis=1) - t
+        normal = np.cross(edges[:, 0], edges[:, 1])
+        touches = np.abs(np.einsum("ij,ij->i", normal, t[:, 0])) <= 0.5 * np.abs(normal).sum(axis=1)
+        for axis in range(3):
+            unit = np.eye(3)[axis]
+            for k in range(3):
+                direction = np.cross(edges[:, k], unit)
+                shadow = np.einsum("ij,ikj->ik", direction, t)
+                radius = 0.5 * np.abs(direction).sum(axis=1)
+                touches &= (shadow.min(axis=1) <= radius) & (shadow.max(axis=1) >= -radius)
+        hit = cell[touches]
+        full[hit[:, 0], hit[:, 1], hit[:, 2]] = True
+    return full
+
+
+def level_set_solid(
+    inside: Callable[[NDArray[np.float64]], NDArray[np.float64]], bounds: Sequence[float], edge: float
+) -> Any:
+    """manifold3d's solid where a vectorised field (N, 3) -> (N,) is positive: the grid is recorded first, then used."""
+    from manifold3d import Manifold
+
+    seen: list[tuple[float, float, float]] = []
+
+    def record(x: float, y: float, z: float) -> float:
+        seen.append((x, y, z))
+        return -1.0
+
+    Manifold.level_set(record, bounds, edge)
+    value = dict(zip(seen, inside(np.array(seen)).tolist(), strict=True))
+    return Manifold.level_set(lambda x, y, z: value[x, y, z], bounds, edge)
+
+
+def sample_surface(solid: trimesh.Trimesh, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """(count, 3) points and their faces: systematic over the area, so that every part gets its share. Fixed seed."""
+    rng = np.random.Generator(np.random.Philox(key=20482048))
+    area = np.cumsum(solid.area_faces)
+    face = np.searchsorted(area, (np.arange(count) + rng.random(count)) / count * area[-1], side="right")
+    face = np.minimum(face, len(area) - 1)
+    a, b = rng.random(count), rng.random(count)
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    corner, u, v = solid.triangles[face, 0], solid.triangles[face, 1], solid.triangles[face, 2]
+    return corner + a[:, None] * (u - corner) + b[:, None] * (v - corner), face

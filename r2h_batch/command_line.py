@@ -1,0 +1,199 @@
+"""What all commands share: how a command line is read and refused. Imports nothing heavy.
+
+A command is a function with plain types (its docstring is the help), a dataclass of options, or a dict of functions
+(subcommands). What cannot be understood is one line: what was given, the nearest match, what is allowed; exit code 2.
+"""
+
+import contextlib
+import difflib
+import inspect
+import io
+import itertools
+import os
+import re
+import sys
+import traceback
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from functools import partial, wraps
+from typing import Any, TextIO
+
+from r2h_batch.files import printable
+
+Command = Callable[..., Any]
+
+
+class UsageError(Exception):
+    """A command line that cannot be run: one line that says what was given and what is allowed."""
+
+
+def nearest(name: str, allowed: Sequence[str]) -> str:
+    """`, did you mean X?` for the allowed word nearest to a misspelt one; empty where none is near."""
+    near = difflib.get_close_matches(name, allowed, n=1)
+    return f", did you mean {near[0]}?" if near else ""
+
+
+def read(
+    command: Command | Mapping[str, Command],
+    arguments: Sequence[str],
+    *,
+    prog: str,
+    default: Any = None,
+    more_flags: Sequence[str] = (),
+) -> Any:
+    """The options of a dataclass, or a function's call that is still to be made; raises `UsageError`.
+
+    `more_flags`: flags that were taken off the command line before. `--help` prints and leaves with SystemExit.
+    """
+    import tyro
+
+    if isinstance(command, Mapping):
+        words = [a for a in arguments if not a.startswith("-")]
+        completing = bool(arguments) and arguments[0].startswith("--tyro-")
+        if words and words[0] not in command and not completing:
+            raise UsageError(
+                f"unknown subcommand {words[0]!r}{nearest(words[0], list(command))}; allowed are {', '.join(command)}"
+            )
+        chosen = command.get(words[0]) if words else None
+        deferred = {name: _deferred(f) for name, f in command.items()}
+        parse = partial(tyro.extras.subcommand_cli_from_dict, deferred)
+    else:
+        chosen = command
+        parse = partial(tyro.cli, command if is_dataclass(command) else _deferred(command))
+        if default is not None:
+            parse = partial(parse, default=default)
+    box = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(box):
+            return parse(prog=prog, args=list(arguments), config=(tyro.conf.FlagCreatePairsOff,))
+    except SystemExit as stop:
+        if not stop.code:
+            raise  # --help, or a shell completion
+        flags = [*more_flags, *(_flags(chosen) if chosen is not None else ())]
+        raise UsageError(_one_line(box.getvalue(), arguments, flags)) from None
+
+
+def call(command: Command | Mapping[str, Command], arguments: Sequence[str], *, prog: str, name: str) -> int:
+    """Exit code of a function or of one of several; 2 with one line on stderr where the command line is refused."""
+    return answer(name, lambda: int(read(command, arguments, prog=prog)()))
+
+
+def answer(name: str, work: Callable[[], int]) -> int:
+    """Exit code of a command's work; 2 with one line where it raises `UsageError`, 1 where stdout does not take the answer.
+
+    What the work prints is kept until it ends: so a closed or full stdout, or one that only takes ASCII, is told from an
+    error of the work itself, and no control character of a name in a file reaches a terminal.
+    """
+    if sys.stderr is None:
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (as long as the process; print(file=None) would be stdout)
+    if sys.stdout is None:
+        return refuse(name, "standard output is closed; give it a terminal, a file or a pipe", 1)
+    kept, code, stopped = _Kept(sys.stdout), 0, None
+    try:
+        with contextlib.redirect_stdout(kept):
+            code = work()
+    except UsageError as error:
+        code = refuse(name, error)
+    except OSError as error:
+        code = refuse(name, place(error), 1)
+    except SystemExit as stop:  # --help
+        stopped = stop
+    try:
+        sys.stdout.write(printable(kept.getvalue(), keep="\n\t") if stopped is None else kept.getvalue())
+        sys.stdout.flush()
+    except UnicodeEncodeError as error:
+        shown = error.object[error.start : error.start + 1].encode("unicode_escape").decode()
+        words = f"standard output takes {error.encoding} only, the answer has {shown}; set PYTHONIOENCODING=utf-8"
+        return refuse(name, words, 1)
+    except (OSError, ValueError) as error:
+        _silence(sys.stdout)
+        why = error.strerror if isinstance(error, OSError) else error
+        return refuse(name, f"standard output: {why}; the answer is not complete", 1)
+    if stopped is not None:
+        raise stopped
+    return code
+
+
+def place(error: OSError, otherwise: str = "") -> str:
+    """Where an error of the operating system happened and what it is: Warp's kernel cache, a file, or `otherwise`."""
+    why = error.strerror or str(error)
+    frames = traceback.walk_tb(error.__traceback__)
+    if any(str(frame.f_globals.get("__name__")).partition(".")[0] == "warp" for frame, _ in frames):
+        folder = f" {error.filename}" if error.filename else ""
+        return f"kernel cache{folder}: {why}; free it, or set WARP_CACHE_PATH to a folder that can be written"
+    return f"{error.filename or otherwise}: {why}" if error.filename or otherwise else why
+
+
+class _Kept(io.StringIO):
+    """Text kept for a stream, which is asked what it is: colours and widths of --help are those of the stream."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__()
+        self._stream = stream
+
+    def isatty(self) -> bool:
+        return self._stream.isatty()
+
+
+def refuse(name: str, error: object, code: int = 2) -> int:
+    """One line on stderr, whatever the error says; returns the exit code."""
+    tell(f"{name}: {' '.join(str(error).split())}")
+    return code
+
+
+def tell(text: object) -> None:
+    """Lines on stderr, at once, without the control characters that names in files may hold; nothing where it is full."""
+    try:
+        print(printable(text, keep="\n"), file=sys.stderr, flush=True)
+    except (OSError, ValueError):
+        _silence(sys.stderr)
+
+
+def _silence(stream: TextIO) -> None:
+    """What is left in a stream that takes no more goes nowhere: Python flushes once more when it ends, and would fail."""
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _deferred(function: Command) -> Command:
+    """The function with its signature and words, but a call only remembers what to call it with."""
+
+    @wraps(function)
+    def later(*args: Any, **kwargs: Any) -> Command:
+        return partial(function, *args, **kwargs)
+
+    return later
+
+
+def _flags(command: Command) -> list[str]:
+    if is_dataclass(command):
+        names = [f.name for f in fields(command)]
+    else:
+        keywords = [p for p in inspect.signature(command).parameters.values() if p.kind is p.KEYWORD_ONLY]
+        names = [_name(p) for p in keywords]
+    return ["--" + name.replace("_", "-") for name in names]
+
+
+def _name(parameter: inspect.Parameter) -> str:
+    """A flag's name: the parameter's, or what `tyro.conf.arg(name=...)` says (--from cannot be a parameter)."""
+    said = (getattr(m, "name", None) for m in getattr(parameter.annotation, "__metadata__", ()))
+    return next((name for name in said if isinstance(name, str)), parameter.name)
+
+
+def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
+    """tyro's box as one line; a misspelt flag or value with its nearest match."""
+    for argument in arguments:
+        name = argument.partition("=")[0].replace("_", "-")
+        if name.startswith("-") and name not in (*flags, "-h", "--help") and not name[1:].replace(".", "").isdigit():
+            allowed = f"allowed are {', '.join(flags)}" if flags else "it has none but --help"
+            return f"unknown flag {name}{nearest(name, flags)}; {allowed}"
+    lines = [line.strip("\u2502| \n") for line in box.splitlines()]
+    worded = [any(c.isalnum() for c in line) for line in lines]
+    start = worded.index(True) + 1 if any(worded) else 0  # tyro prints a title, the message, a rule or blank, hints
+    message = itertools.takewhile(
+        lambda i: worded[i], itertools.dropwhile(lambda i: not worded[i], range(start, len(lines)))
+    )
+    text = " ".join(lines[i] for i in message).rstrip(" .")
+    if found := re.search(r"invalid choice '([^']*)'.*Expected one of \((.*)\)", text):
+        text += nearest(found[1], re.findall(r"'([^']*)'", found[2]))
+    return text or "the command line was not understood; see --help"

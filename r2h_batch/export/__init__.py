@@ -1,0 +1,1 @@
+"""A trial as MJCF, pictures, files for methods."""

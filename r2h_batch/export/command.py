@@ -1,0 +1,91 @@
+"""The commands `scene` (one stored trial as MJCF) and `trials` (what a method may read). Light until there is work."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from r2h_batch.command_line import call, refuse
+
+
+def scene(
+    *,
+    run: Path,
+    trial: int,
+    out: Path,
+    method: str = "",
+    object_mesh: tuple[str, ...] = (),
+    render: Path | None = None,
+) -> int:
+    """Write one stored trial as MJCF.
+
+    Args:
+        run: run folder of a sweep with --save-paths.
+        trial: trial id.
+        out: folder to write.
+        method: needed where the run holds several: the sweep's word (fc) or the table's name.
+        object_mesh: the user's objects, as in the sweep.
+        render: also a picture, a .png: start, middle, goal (MUJOCO_GL=osmesa without a screen).
+    """
+    from r2h_batch.bodies.object_mesh import ObjectMeshError
+    from r2h_batch.export.trial import ExportError, export_trial, load_trial, render_strip
+    from r2h_batch.results.reading import RunError
+
+    try:
+        stored = load_trial(run, trial, method=method or None, object_mesh=object_mesh)
+        folder = export_trial(stored, out)
+        if render:
+            render_strip(folder, render)
+    except (ExportError, RunError, ObjectMeshError) as error:
+        return refuse("scene", error)
+    except OSError as error:
+        return refuse("scene", f"{error.filename or out}: {error.strerror or error}", 1)
+    print(folder)
+    return 0
+
+
+def trials(
+    *,
+    out: Path,
+    protocol: Literal["r2h-v0"] = "r2h-v0",
+    trials: int = 500,
+    splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1"),
+    object_mesh: tuple[str, ...] = (),
+) -> int:
+    """Write a protocol's trials and everything that a handover method may read to make predictions.
+
+    Args:
+        out: a new or empty folder.
+        protocol: which trials.
+        trials: of each split, 1 or more.
+        splits: S0 free handover, S1 functional.
+        object_mesh: your own objects, FILE[:S0|S1], as in r2h_batch.sweep.
+    """
+    if trials < 1:
+        return refuse("trials", f"--trials is {trials}; it must be 1 or more")
+    if not splits:
+        return refuse("trials", "--splits names no split; allowed are S0, S1")
+    from r2h_batch.bodies.objects import load_objects, object_from_argument
+    from r2h_batch.export.trial_files import write_trials
+    from r2h_batch.verdicts import SPLITS
+
+    try:
+        chosen = [s for s in SPLITS if s in splits]
+        objects = (*load_objects(), *(object_from_argument(mesh) for mesh in object_mesh))
+        digest = write_trials(out, chosen, trials, objects=objects)
+    except (FileExistsError, ValueError) as error:
+        return refuse("trials", error)
+    except OSError as error:
+        return refuse("trials", f"{error.filename or out}: {error.strerror or error}", 1)
+    print(f"{protocol}: {trials} trials each of {', '.join(chosen)} in {out}, digest {digest}")
+    return 0
+
+
+def scene_main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.scene") -> int:
+    """Exit code: 0 written, 1 could not write, 2 refused with one line."""
+    return call(scene, sys.argv[1:] if arguments is None else arguments, prog=prog, name="scene")
+
+
+def trials_main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.trials") -> int:
+    """Exit code: 0 written, 1 could not write, 2 refused with one line."""
+    return call(trials, sys.argv[1:] if arguments is None else arguments, prog=prog, name="trials")

@@ -1,0 +1,189 @@
+"""Other people's hands, hand sets and grasps as files that this package reads: `r2h-batch import hand|hands|grasps`."""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from r2h_batch.command_line import Command, UsageError, call, refuse
+
+if TYPE_CHECKING:
+    from r2h_batch.bodies.grasp_set import GraspSet
+    from r2h_batch.importers.mano import ManoHand
+
+__all__ = ["grasps", "hand", "hands", "import_main", "main"]
+
+Frame = Literal["aperture", "first", "middle", "last"]
+
+
+def hand(
+    *, out: Path, mano_right: Path | None = None, mano_left: Path | None = None, negate_left_shape: bool = False
+) -> int:
+    """MANO's own files as one hand model.
+
+    Args:
+        out: The hand model to write, .npz. It holds MANO's data: its licence forbids to pass it on.
+        mano_right: MANO_RIGHT.pkl, or the same arrays as .npz.
+        mano_left: MANO_LEFT.pkl. Without it a left hand is the right one's mirror image, and the other way round.
+        negate_left_shape: Change the sign of the left file's shapedirs[:, 0], as data fitted with that repair need.
+    """
+
+    def run() -> None:
+        from r2h_batch.files.arrays import write_npz
+        from r2h_batch.importers.mano import hand_arrays
+
+        target = _npz(out)
+        arrays = hand_arrays(mano_right, mano_left, negate_left_shape=negate_left_shape)
+        write_npz(target, arrays)
+        print(
+            f"a hand of {len(arrays['vertices'])} vertices in {len(arrays['piece_names'])} convex pieces in {target};"
+            " it holds MANO's data: do not pass it on"
+        )
+
+    return _guarded(run)
+
+
+def hands(
+    folder: Annotated[Path | None, tyro.conf.Positional] = None,
+    *,
+    source: Annotated[
+        Literal["grab", "arctic", "h2o", "oakink", "dexycb", "built-in"], tyro.conf.arg(name="from", metavar="SOURCE")
+    ],
+    out: Path,
+    frame: Frame | int = "aperture",
+    mano_right: Path | None = None,
+    mano_left: Path | None = None,
+    negate_left_shape: bool = False,
+    strict: bool = False,
+) -> int:
+    """Receiving hands out of a data set's folder, one of every sequence and hand, and their motions beside them.
+
+    Args:
+        folder: The data set as its owners give it.
+        source: Whose it is: grab, arctic, h2o, oakink, dexycb; built-in: this project's own postures in the same form.
+        out: The hand set to write, .npz; the motions go beside it as NAME_motion.npz.
+        frame: Which frame of a sequence: aperture (the widest grip of the last second before the object moves), first,
+            middle, last, or a number (-1: the last). Of oakink, aperture takes the receivers' hands, others take all.
+        mano_right: MANO_RIGHT.pkl, for data relative to MANO's mean hand or in its components (arctic, dexycb), and for
+            the wrist's exact place.
+        mano_left: MANO_LEFT.pkl.
+        negate_left_shape: As for `hand`.
+        strict: Refuse a data set with a file that cannot be read, instead of naming and skipping it.
+    """
+
+    def run() -> None:
+        from r2h_batch.bodies.hand import load_hand_set
+        from r2h_batch.importers import hand_sets
+
+        target = _npz(out)
+        if source == "built-in":
+            hand_sets.write(target, hand_sets.built_in(), load_hand_set().pose[:, :3].numpy())
+            print(f"{len(load_hand_set())} hands of r2h_batch in {target}; 0 files skipped")
+            return
+        if folder is None:
+            raise UsageError(f"no folder; give that of {source}, as its owners give it")
+        rule = int(frame) if isinstance(frame, int) or str(frame).lstrip("-").isdigit() else frame
+        found = hand_sets.collect(source, folder, _mano(mano_right, mano_left, negate_left_shape), rule, strict=strict)
+        hand_sets.write(target, found)
+        right = sum(h.side == 0 for h in found.hands)
+        print(
+            f"{len(found.hands)} hands of {source} ({right} right, {len(found.hands) - right} left) in {target}, motions in"
+            f" {hand_sets.motion_file(target)}; {len(found.skipped)} files skipped"
+        )
+
+    return _guarded(run)
+
+
+def grasps(
+    file: Annotated[Path, tyro.conf.Positional],
+    *,
+    source: Annotated[Literal["acronym", "graspnet", "isaac", "own"], tyro.conf.arg(name="from", metavar="SOURCE")],
+    out: Path,
+    gripper: Literal["acronym-panda", "panda-hand", "2f-85-base", "ee"] | None = None,
+    object_id: int | None = None,
+    pose: Path | None = None,
+) -> int:
+    """Grasps of one object as the file that a benchmark names: T_obj_ee, width, score, part in our own ee frame.
+
+    Grasps of another gripper are seated anew on the object, or dropped, where they are used; both are counted there.
+
+    Args:
+        file: ACRONYM's .h5, graspnetAPI's .npy (N x 17), an isaac_grasp .yaml, or our own .npz or .safetensors to check.
+        source: Whose it is: acronym, graspnet, isaac (also GraspGen), own.
+        out: The grasps to write, .npz.
+        gripper: Whose frame an isaac_grasp file is in; needed for those, see `r2h_batch.importers.grippers`.
+        object_id: Which object's grasps of a graspnet file.
+        pose: T_obj_source, .npy of 4 x 4, for a graspnet file: the frame that the network saw in the object's frame.
+    """
+
+    def run() -> None:
+        target = _npz(out)
+        found, left_out = _grasps(file, source, gripper, object_id, pose)
+        write_npz(target, {**found.arrays(), "gripper": np.array(found.gripper)})
+        print(f"{len(found)} grasps of the {found.gripper} in {target}; {left_out} left out")
+
+    import numpy as np
+
+    from r2h_batch.files.arrays import write_npz
+
+    return _guarded(run)
+
+
+def _grasps(
+    file: Path, source: str, gripper: str | None, object_id: int | None, pose: Path | None
+) -> "tuple[GraspSet, int]":
+    from r2h_batch.bodies.grasp_set import read_grasps
+    from r2h_batch.files.arrays import read_npy
+    from r2h_batch.importers import acronym, graspnet, isaac_grasp
+    from r2h_batch.importers.sequences import numbers
+
+    given = {"--gripper": gripper, "--object-id": object_id, "--pose": pose}
+    allowed = {"isaac": ["--gripper"], "graspnet": ["--object-id", "--pose"]}.get(source, [])
+    if wrong := [k for k, v in given.items() if v is not None and k not in allowed]:
+        raise UsageError(f"{wrong[0]} says nothing about grasps from {source}")
+    if source == "acronym":
+        return acronym.read(file)
+    if source == "graspnet":
+        T = None if pose is None else numbers(read_npy(pose, most=4096), (4, 4), str(pose))
+        return graspnet.read(file, object_id=object_id, T_obj_source=T)
+    if source == "own":
+        return read_grasps(file), 0
+    if gripper is None:
+        raise UsageError("--gripper is needed: an isaac_grasp file does not say whose frame it is in")
+    return isaac_grasp.read(file, gripper)
+
+
+def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch import") -> int:
+    """Exit code: 0 written, 1 could not write, 2 refused, with one line on stderr."""
+    return call(COMMANDS, list(sys.argv[1:] if arguments is None else arguments), prog=prog, name="import")
+
+
+COMMANDS: dict[str, Command] = {"hand": hand, "hands": hands, "grasps": grasps}
+import_main = main
+
+
+def _mano(right: Path | None, left: Path | None, negate_left_shape: bool) -> "ManoHand | None":
+    from r2h_batch.importers.mano import load_mano
+
+    return None if right is None and left is None else load_mano(right, left, negate_left_shape=negate_left_shape)
+
+
+def _guarded(run: Callable[[], None]) -> int:
+    """The exit code: what is refused or cannot be written is one line."""
+    from r2h_batch.files import FileError
+
+    try:
+        run()
+    except (UsageError, FileError) as error:
+        return refuse("import", error)
+    except OSError as error:
+        return refuse("import", f"{error.filename or 'out'}: {error.strerror or error}", 1)
+    return 0
+
+
+def _npz(out: Path) -> Path:
+    if out.suffix != ".npz":
+        raise UsageError(f"--out {out}: give a name that ends in .npz")
+    return out

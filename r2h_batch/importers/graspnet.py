@@ -1,0 +1,44 @@
+"""GraspNet-1Billion (Fang et al. 2020), graspnetAPI's .npy of N x 17: [score, width, height, depth, R (9), t (3), object].
+
+R's columns are approach, closing axis and their normal; t lies `depth` before the fingertips. Poses are in the frame
+that the network saw: `T_obj_source` takes them to the object's.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps
+from r2h_batch.files import printable
+from r2h_batch.files.arrays import read_npy
+from r2h_batch.importers.grippers import PAD_HALF_M
+from r2h_batch.importers.reading import ImportRefused
+from r2h_batch.importers.sequences import numbers
+
+__all__ = ["read"]
+
+
+def read(
+    path: Path, *, object_id: int | None = None, T_obj_source: NDArray[np.float64] | None = None
+) -> tuple[GraspSet, int]:
+    """The grasps of one object, and how many are others'."""
+    where = printable(path)
+    rows = numbers(read_npy(path, most=MAX_GRASPS * 17 * 8 + 4096), (None, 17), where)
+    mine = np.ones(len(rows), bool) if object_id is None else rows[:, 16] == object_id
+    if not mine.any():
+        ids = sorted({int(i) for i in rows[:, 16]})[:10]
+        raise ImportRefused(f"{where}: no grasp of object {object_id}; there are objects {', '.join(map(str, ids))}")
+    if object_id is None and len(np.unique(rows[:, 16])) > 1:
+        raise ImportRefused(f"{where}: grasps of {len(np.unique(rows[:, 16]))} objects; choose one with --object-id")
+    rows = rows[mine]
+    R = rows[:, 4:13].reshape(-1, 3, 3)
+    approach, closing = R[:, :, 0], R[:, :, 1]
+    T = np.tile(np.eye(4), (len(rows), 1, 1))
+    T[:, :3, :3] = np.stack([np.cross(closing, approach), closing, approach], axis=2)
+    T[:, :3, 3] = rows[:, 13:16] + (rows[:, 3] - PAD_HALF_M)[:, None] * approach
+    T = T if T_obj_source is None else T_obj_source @ T
+    arrays = {"T_obj_ee": T, "width": rows[:, 1], "score": rows[:, 0]}
+    return checked_grasps(arrays, where, "graspnet"), int((~mine).sum())

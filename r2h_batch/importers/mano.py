@@ -1,0 +1,229 @@
+"""MANO's hand model from the files its owner has: MANO_RIGHT.pkl and MANO_LEFT.pkl, or the same arrays as .npz.
+
+Romero, Tzionas, Black: Embodied Hands (2017). MANO's licence forbids to pass its files on, and what is made of them:
+nothing of MANO is in this package, and a hand.npz made here stays with whoever made it.
+
+The hand frame is MANO's with the wrist joint at the origin, whatever the shape: where MANO's own parameters say
+`transl`, the wrist stands at `transl + J_0(shape)` (`ManoHand.wrist`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from r2h_batch.bodies import hand_pieces
+from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
+from r2h_batch.files.arrays import read_npz
+from r2h_batch.importers.reading import ImportRefused, read_pickle_file
+
+__all__ = ["ManoHand", "hand_arrays", "load_mano"]
+
+F64 = NDArray[np.float64]
+
+PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
+TIPS_778 = (320, 443, 671, 554, 744)
+"""index, middle, pinky, ring, thumb of MANO's own mesh (smplx, vertex_ids.py)"""
+SHAPES, MAX_VERTICES = 10, 20_000
+ALIKE_M = 0.005
+MIRROR = np.array([-1.0, 1.0, 1.0])
+AXIAL = np.array([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class ManoHand:
+    """A hand model and what turns MANO's own parameters into its frame: J_0 and its change with shape, right and left."""
+
+    model: HandModel
+    wrist_rest: F64
+    """(2, 3) m"""
+    wrist_shape: F64
+    """(2, 3, 10) m"""
+
+    def wrist(self, transl: F64, shape: F64, side: NDArray[np.integer[Any]]) -> F64:
+        """(n, 3) where the wrist joint stands for MANO's `transl` (n, 3) and `shape` (n, 10)."""
+        return np.asarray(transl + self.wrist_rest[side] + np.einsum("nci,ni->nc", self.wrist_shape[side], shape))
+
+
+def load_mano(
+    right: str | Path | None = None, left: str | Path | None = None, *, negate_left_shape: bool = False
+) -> ManoHand:
+    """The hand of these files; with one of them the other side is its mirror image.
+
+    `negate_left_shape`: the left file's `shapedirs[:, 0]` change sign. MANO 1.2's left hand has them as of the right
+    one; some data sets were fitted with that repaired (as smplx's users do), others were not: do what the data did.
+    """
+    arrays = hand_arrays(right, left, negate_left_shape=negate_left_shape)
+    sides = [arrays["wrist_rest"], arrays["wrist_shape"]]
+    return ManoHand(HandModel.from_arrays(arrays), *(np.asarray(s, np.float64) for s in sides))
+
+
+def hand_arrays(
+    right: str | Path | None = None, left: str | Path | None = None, *, negate_left_shape: bool = False
+) -> dict[str, NDArray[Any]]:
+    """Arrays in the format of `hand.npz`, which `bodies.hand.load_hand(path)` reads, with `wrist_rest`, `wrist_shape`."""
+    if right is None and left is None:
+        raise ImportRefused("no hand model: give MANO_RIGHT.pkl, MANO_LEFT.pkl or both")
+    raw = {s: _checked(_read(Path(p)), str(p), s) for s, p in ((RIGHT, right), (LEFT, left)) if p is not None}
+    if negate_left_shape and LEFT in raw:
+        raw[LEFT] = replace(raw[LEFT], shape_basis=raw[LEFT].shape_basis * MIRROR[:, None])
+    first = RIGHT if RIGHT in raw else LEFT
+    try:
+        arrays = _side_arrays(raw[first], raw[first].faces)
+        if len(raw) == 2:
+            _check_alike(raw[RIGHT], raw[LEFT], str(left))
+            other = _side_arrays(raw[LEFT], raw[RIGHT].faces)
+            own = ("vertices", "weights", "joints_rest", "shape_basis", "joint_shape_basis", "joint_axes", "pose_basis")
+            arrays |= {f"left_{k}": other[k] for k in own}
+    except ValueError as error:
+        raise ImportRefused(f"{right or left}: {error}") from None
+    arrays |= _both_sides(raw.get(RIGHT), raw.get(LEFT))
+    return arrays
+
+
+@dataclass(frozen=True, eq=False)
+class _Raw:
+    """One file's arrays, float64, a left hand mirrored to a right one; `mean`, `components` as they are."""
+
+    vertices: F64
+    faces: NDArray[np.int32]
+    shape_basis: F64
+    pose_basis: F64
+    regressor: F64
+    weights: F64
+    mean: F64
+    components: F64
+
+
+def _read(path: Path) -> Mapping[str, Any]:
+    found = read_npz(path) if path.suffix == ".npz" else read_pickle_file(path)
+    if not isinstance(found, dict):
+        raise ImportRefused(f"{path}: holds a {type(found).__name__}; a MANO file holds a dictionary of arrays")
+    return found
+
+
+def _checked(found: Mapping[str, Any], where: str, side: int) -> _Raw:
+    v = _numbers(found, "v_template", (None, 3), where)
+    count = len(v)
+    if not 100 <= count <= MAX_VERTICES:
+        raise ImportRefused(f"{where}: v_template has {count} vertices; a hand has 100 to {MAX_VERTICES}")
+    faces = _numbers(found, "f", (None, 3), where)
+    if (faces != np.round(faces)).any() or faces.min() < 0 or faces.max() >= count:
+        raise ImportRefused(f"{where}: f names other vertices than the {count} there are")
+    tree = np.asarray(_numbers(found, "kintree_table", (2, 16), where)[0]).astype(np.int64)
+    if tuple(tree[1:]) != PARENTS[1:]:
+        raise ImportRefused(f"{where}: kintree_table is not MANO's (parents {PARENTS})")
+    if found.get("bs_type", "lrotmin") != "lrotmin" or found.get("bs_style", "lbs") != "lbs":
+        raise ImportRefused(f"{where}: bs_type and bs_style must be lrotmin and lbs, as in MANO")
+    weights = _numbers(found, "weights", (count, 16), where)
+    if weights.min() < -1e-9 or np.abs(weights.sum(1) - 1).max() > 1e-3:
+        raise ImportRefused(f"{where}: weights must be 0 or more and sum to 1 for every vertex")
+    shape = _numbers(found, "shapedirs", (count, 3, None), where)
+    if shape.shape[2] < SHAPES:
+        raise ImportRefused(f"{where}: shapedirs has {shape.shape[2]} directions; need {SHAPES}")
+    pose = _numbers(found, "posedirs", (count, 3, 135), where)
+    regressor = _numbers(found, "J_regressor", (16, count), where)
+    points_left = float((regressor @ v)[[1, 4, 7, 10], 0].mean() - (regressor @ v)[0, 0]) > 0
+    if points_left != (side == LEFT):
+        names = ("right", "left")
+        raise ImportRefused(f"{where}: is a {names[points_left]} hand (its fingers point along {'+' if points_left else '-'}x)"
+                            f"; it was given as the {names[side]} one")  # fmt: skip
+    shape = shape[:, :, :SHAPES]
+    if side == LEFT:
+        axial = (AXIAL[:, None] * AXIAL).ravel()  # what mirroring does to the entries of R - 1
+        v, faces = v * MIRROR, faces[:, ::-1]
+        shape, pose = shape * MIRROR[:, None], pose * MIRROR[:, None] * np.tile(axial, 15)
+    return _Raw(
+        v, faces.astype(np.int32), shape, pose, regressor, np.maximum(weights, 0.0),
+        _numbers(found, "hands_mean", (45,), where), _numbers(found, "hands_components", (45, 45), where),
+    )  # fmt: skip
+
+
+def _numbers(found: Mapping[str, Any], name: str, shape: tuple[int | None, ...], where: str) -> F64:
+    value = found.get(name)
+    if value is None:
+        raise ImportRefused(f"{where}: has no {name}; it is no MANO file")
+    fits = isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim == len(shape)
+    if not fits or any(n is not None and n != m for n, m in zip(shape, value.shape)):
+        wanted = " x ".join("any" if n is None else str(n) for n in shape)
+        have = value.shape if isinstance(value, np.ndarray) else type(value).__name__
+        raise ImportRefused(f"{where}: {name} is {have}; need numbers, {wanted}")
+    if not np.isfinite(value).all() or np.abs(value.astype(np.float64)).max(initial=0.0) > 1e10:
+        raise ImportRefused(f"{where}: {name} holds numbers that are not finite")
+    return value.astype(np.float64)
+
+
+def _check_alike(right: _Raw, left: _Raw, where: str) -> None:
+    if right.vertices.shape != left.vertices.shape:
+        raise ImportRefused(f"{where}: {len(left.vertices)} vertices; the right hand has {len(right.vertices)}")
+    apart = np.abs((right.vertices - right.regressor[0] @ right.vertices)
+                   - (left.vertices - left.regressor[0] @ left.vertices)).max()  # fmt: skip
+    if apart > ALIKE_M:
+        raise ImportRefused(
+            f"{where}: its mirror image is up to {1000 * apart:.1f} mm from the right hand; the two are no pair"
+        )
+
+
+def _side_arrays(raw: _Raw, faces: NDArray[np.int32]) -> dict[str, NDArray[Any]]:
+    """One side as a right hand with its wrist joint at the origin for every shape."""
+    joints = raw.regressor @ raw.vertices
+    joint_shape = np.einsum("jv,vci->jci", raw.regressor, raw.shape_basis)
+    vertices, closed = raw.vertices - joints[0], hand_pieces.close_holes(raw.vertices, faces)
+    rest = joints - joints[0]
+    corner = vertices[closed]
+    if np.einsum("fc,fc->f", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() <= 0:
+        raise ValueError("its faces wind clockwise seen from outside")
+    pieces = hand_pieces.convex_pieces(vertices, closed, raw.weights, rest)
+    if len(vertices) == 778:
+        tips = np.array(TIPS_778, np.int32)
+    else:
+        tips = hand_pieces.tip_vertices(vertices, raw.weights, rest)
+    like = load_hand()
+    like_vertices, like_joints = like.vertices.double().numpy(), like.joints_rest.double().numpy()
+    axes = hand_pieces.joint_axes(
+        rest, vertices[tips], like.joint_axes.double().numpy(), like_joints, like_vertices[like.tip_vertices.numpy()]
+    )
+    arrays: dict[str, NDArray[Any]] = {
+        "vertices": vertices, "weights": raw.weights, "joints_rest": rest, "joint_axes": axes,
+        "shape_basis": raw.shape_basis - joint_shape[0], "joint_shape_basis": joint_shape - joint_shape[0],
+        "pose_basis": raw.pose_basis,
+    }  # fmt: skip
+    return {k: np.ascontiguousarray(v, np.float32) for k, v in arrays.items()} | {
+        "faces": closed,
+        "parents": np.array(PARENTS, np.int32),
+        "piece_vertices": np.concatenate(pieces),
+        "piece_offsets": np.cumsum([0] + [len(p) for p in pieces]).astype(np.int32),
+        "piece_names": np.array(hand_pieces.NAMES),
+        "tip_vertices": tips,
+        "shape_names": np.array([f"mano_{i}" for i in range(SHAPES)]),
+    }
+
+
+def _both_sides(right: _Raw | None, left: _Raw | None) -> dict[str, NDArray[Any]]:
+    """Mean, components and wrist of right and left hands; a missing one is the other's mirror image."""
+
+    def wrist(raw: _Raw, mirror: bool) -> tuple[F64, F64]:
+        sign = MIRROR if mirror else np.ones(3)
+        rest, moves = raw.regressor[0] @ raw.vertices, np.einsum("v,vci->ci", raw.regressor[0], raw.shape_basis)
+        return rest * sign, moves * sign[:, None]
+
+    def postures(raw: _Raw, mirror: bool) -> tuple[F64, F64]:
+        sign = np.tile(AXIAL if mirror else np.ones(3), 15)
+        return raw.mean * sign, raw.components * sign
+
+    there = right if right is not None else left
+    assert there is not None
+    mine = [right or there, left or there]
+    wrists = [wrist(mine[s], s == LEFT) for s in (RIGHT, LEFT)]  # raw arrays are mirrored to right hands
+    means = [postures(mine[s], (s == LEFT) != (mine[s] is left)) for s in (RIGHT, LEFT)]
+    return {
+        "wrist_rest": np.stack([w[0] for w in wrists]).astype(np.float32),
+        "wrist_shape": np.stack([w[1] for w in wrists]).astype(np.float32),
+        "pose_mean": np.stack([m[0] for m in means]).astype(np.float32),
+        "pose_components": np.stack([m[1] for m in means]).astype(np.float32),
+    }

@@ -1,0 +1,1 @@
+"""Grasp, IK, plan, goal, criteria: one stage, one file."""

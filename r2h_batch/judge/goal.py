@@ -1,0 +1,185 @@
+"""The goal posture of a handover pose, judged without a path: the branch the planner would go to, its clearance, Safe there."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float32, Int32
+from torch import Tensor
+
+from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
+from r2h_batch.judge.ik import IkResult, default_ur, home_posture
+from r2h_batch.judge.metrics import Criterion
+from r2h_batch.kernels.ik import nearest as ik_nearest
+from r2h_batch.kernels.judge import goal as goal_kernels
+from r2h_batch.launch import launch_trials
+from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.types import PlanReason
+
+ROTATION_LEVER_M = 0.1
+"""How many metres a radian counts in the residual of an unreachable target [choice]: about the fingers' length."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """Where B handover poses would end, and how clear that is.
+
+    `reason`, `pair`: as in `Plan`, as far as they are known without a path. `q` is the free branch that the planner tries
+    first; else the valid branch with the largest clearance; else, for an unreachable target, the posture that comes
+    nearest to it with the hand turned as asked; NaN for inactive rows. `clearance_m` is above 0 exactly where `reason` is
+    OK: the smallest over all pairs, exact below 5 cm and a lower bound above; where bodies meet, minus a lower bound of
+    the overlap (kernels/plan/posture.py); minus the residual where unreachable; that of home where the start collides.
+    `push`: when the two bodies move rigidly, the clearance changes by push . (motion of `body` - motion of `other`) at
+    `point` (world frame; zero where there is no pair below the cap).
+    """
+
+    reason: Int32[Tensor, " b"]
+    pair: Int32[Tensor, " b"]
+    slot: Int32[Tensor, " b"]  # of the branch (IkResult), -1: none
+    q: Float32[Tensor, "b 6"]
+    clearance_m: Float32[Tensor, " b"]
+    nearest: Int32[Tensor, " b"]  # CollidingPair of the nearest pair, whatever `pair` says
+    body: Int32[Tensor, " b"]  # Scene.part_names; -1: none
+    other: Int32[Tensor, " b"]  # hand piece or robot body it is nearest to; -1: none, or the table
+    push: Float32[Tensor, "b 3"]
+    point: Float32[Tensor, "b 3"]
+
+    @property
+    def free(self) -> Bool[Tensor, " b"]:
+        """Some branch is free, and home is."""
+        return self.reason == int(PlanReason.OK)
+
+
+def judge_goals(
+    scene: Scene,
+    placed: Placed,
+    T_world_ee: Float32[Tensor, "b 4 4"],
+    ik: IkResult,
+    branches: Bool[Tensor, "b 8"],
+    active: Bool[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> Goal:
+    """The goals of B handover poses whose IK is solved; `branches` are those that may be used (`goals="one"`: one)."""
+    b, device = len(active), active.device
+    goal = _unjudged(b, device)
+    residual = torch.zeros(b, dtype=torch.float32, device=device)
+    branches = branches.contiguous()
+    postures = {"valid": branches, "q": ik.q.view(-1, 6)}
+    on: dict[str, Any] = {"device": scene.device, "threads": threads}
+
+    # Each launch goes on from what the one before wrote into `goal`: the free branch, or why there is none ...
+    launch_trials(
+        goal_kernels.choose_goal,
+        b,
+        inputs={
+            "world": scene.world,
+            "bodies": placed.bodies,
+            "home": home_posture(str(device)),
+            "active": active.contiguous(),
+            **postures,
+        },
+        outputs={"reason": goal.reason, "pair": goal.pair, "slot": goal.slot},
+        chunk=64,
+        **on,
+    )
+    # ... a posture for targets that no branch reaches ...
+    launch_trials(
+        ik_nearest.nearest_posture,
+        b,
+        inputs={
+            "ur": default_ur(),
+            "rotation_lever_m": ROTATION_LEVER_M,
+            "wanted": active & ~branches.any(1),
+            "T_world_ee": T_world_ee.contiguous(),
+        },
+        outputs={"q": goal.q, "residual": residual},
+        chunk=256,
+        **on,
+    )
+    _measure(goal, scene, placed, postures, residual, on)
+    return goal
+
+
+def _unjudged(b: int, device: torch.device) -> Goal:
+    """Room for B goals; what no kernel writes stays NaN (posture, clearance) or zero (push, point)."""
+    reason, pair, slot, nearest, body, other = (torch.empty(b, dtype=torch.int32, device=device) for _ in range(6))
+    q = torch.full((b, 6), torch.nan, dtype=torch.float32, device=device)
+    clearance = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
+    push, point = (torch.zeros((b, 3), dtype=torch.float32, device=device) for _ in range(2))
+    return Goal(reason, pair, slot, q, clearance, nearest, body, other, push, point)
+
+
+def _measure(
+    goal: Goal,
+    scene: Scene,
+    placed: Placed,
+    postures: dict[str, Tensor],
+    residual: Float32[Tensor, " b"],
+    on: dict[str, Any],
+) -> None:
+    """Writes the clearance of each goal and what it is attained by; where no branch is free also the posture itself."""
+    launch_trials(
+        goal_kernels.goal_clearance,
+        len(residual),
+        inputs={
+            "cap": CLEARANCE_CAP_M,
+            "world": scene.world,
+            "hull_ball": scene.hull_balls,
+            "bodies": placed.bodies,
+            "home": home_posture(str(residual.device)),
+            "reason": goal.reason,
+            **postures,
+            "residual": residual,
+        },
+        outputs={
+            "pair": goal.pair,
+            "slot": goal.slot,
+            "q_goal": goal.q,
+            "clearance": goal.clearance_m,
+            "nearest": goal.nearest,
+            "body": goal.body,
+            "other": goal.other,
+            "push": goal.push,
+            "point": goal.point,
+        },
+        chunk=64,
+        **on,
+    )
+
+
+def safe_at(
+    scene: Scene,
+    placed: Placed,
+    q: Float32[Tensor, "b 6"],
+    active: Bool[Tensor, " b"],
+    thresholds: Thresholds,
+    *,
+    threads: int | None = None,
+) -> tuple[Criterion, Int32[Tensor, " b"], Float32[Tensor, "b 3"]]:
+    """Safe of the posture `q` alone, the robot body nearest to the hand (-1: beyond 5 cm), the hand's nearest point (world).
+
+    Margin: distance of the hand's exact mesh to the robot's primitives, exact below 5 cm, an overlap bound below 0.
+    """
+    b, device = len(active), active.device
+    distance = torch.empty(b, dtype=torch.float32, device=device)
+    body = torch.empty(b, dtype=torch.int32, device=device)
+    point = torch.full((b, 3), torch.nan, dtype=torch.float32, device=device)
+    launch_trials(
+        goal_kernels.goal_safe_distance,
+        b,
+        inputs={
+            "cap": CLEARANCE_CAP_M,
+            "world": scene.world,
+            "mesh": scene.hand_mesh,
+            "bodies": placed.bodies,
+            "active": active.contiguous(),
+            "q": q,
+        },
+        outputs={"distance": distance, "body": body, "point": point},
+        device=scene.device,
+        threads=threads,
+        chunk=64,
+    )
+    criterion = Criterion.of(distance - thresholds.safe_margin_m, active, touching_passes=False)
+    return criterion, body, point

@@ -1,0 +1,224 @@
+"""Closing the gripper: material between the pads, the opening that results, cuts, and the fingers' volume."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Bool, Float32, Int32
+from torch import Tensor
+
+from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.kernels.grasp import region as region_kernels
+from r2h_batch.kernels.grasp import width as width_kernels
+from r2h_batch.kernels.robot import gripper as gripper_kernels
+from r2h_batch.launch import launch_trials
+from r2h_batch.scene.grasp_tables import GraspTables, gripper_tables
+
+__all__ = [
+    "Grasp",
+    "attach",
+    "close_gripper",
+    "closed_clearance",
+    "gripper_poses",
+    "open_clearance",
+    "region_distance",
+]
+
+CUT_CAP_M = 0.001
+"""Clearances of the open gripper are exact below this: enough to see whether a trial is near the threshold."""
+
+
+@dataclass(frozen=True)
+class Grasp:
+    """What closing does to B trials, in metres. `cut_m` is the open gripper's clearance, at most `cut_cap_m`.
+
+    Nothing between the pads (`empty`): width NaN. Empty or too wide for the gripper: it stays open, shift 0.
+    """
+
+    width_m: Float32[Tensor, " b"]
+    opening_m: Float32[Tensor, " b"]
+    shift_m: Float32[Tensor, " b"]
+    empty: Bool[Tensor, " b"]
+    cut_m: Float32[Tensor, " b"]
+    margin_m: Float32[Tensor, " b"]
+    cut_part: Int32[Tensor, " b"]
+    """the gripper primitive (order of `Robot.gripper`) nearest to the object, -1 beyond the cap"""
+
+
+def close_gripper(
+    tables: GraspTables,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    *,
+    w_max: float = OPEN_GAP_M,
+    mode: Literal["pads", "whole"] = "pads",
+    cut_cap_m: float = CUT_CAP_M,
+    threads: int | None = None,
+) -> Grasp:
+    """Width, opening, shift and cut of each grasp `T_obj_ee` (ee in the object's frame) of object `object_index`.
+
+    The Stability margin is `w_max - w`, or the cut when the open gripper cuts deeper into the object than that leaves;
+    `-w_max` at least when nothing lies between the pads. 0 passes (touching).
+    """
+    if mode not in ("pads", "whole"):
+        raise ValueError(f"mode is {mode!r}; allowed are 'pads' (what lies between the pads) and 'whole' (the object)")
+    n = _checked(tables, T_obj_ee, object_index)
+    width, opening, shift = (torch.empty(n, dtype=torch.float32, device=tables.device) for _ in range(3))
+    empty = torch.empty(n, dtype=torch.bool, device=tables.device)
+    steps = torch.empty(n, dtype=torch.int32, device=tables.device)
+    launch_trials(
+        width_kernels.close_gripper,
+        n,
+        inputs={
+            "gripper": tables.gripper,
+            "surfaces": tables.surfaces,
+            "open_gap": OPEN_GAP_M,
+            "whole": int(mode == "whole"),
+            "T_obj_ee": T_obj_ee,
+            "object_index": object_index,
+        },
+        outputs={"width": width, "opening": opening, "shift": shift, "empty": empty, "steps": steps},
+        device=tables.device,
+        threads=threads,
+    )
+    # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above it.
+    # The cut is not added to w_max - w: the two are lengths of different things, and the worse one decides.
+    cut, cut_part = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, threads=threads)
+    material = torch.where(empty, torch.full_like(width, -w_max), w_max - width)
+    margin = torch.where(cut < 0, torch.minimum(material, cut), material)
+    return Grasp(width, opening, shift, empty, cut, margin, cut_part)
+
+
+def attach(T_obj_ee: Float32[Tensor, "b 4 4"], shift_m: Float32[Tensor, " b"]) -> Float32[Tensor, "b 4 4"]:
+    """`T_obj_ee` after the pads have met the object: it has moved by -shift along the closing axis."""
+    T = T_obj_ee.clone()
+    T[:, :3, 3] += T_obj_ee[:, :3, 1] * shift_m[:, None]
+    return T
+
+
+def open_clearance(
+    tables: GraspTables,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    *,
+    cap_m: float,
+    threads: int | None = None,
+) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
+    """Clearance of the open gripper to the object's solid (m, at most `cap_m`; negative: depth) and the primitive."""
+    opening = torch.full((len(T_obj_ee),), OPEN_GAP_M, dtype=torch.float32, device=tables.device)
+    return _clearance(tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, threads)
+
+
+def closed_clearance(
+    tables: GraspTables,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    opening_m: Float32[Tensor, " b"],
+    *,
+    cap_m: float,
+    threads: int | None = None,
+) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
+    """As `open_clearance`, of what is behind the pads of a gripper that stands at `opening_m`."""
+    return _clearance(tables, T_obj_ee, object_index, opening_m, 0, tables.behind_pads, True, cap_m, threads)
+
+
+def region_distance(
+    tables: GraspTables,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    opening_m: Float32[Tensor, " b"],
+    *,
+    cap_m: float = 0.05,
+    threads: int | None = None,
+) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
+    """Distance (m) of the fingers at `opening_m` to the receiver's region, and the primitive (as in `Robot.gripper`).
+
+    Exact below `cap_m`, `cap_m` beyond; negative: minus the depth of the region's deepest point in a finger. NaN and -1
+    for an object without a region. `T_obj_ee` is the attachment (`attach`). All that moves counts, the palm does not.
+    """
+    distance, part = _clearance(
+        tables, T_obj_ee, object_index, opening_m, tables.objects, tables.moving, False, cap_m, threads
+    )
+    # In the table of surfaces the regions stand behind the objects, in their order: index + tables.objects
+    none = ~tables.has_region[object_index.long()]
+    return torch.where(none, torch.full_like(distance, torch.nan), distance), part
+
+
+def _clearance(
+    tables: GraspTables,
+    T_obj_ee: Tensor,
+    object_index: Tensor,
+    opening_m: Tensor,
+    surface_offset: int,
+    used: int,
+    solid: bool,
+    cap_m: float,
+    threads: int | None,
+) -> tuple[Tensor, Tensor]:
+    n = _checked(tables, T_obj_ee, object_index)
+    count = tables.gripper.kind.shape[0]
+    R, p = _empty_poses(n, count, tables.device)
+    distance = torch.empty(n, dtype=torch.float32, device=tables.device)
+    part = torch.empty(n, dtype=torch.int32, device=tables.device)
+    launch_trials(
+        region_kernels.primitives_clearance,
+        n,
+        inputs={
+            "gripper": tables.gripper,
+            "surfaces": tables.surfaces,
+            "surface_offset": surface_offset,
+            "used": used,
+            "solid": int(solid),
+            "cap": cap_m,
+            "T_obj_ee": T_obj_ee,
+            "object_index": object_index,
+            "opening": opening_m,
+        },
+        outputs={"R": R, "p": p, "clearance": distance, "witness": part},
+        device=tables.device,
+        threads=threads,
+    )
+    return distance, part
+
+
+def gripper_poses(
+    opening_m: Float32[Tensor, " b"], *, threads: int | None = None
+) -> tuple[Float32[Tensor, "b g 3 3"], Float32[Tensor, "b g 3"]]:
+    """R, p of the G gripper primitives (order of `Robot.gripper`) in the ee frame at each opening (m)."""
+    device = str(opening_m.device)
+    g = gripper_tables(device)
+    R, p = _empty_poses(len(opening_m), g.kind.shape[0], device)
+    launch_trials(
+        gripper_kernels.gripper_poses,
+        len(opening_m),
+        inputs={"gripper": g, "opening": opening_m},
+        outputs={"R": R, "p": p},
+        device=device,
+        threads=threads,
+    )
+    return R, p
+
+
+def _empty_poses(n: int, count: int, device: str) -> tuple[Tensor, Tensor]:
+    R = torch.empty((n, count, 3, 3), dtype=torch.float32, device=device)
+    return R, torch.empty((n, count, 3), dtype=torch.float32, device=device)
+
+
+def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor) -> int:
+    """The batch size, after shape, dtype, device and index have been looked at."""
+    n = len(T_obj_ee)
+    for name, value, shape, dtype in (
+        ("T_obj_ee", T_obj_ee, (n, 4, 4), torch.float32),
+        ("object_index", object_index, (n,), torch.int32),
+    ):
+        right = tuple(value.shape) == shape and value.dtype == dtype and str(value.device) == tables.device
+        if not (right and value.is_contiguous()):
+            raise ValueError(
+                f"{name} is {value.dtype} {tuple(value.shape)} on {value.device}; "
+                f"expected contiguous {dtype} {shape} on {tables.device}"
+            )
+    # on CUDA looking at them would wait for the device: there the caller vouches for them
+    if n and tables.device == "cpu" and (int(object_index.min()) < 0 or int(object_index.max()) >= tables.objects):
+        given = f"[{int(object_index.min())}, {int(object_index.max())}]"
+        raise ValueError(f"object_index lies in {given}; allowed is [0, {tables.objects - 1}]: the tables' objects")
+    return n

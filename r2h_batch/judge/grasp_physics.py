@@ -1,0 +1,150 @@
+"""Closing and shaking in physics: the 2F-85's linkage closes on the object until it stops; then the grasp is tried.
+
+A check of the geometric width (grasp.py), and a friction grasp where one is asked for. Everything stands in the gripper
+frame: weight and shaking are accelerations of that frame.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from jaxtyping import Float, Int
+from numpy.typing import NDArray
+
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import Robot, drive_from_gap, load_robot
+from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.launch import cpu_threads, thread_pool
+from r2h_batch.motion.simulation import warnings_unwritten
+from r2h_batch.scene.dynamics import quat_wxyz
+from r2h_batch.scene.model_parts import FingerFrames, add_mesh, tie
+
+Array = NDArray[np.float64]
+
+STEP_S = 0.0005
+CLOSING_M_S = 0.15
+"""Speed at which the gap closes: the 2F-85's largest."""
+TORQUE_NM = 1.5
+"""At the drivers: about 30 N between the pads, a light grasp of a hand that may squeeze with 235 N."""
+SETTLE_S = 0.35
+FRICTION = 0.8
+"""Rubber pads on plastic or metal [choice]."""
+SHAKE_M_S2, SHAKE_HZ, SHAKE_S = 5.0, 4.0, 0.5
+"""Per axis: a sine of half the weight's size, two periods [choice]."""
+G = 9.81
+HINGE = mujoco.mjtJoint.mjJNT_HINGE
+DROPPED_M = 0.02
+
+
+@dataclass(frozen=True)
+class Closed:
+    """How B grasps ended: gap at rest (m), how far the object moved while closing and, if shaken, slipped after (m)."""
+
+    opening_m: Float[Array, " b"]
+    moved_m: Float[Array, " b"]
+    slip_m: Float[Array, " b"]
+    held: NDArray[np.bool_]
+
+
+def close_in_physics(
+    objects: Sequence[ObjectModel],
+    object_index: Int[NDArray[np.int32], " b"],
+    T_obj_ee: Float[Array, "b 4 4"],
+    *,
+    shake: bool = False,
+    down_ee: Float[Array, " 3"] | None = None,
+    threads: int | None = None,
+) -> Closed:
+    """Closes the gripper on each object, standing as `T_obj_ee` says and free to move, until the fingers rest.
+
+    With `shake`: then its weight (along `down_ee`, default: out of the gripper, as at home) and a shake along three axes;
+    `held` is whether it slipped by less than 2 cm.
+    """
+    robot = load_robot()
+    down = np.array([0.0, 0.0, 1.0]) if down_ee is None else np.asarray(down_ee, np.float64)
+
+    def one(i: int) -> tuple[float, float, float]:
+        return _close(
+            robot, objects[int(object_index[i])], np.asarray(T_obj_ee[i], np.float64), down if shake else None
+        )
+
+    with warnings_unwritten():
+        rows = list(thread_pool(cpu_threads(threads)).map(one, range(len(object_index))))
+    opening, moved, slip = np.array(rows, np.float64).reshape(-1, 3).T
+    return Closed(opening, moved, slip, np.isfinite(slip) & (slip < DROPPED_M))
+
+
+def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.MjSpec:
+    """The fingers as parallelograms of their four-bars, pads as boxes, and the object's convex pieces as a free body."""
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.option.timestep, spec.option.gravity = STEP_S, [0, 0, 0]
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    spec.option.impratio = 10
+    stiff = [4 * STEP_S, 1.0]
+    for name, side in (("left", -1), ("right", 1)):
+        frames = FingerFrames.of(robot, side)
+        body = spec.worldbody.add_body(
+            name=name, pos=frames.driver, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
+        )
+        body.add_joint(
+            name=name, type=HINGE, axis=frames.axis, armature=1e-3, range=[-0.05, robot.linkage.drive_upper + 0.05],
+            limited=True, actfrcrange=[-TORQUE_NM, TORQUE_NM], actfrclimited=True,
+        )  # fmt: skip
+        finger = body.add_body(name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3)
+        finger.add_joint(name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=1e-4)
+        finger.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=robot.linkage.pad_half_size, pos=frames.pad,
+            contype=1, conaffinity=2, friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
+        )  # fmt: skip
+        tie(spec, f"{name}_pad", name, -1.0, solref=stiff)  # the four-bar is a parallelogram: the pad keeps upright
+        spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE, gainprm=[100, *[0] * 9], biasprm=[0, -100, -2, *[0] * 7],
+        )  # fmt: skip
+    tie(spec, "left", "right", 1.0, solref=stiff)
+    T = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee @ np.linalg.inv(T_obj_ee)
+    xx, yy, zz, xy, xz, yz = model.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    held = spec.worldbody.add_body(
+        name="object", pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]), explicitinertial=True, mass=float(model.mass), ipos=model.com,
+        fullinertia=[xx, yy, zz, xy, xz, yz],
+    )  # fmt: skip
+    held.add_freejoint()
+    for k, (vertices, faces) in enumerate(model.pieces):
+        add_mesh(spec, f"piece_{k}", vertices.astype(np.float64), faces, convex=True)
+        held.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece_{k}", contype=2, conaffinity=1,
+            friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
+        )  # fmt: skip
+    return spec
+
+
+def _close(robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None) -> tuple[float, float, float]:
+    m = gripper_spec(robot, model, T_obj_ee).compile()
+    m.dof_damping[-6:] = [model.mass * 50] * 3 + [
+        float(np.trace(model.inertia)) * 50
+    ] * 3  # nothing drifts off at a touch
+    data = mujoco.MjData(m)
+    data.qpos[:4] = np.array([1, -1, 1, -1]) * float(drive_from_gap(OPEN_GAP_M))
+    start = data.qpos[4:7].copy()
+    every = 10
+    for k in range(round((OPEN_GAP_M / CLOSING_M_S + SETTLE_S) / STEP_S / every)):
+        data.ctrl[:] = drive_from_gap(max(OPEN_GAP_M - CLOSING_M_S * k * every * STEP_S, 0.0))
+        mujoco.mj_step(m, data, every)
+    pads = data.geom("right").xpos - data.geom("left").xpos
+    opening, moved = float(pads[1] - 2 * robot.linkage.pad_half_size[1]), float(np.linalg.norm(data.qpos[4:7] - start))
+    if down is None or not np.isfinite(data.qpos).all():
+        return opening, moved, float("nan")
+    m.dof_damping[-6:] = 0.0
+    at = data.qpos[4:7].copy()
+    for t in np.arange(0.0, 0.3 + 3 * SHAKE_S, every * STEP_S):  # weight alone first, then along x, y, z
+        shake = np.zeros(3)
+        if t >= 0.3:
+            axis = min(int((t - 0.3) / SHAKE_S), 2)
+            shake[axis] = SHAKE_M_S2 * np.sin(2 * np.pi * SHAKE_HZ * (t - 0.3))
+        m.opt.gravity[:] = G * down + shake
+        mujoco.mj_step(m, data, every)
+    return opening, moved, float(np.linalg.norm(data.qpos[4:7] - at))

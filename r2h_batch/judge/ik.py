@@ -1,0 +1,289 @@
+"""Joint angles that bring the ee frame to a pose: all branches of the UR5e, residuals, a proof where there is none."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float, Int, UInt8
+from torch import Tensor
+
+from r2h_batch.bodies.robot import Robot, load_robot
+from r2h_batch.config import HOME_Q
+from r2h_batch.kernels.ik import step as ik_step
+from r2h_batch.kernels.ik.jacobian import first_branch
+from r2h_batch.kernels.plan.codes import BRANCHES
+from r2h_batch.kernels.robot.fk import UrParameters, vec6d
+from r2h_batch.launch import init_warp, launch_trials
+
+ITERATIONS = 20
+"""Damped least squares steps per seed; the mean is 7."""
+
+POSITION_TOLERANCE_M = 1e-5
+ROTATION_TOLERANCE_RAD = 1e-5
+CHUNK = 512
+"""Targets a thread takes at a time: a target takes about 3 us, so the launch would dominate a smaller chunk."""
+
+
+@dataclass(frozen=True)
+class IkResult:
+    """Up to 8 branches for each of B targets.
+
+    Slot 4 s + 2 e + w holds the branch with s = 1 where the wrist centre lies behind the shoulder (seen along the arm's
+    plane), e = 1 where sin q3 < 0, w = 1 where sin q5 < 0. Each joint stands at the turn nearest to home within limits.
+    """
+
+    q: Float[Tensor, "b 8 6"]
+    """Joint angles, rad; NaN where not valid."""
+    valid: Bool[Tensor, "b 8"]
+    """The slot holds a solution: both errors below tolerance for the float32 angles in `q`."""
+    position_error_m: Float[Tensor, "b 8"]
+    """Distance between the targets' and the reached ee origin, float64 inside; inf where there is no branch."""
+    rotation_error_rad: Float[Tensor, "b 8"]
+    """Angle between the targets' and the reached ee axes; inf where there is no branch."""
+    status: UInt8[Tensor, "b 4"]
+    """How the pair of branches 2 s + w was settled: a STATUS_* code of kernels/ik/step.py."""
+    steps: Int[Tensor, "b 4"]
+    """Damped least squares steps spent on the pair, over all seeds tried."""
+
+    @property
+    def reachable(self) -> Bool[Tensor, "b"]:
+        """At least one branch was found."""
+        return self.valid.any(1)
+
+    @property
+    def unreachable_proven(self) -> Bool[Tensor, "b"]:
+        """The closed form has no solution, for no pose within about 1 um and 1 urad either. False for inactive rows."""
+        return (self.status == int(ik_step.STATUS_UNREACHABLE)).all(1)
+
+    @property
+    def singular(self) -> Bool[Tensor, "b"]:
+        """Some pair has sin q5 = 0 (< 1e-6): its slots hold points of a line of solutions (q6 = home if on it)."""
+        return (self.status == int(ik_step.STATUS_SINGULAR)).any(1)
+
+    @property
+    def rescued(self) -> Bool[Tensor, "b 4"]:
+        """Pairs of branches that exist but that no seed converged to: the closed form's own solution stands in."""
+        return self.status == int(ik_step.STATUS_RESCUED)
+
+
+def solve_ik(
+    T_world_ee: Float[Tensor, "b 4 4"],
+    *,
+    active: Bool[Tensor, "b"] | None = None,
+    robot: Robot | None = None,
+    home: Sequence[float] = HOME_Q,
+    seeds: Float[np.ndarray, "s 6"] | None = None,
+    iterations: int = ITERATIONS,
+    threads: int | None = None,
+) -> IkResult:
+    """All branches for every target, on the device of `T_world_ee`; a row depends on nothing but its own target.
+
+    Rows with `active` False, NaN or no rigid transform have no valid branch and are not proven unreachable.
+    `seeds`: joint angles to start from, joint 1 relative to the wrist centre's azimuth (default: the committed set).
+    """
+    robot = load_robot() if robot is None else robot
+    device = T_world_ee.device
+    if active is None:
+        active = torch.ones(T_world_ee.shape[:1], dtype=torch.bool, device=device)
+    start = ik_seeds() if seeds is None else np.asarray(seeds, dtype=np.float64)
+    _check(T_world_ee, active, robot, home, start, iterations)
+    n = len(T_world_ee)
+
+    init_warp()
+    place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
+    result = _unsolved(n, device)
+    if n == 0:
+        return result
+    launch_trials(
+        ik_step.solve_ik_kernel,
+        n,
+        inputs={
+            "ur": default_ur() if robot is load_robot() and tuple(home) == HOME_Q else ur_parameters(robot, home),
+            "iterations": iterations,
+            "position_tolerance_m": POSITION_TOLERANCE_M,
+            "rotation_tolerance_rad": ROTATION_TOLERANCE_RAD,
+            "seeds": _seed_states(place)
+            if seeds is None
+            else wp.array(_cos_sin(start), dtype=wp.float64, device=place),
+            "T_world_ee": T_world_ee.contiguous(),
+            "active": active.contiguous(),
+        },
+        outputs={
+            "q": result.q,
+            "valid": result.valid,
+            "position_error": result.position_error_m,
+            "rotation_error": result.rotation_error_rad,
+            "status": result.status,
+            "steps": result.steps,
+        },
+        device=place,
+        threads=threads,
+        chunk=CHUNK,
+        width=4,
+    )
+    return result
+
+
+def _unsolved(n: int, device: torch.device) -> IkResult:
+    """Room for n targets, all of which the kernel writes."""
+    return IkResult(
+        q=torch.empty((n, BRANCHES, 6), dtype=torch.float32, device=device),
+        valid=torch.empty((n, BRANCHES), dtype=torch.bool, device=device),
+        position_error_m=torch.empty((n, BRANCHES), dtype=torch.float32, device=device),
+        rotation_error_rad=torch.empty((n, BRANCHES), dtype=torch.float32, device=device),
+        status=torch.empty((n, 4), dtype=torch.uint8, device=device),
+        steps=torch.empty((n, 4), dtype=torch.int32, device=device),
+    )
+
+
+def _check(
+    T_world_ee: Tensor, active: Tensor, robot: Robot, home: Sequence[float], seeds: np.ndarray, iterations: int
+) -> None:
+    """Raises ValueError for what `solve_ik` cannot be asked."""
+    if T_world_ee.ndim != 3 or T_world_ee.shape[1:] != (4, 4) or T_world_ee.dtype != torch.float32:
+        raise ValueError(f"T_world_ee is {T_world_ee.dtype} {tuple(T_world_ee.shape)}; it must be float32 (B, 4, 4)")
+    n, device = len(T_world_ee), T_world_ee.device
+    if active.shape != (n,) or active.dtype != torch.bool or active.device != device:
+        raise ValueError(
+            f"active is {active.dtype} {tuple(active.shape)} on {active.device}; it must be bool ({n},) on {device}"
+        )
+    if len(home) != 6 or not ((robot.lower <= home) & (home <= robot.upper)).all():
+        raise ValueError(f"home is {tuple(home)}; it must be 6 joint angles in rad within the robot's limits")
+    if iterations < 1:
+        raise ValueError(f"iterations is {iterations}; it must be 1 or more")
+    if seeds.ndim != 2 or seeds.shape[1] != 6 or not np.isfinite(seeds).all():
+        raise ValueError(f"seeds have shape {seeds.shape}; they must be finite joint angles (S, 6) in rad")
+
+
+JACOBIAN_STEPS = 100
+"""Steps of the numerical solver per start; it needs 5 to 30."""
+
+
+def one_branch(
+    ik: IkResult, T_world_ee: Float[Tensor, "b 4 4"], *, home: Sequence[float] = HOME_Q, threads: int | None = None
+) -> Bool[Tensor, "b 8"]:
+    """`ik.valid` with one branch left for each target: the one that a numerical Jacobian solver started at home reaches.
+
+    As MoveIt's default solver: damped least squares on the whole arm, joints clamped to their limits; where it sticks it
+    starts again, here from the committed seeds in order. If that fails too, the first valid branch stands in.
+    """
+    n, device = len(T_world_ee), T_world_ee.device
+    place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
+    slot, start = (torch.full((n,), -1, dtype=torch.int32, device=device) for _ in range(2))
+    launch_trials(
+        first_branch,
+        n,
+        inputs=dict(
+            iterations=JACOBIAN_STEPS,
+            **_jacobian_tables(tuple(home), place),
+            T_world_ee=T_world_ee.contiguous(),
+            q=ik.q,
+            valid=ik.valid,
+        ),
+        outputs={"slot": slot, "start": start},
+        device=place,
+        threads=threads,
+        chunk=64,
+    )
+    # argmax of 0 and 1 is the first 1: the first valid branch (slot 0 where there is none; `& ik.valid` drops it)
+    slot = torch.where(slot >= 0, slot.long(), ik.valid.to(torch.int8).argmax(1))
+    return ik.valid & (torch.arange(BRANCHES, dtype=torch.int64, device=device) == slot[:, None])
+
+
+@cache
+def _jacobian_tables(home: tuple[float, ...], device: str) -> dict[str, wp.array]:
+    """Joint frames (the last: the ee in wrist_3), limits and starts for `first_branch`, on a device."""
+    robot = load_robot()
+    T = np.stack([*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee])
+    starts = np.concatenate([np.array(home)[None], ik_seeds()])
+    limits = {"lower": robot.lower, "upper": robot.upper, "starts": starts}
+    return {
+        "joint_R": wp.array(T[:, :3, :3], dtype=wp.mat33d, device=device),
+        "joint_p": wp.array(T[:, :3, 3], dtype=wp.vec3d, device=device),
+        **{k: wp.array(x, dtype=wp.float64, device=device) for k, x in limits.items()},
+    }
+
+
+@cache
+def _seed_states(device: str) -> wp.array:
+    """The committed seeds on a device, for the kernel."""
+    return wp.array(_cos_sin(ik_seeds()), dtype=wp.float64, device=device)
+
+
+@cache
+def home_posture(device: str) -> Float[Tensor, "1 6"]:
+    """Home's joint angles on a device."""
+    return torch.from_numpy(np.array([HOME_Q], np.float32)).to(device)
+
+
+@cache
+def default_ur() -> UrParameters:
+    """The parameters of the committed robot, home at its home."""
+    return ur_parameters(load_robot())
+
+
+@cache
+def ik_seeds() -> np.ndarray:
+    """The committed seeds (S, 6) in rad, in the order they are tried (made by assets/robot/build_ik_seeds.py)."""
+    with (files("r2h_batch.assets") / "robot" / "ik_seeds.npy").open("rb") as file:
+        seeds: np.ndarray = np.load(file)
+    seeds.setflags(write=False)
+    return seeds
+
+
+def ur_parameters(robot: Robot, home: Sequence[float] = HOME_Q) -> UrParameters:
+    """The link lengths, limits and home that the kernels need; refuses a robot without a UR's structure."""
+    T = [*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee]
+    ur = UrParameters()
+    # T[i] takes joint i's frame to the one before. A UR's six lengths stand in known entries (d and a of Denavit and
+    # Hartenberg 1955); what else the frames hold must be quarter turns, or the closed form is that of another arm.
+    ur.d1, ur.a2, ur.a3 = T[0][2, 3], -T[2][0, 3], -T[3][0, 3]
+    ur.d4, ur.d5, ur.tool = T[3][2, 3], -T[4][1, 3], T[5][1, 3] + T[6][2, 3]
+    straight, half = np.eye(3), np.diag([-1.0, -1.0, 1.0])
+    up, down = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    rotations = [half, up, straight, straight, up, down, straight]
+    d6 = float(T[5][1, 3])
+    origins = [
+        [0, 0, ur.d1], [0, 0, 0], [-ur.a2, 0, 0], [-ur.a3, 0, ur.d4], [0, -ur.d5, 0], [0, d6, 0], [0, 0, ur.tool - d6]
+    ]  # fmt: skip
+    for i, (R, p) in enumerate(zip(rotations, origins, strict=True)):
+        if np.abs(T[i][:3, :3] - R).max() > 1e-9 or np.abs(T[i][:3, 3] - p).max() > 1e-9:
+            raise ValueError(
+                f"robot frame {i} is not that of a UR arm with a straight tool: the IK kernel cannot be used"
+            )
+    ur.home, ur.lower, ur.upper = vec6d(*home), vec6d(*robot.lower), vec6d(*robot.upper)
+    return ur
+
+
+def reference_chain(**to: Any) -> Any:
+    """pytorch-kinematics' chain base_link -> ee from airo-models' URDF: reference for FK, Jacobian and its own IK.
+
+    Keyword arguments go to `chain.to` (dtype, device).
+    """
+    import airo_models
+    import pytorch_kinematics
+
+    text = Path(airo_models.get_urdf_path("ur5e")).read_text()
+    x, y, z = load_robot().T_flange_ee[:3, 3]
+    ee = (
+        '<link name="ee"/><joint name="tool0-ee" type="fixed"><parent link="tool0"/><child link="ee"/>'
+        f'<origin rpy="0 0 0" xyz="{x} {y} {z}"/></joint></robot>'
+    )
+    text = re.sub(r'\sdrake:\w+="[^"]*"', "", text).replace("</robot>", ee)  # lxml refuses the undeclared prefix
+    chain = pytorch_kinematics.build_serial_chain_from_urdf(text.encode(), "ee", "base_link")
+    return chain.to(**to) if to else chain
+
+
+def _cos_sin(q: np.ndarray) -> np.ndarray:
+    """The kernels' state (S, 12) of joint angles: (cos, sin) of q1, q2, q2 + q3, q2 + q3 + q4, q5, q6."""
+    # Joints 2 to 4 are parallel: with their sums in the state the arm's plane needs no product of angles
+    psi2 = q[:, 1] + q[:, 2]
+    angles = np.stack([q[:, 0], q[:, 1], psi2, psi2 + q[:, 3], q[:, 4], q[:, 5]], 1)
+    return np.stack([np.cos(angles), np.sin(angles)], -1).reshape(len(q), 12)

@@ -1,0 +1,99 @@
+"""What `Evaluator.score` accepts: one row per candidate, from (B, 4, 4) or (N, K, 4, 4); everything else is refused by name."""
+
+import warnings
+from dataclasses import replace
+from functools import cache
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from r2h_batch.scene.scene import Scene
+from r2h_batch.types import Trials
+
+Stages = Literal["pose", "all"]
+"""How far `Evaluator.score` goes: what needs no path, or everything."""
+
+
+def checked_inputs(
+    scene: Scene, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages
+) -> tuple[Tensor, Tensor, Trials]:
+    """Poses (B, 4, 4) and B trials; (N, K) candidates become N K rows, each trial K times in turn.
+
+    Raises ValueError, TypeError from shapes, dtypes and devices alone.
+    """
+    device = torch.device(scene.device)
+    check_stages(stages)
+    if not isinstance(trials, Trials):
+        raise TypeError(f"trials is a {type(trials).__name__}; it must be r2h_batch.Trials")
+    n = len(trials)
+    many = isinstance(T_obj_ee, Tensor) and T_obj_ee.ndim == 4
+    k = T_obj_ee.shape[1] if many else 1
+    shape, words = ((n, k, 4, 4), f"({n}, K, 4, 4)") if many else ((n, 4, 4), f"({n}, 4, 4) or ({n}, K, 4, 4)")
+    for name, value, expected in (
+        ("T_obj_ee", T_obj_ee, shape),
+        ("T_world_ee", T_world_ee, shape),
+        ("trials.T_world_hand", trials.T_world_hand, (n, 4, 4)),
+    ):
+        if not isinstance(value, Tensor):
+            raise TypeError(f"{name} is a {type(value).__name__}; it must be a torch tensor (B, 4, 4) or (N, K, 4, 4)")
+        if value.dtype != torch.float32:
+            raise TypeError(f"{name} is {value.dtype}; it must be torch.float32: call .float()")
+        if value.shape != expected:
+            allowed = words if name == "T_obj_ee" else str(tuple(expected))
+            raise ValueError(f"{name} has shape {tuple(value.shape)}; with {n} trials it must be {allowed}")
+        if value.device.type != device.type:
+            raise ValueError(f"{name} is on {value.device}, the evaluator on {device}: move one of them")
+    # an id is what the planner's random numbers are keyed by: in 32 bits it would be another one
+    for name, dtype in (("trial_id", torch.int64), ("object_index", torch.int32), ("hand_index", torch.int32)):
+        index = getattr(trials, name)
+        if not isinstance(index, Tensor):
+            raise TypeError(f"trials.{name} is a {type(index).__name__}; it must be a torch tensor ({n},) of {dtype}")
+        if index.shape != (n,) or index.dtype != dtype or index.device.type != device.type:
+            raise ValueError(
+                f"trials.{name} is {index.dtype} {tuple(index.shape)} on {index.device}; "
+                f"it must be {dtype} ({n},) on {device}"
+            )
+    if many:
+        T_obj_ee, T_world_ee = T_obj_ee.reshape(n * k, 4, 4), T_world_ee.reshape(n * k, 4, 4)
+        trials = repeated(trials, k)
+    return T_obj_ee, T_world_ee, trials
+
+
+def check_stages(stages: object) -> None:
+    """Raises ValueError for a word that names no stages."""
+    if stages not in get_args(Stages):
+        raise ValueError(f"stages is {stages!r}; allowed are {', '.join(get_args(Stages))}")
+
+
+@cache
+def warn_of_no_gradient() -> None:
+    """Says once in a process that poses of a full call wait for a gradient in vain."""
+    warnings.warn(
+        'stages is "all": a path has no gradient, so none leads back to T_obj_ee, T_world_ee; score with stages="pose"',
+        stacklevel=3,
+    )
+
+
+def check_indices(scene: Scene, trials: Trials) -> None:
+    """Raises ValueError for an object or hand outside the scene; on CUDA looking at them would wait for the device.
+
+    There rows with such an index become INVALID_INPUT.
+    """
+    if torch.device(scene.device).type != "cpu" or not len(trials):
+        return
+    for name, index, count in (
+        ("object_index", trials.object_index, len(scene.objects)),
+        ("hand_index", trials.hand_index, len(scene.hands.set)),
+    ):
+        low, high = int(index.min()), int(index.max())
+        if low < 0 or high >= count:
+            raise ValueError(f"trials.{name} runs from {low} to {high}; the scene has 0 to {count - 1}")
+
+
+def repeated(trials: Trials, k: int) -> Trials:
+    """Each trial k times in turn: the rows of (N, k) candidates."""
+    rows = {
+        name: x[:, None].expand(-1, k, *x.shape[1:]).reshape(-1, *x.shape[1:]) for name, x in trials._tensors().items()
+    }
+    return replace(trials, **rows)

@@ -1,0 +1,279 @@
+"""From joint branches to a collision-free path: which goals are free, straight lines, RRT-Connect, shortcuts, clearance."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Bool, Float32, Int32
+from torch import Tensor
+
+from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
+from r2h_batch.judge.ik import home_posture
+from r2h_batch.kernels.plan import rrt
+from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
+from r2h_batch.launch import launch_trials
+from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.types import PlanReason
+
+GOAL_ROOM_M = 2e-4
+"""A path may come this much nearer to the hand than its goal does: the stretch next to the goal must be certifiable."""
+
+_SCRATCH_NODES = 4_000_000  # of all trees of one launch: 96 MB
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What planning found for B trials. `path` rows beyond `length` are meaningless; `length` 0 means no path."""
+
+    reason: Int32[Tensor, " b"]  # PlanReason
+    pair: Int32[Tensor, " b"]  # CollidingPair that ruled a start or goal out, or that is nearest along the path
+    body: Int32[Tensor, " b"]  # robot body of the nearest pair (Scene.part_names), -1: none below the cap
+    clearance_m: Float32[Tensor, " b"]  # smallest along the path over all pairs, exact below 5 cm; -inf without a path
+    straight: Bool[Tensor, " b"]  # the path is one straight joint-space line
+    path: Float32[Tensor, "b w 6"]
+    length: Int32[Tensor, " b"]
+
+
+def plan_paths(
+    scene: Scene,
+    placed: Placed,
+    q: Float32[Tensor, "b 8 6"],
+    valid: Bool[Tensor, "b 8"],
+    active: Bool[Tensor, " b"],
+    key: Int32[Tensor, " b"],
+    config: PlanConfig,
+    *,
+    execute: ExecConfig | None = None,
+    threads: int | None = None,
+) -> Plan:
+    """Paths from home to the free branches `q` (rad), and why there is none where there is none.
+
+    `key` seeds a trial's random numbers. Reasons and margins as in benchmark.md; RRT-Connect (Kuffner and LaValle 2000)
+    with certified edges. Rows that are not `active` get NOT_EVALUATED.
+    """
+    b, device = len(active), q.device
+    execute = execute or ExecConfig()
+    run = Planner(scene, placed, threads)
+    home = home_posture(str(device))
+    moveit = int(config.edge_check == "moveit")
+
+    start_clear, start_pair, _ = run.check(home.expand(b, 6).contiguous(), active, 1)
+    goal_clear, goal_pair, clearance = run.check(
+        q.reshape(-1, 6), (valid & active[:, None] & start_clear[:, None]).reshape(-1), BRANCHES
+    )
+    goal_clear, goal_pair, clearance = (x.view(b, BRANCHES) for x in (goal_clear, goal_pair, clearance))
+
+    # (b * 8, 6) free branches first, nearest to home first; what lies beyond n_goals of a trial is never looked at
+    goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, home, config)
+    chosen = torch.full((b,), -1, dtype=torch.int32, device=device)
+    run(
+        rrt.straight_lines,
+        b,
+        inputs={"moveit": moveit, "home": home, "goals": goals, "n_goals": n_goals, "goal_margin": margin.view(-1)},
+        outputs={"chosen": chosen},
+        chunk=8,
+    )
+    path = torch.zeros((b, WAYPOINTS, 6), dtype=torch.float32, device=device)
+    length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
+    path[:, 0] = home
+    straight = chosen >= 0
+    nearest = goals.view(b, BRANCHES, 6)[torch.arange(b, dtype=torch.int64, device=device), chosen.clamp(min=0).long()]
+    path[:, 1] = torch.where(straight[:, None], nearest, 0.0)
+
+    _search(run, home, goals, n_goals, margin, key, path, length, config, execute)
+
+    least, pair, body = _least_clearance(run, path, length)
+    reason = _reasons(active, start_clear, valid, n_goals, length)
+    first_valid = valid.to(torch.int8).argmax(1)
+    blocked_by = goal_pair[torch.arange(b, dtype=torch.int64, device=device), first_valid]
+    pair = torch.where(reason == int(PlanReason.IK_IN_COLLISION), blocked_by, pair)
+    pair = torch.where(reason == int(PlanReason.START_IN_COLLISION), start_pair, pair)
+    return Plan(reason, pair, body, least, straight, path, length)
+
+
+def _least_clearance(
+    run: "Planner", path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]
+) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
+    """Smallest clearance along each path over all pairs (-inf without one), its pair and the robot's body."""
+    b, device = len(path), path.device
+    least = torch.full((b,), -torch.inf, dtype=torch.float32, device=device)
+    pair = torch.zeros(b, dtype=torch.int32, device=device)
+    body = torch.full((b,), -1, dtype=torch.int32, device=device)
+    run(
+        rrt.path_clearance,
+        b,
+        inputs={"cap": CLEARANCE_CAP_M, "tolerance": CLEARANCE_TOLERANCE_M, "path": path, "length": length},
+        outputs={"clearance": least, "pair": pair, "body": body},
+        chunk=8,
+    )
+    return least, pair, body
+
+
+def _reasons(
+    active: Bool[Tensor, " b"],
+    start_clear: Bool[Tensor, " b"],
+    valid: Bool[Tensor, "b 8"],
+    n_goals: Int32[Tensor, " b"],
+    length: Int32[Tensor, " b"],
+) -> Int32[Tensor, " b"]:
+    """PlanReason of each row; the first thing that rules a path out wins, so it is written last."""
+    reason = torch.full_like(length, int(PlanReason.NO_PATH_IN_BUDGET))
+    reason[length > 0] = int(PlanReason.OK)
+    reason[(n_goals == 0) & valid.any(1)] = int(PlanReason.IK_IN_COLLISION)
+    reason[~valid.any(1)] = int(PlanReason.IK_UNREACHABLE)
+    reason[~start_clear] = int(PlanReason.START_IN_COLLISION)
+    reason[~active] = int(PlanReason.NOT_EVALUATED)
+    return reason
+
+
+def _search(
+    run: "Planner",
+    home: Float32[Tensor, "1 6"],
+    goals: Float32[Tensor, "g 6"],
+    n_goals: Int32[Tensor, " b"],
+    margin: Float32[Tensor, "b 8"],
+    key: Int32[Tensor, " b"],
+    path: Float32[Tensor, "b w 6"],
+    length: Int32[Tensor, " b"],
+    config: PlanConfig,
+    execute: ExecConfig,
+) -> None:
+    """RRT-Connect and shortcuts where no straight line was free; writes `path` and `length`.
+
+    Budgets grow from round to round: most searches end within 50 iterations, and a launch is as large as its budget's trees.
+    """
+    b, device, moveit = len(path), path.device, int(config.edge_check == "moveit")
+    todo = torch.nonzero((n_goals > 0) & (length == 0)).flatten().to(torch.int32)
+    for i, iterations in enumerate(config.rounds):
+        last = i == len(config.rounds) - 1
+        kept, n_kept, path_margin = _goals_for_search(goals.view(b, BRANCHES, 6), n_goals, margin, everything=last)
+        # An iteration adds one node to one tree and then as many to the other as it takes to meet or to be blocked;
+        # how many is not bounded, so a tree that is full ends the search (`rrt_connect`)
+        capacity = 4 * iterations + 16
+        for part in todo.split(max(1, _SCRATCH_NODES // (2 * capacity))):
+            nodes = torch.empty((len(part) * 2 * capacity, 6), dtype=torch.float32, device=device)
+            parents = torch.empty(len(part) * 2 * capacity, dtype=torch.int32, device=device)
+            run(
+                rrt.rrt_connect,
+                len(part),
+                inputs={
+                    "iterations": iterations,
+                    "capacity": capacity,
+                    "range_rad": config.range_rad,
+                    "seed": config.seed,
+                    "moveit": moveit,
+                    "home": home,
+                    "trial": part,
+                    "key": key,
+                    "goals": kept.view(-1, 6),
+                    "n_goals": n_kept,
+                    "margin": path_margin,
+                },
+                outputs={"nodes": nodes, "parents": parents, "path": path, "length": length},
+                chunk=1,
+            )
+            found = part[length[part.long()] > 0]
+            _shorten(run, found, key, path_margin, path, length, config, execute)
+        todo = todo[length[todo.long()] == 0]
+        if not len(todo):
+            break
+
+
+def _shorten(
+    run: "Planner",
+    found: Int32[Tensor, " f"],
+    key: Int32[Tensor, " b"],
+    margin: Float32[Tensor, " b"],
+    path: Float32[Tensor, "b w 6"],
+    length: Int32[Tensor, " b"],
+    config: PlanConfig,
+    execute: ExecConfig,
+) -> None:
+    """Shortcuts on the paths of the rows `found`, as long as they save time under the arm's limits; in place."""
+    run(
+        rrt.shortcut,
+        len(found),
+        inputs={
+            "tries": config.shortcuts,
+            "speed": execute.scale * execute.max_velocity_rad_s,
+            "acceleration": execute.scale * execute.max_acceleration_rad_s2,
+            "seed": config.seed,
+            "moveit": int(config.edge_check == "moveit"),
+            "trial": found,
+            "key": key,
+            "margin": margin,
+        },
+        outputs={"path": path, "length": length},
+        chunk=1,
+    )
+
+
+class Planner:
+    """Runs planning kernels, which all take the scene's world and the trials' bodies."""
+
+    def __init__(self, scene: Scene, placed: Placed, threads: int | None) -> None:
+        self._tables = {"world": scene.world, "bodies": placed.bodies}
+        self._device = scene.device
+        self._threads = threads
+
+    def __call__(self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int) -> None:
+        inputs = {**self._tables, **inputs}
+        launch_trials(
+            kernel, n, inputs=inputs, outputs=outputs, device=self._device, threads=self._threads, chunk=chunk
+        )
+
+    def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Free or not, the pair that collides, the hand clearance up to 6.5 mm; one row per posture."""
+        n = len(q)
+        clear = torch.zeros(n, dtype=torch.bool, device=q.device)
+        pair = torch.zeros(n, dtype=torch.int32, device=q.device)
+        clearance = torch.zeros(n, dtype=torch.float32, device=q.device)
+        self(
+            rrt.check_postures,
+            n,
+            inputs={"per_trial": per_trial, "active": active.contiguous(), "q": q.contiguous()},
+            outputs={"clear": clear, "pair": pair, "hand_clearance": clearance},
+            chunk=64,
+        )
+        return clear, pair, clearance
+
+
+def _sort_goals(
+    q: Tensor, clear: Tensor, clearance: Tensor, home: Tensor, config: PlanConfig
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Free goals, nearest to home first: (b * 8, 6), their number (b,), the hand clearance a path to each must keep (b, 8)."""
+    b = len(q)
+    distance = torch.zeros(q.shape[:2], dtype=torch.float64, device=q.device)
+    for j in range(6):  # summed in a fixed order: the same bits at any batch size
+        distance = distance + (q[..., j] - home[0, j]).double().square()
+    order = torch.where(clear, distance, torch.inf).argsort(dim=1, stable=True)
+    rows = torch.arange(b, dtype=torch.int64, device=q.device)[:, None]
+    goals = q[rows, order].contiguous().view(-1, 6)
+    room = clearance[rows, order]
+    # A goal at `room` from the hand cannot be entered on a path that keeps more: a little less than the goal has, at
+    # least half of it, and never more than the margin asked for everywhere
+    keep = torch.maximum(room - GOAL_ROOM_M, 0.5 * room).clamp(max=config.hand_clearance_m)
+    n_goals = clear.sum(1).to(torch.int32)
+    return goals, n_goals, keep.contiguous()
+
+
+def _goals_for_search(
+    goals: Tensor, n_goals: Tensor, margin: Tensor, *, everything: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The goals that one search may end at, and the hand clearance that all of it keeps.
+
+    A tree has one margin. First only goals that allow (nearly) the widest one; in the last round all of them.
+    """
+    slot = torch.arange(BRANCHES, dtype=torch.int64, device=goals.device)[None]
+    there = slot < n_goals[:, None]
+    widest = torch.where(there, margin, 0.0).amax(1, keepdim=True)
+    # One near goal would lower the margin of the whole tree, and with it that of paths to goals with more room
+    use = there & ((margin >= 0.9 * widest) | torch.tensor(everything, dtype=torch.bool, device=goals.device))
+    order = torch.where(use, slot, BRANCHES + slot).argsort(dim=1)
+    rows = torch.arange(len(goals), dtype=torch.int64, device=goals.device)[:, None]
+    kept_margin = torch.where(use, margin, torch.inf).amin(1)
+    return (
+        goals[rows, order].contiguous(),
+        use.sum(1).to(torch.int32),
+        torch.where(there.any(1), kept_margin, 0.0).contiguous(),
+    )

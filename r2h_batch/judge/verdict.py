@@ -1,0 +1,148 @@
+"""From what the stages found to `Scores`: the criteria side by side, the first failure, the reasons and witnesses."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Bool, Float32, Int8, Int32, Int64
+from torch import Tensor
+
+from r2h_batch.config import BORDERLINE_M, ExecConfig
+from r2h_batch.judge.goal import Goal
+from r2h_batch.judge.hold import Holding
+from r2h_batch.judge.metrics import Criterion, Touch
+from r2h_batch.judge.plan import Plan
+from r2h_batch.motion.execute import Executed, executed_time_at
+from r2h_batch.motion.time_law import Motion, time_at
+from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
+
+__all__ = ["motion_scores", "pose_scores", "random_key", "verdict"]
+
+
+def verdict(
+    trial_id: Int64[Tensor, " b"],
+    criteria: Sequence[Criterion],
+    holding: Holding,
+    slip_m: Float32[Tensor, " b"],
+    valid: Bool[Tensor, " b"] | None = None,
+) -> dict[str, Tensor]:
+    """The fields of `Scores` that need neither path nor posture; `criteria` in the order of `CRITERIA`.
+
+    `valid`: False where the simulator failed. Such a row is judged by nothing, and comes back as INVALID_SIM.
+    """
+    active, grasp = holding.active, holding.grasp
+    # (B, 5), columns as CRITERIA
+    evaluated = torch.stack([c.evaluated for c in criteria], 1)
+    passed = torch.stack([c.passed for c in criteria], 1)
+    margin = torch.stack([c.margin for c in criteria], 1)
+    if valid is not None:
+        evaluated, passed = evaluated & valid[:, None], passed & valid[:, None]
+        margin = torch.where(valid[:, None], margin, torch.nan)
+    outcome = _first_failure(passed, evaluated, active)
+    if valid is not None:
+        outcome = outcome.masked_fill(active & ~valid, int(Outcome.INVALID_SIM))
+    return {
+        "trial_id": trial_id,
+        "outcome": outcome,
+        "success": outcome == int(Outcome.SUCCESS),
+        "passed": passed,
+        "evaluated": evaluated,
+        "margin": margin,
+        "borderline": (evaluated & (margin.abs() < BORDERLINE_M)).any(1),
+        "width_m": torch.where(active, grasp.width_m, torch.nan),
+        "opening_m": torch.where(active, grasp.opening_m, torch.nan),
+        "grasp_shift_m": torch.where(active, grasp.shift_m, torch.nan),
+        "slip_m": slip_m,
+    }
+
+
+def motion_scores(
+    shared: dict[str, Tensor],
+    active: Bool[Tensor, " b"],
+    planned: Plan,
+    motion: Motion,
+    executed: Executed,
+    touch: Touch,
+    config: ExecConfig,
+    *,
+    t_plan_s: float,
+    keep_motion: bool,
+) -> Scores:
+    """`Scores` of trials that were planned and moved; `shared` from `verdict`."""
+    found, witnessed = planned.length > 0, touch.body >= 0
+    restless = found & executed.valid & ~executed.settled
+    last = (planned.length - 1).clamp(min=0).long()
+    goal = planned.path[torch.arange(len(active), dtype=torch.int64, device=active.device), last]
+    if executed.sample_s is None:
+        time_s = time_at(planned.path, planned.length, motion, touch.segment, touch.fraction, config)
+    else:
+        time_s = executed_time_at(executed, touch.segment, touch.fraction)
+    kept, kept_len, failed_state = _kept_motion(executed, keep_motion)
+    return Scores(
+        **shared,
+        plan_reason=torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(torch.int8),
+        plan_pair=torch.where(active, planned.pair, int(CollidingPair.NONE)).to(torch.int8),
+        witness_part=torch.stack([torch.where(found, planned.body, -1), touch.body], 1),
+        witness_time_s=torch.where(witnessed, time_s, torch.nan),
+        witness_point=torch.where(witnessed[:, None], touch.point, torch.nan),
+        t_plan_s=torch.where(active, t_plan_s, torch.nan).float(),
+        t_exec_s=executed.t_exec_s,
+        q_goal=torch.where(found[:, None], goal, torch.nan),
+        path=planned.path,
+        path_time_s=motion.time_s,
+        path_len=planned.length,
+        motion=kept,
+        motion_len=kept_len,
+        failed_state=failed_state,
+    )
+
+
+def pose_scores(
+    shared: dict[str, Tensor], goal: Goal, safe_body: Int32[Tensor, " b"], safe_point: Float32[Tensor, "b 3"]
+) -> Scores:
+    """`Scores` of poses that were judged without a path; `shared` from `verdict`."""
+    nan, zero = torch.full_like(goal.clearance_m, torch.nan), torch.zeros_like(goal.reason)
+    none = torch.empty((len(nan), 0, 6), dtype=torch.float32, device=nan.device)
+    return Scores(
+        **shared,
+        plan_reason=goal.reason.to(torch.int8),
+        plan_pair=goal.pair.to(torch.int8),
+        witness_part=torch.stack([goal.body, safe_body], 1),
+        witness_time_s=nan,
+        witness_point=safe_point,
+        t_plan_s=nan,
+        t_exec_s=nan,
+        q_goal=goal.q,
+        path=none,
+        path_time_s=none[:, :, 0],
+        path_len=zero,
+        motion=none,
+        motion_len=zero.clone(),
+        failed_state=none[:, :, 0].double(),
+    )
+
+
+def random_key(trial_id: Int64[Tensor, " b"]) -> Int32[Tensor, " b"]:
+    """31 well-mixed bits of each trial id (the finaliser of splitmix64's predecessor, on 32 bits)."""
+    x = (trial_id ^ (trial_id >> 32)) & 0xFFFFFFFF
+    for shift, factor in ((16, 0x45D9F3B), (16, 0x45D9F3B), (16, 1)):
+        x = ((x ^ (x >> shift)) * factor) & 0xFFFFFFFF
+    return (x & 0x7FFFFFFF).to(torch.int32)
+
+
+def _first_failure(
+    passed: Bool[Tensor, "b 5"], evaluated: Bool[Tensor, "b 5"], active: Bool[Tensor, " b"]
+) -> Int8[Tensor, " b"]:
+    """The outcome: the first criterion, in the paper's order, that was evaluated and failed."""
+    outcome = torch.full(passed.shape[:1], int(Outcome.SUCCESS), dtype=torch.int8, device=passed.device)
+    for i in reversed(range(passed.shape[1])):
+        outcome = outcome.masked_fill(evaluated[:, i] & ~passed[:, i], i + 1)
+    return outcome.masked_fill(~active, int(Outcome.INVALID_INPUT))
+
+
+def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
+    """Recorded samples and their number, of all that moved or only of those whose simulation failed; and their state then."""
+    length = executed.recorded if keep else torch.where(executed.valid, 0, executed.recorded)
+    state = executed.failed_state
+    if state is None or executed.valid.all():
+        state = torch.empty((len(length), 0), dtype=torch.float64, device=length.device)
+    return executed.path[:, : int(length.max()) if len(length) else 0].clone(), length, state

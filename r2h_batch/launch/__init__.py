@@ -1,0 +1,143 @@
+"""Launches a kernel over trials: all CPU cores on a CPU, one launch on a GPU; arguments by name (arguments.py)."""
+
+import errno
+import os
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import Any
+
+import torch
+import warp as wp
+
+from r2h_batch.launch.arguments import bind
+
+CACHE_BYTES = 64 << 20
+CHUNK = 32
+"""Trials a thread takes at a time: small enough that one hard trial does not leave the other core idle."""
+
+
+def init_warp() -> None:
+    """Starts Warp without its banner (stdout is for results)."""
+    wp.config.log_level = wp.LOG_WARNING
+    wp.init()
+    _room_to_compile(wp.config.kernel_cache_dir or "")
+
+
+@lru_cache(maxsize=1)
+def _room_to_compile(cache: str) -> None:
+    """Refuse an empty kernel cache on a full disk at once: LLVM ends the whole process when it cannot write."""
+    if not os.path.isdir(cache) or any(name.startswith("wp_r2h_batch") for name in os.listdir(cache)):
+        return
+    free = shutil.disk_usage(cache).free
+    if free < CACHE_BYTES:
+        why = (
+            f"{free >> 20} MB free for the kernel cache, {CACHE_BYTES >> 20} are needed; set WARP_CACHE_PATH to another"
+        )
+        raise OSError(errno.ENOSPC, why, cache)
+
+
+def cpu_threads(threads: int | None = None) -> int:
+    """The number of worker threads: as asked, or one per core this process may use."""
+    if threads is not None:
+        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
+            raise ValueError(f"threads is {threads!r}; it must be a whole number, 1 or more")
+        return threads
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def one_torch_thread(device: str) -> Iterator[None]:
+    """On a CPU: torch works on one thread inside. Its tensors here are small, and its idle threads spin on our cores."""
+    threads = torch.get_num_threads()
+    if device != "cpu" or threads == 1:
+        yield
+        return
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+@lru_cache(maxsize=4)
+def thread_pool(threads: int) -> ThreadPoolExecutor:
+    """The process' worker threads."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="r2h")
+
+
+def _after_fork() -> None:
+    """A child has the pools without their threads, and waits for ever for what it hands them: it starts its own.
+
+    Torch's (OpenMP) threads stay behind too, and the first larger operation waits for them: a child works on one.
+    """
+    thread_pool.cache_clear()
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.get_num_threads() > 1:
+        torch.set_num_threads(1)
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
+    os.register_at_fork(after_in_child=_after_fork)
+
+
+def launch_trials(
+    kernel: Any,
+    n: int,
+    *,
+    inputs: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    device: str,
+    threads: int | None = None,
+    chunk: int = CHUNK,
+    width: int = 1,
+    first: int = 0,
+) -> None:
+    """Runs `kernel` for trials first..first+n-1; they are wp.tid() + its parameter `first`; `width` > 1: of a second index.
+
+    `inputs`, `outputs`: by the kernel's parameter names without `_in`, `_out`; tensors and NumPy arrays as they are. Every
+    name and kind is checked against the kernel before anything runs (`r2h_batch.launch.arguments.bind`).
+    Warp runs a CPU kernel as one serial loop but releases the interpreter lock, so threads over chunks use all cores.
+    Chunks only say who computes a trial: results do not depend on them.
+    """
+    args = [first, *bind(kernel, inputs, outputs, device, trials=first + n)]
+    if n == 0:
+        return
+    if device != "cpu":
+        wp.launch(kernel, dim=(n, width) if width > 1 else n, inputs=args, stream=_stream(device))
+        return
+    workers = min(cpu_threads(threads), -(-n // chunk))
+    # Arguments are packed once per worker (here: the first packing compiles the module); a launch then costs microseconds.
+    commands = [wp.launch(kernel, dim=1, inputs=args, device="cpu", record_cmd=True) for _ in range(workers)]
+    firsts = iter(range(first, first + n, chunk))  # next() is atomic: whoever is free takes the next chunk
+
+    def work(command: wp.Launch) -> None:
+        size = 0
+        for start in firsts:
+            rows = min(chunk, first + n - start)
+            if rows != size:
+                size = rows
+                command.set_dim((rows, width) if width > 1 else rows)
+            command.set_param_at_index(0, start)
+            command.launch()
+
+    futures = [thread_pool(workers).submit(work, command) for command in commands[1:]]
+    work(commands[0])
+    for future in futures:
+        future.result()
+
+
+def launch(kernel: Any, dim: int, *, inputs: Mapping[str, Any], outputs: Mapping[str, Any], device: str) -> None:
+    """Runs a kernel that has no parameter `first` once, on Warp's own stream; arguments as in `launch_trials`."""
+    wp.launch(kernel, dim=dim, inputs=bind(kernel, inputs, outputs, device), device=device)
+
+
+def _stream(device: str) -> wp.Stream:
+    """Torch's stream: what torch wrote before is there, what it reads after has been written, nobody waits on the host.
+
+    Given to the launch itself: ScopedStream would make it wait for Warp's own stream, which no graph can capture.
+    """
+    return wp.stream_from_torch(torch.cuda.current_stream(torch.device(device)))

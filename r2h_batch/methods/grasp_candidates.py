@@ -1,0 +1,311 @@
+"""Grasp candidates of an object: antipodal points, approach directions, checks by grasp.py, score, a diverse choice.
+
+Score in [0, 1] = 0.4 alignment + 0.35 contact + 0.25 balance:
+  alignment  mean cosine between closing axis and touched surface, 0 at the friction cone's edge, 1 when square
+  contact    share of the pad with surface within 1.5 mm, of the lesser pad; half a pad or more counts 1
+  balance    1 at the centre of mass, 0 at the object's farthest point from it
+"""
+
+import hashlib
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from numpy.typing import NDArray
+
+from r2h_batch.bodies.grasp_set import GraspSet
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import drive_from_gap, load_robot, pad_center_z
+from r2h_batch.config import OPEN_GAP_M, Thresholds
+from r2h_batch.judge.grasp import attach, close_gripper, closed_clearance, open_clearance, region_distance
+from r2h_batch.kernels.methods import antipodal
+from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables
+
+__all__ = ["Candidates", "sample_grasps", "seat_grasps"]
+
+COUNT = 100
+FRICTION = 0.5
+REGION_SHARE = 0.4
+"""Share of an S1 object's candidates that keep the fingers off the receiver's region, where so many exist."""
+
+SEEDS, APPROACHES, ROUNDS = 3000, 6, 8
+ENOUGH = 1200
+POOREST = 0.1  # share of the pool that is left out where it is large enough
+WIDEST_M = 0.082  # leaves the open pads 1.5 mm on each side
+DEPTH_M = 0.012  # how far the contact may lie from the pads' centre along the approach
+CLEARANCE_M = 0.001
+CENTERED_M = 0.0005
+REGION_CLEARANCE_M = 0.001
+REACH_M = 0.0015
+LEAST_CONTACT = 0.05
+BEHIND_PADS_M = -0.001  # the closed gripper's shapes overshoot the real one by about this much
+TURN_RAD = 0.9
+OWN_GRIPPER = "2f-85"
+SEATS_M = (0.0, 0.004, -0.004, 0.008, -0.008, 0.012, -0.012, 0.016, -0.016, 0.02, -0.02)
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """K grasps, best score first: T_obj_ee (K, 4, 4), width (K,) m, score (K,), part (K,) index into `part_names`.
+
+    `region_m`: distance of the closed fingers to the receiver's region, NaN without one.
+    """
+
+    T_obj_ee: F32
+    width: F32
+    score: F32
+    part: NDArray[np.uint8]
+    region_m: F32
+
+    def rows(self, rows: Any) -> "Candidates":
+        """The selected grasps."""
+        return Candidates(self.T_obj_ee[rows], self.width[rows], self.score[rows], self.part[rows], self.region_m[rows])
+
+    def __len__(self) -> int:
+        return len(self.width)
+
+
+def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None = None) -> Candidates:
+    """Up to `count` grasps of an object: the same object and name, the same grasps. Raises if it has none.
+
+    Each closes on 82 mm or less within the friction cone, is centred between the pads to 0.5 mm, keeps the open gripper
+    1 mm off the object, and closed touches it with the pads (1 mm for the shapes' overshoot). At least 40 % of an S1
+    object's keep 1 mm from the receiver's region, if that many were found.
+    """
+    tables = grasp_tables([model])
+    mesh = _mesh(model)
+    key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
+    pool: list[Candidates] = []
+    for turn in range(ROUNDS):
+        rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
+        pool.append(_graded(model, tables, mesh, _proposals(model, mesh, rng, threads), threads)[0])
+        found, off_region = sum(map(len, pool)), sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool)
+        if found >= ENOUGH and (model.split == "S0" or off_region >= ENOUGH // 4 or found >= 3 * ENOUGH):
+            break
+    every = Candidates(*(np.concatenate([getattr(c, name) for c in pool]) for name in Candidates.__dataclass_fields__))
+    if len(every) == 0:
+        stroke = f"{1e3 * OPEN_GAP_M:.0f} mm"
+        raise ValueError(
+            f"{model.name}: no grasp found; the gripper needs a part narrower than {stroke} that it can reach"
+        )
+    chosen = _diverse(model, every, count)
+    free = int((chosen.region_m > REGION_CLEARANCE_M).sum())
+    if model.split != "S0" and free < 0.25 * len(chosen):
+        warnings.warn(
+            f"{model.name}: {free} of {len(chosen)} grasps keep {1e3 * REGION_CLEARANCE_M:.0f} mm from the receiver's region; "
+            "is the region too large, or the rest of the object too wide for the gripper?",
+            stacklevel=2,
+        )
+    return chosen
+
+
+def seat_grasps(
+    model: ObjectModel, grasps: GraspSet, *, count: int | None = None, threads: int | None = None
+) -> Candidates:
+    """The user's grasps that keep every promise of `sample_grasps`, best score of the user's first, at most `count`.
+
+    Pads centre the object as in `sample_grasps`. Those of another gripper may be pushed up to 20 mm further or less far
+    along the approach, the nearest place first: its fingers have another length. `score` is the user's, `part` what the
+    pads touch. How many were seated elsewhere and how many dropped is one warning; none left raises.
+    """
+    init_warp()
+    tables, mesh = grasp_tables([model]), _mesh(model)
+    depths = (0.0,) if grasps.gripper == OWN_GRIPPER else SEATS_M
+    seated: dict[int, tuple[Candidates, float]] = {}
+    for depth in depths:
+        left = np.array([i for i in range(len(grasps)) if i not in seated], np.int64)
+        if not len(left):
+            break
+        T = grasps.T_obj_ee[left].copy()
+        T[:, :3, 3] += np.float32(depth) * T[:, :3, 2]
+        found, rows = _graded(model, tables, mesh, T, threads)
+        seated |= {int(left[r]): (found.rows([k]), depth) for k, r in enumerate(rows)}
+    if not seated:
+        raise ValueError(
+            f"{model.name}: none of {len(grasps)} grasps can be held by the {OWN_GRIPPER}; are they in the object's frame, in"
+            " metres, and named for the right gripper?"
+        )
+    moved = sum(depth != 0 for _, depth in seated.values())
+    if moved or len(seated) < len(grasps):
+        dropped = len(grasps) - len(seated)
+        warnings.warn(
+            f"{model.name}: of {len(grasps)} grasps of the {grasps.gripper}, {moved} seated elsewhere, {dropped} dropped",
+            stacklevel=2,
+        )
+    order = sorted(seated, key=lambda i: (-float(grasps.score[i]), i))[:count]
+    names = Candidates.__dataclass_fields__
+    every = Candidates(*(np.concatenate([getattr(seated[i][0], name) for i in order]) for name in names))
+    return replace(every, score=grasps.score[order])
+
+
+def _mesh(model: ObjectModel) -> wp.Mesh:
+    return wp.Mesh(
+        wp.array(model.vertices, dtype=wp.vec3, device="cpu"),
+        wp.array(model.faces.reshape(-1), dtype=wp.int32, device="cpu"),
+    )
+
+
+def _proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threads: int | None) -> F32:
+    """(M, 4, 4) T_obj_ee: pads on opposite surface points, several approaches about each closing axis."""
+    corner = model.vertices[model.faces].astype(np.float64)
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    double_area = np.linalg.norm(normal, axis=1)
+    share = np.cumsum(double_area) / double_area.sum()
+    face = np.minimum(np.searchsorted(share, (np.arange(SEEDS) + rng.random(SEEDS)) / SEEDS), len(share) - 1)
+    a, b = rng.random((2, SEEDS, 1))
+    a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
+    point = corner[face, 0] + a * (corner[face, 1] - corner[face, 0]) + b * (corner[face, 2] - corner[face, 0])
+    tilt = rng.random((SEEDS, 3))
+    center, axis = np.zeros((2, SEEDS, 3), np.float32)
+    thickness = np.zeros(SEEDS, np.float32)
+    launch_trials(
+        antipodal.opposite_points,
+        SEEDS,
+        inputs={
+            "mesh": mesh.id,
+            "friction_cosine": 1 / np.hypot(1, FRICTION),
+            "widest": WIDEST_M,
+            "point": point.astype(np.float32),
+            "normal": (normal[face] / np.maximum(double_area[face, None], 1e-30)).astype(np.float32),
+            "random": tilt.astype(np.float32),
+        },
+        outputs={"center": center, "axis": axis, "thickness": thickness},
+        device="cpu",
+        threads=threads,
+    )
+    angle = 2 * np.pi * (np.arange(APPROACHES) + rng.random((SEEDS, 1))) / APPROACHES
+    sign = np.where(rng.random((SEEDS, APPROACHES)) < 0.5, -1.0, 1.0)
+    depth = DEPTH_M * (2 * rng.random((SEEDS, APPROACHES)) - 1)
+    keep = thickness > 0
+    center64, axis64 = center[keep].astype(np.float64), axis[keep].astype(np.float64)
+    e = np.cross(axis64, np.where(np.abs(axis64[:, :1]) > 0.7, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]]))
+    e /= np.linalg.norm(e, axis=1, keepdims=True)
+    f = np.cross(axis64, e)
+    z = np.cos(angle[keep])[..., None] * e[:, None] + np.sin(angle[keep])[..., None] * f[:, None]
+    y = sign[keep][..., None] * axis64[:, None]
+    T = np.zeros((*z.shape[:2], 4, 4))
+    T[..., :3, 0], T[..., :3, 1], T[..., :3, 2], T[..., 3, 3] = np.cross(y, z), y, z, 1
+    height = _pad_z(thickness[keep].astype(np.float64))[:, None] + depth[keep]
+    T[..., :3, 3] = center64[:, None] - height[..., None] * z
+    return T.reshape(-1, 4, 4).astype(np.float32)
+
+
+def _graded(
+    model: ObjectModel, tables: GraspTables, mesh: wp.Mesh, proposals: F32, threads: int | None
+) -> tuple[Candidates, NDArray[np.int64]]:
+    """The proposals that keep every promise of `sample_grasps`, with their scores, and which of the proposals they are."""
+    T = torch.from_numpy(proposals)
+    row = torch.nonzero(_clear(tables, T, threads))[:, 0]
+    T = T[row].contiguous()
+    for _ in range(3):  # the pads centre the object; what then lies between them may differ
+        grasp = close_gripper(tables, T, _zeros(T), threads=threads)
+        held = ~grasp.empty & (grasp.width_m <= WIDEST_M)
+        T, row = attach(T[held], grasp.shift_m[held]).contiguous(), row[held]
+    clear = _clear(tables, T, threads)
+    T, row = T[clear].contiguous(), row[clear]
+    grasp = close_gripper(tables, T, _zeros(T), threads=threads)
+    held = ~grasp.empty & (grasp.width_m <= WIDEST_M) & (grasp.shift_m.abs() <= CENTERED_M)
+    behind, _ = closed_clearance(tables, T, _zeros(T), grasp.opening_m, cap_m=CLEARANCE_M, threads=threads)
+    held &= behind >= BEHIND_PADS_M
+    T, width, opening, shift, row = (
+        x[held].contiguous() for x in (T, grasp.width_m, grasp.opening_m, grasp.shift_m, row)
+    )
+    squeezed = (width - Thresholds().pad_squeeze_m).clamp(min=0)
+    region = region_distance(tables, attach(T, shift), _zeros(T), squeezed, threads=threads)[0].numpy()
+    contact, alignment, part = _contact(model, mesh, T.numpy(), width.numpy(), opening.numpy(), threads)
+    edge = 1 / np.hypot(1, FRICTION)
+    pads = T.numpy()[:, :3, 3] + _pad_z(opening.numpy())[:, None] * T.numpy()[:, :3, 2]
+    farthest = np.linalg.norm(model.vertices - model.com, axis=1).max()
+    balance = 1 - np.clip(np.linalg.norm(pads - model.com, axis=1) / farthest, 0, 1)
+    score = 0.4 * (alignment - edge) / (1 - edge) + 0.35 * np.minimum(contact / 0.5, 1) + 0.25 * balance
+    every = Candidates(T.numpy(), width.numpy(), score.astype(np.float32), part.astype(np.uint8), region)
+    good = (alignment >= edge) & (contact >= LEAST_CONTACT)
+    return every.rows(good), row.numpy()[good]
+
+
+def _contact(
+    model: ObjectModel, mesh: wp.Mesh, T: F32, width: F32, opening: F32, threads: int | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
+    """What `antipodal.pad_contact` says: share of the lesser pad, mean cosine, part."""
+    link = load_robot().linkage
+    share, cosine, part = np.zeros(len(T), np.float32), np.zeros(len(T), np.float32), np.zeros(len(T), np.int32)
+    pad_z = _pad_z(opening).astype(np.float32)
+    launch_trials(
+        antipodal.pad_contact,
+        len(T),
+        inputs={
+            "mesh": mesh.id,
+            "face_part": wp.array(model.face_part, dtype=wp.uint8, device="cpu"),
+            "half_x": link.pad_half_size[0],
+            "half_z": link.pad_half_size[2],
+            "reach": REACH_M,
+            "T_obj_ee": T,
+            "pad_z": pad_z,
+            "width": width,
+        },
+        outputs={"contact": share, "alignment": cosine, "part": part},
+        device="cpu",
+        threads=threads,
+    )
+    return share.astype(np.float64), cosine.astype(np.float64), part
+
+
+def _diverse(model: ObjectModel, every: Candidates, count: int) -> Candidates:
+    """Greedy by score without the pool's poorest, none too like one already taken; that bar falls until `count` are found."""
+    order = np.argsort(-every.score, kind="stable")
+    every = every.rows(order)
+    y, z = every.T_obj_ee[:, :3, 1].astype(np.float64), every.T_obj_ee[:, :3, 2].astype(np.float64)
+    place = every.T_obj_ee[:, :3, 3] + _pad_z(every.width)[:, None] * z
+    taken: list[int] = []
+    off_region = every.region_m > REGION_CLEARANCE_M
+    stages = [(np.ones(len(every), bool), min(count, len(every)))]
+    if model.split != "S0":
+        stages.insert(0, (off_region, min(int(REGION_SHARE * count), int(off_region.sum()))))
+    for allowed, wanted in stages:
+        better = allowed & (every.score >= np.quantile(every.score[allowed], POOREST)) if allowed.any() else allowed
+        if better.sum() > 2 * wanted:
+            allowed = better
+        radius = float(np.linalg.norm(np.ptp(model.vertices, axis=0))) / 4
+        while len(taken) < wanted:
+            free = allowed.copy()
+            free[taken] = False
+            for i in taken:
+                free &= _likeness(place, y, z, i, radius) >= 1
+            for i in range(len(every)):
+                if len(taken) < wanted and free[i]:
+                    taken.append(i)
+                    free &= _likeness(place, y, z, i, radius) >= 1
+            radius *= 0.75
+    return every.rows(np.sort(taken))
+
+
+def _likeness(place: NDArray[Any], y: NDArray[Any], z: NDArray[Any], i: int, radius: float) -> NDArray[Any]:
+    """Distance of all candidates to candidate i: below 1 they are too like. Both turn by 180 degrees about z alike."""
+    turn_z = np.arccos(np.clip(z @ z[i], -1, 1))
+    turn_y = np.arccos(np.clip(np.abs(y @ y[i]), 0, 1))
+    turn = np.maximum(turn_y, turn_z)
+    scale = TURN_RAD * min(1.0, radius / 0.02)
+    out = np.linalg.norm(place - place[i], axis=1) / radius + turn / scale
+    out[i] = 0
+    return np.asarray(out)
+
+
+def _clear(tables: GraspTables, T: torch.Tensor, threads: int | None) -> torch.Tensor:
+    """Whether the open gripper keeps its clearance to the object."""
+    clearance, _ = open_clearance(tables, T, _zeros(T), cap_m=1.5 * CLEARANCE_M, threads=threads)
+    return clearance >= CLEARANCE_M
+
+
+def _pad_z(gap: NDArray[Any]) -> NDArray[np.float64]:
+    """Height of the pads' centres in the ee frame at a gap."""
+    return pad_center_z(drive_from_gap(gap)) - pad_center_z(drive_from_gap(OPEN_GAP_M / 2))
+
+
+def _zeros(T: torch.Tensor) -> torch.Tensor:
+    return torch.zeros(len(T), dtype=torch.int32, device="cpu")

@@ -1,0 +1,1 @@
+"""The time law, and engines that move the arm."""

@@ -1,0 +1,263 @@
+"""Motion along a planned path: what an engine makes of its time law."""
+
+from dataclasses import dataclass, fields, replace
+from importlib import import_module
+from typing import Literal
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float32, Float64, Int32
+from torch import Tensor
+from torch.nn.functional import pad
+
+from r2h_batch.config import CLEARANCE_TOLERANCE_M, ExecConfig
+from r2h_batch.kernels.motion.time_law import path_deviation
+from r2h_batch.kernels.robot.tool import settle_sample
+from r2h_batch.launch import launch_trials
+from r2h_batch.motion.simulation import Job, Samples
+from r2h_batch.motion.time_law import Motion, limits, servo_law
+from r2h_batch.scene.dynamics import SERVO_RATE, Payload
+from r2h_batch.scene.model import TrialScene
+from r2h_batch.scene.scene import Placed, Scene
+
+FINGER_GIVE_M = 1.2e-5
+"""A bound on how far the fingers of the whole scene give way in a motion without contacts: twice the most that was seen
+(`bench/execute.py --ask models`: execute.models.finger_sway_max_um)."""
+
+
+@dataclass(frozen=True)
+class Executed:
+    """The motion that happened, as joint lines between samples `sample_s` apart (kinematic: the planned path itself).
+
+    `t_exec_s`: when the arm came to rest at its goal, NaN where it did not or there is no path. `valid`: False where the
+    simulator failed: such a row has no length, but `path` still holds its `recorded` samples. `slack_m`: how far any point
+    of the robot may have been off the lines between two samples, fingers that gave way included. `deviation_m`: a bound on
+    how far any point of robot or object ever was from where the planned path has it at that time; below the path's clearance
+    it certifies that the motion touched nothing of what planning checks. `failed_state`: qpos and qvel as the simulator had
+    them before it failed.
+    """
+
+    path: Float32[Tensor, "b w 6"]
+    length: Int32[Tensor, " b"]
+    t_exec_s: Float32[Tensor, " b"]
+    settled: Bool[Tensor, " b"]
+    valid: Bool[Tensor, " b"]
+    slack_m: Float32[Tensor, " b"]
+    deviation_m: Float32[Tensor, " b"]
+    recorded: Int32[Tensor, " b"]
+    sample_s: float | None
+    failed_state: Float64[Tensor, "b s"] | None = None
+
+
+def execute(
+    scene: Scene,
+    placed: Placed,
+    path: Float32[Tensor, "b w 6"],
+    length: Int32[Tensor, " b"],
+    motion: Motion,
+    config: ExecConfig,
+    *,
+    clearance_m: Float32[Tensor, " b"] | None = None,
+    threads: int | None = None,
+) -> Executed:
+    """Moves the arm along B paths in the engine of `config`; rows without a path are left out.
+
+    Each trial runs until its reference has ended and `dwell_s` more; what has not come to rest by then runs again, to the
+    limit. Rows do not depend on each other.
+
+    `clearance_m`: certified smallest distance of all pairs along each planned path (`Plan.clearance_m`). With
+    `model="auto"` the arm alone moves first; where no body can have come as near to another as to touch it, the contacts
+    of the whole scene cannot have pushed and the motion stands. The other rows, and all where no clearance is given, are
+    moved in the whole scene.
+    """
+    engine = config.engine(scene.device)
+    if engine == "none":
+        true = torch.ones_like(length, dtype=torch.bool)
+        zero = torch.zeros_like(motion.t_exec_s)
+        return Executed(path, length, motion.t_exec_s, length > 0, true, zero, zero, torch.zeros_like(length), None)
+
+    def move(model: Literal["scene", "arm"], rows: Bool[Tensor, " b"]) -> Executed:
+        run = _Runner(scene, placed, path, length, motion, replace(config, model=model), engine, threads)
+        return _until_at_rest(run, rows)
+
+    found = length > 0
+    if config.model != "auto":
+        return move(config.model, found)
+    if clearance_m is None:
+        return move("scene", found)
+    alone = _with_fingers(move("arm", found), found)
+    # Two bodies may each be off by the deviation, towards each other; the clearance is located to a tolerance.
+    free = alone.valid & (2.0 * alone.deviation_m < clearance_m - CLEARANCE_TOLERANCE_M)
+    if bool((free | ~found).all()):
+        return alone
+    return _merged(alone, move("scene", found & ~free), torch.nonzero(found & ~free).flatten())
+
+
+def _until_at_rest(run: "_Runner", rows: Bool[Tensor, " b"]) -> Executed:
+    """The motion of `rows`: to the end of the reference, and on to the limit where the arm is not at rest by then."""
+    config = run.config
+    limit = config.settle_limit_s + config.dwell_s
+    found = torch.nonzero(rows).flatten().cpu().numpy()
+    reference_s = run.reference_s[found]
+    done = run(found, np.minimum(reference_s + config.dwell_s, limit))
+    restless = (~done.settled & done.valid).cpu().numpy()[found] & (reference_s + config.dwell_s < limit)
+    late = found[restless]
+    if not len(late):
+        return done
+    return _merged(done, run(late, np.full(len(late), limit)), torch.from_numpy(late).to(rows.device))
+
+
+def _with_fingers(alone: Executed, found: Bool[Tensor, " b"]) -> Executed:
+    """The arm's own motion with what the fingers of the whole scene would have given way at most."""
+    give = FINGER_GIVE_M * found.to(alone.slack_m.dtype)
+    return replace(alone, slack_m=alone.slack_m + give, deviation_m=alone.deviation_m + give)
+
+
+def _merged(first: Executed, again: Executed, rows: Tensor) -> Executed:
+    """`first` with the rows that ran again."""
+    width = max(first.path.shape[1], again.path.shape[1])
+    states = [x.failed_state for x in (first, again) if x.failed_state is not None]
+    state_width = max((x.shape[1] for x in states), default=0)
+    parts = {}
+    for name in (f.name for f in fields(Executed) if f.name != "sample_s"):
+        a, b = getattr(first, name), getattr(again, name)
+        if name == "path":
+            a, b = (pad(x, (0, 0, 0, width - x.shape[1])) for x in (a, b))
+        elif name == "failed_state":  # the scene has more joints than the arm alone
+            a, b = (pad(x, (0, state_width - x.shape[1]), value=torch.nan) for x in (a, b))
+        a = a.clone()
+        a[rows] = b[rows]
+        parts[name] = a
+    return Executed(**parts, sample_s=first.sample_s)
+
+
+class _Runner:
+    """One batch of paths, ready to be simulated for any rows and any durations."""
+
+    def __init__(
+        self, scene: Scene, placed: Placed, path: Tensor, length: Tensor, motion: Motion, config: ExecConfig,
+        engine: str, threads: int | None,
+    ) -> None:  # fmt: skip
+        self.scene, self.config, self.threads = scene, config, threads
+        self.path, self.length = path.contiguous(), length
+        self.reference_s = motion.t_exec_s.double().cpu().numpy()
+        self.simulate = import_module(f"r2h_batch.motion.sim_{engine}").simulate
+        self.law = servo_law(config, lead_s=1.0 / SERVO_RATE, step_s=config.step_s)
+        device = "cpu" if engine == "mujoco" else scene.device
+        self.device = device
+        self.placed, tables = placed, (self.path, motion.time_s, length)
+        self.planned = [wp.from_torch(t.contiguous()) for t in tables]
+        path_in, time_in, length_in = (wp.from_torch(t.to(device).contiguous()) for t in tables)
+        self.tables = (path_in, time_in, length_in)
+        T_wrist_gripper = scene.robot.T_wrist3_flange @ scene.robot.T_flange_gripper
+        T_wrist_obj = np.tile(np.eye(4), (len(length), 1, 1))
+        T_wrist_obj[:, :3, :3], T_wrist_obj[:, :3, 3] = placed.R_wrist_obj.cpu(), placed.p_wrist_obj.cpu()
+        self.T_gripper_obj = np.linalg.inv(T_wrist_gripper) @ T_wrist_obj
+        self.objects, self.hands = placed.object_index.cpu().numpy(), placed.hand_index.cpu().numpy()
+        self.T_world_hand = placed.T_world_hand.double().cpu().numpy()
+        self.opening_m = placed.opening_m.cpu().numpy()
+
+    def __call__(self, rows: np.ndarray, duration_s: np.ndarray) -> Executed:
+        sample_s = self.config.step_s * self.config.record_steps
+        samples = np.ceil(duration_s / sample_s - 1e-6).astype(np.int64)
+        order = np.argsort(-samples, kind="stable")
+        rows, samples = rows[order], samples[order]
+        job = Job(
+            self.scene.model(self.hands[rows], self.config), self.law, self.tables, rows, [self._trial(i) for i in rows],
+            self.path[torch.from_numpy(rows), 0].double().cpu().numpy(),
+            samples, self.config.record_steps, self.device,
+        )  # fmt: skip
+        return self._judged(job, self.simulate(job, threads=self.threads), sample_s)
+
+    def _trial(self, i: int) -> TrialScene:
+        held = Payload.of(self.scene.objects[self.objects[i]], self.T_gripper_obj[i])
+        return TrialScene(
+            held, int(self.objects[i]), int(self.hands[i]), self.T_world_hand[i], float(self.opening_m[i])
+        )
+
+    def _judged(self, job: Job, answer: Samples, sample_s: float) -> Executed:
+        """When each motion came to rest, and how far it may have been off its samples."""
+        b, device, config = len(self.length), self.path.device, self.config
+        rows = torch.from_numpy(job.rows).to(device)
+        path = torch.zeros((b, max(answer.q.shape[1], 2), 6), dtype=torch.float32, device=device)
+        path[rows, : answer.q.shape[1]] = torch.from_numpy(answer.q).to(device)
+        valid = torch.ones(b, dtype=torch.bool, device=device)
+        valid[rows] = torch.from_numpy(answer.valid & np.isfinite(answer.q).all((1, 2))).to(device)
+        length = torch.zeros(b, dtype=torch.int32, device=device)
+        length[rows] = torch.from_numpy(job.samples + 1).to(device, torch.int32)
+        recorded, length = length, torch.where(valid, length, 0)
+        goal = self.path[torch.arange(b, dtype=torch.int64, device=device), (self.length - 1).clamp(min=0).long()][
+            :, None
+        ].contiguous()
+        first = torch.zeros(b, dtype=torch.int32, device=device)
+        launch_trials(
+            settle_sample,
+            b,
+            inputs={
+                "tool": self.scene.tool,
+                "position_m": config.settle_position_m,
+                "rotation_rad": config.settle_rotation_rad,
+                "goal": goal,
+                "path": path,
+                "length": length,
+            },
+            outputs={"sample": first},
+            device=self.scene.device,
+            threads=self.threads,
+            chunk=64,
+        )
+        at = first.float() * sample_s
+        still = length - 1 - first >= round(0.5 * config.dwell_s / sample_s)
+        settled = (length > 0) & still & (at <= config.settle_limit_s)
+        lever = self.scene.levers.to(device)
+        acceleration = torch.zeros((b, 1, 6), dtype=torch.float64, device=device)
+        acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)
+        slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
+        slack[rows] += torch.from_numpy(np.nan_to_num(answer.sway_m)).to(device)
+        t_exec = torch.where(settled, at.float(), torch.nan)
+        state = torch.full((b, answer.failed_state.shape[1]), torch.nan, dtype=torch.float64, device=device)
+        state[rows] = torch.from_numpy(answer.failed_state).to(device)
+        held = (acceleration[:, 0] * self.placed.object_lever.to(device)).sum(-1) * sample_s**2 / 8
+        deviation = self._deviation(path, length, sample_s) + torch.maximum(slack, held)
+        deviation = torch.where(length > 0, deviation, 0.0)
+        return Executed(
+            path, length, t_exec, settled, valid, slack.float(), deviation.float(), recorded, sample_s, state
+        )
+
+    def _deviation(self, motion: Tensor, length: Tensor, sample_s: float) -> Tensor:
+        """Of the lines between samples from the planned path: at the samples, and what the path curves between two in time."""
+        law = servo_law(self.config, lead_s=0.0, step_s=sample_s)
+        lever = self.scene.levers.float().to(motion.device).contiguous()
+        held = self.placed.object_lever
+        deviation = torch.zeros(len(length), dtype=torch.float32, device=motion.device)
+        planned, time, planned_length = self.planned
+        launch_trials(
+            path_deviation,
+            len(length),
+            inputs={
+                "law": law,
+                "lever": lever,
+                "object_lever": held,
+                "path": planned,
+                "time": time,
+                "length": planned_length,
+                "motion": motion,
+                "motion_length": length,
+            },
+            outputs={"deviation": deviation},
+            device=self.scene.device,
+            threads=self.threads,
+            chunk=16,
+        )
+        reach = torch.maximum(lever.double().sum(1).amax(), held.double().sum(1))
+        # between two samples dt apart a joint curves off its chord by at most a dt^2 / 8, and a point by that times its lever
+        return deviation.double() + limits(self.config)[1] * sample_s**2 / 8 * reach
+
+
+def executed_time_at(
+    executed: Executed, segment: Int32[Tensor, " b"], fraction: Float32[Tensor, " b"]
+) -> Float32[Tensor, " b"]:
+    """When a simulated motion passes `fraction` of the stretch after sample `segment`, s."""
+    assert executed.sample_s is not None
+    return ((segment + fraction.double()) * executed.sample_s).float()

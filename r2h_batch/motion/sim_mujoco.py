@@ -1,0 +1,96 @@
+"""Motion in MuJoCo C: every trial its own rollout, on all cores."""
+
+import copy
+from collections.abc import Iterator
+from functools import partial
+from queue import SimpleQueue
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+
+from r2h_batch.kernels.motion.time_law import servo_commands
+from r2h_batch.launch import cpu_threads, launch_trials, thread_pool
+from r2h_batch.motion.simulation import Job, Samples, warnings_unwritten
+
+CHUNK = 64
+"""Trials whose commands are held in memory at once: about 20 MB."""
+
+Simulator = tuple[mujoco.MjModel, mujoco.MjData]
+"""A copy of the model, which trials are put into one after the other, and its state."""
+
+
+def simulate(job: Job, *, threads: int | None = None) -> Samples:
+    """Recorded motion of the job's trials; each stops at its own end, so that nobody waits for the slowest."""
+    out = Samples.empty(job)
+    workers = min(cpu_threads(threads), max(len(job.rows), 1))
+    simulators: SimpleQueue[Simulator] = SimpleQueue()
+    for _ in range(workers):
+        model = copy.copy(job.scene.model)
+        simulators.put((model, mujoco.MjData(model)))
+    with warnings_unwritten():
+        for first in range(0, len(job.rows), CHUNK):
+            rows = range(first, min(first + CHUNK, len(job.rows)))
+            steps = job.samples[rows.start : rows.stop].astype(np.int64) * job.record_steps
+            command = torch.empty(
+                (len(rows), int(steps.max(initial=0)), job.scene.model.nu), dtype=torch.float64, device="cpu"
+            )
+            index = torch.from_numpy(job.rows[rows.start : rows.stop].astype(np.int32))
+            path, time, length = job.tables
+            launch_trials(
+                servo_commands,
+                len(rows),
+                inputs={"law": job.law, "trial": index, "path": path, "time": time, "length": length},
+                outputs={"command": command},
+                device="cpu",
+                threads=threads,
+                chunk=1,
+                width=command.shape[1],
+            )
+            todo = iter(rows)  # next() is atomic: whoever is free takes the next trial
+            work = partial(_work, job, simulators, todo, first, command.numpy(), steps, out)
+            futures = [thread_pool(workers).submit(work) for _ in range(workers - 1)]
+            work()
+            for future in futures:
+                future.result()
+    return out
+
+
+def _work(
+    job: Job,
+    simulators: "SimpleQueue[Simulator]",
+    todo: Iterator[int],
+    first: int,
+    command: np.ndarray,
+    steps: np.ndarray,
+    out: Samples,
+) -> None:
+    simulator = simulators.get()
+    for i in todo:
+        _run(job, i, *simulator, command[i - first, : steps[i - first]], out)
+    simulators.put(simulator)
+
+
+def _run(
+    job: Job, i: int, model: mujoco.MjModel, data: mujoco.MjData, command: np.ndarray, out: Samples
+) -> None:  # fmt: skip
+    scene, trial = job.scene, job.trials[i]
+    scene.load(model, trial, data)
+    command[:, 6:] = scene.hold(trial)
+    start = np.zeros((1, 1 + model.nq + model.nv))
+    start[0, 1 : 1 + model.nq] = scene.start(trial, job.start[i])
+    state, _ = rollout.rollout(model, data, start, np.ascontiguousarray(command)[None])
+    time, q, qd = np.split(np.concatenate([start, state[0]]), [1, 1 + model.nq], axis=1)
+    kept = q[:: job.record_steps, :6]
+    out.q[i, : len(kept)] = kept
+    out.q[i, len(kept) :] = kept[-1]
+    out.acceleration[i] = np.abs(np.diff(qd[:, :6], axis=0)).max(0) / model.opt.timestep
+    out.sway_m[i] = scene.sway(trial, q)
+    # after a warning (bad position, velocity, acceleration) rollout repeats the last state: time stands still
+    on_time = abs(time[-1, 0] - len(command) * model.opt.timestep) < 0.5 * model.opt.timestep
+    finite = np.isfinite(q).all(1) & np.isfinite(qd).all(1)
+    out.valid[i] = on_time and bool(finite.all())
+    if not out.valid[i]:
+        last = max(int(np.argmin(finite)) - 1, 0) if not finite.all() else -1
+        out.failed_state[i] = np.concatenate([q[last], qd[last]])

@@ -1,0 +1,91 @@
+"""The time law of a planned path: a trapezoid of speed per segment, stopping at every waypoint.
+
+Each joint-space segment is timed by the joint that has farthest to go, d rad: it speeds up at a, holds v, slows down at
+a. It reaches v only if d >= v^2 / a, and takes d / v + v / a then; a shorter one is a triangle and takes 2 sqrt(d / a)
+(Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008, Sec. 3.2).
+"""
+
+from dataclasses import dataclass
+
+import torch
+import warp as wp
+from jaxtyping import Float32, Float64, Int32
+from torch import Tensor
+
+from r2h_batch.config import ExecConfig
+from r2h_batch.kernels.motion.time_law import Law
+
+__all__ = ["Motion", "limits", "servo_law", "time_at", "time_path"]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """When each waypoint is reached (s, rows beyond the path repeat the end), and T_exec (NaN without a path)."""
+
+    time_s: Float32[Tensor, "b w"]
+    t_exec_s: Float32[Tensor, " b"]
+
+
+def time_path(path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], config: ExecConfig) -> Motion:
+    """A trapezoid of speed per segment, all joints together, stopping at every waypoint.
+
+    The joint with the farthest to go sets the pace at `scale` times the limits; the path itself is not left. For two
+    waypoints this is the time of the paper's T_exec: 8.4-9.0 s at MoveIt 2's default scale of 0.1.
+    """
+    duration = _duration(_segment_lengths(path, length), config)
+    time = torch.zeros(path.shape[:2], dtype=torch.float64, device=path.device)
+    for k in range(path.shape[1] - 1):
+        time[:, k + 1] = time[:, k] + duration[:, k]
+    t_exec = torch.where(length > 0, time[:, -1], torch.nan)
+    return Motion(time.float(), t_exec.float())
+
+
+def time_at(
+    path: Float32[Tensor, "b w 6"],
+    length: Int32[Tensor, " b"],
+    motion: Motion,
+    segment: Int32[Tensor, " b"],
+    fraction: Float32[Tensor, " b"],
+    config: ExecConfig,
+) -> Float32[Tensor, " b"]:
+    """When each path passes `fraction` (0 to 1) of its `segment`, s; NaN without a path."""
+    rows = torch.arange(len(path), dtype=torch.int64, device=path.device)
+    at = segment.long().clamp(0, path.shape[1] - 2)
+    whole = _segment_lengths(path, length)[rows, at]
+    total = _duration(whole, config)
+    v, a = limits(config)
+    s = fraction.double() * whole
+    near = torch.minimum(s, whole - s).clamp(min=0)  # the trapezoid is symmetric: count from the nearer end
+    ramp = torch.minimum(torch.full_like(whole, v * v / (2 * a)), whole / 2)
+    t = torch.where(near <= ramp, (2 * near / a).sqrt(), (2 * ramp / a).sqrt() + (near - ramp) / v)
+    t = torch.where(s <= whole / 2, t, total - t)
+    passed = torch.minimum(
+        (motion.time_s[rows, at] + t).float(), motion.time_s[rows, at + 1]
+    )  # never after its own end
+    return torch.where(length > 0, passed, torch.nan)
+
+
+def limits(config: ExecConfig) -> tuple[float, float]:
+    """Speed (rad/s) and acceleration (rad/s^2) that the time law may use of every joint."""
+    return config.scale * config.max_velocity_rad_s, config.scale * config.max_acceleration_rad_s2
+
+
+def servo_law(config: ExecConfig, *, lead_s: float, step_s: float) -> Law:
+    """The law as kernels read it: one command every `step_s`, ahead of the plan by `lead_s` (what the servos lag)."""
+    law = Law()
+    law.speed, law.acceleration = (wp.float64(limit) for limit in limits(config))
+    law.lead, law.step = wp.float64(lead_s), wp.float64(step_s)
+    return law
+
+
+def _segment_lengths(path: Tensor, length: Tensor) -> Float64[Tensor, "b w"]:
+    """Largest joint motion of each segment (rad); 0 beyond the path's end."""
+    d = (path[:, 1:].double() - path[:, :-1].double()).abs().amax(-1)
+    slot = torch.arange(path.shape[1] - 1, dtype=torch.int64, device=path.device)
+    return torch.where(slot < length[:, None] - 1, d, 0.0)
+
+
+def _duration(d: Tensor, config: ExecConfig) -> Tensor:
+    """How long segments of d rad take, s: trapezoid or triangle."""
+    v, a = limits(config)
+    return torch.where(d >= v * v / a, d / v + v / a, 2 * (d / a).sqrt())

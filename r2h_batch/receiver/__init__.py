@@ -1,0 +1,1 @@
+"""How a person holds things and asks for them."""

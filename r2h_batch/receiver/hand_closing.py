@@ -1,0 +1,176 @@
+"""Hands that close on an object: sixty-four to begin with, coming down and bending their fingers in its distance field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.bodies.hand import HandModel
+from r2h_batch.kernels.receiver import close_hand
+from r2h_batch.launch import launch_trials
+from r2h_batch.receiver.hand_contact import REGIONS, THUMB, ObjectSurface
+
+__all__ = ["DEEPEST_M", "FAMILIES", "Families", "close", "come_down", "distance_field", "load_families", "posture"]
+
+FAMILIES = 64
+"""Hands to close: shape, spread, thumb's place, and how the joints share the closing."""
+STEP_RAD = float(np.radians(1.5))
+DEEPEST_M = 0.0005
+PITCH_M, MARGIN_M = 0.0015, 0.02
+
+# Degrees. What a finger opens to, then its limits; the thumb's place is drawn, its limits are anatomical.
+OPEN = (((-12, 12), (4, 26), (2, 14)), ((-14, 4), (-8, 4), (-8, 8)))
+LIMITS = ((88.0, 105.0, 72.0), (44.0, 58.0, 78.0))
+FAN = (1.0, 0.2, -1.2, -0.6)
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Families:
+    """What `ClosingHands` holds, and the same as numbers: shape (K, 10), turns (K, 16, 3) in degrees."""
+
+    tables: Any
+    shape: F32
+    turns: F64
+
+
+def posture(hand: HandModel, turns: F64, flexion: F32) -> F32:
+    """(n, 48) axis-angle poses: a family's turns with the flexion that closing found."""
+    axes = hand.joint_axes.double().numpy()
+    turns = turns.copy()
+    turns[:, 1:, 0] = np.degrees(flexion.reshape(len(flexion), 15))
+    local = Rotation.from_euler("XYZ", turns.reshape(-1, 3), degrees=True).as_matrix().reshape(-1, 16, 3, 3)
+    turned = axes @ local @ axes.transpose(0, 2, 1)
+    return Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 48).astype(np.float32)
+
+
+@lru_cache(maxsize=2)
+def load_families(model: HandModel) -> Families:
+    """The 64 hands to close, on this hand model."""
+    rng = np.random.Generator(np.random.Philox(key=0x52324852))
+    shape = np.clip(0.6 * rng.standard_normal((FAMILIES, 10)), -1.5, 1.5).astype(np.float32)
+    turns, rate = np.zeros((FAMILIES, 16, 3)), np.zeros((FAMILIES, 16))
+    limit = np.zeros(16)
+    for k in range(FAMILIES):
+        common = rng.random(3)
+        spread = -2 + 10 * rng.random()
+        share = np.array([1.0, 0.5 + rng.random(), 0.3 + 0.6 * rng.random()])
+        for f in range(4):
+            for j in range(3):
+                low, high = OPEN[0][j]
+                turns[k, 1 + 3 * f + j, 0] = low + (high - low) * (0.7 * common[j] + 0.3 * rng.random())
+                rate[k, 1 + 3 * f + j] = share[j]
+            turns[k, 1 + 3 * f, 1] = FAN[f] * spread
+        for j in range(3):
+            low, high = OPEN[1][j]
+            turns[k, 13 + j, 0] = low + (high - low) * rng.random()
+        turns[k, 13, 1:] = [-22 + 48 * rng.random(), 28 * rng.random()]
+        rate[k, 13:16] = [1.0, 0.4 + 0.8 * rng.random(), 0.2 + 0.8 * rng.random()]
+    for f in range(5):
+        limit[1 + 3 * f : 4 + 3 * f] = np.radians(LIMITS[int(f == THUMB)])
+    return Families(_tables(model, shape, turns, rate, limit), shape, turns)
+
+
+def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> Any:
+    """The `ClosingHands` of these families."""
+    rest = model.pose(torch.zeros((FAMILIES, 48), dtype=torch.float32, device="cpu"), torch.from_numpy(shape))
+    segment = model.weights.argmax(1).numpy()
+    order = np.argsort(segment, kind="stable")
+    moved = order[np.searchsorted(segment[order], 1) :]  # without the palm
+    skin = rest.vertices.numpy()[:, moved] - rest.joints.numpy()[:, segment[moved]]
+    first = np.searchsorted(segment[moved], np.arange(17))
+    root_turn = Rotation.from_euler("XYZ", (turns * [0, 1, 1]).reshape(-1, 3), degrees=True).as_matrix()
+    opened = model.pose(torch.from_numpy(posture(model, turns, np.radians(turns[:, 1:, 0]))), torch.from_numpy(shape))
+    open_skin = opened.vertices.numpy()[:, ::2]
+    tables = close_hand.ClosingHands()
+    tables.n_points, tables.n_open = skin.shape[1], open_skin.shape[1]
+    values = {
+        "joints": (rest.joints.numpy().reshape(-1, 3), wp.vec3),
+        "axes": (model.joint_axes.numpy(), wp.mat33),
+        "root_turn": (root_turn, wp.mat33),
+        "flexion": (np.radians(turns[:, :, 0]).ravel(), wp.float32),
+        "rate": (rate.ravel(), wp.float32),
+        "limit": (limit, wp.float32),
+        "skin": (skin.reshape(-1, 3), wp.vec3),
+        "open_skin": (open_skin.reshape(-1, 3), wp.vec3),
+    }
+    for name, (value, dtype) in values.items():
+        setattr(tables, name, wp.array(np.ascontiguousarray(value, np.float32), dtype=dtype, device="cpu"))
+    tables.segment_first = wp.array(first.astype(np.int32), dtype=wp.int32, device="cpu")
+    return tables
+
+
+def distance_field(surface: ObjectSurface, threads: int | None) -> Any:
+    """The object's signed distance at grid nodes."""
+    low = surface.vertices.min(0) - MARGIN_M
+    nodes = np.ceil((np.ptp(surface.vertices, axis=0) + 2 * MARGIN_M) / PITCH_M).astype(int) + 1
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in nodes), indexing="ij"), -1).reshape(-1, 3)
+    value, _, _ = surface.distance(low + PITCH_M * grid, 1.0, threads)
+    field = close_hand.Field()
+    field.origin, field.pitch, field.nodes = wp.vec3(*low.tolist()), wp.float32(PITCH_M), wp.vec3i(*nodes.tolist())
+    field.value = wp.array(value, dtype=wp.float32, device="cpu")
+    return field
+
+
+def come_down(
+    field: Any,
+    families: Families,
+    family: NDArray[np.int32],
+    R: F32,
+    start: F32,
+    direction: F32,
+    *,
+    farthest: float,
+    threads: int | None,
+) -> F32:
+    """How far each open hand moves from `start` along `direction` until it touches; `farthest` if it never does."""
+    travel = np.empty(len(family), np.float32)
+    launch_trials(
+        close_hand.approach,
+        len(family),
+        inputs={
+            "field": field,
+            "hands": families.tables,
+            "farthest": farthest,
+            "hand": np.ascontiguousarray(family),
+            "R": np.ascontiguousarray(R),
+            "start": np.ascontiguousarray(start),
+            "direction": np.ascontiguousarray(direction),
+        },
+        outputs={"travel": travel},
+        device="cpu",
+        threads=threads,
+    )
+    return travel
+
+
+def close(field: Any, families: Families, family: Any, R: F32, p: F32, threads: int | None) -> tuple[F32, F32]:
+    """Flexion (n, 5, 3) in rad, and each digit's distance (n, 5)."""
+    flexion, gap = np.empty((len(family), 5, 3), np.float32), np.empty((len(family), 5), np.float32)
+    launch_trials(
+        close_hand.close_fingers,
+        len(family),
+        inputs={
+            "field": field,
+            "hands": families.tables,
+            "step": STEP_RAD,
+            "deepest": DEEPEST_M,
+            "hand": np.ascontiguousarray(family),
+            "R": np.ascontiguousarray(R),
+            "p": np.ascontiguousarray(p),
+        },
+        outputs={"flexion": flexion, "gap": gap},
+        device="cpu",
+        threads=threads,
+        width=len(REGIONS) - 1,
+    )
+    return flexion, gap

@@ -1,0 +1,142 @@
+"""What a posed hand touches of an object and how deep it cuts in, measured on the exact meshes of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from numpy.typing import NDArray
+
+from r2h_batch.bodies.hand import HandModel, load_hand
+from r2h_batch.kernels.receiver.point_mesh import point_mesh_distance
+from r2h_batch.launch import launch_trials
+
+__all__ = ["REGIONS", "Contact", "ObjectSurface", "hand_depth", "measure_contact", "palmar_region"]
+
+REGIONS = ("index", "middle", "pinky", "ring", "thumb", "palm")
+"""Where a hand touches: five digits (joints 1-3, 4-6, 7-9, 10-12, 13-15) and the palm."""
+THUMB, PALM = 4, 5
+REACH_M = 0.02
+PALMAR_COSINE = 0.35
+"""Palmar skin: its rest normal leans at least this much (70 degrees) towards the side that the joint flexes to."""
+
+F32 = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """B hands on one object, metres; columns follow `REGIONS`."""
+
+    gap: F32
+    """(B, 6) least distance of the region's palmar skin to the surface, negative inside; 2 cm: nothing is that near"""
+    normal: F32
+    """(B, 6, 3) the object's outward normal at the nearest point"""
+    point: F32
+    """(B, 6, 3) the skin point that is nearest"""
+    face: NDArray[np.int32]
+    """(B, 6) the object's face there, -1 without one"""
+    depth: F32
+    """(B,) how deep the deepest skin point is in the object"""
+    back_depth: F32
+    """(B,) the same for skin that is not palmar: back, sides and wrist"""
+    touch: F32
+    """(B,) share of the palmar skin within 5 mm of the surface"""
+
+
+class ObjectSurface:
+    """An object's mesh, ready for distance queries on a CPU (frame obj)."""
+
+    def __init__(self, vertices: F32, faces: NDArray[np.int32]) -> None:
+        self.vertices, self.faces = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
+        self.mesh = wp.Mesh(
+            wp.array(self.vertices, dtype=wp.vec3, device="cpu"),
+            wp.array(self.faces.reshape(-1), dtype=wp.int32, device="cpu"),
+            support_winding_number=True,
+        )
+
+    def distance(
+        self, points: NDArray[Any], reach: float, threads: int | None = None
+    ) -> tuple[F32, F32, NDArray[np.int32]]:
+        """Signed distance (n,), outward normal (n, 3) and nearest face (n,) of points (n, 3); see `point_mesh_distance`."""
+        flat = np.ascontiguousarray(points, np.float32).reshape(-1, 3)
+        distance, normal = np.empty(len(flat), np.float32), np.empty((len(flat), 3), np.float32)
+        face = np.empty(len(flat), np.int32)
+        launch_trials(
+            point_mesh_distance,
+            len(flat),
+            inputs={"mesh": self.mesh.id, "reach": reach, "point": flat},
+            outputs={"distance": distance, "normal": normal, "face": face},
+            device="cpu",
+            threads=threads,
+            chunk=2048,
+        )
+        return distance, normal, face
+
+
+@lru_cache(maxsize=2)
+def palmar_region(model: HandModel | None = None) -> NDArray[np.int64]:
+    """(V,) index into `REGIONS` of the palmar skin, -1 for back, sides and wrist."""
+    model = load_hand() if model is None else model
+    v, faces = model.vertices.double().numpy(), model.faces.numpy()
+    normal = np.zeros_like(v)
+    corner = v[faces]
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    # The cross product is twice the face's area: vertex normals weighted by area
+    for k in range(3):
+        np.add.at(normal, faces[:, k], cross)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    # A vertex belongs to the joint that carries most of it; that joint's second axis points to the back of the hand
+    joint = model.weights.argmax(1).numpy()
+    dorsal = model.joint_axes.double().numpy()[joint, :, 1]
+    region = np.where(joint > 0, (joint - 1) // 3, PALM)
+    palmar = -(normal * dorsal).sum(1) >= PALMAR_COSINE
+    wrist = (joint == 0) & (v[:, 0] > -0.015)
+    return np.where(palmar & ~wrist, region, -1)
+
+
+def measure_contact(
+    surface: ObjectSurface, vertices: F32, *, hand: HandModel | None = None, threads: int | None = None
+) -> Contact:
+    """Contacts of B hands with skins `vertices` (B, V, 3) in the object's frame; `hand`: whose skins (default: ours)."""
+    n, count = vertices.shape[:2]
+    distance, normal, face = surface.distance(vertices, REACH_M, threads)
+    distance, normal, face = distance.reshape(n, count), normal.reshape(n, count, 3), face.reshape(n, count)
+    region = palmar_region(hand or load_hand())
+    rows = np.arange(n)[:, None]
+    nearest = np.stack(
+        [np.flatnonzero(region == r)[distance[:, region == r].argmin(1)] for r in range(len(REGIONS))], axis=1
+    )
+    inside = np.maximum(-distance, 0.0)
+    return Contact(
+        gap=distance[rows, nearest],
+        normal=normal[rows, nearest],
+        point=vertices[rows, nearest],
+        face=face[rows, nearest],
+        depth=inside.max(1),
+        back_depth=inside[:, region < 0].max(1),
+        touch=(distance[:, region >= 0] < 0.005).mean(1).astype(np.float32),
+    )
+
+
+def hand_depth(
+    points: F32,
+    vertices: F32,
+    side: int | torch.Tensor,
+    *,
+    hand: HandModel | None = None,
+    threads: int | None = None,
+) -> NDArray[np.float32]:
+    """(B,) how deep the deepest of the object's surface points (n, 3) is in each hand: what thin parts do to a hand."""
+    faces = (hand or load_hand()).faces_by_side.numpy()[int(side)]
+    depth = np.zeros(len(vertices), np.float32)
+    for i, skin in enumerate(vertices):
+        # Only points within the hand's bounding box can be inside it: a hand's tree is asked for a few hundred, not thousands
+        near = points[((points > skin.min(0)) & (points < skin.max(0))).all(1)]
+        if len(near):
+            distance, _, _ = ObjectSurface(skin, faces).distance(near, 0.05, threads)
+            depth[i] = max(0.0, -float(distance.min()))
+    return depth

@@ -1,0 +1,126 @@
+"""How a receiver's hand may hold each object: frozen receiving grasps, the ground truth that predictors estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32, Int8, Int32, UInt8
+from numpy.typing import NDArray
+from torch import Tensor
+
+from r2h_batch import se3
+from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
+from r2h_batch.bodies.hand import HandGeometry, HandModel, load_hand
+from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects
+from r2h_batch.receiver.instructions import intents_of
+from r2h_batch.receiver.sampler import sample_receiving
+
+__all__ = ["CONTACT_M", "PENETRATION_M", "ReceivingGrasps", "load_receiving", "receiving_digest"]
+
+CONTACT_M = 0.005
+"""A digit or the palm is in contact when a point of its palmar skin is this near to the surface."""
+PENETRATION_M = 0.005
+"""No point of the hand is deeper in the object, and no point of the object deeper in the hand."""
+
+FIELDS = ("side", "T_obj_hand", "pose", "shape", "part")
+
+
+@dataclass(frozen=True, eq=False)
+class ReceivingGrasps:
+    """M receiving grasps, object by object, right hands before left ones; hands as in `hand.py`, metres."""
+
+    object_index: Int32[Tensor, " m"]
+    side: Int8[Tensor, " m"]
+    """0 right, 1 left"""
+    T_obj_hand: Float32[Tensor, "m 4 4"]
+    pose: Float32[Tensor, "m 48"]
+    shape: Float32[Tensor, "m 10"]
+    part: UInt8[Tensor, " m"]
+    """the part of the object that the hand touches most, index into `part_names`"""
+    instruction: Int32[Tensor, " m"]
+    """which of the object's intents (`instructions.intents_of`) the grasp answers first"""
+    hand: HandModel
+    """whose hands they are"""
+
+    def __len__(self) -> int:
+        return len(self.side)
+
+    def __getitem__(self, rows: slice | Tensor) -> ReceivingGrasps:
+        """The selected rows; `rows` is a slice, an index tensor or a mask."""
+        return ReceivingGrasps(
+            **{k: getattr(self, k)[rows] for k in ("object_index", *FIELDS, "instruction")}, hand=self.hand
+        )
+
+    @cached_property
+    def posed(self) -> HandGeometry:
+        """Skins and joints in the hands' own frames; made at first use (16 KB a grasp)."""
+        return self.hand.pose(self.pose, self.shape, self.side)
+
+    @cached_property
+    def joints(self) -> Float32[Tensor, "m 16 3"]:
+        """Joints in the object's frame."""
+        return se3.apply(self.T_obj_hand[:, None], self.posed.joints)
+
+    @cached_property
+    def vertices(self) -> Float32[Tensor, "m v 3"]:
+        """Skins in the object's frame."""
+        return se3.apply(self.T_obj_hand[:, None], self.posed.vertices)
+
+    def rows_of(self, object_index: int, side: int | None = None, part: int | None = None) -> Tensor:
+        """Row numbers of an object's grasps, optionally of one side and one part."""
+        kept = self.object_index == object_index
+        if side is not None:
+            kept = kept & (self.side == side)
+        if part is not None:
+            kept = kept & (self.part == part)
+        return torch.nonzero(kept)[:, 0]
+
+
+@lru_cache(maxsize=8)
+def _load(objects: tuple[ObjectModel, ...], hand: HandModel) -> ReceivingGrasps:
+    every = [_of_object(o, hand) for o in objects]
+    index = np.repeat(np.arange(len(objects), dtype=np.int32), [len(e["side"]) for e in every])
+    columns = {k: torch.from_numpy(np.concatenate([e[k] for e in every])) for k in FIELDS}
+    intent = [_intents(o, e["part"]) for o, e in zip(objects, every, strict=True)]
+    return ReceivingGrasps(
+        torch.from_numpy(index), **columns, instruction=torch.from_numpy(np.concatenate(intent)), hand=hand
+    )
+
+
+def _intents(model: ObjectModel, part: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """The first intent that wants the part each grasp holds."""
+    first = {label: k for k, intent in reversed(list(enumerate(intents_of(model)))) for label in intent.labels}
+    return np.array([first.get(int(p), len(intents_of(model)) - 1) for p in part], np.int32)
+
+
+def load_receiving(objects: Sequence[ObjectModel] | None = None, hand: HandModel | None = None) -> ReceivingGrasps:
+    """Receiving grasps of these objects (default: the 16 built-in ones), `object_index` counting them in order.
+
+    Those of the built-in hand and objects are stored; for a user's hand or object they are sampled once (about half a
+    minute an object).
+    """
+    return _load(tuple(load_objects() if objects is None else objects), load_hand() if hand is None else hand)
+
+
+def receiving_digest(grasps: ReceivingGrasps | None = None) -> str:
+    """sha256 (hex) over every array's name, type, shape and bytes."""
+    grasps = load_receiving() if grasps is None else grasps
+    return arrays_digest({k: getattr(grasps, k).cpu().numpy() for k in ("object_index", *FIELDS)})
+
+
+@lru_cache(maxsize=64)
+def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
+    stored = _stored()
+    if hand is load_hand() and f"{model.name}/side" in stored and is_built_in(model):
+        return {k: stored[f"{model.name}/{k}"] for k in FIELDS}
+    return sample_receiving(model, hand=hand)
+
+
+@lru_cache(maxsize=1)
+def _stored() -> dict[str, NDArray[Any]]:
+    return stored_arrays("receiving", "receiving.npz")

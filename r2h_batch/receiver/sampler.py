@@ -1,0 +1,310 @@
+"""Receiving grasps of an object: an open hand comes down on it, its fingers close, and the exact meshes say what holds.
+
+A left hand is sampled as a right hand on the mirrored object: nothing about it is assumed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from r2h_batch.bodies.hand import HandModel, load_hand
+from r2h_batch.bodies.hand_measure import hull_planes, self_cut
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.launch import init_warp
+from r2h_batch.receiver.hand_closing import (
+    DEEPEST_M,
+    FAMILIES,
+    close,
+    come_down,
+    distance_field,
+    load_families,
+    posture,
+)
+from r2h_batch.receiver.hand_contact import PALM, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
+from r2h_batch.receiver.instructions import intents_of
+
+__all__ = ["PER_SIDE", "sample_receiving"]
+
+PER_SIDE = 32
+PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 3000, 4, 240, 16
+STANDOFF_M = 0.25
+
+CONTACT_M = 0.004
+DEPTH_M, BACK_DEPTH_M, THIN_DEPTH_M = 0.004, 0.001, 0.004
+"""Stricter than the promise of 5 mm each: float32, and another measure, may disagree by a little."""
+DIGITS_RADIUS_M = 0.0075
+CROSSING_M = 0.003
+ON_REGION = 0.6
+"""Share of an S1 hold's contacts that lie on the receiver's region."""
+
+BEST = 0.7
+"""Share of a pool, best scores first, that the choice is made from where it is large enough."""
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+
+def sample_receiving(
+    model: ObjectModel,
+    *,
+    hand: HandModel | None = None,
+    per_side: int = PER_SIDE,
+    self_cut_m: float | None = None,
+    threads: int | None = None,
+) -> dict[str, NDArray[Any]]:
+    """Arrays as in `receiving.FIELDS`: `per_side` right-hand and as many left-hand holds; the same object, the same holds.
+
+    Each holds with thumb and a finger from opposite sides and with three regions of the hand or more. `self_cut_m`: how
+    deep a hand may cut into itself where digits press on each other; None: not asked. Raises if an object has fewer than
+    `per_side`.
+    """
+    init_warp()
+    hand = load_hand() if hand is None else hand
+    right = _holds(model, hand, False, per_side, self_cut_m, threads)
+    left = _holds(model, hand, True, per_side, self_cut_m, threads)
+    return {k: np.concatenate([right[k], left[k]]) for k in right}
+
+
+def _holds(
+    model: ObjectModel, hand: HandModel, mirror: bool, count: int, self_cut_m: float | None, threads: int | None
+) -> dict[str, NDArray[Any]]:
+    flip = np.array([-1.0 if mirror else 1.0, 1.0, 1.0], np.float32)
+    vertices, faces = model.vertices * flip, model.faces[:, ::-1] if mirror else model.faces
+    surface = ObjectSurface(vertices, faces)
+    field = distance_field(surface, threads)
+    points = np.concatenate([model.points * flip, vertices])
+    pool: list[dict[str, NDArray[Any]]] = []
+    digest = hashlib.sha256(f"receiving {model.name} {'left' if mirror else 'right'}".encode()).digest()
+    key = int.from_bytes(digest[:8], "little")
+    for turn in range(ROUNDS):
+        rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
+        pool.append(_try(model, hand, flip, surface, field, points, rng, threads))
+        held = np.concatenate([p["part"] for p in pool])
+        if len(held) >= ENOUGH and all(np.isin(held, i.labels).sum() >= ENOUGH_OF_PART for i in intents_of(model)):
+            break
+    every = {k: np.concatenate([p[k] for p in pool]) for k in pool[0]}
+    chosen = _diverse(model, hand, every, count, self_cut_m)
+    if len(chosen) < count:
+        raise ValueError(
+            f"{model.name}: {len(chosen)} {'left' if mirror else 'right'} receiving grasps found, {count} wanted; "
+            "a hand must be able to hold the receiver's region (S1) or some part (S0) between thumb and fingers"
+        )
+    return _as_arrays(hand, every, chosen, flip)
+
+
+def _try(
+    model: ObjectModel,
+    hand: HandModel,
+    flip: F32,
+    surface: ObjectSurface,
+    field: Any,
+    points: F32,
+    rng: Any,
+    threads: int | None,
+) -> dict[str, NDArray[Any]]:
+    """One round of proposals, those kept: hand pose, posture, what they touch, score."""
+    families = load_families(hand)
+    family, R, start, direction, retreat = _proposals(model, flip, rng)
+    travel = come_down(field, families, family, R, start, direction, farthest=2 * STANDOFF_M, threads=threads)
+    near = travel < 2 * STANDOFF_M - 0.01
+    family, R, start, direction = family[near], R[near], start[near], direction[near]
+    travel, retreat = travel[near], retreat[near]
+    p = start + (travel - retreat)[:, None] * direction
+    flexion, gap = close(field, families, family, R, p, threads)
+    held = (gap[:, THUMB] < CONTACT_M) & ((gap[:, :THUMB] < CONTACT_M).sum(1) >= 1) & (gap.min(1) > -2 * DEEPEST_M)
+    family, R, p, flexion = (x[held] for x in (family, R, p, flexion))
+    pose = posture(hand, families.turns[family], flexion)
+    posed = hand.pose(torch.from_numpy(pose), torch.from_numpy(families.shape[family]))
+    skin = np.einsum("nij,nvj->nvi", R, posed.vertices.numpy()) + p[:, None]
+    joints = np.einsum("nij,nvj->nvi", R, posed.joints.numpy()) + p[:, None]
+    contact = measure_contact(surface, skin.astype(np.float32), hand=hand, threads=threads)
+    good = _holds_well(model, contact) & (_crossing(hand, joints, posed.vertices.numpy(), R, p) < CROSSING_M)
+    rows = np.flatnonzero(good)
+    deep = hand_depth(points, skin[rows].astype(np.float32), 0, hand=hand, threads=threads)
+    rows = rows[deep <= THIN_DEPTH_M]
+    touching = contact.gap[rows] <= CONTACT_M
+    return {
+        "family": family[rows], "R": R[rows], "p": p[rows], "pose": pose[rows], "joints": joints[rows].astype(np.float32),
+        "part": _parts(model, contact.face[rows], touching),
+        "score": _score(model, flip, contact, rows, touching, R[rows]),
+    }  # fmt: skip
+
+
+def _proposals(model: ObjectModel, flip: F32, rng: Any) -> tuple[NDArray[np.int32], F32, F32, F32, F32]:
+    """family (n,), R_obj_hand (n, 3, 3), start (n, 3), direction (n, 3), retreat (n,): over surface points, any turn.
+
+    A spot of the hand, between palm and fingertips, is led along a direction between the palm's and the fingers' to a
+    surface point, against its normal or up to 40 degrees beside it.
+    """
+    n = PROPOSALS
+    wanted = model.receiver_face if model.receiver_face.any() else np.ones(len(model.faces), bool)
+    corner = (model.vertices * flip)[model.faces].astype(np.float64)
+    cross = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]) * flip[0]
+    area = np.linalg.norm(cross, axis=1) * wanted
+    area /= area.sum()
+    named = [area * np.isin(model.face_part, i.labels) for i in intents_of(model)]
+    area = area + np.sum([a / a.sum() for a in named], 0) / len(named)  # small parts get their share of proposals
+    share = np.cumsum(area) / area.sum()
+    face = np.minimum(np.searchsorted(share, (np.arange(n) + rng.random(n)) / n), len(share) - 1)
+    target = corner[face].mean(1)
+    normal = cross[face] / np.linalg.norm(cross[face], axis=1, keepdims=True)
+    tilt = np.radians(40.0) * np.sqrt(rng.random(n))
+    inward = -_tilted(normal, tilt, 2 * np.pi * rng.random(n))
+    lean = np.radians(80.0) * rng.random(n)
+    ahead = np.stack([-np.sin(lean), -np.cos(lean), np.zeros(n)], 1)
+    roll = 2 * np.pi * rng.random(n)
+    R = np.einsum("nij,nkj->nik", _frame(inward, roll), _frame(ahead, np.zeros(n)))
+    spot = np.stack([-0.055 - 0.085 * rng.random(n), np.zeros(n), -0.02 + 0.05 * rng.random(n)], 1)
+    start = target - np.einsum("nij,nj->ni", R, spot) - STANDOFF_M * inward
+    retreat = np.where(rng.random(n) < 0.55, 0.0005, 0.06 * rng.random(n))
+    family = rng.integers(0, FAMILIES, n)
+    return (family.astype(np.int32), *(x.astype(np.float32) for x in (R, start, inward, retreat)))
+
+
+def _holds_well(model: ObjectModel, contact: Contact) -> NDArray[np.bool_]:
+    """Thumb against a finger or more, three regions in all, not too deep, nothing behind; S1: on the region."""
+    touching = contact.gap <= CONTACT_M
+    facing = np.einsum("nk,nfk->nf", contact.normal[:, THUMB], contact.normal[:, :THUMB])
+    opposed = (touching[:, :THUMB] & (facing < 0)).any(1)
+    good = touching[:, THUMB] & opposed & (touching.sum(1) >= 3)
+    good &= (contact.depth <= DEPTH_M) & (contact.back_depth <= BACK_DEPTH_M)
+    if model.receiver_face.any():
+        on = model.receiver_face[np.maximum(contact.face, 0)] & touching
+        good &= on.sum(1) >= ON_REGION * touching.sum(1)
+    return good
+
+
+def _score(
+    model: ObjectModel, flip: F32, contact: Contact, rows: NDArray[np.int64], touching: NDArray[np.bool_], R: F32
+) -> F64:
+    """More regions, more skin, thumb and fingers squarely opposed, thumb's side towards the working end."""
+    facing = np.einsum("nk,nfk->nf", contact.normal[rows, THUMB], contact.normal[rows, :THUMB])
+    opposed = np.where(touching[:, :THUMB], -facing, -1.0).max(1)
+    digits = touching[:, :PALM].sum(1) / 5 + 0.25 * touching[:, PALM]
+    skin = np.minimum(contact.touch[rows] / 0.35, 1.0)
+    end = _working_direction(model) * flip
+    return digits + skin + 0.5 * opposed + 0.6 * np.clip(R[:, :, 2] @ end, -1, 0.7) - 40 * contact.depth[rows]
+
+
+def _working_direction(model: ObjectModel) -> F64:
+    """Unit vector from the receiver's region to the part that works; zero where an object has none."""
+    if not model.receiver_face.any():
+        return np.zeros(3)
+    on = model.receiver_face[model.point_face]
+    away = model.points[~on].mean(0, dtype=np.float64) - model.points[on].mean(0, dtype=np.float64)
+    return away / np.linalg.norm(away)
+
+
+def _parts(model: ObjectModel, face: NDArray[np.int32], touching: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """The part with the most contacts of each hold."""
+    part = model.face_part[np.maximum(face, 0)]
+    votes = np.stack([((part == k) & touching).sum(1) for k in range(len(model.part_names))], 1)
+    return votes.argmax(1).astype(np.uint8)
+
+
+def _crossing(hand: HandModel, joints: F64, hand_vertices: F32, R: F32, p: F32) -> F64:
+    """(B,) how deep thumb and fingers, and fingers that are not joined, run into each other, as capsules."""
+    tips = hand.tip_vertices.numpy().astype(np.int64)
+    tip = np.einsum("nij,nvj->nvi", R, hand_vertices[:, tips]) + p[:, None]
+    chain = [
+        np.stack([joints[:, 1 + 3 * f], joints[:, 2 + 3 * f], joints[:, 3 + 3 * f], tip[:, f]], 1) for f in range(5)
+    ]
+    worst = np.full(len(joints), -1.0)
+    for f, g in ((4, 0), (4, 1), (4, 2), (4, 3), (0, 1), (1, 3), (3, 2), (0, 3), (1, 2)):
+        for i in range(3):
+            for j in range(3):
+                if (f, i) == (4, 0) or (f != 4 and i + j == 0):
+                    continue  # joined by skin
+                gap = _segment_distance(chain[f][:, i], chain[f][:, i + 1], chain[g][:, j], chain[g][:, j + 1])
+                worst = np.maximum(worst, 2 * DIGITS_RADIUS_M - gap)
+    return worst
+
+
+def _segment_distance(a: F64, b: F64, c: F64, d: F64) -> F64:
+    """Distance of segments a b and c d, (n, 3) each, sampled at 9 points each."""
+    t = np.linspace(0, 1, 9)[None, :, None]
+    p, q = a[:, None] + t * (b - a)[:, None], c[:, None] + t * (d - c)[:, None]
+    return np.linalg.norm(p[:, :, None] - q[:, None], axis=3).min((1, 2))
+
+
+def _diverse(
+    model: ObjectModel, hand: HandModel, every: dict[str, NDArray[Any]], count: int, self_cut_m: float | None
+) -> NDArray[np.int64]:
+    """Rows of the best scores, none too like one already taken; that bar falls until `count` are found.
+
+    Every part that instructions name gets its share first, as far as it can be held.
+    """
+    palm = every["joints"][:, [0, 1, 4, 7, 10]].mean(1)
+    order = np.argsort(-every["score"], kind="stable")
+    wanted = {i.part: i.labels for i in intents_of(model)}
+    stages = [(np.isin(every["part"], labels), min(count // 4, count // len(wanted))) for labels in wanted.values()]
+    stages.append((np.ones(len(order), bool), count))
+    taken: list[int] = []
+    usable = np.ones(len(order), bool)
+    for allowed, number in stages:
+        mine = order[allowed[order]]
+        mine = mine[: max(number, int(BEST * len(mine)))]
+        scale = 1.0
+        while int(allowed[taken].sum()) < min(number, int(usable[mine].sum())):
+            for i in mine:
+                if int(allowed[taken].sum()) >= number:
+                    break
+                if i in taken or not usable[i]:
+                    continue
+                apart = np.linalg.norm(palm[taken] - palm[i], axis=1) / 0.04
+                turn = 1 - np.einsum("mij,ij->m", every["R"][taken], every["R"][i]) / 3  # 0 alike, 4/3 opposite
+                if taken and (apart + 2 * turn).min() < scale:
+                    continue
+                # measured only of those that are wanted: 50 ms each
+                usable[i] = self_cut_m is None or _self_cut(hand, every["pose"][i], every["family"][i]) <= self_cut_m
+                if usable[i]:
+                    taken.append(int(i))
+            scale *= 0.75
+    return np.array(taken, np.int64)
+
+
+def _self_cut(hand: HandModel, pose: F32, family: int) -> float:
+    """How deep (m) a right hand's skin cuts into itself."""
+    shape = load_families(hand).shape[family]
+    skin = hand.pose(torch.from_numpy(pose)[None], torch.from_numpy(shape)[None]).vertices[0].double().numpy()
+    pieces = [p.numpy() for p in hand.pieces]
+    return self_cut(skin, hand.faces.numpy(), [hull_planes(skin[p]) for p in pieces], pieces)
+
+
+def _as_arrays(
+    hand: HandModel, every: dict[str, NDArray[Any]], rows: NDArray[np.int64], flip: F32
+) -> dict[str, NDArray[Any]]:
+    mirror = flip[0] < 0
+    T = np.tile(np.eye(4, dtype=np.float32), (len(rows), 1, 1))
+    T[:, :3, :3] = flip[:, None] * every["R"][rows] * flip
+    T[:, :3, 3] = flip * every["p"][rows]
+    axial = np.array([1, -1, -1] if mirror else [1, 1, 1], np.float32)
+    pose = (every["pose"][rows].reshape(-1, 16, 3) * axial).reshape(-1, 48)
+    return {
+        "side": np.full(len(rows), int(mirror), np.int8),
+        "T_obj_hand": T,
+        "pose": pose.astype(np.float32),
+        "shape": load_families(hand).shape[every["family"][rows]],
+        "part": every["part"][rows],
+    }
+
+
+def _tilted(z: F64, angle: F64, turn: F64) -> F64:
+    """Unit vectors at an angle from z."""
+    F = _frame(z, turn)
+    return np.sin(angle)[:, None] * F[:, :, 0] + np.cos(angle)[:, None] * F[:, :, 2]
+
+
+def _frame(z: F64, roll: F64) -> F64:
+    """(n, 3, 3) frames with these unit z axes, x turned by `roll` about them; columns x, y, z."""
+    helper = np.where(np.abs(z[:, :1]) > 0.7, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    e = np.cross(helper, z)
+    e /= np.linalg.norm(e, axis=1, keepdims=True)
+    f = np.cross(z, e)
+    x = np.cos(roll)[:, None] * e + np.sin(roll)[:, None] * f
+    return np.stack([x, np.cross(z, x), z], 2)

@@ -1,0 +1,103 @@
+"""Other thresholds without simulating again: `python -m r2h_batch.rescore RUN --reach-radius .08:.12:.01`
+
+Exact, trial by trial, for the poses that were scored (a method that asks the evaluator might choose others):
+- reach radius: any value, the margin is r_h - distance;
+- w_max: up to the run's own. A wider aperture is another gripper: what it would hold was not measured;
+- safe margin: from 0 to 4.99 cm, beyond which clearances are only a lower bound.
+Not possible: the ball's offset, the pads' squeeze, hand clearance of the path: they change the geometry.
+"""
+
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from r2h_batch.command_line import call, refuse
+from r2h_batch.verdicts import SPLITS, Outcome
+
+if TYPE_CHECKING:  # what is heavy is imported when there is work
+    from r2h_batch.statistics.thresholds import Point
+
+MAX_POINTS = 10_000
+
+
+def values(text: str, name: str) -> tuple[float, ...]:
+    """Numbers of `.08`, `.08,.10` or `LOW:HIGH:STEP` (both ends included)."""
+    try:
+        if ":" in text:
+            low, high, step = map(float, text.split(":"))
+            if not (step > 0 and high >= low and (high - low) / step < MAX_POINTS):
+                raise ValueError
+            return tuple(round(low + i * step, 12) for i in range(int((high - low) / step + 1e-9) + 1))
+        numbers = tuple(float(part) for part in text.split(","))
+        if not all(map(math.isfinite, numbers)):
+            raise ValueError
+        return numbers
+    except ValueError:
+        raise ValueError(f"--{name} is {text!r}; it must be METRES, A,B,... or LOW:HIGH:STEP") from None
+
+
+def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
+    """Tables of rates for every point and method, and the ranks over the points."""
+    from r2h_batch.report.text import NA, aligned
+    from r2h_batch.statistics.thresholds import ROUNDING_M, rank_stability
+
+    shown = {"SR": 0, "F_plan": 2, "F_reach": 3, "F_safe": 5, "F_stab": 1, "F_afford": 4}
+    lines = []
+    for point in points:
+        for method in methods:
+            for k, counts in enumerate(point.counts[method]):
+                if n := counts.sum():
+                    skipped = (Outcome.AFFORDANCE,) if SPLITS[k] == "S0" else ()
+                    rates = [NA if c in skipped else f"{100 * counts[c] / n:.1f}" for c in shown.values()]
+                    key = [f"{v:.4g}" for v in (point.reach_radius_m, point.w_max_m, point.safe_margin_m)]
+                    lines.append([method, SPLITS[k], *key, *rates, str(point.undecided[method])])
+    parts = [
+        "Rates in percent of all planned trials, thresholds in metres, rescored from stored margins.",
+        aligned(["Method", "Split", "r_h", "w_max", "safe", *shown, "undecided"], lines, 2),
+    ]
+    if len(methods) > 1:
+        ranks = [[m, *(f"{100 * p:.0f} %" for p in row)] for m, row in zip(methods, rank_stability(points, methods))]
+        parts += [
+            f"Share of the {len(points)} settings at which a method has a rank (mean SR of the splits).",
+            aligned(["Method", *(f"rank {i + 1}" for i in range(len(methods)))], ranks, 1),
+        ]
+    parts.append(
+        "- Poses as they were predicted for the run's own thresholds.\n"
+        f"- undecided: within {ROUNDING_M:g} m of a threshold, where float32 does not tell (counted as computed)."
+    )
+    return "\n\n".join(parts) + "\n"
+
+
+def run(
+    run: Path, /, *, reach_radius: str = "", w_max: str = "", safe_margin: str = "", method: tuple[str, ...] = ()
+) -> int:
+    """Print the rates of a run folder at other thresholds, and how stable the ranks are.
+
+    Args:
+        run: a run folder, as `python -m r2h_batch.sweep --out` writes it.
+        reach_radius: r_h in metres, A,B,... or LOW:HIGH:STEP.
+        w_max: widest material that the gripper holds, at most the run's own.
+        safe_margin: distance that the robot must keep from the hand, at most 0.0499.
+        method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
+    """
+    from r2h_batch.results.reading import load_run
+    from r2h_batch.statistics.thresholds import rescore
+
+    try:
+        grid = {
+            "reach_radius_m": values(reach_radius, "reach-radius") if reach_radius else (),
+            "w_max_m": values(w_max, "w-max") if w_max else (),
+            "safe_margin_m": values(safe_margin, "safe-margin") if safe_margin else (),
+        }
+        stored = load_run(run).only(method)
+        sys.stdout.write(render(rescore(stored, **grid), stored.methods))
+    except (ValueError, OSError) as error:
+        return refuse("rescore", error)
+    return 0
+
+
+def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.rescore") -> int:
+    """Exit code: 0 printed, 2 refused with one line."""
+    return call(run, sys.argv[1:] if arguments is None else arguments, prog=prog, name="rescore")

@@ -1,0 +1,83 @@
+"""Stored rows against the plan: whoever answered, a row is about the trial, object and hand that the protocol says."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from r2h_batch.files import printable
+from r2h_batch.turns import PROTOCOL, objects_in_turn, trial_ids
+from r2h_batch.verdicts import SIDES, SPLITS
+
+__all__ = ["not_as_planned", "stored_not_as_planned"]
+
+_COMPARED = ("trial_id", "object", "split", "side")
+
+
+def not_as_planned(header: Mapping[str, Any], first: int, last: int, table: pa.Table, *, every: bool) -> str | None:
+    """What differs from positions first..last-1 of the plan, None if nothing; `every`: all of them are there.
+
+    Of a run of another protocol nothing is known.
+    """
+    if header["protocol"] != PROTOCOL:
+        return None
+    if "objects" not in header:
+        return "cannot be compared with the plan: run.json names no objects"
+    planned = trial_ids(header["trials"], first, last)
+    ids = table["trial_id"].to_numpy()
+    order = np.argsort(planned)
+    place = order[np.searchsorted(planned[order], ids).clip(max=len(planned) - 1)] if len(planned) else order
+    strange = np.flatnonzero(planned[place] != ids) if len(planned) else np.arange(len(ids))
+    if len(strange):
+        return f"trial_id {ids[strange[0]]} is not planned here"
+    if (np.diff(place) <= 0).any():
+        row = int(np.argmax(np.diff(place) <= 0)) + 1
+        return f"trial_id {ids[row]} is not where the plan has it"
+    if every and len(ids) != len(planned):
+        return f"{len(planned) - len(ids)} planned trials are missing"
+    return _other_names(header, ids, table)
+
+
+def _other_names(header: Mapping[str, Any], ids: NDArray[np.int64], table: pa.Table) -> str | None:
+    """Object, split and side of the hand, where the table has them."""
+    names, splits = ([o[k] for o in header["objects"]] for k in ("name", "split"))
+    try:
+        objects, side = objects_in_turn(ids, splits)
+    except ValueError as error:
+        return f"cannot be compared with the plan: {error}"
+    for column, words, codes in (("object", names, objects), ("split", SPLITS, ids % 2), ("side", SIDES, side)):
+        if column not in table.column_names:
+            continue
+        found, wanted = _words(table[column]), np.array(words, object)[codes]
+        if (wrong := np.flatnonzero(found != wanted)).size:
+            row = wrong[0]
+            return f"trial {ids[row]}: {column} is {printable(found[row])[:80]!r}, planned is {wanted[row]!r}"
+    return None
+
+
+def _words(column: pa.ChunkedArray) -> NDArray[np.object_]:
+    return np.asarray(column.cast(pa.string()).to_numpy(zero_copy_only=False), object)
+
+
+def stored_not_as_planned(header: Mapping[str, Any], first: int, last: int, kind: str, file: Path) -> str | None:
+    """The same of a stored file, of which only the compared columns are read."""
+    if header["protocol"] != PROTOCOL:
+        return None
+    try:
+        with pq.ParquetFile(file) as stored:
+            if stored.metadata.num_rows > last - first:
+                return f"holds {stored.metadata.num_rows} rows, planned were {last - first}"
+            columns: Sequence[str] = [c for c in _COMPARED if c in stored.schema_arrow.names]
+            needed = _COMPARED if kind == "trials" else ("trial_id",)
+            if missing := [c for c in needed if c not in columns]:
+                return f"column {missing[0]!r} is missing"
+            table = stored.read(columns=columns)
+        if table.schema.field("trial_id").type != pa.int64() or table["trial_id"].null_count:
+            return "column 'trial_id' is not of whole numbers"
+        return not_as_planned(header, first, last, table, every=kind == "trials")
+    except (OSError, pa.ArrowException) as error:
+        return f"cannot be read ({printable(error)[:300]})"

@@ -1,0 +1,107 @@
+"""What a figure was made with: versions, digest of the code and its data, commit, device. For run.json and bench."""
+
+import hashlib
+import os
+import platform
+import subprocess
+from collections.abc import Iterable
+from functools import lru_cache
+from importlib import metadata
+from pathlib import Path
+
+import r2h_batch
+
+PACKAGES = (
+    "mujoco",
+    "mujoco-warp",
+    "numpy",
+    "pyarrow",
+    "pytorch-kinematics",
+    "scikit-learn",
+    "scipy",
+    "torch",
+    "trimesh",
+    "warp-lang",
+)
+"""Packages whose version can change a verdict or a time."""
+
+
+def versions() -> dict[str, str]:
+    """Name -> version of this package, of Python and of `PACKAGES` (`not installed` where it is not)."""
+    found = {"r2h_batch": r2h_batch.__version__, "python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+ONLY_READ_ROWS = ("statistics", "report", "export", "study", "compare", "rescore", "command_line.py", "__main__.py")
+"""Folders and modules of the package that look at rows or at command lines: no row depends on them."""
+
+DATA = (".json", ".npy", ".npz", ".safetensors")
+
+
+@lru_cache(maxsize=1)
+def code_digest() -> str:
+    """sha256 over what decides rows: the judging modules, the kernels, the committed data, wherever they are installed.
+
+    Not over what only reads rows (`ONLY_READ_ROWS`), nor over the scripts that build the data: a comment in a chart must
+    not make two runs incomparable, or a sweep that is half done impossible to go on with.
+    """
+    folders = [Path(p) for p in r2h_batch.__path__]
+    files = {p.relative_to(folders[0]): p for p in _sources(folders[0], (".py", *DATA))}
+    for name, kinds in (("kernels", (".py",)), ("assets", DATA)):
+        # in a wheel inside the package, in a checkout beside it
+        folder = next((f for f in folders if (f / name).is_dir()), None)
+        files = {key: p for key, p in files.items() if key.parts[0] != name}
+        if folder is not None:
+            files |= {p.relative_to(folder): p for p in _sources(folder / name, kinds)}
+    judging = [key for key in files if key.parts[0] not in ONLY_READ_ROWS and key.name != "__main__.py"]
+    return file_digest(files[key] for key in sorted(judging))
+
+
+def _sources(folder: Path, kinds: tuple[str, ...]) -> Iterable[Path]:
+    return (p for p in folder.rglob("*") if p.suffix in kinds and p.is_file())
+
+
+def file_digest(paths: Iterable[Path]) -> str:
+    """sha256 over the names and contents of files, in the order given."""
+    digest = hashlib.sha256()
+    for path in paths:
+        with path.open("rb") as file:
+            digest.update(path.name.encode() + b"\0" + hashlib.file_digest(file, "sha256").digest())
+    return digest.hexdigest()
+
+
+def git_commit() -> str | None:
+    """Commit of the checkout that this package runs from, `-dirty` where files differ; None outside a checkout."""
+    root = Path(r2h_batch.__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def device_name(device: str) -> str:
+    """`cpu: MODEL, N cores` or `cuda: MODEL`."""
+    if device != "cpu":
+        import torch
+
+        return f"cuda: {torch.cuda.get_device_name(device)}"
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"cpu: {_cpu_model()}, {cores} cores"
+
+
+def _cpu_model() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return " ".join(line.partition(":")[2].split())
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

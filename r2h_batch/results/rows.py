@@ -1,0 +1,238 @@
+"""Scores as table rows: the documented Parquet schemas of a run folder and the way from tensors to them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Outcome, PlanReason
+
+if TYPE_CHECKING:  # whoever reads rows needs no torch
+    from r2h_batch.types import Predictions, Scores, Trials
+
+MISSING = max(Outcome) + 1
+"""Outcome code of a planned trial for which the method gave no prediction: it counts as a failure of its own kind."""
+
+OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing")
+"""Name of every outcome code, in order."""
+
+_NAME = pa.dictionary(pa.int32(), pa.string())
+_POSE = pa.list_(pa.float32(), 16)
+
+TRIAL_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("object", _NAME, nullable=False),
+        pa.field("split", _NAME, nullable=False),
+        pa.field("side", _NAME, nullable=False),  # of the receiving hand: right, left
+        pa.field("outcome", _NAME, nullable=False),  # OUTCOME_NAMES
+        *(pa.field(f"passed_{c}", pa.bool_()) for c in CRITERIA),  # null: not evaluated
+        *(pa.field(f"margin_{c}_m", pa.float32()) for c in CRITERIA),  # positive: passes; null: none is defined
+        pa.field("plan_reason", _NAME),  # verdicts.PlanReason
+        pa.field("plan_pair", _NAME),  # verdicts.CollidingPair, null: none
+        pa.field("borderline", pa.bool_()),
+        pa.field("t_plan_s", pa.float32()),  # amortised: batch wall time / B; null: planning did not run
+        pa.field("t_exec_s", pa.float32()),  # null: no path
+        pa.field("t_method_s", pa.float32()),  # null: not measured
+    ]
+)
+DETAIL_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("hand_index", pa.int32(), nullable=False),
+        pa.field("width_m", pa.float32()),
+        pa.field("opening_m", pa.float32()),
+        pa.field("grasp_shift_m", pa.float32()),
+        pa.field("slip_m", pa.float32()),  # in the shake; null: not shaken
+        pa.field("q_goal", pa.list_(pa.float32(), 6)),  # rad, UR order; null: no goal
+        pa.field("witness_plan_part", _NAME),  # robot part of Plan's and of Safe's smallest clearance
+        pa.field("witness_safe_part", _NAME),
+        pa.field("witness_time_s", pa.float32()),  # of Safe's
+        pa.field("witness_point_m", pa.list_(pa.float32(), 3)),  # of Safe's, world frame
+    ]
+)
+POSE_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("T_obj_ee", _POSE, nullable=False),  # row-major 4x4
+        pa.field("T_world_ee", _POSE, nullable=False),
+    ]
+)
+PATH_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("q_goal", pa.list_(pa.float32(), 6)),
+        pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
+        pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad, UR order
+        pa.field(
+            "executed_q", pa.list_(pa.list_(pa.float32(), 6))
+        ),  # every run.json motion.sample_s; null: not simulated
+    ]
+)
+
+FAILURE_SCHEMA = pa.schema(
+    [
+        pa.field("trial_id", pa.int64(), nullable=False),
+        pa.field("object", _NAME, nullable=False),
+        pa.field("hand_index", pa.int32(), nullable=False),
+        pa.field("T_world_hand", _POSE, nullable=False),  # row-major 4x4
+        pa.field("T_obj_ee", _POSE, nullable=False),
+        pa.field("T_world_ee", _POSE, nullable=False),
+        pa.field("opening_m", pa.float32()),
+        pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
+        pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad: the reference
+        pa.field("executed_q", pa.list_(pa.list_(pa.float32(), 6))),  # what the simulator made of it, NaN and all
+        pa.field("failed_state", pa.list_(pa.float64())),  # qpos and qvel of the model before it failed
+    ]
+)
+"""Everything needed to run a trial again whose simulation failed, and how far it came."""
+
+
+@dataclass(frozen=True)
+class TrialNames:
+    """Names behind the indices of `Trials` and `Scores`: objects with their splits, sides of hands, robot parts."""
+
+    objects: Sequence[str]
+    object_splits: Sequence[str]
+    hand_sides: Sequence[str]
+    parts: Sequence[str] = ()
+
+
+def _array(values: Any) -> np.ndarray:
+    return values.detach().cpu().numpy() if hasattr(values, "detach") else np.asarray(values)
+
+
+def _named(codes: Any, names: Sequence[str]) -> pa.DictionaryArray:
+    """Dictionary column; a code outside the names is null."""
+    codes = _array(codes).astype(np.int32)
+    outside = (codes < 0) | (codes >= len(names))
+    return pa.DictionaryArray.from_arrays(pa.array(codes, mask=outside), pa.array(list(names), pa.string()))
+
+
+def _floats(values: Any) -> pa.Array:
+    """float32 column, NaN as null."""
+    return pa.array(_array(values).astype(np.float32), pa.float32(), from_pandas=True)
+
+
+def _vectors(values: Any) -> pa.Array:
+    """Column of fixed-size lists from (B, n); a row with NaN in it is null."""
+    values = _array(values).astype(np.float32)
+    flat = pa.array(values.reshape(-1), pa.float32())
+    mask = pa.array(np.isnan(values).any(axis=1), pa.bool_())
+    return pa.FixedSizeListArray.from_arrays(flat, values.shape[1], mask=mask)
+
+
+def _trial_columns(trials: "Trials", names: TrialNames) -> dict[str, Any]:
+    objects = _array(trials.object_index)
+    split_of = np.array([SPLITS.index(s) for s in names.object_splits], np.int32)
+    side_of = np.array([SIDES.index(s) for s in names.hand_sides], np.int32)
+    return {
+        "trial_id": pa.array(_array(trials.trial_id), pa.int64()),
+        "object": _named(objects, names.objects),
+        "split": _named(split_of[objects], SPLITS),
+        "side": _named(side_of[_array(trials.hand_index)], SIDES),
+    }
+
+
+def score_rows(trials: "Trials", scores: "Scores", names: TrialNames, t_method_s: Any = None) -> pa.Table:
+    """Rows of `TRIAL_SCHEMA` for B scored trials; `t_method_s` (B,) or None where it was not measured."""
+    ids = _array(scores.trial_id)
+    if not np.array_equal(ids, _array(trials.trial_id)):
+        raise ValueError("scores and trials must have the same trial_id in the same order")
+    passed, evaluated, margin = _array(scores.passed), _array(scores.evaluated), _array(scores.margin)
+    pair = _array(scores.plan_pair).astype(np.int32)
+    seconds = np.full(len(ids), np.nan, np.float32) if t_method_s is None else t_method_s
+    columns = {
+        **_trial_columns(trials, names),
+        "outcome": _named(scores.outcome, OUTCOME_NAMES),
+        **{f"passed_{c}": pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i]) for i, c in enumerate(CRITERIA)},
+        **{f"margin_{c}_m": _floats(margin[:, i]) for i, c in enumerate(CRITERIA)},
+        "plan_reason": _named(scores.plan_reason, [r.name.lower() for r in PlanReason]),
+        "plan_pair": _named(np.where(pair == CollidingPair.NONE, -1, pair), [p.name.lower() for p in CollidingPair]),
+        "borderline": pa.array(_array(scores.borderline), pa.bool_()),
+        "t_plan_s": _floats(scores.t_plan_s),
+        "t_exec_s": _floats(scores.t_exec_s),
+        "t_method_s": _floats(seconds),
+    }
+    return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
+
+
+_DETAIL_FLOATS = ("width_m", "opening_m", "grasp_shift_m", "slip_m", "witness_time_s")
+
+
+def detail_rows(trials: "Trials", scores: "Scores", names: TrialNames) -> pa.Table:
+    """Rows of `DETAIL_SCHEMA` for B scored trials: what one looks at when one looks at a trial."""
+    part = _array(scores.witness_part)
+    columns = {
+        "trial_id": pa.array(_array(trials.trial_id), pa.int64()),
+        "hand_index": pa.array(_array(trials.hand_index), pa.int32()),
+        **{k: _floats(getattr(scores, k)) for k in _DETAIL_FLOATS},
+        "q_goal": _vectors(scores.q_goal),
+        "witness_plan_part": _named(part[:, 0], names.parts),
+        "witness_safe_part": _named(part[:, 1], names.parts),
+        "witness_point_m": _vectors(scores.witness_point),
+    }
+    return pa.table([columns[f.name] for f in DETAIL_SCHEMA], schema=DETAIL_SCHEMA)
+
+
+def missing_rows(trials: "Trials", names: TrialNames) -> pa.Table:
+    """Rows of `TRIAL_SCHEMA` for trials without a prediction: outcome `missing`, nothing else."""
+    n = len(trials)
+    columns = {**_trial_columns(trials, names), "outcome": _named(np.full(n, MISSING), OUTCOME_NAMES)}
+    arrays = [columns[f.name] if f.name in columns else pa.nulls(n, f.type) for f in TRIAL_SCHEMA]
+    return pa.table(arrays, schema=TRIAL_SCHEMA)
+
+
+def pose_rows(predictions: "Predictions") -> pa.Table:
+    """Rows of `POSE_SCHEMA`, bit for bit what was scored."""
+    arrays = [_poses(p) for p in (predictions.T_obj_ee, predictions.T_world_ee)]
+    return pa.table([pa.array(_array(predictions.trial_id), pa.int64()), *arrays], schema=POSE_SCHEMA)
+
+
+def path_rows(scores: "Scores") -> pa.Table:
+    """Rows of `PATH_SCHEMA` for the trials that have a path."""
+    rows = np.flatnonzero(_array(scores.path_len) > 0)
+    first = [pa.array(_array(scores.trial_id)[rows], pa.int64()), _vectors(_array(scores.q_goal)[rows])]
+    return pa.table([*first, *_motion_columns(scores, rows)], schema=PATH_SCHEMA)
+
+
+def failure_rows(trials: "Trials", predictions: "Predictions", scores: "Scores", names: TrialNames) -> pa.Table:
+    """Rows of `FAILURE_SCHEMA` for the trials whose simulation failed."""
+    rows = np.flatnonzero(_array(scores.outcome) == Outcome.INVALID_SIM)
+    arrays = [
+        pa.array(_array(trials.trial_id)[rows], pa.int64()),
+        _named(_array(trials.object_index)[rows], names.objects),
+        pa.array(_array(trials.hand_index)[rows], pa.int32()),
+        *(_poses(_array(p)[rows]) for p in (trials.T_world_hand, predictions.T_obj_ee, predictions.T_world_ee)),
+        _floats(_array(scores.opening_m)[rows]),
+        *_motion_columns(scores, rows),
+        pa.array(list(_array(scores.failed_state)[rows]), pa.list_(pa.float64())),
+    ]
+    return pa.table(arrays, schema=FAILURE_SCHEMA)
+
+
+def _motion_columns(scores: "Scores", rows: np.ndarray) -> list[pa.ListArray]:
+    """Times and postures of the waypoints, and the postures that the simulator went through."""
+    length, moved = (_array(n).astype(np.int64)[rows] for n in (scores.path_len, scores.motion_len))
+    time = _array(scores.path_time_s).astype(np.float32)[rows]
+    kept = np.arange(time.shape[1]) < length[:, None]
+    offsets = pa.array(np.concatenate([[0], np.cumsum(length)]), pa.int32())
+    return [
+        pa.ListArray.from_arrays(offsets, pa.array(time[kept], pa.float32())),
+        _postures(_array(scores.path)[rows], length),
+        _postures(_array(scores.motion)[rows], moved, pa.array(moved == 0)),
+    ]
+
+
+def _poses(T: Any) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(_array(T).astype(np.float32).reshape(-1), pa.float32()), 16)
+
+
+def _postures(q: np.ndarray, length: np.ndarray, mask: pa.Array | None = None) -> pa.ListArray:
+    """Column of lists of joint angles: of each row (W, 6) the first `length`; masked rows are null."""
+    kept = np.arange(q.shape[1]) < length[:, None]
+    offsets = pa.array(np.concatenate([[0], np.cumsum(length)]), pa.int32())
+    flat = pa.FixedSizeListArray.from_arrays(pa.array(q[kept].astype(np.float32).reshape(-1), pa.float32()), 6)
+    return pa.ListArray.from_arrays(offsets, flat, mask=mask)

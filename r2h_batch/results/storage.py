@@ -1,0 +1,112 @@
+"""Files that appear whole or not at all: unique temporary name, fsync, link (the first writer wins), fsync of the folder."""
+
+import errno
+import fcntl
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from uuid import uuid4
+
+
+def sha256_of(path: Path) -> str:
+    """sha256 (hex) of a file's bytes."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def temporary_name(path: Path) -> Path:
+    """A unique hidden name beside `path` that no reader of `*.parquet` or `*.json` takes for a finished file."""
+    return path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+
+
+def sync_file(path: Path) -> None:
+    """The file's bytes are on the disk when this returns; an error of a full disk or a quota comes out here at last."""
+    with path.open("rb") as file:
+        os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """The names in a folder are on the disk when this returns."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def link_once(temporary: Path, final: Path) -> bool:
+    """Give a finished temporary file its name; False if the name is taken: the first writer wins."""
+    try:
+        os.link(temporary, final)
+    except FileExistsError:
+        return False
+    except OSError as error:
+        if error.errno in (errno.EPERM, errno.ENOTSUP, errno.EMLINK):
+            raise OSError(
+                error.errno, "this file system has no hard links; put the run folder on one that has", str(final)
+            ) from error
+        raise
+    sync_folder(final.parent)
+    return True
+
+
+def write_json_once(path: Path, data: Mapping[str, Any]) -> bool:
+    """Write a JSON file unless there is one; False if there was."""
+    temporary = _json_file(path, data)
+    try:
+        return link_once(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def replace_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write a JSON file in place of the one that may be there; readers see the old or the new one."""
+    temporary = _json_file(path, data)
+    try:
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _json_file(path: Path, data: Mapping[str, Any]) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = temporary_name(path)
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            json.dump(data, file, indent=1, allow_nan=False)
+            file.write("\n")
+            file.flush()
+            os.fsync(file.fileno())
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    return temporary
+
+
+@contextmanager
+def claim(path: Path) -> Iterator[bool]:
+    """Whether this process alone works on what `path` stands for, until the block ends or the process dies.
+
+    A claim only saves double work; `link_once` decides who wins. So a file system without locks says yes to everybody.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+    except OSError as error:
+        if error.errno not in (errno.ELOOP, errno.ENXIO):
+            raise
+        raise OSError(error.errno, "no plain file but a link or a pipe; take it away", str(path)) from None
+    with open(handle, "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+            return
+        except OSError as error:
+            if error.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
+                raise
+        yield True

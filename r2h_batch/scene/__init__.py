@@ -1,0 +1,19 @@
+"""Bodies as tables on a device, and as one MuJoCo model. `python -m r2h_batch.scene --help`."""
+
+from typing import TYPE_CHECKING
+
+from r2h_batch import lazy_names
+
+if TYPE_CHECKING:
+    from r2h_batch.scene.scene import Placed, Scene
+
+__all__ = ["Placed", "Scene"]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "Placed": "scene",
+            "Scene": "scene",
+        },
+    )

@@ -1,0 +1,181 @@
+"""Masses, inertias and servo gains of the arm, and MuJoCo bodies made of them."""
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import JOINTS, Robot
+
+Array = NDArray[np.float64]
+
+# UniversalRobots/Universal_Robots_ROS2_Description, config/ur5e/physical_parameters.yaml: shoulder to wrist_3.
+LINK_MASS_KG = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)
+LINK_COM_M = (
+    (0.0, -0.00193, -0.02561), (-0.2125, 0.0, 0.11336), (-0.2422, 0.0, 0.0265),
+    (0.0, -0.01634, -0.0018), (0.0, 0.01634, -0.0018), (0.0, 0.0, -0.001159),
+)  # fmt: skip
+LINK_INERTIA = (  # xx, xy, xz, yy, yz, zz (kg m^2) about the centre of mass, axes turned by LINK_ROLL about the link's x
+    (0.00700210, 0.00000073, -0.00001053, 0.00648091, 0.00049994, 0.00657286),
+    (0.01505885, -0.00005400, 0.00000563, 0.33388086, -0.00000181, 0.33247207),
+    (0.00399632, -0.00001365, 0.00137272, 0.07879254, -0.00000660, 0.07848510),
+    (0.00165491, -0.00000282, -0.00000438, 0.00135962, 0.00010157, 0.00126279),
+    (0.00135617, -0.00000274, 0.00000444, 0.00127827, -0.00005048, 0.00096614),
+    (0.00018694, 0.00000006, -0.00000017, 0.00018908, -0.00000092, 0.00025756),
+)
+LINK_ROLL = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
+
+GRIPPER_MASS_KG = 1.05  # 2F-85 with its coupling
+GRIPPER_COM_M = (0.0, 0.0, 0.055)  # [choice] a box of the gripper's size, gripper frame
+GRIPPER_BOX_M = (0.075, 0.15, 0.14)
+
+FINGER_MASS_KG = {"outer_knuckle": 0.00853, "outer_finger": 0.02261, "inner_finger": 0.0104, "inner_knuckle": 0.02712}
+"""airo-models, robotiq_2f_85.urdf; a pad is part of its inner finger."""
+
+ARMATURE = 0.1
+"""Rotor inertia behind the gear, kg m^2 [choice]: MuJoCo Menagerie's value for this arm."""
+
+KP = (10000.0, 10000.0, 10000.0, 2000.0, 2000.0, 2000.0)
+SERVO_RATE = 100.0 / 3.0
+"""Stiffness N m/rad and kp / kv in 1/s [choice]: the same rate for all joints, so that what lag there is leaves a straight
+joint line straight. 10 kN m/rad on the large joints is what keeps an industrial arm within 0.1 mm while it moves."""
+
+
+@dataclass(frozen=True)
+class Payload:
+    """A rigid object held by the gripper: its frame and its mass properties (kg, m, kg m^2 about the centre of mass)."""
+
+    T_gripper_obj: Array
+    mass: float
+    com: Array
+    inertia: Array
+
+    @staticmethod
+    def of(model: ObjectModel, T_gripper_obj: ArrayLike) -> "Payload":
+        """The payload that an object of the scene is."""
+        T = np.asarray(T_gripper_obj, np.float64)
+        return Payload(T, float(model.mass), np.asarray(model.com, np.float64), np.asarray(model.inertia, np.float64))
+
+
+def arm_model(robot: Robot, *, step_s: float, payload_known: bool = True) -> mujoco.MjModel:
+    """The UR5e with gripper and a placeholder object, as position servos: no geoms, the gripper rigid.
+
+    scene_model.py builds the whole scene around the same arm.
+    """
+    spec = new_spec(step_s)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    gripper = add_gripper(add_arm(spec, robot, spec.worldbody)[-1], robot, GRIPPER_MASS_KG)
+    add_object(gripper, payload_known=payload_known)
+    return spec.compile()
+
+
+def new_spec(step_s: float) -> mujoco.MjSpec:
+    """An empty model with the project's integrator. NaN is left where it appears (no automatic reset)."""
+    spec = mujoco.MjSpec()
+    spec.compiler.autolimits, spec.compiler.degree = True, False
+    spec.compiler.boundmass, spec.compiler.boundinertia = 1e-9, 1e-12
+    spec.option.timestep = step_s
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    return spec
+
+
+def add_arm(spec: mujoco.MjSpec, robot: Robot, parent: mujoco.MjsBody) -> list[mujoco.MjsBody]:
+    """The arm's bodies, base to wrist_3, each with its mass, joint and servo.
+
+    force = kp (ctrl - q) - kv qd: with ctrl = q_ref + qd_ref kv / kp that is a position and velocity servo. Weight is
+    compensated, as the real controller does, and counts against the torque limits.
+    """
+    bodies = [parent.add_body(name=robot.links[0])]
+    for i in range(JOINTS):
+        inertia = _rolled(LINK_INERTIA[i], LINK_ROLL[i])
+        body = add_body(
+            bodies[-1], robot.links[i + 1], robot.T_parent_joint[i], LINK_MASS_KG[i], LINK_COM_M[i], inertia
+        )
+        torque = float(robot.max_torque[i])
+        body.add_joint(
+            name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=ARMATURE,
+            range=[robot.lower[i], robot.upper[i]], actfrcrange=[-torque, torque], actgravcomp=True,
+        )  # fmt: skip
+        add_servo(spec, robot.joints[i], KP[i], KP[i] / SERVO_RATE)
+        bodies.append(body)
+    return bodies
+
+
+def add_servo(spec: mujoco.MjSpec, joint: str, kp: float, kv: float) -> None:
+    """force = kp (ctrl - q) - kv qd at a joint."""
+    spec.add_actuator(
+        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE, gainprm=[kp, *[0] * 9], biasprm=[0, -kp, -kv, *[0] * 7],
+    )  # fmt: skip
+
+
+def add_gripper(wrist: mujoco.MjsBody, robot: Robot, mass: float) -> mujoco.MjsBody:
+    """The gripper's body: a box of its size, of what mass the moving parts leave."""
+    x, y, z = np.square(GRIPPER_BOX_M) * mass / 12
+    T = robot.T_wrist3_flange @ robot.T_flange_gripper
+    return add_body(wrist, robot.links[7], T, mass, GRIPPER_COM_M, np.diag([y + z, x + z, x + y]))
+
+
+def add_object(gripper: mujoco.MjsBody, *, payload_known: bool) -> mujoco.MjsBody:
+    """The object's body with placeholders that `load` replaces; its weight is compensated where the controller knows it."""
+    # turned and shifted inertia: with a plain one the compiler would mark the frames as equal, for all payloads
+    tilted = _rolled((1.0, 0.1, 0.2, 2.0, 0.3, 2.5), 0.3) * 1e-4
+    body = add_body(gripper, "object", _transform((0.1, 0.2, 0.3), 0.4), 0.1, (0.01, 0.02, 0.03), tilted)
+    body.gravcomp = float(payload_known)
+    return body
+
+
+def loaded_model(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> mujoco.MjModel:
+    """A copy of the arm's model that holds this payload; `data` is scratch."""
+    model = copy.copy(model)
+    load(model, payload, data)
+    return model
+
+
+def load(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> None:
+    """Puts a payload into the model itself (its last body), whatever it held before; `data` is scratch."""
+    i = model.nbody - 1
+    inertia, axes = np.linalg.eigh(payload.inertia)
+    axes[:, 2] *= np.linalg.det(axes)
+    model.body_pos[i] = payload.T_gripper_obj[:3, 3]
+    model.body_quat[i] = quat_wxyz(payload.T_gripper_obj[:3, :3])
+    model.body_ipos[i] = payload.com
+    model.body_iquat[i] = quat_wxyz(axes)
+    model.body_mass[i] = payload.mass
+    model.body_inertia[i] = np.maximum(inertia, 1e-12)
+    mujoco.mj_setConst(model, data)  # subtree masses, which the centres of mass are divided by
+
+
+def add_body(
+    parent: mujoco.MjsBody, name: str, T: Array, mass: float, com: ArrayLike, inertia: Array
+) -> mujoco.MjsBody:
+    """A body at T in its parent, of the given mass properties, its weight compensated."""
+    xx, yy, zz, xy, xz, yz = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return parent.add_body(
+        name=name, pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]), explicitinertial=True, mass=mass, ipos=com,
+        fullinertia=[xx, yy, zz, xy, xz, yz], gravcomp=1.0,
+    )  # fmt: skip
+
+
+def quat_wxyz(R: ArrayLike) -> Array:
+    """The quaternion of a rotation matrix, as MuJoCo orders it."""
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.asarray(R, np.float64).ravel())
+    return quat
+
+
+def _transform(p: ArrayLike, roll: float) -> Array:
+    T = np.eye(4)
+    c, s = np.cos(roll), np.sin(roll)
+    T[:3, :3], T[:3, 3] = [[1, 0, 0], [0, c, -s], [0, s, c]], p
+    return T
+
+
+def _rolled(tensor: ArrayLike, roll: float) -> Array:
+    xx, xy, xz, yy, yz, zz = np.asarray(tensor, np.float64)
+    R = _transform((0, 0, 0), roll)[:3, :3]
+    return np.asarray(R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T)

@@ -1,0 +1,140 @@
+"""What closing the gripper reads: every object's surface and receiver region, and the gripper, as tables on a device."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool
+from numpy.typing import NDArray
+from torch import Tensor
+
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import load_robot
+from r2h_batch.kernels.geometry.surface import Surfaces
+from r2h_batch.kernels.robot.gripper import Gripper
+from r2h_batch.launch import init_warp
+
+__all__ = ["GraspTables", "grasp_tables", "gripper_tables", "surface_tables"]
+
+_MOTION = {"fixed": 0, "driver": 1, "pin": 2, "inner_knuckle": 3}
+_NODE_TRIANGLES, _LEAF_TRIANGLES = 64, 8
+
+
+@dataclass(frozen=True, eq=False)
+class GraspTables:
+    """N objects' surfaces and receiver regions (surface N + i) and the gripper, on one device."""
+
+    surfaces: Surfaces
+    gripper: Gripper
+    objects: int
+    has_region: Bool[Tensor, " n"]
+    every: int  # bit masks of gripper primitives: all of them,
+    moving: int  # all but coupling and palm,
+    behind_pads: int  # all but the pads
+    device: str
+
+
+def grasp_tables(objects: Sequence[ObjectModel], device: str = "cpu") -> GraspTables:
+    """The tables that every function here reads: built once per scene."""
+    init_warp()
+    triangles = [o.vertices[o.faces] for o in objects]
+    regions = [t[o.receiver_face] for t, o in zip(triangles, objects, strict=True)]
+    robot = load_robot()
+    if len(robot.gripper_part) > 31:
+        raise ValueError(f"the gripper has {len(robot.gripper_part)} primitives; the kernels' bit masks hold 31")
+    return GraspTables(
+        surfaces=surface_tables(triangles + regions, device),
+        gripper=gripper_tables(device),
+        objects=len(objects),
+        has_region=torch.tensor([len(r) > 0 for r in regions], dtype=torch.bool, device=device),
+        every=(1 << len(robot.gripper_part)) - 1,
+        moving=sum(1 << i for i, motion in enumerate(robot.gripper_motion) if motion != "fixed"),
+        behind_pads=sum(1 << i for i, part in enumerate(robot.gripper_part) if part != "pad"),
+        device=device,
+    )
+
+
+@lru_cache(maxsize=4)
+def gripper_tables(device: str = "cpu") -> Gripper:
+    """The gripper of robot.json for the kernels: linkage, and the primitives at drive angle 0 in the ee frame."""
+    init_warp()
+    robot = load_robot()
+    link, prims = robot.linkage, robot.gripper
+    T_ee_gripper = np.linalg.inv(robot.T_flange_ee) @ robot.T_flange_gripper
+    T = T_ee_gripper @ prims.T_link_prim
+    g = Gripper()
+    g.driver_pivot_y, g.driver_pivot_z = link.driver_pivot_yz
+    g.pin_y, g.pin_z = link.pin_from_driver_yz
+    g.inner_knuckle_pivot_y, g.inner_knuckle_pivot_z = link.inner_knuckle_pivot_yz
+    g.gap_offset = link.gap_offset_m
+    g.z_ee_gripper = T_ee_gripper[2, 3]
+    g.pad_z = link.driver_pivot_yz[1] + link.pad_from_pin_yz[1] + T_ee_gripper[2, 3]
+    g.drive_lower, g.drive_upper = link.drive_lower, link.drive_upper
+    g.pad_half_x, g.pad_half_z = link.pad_half_size[0], link.pad_half_size[2]
+    g.kind = wp.array(prims.kind, dtype=wp.int32, device=device)
+    g.size = wp.array(prims.size.astype(np.float32), dtype=wp.vec3, device=device)
+    g.motion = wp.array([_MOTION[m] for m in robot.gripper_motion], dtype=wp.int32, device=device)
+    g.side = wp.array(robot.gripper_side.astype(np.float32), dtype=wp.float32, device=device)
+    g.R = wp.array(T[:, :3, :3].astype(np.float32), dtype=wp.mat33, device=device)
+    g.p = wp.array(T[:, :3, 3].astype(np.float32), dtype=wp.vec3, device=device)
+    return g
+
+
+def surface_tables(surfaces: Sequence[NDArray[np.float32]], device: str) -> Surfaces:
+    """Surfaces, each a (T, 3, 3) array of triangles, sorted into nodes of 64 and leaves of 8 with bounding spheres."""
+    points: list[NDArray[np.float32]] = []
+    leaf_first, node_first, surface_first = [0], [0], [0]
+    for triangles in surfaces:
+        centers = triangles.mean(axis=1)
+        for node in _split(centers, np.arange(len(triangles)), _NODE_TRIANGLES):
+            for leaf in _split(centers, node, _LEAF_TRIANGLES):
+                points.append(triangles[leaf].reshape(-1, 3))
+                leaf_first.append(leaf_first[-1] + len(leaf))
+            node_first.append(len(leaf_first) - 1)
+        surface_first.append(len(node_first) - 1)
+    flat = np.concatenate([*points, np.zeros((0, 3), np.float32)]).astype(np.float32)
+    leaf_points = [3 * i for i in leaf_first]
+    node_points = [leaf_points[i] for i in node_first]
+    corners = [t.reshape(-1, 3) if len(t) else np.zeros((1, 3), np.float32) for t in surfaces]
+    out = Surfaces()
+    for name, value, dtype in (
+        ("surface_first", surface_first, wp.int32),
+        ("node_first", node_first, wp.int32),
+        ("leaf_first", leaf_first, wp.int32),
+        ("node_sphere", _bounds(flat, node_points)[0], wp.vec4),
+        ("leaf_sphere", _bounds(flat, leaf_points)[0], wp.vec4),
+        ("leaf_half", _bounds(flat, leaf_points)[1], wp.vec3),
+        ("points", flat, wp.vec3),
+        ("low", np.array([c.min(axis=0) for c in corners], np.float32), wp.vec3),
+        ("high", np.array([c.max(axis=0) for c in corners], np.float32), wp.vec3),
+    ):
+        array: Any = wp.array(value, dtype=dtype, device=device)
+        setattr(out, name, array)
+    return out
+
+
+def _split(centers: NDArray[np.float32], rows: NDArray[np.intp], most: int) -> list[NDArray[np.intp]]:
+    """Groups of at most `most` rows: halves along the longest side, again and again."""
+    if len(rows) <= most:
+        return [rows] if len(rows) else []
+    at = centers[rows]
+    order = rows[np.argsort(at[:, np.argmax(np.ptp(at, axis=0))], kind="stable")]
+    half = -(-len(rows) // most // 2) * most if len(rows) > 2 * most else len(rows) // 2
+    return _split(centers, order[:half], most) + _split(centers, order[half:], most)
+
+
+def _bounds(points: NDArray[np.float32], first: list[int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Spheres (x, y, z, radius) around each group's points, half sides of boxes about their centres; rounded up."""
+    spheres, halves = np.zeros((len(first) - 1, 4), np.float32), np.zeros((len(first) - 1, 3), np.float32)
+    for i, (a, b) in enumerate(pairwise(first)):
+        group = points[a:b].astype(np.float64)
+        center = ((group.min(axis=0) + group.max(axis=0)) / 2).astype(np.float32)
+        spheres[i, :3] = center
+        spheres[i, 3] = np.linalg.norm(group - center, axis=1).max() + 1e-6
+        halves[i] = np.abs(group - center).max(axis=0) + 1e-7
+    return spheres, halves

@@ -1,0 +1,286 @@
+"""The whole scene as one MuJoCo model: what is simulated is what is rendered, and it takes any trial without recompiling."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import JOINTS, Robot, drive_from_gap
+from r2h_batch.config import TABLE_CENTER, TABLE_HALF
+from r2h_batch.scene.dynamics import Payload, add_arm, add_object, arm_model, load, new_spec, quat_wxyz
+from r2h_batch.scene.model_parts import (
+    COLLISION,
+    COLORS,
+    VISUAL,
+    FingerLevers,
+    Mesh,
+    add_fingers,
+    add_mesh,
+    add_mesh_geom,
+    add_primitive,
+    add_visual,
+    look,
+)
+from r2h_batch.scene.tables import TABLE_FROM_LINK
+
+Array = NDArray[np.float64]
+
+KEPT = 2
+"""Compiled models that a process holds: 50 MB with 16 hands, 190 MB with all 400."""
+
+MESH_FIELDS = ("geom_dataid", "geom_size", "geom_aabb", "geom_rbound", "geom_pos", "geom_quat")
+"""What of a geom depends on its mesh."""
+
+
+@dataclass(frozen=True)
+class TrialScene:
+    """What one trial puts into the scene."""
+
+    payload: Payload
+    object_index: int
+    hand_index: int
+    T_world_hand: Array
+    opening_m: float
+
+    @property
+    def drive(self) -> float:
+        """Drive angle of the fingers, rad."""
+        return float(drive_from_gap(self.opening_m))
+
+
+class SceneModel:
+    """A compiled model and what it takes to put any trial into it: `load`, then `start` and `hold`.
+
+    Joints of the arm come first in qpos, qvel and ctrl. The object is the last body. Without geoms (`arm_only`) there are
+    the arm, a rigid gripper and the object's mass.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        shapes: dict[str, Array] | None = None,
+        objects: NDArray[np.int64] | None = None,
+        hands: dict[int, NDArray[np.int64]] | None = None,
+        levers: "FingerLevers | None" = None,
+    ) -> None:
+        self.model, self.shapes, self.objects, self.hands = model, shapes or {}, objects, hands or {}
+        self.full = objects is not None
+        self.levers = levers or FingerLevers(0.0, 0.0, 0.0, 0.0)
+        self.hand_body = model.body("hand").id if self.full else -1
+        bodies = [self.hand_body, model.body("object").id] if self.full else []
+        self.varied = (
+            np.concatenate([np.flatnonzero(model.geom_bodyid == b) for b in bodies]) if bodies else np.zeros(0, int)
+        )
+        """geoms whose mesh is the trial's: hand, then object"""
+
+    @staticmethod
+    def arm_only(robot: Robot, *, step_s: float, payload_known: bool = True) -> "SceneModel":
+        """The arm alone: nothing to touch, nothing to see."""
+        return SceneModel(arm_model(robot, step_s=step_s, payload_known=payload_known))
+
+    def meshes(self, trial: TrialScene) -> NDArray[np.int64]:
+        """The mesh of each of the `varied` geoms."""
+        assert self.objects is not None
+        return np.concatenate([self.hands[trial.hand_index], self.objects[trial.object_index]])
+
+    def load(self, model: mujoco.MjModel, trial: TrialScene, data: mujoco.MjData) -> None:
+        """Puts a trial into (a copy of) the model, whatever it held before; `data` is scratch."""
+        if self.full:
+            mesh = self.meshes(trial)
+            for name, rows in self.shapes.items():
+                getattr(model, name)[self.varied] = rows[mesh]
+            model.body_pos[self.hand_body] = trial.T_world_hand[:3, 3]
+            model.body_quat[self.hand_body] = quat_wxyz(trial.T_world_hand[:3, :3])
+        load(model, trial.payload, data)
+
+    def start(self, trial: TrialScene, q: ArrayLike) -> Array:
+        """qpos with the arm at q and the fingers at their opening."""
+        qpos = np.zeros(self.model.nq)
+        qpos[:JOINTS] = q
+        if self.full:
+            qpos[JOINTS:] = np.array([1, -1, 1] * 2) * trial.drive
+        return qpos
+
+    def sway(self, trial: TrialScene, qpos: Array) -> float:
+        """How far any point of the fingers was from where their opening has it, at most, over states (n, nq); m."""
+        if not self.full:
+            return 0.0
+        off = np.abs(qpos[:, JOINTS:].reshape(-1, 2, 3) * [1, -1, 1] - trial.drive)
+        driver, pin, knuckle = off[..., 0], np.abs(qpos[:, [6, 9]] + qpos[:, [7, 10]]), off[..., 2]
+        at = self.levers
+        worst = np.maximum(driver * max(at.driver, at.pin_arm) + pin * at.pin, knuckle * at.inner_knuckle)
+        return float(worst.max())
+
+    def hold(self, trial: TrialScene) -> Array:
+        """What the actuators beyond the arm's are told, all the time."""
+        return np.full(self.model.nu - JOINTS, trial.drive)
+
+
+_kept: "OrderedDict[tuple[Any, ...], tuple[Any, SceneModel]]" = OrderedDict()
+_keeping = threading.Lock()
+
+
+def scene_model(
+    robot: Robot,
+    objects: Sequence[ObjectModel],
+    hands: Any,
+    hand_indices: Iterable[int],
+    *,
+    step_s: float,
+    payload_known: bool,
+    object_collision: str,
+    full: bool,
+) -> SceneModel:
+    """`build_scene_model`, or `SceneModel.arm_only`; of this process' last two if one of them does, with more hands if not.
+
+    Which hands a model has makes no difference to any motion.
+    """
+    if not full:
+        return SceneModel.arm_only(robot, step_s=step_s, payload_known=payload_known)
+    wanted = set(map(int, hand_indices)) or {0}
+    key = (robot.digest, hands.set.digest, tuple(map(id, objects)), step_s, payload_known, object_collision)
+    with _keeping:
+        _, model = _kept.get(key, (None, None))
+        if model is None or not wanted <= model.hands.keys():
+            have = set() if model is None else set(model.hands)
+            # and twice as many as before, so that a long sweep compiles a few times and not for each chunk
+            wanted |= have
+            wanted |= set([h for h in range(len(hands.set)) if h not in wanted][: max(2 * len(have) - len(wanted), 0)])
+            model = build_scene_model(
+                robot,
+                objects,
+                hands,
+                wanted,
+                step_s=step_s,
+                payload_known=payload_known,
+                object_collision=object_collision,
+            )
+            _kept[key] = (tuple(objects), model)  # holds the objects, so that no others get their ids
+        _kept.move_to_end(key)
+        while len(_kept) > KEPT:
+            _kept.popitem(last=False)
+        return model
+
+
+def build_scene_model(
+    robot: Robot,
+    objects: Sequence[ObjectModel],
+    hands: Any,
+    hand_indices: Iterable[int],
+    *,
+    step_s: float,
+    payload_known: bool = True,
+    object_collision: str = "hull",
+    skins: bool = False,
+) -> SceneModel:
+    """Arm, gripper with its linkage, object, hand and table, for any of the objects and the listed hands (`world_tables.Hands`).
+
+    Contacts push between the pairs that planning checks, without the hand: links with each other and with the table, the
+    object with the arm. The hand's first touch decides a trial, and the motion after it must not depend on it; object and
+    gripper, object and table do not push while the object is attached. `skins`: with the hands' surfaces, else one sees
+    their convex pieces.
+    """
+    spec = new_spec(step_s)
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)  # pairs are named by a bit per body
+    look(spec)
+    partners = _partners(robot)
+    hand_indices = sorted(set(hand_indices))
+    meshes, object_rows, hand_rows = _trial_meshes(objects, hands, hand_indices, object_collision, skins)
+    for name, vertices, faces, convex in meshes:
+        add_mesh(spec, name, vertices, faces, convex=convex)
+
+    _add_table(spec, partners)
+    hand = spec.worldbody.add_body(name="hand", mocap=True)
+    for k, mesh in enumerate(hand_rows[hand_indices[0]]):
+        seen = not skins or k == len(hands.model.piece_names)
+        name = hands.model.piece_names[k] if k < len(hands.model.piece_names) else "skin"
+        add_mesh_geom(hand, f"hand/{name}", meshes[mesh][0], "hand", group=VISUAL if seen else COLLISION)
+    links = add_arm(spec, robot, spec.worldbody)
+    for k, link in enumerate(links):
+        for i in np.flatnonzero(robot.arm.link == k):
+            add_primitive(
+                link, robot.arm, int(i), robot.arm.T_link_prim[i], *partners[k], f"robot/{robot.arm.names[i]}"
+            )
+        add_visual(spec, link, f"robot/{robot.links[k]}_visual", robot.links[k], np.eye(4), robot.links[k])
+    gripper = add_fingers(spec, links[-1], robot, partners[7])
+    body = add_object(gripper, payload_known=payload_known)
+    for k, mesh in enumerate(object_rows[0]):
+        contact = partners[8] if k else (0, 0)
+        name = "object/mesh_visual" if not k else f"object/{object_collision}_{k - 1}"
+        add_mesh_geom(body, name, meshes[mesh][0], "object", *contact, group=COLLISION if k else VISUAL)
+    model = spec.compile()
+    varied = np.isin(model.geom_bodyid, [model.body("hand").id, model.body("object").id])
+    model.geom_sameframe[varied] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # as they may be for the first meshes
+    # body boxes are compiled for the first object in its placeholder's axes: boxes that hold any object in any axes
+    first, count = model.body_bvhadr[-1], model.body_bvhnum[-1]
+    model.bvh_aabb[first : first + count] = [0, 0, 0, 2, 2, 2]
+    return SceneModel(model, _shapes(meshes, model), np.array(object_rows), hand_rows, FingerLevers.of(robot))
+
+
+def _trial_meshes(
+    objects: Sequence[ObjectModel], hands: Any, hand_indices: list[int], object_collision: str, skins: bool
+) -> tuple[list[Mesh], list[list[int]], dict[int, NDArray[np.int64]]]:
+    """Meshes of objects and hands; which of them each object's and hand's geoms show.
+
+    An object has its surface first, then its collision bodies; with fewer pieces than others the last is repeated.
+    """
+    meshes: list[Mesh] = []
+
+    def add(name: str, vertices: ArrayLike, faces: Any, *, convex: bool) -> int:
+        meshes.append((name, np.asarray(vertices, np.float64), faces, convex))
+        return len(meshes) - 1
+
+    object_rows = []
+    for n, o in enumerate(objects):
+        row = [add(f"object_{n}", o.vertices, o.faces, convex=False)]
+        solids = [o.hull_vertices] if object_collision == "hull" else [v for v, _ in o.pieces]
+        row += [add(f"object_{n}_{k}", v, None, convex=True) for k, v in enumerate(solids)]
+        object_rows.append(row)
+    width = max(len(row) for row in object_rows)
+    object_rows = [row + row[-1:] * (width - len(row)) for row in object_rows]
+    hand_rows = {}
+    for h in hand_indices:
+        pieces = range(len(hands.model.piece_names))
+        row = [add(f"hand_{h}_{k}", hands.piece_points(h, k), None, convex=True) for k in pieces]
+        if skins:
+            faces = hands.model.faces_by_side[int(hands.set.side[h])].numpy()
+            row.append(add(f"hand_{h}_skin", hands.vertices[h].numpy(), faces, convex=False))
+        hand_rows[h] = np.array(row)
+    return meshes, object_rows, hand_rows
+
+
+def _shapes(meshes: Sequence[Mesh], model: mujoco.MjModel) -> dict[str, Array]:
+    """The `MESH_FIELDS` that a geom has with each of the model's first meshes: as compiled, one geom for each."""
+    stock = mujoco.MjSpec()
+    for name, vertices, faces, convex in meshes:
+        add_mesh(stock, name, vertices, faces, convex=convex)
+        stock.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name)
+    compiled = stock.compile()
+    assert [mesh[0] for mesh in meshes] == [model.mesh(i).name for i in range(len(meshes))]
+    return {name: np.array(getattr(compiled, name)) for name in MESH_FIELDS}
+
+
+def _partners(robot: Robot) -> list[tuple[int, int]]:
+    """(contype, conaffinity) of links 0 to 6, gripper, object, table: contacts between exactly the pairs that may push."""
+    conaffinity = [0] * 10
+    for a, b in robot.self_pairs:
+        conaffinity[b] |= 1 << int(a)
+    for a in robot.object_pairs:
+        conaffinity[a] |= 1 << 8
+    for k in range(TABLE_FROM_LINK, 8):
+        conaffinity[k] |= 1 << 9
+    return [(1 << k, c) for k, c in enumerate(conaffinity)]
+
+
+def _add_table(spec: mujoco.MjSpec, partners: list[tuple[int, int]]) -> None:
+    table = spec.worldbody.add_body(name="table")
+    table.add_geom(
+        name="table/top", type=mujoco.mjtGeom.mjGEOM_BOX, pos=TABLE_CENTER, size=TABLE_HALF, contype=partners[9][0],
+        conaffinity=partners[9][1], group=VISUAL, rgba=[*COLORS["table"], 1],
+    )  # fmt: skip

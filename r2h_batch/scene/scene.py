@@ -1,0 +1,305 @@
+"""Robot, gripper, hands, objects and table as tables on a device: what every stage's kernels read."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Float32, Int32
+from numpy.typing import NDArray
+from torch import Tensor
+
+from r2h_batch import se3
+from r2h_batch.bodies.given_objects import checked_objects
+from r2h_batch.bodies.hand import HandSet, load_hand_set
+from r2h_batch.bodies.objects import ObjectModel, load_objects
+from r2h_batch.bodies.robot import Robot, load_robot
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.kernels.geometry.hand_mesh import HandMesh
+from r2h_batch.kernels.robot.place import place_bodies
+from r2h_batch.kernels.robot.tool import Tool
+from r2h_batch.kernels.robot.world import TrialBodies
+from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tables
+from r2h_batch.scene.model import SceneModel, scene_model
+from r2h_batch.scene.tables import Hands, WorldTables
+
+
+class Scene:
+    """Everything that stays the same over trials. `objects` and `hands` are indexed by `Trials.object_index, hand_index`."""
+
+    def __init__(
+        self,
+        device: str | torch.device = "cpu",
+        *,
+        config: EvalConfig | None = None,
+        objects: Sequence[ObjectModel] | None = None,
+        hand_set: HandSet | None = None,
+    ) -> None:
+        self.device = _checked_device(device)
+        if hand_set is not None and not isinstance(hand_set, HandSet):
+            raise TypeError(f"hand_set is {hand_set!r}; it must be a HandSet, such as load_hand_set(FILE)")
+        init_warp()
+        self.config = config or EvalConfig()
+        self.robot: Robot = load_robot()
+        self.objects = checked_objects(objects)
+        if not self.objects:
+            raise ValueError("a scene needs at least one object; objects is empty")
+        hand_set = hand_set or load_hand_set()
+        self.hands = Hands.posed(hand_set.model, hand_set)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Rebuilt from its configuration: tables on a device do not travel. What is built in goes by name."""
+        built_in = {id(o) for o in load_objects()}
+        objects = tuple(o.name if id(o) in built_in else o for o in self.objects)
+        hand_set = None if self.hands.set is load_hand_set() else self.hands.set
+        return _scene_of, (self.device, self.config, objects, hand_set)
+
+    def __copy__(self) -> "Scene":
+        """Itself: nobody changes a scene."""
+        return self
+
+    def __deepcopy__(self, memo: Any) -> "Scene":
+        """Itself: nobody changes a scene."""
+        return self
+
+    @property
+    def part_names(self) -> tuple[str, ...]:
+        """Names of the robot's bodies as numbered in `Scores.witness_part`; the last is the attached object."""
+        arm = [self.robot.arm.names[i] for i in self.tables.arm_order]
+        return (*arm, *self.robot.gripper.names, "object")
+
+    @cached_property
+    def body_links(self) -> NDArray[np.int64]:
+        """The link that carries each robot body (order of `part_names`): 0 base ... 6 wrist_3, 7 gripper."""
+        return np.concatenate(
+            [self.robot.arm.link[self.tables.arm_order], np.full(len(self.robot.gripper.names), 7)]
+        ).astype(np.int64)
+
+    @cached_property
+    def T_wrist_ee(self) -> NDArray[np.float64]:
+        """ee in the wrist_3 frame, float64."""
+        return np.asarray(self.robot.T_wrist3_flange @ self.robot.T_flange_ee)
+
+    @cached_property
+    def tool(self) -> Any:
+        """The `Tool` of r2h_batch.kernels.robot.tool."""
+        tool = Tool()
+        tool.joint_R, tool.joint_p = self.world.joint_R, self.world.joint_p
+        tool.R_wrist_ee = wp.mat33(*self.T_wrist_ee[:3, :3].astype(np.float32).ravel())
+        tool.p_wrist_ee = wp.vec3(*self.T_wrist_ee[:3, 3].astype(np.float32))
+        return tool
+
+    def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> SceneModel:
+        """The scene as one MuJoCo model, which takes any trial with one of these hands: what is simulated and rendered."""
+        execute = execute or self.config.execute
+        return scene_model(
+            self.robot, self.objects, self.hands, hand_indices, step_s=execute.step_s, full=execute.model != "arm",
+            payload_known=execute.payload == "known", object_collision=self.config.plan.object_collision,
+        )  # fmt: skip
+
+    @cached_property
+    def tables(self) -> WorldTables:
+        """Shapes and bounds of everything that planning checks, on the host."""
+        return WorldTables(self.robot, self.hands, self.objects, self.config.plan.object_collision)
+
+    @cached_property
+    def levers(self) -> Tensor:
+        """(n_robot, 6) bounds in m on the distance of each robot body's points from each joint's axis."""
+        return torch.from_numpy(self.tables.levers)
+
+    @cached_property
+    def world(self) -> Any:
+        """The `World` of r2h_batch.kernels.robot.world, on the scene's device."""
+        return self.tables.world(self.device)
+
+    @cached_property
+    def hull_balls(self) -> wp.array:
+        """For each object hull the centre (object frame) and the radius of the largest ball inside it."""
+        return wp.array(self.tables.hull_balls, dtype=wp.vec4, device=self.device)
+
+    @cached_property
+    def grasp_tables(self) -> GraspTables:
+        """Object surfaces, receiver regions and the gripper, for grasp.py."""
+        return grasp_tables(self.objects, self.device)
+
+    @cached_property
+    def _object_meshes(self) -> list[wp.Mesh]:
+        return [
+            wp.Mesh(
+                points=wp.array(o.vertices.astype(np.float32), dtype=wp.vec3, device=self.device),
+                indices=wp.array(o.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self.device),
+                support_winding_number=True,
+            )
+            for o in self.objects
+        ]
+
+    @cached_property
+    def object_mesh_ids(self) -> wp.array:
+        """Handles of the objects' meshes for Warp's mesh queries."""
+        return wp.array([m.id for m in self._object_meshes], dtype=wp.uint64, device=self.device)
+
+    @cached_property
+    def hand_mesh(self) -> Any:
+        """The exact hand surfaces (r2h_batch.kernels.geometry.hand_mesh), faces grouped by the piece that encloses them."""
+        model, v = self.hands.model, self.hands.vertices.numpy()
+        faces = model.faces.numpy()
+        owner = np.full(len(faces), -1)
+        for k, piece in reversed(list(enumerate(model.pieces))):
+            owner[np.isin(faces, piece.numpy()).all(1)] = k
+        if (owner < 0).any():
+            raise ValueError(f"{(owner < 0).sum()} faces of the hand lie in no convex piece: make the hand model again")
+        order = np.argsort(owner, kind="stable")
+        corners = v[:, faces[order]]  # (H, F, 3, 3)
+        center = (corners.min(2) + corners.max(2)) / 2
+        radius = np.linalg.norm(corners - center[:, :, None], axis=3).max(2) + 1e-6
+        mesh = HandMesh()
+        mesh.n_vertices, mesh.n_faces = v.shape[1], len(faces)
+        mesh.vertices = wp.array(v.reshape(-1, 3), dtype=wp.vec3, device=self.device)
+        mesh.faces = wp.array(faces[order].astype(np.int32), dtype=wp.int32, device=self.device)
+        mesh.piece_face = wp.array(
+            np.searchsorted(owner[order], np.arange(len(model.pieces) + 1)).astype(np.int32),
+            dtype=wp.int32,
+            device=self.device,
+        )
+        ball = np.concatenate([center, radius[..., None]], 2).reshape(-1, 4).astype(np.float32)
+        mesh.face_ball = wp.array(ball, dtype=wp.vec4, device=self.device)
+        return mesh
+
+    @cached_property
+    def _palms(self) -> tuple[Tensor, Tensor]:
+        return self.hands.palm_point.to(self.device), self.hands.palm_normal.to(self.device)
+
+    def palm(self, hand_index: Tensor, T_world_hand: Float32[Tensor, "n 4 4"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Palm point p_h, palm normal n_h and ball centre c_h (n, 3) in the world (paper: c_h = p_h + d_h n_h)."""
+        point, normal = self._palms
+        i = hand_index.long()
+        p = se3.apply(T_world_hand, point[i])
+        turn = T_world_hand.clone()
+        turn[..., :3, 3] = 0.0
+        n = se3.apply(turn, normal[i])
+        return p, n, p + self.config.thresholds.reach_offset_m * n
+
+    def place(
+        self,
+        object_index: Tensor,
+        hand_index: Tensor,
+        T_obj_ee: Float32[Tensor, "b 4 4"],
+        T_world_hand: Float32[Tensor, "b 4 4"],
+        opening_m: Float32[Tensor, " b"],
+        *,
+        threads: int | None = None,
+    ) -> "Placed":
+        """Bodies of B trials: hand in the world, fingers at their opening, object attached (after closing moved it)."""
+        b, device = len(object_index), object_index.device
+        gripper = gripper_tables(self.device)
+        count = gripper.kind.shape[0]
+        shapes = {
+            "R_hand_world": (b, 3, 3),
+            "p_hand_world": (b, 3),
+            "R_wrist_grip": (b, count, 3, 3),
+            "p_wrist_grip": (b, count, 3),
+            "R_wrist_obj": (b, 3, 3),
+            "p_wrist_obj": (b, 3),
+            "lever": (b, 6),
+        }
+        out = {k: torch.empty(shape, dtype=torch.float32, device=device) for k, shape in shapes.items()}
+        objects = object_index.to(torch.int32).contiguous()
+        hands = hand_index.to(torch.int32).contiguous()
+        launch_trials(
+            place_bodies,
+            b,
+            inputs={
+                "world": self.world,
+                "gripper": gripper,
+                "R_wrist_ee": wp.mat33(*self.T_wrist_ee[:3, :3].astype(np.float32).ravel()),
+                "p_wrist_ee": wp.vec3(*self.T_wrist_ee[:3, 3].astype(np.float32)),
+                "object": objects,
+                "T_obj_ee": T_obj_ee.contiguous(),
+                "T_world_hand": T_world_hand.contiguous(),
+                "opening": opening_m.contiguous(),
+            },
+            outputs=out,
+            device=self.device,
+            threads=threads,
+            chunk=256,
+        )
+        bodies = TrialBodies()
+        bodies.hand, bodies.object = wp.from_torch(hands), wp.from_torch(objects)
+        for name, value in out.items():
+            dtype = wp.mat33 if name.startswith("R_") else wp.float32 if name == "lever" else wp.vec3
+            setattr(bodies, "object_lever" if name == "lever" else name, wp.from_torch(value, dtype=dtype))
+        return Placed(bodies, (objects, hands, *out.values(), T_world_hand, opening_m))
+
+
+def _scene_of(
+    device: str, config: EvalConfig, objects: tuple[ObjectModel | str, ...], hand_set: HandSet | None
+) -> Scene:
+    """The scene that was pickled."""
+    named = [load_objects([o])[0] if isinstance(o, str) else o for o in objects]
+    return Scene(device, config=config, objects=named, hand_set=hand_set)
+
+
+def _checked_device(device: str | torch.device) -> str:
+    """The device as tensors on it call it (cuda:0); ValueError where it cannot be had."""
+    allowed = "allowed are cpu, cuda, cuda:N"
+    try:
+        found = torch.device(device)
+    except (RuntimeError, TypeError) as error:
+        raise ValueError(f"device is {device!r}; {allowed}") from error
+    if found.type not in ("cpu", "cuda"):
+        raise ValueError(f"device is {str(found)!r}; {allowed}")
+    if found.type == "cpu":
+        return "cpu"
+    if not torch.cuda.is_available():
+        raise ValueError(f"device is {str(found)!r}, torch sees no CUDA device; use device='cpu'")
+    number = torch.cuda.current_device() if found.index is None else found.index
+    if number >= torch.cuda.device_count():
+        raise ValueError(f"device is {str(found)!r}; torch sees cuda:0 to cuda:{torch.cuda.device_count() - 1}")
+    return f"cuda:{number}"
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Where the bodies of B trials sit: the kernels' struct, and the tensors that own its memory."""
+
+    bodies: Any
+    owners: tuple[Tensor, ...]
+
+    @property
+    def object_index(self) -> Int32[Tensor, " b"]:
+        """Which object is held."""
+        return self.owners[0]
+
+    @property
+    def hand_index(self) -> Int32[Tensor, " b"]:
+        """Whose hand stands there."""
+        return self.owners[1]
+
+    @property
+    def object_lever(self) -> Float32[Tensor, "b 6"]:
+        """Bounds in m on the distance of the object's points from each joint's axis."""
+        return self.owners[8]
+
+    @property
+    def T_world_hand(self) -> Float32[Tensor, "b 4 4"]:
+        """Where the hand stands."""
+        return self.owners[9]
+
+    @property
+    def opening_m(self) -> Float32[Tensor, " b"]:
+        """Gap between the pads."""
+        return self.owners[10]
+
+    @property
+    def R_wrist_obj(self) -> Float32[Tensor, "b 3 3"]:
+        """How the object is turned in the wrist_3 frame."""
+        return self.owners[6]
+
+    @property
+    def p_wrist_obj(self) -> Float32[Tensor, "b 3"]:
+        """Where the object's origin is in the wrist_3 frame."""
+        return self.owners[7]

@@ -1,0 +1,200 @@
+"""Shapes and bounds of robot, hands, objects and table: what the collision kernels read."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import warp as wp
+from jaxtyping import Float32
+from numpy.typing import NDArray
+from torch import Tensor
+
+from r2h_batch.bodies import bounds
+from r2h_batch.bodies.hand import HandModel, HandSet, palm_frame
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import Kind, Robot
+from r2h_batch.config import TABLE_CENTER, TABLE_HALF
+from r2h_batch.kernels.plan.codes import MAX_PARTNERS
+from r2h_batch.kernels.robot.world import World
+
+TABLE_FROM_LINK = 2
+"""Links from this on are checked against the table: base and shoulder stand on it."""
+
+
+@dataclass(frozen=True)
+class Hands:
+    """The receiver hands of a scene, posed: H hands, right and left, in their own (wrist) frames, metres."""
+
+    model: HandModel
+    set: HandSet
+    vertices: Float32[Tensor, "h v 3"]
+    joints: Float32[Tensor, "h 16 3"]
+    palm_point: Float32[Tensor, "h 3"]
+    palm_normal: Float32[Tensor, "h 3"]
+
+    @staticmethod
+    def posed(model: HandModel, hand_set: HandSet) -> "Hands":
+        """All hands of a set, posed once."""
+        geometry = model.pose(hand_set.pose, hand_set.shape, hand_set.side)
+        return Hands(model, hand_set, geometry.vertices, geometry.joints, *palm_frame(geometry.joints, hand_set.side))
+
+    def piece_points(self, hand: int, piece: int) -> NDArray[np.float32]:
+        """Hull points of one convex piece of one hand, hand frame."""
+        offsets = self.set.hull_offsets
+        at = hand * len(self.model.piece_names) + piece
+        return self.vertices[hand, self.set.hull_vertex_ids[int(offsets[at]) : int(offsets[at + 1])].long()].numpy()
+
+
+class WorldTables:
+    """Host tables of a scene. `object_collision`: hull or pieces, as in `PlanConfig`."""
+
+    def __init__(self, robot: Robot, hands: Hands, objects: Sequence[ObjectModel], object_collision: str) -> None:
+        self.robot, self.hands, self.objects, self.object_collision = robot, hands, objects, object_collision
+
+    @cached_property
+    def arm_order(self) -> NDArray[np.int64]:
+        """The arm's primitives by link: the order of the kernels' bodies."""
+        return np.argsort(self.robot.arm.link, kind="stable")
+
+    @property
+    def levers(self) -> NDArray[np.float64]:
+        """(n_robot, 6) bounds in m on the distance of each robot body's points from each joint's axis."""
+        return np.asarray(self._fill_robot()["lever"][0], np.float64)
+
+    def world(self, device: str) -> Any:
+        """The `World` of r2h_batch.kernels.robot.world."""
+        w = World()
+        for fill in (self._fill_robot, self._fill_hands, self._fill_objects):
+            for name, (value, dtype) in fill().items():
+                if isinstance(value, int):
+                    setattr(w, name, value)
+                else:
+                    array = np.ascontiguousarray(value, dtype=np.int32 if dtype is wp.int32 else np.float32)
+                    setattr(w, name, wp.array(array, dtype=dtype, device=device))
+        points = np.concatenate([self._hand_points[0], self._object_points[0], *self._object_cells])
+        w.points = wp.array(points, dtype=wp.vec3, device=device)
+        w.table_center = wp.vec3(*TABLE_CENTER)
+        w.table_half = wp.vec3(*TABLE_HALF)
+        return w
+
+    def _fill_robot(self) -> dict:
+        robot, order = self.robot, self.arm_order
+        kind = np.concatenate([robot.arm.kind[order], robot.gripper.kind])
+        size = np.concatenate([robot.arm.size[order], robot.gripper.size])
+        link = np.concatenate([robot.arm.link[order], np.full(len(robot.gripper.names), 7)])
+        n_arm, n_robot = len(order), len(kind)
+        if n_robot > 62 or len(self.hands.model.piece_names) + 1 + n_arm > MAX_PARTNERS:
+            raise ValueError(
+                f"{n_robot} robot primitives and {len(self.hands.model.piece_names)} hand pieces: the kernels' masks hold fewer"
+            )
+        caps = [bounds.capsule_of_primitive(int(k), s) for k, s in zip(kind, size, strict=True)]
+        levers = bounds.robot_levers(robot)[np.concatenate([order, np.arange(n_arm, n_robot)])]
+        ends, radii = bounds.gripper_balls(robot)
+        link_caps, link_lever = [], []
+        for k in range(8):
+            if k < 7:
+                mine = np.flatnonzero(link[:n_arm] == k)
+                T = robot.arm.T_link_prim[order[mine]]
+                axes = np.stack([T[i, :3, :3] @ caps[b][0] for i, b in enumerate(mine)])
+                centers = np.concatenate([T[:, :3, 3] - axes, T[:, :3, 3] + axes])
+                radius = np.tile([caps[b][1] for b in mine], 2)
+            else:
+                mine = np.arange(n_arm, n_robot)
+                centers, radius = ends.reshape(-1, 3), np.repeat(radii, ends.shape[1])
+            link_caps.append(bounds.capsule_of_balls(centers, radius))
+            link_lever.append(levers[mine].max(0))
+        partners = np.zeros(9, np.int32)
+        for a, b in robot.self_pairs:
+            partners[max(a, b)] |= 1 << int(min(a, b))
+        for a in robot.object_pairs:
+            partners[8] |= 1 << int(a)
+        return {
+            "joint_R": (robot.T_parent_joint[:, :3, :3], wp.mat33),
+            "joint_p": (robot.T_parent_joint[:, :3, 3], wp.vec3),
+            "lower": (robot.lower, wp.float32),
+            "upper": (robot.upper, wp.float32),
+            "n_arm": (int(n_arm), wp.int32),
+            "n_robot": (int(n_robot), wp.int32),
+            "body_link": (link, wp.int32),
+            "kind": (kind, wp.int32),
+            "size": (size, wp.vec3),
+            "radius": (np.where(kind <= Kind.CAPSULE, size[:, 0], 0.0), wp.float32),
+            "cap_radius": ([c[1] for c in caps], wp.float32),
+            "cap_axis": ([c[0] for c in caps], wp.vec3),
+            "body_R": (robot.arm.T_link_prim[order][:, :3, :3], wp.mat33),
+            "body_p": (robot.arm.T_link_prim[order][:, :3, 3], wp.vec3),
+            "lever": (levers, wp.float32),
+            "link_first": (np.searchsorted(link, np.arange(9)), wp.int32),
+            "link_c0": ([c[0] for c in link_caps], wp.vec3),
+            "link_c1": ([c[1] for c in link_caps], wp.vec3),
+            "link_radius": ([c[2] for c in link_caps], wp.float32),
+            "link_lever": (link_lever, wp.float32),
+            "self_links": (partners, wp.int32),
+            "table_from": (int(np.searchsorted(link, robot.links.index("upper_arm"))), wp.int32),
+        }
+
+    @cached_property
+    def _hand_points(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """Hull points of all pieces of all hands, and where each piece starts."""
+        v = self.hands.vertices.numpy()
+        offsets = self.hands.set.hull_offsets.numpy()
+        n_pieces = len(self.hands.model.piece_names)
+        hand = np.repeat(np.arange(len(v)), np.diff(offsets[::n_pieces]))
+        return v[hand, self.hands.set.hull_vertex_ids.numpy()], offsets.astype(np.int32)
+
+    def _fill_hands(self) -> dict:
+        points, start = self._hand_points
+        low, high = (f.reduceat(points, start[:-1], axis=0) for f in (np.minimum, np.maximum))
+        center = (low + high) / 2
+        piece = np.repeat(np.arange(len(center)), np.diff(start))
+        radius = np.maximum.reduceat(np.linalg.norm(points - center[piece], axis=1), start[:-1])
+        v = self.hands.vertices.numpy()
+        hand_center = (v.min(1) + v.max(1)) / 2
+        hand_radius = np.linalg.norm(v - hand_center[:, None], axis=2).max(1)
+        return {
+            "n_pieces": (len(self.hands.model.piece_names), wp.int32),
+            "piece_start": (start, wp.int32),
+            "piece_center": (center, wp.vec3),
+            "piece_radius": (radius + 1e-6, wp.float32),
+            "hand_center": (hand_center, wp.vec3),
+            "hand_radius": (hand_radius + 1e-6, wp.float32),
+        }
+
+    @cached_property
+    def _object_points(self) -> tuple[NDArray[np.float32], list[int], list[int]]:
+        """Hull points of all objects' collision bodies, first hull of each object, first point of each hull."""
+        bodies = [
+            [o.hull_vertices] if self.object_collision == "hull" else [v for v, _ in o.pieces] for o in self.objects
+        ]
+        hulls = [np.asarray(h, np.float32) for body in bodies for h in body]
+        first = np.cumsum([0] + [len(b) for b in bodies])
+        return np.concatenate(hulls), first.tolist(), np.cumsum([0] + [len(h) for h in hulls]).tolist()
+
+    @cached_property
+    def _object_cells(self) -> list[NDArray[np.float32]]:
+        """The same hulls with their points sorted by direction (kernels/geometry/body.py, CELLS)."""
+        points, _, start = self._object_points
+        return [bounds.support_cells(points[a:b].astype(np.float64)).astype(np.float32) for a, b in pairwise(start)]
+
+    def _fill_objects(self) -> dict:
+        points, first, start = self._object_points
+        caps = [bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
+        shift = len(self._hand_points[0])
+        return {
+            "hull_first": (first, wp.int32),
+            "hull_start": (np.array(start) + shift, wp.int32),
+            "hull_cells": (np.cumsum([0] + [len(c) for c in self._object_cells])[:-1] + shift + len(points), wp.int32),
+            "hull_c0": ([c[0] for c in caps], wp.vec3),
+            "hull_c1": ([c[1] for c in caps], wp.vec3),
+            "hull_radius": ([c[2] for c in caps], wp.float32),
+        }
+
+    @property
+    def hull_balls(self) -> NDArray[np.float32]:
+        """For each object hull the centre (object frame) and the radius of the largest ball inside it."""
+        points, _, start = self._object_points
+        balls = [bounds.inner_ball(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
+        return np.stack(balls).astype(np.float32)

@@ -1,0 +1,132 @@
+"""The same verdicts looked at in other ways: per object, which criteria fail together, other orders of the criteria."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyarrow as pa
+
+from r2h_batch.results.columns import FAILED, UNEVALUATED, codes
+from r2h_batch.results.reading import Run
+from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.statistics.aggregate import PATTERNS, Row, Verdicts, group_row, pattern_outcomes
+from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
+
+
+@dataclass(frozen=True)
+class CoFailures:
+    """(5, 5) counts in the order of `CRITERIA`: trials in which both fail, and trials in which both were evaluated.
+
+    The diagonal is each criterion on its own, wherever it was evaluated: not only where it was the first failure.
+    """
+
+    failed: np.ndarray
+    evaluated: np.ndarray
+
+
+def _patterns(verdicts: Verdicts) -> np.ndarray:
+    if verdicts.pattern is None:
+        raise ValueError(f"{verdicts.method}: the five verdicts are needed, aggregate.verdicts reads them")
+    return verdicts.pattern
+
+
+def co_failures(verdicts: Verdicts, rows: np.ndarray) -> CoFailures:
+    """Which criteria fail together among the trials that the mask `rows` selects."""
+    count = np.bincount(_patterns(verdicts)[rows], minlength=len(PATTERNS))
+    failed, evaluated = PATTERNS == FAILED, PATTERNS != UNEVALUATED
+    return CoFailures(
+        np.einsum("p,pi,pj->ij", count, failed, failed), np.einsum("p,pi,pj->ij", count, evaluated, evaluated)
+    )
+
+
+def in_order(verdicts: Verdicts, order: Sequence[str]) -> Verdicts:
+    """The verdicts with the first failure looked for in another order of the criteria; SR does not depend on it."""
+    outcome = pattern_outcomes(order)[verdicts.split, _patterns(verdicts)]
+    judged = verdicts.outcome < Outcome.INVALID_INPUT
+    if (unseen := int((outcome[judged] < 0).sum())) > 0:
+        raise ValueError(f"{verdicts.method}: {unseen} rows have no failure but a criterion that was not evaluated")
+    return replace(verdicts, outcome=np.where(judged, outcome, verdicts.outcome).astype(np.int8))
+
+
+def by_object(verdicts: Verdicts) -> tuple[tuple[str, Row], ...]:
+    """(object, its line of the table) split by split; objects in alphabetical order."""
+    lines = []
+    for split in verdicts.splits:
+        inside = verdicts.split == SPLITS.index(split)
+        present = np.bincount(verdicts.object[inside], minlength=len(verdicts.objects)) > 0
+        for code in sorted(np.flatnonzero(present), key=lambda c: verdicts.objects[c]):
+            lines.append((verdicts.objects[code], group_row(verdicts, inside & (verdicts.object == code), split)))
+    return tuple(lines)
+
+
+def parse_order(text: str) -> tuple[str, ...]:
+    """An order of criteria from `plan,reach,...`; those left out follow in the paper's order."""
+    first = [name.strip().lower() for name in text.split(",") if name.strip()]
+    if unknown := [n for n in first if n not in CRITERIA]:
+        raise ValueError(f"unknown criterion {unknown[0]!r}; allowed are {', '.join(CRITERIA)}")
+    if len(set(first)) != len(first):
+        raise ValueError(f"the order {text!r} names a criterion twice")
+    return (*first, *(c for c in CRITERIA if c not in first))
+
+
+BINS = 60
+MARGIN_RANGE_M = (-0.06, 0.12)
+
+
+@dataclass(frozen=True)
+class Histogram:
+    """Counts (BINS,) between `low` and `high`; what lies outside counts in the first and last bin, None is not counted."""
+
+    low: float
+    high: float
+    counts: np.ndarray
+
+    @property
+    def edges(self) -> np.ndarray:
+        return np.linspace(self.low, self.high, len(self.counts) + 1)
+
+
+def _histogram(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    values = values[np.isfinite(values)]
+    place = ((values - low) * (BINS / (high - low))).astype(np.int64).clip(0, BINS - 1)
+    return np.bincount(place, minlength=BINS)
+
+
+def margin_histograms(run: Run, method: str) -> dict[str, Histogram]:
+    """Criterion -> histogram of its margin wherever one is defined and finite."""
+    low, high = MARGIN_RANGE_M
+    counts = {c: np.zeros(BINS, np.int64) for c in CRITERIA}
+    for table in run.shards("trials", method, [f"margin_{c}_m" for c in CRITERIA]):
+        for c in CRITERIA:
+            counts[c] += _histogram(table[f"margin_{c}_m"].to_numpy().astype(np.float64), low, high)
+    return {c: Histogram(low, high, n) for c, n in counts.items()}
+
+
+def time_histograms(methods: Sequence[Verdicts], name: str) -> dict[str, Histogram]:
+    """Method -> histogram of a time over one range for all: from 0 to the largest; empty where none was measured."""
+    given = {v.method: getattr(v, name)[np.isfinite(getattr(v, name))] for v in methods}
+    high = max((float(x.max()) for x in given.values() if len(x)), default=0.0)
+    return {m: Histogram(0.0, high, _histogram(x, 0.0, high)) for m, x in given.items() if len(x) and high > 0}
+
+
+SHOWN = ("trial_id", "object", "split", "side", "outcome", *(f"margin_{c}_m" for c in CRITERIA))
+SHOWN += ("plan_reason", "plan_pair", "borderline", "t_exec_s")
+"""Columns of the trials that a page lets one search."""
+
+
+def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
+    """At most about `limit` trials of a method, every outcome represented by its first ones, and how many there are."""
+    total, kept = 0, []
+    each = max(1, limit // (MISSING + 1))
+    seen = np.zeros(MISSING + 1, np.int64)
+    whole = sum(run.header["trials"].values()) <= limit
+    for table in run.shards("trials", method, SHOWN):
+        total += len(table)
+        if whole:
+            kept.append(table)
+            continue
+        outcome = codes(table, "outcome", OUTCOME_NAMES)
+        rows = np.concatenate([np.flatnonzero(outcome == k)[: max(each - seen[k], 0)] for k in range(MISSING + 1)])
+        seen += np.bincount(outcome[rows], minlength=MISSING + 1)
+        kept.append(table.take(pa.array(np.sort(rows))))
+    return pa.concat_tables(kept).unify_dictionaries(), total

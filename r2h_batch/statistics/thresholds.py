@@ -1,0 +1,122 @@
+"""The same rows at other thresholds, exactly, without simulating again. Which can be, and how far: r2h_batch.rescore."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M
+from r2h_batch.results.columns import FAILED, PASSED, codes, pattern, states
+from r2h_batch.results.reading import Run
+from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.statistics.aggregate import pattern_outcomes
+from r2h_batch.statistics.paired import rank_probabilities
+from r2h_batch.verdicts import SPLITS, Outcome
+
+ROUNDING_M = 1e-8
+"""A stored margin gives the distance back to within this (float32): nearer to a threshold, a trial is undecided."""
+
+MAX_POINTS = 10_000
+"""Combinations of thresholds that one call takes."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """Thresholds in metres, and for every method the (2, 9) counts of outcomes per split and the undecided trials."""
+
+    reach_radius_m: float
+    w_max_m: float
+    safe_margin_m: float
+    counts: dict[str, np.ndarray]
+    undecided: dict[str, int]
+
+    def rate(self, method: str) -> float:
+        """SR in percent, the mean over the planned splits as in the paper's Avg."""
+        counts = self.counts[method]
+        planned = [row for row in counts if row.sum()]
+        return float(np.mean([100 * row[Outcome.SUCCESS] / row.sum() for row in planned]))
+
+
+def rescore(
+    run: Run,
+    *,
+    reach_radius_m: Sequence[float] = (),
+    w_max_m: Sequence[float] = (),
+    safe_margin_m: Sequence[float] = (),
+) -> tuple[Point, ...]:
+    """Counts for every combination of the thresholds; what is not given stays as it was run."""
+    base = run.header["configuration"].get("thresholds")
+    if base is None:
+        raise ValueError(f"{run.folder}: run.json names no thresholds; it was not made by a sweep")
+    radii = tuple(reach_radius_m) or (base["reach_radius_m"],)
+    widths = tuple(w_max_m) or (base["w_max_m"],)
+    safe = tuple(safe_margin_m) or (base["safe_margin_m"],)
+    for name, given, low, high in (
+        ("reach-radius", radii, 0.0, np.inf),
+        ("w-max", widths, 0.0, base["w_max_m"]),
+        ("safe-margin", safe, 0.0, CLEARANCE_CAP_M - BORDERLINE_M),
+    ):
+        if bad := [v for v in given if not low <= v <= high]:
+            raise ValueError(
+                f"--{name} {bad[0]:g} cannot be rescored exactly; allowed is {low:g} to {high:g}: sweep again"
+            )
+    grid = list(product(radii, widths, safe))
+    if len(grid) > MAX_POINTS:
+        raise ValueError(f"{len(grid)} combinations of thresholds; at most {MAX_POINTS} are allowed")
+    points = [Point(*key, {}, {}) for key in grid]
+    for method in run.methods:
+        for point in points:
+            point.counts[method], point.undecided[method] = np.zeros((len(SPLITS), MISSING + 1), np.int64), 0
+        for table in run.shards("trials", method):
+            shard = _Margins(table, base)
+            for point in points:
+                counts, undecided = shard.outcomes(point)
+                point.counts[method] += counts
+                point.undecided[method] += undecided
+    return tuple(points)
+
+
+class _Margins:
+    """A shard's distances in float64 and what else decides its outcomes."""
+
+    def __init__(self, table: pa.Table, base: dict[str, Any]) -> None:
+        def margin(name: str) -> np.ndarray:
+            return table[f"margin_{name}_m"].to_numpy().astype(np.float64)
+
+        self.split, self.outcome = codes(table, "split", SPLITS), codes(table, "outcome", OUTCOME_NAMES)
+        self.state = states(table)
+        # float32 of the threshold, because that is what the margin was taken from
+        self.distance = np.float32(base["reach_radius_m"]).astype(np.float64) - margin("reach")
+        self.width = np.float32(base["w_max_m"]).astype(np.float64) - margin("stability")
+        self.clearance = margin("safe") + np.float32(base["safe_margin_m"]).astype(np.float64)
+        self.base = base
+
+    def outcomes(self, point: Point) -> tuple[np.ndarray, int]:
+        """(2, 9) counts per split and outcome at other thresholds, and how many trials lie too near to one to tell."""
+        state, near = dict(self.state), np.zeros(len(self.split), bool)
+        for criterion, threshold, before, spare, touching in (
+            ("reach", point.reach_radius_m, self.base["reach_radius_m"], lambda t: t - self.distance, True),
+            ("stability", point.w_max_m, self.base["w_max_m"], lambda t: t - self.width, True),
+            ("safe", point.safe_margin_m, self.base["safe_margin_m"], lambda t: self.clearance - t, False),
+        ):
+            if threshold == before:
+                continue
+            margin = spare(float(np.float32(threshold)))
+            good = margin >= 0 if touching else margin > 0
+            old = self.state[criterion]  # a grasp that failed has a margin below 0, for whatever reason: it still fails
+            state[criterion] = np.where(old > 0, np.where(good, PASSED, FAILED), old)
+            near |= (old > 0) & (np.abs(margin) < ROUNDING_M)
+        outcome = pattern_outcomes()[self.split, pattern(state)].astype(np.int64)
+        outcome = np.where(self.outcome < Outcome.INVALID_INPUT, outcome, self.outcome)
+        if (outcome < 0).any():
+            raise ValueError(f"{int((outcome < 0).sum())} rows pass, but a criterion was not evaluated")
+        counts = np.bincount(self.split * (MISSING + 1) + outcome, minlength=len(SPLITS) * (MISSING + 1))
+        return counts.reshape(len(SPLITS), MISSING + 1), int(near.sum())
+
+
+def rank_stability(points: Sequence[Point], methods: Sequence[str]) -> np.ndarray:
+    """(M, M) share of the points at which method i has rank j + 1 by SR; ties share their ranks evenly."""
+    return rank_probabilities(np.array([[p.rate(m) for m in methods] for p in points]))

@@ -1,0 +1,158 @@
+"""Score methods or predictions files on a split's trials: `python -m r2h_batch.sweep --help`. Command line only."""
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from r2h_batch.command_line import answer, place, refuse, tell
+from r2h_batch.sweep.options import METHODS, Options, UsageError, parse
+
+if TYPE_CHECKING:  # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
+    from r2h_batch.results.writing import RunFolder
+    from r2h_batch.sweep.jobs import Job, Setting
+
+__all__ = ["METHODS", "Options", "UsageError", "main", "parse", "run"]
+
+
+def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.sweep") -> int:
+    """Exit code of the command: 0 done, 1 failed on the way, 2 refused before any work, 130 interrupted."""
+    given = sys.argv[1:] if arguments is None else arguments
+    return answer("sweep", lambda: _main(given, prog))
+
+
+def _main(arguments: Sequence[str], prog: str) -> int:
+    options = parse(arguments, prog=prog)
+    try:
+        with stop_signals() as stopping:
+            return run(options, stopping)
+    except KeyboardInterrupt:
+        return refuse("sweep", "interrupted; shards that were complete are stored, run the same command to go on", 130)
+    except OSError as error:
+        return refuse("sweep", place(error, "writing the run folder"), 1)
+
+
+@contextmanager
+def stop_signals() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C or SIGTERM was heard: the first one asks to stop after the current chunk, the second stops."""
+    heard = []
+
+    def hear(number: int, _: object) -> None:
+        heard.append(number)
+        if len(heard) > 1:
+            raise KeyboardInterrupt
+        tell("sweep: stopping after the current chunk; once more stops at once")
+
+    before = {s: signal.signal(s, hear) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(heard)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def run(options: Options, stopping: Callable[[], bool] = lambda: False) -> int:
+    """Score every job's shards, print the table of the whole run folder once it is complete."""
+    from importlib.util import find_spec
+
+    from r2h_batch.results.manifest import RunError
+    from r2h_batch.sweep import jobs as sweep_jobs
+    from r2h_batch.sweep.cluster import ClusterError, reach
+    from r2h_batch.sweep.engine import Stopped
+
+    try:
+        if options.engine == "ray" and find_spec("ray") is None:
+            raise UsageError("--engine ray needs Ray: pip install 'r2h_batch[ray]'")
+        if options.address:
+            reach(options.address, options.ray_timeout)
+        # a method may change the directory, when it is imported or asked
+        options = replace(options, out=os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S")))
+        files = sweep_jobs.load_files(options)
+        sweep_jobs.resolve(options)
+        setting = sweep_jobs.prepare(options)
+        jobs = sweep_jobs.make_jobs(options, files, setting)
+        out, folder = _open(options, setting, jobs)
+        for job in jobs:
+            folder.register(job.name, job.source)
+    except (UsageError, ClusterError, ValueError, ImportError) as error:
+        return refuse("sweep", error, 2)
+    try:
+        return _score(options, setting, jobs, out, folder, stopping)
+    except Stopped:
+        raise KeyboardInterrupt from None
+    except ClusterError as error:
+        return refuse("sweep", error, 1)
+    except RunError as error:  # somebody changed the folder meanwhile, or it came from somebody
+        return refuse("sweep", error, 1)
+
+
+def _score(
+    options: Options, setting: "Setting", jobs: "list[Job]", out: str, folder: "RunFolder", stopping: Callable[[], bool]
+) -> int:
+    """Score what is missing or damaged, in this process or on a cluster; the exit code."""
+    from r2h_batch.results.reading import mark_for_rerun
+    from r2h_batch.sweep.engine import score_local
+    from r2h_batch.sweep.progress import Log
+
+    for line in mark_for_rerun(folder.folder, folder.header):
+        tell(line)
+    log = Log(folder.folder / ("progress.json" if options.part[1] == 1 else f"progress-{options.part[0]}.json"))
+    if options.engine == "ray":
+        from r2h_batch.sweep.cluster import score_on_ray
+
+        refused = score_on_ray(setting, jobs, folder, options, stopping, log)
+    else:
+        refused = score_local(setting, jobs, folder, options, stopping, log)
+    code = _finish(options, out, [j.name for j in jobs if j.name not in refused])
+    return 2 if refused else code
+
+
+def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "tuple[str, RunFolder]":
+    """The run folder of the options: new, or the one to go on with."""
+    from pathlib import Path
+
+    from r2h_batch.results.manifest import RunError
+    from r2h_batch.results.writing import open_run
+    from r2h_batch.sweep.engine import shard_size
+
+    out, number = options.out, 1
+    while True:
+        new = not (Path(out) / "run.json").exists()
+        size = options.shard_trials or (shard_size(setting, jobs) if new else 0)
+        try:
+            # the first of two sweeps that start together decides the shard size; the other takes it
+            return out, open_run(out, {**setting.header, "shard_trials": size}, exact=bool(options.shard_trials))
+        except RunError:
+            if not options.force_new or not Path(out).exists():  # no other run in the way: no folder would do
+                raise
+        number += 1
+        out = f"{options.out}-{number}"
+
+
+def _finish(options: Options, out: str, names: list[str]) -> int:
+    """Print the table if every method of this sweep is complete, else what is left; the exit code."""
+    from r2h_batch.report import table as report
+    from r2h_batch.results import reading as results
+
+    stored = results.load_run(out)
+    code = 0
+    for name in names:
+        bad = [str(s.index) for s in stored.quarantined(name)]
+        if bad:
+            tell(f"{name}: quarantined after three tries: shards {', '.join(bad)}")
+            code = 1
+    left = {name: len(stored.missing(name)) for name in names if stored.missing(name)}
+    if left and not code:
+        if options.part[1] == 1:
+            code = 1
+        words = ", ".join(f"{name} {n}" for name, n in left.items())
+        tell(f"shards that other parts have to score: {words}; the table comes with the last")
+    if names and not left:
+        sys.stdout.write(report.render(report.table_of(stored), options.format))
+        sys.stdout.flush()
+    tell(f"run folder: {out}")
+    return code

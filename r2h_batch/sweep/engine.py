@@ -1,0 +1,160 @@
+"""Score shards in this process: claim one, take it chunk by chunk through the evaluator, store it, go on."""
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pyarrow as pa
+import torch
+
+from r2h_batch.command_line import refuse, tell
+from r2h_batch.results.manifest import SHARD_TRIALS, Shard
+from r2h_batch.results.rows import detail_rows, failure_rows, missing_rows, path_rows, pose_rows, score_rows
+from r2h_batch.results.writing import RunFolder, ShardWriter
+from r2h_batch.sweep.answers import AnswerError
+from r2h_batch.sweep.jobs import Job, Setting
+from r2h_batch.sweep.options import Options
+from r2h_batch.sweep.progress import Log, progress
+from r2h_batch.types import Outcome, Trials
+
+CPU_CHUNK = 256
+"""Trials between two looks at the clock on a CPU; on a GPU it is the evaluator's own chunk."""
+
+WARM_TRIALS = 32
+"""Scored once before the clock starts, so that compiling kernels is in nobody's T_plan."""
+
+SHARD_SECONDS = 60.0
+PROBE_TRIALS = 128
+UNPROBED_TRIALS = 1000
+"""A plan this small takes less than a minute at the slowest rate seen: nothing to measure."""
+
+
+class Stopped(Exception):
+    """A stop signal was heard and the current chunk is done."""
+
+
+def chunk_of(options: Options, setting: Setting) -> int:
+    """Trials scored at once."""
+    return options.chunk or (CPU_CHUNK if options.device == "cpu" else setting.evaluator.config.chunk)
+
+
+def score_local(
+    setting: Setting, jobs: list[Job], folder: RunFolder, options: Options, stopping: Callable[[], bool], log: Log
+) -> list[str]:
+    """Every job's shards of this part into the run folder, sharing them with other sweeps that work on it.
+
+    Returns the methods whose answers cannot be scored: each is said in one line, and the others go on.
+    """
+    refused = []
+    for job in jobs:
+        todo = folder.todo(job.name, options.part)
+        if not todo:
+            tell(f"{job.name}: already in the run folder, reused")
+            continue
+        tell(f"{job.name}: warming up (kernels are compiled on first use)")
+        try:
+            warm_up(job, setting)
+            with progress(job.name, sum(s.last - s.first for s in todo), log=log) as advance:
+                _score_job(job, todo, setting, folder, options, stopping, advance)
+        except AnswerError as error:
+            refuse("sweep", error)
+            refused.append(job.name)
+    return refused
+
+
+def _score_job(
+    job: Job,
+    todo: list[Shard],
+    setting: Setting,
+    folder: RunFolder,
+    options: Options,
+    stopping: Callable[[], bool],
+    advance: Callable[[int], None],
+) -> None:
+    while todo:
+        left = []
+        for shard in todo:
+            with folder.claim(job.name, shard) as mine:
+                if folder.stored(job.name, shard):
+                    advance(shard.last - shard.first)
+                elif mine:
+                    with folder.write(job.name, shard) as writer:
+                        score_shard(job, shard, writer, setting, chunk_of(options, setting), stopping, advance)
+                else:
+                    left.append(shard)
+        if stopping():
+            raise Stopped
+        if len(left) == len(todo):  # all in other hands: wait for them, or for their claims to fall
+            time.sleep(0.5)
+        todo = left
+
+
+def score_shard(
+    job: Job,
+    shard: Shard,
+    writer: ShardWriter,
+    setting: Setting,
+    chunk: int,
+    stopping: Callable[[], bool] = lambda: False,
+    advance: Callable[[int], None] = lambda n: None,
+) -> None:
+    """All trials of a shard through the evaluator into a writer; `Stopped` between chunks where that is asked."""
+    for first in range(shard.first, shard.last, chunk):
+        if stopping():
+            raise Stopped
+        last = min(first + chunk, shard.last)
+        rows = None if job.rows is None else job.rows[first:last]
+        writer.append(**_score_chunk(job, setting.trials(setting.ids(first, last)), rows, setting))
+        advance(last - first)
+
+
+def _score_chunk(job: Job, trials: Trials, rows: torch.Tensor | None, setting: Setting) -> dict[str, pa.Table]:
+    """Tables of a chunk in the plan's order; `rows`: the answers' rows, -1 for a trial without one."""
+    answered = torch.ones(len(trials), dtype=torch.bool, device="cpu") if rows is None else rows >= 0
+    names, tables = setting.names, {}
+    if not answered.all():
+        tables["trials"] = missing_rows(trials[~answered], names)
+    if answered.any():
+        part = trials[answered].to(setting.evaluator.scene.device)
+        answers = job.predict(part, None if rows is None else rows[answered]).to(setting.evaluator.scene.device)
+        keep = "paths" in setting.header["stored"]
+        scores = setting.evaluator.score(answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep)
+        scored = score_rows(part, scores, names, answers.t_method_s)
+        if (scores.outcome == int(Outcome.INVALID_SIM)).any():
+            tables["failures"] = failure_rows(part, answers, scores, names)
+        tables["trials"] = pa.concat_tables([scored, *([tables["trials"]] if "trials" in tables else [])])
+        for kind in setting.header["stored"]:
+            if kind == "details":
+                tables[kind] = detail_rows(part, scores, names)
+            elif kind == "poses":
+                tables[kind] = pose_rows(answers)
+            elif kind == "paths":
+                tables[kind] = path_rows(scores)
+    order = np.argsort(np.concatenate([np.flatnonzero(answered.numpy()), np.flatnonzero(~answered.numpy())]))
+    tables["trials"] = tables["trials"].unify_dictionaries().take(pa.array(order))
+    return tables
+
+
+def warm_up(job: Job, setting: Setting, trials: int = WARM_TRIALS) -> None:
+    """Compile what the job will use; the poses do not matter, and a user's method is not asked."""
+    few = setting.trials(setting.ids(0, min(trials, setting.planned))).to(setting.evaluator.scene.device)
+    if job.warm:
+        answers = job.predict(few, None)
+        T_obj_ee, T_world_ee = answers.T_obj_ee, answers.T_world_ee
+    else:
+        T_obj_ee = torch.eye(4, dtype=torch.float32, device=few.T_world_hand.device).repeat(len(few), 1, 1)
+        T_world_ee = few.T_world_hand.clone()
+    setting.evaluator.score(T_obj_ee, T_world_ee, few)
+
+
+def shard_size(setting: Setting, jobs: list[Job]) -> int:
+    """Trials of a shard in a new folder: `SHARD_TRIALS`, or what the slowest job does in a minute."""
+    if setting.planned <= UNPROBED_TRIALS:
+        return SHARD_TRIALS
+    slowest = 0.0
+    for job in jobs:
+        warm_up(job, setting)
+        start = time.perf_counter()
+        warm_up(job, setting, PROBE_TRIALS)
+        slowest = max(slowest, (time.perf_counter() - start) / min(PROBE_TRIALS, setting.planned))
+    return max(CPU_CHUNK, min(SHARD_TRIALS, int(SHARD_SECONDS / slowest) // CPU_CHUNK * CPU_CHUNK))

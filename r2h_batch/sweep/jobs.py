@@ -1,0 +1,251 @@
+"""What a process needs to score a part of a sweep: the setting (evaluator, plan, header) and the jobs (who answers)."""
+
+import inspect
+import json
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from r2h_batch.predictions import align, load_predictions
+from r2h_batch.results import provenance
+from r2h_batch.results.rows import TrialNames
+from r2h_batch.sweep.answers import answer_of
+from r2h_batch.sweep.options import METHODS, Options, UsageError
+from r2h_batch.turns import trial_ids
+from r2h_batch.types import Predictions, Trials
+from r2h_batch.verdicts import SIDES, SPLITS
+
+if TYPE_CHECKING:
+    from r2h_batch.config import EvalConfig
+    from r2h_batch.evaluate import Evaluator
+
+DIGEST_TRIALS = 10_000
+"""Trials of each split that the digest of the trial list covers: the generator counts, so these stand for all."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """The evaluator, the plan as positions 0..N-1 (split by split), and run.json's header.
+
+    `ids(first, last)`: trial ids of a range of positions. `trials(ids)`: those trials. Nothing grows with N.
+    """
+
+    evaluator: "Evaluator"
+    header: dict[str, Any]
+    ids: Callable[[int, int], torch.Tensor]
+    trials: Callable[[torch.Tensor], Trials]
+
+    @property
+    def planned(self) -> int:
+        return int(sum(self.header["trials"].values()))
+
+    @property
+    def names(self) -> TrialNames:
+        scene = self.evaluator.scene
+        return TrialNames(
+            objects=[o.name for o in scene.objects],
+            object_splits=[o.split for o in scene.objects],
+            hand_sides=[SIDES[s] for s in scene.hands.set.side.tolist()],
+            parts=scene.part_names,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """One method to score: its name in the table, where its answers come from, and how to get them for a chunk.
+
+    `rows` (N,) is the row that answers each planned position, -1 for none; None: `predict` answers every trial. `warm`:
+    ask for a few trials before the clock starts; not for a user's method, which may keep count of its calls.
+    """
+
+    name: str
+    source: dict[str, str]
+    predict: Callable[[Trials, torch.Tensor | None], Predictions]
+    rows: torch.Tensor | None = None
+    warm: bool = False
+
+
+def prepare(options: Options) -> Setting:
+    """The setting that the options describe."""
+    import platform
+
+    from r2h_batch.bodies.objects import load_objects, object_digest, object_from_argument
+    from r2h_batch.evaluate import Evaluator
+    from r2h_batch.trials.protocol import PROTOCOL, make_trials, trials_digest, trials_with_ids
+
+    if options.device != "cpu" and not torch.cuda.is_available():
+        raise UsageError(f"--device {options.device}: torch sees no CUDA device; use --device cpu")
+    config = _configuration(options)
+    built_in = load_objects()
+    pieces = options.object_collision == "pieces"  # a convex decomposition takes up to a minute: only where it is used
+    objects = (*built_in, *(object_from_argument(mesh, pieces=pieces) for mesh in options.object_mesh))
+    splits = [s for s in SPLITS if s in options.splits]
+    plan: dict[str, int] = dict.fromkeys([str(s) for s in splits], options.trials)
+    first_trials = make_trials(splits, min(options.trials, DIGEST_TRIALS), objects=objects)
+    evaluator = Evaluator(config, device=options.device, objects=objects, threads=options.threads)
+    header = {
+        "protocol": PROTOCOL,
+        "trials": plan,
+        "configuration": asdict(config),
+        "digests": {
+            "trials": trials_digest(first_trials, objects=objects),
+            "objects": object_digest(objects),
+            "hand_set": evaluator.scene.hands.set.digest,
+            "code": provenance.code_digest(),
+        },
+        "motion": {
+            "engine": config.execute.sim,
+            "model": config.execute.model if config.execute.sim != "none" else None,
+            "step_s": config.execute.step_s if config.execute.sim != "none" else None,
+            "sample_s": config.execute.step_s * config.execute.record_steps if config.execute.sim != "none" else None,
+        },
+        "objects": [{"name": o.name, "split": o.split, "built_in": i < len(built_in)} for i, o in enumerate(objects)],
+        "seed": options.seed,
+        "predictors": _predictors(options),
+        "stored": options.stored,
+        "device": {"kind": options.device.partition(":")[0], "name": provenance.device_name(options.device)},
+        "versions": provenance.versions(),
+        "platform": platform.platform(),
+        "git_commit": provenance.git_commit(),
+        "command": ["python", "-m", "r2h_batch.sweep", *sys.argv[1:]],
+        "created": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+
+    def ids(first: int, last: int) -> torch.Tensor:
+        return torch.from_numpy(trial_ids(plan, first, last))
+
+    return Setting(evaluator, header, ids, partial(trials_with_ids, objects=objects))
+
+
+def _configuration(options: Options) -> "EvalConfig":
+    """The preset with what the options change."""
+    from r2h_batch.config import EvalConfig
+
+    config = EvalConfig.preset(options.preset)
+    edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
+    plan = replace(config.plan, object_collision=options.object_collision, edge_check=edge_check)
+    execute = replace(config.execute, sim=options.sim, model=options.sim_model)
+    execute = replace(execute, sim=execute.engine(options.device))
+    return replace(config, plan=plan, execute=execute, width=options.width, stability=options.stability)
+
+
+def _predictors(options: Options) -> dict[str, Any]:
+    """What the methods see: the error model, and which contact network."""
+    from r2h_batch.predictors import PredictorNoise
+
+    file = Path(options.predictor)
+    own = {"file": options.predictor} | ({"sha256": provenance.file_digest([file])} if file.is_file() else {})
+    return {
+        "noise_factor": options.predictor_noise,
+        "noise": asdict(PredictorNoise().scaled(options.predictor_noise)),
+        "contact": own if options.predictor else {"built_in": "VoxNet"},
+    }
+
+
+Files = list[tuple[str, str, Predictions]]
+
+
+def load_files(options: Options) -> Files:
+    """(path, sha256, predictions) of every file: refused before anything slow starts."""
+    loaded = [(path, load_predictions(path)) for path in options.predictions]
+    return [(path, provenance.file_digest([Path(path)]), predictions) for path, predictions in loaded]
+
+
+def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
+    """Every method and file as a job, aligned with the plan; names must differ."""
+    jobs = [_method_job(name, setting.evaluator, options) for name in options.method]
+    for path, digest, predictions in files:
+        planned = setting.ids(0, setting.planned)
+        rows = align(predictions, planned, source=path, allow_missing=options.allow_missing)
+        source = {"kind": "predictions", "file": path, "sha256": digest}
+        jobs.append(Job(predictions.method, source, partial(_stored, predictions), rows))
+    names = [job.name for job in jobs]
+    if twice := sorted({n for n in names if names.count(n) > 1}):
+        raise UsageError(f"two methods are called {twice[0]!r}; give each predictions file its own method name")
+    return jobs
+
+
+def _stored(predictions: Predictions, _: Trials, rows: torch.Tensor | None) -> Predictions:
+    return predictions if rows is None else predictions[rows]
+
+
+@dataclass(frozen=True)
+class _Method:
+    """A method that was found: its function, the module that it is in, and what it takes."""
+
+    built_in: bool
+    spec: str
+    module: ModuleType
+    function: Callable[..., Any]
+    takes: Mapping[str, Any]
+
+
+def resolve(options: Options) -> None:
+    """Raises `UsageError` or `ValueError` for a --method or --predictor that is not there, before anything slow starts."""
+    for name in options.method:
+        _method(name)
+    if options.predictor:
+        from r2h_batch.predictors import load_predictor
+
+        load_predictor(options.predictor)
+
+
+def _method(name: str) -> _Method:
+    built_in = name in METHODS
+    module_name, _, function_name = (
+        (f"r2h_batch.methods.{name.replace('-', '_')}", "", "predict") if built_in else name.rpartition(":")
+    )
+    form = "it must be package.module:function that takes (trials, scene, *, seed)"
+    try:
+        module = import_module(module_name)
+        function = getattr(module, function_name)
+    except (Exception, SystemExit) as error:  # a user's module runs when it is imported
+        plain = isinstance(error, (ImportError, AttributeError))
+        what = " ".join(str(error).split()) if plain else f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise UsageError(f"--method {name}: {what}; {form}") from error
+    try:
+        signature = inspect.signature(function)
+        more = {k: None for k in ("evaluator", "noise", "predictor") if k in signature.parameters}
+        signature.bind(None, None, seed=0, **more)
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"--method {name}: {error}; {form}") from error
+    return _Method(built_in, f"{module_name}:{function_name}", module, function, signature.parameters)
+
+
+def _method_job(name: str, evaluator: "Evaluator", options: Options) -> Job:
+    found = _method(name)
+    module, takes, built_in = found.module, found.takes, found.built_in
+    extra: dict[str, Any] = {"evaluator": evaluator} if "evaluator" in takes else {}
+    source = {"kind": "method", "function": found.spec}
+    file = getattr(module, "__file__", None)
+    source["sha256"] = provenance.file_digest([Path(file)]) if file else ""
+    title = name
+    if "noise" in takes:
+        from r2h_batch.predictors import PredictorNoise, load_predictor
+
+        extra["noise"] = PredictorNoise().scaled(options.predictor_noise)
+        own = options.predictor if built_in and "predictor" in takes else ""
+        if own:
+            extra["predictor"] = load_predictor(own)
+        if built_in:
+            title = table_name(module.TITLE, Path(own).name or module.STAND_IN, options.predictor_noise)
+        source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
+
+    def predict(trials: Trials, _: object) -> Predictions:
+        return answer_of(title, trials, lambda mine: found.function(mine, evaluator.scene, seed=options.seed, **extra))
+
+    return Job(title, source, predict, warm=built_in)
+
+
+def table_name(title: str, stand_in: str, noise: float) -> str:
+    """A method's name in tables: what stood in for the original network, and the error model it was given."""
+    added = "" if noise == 0 else " + noise" if noise == 1 else f" + {noise:g} x noise"
+    return f"{title} ({stand_in}{added})"

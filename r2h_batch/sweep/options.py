@@ -1,0 +1,221 @@
+"""The options of a sweep, from flags and from a YAML file, checked. Imports nothing heavy."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from r2h_batch.command_line import UsageError, nearest, read
+from r2h_batch.files import FileError
+
+__all__ = ["KINDS", "METHODS", "Options", "UsageError", "as_yaml", "check", "load_config", "parse"]
+
+METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
+"""Built-in methods: modules of `r2h_batch.methods` (- as _) with a `predict(trials, scene, *, seed, evaluator)`."""
+
+KINDS = ("details", "poses", "paths")
+"""What is stored beside the trials when asked for."""
+
+MOST = 10**12
+"""Of anything that is counted: a number beyond is a slip, and would be refused much later by something else."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Score handover methods on the benchmark's trials and print Table I."""
+
+    method: tuple[str, ...] = ()
+    """Methods to score: fc, handover-va, contact, intent, random, oracle, or your own package.module:function
+    (trials, scene, *, seed) -> Predictions."""
+    predictions: tuple[str, ...] = ()
+    """Predictions files (.npz or .safetensors) to score."""
+    splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1")
+    """S0 free handover, S1 functional."""
+    trials: int = 500
+    """Trials of each split."""
+    device: str = "cpu"
+    """cpu, cuda or cuda:N."""
+    out: str = ""
+    """Run folder; runs/DATE-TIME unless given. The same command again goes on where the last one stopped."""
+    force_new: bool = False
+    """If --out holds another run, write to OUT-2, OUT-3, ... instead."""
+    seed: int = 0
+    """Seed of the methods; the trials do not depend on it."""
+    predictor: str = ""
+    """Your own contact network for --method contact: a TorchScript file, VoxNet weights as .safetensors, or
+    package.module:function; the built-in VoxNet unless given."""
+    predictor_noise: float = 1.0
+    """Factor on the error model of what the methods see (hands, part labels); 0: they see the truth."""
+    object_mesh: tuple[str, ...] = ()
+    """Your own objects, FILE[:S0|S1]: they take turns with the built-in objects of that split."""
+    preset: Literal["default", "paper"] = "default"
+    """default: exact planning to any branch. paper: one goal, MoveIt's edge resolution, to compare with the paper."""
+    width: Literal["pads", "whole"] = "pads"
+    """Stability measures the material between the pads, or the whole object's extent along the closing axis."""
+    stability: Literal["geometric", "physics"] = "geometric"
+    """physics: the object must also stay in a friction grasp through its weight and a shake along three axes."""
+    object_collision: Literal["hull", "pieces"] = "hull"
+    """The attached object in planning: its convex hull (as in the paper), or its convex decomposition."""
+    edge_check: Literal["preset", "exact", "moveit"] = "preset"
+    """Path edges: as the preset says, certified, or sampled at MoveIt's resolution."""
+    sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
+    """Who moves the arm: MuJoCo C, MuJoCo-Warp, nobody (the motion as planned); auto: mujoco on a CPU, mjwarp on CUDA."""
+    sim_model: Literal["auto", "scene", "arm"] = "auto"
+    """What is simulated. scene: everything, with contacts. arm: a rigid gripper, no contacts. auto: the arm, and the whole
+    scene again for each trial whose path's clearance does not rule a contact out."""
+    format: Literal["md", "latex", "csv", "json"] = "md"
+    """Format of the table on stdout."""
+    save_details: bool = False
+    """Also store joint goal, opening, shift and witness of every trial."""
+    save_poses: bool = False
+    """Also store the two poses that were scored."""
+    save_paths: bool = False
+    """Also store waypoints and times of every trial, its details and its poses: all that r2h_batch.scene needs."""
+    threads: int | None = None
+    """CPU threads; all cores unless given."""
+    allow_missing: bool = False
+    """Count trials that a predictions file leaves out as failures instead of refusing the file."""
+    shard: str = "1/1"
+    """I/N: score only part I of N of the shards, for job arrays; every part writes to the same --out."""
+    shard_trials: int = 0
+    """Trials of a shard; 0: 100000 or a minute of work, whichever is smaller."""
+    chunk: int = 0
+    """Trials scored at once between two looks at the clock; 0: 256 on a CPU, 2048 on a GPU."""
+    engine: Literal["local", "ray"] = "local"
+    """local: this process. ray: actors of a Ray cluster, one Evaluator each."""
+    address: str = ""
+    """Ray cluster to join: auto or HOST:PORT; empty: one of its own on this machine, whatever else runs there."""
+    ray_timeout: float = 30.0
+    """Seconds until a Ray cluster that does not answer is given up."""
+    workers: int = 0
+    """Ray actors; 0: one for each GPU, or one for each 4 CPUs where there is none."""
+    gpus_per_worker: float = 0.0
+    """GPUs of each actor; 0: 1 with --device cuda."""
+
+    @property
+    def stored(self) -> list[str]:
+        """What is stored beside the trials; with paths everything, so that any trial can be opened elsewhere."""
+        return [kind for kind in KINDS if self.save_paths or getattr(self, f"save_{kind}")]
+
+    @property
+    def part(self) -> tuple[int, int]:
+        """(I, N) of --shard I/N."""
+        i, _, n = self.shard.partition("/")
+        return int(i), int(n)
+
+
+def check(options: Options) -> Options:
+    """The options, or a `UsageError` about the first that cannot be."""
+    if not options.method and not options.predictions:
+        raise UsageError(f"nothing to score: give --method {' '.join(METHODS)} or --predictions FILE")
+    for name in options.method:
+        if name not in METHODS and ":" not in name:
+            raise UsageError(
+                f"unknown method {name!r}{nearest(name, METHODS)}; allowed are {', '.join(METHODS)}"
+                " or your own package.module:function"
+            )
+    least = {"trials": 1, "threads": 1, "shard_trials": 0, "chunk": 0, "workers": 0, "gpus_per_worker": 0}
+    for name, low in least.items():
+        value = getattr(options, name)
+        if value is not None and not value >= low:
+            raise UsageError(f"--{name.replace('_', '-')} is {value}; it must be {low} or more")
+        if value is not None and value > MOST:
+            raise UsageError(f"--{name.replace('_', '-')} is {str(value)[:40]}; it must be {MOST} or less")
+    if not -(1 << 63) <= options.seed < 1 << 63:
+        raise UsageError(f"--seed is {str(options.seed)[:40]}; it must fit 64 bits")
+    for name in ("method", "splits", "predictions"):
+        given = getattr(options, name)
+        if twice := [g for g in given if given.count(g) > 1]:
+            raise UsageError(f"--{name} {twice[0]} is given twice; once is enough")
+    if not (math.isfinite(options.predictor_noise) and options.predictor_noise >= 0):
+        raise UsageError(
+            f"--predictor-noise is {options.predictor_noise}; it must be 0 (the truth) or more, 1 is the default"
+        )
+    if options.predictor and "contact" not in options.method:
+        raise UsageError("--predictor is the contact network of --method contact; add that method, or leave it out")
+    if not options.splits:
+        raise UsageError("--splits names no split; allowed are S0, S1")
+    if options.device not in ("cpu", "cuda") and not (
+        options.device.startswith("cuda:") and options.device[5:].isascii() and options.device[5:].isdigit()
+    ):
+        raise UsageError(f"--device is {options.device!r}; allowed are cpu, cuda, cuda:N")
+    i, slash, n = options.shard.partition("/")
+    if not (slash and _count(i) and _count(n) and 1 <= int(i) <= int(n)):
+        raise UsageError(f"--shard is {options.shard!r}; it must be I/N with I from 1 to N, such as 2/8")
+    if options.part[1] > 1 and not options.out:
+        raise UsageError("--shard needs --out: all parts write to one folder")
+    if not 0 < options.ray_timeout <= 86400:
+        raise UsageError(f"--ray-timeout is {options.ray_timeout:g}; it must be more than 0 and at most 86400 seconds")
+    if options.engine == "local" and (options.workers or options.address or options.gpus_per_worker):
+        raise UsageError("--workers, --address and --gpus-per-worker belong to --engine ray")
+    return options
+
+
+def _count(text: str) -> bool:
+    """Whether the text is a plain number of at most nine digits (superscripts are digits to Python, but no numbers)."""
+    return text.isascii() and text.isdigit() and len(text) < 10
+
+
+def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") -> Options:
+    """The checked options of a command line; raises `UsageError` with one line."""
+    arguments, path = _without_config(arguments)
+    default = Options() if path is None else load_config(Path(path))
+    prog = f"{prog} [--config FILE.yaml]" if "--help" in arguments or "-h" in arguments else prog
+    options: Options = read(Options, arguments, prog=prog, default=default, more_flags=["--config"])
+    return check(options)
+
+
+def load_config(path: Path) -> Options:
+    """Options from a YAML file with the flags' names as fields; anything unknown or mistyped is refused by its path."""
+    import pydantic
+
+    try:
+        from r2h_batch.files.plain_yaml import read_plain_yaml
+    except ImportError:
+        raise UsageError("--config needs PyYAML; pip install pyyaml") from None
+    try:
+        data = read_plain_yaml(path)
+    except FileError as error:
+        raise UsageError(str(error)) from None
+    allowed = [f.name for f in fields(Options)]
+    for key in data:
+        if key not in allowed:
+            raise UsageError(
+                f"{path}: unknown field {key!r}{nearest(str(key), allowed)}; allowed are {', '.join(allowed)}"
+            )
+    config = pydantic.ConfigDict(extra="forbid", strict=True)
+    model: Any = pydantic.create_model(
+        "Config",
+        __config__=config,
+        **{f.name: (f.type, f.default) for f in fields(Options)},  # type: ignore[call-overload]
+    )
+    try:
+        checked = model.model_validate_json(json.dumps(data, default=str), strict=True)
+    except pydantic.ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise UsageError(
+            f"{path}: {where} is {repr(first['input'])[:80]}; {first['msg'][0].lower()}{first['msg'][1:]}"
+        ) from None
+    return Options(**checked.model_dump())
+
+
+def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None]:
+    """The command line without --config FILE, and FILE."""
+    kept, path, rest = [], None, iter(arguments)
+    for argument in rest:
+        name, equals, value = argument.partition("=")
+        if name != "--config":
+            kept.append(argument)
+            continue
+        path = value if equals else next(rest, "")
+        if not path:
+            raise UsageError("--config names no file")
+    return kept, path
+
+
+def as_yaml(options: Options) -> str:
+    """The options as a file that `load_config` reads back equal."""
+    return "".join(f"{key}: {json.dumps(value)}\n" for key, value in asdict(options).items())

@@ -1,0 +1,161 @@
+"""Scoring as one opaque operator for torch.compile: r2h_batch::score, with shapes but no work for tracing."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
+from itertools import count
+from typing import Any, Protocol
+from weakref import WeakValueDictionary
+
+import torch
+from torch import Tensor
+
+from r2h_batch.judge.inputs import Stages
+from r2h_batch.kernels.plan.codes import WAYPOINTS
+from r2h_batch.types import Scores, Trials
+
+
+class Scorer(Protocol):
+    """What the operator calls: the `Evaluator`, as far as this module knows it."""
+
+    def score(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, /) -> Scores:
+        """Verdicts of B handovers."""
+
+
+_numbers = count()
+_scorers: "WeakValueDictionary[int, Scorer]" = WeakValueDictionary()
+"""An operator's arguments are tensors and numbers: this is how it finds its evaluator again."""
+
+PATH_WIDTH = {"pose": 0, "all": WAYPOINTS}
+"""Width of `Scores.path`."""
+
+RETURNED = tuple(f.name for f in fields(Scores) if f.name not in ("trial_id", "motion", "motion_len", "failed_state"))
+"""What the operator returns, in order; it may not return an input, so trial ids are put back outside. It keeps no motion."""
+
+_SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
+    "outcome": (torch.int8, ()),
+    "success": (torch.bool, ()),
+    "passed": (torch.bool, (5,)),
+    "evaluated": (torch.bool, (5,)),
+    "margin": (torch.float32, (5,)),
+    "borderline": (torch.bool, ()),
+    "plan_reason": (torch.int8, ()),
+    "plan_pair": (torch.int8, ()),
+    "witness_part": (torch.int32, (2,)),
+    "witness_point": (torch.float32, (3,)),
+    "q_goal": (torch.float32, (6,)),
+    "path": (torch.float32, (-1, 6)),
+    "path_time_s": (torch.float32, (-1,)),
+    "path_len": (torch.int32, ()),
+}
+"""Per row; -1 stands for the path's width, what is not listed is one float."""
+
+
+def register(scorer: Scorer) -> int:
+    """The number under which the operator finds this scorer for as long as it lives."""
+    number = next(_numbers)
+    _scorers[number] = scorer
+    return number
+
+
+@torch.library.custom_op("r2h_batch::score", mutates_args=())
+def score_op(
+    T_obj_ee: Tensor,
+    T_world_ee: Tensor,
+    trial_id: Tensor,
+    object_index: Tensor,
+    hand_index: Tensor,
+    T_world_hand: Tensor,
+    evaluator: int,
+    stages: str,
+) -> list[Tensor]:
+    """The tensors of `Evaluator.score` in the order of RETURNED."""
+    if evaluator not in _scorers:
+        raise RuntimeError("the evaluator of this compiled function is gone: keep a reference to it")
+    trials = Trials(trial_id, object_index, hand_index, T_world_hand)
+    scores = _scorers[evaluator].score(T_obj_ee, T_world_ee, trials, stages)  # type: ignore[arg-type]
+    return [getattr(scores, name).clone() for name in RETURNED]
+
+
+@score_op.register_fake
+def _(
+    T_obj_ee: Tensor,
+    T_world_ee: Tensor,
+    trial_id: Tensor,
+    object_index: Tensor,
+    hand_index: Tensor,
+    T_world_hand: Tensor,
+    evaluator: int,
+    stages: str,
+) -> list[Tensor]:
+    out = []
+    for name in RETURNED:
+        dtype, shape = _SHAPES.get(name, (torch.float32, ()))
+        row = [PATH_WIDTH[stages] if n == -1 else n for n in shape]
+        out.append(T_obj_ee.new_empty((T_obj_ee.shape[0], *row), dtype=dtype))
+    return out
+
+
+@torch.library.custom_op("r2h_batch::score_backward", mutates_args=())
+def score_backward_op(
+    T_obj_ee: Tensor,
+    T_world_ee: Tensor,
+    trial_id: Tensor,
+    object_index: Tensor,
+    hand_index: Tensor,
+    T_world_hand: Tensor,
+    margin_gradient: Tensor,
+    evaluator: int,
+) -> list[Tensor]:
+    """What a gradient of the margins is with respect to the two poses; scores once more to find the witnesses."""
+    trials = Trials(trial_id, object_index, hand_index, T_world_hand)
+    stream = torch.cuda.current_stream(T_obj_ee.device) if T_obj_ee.is_cuda else None
+
+    def differentiate() -> list[Tensor]:
+        with torch.enable_grad(), torch.cuda.stream(stream):
+            poses = T_obj_ee.detach().requires_grad_(), T_world_ee.detach().requires_grad_()
+            margin = _scorers[evaluator].score(*poses, trials, "pose").margin
+        gradients = torch.autograd.grad(margin, poses, margin_gradient, allow_unused=True)
+        return [torch.zeros_like(p) if g is None else g.contiguous() for g, p in zip(gradients, poses, strict=True)]
+
+    # Inside an operator autograd is switched off for this thread, whatever enable_grad says
+    with ThreadPoolExecutor(1) as aside:
+        return aside.submit(differentiate).result()
+
+
+@score_backward_op.register_fake
+def _(
+    T_obj_ee: Tensor,
+    T_world_ee: Tensor,
+    trial_id: Tensor,
+    object_index: Tensor,
+    hand_index: Tensor,
+    T_world_hand: Tensor,
+    margin_gradient: Tensor,
+    evaluator: int,
+) -> list[Tensor]:
+    return [T_obj_ee.new_empty(T_obj_ee.shape), T_world_ee.new_empty(T_world_ee.shape)]
+
+
+def _remember(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+    *tensors, ctx.evaluator, ctx.stages = inputs
+    ctx.save_for_backward(*tensors)
+
+
+def _backward(ctx: Any, gradients: list[Tensor | None]) -> tuple[Tensor | None, ...]:
+    gradient = gradients[RETURNED.index("margin")]
+    if gradient is None or ctx.stages != "pose":
+        return (None,) * 8
+    g, h = score_backward_op(*ctx.saved_tensors, gradient.contiguous(), ctx.evaluator)
+    return g, h, *(None,) * 6
+
+
+torch.library.register_autograd("r2h_batch::score", _backward, setup_context=_remember)
+
+
+def call(evaluator: int, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: str) -> Scores:
+    """`Evaluator.score` of checked rows through the operator: what torch.compile sees."""
+    rows = (trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand)
+    values = dict(zip(RETURNED, score_op(T_obj_ee, T_world_ee, *rows, evaluator, stages), strict=True))
+    motion, motion_len = T_obj_ee.new_empty((len(T_obj_ee), 0, 6)), torch.zeros_like(values["path_len"])
+    state = motion[:, :, 0].double()
+    return Scores(trial_id=trials.trial_id, **values, motion=motion, motion_len=motion_len, failed_state=state)

@@ -1,0 +1,268 @@
+"""Finds the points that decide each margin: one kernel launch per kind of margin, after the evaluator has judged."""
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from jaxtyping import Bool, Float32, Int32
+from torch import Tensor
+
+from r2h_batch import se3
+from r2h_batch.bodies.robot import load_robot
+from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.kernels.judge import reach as reach_kernels
+from r2h_batch.kernels.witness import closing as closing_kernels
+from r2h_batch.kernels.witness import posture as posture_kernels
+from r2h_batch.kernels.witness import surface as kernels
+from r2h_batch.launch import launch_trials
+from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.training.first_order import Arm, Closing, Contact
+
+__all__ = ["arm_at", "closing", "finger_motion", "fingers", "hand_contact", "nearest_to_point", "off_region"]
+
+DAMPING = 1e-3
+"""Of the arm's inverse Jacobian (metres and radians alike): postures with smaller singular values count as stuck there."""
+
+SLACK_M = 3e-5
+"""A witness may be this much nearer or farther than the evaluator's number, which is a certified bound of it."""
+
+
+def closing(
+    scene: Scene,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    width_m: Float32[Tensor, " b"],
+    opening_m: Float32[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> Closing:
+    """What the pads met, where the evaluator found these (width NaN: nothing); `T_obj_ee` before the object moved."""
+    b, device = len(T_obj_ee), T_obj_ee.device
+    points = torch.zeros((b, 4, 3), dtype=torch.float32, device=device)
+    slope_x, slope_z, lift = (
+        torch.zeros((b, 4), dtype=torch.float32, device=device),
+        torch.zeros((b, 4), dtype=torch.float32, device=device),
+        torch.zeros(b, dtype=torch.float32, device=device),
+    )
+    state = torch.zeros(b, dtype=torch.int32, device=device)
+    tables = scene.grasp_tables
+    launch_trials(
+        closing_kernels.closing_witness,
+        b,
+        inputs={
+            "gripper": tables.gripper,
+            "surfaces": tables.surfaces,
+            "open_gap": OPEN_GAP_M,
+            "whole": int(scene.config.width == "whole"),
+            "T_obj_ee": T_obj_ee.contiguous(),
+            "object_index": object_index.contiguous(),
+            "width": width_m.contiguous(),
+            "opening": opening_m.contiguous(),
+        },
+        outputs={"point": points, "slope_x": slope_x, "slope_z": slope_z, "lift": lift, "state": state},
+        device=scene.device,
+        threads=threads,
+    )
+    return Closing(T_obj_ee, points, slope_x, slope_z, lift, state, (state > 0) & (width_m <= OPEN_GAP_M))
+
+
+def fingers(
+    scene: Scene,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    opening_m: Float32[Tensor, " b"],
+    distance_m: Float32[Tensor, " b"],
+    wanted: Bool[Tensor, " b"],
+    *,
+    region: bool,
+    threads: int | None = None,
+) -> Contact:
+    """The point of the object (or of its receiver's region) nearest to or deepest in the gripper, where `wanted`.
+
+    `distance_m`: the evaluator's distance. The fingers count for the region, the whole gripper for the object.
+    """
+    b, device, tables = len(T_obj_ee), T_obj_ee.device, scene.grasp_tables
+    bound = torch.where(wanted, distance_m + SLACK_M, -torch.inf)
+    part = torch.full((b,), -1, dtype=torch.int32, device=device)
+    distance = torch.zeros(b, dtype=torch.float32, device=device)
+    point, normal, finger = (torch.zeros((b, 3), dtype=torch.float32, device=device) for _ in range(3))
+    launch_trials(
+        kernels.surface_witness,
+        b,
+        inputs={
+            "gripper": tables.gripper,
+            "surfaces": tables.surfaces,
+            "surface_offset": tables.objects if region else 0,
+            "used": tables.moving if region else tables.every,
+            "T_obj_ee": T_obj_ee.contiguous(),
+            "object_index": object_index,
+            "opening": opening_m.contiguous(),
+            "bound": bound,
+        },
+        outputs={"part": part, "distance": distance, "point": point, "normal": normal, "finger": finger},
+        device=scene.device,
+        threads=threads,
+    )
+    return Contact(point, normal, finger, part >= 0)
+
+
+def nearest_to_point(
+    scene: Scene,
+    T_frame_obj: Float32[Tensor, "b 4 4"],
+    point: Float32[Tensor, "b 3"],
+    object_index: Int32[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
+    """The object's point nearest to `point` of some frame (object frame), and the way there (that frame; zero inside)."""
+    x = se3.apply(se3.inverse(T_frame_obj), point).contiguous()
+    distance, nearest = torch.zeros(len(x), dtype=x.dtype, device=x.device), torch.zeros_like(x)
+    launch_trials(
+        reach_kernels.point_to_object,
+        len(x),
+        inputs={"cap": 10.0, "mesh": scene.object_mesh_ids, "object": object_index, "point": x},
+        outputs={"distance": distance, "nearest": nearest},
+        device=scene.device,
+        threads=threads,
+        chunk=256,
+    )
+    away = se3.apply(T_frame_obj, nearest) - point
+    outside = (distance > 0)[:, None]
+    return nearest, torch.where(outside, away / torch.where(outside[:, 0], distance, 1.0)[:, None], 0.0)
+
+
+def off_region(
+    scene: Scene,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    wanted: Bool[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
+    """The object's surface point nearest to the ee origin that is not in the receiver's region, and the way there (ee frame).
+
+    Among the object's 2048 sample points; the way is zero where not wanted, or where all of the object is region.
+    """
+    points, free = _sample_points(scene)
+    x = T_obj_ee[:, :3, 3].clone(memory_format=torch.contiguous_format)
+    nearest, found = torch.zeros_like(x), torch.zeros(len(x), dtype=torch.bool, device=x.device)
+    launch_trials(
+        kernels.nearest_of_points,
+        len(x),
+        inputs={"point": points, "counts": free, "object_index": object_index, "wanted": wanted.contiguous(), "x": x},
+        outputs={"found": found, "nearest": nearest},
+        device=scene.device,
+        threads=threads,
+        chunk=256,
+    )
+    way = se3.apply(se3.inverse(T_obj_ee), nearest)
+    length = (way[:, 0].square() + way[:, 1].square() + way[:, 2].square()).sqrt()[:, None]
+    return nearest, torch.where(found[:, None] & (length > 0), way / length.clamp(min=1e-9), 0.0)
+
+
+@lru_cache(maxsize=4)
+def _sample_points(scene: Scene) -> tuple[Any, Any]:
+    """Surface points of all objects, and which are not in the receiver's region."""
+    points = np.stack([o.points for o in scene.objects]).astype(np.float32)
+    free = np.stack([~o.receiver_face[o.point_face] for o in scene.objects])
+    return (
+        wp.array(points, dtype=wp.vec3, device=scene.device),
+        wp.array(free, dtype=wp.bool, device=scene.device),
+    )
+
+
+def hand_contact(
+    scene: Scene,
+    placed: Placed,
+    q: Float32[Tensor, "b 6"],
+    body: Int32[Tensor, " b"],
+    distance_m: Float32[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> tuple[Bool[Tensor, " b"], Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
+    """Where robot `body` (-1: none) is nearest to the hand's mesh at posture `q`: found, the hand's point, normal (world).
+
+    `distance_m`: the evaluator's. The normal points from the robot to the hand: that way the distance grows.
+    """
+    b, device = len(body), body.device
+    found = torch.zeros(b, dtype=torch.bool, device=device)
+    point, normal = (
+        torch.zeros((b, 3), dtype=torch.float32, device=device),
+        torch.zeros((b, 3), dtype=torch.float32, device=device),
+    )
+    launch_trials(
+        posture_kernels.hand_witness,
+        b,
+        inputs={
+            "world": scene.world,
+            "mesh": scene.hand_mesh,
+            "bodies": placed.bodies,
+            "q": q.contiguous(),
+            "body": body.contiguous(),
+            "distance": distance_m.contiguous(),
+        },
+        outputs={"found": found, "point": point, "normal": normal},
+        device=scene.device,
+        threads=threads,
+        chunk=64,
+    )
+    return found, point, normal
+
+
+def finger_motion(
+    scene: Scene,
+    part: Int32[Tensor, " b"],
+    opening_m: Float32[Tensor, " b"],
+    point_ee: Float32[Tensor, "b 3"],
+    *,
+    threads: int | None = None,
+) -> Float32[Tensor, "b 3"]:
+    """How points of gripper primitives (-1: none) move per metre of opening, ee frame."""
+    velocity = torch.zeros_like(point_ee, memory_format=torch.contiguous_format)
+    launch_trials(
+        posture_kernels.finger_velocities,
+        len(part),
+        inputs={
+            "gripper": scene.grasp_tables.gripper,
+            "part": part.contiguous(),
+            "opening": opening_m.contiguous(),
+            "point": point_ee.contiguous(),
+        },
+        outputs={"velocity": velocity},
+        device=scene.device,
+        threads=threads,
+        chunk=256,
+    )
+    return velocity
+
+
+def arm_at(scene: Scene, q: Float32[Tensor, "b 6"], *, threads: int | None = None) -> Arm:
+    """The arm's joint axes at a posture, and its damped inverse Jacobian."""
+    b, device = len(q), q.device
+    axis, origin = (
+        torch.zeros((b, 6, 3), dtype=torch.float32, device=device),
+        torch.zeros((b, 6, 3), dtype=torch.float32, device=device),
+    )
+    inverse = torch.zeros((b, 6, 6), dtype=torch.float32, device=device)
+    joint_R, joint_p = _chain(scene.device)
+    launch_trials(
+        posture_kernels.arm_jacobian,
+        b,
+        inputs={"damping": DAMPING, "joint_R": joint_R, "joint_p": joint_p, "q": q.contiguous()},
+        outputs={"axis": axis, "origin": origin, "inverse": inverse},
+        device=scene.device,
+        threads=threads,
+        chunk=256,
+    )
+    return Arm(axis, origin, inverse)
+
+
+@lru_cache(maxsize=4)
+def _chain(device: str) -> tuple[Any, Any]:
+    """The arm's joint frames at q = 0, the last from wrist_3 to ee, float64."""
+    robot = load_robot()
+    T = np.stack([*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee])
+    R, p = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
+    return wp.array(R, dtype=wp.mat33d, device=device), wp.array(p, dtype=wp.vec3d, device=device)

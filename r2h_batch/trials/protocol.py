@@ -1,0 +1,262 @@
+"""Protocol r2h-v0: which object is handed to which hand, and where that hand stands. `python -m r2h_batch.trials`.
+
+Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. Objects of the split take turns, hands alternate right and left,
+and the hand's pose is drawn from the reachable set by rejection with counters (protocol, trial id, attempt): a trial
+is the same alone or among a million, on any machine.
+"""
+
+import hashlib
+import math
+import operator
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import SupportsIndex
+
+import numpy as np
+import torch
+from jaxtyping import Int64
+from numpy.typing import NDArray
+from torch import Tensor
+
+from r2h_batch import rng, se3
+from r2h_batch.bodies.bounds import capsule_of_primitive
+from r2h_batch.bodies.given_objects import checked_objects
+from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
+from r2h_batch.bodies.objects import ObjectModel, load_objects
+from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
+from r2h_batch.config import BALL_OFFSET_M, HOME_Q, TABLE_CENTER, TABLE_HALF
+from r2h_batch.turns import PROTOCOL, objects_in_turn, trial_ids
+from r2h_batch.types import Trials
+from r2h_batch.verdicts import SPLITS
+
+__all__ = ["PROTOCOL", "SPLITS", "make_trials", "trials_digest", "trials_with_ids"]
+
+TRIALS = 500
+"""Trials of a split in the benchmark; more are the same generator run further."""
+
+NEAREST_M, FARTHEST_M = 0.45, 0.80
+"""Horizontal distance of the ball centre c_h from the axis of joint 1 [choice]."""
+LOWEST_M, HIGHEST_M = 0.10, 0.60
+"""Height of c_h above the table [choice]."""
+SECTOR_DEG, CONE_DEG, TURNED_AWAY_DEG = 50.0, 75.0, 120.0
+"""c_h within +-50 degrees of +x; palm normal within 75 degrees of the direction to the robot or of up, never more than
+120 degrees from the former [choice]."""
+TCP_ROOM_M, TABLE_ROOM_M, ROBOT_ROOM_M = 0.20, 0.005, 0.005
+"""What no vertex of the hand comes nearer to, with the robot at home: the TCP, the table, the arm [choice]."""
+# to a micrometre: 0.475 - 0.025 is not 0.45 in binary
+TABLE_LOW, TABLE_HIGH = (
+    tuple(round(c + sign * half, 6) for c, half in zip(TABLE_CENTER, TABLE_HALF, strict=True)) for sign in (-1, 1)
+)
+
+_HAND, _POSE = 0, 1  # purposes of the random counters
+_ROWS = 16384  # trials drawn at once
+_NEAR_ROWS = 256  # hands whose every vertex is looked at, at once: 2.7 MB an array
+Array = NDArray[np.float64]
+
+
+def make_trials(
+    splits: Sequence[str] = SPLITS,
+    trials: int = TRIALS,
+    *,
+    objects: Sequence[ObjectModel] | None = None,
+    hand_set: HandSet | None = None,
+) -> Trials:
+    """The first `trials` trials of each split, split by split, on the CPU.
+
+    `objects` (default: the 16 built-in ones) is what `object_index` counts; those of a split take turns in it.
+    """
+    splits = [splits] if isinstance(splits, str) else list(splits)
+    if unknown := [s for s in splits if s not in SPLITS]:
+        raise ValueError(f"unknown split {unknown[0]!r}; allowed are {', '.join(SPLITS)}")
+    if len(set(splits)) != len(splits):
+        raise ValueError(f"splits are {', '.join(splits)}; each may be given once")
+    if isinstance(trials, bool) or not isinstance(trials, SupportsIndex) or operator.index(trials) < 0:
+        raise ValueError(f"trials is {trials!r}; it must be a whole number, 0 or more")
+    plan = dict.fromkeys(splits, operator.index(trials))
+    ids = trial_ids(plan, 0, sum(plan.values()))
+    return trials_with_ids(torch.from_numpy(ids), objects=objects, hand_set=hand_set)
+
+
+def trials_with_ids(
+    trial_id: Int64[Tensor, " n"], *, objects: Sequence[ObjectModel] | None = None, hand_set: HandSet | None = None
+) -> Trials:
+    """The trials of these ids (0 or more), in this order."""
+    if not isinstance(trial_id, Tensor) or trial_id.ndim != 1 or trial_id.dtype != torch.int64:
+        what = f"{trial_id.dtype} {tuple(trial_id.shape)}" if isinstance(trial_id, Tensor) else repr(trial_id)
+        raise TypeError(f"trial_id is {what}; it must be a torch tensor (N,) of torch.int64")
+    ids = trial_id.cpu().numpy().copy()
+    if len(ids) and ids.min() < 0:
+        raise ValueError(f"trial id {ids.min()} is negative; ids are 2 i (S0) and 2 i + 1 (S1)")
+    objects = checked_objects(objects)
+    hands = _hands(load_hand_set() if hand_set is None else hand_set)
+    object_index, side = objects_in_turn(ids, [o.split for o in objects])
+    hand_index = np.zeros(len(ids), np.int64)
+    T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
+    for first in range(0, len(ids), _ROWS):
+        rows = slice(first, first + _ROWS)
+        hand_index[rows] = hands.draw(ids[rows], side[rows])
+        T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands)
+    return Trials(
+        trial_id=torch.from_numpy(ids),
+        object_index=torch.from_numpy(object_index.astype(np.int32)),
+        hand_index=torch.from_numpy(hand_index.astype(np.int32)),
+        T_world_hand=torch.from_numpy(T_world_hand),
+    )
+
+
+def trials_digest(trials: Trials, *, objects: Sequence[ObjectModel] | None = None) -> str:
+    """sha256 (hex) over protocol, ids, object names, hand indices and the bytes of the hand poses.
+
+    `objects` is what `object_index` counts; by default the built-in ones, and a number for what comes after them.
+    """
+    names = dict(enumerate(o.name for o in (load_objects() if objects is None else objects)))
+    digest = hashlib.sha256(f"{PROTOCOL}\n".encode())
+    digest.update(trials.trial_id.cpu().numpy().astype("<i8").tobytes())
+    digest.update("\n".join(names.get(i, f"object {i}") for i in trials.object_index.tolist()).encode())
+    digest.update(trials.hand_index.cpu().numpy().astype("<i4").tobytes())
+    digest.update(trials.T_world_hand.cpu().contiguous().numpy().astype("<f4").tobytes())
+    return digest.hexdigest()
+
+
+class _Hands:
+    """The hands of a set as float64 arrays in their own frames, and how to draw one."""
+
+    def __init__(self, hand_set: HandSet) -> None:
+        geometry = hand_set.model.pose(hand_set.pose, hand_set.shape, hand_set.side)
+        point, normal = palm_frame(geometry.joints.double(), hand_set.side)
+        self.palm_point, self.palm_normal = point.numpy(), normal.numpy()
+        self.vertices = np.ascontiguousarray(geometry.vertices.double().numpy().transpose(2, 0, 1))  # (3, H, V)
+        low, high = self.vertices.min(2), self.vertices.max(2)
+        self.center = ((low + high) / 2).T
+        offset = self.vertices - self.center.T[:, :, None]
+        self.radius = np.sqrt((offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2).max(1)) + 1e-6
+        side = hand_set.side.numpy()
+        self._of_side = [np.flatnonzero(side == s) for s in (0, 1)]
+
+    def draw(self, ids: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
+        """A hand of the given side, all equally likely; of a set with one side only (OakInk's) any."""
+        (u,) = rng.uniforms(rng.key_of(PROTOCOL), ids, 1, purpose=_HAND)
+        hand = np.zeros(len(ids), np.int64)
+        for s, members in enumerate(self._of_side):
+            rows = np.flatnonzero(side == s)
+            members = members if len(members) else self._of_side[1 - s]
+            hand[rows] = members[rng.choice(u[rows], len(members))] if len(rows) else 0
+        return hand
+
+
+@lru_cache(maxsize=2)
+def _hands(hand_set: HandSet) -> _Hands:
+    return _Hands(hand_set)
+
+
+def _draw_poses(ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands) -> NDArray[np.float32]:
+    """T_world_hand (n, 4, 4), each the first proposal of its trial that lies in the reachable set."""
+    key = rng.key_of(PROTOCOL)
+
+    def propose(rows: NDArray[np.int64], attempt: int) -> tuple[NDArray[np.bool_], tuple[NDArray[np.float32]]]:
+        u = rng.uniforms(key, ids[rows], 7, purpose=_POSE, attempt=attempt)
+        inside, center = _ball_center(u[:3])
+        turned, R = rng.rotation(u[3:])
+        kept = np.flatnonzero(inside & turned)
+        hand, center, R = hand_index[rows[kept]], center[kept], R[kept]
+        normal = se3.rotate(R, hands.palm_normal[hand])
+        faces = _faces_robot_or_up(center, normal)
+        kept, hand, center, R, normal = kept[faces], hand[faces], center[faces], R[faces], normal[faces]
+        T = np.zeros((len(kept), 4, 4), np.float32)
+        T[:, :3, :3] = R
+        T[:, :3, 3] = center - BALL_OFFSET_M * normal - se3.rotate(R, hands.palm_point[hand])
+        T[:, 3, 3] = 1.0
+        clear = _hand_is_clear(T.astype(np.float64), hand, hands)
+        fits = np.zeros(len(rows), bool)
+        fits[kept[clear]] = True
+        return fits, (T[clear],)
+
+    T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
+    rng.accepted(len(ids), propose, T_world_hand)
+    return T_world_hand
+
+
+def _ball_center(u: Array) -> tuple[NDArray[np.bool_], Array]:
+    """c_h (n, 3) uniform in a box, and whether it lies in the sector of a ring that the box encloses."""
+    slope = round(math.tan(math.radians(SECTOR_DEG)), 12)
+    x_low = round(NEAREST_M * math.cos(math.radians(SECTOR_DEG)), 12)
+    y_high = round(FARTHEST_M * math.sin(math.radians(SECTOR_DEG)), 12)
+    x = x_low + (FARTHEST_M - x_low) * u[0]
+    y = y_high * (2.0 * u[1] - 1.0)
+    z = LOWEST_M + (HIGHEST_M - LOWEST_M) * u[2]
+    square = x * x + y * y
+    inside = (square >= NEAREST_M**2) & (square <= FARTHEST_M**2) & (np.abs(y) <= slope * x)
+    return inside, np.stack([x, y, z], axis=1)
+
+
+def _faces_robot_or_up(center: Array, normal: Array) -> NDArray[np.bool_]:
+    """Whether palm normals (n, 3) lie in the two cones, and not too far from the direction to the robot."""
+    cone, away = (round(math.cos(math.radians(a)), 12) for a in (CONE_DEG, TURNED_AWAY_DEG))
+    x, y = center[:, 0], center[:, 1]
+    to_robot = -(normal[:, 0] * x + normal[:, 1] * y) / np.sqrt(x * x + y * y)
+    return ((to_robot >= cone) | (normal[:, 2] >= cone)) & (to_robot >= away)
+
+
+def _hand_is_clear(T_world_hand: Array, hand: NDArray[np.int64], hands: _Hands) -> NDArray[np.bool_]:
+    """Whether no vertex is near TCP, table or arm at home: the hand's bounding sphere first, vertices where needed."""
+    tcp, ends, radius = _home()
+    center = se3.rotate(T_world_hand[:, :3, :3], hands.center[hand]) + T_world_hand[:, :3, 3]
+    low, high = np.array(TABLE_LOW) - TABLE_ROOM_M, np.array(TABLE_HIGH) + TABLE_ROOM_M
+    segments = [(tcp, tcp), *ends]
+    bodies = [_from_box(low, high, center), *(_from_segment(a, b, center) for a, b in segments)]
+    room = np.array([0.0, TCP_ROOM_M, *(radius + ROBOT_ROOM_M)])
+    near = np.stack(bodies, 1) < (room + hands.radius[hand][:, None]) ** 2
+    clear = np.ones(len(hand), bool)
+    for k in range(near.shape[1]):
+        rows = np.flatnonzero(near[:, k] & clear)
+        for part in np.split(rows, range(_NEAR_ROWS, len(rows), _NEAR_ROWS)):
+            R, p = T_world_hand[part, :3, :3], T_world_hand[part, :3, 3]
+            local = hands.vertices[:, hand[part]]  # (3, n, V)
+            if k == 0:
+                turned = (sum(R[:, i, j, None] * local[j] for j in range(3)) for i in range(3))
+                x, y, z = (v + p[:, i, None] for i, v in enumerate(turned))
+                hit = (z < high[2]) & (z > low[2]) & (x < high[0]) & (x > low[0]) & (np.abs(y) < high[1])
+            else:
+                a, b = segments[k - 1]
+                back = R.transpose(0, 2, 1)
+                hit = _from_segments(se3.rotate(back, a - p), se3.rotate(back, b - p), local) < room[k] ** 2
+            clear[part] = ~hit.any(1)
+    return clear
+
+
+@lru_cache(maxsize=1)
+def _home() -> tuple[Array, Array, Array]:
+    """TCP (3,), and the arm primitives' bounding capsules: ends (n, 2, 3), radii (n,), with the robot at home (world).
+
+    Rounded to a nanometre, so that the last bits of a machine's sine cannot decide about a trial.
+    """
+    robot = load_robot()
+    T = forward_kinematics(robot, HOME_Q)[robot.arm.link] @ robot.arm.T_link_prim
+    capsules = [capsule_of_primitive(int(k), s) for k, s in zip(robot.arm.kind, robot.arm.size, strict=True)]
+    axes = np.stack([t[:3, :3] @ c[0] for t, c in zip(T, capsules, strict=True)])
+    ends = np.stack([T[:, :3, 3] - axes, T[:, :3, 3] + axes], 1)
+    return np.round(ee_pose(robot, HOME_Q)[:3, 3], 9), np.round(ends, 9), np.round([c[1] for c in capsules], 9)
+
+
+def _from_box(low: Array, high: Array, point: Array) -> Array:
+    """Squared distance of points (n, 3) to a box."""
+    d = np.maximum(np.maximum(low - point, point - high), 0.0)
+    return np.asarray(d[:, 0] ** 2 + d[:, 1] ** 2 + d[:, 2] ** 2)
+
+
+def _from_segment(a: Array, b: Array, point: Array) -> Array:
+    """Squared distance of points (n, 3) to the segment a b."""
+    n = len(point)
+    return _from_segments(np.tile(a, (n, 1)), np.tile(b, (n, 1)), point.T[:, :, None])[:, 0]
+
+
+def _from_segments(a: Array, b: Array, point: Array) -> Array:
+    """Squared distance of points (3, n, V) to one segment a b (n, 3) for each row."""
+    d = b - a
+    length = d[:, 0] ** 2 + d[:, 1] ** 2 + d[:, 2] ** 2
+    x, y, z = (point[i] - a[:, i, None] for i in range(3))
+    if length.any():
+        t = x * d[:, 0, None] + y * d[:, 1, None] + z * d[:, 2, None]
+        t = np.clip(t / np.where(length > 0, length, 1.0)[:, None], 0.0, 1.0)
+        x, y, z = (v - t * d[:, i, None] for i, v in enumerate((x, y, z)))
+    return np.asarray(x * x + y * y + z * z)

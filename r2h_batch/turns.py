@@ -1,0 +1,41 @@
+"""Whose turn it is: which trial stands where in a plan, with which object and which side. Numbers alone, no torch.
+
+Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. A plan goes through its splits one after the other. Objects of a split
+take turns, and each round of them starts with the other hand, so that an object meets both.
+"""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from r2h_batch.verdicts import SPLITS
+
+__all__ = ["PROTOCOL", "objects_in_turn", "trial_ids"]
+
+PROTOCOL = "r2h-v0"
+
+
+def trial_ids(plan: Mapping[str, int], first: int, last: int) -> NDArray[np.int64]:
+    """Ids of positions first..last-1 of a plan: split -> trials, in its order."""
+    parts, start = [np.zeros(0, np.int64)], 0
+    for split, n in plan.items():
+        turns = np.arange(max(first - start, 0), min(last - start, n), dtype=np.int64)
+        parts.append(2 * turns + SPLITS.index(split))
+        start += n
+    return np.concatenate(parts)
+
+
+def objects_in_turn(ids: NDArray[np.int64], splits: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Index of the object and side of the hand (0 right, 1 left) of trials; `splits`: of each object."""
+    object_index, side = np.zeros_like(ids), np.zeros_like(ids)
+    for k, split in enumerate(SPLITS):
+        mine = ids % 2 == k
+        members = np.array([i for i, s in enumerate(splits) if s == split], np.int64)
+        if mine.any() and not len(members):
+            raise ValueError(f"no object belongs to split {split}; give at least one, or leave the split out")
+        if mine.any():
+            turn, place = np.divmod(ids[mine] // 2, len(members))
+            object_index[mine] = members[place]
+            side[mine] = (turn + place) % 2
+    return object_index, side

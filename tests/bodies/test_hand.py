@@ -1,0 +1,333 @@
+"""The default hand and the hand set, against independent float64 twins and the figures of scene.md."""
+
+import hashlib
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from hand_twins import MANO_PARENTS, MIRROR, skinning_twin
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.assets.hand.build_hand import write_npz
+from r2h_batch.assets.hand.build_handset import (
+    JOINT_RANGE_DEG,
+    MAX_CUT_M,
+    POSTURES,
+    Judge,
+    angles_from_pose,
+    draw_hand,
+    mirrored,
+    pose_from_angles,
+)
+from r2h_batch.bodies.arrays import arrays_digest
+from r2h_batch.bodies.hand import ball_center, load_hand, load_hand_set, palm_frame, rotation_from_axis_angle
+from r2h_batch.bodies.hand_measure import sample_inside, sample_surface, winding_number
+
+SAMPLE = [pytest.param(i, marks=pytest.mark.slow if i % 3 else ()) for i in range(0, 400, 21)]
+"""20 hands: both sides, every posture. Seven of them, of both sides, are quick."""
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return load_hand()
+
+
+@pytest.fixture(scope="module")
+def hand_set():
+    return load_hand_set()
+
+
+@pytest.fixture(scope="module")
+def posed(hand, hand_set):
+    return hand.pose(hand_set.pose, hand_set.shape, hand_set.side)
+
+
+@pytest.fixture(scope="module")
+def judge(hand):
+    return Judge(hand)
+
+
+def random_hands(rows, seed=0, angle=0.6):
+    rng = np.random.default_rng(seed)
+    pose = rng.normal(0, angle, (rows, 48)).astype(np.float32)
+    pose[: rows // 4, 3:9] = 0.0  # joints without a turn
+    shape = rng.normal(0, 1, (rows, 10)).astype(np.float32)
+    return torch.from_numpy(pose), torch.from_numpy(shape), torch.from_numpy((np.arange(rows) % 2).astype(np.int8))
+
+
+def mesh_of(hand, vertices, side=0):
+    return trimesh.Trimesh(np.asarray(vertices, np.float64), hand.faces_by_side[side].numpy(), process=False)
+
+
+def test_the_template_is_one_closed_outward_surface_of_genus_zero(hand):
+    for side in (0, 1):
+        mesh = mesh_of(hand, hand.vertices.numpy() * (MIRROR if side else 1), side)
+        assert 700 <= len(mesh.vertices) <= 1500
+        assert mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
+        assert mesh.euler_number == 2 and mesh.body_count == 1
+        assert len(np.unique(mesh.faces)) == len(mesh.vertices)
+        assert mesh.area_faces.min() > 1e-6 and np.degrees(mesh.face_angles.min()) > 15
+
+
+def test_joint_tree_and_layout_are_mano(hand):
+    assert hand.parents == MANO_PARENTS
+    assert hand.joints_rest.shape == (16, 3) and torch.all(hand.joints_rest[0] == 0)
+    assert hand.shape_basis.shape == (len(hand.vertices), 3, 10) and hand.joint_shape_basis.shape == (16, 3, 10)
+    # Fingers along -x, index on the thumb's side +z, thumb's root in front of the palm: MANO's right hand.
+    roots = hand.joints_rest[[1, 4, 10, 7]]
+    assert torch.all(roots[:, 0] < -0.06) and torch.all(roots[:-1, 2] > roots[1:, 2])
+    assert hand.joints_rest[13, 1] < -0.005 and hand.joints_rest[15, 2] > 0.05
+
+
+def test_proportions_are_those_of_a_male_hand(hand):
+    mm, joints = hand.vertices.double().numpy() * 1000, hand.joints_rest.double().numpy() * 1000
+    assert -mm[:, 0].min() == pytest.approx(185, abs=2)
+    lengths = {1: (45, 24), 4: (47, 27), 7: (35, 20), 10: (43, 27), 13: (33, 34)}
+    for root, want in lengths.items():
+        for k, length in enumerate(want):
+            assert np.linalg.norm(joints[root + k + 1] - joints[root + k]) == pytest.approx(length, abs=0.01)
+    weights = hand.weights.numpy()
+    knuckles = (mm[:, 0] > -92) & (mm[:, 0] < -62) & (weights[:, 13:].sum(axis=1) < 0.2)
+    assert np.ptp(mm[knuckles, 2]) == pytest.approx(85, abs=2)
+    mesh = mesh_of(hand, mm)
+    for x, z in ((-60, 3), (-60, -15), (-75, 3), (-75, -15)):
+        hits, _, _ = mesh.ray.intersects_location([[x, 100, z]], [[0, -1, 0]])
+        assert np.ptp(hits[:, 1]) == pytest.approx(28, abs=2)
+    # Radii half way along the phalanges: 9-10, 7-8, 6-7 mm, the thumb's 9.
+    for joint, low, high in ((5, 7.5, 9.0), (2, 7.5, 8.8), (11, 7.2, 8.7), (8, 6.4, 8.0), (14, 8.8, 10.4)):
+        bone = joints[joint + 1] - joints[joint]
+        section = mesh.section(bone, 0.5 * (joints[joint] + joints[joint + 1]))
+        radii = np.linalg.norm(section.vertices - 0.5 * (joints[joint] + joints[joint + 1]), axis=1)
+        assert low < np.mean(radii[radii < 12]) < high
+
+
+def test_fingertips_are_the_far_ends_of_their_digits(hand):
+    tips = hand.vertices[hand.tip_vertices].double().numpy()
+    last = hand.joints_rest[[3, 6, 9, 12, 15]].double().numpy()
+    assert np.all(np.linalg.norm(tips - last, axis=1) > 0.018) and np.all(np.linalg.norm(tips - last, axis=1) < 0.03)
+
+
+def test_weights_follow_connected_bones_and_sum_to_one(hand):
+    weights = hand.weights.double().numpy()
+    assert np.all(weights >= 0) and np.abs(weights.sum(axis=1) - 1).max() < 1e-6
+    for row in weights > 0:
+        bones = set(np.flatnonzero(row).tolist())
+        roots = [b for b in bones if MANO_PARENTS[b] not in bones]
+        webbed = all(MANO_PARENTS[b] == 0 for b in roots)  # skin between two digits hangs on both
+        assert len(roots) == 1 or webbed, bones
+
+
+def test_rotations_match_scipy_from_no_turn_to_many():
+    rng = np.random.default_rng(3)
+    axes = rng.normal(size=(400, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = np.concatenate([[0, 0, 1e-300, 1e-12, 1e-6, np.pi, 2 * np.pi, 6.28, 30.0], rng.uniform(0, 7, 391)])
+    turns = axes * angles[:, None]
+    got = rotation_from_axis_angle(torch.from_numpy(turns)).numpy()
+    assert np.array_equal(got[0], np.eye(3))
+    assert np.abs(got - Rotation.from_rotvec(turns).as_matrix()).max() < 1e-14
+
+
+def test_skinning_matches_a_matrix_twin_on_both_sides(hand):
+    pose, shape, side = random_hands(24)
+    got = hand.pose(pose, shape, side)
+    assert got.vertices.dtype == got.joints.dtype == torch.float32
+    for i in range(24):
+        vertices, joints = skinning_twin(hand, pose[i].numpy(), shape[i].numpy(), int(side[i]))
+        assert np.abs(got.vertices[i].numpy() - vertices).max() < 3e-8
+        assert np.abs(got.joints[i].numpy() - joints).max() < 3e-8
+
+
+def test_a_row_has_the_same_bits_in_any_batch(hand):
+    pose, shape, side = random_hands(300, seed=1)
+    whole = hand.pose(pose, shape, side)
+    for rows in (0, 1, 2, 33, 300):
+        part = hand.pose(pose[:rows], shape[:rows], side[:rows])
+        assert part.vertices.shape == (rows, len(hand.vertices), 3)
+        assert torch.equal(part.vertices, whole.vertices[:rows]) and torch.equal(part.joints, whole.joints[:rows])
+    order = torch.from_numpy(np.random.default_rng(5).permutation(300))
+    mixed = hand.pose(pose[order], shape[order], side[order])
+    assert torch.equal(mixed.vertices, whole.vertices[order]) and torch.equal(mixed.joints, whole.joints[order])
+
+
+def test_left_hands_are_exact_mirror_images(hand):
+    pose, shape, _ = random_hands(16, seed=2)
+    flipped = torch.from_numpy(np.stack([mirrored(p.numpy()) for p in pose])).float()
+    right = hand.pose(pose, shape, torch.zeros(16, dtype=torch.int8))
+    left = hand.pose(flipped, shape, torch.ones(16, dtype=torch.int8))
+    mirror = torch.from_numpy(MIRROR).float()
+    assert torch.equal(left.vertices, right.vertices * mirror) and torch.equal(left.joints, right.joints * mirror)
+    assert torch.equal(hand.faces_by_side[1], hand.faces.flip(1))
+
+
+def test_default_arguments_are_a_mean_right_hand_at_rest(hand):
+    rest = hand.pose(torch.zeros(2, 48))
+    assert torch.equal(rest.vertices[1], hand.vertices) and torch.equal(rest.joints[0], hand.joints_rest)
+
+
+@pytest.mark.parametrize(
+    ("pose", "shape", "side", "message"),
+    [
+        (torch.zeros(2, 45), None, None, "pose has shape"),
+        (torch.zeros(2, 48, dtype=torch.int64), None, None, "pose has shape"),
+        (torch.zeros(2, 48), torch.zeros(1, 10), None, "shape has shape"),
+        (torch.zeros(2, 48), None, torch.zeros(3, dtype=torch.int8), "side has shape"),
+    ],
+)
+def test_wrong_shapes_and_types_are_named(hand, pose, shape, side, message):
+    with pytest.raises(ValueError, match=message):
+        hand.pose(pose, shape, side)
+
+
+def test_every_hand_of_the_set_keeps_its_volume_and_orientation(hand, posed, hand_set):
+    rest = mesh_of(hand, hand.vertices.numpy()).volume
+    for i in range(len(hand_set)):
+        mesh = mesh_of(hand, posed.vertices[i].numpy(), int(hand_set.side[i]))
+        assert 0.5 * rest < mesh.volume < 1.6 * rest
+    for amount in (-2.0, 2.0):
+        for direction in range(10):
+            shape = torch.zeros(1, 10)
+            shape[0, direction] = amount
+            shaped = hand.pose(torch.zeros(1, 48), shape)
+            assert 0.7 * rest < mesh_of(hand, shaped.vertices[0].numpy()).volume < 1.4 * rest
+            inside = winding_number(
+                shaped.vertices[0].double().numpy(), hand.faces.numpy(), shaped.joints[0].double().numpy()
+            )
+            assert np.all(np.abs(inside - 1) < 1e-6)  # joints move with the skin around them
+
+
+def test_a_larger_first_shape_parameter_is_a_longer_hand(hand):
+    shape = torch.zeros(2, 10)
+    shape[0, 0] = -1.85
+    length = -hand.pose(torch.zeros(2, 48), shape).vertices[:, :, 0].min(dim=1).values
+    assert length[0] == pytest.approx(0.168, abs=0.002) and length[1] == pytest.approx(0.185, abs=0.002)
+
+
+def test_palm_normal_points_out_of_the_palm_on_both_sides(hand, posed, hand_set):
+    curl = np.zeros((16, 3))
+    curl[1:13, 0] = 40.0
+    bent = pose_from_angles(curl, hand.joint_axes.double().numpy())
+    for side in (0, 1):
+        sides = torch.tensor([side])
+        rest = hand.pose(torch.zeros(1, 48), None, sides)
+        point, normal = palm_frame(rest.joints, sides)
+        assert torch.allclose(normal, torch.tensor([[0.0, -1.0, 0.0]]), atol=0.08)
+        # Bending the fingers brings their tips to the side that the normal points to.
+        pose = torch.from_numpy(mirrored(bent) if side else bent).float()[None]
+        move = hand.pose(pose, None, sides).vertices[0] - rest.vertices[0]
+        assert torch.all(move[hand.tip_vertices[:4]] @ normal[0] > 0.03)
+        # Seen from the palm, the ball's centre is outside the hand and the skin between faces it.
+        mesh = mesh_of(hand, rest.vertices[0].numpy(), side)
+        _, _, face = mesh.ray.intersects_location(point.numpy(), normal.numpy(), multiple_hits=False)
+        assert mesh.face_normals[face[0]] @ normal[0].numpy() > 0.8
+    p, n = palm_frame(posed.joints, hand_set.side)
+    roots = posed.joints[:, [0, 1, 4, 7, 10]].double().mean(dim=1)
+    assert torch.allclose(p.double(), roots, atol=1e-7) and torch.allclose(n.norm(dim=1), torch.ones(400), atol=1e-6)
+    assert torch.allclose(ball_center(posed.joints, hand_set.side), p + 0.12 * n, atol=1e-7)
+    for i in range(0, 400, 40):
+        cross = np.cross(*(posed.joints[i, [1, 7]] - posed.joints[i, 0]).double().numpy())
+        want = cross / np.linalg.norm(cross) * (-1 if hand_set.side[i] else 1)
+        assert np.abs(n[i].numpy() - want).max() < 1e-6
+
+
+def test_every_face_lies_in_a_piece(hand):
+    pieces = [set(p.tolist()) for p in hand.pieces]
+    assert len(pieces) == len(hand.piece_names) == 20
+    for face in hand.faces.tolist():
+        assert any(piece.issuperset(face) for piece in pieces)
+
+
+@pytest.mark.parametrize("i", SAMPLE)
+def test_the_pieces_enclose_skin_and_inside_in_every_posture(hand, hand_set, posed, i):
+    vertices = posed.vertices[i].double().numpy()
+    faces = hand.faces_by_side[int(hand_set.side[i])].numpy()
+    skin = sample_surface(vertices, faces, 4000, seed=i)
+    inside = sample_inside(vertices, faces, 300, seed=i)
+    depth = np.full(len(skin) + len(inside), np.inf)
+    offsets = hand_set.hull_offsets.tolist()
+    for k, piece in enumerate(hand.pieces):
+        stored = hand_set.hull_vertex_ids[offsets[20 * i + k] : offsets[20 * i + k + 1]].numpy()
+        assert np.all(np.isin(stored, piece.numpy())) and np.all(np.diff(stored) > 0) and len(stored) <= 64
+        planes = ConvexHull(vertices[stored]).equations
+        assert (vertices[piece.numpy()] @ planes[:, :3].T + planes[:, 3]).max() < 1e-9
+        outside = (np.concatenate([skin, inside]) @ planes[:, :3].T + planes[:, 3]).max(axis=1)
+        depth = np.minimum(depth, outside)
+    assert depth.max() < 1e-9
+
+
+def test_the_set_has_both_sides_and_every_posture(hand_set):
+    side = hand_set.side.numpy()
+    assert len(hand_set) == 400 and np.all(side[:200] == 0) and np.all(side[200:] == 1)
+    assert hand_set.pose.shape == (400, 48) and hand_set.shape.shape == (400, 10)
+    for half in (hand_set.posture[:200], hand_set.posture[200:]):
+        assert set(half) == set(POSTURES) and min(half.count(n) for n in POSTURES) >= 30
+    assert len(np.unique(hand_set.pose.numpy().round(4), axis=0)) == 400
+
+
+def test_the_set_keeps_the_joint_ranges(hand, hand_set):
+    axes = hand.joint_axes.double().numpy()
+    for i in range(len(hand_set)):
+        pose = hand_set.pose[i].double().numpy()
+        angles = angles_from_pose(mirrored(pose) if hand_set.side[i] else pose, axes)
+        assert np.all(angles > JOINT_RANGE_DEG[..., 0] - 1e-3) and np.all(angles < JOINT_RANGE_DEG[..., 1] + 1e-3)
+    assert hand_set.shape.abs().max() <= 1.5
+
+
+@pytest.mark.parametrize("i", range(4, 400, 33))
+def test_no_hand_cuts_deeper_than_two_millimetres_into_itself(hand, hand_set, posed, judge, i):
+    vertices = posed.vertices[i].double().numpy() * (MIRROR if hand_set.side[i] else 1)
+    overlap, cut = judge.cuts(vertices)
+    assert overlap <= MAX_CUT_M and cut <= MAX_CUT_M
+    # Independent of the measure's own shortcuts: no vertex that is 2.1 mm above the skin it belongs to is inside.
+    mesh = mesh_of(hand, vertices)
+    buried = winding_number(vertices, hand.faces.numpy(), vertices + 2e-5 * mesh.vertex_normals) > 0.5
+    if buried.any():
+        clean = mesh.submesh([np.flatnonzero(~buried[mesh.faces].any(axis=1))], append=True, repair=False)
+        assert trimesh.proximity.closest_point(clean, vertices[buried])[1].max() <= MAX_CUT_M + 1e-6
+
+
+def test_a_thumb_pushed_through_the_fingers_is_found(hand, judge):
+    angles = np.zeros((16, 3))
+    angles[1:13, 0] = np.tile([75.0, 90.0, 45.0], 4)
+    angles[13, 0], angles[14, 0], angles[15, 0] = 45.0, 50.0, 60.0
+    pose = pose_from_angles(angles, hand.joint_axes.double().numpy()).astype(np.float32)
+    assert max(judge.cuts(judge.vertices(pose, np.zeros(10, np.float32), 0))) > MAX_CUT_M
+
+
+def test_a_hand_is_drawn_from_its_own_counter(hand_set, judge):
+    for i in (3, 210):
+        pose, shape, posture, _, _ = draw_hand(i, judge)
+        pose = mirrored(pose).astype(np.float32) if hand_set.side[i] else pose
+        assert np.abs(pose - hand_set.pose[i].numpy()).max() < 1e-6
+        assert np.abs(shape - hand_set.shape[i].numpy()).max() < 1e-6 and posture == hand_set.posture[i]
+
+
+def test_the_digest_is_over_the_arrays_and_is_the_reported_one(hand_set, tmp_path):
+    folder = resources.files("r2h_batch.assets.hand")
+    report = json.loads((folder / "report.json").read_text())
+    assert hand_set.digest == report["handset"]["digest"]
+    with (folder / "handset.npz").open("rb") as stream, np.load(stream) as data:
+        arrays = {k: data[k] for k in data.files}
+    by_hand = hashlib.sha256()
+    for name in sorted(arrays):
+        by_hand.update(f"{name}:{arrays[name].dtype.str}:{arrays[name].shape}:".encode() + arrays[name].tobytes())
+    assert by_hand.hexdigest() == hand_set.digest
+    np.savez(tmp_path / "other_container.npz", **arrays)
+    assert load_hand_set(tmp_path / "other_container.npz").digest == hand_set.digest
+    arrays["pose"] = np.nextafter(arrays["pose"], np.float32(1))
+    assert arrays_digest(arrays) != hand_set.digest
+    write_npz(tmp_path / "a.npz", arrays)
+    write_npz(tmp_path / "b.npz", arrays)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_the_report_keeps_what_the_hand_promises():
+    report = json.loads((resources.files("r2h_batch.assets.hand") / "report.json").read_text())
+    for part in (report["template"], report["handset"]):
+        assert part["overshoot_mean_mm"] <= 1.3 and part["overshoot_max_mm"] <= 10.9
+        assert part["inside_samples_missed"] == 0 and part["hull_vertices_max"] <= 64
+    assert report["handset"]["self_cut_max_mm"] <= 2 and report["handset"]["separate_pieces_overlap_max_mm"] <= 2

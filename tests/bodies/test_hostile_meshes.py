@@ -1,0 +1,190 @@
+"""Mesh files that are large, endless or look elsewhere: one line within the budget, and nothing read outside the folder."""
+
+import base64
+import json
+import os
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+
+from r2h_batch.bodies import mesh_file, mesh_limits, object_mesh
+from r2h_batch.bodies.mesh_file import load_mesh_file
+from r2h_batch.bodies.mesh_limits import Budget
+from r2h_batch.bodies.objects import ObjectMeshError, build_object
+
+BOX = trimesh.creation.box((0.1, 0.05, 0.03))
+
+
+def refused(path, *parts, **options):
+    with pytest.raises(ObjectMeshError) as error:
+        build_object(path, pieces=False, **options)
+    message = str(error.value)
+    assert "\n" not in message and message.isprintable(), message
+    for part in parts:
+        assert part in message, message
+
+
+def gltf(folder, **changes):
+    """A box as a .gltf with its buffer inside, some fields changed."""
+    files = trimesh.Scene(BOX).export(file_type="gltf")
+    data = json.loads(files.pop("model.gltf"))
+    for buffer, content in zip(data["buffers"], files.values(), strict=True):
+        buffer["uri"] = "data:application/octet-stream;base64," + base64.b64encode(content).decode()
+    data.update(changes)
+    (folder / "box.gltf").write_text(json.dumps(data))
+    return data, list(files.values())
+
+
+def test_a_cloud_of_triangles_is_refused_before_any_repair(tmp_path):
+    corners = np.random.default_rng(0).uniform(-0.1, 0.1, (60_000, 3))
+    trimesh.Trimesh(corners, np.arange(60_000).reshape(-1, 3), process=False).export(tmp_path / "cloud.stl")
+    refused(tmp_path / "cloud.stl", "in 20000 bodies that do not touch; at most 1000 are allowed")
+
+
+def test_a_repair_that_takes_too_long_ends_with_one_line_that_says_where(monkeypatch, capsys):
+    monkeypatch.setattr(object_mesh, "Budget", lambda label: Budget(label, seconds=0.5))
+    monkeypatch.setattr(mesh_limits, "SILENT_SECONDS", 0.0)
+    fan = trimesh.Trimesh(
+        np.random.default_rng(0).uniform(-0.05, 0.05, (3000, 3)),
+        [(0, k + 1, k + 2) for k in range(2998)],
+        process=False,
+    )
+    refused(fan, "more than 0.5 s of CPU time", "rebuilding the surface of", "%); decimate it")
+    assert "object: turning faces" in capsys.readouterr().err
+
+
+def test_a_polygon_of_three_thousand_corners_is_read_and_its_sheet_stops_in_time(monkeypatch, tmp_path):
+    turn = np.linspace(0, 2 * np.pi, 3000, endpoint=False)
+    ring = 0.05 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    lines = [f"v {x} {y} 0" for x, y in ring] + ["f " + " ".join(str(k + 1) for k in range(3000))]
+    (tmp_path / "sheet.obj").write_text("\n".join(lines))
+    assert len(load_mesh_file(tmp_path / "sheet.obj", "sheet").faces) == 2998
+    monkeypatch.setattr(object_mesh, "Budget", lambda label: Budget(label, seconds=0.5))
+    refused(tmp_path / "sheet.obj", "more than 0.5 s of CPU time")
+
+
+def test_a_scene_that_takes_too_long_to_read_is_ended_with_its_process(monkeypatch, tmp_path, capsys):
+    nodes = [{"children": list(range(1, 200_001))}, *({"mesh": 0} for _ in range(200_000))]
+    gltf(tmp_path, nodes=nodes, scenes=[{"nodes": [0]}], scene=0)
+    monkeypatch.setattr(mesh_file, "MOST_SECONDS", 2)
+    monkeypatch.setattr(mesh_file, "MOST_WAITS", 100)
+    monkeypatch.setattr(mesh_file, "SILENT_SECONDS", 1)
+    refused(tmp_path / "box.gltf", "takes more than 2 s of CPU time to read")
+    assert "box: reading box.gltf" in capsys.readouterr().err
+
+
+def test_arrays_that_a_file_claims_and_does_not_hold_cost_no_memory(tmp_path):
+    data, _ = gltf(tmp_path)
+    for accessor in data["accessors"]:
+        del accessor["bufferView"]
+        accessor["count"] = 10**12
+    gltf(tmp_path, accessors=data["accessors"])
+    refused(tmp_path / "box.gltf", "more memory than any mesh of its size needs")
+
+
+@pytest.mark.parametrize(
+    "where", ["../secret.bin", "/etc/passwd", "link.bin", "pipe.bin", "/dev/zero", "file:///etc/passwd"]
+)
+def test_buffers_outside_the_folder_and_special_files_are_not_read(tmp_path, where):
+    folder = tmp_path / "meshes"
+    folder.mkdir()
+    data, contents = gltf(folder)
+    (tmp_path / "secret.bin").write_bytes(contents[0])
+    (folder / "link.bin").symlink_to("../secret.bin")
+    os.mkfifo(folder / "pipe.bin")
+    gltf(folder, buffers=[{**data["buffers"][0], "uri": where}, *data["buffers"][1:]])
+    refused(
+        folder / "box.gltf",
+        "not a regular file"
+        if where == "pipe.bin"
+        else "points outside the folder"
+        if where != "link.bin"
+        else "leads outside the folder",
+    )
+
+
+def test_buffers_beside_the_file_are_read(tmp_path):
+    data, contents = gltf(tmp_path)
+    (tmp_path / "bin").mkdir()
+    for k, (buffer, content) in enumerate(zip(data["buffers"], contents, strict=True)):
+        buffer["uri"] = f"bin/{k}.bin"
+        (tmp_path / "bin" / f"{k}.bin").write_bytes(content)
+    gltf(tmp_path, buffers=data["buffers"])
+    assert np.allclose(load_mesh_file(tmp_path / "box.gltf", "box").extents, BOX.extents)
+
+
+def test_materials_and_textures_are_never_opened(tmp_path):
+    """A pipe as material file would be waited for."""
+    os.mkfifo(tmp_path / "wood.mtl")
+    (tmp_path / "box.obj").write_text("mtllib wood.mtl\n" + trimesh.exchange.obj.export_obj(BOX, include_texture=False))
+    (tmp_path / "box.ply").write_bytes(
+        trimesh.exchange.ply.export_ply(BOX)
+        .replace(b"ply\n", b"ply\n", 1)
+        .replace(b"element vertex", b"comment TextureFile wood.mtl\nelement vertex")
+    )
+    for name in ("box.obj", "box.ply"):
+        assert np.allclose(load_mesh_file(tmp_path / name, "box").extents, BOX.extents)
+
+
+@pytest.mark.parametrize("name", ["pipe.obj", "zero.stl", "folder.ply", "huge.stl"])
+def test_special_and_oversized_files_are_refused_before_reading(tmp_path, name):
+    os.mkfifo(tmp_path / "pipe.obj")
+    (tmp_path / "zero.stl").symlink_to("/dev/zero")
+    (tmp_path / "folder.ply").mkdir()
+    with (tmp_path / "huge.stl").open("wb") as file:
+        file.truncate(1 << 40)
+    refused(tmp_path / name, f"{1 << 40} bytes; at most" if name == "huge.stl" else "not a regular file")
+
+
+def test_a_heap_of_vertices_in_one_place_is_refused_before_its_pairs_are_listed():
+    heap = np.random.default_rng(0).uniform(-1e-6, 1e-6, (30_000, 3))
+    corners = np.concatenate([BOX.vertices, heap])
+    faces = np.concatenate([BOX.faces, np.arange(30_000).reshape(-1, 3) + 8])
+    refused(trimesh.Trimesh(corners, faces, process=False), "pairs of vertices are nearer than 0.01 mm; merge them")
+
+
+def test_a_closed_sheet_thinner_than_the_tolerance_is_refused_and_a_thicker_one_is_not():
+    for thickness, thin in ((3e-5, True), (9e-5, True), (2e-4, False)):
+        sheet = trimesh.creation.box((0.1, 0.1, thickness))
+        if thin:
+            refused(sheet, "a closed sheet", "mm thick on average; at least 0.1 mm")
+        else:
+            assert build_object(sheet, pieces=False).mesh.extents[2] == pytest.approx(thickness, rel=1e-3)
+
+
+def test_bodies_apart_are_counted_and_measured_and_bodies_that_touch_are_not():
+    other = trimesh.creation.box((0.02, 0.02, 0.02))
+    crumb = trimesh.creation.box((0.004, 0.002, 0.002))
+    other.apply_translation((0.0, 0.0, 0.025))  # stands on the box
+    crumb.apply_translation((0.2, 0.0, 0.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        build_object(trimesh.util.concatenate([BOX, other]), pieces=False)
+    with pytest.warns(UserWarning, match=r"2 bodies apart from each other \(largest sides 0\.1, 0\.004 m\)"):
+        build_object(trimesh.util.concatenate([BOX, other, crumb]), pieces=False)
+
+
+def test_names_with_control_characters_reach_no_terminal(tmp_path):
+    path = tmp_path / "mug\x1b[31m.obj"
+    path.write_text("f x y z\nv \x1b]0;owned\x07\n")
+    refused(path, "cannot be read as a mesh")
+
+
+def test_regions_are_files_like_the_others_and_objects_names_are_clean(tmp_path):
+    os.mkfifo(tmp_path / "pipe.npy")
+    header = b"\x93NUMPY\x01\x00" + (9000).to_bytes(2, "little") + b"(" * 9000
+    (tmp_path / "header.npy").write_bytes(header)
+    for name, text in (("pipe.npy", "not a regular file"), ("header.npy", "not a plain .npy array")):
+        refused(BOX, text, split="S1", receiver=tmp_path / name)
+    model = build_object(BOX, name="mug\x1b[31m", pieces=False)
+    assert model.name == "mug\\x1b[31m" and model.instruction.isprintable()
+
+
+def test_modules_beside_a_mesh_are_not_run(tmp_path, monkeypatch):
+    (tmp_path / "trimesh.py").write_text("open('run', 'w').close()")
+    BOX.export(tmp_path / "box.stl")
+    monkeypatch.chdir(tmp_path)
+    assert len(load_mesh_file("box.stl", "box").faces) == 12
+    assert not (tmp_path / "run").exists()

@@ -1,0 +1,265 @@
+"""A user's meshes: what is taken, mended, rebuilt or refused, and what is said about it."""
+
+import sys
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+from mesh_twins import winding_number
+
+from r2h_batch.bodies.objects import ObjectMeshError, build_object, object_from_argument
+
+
+def ball(subdivisions=3, radius=0.04):
+    return trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
+
+
+def brick(x=0.10, y=0.04, z=0.03):
+    return trimesh.creation.box((x, y, z)).subdivide().subdivide()
+
+
+def built(mesh, **options):
+    """The object, and the text of its warnings."""
+    options.setdefault("pieces", False)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        model = build_object(mesh, **options)
+    assert model.mesh.is_watertight and model.mesh.is_winding_consistent and model.mesh.volume > 0
+    return model, " | ".join(str(w.message) for w in caught)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "off", "glb"])
+def test_a_good_file_is_taken_as_it_is_in_its_own_frame(tmp_path, suffix):
+    mesh = brick()
+    mesh.apply_translation((0.02, 0.0, 0.3))
+    path = tmp_path / f"brick.{suffix}"
+    mesh.export(path)
+    model, said = built(path, mass=0.2)
+    assert said == ""
+    assert model.name == "brick" and model.split == "S0" and model.part_names == ("body",)
+    assert model.mesh.bounds == pytest.approx(mesh.bounds, abs=1e-6)
+    assert model.com == pytest.approx((0.02, 0, 0.3), abs=1e-6)
+    assert model.inertia[0, 0] == pytest.approx(0.2 / 12 * (0.04**2 + 0.03**2), rel=1e-5)
+    assert model.occupancy.sum() * model.voxel_pitch**3 == pytest.approx(mesh.volume, rel=0.25)
+
+
+def test_an_stl_has_its_corners_merged_and_says_so(tmp_path):
+    brick().export(tmp_path / "brick.stl")
+    model, said = built(tmp_path / "brick.stl")
+    assert "merged" in said and "duplicate vertices" in said
+    assert len(model.vertices) == len(brick().vertices)
+    assert model.mass == pytest.approx(600 * 0.10 * 0.04 * 0.03, rel=1e-5)
+
+
+def test_files_that_are_no_meshes_are_refused_with_what_to_do(tmp_path):
+    (tmp_path / "empty.obj").write_text("")
+    (tmp_path / "nothing.obj").write_text("# no faces\nv 0 0 0\n")
+    (tmp_path / "noise.glb").write_bytes(b"\x00\x01noise")
+    (tmp_path / "noise.stl").write_bytes(b"\x00" * 40)
+    (tmp_path / "mesh.txt").write_text("v 0 0 0")
+    trimesh.PointCloud(np.eye(3) * 0.1).export(tmp_path / "cloud.ply")
+    for name, text in {
+        "missing.obj": "no file .*missing.obj",
+        "empty.obj": "is empty",
+        "nothing.obj": "nothing.obj is empty",
+        "noise.glb": "cannot be read",
+        "noise.stl": "noise.stl is empty",
+        "mesh.txt": r"is not one of \.obj, \.stl",
+        "cloud.ply": "cloud.ply is empty: no triangles",
+    }.items():
+        with pytest.raises(ObjectMeshError, match=text):
+            build_object(tmp_path / name)
+
+
+def test_empty_infinite_and_ill_indexed_meshes_are_refused():
+    with pytest.raises(ObjectMeshError, match=r"empty .0 vertices, 0 faces"):
+        build_object(trimesh.Trimesh())
+    for bad in (np.nan, np.inf):
+        mesh = brick()
+        mesh.vertices[7, 1] = bad
+        with pytest.raises(ObjectMeshError, match="1 vertices are not finite"):
+            build_object(mesh)
+    mesh = brick()
+    with pytest.raises(ObjectMeshError, match="names vertex 999999"):
+        build_object(trimesh.Trimesh(mesh.vertices, np.vstack([mesh.faces, [0, 1, 999999]]), process=False))
+
+
+def test_millimetres_and_other_units_are_refused_and_scale_mends_them():
+    thousandfold = brick(100, 40, 30)
+    with pytest.raises(ObjectMeshError, match=r"largest side is 100 m.*scale=0.001"):
+        build_object(thousandfold)
+    model, said = built(thousandfold, scale=0.001)
+    assert model.mesh.extents == pytest.approx((0.1, 0.04, 0.03), abs=1e-7) and said == ""
+    with pytest.raises(ObjectMeshError, match=r"largest side is 0\.0001 m"):
+        build_object(brick(1e-4, 4e-5, 3e-5))
+    for scale in (0.0, -1.0, np.nan):
+        with pytest.raises(ObjectMeshError, match="scale is"):
+            build_object(brick(), scale=scale)
+    far = brick()
+    far.apply_translation((0, 30, 0))
+    with pytest.raises(ObjectMeshError, match=r"more than 10\.0 m from the origin"):
+        build_object(far)
+
+
+def test_degenerate_and_repeated_faces_are_dropped_by_name():
+    mesh = brick()
+    faces = np.vstack([mesh.faces, [3, 3, 5], [4, 9, 4], mesh.faces[10], np.roll(mesh.faces[11], 1)])
+    model, said = built(trimesh.Trimesh(mesh.vertices, faces, process=False))
+    assert "dropped 2 degenerate faces" in said and "dropped 2 repeated faces" in said
+    assert (model.faces == mesh.faces).all()
+
+
+def test_wrong_winding_is_mended():
+    mesh = ball()
+    faces = mesh.faces.copy()
+    faces[::7] = faces[::7, ::-1]
+    model, said = built(trimesh.Trimesh(mesh.vertices, faces, process=False))
+    assert "turned" in said and model.mesh.volume == pytest.approx(mesh.volume, rel=1e-5)
+    model, said = built(trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False))
+    assert "inside-out" in said and model.mesh.volume == pytest.approx(mesh.volume, rel=1e-5)
+
+
+def test_nearly_equal_vertices_are_welded():
+    mesh = ball()
+    rng = np.random.default_rng(0)
+    soup = mesh.triangles.reshape(-1, 3) + rng.uniform(-2e-7, 2e-7, (3 * len(mesh.faces), 3))
+    model, said = built(trimesh.Trimesh(soup, np.arange(len(soup)).reshape(-1, 3), process=False))
+    assert "welded" in said and model.mesh.volume == pytest.approx(mesh.volume, rel=1e-3)
+
+
+def test_a_small_hole_is_filled():
+    mesh = ball()
+    south = int(np.argmin(mesh.vertices[:, 2]))
+    away = (mesh.faces == south).any(axis=1)
+    away[int(np.argmax(mesh.triangles_center[:, 2]))] = True
+    model, said = built(trimesh.Trimesh(mesh.vertices, mesh.faces[~away], process=False))
+    assert "filled 2 holes" in said and model.mesh.volume == pytest.approx(mesh.volume, rel=5e-3)
+
+
+def test_an_open_sheet_is_rebuilt_as_a_hollow_shell_and_the_deviation_is_stated():
+    mesh = trimesh.creation.cylinder(0.035, 0.09, sections=48)
+    cup = trimesh.Trimesh(mesh.vertices, mesh.faces[mesh.face_normals[:, 2] < 0.9], process=False)
+    model, said = built(cup)
+    assert "rebuilt from its distance field" in said and "open sheets made" in said and "largest deviation" in said
+    assert float(said.split("largest deviation ")[1].split(" mm")[0]) < 2.0
+    assert abs(winding_number(model.mesh, np.array([[0.0, 0, 0]]))[0]) < 1e-6, "the cup must stay hollow"
+    assert len(model.faces) <= 20_000
+    assert np.abs(model.mesh.extents - cup.extents).max() < 3e-3
+
+
+def test_two_faces_of_a_flat_sheet_enclose_nothing_and_are_rebuilt():
+    corners = [[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]]
+    both = [[0, 1, 2], [0, 2, 3], [2, 1, 0], [3, 2, 0]]
+    sheet = trimesh.Trimesh(corners, both, process=False)
+    model, said = built(sheet)
+    assert "open sheets made" in said and model.mesh.volume > 0.5e-5 * 0.1
+    wire = trimesh.creation.cylinder(2e-4, 0.1, sections=8)
+    wire.apply_translation((0.0507, 0.0491, 0.05))
+    model, said = built(trimesh.util.concatenate([sheet, wire]))
+    assert "to keep thin parts" in said and model.mesh.bounds[1, 2] > 0.099
+
+
+def test_overlapping_bodies_are_united_and_a_cavity_stays():
+    slab, other = brick(), brick()
+    other.apply_translation((0.05, 0.01, 0.005))
+    model, said = built(trimesh.util.concatenate([slab, other]))
+    overlap = 0.05 * 0.03 * 0.025
+    assert "united 2 overlapping bodies" in said
+    assert model.mesh.volume == pytest.approx(2 * slab.volume - overlap, rel=1e-4)
+    hollow = ball(3, 0.02)
+    hollow.invert()
+    model, said = built(trimesh.util.concatenate([ball(3, 0.04), hollow]))
+    assert said == "" and model.mesh.volume == pytest.approx(ball(3, 0.04).volume - ball(3, 0.02).volume, rel=1e-4)
+    assert not model.occupancy[32, 32, 32]
+
+
+@pytest.mark.parametrize("subdivisions", [6, pytest.param(8, marks=pytest.mark.slow)])
+def test_up_to_a_million_faces_are_decimated_and_the_shape_stays(subdivisions):
+    mesh = ball(subdivisions=subdivisions, radius=0.05)
+    assert len(mesh.faces) == 20 * 4**subdivisions
+    model, said = built(mesh)
+    assert f"decimated {len(mesh.faces)} faces" in said
+    assert len(model.faces) <= 20_000 and model.mesh.volume == pytest.approx(mesh.volume, rel=5e-3)
+
+
+def test_a_receiver_region_can_be_given_in_four_ways(tmp_path):
+    mesh = brick()
+    with pytest.warns(UserWarning, match="no receiver region given for an S1 object; taking"):
+        model = build_object(mesh, split="S1", pieces=False)
+    assert model.receiver_face.any() and not model.receiver_face.all()
+    low = mesh.triangles_center[:, 0] < -0.02
+    np.save(tmp_path / "region.npy", low)
+    for receiver in ("x<0.3", low, np.flatnonzero(low), tmp_path / "region.npy"):
+        model, said = built(mesh, split="S1", receiver=receiver)
+        assert said == "" and (model.receiver_face == low).all()
+
+
+def test_the_default_region_is_the_lighter_half():
+    head = brick(0.02, 0.08, 0.03)
+    head.apply_translation((0.055, 0, 0))
+    with pytest.warns(UserWarning, match="'x<0.5'"):
+        model = build_object(trimesh.util.concatenate([brick(), head]), split="S1", pieces=False)
+    assert model.mesh.triangles_center[model.receiver_face, 0].max() < 0.02
+
+
+@pytest.mark.parametrize(
+    ("receiver", "text"),
+    [
+        ("x<0.0", "region is empty"),
+        ("x<2", "region is the whole object"),
+        ("handle", "neither an existing .npy file nor"),
+        (np.array([0, 10**6]), "receiver array is int64"),
+        (np.array([-1]), "receiver array is int64"),
+        (np.ones(3, bool), "receiver array is bool"),
+        (np.ones(3), "receiver array is float64"),
+    ],
+)
+def test_bad_receiver_regions_are_refused(receiver, text):
+    with pytest.raises(ObjectMeshError, match=text):
+        build_object(brick(), split="S1", receiver=receiver, pieces=False)
+
+
+def test_labels_of_a_mesh_that_had_to_be_repaired_are_refused(tmp_path):
+    mesh = ball()
+    holed = trimesh.Trimesh(mesh.vertices, mesh.faces[1:], process=False)
+    with (
+        pytest.warns(UserWarning, match="filled 1 holes"),
+        pytest.raises(ObjectMeshError, match="had to be repaired"),
+    ):
+        build_object(holed, split="S1", receiver=np.arange(20), pieces=False)
+    with pytest.raises(ObjectMeshError, match="2 part labels for a mesh"):
+        build_object(mesh, face_part=np.zeros(2, int), pieces=False)
+    np.save(tmp_path / "objects.npy", np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(ObjectMeshError, match=r"not a plain \.npy array"):
+        build_object(mesh, split="S1", receiver=tmp_path / "objects.npy", pieces=False)
+
+
+def test_wrong_options_are_refused():
+    with pytest.raises(ValueError, match="split is 'S2'"):
+        build_object(brick(), split="S2")
+    with pytest.raises(ValueError, match="for an S0 object"):
+        build_object(brick(), receiver="x<0.3")
+    with pytest.raises(ValueError, match="mass is -1"):
+        build_object(brick(), mass=-1)
+
+
+def test_the_command_lines_form_names_file_split_and_region(tmp_path):
+    brick().export(tmp_path / "saw.ply")
+    assert object_from_argument(f"{tmp_path}/saw.ply").split == "S0"
+    model = object_from_argument(f"{tmp_path}/saw.ply:S1:x>0.6")
+    assert model.split == "S1" and model.mesh.triangles_center[model.receiver_face, 0].min() > 0.009
+    with pytest.raises(ValueError, match="split is 'S3'"):
+        object_from_argument(f"{tmp_path}/saw.ply:S3")
+
+
+def test_without_coacd_the_hull_is_the_only_piece_and_without_manifold3d_rebuilding_is_refused(monkeypatch):
+    monkeypatch.setitem(sys.modules, "coacd", None)
+    with pytest.warns(UserWarning, match="coacd is not installed"):
+        model = build_object(brick())
+    assert len(model.pieces) == 1 and len(model.pieces[0][0]) == len(model.hull_vertices)
+    monkeypatch.setitem(sys.modules, "manifold3d", None)
+    mesh = ball()
+    half = trimesh.Trimesh(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0], process=False)
+    with pytest.raises(ObjectMeshError, match=r"manifold3d is needed to close its surface; .pip install"):
+        build_object(half)

@@ -1,0 +1,400 @@
+"""The robot's kinematics against DH, MuJoCo and the URDFs; its primitives against airo-models' meshes."""
+
+import hashlib
+import json
+import re
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+
+import airo_models
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial import cKDTree
+
+from r2h_batch.assets.robot import build_robot, self_pairs
+from r2h_batch.bodies.robot import (
+    JOINTS,
+    Kind,
+    drive_from_gap,
+    ee_pose,
+    forward_kinematics,
+    gap_from_drive,
+    gripper_primitives_at,
+    lever_bound_for_sphere,
+    lever_bounds,
+    load_robot,
+    pad_center_z,
+)
+
+MODELS = Path(airo_models.__file__).parent
+Q0 = np.array([-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483])
+# The visual origins of ur5e.urdf, written down a second time: mesh, rpy, xyz.
+P = np.pi
+VISUALS = {
+    "base": ("base", (0, 0, 0), (0, 0, 0)),
+    "shoulder": ("shoulder", (0, 0, P), (0, 0, 0)),
+    "upper_arm": ("upperarm", (P / 2, 0, -P / 2), (0, 0, 0.138)),
+    "forearm": ("forearm", (P / 2, 0, -P / 2), (0, 0, 0.007)),
+    "wrist_1": ("wrist1", (P / 2, 0, 0), (0, 0, -0.127)),
+    "wrist_2": ("wrist2", (0, 0, 0), (0, 0, -0.0997)),
+    "wrist_3": ("wrist3", (P / 2, 0, 0), (0, 0, -0.0989)),
+}
+FINGERS = ("outer_knuckle", "outer_finger", "inner_finger", "inner_knuckle")
+
+
+def arm_mesh(link: str) -> trimesh.Trimesh:
+    name, rpy, xyz = VISUALS[link]
+    mesh = trimesh.load(MODELS / f"arms/ur5e/visual/{name}.obj", force="mesh", process=False)
+    T = trimesh.transformations.euler_matrix(*rpy, "sxyz")
+    T[:3, 3] = xyz
+    return mesh.apply_transform(T)
+
+
+def gripper_mesh(file: str, scale: float = 1e-3) -> trimesh.Trimesh:
+    path = MODELS / f"grippers/robotiq_2f_85/meshes/visual/{file}.obj"
+    return trimesh.load(path, force="mesh", process=False).apply_scale(scale)
+
+
+def face_samples(mesh: trimesh.Trimesh, count: int = 60_000) -> np.ndarray:
+    points, _ = trimesh.sample.sample_surface(mesh, count, seed=1)
+    return np.concatenate([points, mesh.vertices])
+
+
+def depth(kind: int, T: np.ndarray, size: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """How far points are outside a shape (negative inside), by the textbook formulas."""
+    local = (points - T[:3, 3]) @ T[:3, :3]
+    if kind == Kind.BOX:
+        d = np.abs(local) - size
+    else:
+        radial = np.sqrt(local[:, 0] ** 2 + local[:, 1] ** 2)
+        if kind == Kind.CAPSULE:
+            along = np.clip(local[:, 2], -size[1], size[1])
+            return np.sqrt(radial**2 + (local[:, 2] - along) ** 2) - size[0]
+        d = np.column_stack([radial - size[0], np.abs(local[:, 2]) - size[1]])
+    return np.linalg.norm(np.clip(d, 0, None), axis=1) + np.clip(d.max(axis=1), None, 0)
+
+
+def union_depth(kinds, poses, sizes, points):
+    return np.min([depth(k, T, s, points) for k, T, s in zip(kinds, poses, sizes, strict=True)], axis=0)
+
+
+def urdf_model(path: str) -> mujoco.MjModel:
+    """A URDF's kinematics in MuJoCo C: the shapes are cut out, the fixed links stay."""
+    text = re.sub(r"drake:", "", (MODELS / path).read_text())
+    text = re.sub(r"<(visual|collision)>.*?</\1>", "", text, flags=re.S)
+    inertia = '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial>'
+    text = re.sub(r"<inertial>.*?</inertial>", "", text, flags=re.S)
+    text = re.sub(r'<link name="(\w+)"\s*/>', r'<link name="\1"></link>', text)
+    text = re.sub(r'(<link name="\w+">)', rf"\1{inertia}", text)
+    compiler = '<mujoco><compiler fusestatic="false" discardvisual="false"/></mujoco></robot>'
+    return mujoco.MjModel.from_xml_string(text.replace("</robot>", compiler))
+
+
+def body_pose(data: mujoco.MjData, name: str) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = data.body(name).xmat.reshape(3, 3), data.body(name).xpos
+    return T
+
+
+def test_flange_agrees_with_the_published_dh_parameters():
+    robot, rng = load_robot(), np.random.default_rng(0)
+    d, a = (0.1625, 0, 0, 0.1333, 0.0997, 0.0996), (0, -0.425, -0.3922, 0, 0, 0)
+    alpha = (P / 2, 0, 0, P / 2, -P / 2, 0)
+    for q in rng.uniform(-2 * P, 2 * P, (300, JOINTS)):
+        T = np.diag([-1.0, -1.0, 1.0, 1.0])  # DH's base is turned by half a turn against base_link
+        for i in range(JOINTS):
+            c, s, ca, sa = np.cos(q[i]), np.sin(q[i]), np.cos(alpha[i]), np.sin(alpha[i])
+            T = T @ [[c, -s * ca, s * sa, a[i] * c], [s, c * ca, -c * sa, a[i] * s], [0, sa, ca, d[i]], [0, 0, 0, 1]]
+        flange = forward_kinematics(robot, q)[JOINTS] @ robot.T_wrist3_flange
+        np.testing.assert_allclose(flange, T, atol=1e-6)
+
+
+def test_every_link_agrees_with_the_urdf_in_mujoco():
+    robot, rng = load_robot(), np.random.default_rng(1)
+    model = urdf_model("arms/ur5e/ur5e.urdf")
+    data = mujoco.MjData(model)
+    assert [model.joint(i).name for i in range(model.njnt)] == list(robot.joints)
+    np.testing.assert_allclose(model.jnt_range, np.column_stack([robot.lower, robot.upper]), atol=1e-12)
+    q = rng.uniform(-2 * P, 2 * P, (200, JOINTS))
+    T = forward_kinematics(robot, q)
+    for n in range(len(q)):
+        data.qpos[:] = q[n]
+        mujoco.mj_kinematics(model, data)
+        for i, link in enumerate(robot.links[1 : JOINTS + 1]):
+            np.testing.assert_allclose(T[n, i + 1], body_pose(data, f"{link}_link"), atol=1e-6)
+        np.testing.assert_allclose(T[n, JOINTS] @ robot.T_wrist3_flange, body_pose(data, "tool0"), atol=1e-6)
+
+
+def test_home_points_the_gripper_straight_down():
+    robot = load_robot()
+    T = ee_pose(robot, Q0)
+    np.testing.assert_allclose(T[:3, :3], np.diag([-1.0, 1.0, -1.0]), atol=2e-4)
+    np.testing.assert_allclose(T[:3, 3], [0.4206, 0.0, 0.4494], atol=1e-4)
+    np.testing.assert_allclose(forward_kinematics(robot, Q0)[7][:3, 3], [0.4206, 0.0, 0.5916], atol=1e-4)
+
+
+@pytest.mark.parametrize("batch", [(0,), (1,), (2, 33)])
+def test_batches_give_the_same_poses_as_single_configurations(batch):
+    robot = load_robot()
+    q = np.random.default_rng(2).uniform(-P, P, (*batch, JOINTS))
+    T = forward_kinematics(robot, q)
+    assert T.shape == (*batch, 8, 4, 4)
+    for index in np.ndindex(*batch):
+        np.testing.assert_array_equal(T[index], forward_kinematics(robot, q[index]))
+
+
+def test_linkage_matches_scene_md_and_inverts():
+    q = np.linspace(0.0, 0.8, 81)
+    gap = 2 * (0.0054058 + 0.0376 * np.cos(q) - 0.0430 * np.sin(q))
+    np.testing.assert_allclose(gap_from_drive(q), gap, atol=2e-7)
+    np.testing.assert_allclose(pad_center_z(q), 0.087324 + 0.0430 * np.cos(q) + 0.0376 * np.sin(q), atol=1e-9)
+    np.testing.assert_allclose(drive_from_gap(gap_from_drive(q)), q, atol=1e-12)
+    np.testing.assert_array_equal(drive_from_gap([1.0, -1.0]), [0.0, 0.8])
+    robot = load_robot()
+    ee_z = float(pad_center_z(drive_from_gap(0.0425))) + robot.T_flange_gripper[2, 3]
+    assert abs(ee_z - robot.T_flange_ee[2, 3]) < 1e-7
+
+
+@pytest.mark.parametrize("gap_m", [0.0, 0.02, 0.0425, 0.085])
+def test_gripper_shapes_cover_the_finger_meshes_where_the_urdf_puts_them(gap_m):
+    robot, model = load_robot(), urdf_model("grippers/robotiq_2f_85/urdf/robotiq_2f_85.urdf")
+    data = mujoco.MjData(model)
+    drive = float(drive_from_gap(gap_m))
+    for joint in range(model.njnt):  # the mimic tags: inner fingers turn back, all others go along
+        data.qpos[joint] = -drive if "inner_finger" in model.joint(joint).name else drive
+    mujoco.mj_kinematics(model, data)
+    T_gripper_world = np.linalg.inv(body_pose(data, "base_link_inertia"))
+    T_gripper_ee = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee
+    poses = T_gripper_ee @ gripper_primitives_at(robot, gap_m)
+    names = np.array(robot.gripper.names)
+    for side in ("left", "right"):
+        for part in FINGERS:
+            chosen = np.array([n.startswith(f"{side}_{part}_") for n in names])
+            mesh = gripper_mesh(f"robotiq_arg2f_85_{part}")
+            points = face_samples(mesh, 8_000) @ (T_gripper_world @ body_pose(data, f"{side}_{part}"))[:3, :3].T
+            points += (T_gripper_world @ body_pose(data, f"{side}_{part}"))[:3, 3]
+            outside = union_depth(robot.gripper.kind[chosen], poses[chosen], robot.gripper.size[chosen], points)
+            assert outside.max() < 0.5e-3, (side, part, outside.max())
+        pad = int(np.flatnonzero(names == f"{side}_pad")[0])
+        T_pad = T_gripper_world @ body_pose(data, f"{side}_inner_finger_pad")
+        np.testing.assert_allclose(poses[pad][:3, 3], T_pad[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(robot.gripper.size[pad], [0.011, 0.003175, 0.01875], atol=1e-12)
+        assert abs(abs(poses[pad][1, 3]) - 0.003175 - float(gap_from_drive(drive)) / 2) < 1e-12
+
+
+def test_body_shapes_cover_gripper_base_and_coupling():
+    robot = load_robot()
+    coupling = gripper_mesh("robotiq_gripper_coupling")
+    coupling.apply_translation([0, 0, -robot.T_flange_gripper[2, 3] - coupling.bounds[0, 2]])
+    points = np.concatenate([face_samples(coupling), face_samples(gripper_mesh("robotiq_arg2f_85_base_link", 1.0))])
+    body = np.array([part == "body" for part in robot.gripper_part])
+    shapes = robot.gripper.kind[body], robot.gripper.T_link_prim[body], robot.gripper.size[body]
+    assert union_depth(*shapes, points).max() < 0.5e-3
+
+
+@pytest.mark.parametrize("link", VISUALS)
+def test_arm_primitives_cover_dense_face_samples(link):
+    robot = load_robot()
+    chosen = robot.arm.link == robot.links.index(link)
+    points = face_samples(arm_mesh(link), 150_000)
+    shapes = robot.arm.kind[chosen], robot.arm.T_link_prim[chosen], robot.arm.size[chosen]
+    assert union_depth(*shapes, points).max() < 0.5e-3
+
+
+def test_report_keeps_the_promised_limits():
+    report = json.loads((files("r2h_batch.assets") / "robot" / "report.json").read_text())
+    assert set(report["links"]) == {*VISUALS, "body", *FINGERS}
+    for link, row in report["links"].items():
+        assert row["primitives"] <= 5, link
+        assert row["mean_mm"] <= 3.5 and row["p95_mm"] <= 10.0 and row["max_mm"] <= 20.0, link
+        assert row["worst_protrusion_mm"] <= 0.5, link
+    assert report["all"]["mean_mm"] <= 3.0 and report["all"]["arm_mean_mm"] <= 3.0
+
+
+@pytest.mark.parametrize("link", ["shoulder", "forearm", "wrist_3", "outer_finger"])
+def test_reported_overshoot_is_found_again_by_random_sampling(link):
+    robot, rng = load_robot(), np.random.default_rng(3)
+    report = json.loads((files("r2h_batch.assets") / "robot" / "report.json").read_text())["links"][link]
+    if link in VISUALS:
+        mesh, table = arm_mesh(link), robot.arm
+        chosen = np.flatnonzero(robot.arm.link == robot.links.index(link))
+        poses = table.T_link_prim[chosen]
+    else:
+        mesh, table = gripper_mesh(f"robotiq_arg2f_85_{link}"), robot.gripper
+        mesh.apply_translation([0.0, 0.0621011, 0.050804])  # the right outer finger at drive angle 0
+        chosen = np.flatnonzero([n.startswith(f"right_{link}_") for n in table.names])
+        poses = table.T_link_prim[chosen]
+    cloud = [face_samples(mesh, 200_000)]
+    for center, normal, radius in build_robot.MOUTHS.get(link, []):
+        turn, r = rng.uniform(0, 2 * P, 20_000), radius * np.sqrt(rng.uniform(0, 1, 20_000))
+        axes = np.delete(np.eye(3), int(np.argmax(normal)), axis=0)
+        cloud.append(np.array(center) + np.column_stack([r * np.cos(turn), r * np.sin(turn)]) @ axes)
+    tree = cKDTree(np.concatenate(cloud))
+    overshoot, area = [], []
+    for i, (n, T) in enumerate(zip(chosen, poses, strict=True)):
+        size = table.size[n]
+        if table.kind[n] == Kind.BOX:
+            shape = trimesh.creation.box(extents=2 * size)
+        elif table.kind[n] == Kind.CYLINDER:
+            shape = trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=128)
+        else:
+            shape = trimesh.creation.capsule(radius=size[0], height=2 * size[1], count=[64, 64])
+            shape.apply_translation([0, 0, -shape.bounds.mean(axis=0)[2]])
+        points, _ = trimesh.sample.sample_surface(shape.apply_transform(T), 20_000, seed=i)
+        hidden = np.zeros(len(points), bool)
+        for m, other in zip(np.delete(chosen, i), np.delete(poses, i, axis=0), strict=True):
+            hidden |= depth(table.kind[m], other, table.size[m], points) < 0
+        overshoot.append(tree.query(points[~hidden])[0])
+        area.append(np.full(len(overshoot[-1]), shape.area / len(points)))
+    values, weights = np.concatenate(overshoot), np.concatenate(area)
+    assert abs(1e3 * np.average(values, weights=weights) - report["mean_mm"]) < 0.1
+    assert abs(weights.sum() / report["surface_m2"] - 1) < 0.02
+    assert 1e3 * values.max() < report["max_mm"] + 0.5
+
+
+@pytest.mark.parametrize("link", build_robot.MOUTHS)
+def test_mouths_close_sleeves_whose_rim_is_on_the_mesh(link):
+    tree = cKDTree(face_samples(arm_mesh(link), 200_000))
+    for center, normal, radius in build_robot.MOUTHS[link]:
+        turn = np.linspace(0, 2 * P, 90)
+        axes = np.delete(np.eye(3), int(np.argmax(normal)), axis=0)
+        rim = np.array(center) + radius * np.column_stack([np.cos(turn), np.sin(turn)]) @ axes
+        assert tree.query(rim)[0].max() < 2e-3
+
+
+def test_lever_bounds_hold_everywhere_and_are_tight():
+    robot, rng = load_robot(), np.random.default_rng(4)
+    rho, largest = lever_bounds(robot), np.zeros((JOINTS, len(robot.arm.names)))
+    spheres = [(link, rng.normal(0, 0.1, 3), 0.05) for link in range(1, JOINTS + 1)]
+    for n, (link, kind, T, size) in enumerate(
+        zip(robot.arm.link, robot.arm.kind, robot.arm.T_link_prim, robot.arm.size, strict=True)
+    ):
+        assert kind != Kind.BOX
+        turn = rng.uniform(0, 2 * P, 60)
+        ends = np.column_stack([size[0] * np.cos(turn), size[0] * np.sin(turn), rng.choice([-1, 1], 60) * size[1]])
+        if kind == Kind.CAPSULE:
+            ball = rng.normal(size=(60, 3))
+            ends[:, :2] = 0.0
+            ends += size[0] * ball / np.linalg.norm(ball, axis=1, keepdims=True)
+        points = ends @ T[:3, :3].T + T[:3, 3]
+        largest[:, n] = largest_levers(robot, rng, int(link), points, 2_000)  # 120,000 points a primitive
+    assert (largest <= rho + 1e-12).all()
+    moved = rho > 0
+    assert (moved == (np.arange(JOINTS)[:, None] < robot.arm.link[None])).all()
+    assert (largest[moved] / rho[moved]).min() > 0.8
+    for link, center, radius in spheres:
+        ball = rng.normal(size=(60, 3))
+        points = center + radius * ball / np.linalg.norm(ball, axis=1, keepdims=True)
+        bound = lever_bound_for_sphere(robot, link, center, radius)
+        assert (largest_levers(robot, rng, link, points, 2_000) <= bound + 1e-12).all()
+    with pytest.raises(ValueError, match="link is 7"):
+        lever_bound_for_sphere(robot, 7, np.zeros(3), 0.1)
+
+
+def largest_levers(robot, rng, link: int, points: np.ndarray, count: int) -> np.ndarray:
+    """Largest distance (6,) of link-fixed points from each joint axis that moves them, over random configurations."""
+    T = forward_kinematics(robot, rng.uniform(-P, P, (count, JOINTS)))
+    world = np.einsum("bij,pj->bpi", T[:, link, :3, :3], points) + T[:, None, link, :3, 3]
+    out = np.zeros(JOINTS)
+    for j in range(link):
+        offset = world - T[:, None, j + 1, :3, 3]
+        along = np.einsum("bpi,bi->bp", offset, T[:, j + 1, :3, 2])
+        out[j] = np.sqrt(np.maximum((offset**2).sum(-1) - along**2, 0.0)).max()
+    return out
+
+
+def test_checked_pairs_are_those_that_touch_sometimes():
+    robot = load_robot()
+    checked = {(robot.links[a], robot.links[b]) for a, b in robot.self_pairs}
+    rates = self_pairs.contact_rates(robot, 4_000, seed=5)
+    assert {pair for pair, (rate, _) in rates.items() if 0.0 < rate < 1.0} == checked
+    neighbours = set(pairwise(robot.links))
+    for pair, (rate, distance) in rates.items():
+        assert pair in checked or pair in neighbours or (rate == 0.0 and distance > 0.01), pair
+
+
+def test_unchecked_pairs_stay_apart_on_a_dense_scan_of_their_joints():
+    robot = load_robot()
+    model = mujoco.MjModel.from_xml_string(self_pairs.mjcf(robot))
+    data = mujoco.MjData(model)
+    owner = np.array([robot.links.index(model.geom(g).name.split("/")[0]) for g in range(model.ngeom)])
+    # Joints in between, steps of the scan, and a distance that half a step cannot use up (4, 10, 7, 16, 4 mm).
+    fine, coarse = np.arange(-P, P, P / 180), np.arange(-P, P, P / 36)
+    scans = {
+        ("base", "upper_arm"): (0, 1, coarse[::9], fine, 0.011),  # the base is a body of revolution
+        ("forearm", "wrist_2"): (3, 4, coarse, coarse, 0.018),
+        ("wrist_1", "wrist_3"): (4, 5, coarse, coarse, 0.014),
+        ("wrist_1", "gripper"): (4, 5, coarse, coarse, 0.030),
+        ("wrist_2", "gripper"): (4, 5, coarse[:1], coarse, 0.040),
+    }
+    for (a, b), (i, j, first, second, enough) in scans.items():
+        wanted = sorted((robot.links.index(a), robot.links.index(b)))
+        nearest = self_pairs.FAR_M
+        for u in first:
+            for v in second:
+                data.qpos[:] = 0.0
+                data.qpos[[i, j]] = u, v
+                mujoco.mj_kinematics(model, data)
+                mujoco.mj_comPos(model, data)
+                mujoco.mj_collision(model, data)
+                pairs = np.sort(owner[data.contact.geom], axis=1)
+                ours = data.contact.dist[(pairs == wanted).all(axis=1)]
+                nearest = min(nearest, float(ours.min(initial=nearest)))
+        assert nearest > enough, (a, b, nearest)
+
+
+def test_neighbours_touch_in_their_sockets_always_or_never():
+    robot, rng = load_robot(), np.random.default_rng(6)
+    model = mujoco.MjModel.from_xml_string(self_pairs.mjcf(robot))
+    data = mujoco.MjData(model)
+    owner = np.array([robot.links.index(model.geom(g).name.split("/")[0]) for g in range(model.ngeom)])
+    counts: dict[tuple[int, int], int] = {}
+    for q in rng.uniform(-P, P, (1_500, JOINTS)):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        for g1, g2 in {tuple(sorted(g)) for g in data.contact.geom[data.contact.dist <= 0]}:
+            if abs(owner[g1] - owner[g2]) == 1:
+                counts[g1, g2] = counts.get((g1, g2), 0) + 1
+    assert counts and set(counts.values()) == {1_500}
+
+
+def test_home_is_clear_of_table_and_itself():
+    robot = load_robot()
+    model = mujoco.MjModel.from_xml_string(self_pairs.mjcf(robot))
+    data = mujoco.MjData(model)
+    data.qpos[:] = Q0
+    mujoco.mj_kinematics(model, data)
+    link = [model.geom(g).name.split("/")[0] for g in range(model.ngeom)]
+    checked = {(robot.links[a], robot.links[b]) for a, b in robot.self_pairs}
+    for g in range(model.ngeom):
+        for h in range(g + 1, model.ngeom):
+            if (link[g], link[h]) in checked:
+                assert mujoco.mj_geomDistance(model, data, g, h, 1.0, None) > 0.05, (link[g], link[h])
+        if link[g] != "base":
+            R, size = data.geom_xmat[g].reshape(3, 3), model.geom_size[g]
+            sphere = model.geom_type[g] == mujoco.mjtGeom.mjGEOM_CAPSULE
+            box = model.geom_type[g] == mujoco.mjtGeom.mjGEOM_BOX
+            low = np.abs(R[2]) @ size if box else size[0] * (1 if sphere else np.hypot(R[2, 0], R[2, 1]))
+            low += 0.0 if box else abs(R[2, 2]) * size[1]
+            assert data.geom_xpos[g][2] - low > 0.08, link[g]
+
+
+def test_robot_json_is_what_the_build_script_writes_and_its_digest_is_the_files_hash():
+    raw = (files("r2h_batch.assets") / "robot" / "robot.json").read_bytes()
+    data = json.loads(raw)
+    rebuilt = build_robot.robot_data(build_robot.read_fitted(data))
+    assert json.dumps(rebuilt, indent=1) + "\n" == raw.decode()
+    assert load_robot().digest == hashlib.sha256(raw).hexdigest()
+    assert load_robot() is load_robot()
+    with pytest.raises(ValueError, match="read-only"):
+        load_robot().upper[0] = 0.0
+
+
+def test_wrong_configurations_are_refused():
+    with pytest.raises(ValueError, match=r"q has shape \(5,\)"):
+        forward_kinematics(load_robot(), np.zeros(5))

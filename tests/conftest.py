@@ -1,0 +1,60 @@
+"""What every run does: GPU tests are skipped where there is none, and what was left out is listed with how to get it."""
+
+import shutil
+import sys
+from collections import Counter
+
+import pytest
+from needs import is_here, reason
+
+INTERPRETERS = ("3.11", "3.12")
+LEFT_OUT = pytest.StashKey[Counter[str]]()
+
+
+@pytest.fixture(scope="session")
+def scene():
+    """The scene of all built-in objects and hands: seconds to build, so there is one for all tests. It is not changed."""
+    from problems import default_evaluator
+
+    return default_evaluator().scene
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    marked = [item for item in items if item.get_closest_marker("gpu")]
+    for item in marked if marked and not is_here("gpu") else []:
+        item.add_marker(pytest.mark.skip(reason=reason("gpu")))
+
+
+def pytest_deselected(items: list[pytest.Item]) -> None:
+    left_out = items[0].config.stash.setdefault(LEFT_OUT, Counter())
+    for item in items:
+        for kind in ("gpu", "slow"):
+            if item.get_closest_marker(kind):
+                left_out[kind] += 1
+                break
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    skipped = Counter(_reason_of(report) for report in terminalreporter.stats.get("skipped", []))
+    left_out = config.stash.get(LEFT_OUT, Counter())
+    if left_out["gpu"]:
+        skipped[reason("gpu")] += left_out["gpu"]
+    if left_out["slow"]:
+        skipped["time: whole counts, minutes to hours: python -m pytest -m slow"] += left_out["slow"]
+    own = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    others = [v for v in INTERPRETERS if v != own]
+    if not skipped:
+        return
+    terminalreporter.section("not run, for want of")
+    for why, count in skipped.most_common():
+        terminalreporter.line(f"{count:4d}  {why}")
+    for version in others:
+        here = "it is here" if shutil.which(f"python{version}") else "install it first: not on this machine"
+        terminalreporter.line(f" all  Python {version}: make test PYTHON=python{version} VENV=.venv-{version} ({here})")
+
+
+def _reason_of(report: pytest.TestReport) -> str:
+    """The reason of a skip: the last of (file, line, text)."""
+    text = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+    return text.removeprefix("Skipped: ")

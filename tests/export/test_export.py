@@ -1,0 +1,325 @@
+"""Exported trials open in plain MuJoCo elsewhere, and MuJoCo's distances on them are the stored margins."""
+
+import csv
+import dataclasses
+import json
+import shutil
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+import oracle
+import pytest
+import torch
+import trimesh
+
+from r2h_batch.bodies.robot import load_robot
+from r2h_batch.config import HOME_Q, ExecConfig
+from r2h_batch.export import trial as export
+from r2h_batch.motion.time_law import time_at, time_path
+from r2h_batch.results.reading import load_run
+
+TRIALS = (0, 1, 2, 3)
+CAP_M = 0.05
+CHECKED = {"hand", "table", "self", "object_hand", "object_table", "object_robot"}
+
+
+@pytest.fixture(scope="module")
+def exported(run, tmp_path_factory):
+    """{trial id: (stored trial, folder)}; the folders were moved after they were written."""
+    base = tmp_path_factory.mktemp("exports")
+    result = {}
+    for k in TRIALS:
+        stored = export.load_trial(run, k, method="oracle")
+        folder = export.export_trial(stored, base / f"first{k}")
+        result[k] = (stored, shutil.move(folder, base / f"moved{k}"))
+    return result
+
+
+def load(folder):
+    model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    return model, mujoco.MjData(model)
+
+
+def groups(model):
+    """Geom ids by what they belong to: links of the robot (by body), gripper, object, hand, table; visuals apart."""
+    found, visual = {}, []
+    for i in range(model.ngeom):
+        name = model.geom(i).name
+        if name.endswith("_visual"):
+            visual.append(i)
+            continue
+        kind = name.split("/")[0]
+        found.setdefault(model.body(model.geom_bodyid[i]).name if kind == "robot" else kind, []).append(i)
+    return found, visual
+
+
+def clearances(model, data, q):
+    """Smallest mj_geomDistance of every class of pairs, from the names alone and robot.json's pairs."""
+    robot, (ids, _) = load_robot(), groups(model)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    pairs = [("hand", link, "hand") for link in robot.links]
+    pairs += [("table", link, "table") for link in robot.links if link not in ("base", "shoulder")]
+    pairs += [("self", robot.links[a], robot.links[b]) for a, b in robot.self_pairs]
+    pairs += [("object_hand", "object", "hand"), ("object_table", "object", "table")]
+    pairs += [("object_robot", "object", robot.links[a]) for a in robot.object_pairs]
+    least = dict.fromkeys(CHECKED, 0.06)
+    for name, one, two in pairs:
+        for a in ids[one]:
+            for b in ids[two]:
+                gap = np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b])
+                if gap - model.geom_rbound[a] - model.geom_rbound[b] < least[name]:
+                    least[name] = min(least[name], mujoco.mj_geomDistance(model, data, a, b, 0.07, None))
+    return least
+
+
+def trajectory(folder, name="trajectory.csv"):
+    with (folder / name).open() as file:
+        rows = list(csv.reader(file))
+    return rows[0], np.array(rows[1:], np.float64)
+
+
+def test_the_folder_opens_elsewhere_and_names_say_what_is_what(exported):
+    robot = load_robot()
+    for _, folder in exported.values():
+        model, _ = load(folder)
+        assert [model.joint(i).name for i in range(model.njnt)] == list(robot.joints)
+        assert np.allclose(model.jnt_range, np.stack([robot.lower, robot.upper], 1))
+        names = [model.geom(i).name for i in range(model.ngeom)]
+        assert {n.split("/")[0] for n in names} == {"robot", "gripper", "hand", "object", "table"}
+        found, visual = groups(model)
+        assert all(model.geom_contype[i] == 0 and model.geom_conaffinity[i] == 0 for i in visual)
+        assert all(model.geom_contype[i] and model.geom_conaffinity[i] for ids in found.values() for i in ids)
+        wanted = {f"robot/{n}" for n in robot.arm.names} | {f"gripper/{n}" for n in robot.gripper.names}
+        wanted |= {"object/hull", "table/top", "hand/mesh_visual", "object/mesh_visual", "gripper/body_visual"}
+        wanted |= {f"robot/{link}_visual" for link in robot.links[:7]}
+        wanted |= {
+            f"gripper/{s}_{p}_visual" for s in ("left", "right") for p in ("outer_finger", "inner_knuckle", "pad")
+        }
+        assert wanted <= set(names)
+        files = {m.get("file") for m in ElementTree.parse(folder / "scene.xml").iter("mesh")}
+        assert files == {p.name for p in (folder / "meshes").iterdir()}
+        assert not any("/" in f or "\\" in f for f in files)
+
+
+def test_distances_on_the_exported_geoms_are_those_of_the_planners_bodies(exported, scene):
+    rng = np.random.default_rng(0)
+    objects = {o.name: i for i, o in enumerate(scene.objects)}
+    for stored, folder in exported.values():
+        model, data = load(folder)
+        staged = oracle.Staged(
+            objects[stored.row["object"]],
+            stored.row["hand_index"],
+            stored.T_obj_ee_attached,
+            stored.T_world_hand,
+            stored.row["opening_m"],
+        )
+        twin = oracle.mujoco_scene(scene, staged)
+        for q in (*stored.q, *(stored.q[-1] + rng.normal(size=(6, 6)) * 0.2)):
+            ours, theirs = clearances(model, data, q), twin.clearances(q, cap=CAP_M).distance
+            for name in CHECKED:
+                if theirs[name] < CAP_M and theirs[name] > 0:
+                    assert abs(ours[name] - theirs[name]) <= 5e-6, (name, ours[name], theirs[name])
+                else:
+                    assert (ours[name] > 0) == (theirs[name] > 0)
+
+
+def test_the_stored_margins_are_what_mujoco_measures_along_the_trajectory(exported):
+    judged = 0
+    for stored, folder in exported.values():
+        model, data = load(folder)
+        _, rows = trajectory(folder)
+        margin, safe = stored.row["margin_plan_m"], stored.row["margin_safe_m"]
+        q = rows[:, 1:]
+        least = [min(clearances(model, data, x).values()) for x in q[:: max(1, len(q) // 60)]] + [
+            min(clearances(model, data, q[-1]).values())
+        ]
+        assert min(least) >= margin - 5e-5
+        vertices, faces = _hand_mesh(model, data, folder)
+        distance = min(_robot_distance(model, data, vertices[faces], x) for x in (*q[:: max(1, len(q) // 12)], q[-1]))
+        assert distance >= safe - 5e-5
+        if stored.row["witness_time_s"] is not None:  # Safe's own moment and part
+            at = q[np.abs(rows[:, 0] - stored.row["witness_time_s"]).argmin()]
+            assert abs(_robot_distance(model, data, vertices[faces], at) - safe) <= 1.5e-3  # 10 ms beside it at most
+            part = stored.row["witness_safe_part"]
+            assert {f"robot/{part}", f"gripper/{part}"} & {model.geom(i).name for i in range(model.ngeom)}
+            judged += 1
+    assert judged >= 1
+
+
+def _hand_mesh(model, data, folder):
+    mesh = trimesh.load(folder / "meshes" / "hand_mesh.obj", process=False)
+    mujoco.mj_forward(model, data)
+    hand = data.body("hand")
+    return np.asarray(mesh.vertices) @ hand.xmat.reshape(3, 3).T + hand.xpos, np.asarray(mesh.faces)
+
+
+def _robot_distance(model, data, triangles, q):
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    best = CAP_M
+    for i in range(model.ngeom):
+        name = model.geom(i).name
+        if name.split("/")[0] in ("robot", "gripper") and not name.endswith("_visual"):
+            if np.linalg.norm(triangles.mean((0, 1)) - data.geom_xpos[i]) - model.geom_rbound[i] > 0.25 + best:
+                continue
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = data.geom_xmat[i].reshape(3, 3), data.geom_xpos[i]
+            best = min(
+                best,
+                oracle.mesh_distance(
+                    oracle._KIND_OF_TYPE[int(model.geom_type[i])], model.geom_size[i], T, triangles, cap=best
+                ),
+            )
+    return best
+
+
+def test_the_hand_mesh_is_the_exact_closed_surface_and_poses_are_the_trials(exported, scene):
+    for stored, folder in exported.values():
+        model, data = load(folder)
+        vertices, faces = _hand_mesh(model, data, folder)
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+        assert mesh.is_watertight and mesh.volume > 1e-4
+        exact = oracle.hand_triangles(
+            scene, oracle.Staged(0, stored.row["hand_index"], np.eye(4), stored.T_world_hand, 0.05)
+        )
+        assert np.abs(vertices[faces] - exact).max() <= 1e-7
+        data.qpos[:] = stored.q[-1]
+        mujoco.mj_forward(model, data)
+        described = json.loads((folder / "trial.json").read_text())
+        T = np.array(described["poses"]["T_world_obj_at_goal"])
+        assert np.abs(data.body("object").xpos - T[:3, 3]).max() <= 5e-5  # IK's own tolerance
+        assert np.abs(data.body("object").xmat.reshape(3, 3) - T[:3, :3]).max() <= 5e-4
+        # the visual pads stand where their boxes do
+        for side in ("left", "right"):
+            pad, seen = data.geom(f"gripper/{side}_pad"), data.geom(f"gripper/{side}_pad_visual")
+            assert np.abs(pad.xpos - seen.xpos).max() <= 1e-6
+
+
+def test_visual_meshes_lie_within_the_collision_geoms(exported):
+    """The fit covers the visual meshes to 0.5 mm: a frame that is off would show here."""
+    _, folder = exported[1]
+    model, data = load(folder)
+    data.qpos[:] = HOME_Q
+    mujoco.mj_forward(model, data)
+    found, visual = groups(model)
+    rng = np.random.default_rng(0)
+    for i in visual:
+        name = model.geom(i).name
+        if name.split("/")[0] not in ("robot", "gripper") or model.geom_type[i] != mujoco.mjtGeom.mjGEOM_MESH:
+            continue
+        m = int(model.geom_dataid[i])
+        v = model.mesh_vert[model.mesh_vertadr[m] : model.mesh_vertadr[m] + model.mesh_vertnum[m]].astype(np.float64)
+        x = (v @ data.geom_xmat[i].reshape(3, 3).T + data.geom_xpos[i])[rng.integers(0, len(v), 400)]
+        link = "gripper" if name.startswith("gripper") else model.body(model.geom_bodyid[i]).name
+        out = np.full(len(x), np.inf)
+        for g in found[link]:
+            local = (x - data.geom_xpos[g]) @ data.geom_xmat[g].reshape(3, 3)
+            out = np.minimum(
+                out, oracle.primitive_distance(oracle._KIND_OF_TYPE[int(model.geom_type[g])], model.geom_size[g], local)
+            )
+        assert out.max() <= 6e-4, (name, out.max())
+
+
+def test_contacts_are_those_of_the_checked_pairs(exported):
+    for stored, folder in exported.values():
+        model, data = load(folder)
+        data.qpos[:] = stored.q[-1]
+        mujoco.mj_forward(model, data)
+        assert stored.row["outcome"] == "success" and data.ncon == 0
+        rng, agreed = np.random.default_rng(1), set()
+        for q in rng.uniform(-np.pi, np.pi, (60, 6)):
+            least = clearances(model, data, q)  # leaves the posture in data
+            if any(abs(x) < 1e-4 for x in least.values()):
+                continue
+            held = least["hand"] < 0 and all(least[k] > 0 for k in CHECKED - {"hand"})
+            if not held:  # the base and the hand both stand still: MuJoCo looks for no contact between them
+                assert (data.ncon > 0) == (min(least.values()) < 0), least
+            agreed |= {k for k in CHECKED if least[k] < 0}
+        assert {"table", "self"} <= agreed
+
+
+def test_the_executed_motion_is_beside_the_planned_one_and_close_to_it(exported):
+    for stored, folder in exported.values():
+        _, planned = trajectory(folder)
+        header, rows = trajectory(folder, "executed.csv")
+        assert header == ["time_s", *load_robot().joints]
+        t, q = rows[:, 0], rows[:, 1:]
+        assert t[0] == 0 and np.allclose(np.diff(t), 0.008) and t[-1] >= planned[-1, 0]
+        ideal = np.stack([np.interp(t, planned[:, 0], planned[:, 1 + j]) for j in range(6)], 1)
+        off = np.abs(q - ideal).max()
+        assert 1e-6 < off < 2e-3 and np.abs(q[-1] - stored.row["q_goal"]).max() < 1e-3
+
+
+def test_the_trajectory_is_the_timed_path_with_all_its_waypoints(exported):
+    robot = load_robot()
+    for stored, folder in exported.values():
+        header, rows = trajectory(folder)
+        assert header == ["time_s", *robot.joints]
+        t, q = rows[:, 0], rows[:, 1:]
+        assert t[0] == 0 and (np.diff(t) > 0).all() and np.diff(t).max() <= 0.01 + 1e-9
+        assert -0.1 < t[-1] - stored.row["t_exec_s"] < 0.3  # the arm is within a millimetre of the goal before the end
+        assert np.allclose(q[0], HOME_Q, atol=1e-6) and np.allclose(q[-1], stored.row["q_goal"], atol=1e-6)
+        for w, time in zip(stored.q, stored.time_s, strict=True):
+            k = np.abs(q - w).max(1).argmin()
+            assert np.abs(q[k] - w).max() <= 1e-8 * 10 and abs(t[k] - time) <= 1e-4
+        speed, gain = 0.1 * np.pi, 0.5
+        rate = np.abs(np.diff(q, axis=0)).max(1) / np.diff(t)
+        assert rate.max() <= speed * 1.01
+        fine = np.diff(t) > 5e-3
+        assert (np.abs(np.diff(rate)) / 0.01)[fine[1:] & fine[:-1]].max() <= gain * 1.1 + 1e-3
+
+
+def test_samples_agree_with_the_evaluators_own_clock():
+    rng, config = np.random.default_rng(2), ExecConfig()
+    q = np.cumsum(rng.normal(size=(4, 6)) * [[0.5], [0.5], [0.02], [0.8]], axis=0)
+    path, length = torch.tensor(q[None], dtype=torch.float32), torch.tensor([4], dtype=torch.int32)
+    motion = time_path(path, length, config)
+    header = {"configuration": {"execute": dataclasses.asdict(config)}}
+    stored = export.StoredTrial(
+        header,
+        "",
+        {},
+        np.eye(4),
+        np.eye(4),
+        np.eye(4),
+        np.eye(4),
+        path[0].double().numpy(),
+        motion.time_s[0].numpy(),
+        None,
+        None,
+    )
+    t, postures = export.trajectory(stored)
+    ends = motion.time_s[0].double().numpy()
+    for time, posture in zip(t[1:-1], postures[1:-1], strict=True):
+        k = int(np.clip(np.searchsorted(ends, time - 1e-6) - 1, 0, 2))
+        a, b = stored.q[k], stored.q[k + 1]
+        j = np.abs(b - a).argmax()
+        fraction = float((posture[j] - a[j]) / (b[j] - a[j]))
+        assert np.abs(a + fraction * (b - a) - posture).max() <= 1e-9
+        back = time_at(path, length, motion, torch.tensor([k], dtype=torch.int32), torch.tensor([fraction]), config)
+        assert abs(float(back) - time) <= 2e-4
+
+
+def test_the_description_holds_the_verdict(exported, run):
+    rows = {r["trial_id"]: r for r in load_run(run).trials("oracle").to_pylist()}
+    for k, (_, folder) in exported.items():
+        d = json.loads((folder / "trial.json").read_text())
+        assert d["trial_id"] == k and d["outcome"] == rows[k]["outcome"] and d["object"] == rows[k]["object"]
+        assert d["margin_m"]["plan"] == rows[k]["margin_plan_m"] and d["passed"]["safe"] == rows[k]["passed_safe"]
+        assert d["digests"]["trials"] and d["protocol"] and len(d["poses"]["T_world_hand"]) == 4
+
+
+def test_a_trial_without_a_path_shows_the_robot_at_home(run, tmp_path):
+    stored = load_run(run)
+    judged = stored.details("random")["trial_id"].to_pylist()
+    rows = stored.trials("random").to_pylist()
+    without = [r["trial_id"] for r in rows if r["t_exec_s"] is None and r["trial_id"] in judged]
+    if not without:
+        pytest.skip("random found a path in all of these trials")
+    folder = export.export_trial(export.load_trial(run, without[0], method="random"), tmp_path / "x")
+    _, table = trajectory(folder)
+    assert len(table) == 1 and np.allclose(table[0, 1:], HOME_Q, atol=1e-6)
+    described = json.loads((folder / "trial.json").read_text())
+    assert described["waypoints"] == [] and described["margin_m"]["plan"] in ("-inf", None)

@@ -1,0 +1,111 @@
+"""Trials written to files: what the manifest says is what is there, and what the library makes."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from hand_twins import hand_vertices, palms
+
+from r2h_batch.bodies.hand import load_hand
+from r2h_batch.bodies.objects import S0_NAMES, S1_NAMES, load_objects
+from r2h_batch.export.command import trials_main as main
+from r2h_batch.export.trial_files import write_trials
+from r2h_batch.predictions import align, load_predictions
+from r2h_batch.trials.protocol import make_trials, trials_digest
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trials") / "made" / "here"
+    digest = write_trials(folder, ["S0", "S1"], 12)
+    return folder, digest
+
+
+@pytest.mark.check
+def test_written_files_hold_what_the_manifest_says(written):
+    folder, digest = written
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["protocol"] == "r2h-v0" and manifest["digests"]["trials"] == digest
+    assert digest == trials_digest(make_trials(trials=12)) and digest in (folder / "README.md").read_text()
+    names = {f"objects/{n}.npz" for n in (*S0_NAMES, *S1_NAMES)}
+    assert {str(p.relative_to(folder)) for p in folder.rglob("*.npz")} == names | {"trials.npz", "hands.npz"}
+    for file in ("trials.npz", "hands.npz", *sorted(names)):
+        said = manifest["arrays"][file if file in manifest["arrays"] else "objects/NAME.npz"]
+        with np.load(folder / file, allow_pickle=False) as data:
+            assert set(data.files) == set(said)
+            for key, about in said.items():
+                assert data[key].dtype.name == about["dtype"] or data[key].dtype.kind == "U", (file, key)
+                fits = (b is None or a == b for a, b in zip(data[key].shape, about["shape"], strict=True))
+                assert all(fits), (file, key)
+                assert len(about["meaning"]) > 3
+    assert (folder / "README.md").read_text().count("| ") > 100
+
+
+def test_written_trials_agree_with_the_library(written):
+    folder, _ = written
+    trials = make_trials(trials=12)
+    made, hands = np.load(folder / "trials.npz"), np.load(folder / "hands.npz")
+    for key in ("trial_id", "object_index", "hand_index", "T_world_hand"):
+        assert np.array_equal(made[key], getattr(trials, key).numpy())
+    c, n = palms(trials)
+    assert np.abs(made["ball_center"] - c).max() < 1e-6 and np.abs(made["palm_normal"] - n).max() < 1e-6
+    assert made["object_name"].tolist()[10:14] == ["cup", "wineglass", "hammer", "pliers"]
+    assert "screwdriver" in made["instruction"][16] and made["split"].tolist() == ["S0"] * 12 + ["S1"] * 12
+    again = load_hand().pose(*(torch.from_numpy(made[k]) for k in ("pose", "shape", "side"))).joints.double()
+    T = trials.T_world_hand.double()
+    assert np.abs((again @ T[:, :3, :3].mT + T[:, None, :3, 3]).numpy() - made["joints"]).max() < 1e-6
+    assert np.array_equal(hands["vertices"][made["hand_index"]], hand_vertices()[trials.hand_index.long()].float())
+    for o in load_objects():
+        data = np.load(folder / "objects" / f"{o.name}.npz")
+        assert np.array_equal(data["vertices"], o.vertices) and data["occupancy"].sum() == o.occupancy.sum()
+        assert data["grasp_T_obj_ee"].shape == (100, 4, 4) and data["grasp_part"].max() < len(data["part_names"])
+        assert data["point_receiver"].any() == (o.split == "S1")
+
+
+def test_a_predictions_file_made_from_the_written_files_is_accepted(written, tmp_path):
+    folder, _ = written
+    made = np.load(folder / "trials.npz")
+    grasp = np.stack([np.load(folder / "objects" / f"{n}.npz")["grasp_T_obj_ee"][0] for n in made["object_name"]])
+    goal = np.eye(4, dtype=np.float32)[None].repeat(len(grasp), 0)
+    goal[:, :3, 3] = made["ball_center"]
+    np.savez(tmp_path / "mine.npz", trial_id=made["trial_id"], T_obj_ee=grasp, T_world_ee=goal, method="mine")
+    predictions = load_predictions(tmp_path / "mine.npz")
+    trials = make_trials(trials=12)
+    assert align(predictions, trials.trial_id, source="mine.npz").tolist() == list(range(24))
+    assert predictions.method == "mine"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["--out", "x", "--trails", "3"], "did you mean --trials?"),
+        (["--out", "x", "--trials", "0"], "1 or more"),
+        (["--out", "x", "--trials", "ten"], "'ten'"),
+        (["--out", "x", "--splits", "S3"], "invalid choice 'S3'"),
+        (["--out", "x", "--protocol", "r2h-v9"], "invalid choice 'r2h-v9'"),
+        (["--trials", "3"], "--out"),
+        (["--out", "{full}"], "not an empty folder"),
+        (["--out", "x", "--object-mesh", "missing.obj"], "missing.obj"),
+    ],
+)
+def test_a_wrong_command_line_gets_one_clear_line_and_code_2(arguments, told, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "mine.txt").write_text("keep me")
+    arguments = [a.format(full=tmp_path / "full") for a in arguments]
+    try:
+        code = main(arguments)
+    except SystemExit as stop:
+        code = stop.code
+    captured = capsys.readouterr()
+    assert code == 2 and captured.out == ""
+    assert len(captured.err.strip().splitlines()) == 1 and told in captured.err
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "mine.txt"]
+
+
+def test_the_command_writes_and_says_where(tmp_path, capsys):
+    assert main(["--out", str(tmp_path / "out"), "--trials", "2", "--splits", "S1"]) == 0
+    captured = capsys.readouterr()
+    assert "r2h-v0" in captured.out and trials_digest(make_trials(["S1"], 2)) in captured.out
+    assert len(list((tmp_path / "out" / "objects").iterdir())) == len(S1_NAMES)

@@ -1,0 +1,322 @@
+"""Grasp files of ACRONYM, GraspNet, isaac_grasp and our own: small files in their formats, one grasp type out."""
+
+import json
+import os
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from needs import needs
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.__main__ import main
+from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
+from r2h_batch.bodies.objects import load_objects, object_digest
+from r2h_batch.bodies.robot import load_robot
+from r2h_batch.files import FileError
+from r2h_batch.importers import acronym, graspnet, isaac_grasp
+from r2h_batch.importers.grippers import PAD_HALF_M, T_gripper_ee
+from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.methods.grasp_candidates import seat_grasps
+
+RNG = np.random.default_rng(4)
+
+
+def poses(count, seed=0):
+    rng = np.random.default_rng(seed)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
+    T[:, :3, 3] = rng.normal(0, 0.1, (count, 3))
+    return T
+
+
+def write_acronym(path, T, held, gripper=b"panda"):
+    import h5py
+
+    with h5py.File(path, "w") as f:
+        f["grasps/transforms"] = T
+        f["grasps/qualities/flex/object_in_gripper"] = held
+        f["object/file"], f["object/scale"], f["object/mass"] = b"meshes/Mug/abc.obj", 0.5, 0.2
+        f["gripper/type"], f["gripper/configuration"] = gripper, 0.04
+    return path
+
+
+def write_isaac(path, T, confidence):
+    lines = ["format: isaac_grasp", "format_version: 1.0", "object_frame_link: /World/mug", "gripper_frame_link: /World/g",
+             "grasps:"]  # fmt: skip
+    for i, (t, c) in enumerate(zip(T, confidence, strict=True)):
+        x, y, z, w = Rotation.from_matrix(t[:3, :3]).as_quat()
+        lines += [f"  grasp_{i}:", f"    confidence: {c:.6f}", f"    position: [{', '.join(f'{v:.9f}' for v in t[:3, 3])}]",
+                  f"    orientation: {{w: {w:.9f}, xyz: [{x:.9f}, {y:.9f}, {z:.9f}]}}",
+                  "    cspace_position:", "      finger_joint: 0.5", "    pregrasp_cspace_position: {}"]  # fmt: skip
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def fingers(T_obj_ee, half_gap=0.02):
+    """Where a grasp's two fingertips are, and its approach, in the object's frame."""
+    tip = np.array([[0.0, s * half_gap, PAD_HALF_M, 1.0] for s in (1, -1)])
+    return (T_obj_ee @ tip.T).transpose(0, 2, 1)[:, :, :3], T_obj_ee[:, :3, 2]
+
+
+@needs("h5py")
+def test_acronym_fingertips_and_approach_stay_where_they_were(tmp_path):
+    T, held = poses(50), (np.arange(50) % 3 > 0).astype(np.int64)
+    found, left_out = acronym.read(write_acronym(tmp_path / "mug.h5", T, held))
+    assert len(found) == held.sum() and left_out == (held == 0).sum() and found.gripper == "acronym-panda"
+    tips, approach = fingers(found.T_obj_ee.astype(np.float64))
+    theirs = np.array([[s * 0.02, 0.0, 0.11217, 1.0] for s in (1, -1)])  # the Panda of ACRONYM closes along its x
+    want = (T[held > 0] @ theirs.T).transpose(0, 2, 1)[:, :, :3]
+    assert np.abs(tips - want).max() < 1e-6 and np.abs(approach - T[held > 0][:, :3, 2]).max() < 1e-6
+    assert np.abs(np.linalg.det(found.T_obj_ee[:, :3, :3]) - 1).max() < 1e-5
+
+
+def test_graspnet_vectors_of_one_object_out_of_the_cameras_frame(tmp_path):
+    R = Rotation.random(8, rng=RNG).as_matrix()
+    t, depth, width = RNG.normal(0, 0.2, (8, 3)), RNG.uniform(0.01, 0.04, 8), RNG.uniform(0.02, 0.08, 8)
+    ids = np.array([5, 5, 7, 5, 7, 5, 5, 5])
+    rows = np.column_stack([np.linspace(1, 0.1, 8), width, np.full(8, 0.02), depth, R.reshape(8, 9), t, ids])
+    np.save(tmp_path / "scene.npy", rows)
+    with pytest.raises(FileError, match="2 objects; choose one with --object-id"):
+        graspnet.read(tmp_path / "scene.npy")
+    camera = poses(1, 9)[0]
+    found, left_out = graspnet.read(tmp_path / "scene.npy", object_id=5, T_obj_source=camera)
+    mine = ids == 5
+    assert len(found) == 6 and left_out == 2 and np.allclose(found.width, width[mine])
+    tips, approach = fingers(found.T_obj_ee.astype(np.float64), 0.03)
+    ends = t + depth[:, None] * R[:, :, 0]  # fingers end at depth along x, and close along y
+    want = np.stack([ends + 0.03 * R[:, :, 1], ends - 0.03 * R[:, :, 1]], 1)[mine] @ camera[:3, :3].T + camera[:3, 3]
+    assert np.abs(tips - want).max() < 1e-6
+    assert np.abs(approach - R[mine][:, :, 0] @ camera[:3, :3].T).max() < 1e-6
+
+
+@pytest.mark.parametrize("gripper, closing", [("panda-hand", 1), ("acronym-panda", 0)])
+def test_isaac_grasp_takes_the_named_grippers_frame(tmp_path, gripper, closing):
+    T, confidence = poses(12, 3), np.linspace(1, 0, 12)
+    found, _ = isaac_grasp.read(write_isaac(tmp_path / "g.yaml", T, confidence), gripper)
+    tips, approach = fingers(found.T_obj_ee.astype(np.float64))
+    local = np.zeros((2, 4))
+    local[:, closing], local[:, 2], local[:, 3] = (0.02, -0.02), 0.1122, 1.0
+    want = (T @ local.T).transpose(0, 2, 1)[:, :, :3]
+    assert np.abs(tips - want).max() < 5e-5 and np.abs(approach - T[:, :3, 2]).max() < 1e-6
+    assert np.abs(found.score - confidence).max() < 1e-6 and found.gripper == gripper
+
+
+def test_our_own_gripper_needs_no_new_place(tmp_path):
+    T = poses(3, 5)
+    found, _ = isaac_grasp.read(write_isaac(tmp_path / "g.yaml", T, np.ones(3)), "ee")
+    assert found.gripper == "2f-85" and np.abs(found.T_obj_ee - T).max() < 1e-6
+    robot = load_robot()
+    base = robot.T_flange_ee.copy()
+    coupling = 0.011  # the UR coupling between flange and the gripper's base
+    base[2, 3] -= coupling
+    assert np.abs(T_gripper_ee("2f-85-base")[:3, 3] - base[:3, 3]).max() < 5e-4
+    assert np.abs(T_gripper_ee("2f-85-base")[:3, :3] - base[:3, :3]).max() < 1e-6
+
+
+@pytest.mark.parametrize("kind", ["npz", "safetensors"])
+def test_our_own_format_in_both_containers(tmp_path, kind):
+    from safetensors.numpy import save_file
+
+    arrays = {"T_obj_ee": poses(5).astype(np.float32), "width": np.full(5, 0.03, np.float32),
+              "score": np.linspace(0, 1, 5).astype(np.float32), "part": np.arange(5, dtype=np.int32) - 1}  # fmt: skip
+    path = tmp_path / f"grasps.{kind}"
+    save_file(arrays, path) if kind == "safetensors" else np.savez(path, **arrays)
+    found = read_grasps(path)
+    assert all(np.array_equal(v, arrays[k]) for k, v in found.arrays().items()) and found.gripper == "2f-85"
+    np.savez(tmp_path / "few.npz", T_obj_ee=arrays["T_obj_ee"])
+    few = read_grasps(tmp_path / "few.npz")
+    assert (few.part == -1).all() and (few.score == 1).all() and few.digest != found.digest
+
+
+def as_set(candidates, gripper="2f-85", T=None):
+    return GraspSet(
+        candidates.T_obj_ee if T is None else T, candidates.width, np.linspace(1, 0, len(candidates)).astype(np.float32),
+        candidates.part.astype(np.int32), gripper,
+    )  # fmt: skip
+
+
+def test_candidates_given_back_as_a_users_grasps_are_the_same_candidates():
+    (hammer,) = load_objects(["hammer"])
+    (own,) = candidates_of((hammer,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (found,) = candidates_of((replace(hammer, grasps=as_set(own)),))
+    assert np.abs(found.T_obj_ee - own.T_obj_ee).max() < 2e-6 and np.array_equal(found.part, own.part)
+    assert np.array_equal(found.score, np.linspace(1, 0, len(own)).astype(np.float32)), "the user's scores rank"
+
+
+def test_grasps_of_another_gripper_are_seated_anew_or_dropped_and_counted():
+    (hammer,) = load_objects(["hammer"])
+    (own,) = candidates_of((hammer,))
+    T = own.T_obj_ee.copy()
+    T[:, :3, 3] -= 0.012 * T[:, :3, 2]  # fingers that are 12 mm longer
+    T[:10, :3, 3] += 5.0  # nowhere near
+    with pytest.warns(UserWarning, match=r"of 100 grasps of the panda-hand, \d+ seated elsewhere, \d+ dropped"):
+        found = seat_grasps(hammer, as_set(own, "panda-hand", T))
+    assert 80 <= len(found) <= 90 and (np.diff(found.score) <= 0).all()
+    away = np.linalg.norm(found.T_obj_ee[:, :3, 3] - hammer.com, axis=1)
+    assert away.max() < 0.5
+    with pytest.warns(UserWarning, match="dropped"):
+        kept = seat_grasps(hammer, as_set(own, T=T))
+    assert len(kept) < len(found), "our own gripper's grasps stay where they are"
+    T[:] = T[0]
+    with pytest.raises(ValueError, match="hammer: none of 100 grasps can be held"):
+        seat_grasps(hammer, as_set(own, T=T))
+
+
+def test_an_object_with_a_users_grasps_has_another_digest():
+    (hammer,) = load_objects(["hammer"])
+    own = as_set(candidates_of((hammer,))[0])
+    with_grasps = object_digest(replace(hammer, grasps=own))
+    assert with_grasps != object_digest(hammer)
+    assert with_grasps != object_digest(replace(hammer, grasps=own.rows(slice(0, 50))))
+
+
+@needs("h5py")
+def test_the_command_writes_a_file_that_reads_back(tmp_path, capsys):
+    h5 = write_acronym(tmp_path / "mug.h5", poses(20), np.ones(20, int))
+    out = tmp_path / "mug.npz"
+    assert main(["import", "grasps", str(h5), "--from", "acronym", "--out", str(out)]) == 0
+    assert capsys.readouterr().out == f"20 grasps of the acronym-panda in {out}; 0 left out\n"
+    assert read_grasps(out).digest == acronym.read(h5)[0].digest
+    for line, message in (
+        (["--from", "acronym", "--gripper", "ee"], "--gripper says nothing about grasps from acronym"),
+        (["--from", "isaac"], "--gripper is needed"),
+        (["--from", "own"], "an .npz or .safetensors"),
+    ):
+        assert main(["import", "grasps", str(h5), "--out", str(tmp_path / "x.npz"), *line]) == 2
+        err = capsys.readouterr().err
+        assert message in err and len(err.splitlines()) == 1 and not (tmp_path / "x.npz").exists()
+
+
+def linked(tmp_path, kind):
+    import h5py
+
+    other = write_acronym(tmp_path / "other.h5", poses(3), np.ones(3, int))
+    path = write_acronym(tmp_path / "linked.h5", poses(3), np.ones(3, int))
+    with h5py.File(path, "a") as f:
+        if kind == "group":
+            del f["grasps"]
+            f["grasps"] = h5py.ExternalLink(str(other), "/grasps")
+            return path
+        del f["grasps/transforms"]
+        if kind == "external":
+            f["grasps/transforms"] = h5py.ExternalLink("other.h5", "/grasps/transforms")
+        elif kind == "soft":
+            f["there"] = h5py.ExternalLink("other.h5", "/")
+            f["grasps/transforms"] = h5py.SoftLink("/there/grasps/transforms")
+        elif kind == "raw":
+            (tmp_path / "raw.bin").write_bytes(b"\0" * 8 * 48)
+            f["grasps"].create_dataset(
+                "transforms", (3, 4, 4), np.float64, external=[(str(tmp_path / "raw.bin"), 0, 384)]
+            )
+        elif kind == "virtual":
+            layout = h5py.VirtualLayout((3, 4, 4), np.float64)
+            layout[:] = h5py.VirtualSource(str(other), "grasps/transforms", (3, 4, 4))
+            f["grasps"].create_virtual_dataset("transforms", layout)
+        elif kind == "huge":
+            f["grasps"].create_dataset("transforms", (10**12, 4, 4), np.float64, chunks=(1000, 4, 4))
+        elif kind == "group for a dataset":
+            f["grasps"].create_group("transforms")
+    return path
+
+
+@needs("h5py")
+@pytest.mark.parametrize("kind, message", [
+    ("external", "is a link"), ("soft", "is a link"), ("group", "is a link"), ("raw", "keeps its numbers elsewhere"),
+    ("virtual", "keeps its numbers elsewhere"), ("huge", "at most"), ("group for a dataset", "elsewhere"),
+])  # fmt: skip
+def test_hdf5_that_names_other_files_or_lies_about_its_size_is_refused(tmp_path, kind, message):
+    path = linked(tmp_path, kind)
+    with pytest.raises(FileError, match=message) as refused:
+        acronym.read(path)
+    assert str(refused.value).startswith(str(path)) and "\n" not in str(refused.value)
+
+
+def bad_npz(**arrays):
+    def write(path):
+        np.savez(path, **arrays)
+
+    return write
+
+
+def safetensors(header, body=b"\0" * 64):
+    def write(path):
+        raw = header if isinstance(header, bytes) else json.dumps(header).encode()
+        path.write_bytes(len(raw).to_bytes(8, "little") + raw + body)
+
+    return write
+
+
+def pose_entry(shape, offsets):
+    return {"T_obj_ee": {"dtype": "F32", "shape": shape, "data_offsets": offsets}}
+
+
+OWN = {
+    "no poses.npz": (bad_npz(width=np.ones(3)), "T_obj_ee is missing"),
+    "sheared.npz": (bad_npz(T_obj_ee=np.ones((2, 4, 4))), "rigid poses"),
+    "mirrored.npz": (bad_npz(T_obj_ee=np.diag([1.0, 1, -1, 1])[None]), "rigid poses"),
+    "millimetres.npz": (bad_npz(T_obj_ee=poses(2) * 1.0 + np.eye(4, k=3) * 500), "rigid poses"),
+    "short width.npz": (bad_npz(T_obj_ee=poses(2), width=np.ones(3)), "width is"),
+    "nan score.npz": (bad_npz(T_obj_ee=poses(2), score=np.full(2, np.nan)), "score is"),
+    "another array.npz": (bad_npz(T_obj_ee=poses(2), grip=np.ones(2)), "unknown array 'grip'"),
+    "objects.npz": (bad_npz(T_obj_ee=np.array([{}], object)), "Python objects"),
+    "huge.safetensors": (safetensors(pose_entry([10**9, 4, 4], [0, 64 * 10**9])), "does not fit"),
+    "negative.safetensors": (safetensors(pose_entry([-1, -4, 4], [0, 64])), "does not fit"),
+    "backwards.safetensors": (safetensors(pose_entry([1, 4, 4], [64, 0])), "does not fit"),
+    "into the header.safetensors": (safetensors(pose_entry([1, 4, 4], [-64, 0])), "does not fit"),
+    "a list.safetensors": (safetensors([1, 2]), "damaged safetensors header"),
+    "another type.safetensors": (safetensors({"T_obj_ee": {"dtype": "X9", "shape": [1], "data_offsets": [0, 1]}}), "damaged"),
+    "a long header.safetensors": (lambda p: p.write_bytes((2**60).to_bytes(8, "little") + b"{}"), "a header of"),
+    "grasps.txt": (lambda p: p.write_text("x"), "an .npz or .safetensors"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_files_that_are_no_grasps_are_refused_in_one_line(tmp_path, name):
+    write, message = OWN[name]
+    path = tmp_path / name
+    write(path)
+    with pytest.raises(FileError, match=message) as refused:
+        read_grasps(path)
+    assert str(refused.value).startswith(str(path)) and "\n" not in str(refused.value)
+
+
+ISAAC = "format: isaac_grasp\nformat_version: 1.0\n"
+
+
+@pytest.mark.parametrize("text, message", [
+    (ISAAC + "grasps: &a\n  g: {position: [0, 0, 0]}\nmore: *a\n", "anchors and aliases"),
+    (ISAAC + "grasps: !!python/object/apply:os.system [ls]\n", "tag"),
+    ("format: other\n", "no isaac_grasp"),
+    (ISAAC + "grasps: {}\n", "needs 1 to"),
+    (ISAAC + "grasps:\n  g:\n    position: [0, 0, 0]\n", "no orientation"),
+    (ISAAC + "grasps:\n  g:\n    position: [0, 0]\n    orientation: {w: 1, xyz: [0, 0, 0]}\n",
+     "position is"),
+    (ISAAC + "grasps:\n  g:\n    position: [0, 0, 0]\n    orientation: {w: 3, xyz: [0, 0, 0]}\n",
+     "no rotation"),
+    ("a: " + "[" * 50 + "]" * 50, "nested too deeply"),
+])  # fmt: skip
+def test_yaml_that_is_no_grasp_file_is_refused_in_one_line(tmp_path, text, message):
+    path = tmp_path / "g.yaml"
+    path.write_text(text)
+    with pytest.raises(FileError, match=message) as refused:
+        isaac_grasp.read(path, "panda-hand")
+    assert "\n" not in str(refused.value)
+
+
+@needs("h5py")
+def test_acronym_of_another_gripper_or_without_success_is_refused(tmp_path):
+    for name, held, gripper, message in (
+        ("a", 1, b"barrett", "ACRONYM's is the panda"),
+        ("b", 0, b"panda", "none of 4"),
+    ):
+        path = write_acronym(tmp_path / f"{name}.h5", poses(4), np.full(4, held), gripper)
+        with pytest.raises(FileError, match=message):
+            acronym.read(path)
+    (tmp_path / "c.h5").write_bytes(os.urandom(4096))
+    with pytest.raises(FileError, match="not a readable HDF5 file"):
+        acronym.read(Path(tmp_path / "c.h5"))

@@ -1,0 +1,255 @@
+"""Hand sets from GRAB, ARCTIC, H2O, DexYCB and OakInk: small folders in their formats, read back as what they mean."""
+
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from hand_data import FRAMES, LIFTED, WIDEST, truth, write_arctic, write_dexycb, write_grab, write_h2o, write_oakink
+from mano_files import mano_dictionary, write_mano
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.__main__ import main
+from r2h_batch.bodies.hand import load_hand_set
+from r2h_batch.importers.hand_sets import motion_file
+from r2h_batch.importers.mano import load_mano
+from r2h_batch.trials import make_trials
+
+
+@pytest.fixture(scope="module")
+def mano(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mano")
+    return [write_mano(folder / f"MANO_{n}.pkl", mano_dictionary(s)) for s, n in enumerate(("RIGHT", "LEFT"))]
+
+
+@pytest.fixture(scope="module")
+def means(mano):
+    hand = load_mano(*mano).model
+    return hand.pose_mean.double().numpy(), hand.pose_components.double().numpy()
+
+
+def imported(capsys, folder, source, out, *more):
+    code = main(["import", "hands", str(folder), "--from", source, "--out", str(out), *map(str, more)])
+    text = capsys.readouterr()
+    return code, text.out, text.err
+
+
+def loaded(path):
+    with np.load(path, allow_pickle=False) as hands, np.load(motion_file(path), allow_pickle=False) as motions:
+        return dict(hands), dict(motions)
+
+
+def check(hands, motions, row, side, frame, first, wrist_offset=None, pose_tolerance=1e-5):
+    """Row `row` is the known motion's hand of this side at `frame`; its stored motion starts at frame `first` of it."""
+    h = truth(side)
+    assert hands["side"][row] == side and hands["frame"][row] == frame - first
+    assert not hands["pose"][row, :3].any(), "trials turn the whole hand"
+    assert np.abs(hands["pose"][row, 3:] - h["fingers"][frame]).max() < pose_tolerance
+    R = Rotation.from_rotvec(h["turn"][frame]).as_matrix()
+    offset = np.zeros(3) if wrist_offset is None else wrist_offset
+    assert np.abs(hands["T_world_hand"][row, :3, :3] - R).max() < 1e-5
+    assert np.abs(hands["T_world_hand"][row, :3, 3] - h["place"][frame] - offset).max() < 1e-5
+    assert np.abs(hands["T_world_object"][row] - h["object"][frame]).max() < 1e-5
+    mine = slice(motions["first"][row], motions["first"][row + 1])
+    assert mine.stop - mine.start == hands["frames"][row] == FRAMES - first
+    assert np.abs(motions["fingers"][mine] - h["fingers"][first:]).max() < 2e-3
+    assert np.abs(motions["hand"][mine, 3:] - h["place"][first:] - offset).max() < 1e-5
+    assert np.abs(motions["object"][mine, 3:] - h["object"][first:, :3, 3]).max() < 1e-5
+
+
+def test_grab(tmp_path, capsys):
+    write_grab(tmp_path)
+    code, out, err = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz")
+    assert code == 0 and "2 hands of grab (1 right, 1 left)" in out and out.endswith("; 0 files skipped\n") and not err
+    hands, motions = loaded(tmp_path / "hands.npz")
+    for side in (0, 1):
+        check(hands, motions, side, side, WIDEST, 0)
+    assert hands["source"].tolist() == ["grab:s1/mug_pass_1"] * 2 and hands["object"][0] == "mug"
+    assert hands["instruction"][0] == "pass the mug" and hands["rate_hz"][0] == 120
+    assert np.allclose(hands["up"], [0, 0, 1]) and not hands["shape"].any()
+    facing = Rotation.from_euler("xz", [np.pi / 2, 0.4]).as_matrix()[:, 2]
+    assert np.abs(hands["facing"] - facing).max() < 1e-5 and abs(facing[2]) < 1e-9, "level, as the body stands"
+    posed = load_hand_set(tmp_path / "hands.npz")
+    assert (
+        len(posed) == 2
+        and posed.posture == ("grab", "grab")
+        and torch.equal(posed.side, torch.tensor([0, 1]).to(torch.int8))
+    )
+
+
+@pytest.mark.parametrize(
+    "rule, frame", [("first", 0), ("middle", FRAMES // 2), ("last", FRAMES - 1), ("7", 7), ("-2", 38)]
+)
+def test_the_frame_can_be_chosen(tmp_path, capsys, rule, frame):
+    write_grab(tmp_path)
+    code, _, _ = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz", "--frame", rule)
+    hands, motions = loaded(tmp_path / "hands.npz")
+    assert code == 0
+    check(hands, motions, 0, 0, frame, 0)
+
+
+def test_the_widest_grip_counts_only_before_the_object_moves(tmp_path, capsys, monkeypatch):
+    import hand_data
+
+    whole = hand_data.truth
+
+    def wide_after(side=0, seed=0):
+        h = whole(side, seed)
+        h["fingers"][LIFTED + 2 :] *= 0.0  # flat, after it let go
+        return h
+
+    monkeypatch.setattr(hand_data, "truth", wide_after)
+    write_grab(tmp_path)
+    imported(capsys, tmp_path, "grab", tmp_path / "hands.npz")
+    hands, _ = loaded(tmp_path / "hands.npz")
+    assert hands["frame"].tolist() == [WIDEST, WIDEST]
+
+
+def test_arctic_is_about_the_mean_hand_and_in_millimetres(tmp_path, capsys, mano, means):
+    write_arctic(tmp_path, means[0])
+    code, _, err = imported(capsys, tmp_path, "arctic", tmp_path / "no.npz")
+    assert code == 2 and "give MANO's file with --mano-right" in err and not (tmp_path / "no.npz").exists()
+    options = ("--mano-right", mano[0], "--mano-left", mano[1])
+    code, _, _ = imported(capsys, tmp_path, "arctic", tmp_path / "hands.npz", *options)
+    hands, motions = loaded(tmp_path / "hands.npz")
+    assert code == 0
+    hand = load_mano(*mano)
+    for side in (0, 1):
+        shape = truth(side)["shape"][None]
+        offset = hand.wrist(np.zeros((1, 3)), shape, np.array([side]))[0]
+        check(hands, motions, side, side, WIDEST, 0, offset)
+        assert np.abs(hands["shape"][side] - shape).max() < 1e-6
+    assert hands["source"][0] == "arctic:s01/box_use_01" and hands["instruction"][0] == "use the box"
+    assert np.allclose(hands["up"], [0, 0, 1]) and np.isfinite(hands["facing"]).all()
+
+
+def test_h2o_is_taken_out_of_the_cameras_frame(tmp_path, capsys):
+    rng = np.random.default_rng(3)
+    camera = np.tile(np.eye(4), (FRAMES, 1, 1))
+    camera[:, :3, :3] = Rotation.from_rotvec(rng.normal(0, 0.3, (FRAMES, 3))).as_matrix()
+    camera[:, :3, 3] = rng.normal(0, 1, (FRAMES, 3))
+    write_h2o(tmp_path, camera, right_from=5)
+    code, _, _ = imported(capsys, tmp_path, "h2o", tmp_path / "hands.npz")
+    hands, motions = loaded(tmp_path / "hands.npz")
+    assert code == 0 and np.isnan(hands["facing"]).all() and hands["object"][0] == "object 3"
+    check(hands, motions, 0, 0, WIDEST, 5)
+    check(hands, motions, 1, 1, WIDEST, 0)
+    assert hands["source"][0] == "h2o:subject1/h1/0/cam4"
+
+
+def test_dexycb_is_in_components_about_the_mean_hand(tmp_path, capsys, mano, means):
+    mean, components = means
+    write_dexycb(tmp_path, components[0], mean[0])
+    write_dexycb(tmp_path, components[1], mean[1], side=1, name="20200820-subject-03/20200820_135508")
+    options = ("--mano-right", mano[0], "--mano-left", mano[1])
+    code, _, _ = imported(capsys, tmp_path, "dexycb", tmp_path / "hands.npz", *options)
+    hands, motions = loaded(tmp_path / "hands.npz")
+    hand = load_mano(*mano)
+    assert code == 0 and hands["object"].tolist() == ["ycb 5", "ycb 5"]
+    for side in (0, 1):  # both subjects share the calibration that was written last
+        offset = hand.wrist(np.zeros((1, 3)), truth(1)["shape"][None], np.array([side]))[0]
+        check(hands, motions, side, side, WIDEST, 3, offset, 1e-4)
+
+
+def test_oakink_takes_the_receivers_of_handovers(tmp_path, capsys):
+    time = "2021-09-26-19-59-58"
+    write_oakink(tmp_path, "0123456789", f"pass1/A01001_0004_0001_0002/{time}", seed=1)
+    write_oakink(tmp_path, "abcdef0123", f"pass1/A01001_0004_0001_0002/{time}_alt", seed=0)
+    write_oakink(tmp_path, "fedcba9876", f"pass1/A01001_0001_0003/{time}", seed=2)
+    write_oakink(tmp_path, "abcdef0123", f"pass1/A01001_0004_0001_0002/{time}_alt", seed=0, virtual="B00001")
+    code, out, _ = imported(capsys, tmp_path, "oakink", tmp_path / "hands.npz")
+    hands, _ = loaded(tmp_path / "hands.npz")
+    assert code == 0 and "2 hands of oakink (2 right, 0 left)" in out
+    h = truth(0, 0)
+    assert np.abs(hands["pose"][:, 3:] - h["fingers"][WIDEST]).max() < 1e-5
+    assert np.abs(hands["T_world_hand"][0, :3, 3] - h["place"][WIDEST]).max() < 1e-6, "tsl is the wrist joint"
+    assert hands["instruction"][0] == "receive the mug" and hands["source"][0].endswith("_alt")
+    trials = make_trials(trials=6, hand_set=load_hand_set(tmp_path / "hands.npz"))
+    assert sorted(set(trials.hand_index.tolist())) == [0, 1], "right hands only: they stand for every trial"
+    code, out, _ = imported(capsys, tmp_path, "oakink", tmp_path / "all.npz", "--frame", "first")
+    assert code == 0 and "4 hands" in out
+    assert "use the mug" in loaded(tmp_path / "all.npz")[0]["instruction"].tolist()
+
+
+def test_our_own_postures_in_the_same_form(tmp_path, capsys):
+    out = tmp_path / "hands.npz"
+    assert main(["import", "hands", "--from", "built-in", "--out", str(out)]) == 0
+    hands, motions = loaded(out)
+    own = load_hand_set()
+    assert np.array_equal(hands["pose"], own.pose.numpy()) and np.array_equal(hands["side"], own.side.numpy())
+    assert np.array_equal(hands["shape"], own.shape.numpy()) and hands["posture"].tolist() == list(own.posture)
+    assert np.isnan(hands["T_world_hand"]).all() and len(motions["fingers"]) == 400
+    again = load_hand_set(out)
+    assert again.digest == own.digest, "the same hands, the same benchmark"
+    assert torch.equal(again.hull_vertex_ids, own.hull_vertex_ids) and torch.equal(again.hull_offsets, own.hull_offsets)
+
+
+class Runs:
+    def __reduce__(self):
+        return eval, ("__import__('pathlib').Path('/tmp/r2h_batch_hands_ran').touch()",)
+
+
+def test_a_bad_file_is_named_and_skipped_or_refused(tmp_path, capsys):
+    good = write_grab(tmp_path)
+    (good.parent / "cup_pass_1.npz").write_bytes(b"PK\x03\x04 not really")
+    np.savez(
+        good.parent / "pot_pass_1.npz", **{k: np.array(Runs(), object) for k in ("rhand", "lhand", "object", "body")}
+    )
+    with np.load(good, allow_pickle=True) as data:
+        short = {k: data[k] for k in data.files}
+    short["object"].item()["params"]["transl"] = np.zeros((3, 3))
+    np.savez(good.parent / "jar_pass_1.npz", **short)
+    code, out, err = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz")
+    lines = err.strip().splitlines()
+    assert code == 0 and out.endswith("; 3 files skipped\n") and len(loaded(tmp_path / "hands.npz")[0]["side"]) == 2
+    assert [next(w for w in ("cup", "jar", "pot") if w in line) for line in lines] == ["cup", "jar", "pot"]
+    assert all(line.startswith("skipped: ") for line in lines) and "asks for builtins.eval" in lines[2]
+    from pathlib import Path
+
+    assert not Path("/tmp/r2h_batch_hands_ran").exists()
+    code, _, err = imported(capsys, tmp_path, "grab", tmp_path / "strict.npz", "--strict")
+    assert code == 2 and err.startswith("import: ") and "cup_pass_1.npz" in err and len(err.splitlines()) == 1
+    assert not (tmp_path / "strict.npz").exists()
+
+
+def test_nothing_outside_the_folder_is_read(tmp_path, capsys, means, mano):
+    outside = write_grab(tmp_path / "elsewhere")
+    inside = tmp_path / "data" / "grab" / "s1"
+    inside.mkdir(parents=True)
+    (inside / "mug_pass_1.npz").symlink_to(outside)
+    code, _, err = imported(capsys, tmp_path / "data", "grab", tmp_path / "hands.npz")
+    assert code == 2 and "is it the right folder" in err
+    mean, components = means
+    pose = write_dexycb(tmp_path / "ycb", components[0], mean[0])
+    meta = pose.with_name("meta.yml")
+    meta.write_text(meta.read_text().replace("20200709-subject-01_right", "../../../secret"))
+    code, _, err = imported(capsys, tmp_path / "ycb", "dexycb", tmp_path / "hands.npz", "--mano-right", mano[0])
+    assert code == 2 and "points outside" in err
+    meta.write_text("a: &x [1, 2]\nb: *x\n")
+    code, _, err = imported(capsys, tmp_path / "ycb", "dexycb", tmp_path / "hands.npz", "--mano-right", mano[0])
+    assert code == 2 and "anchors and aliases are not allowed" in err
+
+
+@pytest.mark.parametrize("arguments, message", [
+    (["--from", "grab", "--out", "h.npz"], "no folder"),
+    (["/nowhere", "--from", "grab", "--out", "h.npz"], "no such folder"),
+    (["/tmp", "--from", "grab", "--out", "h.txt"], "ends in .npz"),
+    (["/tmp", "--from", "grub", "--out", "h.npz"], "grub"),
+])  # fmt: skip
+def test_a_wrong_command_line_is_one_line(capsys, arguments, message):
+    assert main(["import", "hands", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert message in err and len(err.splitlines()) == 1
+
+
+def test_the_hand_command_writes_a_model_that_loads(tmp_path, capsys, mano):
+    from r2h_batch.bodies.hand import load_hand
+
+    out = tmp_path / "hand.npz"
+    assert main(["import", "hand", "--mano-right", str(mano[0]), "--out", str(out)]) == 0
+    assert "do not pass it on" in capsys.readouterr().out
+    assert load_hand(out).digest == load_mano(mano[0]).model.digest
+    bad = tmp_path / "bad.pkl"
+    bad.write_bytes(pickle.dumps(Runs()))
+    assert main(["import", "hand", "--mano-right", str(bad), "--out", str(tmp_path / "x.npz")]) == 2
+    assert "asks for builtins.eval" in capsys.readouterr().err and not (tmp_path / "x.npz").exists()

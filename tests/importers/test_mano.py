@@ -1,0 +1,248 @@
+"""MANO's model from its files, shown with our own hand in MANO's layout."""
+
+import pickle
+
+import numpy as np
+import pytest
+import torch
+from mano_files import MIRROR, mano_dictionary, write_mano
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.bodies.hand import HandModel, load_hand, load_hand_set, make_hand_set
+from r2h_batch.bodies.hand_pieces import close_holes
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.files import FileError
+from r2h_batch.importers.mano import PARENTS, hand_arrays, load_mano
+from r2h_batch.methods.random import predict
+from r2h_batch.trials import make_trials, trials_digest
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mano")
+    return [write_mano(folder / f"MANO_{n}.pkl", mano_dictionary(s)) for s, n in enumerate(("RIGHT", "LEFT"))]
+
+
+@pytest.fixture(scope="module")
+def imported(files):
+    return load_mano(*files)
+
+
+def mano_twin(arrays, pose, shape):
+    """MANO's own formula in its file's own coordinates (Romero et al. 2017, eq. 2 to 4), one hand, float64."""
+    rest = arrays["v_template"] + arrays["shapedirs"][:, :, :10] @ shape
+    joints = arrays["J_regressor"] @ rest
+    turns = Rotation.from_rotvec(pose.reshape(16, 3)).as_matrix()
+    skin = rest + arrays["posedirs"] @ (turns[1:] - np.eye(3)).ravel()
+    world = np.zeros((16, 4, 4))
+    for j, parent in enumerate(PARENTS):
+        T = np.eye(4)
+        T[:3, :3] = turns[j]
+        T[:3, 3] = joints[j] - (joints[parent] if parent >= 0 else 0)
+        world[j] = T if parent < 0 else world[parent] @ T
+    out = np.zeros_like(skin)
+    for j in range(16):
+        moved = (skin - joints[j]) @ world[j, :3, :3].T + world[j, :3, 3]
+        out += arrays["weights"][:, j, None] * moved
+    return out, world[:, :3, 3]
+
+
+def random_hands(rows, seed):
+    rng = np.random.default_rng(seed)
+    return rng.normal(0, 0.5, (rows, 48)), rng.normal(0, 1, (rows, 10)), np.arange(rows) % 2
+
+
+def posed(model, pose, shape, side):
+    return model.pose(torch.from_numpy(pose), torch.from_numpy(shape), torch.from_numpy(side.astype(np.int8)))
+
+
+def test_our_hand_in_manos_layout_has_the_same_meshes_and_pieces(imported):
+    own, rows = load_hand(), random_hands(40, 0)
+    got, want = posed(imported.model, *rows), posed(own, *rows)
+    assert (got.vertices - want.vertices).abs().max() < 1e-6 and (got.joints - want.joints).abs().max() < 1e-6
+    assert imported.model.piece_names == own.piece_names
+    assert all(torch.equal(a, b) for a, b in zip(imported.model.pieces, own.pieces, strict=True))
+    assert torch.equal(imported.model.tip_vertices, own.tip_vertices)
+    assert (imported.model.joint_axes - own.joint_axes).abs().max() < 1e-6
+
+
+def test_our_hand_in_manos_layout_gets_the_same_verdicts_over_500_trials(imported):
+    own = load_hand_set()
+    hands = make_hand_set(imported.model, own.pose.numpy(), own.shape.numpy(), own.side.numpy(), own.posture)
+    assert hands.digest != own.digest
+    outcome = {}
+    for name, hand_set in (("built-in", own), ("imported", hands)):
+        evaluator = Evaluator(hand_set=hand_set).kinematic
+        trials = make_trials(trials=250, hand_set=hand_set)
+        answer = predict(trials, evaluator.scene, seed=3)
+        outcome[name] = (trials, evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials))
+    (a, mine), (b, theirs) = outcome["built-in"], outcome["imported"]
+    assert len(a) == 500 and torch.equal(a.hand_index, b.hand_index)
+    assert (a.T_world_hand - b.T_world_hand).abs().max() < 1e-6
+    assert torch.equal(mine.outcome, theirs.outcome) and torch.equal(mine.passed, theirs.passed)
+    assert torch.equal(mine.plan_reason, theirs.plan_reason)
+    assert 50 < int(mine.success.sum()) < 450 and len(mine.outcome.unique()) >= 4
+
+
+def test_pose_blend_shapes_and_both_sides_follow_manos_formula(tmp_path):
+    rng = np.random.default_rng(7)
+    count = len(load_hand().vertices)
+    sides = [mano_dictionary(s, posedirs=rng.normal(0, 2e-4, (count, 3, 135))) for s in (0, 1)]
+    hand = load_mano(*(write_mano(tmp_path / f"{s}.pkl", a) for s, a in enumerate(sides)))
+    pose, shape, side = random_hands(16, 1)
+    got = posed(hand.model, pose, shape, side)
+    origin = hand.wrist(np.zeros((16, 3)), shape, side)
+    for i in range(16):
+        vertices, joints = mano_twin(sides[side[i]], pose[i], shape[i])
+        assert np.abs(got.vertices[i].numpy() + origin[i] - vertices).max() < 2e-7
+        assert np.abs(got.joints[i].numpy() + origin[i] - joints).max() < 2e-7
+    assert torch.all(got.joints[:, 0].abs() < 1e-9), "the wrist is the origin, whatever the shape"
+    for rows in (1, 5):  # the same bits in any batch
+        again = posed(hand.model, pose[:rows], shape[:rows], side[:rows])
+        assert torch.equal(again.vertices, got.vertices[:rows])
+
+
+def test_principal_components_full_poses_and_means(imported, files):
+    arrays = [mano_dictionary(s) for s in (0, 1)]
+    rng = np.random.default_rng(2)
+    side = torch.tensor([0, 1, 1])
+    for n in (6, 15, 45):
+        some = rng.normal(size=(3, n))
+        for flat in (True, False):
+            got = imported.model.full_pose(torch.from_numpy(some), side, flat_hand_mean=flat).numpy()
+            for i, s in enumerate(side.tolist()):
+                want = some[i] @ arrays[s]["hands_components"][:n] + (0 if flat else arrays[s]["hands_mean"])
+                assert np.abs(got[i] - want).max() < 1e-6
+    with pytest.raises(ValueError, match="no principal components"):
+        load_hand().full_pose(torch.zeros((1, 6)), torch.tensor([0]), flat_hand_mean=True)
+
+
+def test_one_side_alone_stands_for_the_other_too(files, imported):
+    alone = load_mano(None, files[1])
+    rows = random_hands(6, 4)
+    assert (posed(alone.model, *rows).vertices - posed(imported.model, *rows).vertices).abs().max() < 1e-6
+    assert np.abs(alone.wrist_rest - imported.wrist_rest).max() < 1e-6
+    mean = imported.model.pose_mean.numpy()
+    assert np.abs(alone.model.pose_mean.numpy()[1] - mean[1]).max() < 1e-6
+    axial = np.tile([1.0, -1.0, -1.0], 15)
+    assert np.abs(alone.model.pose_mean.numpy()[0] - mean[1] * axial).max() < 1e-6
+
+
+def test_an_npz_of_the_same_arrays_and_a_stored_hand_read_alike(imported, files, tmp_path):
+    arrays = mano_dictionary(0)
+    arrays["shapedirs"], arrays["J_regressor"] = arrays["shapedirs"][:, :, :10], arrays["J_regressor"].toarray()
+    np.savez(tmp_path / "right.npz", **arrays)
+    rows = random_hands(4, 8)
+    rows[2][:] = 0
+    want = posed(imported.model, *rows).vertices
+    assert torch.equal(posed(load_mano(tmp_path / "right.npz").model, *rows).vertices, want)
+    np.savez(tmp_path / "hand.npz", **hand_arrays(*files))
+    stored = load_hand(tmp_path / "hand.npz")
+    assert torch.equal(posed(stored, *rows).vertices, want) and stored.digest == imported.model.digest
+
+
+def test_an_open_wrist_is_closed_and_the_pieces_hold_the_hand(tmp_path):
+    own = load_hand()
+    faces, vertices = own.faces.numpy(), own.vertices.numpy()
+    hub = int(np.argmax(vertices[:, 0]))
+    opened = faces[~(faces == hub).any(1)]
+    ring = (faces == hub).any(1).sum()
+    closed = close_holes(vertices.astype(np.float64), opened)
+    assert len(closed) - len(opened) == ring - 2
+    edges = {(int(a), int(b)) for f in closed for a, b in zip(f, np.roll(f, -1))}
+    assert all((b, a) in edges for a, b in edges)
+    arrays = mano_dictionary(0, faces=opened)
+    hand = load_mano(write_mano(tmp_path / "open.pkl", arrays)).model
+    covered = np.zeros(len(hand.faces), bool)
+    for piece in hand.pieces:
+        covered |= np.isin(hand.faces.numpy(), piece.numpy()).all(1)
+    assert covered.all()
+    assert hub not in hand.faces.numpy() and len(hand.vertices) == len(vertices)
+
+
+def test_hulls_that_do_not_hold_the_skin_are_refused(monkeypatch):
+    import r2h_batch.bodies.hand_pieces as pieces
+
+    class Shrunk(pieces.ConvexHull):
+        @property
+        def equations(self):
+            shifted = super().equations.copy() if hasattr(super(), "equations") else self._equations.copy()
+            return shifted
+
+        @equations.setter
+        def equations(self, value):
+            self._equations = value + np.array([0, 0, 0, 1e-5])
+
+    monkeypatch.setattr(pieces, "ConvexHull", Shrunk)
+    own = load_hand_set()
+    with pytest.raises(ValueError, match="outside its convex piece"):
+        make_hand_set(load_hand(), own.pose[:1].numpy(), own.shape[:1].numpy(), own.side[:1].numpy(), ["one"])
+
+
+def test_a_stored_hand_or_set_that_is_none_is_refused_in_one_line(files, tmp_path):
+    arrays = hand_arrays(files[0])
+    own = load_hand_set()
+    hands = {
+        "pose": own.pose.numpy(),
+        "shape": own.shape.numpy(),
+        "side": own.side.numpy(),
+        "posture": np.array(own.posture),
+    }
+    cases = [
+        (load_hand, {**arrays, "faces": arrays["faces"] + 5}, "faces names other vertices"),
+        (load_hand, {**arrays, "piece_offsets": arrays["piece_offsets"][::-1]}, "do not divide"),
+        (load_hand, {**arrays, "weights": arrays["weights"] / 2}, "sum to 1"),
+        (load_hand, {k: v for k, v in arrays.items() if k != "joint_axes"}, "has no joint_axes"),
+        (load_hand, {**arrays, "parents": arrays["parents"][::-1]}, "not MANO's"),
+        (load_hand, {**arrays, "vertices": np.array([{}], object)}, "Python objects"),
+        (load_hand_set, {**hands, "pose": hands["pose"][:, :45]}, "pose is"),
+        (load_hand_set, {**hands, "side": hands["side"] + 1}, "side must be"),
+        (load_hand_set, {**hands, "shape": hands["shape"][:7]}, "shape is"),
+    ]
+    for k, (load, given, message) in enumerate(cases):
+        np.savez(tmp_path / f"{k}.npz", **given)
+        with pytest.raises(FileError, match=message):
+            load(tmp_path / f"{k}.npz")
+    np.savez(tmp_path / "hands.npz", **{k: v[195:205] for k, v in hands.items()})
+    ten = load_hand_set(tmp_path / "hands.npz")
+    assert len(ten) == 10 and ten.side.tolist() == [0] * 5 + [1] * 5 and ten.model is load_hand()
+    first = slice(int(own.hull_offsets[195 * 20]), int(own.hull_offsets[205 * 20]))
+    assert torch.equal(ten.hull_vertex_ids, own.hull_vertex_ids[first])
+
+
+BAD = {
+    "no MANO file": (lambda a: {"v_template": a["v_template"]}, "has no f"),
+    "another tree": (lambda a: {**a, "kintree_table": np.zeros((2, 16), np.uint32)}, "not MANO's"),
+    "weights that do not sum to 1": (lambda a: {**a, "weights": a["weights"] * 0.5}, "sum to 1"),
+    "faces beyond the vertices": (lambda a: {**a, "f": a["f"] + 10}, "names other vertices"),
+    "a body": (lambda a: {**a, "posedirs": np.zeros((6890, 3, 207))}, "posedirs is"),
+    "not a number": (lambda a: {**a, "hands_mean": np.full(45, np.nan)}, "not finite"),
+    "a left hand": (lambda a: mano_dictionary(1), "is a left hand"),
+    "inside out": (lambda a: {**a, "f": a["f"][:, ::-1]}, "clockwise"),
+    "a list": (lambda a: [1, 2], "holds a list"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_files_that_are_no_right_hand_are_refused_in_one_line(name, tmp_path):
+    change, message = BAD[name]
+    path = tmp_path / "MANO_RIGHT.pkl"
+    path.write_bytes(pickle.dumps(change(mano_dictionary(0)), 2))
+    with pytest.raises(FileError, match=message) as refused:
+        load_mano(path)
+    assert str(refused.value).startswith(str(path)) and "\n" not in str(refused.value)
+
+
+def test_two_hands_that_are_no_pair_are_refused(tmp_path, files):
+    left = mano_dictionary(1)
+    left["v_template"] = left["v_template"] * [1.0, 1.2, 1.0]
+    with pytest.raises(FileError, match="no pair"):
+        load_mano(files[0], write_mano(tmp_path / "left.pkl", left))
+    with pytest.raises(FileError, match="no hand model"):
+        load_mano()
+
+
+def test_the_built_in_hand_is_a_model_without_blend_shapes_of_pose():
+    assert isinstance(load_hand(), HandModel) and load_hand().pose_basis is None and load_hand().left is None
+    assert load_hand_set().model is load_hand()
+    assert len(trials_digest(make_trials(trials=2))) == 64 and MIRROR[0] == -1

@@ -1,0 +1,196 @@
+"""Strangers' pickles: the data in them as Python would read it, and nothing else ever runs or is allocated."""
+
+import contextlib
+import io
+import os
+import pickle
+import resource
+import sys
+
+import numpy as np
+import pytest
+import scipy.sparse
+from mano_files import first_ten, with_fake_chumpy
+
+from r2h_batch.importers.safe_pickle import MAX_DEPTH, UnsafePickle, read_pickle
+
+ARRAYS = {
+    "float": np.arange(12.0).reshape(3, 4),
+    "fortran": np.asfortranarray(np.arange(6, dtype=np.float32).reshape(2, 3)),
+    "big endian": np.arange(5, dtype=">i4"),
+    "uint32": np.array([[1, 2], [3, 4]], np.uint32),
+    "text": np.array(["ab", "cde"]),
+    "scalar": np.float64(2.5),
+    "objects": np.array([{"x": np.ones(2)}, None], object),
+    "empty": np.zeros((0, 3)),
+}
+
+
+def equal(a, b):
+    if isinstance(a, dict):
+        return isinstance(b, dict) and a.keys() == b.keys() and all(equal(a[k], b[k]) for k in a)
+    if isinstance(a, np.ndarray) and a.dtype == object:
+        return a.shape == b.shape and all(equal(x, y) for x, y in zip(a.ravel(), b.ravel(), strict=True))
+    if isinstance(a, (np.ndarray, np.generic)):
+        return a.dtype.newbyteorder("=") == b.dtype.newbyteorder("=") and np.array_equal(a, b)
+    return type(a) is type(b) and a == b
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("protocol", range(6))
+def test_data_comes_back_as_python_reads_it(protocol):
+    value = {**ARRAYS, "nested": [1, -(10**30), 2.5, "hörig", b"\x00\xff", (True, None, ()), {"a": {3: 4}}]}
+    raw = pickle.dumps(value, protocol)
+    assert equal(read_pickle(raw), pickle.loads(raw))
+
+
+@pytest.mark.parametrize("protocol", (0, 2, 4))
+@pytest.mark.parametrize("kind", (scipy.sparse.csc_matrix, scipy.sparse.csr_matrix))
+def test_sparse_matrices_come_back_dense(kind, protocol):
+    dense = np.where(np.random.default_rng(0).random((16, 30)) > 0.8, 1.5, 0.0)
+    assert np.array_equal(read_pickle(pickle.dumps(kind(dense), protocol)), dense)
+
+
+def test_a_text_pickle_of_python_2_is_read_as_latin_1():
+    raw = (
+        b"cnumpy.core.multiarray\n_reconstruct\n(cnumpy\nndarray\n(I0\ntS'b'\ntR(I1\n(I2\ntcnumpy\ndtype\n(S'f4'\nI0\n"
+        b"I1\ntR(I3\nS'<'\nNNNI-1\nI-1\nI0\ntbI00\nS'\\x00\\x00\\x80?\\x00\\x00\\x00\\xc0'\ntb."
+    )
+    assert np.array_equal(read_pickle(raw), np.array([1.0, -2.0], np.float32))
+
+
+class Runs:
+    def __reduce__(self):
+        return os.system, ("touch /tmp/r2h_batch_pickle_ran",)
+
+
+class Deep:
+    def __reduce__(self):
+        return eval, ("1",)
+
+
+def memo_bomb():
+    return b"\x80\x02]r\xff\xff\xff\x7f."
+
+
+def nested(depth):
+    value = []
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+def laughs():
+    value = (1,)
+    for _ in range(30):
+        value = (value, value, value, value)
+    return value
+
+
+def cyclic():
+    value = []
+    value.append(value)
+    return value
+
+
+def claims(shape, raw=b"\x00" * 8, code="f8"):
+    """A pickle of an array that says another shape than its bytes have."""
+    function, arguments, _ = np.zeros(1).__reduce__()
+    out = io.BytesIO()
+
+    class Liar:
+        def __reduce__(self):
+            return function, arguments, (1, shape, np.dtype(code), False, raw)
+
+    pickle.Pickler(out, 2).dump(Liar())
+    return out.getvalue()
+
+
+def sparse_claims(**state):
+    matrix = scipy.sparse.csc_matrix(np.eye(3))
+    matrix.__dict__.update(state)
+    return pickle.dumps(matrix, 2)
+
+
+HOSTILE = {
+    "a call of the system": (pickle.dumps(Runs()), "asks for posix.system"),
+    "eval": (pickle.dumps(Deep()), "asks for builtins.eval"),
+    "an allowed module's other name": (b"\x80\x02cnumpy\nload\n.", "asks for numpy.load"),
+    "a dotted way out": (b"\x80\x04\x8c\x05numpy\x8c\x0eos.path.system\x93.", "asks for numpy.os.path.system"),
+    "a list that holds itself": (pickle.dumps(cyclic()), "contains itself"),
+    "too deep": (pickle.dumps(nested(MAX_DEPTH + 5)), "deep"),
+    "a huge shape": (claims((10**6, 10**6)), "with 8 bytes"),
+    "an overflowing shape": (claims((2**62, 4)), "with 8 bytes"),
+    "a shape of 4^30 numbers": (claims(laughs()), "shape tuple"),
+    "a negative shape": (claims((-1,)), "shape"),
+    "objects in an array of numbers": (claims((1,), code="O"), "items"),
+    "a string that claims 2 GB": (b"\x80\x02T\xff\xff\xff\x7fabc.", "not a readable pickle"),
+    "bytes that claim 2^60": (b"\x80\x04\x8e" + (2**60).to_bytes(8, "little") + b"abc.", "not a readable pickle"),
+    "a frame without its bytes": (b"\x80\x04\x95" + (2**50).to_bytes(8, "little"), "ends before its end mark"),
+    "a sparse matrix of 10^18": (sparse_claims(_shape=(10**9, 10**9)), "unfolds to"),
+    "a sparse matrix that points outside": (sparse_claims(indices=np.array([0, 1, 99], np.int32)), "outside"),
+    "a sparse matrix with wrong starts": (sparse_claims(indptr=np.array([0, 9, 2, 3], np.int32)), "than it says"),
+    "persistent ids": (b"P1\n.", "PERSID is not allowed"),
+    "an extension code": (b"\x80\x02\x82\x01.", "EXT1 is not allowed"),
+    "a call of data": (b"\x80\x02]" + b"(tR.", "no allowed name"),
+    "an unhashable key": (b"\x80\x02}]K\x01s.", "key of type list"),
+    "nothing": (b"", "ends before its end mark"),
+    "text": (b"hello", "recalls value 101"),
+    "two values": (b"K\x01K\x02.", "leaves 2 values"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_pickles_are_refused_in_one_line(name):
+    raw, message = HOSTILE[name]
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(UnsafePickle, match=message) as refused:
+        read_pickle(raw, where="hand.pkl")
+    assert str(refused.value).startswith("hand.pkl: ") and "\n" not in str(refused.value)
+    assert not os.path.exists("/tmp/r2h_batch_pickle_ran")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 64 << 10  # kB
+
+
+def test_a_kept_value_with_a_huge_number_allocates_nothing():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert read_pickle(memo_bomb()) == []
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 64 << 10  # kB; Python's own makes a table
+
+
+def test_a_file_beyond_the_limit_is_not_looked_at():
+    with pytest.raises(UnsafePickle, match="may have 10"):
+        read_pickle(b"x" * 11, max_bytes=10)
+
+
+def test_every_cut_of_a_good_pickle_is_refused():
+    raw = pickle.dumps(ARRAYS, 2)
+    for end in range(0, len(raw) - 1, 7):
+        with pytest.raises(UnsafePickle):
+            read_pickle(raw[:end])
+
+
+def test_changed_bytes_never_raise_anything_else():
+    raw = bytearray(pickle.dumps({**ARRAYS, "m": scipy.sparse.csc_matrix(np.eye(4))}, 2))
+    rng = np.random.default_rng(1)
+    for _ in range(3000):
+        changed = bytearray(raw)
+        changed[int(rng.integers(len(raw)))] = int(rng.integers(256))
+        with contextlib.suppress(UnsafePickle):
+            read_pickle(bytes(changed))
+
+
+def test_chumpy_arrays_are_read_without_chumpy():
+    source = np.random.default_rng(2).random((7, 3, 20))
+    raw = with_fake_chumpy(
+        lambda Ch, Select: {"shapedirs": Select(a=Ch(x=source), idxs=first_ten(source), preferred_shape=(7, 3, 10))}
+    )
+    assert "chumpy" not in sys.modules
+    assert np.array_equal(read_pickle(raw)["shapedirs"], source[:, :, :10])
+
+
+def test_shared_values_stay_shared():
+    value = read_pickle(pickle.dumps(laughs(), 2))
+    for _ in range(30):
+        assert value[0] is value[3]
+        value = value[0]
+    assert value == (1,)

@@ -1,0 +1,287 @@
+"""The pose stage: equal to the whole evaluation where both judge, and its own margins against float64 twins."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from oracle import Staged as Twin
+from oracle import hand_triangles, mujoco_scene
+from problems import Batch, assert_same, default_evaluator, make_batch
+from scipy.optimize import least_squares, linprog
+from staging import GOAL, GOOD, START, batch_of, staged_evaluator
+
+from r2h_batch import se3
+from r2h_batch.bodies.robot import forward_kinematics, load_robot
+from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.goal import Goal, judge_goals
+from r2h_batch.judge.grasp import attach, close_gripper
+from r2h_batch.judge.ik import solve_ik
+from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
+
+STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)
+LATER = (int(PlanReason.NO_PATH_IN_BUDGET), int(PlanReason.NOT_SETTLED))
+"""Reasons that only a path can give."""
+
+
+def perturbed(b: Batch, seed: int) -> Batch:
+    """The same trials with poses a little off: more failures of every kind."""
+    g = torch.Generator().manual_seed(seed)
+    moved = b.T_obj_ee.clone()
+    moved[:, :3, 3] += 0.01 * torch.randn(len(b), 3, generator=g)
+    there = b.T_world_ee.clone()
+    there[:, :3, 3] += 0.05 * torch.randn(len(b), 3, generator=g)
+    return Batch(b.trials, moved, there)
+
+
+def compare(b: Batch, evaluator: Evaluator) -> tuple[Scores, Scores]:
+    """Both stages of a batch, after everything that has to agree was compared."""
+    a = evaluator.score(b.T_obj_ee, b.T_world_ee, b.trials)
+    p = evaluator.score(b.T_obj_ee, b.T_world_ee, b.trials, "pose")
+    for column in (STABILITY, REACH, AFFORDANCE):
+        for name in ("margin", "passed", "evaluated"):
+            x, y = getattr(a, name)[:, column].contiguous(), getattr(p, name)[:, column].contiguous()
+            assert x.numpy().tobytes() == y.numpy().tobytes(), (name, column)
+    for name in ("trial_id", "width_m", "opening_m", "grasp_shift_m"):
+        assert getattr(a, name).numpy().tobytes() == getattr(p, name).numpy().tobytes(), name
+    free = p.plan_reason == int(PlanReason.OK)
+    later = torch.isin(a.plan_reason, torch.tensor(LATER, dtype=torch.int8))
+    assert torch.equal(a.plan_reason[~free], p.plan_reason[~free]) and torch.equal(
+        a.plan_pair[~free], p.plan_pair[~free]
+    )
+    assert ((a.plan_reason == int(PlanReason.OK)) | later)[free].all()
+    assert torch.equal(p.passed[:, PLAN], free) and not (a.passed[:, PLAN] & ~free).any()
+    # what fails here fails there: a free goal keeps the hand, and without one there is no path
+    assert not (a.success & ~p.success).any() and not (a.passed[:, SAFE] & ~p.passed[:, SAFE] & p.passed[:, PLAN]).any()
+    assert p.passed[free, SAFE].all()
+    order = torch.where(p.outcome == 0, 9, p.outcome)
+    assert (torch.where(a.outcome == 0, 9, a.outcome) <= order).all()
+    judged = p.outcome < int(Outcome.INVALID_INPUT)
+    assert torch.isfinite(p.margin[judged][:, [PLAN, SAFE]]).all() and torch.isfinite(p.q_goal[judged]).all()
+    assert torch.equal(p.margin[judged, PLAN] > 0, p.passed[judged, PLAN])
+    same = free & (a.path_len > 0) & (a.q_goal == p.q_goal).all(1)
+    assert (a.margin[same, PLAN] <= p.margin[same, PLAN] + 1.01e-4).all()  # along a path located to 0.1 mm
+    assert (a.margin[same, SAFE] <= p.margin[same, SAFE] + 1.1e-4).all()  # along a path to 0.2 %, here exact
+    return a, p
+
+
+@pytest.mark.check
+def test_the_pose_stage_agrees_with_the_whole_evaluation():
+    evaluator = default_evaluator().kinematic
+    b = make_batch(evaluator.scene, 384, random_share=0.4)
+    a, p = compare(b, evaluator)
+    same = (a.path_len > 0) & (a.q_goal == p.q_goal).all(1)
+    assert same.sum() > 100 and a.path.shape[1] == 32 and p.path.shape == (384, 0, 6) and not p.path_len.any()
+    _, q = compare(perturbed(b, 1), evaluator)
+    reasons = torch.cat([p.plan_reason, q.plan_reason]).tolist()
+    assert {PlanReason.OK, PlanReason.IK_UNREACHABLE, PlanReason.IK_IN_COLLISION} <= {PlanReason(r) for r in reasons}
+    assert (q.margin[:, STABILITY] < 0).any() and len(set(b.trials.object_index.tolist())) == 16
+
+
+@pytest.mark.parametrize("plan", [PlanConfig(goals="one"), PlanConfig(object_collision="pieces")])
+def test_other_ways_to_plan_agree_as_well(plan):
+    evaluator = Evaluator(EvalConfig(plan=plan, execute=ExecConfig(sim="none")))
+    compare(make_batch(evaluator.scene, 64, random_share=0.5), evaluator)
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_candidates_of_all_objects_agree():
+    """pytest -m slow tests/judge/test_goal.py: several minutes."""
+    evaluator, seen, objects = default_evaluator().kinematic, torch.zeros(5, dtype=torch.long), set()
+    for part in range(25):
+        b = make_batch(evaluator.scene, 4000, seed=part, random_share=0.4)
+        _, p = compare(perturbed(b, part) if part % 2 else b, evaluator)
+        seen += torch.bincount(p.plan_reason.long(), minlength=5)[:5]
+        objects |= set(b.trials.object_index.tolist())
+    assert int(seen.sum()) == 100_000 and len(objects) == 16 and (seen[:4] > 0).all()
+
+
+@pytest.mark.parametrize("pair", START)
+def test_a_start_in_collision_is_known_without_a_path(pair):
+    s = staged_evaluator().score(*batch_of([START[pair]]), "pose")
+    assert (int(s.plan_reason[0]), int(s.plan_pair[0])) == (PlanReason.START_IN_COLLISION, CollidingPair[pair])
+    assert s.margin[0, PLAN] < 0 and torch.isfinite(s.q_goal).all()
+
+
+@pytest.mark.parametrize("pair", GOAL)
+def test_goals_in_collision_name_the_pair_and_measure_the_overlap(pair):
+    s = staged_evaluator().score(*batch_of([GOAL[pair]]), "pose")
+    assert (int(s.plan_reason[0]), int(s.plan_pair[0])) == (PlanReason.IK_IN_COLLISION, CollidingPair[pair])
+    assert s.margin[0, PLAN] < -1e-4 and int(s.witness_part[0, 0]) >= 0
+    deeper = GOAL[pair].but(T_world_ee=GOAL[pair].T_world_ee)
+    assert_same(s, staged_evaluator().score(*batch_of([deeper]), "pose"))
+
+
+def test_an_overlap_costs_more_the_deeper_it_is():
+    """The stick's end sinks into the table millimetre by millimetre: straight down, the bound falls at a fixed rate."""
+    rows = []
+    for depth in np.arange(0.0005, 0.006, 0.001):
+        T = GOAL["OBJECT_TABLE"].T_world_ee.copy()
+        T[2, 3] = 0.19 - depth  # the stick reaches 0.19 m below the fingers' centre
+        rows.append(GOAL["OBJECT_TABLE"].but(T_world_ee=T))
+    rows.append(rows[0].but(T_world_ee=rows[0].T_world_ee + np.array([[0] * 4, [0] * 4, [0, 0, 0, 0.0105], [0] * 4])))
+    s = staged_evaluator().score(*batch_of(rows), "pose")
+    m = s.margin[:, PLAN].double().numpy()
+    assert m[-1] == pytest.approx(0.01, abs=1e-5) and int(s.plan_reason[-1]) == PlanReason.OK
+    assert (m[:-1] < 0).all() and np.allclose(np.diff(m[:-1]), -1e-4, atol=1e-6)  # 10 mm inside a half length of 100
+
+
+# --- twins ---------------------------------------------------------------------------------------------------------
+
+
+class Judged:
+    """A batch at the pose stage with everything that a twin needs."""
+
+    def __init__(self, n: int, seed: int) -> None:
+        self.scene = default_evaluator().scene
+        b = perturbed(make_batch(self.scene, n, seed=seed, random_share=0.3), seed)
+        self.batch = b
+        self.scores = default_evaluator().score(b.T_obj_ee, b.T_world_ee, b.trials, "pose")
+        T_obj_ee, self.T_world_ee, T_world_hand = (
+            se3.orthonormalise(T).contiguous() for T in (b.T_obj_ee, b.T_world_ee, b.trials.T_world_hand)
+        )
+        grasp = close_gripper(self.scene.grasp_tables, T_obj_ee, b.trials.object_index)
+        self.attached, self.opening_m, self.T_world_hand = (
+            attach(T_obj_ee, grasp.shift_m),
+            grasp.opening_m,
+            T_world_hand,
+        )
+        self.goal = self.goals(T_world_hand)
+
+    def goals(self, T_world_hand: torch.Tensor) -> Goal:
+        t = self.batch.trials
+        placed = self.scene.place(t.object_index, t.hand_index, self.attached, T_world_hand, self.opening_m)
+        ik = solve_ik(self.T_world_ee)
+        return judge_goals(self.scene, placed, self.T_world_ee, ik, ik.valid, torch.ones(len(t), dtype=torch.bool))
+
+    def twin(self, row: int) -> Twin:
+        t = self.batch.trials
+        return Twin(
+            int(t.object_index[row]),
+            int(t.hand_index[row]),
+            self.attached[row].double().numpy(),
+            self.T_world_hand[row].double().numpy(),
+            float(self.opening_m[row]),
+        )
+
+
+@pytest.fixture(scope="module")
+def judged() -> Judged:
+    return Judged(192, 3)
+
+
+def test_clearance_and_safe_of_free_goals_agree_with_mujoco_and_a_float64_mesh_distance(judged):
+    s = judged.scores
+    rows = torch.nonzero((s.plan_reason == int(PlanReason.OK)) & (s.margin[:, PLAN] < 0.05)).flatten().tolist()[:40]
+    assert len(rows) > 25
+    near = 0
+    for row in rows:
+        twin, q = judged.twin(row), s.q_goal[row].double().numpy()
+        scene = mujoco_scene(judged.scene, twin)
+        found = scene.clearances(q)
+        assert float(s.margin[row, PLAN]) == pytest.approx(found.least, abs=3e-5)
+        if sorted(found.distance.values())[1] > found.least + 1e-4:
+            assert CollidingPair(int(s.plan_pair[row])).name.lower() == found.nearest_class
+        expected = scene.safe_at(hand_triangles(judged.scene, twin), q)
+        assert float(s.margin[row, SAFE]) == pytest.approx(expected, abs=3e-5)
+        near += expected < 0.05
+    assert near > 5
+
+
+def growth(a: np.ndarray, middle: np.ndarray, b: np.ndarray) -> float:
+    """The largest fraction to which conv(a) may be shrunk about `middle` and still touch conv(b): a linear program."""
+    n, m = len(a), len(b)
+    A = np.zeros((4, n + m))
+    A[:3, :n], A[:3, n:], A[3, n:] = -(a - middle).T, b.T, 1.0
+    found = linprog(np.r_[np.ones(n), np.zeros(m)], A_eq=A, b_eq=np.r_[middle, 1.0])
+    return float(found.fun)
+
+
+def test_overlaps_of_object_and_hand_are_growth_distances(judged):
+    """All colliding goals against linear programs: none is missed, and where object and hand decide, the number is theirs."""
+    scene, goal = judged.scene, judged.goal
+    rows = torch.nonzero(goal.reason == int(PlanReason.IK_IN_COLLISION)).flatten().tolist()
+    balls, robot, decided = scene.hull_balls.numpy(), load_robot(), 0
+    for row in rows[:40]:
+        o, hand = int(judged.batch.trials.object_index[row]), int(judged.batch.trials.hand_index[row])
+        ee = forward_kinematics(robot, goal.q[row].double().numpy())[6] @ scene.T_wrist_ee
+        T = ee @ np.linalg.inv(judged.attached[row].double().numpy())
+        a = scene.objects[o].hull_vertices.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+        middle, radius = T[:3, :3] @ balls[o, :3] + T[:3, 3], float(balls[o, 3])
+        H = judged.T_world_hand[row].double().numpy()
+        least = np.inf
+        for k in range(len(scene.hands.model.piece_names)):
+            b = scene.hands.piece_points(hand, k).astype(np.float64) @ H[:3, :3].T + H[:3, 3]
+            if (b.min(0) < a.max(0)).all() and (b.max(0) > a.min(0)).all():
+                least = min(least, -(1 - growth(a, middle, b)) * radius)
+        if least < 0:
+            assert float(goal.clearance_m[row]) <= least + 2e-5
+        if int(goal.body[row]) == len(scene.part_names) - 1 and int(goal.other[row]) >= 0:
+            pieces = goal.pair[row]  # the pair that blocked the first branch; the witness is the deepest
+            assert pieces > 0 and float(goal.clearance_m[row]) == pytest.approx(least, abs=2e-5)
+            decided += 1
+    assert len(rows) > 20 and decided > 3
+
+
+def test_the_witness_says_how_the_clearance_changes_when_the_hand_moves(judged):
+    """0.1 mm along the push, away from the other body: the clearance grows by |push| times that."""
+    goal = judged.goal
+    hand = (goal.body >= 0) & (goal.push.norm(dim=1) > 0.05) & (goal.reason != int(PlanReason.START_IN_COLLISION))
+    hand &= (goal.clearance_m < 0.049) & (goal.clearance_m.abs() > 1e-3)
+    step = 1e-4
+    moved = judged.T_world_hand.clone()
+    length = goal.push.norm(dim=1, keepdim=True).clamp(min=1e-9)
+    moved[:, :3, 3] -= step * goal.push / length
+    after = judged.goals(moved)
+    same = hand & (after.slot == goal.slot) & (after.body == goal.body) & (after.other == goal.other)
+    change = (after.clearance_m - goal.clearance_m) / step
+    by_hand = (goal.pair == int(CollidingPair.HAND)) | (goal.pair == int(CollidingPair.OBJECT_HAND))
+    free = same & (goal.clearance_m > 0)
+    assert (change[free & ~by_hand].abs() < 0.01).all()  # table and self do not feel the hand
+    met = same & (goal.clearance_m < 0) & (change.abs() > 0.01)
+    for name, rows in (("separated", free & by_hand), ("overlapping", met)):
+        assert rows.sum() > 5, name
+        off = (change[rows] / length[rows, 0] - 1).abs()
+        assert off.median() < 0.02 and off.quantile(0.9) < 0.1, (name, off)
+
+
+def test_unreachable_targets_are_missed_by_their_margin_with_the_hand_turned_as_asked(judged):
+    robot, s = load_robot(), judged.scores
+    rows = torch.nonzero(s.plan_reason == int(PlanReason.IK_UNREACHABLE)).flatten().tolist()
+    assert len(rows) > 10
+
+    def ee(q: np.ndarray) -> np.ndarray:
+        return np.asarray(forward_kinematics(robot, q)[6] @ judged.scene.T_wrist_ee)
+
+    for row in rows:
+        T, target = ee(s.q_goal[row].double().numpy()), judged.T_world_ee[row].double().numpy()
+        assert np.abs(T[:3, :3] - target[:3, :3]).max() < 1e-5
+        assert np.linalg.norm(T[:3, 3] - target[:3, 3]) == pytest.approx(-float(s.margin[row, PLAN]), abs=2e-6)
+    rng = np.random.default_rng(0)
+    for row in rows[:3]:  # nobody comes nearer: a general solver with a heavy weight on the hand's turn
+        target = judged.T_world_ee[row].double().numpy()
+
+        def miss(q: np.ndarray, target: np.ndarray = target) -> np.ndarray:
+            T = ee(q)
+            return np.r_[T[:3, 3] - target[:3, 3], 30.0 * (T[:3, :3] - target[:3, :3]).ravel()]
+
+        best = min(np.linalg.norm(least_squares(miss, rng.uniform(-3, 3, 6)).fun[:3]) for _ in range(12))
+        assert best > -float(s.margin[row, PLAN]) * 0.98 - 1e-4
+
+
+def test_no_free_pose_is_beyond_the_float64_verdict_of_mujoco(judged):
+    """Every branch of a goal in collision collides in MuJoCo C, every chosen branch of a free one does not."""
+    s, goal = judged.scores, judged.goal
+    assert torch.equal(s.margin[:, PLAN], goal.clearance_m) and torch.equal(s.q_goal, goal.q)
+    ik = solve_ik(judged.T_world_ee)
+    rows = torch.nonzero(s.plan_reason == int(PlanReason.IK_IN_COLLISION)).flatten().tolist()[:12]
+    for row in rows:
+        scene = mujoco_scene(judged.scene, judged.twin(row))
+        for q in ik.q[row][ik.valid[row]].double().numpy():
+            assert scene.least(q, cap=1e-3)[0] < 1e-4
+    config = replace(default_evaluator().config, chunk=50)
+    other = default_evaluator().__class__(config, threads=1)
+    b = judged.batch
+    assert_same(other.score(b.T_obj_ee, b.T_world_ee, b.trials, "pose"), s)
+    assert GOOD.object_index == 0

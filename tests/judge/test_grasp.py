@@ -1,0 +1,260 @@
+"""Width, closing, cuts and region distance against manifold3d, fcl and float64 NumPy."""
+
+import manifold3d
+import numpy as np
+import pytest
+import torch
+import trimesh
+import warp as wp
+from grasp_cases import BAND, PAD_X, PAD_Z, box, pose_at, random_grasps, shapes, tables_of_shapes
+
+from r2h_batch.bodies.robot import drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
+from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.judge.grasp import attach, close_gripper, gripper_poses, region_distance
+from r2h_batch.kernels.geometry.surface import Surfaces, inverse_pose
+from r2h_batch.kernels.grasp.width import material_between
+from r2h_batch.launch import launch_trials
+from r2h_batch.scene.grasp_tables import gripper_tables
+
+
+def _material64(
+    mesh: trimesh.Trimesh, T_obj_ee: np.ndarray, gap: float, grow: float = 0.0
+) -> tuple[float, float] | None:
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh64(
+            trimesh.transform_points(mesh.vertices, np.linalg.inv(T_obj_ee.astype(np.float64))),
+            mesh.faces.astype(np.uint64),
+        )
+    )
+    z = float(pad_center_z(drive_from_gap(gap))) + float(
+        load_robot().T_flange_gripper[2, 3] - load_robot().T_flange_ee[2, 3]
+    )
+    prism = box((2 * (PAD_X + grow), 2.0, 2 * (PAD_Z + grow)), (0, 0, z))
+    runs: list[list[float]] = []
+    for piece in (solid ^ prism).decompose():
+        sides = piece.bounding_box()
+        runs.append([sides[1], sides[4]])
+    runs.sort()
+    merged: list[list[float]] = []
+    for low, high in runs:
+        if merged and low <= merged[-1][1]:
+            merged[-1][1] = max(merged[-1][1], high)
+        else:
+            merged.append([low, high])
+    held = [r for r in merged if r[1] > -OPEN_GAP_M / 2 and r[0] < OPEN_GAP_M / 2]
+    return (held[0][0], held[-1][1]) if held else None
+
+
+def _width64(mesh, T_obj_ee, gap, grow=0.0) -> float:
+    held = _material64(mesh, T_obj_ee, gap, grow)
+    return held[1] - held[0] if held else -1.0
+
+
+@wp.kernel
+def _material_kernel(
+    first: int,
+    surfaces: Surfaces,
+    T_obj_ee_in: wp.array(dtype=wp.mat44),
+    object_index_in: wp.array(dtype=wp.int32),
+    z_in: wp.array(dtype=wp.float32),
+    low_out: wp.array(dtype=wp.float32),
+    high_out: wp.array(dtype=wp.float32),
+):
+    trial = first + wp.tid()
+    R, t = inverse_pose(T_obj_ee_in[trial])
+    z = z_in[trial]
+    low, high = material_between(surfaces, object_index_in[trial], R, t, 0.011, z - 0.01875, z + 0.01875, 0.0425)
+    low_out[trial] = low
+    high_out[trial] = high
+
+
+@pytest.mark.parametrize("count", [140, pytest.param(500, marks=pytest.mark.slow)])
+def test_material_at_a_given_gap_is_what_manifold3d_cuts_out(count: int) -> None:
+    T, index = random_grasps(count, seed=1)
+    gap = np.random.default_rng(2).uniform(0.002, 0.085, len(T))
+    z = pad_center_z(drive_from_gap(gap)) + load_robot().T_flange_gripper[2, 3] - load_robot().T_flange_ee[2, 3]
+    low, high = torch.empty(len(T)), torch.empty(len(T))
+    surfaces = tables_of_shapes().surfaces
+    launch_trials(
+        _material_kernel,
+        len(T),
+        inputs={
+            "surfaces": surfaces,
+            "T_obj_ee": T,
+            "object_index": index,
+            "z": torch.tensor(z, dtype=torch.float32),
+        },
+        outputs={"low": low, "high": high},
+        device="cpu",
+    )
+    meshes = list(shapes().values())
+    filled, steps = 0, 0
+    for i in range(len(T)):
+        twin = _material64(meshes[index[i]], T[i].numpy(), gap[i])
+        filled += twin is not None
+        found = (float(low[i]), float(high[i])) if low[i] <= high[i] else None
+        if (twin is None) == (found is None) and (twin is None or np.allclose(twin, found, rtol=0, atol=BAND)):
+            continue
+        # a corner or a face within 0.1 mm of the prism's side: the answer lies between a thinner and a thicker prism's
+        steps += 1
+        thin, thick = (_width64(meshes[index[i]], T[i].numpy(), gap[i], grow) for grow in (-BAND, BAND))
+        width = found[1] - found[0] if found else -1.0
+        assert thin - BAND <= width <= thick + BAND, (i, twin, found)
+    assert filled > 0.6 * count
+    assert steps <= 0.02 * count, "only steps at the prism's side may differ"
+
+
+def test_opening_is_the_largest_gap_that_the_material_fills() -> None:
+    T, index = random_grasps(252, seed=3)
+    grasp = close_gripper(tables_of_shapes(), T, index)
+    meshes = list(shapes().values())
+    checked = {"held": 0, "empty": 0, "wide": 0}
+    for i in range(len(T)):
+        mesh, T_i = meshes[index[i]], T[i].numpy()
+        opening, width = float(grasp.opening_m[i]), float(grasp.width_m[i])
+        if grasp.empty[i]:
+            checked["empty"] += 1
+            assert np.isnan(width) and opening == pytest.approx(OPEN_GAP_M) and grasp.shift_m[i] == 0
+            stop = 0.0016
+        elif width > OPEN_GAP_M:
+            checked["wide"] += 1
+            assert opening == pytest.approx(OPEN_GAP_M) and grasp.margin_m[i] < 0
+            # wide at the open gap, or at the gap where the tips meet a step
+            gaps = np.linspace(0.0016, OPEN_GAP_M, 60)
+            assert max(_width64(mesh, T_i, g, BAND) for g in gaps) >= width - BAND
+            continue
+        else:
+            checked["held"] += 1
+            stop = opening
+            at = [_width64(mesh, T_i, opening, grow) for grow in (-BAND, 0.0, BAND)]
+            assert max(at) >= width - BAND and min(at) <= width + BAND, (i, at, width)
+            if opening > 0.0016:
+                assert width >= opening - BAND, "the pads stop where the material fills the gap"
+            low, high = _material64(mesh, T_i, opening, BAND) or (0, 0)
+            if abs(width - (high - low)) < 2 * BAND:
+                assert float(grasp.shift_m[i]) == pytest.approx((low + high) / 2, abs=2 * BAND)
+        for gap in np.linspace(stop + 2 * BAND, OPEN_GAP_M, 12)[:-1] if stop < OPEN_GAP_M - 1e-3 else []:
+            assert _width64(mesh, T_i, gap, -BAND) < gap + BAND, (i, gap, opening, width)
+    assert min(checked.values()) >= 10, checked
+
+
+def _one(name: str, T: np.ndarray, **options):
+    names = list(shapes())
+    return close_gripper(
+        tables_of_shapes(),
+        torch.tensor(T[None], dtype=torch.float32),
+        torch.tensor([names.index(name)], dtype=torch.int32),
+        **options,
+    )
+
+
+def test_a_block_wider_than_the_stroke_is_too_wide_and_not_empty() -> None:
+    grasp = _one("block", pose_at(z=-0.03))
+    assert not grasp.empty and grasp.width_m.item() == pytest.approx(0.1, abs=1e-6)
+    assert grasp.opening_m.item() == pytest.approx(OPEN_GAP_M) and grasp.margin_m.item() < -0.0149
+
+
+def test_a_block_larger_than_the_prism_has_only_sheets_in_it_and_its_inside_counts() -> None:
+    grasp = _one("sheet_block", pose_at(y=0.004, z=-0.08))
+    assert grasp.width_m.item() == pytest.approx(0.05, abs=1e-6)
+    assert grasp.shift_m.item() == pytest.approx(-0.004, abs=1e-6)
+    assert grasp.opening_m.item() == pytest.approx(0.05, abs=2e-5)
+
+
+def test_nothing_between_the_pads_is_empty_and_fails_by_the_whole_stroke() -> None:
+    grasp = _one("block", pose_at(z=-0.2))
+    assert grasp.empty and torch.isnan(grasp.width_m).all() and grasp.margin_m.item() == pytest.approx(-OPEN_GAP_M)
+    inside_pipe = _one("pipe", pose_at(x=0.0, about=(1, 0, 0), angle=0.0))
+    assert not inside_pipe.empty  # the pipe's two walls lie between the pads: outermost to outermost
+    assert inside_pipe.width_m.item() == pytest.approx(0.06, abs=1e-4)
+
+
+def test_a_bowls_rim_is_as_wide_as_its_wall_and_the_whole_bowl_is_too_wide() -> None:
+    T = pose_at(x=0.0735, z=0.043, about=(0, 1, 0), angle=np.pi) @ trimesh.transformations.rotation_matrix(
+        np.pi / 2, (0, 0, 1)
+    )
+    rim = _one("bowl", T)
+    whole = _one("bowl", T, mode="whole")
+    assert 0.002 < rim.width_m.item() < 0.03 and rim.margin_m.item() > 0.05
+    assert whole.width_m.item() == pytest.approx(0.15, abs=1e-3) and whole.margin_m.item() < 0
+
+
+def test_a_run_that_goes_on_beyond_the_open_gap_counts_whole() -> None:
+    grasp = _one("l_shape", pose_at(z=0.06, about=(1, 0, 0), angle=np.pi))
+    assert grasp.width_m.item() == pytest.approx(0.1, abs=1e-5)
+
+
+def test_closing_moves_the_object_to_the_middle_of_the_pads() -> None:
+    T, index = random_grasps(120, seed=5)
+    grasp = close_gripper(tables_of_shapes(), T, index)
+    held = ~grasp.empty & (grasp.width_m <= OPEN_GAP_M) & (grasp.shift_m.abs() < 0.01)
+    moved = close_gripper(tables_of_shapes(), attach(T, grasp.shift_m)[held].contiguous(), index[held])
+    same = (moved.width_m - grasp.width_m[held]).abs() < 1e-5  # else another piece comes between the pads
+    assert same.sum() > 20
+    assert moved.shift_m[same].abs().max() < 1e-5
+    T_ee_obj = np.linalg.inv(attach(T, grasp.shift_m)[0].double().numpy())
+    expected = pose_at(y=-float(grasp.shift_m[0])) @ np.linalg.inv(T[0].double().numpy())
+    np.testing.assert_allclose(T_ee_obj, expected, atol=1e-6)
+
+
+# --- clearance: least signed distance over a triangle by nested golden section search in float64 (it is convex) ---
+
+
+def test_finger_poses_agree_with_the_robots_own() -> None:
+    opening = torch.linspace(0.0, 0.087, 200)
+    R, p = gripper_poses(opening)
+    T = gripper_primitives_at(load_robot(), opening.double().numpy())
+    np.testing.assert_allclose(R.numpy(), T[..., :3, :3], atol=1e-6)
+    np.testing.assert_allclose(p.numpy(), T[..., :3, 3], atol=1e-6)
+    assert gripper_tables("cpu").kind.shape[0] == T.shape[1]
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 33])
+def test_rows_do_not_depend_on_batch_order_or_threads(count: int) -> None:
+    T, index = random_grasps(66, seed=13)
+    full = close_gripper(tables_of_shapes(), T, index, threads=1)
+    opening = torch.nan_to_num(full.width_m, nan=0.05)
+    far, _ = region_distance(tables_of_shapes(), T, index, opening, threads=1)
+    rows = torch.randperm(66, generator=torch.Generator().manual_seed(count))[:count]
+    for threads in (1, 2):
+        part = close_gripper(tables_of_shapes(), T[rows].contiguous(), index[rows].contiguous(), threads=threads)
+        for name in ("width_m", "opening_m", "shift_m", "empty", "cut_m", "margin_m", "cut_part"):
+            assert torch.equal(
+                torch.nan_to_num(getattr(part, name).float()), torch.nan_to_num(getattr(full, name)[rows].float())
+            )
+        again, _ = region_distance(
+            tables_of_shapes(),
+            T[rows].contiguous(),
+            index[rows].contiguous(),
+            opening[rows].contiguous(),
+            threads=threads,
+        )
+        assert torch.equal(torch.nan_to_num(again), torch.nan_to_num(far[rows]))
+
+
+def test_no_rows_left_by_a_filter_are_no_rows() -> None:
+    T, index = random_grasps(4, seed=0)
+    none = torch.zeros(4, dtype=torch.bool)
+    empty = close_gripper(tables_of_shapes(), T[none].contiguous(), index[none])
+    assert all(len(getattr(empty, name)) == 0 for name in ("width_m", "opening_m", "cut_m", "margin_m"))
+
+
+def test_wrong_shapes_types_and_indices_are_refused() -> None:
+    T, index = random_grasps(4, seed=0)
+    bad = [((T[:, :3].contiguous(), index), "T_obj_ee"), ((T.double(), index), "T_obj_ee")]
+    bad += [((T, index.long()), "object_index"), ((T, index + 99), "object_index")]
+    for args, named in bad:
+        with pytest.raises(ValueError, match=named):
+            close_gripper(tables_of_shapes(), *args)
+    with pytest.raises(ValueError, match=r"pads.*whole"):
+        close_gripper(tables_of_shapes(), T, index, mode="object")  # type: ignore[arg-type]
+
+
+def test_a_row_that_is_not_finite_leaves_its_neighbours_alone() -> None:
+    T, index = random_grasps(5, seed=17)
+    bad = T.clone()
+    bad[2] = torch.nan
+    good, mixed = close_gripper(tables_of_shapes(), T, index), close_gripper(tables_of_shapes(), bad, index)
+    rows = [0, 1, 3, 4]
+    assert torch.equal(torch.nan_to_num(good.margin_m[rows]), torch.nan_to_num(mixed.margin_m[rows]))
+    assert mixed.empty[2]

@@ -1,0 +1,119 @@
+"""Closing and shaking in physics: the rest opening of convex parts is their width, and weight decides what is held."""
+
+from dataclasses import replace
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+import trimesh
+from staging import frame
+
+from r2h_batch.bodies.objects import build_object
+from r2h_batch.bodies.robot import drive_from_gap, gap_from_drive, load_robot, pad_center_z
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.grasp import attach, close_gripper
+from r2h_batch.judge.grasp_physics import close_in_physics, gripper_spec
+from r2h_batch.launch import init_warp
+from r2h_batch.scene.grasp_tables import grasp_tables
+from r2h_batch.trials.protocol import trials_with_ids
+
+X, Y, Z = np.eye(3)
+
+
+@cache
+def parts():
+    """Convex parts, 60 mm long or wide where the pads do not go: boxes, a cylinder, a hexagonal bar, a ball."""
+    lying = trimesh.transformations.rotation_matrix(np.pi / 2, Y)
+    made = {
+        "box_10": trimesh.creation.box((0.06, 0.010, 0.06)),
+        "box_40": trimesh.creation.box((0.06, 0.040, 0.06)),
+        "box_80": trimesh.creation.box((0.06, 0.080, 0.06)),
+        "cylinder_30": trimesh.creation.cylinder(0.015, 0.08, sections=64).apply_transform(lying),
+        "hexagon": trimesh.creation.cylinder(0.02, 0.08, sections=6).apply_transform(lying),
+        "ball_50": trimesh.creation.icosphere(subdivisions=3, radius=0.025),
+    }  # fmt: skip
+    init_warp()
+    return tuple(build_object(m.subdivide(), name, pieces=True) for name, m in made.items())
+
+
+def geometric(index: np.ndarray, T_obj_ee: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Opening and attached grasps from the exact geometry."""
+    T = torch.from_numpy(T_obj_ee.astype(np.float32))
+    g = close_gripper(grasp_tables(parts(), "cpu"), T, torch.from_numpy(index.astype(np.int32)))
+    assert (g.margin_m >= 0).all()
+    return g.opening_m.numpy(), attach(T, g.shift_m).numpy().astype(np.float64)
+
+
+@pytest.mark.parametrize("off_m", [0.0, 0.002])
+def test_rigid_convex_parts_stop_the_fingers_at_their_geometric_width(off_m):
+    index = np.arange(len(parts()))
+    T = np.stack([frame(Z, Y, np.array([0.0, off_m * (p.name != "box_80"), 0.0])) for p in parts()])
+    opening, _ = geometric(index, T)
+    closed = close_in_physics(parts(), index, T)
+    np.testing.assert_allclose(closed.opening_m, opening, atol=5e-4)
+    # an object off the middle is pushed there
+    pushed = closed.moved_m[np.array([p.name != "box_80" for p in parts()])]
+    assert (np.abs(pushed - off_m) < 1e-3).all()
+
+
+def test_without_an_object_between_them_the_pads_close_to_the_linkages_end():
+    far = frame(Z, Y, np.array([0.0, 0.0, 0.5]))  # the part is half a metre behind the gripper
+    closed = close_in_physics(parts(), np.array([0]), far[None])
+    assert closed.opening_m[0] == pytest.approx(float(gap_from_drive(0.8)), abs=5e-4) and closed.moved_m[0] < 1e-9
+
+
+def test_the_closing_fingers_move_as_the_linkage_says():
+    robot = load_robot()
+    m = gripper_spec(robot, parts()[0], frame(Z, Y, np.array([0.0, 0.0, 0.5]))).compile()
+    data = mujoco.MjData(m)
+    for gap in (0.085, 0.05, 0.02, 0.002):
+        drive = float(drive_from_gap(gap))
+        data.qpos[:4] = np.array([1, -1, 1, -1]) * drive
+        mujoco.mj_kinematics(m, data)
+        for name, side in (("left", -1), ("right", 1)):
+            want = [0, side * (gap / 2 + robot.linkage.pad_half_size[1]), float(pad_center_z(drive))]
+            np.testing.assert_allclose(data.geom(name).xpos, want, atol=1e-9)
+            np.testing.assert_allclose(data.geom(name).xmat, np.eye(3).ravel(), atol=1e-12)
+
+
+def test_a_light_part_is_held_through_the_shake_and_a_heavy_one_drops():
+    box = parts()[1]
+    light = replace(box, mass=0.1, inertia=box.inertia * (0.1 / box.mass))
+    heavy = replace(box, mass=12.0, inertia=box.inertia * (12.0 / box.mass))
+    T = np.stack([frame(Z, Y, np.zeros(3))] * 2)
+    closed = close_in_physics((light, heavy), np.array([0, 1]), T, shake=True)
+    assert closed.held.tolist() == [True, False]
+    assert closed.slip_m[0] < 1e-3 and closed.slip_m[1] > 0.05
+    assert np.isnan(close_in_physics((light,), np.array([0]), T[:1]).slip_m).all()  # not shaken: nothing is said
+
+
+def test_rows_do_not_depend_on_their_batch_and_an_empty_one_is_empty():
+    index = np.arange(3)
+    T = np.stack([frame(Z, Y, np.zeros(3))] * 3)
+    whole, alone = close_in_physics(parts(), index, T), close_in_physics(parts(), index[1:2], T[1:2], threads=1)
+    assert whole.opening_m[1] == alone.opening_m[0]
+    assert close_in_physics(parts(), index[:0], T[:0]).opening_m.shape == (0,)
+
+
+def test_stability_by_physics_fails_what_drops_and_tells_the_slip_in_its_margin():
+    box = parts()[1]
+    heavy = replace(box, name="heavy", mass=12.0, inertia=box.inertia * (12.0 / box.mass))
+    objects = (replace(box, mass=0.1, inertia=box.inertia * (0.1 / box.mass)), heavy)
+    T = torch.from_numpy(np.stack([frame(Z, Y, np.zeros(3))] * 3).astype(np.float32))
+    T[2, 0, 0] = torch.nan
+    trials = trials_with_ids(torch.tensor([0, 2, 4]), objects=objects)
+    trials = replace(trials, object_index=torch.tensor([0, 1, 0], dtype=torch.int32))
+    config = EvalConfig(stability="physics", execute=ExecConfig(sim="none"))
+    plain = Evaluator(replace(config, stability="geometric"), objects=objects).score(T, T, trials)
+    shaken = Evaluator(config, objects=objects).score(T, T, trials)
+    assert plain.passed[:, 0].tolist() == [True, True, False]
+    assert shaken.passed[:, 0].tolist() == [True, False, False] and shaken.evaluated[:, 0].tolist() == [
+        True,
+        True,
+        False,
+    ]
+    assert 0.019 < float(shaken.margin[0, 0]) <= 0.02 and float(shaken.margin[1, 0]) < -0.03
+    assert torch.equal(plain.margin[:2, 2], shaken.margin[:2, 2])

@@ -1,0 +1,302 @@
+"""Each criterion's margin against float64 NumPy and trimesh; when touching passes; where a criterion is defined."""
+
+from functools import cache
+
+import numpy as np
+import oracle
+import pytest
+import torch
+import trimesh
+from planning_twins import motion_samples, staged
+from problems import Batch, Problems, default_evaluator, make_batch, solve
+
+from r2h_batch import se3
+from r2h_batch.bodies.robot import Kind, gripper_primitives_at
+from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, ExecConfig, Thresholds
+from r2h_batch.judge import metrics
+from r2h_batch.judge.grasp import Grasp, attach, close_gripper, region_distance
+from r2h_batch.motion.execute import Executed, execute
+from r2h_batch.motion.time_law import time_path
+from r2h_batch.types import CRITERIA, Outcome, PlanReason, Scores
+
+STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)
+N = 256
+
+
+@cache
+def scored() -> tuple[Batch, Problems, Scores]:
+    evaluator = default_evaluator()
+    batch = make_batch(evaluator.scene, N, random_share=0.4)
+    scores = evaluator.kinematic.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
+    return batch, solve(evaluator.scene, batch), scores
+
+
+def as_planned(problems: Problems) -> Executed:
+    """The planned motion itself as what was executed."""
+    config, plan = ExecConfig(sim="none"), problems.plan
+    motion = time_path(plan.path, plan.length, config)
+    return execute(default_evaluator().scene, problems.placed, plan.path, plan.length, motion, config)
+
+
+def of_object(scores_row: int) -> trimesh.Trimesh:
+    batch = scored()[0]
+    model = default_evaluator().scene.objects[int(batch.trials.object_index[scores_row])]
+    return trimesh.Trimesh(model.vertices.astype(np.float64), model.faces, process=False)
+
+
+# --- the rule ------------------------------------------------------------------------------------------------------
+
+
+def test_touching_passes_where_the_paper_says_so():
+    margin = torch.tensor([0.0, 1e-9, -1e-9])
+    everywhere = torch.ones(3, dtype=torch.bool)
+    assert metrics.Criterion.of(margin, everywhere, touching_passes=True).passed.tolist() == [True, True, False]
+    assert metrics.Criterion.of(margin, everywhere, touching_passes=False).passed.tolist() == [False, True, False]
+
+
+def test_what_is_not_evaluated_has_no_margin_and_does_not_pass():
+    c = metrics.Criterion.of(torch.tensor([1.0, torch.nan]), torch.tensor([False, False]), touching_passes=True)
+    assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()
+
+
+def test_a_margin_that_is_not_a_number_never_passes():
+    c = metrics.Criterion.of(torch.tensor([torch.nan]), torch.tensor([True]), touching_passes=True)
+    assert not c.passed[0]
+
+
+def test_scores_are_consistent_with_their_margins():
+    _, _, s = scored()
+    assert torch.equal(torch.isnan(s.margin), ~s.evaluated)
+    margin = torch.where(s.evaluated, s.margin, torch.zeros(()))
+    assert torch.equal(s.passed[:, [STABILITY, REACH]], (s.evaluated & (margin >= 0))[:, [STABILITY, REACH]])
+    assert torch.equal(s.passed[:, [PLAN, AFFORDANCE, SAFE]], (s.evaluated & (margin > 0))[:, [PLAN, AFFORDANCE, SAFE]])
+    failed = s.evaluated & ~s.passed
+    first = torch.where(failed.any(1), failed.to(torch.int8).argmax(1) + 1, 0)
+    assert torch.equal(s.outcome.long(), first) and torch.equal(s.success, s.outcome == int(Outcome.SUCCESS))
+    assert torch.equal(s.borderline, (s.evaluated & (s.margin.abs() < BORDERLINE_M)).any(1))
+    assert s.evaluated[:, :3].all() and torch.equal(s.evaluated[:, SAFE], s.path_len > 0)
+    assert len(CRITERIA) == s.margin.shape[1]
+
+
+# --- Stability -----------------------------------------------------------------------------------------------------
+
+
+def test_stability_is_the_aperture_less_the_width():
+    batch, _, s = scored()
+    grasp = close_gripper(default_evaluator().scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
+    assert torch.equal(metrics.stability(grasp, torch.ones(N, dtype=torch.bool)).margin, grasp.margin_m)
+    held = ~grasp.empty & (grasp.cut_m > 0)
+    assert held.sum() > 0.9 * N
+    limit = torch.minimum(Thresholds().w_max_m - s.width_m, torch.full((), torch.inf))
+    torch.testing.assert_close(s.margin[held, STABILITY], limit[held], atol=1e-6, rtol=0)
+
+
+# --- Reach ---------------------------------------------------------------------------------------------------------
+
+
+def test_reach_is_the_balls_radius_less_its_centres_distance_to_the_solid():
+    batch, problems, s = scored()
+    scene = default_evaluator().scene
+    _, _, center = scene.palm(batch.trials.hand_index, batch.trials.T_world_hand)
+    inside = 0
+    for row in range(0, N, 2):
+        T_world_obj = batch.T_world_ee[row].double().numpy() @ np.linalg.inv(
+            problems.T_obj_ee_attached[row].double().numpy()
+        )
+        x = np.linalg.inv(T_world_obj) @ np.append(center[row].double().numpy(), 1.0)
+        mesh = of_object(row)
+        distance = float(trimesh.proximity.closest_point_naive(mesh, x[None, :3])[1][0])
+        if abs(oracle.winding_number(x[:3], mesh.triangles)) > 0.5:
+            distance, inside = 0.0, inside + 1
+        assert float(s.margin[row, REACH]) == pytest.approx(0.10 - distance, abs=3e-5), row
+    assert inside >= 5
+
+
+def test_the_balls_centre_is_twelve_centimetres_out_of_the_palm():
+    batch, _, _ = scored()
+    scene = default_evaluator().scene
+    point, normal, center = scene.palm(batch.trials.hand_index, batch.trials.T_world_hand)
+    joints = scene.hands.joints[batch.trials.hand_index.long()].double().numpy()
+    T = batch.trials.T_world_hand.double().numpy()
+    world = np.einsum("nij,nkj->nki", T[:, :3, :3], joints) + T[:, None, :3, 3]
+    roots = world[:, [0, 1, 4, 7, 10]]  # wrist, index, middle, pinky, ring
+    np.testing.assert_allclose(point.numpy(), roots.mean(1), atol=1e-6)
+    n = np.cross(world[:, 1] - world[:, 0], world[:, 7] - world[:, 0])
+    n *= np.where(scene.hands.set.side[batch.trials.hand_index.long()].numpy() == 1, -1.0, 1.0)[:, None]
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    np.testing.assert_allclose(normal.numpy(), n, atol=2e-6)
+    np.testing.assert_allclose(center.numpy(), roots.mean(1) + 0.12 * n, atol=2e-6)
+    # out of the palm: relaxed fingers curl to this side
+    tips = (
+        scene.hands.vertices[batch.trials.hand_index.long()].double().numpy()[:, scene.hands.model.tip_vertices.numpy()]
+    )
+    tips = np.einsum("nij,nkj->nki", T[:, :3, :3], tips) + T[:, None, :3, 3]
+    along = np.einsum("nki,ni->nk", tips - roots.mean(1)[:, None], n).mean(1)
+    assert (along > -0.02).all() and along.mean() > 0.01
+
+
+@pytest.mark.parametrize(("gap", "passes"), [(0.0999, True), (0.1001, False)])
+def test_reach_passes_up_to_the_balls_radius(gap, passes):
+    scene = default_evaluator().scene
+    T = torch.eye(4)[None]
+    top = float(scene.objects[0].vertices[:, 0].max())
+    corner = scene.objects[0].vertices[scene.objects[0].vertices[:, 0].argmax()]
+    center = torch.tensor([[top + gap, float(corner[1]), float(corner[2])]])
+    c = metrics.reach(
+        scene, T, center, torch.zeros(1, dtype=torch.int32), torch.ones(1, dtype=torch.bool), Thresholds()
+    )
+    assert bool(c.passed[0]) is passes
+
+
+# --- Affordance ----------------------------------------------------------------------------------------------------
+
+
+def test_affordance_is_the_closed_fingers_distance_to_the_region_and_only_asked_in_s1():
+    batch, problems, s = scored()
+    scene = default_evaluator().scene
+    compared = met = 0
+    for row in range(N):
+        model = scene.objects[int(batch.trials.object_index[row])]
+        assert bool(s.evaluated[row, AFFORDANCE]) is (model.split == "S1")
+        if model.split == "S0" or row % 4 > 1:
+            continue
+        region = model.vertices.astype(np.float64)[model.faces[model.receiver_face]]
+        opening = max(float(problems.opening_m[row]) - 0.001, 0.0)
+        T = problems.T_obj_ee_attached[row].double().numpy() @ gripper_primitives_at(scene.robot, opening)
+        least = CLEARANCE_CAP_M
+        for i, motion in enumerate(scene.robot.gripper_motion):
+            if motion != "fixed":
+                kind = int(scene.robot.gripper.kind[i])
+                least = min(least, open_surface_distance(kind, scene.robot.gripper.size[i], T[i], region, least))
+        compared += 1
+        if least <= 1e-6:
+            met += 1
+            assert float(s.margin[row, AFFORDANCE]) <= 1e-6
+        else:
+            assert float(s.margin[row, AFFORDANCE]) == pytest.approx(least, abs=2e-5), row
+    assert compared >= 50 and met >= 5
+
+
+def open_surface_distance(kind: int, size: np.ndarray, T: np.ndarray, triangles: np.ndarray, cap: float) -> float:
+    """Distance of a primitive to triangles, 0 where they meet; `cap` at most. Inside counts nothing: the patch is open."""
+    inverse = np.linalg.inv(T)
+    local = triangles @ inverse[:3, :3].T + inverse[:3, 3]
+    center = local.mean(1)
+    lower = oracle.primitive_distance(Kind(kind), size, center) - np.linalg.norm(local - center[:, None], axis=2).max(1)
+    order, best = np.argsort(lower), cap
+    for first in range(
+        0, len(order), 16
+    ):  # those that may be nearest first, until none may be nearer than what is known
+        near = order[first : first + 16]
+        near = near[lower[near] < best]
+        n = len(near)
+        if n == 0:
+            break
+        eye = np.tile(np.eye(4), (n, 1, 1))
+        a, b = oracle.bodies([kind] * n, [size] * n, eye), oracle.bodies([Kind.HULL] * n, None, eye, local[near])
+        best = min(best, float(np.maximum(oracle.convex_distance(a, b)[1], 0.0).min()))
+    return best
+
+
+def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
+    """The closed pads touch what they hold: without the squeeze the margin would be rounding noise around 0."""
+    batch, _, s = scored()
+    scene = default_evaluator().scene
+    grasp = close_gripper(scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
+    closed = attach(batch.T_obj_ee, grasp.shift_m), batch.trials.object_index
+    raw, _ = region_distance(scene.grasp_tables, *closed, grasp.opening_m, cap_m=CLEARANCE_CAP_M)
+    holding = (raw.abs() < 1e-4) & s.evaluated[:, AFFORDANCE]
+    assert holding.any()
+    assert (s.margin[holding, AFFORDANCE] < -1e-4).all()
+    too_wide = Grasp(**{**grasp.__dict__, "width_m": torch.full((N,), 0.2), "opening_m": torch.full((N,), 0.085)})
+    c = metrics.affordance(
+        scene, batch.T_obj_ee, batch.trials.object_index, too_wide, torch.ones(N, dtype=torch.bool), Thresholds()
+    )
+    open_, _ = region_distance(scene.grasp_tables, *closed, too_wide.opening_m, cap_m=CLEARANCE_CAP_M)
+    assert torch.equal(c.margin[c.evaluated], open_[c.evaluated])
+
+
+# --- Plan, Safe ----------------------------------------------------------------------------------------------------
+
+
+def test_plans_margin_is_the_smallest_clearance_or_minus_infinity():
+    _, problems, s = scored()
+    found = s.path_len > 0
+    assert torch.equal(found, s.plan_reason == int(PlanReason.OK))
+    assert torch.equal(s.margin[found, PLAN], problems.plan.clearance_m[found])
+    assert (s.margin[~found, PLAN] == -torch.inf).all()
+    assert (s.margin[found, PLAN] > 0).all() and (s.margin[found, PLAN] <= CLEARANCE_CAP_M).all()
+
+
+def test_safe_is_the_smallest_distance_of_the_timed_motion_and_the_witness_says_where_and_when():
+    _, problems, s = scored()
+    evaluator = default_evaluator()
+    near = torch.nonzero((s.path_len > 0) & (s.margin[:, SAFE] < CLEARANCE_CAP_M)).flatten().tolist()
+    assert len(near) >= 20
+    for row in near[:10]:
+        twin = oracle.mujoco_scene(evaluator.scene, staged(problems, row))
+        triangles = oracle.hand_triangles(evaluator.scene, twin.staged)
+        k = int(s.path_len[row])
+        path, times = s.path[row, :k].double().numpy(), s.path_time_s[row, :k].double().numpy()
+        when = float(s.witness_time_s[row])
+        assert 0 <= when <= float(s.t_exec_s[row])
+        # where the motion is at that time, from its dense samples
+        q = posture_at(path, times, when, evaluator.config.execute)
+        there = twin.safe_at(triangles, q, cap=2 * CLEARANCE_CAP_M)
+        assert there == pytest.approx(float(s.margin[row, SAFE]), abs=1e-4)
+        samples = motion_samples(path, times, evaluator.config.execute, step_rad=1 / 20)
+        assert min(twin.safe_at(triangles, x, cap=0.2) for x in samples[::3]) >= float(s.margin[row, SAFE]) - 1e-4
+        name = evaluator.scene.part_names[int(s.witness_part[row, 1])]
+        geom = twin.model.geom(name)
+        twin.safe_at(triangles, q)  # puts the model there
+        x = twin.data.geom_xmat[geom.id].reshape(3, 3).T @ (
+            s.witness_point[row].double().numpy() - twin.data.geom_xpos[geom.id]
+        )
+        kind = Kind.BOX if int(geom.type[0]) == 6 else (Kind.CYLINDER if int(geom.type[0]) == 5 else Kind.CAPSULE)
+        assert float(oracle.primitive_distance(kind, geom.size, x)) == pytest.approx(
+            float(s.margin[row, SAFE]), abs=1e-4
+        )
+
+
+def posture_at(path: np.ndarray, times: np.ndarray, when: float, config) -> np.ndarray:
+    """The motion's posture at a time, by the trapezoid in float64."""
+    v, a = config.scale * config.max_velocity_rad_s, config.scale * config.max_acceleration_rad_s2
+    k = int(np.clip(np.searchsorted(times, when, side="right") - 1, 0, len(path) - 2))
+    delta, total, t = path[k + 1] - path[k], times[k + 1] - times[k], when - times[k]
+    whole, ramp = np.abs(delta).max(), min(v / a, total / 2)
+    t = np.clip(t, 0, total)
+    s = a * ramp * ramp / 2 + a * ramp * (t - ramp)
+    if t < ramp:
+        s = a * t * t / 2
+    elif total - t < ramp:
+        s = whole - a * (total - t) ** 2 / 2
+    return path[k] + s / whole * delta
+
+
+def test_a_safety_margin_is_taken_off():
+    _, problems, s = scored()
+    scene = default_evaluator().scene
+    active = torch.ones(N, dtype=torch.bool)
+    plain, _ = metrics.safe(scene, problems.placed, as_planned(problems), active, Thresholds())
+    strict, _ = metrics.safe(scene, problems.placed, as_planned(problems), active, Thresholds(safe_margin_m=0.02))
+    found = s.path_len > 0
+    assert torch.equal(plain.margin[found], s.margin[found, SAFE])
+    torch.testing.assert_close(strict.margin[found], plain.margin[found] - 0.02)
+    assert int(strict.passed.sum()) < int(plain.passed.sum())
+
+
+def test_inactive_rows_are_not_judged():
+    batch, problems, _ = scored()
+    scene = default_evaluator().scene
+    none = torch.zeros(N, dtype=torch.bool)
+    grasp = close_gripper(scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
+    _, _, center = scene.palm(batch.trials.hand_index, batch.trials.T_world_hand)
+    T_world_obj = se3.matmul(batch.T_world_ee, se3.inverse(problems.T_obj_ee_attached))
+    for c in (
+        metrics.stability(grasp, none),
+        metrics.plan(problems.plan, as_planned(problems), none),
+        metrics.reach(scene, T_world_obj, center, batch.trials.object_index, none, Thresholds()),
+        metrics.affordance(scene, batch.T_obj_ee, batch.trials.object_index, grasp, none, Thresholds()),
+        metrics.safe(scene, problems.placed, as_planned(problems), none, Thresholds())[0],
+    ):
+        assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()

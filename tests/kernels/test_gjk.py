@@ -1,0 +1,381 @@
+"""Kernel gjk: certified bounds against a float64 twin and against MuJoCo C, over all shapes and all kinds of placement."""
+
+import itertools
+
+import convex_twin
+import mujoco
+import numpy as np
+import oracle
+import pytest
+import warp as wp
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.bodies import bounds
+from r2h_batch.bodies.objects import OBJECT_NAMES, load_objects
+from r2h_batch.bodies.robot import Kind
+from r2h_batch.kernels.geometry import body as shapes
+from r2h_batch.kernels.geometry import gjk as kernel
+from r2h_batch.kernels.geometry.segments import from_point, from_segment
+from r2h_batch.launch import init_warp, launch
+
+wp.set_module_options({"enable_backward": False})
+
+ABOVE_TRUTH_M = 1e-7
+"""The certified bound may be above the float64 distance by no more than this."""
+
+
+@wp.func
+def _body(kind: wp.array(dtype=int), size: wp.array(dtype=wp.vec3), start: wp.array(dtype=int), i: int):
+    b = shapes.Body()
+    b.kind = kind[i]
+    b.size = size[i]
+    b.start = start[i]
+    b.count = start[i + 1] - start[i]
+    if b.kind == shapes.HULL and size[i][0] < 0.0:
+        b.kind = shapes.CELLS
+    if b.kind <= 1:
+        b.radius = b.size[0]
+    return b
+
+
+@wp.kernel
+def pair_distance(
+    needed: float,
+    relative_gap: float,
+    kind_a: wp.array(dtype=int),
+    size_a: wp.array(dtype=wp.vec3),
+    start_a: wp.array(dtype=int),
+    points_a: wp.array(dtype=wp.vec3),
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
+    kind_b: wp.array(dtype=int),
+    size_b: wp.array(dtype=wp.vec3),
+    start_b: wp.array(dtype=int),
+    points_b: wp.array(dtype=wp.vec3),
+    center_b: wp.array(dtype=wp.vec3),
+    lower_out: wp.array(dtype=float),
+    upper_out: wp.array(dtype=float),
+    point_out: wp.array(dtype=wp.vec3),
+    v_out: wp.array(dtype=wp.vec3),
+):
+    i = wp.tid()
+    d = kernel.gjk(
+        _body(kind_a, size_a, start_a, i), R[i], p[i], points_a, _body(kind_b, size_b, start_b, i), points_b, center_b[i],
+        needed, relative_gap,
+    )  # fmt: skip
+    lower_out[i] = d.lower
+    upper_out[i] = d.upper
+    point_out[i] = d.point
+    v_out[i] = d.v
+
+
+@wp.kernel
+def segments(
+    a0: wp.array(dtype=wp.vec3), a1: wp.array(dtype=wp.vec3), b0: wp.array(dtype=wp.vec3), b1: wp.array(dtype=wp.vec3),
+    distance_out: wp.array(dtype=float), point_out: wp.array(dtype=float),
+):  # fmt: skip
+    i = wp.tid()
+    distance_out[i] = wp.length(from_segment(b0[i], b1[i], a0[i], a1[i]))
+    point_out[i] = wp.length(from_point(a0[i], b0[i], b1[i]))
+
+
+class Pairs:
+    """N pairs of bodies of given kinds, b at the origin; everything rounded to float32 so that both sides see the same."""
+
+    def __init__(self, kinds_a, kinds_b, rng, *, smallest=2e-3, largest=0.12):
+        n = len(kinds_a)
+        self.kinds = (np.asarray(kinds_a), np.asarray(kinds_b))
+        self.sizes = [
+            np.exp(rng.uniform(np.log(smallest), np.log(largest), (n, 3))).astype(np.float32) for _ in range(2)
+        ]
+        self.points = [
+            [
+                self._hull(s, rng) if k == Kind.HULL else np.zeros((1, 3), np.float32)
+                for k, s in zip(kk, ss, strict=True)
+            ]
+            for kk, ss in zip(self.kinds, self.sizes, strict=True)
+        ]
+        self.R = Rotation.random(n, random_state=rng).as_matrix().astype(np.float32)
+        self.p = (rng.normal(size=(n, 3)) * 0.15).astype(np.float32)
+
+    @staticmethod
+    def _hull(size, rng):
+        x = rng.normal(size=(rng.integers(4, 60), 3))
+        x /= np.linalg.norm(x, axis=1)[:, None]
+        return (x * size + rng.normal(size=3) * 0.02).astype(np.float32)
+
+    def __len__(self):
+        return len(self.p)
+
+    def twin(self):
+        n = len(self)
+        T = np.tile(np.eye(4), (n, 1, 1))
+        b = oracle.bodies(self.kinds[1], self.sizes[1], T, self.points[1])
+        T[:, :3, :3], T[:, :3, 3] = self.R, self.p
+        return oracle.bodies(self.kinds[0], self.sizes[0], T, self.points[0]), b
+
+    def truth(self):
+        lower, upper = oracle.convex_distance(*self.twin())
+        return lower, upper
+
+    def put_at(self, gap):
+        """Moves body a along the line between nearest points (or centres, when they meet) to the wanted gap."""
+        for _ in range(3):
+            a, b = self.twin()
+            d, _ = oracle.convex_distance(a, b)
+            line = self.p.astype(np.float64) - 0.0
+            line /= np.maximum(np.linalg.norm(line, axis=1), 1e-9)[:, None]
+            self.p = (self.p + (gap - d)[:, None] * line).astype(np.float32)
+
+    def run(self, needed=1e9, relative_gap=0.0, *, swap=False, cells=False):
+        """Kernel results; with `cells` the hulls of body a are given sorted by direction (body.CELLS)."""
+        n = len(self)
+        sizes, points_of = list(self.sizes), list(self.points)
+        if cells:
+            hull = self.kinds[0] == Kind.HULL
+            sizes[0] = np.where(hull[:, None], -1.0, sizes[0]).astype(np.float32)
+            points_of[0] = [
+                bounds.support_cells(x.astype(np.float64)).astype(np.float32) if h else x
+                for x, h in zip(points_of[0], hull, strict=True)
+            ]
+        R, p = self.R, self.p
+        first, second = 0, 1
+        if swap:
+            first, second = 1, 0
+            R64 = self.R.astype(np.float64)
+            R = np.ascontiguousarray(R64.transpose(0, 2, 1), np.float32)
+            p = (-np.einsum("nji,nj->ni", R64, self.p)).astype(np.float32)
+        args = []
+        for k in (first, second):
+            start = np.cumsum([0] + [len(x) for x in points_of[k]]).astype(np.int32)
+            points = np.concatenate(points_of[k])
+            args.append(
+                {
+                    "kind": wp.array(self.kinds[k].astype(np.int32), dtype=int),
+                    "size": wp.array(sizes[k], dtype=wp.vec3),
+                    "start": wp.array(start, dtype=int),
+                    "points": wp.array(points, dtype=wp.vec3),
+                }
+            )
+        center = np.stack([x.mean(0) for x in self.points[second]]).astype(np.float32)
+        out = [wp.zeros(n, dtype=t) for t in (float, float, wp.vec3, wp.vec3)]
+        launch(
+            pair_distance,
+            n,
+            inputs={
+                "needed": needed,
+                "relative_gap": relative_gap,
+                **{f"{name}_{side}": x for side, body in zip("ab", args, strict=True) for name, x in body.items()},
+                "R": R,
+                "p": p,
+                "center_b": center,
+            },
+            outputs=dict(zip(("lower", "upper", "point", "v"), out, strict=True)),
+            device="cpu",
+        )
+        return [x.numpy() for x in out]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _warp():
+    init_warp()
+
+
+def every_pair_of_kinds(each):
+    both = np.array(list(itertools.product(range(5), repeat=2)))
+    return np.repeat(both, each, axis=0).T
+
+
+@pytest.mark.parametrize("smallest", [2e-3, 5e-5], ids=["solid", "thin"])
+@pytest.mark.parametrize("gap", [None, 0.3, 1e-2, 1e-3, 1e-4, 1e-5, 0.0])
+@pytest.mark.parametrize("each", [40, pytest.param(120, marks=pytest.mark.slow)])
+def test_the_bound_is_never_above_the_truth_and_close_below_it_where_bodies_are_apart(gap, smallest, each):
+    rng = np.random.default_rng(3)
+    pairs = Pairs(*every_pair_of_kinds(each), rng, smallest=smallest)
+    if gap is not None:
+        pairs.put_at(gap)
+    low, high = pairs.truth()
+    lower, upper, _, _ = pairs.run()
+    scale = 1 + np.linalg.norm(pairs.p, axis=1)  # float32 of a coordinate: 6e-8 of it
+    above = (lower - np.maximum(high, 0.0)) / scale
+    print(f"gap {gap} {smallest}: {len(pairs)} pairs, above truth by at most {above.max():.2e} m")
+    assert above.max() <= ABOVE_TRUTH_M
+    apart = low > 1e-6
+    behind = (low - lower)[apart]
+    if apart.any():
+        print(f"behind it by at most {behind.max():.2e}, 99.9 %: {np.quantile(behind, 0.999):.2e} m")
+        assert np.quantile(behind, 0.99) <= 4e-6 and behind.max() <= (1e-4 if smallest > 1e-3 else 1e-3)
+        assert (upper[apart] - high[apart]).min() > -2e-6  # and the estimate is not below it
+
+
+@pytest.mark.check
+def test_bodies_that_overlap_never_have_a_positive_bound():
+    rng = np.random.default_rng(4)
+    for depth in (1e-4, 1e-2, 1.0):
+        pairs = Pairs(*every_pair_of_kinds(80), rng)
+        pairs.p = (pairs.p * (1e-3 if depth == 1.0 else 1.0)).astype(np.float32)
+        if depth < 1.0:
+            pairs.put_at(-depth)
+        _, high = pairs.truth()
+        lower, _, _, _ = pairs.run()
+        met = high <= 0
+        assert met.mean() > 0.4
+        assert lower[met].max() <= 0.0
+
+
+def test_stopping_early_still_certifies_what_was_asked():
+    rng = np.random.default_rng(5)
+    pairs = Pairs(*every_pair_of_kinds(100), rng)
+    low, high = pairs.truth()
+    for needed in (0.0, 0.003, 0.05):
+        for relative_gap in (0.0, 0.1):
+            lower, _, _, _ = pairs.run(needed, relative_gap)
+            assert (lower - np.maximum(high, 0)).max() <= 2 * ABOVE_TRUTH_M
+            reached = lower >= needed
+            assert (high[reached] >= needed - 2 * ABOVE_TRUTH_M).all()
+            clearly = low > np.maximum(needed * 1.2, needed + 1e-4)
+            assert reached[clearly].mean() > 0.999 or relative_gap > 0
+
+
+def test_order_does_not_matter_and_repeating_gives_the_same_bits():
+    rng = np.random.default_rng(6)
+    pairs = Pairs(*every_pair_of_kinds(100), rng)
+    first, again, turned = pairs.run(), pairs.run(), pairs.run(swap=True)
+    for a, b in zip(first, again, strict=True):
+        assert a.tobytes() == b.tobytes()
+    apart = pairs.truth()[0] > 1e-5
+    assert np.quantile(np.abs(first[0] - turned[0])[apart], 0.99) <= 5e-6
+
+
+def test_the_nearest_points_are_points_of_the_bodies_at_that_distance():
+    rng = np.random.default_rng(7)
+    pairs = Pairs(*every_pair_of_kinds(60), rng)
+    low, _ = pairs.truth()
+    _, upper, point, v = pairs.run()
+    a, b = pairs.twin()
+    apart = low > 1e-4
+    radii = a.ball + b.ball
+    assert np.abs(np.linalg.norm(v, axis=1) - radii - upper)[apart].max() <= 1e-6
+    for body, x in ((a, point), (b, point - v)):  # zero distance of a point to the body's core
+        n = len(x)
+        T = np.tile(np.eye(4), (n, 1, 1))
+        T[:, :3, 3] = x
+        core = convex_twin.Bodies(body.points, body.disc, np.zeros(n), body.R, body.p)
+        _, off = oracle.convex_distance(oracle.bodies([0] * n, np.zeros((n, 3)), T), core)
+        assert off[apart].max() <= 5e-6
+
+
+@pytest.mark.parametrize("count", [125, pytest.param(500, marks=pytest.mark.slow)])
+def test_hulls_sorted_by_direction_are_the_same_hulls(count):
+    rng = np.random.default_rng(10)
+    pairs = Pairs(np.full(count, Kind.HULL), rng.integers(0, 5, count), rng)
+    plain, sorted_ = pairs.run(), pairs.run(cells=True)
+    high = pairs.truth()[1]
+    assert (sorted_[0] - np.maximum(high, 0)).max() <= ABOVE_TRUTH_M
+    assert np.abs(plain[0] - sorted_[0])[high > 1e-5].max() <= 1e-5
+
+
+@wp.kernel
+def farthest(
+    cells: int, points: wp.array(dtype=wp.vec3), count: int, d: wp.array(dtype=wp.vec3), height_out: wp.array(dtype=float)
+):  # fmt: skip
+    i = wp.tid()
+    b = shapes.Body()
+    b.kind = wp.where(cells == 1, shapes.CELLS, shapes.HULL)
+    b.count = count
+    height_out[i] = wp.dot(shapes.support(b, points, d[i]), d[i])
+
+
+@pytest.mark.parametrize("name", OBJECT_NAMES)
+def test_the_farthest_point_by_direction_is_the_farthest_point(name):
+    hull = load_objects([name])[0].hull_vertices
+    d = np.random.default_rng(11).normal(size=(20_000, 3))
+    edges = (
+        np.linspace(-1, 1, shapes.CELLS_PER_EDGE + 1)
+        if isinstance(shapes.CELLS_PER_EDGE, int)
+        else np.linspace(-1, 1, 7)
+    )
+    d[:2000] = np.random.default_rng(12).choice(edges, (2000, 3)) + np.random.default_rng(13).choice(
+        [0, 1e-7, -1e-7], (2000, 3)
+    )
+    d[2000:2006] = np.concatenate([np.eye(3), -np.eye(3)])
+    d = wp.array(d.astype(np.float32), dtype=wp.vec3)
+    heights = []
+    for cells in (0, 1):
+        points = bounds.support_cells(hull.astype(np.float64)) if cells else hull
+        out = wp.zeros(len(d), dtype=float)
+        launch(
+            farthest,
+            len(d),
+            inputs={"cells": cells, "points": points.astype(np.float32), "count": len(points), "d": d},
+            outputs={"height": out},
+            device="cpu",
+        )
+        heights.append(out.numpy())
+    assert (heights[0] - heights[1] <= 1e-7).all()
+
+
+def test_it_agrees_with_mujoco_c():
+    """One model with two geoms per pair of kinds, posed anew for every pair."""
+    rng = np.random.default_rng(8)
+    kinds = np.array(list(itertools.product((1, 2, 3, 4), repeat=2)))
+    worst, compared = 0.0, 0
+    for ka, kb in kinds:
+        pairs = Pairs(np.full(150, ka), np.full(150, kb), rng)
+        for side in (0, 1):
+            pairs.sizes[side][:] = pairs.sizes[side][0]
+            pairs.points[side] = [pairs.points[side][0]] * 150
+        spec = mujoco.MjSpec()
+        spec.option.ccd_iterations, spec.option.ccd_tolerance = 500, 1e-9
+        types = {1: mujoco.mjtGeom.mjGEOM_CAPSULE, 2: mujoco.mjtGeom.mjGEOM_CYLINDER, 3: mujoco.mjtGeom.mjGEOM_BOX}
+        for side, kind in ((0, ka), (1, kb)):
+            body = spec.worldbody.add_body(name=f"m{side}", mocap=True)
+            if kind == Kind.HULL:
+                mesh = spec.add_mesh(name=f"h{side}", uservert=pairs.points[side][0].astype(np.float64).ravel())
+                mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+                body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"h{side}")
+            else:
+                body.add_geom(type=types[int(kind)], size=pairs.sizes[side][0])
+        model = spec.compile()
+        data = mujoco.MjData(model)
+        lower, _, _, _ = pairs.run()
+        for i in range(len(pairs)):
+            data.mocap_pos[0] = pairs.p[i]
+            data.mocap_quat[0] = Rotation.from_matrix(pairs.R[i]).as_quat(scalar_first=True)
+            mujoco.mj_kinematics(model, data)
+            x = mujoco.mj_geomDistance(model, data, 0, 1, 1.0, None)
+            if x > 1e-4:
+                compared += 1
+                worst = max(worst, abs(x - lower[i]))
+            elif x < -1e-4:
+                assert lower[i] <= 0, (ka, kb, i)
+    print(f"{compared} pairs against MuJoCo C, largest difference {worst:.2e} m")
+    assert compared > 1000 and worst <= 2e-5
+
+
+def test_segment_distance_is_never_above_the_truth_even_for_nearly_parallel_segments():
+    rng = np.random.default_rng(9)
+    n = 20_000
+    a0, u = rng.normal(size=(n, 3)) * 0.1, rng.normal(size=(n, 3))
+    u *= rng.uniform(0.01, 0.5, (n, 1)) / np.linalg.norm(u, axis=1)[:, None]
+    bend = np.concatenate([np.zeros(n // 4), 10.0 ** rng.uniform(-7, 0, n - n // 4)])
+    v = u + rng.normal(size=(n, 3)) * bend[:, None] * 0.3
+    v *= rng.uniform(0.2, 2, (n, 1)) * rng.choice([-1, 1], (n, 1))
+    b0 = a0 + rng.normal(size=(n, 3)) * 0.15
+    ends = [x.astype(np.float32) for x in (a0, a0 + u, b0, b0 + v)]
+    out = [wp.zeros(n, dtype=float) for _ in range(2)]
+    launch(
+        segments,
+        n,
+        inputs=dict(zip(("a0", "a1", "b0", "b1"), ends, strict=True)),
+        outputs={"distance": out[0], "point": out[1]},
+        device="cpu",
+    )
+    T = np.tile(np.eye(4), (n, 1, 1))
+    hull = lambda *x: oracle.bodies([4] * n, None, T, np.stack(x, 1))  # noqa: E731
+    _, truth = oracle.convex_distance(hull(*ends[:2]), hull(*ends[2:]), gap=1e-9)
+    _, point = oracle.convex_distance(hull(ends[0]), hull(*ends[2:]), gap=1e-9)
+    print(f"segments: above truth by at most {(out[0].numpy() - truth).max():.2e} m")
+    assert np.abs(out[1].numpy() - point).max() <= 1e-6
+    assert (out[0].numpy() - truth).max() <= 2e-6
+    assert np.quantile(np.abs(out[0].numpy() - truth), 0.99) <= 1e-6

@@ -1,0 +1,232 @@
+"""Safe: the exact hand mesh against float64, hands and robots inside one another, margins of overlaps."""
+
+from dataclasses import replace
+
+import numpy as np
+import oracle
+import pytest
+import torch
+
+from r2h_batch.bodies.robot import ee_pose, gripper_primitives_at
+from r2h_batch.judge.metrics import SAFE_TOLERANCE_M
+from r2h_batch.judge.plan import Planner
+from r2h_batch.kernels.judge.safe import safe_distance
+from r2h_batch.kernels.plan import rrt
+from r2h_batch.scene.scene import Scene
+
+CAP_M = 0.05
+HOME = np.array([-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483])
+
+
+def with_hands_scaled(factor):
+    """A scene whose hands are `factor` times as large."""
+    scene = Scene()
+    h = scene.hands
+    scene.hands = replace(h, vertices=h.vertices * factor, joints=h.joints * factor, palm_point=h.palm_point * factor)
+    return scene
+
+
+def safe_of(scene, stages, paths, threads=None):
+    """distance, body, segment, fraction, point of every path."""
+    n, width = len(paths), max(len(p) for p in paths)
+    path = torch.zeros((n, width, 6))
+    for k, p in enumerate(paths):
+        path[k, : len(p)] = torch.tensor(p, dtype=torch.float32)
+    length = torch.tensor([len(p) for p in paths], dtype=torch.int32)
+    distance, body, segment = (
+        torch.full((n,), -9.0),
+        torch.zeros(n, dtype=torch.int32),
+        torch.zeros(n, dtype=torch.int32),
+    )
+    fraction, point = torch.zeros(n), torch.zeros((n, 3))
+    Planner(scene, oracle.place(scene, stages), threads)(
+        safe_distance,
+        n,
+        inputs={"cap": CAP_M, "tolerance": SAFE_TOLERANCE_M, "mesh": scene.hand_mesh, "path": path, "length": length},
+        outputs={"distance": distance, "body": body, "segment": segment, "fraction": fraction, "point": point},
+        chunk=16,
+    )
+    return [x.numpy() for x in (distance, body, segment, fraction, point)]
+
+
+def is_free(scene, stages, q):
+    n = len(stages)
+    return [
+        x.numpy()
+        for x in Planner(scene, oracle.place(scene, stages), 1).check(
+            torch.tensor(np.array(q), dtype=torch.float32), torch.ones(n, dtype=torch.bool), 1
+        )
+    ]
+
+
+def stay(q):
+    return np.stack([q, q])
+
+
+@pytest.mark.parametrize("count", [60, pytest.param(240, marks=pytest.mark.slow)])
+def test_distances_at_postures_agree_with_the_exact_mesh_and_never_fall_below_the_hulls(scene, count):
+    rng = np.random.default_rng(1)
+    stages, base = oracle.random_stages(scene, rng, count)
+    distance, *_ = safe_of(scene, stages, [stay(q) for q in base])
+    off, touching = [], 0
+    for k, staged in enumerate(stages):
+        twin = oracle.mujoco_scene(scene, staged)
+        hull = twin.clearances(base[k], cap=CAP_M).distance["hand"]
+        assert distance[k] >= min(hull, CAP_M) - 1e-5 or hull < 0
+        if hull > CAP_M:
+            continue
+        truth = twin.safe_at(oracle.hand_triangles(scene, staged), base[k], cap=CAP_M)
+        if truth <= 0:
+            assert distance[k] <= -1e-6
+            touching += 1
+        else:
+            off.append(distance[k] - truth)
+            assert abs(off[-1]) <= 1e-5 or truth >= CAP_M, (k, distance[k], truth)
+    print(f"\n{len(off)} postures apart, off by at most {np.abs(off).max():.1e} m; {touching} touching")
+    assert len(off) >= 15 and touching >= 8
+
+
+@pytest.mark.parametrize("part", [2, pytest.param(1, marks=pytest.mark.slow)], ids=["half", "all"])
+def test_the_smallest_distance_along_paths_is_the_sampled_one_and_its_witness_is_real(scene, part):
+    rng = np.random.default_rng(2)
+    stages, base = oracle.random_stages(scene, rng, 80)
+    paths = []
+    for q in base:
+        steps = rng.normal(size=(2, 6)) * rng.choice([0.02, 0.1, 0.3])
+        paths.append(np.stack([q, q + steps[0], q + steps[0] + steps[1]]).astype(np.float32).astype(np.float64))
+    distance, body, segment, fraction, point = safe_of(scene, stages, paths)
+    chosen = [
+        *np.flatnonzero((distance > 0) & (distance < CAP_M))[: 12 // part],
+        *np.flatnonzero(distance < 0)[: 6 // part],
+        *np.flatnonzero(distance >= CAP_M)[: 2 // part],
+    ]
+    off = []
+    for k in chosen:
+        twin = oracle.mujoco_scene(scene, stages[k])
+        truth, _ = twin.safe_along(scene, paths[k], cap=CAP_M, step_rad=1 / 160)
+        if truth >= CAP_M:
+            assert distance[k] >= np.float32(CAP_M) - 1e-4
+            continue
+        if truth <= 0:
+            assert distance[k] < 1e-4
+            continue
+        if distance[k] > 0:
+            off.append(distance[k] - truth)
+            assert -2e-4 <= off[-1] <= 1e-4, (k, distance[k], truth)
+        a, b = paths[k][segment[k]], paths[k][segment[k] + 1]
+        q = a + fraction[k] * (b - a)
+        triangles = oracle.hand_triangles(scene, stages[k])
+        there = twin.safe_at(triangles, q, cap=CAP_M)
+        assert abs(there - distance[k]) <= 2e-5 or distance[k] < 0
+        # the witness is a point of the hand, at that distance from the named part
+        one = np.tile(np.eye(4), (len(triangles), 1, 1))
+        dot = one.copy()
+        dot[:, :3, 3] = point[k]
+        near = oracle.convex_distance(
+            oracle.bodies([0] * len(dot), np.zeros((len(dot), 3)), dot),
+            oracle.bodies([4] * len(dot), None, one, triangles),
+        )[1].min()
+        assert near <= 2e-5
+        geom = twin.model.geom(scene.part_names[body[k]])
+        x = twin.data.geom_xmat[geom.id].reshape(3, 3).T @ (point[k] - twin.data.geom_xpos[geom.id])
+        kind = {int(t): i for i, t in oracle._TYPE_OF_KIND.items()}[int(geom.type[0])]
+        assert abs(float(oracle.primitive_distance(kind, geom.size, x)) - distance[k]) <= 3e-5 or distance[k] < 0
+    print(f"\n{len(off)} paths apart: off by {min(off) * 1e3:.4f} to {max(off) * 1e3:.4f} mm")
+    assert len(off) >= 8 // part
+
+
+def inside_staged(scene, hand, target):
+    """A trial whose hand has the middle of its palm at `target` (world)."""
+    T = np.eye(4)
+    palm = scene.hands.vertices[hand].numpy().astype(np.float64)
+    k = scene.hands.model.piece_names.index("palm_middle")
+    T[:3, 3] = target - palm[scene.hands.model.pieces[k].numpy()].mean(0)
+    return oracle.Staged(0, hand, np.eye(4), T.astype(np.float32).astype(np.float64), np.float32(0.05))
+
+
+def gripper_body_center(scene, q):
+    robot = scene.robot
+    k = robot.gripper.names.index("body_0")
+    return (ee_pose(robot, q) @ gripper_primitives_at(robot, 0.05)[k])[:3, 3]
+
+
+@pytest.mark.parametrize("hand", [0, 200], ids=["right", "left"])
+def test_a_hand_wholly_inside_the_gripper_is_a_collision(hand):
+    scene = with_hands_scaled(0.1)
+    staged = inside_staged(scene, hand, gripper_body_center(scene, HOME))
+    twin = oracle.mujoco_scene(scene, staged)
+    assert twin.safe_at(oracle.hand_triangles(scene, staged), HOME) == -1.0  # no surface is met: one holds the other
+    clear, pair, _ = is_free(scene, [staged], [HOME])
+    assert not clear[0] and pair[0] == 1
+    distance, body, *_ = safe_of(scene, [staged], [stay(HOME)])
+    assert distance[0] < -0.005 and scene.part_names[body[0]] == "body_0"
+
+
+@pytest.mark.parametrize("hand", [0, 200], ids=["right", "left"])
+def test_a_robot_wholly_inside_the_hand_is_a_collision(hand):
+    scene = with_hands_scaled(100.0)
+    staged = inside_staged(scene, hand, np.array([0.2, 0.0, 0.3]))
+    twin = oracle.mujoco_scene(scene, staged)
+    assert twin.safe_at(oracle.hand_triangles(scene, staged), HOME) == -1.0
+    clear, pair, _ = is_free(scene, [staged], [HOME])
+    assert not clear[0] and pair[0] == 1
+    distance, *_ = safe_of(scene, [staged], [stay(HOME)])
+    assert distance[0] < -0.005
+
+
+def test_margins_of_overlaps_grow_with_the_overlap(scene):
+    """A hand is pushed into the gripper's flat side: the margin is minus the depth, and falls all the way."""
+    start = gripper_body_center(scene, HOME)
+    x = ee_pose(scene.robot, HOME)[:3, 0]
+    for hand in (0, 37, 200, 301):
+        v = scene.hands.vertices[hand].numpy().astype(np.float64)
+        along = v @ x
+        tip = v[along.argmin()]  # the hand's point that meets the gripper first
+        stages, depth = [], np.arange(-0.006, 0.020, 0.001)
+        for push in depth:
+            T = np.eye(4)
+            T[:3, 3] = start + (scene.robot.gripper.size[scene.robot.gripper.names.index("body_0")][0] - push) * x - tip
+            stages.append(oracle.Staged(0, hand, np.eye(4), T.astype(np.float32).astype(np.float64), np.float32(0.05)))
+        distance, *_ = safe_of(scene, stages, [stay(HOME)] * len(stages))
+        assert distance[0] > 0 > distance[-1]
+        assert (np.diff(distance) < 1e-5).all(), (hand, distance)
+        assert (
+            np.abs(distance + depth).max() <= 2e-4 or (distance <= 2e-4 - depth).all()
+        )  # other parts may be met deeper
+
+
+def test_the_margin_does_not_depend_on_batch_or_threads(scene):
+    rng = np.random.default_rng(3)
+    stages, base = oracle.random_stages(scene, rng, 33)
+    paths = [np.stack([q, q + rng.normal(size=6) * 0.2]) for q in base]
+    whole = safe_of(scene, stages, paths)
+    order = np.array([30, 2, 11])
+    part = safe_of(scene, [stages[k] for k in order], [paths[k] for k in order], threads=1)
+    for a, b in zip(whole, part, strict=True):
+        assert a[order].tobytes() == b.tobytes()
+
+
+def test_the_paths_hand_clearance_is_never_above_safe(scene):
+    """The planner's hulls enclose the exact mesh: a path it certifies to a distance is at least that far for Safe."""
+    rng = np.random.default_rng(4)
+    stages, base = oracle.random_stages(scene, rng, 60)
+    paths = [np.stack([q, q + rng.normal(size=6) * 0.1]) for q in base]
+    path = torch.tensor(np.stack(paths), dtype=torch.float32)
+    n = len(paths)
+    least, pair, body = torch.zeros(n), torch.zeros(n, dtype=torch.int32), torch.zeros(n, dtype=torch.int32)
+    placed = oracle.place(scene, stages)
+    Planner(scene, placed, None)(
+        rrt.path_clearance,
+        n,
+        inputs={
+            "cap": CAP_M,
+            "tolerance": 1e-5,
+            "path": path,
+            "length": torch.full((n,), 2, dtype=torch.int32),
+        },
+        outputs={"clearance": least, "pair": pair, "body": body},
+        chunk=8,
+    )
+    distance, *_ = safe_of(scene, stages, paths)
+    apart = least.numpy() > 0
+    assert apart.sum() >= 5 and (distance[apart] >= least.numpy()[apart] - 3e-5).all()

@@ -1,0 +1,212 @@
+"""What the stored grasps promise, recomputed with manifold3d, fcl and float64 rays."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from importlib import resources
+
+import fcl
+import manifold3d
+import numpy as np
+import pytest
+import trimesh
+
+from r2h_batch.bodies.arrays import arrays_digest
+from r2h_batch.bodies.objects import OBJECT_NAMES, ObjectModel, load_objects, object_digest
+from r2h_batch.bodies.robot import Kind, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
+from r2h_batch.methods.grasp_candidates import FRICTION, sample_grasps
+
+BAND = 1e-4
+OPEN_GAP_M, STEP = 0.085, 12
+FOLDER = resources.files("r2h_batch.assets.objects")
+
+
+@cache
+def _stored() -> dict[str, np.ndarray]:
+    with np.load(str(FOLDER / "grasps.npz"), allow_pickle=False) as data:
+        return {name: data[name] for name in data.files}
+
+
+def _report() -> dict:
+    return json.loads((FOLDER / "grasps_report.json").read_text())
+
+
+def _model(name: str) -> ObjectModel:
+    return load_objects([name])[0]
+
+
+def _in_ee(model: ObjectModel, T_obj_ee: np.ndarray, faces: np.ndarray | None = None) -> trimesh.Trimesh:
+    vertices = trimesh.transform_points(model.vertices.astype(np.float64), np.linalg.inv(T_obj_ee.astype(np.float64)))
+    return trimesh.Trimesh(vertices, model.faces if faces is None else faces, process=False)
+
+
+def _pad_z(gap: float) -> float:
+    robot = load_robot()
+    return float(pad_center_z(drive_from_gap(gap)) + robot.T_flange_gripper[2, 3] - robot.T_flange_ee[2, 3])
+
+
+def _distance(mesh: trimesh.Trimesh, gap: float, moving_only: bool, cap: float = 2e-3) -> float:
+    """Least fcl distance of the gripper's primitives to the surface, below the cap (0: they touch it)."""
+    robot = load_robot()
+    least = cap
+    middle = mesh.triangles.mean(axis=1)
+    radius = np.linalg.norm(mesh.triangles - middle[:, None], axis=2).max(axis=1)
+    for kind, size, motion, T in zip(
+        robot.gripper.kind, robot.gripper.size, robot.gripper_motion, gripper_primitives_at(robot, gap), strict=True
+    ):
+        if moving_only and motion == "fixed":
+            continue
+        half = (
+            size
+            if kind == Kind.BOX
+            else np.array([size[0], size[0], size[1] + (size[0] if kind == Kind.CAPSULE else 0)])
+        )
+        beyond = np.abs((middle - T[:3, 3]) @ T[:3, :3]) - half
+        near = np.linalg.norm(np.maximum(beyond, 0), axis=1) - radius < cap
+        if not near.any():
+            continue
+        surface = fcl.BVHModel()
+        surface.beginModel(3 * near.sum(), near.sum())
+        surface.addSubModel(mesh.triangles[near].reshape(-1, 3), np.arange(3 * near.sum()).reshape(-1, 3))
+        surface.endModel()
+        round_shape = fcl.Cylinder if kind == Kind.CYLINDER else fcl.Capsule
+        shape = fcl.Box(*(2 * size)) if kind == Kind.BOX else round_shape(size[0], 2 * size[1])
+        result = fcl.DistanceResult()
+        placed = fcl.CollisionObject(shape, fcl.Transform(T[:3, :3], T[:3, 3]))
+        fcl.distance(fcl.CollisionObject(surface), placed, fcl.DistanceRequest(), result)
+        least = min(least, max(result.min_distance, 0.0))
+    return least
+
+
+def test_there_are_100_of_every_object_and_the_report_belongs_to_them() -> None:
+    stored, report = _stored(), _report()
+    assert set(stored) == {f"{name}/{key}" for name in OBJECT_NAMES for key in ("T_obj_ee", "width", "score", "part")}
+    for name in OBJECT_NAMES:
+        T, score, part = stored[f"{name}/T_obj_ee"], stored[f"{name}/score"], stored[f"{name}/part"]
+        assert T.shape == (100, 4, 4) and T.dtype == np.float32 and part.dtype == np.uint8
+        np.testing.assert_allclose(
+            T[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1), np.tile(np.eye(3), (100, 1, 1)), atol=1e-5
+        )
+        assert (np.linalg.det(T[:, :3, :3]) > 0.99).all() and (T[:, 3] == [0, 0, 0, 1]).all()
+        assert (np.diff(score) <= 0).all() and score[-1] > 0 and score[0] <= 1
+        assert part.max() < len(_model(name).part_names)
+    assert report["digest"] == arrays_digest(stored)
+    assert report["objects_digest"] == object_digest(load_objects()), "objects changed: run build_grasps.py"
+    assert report["robot_digest"] == load_robot().digest, "the robot changed: run build_grasps.py"
+
+
+@pytest.mark.parametrize("name", OBJECT_NAMES)
+def test_a_grasp_is_narrow_centred_clear_and_within_the_friction_cone(name: str) -> None:
+    model, stored = _model(name), _stored()
+    for i in range(0, 100, STEP):
+        width = float(stored[f"{name}/width"][i])
+        mesh = _in_ee(model, stored[f"{name}/T_obj_ee"][i])
+        gap = max(width, 0.0016)
+        low, high = _between(mesh, gap)
+        assert high - low == pytest.approx(width, abs=BAND) and width <= OPEN_GAP_M
+        assert abs(low + high) / 2 <= 1e-3
+        assert _distance(mesh, OPEN_GAP_M, moving_only=False) >= 1e-3 - BAND
+        touched, cosine = _contact(mesh, gap, width)
+        assert touched >= 1 and cosine >= 1 / np.hypot(1, FRICTION) - 0.02, i
+
+
+def _between(mesh: trimesh.Trimesh, gap: float) -> tuple[float, float]:
+    solid = manifold3d.Manifold(manifold3d.Mesh64(mesh.vertices, mesh.faces.astype(np.uint64)))
+    prism = manifold3d.Manifold.cube((0.022, 2.0, 0.0375), True).translate((0, 0, _pad_z(gap)))
+    boxes = [piece.bounding_box() for piece in (solid ^ prism).decompose()]
+    held = [(b[1], b[4]) for b in boxes if b[4] > -OPEN_GAP_M / 2 and b[1] < OPEN_GAP_M / 2]
+    return min(h[0] for h in held), max(h[1] for h in held)
+
+
+def _contact(mesh: trimesh.Trimesh, gap: float, width: float) -> tuple[int, float]:
+    """Rays from the lesser pad that meet the surface within 1.5 mm of it, and the mean cosine over both pads."""
+    x, z = np.meshgrid(0.011 * (np.arange(5) - 2) / 2.5, 0.01875 * (np.arange(7) - 3) / 3.5)
+    least, cosines = 99, []
+    normals = np.cross(mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+    for side in (-1, 1):
+        on_pad = 0
+        for u, v in zip(x.ravel(), z.ravel() + _pad_z(gap), strict=True):
+            y, face = _along_y(mesh.triangles, u, v)
+            depth = width / 2 + 1.5e-3 - side * y
+            reached = (depth >= 0) & (depth <= 3e-3)
+            if reached.any():
+                on_pad += 1
+                cosines.append(max(0.0, side * normals[face[reached][np.argmin(depth[reached])], 1]))
+        least = min(least, on_pad)
+    return least, float(np.mean(cosines))
+
+
+def _along_y(triangles: np.ndarray, x: float, z: float) -> tuple[np.ndarray, np.ndarray]:
+    """y and triangle wherever the line (x, ., z) meets the surface."""
+    near = np.flatnonzero(
+        (triangles[:, :, 0].min(1) <= x) & (triangles[:, :, 0].max(1) >= x)
+        & (triangles[:, :, 2].min(1) <= z) & (triangles[:, :, 2].max(1) >= z)
+    )  # fmt: skip
+    a, b, c = (triangles[near, k] for k in range(3))
+    det = (b[:, 0] - a[:, 0]) * (c[:, 2] - a[:, 2]) - (c[:, 0] - a[:, 0]) * (b[:, 2] - a[:, 2])
+    det = np.where(np.abs(det) < 1e-16, np.nan, det)
+    s = ((x - a[:, 0]) * (c[:, 2] - a[:, 2]) - (c[:, 0] - a[:, 0]) * (z - a[:, 2])) / det
+    t = ((b[:, 0] - a[:, 0]) * (z - a[:, 2]) - (x - a[:, 0]) * (b[:, 2] - a[:, 2])) / det
+    hit = (s >= 0) & (t >= 0) & (s + t <= 1)
+    return (a[:, 1] + s * (b[:, 1] - a[:, 1]) + t * (c[:, 1] - a[:, 1]))[hit], near[hit]
+
+
+@pytest.mark.parametrize("name", [n for n in OBJECT_NAMES if _model(n).split == "S1"])
+def test_at_least_25_keep_the_fingers_off_the_receivers_region(name: str) -> None:
+    model, stored = _model(name), _stored()
+    passed = 0
+    for T_obj_ee, width in zip(stored[f"{name}/T_obj_ee"], stored[f"{name}/width"], strict=True):
+        region = _in_ee(model, T_obj_ee, model.faces[model.receiver_face])
+        passed += _distance(region, max(float(width) - 1e-3, 0.0), moving_only=True) > BAND
+    assert passed >= 25
+    assert abs(passed - _report()["objects"][name]["pass_affordance"]) <= 2
+
+
+@pytest.mark.parametrize("name", OBJECT_NAMES)
+def test_grasps_are_spread_over_the_object_and_no_two_are_alike(name: str) -> None:
+    T = _stored()[f"{name}/T_obj_ee"].astype(np.float64)
+    place, z = T[:, :3, 3], T[:, :3, 2]
+    apart = np.linalg.norm(place[:, None] - place[None], axis=2)
+    turn = np.arccos(np.clip(z @ z.T, -1, 1))
+    alike = (apart < 2e-3) & (turn < 0.1) & ~np.eye(100, dtype=bool)
+    axis = np.abs(np.einsum("ik,jk->ij", T[:, :3, 1], T[:, :3, 1])) > np.cos(0.1)
+    assert not (alike & axis).any()
+    assert np.ptp(place, axis=0).max() > 0.4 * np.ptp(_model(name).vertices, axis=0).max()
+    assert np.linalg.norm(z.mean(axis=0)) < 0.9, "approaches come from more than one side"
+
+
+def test_the_same_object_gives_the_stored_grasps_again_with_one_thread() -> None:
+    again = sample_grasps(_model("hammer"), threads=1)
+    for key in ("T_obj_ee", "width", "score", "part"):
+        np.testing.assert_array_equal(getattr(again, key), _stored()[f"hammer/{key}"])
+
+
+def _other(name: str, mesh: trimesh.Trimesh, split: str) -> ObjectModel:
+    """An object with just what the sampler reads."""
+    faces = mesh.faces.astype(np.int32)
+    return replace(
+        _model("hammer"),
+        name=name,
+        split=split,
+        vertices=mesh.vertices.astype(np.float32),
+        faces=faces,
+        face_part=np.zeros(len(faces), np.uint8),
+        receiver_face=(mesh.triangles_center[:, 2] > 0) & (split == "S1"),
+        com=np.zeros(3),
+    )
+
+
+def test_a_users_mesh_gets_grasps_that_leave_its_region_free() -> None:
+    rod = trimesh.creation.cylinder(0.02, 0.2, sections=48).subdivide().subdivide()
+    found = sample_grasps(_other("rod", rod, "S1"), count=40)
+    assert len(found) == 40 and (found.width <= 0.0822).all() and (found.region_m > 0).sum() >= 10
+
+
+def test_a_ball_too_big_to_hold_is_a_clear_error_and_a_region_all_over_a_warning() -> None:
+    with pytest.raises(ValueError, match=r"ball: no grasp found.*85 mm"):
+        sample_grasps(_other("ball", trimesh.creation.icosphere(3, 0.06), "S0"))
+    small = _other("pin", trimesh.creation.icosphere(3, 0.02), "S1")
+    small = replace(small, receiver_face=np.ones(len(small.faces), bool))
+    with pytest.warns(UserWarning, match=r"pin: 0 of 10 grasps"):
+        sample_grasps(small, count=10)

@@ -1,0 +1,91 @@
+"""What is understood of a sentence: listed phrases, free ones, and what is refused."""
+
+import pytest
+
+from r2h_batch.bodies.objects import OBJECT_NAMES, load_objects
+from r2h_batch.receiver.instructions import InstructionError, instructions_of, intents_of, understand
+
+OBJECTS = load_objects()
+
+FREE = [
+    ("Please pass me the wine glass!", "wineglass", "object", "take"),
+    ("HAND ME MY GLASSES", "eyeglasses", "object", "take"),
+    ("wine glasses, by the stems", "wineglass", "stem", "take"),
+    ("could I have the headphone's ear cups?", "headphones", "cup", "take"),
+    ("I'd like those scissors, I am cutting paper", "scissors", "loops", "cut"),
+    ("the claw hammer by its haft, thanks", "hammer", "handle", "take"),
+    ("I need a hammer to pound nails", "hammer", "handle", "hammer"),
+    ("may I borrow the box cutter for slicing this open", "knife", "handle", "cut"),
+    ("bring the cordless drill, pistol grip towards me, I'm boring holes", "power_drill", "grip", "drill"),
+    ("the screw driver; I am tightening a hinge", "screwdriver", "handle", "screw"),
+    ("Gamepad please - time to play", "game_controller", "grip", "play"),
+    ("a mug to drink out of", "cup", "wall", "drink"),
+    ("pass the soup bowl, I am eating", "bowl", "wall", "eat"),
+    ("give me the bowl by the edge", "bowl", "rim", "take"),
+    ("Spectacles, I want to wipe them", "eyeglasses", "frame", "clean"),
+    ("spray bottle for misting", "trigger_sprayer", "grip", "spray"),
+    ("tooth brushes", "toothbrush", "handle", "take"),
+    ("I will hold the binoculars by the right tube", "binoculars", "right barrel", "take"),
+    ("water bottle, lower half to me", "bottle", "body", "take"),
+    ("needle-nose pliers, handles first", "pliers", "handles", "take"),
+    ("the bowl of the wineglass", "wineglass", "bowl", "take"),
+]
+
+
+@pytest.mark.parametrize(("text", "name", "part", "verb"), FREE)
+def test_phrases_that_are_in_no_list_are_understood(text: str, name: str, part: str, verb: str) -> None:
+    assert all(text not in instructions_of(o) for o in OBJECTS)
+    found = understand(text)
+    assert (found.object, found.part, found.verb) == (name, part, verb)
+    assert OBJECTS[found.object_index].name == name
+
+
+@pytest.mark.check
+def test_every_listed_phrase_is_understood_as_its_own_intent_in_any_case() -> None:
+    for index, model in enumerate(OBJECTS):
+        assert len(instructions_of(model)) >= 8
+        for intent in intents_of(model):
+            for phrase in intent.phrases:
+                for said in (phrase, phrase.upper()):
+                    found = understand(said)
+                    assert found.object_index == index
+                    answer = intents_of(model)[found.intent]
+                    assert set(answer.labels) == set(intent.labels) and found.verb == intent.verb, said
+
+
+def test_an_objects_own_instruction_asks_for_the_receivers_region() -> None:
+    for index, model in enumerate(OBJECTS):
+        found = understand(model.instruction)
+        assert found.object_index == index
+        if model.split == "S1":
+            region = set(model.face_part[model.receiver_face].tolist())
+            assert set(intents_of(model)[found.intent].labels) == region
+
+
+def test_every_part_that_may_be_taken_belongs_to_an_intent() -> None:
+    for model in OBJECTS:
+        takeable = model.face_part[model.receiver_face] if model.split == "S1" else model.face_part
+        named = {label for intent in intents_of(model)[:-1] for label in intent.labels}
+        assert named == set(takeable.tolist()) == set(intents_of(model)[-1].labels)
+
+
+def test_a_sentence_without_an_object_is_about_the_given_one() -> None:
+    found = understand("the handle, please", object_index=OBJECT_NAMES.index("knife"))
+    assert (found.object, found.part) == ("knife", "handle")
+
+
+@pytest.mark.parametrize(
+    ("text", "index", "message"),
+    [
+        ("pass me the hamer", None, "did you mean 'hammer'.*known are game controller, bowl"),
+        ("something to drink from", None, "names no object; cup, wineglass and bottle would do"),
+        ("the knife and the cup", None, "names knife and cup; name one object"),
+        ("hand me the hammer by its head", None, "takes handle, not head; name one of these, or only the object"),
+        ("the scissors' blades", None, "takes loops, not blade"),
+        ("the hammer handle", 0, "is about hammer, but this trial's object is game_controller"),
+        ("", None, "names no object; known are"),
+    ],
+)
+def test_what_cannot_be_answered_is_refused_with_what_is_allowed(text: str, index: int | None, message: str) -> None:
+    with pytest.raises(InstructionError, match=message):
+        understand(text, object_index=index)

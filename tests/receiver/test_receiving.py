@@ -1,0 +1,188 @@
+"""The frozen receiving grasps against trimesh and solid angles in float64, and the sampler's promises."""
+
+import json
+from importlib import resources
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from hand_twins import skinning_twin
+from scipy.spatial import cKDTree
+
+from r2h_batch.bodies.arrays import arrays_digest
+from r2h_batch.bodies.hand import load_hand, palm_frame
+from r2h_batch.bodies.hand_measure import hull_planes, sample_surface, winding_number
+from r2h_batch.bodies.objects import load_objects, object_digest
+from r2h_batch.launch import init_warp
+from r2h_batch.receiver.hand_contact import PALM, REGIONS, THUMB, ObjectSurface, measure_contact, palmar_region
+from r2h_batch.receiver.instructions import intents_of
+from r2h_batch.receiver.receiving import CONTACT_M, PENETRATION_M, load_receiving, receiving_digest
+from r2h_batch.receiver.sampler import sample_receiving
+
+OBJECTS = load_objects()
+TOLERANCE_M = 1e-4
+PER_SIDE = 25
+
+
+@pytest.fixture(scope="module")
+def grasps():
+    return load_receiving()
+
+
+UNOPPOSED = [995]
+"""The sprayer's trigger is thinner than what a finger may press in: thumb and fingers are nearest to the same side of it."""
+
+
+def report() -> dict:
+    return json.loads((resources.files("r2h_batch.assets.receiving") / "receiving_report.json").read_text())
+
+
+def depth_and_gaps(grasps, row: int) -> tuple[float, float, float, np.ndarray, np.ndarray]:
+    """Skin in object, back in object, object in skin (m); per region distance and the object's normal there.
+
+    By the skinning twin, closest points of trimesh and solid angles; only what is near the other surface is measured.
+    """
+    hand, model = load_hand(), OBJECTS[int(grasps.object_index[row])]
+    solid, side = model.mesh, int(grasps.side[row])
+    skin, _ = skinning_twin(hand, grasps.pose[row].numpy(), grasps.shape[row].numpy(), side)
+    T = grasps.T_obj_hand[row].double().numpy()
+    skin = skin @ T[:3, :3].T + T[:3, 3]
+    assert np.abs(skin - grasps.vertices[row].numpy()).max() < 1e-6
+    cloud = sample_surface(solid.vertices, solid.faces, 20_000, seed=1)
+    near = np.flatnonzero(cKDTree(cloud).query(skin)[0] < 0.008)
+    _, distance, face = trimesh.proximity.closest_point(solid, skin[near])
+    signed = np.full(len(skin), 1.0)
+    inside = winding_number(solid.vertices, solid.faces, skin[near]) > 0.5
+    signed[near] = np.where(inside, -distance, distance)
+    normal = np.zeros((len(skin), 3))
+    normal[near] = solid.face_normals[face]
+    region = palmar_region()
+    closest = [np.flatnonzero(region == r)[signed[region == r].argmin()] for r in range(len(REGIONS))]
+    body = trimesh.Trimesh(skin, hand.faces_by_side[side].numpy(), process=False)
+    points = np.concatenate([model.points, model.vertices, cloud[:4000]])
+    points = points[((points > skin.min(0)) & (points < skin.max(0))).all(1)]
+    within = np.zeros(len(points), bool)  # the pieces' hulls enclose the skin
+    for piece in hand.pieces:
+        plane = hull_planes(skin[piece.numpy()])
+        within |= (points @ plane[:, :3].T + plane[:, 3] < 1e-6).all(1)
+    points = points[within]
+    held = points[winding_number(body.vertices, body.faces, points) > 0.5]
+    thin = trimesh.proximity.closest_point(body, held)[1].max() if len(held) else 0.0
+    back = float(max(0.0, -signed[region < 0].min()))
+    return float(max(0.0, -signed.min())), back, float(thin), signed[closest], normal[closest]
+
+
+def check(grasps, row: int) -> bool:
+    """Asserts depth and contacts of a grasp; whether a finger opposes the thumb, by the surface's normals where they touch."""
+    depth, back, thin, gap, normal = depth_and_gaps(grasps, row)
+    where = f"grasp {row} of {OBJECTS[int(grasps.object_index[row])].name}"
+    assert depth < PENETRATION_M + TOLERANCE_M, where
+    assert back < 0.001 + TOLERANCE_M, where
+    assert thin < PENETRATION_M + TOLERANCE_M, where
+    touching = gap <= CONTACT_M + TOLERANCE_M
+    assert touching[THUMB] and touching.sum() >= 3, where
+    return any(touching[f] and normal[f] @ normal[THUMB] < 0 for f in range(THUMB))
+
+
+def test_a_sample_of_the_frozen_grasps_touches_and_does_not_cut(grasps) -> None:
+    for index in (1, 3, 6, 12):  # a thin wall, thin rods, a handle, a body with corners
+        rows = grasps.rows_of(index, index % 2)
+        assert check(grasps, int(rows[(7 * index) % len(rows)]))
+
+
+@pytest.mark.slow
+def test_every_frozen_grasp_touches_and_does_not_cut(grasps) -> None:
+    unopposed = [row for row in range(len(grasps)) if not check(grasps, row)]
+    assert unopposed == UNOPPOSED
+
+
+def test_there_are_enough_for_every_object_and_side_and_they_differ(grasps) -> None:
+    point, normal = palm_frame(grasps.joints, grasps.side)
+    for index in range(len(OBJECTS)):
+        for side in (0, 1):
+            rows = grasps.rows_of(index, side)
+            assert len(rows) >= PER_SIDE
+            apart = torch.cdist(point[rows].double(), point[rows].double()) + 30 * 0.001 * torch.arccos(
+                (normal[rows] @ normal[rows].T).clamp(-1, 1)
+            )
+            apart.fill_diagonal_(1.0)
+            assert float(apart.min()) > 0.002  # no two alike
+            assert float(normal[rows].std(0).norm()) > 0.5  # from many directions
+
+
+def test_grasps_lie_on_the_receivers_region_and_on_every_part_that_instructions_name(grasps) -> None:
+    init_warp()
+    for index, model in enumerate(OBJECTS):
+        for intent in intents_of(model):
+            for side in (0, 1):
+                rows = grasps.rows_of(index, side)
+                held = torch.isin(grasps.part[rows], torch.tensor(intent.labels, dtype=torch.uint8))
+                assert int(held.sum()) >= 3, f"{model.name}: {intent.part}, side {side}"
+        rows = grasps.rows_of(index)[::8]
+        if model.split == "S1":
+            contact = measure_contact(ObjectSurface(model.vertices, model.faces), grasps.vertices[rows].numpy())
+            touching = contact.gap <= CONTACT_M
+            on = model.receiver_face[np.maximum(contact.face, 0)] & touching
+            assert (on.sum(1) >= 0.5 * touching.sum(1)).all(), model.name
+
+
+def test_contacts_agree_with_trimesh(grasps) -> None:
+    init_warp()
+    row = int(grasps.rows_of(6, 0)[0])
+    model = OBJECTS[6]
+    depth, back, _, gap, normal = depth_and_gaps(grasps, row)
+    contact = measure_contact(ObjectSurface(model.vertices, model.faces), grasps.vertices[row : row + 1].numpy())
+    near = gap < 0.006
+    assert np.abs(contact.gap[0] - gap)[near].max() < 2e-6
+    assert abs(contact.depth[0] - depth) < 2e-6 and abs(contact.back_depth[0] - back) < 2e-6
+    assert near[PALM] or near.sum() >= 3
+    assert np.abs(contact.normal[0] - normal)[near].max() < 1e-4
+
+
+def test_the_files_are_the_ones_reported_and_fit_hand_and_objects(grasps) -> None:
+    known = report()
+    with (
+        (resources.files("r2h_batch.assets.receiving") / "receiving.npz").open("rb") as stream,
+        np.load(stream) as data,
+    ):
+        assert arrays_digest(dict(data)) == known["digest"]
+    assert known["objects_digest"] == object_digest(OBJECTS)
+    hand = load_hand()
+    assert known["hand_digest"] == arrays_digest({"v": hand.vertices.numpy(), "w": hand.weights.numpy()})
+    assert receiving_digest(grasps) == receiving_digest()
+    assert receiving_digest(grasps[:-1]) != receiving_digest()
+
+
+def test_every_grasp_has_an_intent_that_wants_its_part(grasps) -> None:
+    for index, model in enumerate(OBJECTS):
+        rows = grasps.rows_of(index)
+        for part, intent in zip(grasps.part[rows].tolist(), grasps.instruction[rows].tolist(), strict=True):
+            assert part in intents_of(model)[intent].labels or intent == len(intents_of(model)) - 1
+
+
+def test_selected_rows_keep_their_object_and_hand(grasps) -> None:
+    rows = grasps.rows_of(3, side=1)
+    picked = grasps[rows]
+    assert len(picked) == len(rows) and bool((picked.object_index == 3).all()) and bool((picked.side == 1).all())
+    assert torch.equal(picked.joints, grasps.joints[rows])
+
+
+@pytest.mark.slow
+def test_a_users_object_gets_grasps_and_the_same_ones_again() -> None:
+    from r2h_batch.bodies.objects import build_object
+
+    stick = trimesh.creation.capsule(height=0.2, radius=0.012)
+    model = build_object(stick, "stick", "S1", receiver="z<0.4", pieces=False)
+    first, again = (sample_receiving(model, per_side=8) for _ in range(2))
+    assert (first["side"] == np.repeat([0, 1], 8)).all()
+    assert all(np.array_equal(first[k], again[k]) for k in first)
+
+
+@pytest.mark.slow
+def test_an_object_that_no_hand_can_hold_is_refused() -> None:
+    from r2h_batch.bodies.objects import build_object
+
+    model = build_object(trimesh.creation.box((0.4, 0.4, 0.4)), "crate", pieces=False)
+    with pytest.raises(ValueError, match="crate: 0 right receiving grasps found, 32 wanted"):
+        sample_receiving(model)

@@ -1,0 +1,136 @@
+"""The HTML page: everything in it, nothing from outside, and it works in a browser."""
+
+import html.parser
+import json
+import re
+import subprocess
+
+import numpy as np
+import pytest
+from made_runs import paper_run, table_1, write_run
+from needs import CHROMIUM, needs
+
+from r2h_batch.report import charts, page
+from r2h_batch.report.text import NA
+from r2h_batch.statistics import breakdown
+from r2h_batch.statistics.aggregate import verdicts
+from r2h_batch.types import CRITERIA
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory):
+    run = paper_run(tmp_path_factory.mktemp("page") / "paper")
+    return run, page.page(run)
+
+
+class Outside(html.parser.HTMLParser):
+    """Collects whatever a page would fetch, and checks that tags close."""
+
+    def __init__(self):
+        super().__init__()
+        self.found, self.open = [], []
+
+    def handle_starttag(self, tag, attributes):
+        self.found += [v for k, v in attributes if k in ("src", "href", "data", "action", "srcset")]
+        if tag not in ("meta", "br", "rect", "path"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in ("rect", "path", "title"):
+            while self.open.pop() != tag:
+                pass
+
+
+def test_the_page_fetches_nothing(paper):
+    _, text = paper
+    parser = Outside()
+    parser.feed(text)
+    assert parser.found == []
+    assert not re.search(r"url\(|@import|https?://(?!www\.w3\.org/2000/svg)", text)
+    assert "default-src 'none'" in text
+
+
+def test_the_page_holds_every_cell_of_table_1(paper):
+    _, text = paper
+    rows = re.findall(r"<tr><td class=l>(S0|S1|Avg)</td><td class=l>(.*?)</td>(.*?)</tr>", text)
+    found = {}
+    for split, method, cells in rows:
+        plain = [re.sub(r"<small>.*?</small>|</?b>", "", c) for c in re.findall(r"<td>(.*?)</td>", cells)]
+        found[split, method] = plain[:9]
+    names = ("sr", "t_plan_s", "t_exec_s", "t_tot_s", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
+    assert found == {(r["split"], r["method"]): [r[n] or NA for n in names] for r in table_1()}
+
+
+def trials_of(text):
+    return json.loads(re.search(r"<script type=\"application/json\" id=trials>(.*?)</script>", text)[1])
+
+
+def test_every_trial_of_a_small_run_can_be_searched(paper):
+    run, text = paper
+    data = trials_of(text)
+    assert list(data["methods"]) == list(run.methods)
+    outcome = data["columns"].index("outcome")
+    for method, columns in data["methods"].items():
+        assert columns[outcome] == run.trials(method)["outcome"].to_pylist()
+
+
+def test_a_large_run_is_represented_by_the_first_of_each_outcome_and_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(page, "TRIALS_SHOWN", 45)
+    outcome = np.where(np.arange(300) == 250, 5, 0)
+    run = write_run(tmp_path / "run", {"m": outcome}, 150, 150, shard_trials=64)
+    text = page.page(run)
+    (columns,) = trials_of(text)["methods"].values()
+    words = columns[trials_of(text)["columns"].index("outcome")]
+    assert words.count("safe") == 1 and words.count("success") == 5
+    assert "m: 6 of 300 trials" in text
+
+
+def test_names_cannot_break_out_of_the_page(tmp_path):
+    evil = '</script><b onclick="x">&'
+    run = write_run(tmp_path / "run", {evil: np.zeros(4, int)}, 2, 2)
+    text = page.page(run)
+    assert "</script><b" not in text and "<b onclick" not in text
+    assert list(trials_of(text)["methods"]) == [evil]
+
+
+def test_bars_are_as_long_as_the_shares_and_name_them():
+    text = charts.outcome_bars([("x", dict.fromkeys(charts.OUTCOME_NAMES, 0) | {"success": 3, "plan": 1})])
+    widths = [float(w) for w in re.findall(r'<rect [^>]*width="([\d.]+)"', text)]
+    assert widths == [0.75 * charts.BAR, 0.25 * charts.BAR]
+    assert "plan 1 of 4 (25.0 %)" in text and "75.0 %  n=4" in text
+
+
+def test_margin_histograms_count_every_finite_margin_once(paper):
+    run, _ = paper
+    for method in run.methods[:2]:
+        table, found = run.trials(method), breakdown.margin_histograms(run, method)
+        for c in CRITERIA:
+            margin = table[f"margin_{c}_m"].to_numpy()
+            counts, _ = np.histogram(margin[np.isfinite(margin)], found[c].edges)
+            assert np.array_equal(found[c].counts, counts)
+            assert found[c].counts.sum() > 0
+    v = verdicts(run, run.methods[0])
+    times = breakdown.time_histograms([v], "t_exec_s")[v.method]
+    assert times.counts.sum() == np.isfinite(v.t_exec_s).sum() and times.high == np.nanmax(v.t_exec_s)
+
+
+@pytest.mark.parametrize("code", [0, 2, 6, 8])
+@pytest.mark.parametrize(("n_s0", "n_s1"), [(1, 0), (0, 2), (33, 33)])
+def test_edges_have_no_nan(tmp_path, code, n_s0, n_s1):
+    text = page.page(write_run(tmp_path / "run", {"m": np.full(n_s0 + n_s1, code)}, n_s0, n_s1))
+    assert not re.search(r"\b(nan|inf)\b", text, re.IGNORECASE)
+
+
+@needs("chromium")
+def test_the_search_works_in_a_browser(paper, tmp_path):
+    run, text = paper
+    (tmp_path / "page.html").write_text(text, encoding="utf-8")
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000", "--dump-dom"]
+    address = f"file://{tmp_path}/page.html#outcome=reach"
+    assert CHROMIUM
+    line = [CHROMIUM, *flags, f"--user-data-dir={tmp_path}/profile", address]
+    shown = subprocess.run(line, capture_output=True, text=True, timeout=120, check=True).stdout
+    expected = run.trials(run.methods[0])["outcome"].to_pylist().count("reach")
+    assert f"{expected} of 1000 trials; margins in mm" in shown
+    rows = shown.partition('<div id="search">')[2].partition("<script")[0].count("<tr>")
+    assert rows == expected + 1

@@ -1,0 +1,245 @@
+"""The table as text: the paper's own numbers come back cell by cell in every format."""
+
+import csv
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from made_runs import paper_run, table_1, write_run
+
+from r2h_batch.report import table as report
+from r2h_batch.report.command import run as main
+from r2h_batch.statistics.aggregate import RATES, Mean
+from r2h_batch.statistics.breakdown import parse_order
+from r2h_batch.types import CRITERIA
+
+COLUMNS = list(report.HEADINGS)
+
+
+@pytest.fixture(scope="module")
+def paper(tmp_path_factory):
+    return report.table_of(paper_run(tmp_path_factory.mktemp("report") / "paper"))
+
+
+@pytest.fixture(scope="module")
+def expected():
+    """(split, method) -> Table I's cells as printed in the paper, n/a where it says N/A."""
+    return {(r["split"], r["method"]): [r[c] or "n/a" for c in COLUMNS] for r in table_1()}
+
+
+def md_tables(text: str) -> list[list[list[str]]]:
+    """Cells of every Markdown table, headings first."""
+    tables, current = [], []
+    for line in [*text.splitlines(), ""]:
+        if "|" in line:
+            if "--|--" not in line:
+                current.append([c.strip() for c in re.split(r"(?<!\\)\|", line) if c])
+        elif current:
+            tables.append(current)
+            current = []
+    return tables
+
+
+@pytest.mark.check
+def test_markdown_gives_back_every_cell_of_table_1_in_its_order(paper, expected):
+    heading, *rows = md_tables(report.render(paper, "md"))[0]
+    assert heading == ["Split", "Method", *report.HEADINGS.values()]
+    assert {(r[0], r[1]): r[2:] for r in rows} == expected
+    assert [(r[0], r[1]) for r in rows] == list(expected)
+
+
+def test_latex_gives_back_every_cell_of_table_1(paper, expected):
+    text = report.render(paper, "latex")
+    split, found = "", {}
+    for line in text.splitlines():
+        cells = [c.strip() for c in line.removesuffix(r" \\").split("&")]
+        if len(cells) == 11 and cells[0] != "Split":
+            split = cells[0] or split
+            found[split, cells[1]] = [re.sub(r"\\textbf\{(.*?)\}", r"\1", c).partition(" ")[0] for c in cells[2:]]
+    assert found == expected
+    assert text.count(r"\midrule") == 3 and r"\toprule" in text and r"\bottomrule" in text
+    assert text.count("{") == text.count("}")
+
+
+def test_latex_marks_the_best_value_of_each_split_and_column_and_says_what_that_means(paper):
+    text = report.render(paper, "latex")
+    bold, split = {}, ""
+    for line in text.splitlines():
+        cells = [c.strip() for c in line.removesuffix(r" \\").split("&")]
+        if len(cells) == 11 and cells[0] != "Split":
+            split = cells[0] or split
+            for column, text_of in zip(COLUMNS, cells[2:]):
+                if r"\textbf{" in text_of:
+                    bold.setdefault((split, column), []).append(cells[1])
+    assert bold["S0", "sr"] == ["Contact-Handover"] and bold["S1", "sr"] == ["Intent-Handover"]
+    assert bold["S0", "f_reach"] == ["FC-Handover"] and bold["S1", "f_stab"] == ["Handover-VA"]
+    assert ("S0", "f_afford") not in bold
+    assert report.BEST_NOTE.split(":")[0] in text
+
+
+def test_csv_gives_back_every_cell_of_table_1(paper, expected):
+    rows = list(csv.DictReader(io.StringIO(report.render(paper, "csv"))))
+    found = {}
+    for r in rows:
+        decimals = {c: 1 if c in RATES else 2 for c in COLUMNS}
+        cells = [r[c] if r[c] == "n/a" else f"{float(r[c]):.{decimals[c]}f}" for c in COLUMNS]
+        found[r["split"], r["method"]] = cells
+        assert r["protocol"] == "made" and r["preset"] == "default"
+        if r["split"] != "Avg":
+            assert r["n"] == "500"
+    assert found == expected
+
+
+def test_json_gives_back_every_cell_of_table_1_without_nan(paper, expected):
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    data = json.loads(report.render(paper, "json"), parse_constant=refuse)
+    for row in data["rows"]:
+        for column, cell in zip(COLUMNS, expected[row["split"], row["method"]]):
+            digits = 1 if column in RATES else 2
+            assert (f"{row[column]:.{digits}f}" if row[column] is not None else "n/a") == cell
+        if row["split"] != "Avg":
+            failures = ("stability", "plan", "reach", "affordance", "safe", "invalid_input", "invalid_sim", "missing")
+            assert row["n_success"] + sum(row[f"n_{f}"] for f in failures) == row["n"] == 500
+            assert row["t_plan_s_n"] == 500 and row["t_exec_s_n"] == 500 - row["n_plan"]
+    assert data["origin"]["protocol"] == "made" and data["origin"]["trials digest"] == "0123456789abcdef"
+
+
+def test_every_rate_has_an_interval_around_it_in_markdown(paper):
+    main, ends, _ = md_tables(report.render(paper, "md"))
+    checked = 0
+    for cells, intervals in zip(main[1:], ends[1:]):
+        values = dict(zip(main[0], cells))
+        for name, interval in list(zip(ends[0], intervals))[2:]:
+            if values[name] == "n/a":
+                assert interval == "n/a"
+                continue
+            low, high = map(float, interval.split("-"))
+            assert low <= float(values[name]) <= high and low < high
+            checked += 1
+    assert checked == 12 * 6 - 4
+
+
+def test_markdown_names_preset_protocol_digest_counts_and_denominators(paper):
+    text = report.render(paper, "md")
+    for part in ("preset: default", "protocol: made", "0123456789abcdef", "500 S0, 500 S1", "S0's F_afford"):
+        assert part in text
+    counts = md_tables(text)[2]
+    assert counts[0][:3] == ["Split", "Method", "N"]
+    assert counts[1][2] == "500" and counts[-1][2] == "1000"
+    for note in report.FOOTNOTES:
+        assert note in " ".join(text.replace("\n- ", "\n").split())
+
+
+@pytest.mark.parametrize("name", ["oracle", "Contact-Handover (oracle hand)"])
+def test_markdown_is_aligned_ascii_and_fits_a_terminal_of_120_columns(paper, name):
+    rows = tuple(replace(row, method=name) for row in paper.rows)
+    text = report.render(replace(paper, rows=rows), "md")
+    assert text.isascii()
+    assert max(map(len, text.splitlines())) <= 120
+    for block in re.split(r"\n\n", text):
+        assert len({len(line) for line in block.splitlines() if "|" in line}) <= 1
+    assert {(r[0], r[1]) for r in md_tables(text)[0][1:]} == {(r.split, name) for r in rows}
+
+
+def test_names_with_special_characters_are_escaped(paper):
+    row = replace(paper.rows[0], method="50%_a|b & {c}")
+    table = replace(paper, rows=(row,))
+    assert md_tables(report.render(table, "md"))[0][1][1] == r"50%_a\|b & {c}"
+    assert r"50\%\_a|b \& \{c\}" in report.render(table, "latex")
+    assert next(csv.DictReader(io.StringIO(report.render(table, "csv"))))["method"] == row.method
+
+
+@pytest.mark.parametrize("fmt", report.FORMATS)
+@pytest.mark.parametrize(("n_s0", "n_s1", "code"), [(0, 3, 0), (3, 0, 2), (1, 1, 0), (6, 6, 2), (2, 2, 6), (2, 2, 8)])
+def test_edges_print_na_and_never_nan(tmp_path, fmt, n_s0, n_s1, code):
+    run = write_run(tmp_path / "run", {"m": np.full(n_s0 + n_s1, code)}, n_s0, n_s1)
+    text = report.render(report.table_of(run), fmt)
+    assert not re.search(r"\b(nan|inf|none)\b", text, re.IGNORECASE)
+    if fmt != "json":
+        assert "n/a" in text
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (None, "n/a"),
+        (0.0, "0.00"),
+        (8.456, "8.46"),
+        (0.1, "0.10"),
+        (0.0996, "0.100"),
+        (0.00052, "0.00052"),
+        (2e-6, "0.0000020"),
+    ],
+)
+def test_seconds_keep_two_digits_however_short(paper, seconds, text):
+    row = replace(paper.rows[0], times={**paper.rows[0].times, "t_plan_s": Mean(seconds, 1)})
+    assert report.cell(row, "t_plan_s") == text
+
+
+def test_missing_and_invalid_trials_are_shown(tmp_path):
+    outcome = np.array([0, 0, 6, 7, 8, 8, 8, 0])
+    table = report.table_of(write_run(tmp_path / "run", {"m": outcome}, 8, 0))
+    main, _, counts = md_tables(report.render(table, "md"))
+    assert main[1][2] == "37.5"
+    assert counts[1][-2:] == ["2", "3"]
+
+
+def test_an_unknown_format_is_refused_with_the_known_ones(paper):
+    with pytest.raises(ValueError, match="md, latex, csv, json"):
+        report.render(paper, "html")
+
+
+def test_the_command_prints_a_stored_runs_table_on_a_plain_terminal(tmp_path):
+    run = write_run(tmp_path / "run", {"m": np.array([0, 2])}, 1, 1)
+    environment = {"PATH": os.environ["PATH"], "LANG": "C", "TERM": "dumb"}
+    command = [sys.executable, "-m", "r2h_batch.report", str(run.folder), "--format", "csv"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == report.render(report.table_of(run), "csv") and done.stderr == ""
+
+
+def test_the_command_refuses_a_folder_that_is_no_run(tmp_path):
+    command = [sys.executable, "-m", "r2h_batch.report", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2 and done.stdout == ""
+    assert "no run.json" in done.stderr and done.stderr.count("\n") == 1
+
+
+def test_another_order_keeps_the_success_rate_and_names_itself(tmp_path, capsys):
+    run = write_run(tmp_path / "run", {"m": np.array([0, 1, 2, 3, 5, 1])}, 3, 3)
+    plain, reach = (report.table_of(run, order) for order in (CRITERIA, parse_order("reach")))
+    for a, b in zip(plain.rows, reach.rows):
+        assert a.rates["sr"] == b.rates["sr"] and a.counts["reach"] < b.counts["reach"]
+    assert main(run.folder, order="reach,plan") == 0
+    assert "order of criteria: reach, plan, stability, affordance, safe" in capsys.readouterr().out
+    assert main(run.folder, order="reach,plam") == 2
+    assert "unknown criterion 'plam'; allowed are stability" in capsys.readouterr().err
+
+
+def test_by_object_prints_a_line_for_each_and_which_criteria_fail_together(tmp_path, capsys):
+    run = write_run(tmp_path / "run", {"m": np.array([0, 1, 2, 3, 5, 1] * 5)}, 15, 15)
+    assert main(run.folder, by_object=True) == 0
+    first, *pairs = md_tables(capsys.readouterr().out)
+    assert [r[1] for r in first[1:]] == ["bowl", "cup", "eyeglasses", "hammer", "knife", "scissors"]
+    assert all(r[3] == "5" for r in first[1:]) and len(pairs) == 2
+    assert pairs[0][3][1] == "5/15" and pairs[0][1][4] == "n/a"  # reach with stability; affordance in S0
+
+
+def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):
+    run = write_run(tmp_path / "run", {"a": np.zeros(8, int), "b": np.zeros(8, int)}, 4, 4, shard_trials=3)
+    (run.folder / "manifest" / "b" / "000001.json").unlink()
+    assert main(run.folder) == 1
+    captured = capsys.readouterr()
+    assert captured.err == "report: b is not in the table, 3 of its trials are not scored yet\n"
+    assert {r[1] for r in md_tables(captured.out)[0][1:]} == {"a"}
+    (run.folder / "manifest" / "a" / "000000.json").unlink()
+    assert main(run.folder) == 2
+    assert "no method is complete" in capsys.readouterr().err

@@ -1,0 +1,273 @@
+"""Run folders that somebody else wrote: one line and an exit code whatever they say, and nothing outside is touched."""
+
+import contextlib
+import json
+import os
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from made_runs import files_of, make_header, read_json, write, write_run
+
+from r2h_batch.compare.command import main as compare
+from r2h_batch.report.command import main as report
+from r2h_batch.results.command import main as results
+from r2h_batch.results.manifest import RunError, run_hash
+from r2h_batch.results.reading import load_run, mark_for_rerun
+from r2h_batch.results.storage import claim, sha256_of
+from r2h_batch.results.writing import open_run
+
+COMMANDS = {
+    "verify": lambda folder: results(["verify", str(folder)]),
+    "digest": lambda folder: results(["digest", str(folder)]),
+    "report": lambda folder: report([str(folder)]),
+    "compare": lambda folder: compare([str(folder)]),
+}
+ESC = "\x1b]0;owned\x07\x1b[2J"
+
+
+def in_file(path, change):
+    data = read_json(path)
+    change(data)
+    if path.name == "run.json":
+        with contextlib.suppress(KeyError, AttributeError):  # no hash can be made of it: the old one stays
+            data["hash"] = run_hash(data)
+    path.write_text(json.dumps(data))
+
+
+def put(data, where, value):
+    """Set a field by its dotted path; `...`: take it away."""
+    *path, last = where.split(".")
+    for key in path:
+        data = data[key]
+    if value is ...:
+        del data[last]
+    else:
+        data[last] = value
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    n = np.zeros(6, int)
+    folder = tmp_path_factory.mktemp("good") / "run"
+    write_run(folder, {"m": n, "second": n}, 3, 3)
+    return folder
+
+
+@pytest.fixture
+def run(good, tmp_path):
+    return shutil.copytree(good, tmp_path / "run")
+
+
+HEADER = [
+    *[(f, None) for f in ("versions", "digests", "device", "configuration", "protocol", "stored", "seed")],
+    *[(f, ...) for f in ("versions.r2h_batch", "digests.trials", "device.name", "configuration", "protocol")],
+    *[("trials.S0", v) for v in (1e15, 10**15, -1, "3", True, None)],
+    *[("trials", v) for v in ({}, {"S7": 6}, [3, 3], None)],
+    *[("shard_trials", v) for v in (1e300, 10**15, 2.5, "5", True)],
+    ("trials", {"S0": 10**12, "S1": 3}),
+    ("versions.r2h_batch", ESC),
+    ("device.name", ESC),
+    ("configuration.name", ["x"]),
+    ("configuration.thresholds", {"reach_radius_m": 0.1}),
+    ("configuration.plan", []),
+    ("motion", None),
+    ("motion", {"engine": 7}),
+    ("predictors", {"noise_factor": "loud"}),
+    ("objects", [{"name": ESC, "split": "S0", "built_in": True}]),
+    ("stored", ["../../etc"]),
+    ("protocol", "x" * 100_000),
+    ("seed", 1 << 70),
+]
+
+
+@pytest.mark.parametrize(("where", "value"), HEADER, ids=lambda v: repr(v)[:30])
+def test_a_run_json_with_an_odd_field_is_one_line(run, capsys, where, value):
+    in_file(run / "run.json", lambda d: put(d, where, value))
+    for command in COMMANDS.values():
+        assert command(run) == 2
+        captured = capsys.readouterr()
+        assert captured.out == "" and captured.err.count("\n") == 1 and len(captured.err) < 600
+        assert "run.json" in captured.err and captured.err[:-1].isprintable()
+
+
+RECEIPT = [
+    *[("outcomes", v) for v in (..., None, [], {"S0": None}, {"S0": {"banana": 3}, "S1": {"success": 3}})],
+    *[("outcomes.S0", {"success": v}) for v in (1e15, -3, "3", None)],
+    *[("files", v) for v in (..., None, {}, [], {"bananas": {}})],
+    *[("files.trials.path", v) for v in (..., None, 7, ESC)],
+    *[("files.trials.bytes", v) for v in (..., "many", -1, 1e300)],
+    *[("files.trials.sha256", v) for v in ("", "../" * 20, 7, "f" * 64)],
+    *[("first", v) for v in (1, -1, None, "0", 0.5)],
+    ("run", "0" * 64),
+    ("method", ESC),
+    ("seconds", "long"),
+]
+
+
+@pytest.mark.parametrize(("where", "value"), RECEIPT, ids=lambda v: repr(v)[:30])
+def test_a_receipt_with_an_odd_field_is_refused_and_its_shard_scored_again(run, capsys, where, value):
+    path = run / "manifest" / "m" / "000000.json"
+    in_file(path, lambda d: put(d, where, value))
+    for command in ("digest", "report", "compare"):
+        assert COMMANDS[command](run) == 2
+        captured = capsys.readouterr()
+        assert captured.out == "" and captured.err.count("\n") == 1 and captured.err[:-1].isprintable()
+    assert COMMANDS["verify"](run) == 1
+    captured = capsys.readouterr()
+    assert all(line.isprintable() for line in captured.out.splitlines()) and "shard 0 of 'm'" in captured.out
+    assert load_run(run).unfinished == ("m",) and not path.exists()
+
+
+METHOD = [
+    *[("name", v) for v in (..., None, "", 7, ESC, "x" * 5000, "second")],
+    *[("source", v) for v in (..., None, [], {"function": 7}, {"file": ESC})],
+    *[("order", v) for v in (..., None, "first", 1e300, -1)],
+    ("command", "rm -rf"),
+]
+
+
+@pytest.mark.parametrize(("where", "value"), METHOD, ids=lambda v: repr(v)[:30])
+def test_a_method_with_an_odd_field_is_one_line(run, capsys, where, value):
+    in_file(run / "methods" / "m.json", lambda d: put(d, where, value))
+    for command in COMMANDS.values():
+        assert command(run) == 2
+        captured = capsys.readouterr()
+        assert captured.out == "" and captured.err.count("\n") == 1 and captured.err[:-1].isprintable()
+
+
+OUTSIDE = [
+    "/{victim}",
+    "../victim.parquet",
+    "trials/../../victim.parquet",
+    "trials/m/../../../victim.parquet",
+    "{victim}",
+]
+
+
+@pytest.mark.parametrize("form", OUTSIDE)
+def test_a_receipt_that_names_a_file_elsewhere_is_set_aside_and_that_file_is_neither_read_nor_renamed(
+    run, form, capsys
+):
+    victim = run.parent / "victim.parquet"
+    os.mkfifo(victim)  # reading it would wait for ever
+    receipt = run / "manifest" / "m" / "000000.json"
+    in_file(receipt, lambda d: put(d, "files.trials.path", form.format(victim=victim)))
+    assert COMMANDS["verify"](run) == 1
+    assert "the only one it may name is trials/m/000000-" in capsys.readouterr().out
+    assert sorted(p.name for p in run.parent.iterdir()) == ["run", "victim.parquet"]
+
+
+@pytest.mark.parametrize(
+    "what", ["trials", "manifest", "methods", "trials/m", "manifest/m", "methods/m.json", "run.json"]
+)
+def test_a_link_in_place_of_a_part_of_the_folder_is_refused_by_every_command(run, tmp_path, what, capsys):
+    moved = tmp_path / "elsewhere"
+    (run / what).rename(moved)
+    (run / what).symlink_to(moved)
+    before = sorted(tmp_path.rglob("*"))
+    for command in COMMANDS.values():
+        assert command(run) == 2
+        error = capsys.readouterr().err
+        assert "a symbolic link" in error and error.count("\n") == 1
+    with pytest.raises(RunError, match="a symbolic link"):
+        open_run(run, make_header(3, 3))
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize("kind", ["trials", "manifest"])
+def test_a_link_in_place_of_a_file_is_set_aside_and_its_target_stays(run, tmp_path, kind):
+    (path,) = (run / kind / "m").iterdir()
+    target = tmp_path / "mine"
+    path.rename(target)
+    path.symlink_to(target)
+    content = target.read_bytes()
+    (line, *_) = mark_for_rerun(
+        run, load_run(run, verify=False).header if kind == "trials" else read_json(run / "run.json")
+    )
+    assert "link" in line or "no regular file" in line
+    assert target.read_bytes() == content and not path.exists()
+
+
+def test_a_claim_that_is_a_link_writes_nothing_where_it_leads(tmp_path):
+    precious = tmp_path / "precious"
+    precious.write_text("years of work")
+    (tmp_path / "claim").symlink_to(precious)
+    with pytest.raises(OSError, match="take it away"), claim(tmp_path / "claim"):
+        pass
+    assert precious.read_text() == "years of work"
+
+
+@pytest.mark.parametrize("kind", ["fifo", "device", "huge"])
+def test_a_run_json_that_is_no_file_or_has_no_end_is_refused_at_once(run, kind, capsys):
+    path = run / "run.json"
+    path.unlink()
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        with path.open("wb") as file:
+            file.truncate(1 << 40)  # sparse
+    assert COMMANDS["verify"](run) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def forge(run, change):
+    """Another table under a shard's receipt, with the sha256 that it has."""
+    (path,) = files_of(run, "trials/m")
+    table = change(pq.read_table(path, partitioning=None))
+    path.unlink()
+    pq.write_table(table, path)
+    sha = sha256_of(path)
+    new = path.with_name(f"000000-{sha[:16]}.parquet")
+    path.rename(new)
+    stored = {"path": f"trials/m/{new.name}", "sha256": sha, "bytes": new.stat().st_size}
+    in_file(run / "manifest" / "m" / "000000.json", lambda d: put(d, "files.trials", stored))
+
+
+def with_words(table, name, words):
+    index = table.column_names.index(name)
+    column = pa.DictionaryArray.from_arrays(pa.array([0] * len(table), pa.int32()), pa.array(words, pa.string()))
+    return table.set_column(index, name, column)
+
+
+FORGED = {
+    "more rows than planned": lambda t: pa.concat_tables([t] * 1000),
+    "fewer rows": lambda t: t.slice(1),
+    "no object": lambda t: t.set_column(1, "object", pa.nulls(len(t), t.schema.field(1).type)),
+    "an outcome that is none": lambda t: with_words(t, "outcome", ["banana"]),
+    "an object that moves the cursor": lambda t: with_words(t, "object", [ESC]),
+    "a word that is empty": lambda t: with_words(t, "object", [""]),
+    "a column of another type": lambda t: t.set_column(1, "object", t["object"].cast(pa.string())),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_a_forged_table_with_the_right_sha256_is_one_line(run, what, capsys):
+    forge(run, FORGED[what])
+    for command in ("report", "compare"):
+        assert COMMANDS[command](run) == 2
+        captured = capsys.readouterr()
+        assert captured.out == "" and captured.err.count("\n") == 1 and captured.err[:-1].isprintable()
+
+
+def test_more_shards_than_their_numbers_have_digits_are_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(RunError, match="larger shards are needed"):
+        open_run(tmp_path / "run", make_header(10**9, 0, shard_trials=1))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_command_line_with_control_characters_makes_a_folder_that_can_be_read(tmp_path):
+    write(tmp_path / "run", command=["sweep", f"--out=\n{ESC}"])
+    assert load_run(tmp_path / "run").header["command"] == ["sweep", "--out=\\n\\x1b]0;owned\\x07\\x1b[2J"]
+
+
+def test_a_method_whose_name_could_not_be_read_back_is_refused_when_it_is_added(tmp_path):
+    run = open_run(tmp_path / "run", make_header(3, 3))
+    for name in (ESC, "", "x" * 300):
+        with pytest.raises(RunError, match="methods"):
+            run.register(name, {"kind": "test"})
+    assert load_run(tmp_path / "run").entries == ()

@@ -1,0 +1,109 @@
+"""What run.json and the benchmarks say about where a figure comes from."""
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import r2h_batch
+from r2h_batch.results import provenance
+
+
+def test_versions_name_what_runs():
+    found = provenance.versions()
+    assert found["r2h_batch"] == r2h_batch.__version__
+    assert found["numpy"] == np.__version__
+    assert found["torch"].split("+")[0] == torch.__version__.split("+")[0]
+    assert set(provenance.PACKAGES) < set(found)
+
+
+DECIDE = (
+    "r2h_batch/evaluate.py", "r2h_batch/judge/plan.py", "r2h_batch/methods/fc.py", "r2h_batch/results/rows.py",
+    "r2h_batch/sweep/jobs.py", "r2h_batch/config.py", "kernels/plan/rrt.py", "kernels/geometry/gjk.py",
+    "assets/robot/robot.json", "assets/hand/handset.npz", "assets/receiving/voxnet.safetensors",
+)  # fmt: skip
+READ = (
+    "r2h_batch/report/charts.py", "r2h_batch/report/page.html", "r2h_batch/statistics/paired.py", "r2h_batch/rescore/command.py",
+    "r2h_batch/export/trial.py", "r2h_batch/study/stats.py", "r2h_batch/compare/command.py", "r2h_batch/__main__.py",
+    "r2h_batch/command_line.py", "r2h_batch/results/__main__.py", "assets/objects/build_objects.py", "assets/SOURCES.md",
+)  # fmt: skip
+
+
+def package_at(folder: Path) -> list[str]:
+    """The package's `__path__`, its files as links that a test may replace."""
+    root = Path(r2h_batch.__file__).resolve().parent.parent
+    for name in ("r2h_batch", "kernels", "assets"):
+        shutil.copytree(
+            root / name, folder / name, copy_function=os.symlink, ignore=shutil.ignore_patterns("__pycache__")
+        )
+    return [str(folder / "r2h_batch"), str(folder)]
+
+
+def test_the_code_digest_changes_with_what_decides_rows_and_with_nothing_else(tmp_path, monkeypatch):
+    before = provenance.code_digest()
+    monkeypatch.setattr(r2h_batch, "__path__", package_at(tmp_path))
+
+    def digest() -> str:
+        provenance.code_digest.cache_clear()
+        return provenance.code_digest()
+
+    def change(name: str) -> None:
+        text = (tmp_path / name).read_bytes()
+        (tmp_path / name).unlink()
+        (tmp_path / name).write_bytes(text + b"\n# a comment\n")
+
+    assert digest() == before
+    for name in READ:
+        change(name)
+        assert digest() == before, name
+    (tmp_path / "assets" / "a.pyc").write_bytes(b"no source")
+    assert digest() == before
+    seen = [before]
+    for name in DECIDE:
+        change(name)
+        assert digest() not in seen, name
+        seen.append(digest())
+    (tmp_path / "kernels" / "b.py").write_bytes(b"new")
+    assert digest() not in seen
+    provenance.code_digest.cache_clear()
+
+
+def test_a_wheel_and_a_checkout_of_the_same_files_have_the_same_code_digest(tmp_path, monkeypatch):
+    checkout = package_at(tmp_path)
+    monkeypatch.setattr(r2h_batch, "__path__", checkout)
+    provenance.code_digest.cache_clear()
+    before = provenance.code_digest()
+    for name in ("kernels", "assets"):
+        (tmp_path / name).rename(tmp_path / "r2h_batch" / name)
+    monkeypatch.setattr(r2h_batch, "__path__", checkout[:1])
+    provenance.code_digest.cache_clear()
+    assert provenance.code_digest() == before
+    provenance.code_digest.cache_clear()
+
+
+def test_the_commit_is_that_of_the_checkout_and_says_when_files_differ(tmp_path, monkeypatch):
+    def git(*arguments: str) -> str:
+        identity = ["-c", "user.name=t", "-c", "user.email=t@example.org", "-c", "init.defaultBranch=main"]
+        line = ["git", "-C", str(tmp_path), *identity, *arguments]
+        return subprocess.run(line, check=True, capture_output=True, text=True).stdout.strip()
+
+    (tmp_path / "r2h_batch").mkdir()
+    file = tmp_path / "r2h_batch" / "__init__.py"
+    file.write_text("1")
+    monkeypatch.setattr(r2h_batch, "__file__", str(file))
+    assert provenance.git_commit() is None
+    git("init")
+    git("add", ".")
+    git("commit", "-m", "one")
+    git("tag", "v1")
+    assert provenance.git_commit() == git("rev-parse", "HEAD")
+    file.write_text("2")
+    assert provenance.git_commit() == git("rev-parse", "HEAD") + "-dirty"
+
+
+def test_the_cpu_is_named_with_its_cores():
+    name = provenance.device_name("cpu")
+    assert name.startswith("cpu: ") and name.endswith(" cores") and len(name) > len("cpu: , 2 cores")

@@ -1,0 +1,91 @@
+"""Table rows: the documented schemas for any number of trials."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from made_runs import NAMES, make_predictions, make_scores, make_trials
+
+from r2h_batch.results import manifest
+from r2h_batch.results.rows import (
+    DETAIL_SCHEMA,
+    FAILURE_SCHEMA,
+    OUTCOME_NAMES,
+    PATH_SCHEMA,
+    POSE_SCHEMA,
+    TRIAL_SCHEMA,
+    detail_rows,
+    failure_rows,
+    missing_rows,
+    path_rows,
+    pose_rows,
+    score_rows,
+)
+from r2h_batch.types import CollidingPair, Outcome, PlanReason
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("n", [0, 1, 2, 33])
+def test_rows_of_any_number_of_trials_have_the_schemas(n):
+    trials = make_trials(n, 0)
+    scores = make_scores(trials, np.arange(n) % 3)
+    tables = (
+        (score_rows(trials, scores, NAMES, torch.zeros(n)), TRIAL_SCHEMA),
+        (missing_rows(trials, NAMES), TRIAL_SCHEMA),
+        (detail_rows(trials, scores, NAMES), DETAIL_SCHEMA),
+        (pose_rows(make_predictions(trials)), POSE_SCHEMA),
+        (path_rows(scores), PATH_SCHEMA),
+        (failure_rows(trials, make_predictions(trials), scores, NAMES), FAILURE_SCHEMA),
+    )
+    for table, schema in tables:
+        table.validate(full=True)
+        assert table.schema.equals(schema)
+    assert [t.num_rows for t, _ in tables[:4]] == [n] * 4
+
+
+def test_what_the_simulator_failed_on_can_be_run_again_from_its_row():
+    trials = make_trials(3, 2)
+    outcome = np.array([Outcome.SUCCESS, Outcome.INVALID_SIM, Outcome.SUCCESS, Outcome.INVALID_SIM, Outcome.PLAN])
+    scores, predictions = make_scores(trials, outcome), make_predictions(trials)
+    scores.motion_len[1], scores.motion[1, 2:] = 4, torch.nan
+    rows = failure_rows(trials, predictions, scores, NAMES).to_pylist()
+    assert [r["trial_id"] for r in rows] == trials.trial_id[[1, 3]].tolist()
+    for row, i in zip(rows, (1, 3)):
+        for name, T in (
+            ("T_world_hand", trials.T_world_hand),
+            ("T_obj_ee", predictions.T_obj_ee),
+            ("T_world_ee", predictions.T_world_ee),
+        ):
+            assert np.array_equal(np.array(row[name], np.float32).reshape(4, 4), T[i].numpy())
+        assert row["hand_index"] == int(trials.hand_index[i])
+    q = np.array(rows[0]["executed_q"], np.float32)
+    assert np.array_equal(q, scores.motion[1, :4].numpy(), equal_nan=True) and np.isnan(q[2:]).all()
+    assert rows[1]["executed_q"] is None and rows[1]["failed_state"] == [9.0, 10.0, 11.0]
+
+
+def test_a_missing_trial_is_a_row_with_its_names_and_nothing_else():
+    trials = make_trials(2, 1)
+    for row in missing_rows(trials, NAMES).to_pylist():
+        assert row["outcome"] == "missing" and row["object"] and row["split"] and row["side"]
+        known = ("trial_id", "object", "split", "side", "outcome")
+        assert all(v is None for k, v in row.items() if k not in known)
+
+
+def test_scores_in_another_order_than_their_trials_are_refused():
+    trials = make_trials(3, 0)
+    scores = make_scores(trials, np.zeros(3, int))
+    with pytest.raises(ValueError, match="same order"):
+        score_rows(trials[torch.tensor([1, 0, 2])], scores, NAMES)
+
+
+def test_outcome_names_follow_the_enum():
+    assert OUTCOME_NAMES[Outcome.INVALID_SIM] == "invalid_sim" and OUTCOME_NAMES[-1] == "missing"
+
+
+def test_the_documentation_names_every_column_and_every_word_in_it():
+    text = (Path(__file__).parents[2] / "docs" / "run_folder.md").read_text(encoding="utf-8")
+    columns = [f.name for schema in manifest.SCHEMAS.values() for f in schema]
+    words = [*OUTCOME_NAMES, *(r.name.lower() for r in PlanReason), *(p.name.lower() for p in CollidingPair if p)]
+    for name in (*columns, *words, *manifest.IDENTITY):
+        assert f"`{name}`" in text, name

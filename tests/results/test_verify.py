@@ -1,0 +1,140 @@
+"""Damaged, foreign and half-written files are found, named, set aside and written again."""
+
+import os
+
+import pyarrow.parquet as pq
+import pytest
+from made_runs import NAMES, OUTCOMES, files_of, make_header, make_scores, make_trials, store, write
+
+from r2h_batch.results.command import digest, verify
+from r2h_batch.results.manifest import RunError, shards_of
+from r2h_batch.results.reading import load_run
+from r2h_batch.results.rows import score_rows
+from r2h_batch.results.writing import open_run
+
+DAMAGE = {"flip": "flipped", "truncate": "truncated", "remove": "missing", "append": "too long"}
+
+
+def damage(path, how):
+    data = bytearray(path.read_bytes())
+    if how == "flip":
+        data[len(data) // 2] ^= 1
+        path.write_bytes(data)
+    elif how == "truncate":
+        path.write_bytes(data[:-10])
+    elif how == "append":
+        path.write_bytes(data + b"0")
+    else:
+        path.unlink()
+
+
+@pytest.mark.parametrize("how", list(DAMAGE))
+def test_a_damaged_shard_is_named_verify_marks_it_and_only_it_is_written_again(tmp_path, how, capsys):
+    folder = tmp_path / "run"
+    trials, scores = write(folder, shard_trials=5)
+    digest = load_run(folder).digest("m")
+    bad = files_of(folder)[1]
+    damage(bad, how)
+    with pytest.raises(RunError, match=f"{bad.name}: {DAMAGE[how]}.*results verify"):
+        load_run(folder)
+    assert verify(folder) == 1
+    out = capsys.readouterr().out
+    assert str(bad) in out and DAMAGE[how] in out and "m: 1 of 3 shards to be scored: 1" in out
+    run = load_run(folder)
+    assert run.unfinished == ("m",) and [s.index for s in run.missing("m")] == [1]
+    again = open_run(folder, make_header(6, 6))
+    store(again, "m", trials, scores)
+    assert load_run(folder).digest("m") == digest
+    assert verify(folder) == 0
+    assert "as it was written" in capsys.readouterr().out
+
+
+def test_a_shard_of_another_run_or_method_is_foreign(tmp_path, capsys):
+    for name, seed in (("a", 0), ("b", 1)):
+        write(tmp_path / name, shard_trials=5, seed=seed)
+    digest = load_run(tmp_path / "a").digest("m")
+    for kind in ("manifest", "trials"):
+        for file in sorted((tmp_path / "b" / kind / "m").iterdir())[:1]:
+            (tmp_path / "a" / kind / "m" / file.name).write_bytes(file.read_bytes())
+    with pytest.raises(RunError, match="foreign"):
+        load_run(tmp_path / "a")
+    assert verify(tmp_path / "a") == 1
+    assert "foreign" in capsys.readouterr().out
+    trials = make_trials(6, 6)
+    run = open_run(tmp_path / "a", make_header(6, 6))
+    assert [s.index for s in run.todo("m")] if run.slugs else False
+    store(run, "m", trials, make_scores(trials, OUTCOMES))
+    assert load_run(tmp_path / "a").digest("m") == digest
+
+
+def test_a_file_that_no_receipt_names_is_set_aside(tmp_path, capsys):
+    write(tmp_path / "run")
+    stray = tmp_path / "run" / "trials" / "m" / "000007-0123456789abcdef.parquet"
+    stray.write_bytes(files_of(tmp_path / "run")[0].read_bytes())
+    load_run(tmp_path / "run")  # it is no part of the run
+    assert verify(tmp_path / "run") == 1
+    assert "foreign: no receipt names it; set aside" in capsys.readouterr().out
+    assert not stray.exists() and len(files_of(tmp_path / "run")) == 1
+
+
+def test_the_digest_command_prints_what_the_library_says(tmp_path, capsys):
+    write(tmp_path / "run")
+    assert digest(tmp_path / "run") == 0
+    assert capsys.readouterr().out == f"{load_run(tmp_path / 'run').digest('m')}  m\n"
+    assert digest(tmp_path) == 2
+    assert "no run.json" in capsys.readouterr().err
+
+
+def test_a_run_json_with_a_number_that_is_none_is_refused(tmp_path):
+    write(tmp_path / "run")
+    path = tmp_path / "run" / "run.json"
+    path.write_text(path.read_text().replace('"seed": 0', '"seed": NaN'))
+    with pytest.raises(RunError, match=r"run\.json: a field is missing"):
+        load_run(tmp_path / "run")
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"format": 99}', "nothing", "[" * 100_000, '{"format": 2}'])
+def test_a_run_json_that_is_damaged_or_of_another_format_is_refused(tmp_path, content):
+    write(tmp_path / "run")
+    (tmp_path / "run" / "run.json").write_text(content)
+    with pytest.raises(RunError, match=r"run\.json"):
+        load_run(tmp_path / "run")
+
+
+def test_a_run_json_that_was_edited_is_refused(tmp_path):
+    write(tmp_path / "run")
+    path = tmp_path / "run" / "run.json"
+    path.write_text(path.read_text().replace('"seed": 0', '"seed": 1'))
+    with pytest.raises(RunError, match="its own hash"):
+        load_run(tmp_path / "run")
+
+
+def test_a_table_of_another_schema_is_refused_naming_the_column(tmp_path):
+    write(tmp_path / "run")
+    (path,) = files_of(tmp_path / "run")
+    pq.write_table(pq.read_table(path, partitioning=None).drop_columns(["margin_safe_m"]), path)
+    with pytest.raises(RunError, match="margin_safe_m"):
+        load_run(tmp_path / "run", verify=False).trials("m")
+
+
+@pytest.mark.parametrize("when", ["sync_file", "link_once", "write_json_once"])
+def test_a_disk_that_fills_up_leaves_no_partial_shard_and_the_folder_goes_on_after_freeing(tmp_path, monkeypatch, when):
+    write(tmp_path / "run", method="first")
+
+    def full(*_):
+        raise OSError(28, os.strerror(28))
+
+    run = open_run(tmp_path / "run", make_header(6, 6))
+    run.register("second", {"kind": "test"})
+    monkeypatch.setattr(f"r2h_batch.results.writing.{when}", full)
+    trials = make_trials(6, 6)
+    run = open_run(tmp_path / "run", make_header(6, 6))
+    with pytest.raises(OSError, match="No space"):
+        run.slugs["second"] = "second"
+        with run.write("second", shards_of(run.header)[0]) as writer:
+            writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES), NAMES))
+    monkeypatch.undo()
+    assert not files_of(tmp_path / "run", "trials/second") and not list((tmp_path / "run").rglob("*.tmp"))
+    assert load_run(tmp_path / "run").methods == ("first",)
+    write(tmp_path / "run", method="second")
+    assert load_run(tmp_path / "run").methods == ("first", "second")

@@ -1,0 +1,129 @@
+"""The arm's model against mechanics written down again: mass matrix, weight, payloads, servos, limits."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from dynamics_twin import ROBOT, bodies, centers, mass_matrix, some_payload
+
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.bodies.robot import forward_kinematics
+from r2h_batch.config import HOME_Q
+from r2h_batch.scene.dynamics import (
+    GRIPPER_MASS_KG,
+    LINK_MASS_KG,
+    Payload,
+    arm_model,
+    loaded_model,
+)
+
+G = 9.81
+STEP_S = 0.002
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_mass_matrix_and_weight_are_those_of_the_links_gripper_and_payload(seed):
+    rng = np.random.default_rng(seed)
+    payload = some_payload(rng)
+    base = arm_model(ROBOT, step_s=STEP_S)
+    model = loaded_model(base, payload, mujoco.MjData(base))
+    data = mujoco.MjData(model)
+    q = rng.uniform(-3, 3, 6)
+    data.qpos[:] = q
+    mujoco.mj_forward(model, data)
+    M = np.zeros((6, 6))
+    mujoco.mj_fullM(model, data, M)
+    np.testing.assert_allclose(M, mass_matrix(q, payload), atol=2e-7)
+    h, mass = 1e-5, np.array([b[2] for b in bodies(payload)])
+    torque = [
+        G * mass @ (centers(q + d, payload) - centers(q - d, payload))[:, 2] / (2 * h) for d in h * np.eye(6)
+    ]  # fmt: skip
+    np.testing.assert_allclose(data.qfrc_bias, torque, atol=1e-6)
+    np.testing.assert_allclose(data.qfrc_gravcomp, torque, atol=1e-6)
+    np.testing.assert_allclose(data.qacc, 0, atol=1e-9 + 1e3 * np.abs(data.ctrl - q).max())
+
+
+@pytest.mark.check
+def test_frames_are_the_robots():
+    model = arm_model(ROBOT, step_s=STEP_S)
+    data = mujoco.MjData(model)
+    for q in np.random.default_rng(0).uniform(-3, 3, (20, 6)):
+        data.qpos[:] = q
+        mujoco.mj_kinematics(model, data)
+        T = forward_kinematics(ROBOT, q)
+        np.testing.assert_allclose(data.xpos[2:9], T[1:8, :3, 3], atol=1e-12)
+        np.testing.assert_allclose(data.xmat[2:9].reshape(-1, 3, 3), T[1:8, :3, :3], atol=1e-12)
+
+
+def test_a_loaded_model_is_a_copy_and_carries_what_the_compiler_would_derive():
+    base = arm_model(ROBOT, step_s=STEP_S)
+    before = base.body_mass.copy(), base.body_subtreemass.copy()
+    payload = Payload.of(load_objects(["hammer"])[0], np.eye(4))
+    model = loaded_model(base, payload, mujoco.MjData(base))
+    assert np.array_equal(base.body_mass, before[0]) and np.array_equal(base.body_subtreemass, before[1])
+    total = sum(LINK_MASS_KG) + GRIPPER_MASS_KG + payload.mass
+    assert model.body_subtreemass[2] == pytest.approx(total, abs=1e-8)
+    assert model.body_subtreemass[-1] == pytest.approx(0.665)
+    assert (model.dof_invweight0 < base.dof_invweight0).any()
+
+
+def hold(model: mujoco.MjModel, q: np.ndarray, seconds: float) -> np.ndarray:
+    """Joint positions over time while the servos are told to stay at q."""
+    data = mujoco.MjData(model)
+    data.qpos[:] = data.ctrl[:] = q
+    out = []
+    for _ in range(round(seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        out.append(data.qpos.copy())
+    return np.array(out)
+
+
+def tcp(q: np.ndarray) -> np.ndarray:
+    return (forward_kinematics(ROBOT, q)[..., 7, :, :] @ np.array([0, 0, 0.142, 1.0]))[..., :3]
+
+
+def test_holding_still_for_two_seconds_drifts_less_than_a_tenth_of_a_millimetre():
+    rng = np.random.default_rng(0)
+    base = arm_model(ROBOT, step_s=STEP_S)
+    for q in [np.array(HOME_Q), *rng.uniform(-2.5, 2.5, (5, 6))]:
+        model = loaded_model(base, some_payload(rng, 1.0), mujoco.MjData(base))
+        drift = np.linalg.norm(tcp(hold(model, q, 2.0)) - tcp(q), axis=1)
+        assert drift.max() < 1e-6
+
+
+def test_an_unknown_payload_sinks_by_its_weight_over_the_servos_stiffness():
+    base = arm_model(ROBOT, step_s=STEP_S, payload_known=False)
+    payload = replace(some_payload(np.random.default_rng(0), 1.0), T_gripper_obj=np.eye(4))
+    model = loaded_model(base, payload, mujoco.MjData(base))
+    q = np.array(HOME_Q)
+    end = hold(model, q, 2.0)[-1]
+    data = mujoco.MjData(model)
+    data.qpos[:] = end
+    mujoco.mj_forward(model, data)
+    load = data.qfrc_gravcomp - data.qfrc_bias  # what nobody compensates
+    np.testing.assert_allclose(end - q, load / -model.actuator_biasprm[:, 1], atol=1e-7)
+    sag = tcp(q)[2] - tcp(end)[2]
+    assert 5e-5 < sag < 1e-3
+
+
+def test_torques_stay_within_the_joints_limits_weight_included():
+    base = arm_model(ROBOT, step_s=STEP_S)
+    assert base.jnt_actfrcrange[:, 1].tolist() == [150.0] * 3 + [28.0] * 3
+    model = loaded_model(base, some_payload(np.random.default_rng(0), 1.0), mujoco.MjData(base))
+    data = mujoco.MjData(model)
+    data.qpos[:] = HOME_Q
+    data.ctrl[:] = np.array(HOME_Q) + 1.0  # far more than the servos may answer at once
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.qfrc_actuator, model.jnt_actfrcrange[:, 1])
+    assert (data.qfrc_gravcomp[1:3] != 0).all()
+
+
+def test_a_broken_state_stays_broken():
+    """MuJoCo's automatic reset would put the arm back to zero and go on as if nothing had been."""
+    model = arm_model(ROBOT, step_s=STEP_S)
+    data = mujoco.MjData(model)
+    data.qpos[:] = HOME_Q
+    data.qvel[2] = np.nan
+    mujoco.mj_step(model, data)
+    assert not np.isfinite(data.qvel).all()

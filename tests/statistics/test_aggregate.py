@@ -1,0 +1,256 @@
+"""Rates, intervals and means from per-trial verdicts, against scipy and against counting by hand."""
+
+import math
+from itertools import product
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from made_runs import make_trials, paper_run, table_1, write_run
+from scipy import stats
+
+from r2h_batch.results.reading import load_run
+from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.statistics import aggregate
+from r2h_batch.statistics.aggregate import Rate, Verdicts
+from r2h_batch.types import CRITERIA, Outcome
+
+
+def verdicts_of(outcome, split=None, objects=None, method="m", splits=("S0", "S1"), t_plan_s=None) -> Verdicts:
+    outcome = np.asarray(outcome, np.int8)
+    n = len(outcome)
+    return Verdicts(
+        method=method,
+        split=np.zeros(n, np.int8) if split is None else np.asarray(split, np.int8),
+        object=np.arange(n) % 4 if objects is None else np.asarray(objects),
+        outcome=outcome,
+        t_plan_s=np.full(n, np.nan) if t_plan_s is None else np.asarray(t_plan_s, np.float32),
+        t_exec_s=np.full(n, np.nan),
+        t_method_s=np.full(n, np.nan),
+        splits=splits,
+    )
+
+
+def test_the_first_failure_is_the_first_false_in_criterion_order_for_every_pattern_of_passes():
+    patterns = list(product([False, True], repeat=5))
+    passed = np.array(patterns)
+    found = aggregate.first_failure(passed, np.ones_like(passed))
+    for pattern, code in zip(patterns, found):
+        failed = [c for c, ok in zip(CRITERIA, pattern) if not ok]
+        assert Outcome(code).name.lower() == (failed[0] if failed else "success")
+
+
+def test_a_criterion_that_was_not_evaluated_is_skipped_and_affordance_may_be_skipped_by_a_success():
+    passed = np.array([[0, 1, 0, 1, 1], [1, 1, 1, 0, 1], [1, 0, 0, 0, 0]], bool)
+    evaluated = np.array([[0, 1, 1, 1, 1], [1, 1, 1, 0, 1], [1, 1, 1, 1, 0]], bool)
+    assert aggregate.first_failure(passed, evaluated).tolist() == [Outcome.REACH, Outcome.SUCCESS, Outcome.PLAN]
+
+
+@pytest.mark.parametrize("column", [0, 1, 2, 4])
+def test_a_row_that_fails_nothing_but_was_not_fully_evaluated_is_an_error_and_never_a_success(column):
+    evaluated = np.ones((3, 5), bool)
+    evaluated[1, column] = False
+    with pytest.raises(ValueError, match="rows 1"):
+        aggregate.first_failure(np.ones((3, 5), bool), evaluated)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 33])
+def test_first_failure_takes_any_number_of_rows(n):
+    assert aggregate.first_failure(np.ones((n, 5), bool), np.ones((n, 5), bool)).shape == (n,)
+
+
+def test_first_failure_refuses_other_shapes():
+    with pytest.raises(ValueError, match=r"\(4,\)"):
+        aggregate.first_failure(np.ones(4, bool), np.ones(4, bool))
+
+
+def test_wilson_agrees_with_scipy_on_a_grid():
+    for n in (1, 2, 5, 33, 500, 10_000):
+        counts = sorted({0, 1, n // 3, n // 2, n - 1, n} & set(range(n + 1)))
+        for confidence in (0.9, 0.95, 0.99):
+            low, high = aggregate.wilson_interval(counts, n, confidence)
+            for k, a, b in zip(counts, low, high):
+                expected = stats.binomtest(k, n).proportion_ci(confidence, method="wilson")
+                assert a == pytest.approx(expected.low, abs=1e-12)
+                assert b == pytest.approx(expected.high, abs=1e-12)
+                assert 0 <= a <= k / n <= b <= 1
+
+
+def test_wilson_of_nothing_is_undefined_and_does_not_warn(recwarn):
+    low, high = aggregate.wilson_interval([0], [0])
+    assert math.isnan(low[0]) and math.isnan(high[0])
+    assert not recwarn.list
+
+
+def test_the_clustered_interval_with_equal_objects_is_the_t_interval_of_their_rates():
+    rng = np.random.default_rng(3)
+    rates = np.array([0.2, 0.5, 0.6, 0.9, 0.4])
+    success = np.concatenate([rng.permutation(np.arange(80) < 80 * r) for r in rates])
+    found = aggregate.clustered_interval(success, np.repeat(np.arange(5), 80))
+    expected = stats.t.interval(0.95, 4, loc=rates.mean(), scale=stats.sem(rates))
+    assert found is not None
+    assert found.percent == pytest.approx(100 * rates.mean())
+    assert (found.low, found.high) == pytest.approx((100 * max(expected[0], 0), 100 * min(expected[1], 1)))
+
+
+def test_the_clustered_interval_covers_new_objects_and_wilson_does_not():
+    rng = np.random.default_rng(5)
+    covered = {"wilson": 0, "clustered": 0}
+    runs, objects, trials = 1500, 10, 50
+    for _ in range(runs):
+        p = rng.beta(6, 4, objects)
+        success = rng.random((objects, trials)) < p[:, None]
+        clustered = aggregate.clustered_interval(success.ravel(), np.repeat(np.arange(objects), trials))
+        low, high = aggregate.wilson_interval(success.sum(), success.size)
+        covered["wilson"] += bool(low <= 0.6 <= high)
+        covered["clustered"] += clustered.low <= 60 <= clustered.high
+    assert covered["clustered"] / runs > 0.93
+    assert covered["wilson"] / runs < 0.75
+
+
+@pytest.mark.parametrize("value", [False, True])
+def test_the_clustered_interval_at_0_and_100_percent_is_inside_and_not_empty(value):
+    rate = aggregate.clustered_interval(np.full(40, value), np.arange(40) % 4)
+    assert 0 <= rate.low < rate.high <= 100
+    assert rate.percent == 100 * value
+
+
+def test_the_clustered_interval_of_one_object_or_none_is_undefined():
+    assert aggregate.clustered_interval(np.ones(9, bool), np.zeros(9)) is None
+    assert aggregate.clustered_interval(np.ones(0, bool), np.zeros(0)) is None
+
+
+def test_the_interval_of_a_mean_rate_covers():
+    rng = np.random.default_rng(8)
+    p, n, hits = np.array([0.7, 0.93]), 120, 0
+    for _ in range(2000):
+        parts = []
+        for k in rng.binomial(n, p):
+            low, high = aggregate.wilson_interval(k, n)
+            parts.append(Rate(100 * k / n, 100 * float(low), 100 * float(high)))
+        mean = aggregate.mean_rate(parts)
+        hits += mean.low <= 100 * p.mean() <= mean.high
+    assert 0.93 < hits / 2000 < 0.97
+
+
+@pytest.mark.check
+def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
+    outcome = np.repeat(np.arange(MISSING + 1), [5, 4, 3, 2, 1, 6, 7, 8, 9])
+    row = aggregate.group_row(verdicts_of(outcome, np.ones(45)), np.ones(45, bool), "S1")
+    assert row.n == 45
+    assert sum(r.percent for r in row.rates.values()) == pytest.approx(100)
+    assert {k: r.count for k, r in row.rates.items()} == {
+        "sr": 5, "f_stab": 4, "f_plan": 3, "f_reach": 2, "f_afford": 1, "f_safe": 6, "invalid": 15, "missing": 9,
+    }  # fmt: skip
+    assert row.counts == dict(zip(OUTCOME_NAMES, [5, 4, 3, 2, 1, 6, 7, 8, 9]))
+
+
+def test_missing_and_invalid_trials_stay_in_the_denominator():
+    row = aggregate.group_row(verdicts_of([0, MISSING, Outcome.INVALID_SIM, 0]), np.ones(4, bool), "S0")
+    assert row.rates["sr"].percent == 50
+
+
+def test_an_outcome_that_is_none_of_the_known_ones_is_refused():
+    with pytest.raises(ValueError, match="outcome"):
+        verdicts_of([0, MISSING + 1])
+
+
+def test_an_affordance_failure_in_s0_is_refused():
+    with pytest.raises(ValueError, match="S0 skips"):
+        aggregate.group_row(verdicts_of([Outcome.AFFORDANCE]), np.ones(1, bool), "S0")
+
+
+def test_times_are_means_over_the_trials_in_which_the_stage_ran():
+    v = verdicts_of([0, 0, 2, 2], t_plan_s=[1.0, 2.0, np.nan, 6.0])
+    row = aggregate.group_row(v, np.ones(4, bool), "S0")
+    assert (row.times["t_plan_s"].value, row.times["t_plan_s"].count) == (3.0, 3)
+    assert (row.times["t_exec_s"].value, row.times["t_exec_s"].count) == (None, 0)
+    assert row.times["t_tot_s"].value is None
+
+
+@pytest.mark.parametrize("code", [Outcome.SUCCESS, Outcome.PLAN])
+def test_0_and_100_percent_give_intervals_inside_0_to_100(code):
+    row = aggregate.group_row(verdicts_of(np.full(20, code)), np.ones(20, bool), "S0")
+    for rate in row.rates.values():
+        assert rate is None or 0 <= rate.low <= rate.percent <= rate.high <= 100
+
+
+def test_an_empty_split_has_no_rates_no_times_and_no_average():
+    rows = aggregate.summarise([verdicts_of([0, 0, 2])])
+    by_split = {r.split: r for r in rows}
+    assert by_split["S1"].n == 0
+    for row in (by_split["S1"], by_split["Avg"]):
+        assert all(r is None for r in row.rates.values())
+        assert row.sr_new_objects is None
+        assert row.times["t_tot_s"].value is None
+
+
+def test_one_planned_split_gives_no_avg_row():
+    assert [r.split for r in aggregate.summarise([verdicts_of([0, 2], splits=("S0",))])] == ["S0"]
+
+
+def test_avg_is_the_mean_of_the_splits_whatever_their_sizes_and_takes_s0s_affordance_as_0():
+    outcome = [0, 0, 0, 2] + [0] * 5 + [Outcome.AFFORDANCE] * 5
+    rows = {r.split: r for r in aggregate.summarise([verdicts_of(outcome, [0] * 4 + [1] * 10)])}
+    assert rows["Avg"].rates["sr"].percent == pytest.approx((75 + 50) / 2)
+    assert rows["S0"].rates["f_afford"] is None
+    s1, avg = rows["S1"].rates["f_afford"], rows["Avg"].rates["f_afford"]
+    assert (avg.percent, avg.low, avg.high) == pytest.approx((s1.percent / 2, s1.low / 2, s1.high / 2))
+
+
+def test_methods_of_the_same_name_are_refused():
+    with pytest.raises(ValueError, match="differ"):
+        aggregate.summarise([verdicts_of([0]), verdicts_of([0])])
+
+
+def test_the_papers_rows_give_back_every_number_of_table_1(tmp_path):
+    run = paper_run(tmp_path / "paper")
+    rows = {(r.split, r.method): r for r in aggregate.summarise([aggregate.verdicts(run, m) for m in run.methods])}
+    cells = table_1()
+    assert len(rows) == len(cells) == 12
+    for cell in cells:
+        row = rows[cell["split"], cell["method"]]
+        for name in ("sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford"):
+            rate = row.rates[name]
+            if cell[name]:
+                assert rate.percent == pytest.approx(float(cell[name]), abs=1e-9), (cell, name)
+                assert 0 <= rate.low < rate.percent < rate.high <= 100
+            else:
+                assert rate is None
+        for name in ("t_plan_s", "t_exec_s", "t_tot_s"):
+            assert row.times[name].value == pytest.approx(float(cell[name]), abs=1e-5), (cell, name)
+
+
+def test_a_stored_outcome_that_contradicts_its_criteria_is_refused(tmp_path):
+    run = write_run(tmp_path / "run", {"m": np.array([0, 1, 2, 5])}, 2, 2)
+    _replace_column(run, "passed_stability", pa.array([False, False, True, True]))
+    with pytest.raises(ValueError, match="1 stored outcomes"):
+        aggregate.verdicts(load_run(run.folder, verify=False), "m")
+
+
+def test_an_s1_success_without_affordance_is_refused(tmp_path):
+    run = write_run(tmp_path / "run", {"m": np.array([0, 0])}, 1, 1)
+    _replace_column(run, "passed_affordance", pa.nulls(2, pa.bool_()))
+    with pytest.raises(ValueError, match="not evaluated"):
+        aggregate.verdicts(load_run(run.folder, verify=False), "m")
+
+
+def test_rows_that_are_not_as_many_as_planned_are_refused(tmp_path):
+    run = write_run(tmp_path / "run", {"m": np.array([0, 0, 2])}, 2, 1)
+    run.header["trials"]["S1"] = 4
+    with pytest.raises(ValueError, match="1 rows in S1, 4 were planned"):
+        aggregate.verdicts(run, "m")
+
+
+def _replace_column(run, name, values) -> None:
+    path = run.folder / run.entry("m")["receipts"][0]["files"]["trials"]["path"]
+    table = pq.read_table(path, partitioning=None)
+    pq.write_table(table.set_column(table.column_names.index(name), name, values), path)
+
+
+def test_object_rows_are_the_same_function_on_another_mask():
+    trials = make_trials(6, 0)
+    v = verdicts_of([0, 2, 0, 0, 2, 2], objects=trials.object_index.numpy())
+    rates = [aggregate.group_row(v, v.object == k, "S0").rates["sr"].percent for k in range(3)]
+    assert rates == [100, 0, 50]

@@ -1,0 +1,150 @@
+"""Paired comparisons against statsmodels, by simulation, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_runs import write_run
+from scipy import stats
+from statsmodels.stats.contingency_tables import mcnemar as reference_mcnemar
+from statsmodels.stats.multitest import multipletests
+
+from r2h_batch.compare import command as compare
+from r2h_batch.compare.text import render
+from r2h_batch.results.reading import load_run
+from r2h_batch.statistics import paired as pairing
+from r2h_batch.statistics.paired import Paired
+
+
+def paired(success, objects, split=None):
+    success = np.asarray(success, bool)
+    n = success.shape[1]
+    split = np.zeros(n, int) if split is None else np.asarray(split)
+    return Paired(tuple(f"m{i}" for i in range(len(success))), success, split, np.asarray(objects))
+
+
+@pytest.mark.parametrize("counts", [(0, 0), (1, 0), (5, 5), (3, 17), (40, 60), (0, 9), (200, 260)])
+def test_mcnemar_is_statsmodels_exact_test(counts):
+    expected = reference_mcnemar([[7, counts[0]], [counts[1], 11]], exact=True).pvalue
+    assert pairing.mcnemar(*counts) == pytest.approx(min(expected, 1.0), rel=1e-12)
+
+
+def test_holm_is_statsmodels_holm():
+    random = np.random.default_rng(0)
+    for n in (1, 2, 6, 15):
+        p = random.random(n) ** 3
+        p[: n // 3] = p[0]
+        assert pairing.holm(p) == pytest.approx(multipletests(p, method="holm")[1], abs=1e-15)
+
+
+def test_the_difference_and_the_discordant_trials_are_counted_on_the_same_trials():
+    a = np.array([1, 1, 1, 0, 0, 1, 1, 0], bool)
+    b = np.array([1, 0, 0, 0, 1, 1, 0, 0], bool)
+    (c,) = pairing.compare(paired([a, b], np.arange(8) % 4))
+    (pair,) = c.pairs
+    assert (pair.only_a, pair.only_b, pair.difference) == (3, 1, 25.0)
+    assert pair.p == pair.p_holm == pytest.approx(stats.binomtest(3, 4).pvalue)
+    assert c.rates == (62.5, 37.5)
+
+
+def test_words_say_what_is_decided_and_for_what():
+    objects = np.repeat(np.arange(8), 50)
+    random = np.random.default_rng(1)
+    base = random.random(400) < 0.5
+    everywhere = base | (random.random(400) < 0.6)
+    one_object = base | (objects == 3)
+    (c,) = pairing.compare(paired([base, everywhere, one_object, base], objects))
+    words = {(p.a, p.b): p.verdict for p in c.pairs}
+    assert words["m0", "m1"] == "worse" and words["m1", "m3"] == "better"
+    assert words["m0", "m2"] == "worse here"  # all of it in one object: nothing about new ones
+    assert words["m0", "m3"] == "tied"
+
+
+def test_the_clustered_interval_of_the_difference_covers_the_truth_of_new_objects():
+    """Methods whose difference varies by object: 16 drawn objects, the truth is the mean over all objects."""
+    random = np.random.default_rng(2)
+    hits, plain = 0, 0
+    runs, k, n = 400, 16, 40
+    for _ in range(runs):
+        rate = random.normal(0.55, 0.12, (2, k)).clip(0.02, 0.98)
+        success = random.random((2, k, n)) < rate[:, :, None]
+        (c,) = pairing.compare(paired(success.reshape(2, -1), np.repeat(np.arange(k), n)), draws=400)
+        (pair,) = c.pairs
+        hits += pair.low <= 0 <= pair.high
+        plain += pair.p >= 0.05
+    assert 0.88 < hits / runs < 0.97  # percentiles of 16 clusters: a little short of 95 %
+    assert plain / runs < 0.85  # McNemar speaks about these objects only and says so
+
+
+def test_rank_probabilities_are_shares_of_draws_and_ties_share():
+    draws = np.array([[0.9, 0.5, 0.1], [0.9, 0.5, 0.1], [0.5, 0.9, 0.1], [0.5, 0.5, 0.1]])
+    found = pairing.rank_probabilities(draws)
+    assert found == pytest.approx(np.array([[2.5, 1.5, 0], [1.5, 2.5, 0], [0, 0, 4]]) / 4)
+    random = pairing.rank_probabilities(np.random.default_rng(0).integers(0, 3, (500, 4)) / 3)
+    assert random.sum(0) == pytest.approx(1) and random.sum(1) == pytest.approx(1)
+
+
+def test_one_object_has_no_interval_for_new_ones_and_no_nan():
+    (c,) = pairing.compare(paired([[1] * 30, [0] * 30], np.zeros(30, int)))
+    assert c.pairs[0].low is None and c.rank is None and c.pairs[0].verdict == "better here"
+    assert "n/a" in render([c]) and "nan" not in render([c])
+
+
+def test_objects_and_splits_of_different_sizes_weigh_by_their_trials():
+    objects = np.repeat(np.arange(6), [5, 90, 20, 40, 1, 60])
+    split = (objects >= 3).astype(int)
+    success = np.stack([np.ones(216), np.zeros(216), objects == 1])
+    for c in pairing.compare(paired(success, objects, split)):
+        pair = c.pairs[0]
+        assert (pair.difference, pair.low, pair.high) == (100, 100, 100)
+    third = next(p for p in c.pairs if (p.a, p.b) == ("m1", "m2"))
+    assert third.difference == pytest.approx(-100 * 90 / 216) and third.low < third.difference < third.high
+
+
+@pytest.mark.parametrize("n", [1, 2, 33])
+@pytest.mark.parametrize("value", [0, 1])
+def test_methods_that_all_fail_or_all_succeed_are_tied(n, value):
+    (c,) = pairing.compare(paired(np.full((3, n), value), np.arange(n) % 5))
+    assert {p.verdict for p in c.pairs} == {"tied"}
+    assert all(p.p_holm == 1 for p in c.pairs)
+
+
+def test_two_runs_of_the_same_trials_are_compared_split_by_split_and_together(tmp_path, capsys):
+    random = np.random.default_rng(4)
+    for name in ("a", "b"):
+        write_run(tmp_path / name, {"m": random.choice([0, 2], 120), f"only {name}": np.zeros(120, int)}, 60, 60)
+    folders = (tmp_path / "a", tmp_path / "b")
+    assert compare.run(folders, format="json") == 0
+    groups = json.loads(capsys.readouterr().out)
+    assert [g["group"] for g in groups] == ["S0", "S1", "all"] and [g["n"] for g in groups] == [60, 60, 120]
+    assert groups[0]["names"] == ["m", "only a", "b/m", "only b"] and len(groups[0]["pairs"]) == 6
+    assert compare.run(folders) == 0
+    text = capsys.readouterr().out
+    assert "McNemar p" in text and "rank 4" in text and text.isascii()
+    assert compare.run(folders, seed=0) == 0
+    assert capsys.readouterr().out == text
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        ({"protocol": "r2h-v1"}, "protocol"),
+        ({"digests": {"trials": "f"}}, r"digests \(trials\)"),
+        ({"configuration": {"name": "paper"}}, r"configuration \(name\)"),
+    ],
+)
+def test_runs_that_were_not_asked_the_same_are_refused(tmp_path, capsys, change, what):
+    write_run(tmp_path / "a", {"m": np.zeros(4, int)}, 2, 2)
+    write_run(tmp_path / "b", {"n": np.zeros(4, int)}, 2, 2, **change)
+    assert compare.run((tmp_path / "a", tmp_path / "b")) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    with pytest.raises(ValueError, match=f"differ in {what}: their trials cannot be paired"):
+        pairing.pair_up([load_run(tmp_path / n) for n in "ab"])
+
+
+def test_one_method_is_nothing_to_compare(tmp_path, capsys):
+    write_run(tmp_path / "a", {"m": np.zeros(4, int)}, 2, 2)
+    assert compare.run((Path(tmp_path / "a"),)) == 2
+    assert "nothing to compare" in capsys.readouterr().err

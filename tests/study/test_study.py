@@ -1,0 +1,231 @@
+"""The study kit: the paper's figures through it, tests against scipy and statsmodels, schedules counted."""
+
+import csv
+import io
+import xml.etree.ElementTree as ET
+from collections import Counter
+from itertools import combinations, pairwise
+
+import numpy as np
+import pytest
+from made_runs import paper_run
+from scipy import stats
+from statsmodels.stats.multitest import multipletests
+
+from r2h_batch.study import command as study_command
+from r2h_batch.study import report as study
+from r2h_batch.study import stats as study_stats
+from r2h_batch.study.plan import schedule, williams_square
+
+OBJECTS = {"S0": [f"a{i}" for i in range(6)], "S1": [f"b{i}" for i in range(10)]}
+METHODS = ("w", "x", "y", "z")
+
+
+@pytest.mark.check
+def test_the_papers_table_comes_out_as_printed_and_its_slips_are_named():
+    text = study.paper_report()
+    for part in (
+        "All differences are as the paper prints them.",
+        "| Contact-Handover |   66.2 |    56.7 |  -9.5 |  9.66 |  13.14 | +3.48 |",
+        "18 of 21 agree",
+        "Handover-VA, naturalness: the text says median 2, the counts give 2.5",
+        "chi2 cannot be recomputed",
+        "sim SR, real SR           | +0.40",
+    ):
+        assert part in text
+    assert text.isascii() and max(map(len, text.splitlines())) <= 120
+
+
+def test_a_wrong_difference_in_the_table_would_be_named(monkeypatch, tmp_path):
+    real = study.paper_table
+    changed = real("table2_sim2real").read_text().replace("-9.5", "-9.3")
+    (tmp_path / "t.csv").write_text(changed)
+    monkeypatch.setattr(
+        study, "paper_table", lambda name: tmp_path / "t.csv" if name == "table2_sim2real" else real(name)
+    )
+    assert "Contact-Handover: the paper prints -9.3 and +3.48" in study.paper_report()
+
+
+def test_rank_correlation_is_scipys_with_its_exact_p_value():
+    random = np.random.default_rng(0)
+    for n in (3, 4, 5):
+        x, y = random.random(n), np.round(random.random(n), 1)
+        found = study_stats.spearman(x, y)
+        assert found.rho == pytest.approx(stats.spearmanr(x, y).statistic)
+        exact = stats.permutation_test(
+            (x,), lambda a, y=y: stats.spearmanr(a, y).statistic, permutation_type="pairings", n_resamples=np.inf
+        )
+        assert found.p == pytest.approx(exact.pvalue)
+
+
+def test_the_interval_for_other_methods_covers_the_true_correlation():
+    random = np.random.default_rng(1)
+    r, n, hits = 0.7, 25, 0
+    truth = 6 / np.pi * np.arcsin(r / 2)  # Spearman's rho of a bivariate normal
+    for _ in range(600):
+        x, y = random.multivariate_normal([0, 0], [[1, r], [r, 1]], n).T
+        low, high = study_stats.spearman(x, y).others
+        hits += low <= truth <= high
+    assert 0.92 < hits / 600 < 0.98
+
+
+def test_the_interval_for_measuring_again_narrows_with_trials():
+    few = study_stats.spearman([50, 60, 70, 80], [52, 58, 72, 81], counts=(50, 50)).measured
+    many = study_stats.spearman([50, 60, 70, 80], [52, 58, 72, 81], counts=(50_000, 50_000)).measured
+    assert few[0] < many[0] == many[1] == 1
+
+
+def test_rating_tests_are_scipys_and_statsmodels():
+    rows = np.random.default_rng(2).integers(1, 6, (30, 4)) + np.array([0, 0, 0, 1])
+    found = study_stats.rating_tests(rows.clip(1, 5), METHODS)
+    expected = stats.friedmanchisquare(*rows.clip(1, 5).T)
+    assert (found.chi2, found.p) == pytest.approx((expected.statistic, expected.pvalue))
+    raw = [stats.wilcoxon(*rows.clip(1, 5)[:, pair].T).pvalue for pair in combinations(range(4), 2)]
+    assert [p for *_, p, _ in found.pairs] == pytest.approx(raw)
+    assert [p for *_, p in found.pairs] == pytest.approx(multipletests(raw, method="bonferroni")[1])
+
+
+def test_ratings_that_do_not_differ_are_no_effect_and_no_nan():
+    found = study_stats.rating_tests(np.full((5, 3), 4), METHODS[:3])
+    assert (found.chi2, found.p) == (0.0, 1.0) and all(p == 1 for *_, p in found.pairs)
+
+
+def test_ratings_dealt_at_random_range_over_what_the_counts_allow():
+    fixed = np.eye(5, dtype=int)[:3] * 30  # everybody gives 1, 2 and 3: chi2 = n (k - 1), however they are dealt
+    assert study_stats.random_pairings(fixed, draws=50) == (60.0, 60.0, 60.0)
+    spread = np.array([[10, 10, 10, 0, 0], [0, 10, 10, 10, 0], [0, 0, 10, 10, 10]])
+    median, low, high = study_stats.random_pairings(spread, draws=300)
+    assert 0 < low < median < high < 60
+
+
+def write_csv(path, rows):
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+    return path
+
+
+def ratings():
+    random = np.random.default_rng(5)
+    return [
+        {"participant": p, "method": m, "dimension": d, "rating": int(random.integers(1, 6))}
+        for p in range(12)
+        for m in METHODS
+        for d in ("comfort", "trust")
+    ]
+
+
+def test_your_own_ratings_are_tested_and_incomplete_participants_counted(tmp_path, capsys):
+    rows = [r for r in ratings() if not (r["participant"] == 3 and r["method"] == "x" and r["dimension"] == "trust")]
+    file = write_csv(tmp_path / "r.csv", rows)
+    assert study_command.main(["ratings", str(file), "--box", str(tmp_path / "box.svg")]) == 0
+    text = capsys.readouterr().out
+    assert "comfort: 12 complete participants, 0 left out" in text
+    assert "trust: 11 complete participants, 1 left out" in text
+    table, methods, _ = study.read_ratings(file)["comfort"]
+    expected = [[r["rating"] for r in rows if r["participant"] == p and r["dimension"] == "comfort"] for p in range(12)]
+    assert methods == list(METHODS) and table.tolist() == expected
+    svg = ET.parse(tmp_path / "box.svg")
+    assert len(svg.findall(".//{*}g")) == 8
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rating": "6"}, "rating 6"),
+        ({"rating": "good"}, "line 2"),
+        ({"rating": ""}, "line 2"),
+        ({"participant": "0", "method": "x"}, "rates x twice"),
+    ],
+)
+def test_a_bad_ratings_file_is_refused_in_one_line_that_names_it(tmp_path, capsys, change, message):
+    rows = ratings()
+    file = write_csv(tmp_path / "r.csv", [{**rows[0], **change}, *rows[1:]])
+    assert study_command.main(["ratings", str(file)]) == 2
+    error = capsys.readouterr().err
+    assert message in error and str(file) in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("content", [b"", b"a,b\n1,2\n", b"\xff\xfe", b"participant,method,dimension,rating\n"])
+def test_a_file_that_is_no_ratings_file_is_refused(tmp_path, capsys, content):
+    (tmp_path / "r.csv").write_bytes(content)
+    assert study_command.main(["ratings", str(tmp_path / "r.csv")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_your_own_robot_against_a_run(tmp_path, capsys):
+    run = paper_run(tmp_path / "run")
+    names = ("FC-Handover", "Handover-VA", "Contact-Handover", "Intent-Handover")
+    rows = [{"method": m, "real_sr": sr, "real_t_tot_s": 13.0} for m, sr in zip(names, (63.3, 60.0, 56.7, 73.3))]
+    file = write_csv(tmp_path / "real.csv", rows)
+    assert study_command.main(["real", str(run.folder), str(file), "--trials", "150"]) == 0
+    text = capsys.readouterr().out
+    assert "-9.5" in text and "+5.4" in text and "+0.40" in text
+    write_csv(file, [{**rows[0], "method": "Nobody"}])
+    assert study_command.main(["real", str(run.folder), str(file), "--trials", "150"]) == 2
+    assert "no method 'Nobody'" in capsys.readouterr().err
+
+
+# --- schedules ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 7])
+def test_a_williams_square_balances_places_and_neighbours(n):
+    square = williams_square(n)
+    rows = len(square)
+    for place in range(n):
+        assert set(Counter(square[:, place]).values()) == {rows // n}
+    neighbours = Counter((int(a), int(b)) for row in square for a, b in pairwise(row))
+    assert len(neighbours) == n * (n - 1) and len(set(neighbours.values())) == 1
+
+
+@pytest.mark.parametrize("participants", [1, 2, 30, 33])
+def test_everybody_meets_every_method_with_the_same_objects_in_a_balanced_order(participants):
+    rows = schedule(participants, METHODS, OBJECTS, {"S0": 2, "S1": 3}, seed=1)
+    assert len(rows) == participants * 4 * 5
+    use = Counter()
+    for person in range(1, participants + 1):
+        mine = [r for r in rows if r["participant"] == person]
+        by_method = {m: sorted(r["object"] for r in mine if r["method"] == m) for m in METHODS}
+        assert len({tuple(v) for v in by_method.values()}) == 1
+        assert Counter(r["split"] for r in mine) == {"S0": 8, "S1": 12}
+        assert len(set(by_method["w"])) == 5
+        assert sorted({(r["place"], r["method"]) for r in mine})[0][0] == 1
+        use.update(by_method["w"])
+    for names in OBJECTS.values():
+        counts = [use[n] for n in names]
+        assert max(counts) - min(counts) <= 1
+    places = Counter((r["place"], r["method"]) for r in rows if r["trial"] == 1)
+    for place in range(1, 5):
+        counts = [places[place, m] for m in METHODS]
+        assert max(counts) - min(counts) <= 1 + (participants % 4 > 1)
+
+
+def test_the_seed_decides_the_schedule():
+    take = {"S0": 2, "S1": 3}
+    one, same, other = (schedule(12, METHODS, OBJECTS, take, seed=s) for s in (3, 3, 4))
+    assert one == same and one != other
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"participants": 0}, "--participants is 0"),
+        ({"methods": ("a",)}, "two or more"),
+        ({"methods": ("a", "a")}, "different"),
+        ({"take": {"S0": 7, "S1": 0}}, "S0 has 6 objects"),
+        ({"take": {"S0": 0, "S1": 0}}, "both 0"),
+    ],
+)
+def test_a_schedule_that_cannot_be_is_refused(change, message):
+    given = {"participants": 4, "methods": METHODS, "take": {"S0": 2, "S1": 3}, **change}
+    with pytest.raises(ValueError, match=message):
+        schedule(given["participants"], given["methods"], OBJECTS, given["take"], seed=0)
+
+
+def test_the_plan_command_writes_the_papers_schedule(capsys):
+    assert study_command.main(["plan", "--seed", "2"]) == 0
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert len(rows) == 600 and len({r["participant"] for r in rows}) == 30
+    assert {r["split"] for r in rows if r["object"] in ("bowl", "cup")} == {"S0"}

@@ -1,0 +1,117 @@
+"""A sweep without geometry: `python tests/support/fake_bench.py FLAGS` is the sweep command on a fake evaluator.
+
+Its methods misbehave as the environment says, in this process or in the workers that it starts.
+"""
+
+import os
+import signal
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+from made_runs import NAMES, make_header, make_scores, make_trials
+
+from r2h_batch.sweep.jobs import Setting
+from r2h_batch.types import Outcome, Predictions
+
+
+class FakeEvaluator:
+    """Success where the trial id is even, else a Plan failure; a pose that is not finite is INVALID_INPUT."""
+
+    def __init__(self):
+        self.config = SimpleNamespace(chunk=2048)
+        self.sizes = []
+        objects = [SimpleNamespace(name=n, split=s) for n, s in zip(NAMES.objects, NAMES.object_splits)]
+        sides = torch.tensor([("right", "left").index(s) for s in NAMES.hand_sides])
+        hands = SimpleNamespace(set=SimpleNamespace(side=sides, digest="h"))
+        self.scene = SimpleNamespace(device="cpu", objects=objects, hands=hands, part_names=NAMES.parts)
+
+    def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
+        assert T_obj_ee.shape == T_world_ee.shape == (len(trials), 4, 4)
+        self.sizes.append(len(trials))
+        outcome = np.where(trials.trial_id.numpy() % 2 == 0, Outcome.SUCCESS, Outcome.PLAN)
+        outcome[~torch.isfinite(T_world_ee).all(-1).all(-1).numpy()] = Outcome.INVALID_INPUT
+        scores = make_scores(trials, outcome)
+        ids = trials.trial_id  # make_scores counts rows; a verdict may depend on the trial only
+        t_exec_s = torch.where(torch.isnan(scores.t_exec_s), torch.nan, 8.0 + 0.001 * ids).float()
+        return replace(scores, t_exec_s=t_exec_s, borderline=ids % 7 == 0)
+
+
+def prepare(options) -> Setting:
+    """What `jobs.prepare` gives, with a fake evaluator: trial ids are 0, 1, 2, ... in the plan's order."""
+    n = {s: options.trials if s in options.splits else 0 for s in ("S0", "S1")}
+    planned = {s: k for s, k in n.items() if k}
+    versions = {"r2h_batch": os.environ.get("FAKE_VERSION", "0.1.0")}
+    header = make_header(0, 0, trials=planned, seed=options.seed, stored=options.stored, versions=versions)
+    trials = make_trials(n["S0"], n["S1"])
+    return Setting(FakeEvaluator(), header, lambda first, last: torch.arange(first, last), lambda ids: trials[ids])
+
+
+def best(trials, scene, *, seed):
+    """A user's method: a pose that depends on trial id and seed only."""
+    T = torch.eye(4).repeat(len(trials), 1, 1)
+    T[:, 0, 3] = trials.trial_id.float() + 1000 * seed
+    return T, T + len(scene.objects)
+
+
+def timed(trials, scene, *, seed):
+    """A user's method with its own clock."""
+    T_obj_ee, T_world_ee = best(trials, scene, seed=seed)
+    return Predictions(trials.trial_id, T_obj_ee, T_world_ee, torch.full((len(trials),), 0.25), "ignored")
+
+
+def wrong(trials, scene, *, seed):
+    """A user's method that forgets half of the trials."""
+    return tuple(p[::2] for p in best(trials, scene, seed=seed))
+
+
+def workers(log):
+    """Processes that have answered something."""
+    return {int(line.split()[0]) for line in log.read_text().splitlines()} if log.exists() else set()
+
+
+def slow(trials, scene, *, seed):
+    """Takes FAKE_SECONDS a call and notes in FAKE_LOG which process answered which trials.
+
+    The second half of the trials waits until FAKE_WORKERS processes have answered: a busy machine starts workers late.
+    """
+    log, first, end = Path(os.environ["FAKE_LOG"]), int(trials.trial_id[0]), time.monotonic() + 60
+    with log.open("a") as file:
+        file.write(f"{os.getpid()} {first}\n")
+    time.sleep(float(os.environ.get("FAKE_SECONDS", "0.05")))
+    while first >= 60 and len(workers(log)) < int(os.environ.get("FAKE_WORKERS", "1")) and time.monotonic() < end:
+        time.sleep(0.05)
+    return best(trials, scene, seed=seed)
+
+
+def deadly(trials, scene, *, seed):
+    """Kills its process at trial FAKE_DEADLY: every time, or FAKE_TIMES times."""
+    at, log = int(os.environ["FAKE_DEADLY"]), Path(os.environ["FAKE_LOG"])
+    if at in trials.trial_id.tolist():
+        deaths = len(log.read_text()) if log.exists() else 0
+        if deaths < int(os.environ.get("FAKE_TIMES", "1000")):
+            log.write_text("x" * (deaths + 1))
+            os.kill(os.getpid(), signal.SIGKILL)
+    return best(trials, scene, seed=seed)
+
+
+def set_clock(seconds):
+    """Everything in this process that asks for the date is answered so much later, or earlier."""
+    now, date = time.time, time.gmtime
+    time.time = lambda: now() + seconds
+    time.gmtime = lambda at=None: date(time.time() if at is None else at)
+
+
+if __name__ == "__main__":
+    set_clock(float(os.environ.get("FAKE_CLOCK", "0")))
+    import fake_bench  # under its own name, so that workers can import what they are sent
+
+    from r2h_batch.sweep import command as sweep
+    from r2h_batch.sweep import jobs
+
+    jobs.prepare = fake_bench.prepare
+    sys.exit(sweep.main())

@@ -1,0 +1,151 @@
+"""What "unchanged" means: digests of rows, candidates and an export. `python tests/support/golden.py --write`.
+
+`golden.json` holds, for each case, a sha256 over everything but times and machine facts, and the outcomes one by one.
+The digests hold on processors of the kind named in the file, with the versions named there: torch and the physics
+engines take other instructions on other ones. There, outcomes are compared instead.
+"""
+
+import argparse
+import hashlib
+import io
+import json
+import sys
+import tempfile
+from collections.abc import Callable, Iterable
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+GOLDEN = Path(__file__).resolve().parents[1] / "golden.json"
+MIX = Path(__file__).resolve().parents[2] / "bench" / "mix.npz"
+
+METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
+KINEMATIC_TRIALS = 64
+SIMULATED_TRIALS = 8
+CANDIDATES = 512
+NOT_COMPARED = ("t_plan_s", "t_method_s")
+MACHINE_FACTS = ("t_plan_s", "versions", "git_commit", "digests", "configuration")
+"""Of trial.json: what says where and with what it was made. The digest of the code changes with every comment."""
+
+ENGINES = ("none", "mujoco", "mjwarp")
+
+
+def compute(case: str, folder: Path) -> dict[str, dict[str, str]]:
+    """Digest and outcomes of each part of a case: `none`, `mujoco`, `mjwarp` (with an export), or `pose`."""
+    return _candidates() if case == "pose" else _sweep(case, folder)
+
+
+def _sweep(sim: str, folder: Path) -> dict[str, dict[str, str]]:
+    """All built-in methods through the command, in this process: kernels, objects and tables are loaded once."""
+    from r2h_batch.results.reading import load_run
+    from r2h_batch.sweep.command import main as sweep
+
+    trials = KINEMATIC_TRIALS if sim == "none" else SIMULATED_TRIALS
+    run = folder / sim
+    line = ["--method", *METHODS, "--trials", str(trials // 2), "--sim", sim, "--save-paths", "--out", str(run)]
+    _run(sweep, line)
+    stored = load_run(run)
+    found = {}
+    for short, name in zip(METHODS, stored.methods, strict=True):
+        tables = [stored.trials(name), stored.details(name), stored.poses(name), stored.paths(name)]
+        rows = [_without(row, NOT_COMPARED) for table in tables for row in table.to_pylist()]
+        outcomes = " ".join(row["outcome"] for row in stored.trials(name).to_pylist())
+        found[f"{sim}.{short}"] = {"digest": _digest(rows), "outcomes": outcomes}
+    if sim == "mujoco":
+        found["export"] = _export(run, stored.methods[1], folder / "export")
+    return found
+
+
+def _run(command: Callable[[list[str]], int], line: list[str]) -> None:
+    """Runs a command quietly; what it said comes with the error if it fails."""
+    said = io.StringIO()
+    with redirect_stdout(said), redirect_stderr(said):
+        code = command(line)
+    if code:
+        raise RuntimeError(f"{' '.join(line)}: exit code {code}\n{said.getvalue()}")
+
+
+def _export(run: Path, method: str, out: Path) -> dict[str, str]:
+    from r2h_batch.export.command import scene_main as export
+
+    _run(export, ["--run", str(run), "--trial", "3", "--method", method, "--out", str(out)])
+    described = json.loads((out / "trial.json").read_text())
+    parts: list[Any] = [_without(described, MACHINE_FACTS)]
+    for file in sorted(f for f in out.rglob("*") if f.is_file() and f.name != "trial.json"):
+        parts += [str(file.relative_to(out)), hashlib.sha256(file.read_bytes()).hexdigest()]
+    return {"digest": _digest(parts), "outcomes": described["outcome"]}
+
+
+def _candidates() -> dict[str, dict[str, str]]:
+    """`stages="pose"` over the first rows of the frozen mix of the benches."""
+    import torch
+    from problems import default_evaluator
+
+    from r2h_batch.trials.protocol import trials_with_ids
+
+    with np.load(MIX) as mix:
+        ids, T_obj_ee, T_world_ee = (
+            torch.from_numpy(mix[k][:CANDIDATES]) for k in ("trial_id", "T_obj_ee", "T_world_ee")
+        )
+    scores = default_evaluator().score(T_obj_ee, T_world_ee, trials_with_ids(ids), stages="pose")
+    names = [n for n in scores.__dataclass_fields__ if n not in NOT_COMPARED]
+    parts: list[Any] = []
+    for name in sorted(names):
+        values = getattr(scores, name).numpy()
+        parts += [name, str(values.dtype), list(values.shape), hashlib.sha256(values.tobytes()).hexdigest()]
+    return {"pose": {"digest": _digest(parts), "outcomes": " ".join(map(str, scores.outcome.tolist()))}}
+
+
+def _without(row: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    return {k: v for k, v in row.items() if k not in names}
+
+
+def _digest(parts: list[Any]) -> str:
+    """sha256 over JSON: floats are written so that they read back to the same bits."""
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def made_with() -> dict[str, Any]:
+    """Processor and versions: where the digests hold to the last bit."""
+    from importlib import metadata
+
+    packages = ("torch", "warp-lang", "mujoco", "mujoco-warp", "numpy", "scikit-learn", "trimesh")
+    return {"processor": _processor(), "versions": {p: metadata.version(p) for p in packages}}
+
+
+def _processor() -> str:
+    """Vendor and the instructions that libraries choose their code by."""
+    text = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
+    values = {k.strip(): v for k, _, v in (line.partition(":") for line in text.splitlines())}
+    flags = [f for f in ("fma", "avx2", "avx512f", "avx512_bf16", "amx_tile") if f in values.get("flags", "").split()]
+    return " ".join([values.get("vendor_id", "unknown").strip(), *flags])
+
+
+def main() -> None:
+    """Print what differs from golden.json; with --write, replace it."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--write", action="store_true", help="replace golden.json")
+    write = parser.parse_args().write
+    with tempfile.TemporaryDirectory() as folder:
+        found: dict[str, dict[str, str]] = {}
+        for case in (*ENGINES, "pose"):
+            found |= compute(case, Path(folder))
+    before = json.loads(GOLDEN.read_text())["cases"] if GOLDEN.exists() else {}
+    changed = [k for k in found if found[k] != before.get(k)]
+    for name in changed:
+        old, new = before.get(name, {}).get("outcomes", "").split(), found[name]["outcomes"].split()
+        print(
+            f"{name}: other rows, {sum(a != b for a, b in zip(old, new, strict=False))} of {len(new)} outcomes differ"
+        )
+    if write:
+        GOLDEN.write_text(json.dumps({"made_with": made_with(), "cases": found}, indent=1) + "\n")
+        print(f"{GOLDEN.name} written")
+    else:
+        print(f"{len(found) - len(changed)} of {len(found)} parts equal")
+        sys.exit(bool(changed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""Shapes of known width, their tables, and random grasps of them."""
+
+from functools import cache
+from types import SimpleNamespace
+
+import manifold3d
+import numpy as np
+import torch
+import trimesh
+
+from r2h_batch.scene.grasp_tables import grasp_tables
+
+BAND = 1e-4
+PAD_X, PAD_Z = 0.011, 0.01875
+
+
+def solid(shape: manifold3d.Manifold) -> trimesh.Trimesh:
+    mesh = shape.to_mesh()
+    return trimesh.Trimesh(np.asarray(mesh.vert_properties)[:, :3], mesh.tri_verts, process=True)
+
+
+def box(size, at=(0.0, 0.0, 0.0)) -> manifold3d.Manifold:
+    return manifold3d.Manifold.cube(size, True).translate(at)
+
+
+def rod(length: float, radius: float) -> manifold3d.Manifold:
+    return manifold3d.Manifold.cylinder(length, radius, radius, 64, True)
+
+
+@cache
+def shapes() -> dict[str, trimesh.Trimesh]:
+    """Shapes that a gripper closes on in different ways, each watertight."""
+    outline = [(0.0, 0.0), (0.03, 0.0), (0.075, 0.045), (0.072, 0.047), (0.029, 0.004), (0.0, 0.004)]
+    bowl = manifold3d.Manifold.revolve(manifold3d.CrossSection([outline]), 96)
+    comb = box((0.02, 0.12, 0.01), (0, 0, -0.02))
+    for i in range(-5, 6):
+        comb += box((0.02, 0.004, 0.04), (0, 0.011 * i, 0))
+    out = {
+        "bowl": bowl,
+        "l_shape": box((0.03, 0.02, 0.12)) + box((0.03, 0.10, 0.025), (0, 0.04, 0.06)),
+        "block": box((0.1, 0.1, 0.1)),
+        "sheet_block": box((0.2, 0.05, 0.2)),
+        "dumbbell": manifold3d.Manifold.cylinder(0.16, 0.011, 0.016, 64, True)
+        + manifold3d.Manifold.sphere(0.04, 64).translate((0, 0, 0.09)),
+        "comb": comb,
+        "pipe": rod(0.14, 0.03) - rod(0.2, 0.027),
+    }  # fmt: skip
+    return {name: solid(shape) for name, shape in out.items()}
+
+
+def model_of(mesh: trimesh.Trimesh, region=None) -> SimpleNamespace:
+    faces = np.asarray(mesh.faces, np.int32)
+    receiver = np.zeros(len(faces), bool) if region is None else region(mesh)
+    return SimpleNamespace(vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=receiver)
+
+
+def upper(mesh: trimesh.Trimesh) -> np.ndarray:
+    return mesh.triangles_center[:, 2] > 0.02
+
+
+@cache
+def tables_of_shapes():
+    """The shapes for the kernels; every other one has its upper half as the receiver region."""
+    return grasp_tables([model_of(m, upper if i % 2 == 0 else None) for i, m in enumerate(shapes().values())])
+
+
+def random_grasps(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Random grasps near the surfaces of all shapes; a third of them square with the object's axes."""
+    rng = np.random.default_rng(seed)
+    meshes = list(shapes().values())
+    index = np.arange(count) % len(meshes)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    for i, k in enumerate(index):
+        R = trimesh.transformations.random_rotation_matrix(rng.random(3))
+        if i % 3 == 0:
+            R = trimesh.transformations.euler_matrix(*(rng.integers(0, 4, 3) * np.pi / 2))
+        T[i] = R
+        T[i, :3, 3] = meshes[k].triangles_center[rng.integers(len(meshes[k].faces))] + rng.normal(0, 0.012, 3)
+    return torch.tensor(T, dtype=torch.float32), torch.tensor(index, dtype=torch.int32)
+
+
+def pose_at(x=0.0, y=0.0, z=0.0, about=None, angle=0.0) -> np.ndarray:
+    """A pose at (x, y, z), turned by `angle` about an axis."""
+    T = np.eye(4) if about is None else trimesh.transformations.rotation_matrix(angle, about)
+    T[:3, 3] = x, y, z
+    return T

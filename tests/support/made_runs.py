@@ -1,0 +1,200 @@
+"""Runs made by hand for the tests of what comes after `Scores`: trials, scores, the paper's rows."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from r2h_batch.results import reading as results
+from r2h_batch.results.rows import (
+    TrialNames,
+    detail_rows,
+    path_rows,
+    pose_rows,
+    score_rows,
+)
+from r2h_batch.results.writing import RunFolder, open_run
+from r2h_batch.types import CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
+
+OBJECTS = ("bowl", "cup", "eyeglasses", "hammer", "knife", "scissors")
+NAMES = TrialNames(
+    objects=OBJECTS,
+    object_splits=("S0", "S0", "S0", "S1", "S1", "S1"),
+    hand_sides=("right", "right", "left", "left"),
+    parts=("base", "forearm", "left_pad"),
+)
+FAILED = {Outcome.STABILITY: 0, Outcome.PLAN: 1, Outcome.REACH: 2, Outcome.AFFORDANCE: 3, Outcome.SAFE: 4}
+TABLE_1 = Path(__file__).resolve().parents[2] / "r2h_batch" / "study" / "paper" / "table1.csv"
+
+
+def make_trials(n_s0: int, n_s1: int) -> Trials:
+    """Trials with ids 0.. in S0 and then S1, objects in turn."""
+    objects = np.concatenate([np.arange(n_s0) % 3, 3 + np.arange(n_s1) % 3])
+    n = n_s0 + n_s1
+    return Trials(
+        trial_id=torch.arange(n),
+        object_index=torch.from_numpy(objects.astype(np.int32)),
+        hand_index=torch.arange(n, dtype=torch.int32) % 4,
+        T_world_hand=torch.eye(4).expand(n, 4, 4).clone(),
+    )
+
+
+def make_predictions(trials: Trials, method: str = "made", seed: int = 0) -> Predictions:
+    poses = torch.from_numpy(np.random.default_rng(seed).normal(size=(2, len(trials), 4, 4)).astype(np.float32))
+    return Predictions(trials.trial_id, poses[0], poses[1], None, method)
+
+
+def make_scores(trials: Trials, outcome: np.ndarray, *, t_plan_s: float = 0.1, t_exec_s: float = 8.5) -> Scores:
+    """Scores whose first failure is `outcome`; Stability and Plan failures fail Reach too, times vary."""
+    outcome = np.asarray(outcome)
+    n = len(outcome)
+    s1 = trials.object_index.numpy() >= 3
+    invalid = outcome >= Outcome.INVALID_INPUT
+    passed, evaluated = np.ones((n, 5), bool), np.ones((n, 5), bool)
+    for code, column in FAILED.items():
+        passed[outcome == code, column] = False
+    passed[np.isin(outcome, [Outcome.STABILITY, Outcome.PLAN]), 2] = False
+    evaluated[outcome == Outcome.PLAN, 4] = False
+    evaluated[~s1, 3] = False
+    evaluated[invalid] = False
+    passed &= evaluated
+    margin = np.where(passed, 0.01, -0.02).astype(np.float32)
+    margin[~evaluated] = np.nan
+    margin[outcome == Outcome.PLAN, 1] = np.nan
+    has_path = evaluated[:, 1] & passed[:, 1]
+    lengths = np.where(has_path, 2 + np.arange(n) % 3, 0)
+    path = np.random.default_rng(7).normal(size=(n, 5, 6)).astype(np.float32)
+    reason = np.where(outcome == Outcome.PLAN, PlanReason.IK_IN_COLLISION, PlanReason.OK)
+    reason[invalid] = PlanReason.NOT_EVALUATED
+    pair = np.where(outcome == Outcome.PLAN, CollidingPair.OBJECT_HAND, CollidingPair.NONE)
+
+    def floats(values: np.ndarray, where: np.ndarray) -> torch.Tensor:
+        shape = (n,) + (1,) * (values.ndim - 1)
+        return torch.from_numpy(np.where(where.reshape(shape), values, np.nan).astype(np.float32))
+
+    return Scores(
+        trial_id=trials.trial_id,
+        outcome=torch.from_numpy(outcome.astype(np.int8)),
+        success=torch.from_numpy(outcome == Outcome.SUCCESS),
+        passed=torch.from_numpy(passed),
+        evaluated=torch.from_numpy(evaluated),
+        margin=torch.from_numpy(margin),
+        borderline=torch.from_numpy(np.arange(n) % 7 == 0),
+        plan_reason=torch.from_numpy(reason.astype(np.int8)),
+        plan_pair=torch.from_numpy(pair.astype(np.int8)),
+        witness_part=torch.from_numpy(np.where(has_path[:, None], [1, 2], -1).astype(np.int32)),
+        witness_time_s=floats(np.full(n, 1.5), has_path),
+        witness_point=floats(np.full((n, 3), 0.25), has_path),
+        t_plan_s=floats(_around(t_plan_s, n), ~invalid),
+        t_exec_s=floats(_spread(t_exec_s, has_path), has_path),
+        q_goal=floats(path[:, 0], has_path),
+        width_m=floats(np.full(n, 0.04), ~invalid),
+        opening_m=floats(np.full(n, 0.041), ~invalid),
+        grasp_shift_m=floats(np.zeros(n), ~invalid),
+        slip_m=floats(np.full(n, 0.001), np.arange(n) % 2 == 0),
+        path=torch.from_numpy(path),
+        path_time_s=torch.from_numpy(np.tile(np.arange(5, dtype=np.float32), (n, 1))),
+        path_len=torch.from_numpy(lengths.astype(np.int32)),
+        motion=torch.from_numpy(path[:, ::-1].copy()),
+        motion_len=torch.from_numpy(np.where(has_path, 5, 0).astype(np.int32)),
+        failed_state=torch.arange(3 * n, dtype=torch.float64).reshape(n, 3),
+    )
+
+
+def _around(mean: float, n: int) -> np.ndarray:
+    """n values that differ and have exactly this mean."""
+    offsets = np.arange(n) - (n - 1) / 2
+    return mean * (1 + 0.5 * offsets / max(n, 1))
+
+
+def _spread(mean: float, where: np.ndarray) -> np.ndarray:
+    values = np.full(len(where), np.nan)
+    values[where] = _around(mean, int(where.sum()))
+    return values
+
+
+def make_header(n_s0: int, n_s1: int, **changes: object) -> dict:
+    header = {
+        "protocol": "made",
+        "trials": {split: n for split, n in (("S0", n_s0), ("S1", n_s1)) if n is not None},
+        "configuration": {"name": "default"},
+        "digests": {"trials": "0123456789abcdef"},
+        "seed": 0,
+        "stored": [],
+        "device": {"kind": "cpu", "name": "cpu: test"},
+        "versions": {"r2h_batch": "0.1.0"},
+        "command": ["made", "by", "hand"],
+    }
+    return {**header, **changes}
+
+
+def store(run: RunFolder, method: str, trials: Trials, scores: Scores, t_method_s: torch.Tensor | None = None) -> None:
+    """All of a method's shards that are not there yet, with what the header asks for."""
+    run.register(method, {"kind": "test"})
+    for shard in run.todo(method):
+        rows = slice(shard.first, shard.last)
+        part, scored = trials[rows], scores[rows]
+        with run.write(method, shard) as writer:
+            seconds = None if t_method_s is None else t_method_s[rows]
+            writer.append(trials=score_rows(part, scored, NAMES, seconds))
+            more = {"details": detail_rows(part, scored, NAMES), "poses": pose_rows(make_predictions(part))}
+            more["paths"] = path_rows(scored)
+            writer.append(**{k: more[k] for k in run.header["stored"]})
+
+
+def write_run(folder: Path, methods: dict[str, np.ndarray], n_s0: int, n_s1: int, **changes: object) -> results.Run:
+    """A stored run in which method -> outcome codes of its n_s0 + n_s1 trials."""
+    trials = make_trials(n_s0, n_s1)
+    run = open_run(folder, make_header(n_s0, n_s1, **changes))
+    for name, outcome in methods.items():
+        store(run, name, trials, make_scores(trials, outcome))
+    return results.load_run(folder)
+
+
+def table_1() -> list[dict[str, str]]:
+    """The paper's Table I, cells as printed."""
+    with TABLE_1.open(encoding="utf-8") as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+
+
+def paper_run(folder: Path) -> results.Run:
+    """500 rows per split and method with the paper's counts and mean times, shuffled, as a stored run."""
+    cells = {(r["split"], r["method"]): r for r in table_1()}
+    columns = {"f_stab": Outcome.STABILITY, "f_plan": Outcome.PLAN, "f_reach": Outcome.REACH}
+    columns |= {"f_afford": Outcome.AFFORDANCE, "f_safe": Outcome.SAFE}
+    trials = make_trials(500, 500)
+    run = open_run(folder, make_header(500, 500))
+    for method in dict.fromkeys(m for _, m in cells):
+        parts = []
+        for split, rows in (("S0", slice(0, 500)), ("S1", slice(500, 1000))):
+            cell = cells[split, method]
+            counts = {code: round(5 * float(cell[name] or 0)) for name, code in columns.items()}
+            outcome = np.repeat(list(counts), list(counts.values()))
+            outcome = np.concatenate([outcome, np.zeros(500 - len(outcome), int)])
+            np.random.default_rng(11).shuffle(outcome)
+            seconds = {k: float(cell[k]) for k in ("t_plan_s", "t_exec_s")}
+            parts.append(make_scores(trials[rows], outcome, **seconds))
+        store(run, method, trials, Scores.concatenate(parts), torch.full((1000,), 0.02))
+    return results.load_run(folder)
+
+
+def read_json(path: Path) -> dict:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+OUTCOMES = np.array([0, 1, 2, 3, 5, 6, 7, 0, 4, 5, 2, 0])
+
+
+def write(folder, outcome=OUTCOMES, method="m", **changes):
+    n = len(outcome) // 2
+    trials = make_trials(n, len(outcome) - n)
+    scores = make_scores(trials, outcome)
+    run = open_run(folder, make_header(n, len(outcome) - n, **changes))
+    store(run, method, trials, scores)
+    return trials, scores
+
+
+def files_of(folder, kind="trials"):
+    return sorted((folder / kind).rglob("*.parquet"))

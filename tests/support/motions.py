@@ -1,0 +1,62 @@
+"""Motions that the tests of execution share: planned paths, what engines make of them, and what servos are told."""
+
+from functools import cache
+
+import numpy as np
+import torch
+from problems import default_evaluator, make_batch, solve
+
+from r2h_batch.config import ExecConfig
+from r2h_batch.kernels.motion.time_law import Law, servo_commands
+from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.motion.execute import Executed, execute
+from r2h_batch.motion.time_law import time_path
+
+MUJOCO, PLANNED = ExecConfig(sim="mujoco"), ExecConfig(sim="none")
+ARM, MJWARP = ExecConfig(sim="mujoco", model="arm"), ExecConfig(sim="mjwarp", model="arm")
+BRIEF, BRIEF_WARP = (ExecConfig(sim=s, settle_limit_s=0.2) for s in ("mujoco", "mjwarp"))
+"""The whole scene, watched for 0.7 s only: MuJoCo-Warp on a CPU makes some 15,000 steps a second of it."""
+N = 16
+
+
+@cache
+def problems(n: int = N):
+    evaluator = default_evaluator()
+    return solve(evaluator.scene, make_batch(evaluator.scene, n, seed=3, random_share=0.3))
+
+
+def run(config: ExecConfig, path=None, length=None, motion=None, n: int = N) -> Executed:
+    p = problems(n)
+    path = p.plan.path if path is None else path
+    length = p.plan.length if length is None else length
+    motion = time_path(path, length, config) if motion is None else motion
+    return execute(default_evaluator().scene, p.placed, path, length, motion, config)
+
+
+@cache
+def reference_run(config: ExecConfig) -> Executed:
+    return run(config)
+
+
+def commands(path, length, motion, steps: int, *, lead: float, step_s: float) -> np.ndarray:
+    init_warp()
+    law = Law()
+    law.speed, law.acceleration = 0.1 * np.pi, 0.5
+    law.lead, law.step = lead, step_s
+    out = torch.zeros((len(path), steps, 6), dtype=torch.float64)
+    index = torch.arange(len(path), dtype=torch.int32)
+    launch_trials(
+        servo_commands,
+        len(path),
+        inputs={
+            "law": law,
+            "trial": index,
+            "path": path.contiguous(),
+            "time": motion.time_s.contiguous(),
+            "length": length.contiguous(),
+        },
+        outputs={"command": out},
+        device="cpu",
+        width=steps,
+    )
+    return out.numpy()

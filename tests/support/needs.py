@@ -1,0 +1,105 @@
+"""What a test may miss on a machine, and how to get it: the one place that decides what is skipped for want of what.
+
+`@needs("chromium")` before a test, `pytestmark = needs("ray")` before a file. The `gpu` marker does the same for a GPU.
+What was skipped is listed at the end of every run (tests/conftest.py).
+"""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from functools import cache
+from importlib.util import find_spec
+from typing import NamedTuple
+
+import pytest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+class Want(NamedTuple):
+    """One thing that may be missing: what it is, how to get it, and whether it is here."""
+
+    what: str
+    how: str
+    here: Callable[[], bool]
+
+
+def _can_render() -> bool:
+    import mujoco
+
+    try:
+        with mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8) as renderer:
+            return renderer.render().shape == (8, 8, 3)
+    except Exception:  # whatever the platform's OpenGL raises
+        return False
+
+
+def _sees_a_gpu() -> bool:
+    import torch
+
+    return torch.cuda.is_available()
+
+
+def _can_unshare() -> bool:
+    if not shutil.which("unshare"):
+        return False
+    return subprocess.run(["unshare", "-rn", "true"], capture_output=True, check=False).returncode == 0
+
+
+def _can_netns() -> bool:
+    if os.name != "posix" or os.geteuid() != 0 or not shutil.which("ip"):
+        return False
+    made = subprocess.run(["ip", "netns", "add", "r2h-probe"], capture_output=True, check=False).returncode == 0
+    subprocess.run(["ip", "netns", "del", "r2h-probe"], capture_output=True, check=False)
+    return made
+
+
+def _module(name: str, extra: str) -> Want:
+    return Want(
+        f"the package {name}", f"pip install -e '.[{extra}]', as `make test` does", lambda: bool(find_spec(name))
+    )
+
+
+WANTS = {
+    "chromium": Want("a browser", "install chromium (Debian: apt-get install chromium)", lambda: CHROMIUM is not None),
+    "gl": Want(
+        "a GL library that draws without a screen",
+        "install OSMesa or EGL (Debian: apt-get install libosmesa6 libegl1) and set MUJOCO_GL=osmesa or egl",
+        _can_render,
+    ),
+    "gpu": Want("a GPU", "a machine with an NVIDIA GPU and its driver, and `python -m pytest -m gpu`", _sees_a_gpu),
+    "h5py": _module("h5py", "import"),
+    "unshare": Want(
+        "a way to cut the network off", "Linux with util-linux's unshare and user namespaces", _can_unshare
+    ),
+    "netns": Want("network namespaces", "Linux, as root, with iproute2 (ip netns)", _can_netns),
+    "ray": _module("ray", "ray"),
+    "rtree": _module("rtree", "test"),
+    "importlinter": _module("importlinter", "test"),
+    "setuptools": _module("setuptools", "test"),
+    "coacd": _module("coacd", "build"),
+    "ur_analytic_ik": Want(
+        "the package ur-analytic-ik",
+        "its wheels end at Python 3.11; on later ones it is built from source, which downloads Eigen: pip install ur-analytic-ik",
+        lambda: bool(find_spec("ur_analytic_ik")),
+    ),
+    "manifold3d": _module("manifold3d", "build"),
+}
+
+
+@cache
+def is_here(name: str) -> bool:
+    """Whether one of WANTS is on this machine; asked once."""
+    return WANTS[name].here()
+
+
+def reason(name: str) -> str:
+    """What the summary says: the thing and how to get it."""
+    return f"{WANTS[name].what}: {WANTS[name].how}"
+
+
+def needs(*names: str) -> pytest.MarkDecorator:
+    """A marker that skips where one of the named things is missing. Names: the keys of WANTS."""
+    missing = [name for name in names if not is_here(name)]
+    return pytest.mark.skipif(bool(missing), reason="; ".join(map(reason, missing)))

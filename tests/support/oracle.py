@@ -1,0 +1,392 @@
+"""Slow, independent twins in float64: MuJoCo C for clearances, NumPy (convex_twin.py) for convex bodies and exact meshes.
+
+Nothing here uses the project's kernels, scene tables, bounds or levers; only the numbers of robot.json, the posed hand
+vertices and the objects' points are shared.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from convex_twin import bodies, convex_distance, mesh_distance, primitive_distance, winding_number
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.bodies.robot import Kind, ee_pose, gripper_primitives_at
+from r2h_batch.scene.scene import Placed, Scene
+
+Array = NDArray[np.float64]
+
+__all__ = [
+    "CLASSES",
+    "MujocoScene",
+    "Staged",
+    "bodies",
+    "convex_distance",
+    "hand_triangles",
+    "mesh_distance",
+    "mujoco_scene",
+    "place",
+    "primitive_distance",
+    "random_stages",
+    "samples",
+    "winding_number",
+]
+
+CLASSES = ("hand", "table", "self", "object_hand", "object_table", "object_robot")
+"""Names of r2h_batch.types.CollidingPair 1..6, lower case, in that order."""
+
+TABLE_POS, TABLE_HALF = (-0.025, 0.0, -0.025), (0.475, 0.6, 0.025)  # benchmark.md, 5 cm thick
+FAR_M = 10.0
+
+
+@dataclass(frozen=True)
+class Staged:
+    """One trial's bodies, float64: which object and hand, how it is held (after closing moved it), where the hand stands."""
+
+    object_index: int
+    hand_index: int
+    T_obj_ee: Array
+    T_world_hand: Array
+    opening_m: float
+
+
+@dataclass(frozen=True)
+class Clearances:
+    """Smallest distance of each class (m, FAR_M without pairs below the cap) and the geoms that have it."""
+
+    distance: dict[str, float]
+    geoms: dict[str, tuple[str, str]]
+
+    @property
+    def least(self) -> float:
+        return min(self.distance.values())
+
+    @property
+    def nearest_class(self) -> str:
+        return min(self.distance, key=lambda k: self.distance[k])
+
+
+class MujocoScene:
+    """A MuJoCo C model of one trial with the pairs that planning checks."""
+
+    def __init__(self, scene: Scene, staged: Staged, *, object_collision: str = "hull") -> None:
+        self.robot, self.staged = scene.robot, staged
+        spec = mujoco.MjSpec()
+        spec.option.ccd_iterations = 500
+        spec.option.ccd_tolerance = 1e-9
+        self.groups: dict[str, list[str]] = {name: [] for name in (*self.robot.links, "hand", "object", "table")}
+        wrist = self._add_arm(spec)
+        self._add_gripper(wrist)
+        T_wrist_obj = self.robot.T_wrist3_flange @ self.robot.T_flange_ee @ np.linalg.inv(staged.T_obj_ee)
+        model = scene.objects[staged.object_index]
+        hulls = [model.hull_vertices] if object_collision == "hull" else [v for v, _ in model.pieces]
+        self._add_hulls(spec, wrist.add_body(name="object", **_pose(T_wrist_obj)), "object", hulls)
+        pieces = [scene.hands.piece_points(staged.hand_index, k) for k in range(len(scene.hands.model.piece_names))]
+        self._add_hulls(spec, spec.worldbody.add_body(name="hand", **_pose(staged.T_world_hand)), "hand", pieces)
+        self.groups["table"].append("table")
+        spec.worldbody.add_geom(
+            name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=TABLE_HALF, pos=TABLE_POS, **_PASSIVE
+        )
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.names = [self.model.geom(i).name for i in range(self.model.ngeom)]
+        self.pairs, self.pair_class = self._pairs()
+
+    def _add_arm(self, spec: mujoco.MjSpec) -> Any:
+        robot, body = self.robot, spec.worldbody
+        for k, link in enumerate(robot.links[:7]):
+            if k:
+                body = body.add_body(name=link, **_pose(robot.T_parent_joint[k - 1]))
+                body.add_joint(name=robot.joints[k - 1], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+            body.explicitinertial, body.mass, body.inertia = True, 1.0, [1, 1, 1]
+            for i in np.flatnonzero(robot.arm.link == k):
+                self._add_primitive(
+                    body, link, robot.arm.names[i], int(robot.arm.kind[i]), robot.arm.size[i], robot.arm.T_link_prim[i]
+                )
+        return body
+
+    def _add_gripper(self, wrist: Any) -> None:
+        g = self.robot.gripper
+        T = (
+            self.robot.T_wrist3_flange
+            @ self.robot.T_flange_ee
+            @ gripper_primitives_at(self.robot, self.staged.opening_m)
+        )
+        for i, name in enumerate(g.names):
+            self._add_primitive(wrist, "gripper", name, int(g.kind[i]), g.size[i], T[i])
+
+    def _add_primitive(self, body: Any, group: str, name: str, kind: int, size: Array, T: Array) -> None:
+        self.groups[group].append(name)
+        body.add_geom(name=name, type=_TYPE_OF_KIND[Kind(kind)], size=size, **_pose(T), **_PASSIVE)
+
+    def _add_hulls(self, spec: mujoco.MjSpec, body: Any, group: str, hulls: list[Any]) -> None:
+        body.explicitinertial, body.mass, body.inertia = True, 1.0, [1, 1, 1]
+        for k, points in enumerate(hulls):
+            name = f"{group}_{k}"
+            mesh = spec.add_mesh(
+                name=name, uservert=np.asarray(points, np.float64)[ConvexHull(points).vertices].ravel()
+            )
+            mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
+            self.groups[group].append(name)
+            body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **_PASSIVE)
+
+    def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        robot, rows = self.robot, []
+        ids = {g: [self.model.geom(n).id for n in names] for g, names in self.groups.items()}
+        for link in robot.links:
+            rows += [(a, b, 0) for a in ids[link] for b in ids["hand"]]
+            if link not in ("base", "shoulder"):
+                rows += [(a, b, 1) for a in ids[link] for b in ids["table"]]
+        for i, j in robot.self_pairs:
+            rows += [(a, b, 2) for a in ids[robot.links[i]] for b in ids[robot.links[j]]]
+        rows += [(a, b, 3) for a in ids["object"] for b in ids["hand"]]
+        rows += [(a, b, 4) for a in ids["object"] for b in ids["table"]]
+        rows += [(a, b, 5) for a in ids["object"] for i in robot.object_pairs for b in ids[robot.links[i]]]
+        table = np.array(rows)
+        return table[:, :2], table[:, 2]
+
+    @cached_property
+    def reach(self) -> Array:
+        """(6,) metres: no point of any body is ever farther than this from the joint's origin (chain length + extents)."""
+        m, tail = self.model, 0.0
+        ends = np.zeros(7)
+        for k in range(7):
+            body = 0 if k == 0 else m.body(self.robot.links[k]).id
+            geoms = [i for i in range(m.ngeom) if m.geom_bodyid[i] == body and self.names[i] not in ("table",)]
+            ends[k] = max((np.linalg.norm(m.geom_pos[i]) + m.geom_rbound[i] for i in geoms), default=0.0)
+        held = m.body("object").id
+        geoms = [i for i in range(m.ngeom) if m.geom_bodyid[i] == held]
+        ends[6] = max(
+            ends[6],
+            np.linalg.norm(m.body_pos[held]) + max(np.linalg.norm(m.geom_pos[i]) + m.geom_rbound[i] for i in geoms),
+        )
+        out = np.zeros(6)
+        for j in range(
+            5, -1, -1
+        ):  # seen from joint j's origin: its own link, or the next joint's origin and what hangs there
+            tail = max(ends[j + 1], (np.linalg.norm(self.robot.T_parent_joint[j + 1][:3, 3]) + tail) if j < 5 else 0.0)
+            out[j] = tail
+        return out
+
+    def motion(self, dq: ArrayLike) -> float:
+        """No distance changes by more than this (m) when the joints turn by dq: it feels only the joints between."""
+        return float(np.abs(np.asarray(dq, np.float64)) @ self.reach)
+
+    def clearances(self, q: ArrayLike, *, cap: float = 0.05) -> Clearances:
+        """Smallest distance of each class at posture q, exact below `cap` (else FAR_M); negative depths are rough."""
+        m, d = self.model, self.data
+        d.qpos[:] = q
+        mujoco.mj_kinematics(m, d)
+        a, b = self.pairs.T
+        lower = self._lower_bounds(a, b)
+        distance, geoms = dict.fromkeys(CLASSES, FAR_M), dict.fromkeys(CLASSES, ("", ""))
+        for k, name in enumerate(CLASSES):
+            mine = np.flatnonzero((self.pair_class == k) & (lower < cap))
+            for i in mine[np.argsort(lower[mine])]:
+                limit = min(distance[name], cap)
+                if lower[i] >= limit:
+                    break
+                x = mujoco.mj_geomDistance(m, d, a[i], b[i], limit + 0.01, None)
+                if x < limit:
+                    distance[name], geoms[name] = x, (self.names[a[i]], self.names[b[i]])
+        return Clearances(distance, geoms)
+
+    def least(self, q: ArrayLike, *, cap: float = 0.05, margins: dict[str, float] | None = None) -> tuple[float, str]:
+        """Smallest clearance less its class's margin at a posture, and the class; `cap` and "" where nothing is below."""
+        m, d = self.model, self.data
+        d.qpos[:] = q
+        mujoco.mj_kinematics(m, d)
+        a, b = self.pairs.T
+        margin = np.array([(margins or {}).get(k, 0.0) for k in CLASSES])[self.pair_class]
+        lower = self._lower_bounds(a, b) - margin
+        mine = np.flatnonzero(lower < cap)
+        best, name = cap, ""
+        for i in mine[np.argsort(lower[mine])]:
+            if lower[i] >= best:
+                break
+            x = mujoco.mj_geomDistance(m, d, a[i], b[i], best + margin[i] + 0.01, None) - margin[i]
+            if x < best:
+                best, name = x, CLASSES[self.pair_class[i]]
+        return best, name
+
+    def _lower_bounds(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
+        """Distance of bounding balls, or of one's ball to the other's exact shape where that is a primitive; never too large."""
+        m, d = self.model, self.data
+        x = d.geom_xpos[b] - d.geom_xpos[a]
+        lower = np.linalg.norm(x, axis=1) - m.geom_rbound[a] - m.geom_rbound[b]
+        for one, two, sign in ((a, b, 1.0), (b, a, -1.0)):
+            local = np.einsum("nij,ni->nj", d.geom_xmat[one].reshape(-1, 3, 3), sign * x)
+            for geom, kind in _KIND_OF_TYPE.items():
+                rows = np.flatnonzero((m.geom_type[one] == geom) & (lower < 0.2))
+                if len(rows):
+                    size = [m.geom_size[one[rows], k] for k in range(3)]
+                    exact = primitive_distance(kind, np.stack(size, -1) if kind == Kind.BOX else size, local[rows])
+                    lower[rows] = np.maximum(lower[rows], exact - m.geom_rbound[two[rows]])
+        return lower - 1e-9
+
+    def least_along(
+        self, path: ArrayLike, *, step_rad: float = 1 / 320, cap: float = 0.05, margins: dict[str, float] | None = None
+    ) -> tuple[float, str, Array]:
+        """Smallest clearance (less the class's margin) over the samples of a polyline (W, 6), its class, its posture.
+
+        FAR_M where nothing is below `cap`; the first overlap found ends the search.
+        """
+        names: dict[bytes, str] = {}
+
+        def at(q: Array) -> float:
+            distance, names[q.tobytes()] = self.least(q, cap=4 * cap, margins=margins)
+            return distance
+
+        best, q = self._least_sample(path, step_rad, cap, at)
+        return (best, names[q.tobytes()], q) if best < cap else (FAR_M, "", q)
+
+    def safe_along(
+        self, scene: Scene, path: ArrayLike, *, step_rad: float = 1 / 320, cap: float = 0.05
+    ) -> tuple[float, Array]:
+        """Smallest distance of robot and exact hand mesh over a polyline's samples, its posture; `mesh_distance`'s values."""
+        triangles = hand_triangles(scene, self.staged)
+        return self._least_sample(path, step_rad, cap, lambda q: self.safe_at(triangles, q, cap=2 * cap), enough=0.0)
+
+    def _least_sample(
+        self,
+        path: ArrayLike,
+        step_rad: float,
+        cap: float,
+        distance_at: Callable[[Array], float],
+        *,
+        enough: float = -1e-12,
+    ) -> tuple[float, Array]:
+        """The smallest distance over all samples of a polyline, at most `step_rad` (L2) apart, and its posture; `cap` at most.
+
+        The sample that may be the nearest comes next, until none may be nearer than what is known: a distance known at one
+        posture bounds that of every other, less `motion` between them. The value is that of looking at all of them; one
+        that is at most `enough` (an overlap, where `mesh_distance` says 0) ends the search.
+        """
+        q = np.array(list(samples(path, step_rad)))
+        lower = np.full(len(q), -np.inf)
+        best, where = cap, q[0]
+        while lower[i := int(np.argmin(lower))] <= best and lower[i] < np.inf:
+            x = distance_at(q[i])
+            lower = np.maximum(lower, x - np.abs(q - q[i]) @ self.reach)
+            lower[i] = np.inf
+            if x < best:
+                best, where = x, q[i]
+                if best <= enough:
+                    break
+        return best, where
+
+    def safe_at(self, triangles: Array, q: ArrayLike, *, cap: float = 0.05) -> float:
+        """`mesh_distance` of arm and gripper to the hand's triangles (world) at a posture."""
+        m, d = self.model, self.data
+        d.qpos[:] = q
+        mujoco.mj_kinematics(m, d)
+        low, high = triangles.min((0, 1)), triangles.max((0, 1))
+        ids = np.array([m.geom(name).id for link in self.robot.links for name in self.groups[link]])
+        apart = np.maximum(np.maximum(low - d.geom_xpos[ids], d.geom_xpos[ids] - high), 0.0)
+        lower = np.linalg.norm(apart, axis=1) - m.geom_rbound[ids]
+        best = cap
+        for i in np.argsort(lower):
+            if lower[i] >= best:
+                break
+            g, T = ids[i], np.eye(4)
+            T[:3, :3], T[:3, 3] = d.geom_xmat[g].reshape(3, 3), d.geom_xpos[g]
+            kind = _KIND_OF_TYPE[int(m.geom_type[g])]
+            best = min(best, mesh_distance(kind, m.geom_size[g], T, triangles, cap=max(best, 0.0)))
+        return best
+
+
+def mujoco_scene(scene: Scene, staged: Staged) -> MujocoScene:
+    """The MuJoCo C twin of one trial."""
+    return MujocoScene(scene, staged, object_collision=scene.config.plan.object_collision)
+
+
+def hand_triangles(scene: Scene, staged: Staged) -> Array:
+    """Triangles (F, 3, 3) of the exact hand mesh in the world, outward, float64."""
+    v = scene.hands.vertices[staged.hand_index].numpy().astype(np.float64)
+    faces = scene.hands.model.faces_by_side[int(scene.hands.set.side[staged.hand_index])].numpy()
+    return (v @ staged.T_world_hand[:3, :3].T + staged.T_world_hand[:3, 3])[faces]
+
+
+def samples(path: ArrayLike, step_rad: float) -> Iterator[Array]:
+    """Postures along a polyline (W, 6), all waypoints among them, neighbours at most `step_rad` apart (L2), float64."""
+    path = np.asarray(path, np.float64)
+    yield path[0]
+    for a, b in pairwise(path):
+        n = max(1, int(np.ceil(np.linalg.norm(b - a) / step_rad)))
+        for k in range(1, n + 1):
+            yield a + (b - a) * (k / n)
+
+
+def random_stages(scene: Scene, rng: np.random.Generator, n: int) -> tuple[list[Staged], Array]:
+    """N trials with hands right and left in turn, near the robot's gripper at the returned postures (n, 6).
+
+    All numbers are exact in float32, so that kernels and twins see the same.
+    """
+    stages, postures = [], np.zeros((n, 6))
+    right = np.flatnonzero(scene.hands.set.side.numpy() == 0)
+    left = np.flatnonzero(scene.hands.set.side.numpy() == 1)
+    for k in range(n):
+        while True:
+            q = rng.uniform(-np.pi, np.pi, 6).astype(np.float32).astype(np.float64)
+            p = ee_pose(scene.robot, q)[:3, 3]
+            if 0.15 < p[2] < 0.8 and 0.3 < np.hypot(p[0], p[1]) < 0.9:
+                break
+        hand = int(rng.choice((right, left)[k % 2]))
+        away = rng.normal(size=3)
+        away *= rng.uniform(0.03, 0.22) / np.linalg.norm(away)
+        T = _random_pose(rng, np.zeros(3))
+        middle = scene.hands.vertices[hand].numpy().mean(0)
+        T[:3, 3] = p + away - T[:3, :3] @ middle
+        T_obj_ee = _random_pose(rng, rng.normal(size=3) * 0.03)
+        stages.append(
+            Staged(
+                int(rng.integers(len(scene.objects))),
+                hand,
+                _single(T_obj_ee),
+                _single(T),
+                float(np.float32(rng.uniform(0.004, 0.085))),
+            )
+        )
+        postures[k] = q
+    return stages, postures
+
+
+def place(scene: Scene, stages: Sequence[Staged]) -> Placed:
+    """The same trials for the kernels."""
+    return scene.place(
+        torch.tensor([s.object_index for s in stages], dtype=torch.int32),
+        torch.tensor([s.hand_index for s in stages], dtype=torch.int32),
+        torch.tensor(np.array([s.T_obj_ee for s in stages]), dtype=torch.float32),
+        torch.tensor(np.array([s.T_world_hand for s in stages]), dtype=torch.float32),
+        torch.tensor([s.opening_m for s in stages], dtype=torch.float32),
+    )
+
+
+def _random_pose(rng: np.random.Generator, p: Array) -> Array:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.random(random_state=rng).as_matrix(), p
+    return T
+
+
+def _single(T: Array) -> Array:
+    return T.astype(np.float32).astype(np.float64)
+
+
+_TYPE_OF_KIND = {
+    Kind.SPHERE: mujoco.mjtGeom.mjGEOM_SPHERE, Kind.CAPSULE: mujoco.mjtGeom.mjGEOM_CAPSULE,
+    Kind.CYLINDER: mujoco.mjtGeom.mjGEOM_CYLINDER, Kind.BOX: mujoco.mjtGeom.mjGEOM_BOX,
+}  # fmt: skip
+_KIND_OF_TYPE = {int(t): k for k, t in _TYPE_OF_KIND.items()}
+_PASSIVE = {"contype": 0, "conaffinity": 0}
+
+
+def _pose(T: Array) -> dict[str, Any]:
+    T = np.asarray(T, np.float64)
+    return {"pos": T[:3, 3], "quat": Rotation.from_matrix(T[:3, :3]).as_quat(scalar_first=True)}

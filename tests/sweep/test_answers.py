@@ -1,0 +1,281 @@
+"""Nobody changes what is judged: answers of methods are checked, and stored rows are those of the plan."""
+
+import json
+import os
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import torch
+from fake_bench import best
+from fake_bench import prepare as prepare_fake
+from made_runs import make_header, make_scores
+
+from r2h_batch.predictions import write_predictions
+from r2h_batch.results.manifest import RunError
+from r2h_batch.results.reading import load_run
+from r2h_batch.results.rows import TrialNames, detail_rows, score_rows
+from r2h_batch.results.storage import sha256_of
+from r2h_batch.results.writing import open_run
+from r2h_batch.sweep import command as sweep
+from r2h_batch.sweep import jobs
+from r2h_batch.sweep.answers import AnswerError, answer_of
+from r2h_batch.trials.protocol import make_trials
+from r2h_batch.turns import PROTOCOL, objects_in_turn
+from r2h_batch.types import Predictions
+
+# --- what a method answers ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def trials():
+    return make_trials(("S0", "S1"), 2)
+
+
+def poses(trials, dtype=torch.float32):
+    return torch.eye(4, dtype=dtype).repeat(len(trials), 1, 1)
+
+
+WRONG = {
+    "nothing": (lambda t: None, "its answer is a NoneType; it must be r2h_batch.Predictions or"),
+    "one array": (lambda t: (poses(t),), "its answer is a tuple of 1"),
+    "four arrays": (lambda t: (poses(t),) * 4, "its answer is a tuple of 4"),
+    "half of the rows": (lambda t: (poses(t)[::2], poses(t)), r"T_obj_ee is torch.float32 \(2, 4, 4\)"),
+    "3 x 4": (lambda t: (poses(t), poses(t)[:, :3]), r"T_world_ee is torch.float32 \(4, 3, 4\)"),
+    "whole numbers": (lambda t: (poses(t).int(), poses(t)), "T_obj_ee is torch.int32"),
+    "half precision": (lambda t: (poses(t), poses(t).half()), "T_world_ee is torch.float16"),
+    "numpy": (lambda t: (poses(t).numpy(), poses(t)), "T_obj_ee is ndarray; it must be a tensor"),
+    "meta": (lambda t: (poses(t), poses(t).to("meta")), "T_world_ee is on meta"),
+    "a list of times": (lambda t: (poses(t), poses(t), [0.1] * len(t)), "t_method_s is list; it must be a tensor"),
+    "one time": (lambda t: (poses(t), poses(t), torch.tensor(0.1)), r"t_method_s is torch.float32 \(\)"),
+    "time runs backwards": (lambda t: (poses(t), poses(t), torch.full((4,), -1.0)), "t_method_s has negative or"),
+    "for ever": (lambda t: (poses(t), poses(t), torch.full((4,), torch.inf)), "t_method_s has negative or infinite"),
+    "another order": (
+        lambda t: Predictions(t.trial_id.flip(0), poses(t), poses(t)),
+        "trial_id differs from that of the 4 trials",
+    ),
+    "its own error": (lambda t: [][0], r"IndexError: list index out of range \(.*test_answers.py, line \d+\)"),
+}
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("case", WRONG)
+def test_an_answer_that_cannot_be_scored_names_method_and_argument(trials, case):
+    answer, words = WRONG[case]
+    with pytest.raises(AnswerError, match=f"method mine: {words}") as error:
+        answer_of("mine", trials, answer)
+    assert "\n" not in str(error.value)
+
+
+def test_answers_are_what_a_file_may_hold(trials):
+    seconds = torch.tensor([0.0, torch.nan, 1.0, 2.0], dtype=torch.float64)
+    grasp = poses(trials, torch.float64).requires_grad_()
+    grasp_nan = poses(trials)
+    grasp_nan[1] = torch.nan  # one row's affair
+    given = answer_of("mine", trials, lambda t: [grasp, grasp_nan, seconds])
+    assert given.T_obj_ee.dtype == given.t_method_s.dtype == torch.float32 and not given.T_obj_ee.requires_grad
+    assert torch.isnan(given.T_world_ee[1]).all() and torch.equal(given.trial_id, trials.trial_id)
+    assert bool((answer_of("mine", trials, lambda t: (grasp, grasp_nan)).t_method_s > 0).all())
+
+
+def test_a_method_reaches_neither_the_trials_nor_the_answers_that_are_judged(trials):
+    before, kept = trials.clone(), {}
+
+    def cheats(mine):
+        kept["mine"], kept["answer"] = mine, poses(mine)
+        for value in vars(mine).values():
+            value.zero_()
+        return kept["answer"], kept["answer"]
+
+    given = answer_of("cheats", trials, cheats)
+    kept["answer"].zero_()
+    for name, value in vars(before).items():
+        assert torch.equal(getattr(trials, name), value)
+    assert torch.equal(given.T_obj_ee, poses(trials)) and torch.equal(given.trial_id, before.trial_id)
+
+
+# --- in a sweep -----------------------------------------------------------------------------------------------------
+
+CHEAT = """
+import torch
+
+def honest(trials, scene, *, seed):
+    T = torch.eye(4, dtype=torch.float32).repeat(len(trials), 1, 1)
+    T[:, 2, 3] = 0.4
+    return torch.eye(4).repeat(len(trials), 1, 1), T
+
+def cheats(trials, scene, *, seed):
+    answer = honest(trials, scene, seed=seed)
+    trials.T_world_hand[:] = torch.eye(4)
+    trials.T_world_hand[:, 0, 3] = 5.0
+    trials.object_index.zero_()
+    trials.trial_id.add_(2)
+    return answer
+"""
+
+
+def test_poses_get_the_same_rows_from_a_method_that_edits_its_trials_and_from_a_file(tmp_path, monkeypatch, capsys):
+    (tmp_path / "my_cheat.py").write_text(CHEAT)
+    monkeypatch.syspath_prepend(tmp_path)
+    planned = make_trials(("S0", "S1"), 4)
+    import my_cheat
+
+    write_predictions(tmp_path / "p.npz", Predictions(planned.trial_id, *my_cheat.honest(planned, None, seed=0)))
+    out = tmp_path / "run"
+    line = ["--method", "my_cheat:cheats", "--predictions", str(tmp_path / "p.npz"), "--trials", "4", "--sim", "none"]
+    try:
+        assert sweep.main([*line, "--save-details", "--out", str(out)]) == 0
+    finally:
+        sys.modules.pop("my_cheat", None)
+    run = load_run(out)
+    assert run.digest("my_cheat:cheats") == run.digest("unnamed")
+    assert run.details("unnamed")["hand_index"].to_pylist() == planned.hand_index.tolist()
+
+
+@pytest.fixture
+def fake(monkeypatch):
+    """The sweep on a fake evaluator, with methods of a module `mine`."""
+    mine = type(sys)("mine")
+
+    def late(trials, scene, *, seed):
+        return *best(trials, scene, seed=seed), torch.full((len(trials),), -1.0)
+
+    def wanders(trials, scene, *, seed):
+        os.chdir("/")
+        return best(trials, scene, seed=seed)
+
+    mine.late, mine.wanders, mine.best, mine.number = late, wanders, best, 3
+    mine.other = lambda a, b, c, *, seed: None
+    monkeypatch.setitem(sys.modules, "mine", mine)
+    monkeypatch.setattr(jobs, "prepare", prepare_fake)
+
+
+def test_other_methods_finish_when_one_answers_nonsense(fake, tmp_path, capsys):
+    line = ["--method", "mine:late", "mine:best", "--trials", "3", "--out", str(tmp_path / "run")]
+    assert sweep.main(line) == 2
+    captured = capsys.readouterr()
+    (said,) = [x for x in captured.err.splitlines() if "t_method_s" in x]
+    assert said == (
+        "sweep: method mine:late: t_method_s has negative or infinite seconds; use NaN where it was not measured"
+    )
+    assert "mine:best" in captured.out and "Traceback" not in captured.err
+    run = load_run(tmp_path / "run")
+    assert run.methods == ("mine:best",) and run.trials("mine:best").num_rows == 6
+    assert sweep.main(["--method", "mine:late", "--trials", "3", "--out", str(tmp_path / "run")]) == 2
+    assert capsys.readouterr().out == ""
+
+
+def test_a_method_that_changes_the_directory_takes_no_shard_along(fake, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    line = ["--method", "mine:wanders", "--trials", "3", "--shard-trials", "2", "--chunk", "1", "--out", "run"]
+    assert sweep.main(line) == 0
+    assert load_run(tmp_path / "run").trials("mine:wanders").num_rows == 6
+
+
+@pytest.mark.parametrize(
+    ("spec", "words"),
+    [
+        ("mine:number", "--method mine:number: 3 is not a callable object; it must be package.module:function"),
+        ("mine:other", "--method mine:other: missing a required argument: 'c'; it must be package.module:function"),
+        ("mine:none", "has no attribute 'none'; it must be package.module:function"),
+        ("broken_rules:f", "--method broken_rules:f: SystemExit: 7; it must be"),
+    ],
+)
+def test_a_method_that_is_none_is_refused_before_any_preparation(fake, monkeypatch, tmp_path, capsys, spec, words):
+    (tmp_path / "broken_rules.py").write_text("raise SystemExit(7)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(jobs, "prepare", lambda options: pytest.fail("prepared before the method was looked for"))
+    assert sweep.main(["--method", spec, "--trials", "3", "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+
+
+def test_a_network_that_is_none_is_refused_before_any_preparation(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(jobs, "prepare", lambda options: pytest.fail("prepared before the network was looked for"))
+    assert sweep.main(["--method", "contact", "--predictor", "no_net.pt", "--out", str(tmp_path / "run")]) == 2
+    assert "predictor no_net.pt" in capsys.readouterr().err
+
+
+# --- stored rows and the plan ---------------------------------------------------------------------------------------
+
+OBJECTS = [{"name": n, "split": s, "built_in": False} for n, s in (("a", "S0"), ("b", "S0"), ("c", "S1"))]
+NAMES = TrialNames([o["name"] for o in OBJECTS], [o["split"] for o in OBJECTS], ("right", "left"), ("base",))
+
+
+def planned_rows(n=4):
+    """Trials as planned with these objects, and made-up scores."""
+    trials = make_trials(("S0", "S1"), n)
+    objects, side = objects_in_turn(trials.trial_id.numpy(), NAMES.object_splits)
+    trials = replace(
+        trials,
+        object_index=torch.from_numpy(objects.astype(np.int32)),
+        hand_index=torch.from_numpy(side.astype(np.int32)),
+    )
+    return trials, make_scores(trials, np.zeros(2 * n, int))
+
+
+def edited(table: pa.Table, column: str, row: int, value) -> pa.Table:
+    values = table[column].to_pylist()
+    values[row] = value
+    i = table.column_names.index(column)
+    return table.set_column(i, table.schema.field(column), pa.array(values).cast(table.schema.field(column).type))
+
+
+EDITS = {
+    "another object": ("object", 0, "b", "trial 0: object is 'b', planned is 'a'"),
+    "the other hand": ("side", 0, "left", "trial 0: side is 'left', planned is 'right'"),
+    "an id twice": ("trial_id", 1, 0, "trial_id 0 is not where the plan has it"),
+    "a foreign id": ("trial_id", 2, 40, "trial_id 40 is not planned here"),
+}
+
+
+def start(folder):
+    run = open_run(folder, make_header(4, 4, protocol=PROTOCOL, objects=OBJECTS, stored=["details"]))
+    run.register("m", {"kind": "test"})
+    (shard,) = run.todo("m")
+    return run, shard
+
+
+@pytest.mark.parametrize("case", EDITS)
+def test_rows_that_are_not_the_plans_are_not_written(tmp_path, case):
+    column, row, value, words = EDITS[case]
+    trials, scores = planned_rows()
+    run, shard = start(tmp_path / "run")
+    rows, details = score_rows(trials, scores, NAMES), detail_rows(trials, scores, NAMES)
+    with pytest.raises(RunError, match=f"trials: {words}; nothing was stored"), run.write("m", shard) as writer:
+        writer.append(trials=edited(rows, column, row, value), details=details)
+    with pytest.raises(RunError, match="details: trial_id 9 is not planned"), run.write("m", shard) as writer:
+        writer.append(trials=rows, details=edited(details, "trial_id", 7, 9))
+    assert not list((tmp_path / "run").rglob("*.parquet"))
+    with run.write("m", shard) as writer:
+        writer.append(trials=rows, details=details)
+    assert load_run(tmp_path / "run").trials("m").num_rows == 8
+
+
+@pytest.mark.parametrize("case", EDITS)
+def test_rows_that_were_exchanged_with_their_receipt_are_found_and_not_reported(tmp_path, case):
+    column, row, value, words = EDITS[case]
+    trials, scores = planned_rows()
+    run, shard = start(tmp_path / "run")
+    with run.write("m", shard) as writer:
+        writer.append(trials=score_rows(trials, scores, NAMES), details=detail_rows(trials, scores, NAMES))
+    (file,) = (tmp_path / "run" / "trials").rglob("*.parquet")
+    table = edited(pq.read_table(file), column, row, value)
+    file.unlink()
+    pq.write_table(table, file)
+    digest = sha256_of(file)
+    named = file.with_name(f"{shard.name}-{digest[:16]}.parquet")
+    file.rename(named)
+    (receipt,) = (tmp_path / "run" / "manifest").rglob("*.json")
+    data = json.loads(receipt.read_text())
+    data["files"]["trials"] = {
+        "path": str(named.relative_to(tmp_path / "run")),
+        "sha256": digest,
+        "bytes": named.stat().st_size,
+    }
+    receipt.write_text(json.dumps(data))
+    with pytest.raises(RunError, match=words):  # what verify, report, compare and resume ask
+        load_run(tmp_path / "run")

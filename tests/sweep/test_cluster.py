@@ -1,0 +1,135 @@
+"""The Ray engine: any workers give the rows of one process, whatever dies on the way."""
+
+import os
+import signal
+import socket
+import time
+
+import pytest
+from disturbed import DEADLY, SLOW, finish, receipts, same_rows, start, wait_for
+from fake_bench import workers
+from needs import needs
+
+from r2h_batch.results import manifest
+from r2h_batch.results.reading import load_run
+
+pytestmark = needs("ray")
+
+RAY = ("--engine", "ray", "--workers", "2")
+
+
+def test_two_workers_give_the_digest_of_one_process_and_a_finished_run_starts_none(tmp_path, undisturbed):
+    out = tmp_path / "run"
+    code, table, error = finish(start(tmp_path, out, SLOW, *RAY, FAKE_WORKERS="2"))
+    assert code == 0 and table.startswith("split,"), error
+    assert len(workers(tmp_path / "log")) == 2
+    same_rows(out, undisturbed)
+    code, again, error = finish(start(tmp_path, out, SLOW, *RAY))
+    assert code == 0 and again == table, error
+
+
+def test_kill_9_of_an_actor_costs_its_shard_only(tmp_path, undisturbed):
+    out, log = tmp_path / "run", tmp_path / "log"
+    sweep = start(tmp_path, out, SLOW, *RAY, FAKE_WORKERS="3")
+    wait_for(lambda: len(receipts(out)) >= 2, "two shards")
+    os.kill(int(log.read_text().splitlines()[-1].split()[0]), signal.SIGKILL)
+    code, table, error = finish(sweep)
+    assert code == 0 and table.startswith("split,"), error
+    assert len(workers(log)) == 3
+    same_rows(out, undisturbed)
+
+
+@pytest.mark.slow
+def test_kill_9_of_the_driver_leaves_a_folder_that_goes_on(tmp_path, undisturbed):
+    out = tmp_path / "run"
+    sweep = start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0.2")
+    wait_for(lambda: len(receipts(out)) >= 3, "three shards")
+    sweep.kill()
+    finish(sweep)
+    stored = receipts(out)
+    assert len(stored) < 12
+    times = [p.stat().st_mtime_ns for p in stored]
+    code, _, error = finish(start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0"))
+    assert code == 0, error
+    assert [p.stat().st_mtime_ns for p in stored] == times
+    same_rows(out, undisturbed)
+
+
+@pytest.mark.slow
+def test_a_stop_signal_stores_what_is_being_scored_and_ends_with_130(tmp_path, undisturbed):
+    out = tmp_path / "run"
+    sweep = start(tmp_path, out, SLOW, *RAY, FAKE_SECONDS="0.3")
+    wait_for(lambda: len(receipts(out)) >= 2, "two shards")
+    sweep.send_signal(signal.SIGTERM)
+    code, table, error = finish(sweep)
+    assert code == 130 and table == "" and "sweep: interrupted" in error, error
+    assert 2 <= len(receipts(out)) < 12
+    code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
+    assert code == 0, error
+    same_rows(out, undisturbed)
+
+
+def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_again_on_resume(tmp_path, undisturbed):
+    out, log = tmp_path / "run", tmp_path / "log"
+    code, table, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="47"))
+    assert code == 1 and table == "", error
+    assert f"{DEADLY}: quarantined after three tries: shards 4" in error
+    assert log.read_text() == "x" * 3 and len(receipts(out)) == 11
+    run = load_run(out)
+    assert [s.index for s in run.missing(DEADLY)] == [s.index for s in run.quarantined(DEADLY)] == [4]
+    noted = manifest.read_json(out / "quarantine" / "fake_bench_deadly" / "000004.json")
+    assert (noted["first"], noted["last"], len(noted["errors"])) == (40, 50, 3)
+    code, table, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="-1"))
+    assert code == 0 and table.startswith("split,"), error
+    assert not list((out / "quarantine").rglob("*.json"))
+    same_rows(out, undisturbed, DEADLY)
+
+
+@pytest.mark.slow
+def test_a_shard_that_kills_its_worker_once_is_stored(tmp_path, undisturbed):
+    out = tmp_path / "run"
+    code, _, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="47", FAKE_TIMES="2"))
+    assert code == 0, error
+    same_rows(out, undisturbed, DEADLY)
+
+
+@pytest.mark.slow
+def test_kill_9_of_a_second_node_moves_its_shards_to_the_first(tmp_path, undisturbed, monkeypatch):
+    from disturbed import environment
+    from ray.cluster_utils import Cluster
+
+    for key, value in environment(tmp_path).items():
+        monkeypatch.setenv(key, value)
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    try:
+        node = cluster.add_node(num_cpus=1)
+        cluster.wait_for_nodes()
+        out, log = tmp_path / "run", tmp_path / "log"
+        sweep = start(tmp_path, out, SLOW, *RAY, "--address", cluster.address, FAKE_SECONDS="0.3")
+        wait_for(lambda: len(workers(log)) == 2 and len(receipts(out)) >= 2, "both nodes at work")
+        for processes in node.all_processes.values():
+            for process in processes:
+                os.kill(process.process.pid, signal.SIGKILL)
+        time.sleep(0.1)
+        code, table, error = finish(sweep, timeout=150)
+        assert code == 0 and table.startswith("split,"), error
+        same_rows(out, undisturbed)
+    finally:
+        cluster.shutdown()
+
+
+def test_without_an_address_a_cluster_of_its_own_is_started_whatever_the_environment_names(tmp_path, undisturbed):
+    out = tmp_path / "run"
+    code, _, error = finish(start(tmp_path, out, SLOW, *RAY, RAY_ADDRESS="192.0.2.1:6379", FAKE_SECONDS="0"))
+    assert code == 0, error
+    same_rows(out, undisturbed)
+
+
+def test_a_cluster_that_does_not_answer_is_one_line_after_the_time_limit(tmp_path):
+    out = tmp_path / "run"
+    with socket.create_server(("127.0.0.1", 0)) as deaf:  # takes connections and says nothing
+        address = f"127.0.0.1:{deaf.getsockname()[1]}"
+        code, table, error = finish(start(tmp_path, out, SLOW, *RAY, "--address", address, "--ray-timeout", "6"))
+    assert code == 2 and table == "" and error.count("\n") == 1, error
+    assert error.startswith("sweep: no Ray cluster") and address in error and "writing the run folder" not in error
+    assert not out.exists()

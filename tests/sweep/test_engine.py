@@ -1,0 +1,91 @@
+"""How long a shard is, and which trials it holds."""
+
+import time
+from dataclasses import replace
+
+import fake_bench
+import pytest
+import torch
+
+from r2h_batch.results.manifest import SHARD_TRIALS, RunError
+from r2h_batch.results.reading import load_run
+from r2h_batch.results.writing import open_run
+from r2h_batch.sweep import engine, jobs
+from r2h_batch.sweep.options import Options
+from r2h_batch.types import Outcome
+
+
+class Slow(fake_bench.FakeEvaluator):
+    """Takes a millisecond a trial."""
+
+    def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
+        time.sleep(0.001 * len(trials))
+        return super().score(T_obj_ee, T_world_ee, trials)
+
+
+class Failing(fake_bench.FakeEvaluator):
+    """Its simulator fails on every trial whose id is a multiple of 5."""
+
+    def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
+        scores = super().score(T_obj_ee, T_world_ee, trials)
+        outcome = torch.where(trials.trial_id % 5 == 0, int(Outcome.INVALID_SIM), scores.outcome)
+        return replace(scores, outcome=outcome.to(torch.int8), success=outcome == int(Outcome.SUCCESS))
+
+
+def test_trials_that_the_simulator_failed_on_are_dumped_into_the_run_folder_and_others_are_not(tmp_path):
+    bench = replace(fake_bench.prepare(Options(method=("x",), trials=12)), evaluator=Failing())
+    run = open_run(tmp_path / "run", {**bench.header, "shard_trials": 8})
+    run.register("m", {"kind": "test"})
+    for shard in run.todo("m"):
+        with run.write("m", shard) as writer:
+            engine.score_shard(jobs.Job("m", {}, predict), shard, writer, bench, 5)
+    stored = load_run(tmp_path / "run")
+    assert stored.failures("m")["trial_id"].to_pylist() == [0, 5, 10, 15, 20]
+    assert stored.trials("m")["outcome"].to_pylist().count("invalid_sim") == 5
+    files = sorted((tmp_path / "run" / "failures").rglob("*.parquet"))
+    stored.verify()
+    files[1].write_bytes(files[1].read_bytes()[:-1])
+    with pytest.raises(RunError, match="failures"):
+        stored.verify()
+
+
+def predict(trials, _):
+    T = torch.eye(4).repeat(len(trials), 1, 1)
+    return jobs.Predictions(trials.trial_id, T, T)
+
+
+JOB = jobs.Job("m", {}, predict, warm=True)
+
+
+def bench(trials, evaluator):
+    made = fake_bench.prepare(Options(method=("random",), trials=trials))
+    return jobs.Setting(evaluator, made.header, made.ids, made.trials)
+
+
+def test_a_shard_is_what_is_done_in_a_minute_and_at_most_100000_trials(monkeypatch):
+    monkeypatch.setattr(engine, "SHARD_SECONDS", 1.0)
+    size = engine.shard_size(bench(600, Slow()), [JOB])
+    assert size % engine.CPU_CHUNK == 0 and 256 <= size <= 1024
+    monkeypatch.setattr(engine, "SHARD_SECONDS", 0.01)
+    assert engine.shard_size(bench(600, Slow()), [JOB]) == engine.CPU_CHUNK
+    monkeypatch.setattr(engine, "SHARD_SECONDS", 1e9)
+    assert engine.shard_size(bench(600, fake_bench.FakeEvaluator()), [JOB]) == SHARD_TRIALS
+
+
+def test_a_small_plan_is_not_probed():
+    evaluator = fake_bench.FakeEvaluator()
+    assert engine.shard_size(bench(500, evaluator), [JOB]) == SHARD_TRIALS and evaluator.sizes == []
+
+
+@pytest.mark.parametrize("splits", [("S0", "S1"), ("S1",), ("S0",), ("S1", "S0")])
+def test_planned_ids_are_those_of_the_protocol_in_any_range(splits):
+    from r2h_batch.trials.protocol import make_trials
+
+    plan = jobs.prepare(Options(method=("random",), trials=11, splits=splits))
+    expected = make_trials([s for s in ("S0", "S1") if s in splits], 11)
+    assert plan.planned == len(expected)
+    assert plan.ids(0, plan.planned).tolist() == expected.trial_id.tolist()
+    for first, last in ((0, 0), (3, 4), (5, plan.planned)):
+        ids = plan.ids(first, last)
+        assert ids.tolist() == expected.trial_id[first:last].tolist()
+        assert torch.equal(plan.trials(ids).T_world_hand, expected.T_world_hand[first:last])

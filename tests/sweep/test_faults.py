@@ -1,0 +1,143 @@
+"""What kills a sweep: after the same command has run again, the digest of all rows is that of an undisturbed run.
+
+The evaluator is a fake; processes, signals and files are real.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from disturbed import SLOW, SWEEP, environment, finish, receipts, same_rows, start, wait_for
+
+from r2h_batch.results.reading import load_run
+
+
+def test_kill_9_of_the_process_loses_one_shard_at_most(tmp_path, undisturbed):
+    out = tmp_path / "run"
+    first = start(tmp_path, out)
+    wait_for(lambda: len(receipts(out)) >= 3, "three shards")
+    first.kill()
+    finish(first)
+    stored = receipts(out)
+    assert 3 <= len(stored) < 12
+    times = [p.stat().st_mtime_ns for p in stored]
+    code, table, error = finish(start(tmp_path, out))
+    assert code == 0 and table.startswith("split,"), error
+    assert [p.stat().st_mtime_ns for p in stored] == times
+    same_rows(out, undisturbed)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stop_signal_ends_with_130_and_the_same_command_goes_on(tmp_path, undisturbed, number):
+    out = tmp_path / "run"
+    first = start(tmp_path, out, SLOW, FAKE_SECONDS="0.2")
+    wait_for(lambda: len(receipts(out)) >= 1, "a shard")
+    first.send_signal(number)
+    code, table, error = finish(first)
+    assert code == 130 and table == "" and error.splitlines()[-1].startswith("sweep: interrupted"), error
+    assert 1 <= len(receipts(out)) < 12 and not list(out.rglob("*.tmp"))
+    code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
+    assert code == 0, error
+    same_rows(out, undisturbed)
+
+
+def test_two_sweeps_on_one_folder_share_the_work_and_one_takes_over_when_the_other_is_killed(tmp_path, undisturbed):
+    out = tmp_path / "run"
+    both = [start(tmp_path, out, FAKE_SECONDS="0.15") for _ in range(2)]
+    log = tmp_path / "log"
+    wait_for(lambda: log.exists() and len({line.split()[0] for line in log.read_text().splitlines()}) == 2, "both")
+    wait_for(lambda: len(receipts(out)) >= 4, "four shards")
+    both[0].kill()
+    finish(both[0])
+    code, table, error = finish(both[1])
+    assert code == 0 and table.startswith("split,"), error
+    same_rows(out, undisturbed)
+    answered = [int(line.split()[1]) for line in log.read_text().splitlines()]
+    assert len(answered) <= 24 + 2  # 24 chunks; the killed one had begun at most one shard of two
+
+
+def test_a_read_only_folder_is_one_line_with_what_to_do(tmp_path):
+    out = Path("/sys/r2h_batch_run")  # nobody may make folders there, root neither
+    if os.geteuid() != 0:
+        out = tmp_path / "run"
+        out.mkdir(mode=0o500)
+    code, table, error = finish(start(tmp_path, out))
+    assert code == 2 and table == "" and "cannot be written" in error and "choose another --out" in error
+    assert "Traceback" not in error
+
+
+def test_a_full_disk_is_one_line_and_the_sweep_goes_on_after_freeing(tmp_path, undisturbed):
+    """A file size limit is what a quota looks like: the write fails with EFBIG instead of ENOSPC."""
+    out = tmp_path / "run"
+    code = (
+        "import resource, runpy, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))\n"
+        "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    )
+    line = [sys.executable, "-c", code, *SWEEP[1:], "--method", SLOW, "--out", str(out)]
+    done = subprocess.run(line, capture_output=True, text=True, env=environment(tmp_path), check=False, timeout=120)
+    assert done.returncode == 1 and done.stdout == "", done.stderr
+    assert done.stderr.splitlines()[-1].startswith("sweep: ") and "Traceback" not in done.stderr
+    assert not list(out.rglob("*.tmp")) and not list(out.rglob("*.parquet")) and not receipts(out)
+    code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
+    assert code == 0, error
+    same_rows(out, undisturbed)
+
+
+def test_three_parts_at_once_give_the_rows_of_one_process(tmp_path, undisturbed):
+    out = tmp_path / "run"
+    parts = [start(tmp_path, out, SLOW, "--shard", f"{i}/3") for i in (1, 2, 3)]
+    results = [finish(p) for p in parts]
+    assert [code for code, _, _ in results] == [0, 0, 0], results
+    assert sum(table.startswith("split,") for _, table, _ in results) >= 1
+    same_rows(out, undisturbed)
+
+
+def test_a_clock_that_is_set_back_between_two_sweeps_changes_nothing(tmp_path, undisturbed):
+    out, year = tmp_path / "run", 365 * 86400
+    first = start(tmp_path, out, SLOW, FAKE_SECONDS="0.2", FAKE_CLOCK=str(year))
+    wait_for(lambda: len(receipts(out)) >= 3, "three shards")
+    first.kill()
+    finish(first)
+    stored = receipts(out)
+    for path in out.rglob("*"):  # as if written then: newer than anything that is written now
+        os.utime(path, (time.time() + year,) * 2)
+    code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
+    assert code == 0, error
+    written = [json.loads(p.read_text())["written"] for p in receipts(out)]
+    assert max(written) > f"{time.gmtime().tm_year + 1}-" > min(written) and len(written) == 12 > len(stored)
+    same_rows(out, undisturbed)
+
+
+def test_another_version_on_resume_is_refused_and_the_old_one_goes_on(tmp_path, undisturbed):
+    out = tmp_path / "run"
+    first = start(tmp_path, out, SLOW, FAKE_SECONDS="0.2")
+    wait_for(lambda: len(receipts(out)) >= 2, "two shards")
+    first.kill()
+    finish(first)
+    before = {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
+    code, table, error = finish(start(tmp_path, out, SLOW, FAKE_VERSION="0.2.0"))
+    assert code == 2 and table == "" and error.count("\n") == 1, error
+    assert "a run with another versions" in error and "choose another --out" in error
+    assert {p: p.read_bytes() for p in out.rglob("*") if p.is_file()} == before
+    code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
+    assert code == 0, error
+    same_rows(out, undisturbed)
+
+
+def test_of_two_configurations_started_at_the_same_moment_one_has_the_folder_and_the_other_is_refused(tmp_path):
+    for turn in range(3):
+        out = tmp_path / str(turn)
+        both = [start(tmp_path, out, SLOW, "--seed", str(seed), FAKE_SECONDS="0") for seed in (0, 1)]
+        ends = [finish(p) for p in both]
+        codes = [code for code, _, _ in ends]
+        assert sorted(codes) == [0, 2], ends
+        loser = ends[codes.index(2)][2]
+        assert "a run with another seed" in loser and "Traceback" not in loser
+        run = load_run(out)
+        assert run.header["seed"] == codes.index(0) and run.methods == (SLOW,)

@@ -1,0 +1,110 @@
+"""How methods get into a sweep: names, stand-ins, noise, a user's predictor, and the documented example itself."""
+
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from problems import default_evaluator
+
+from r2h_batch.results.manifest import run_hash
+from r2h_batch.results.reading import load_run
+from r2h_batch.sweep import command as sweep
+from r2h_batch.sweep import jobs
+from r2h_batch.sweep.options import METHODS, Options
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+@pytest.fixture(scope="module")
+def bench():
+    return jobs.Setting(default_evaluator(), {}, lambda *_: None, lambda _: None)
+
+
+def names(bench, **options) -> list[str]:
+    return [j.name for j in jobs.make_jobs(Options(**options), [], bench)]
+
+
+def test_the_names_in_tables_carry_stand_in_and_noise(bench):
+    every = names(bench, method=METHODS, predictor_noise=0.0)
+    assert every == [
+        "random",
+        "oracle",
+        "FC-Handover (oracle hand)",
+        "Handover-VA (oracle labels)",
+        "Contact-Handover (VoxNet, built-in contacts)",
+        "Intent-Handover (retrieval)",
+    ]
+    assert names(bench, method=("fc", "intent")) == [
+        "FC-Handover (oracle hand + noise)",
+        "Intent-Handover (retrieval + noise)",
+    ]
+    assert names(bench, method=("handover-va",), predictor_noise=0.5) == ["Handover-VA (oracle labels + 0.5 x noise)"]
+
+
+def test_a_users_network_is_named_and_reaches_contact_alone(bench, tmp_path, monkeypatch):
+    (tmp_path / "my_net.py").write_text("def half(grid):\n    return 0.5 * grid[:, 0]\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    given = jobs.make_jobs(Options(method=("fc", "contact"), predictor="my_net:half"), [], bench)
+    assert [j.name for j in given] == ["FC-Handover (oracle hand + noise)", "Contact-Handover (my_net:half + noise)"]
+    assert json.loads(given[1].source["predictors"])["contact"] == {"file": "my_net:half"}
+
+
+@pytest.mark.parametrize("spec", ["no_net.pt", "no_module:net"])
+def test_a_network_that_cannot_be_loaded_is_one_line_and_exit_code_2(capsys, tmp_path, spec):
+    line = ["--method", "contact", "--predictor", spec, "--trials", "1", "--out", str(tmp_path / "run")]
+    assert sweep.main(line) == 2
+    error = capsys.readouterr().err.splitlines()
+    assert error[-1].startswith("sweep: predictor ") and spec.partition(":")[0] in error[-1]
+    assert not (tmp_path / "run").exists()
+
+
+def test_typing_errors_get_a_suggestion(capsys):
+    for wrong, right in (("contakt", "contact"), ("handover_va", "handover-va"), ("intend", "intent")):
+        assert sweep.main(["--method", wrong]) == 2
+        assert f"unknown method '{wrong}', did you mean {right}?" in capsys.readouterr().err
+    assert sweep.main(["--method", "fc", "--predictor-nois", "0"]) == 2
+    assert "did you mean --predictor-noise?" in capsys.readouterr().err
+
+
+def test_noise_is_part_of_a_runs_identity_and_older_runs_keep_their_hash():
+    header = {"shard_trials": 5, "device": {"kind": "cpu"}}
+    # no public way to the header without building an evaluator for each
+    noisy = [run_hash({**header, "predictors": jobs._predictors(Options(predictor_noise=f))}) for f in (0.0, 1.0, 1.0)]
+    assert noisy[0] != noisy[1] == noisy[2] and run_hash(header) not in noisy
+
+
+def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, capsys):
+    (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "baselines.md").read_text(), re.S)
+    assert len([line for line in code.splitlines() if line]) <= 15
+    (tmp_path / "my_rules.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    try:
+        line = ["--method", "my_rules:predict", "--trials", "6", "--sim", "none", "--format", "json", "--out", "run"]
+        assert sweep.main([*line, "--predictor-noise", "0"]) == 0
+    finally:
+        sys.modules.pop("my_rules", None)
+    table = json.loads(capsys.readouterr().out)
+    assert table["origin"]["predictor noise"] == "0"
+    run = load_run(tmp_path / "run")
+    assert run.trials("my_rules:predict").num_rows == 12
+    assert run.header["predictors"]["noise"]["target_translation_m"] == 0
+    margins = np.array(run.trials("my_rules:predict")["margin_reach_m"])
+    assert (margins[~np.isnan(margins)] > 0.05).all()  # the TCP is where the object is wanted
+
+
+def test_table_1s_findings_say_yes_no_or_tied(monkeypatch):
+    monkeypatch.syspath_prepend(DOCS.parent / "bench")
+    import table1
+
+    values = {"FC-Handover": 2.0, "Handover-VA": 3.0, "Contact-Handover": 3.0, "Intent-Handover": 1.0}
+    lines = table1.finding_lines(lambda split, method, column: values[method] if split != "S1" else 2 * values[method])
+    said = {line.split(" | ")[0][2:]: line.rsplit("| ", 1)[1][:-2] for line in lines[2:]}
+    assert said["Intent-Handover has the lowest F_afford in S1"] == "yes"
+    assert said["FC-Handover has the highest F_afford in S1"] == "no"
+    assert said["Contact-Handover has the best SR in S0"] == "tied" == said["Handover-VA has the highest F_plan"]
+    assert said["Handover-VA drops most from S0 to S1"] == "no"  # it rises here
+    assert len(said) == len(table1.findings()) + 1

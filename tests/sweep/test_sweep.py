@@ -1,0 +1,374 @@
+"""The sweep command: what it refuses, prints and stores. The evaluator is a fake except at the end."""
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import fake_bench
+import numpy as np
+import pytest
+import torch
+from made_runs import make_predictions, make_trials
+from sweep_command import command
+
+from r2h_batch.predictions import write_predictions
+from r2h_batch.results.reading import load_run
+from r2h_batch.sweep import command as sweep
+from r2h_batch.sweep import jobs
+
+# --- the command line -----------------------------------------------------------------------------------------------
+
+
+def test_help_lists_every_flag_and_answers_at_once():
+    def spent() -> (
+        float
+    ):  # CPU seconds of finished children: what --help costs on an idle core, however busy this one is
+        usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+        return usage.ru_utime + usage.ru_stime
+
+    command("--help")  # writes the byte code
+    before = spent()
+    done = command("--help")
+    seconds = spent() - before
+    assert done.returncode == 0 and done.stderr == ""
+    for name in ("method", "splits", "trials", "device", "out", "seed", "predictions", "object-mesh", "preset"):
+        assert f"--{name}" in done.stdout
+    for name in ("format", "save-paths", "threads", "allow-missing", "sim"):
+        assert f"--{name}" in done.stdout
+    assert seconds < 0.7
+
+
+def test_help_imports_neither_torch_nor_warp():
+    code = (
+        "import sys, r2h_batch.sweep as s\ntry: s.main(['--help'])\nexcept SystemExit: pass\nprint(sorted(sys.modules))"
+    )
+    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    for heavy in ("'torch'", "'warp'", "'numpy'", "'pyarrow'", "'mujoco'"):
+        assert heavy not in modules
+
+
+@pytest.mark.parametrize(
+    ("line", "parts"),
+    [
+        ("--trails 3 --method random", ["unknown flag --trails", "did you mean --trials?", "--save-paths"]),
+        ("--method random -x", ["unknown flag -x", "--method"]),
+        (
+            "--method randm",
+            ["unknown method 'randm'", "did you mean random?", "random, oracle", "package.module:function"],
+        ),
+        ("--method random --splits S2", ["S2", "'S0', 'S1'"]),
+        ("--method random --splits", ["--splits names no split"]),
+        ("--method random --trials many", ["--trials", "many"]),
+        ("--method random --trials 0", ["--trials is 0", "1 or more"]),
+        ("--method random --threads -1", ["--threads is -1", "1 or more"]),
+        ("--method random --trials", ["--trials"]),
+        ("--method random --preset fast", ["fast", "'default', 'paper'"]),
+        ("--method random --format html", ["html", "'md', 'latex', 'csv', 'json'"]),
+        ("--method random --device gpu", ["'gpu'", "cpu, cuda"]),
+        ("--method random random", ["random is given twice"]),
+        ("", ["nothing to score", "--method random oracle", "--predictions FILE"]),
+    ],
+)
+def test_a_bad_command_line_is_one_line_with_the_valid_names_and_exit_code_2(capsys, line, parts):
+    assert sweep.main(line.split()) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("sweep: ") and captured.err.count("\n") == 1
+    for part in parts:
+        assert part in captured.err
+
+
+def test_a_typing_error_on_a_plain_terminal_exits_with_2_and_one_ascii_line():
+    done = command("--methud", "random")
+    assert done.returncode == 2 and done.stdout == ""
+    assert done.stderr.isascii() and done.stderr.count("\n") == 1
+    assert "did you mean --method?" in done.stderr
+
+
+def test_several_methods_splits_files_and_meshes_are_taken():
+    line = (
+        "--method random oracle my.rules:best --splits S1 --predictions a.npz b.safetensors"
+        " --object-mesh mug.obj saw.stl:S1 --save-paths --allow-missing --threads 2 --seed 5 --out runs/x"
+    )
+    options = sweep.parse(line.split())
+    assert options.method == ("random", "oracle", "my.rules:best") and options.splits == ("S1",)
+    assert options.predictions == ("a.npz", "b.safetensors") and options.object_mesh == ("mug.obj", "saw.stl:S1")
+    assert options.save_paths and options.allow_missing
+    assert (options.threads, options.seed, options.out) == (2, 5, "runs/x")
+
+
+# --- the run, with a fake evaluator ---------------------------------------------------------------------------------
+
+
+class Interrupted:
+    """A method that hears a stop signal while it works."""
+
+    def __init__(self, number):
+        self.number, self.calls = number, 0
+
+    def __call__(self, trials, scene, *, seed):
+        self.calls += 1
+        signal.raise_signal(self.number)
+        return fake_bench.best(trials, scene, seed=seed)
+
+
+@pytest.fixture
+def fake(monkeypatch):
+    """Replaces everything that needs geometry; `fake.evaluator` is the one of the last run."""
+    state = SimpleNamespace(evaluator=None)
+
+    def prepare(options):
+        bench = fake_bench.prepare(options)
+        state.evaluator = bench.evaluator
+        return bench
+
+    monkeypatch.setattr(jobs, "prepare", prepare)
+    return state
+
+
+@pytest.fixture
+def here(monkeypatch):
+    """The name under which this file's methods can be imported."""
+    monkeypatch.setitem(sys.modules, "my_rules", fake_bench)
+    return "my_rules"
+
+
+def test_the_table_goes_to_stdout_and_everything_else_to_stderr(fake, here, tmp_path, capsys):
+    out = tmp_path / "run"
+    assert sweep.main(["--method", f"{here}:best", "--trials", "6", "--out", str(out), "--format", "csv"]) == 0
+    captured = capsys.readouterr()
+    lines = captured.out.splitlines()
+    assert lines[0].startswith("split,method,") and [r.partition(",")[0] for r in lines[1:]] == ["S0", "S1", "Avg"]
+    assert captured.err.splitlines()[-1] == f"run folder: {out}"
+    assert "12 trials in" in captured.err and "trials/s" in captured.err
+    assert "\x1b" not in captured.err and "\r" not in captured.err
+
+
+def test_what_was_scored_and_how_is_in_the_run_folder(fake, here, tmp_path):
+    out = tmp_path / "run"
+    flags = "--trials 300 --seed 2 --save-poses --save-paths --out"
+    line = ["--method", f"{here}:best", f"{here}:timed", *flags.split(), str(out)]
+    assert sweep.main(line) == 0
+    run = load_run(out)
+    assert run.methods == ("my_rules:best", "my_rules:timed")
+    assert fake.evaluator.sizes == [32, 256, 256, 88] * 2
+    trials = make_trials(300, 300)
+    expected, _ = fake_bench.best(trials, fake.evaluator.scene, seed=2)
+    for method in run.methods:
+        poses = run.poses(method)
+        assert np.array_equal(np.array(poses["T_obj_ee"].to_pylist(), np.float32).reshape(-1, 4, 4), expected.numpy())
+        table = run.trials(method)
+        assert table["trial_id"].to_pylist() == list(range(600))
+        assert table["outcome"].to_pylist() == ["success", "plan"] * 300
+        assert run.paths(method)["trial_id"].to_pylist() == list(range(0, 600, 2))
+    assert run.trials("my_rules:timed")["t_method_s"].to_pylist() == [0.25] * 600
+    assert all(0 < s < 1 for s in run.trials("my_rules:best")["t_method_s"].to_pylist())
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".safetensors"])
+def test_a_predictions_file_in_any_order_is_scored_as_what_it_is(fake, tmp_path, suffix, capsys):
+    made = make_predictions(make_trials(4, 4), "Mine (learned)")
+    made.T_world_ee[5] = float("nan")
+    order = torch.tensor([7, 3, 0, 5, 1, 2, 6, 4])
+    write_predictions(tmp_path / f"p{suffix}", made[order])
+    file, out = str(tmp_path / f"p{suffix}"), str(tmp_path / "run")
+    line = ["--predictions", file, "--trials", "4", "--out", out, "--format", "json", "--save-poses"]
+    assert sweep.main(line) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [(r["split"], r["method"], r["sr"], r["n_invalid_input"]) for r in rows][:2] == [
+        ("S0", "Mine (learned)", 50.0, 0),
+        ("S1", "Mine (learned)", 50.0, 1),
+    ]
+    run = load_run(out)
+    stored = np.array(run.poses("Mine (learned)")["T_world_ee"].to_pylist(), np.float32).reshape(-1, 4, 4)
+    assert stored.tobytes() == made.T_world_ee.numpy().tobytes()
+    assert run.trials("Mine (learned)")["t_method_s"].null_count == 8
+    assert run.entry("Mine (learned)")["source"]["file"] == file
+
+
+def test_missing_predictions_are_refused_or_counted_as_failures(fake, tmp_path, capsys):
+    write_predictions(tmp_path / "p.npz", make_predictions(make_trials(4, 4), "m")[torch.tensor([0, 2, 3])])
+    line = [
+        "--predictions",
+        str(tmp_path / "p.npz"),
+        "--trials",
+        "4",
+        "--out",
+        str(tmp_path / "run"),
+        "--format",
+        "json",
+    ]
+    assert sweep.main(line) == 2
+    assert "5 trial ids are planned but missing: 1, 4, 5, 6, 7;" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+    assert sweep.main([*line, "--allow-missing"]) == 0
+    rows = {r["split"]: r for r in json.loads(capsys.readouterr().out)["rows"]}
+    assert (rows["S0"]["n"], rows["S0"]["sr"], rows["S0"]["n_missing"]) == (4, 50.0, 1)
+    assert (rows["S1"]["n"], rows["S1"]["sr"], rows["S1"]["n_missing"]) == (4, 0.0, 4)
+    assert load_run(tmp_path / "run").trials("m").num_rows == 8
+
+
+def test_methods_may_be_added_later_and_stored_ones_are_not_scored_again(fake, here, tmp_path, capsys):
+    out = ["--trials", "3", "--out", str(tmp_path / "run"), "--format", "csv"]
+    assert sweep.main(["--method", f"{here}:best", *out]) == 0
+    assert sweep.main(["--method", f"{here}:best", f"{here}:timed", *out]) == 0
+    captured = capsys.readouterr()
+    assert "my_rules:best: already in the run folder" in captured.err
+    assert len(fake.evaluator.sizes) == 2
+    assert captured.out.count("my_rules:timed") == 3
+
+
+@pytest.mark.parametrize("change", [["--trials", "4"], ["--seed", "1"], ["--save-paths"], ["--splits", "S0"]])
+def test_another_configuration_in_the_same_folder_is_refused(fake, here, tmp_path, capsys, change):
+    line = ["--method", f"{here}:best", "--trials", "3", "--out", str(tmp_path / "run")]
+    assert sweep.main(line) == 0
+    capsys.readouterr()
+    assert sweep.main([*line, *change]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and "choose another --out" in captured.err and captured.err.count("\n") == 1
+
+
+def test_the_same_method_name_from_another_file_is_refused_and_the_folder_is_free_again(fake, tmp_path, capsys):
+    line = ["--trials", "2", "--out", str(tmp_path / "run"), "--format", "csv"]
+    for name, seed in (("a.npz", 0), ("b.npz", 1)):
+        write_predictions(tmp_path / name, make_predictions(make_trials(2, 2), "same", seed))
+    assert sweep.main(["--predictions", str(tmp_path / "a.npz"), *line]) == 0
+    assert sweep.main(["--predictions", str(tmp_path / "b.npz"), *line]) == 2
+    assert "already holds 'same' from another source" in capsys.readouterr().err
+    assert sweep.main(["--predictions", str(tmp_path / "a.npz"), *line]) == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "parts"),
+    [
+        ("no_such_module:f", ["no_such_module", "package.module:function"]),
+        ("my_rules:bset", ["bset", "package.module:function"]),
+    ],
+)
+def test_a_method_that_cannot_be_imported_is_refused(fake, here, tmp_path, capsys, name, parts):
+    assert sweep.main(["--method", name, "--trials", "3", "--out", str(tmp_path / "run")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    for part in parts:
+        assert part in error
+    assert not (tmp_path / "run").exists()
+
+
+def test_two_files_with_one_method_name_are_refused(fake, tmp_path, capsys):
+    for name in ("a.npz", "b.npz"):
+        write_predictions(tmp_path / name, make_predictions(make_trials(2, 2), "same"))
+    files = [str(tmp_path / n) for n in ("a.npz", "b.npz")]
+    assert sweep.main(["--predictions", *files, "--trials", "2", "--out", str(tmp_path / "run")]) == 2
+    assert "two methods are called 'same'" in capsys.readouterr().err
+
+
+def test_a_bad_predictions_file_is_refused_before_anything_else_happens(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(jobs, "prepare", lambda _: pytest.fail("prepared"))
+    (tmp_path / "p.npz").write_bytes(b"PK\x03\x04 nothing")
+    assert sweep.main(["--predictions", str(tmp_path / "p.npz"), "--out", str(tmp_path / "run")]) == 2
+    assert sweep.main(["--predictions", str(tmp_path / "none.npz"), "--out", str(tmp_path / "run")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 2
+    assert "no such file" in captured.err and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_stop_signal_ends_with_130_after_the_chunk_and_leaves_a_folder_that_goes_on(
+    fake, here, tmp_path, capsys, monkeypatch, number
+):
+    before = [signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT)]
+    stop = Interrupted(number)
+    monkeypatch.setattr(fake_bench, "stop", stop, raising=False)
+    line = ["--trials", "3", "--chunk", "2", "--out", str(tmp_path / "run"), "--format", "csv"]
+    methods = ["--method", f"{here}:best", f"{here}:stop"]
+    assert sweep.main([*methods, *line]) == 130
+    assert capsys.readouterr().err.splitlines()[-1].startswith("sweep: interrupted")
+    assert stop.calls == 1
+    run = load_run(tmp_path / "run")
+    assert run.methods == ("my_rules:best",) and run.unfinished == ("my_rules:stop",)
+    assert not list((tmp_path / "run").rglob("*.tmp"))
+    assert [signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT)] == before
+    monkeypatch.setattr(fake_bench, "stop", fake_bench.best)
+    assert sweep.main([*methods, *line]) == 0
+    assert "my_rules:best: already in the run folder" in capsys.readouterr().err
+    run = load_run(tmp_path / "run")
+    assert run.digest("my_rules:stop") == run.digest("my_rules:best")
+
+
+def test_stored_shards_are_not_scored_again_and_a_damaged_one_is(fake, here, tmp_path, capsys):
+    line = ["--method", f"{here}:best", "--trials", "10", "--shard-trials", "4", "--out", str(tmp_path / "run")]
+    assert sweep.main(line) == 0
+    run = load_run(tmp_path / "run")
+    digest = run.digest("my_rules:best")
+    victim = sorted((tmp_path / "run" / "trials").rglob("*.parquet"))[3]
+    victim.write_bytes(victim.read_bytes()[:-1])
+    capsys.readouterr()
+    assert sweep.main(line) == 0
+    error = capsys.readouterr().err
+    assert "truncated" in error and "shard 3 of 'my_rules:best' will be scored again" in error
+    assert "my_rules:best: 4 trials in" in error
+    assert load_run(tmp_path / "run").digest("my_rules:best") == digest
+
+
+def test_any_chunk_shard_and_part_gives_the_same_digest(fake, here, tmp_path, capsys):
+    write_predictions(tmp_path / "p.npz", make_predictions(make_trials(40, 40), "m")[torch.arange(0, 80, 3)])
+    base = ["--method", f"{here}:best", "--predictions", str(tmp_path / "p.npz"), "--allow-missing", "--trials", "40"]
+    digests = set()
+    for name, more in (
+        ("plain", [[]]),
+        ("small", [["--chunk", "3", "--shard-trials", "11"]]),
+        ("odd", [["--chunk", "7", "--shard-trials", "80"]]),
+        ("parts", [["--shard", f"{i}/3", "--shard-trials", "9"] for i in (2, 1, 3)]),
+    ):
+        out = str(tmp_path / name)
+        for extra in more:
+            assert sweep.main([*base, *extra, "--out", out, "--format", "csv"]) == 0
+        run = load_run(out)
+        digests.add((run.digest("my_rules:best"), run.digest("m")))
+        assert run.unfinished == ()
+    assert len(digests) == 1
+
+
+def test_parts_of_a_sweep_print_the_table_with_the_last_and_log_apart(fake, here, tmp_path, capsys):
+    base = ["--method", f"{here}:best", "--trials", "6", "--shard-trials", "5", "--out", str(tmp_path / "run")]
+    for part, table in (("1/2", False), ("2/2", True)):
+        assert sweep.main([*base, "--shard", part]) == 0
+        captured = capsys.readouterr()
+        assert ("SR" in captured.out) == table
+        assert ("shards that other parts have to score: my_rules:best 1;" in captured.err) != table
+    log = json.loads((tmp_path / "run" / "progress-1.json").read_text())["methods"]["my_rules:best"]
+    assert (log["done"], log["planned"], log["left_s"]) == (7, 7, 0) and log["trials_per_s"] > 0
+
+
+def test_force_new_takes_the_next_free_folder(fake, here, tmp_path, capsys):
+    line = ["--method", f"{here}:best", "--trials", "3", "--out", str(tmp_path / "run")]
+    assert sweep.main(line) == 0
+    assert sweep.main([*line, "--seed", "1"]) == 2
+    assert "--force-new" in capsys.readouterr().err
+    assert sweep.main([*line, "--seed", "1", "--force-new"]) == 0
+    assert sweep.main([*line, "--seed", "2", "--force-new"]) == 0
+    assert sweep.main([*line, "--seed", "2", "--force-new"]) == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "run-2", "run-3"]
+    assert [load_run(tmp_path / n).header["seed"] for n in ("run", "run-2", "run-3")] == [0, 1, 2]
+
+
+def test_a_full_disk_is_one_line_and_exit_code_1(fake, here, tmp_path, capsys, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr("r2h_batch.results.writing.sync_file", full)
+    assert sweep.main(["--method", f"{here}:best", "--trials", "3", "--out", str(tmp_path / "run")]) == 1
+    error = capsys.readouterr().err
+    assert error.splitlines()[-1] == "sweep: writing the run folder: No space left on device"
+    assert not list((tmp_path / "run").rglob("*.tmp")) and not list((tmp_path / "run").rglob("*.parquet"))
+
+
+def test_without_out_the_folder_is_named_after_the_time(fake, here, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert sweep.main(["--method", f"{here}:best", "--trials", "2"]) == 0
+    folder = capsys.readouterr().err.splitlines()[-1].removeprefix("run folder: ")
+    assert folder.startswith(str(tmp_path / "runs" / "2")) and load_run(folder).methods == ("my_rules:best",)

@@ -1,0 +1,89 @@
+"""The sweep command with the real evaluator, on few trials."""
+
+import json
+
+import pytest
+import torch
+from sweep_command import WITH_HOME, command
+
+from r2h_batch.predictions import write_predictions
+from r2h_batch.results.reading import load_run
+from r2h_batch.types import Predictions
+
+
+def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
+    line = ["--method", "random", "oracle", "--trials", 6, "--out", tmp_path / "run", "--save-paths", "--save-poses"]
+    done = command(*line, env=WITH_HOME)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.isascii() and done.stdout.startswith("preset: default")
+    assert done.stderr.splitlines()[-1] == f"run folder: {tmp_path / 'run'}"
+    run = load_run(tmp_path / "run")
+    assert run.methods == ("random", "oracle")
+    for method in run.methods:
+        table = run.trials(method)
+        assert table.num_rows == 12 and run.poses(method).num_rows == 12
+        assert len(set(table["object"].to_pylist())) == 12
+        has_path = [r["trial_id"] for r in table.to_pylist() if r["t_exec_s"] is not None]
+        assert run.paths(method)["trial_id"].to_pylist() == has_path
+    outcomes = run.trials("oracle")["outcome"].to_pylist()
+    assert outcomes.count("success") >= 10
+
+
+def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
+    first = command("--method", "random", "--trials", 8, "--out", tmp_path / "a", "--save-poses", env=WITH_HOME)
+    assert first.returncode == 0, first.stderr
+    run = load_run(tmp_path / "a")
+    poses = run.poses("random")
+    parts = [torch.tensor(poses[k].to_pylist()).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
+    order = torch.randperm(len(parts[0]), generator=torch.Generator().manual_seed(1))
+    ids = torch.tensor(poses["trial_id"].to_pylist())
+    write_predictions(tmp_path / "p.safetensors", Predictions(ids, *parts, None, "random again")[order])
+    second = command("--predictions", tmp_path / "p.safetensors", "--trials", 8, "--out", tmp_path / "b", env=WITH_HOME)
+    assert second.returncode == 0, second.stderr
+    timing = ["t_plan_s", "t_method_s"]
+    a, b = (r.drop_columns(timing) for r in (run.trials("random"), load_run(tmp_path / "b").trials("random again")))
+    assert a.equals(b)
+
+
+def test_another_device_without_a_gpu_is_refused():
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    done = command("--method", "random", "--trials", 1, "--device", "cuda")
+    assert done.returncode == 2 and done.stdout == "" and "no CUDA device" in done.stderr
+
+
+@pytest.mark.slow
+def test_one_process_two_ray_workers_and_three_parts_give_the_same_digest(tmp_path):
+    base = ["--method", "random", "oracle", "--trials", 30, "--threads", 1]
+    sweeps = {
+        "one": [["--chunk", 7, "--shard-trials", 60]],
+        "ray": [["--engine", "ray", "--workers", 2, "--shard-trials", 13]],
+        "parts": [["--shard", f"{i}/3", "--shard-trials", 11] for i in (1, 2, 3)],
+    }
+    digests = {}
+    for name, lines in sweeps.items():
+        for more in lines:
+            done = command(*base, *more, "--out", tmp_path / name, env=WITH_HOME)
+            assert done.returncode == 0, done.stderr
+        run = load_run(tmp_path / name)
+        digests[name] = [run.digest(m) for m in ("random", "oracle")]
+    assert digests["one"] == digests["ray"] == digests["parts"]
+
+
+def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
+    found = {}
+    for sim in ("auto", "none", "mjwarp"):
+        flags = ["--sim", sim, "--sim-model", "arm" if sim == "mjwarp" else "scene", "--out", tmp_path / sim]
+        done = command("--method", "random", "--trials", 6, *flags, env=WITH_HOME)
+        assert done.returncode == 0, done.stderr
+        run = load_run(tmp_path / sim)
+        header = json.loads((tmp_path / sim / "run.json").read_text())
+        found[sim] = header["motion"], header["configuration"]["execute"]["sim"], run.trials("random")
+    assert found["auto"][:2] == ({"engine": "mujoco", "model": "scene", "step_s": 0.002, "sample_s": 0.008}, "mujoco")
+    assert found["none"][:2] == ({"engine": "none", "model": None, "step_s": None, "sample_s": None}, "none")
+    assert found["mjwarp"][0]["model"] == "arm"
+    assert found["mjwarp"][0]["engine"] == found["mjwarp"][1] == "mjwarp"
+    times = {k: [t for t in v[2]["t_exec_s"].to_pylist() if t is not None] for k, v in found.items()}
+    assert len(times["auto"]) >= 4 and times["auto"] == pytest.approx(times["mjwarp"], abs=0.009)
+    assert all(0.02 < a - b < 0.3 for a, b in zip(times["none"], times["auto"], strict=True))  # 1 mm before the end
+    assert found["auto"][2]["outcome"].equals(found["none"][2]["outcome"])

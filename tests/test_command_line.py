@@ -1,0 +1,146 @@
+"""One command and eight subcommands: what they are called, how they refuse, what `--help` imports."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from made_runs import make_header, make_scores, make_trials
+
+from r2h_batch.__main__ import COMMANDS, main
+from r2h_batch.export import command as export
+from r2h_batch.results.manifest import RunError
+from r2h_batch.results.reading import load_run
+from r2h_batch.results.writing import open_run
+from r2h_batch.trials.protocol import PROTOCOL, TRIALS
+
+NESTED = ("results verify", "results digest", "study paper", "study ratings", "study real", "study plan")
+
+
+def helped(capsys, *line):
+    with pytest.raises(SystemExit) as stop:
+        main([*line, "--help"])
+    assert not stop.value.code
+    return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, *NESTED])
+def test_help_names_the_program_as_it_was_called(name, capsys):
+    assert helped(capsys, *name.split()).startswith(f"usage: r2h-batch {name} ")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_is_a_module_too_and_its_help_loads_nothing_heavy(name):
+    name = {"import": "importers"}.get(name, name)  # no module can be called import
+    code = f"""
+import runpy, sys
+sys.argv = ["x", "--help"]
+try: runpy.run_module("r2h_batch.{name}", run_name="__main__", alter_sys=True)
+except SystemExit as stop: code = stop.code
+heavy = {{"torch", "warp", "numpy", "pyarrow", "scipy", "mujoco", "trimesh", "pydantic"}} & set(sys.modules)
+sys.exit(str(heavy) if heavy else code)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"usage: python -m r2h_batch.{name} ")
+
+
+def test_help_of_all_lists_the_subcommands_and_the_version_is_the_packages(capsys):
+    out = helped(capsys)
+    assert out.startswith("usage: r2h-batch") and all(name in out for name in COMMANDS)
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("r2h_batch 0")
+    assert "--tyro" not in out
+
+
+def test_subcommands_of_results_say_their_own_words(capsys):
+    verify, digest = helped(capsys, "results", "verify"), helped(capsys, "results", "digest")
+    assert "flipped" in verify and "flipped" not in digest and "digest of each method" in digest
+
+
+@pytest.mark.parametrize(
+    ("line", "parts"),
+    [
+        ("sweeep", ["'sweeep', did you mean sweep?", "rescore"]),
+        ("--hepl", ["did you mean --help?"]),
+        ("results verfy x", ["did you mean verify?", "verify, digest"]),
+        ("study papre", ["did you mean paper?"]),
+        ("report x --fromat md", ["--fromat, did you mean --format?", "--by-object"]),
+        ("report x --format mdd", ["'mdd'", "'latex'", "did you mean md?"]),
+        ("compare x --sed 1", ["did you mean --seed?"]),
+        ("compare", ["no run folder"]),
+        ("rescore x --reach-radios 1", ["did you mean --reach-radius?"]),
+        ("scene --run x --trail 1 --out y", ["did you mean --trial?"]),
+        ("scene --run x --trial one --out y", ["'one'"]),
+        ("trials --out x --splits S3", ["'S3'", "'S0', 'S1'"]),
+        ("trials --trials 3", ["--out"]),
+        ("sweep --methud fc", ["did you mean --method?"]),
+    ],
+)
+def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code_2(line, parts, capsys):
+    assert main(line.split()) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and captured.err.count("\n") == 1
+    for part in parts:
+        assert part in captured.err
+
+
+def test_completion_knows_the_flags_of_the_subcommands(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["--tyro-print-completion", "bash"])
+    assert not stop.value.code
+    out = capsys.readouterr().out
+    assert all(word in out for word in ("r2h-batch", "--save-paths", "--object-mesh", "--reach-radius", "results"))
+
+
+def test_the_trials_command_offers_the_protocol_and_its_number():
+    defaults = export.trials.__kwdefaults__
+    assert (defaults["protocol"], defaults["trials"]) == (PROTOCOL, TRIALS)
+
+
+@pytest.fixture
+def run(tmp_path):
+    """Two methods whose names in the table are not the sweep's words, and one of the user."""
+    trials = make_trials(6, 6)
+    folder = open_run(tmp_path / "run", make_header(6, 6, configuration={"name": "default", "thresholds": THRESHOLDS}))
+    scores = make_scores(trials, np.array([0, 1, 2, 3, 5, 1] * 2))
+    for name, function in (
+        ("FC-Handover (VoxNet + noise)", "r2h_batch.methods.fc:predict"),
+        ("Handover-VA (parts)", "r2h_batch.methods.handover_va:predict"),
+        ("mine:best", "mine:best"),
+    ):
+        folder.register(name, {"kind": "method", "function": function})
+        for shard in folder.todo(name):
+            with folder.write(name, shard) as writer:
+                writer.append(trials=_rows(trials[shard.first : shard.last], scores[shard.first : shard.last]))
+    return load_run(tmp_path / "run")
+
+
+THRESHOLDS = {"w_max_m": 0.085, "reach_radius_m": 0.1, "safe_margin_m": 0.0}
+
+
+def _rows(trials, scores):
+    from made_runs import NAMES
+
+    from r2h_batch.results.rows import score_rows
+
+    return score_rows(trials, scores, NAMES)
+
+
+def test_what_the_sweep_calls_fc_every_command_takes_as_fc(run, capsys):
+    assert run.named("fc") == "FC-Handover (VoxNet + noise)" and run.named("handover-va") == "Handover-VA (parts)"
+    assert run.named("mine:best") == "mine:best"
+    with pytest.raises(RunError, match="no method 'contact'; it has FC-Handover"):
+        run.named("contact")
+    folder = str(run.folder)
+    for line in (["report", folder, "--method", "fc"], ["rescore", folder, "--method", "fc"]):
+        assert main(line) == 0
+        out = capsys.readouterr().out
+        assert "FC-Handover" in out and "Handover-VA" not in out
+    assert main(["compare", folder, "--method", "fc", "handover-va"]) == 0
+    out = capsys.readouterr().out
+    assert "FC-Handover" in out and "Handover-VA" in out and "mine" not in out
+    assert main(["compare", folder, "--method", "fc", "contcat"]) == 2
+    assert "no method 'contcat'" in capsys.readouterr().err
+    assert main(["scene", "--run", folder, "--trial", "0", "--method", "fc", "--out", folder + "x"]) == 2
+    assert "stored without paths" in capsys.readouterr().err  # it was found

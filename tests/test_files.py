@@ -1,0 +1,98 @@
+"""Files of other people: what is opened, how much of it is read, and what of it reaches a terminal."""
+
+import os
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from r2h_batch.files import FileError, csv_cell, open_file, path_within, printable, read_file
+
+
+def special_files(folder):
+    """(name, path) of what looks like a file and is none."""
+    os.mkfifo(folder / "pipe")
+    (folder / "link").symlink_to("pipe")
+    (folder / "zero").symlink_to("/dev/zero")
+    (folder / "folder").mkdir()
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(folder / "socket"))
+    names = ("pipe", "link", "zero", "folder", "socket")
+    return [(n, str(folder / n)) for n in names] + [("device", "/dev/zero"), ("terminal", "/dev/tty")]
+
+
+def test_only_regular_files_are_opened_and_no_pipe_is_waited_for(tmp_path):
+    for name, path in special_files(tmp_path):
+        with pytest.raises(FileError) as refused:
+            open_file(path, 1 << 20)
+        message = str(refused.value)
+        assert message.startswith(f"{path}: not a regular file but a") and "\n" not in message, name
+
+
+def test_no_file_an_impossible_name_and_a_loop_of_links_are_one_line(tmp_path):
+    (tmp_path / "loop").symlink_to("loop")
+    for path in ("nothing", "loop", "a/b/c", "x" * 5000, "nul\0l"):
+        with pytest.raises(FileError) as refused:
+            read_file(tmp_path / path if path != "nul\0l" else path, 10)
+        assert "\n" not in str(refused.value) and "\0" not in str(refused.value)
+
+
+def test_a_size_above_the_limit_is_refused_before_reading(tmp_path):
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(FileError, match=f"{1 << 40} bytes; at most 100 are allowed"):
+        read_file(tmp_path / "sparse", 100)
+    (tmp_path / "just").write_bytes(bytes(100))
+    assert read_file(tmp_path / "just", 100) == bytes(100)
+
+
+@pytest.mark.skipif(not os.path.exists("/proc/self/maps"), reason="needs /proc: a file that says it is empty")
+def test_a_file_that_says_it_has_no_bytes_is_read_up_to_the_limit_only():
+    with pytest.raises(FileError, match="more than 10 bytes"):
+        read_file("/proc/self/maps", 10)
+
+
+@pytest.mark.parametrize(
+    "name", ["../x", "a/../../x", "/etc/passwd", "C:\\x", "..\\x", "http://x/y", "", "a\0b", "out"]
+)
+def test_names_in_files_stay_in_their_folder(tmp_path, name):
+    (tmp_path / "out").symlink_to("/etc/passwd")
+    with pytest.raises(FileError, match="outside the folder"):
+        path_within(tmp_path, name)
+    assert path_within(tmp_path, "sub/x.bin") == tmp_path.resolve() / "sub" / "x.bin"
+
+
+def test_text_for_a_terminal_has_no_control_characters():
+    hostile = "\x1b]0;title\x07 a\nb\r\t\u202egnp.exe\u200b\x9b31m \ud800 \x7f"
+    shown = printable(hostile)
+    assert shown.isprintable() and shown.encode("utf-8")
+    assert "\\x1b" in shown and "\\n" in shown and "\\u202e" in shown and "\\x9b" in shown
+    assert printable("Contact-Handover (é, 手)") == "Contact-Handover (é, 手)"
+
+
+@pytest.mark.parametrize("text", ["=1+2", "+A1", "-A1", "@SUM(A1)", " =x", "\t=x", "-", "--1"])
+def test_cells_that_a_spreadsheet_would_run_are_made_text(text):
+    assert csv_cell(text) == f"'{text}"
+
+
+@pytest.mark.parametrize("value", ["-1.5", "+3", "-1e-4", "a=b", "", "FC-Handover", 3, -0.5, None])
+def test_numbers_and_names_are_left_alone(value):
+    assert csv_cell(value) == value
+
+
+def test_every_command_that_takes_a_file_refuses_a_pipe_at_once(tmp_path):
+    """In processes of their own: a blocking open would hang for ever."""
+    os.mkfifo(tmp_path / "pipe.npz")
+    os.mkfifo(tmp_path / "pipe.yaml")
+    os.mkfifo(tmp_path / "pipe.csv")
+    for line in (
+        ["r2h_batch.sweep", "--predictions", "pipe.npz", "--trials", "1", "--out", "run"],
+        ["r2h_batch.sweep", "--config", "pipe.yaml"],
+        ["r2h_batch.study", "ratings", "pipe.csv"],
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", *line], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.returncode == 2 and done.stdout == "", line
+        assert done.stderr.count("\n") == 1 and "not a regular file" in done.stderr, done.stderr

@@ -1,0 +1,21 @@
+"""Rows, candidates and an export are bit for bit what they were: CONTRIBUTING.md says when `make golden` is allowed."""
+
+import json
+from pathlib import Path
+
+import pytest
+from golden import ENGINES, GOLDEN, compute, made_with
+
+QUICK = ("pose", "none")
+CASES = [pytest.param(case, marks=pytest.mark.check if case in QUICK else ()) for case in (*ENGINES, "pose")]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_nothing_has_changed(case: str, tmp_path: Path) -> None:
+    stored = json.loads(GOLDEN.read_text())
+    same_machine = stored["made_with"] == made_with()
+    found = compute(case, tmp_path)
+    assert found and set(found) <= set(stored["cases"])
+    for name, part in found.items():
+        kind = "digest" if same_machine else "outcomes"
+        assert part[kind] == stored["cases"][name][kind], f"{name}: {kind} changed; see CONTRIBUTING.md, golden"

@@ -1,0 +1,128 @@
+"""The layout that .importlinter cannot see: circles, private names borrowed across folders, how full a folder is."""
+
+import ast
+from collections import Counter
+from functools import cache
+from graphlib import CycleError, TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+pytestmark = pytest.mark.check
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Dotted name -> file, as in a wheel: kernels/ inside the package."""
+    found = {}
+    for folder, prefix in (("r2h_batch", "r2h_batch"), ("kernels", "r2h_batch.kernels")):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            parts = path.relative_to(ROOT / folder).with_suffix("").parts
+            found[".".join((prefix, *parts)).removesuffix(".__init__")] = path
+    return found
+
+
+def imports_of(path: Path) -> list[tuple[str, str]]:
+    """(module, name) of every import of the package's own, lazy ones included; those for type checkers are left out."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+            node.body = []
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found += [(a.name, "") for a in node.names if a.name.startswith("r2h_batch")]
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("r2h_batch"):
+            found += [(node.module or "", a.name) for a in node.names]
+    return found
+
+
+def test_no_file_imports_itself_through_others_not_even_lazily() -> None:
+    known = modules()
+    graph = {
+        name: {f"{m}.{n}" if f"{m}.{n}" in known else m for m, n in imports_of(path)} - {"r2h_batch"}
+        for name, path in known.items()
+    }
+    assert len(graph) > 150 and sum(map(len, graph.values())) > 400
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_no_private_name_is_borrowed_across_folders() -> None:
+    borrowed = [
+        f"{name}: {module}.{word}"
+        for name, path in modules().items()
+        for module, word in imports_of(path)
+        if any(p.startswith("_") and not p.startswith("__") for p in (*module.split("."), word))
+        and module.rpartition(".")[0] != name.rpartition(".")[0]
+    ]
+    assert borrowed == []
+
+
+def test_no_build_script_of_the_assets_is_imported() -> None:
+    wrong = [(n, m) for n, path in modules().items() for m, _ in imports_of(path) if m.startswith("r2h_batch.assets")]
+    assert wrong == []
+
+
+def test_no_folder_holds_more_modules_than_one_finds_ones_way_in() -> None:
+    plain = [path for path in modules().values() if path.name not in ("__init__.py", "__main__.py")]
+    count = Counter(str(path.parent.relative_to(ROOT)) for path in plain)
+    assert count.pop("r2h_batch") + len(("__init__.py", "__main__.py")) <= 15
+    assert {folder: n for folder, n in count.items() if n > 16} == {}
+
+
+LONGEST = 60
+"""Lines of a function on the host."""
+EXPLAINED = 8
+"""Lines of comment above a longer kernel function, or of its docstring: its algorithm."""
+
+
+def long_functions(folder: str) -> list[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef, list[str]]]:
+    """(where and how long, node, the file's lines) of each function above LONGEST lines, signature and docstring counted."""
+    found = []
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                length = (node.end_lineno or 0) - node.lineno + 1
+                if length > LONGEST:
+                    found.append((f"{path.relative_to(ROOT)}:{node.name}, {length} lines", node, text.splitlines()))
+    return found
+
+
+@pytest.mark.parametrize("folder", ["r2h_batch", "assets", "bench", "examples"])
+def test_a_function_on_the_host_fits_on_a_page(folder: str) -> None:
+    assert [where for where, _, _ in long_functions(folder)] == []
+
+
+def test_a_kernel_that_does_not_fit_on_a_page_says_its_algorithm_at_its_head() -> None:
+    """Kernels may be long: what is called twice is compiled twice, and a call hands its scratch arrays over each time."""
+    unexplained, longest = [], long_functions("kernels")
+    for where, node, lines in longest:
+        top = min([node.lineno, *(d.lineno for d in node.decorator_list)]) - 1
+        above = next((n for n in range(top) if not lines[top - 1 - n].startswith("#")), top)
+        if max(above, len((ast.get_docstring(node) or "").splitlines())) < EXPLAINED:
+            unexplained.append(where)
+    assert len(longest) > 10
+    assert unexplained == []
+
+
+FACTORIES = (
+    *("arange", "empty", "eye", "full", "linspace", "logspace", "normal", "ones", "rand", "randint", "randn"),
+    *("randperm", "scalar_tensor", "tensor", "tril_indices", "triu_indices", "zeros"),
+)
+"""Of torch: what they make is of the default dtype on the default device, which belong to the caller's program."""
+
+
+def test_every_new_tensor_says_its_dtype_and_device() -> None:
+    silent, seen = [], 0
+    for name, path in modules().items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) in {f"torch.{f}" for f in FACTORIES}:
+                seen += 1
+                if missing := {"dtype", "device"} - {k.arg for k in node.keywords}:
+                    silent.append(f"{name}:{node.lineno} {', '.join(sorted(missing))}")
+    assert seen > 100 and silent == []

@@ -1,0 +1,244 @@
+"""Inside other people's programs: forks, loaders' workers, copies, pickles, other defaults of torch, wrong arguments."""
+
+import copy
+import multiprocessing
+import pickle
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from problems import assert_same, default_evaluator, make_batch
+from staging import Staged, batch_of, staged_evaluator
+from torch.utils.data import DataLoader, Dataset
+
+from r2h_batch import Evaluator, make_trials
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.judge import inputs
+from r2h_batch.launch import thread_pool
+from r2h_batch.training.torch_op import score_op
+from r2h_batch.trials.protocol import trials_with_ids
+
+ROWS = 64
+WAIT_S = 300
+DEFAULTS = Path(__file__).parent / "support" / "other_defaults.py"
+
+
+# --- processes -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def evaluator() -> Evaluator:
+    """Two threads, however many cores there are: one thread needs no pool, and no pool can hang."""
+    return Evaluator(threads=2)
+
+
+@pytest.fixture(scope="module")
+def batch(evaluator):
+    return make_batch(evaluator.scene, ROWS)
+
+
+def outcomes(evaluator, batch, stages="all") -> np.ndarray:
+    return evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials, stages).margin.numpy()
+
+
+def answer(queue, evaluator, batch) -> None:
+    """What a child process says: its margins, and that torch itself works there on more than a grain."""
+    large = float(torch.ones(1 << 20, dtype=torch.float32).exp().sum())
+    queue.put((outcomes(evaluator, batch), large))
+
+
+@pytest.mark.parametrize("way", ["fork", "spawn", "forkserver"])
+def test_a_child_process_scores_after_its_parent_has(evaluator, batch, way):
+    here = outcomes(evaluator, batch)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    torch.ones(1 << 20, dtype=torch.float32).exp().sum()  # starts torch's own threads, which a fork leaves behind too
+    context = multiprocessing.get_context(way)
+    queue = context.Queue()
+    child = context.Process(target=answer, args=(queue, evaluator, batch), daemon=True)
+    child.start()
+    try:
+        margin, large = queue.get(timeout=WAIT_S)
+        child.join(WAIT_S)
+    finally:
+        child.kill()
+        torch.set_num_threads(threads)
+    assert child.exitcode == 0 and large > 1 << 20
+    assert margin.tobytes() == here.tobytes()
+
+
+def test_the_parents_pool_goes_on_after_a_fork(evaluator, batch):
+    pool = thread_pool(2)
+    child = multiprocessing.get_context("fork").Process(target=int, daemon=True)
+    child.start()
+    child.join(WAIT_S)
+    assert child.exitcode == 0 and thread_pool(2) is pool
+    outcomes(evaluator, batch, "pose")
+
+
+class Judged(Dataset):
+    """Items are margins that a loader's worker computes, 64 rows at once."""
+
+    def __init__(self, evaluator, batch):
+        self.evaluator, self.batch = evaluator, batch
+
+    def __len__(self) -> int:
+        return 2
+
+    def __getitem__(self, i):
+        return outcomes(self.evaluator, self.batch.rows(torch.arange(ROWS).roll(i)), "pose")
+
+
+def test_loader_workers_score_rows_of_their_own(evaluator, batch):
+    here = outcomes(evaluator, batch, "pose")
+    loader = DataLoader(Judged(evaluator, batch), batch_size=None, num_workers=2, timeout=WAIT_S)
+    for i, margin in enumerate(loader):
+        assert margin.numpy().tobytes() == np.roll(here, i, axis=0).tobytes()
+
+
+# --- copies --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("how", [copy.copy, copy.deepcopy, lambda e: pickle.loads(pickle.dumps(e))])
+def test_a_copied_evaluator_gives_the_same_rows(batch, how):
+    mine = load_objects(["cup", "hammer"])
+    first = Evaluator(replace(default_evaluator().config, width="whole"), objects=mine, threads=1)
+    few = make_batch(first.scene, 8)
+    second = how(first)
+    assert (second.config, second.threads, second.scene.device) == (first.config, 1, "cpu")
+    assert second.scene.objects == mine  # built-in objects go by name and are the very same
+    arguments = few.T_obj_ee, few.T_world_ee, few.trials
+    assert_same(second.score(*arguments, "pose"), first.score(*arguments, "pose"))
+    assert_same(second.kinematic.score(*arguments), first.kinematic.score(*arguments))
+    # the operator of torch.compile finds each by itself
+    t = few.trials
+    rows = t.trial_id, t.object_index, t.hand_index, t.T_world_hand
+    assert second.handle != first.handle
+    assert len(score_op(few.T_obj_ee, few.T_world_ee, *rows, second.handle, "pose"))
+
+
+def test_an_average_of_a_model_that_holds_an_evaluator_can_be_kept():
+    class Generator(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.weight, self.evaluator = torch.nn.Parameter(torch.zeros(3)), default_evaluator()
+
+    average = torch.optim.swa_utils.AveragedModel(Generator())
+    assert average.module.evaluator.scene is default_evaluator().scene  # tables that nobody changes are shared
+    assert len(pickle.dumps(default_evaluator())) < 10_000
+
+
+# --- other defaults of torch ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    return in_a_program(tmp_path_factory.mktemp("plain"), "float32", "cpu")
+
+
+def in_a_program(tmp_path, dtype: str, device: str) -> dict[str, np.ndarray]:
+    line = [sys.executable, str(DEFAULTS), dtype, device, str(tmp_path / "out.npz")]
+    done = subprocess.run(line, capture_output=True, text=True, timeout=900, check=False)
+    assert done.returncode == 0, done.stderr
+    with np.load(tmp_path / "out.npz") as data:
+        return dict(data)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "bfloat16"])
+def test_defaults_of_the_callers_program_change_no_bit(plain, tmp_path, dtype):
+    """Trials, all methods, scores, gradients, captured calls, rewards; `meta` fails whatever lands there."""
+    other = in_a_program(tmp_path, dtype, "meta")
+    assert plain.keys() == other.keys() and len(plain) > 80
+    differing = [k for k in plain if (plain[k].dtype, plain[k].tobytes()) != (other[k].dtype, other[k].tobytes())]
+    assert differing == []
+
+
+# --- arguments -----------------------------------------------------------------------------------------------------
+
+
+WRONG = {
+    "config is a device": (lambda: Evaluator("cpu"), "config is 'cpu'.*Evaluator\\(device='cpu'\\)"),
+    "objects is a name": (lambda: Evaluator(objects="mug"), "objects is 'mug'.*load_objects"),
+    "objects are names": (lambda: Evaluator(objects=["mug"]), "objects\\[0\\] is 'mug'.*ObjectModel"),
+    "objects is one object": (lambda: Evaluator(objects=load_objects()[0]), "objects is .*sequence"),
+    "objects of one name": (
+        lambda: Evaluator(objects=load_objects()[:1] * 2),
+        "two objects are called 'game_controller'",
+    ),
+    "a hand set is a file": (lambda: Evaluator(hand_set="hands.npz"), "hand_set is 'hands.npz'.*HandSet"),
+    "device meta": (lambda: Evaluator(device="meta"), "device is 'meta'; allowed are cpu, cuda, cuda:N"),
+    "device gpu": (lambda: Evaluator(device="gpu"), "device is 'gpu'; allowed are cpu, cuda, cuda:N"),
+    "threads": (lambda: Evaluator(threads=1.5), "threads is 1.5; it must be a whole number"),
+    "half a trial": (lambda: make_trials(("S0",), 1.5), "trials is 1.5; it must be a whole number, 0 or more"),
+    "fewer than no trials": (lambda: make_trials(("S0",), -1), "trials is -1; it must be a whole number"),
+    "trials of objects of one name": (
+        lambda: make_trials(("S0",), 1, objects=load_objects() * 2),
+        "two objects are called 'game_controller'",
+    ),
+    "trial ids of 32 bits": (lambda: trials_with_ids(torch.arange(3).int()), "trial_id is torch.int32.*torch.int64"),
+    "stages of a captured call": (
+        lambda: default_evaluator().capture(3, stages="x"),
+        "stages is 'x'; allowed are pose, all",
+    ),
+    "rows of a captured call": (lambda: default_evaluator().capture(1.5), "b is 1.5"),
+    "two indices": (lambda: make_trials(("S0",), 2)[0, 0], "rows is \\(0, 0\\); it must be"),
+    "no index": (lambda: make_trials(("S0",), 2)[None], "rows is None; it must be"),
+    "beyond": (lambda: make_trials(("S0",), 2)[2], "row 2 of 2 rows; allowed are -2 to 1"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_wrong_argument_is_named_at_the_call(case):
+    call, words = WRONG[case]
+    with pytest.raises((TypeError, ValueError, IndexError), match=words):
+        call()
+
+
+def test_obvious_meanings():
+    assert torch.equal(make_trials("S1", 3).trial_id, make_trials(("S1",), np.int64(3)).trial_id)
+    trials = make_trials(("S0", "S1"), 3)
+    for one in (trials[3], trials[-3], trials[np.int64(3)], trials[torch.tensor(3)], trials[[3]]):
+        assert one.trial_id.tolist() == [1] and one.T_world_hand.shape == (1, 4, 4)
+    assert [t.trial_id.item() for t in trials] == trials.trial_id.tolist()
+
+
+def test_ids_of_another_dtype_are_refused():
+    T_obj_ee, T_world_ee, trials = batch_of([Staged()])
+    for wrong in (trials.trial_id.int(), trials.trial_id.float(), trials.trial_id[:, None]):
+        with pytest.raises(ValueError, match=r"trials\.trial_id is .* it must be torch\.int64"):
+            staged_evaluator().score(T_obj_ee, T_world_ee, replace(trials, trial_id=wrong))
+
+
+def test_a_full_call_says_once_that_no_gradient_leads_back():
+    T_obj_ee, T_world_ee, trials = batch_of([Staged()])
+    inputs.warn_of_no_gradient.cache_clear()
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        staged_evaluator().score(T_obj_ee, T_world_ee, trials)
+        with torch.no_grad():
+            staged_evaluator().score(T_obj_ee.requires_grad_(), T_world_ee, trials)
+        staged_evaluator().score(T_obj_ee, T_world_ee, trials, "pose")
+        assert not said
+        for _ in range(3):
+            staged_evaluator().score(T_obj_ee, T_world_ee, trials)
+    assert len(said) == 1 and 'score with stages="pose"' in str(said[0].message) and said[0].filename == __file__
+
+
+def test_second_derivatives_raise():
+    batch = make_batch(default_evaluator().scene, 12)
+    moving = batch.T_obj_ee.clone().requires_grad_(), batch.T_world_ee.clone().requires_grad_()
+
+    def total() -> torch.Tensor:
+        return default_evaluator().score(*moving, batch.trials, "pose").margin.nan_to_num().sum()
+
+    first = torch.autograd.grad(total(), moving, create_graph=True)
+    plain = torch.autograd.grad(total(), moving)
+    for a, b in zip(first, plain, strict=True):
+        assert b.any() and torch.equal(a, b)
+        with pytest.raises(RuntimeError, match="first derivatives only"):
+            torch.autograd.grad(a.square().sum(), moving, retain_graph=True, allow_unused=True)

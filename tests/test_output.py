@@ -1,0 +1,174 @@
+"""What every command says when its stdout is closed, full or ASCII, and that no name in a file steers a terminal."""
+
+import csv
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_runs import write_run
+
+from r2h_batch.__main__ import COMMANDS
+from r2h_batch.command_line import answer, tell
+from r2h_batch.report.table import render, table_of
+from r2h_batch.results.manifest import RunError
+from r2h_batch.results.reading import load_run
+from r2h_batch.verdicts import Outcome
+
+FORMULA = "=1+2é"
+HOSTILE = "=1+2\x1b]0;owned\x07\u202eé"
+
+OUTCOMES = np.resize([Outcome.SUCCESS, Outcome.PLAN, Outcome.REACH], 40)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A run of one method with a name that is a formula and not ASCII."""
+    folder = tmp_path_factory.mktemp("output") / "run"
+    thresholds = {"w_max_m": 0.085, "reach_radius_m": 0.1, "reach_offset_m": 0.12, "safe_margin_m": 0.0}
+    configuration = {"name": "default", "thresholds": thresholds}
+    write_run(folder, {FORMULA: OUTCOMES}, 20, 20, configuration=configuration)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory):
+    """A run whose method's name is a window title and a reversed line, too: written by hand, the sweep refuses it."""
+    folder = tmp_path_factory.mktemp("hostile") / "run"
+    write_run(folder, {FORMULA: OUTCOMES}, 20, 20)
+    (entry,) = (folder / "methods").glob("*.json")
+    entry.write_text(json.dumps({**json.loads(entry.read_text()), "name": HOSTILE}))
+    with pytest.raises(RunError, match="printable"):
+        load_run(folder)
+    return folder
+
+
+def lines(folder) -> dict[str, list[str]]:
+    return {
+        "sweep": ["sweep", "--help"],
+        "trials": ["trials", "--help"],
+        "scene": ["scene", "--help"],
+        "results": ["results", "digest", str(folder)],
+        "report": ["report", str(folder)],
+        "study": ["study"],
+        "compare": ["compare", "--help"],
+        "rescore": ["rescore", str(folder)],
+        "import": ["import", "--help"],
+        "version": ["--version"],
+    }
+
+
+def shell(redirection, line, **environment):
+    command = " ".join([sys.executable, "-m", "r2h_batch", *line, redirection])
+    return subprocess.run(
+        command, shell=True, capture_output=True, text=True, env={**os.environ, **environment}, timeout=120, check=False
+    )
+
+
+@pytest.mark.parametrize("redirection", ["> /dev/full", ">&-"])
+@pytest.mark.parametrize("name", [*COMMANDS, "version"])
+def test_a_full_or_closed_stdout_is_one_line_and_exit_code_1(folder, name, redirection):
+    done = shell(redirection, lines(folder)[name])
+    assert done.returncode == 1, done.stderr
+    assert "standard output" in done.stderr and done.stderr.count("\n") == 1, done.stderr
+    assert ("No space left" if "full" in redirection else "closed") in done.stderr
+
+
+def test_a_reader_that_goes_away_is_one_line_and_exit_code_1(folder):
+    """`| head`: the pipe is closed before anything is written."""
+    ours, theirs = os.pipe()
+    os.close(ours)
+    with os.fdopen(theirs, "wb") as pipe:
+        done = subprocess.run(
+            [sys.executable, "-m", "r2h_batch", "report", str(folder)],
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1 and done.stderr == "report: standard output: Broken pipe; the answer is not complete\n"
+
+
+@pytest.mark.parametrize("name", ["report", "results"])
+def test_an_ascii_stdout_is_told_what_it_does_not_take(folder, name):
+    done = shell("", lines(folder)[name], PYTHONIOENCODING="ascii", PYTHONUTF8="0")
+    assert done.returncode == 1 and done.stdout == ""
+    assert (
+        done.stderr == f"{name}: standard output takes ascii only, the answer has \\xe9; set PYTHONIOENCODING=utf-8\n"
+    )
+
+
+def test_a_full_stderr_is_no_traceback_in_the_answer(folder):
+    done = shell("2> /dev/full", lines(folder)["report"])
+    assert done.returncode == 0 and "Traceback" not in done.stdout and done.stdout.count("\n") > 3
+
+
+@pytest.mark.parametrize("name", ["report", "results", "rescore"])
+def test_names_in_files_reach_no_terminal_as_control_characters(hostile, name):
+    done = shell("", lines(hostile)[name])
+    assert done.returncode == 2 and done.stdout == "" and done.stderr.count("\n") == 1
+    assert not any(c in done.stderr for c in "\x1b\x07\u202e"), done.stderr
+    assert "x1b]0;owned" in done.stderr and "printable" in done.stderr
+
+
+def test_what_is_told_on_stderr_is_cleaned(capsys):
+    tell(f"{HOSTILE}\r\nnext")
+    assert capsys.readouterr().err == "=1+2\\x1b]0;owned\\x07\\u202eé\\r\nnext\n"
+
+
+def test_errors_of_the_work_are_told_from_errors_of_stdout(capsys):
+    def work():
+        print("half an answer")
+        raise OSError(28, "No space left on device", "runs/x/shard")
+
+    assert answer("sweep", work) == 1
+    out, err = capsys.readouterr()
+    assert err == "sweep: runs/x/shard: No space left on device\n" and out == "half an answer\n"
+
+
+def test_a_name_that_is_a_formula_is_text_in_the_csv(folder):
+    rows = list(csv.DictReader(io.StringIO(render(table_of(load_run(folder)), "csv"))))
+    assert rows and all(row["method"].startswith("'=1+2") for row in rows)
+    numbers = [v for row in rows for k, v in row.items() if k.startswith(("f_", "sr", "t_")) and v not in ("", "n/a")]
+    assert numbers and all(float(v) >= 0 for v in numbers)
+
+
+def test_a_schedules_names_that_are_formulas_are_text(capsys):
+    from r2h_batch.study.command import main
+
+    assert main(["plan", "--participants", "2", "--methods", "=a", "@b"]) == 0
+    assert {r["method"] for r in csv.DictReader(io.StringIO(capsys.readouterr().out))} == {"'=a", "'@b"}
+
+
+def test_every_print_of_the_package_goes_through_the_cleaned_ways():
+    """print() for answers is kept and cleaned by `answer`; nothing else writes to stderr but `tell`."""
+    import r2h_batch
+
+    root = Path(r2h_batch.__path__[0])
+    raw = [
+        str(p.relative_to(root))
+        for p in root.rglob("*.py")
+        if "file=sys.stderr" in p.read_text(encoding="utf-8") or "sys.stderr.write" in p.read_text(encoding="utf-8")
+    ]
+    assert sorted(raw) == ["bodies/mesh_file.py", "command_line.py"]  # the first: a child's word to its parent
+
+
+@pytest.mark.parametrize("cache", ["/proc/nowhere", "full"])
+def test_a_kernel_cache_that_takes_nothing_is_one_line_and_exit_code_1(tmp_path, cache):
+    """Where a full disk is needed, shutil is told that it is: the process would else be ended by LLVM."""
+    code = "import collections, shutil, sys\n" + (
+        "shutil.disk_usage = lambda path: collections.namedtuple('u', 'total used free')(1 << 20, 1 << 20, 0)\n"
+        if cache == "full"
+        else ""
+    )
+    line = ["sweep", "--method", "random", "--trials", "1", "--sim", "none", "--out", str(tmp_path / "run")]
+    code += f"from r2h_batch.__main__ import main\nsys.exit(main({line}))"
+    folder = str(tmp_path / "cache") if cache == "full" else f"{cache}/x"
+    environment = {**os.environ, "WARP_CACHE_PATH": folder}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "kernel cache" in done.stderr.splitlines()[-1] and "WARP_CACHE_PATH" in done.stderr.splitlines()[-1]

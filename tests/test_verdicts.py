@@ -1,0 +1,29 @@
+"""The words of a verdict need the standard library only, and whoever reads stored rows needs neither torch nor Warp."""
+
+import subprocess
+import sys
+
+import pytest
+
+from r2h_batch import types, verdicts
+
+READERS = ("report.page", "results.reading", "results.writing", "compare.command", "rescore.command", "study.report")
+
+
+def modules_after(code: str) -> set[str]:
+    """Top-level modules that a fresh interpreter holds after running `code`."""
+    code += "\nimport sys; print(*{m.partition('.')[0] for m in sys.modules})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return set(done.stdout.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("module", READERS)
+def test_reading_stored_rows_needs_neither_torch_nor_warp(module: str) -> None:
+    assert not {"torch", "warp", "mujoco", "jaxtyping"} & modules_after(f"import r2h_batch.{module}")
+
+
+def test_verdicts_are_words_of_the_standard_library_and_types_offers_the_same_objects() -> None:
+    loaded = modules_after("import r2h_batch.verdicts")
+    assert not loaded - {"r2h_batch", "__main__"} - set(sys.stdlib_module_names) - modules_after("pass")
+    for name in ("CRITERIA", "SPLITS", "SIDES", "Outcome", "PlanReason", "CollidingPair"):
+        assert getattr(types, name) is getattr(verdicts, name)

@@ -1,0 +1,260 @@
+"""Trials: the generator against known answers, the reachable set, independence, and the files for methods."""
+
+import math
+import subprocess
+import sys
+from collections import Counter
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from hand_twins import hand_vertices, palms
+from scipy import stats
+
+from r2h_batch import rng
+from r2h_batch.bodies.bounds import capsule_of_primitive
+from r2h_batch.bodies.hand import load_hand, load_hand_set, palm_frame
+from r2h_batch.bodies.objects import build_object, load_objects
+from r2h_batch.bodies.robot import ee_pose, forward_kinematics, gripper_primitives_at, load_robot
+from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
+from r2h_batch.trials import protocol as trials_module
+from r2h_batch.trials.protocol import TCP_ROOM_M, make_trials, trials_digest, trials_with_ids
+from r2h_batch.types import PlanReason, Trials
+
+MANY = 10_000
+
+
+@cache
+def many() -> Trials:
+    """20,000 trials, generated once."""
+    return make_trials(trials=MANY)
+
+
+def posed(trials: Trials, rows: slice) -> np.ndarray:
+    """Vertices of the trials' hands in the world (n, V, 3)."""
+    T = trials.T_world_hand[rows].double()
+    return (hand_vertices()[trials.hand_index[rows].long()] @ T[:, :3, :3].mT + T[:, None, :3, 3]).numpy()
+
+
+def test_trials_take_objects_in_turn_and_every_object_meets_both_hands_alike():
+    trials = make_trials(trials=120)
+    assert trials.trial_id.tolist() == [2 * i for i in range(120)] + [2 * i + 1 for i in range(120)]
+    assert trials.object_index[:120].tolist() == [i % 6 for i in range(120)]
+    assert trials.object_index[120:].tolist() == [6 + i % 10 for i in range(120)]
+    side = load_hand_set().side[trials.hand_index.long()]
+    for split in (side[:120], side[120:]):
+        assert split[:6].tolist() == [0, 1, 0, 1, 0, 1]
+    met = Counter(zip(trials.object_index.tolist(), side.tolist(), strict=True))
+    assert set(met.values()) == {10, 6} and len(met) == 32
+
+
+def test_a_users_object_takes_its_turn_and_an_odd_number_of_objects_still_meets_both_hands():
+    import trimesh
+
+    mine = build_object(trimesh.creation.box((0.05, 0.04, 0.1)), "mine", "S0")
+    trials = make_trials(["S0"], 140, objects=(*load_objects(), mine))
+    assert trials.object_index[:8].tolist() == [0, 1, 2, 3, 4, 5, 16, 0]
+    side = load_hand_set().side[trials.hand_index.long()]
+    met = Counter(zip(trials.object_index.tolist(), side.tolist(), strict=True))
+    assert set(met.values()) == {10} and len(met) == 14
+
+
+def test_every_posture_of_a_side_is_equally_likely():
+    hand = many().hand_index.numpy()
+    for first in (0, 200):
+        counts = np.bincount(hand[(hand >= first) & (hand < first + 200)] - first, minlength=200)
+        assert counts.sum() == MANY and stats.chisquare(counts).pvalue > 1e-3
+
+
+def test_poses_are_rigid_and_palms_lie_in_the_reachable_set():
+    trials = many()
+    R = trials.T_world_hand[:, :3, :3].double()
+    assert (R @ R.mT - torch.eye(3, dtype=torch.float64)).abs().max() < 1e-6 and torch.linalg.det(R).min() > 0.999
+    assert torch.equal(trials.T_world_hand[:, 3], torch.tensor([0.0, 0, 0, 1]).expand(2 * MANY, 4))
+    c, n = palms(trials)
+    r, azimuth = np.hypot(c[:, 0], c[:, 1]), np.degrees(np.arctan2(c[:, 1], c[:, 0]))
+    to_robot = np.degrees(np.arccos(np.clip(-(c[:, 0] * n[:, 0] + c[:, 1] * n[:, 1]) / r, -1, 1)))
+    up = np.degrees(np.arccos(np.clip(n[:, 2], -1, 1)))
+    slack = 1e-5
+    assert r.min() > 0.45 - slack and r.max() < 0.80 + slack and np.abs(azimuth).max() < 50 + slack * 100
+    assert c[:, 2].min() > 0.10 - slack and c[:, 2].max() < 0.60 + slack
+    assert (np.minimum(to_robot, up) < 75.01).all() and to_robot.max() < 120.01
+    assert r.min() < 0.455 and r.max() > 0.795 and np.abs(azimuth).max() > 49 and to_robot.max() > 119  # and fill it
+    assert c[:, 2].min() < 0.105 and c[:, 2].max() > 0.595 and np.minimum(to_robot, up).max() > 74.5
+
+
+def test_ball_centre_normal_and_roll_are_uniform_before_the_hand_has_to_be_clear():
+    """Far from table, arm and TCP nothing is rejected, so there the draw is the plain one."""
+    trials = many()
+    c, n = palms(trials)
+    r, azimuth = np.hypot(c[:, 0], c[:, 1]), np.arctan2(c[:, 1], c[:, 0])
+    tcp = ee_pose(load_robot(), HOME_Q)[:3, 3]
+    far = np.linalg.norm(c - tcp, axis=1)
+    hands = load_hand_set()
+    joints = load_hand().pose(hands.pose, hands.shape, hands.side).joints.double()
+    point, normal = palm_frame(joints, hands.side)
+    span = (hand_vertices() - (point + 0.12 * normal)[:, None]).norm(dim=2).max().item()
+    assert span < 0.28
+    rows = (r > 0.72) & (far > TCP_ROOM_M + span) & (c[:, 2] > span + 0.005)
+    assert rows.sum() > 800
+    side = load_hand_set().side[trials.hand_index.long()].numpy()
+    rolled = trials.T_world_hand[:, :3, 0].double().numpy()
+    e = np.cross(n, [0.3, 0.5, 0.8])
+    e /= np.linalg.norm(e, axis=1, keepdims=True)
+    f = np.cross(n, e)
+    roll = np.arctan2((rolled * f).sum(1), (rolled * e).sum(1))
+    for s in (0, 1):
+        assert stats.kstest(roll[rows & (side == s)], "uniform", (-np.pi, 2 * np.pi)).pvalue > 1e-3
+    assert np.hypot(0.72 * math.cos(math.radians(40)) - tcp[0], 0.72 * math.sin(math.radians(40))) > TCP_ROOM_M + span
+    ring = rows & (np.abs(azimuth) > np.radians(40))  # here at every height
+    assert ring.sum() > 300
+    assert stats.kstest(c[ring, 2], "uniform", (span + 0.005, 0.595 - span)).pvalue > 1e-3
+    assert stats.kstest(r[ring] ** 2, "uniform", (0.72**2, 0.80**2 - 0.72**2)).pvalue > 1e-3
+    assert stats.kstest(np.degrees(np.abs(azimuth[ring])), "uniform", (40, 10)).pvalue > 1e-3
+    to_robot = -(c[:, 0] * n[:, 0] + c[:, 1] * n[:, 1]) / r
+    inside = ring & (to_robot > math.cos(math.radians(75)))  # a whole cone: its cosine is uniform
+    low = math.cos(math.radians(75))
+    assert stats.kstest(to_robot[inside], "uniform", (low, 1 - low)).pvalue > 1e-3
+
+
+def test_the_ball_centre_is_drawn_uniformly_in_volume():
+    # no public way to 200,000 draws before a hand is placed
+    inside, c = trials_module._ball_center(rng.uniforms((8, 9), np.arange(200_000), 3, purpose=0))
+    r, azimuth = np.hypot(c[:, 0], c[:, 1])[inside], np.degrees(np.arctan2(c[:, 1], c[:, 0]))[inside]
+    assert inside.mean() > 0.6
+    assert stats.kstest(r**2, "uniform", (0.45**2, 0.80**2 - 0.45**2)).pvalue > 1e-3
+    assert stats.kstest(azimuth, "uniform", (-50, 100)).pvalue > 1e-3
+    assert stats.kstest(c[inside, 2], "uniform", (0.10, 0.50)).pvalue > 1e-3
+
+
+def arm_distance(points: np.ndarray) -> np.ndarray:
+    """Distance of points (..., 3) to the nearest of the arm primitives' capsules at home."""
+    robot, nearest = load_robot(), np.inf
+    T = forward_kinematics(robot, HOME_Q)[robot.arm.link] @ robot.arm.T_link_prim
+    for t, kind, size in zip(T, robot.arm.kind, robot.arm.size, strict=True):
+        axis, radius = capsule_of_primitive(int(kind), size)
+        local = (points - t[:3, 3]) @ t[:3, :3]
+        along = np.clip(local @ axis / max(axis @ axis, 1e-12), -1, 1)
+        nearest = np.minimum(nearest, np.linalg.norm(local - along[..., None] * axis, axis=-1) - radius)
+    return nearest
+
+
+def test_hands_anywhere_around_the_robot_are_sorted_out_vertex_by_vertex():
+    n = 600
+    u = rng.uniforms((3, 3), np.arange(4 * n), 8, purpose=0)
+    inside, R = rng.rotation(u[:4])
+    rows = np.flatnonzero(inside)[:n]
+    T = np.zeros((n, 4, 4))
+    T[:, :3, :3], T[:, :3, 3] = R[rows], (u[4:7, rows] * [[0.9], [0.9], [0.9]] + [[-0.2], [-0.45], [-0.05]]).T
+    hand = (u[7, rows] * 400).astype(np.int64)
+    v = np.einsum("nij,nvj->nvi", T[:, :3, :3], hand_vertices()[hand].numpy()) + T[:, None, :3, 3]
+    tcp = np.linalg.norm(v - ee_pose(load_robot(), HOME_Q)[:3, 3], axis=2).min(1) < 0.20
+    low, high = np.array([-0.505, -0.605, -0.055]), np.array([0.455, 0.605, 0.005])
+    table = ((v > low) & (v < high)).all(2).any(1)
+    arm = arm_distance(v).min(1) < 0.005
+    for alone in (tcp & ~table & ~arm, table & ~tcp & ~arm, arm & ~tcp & ~table, ~(arm | tcp | table)):
+        assert alone.sum() > 20
+    # no public way to ask about a hand that no trial has
+    clear = trials_module._hand_is_clear(T, hand, trials_module._hands(load_hand_set()))
+    assert np.array_equal(clear, ~(tcp | table | arm))
+
+
+def test_no_vertex_of_a_hand_is_near_the_tcp_the_table_or_the_arm_at_home():
+    tcp = ee_pose(load_robot(), HOME_Q)[:3, 3]
+    nearest = [np.inf, np.inf]
+    for first in range(0, 20_000, 2000):
+        v = posed(many(), slice(first, first + 2000, 10))
+        nearest[0] = min(nearest[0], np.linalg.norm(v - tcp, axis=2).min())
+        in_table = (v[..., 2] < 0.00499) & (v[..., 0] < 0.45499) & (np.abs(v[..., 1]) < 0.60499)
+        assert not in_table.any()
+        nearest[1] = min(nearest[1], arm_distance(v[:50]).min())
+    assert TCP_ROOM_M - 1e-6 <= nearest[0] < TCP_ROOM_M + 0.005
+    assert nearest[1] >= 0.005 - 1e-6
+
+
+def test_the_open_gripper_at_home_lies_inside_the_room_kept_around_the_tcp():
+    robot = load_robot()
+    for T, size in zip(gripper_primitives_at(robot, 0.085), robot.gripper.size, strict=True):
+        assert np.linalg.norm(T[:3, 3]) + np.linalg.norm(size) < TCP_ROOM_M
+
+
+def test_a_trial_is_the_same_alone_in_another_order_and_in_a_longer_run():
+    trials = make_trials(trials=500)
+    row = trials.trial_id.tolist().index(37)
+    alone = trials_with_ids(torch.tensor([37]))
+    assert torch.equal(alone.T_world_hand[0], trials.T_world_hand[row])
+    assert (alone.object_index[0], alone.hand_index[0]) == (trials.object_index[row], trials.hand_index[row])
+    order = torch.randperm(1000, generator=torch.Generator().manual_seed(1))
+    shuffled = trials_with_ids(trials.trial_id[order])
+    assert trials_digest(shuffled) == trials_digest(trials[order])
+    longer = many()
+    assert trials_digest(longer[torch.cat([torch.arange(500), MANY + torch.arange(500)])]) == trials_digest(trials)
+    assert len(make_trials(trials=0)) == 0
+
+
+def test_the_digest_names_what_matters_and_is_the_same_in_another_process():
+    trials = make_trials(trials=40)
+    code = "from r2h_batch.trials import *; print(trials_digest(make_trials(trials=40)))"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+    assert told == trials_digest(trials)
+    moved, other_hand, other_object = (
+        Trials(**{k: getattr(trials, k).clone() for k in ("trial_id", "object_index", "hand_index", "T_world_hand")})
+        for _ in range(3)
+    )
+    moved.T_world_hand[3, 0, 3] = torch.nextafter(moved.T_world_hand[3, 0, 3], torch.tensor(9.0))
+    other_hand.hand_index[3] += 1
+    other_object.object_index[3] += 1
+    assert len({trials_digest(t) for t in (trials, moved, other_hand, other_object, trials[1:])}) == 5
+    assert trials_digest(trials) == trials_digest(trials, objects=load_objects())
+
+
+@pytest.mark.check
+def test_the_draws_are_frozen_whatever_the_assets_are():
+    """Which hand of 200 and which proposal: changes only with the protocol. (trials_digest changes with any asset.)"""
+    (u,) = rng.uniforms(rng.key_of("r2h-v0"), np.arange(6), 1, purpose=0)
+    assert rng.choice(u, 200).tolist() == FROZEN_HANDS
+    first = rng.uniforms(rng.key_of("r2h-v0"), np.array([0, 1, 1000, 2**40]), 7, purpose=1, attempt=2)
+    assert [int(x) for x in (first[[0, 6]] * 2**32).ravel()] == FROZEN_WORDS
+
+
+FROZEN_HANDS = [88, 186, 42, 71, 47, 141]
+FROZEN_WORDS = [3602869735, 3313465624, 2751513646, 3665985258, 2951970252, 2807896769, 1581692607, 3825774211]
+
+
+@pytest.mark.parametrize(
+    ("call", "told"),
+    [
+        (lambda: make_trials(["S2"]), "allowed are S0, S1"),
+        (lambda: make_trials(["S0", "S0"]), "once"),
+        (lambda: make_trials(trials=-1), "0 or more"),
+        (lambda: make_trials(["S1"], objects=load_objects(["cup"])), "no object belongs to split S1"),
+        (lambda: trials_with_ids(torch.tensor([-2])), "negative"),
+    ],
+)
+def test_what_cannot_be_made_is_refused_in_words(call, told):
+    with pytest.raises(ValueError, match=told):
+        call()
+
+
+def test_no_trial_starts_in_collision():
+    """The robot at home, a cup in the gripper: 2,000 trials."""
+    from r2h_batch.evaluate import Evaluator
+
+    trials = make_trials(trials=1000)
+    cup = load_objects(["cup"])
+    trials = Trials(trials.trial_id, torch.zeros_like(trials.object_index), trials.hand_index, trials.T_world_hand)
+    evaluator = Evaluator(EvalConfig(plan=PlanConfig(rounds=(1,), shortcuts=0)), objects=cup)
+    grasp = torch.eye(4).repeat(len(trials), 1, 1)
+    grasp[:, 2, 3] = -0.12
+    out_of_reach = torch.eye(4).repeat(len(trials), 1, 1)
+    out_of_reach[:, 0, 3] = 3.0  # so that nothing is planned after the start was looked at
+    reasons = evaluator.score(grasp, out_of_reach, trials).plan_reason
+    assert reasons.unique().tolist() == [int(PlanReason.IK_UNREACHABLE)]
+    into = Trials(trials.trial_id[:8], trials.object_index[:8], trials.hand_index[:8], trials.T_world_hand[:8].clone())
+    into.T_world_hand[:, :3, 3] += (
+        torch.from_numpy(ee_pose(load_robot(), HOME_Q)[:3, 3]).float() - torch.from_numpy(palms(into)[0]).float()
+    )
+    into.T_world_hand[:, :3, 3] += torch.from_numpy(0.12 * palms(into)[1]).float()
+    reasons = evaluator.score(grasp[:8], out_of_reach[:8], into).plan_reason
+    assert reasons.unique().tolist() == [int(PlanReason.START_IN_COLLISION)]
