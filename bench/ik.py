@@ -8,6 +8,7 @@ that other work on the machine counts little; figures ending in _wall are wall t
 
 missed, branch_completeness: against ur-analytic-ik. ratio_to_closed_form: against this project's own closed form in the
 same kernel (no seeds), so that no call overhead flatters. ratio_to_ur_analytic_ik_python: one Python call a pose.
+ik.jacobian: the other solver of IkConfig, our damped least squares on pytorch-kinematics' Jacobian, over the first targets.
 """
 
 import time
@@ -21,6 +22,7 @@ from _report import Report, arguments
 
 from r2h_batch import se3
 from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import IkResult, reference_chain, solve_ik
 from r2h_batch.kernels.ik.step import STATUS_CONVERGED, STATUS_EDGE, STATUS_SINGULAR
 from r2h_batch.launch import cpu_threads
@@ -93,6 +95,19 @@ def completeness(report: Report, result: IkResult, oracle: list[list[np.ndarray]
     report.add("ik.rotation_error_max_rad", float(result.rotation_error_rad[result.valid].max()))
 
 
+def jacobian_solver(report: Report, targets: torch.Tensor, fused_s: float) -> None:
+    """Speed of IkConfig(solver="pytorch-kinematics"), and whether it agrees with the kernel."""
+    clock = time.process_time if targets.device.type == "cpu" else time.perf_counter
+    seconds = best_time(lambda: ik_jacobian.solve_ik(targets), clock, repeats=3) / len(targets)
+    kernel, jacobian = solve_ik(targets), ik_jacobian.solve_ik(targets)
+    report.add("ik.jacobian.targets_per_s", 1 / seconds)
+    report.add("ik.jacobian.ratio_of_the_kernel_to_it", seconds / fused_s)
+    report.add("ik.jacobian.branches_that_differ", int((kernel.valid != jacobian.valid).sum()))
+    report.add("ik.jacobian.pairs_rescued", int(jacobian.rescued.sum()))
+    report.add("ik.jacobian.position_error_max_m", float(jacobian.position_error_m[jacobian.valid].max()))
+    report.add("ik.jacobian.rotation_error_max_rad", float(jacobian.rotation_error_rad[jacobian.valid].max()))
+
+
 def pseudo_inverse(report: Report, targets: torch.Tensor, reachable: torch.Tensor) -> dict[int, float]:
     """Seconds per target of PseudoInverseIK by restarts; one thread, its default tolerances (1 mm and 0.01 rad)."""
     chain = reference_chain(device=targets.device)
@@ -162,6 +177,7 @@ def main() -> None:
     some = some.to(targets.device)
     solvable = torch.tensor([bool(s) for s in oracle], device=targets.device)[some]
     report.add("ik.success_of_reachable", float((result.reachable[some] & solvable).sum() / solvable.sum()))
+    jacobian_solver(report, targets[some].contiguous(), seconds)
     reference = pseudo_inverse(report, targets[some].contiguous(), solvable)
     report.add("ik.ratio_to_pytorch_kinematics", reference[20] / seconds)
     report.add("ik.ratio_to_pytorch_kinematics_5_restarts", reference[5] / seconds)

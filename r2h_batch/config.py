@@ -56,6 +56,18 @@ class Thresholds:
 
 
 @dataclass(frozen=True)
+class IkConfig:
+    """Who finds the joint angles of a handover pose. Which branches exist is proven by the closed form in both."""
+
+    solver: Literal["fused", "pytorch-kinematics"] = (
+        "fused"  # a Warp kernel; or that package's batched Jacobian, 300 x slower
+    )
+
+    def __post_init__(self) -> None:
+        _one_of(self, "solver", ("fused", "pytorch-kinematics"))
+
+
+@dataclass(frozen=True)
 class PlanConfig:
     """How a path from home to the handover pose is looked for."""
 
@@ -121,6 +133,7 @@ class EvalConfig:
     """All of it. `preset("paper")` differs from the default where the paper's pipeline is known to differ."""
 
     thresholds: Thresholds = field(default_factory=Thresholds)
+    ik: IkConfig = field(default_factory=IkConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)
     execute: ExecConfig = field(default_factory=ExecConfig)
     width: Literal["pads", "whole"] = "pads"  # material between the pads, or the whole object's extent

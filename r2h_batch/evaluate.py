@@ -15,7 +15,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.config import EvalConfig
-from r2h_batch.judge import metrics
+from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.goal import judge_goals, safe_at
 from r2h_batch.judge.hold import Holding, hold
 from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
@@ -115,6 +115,8 @@ class Evaluator:
         """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on CUDA one graph."""
         check_stages(stages)
         device, stability = torch.device(self.scene.device), self.config.stability
+        if device.type == "cuda" and self.config.ik.solver != "fused":
+            raise ValueError("ik.solver='pytorch-kinematics' waits for the device and cannot be captured; use 'fused'")
         if device.type == "cuda" and (stages != "pose" or stability == "physics"):
             raise ValueError(
                 f"stages is {stages!r}, stability {stability!r}: planning and physics wait for the "
@@ -194,7 +196,8 @@ class Evaluator:
 
     def _branches(self, holding: Holding) -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""
-        ik = solve_ik(holding.T_world_ee, active=holding.active, threads=self.threads)
+        solve = ik_jacobian.solve_ik if self.config.ik.solver == "pytorch-kinematics" else solve_ik
+        ik = solve(holding.T_world_ee, active=holding.active, threads=self.threads)
         if self.config.plan.goals == "set":
             return ik, ik.valid
         return ik, one_branch(ik, holding.T_world_ee, threads=self.threads)

@@ -127,14 +127,16 @@ def prepare(options: Options) -> Setting:
 
 def _configuration(options: Options) -> "EvalConfig":
     """The preset with what the options change."""
-    from r2h_batch.config import EvalConfig
+    from r2h_batch.config import EvalConfig, IkConfig
 
     config = EvalConfig.preset(options.preset)
     edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
     plan = replace(config.plan, object_collision=options.object_collision, edge_check=edge_check)
     execute = replace(config.execute, sim=options.sim, model=options.sim_model)
     execute = replace(execute, sim=execute.engine(options.device))
-    return replace(config, plan=plan, execute=execute, width=options.width, stability=options.stability)
+    return replace(
+        config, ik=IkConfig(options.ik), plan=plan, execute=execute, width=options.width, stability=options.stability
+    )
 
 
 def _predictors(options: Options) -> dict[str, Any]:

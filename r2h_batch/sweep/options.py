@@ -60,6 +60,8 @@ class Options:
     """The attached object in planning: its convex hull (as in the paper), or its convex decomposition."""
     edge_check: Literal["preset", "exact", "moveit"] = "preset"
     """Path edges: as the preset says, certified, or sampled at MoveIt's resolution."""
+    ik: Literal["fused", "pytorch-kinematics"] = "fused"
+    """Who finds joint angles: a Warp kernel, or pytorch-kinematics' batched Jacobian (slower; the same verdicts)."""
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
     """Who moves the arm: MuJoCo C, MuJoCo-Warp, nobody (the motion as planned); auto: mujoco on a CPU, mjwarp on CUDA."""
     sim_model: Literal["auto", "scene", "arm"] = "auto"

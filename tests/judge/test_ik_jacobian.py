@@ -1,0 +1,106 @@
+"""The IK on pytorch-kinematics against the fused kernel: the same branches, the same bits in any batch, the same verdicts."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.config import EvalConfig, ExecConfig, IkConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge import ik as fused
+from r2h_batch.judge import ik_jacobian
+from r2h_batch.kernels.ik import step as ik_step
+from r2h_batch.methods.random import predict
+from r2h_batch.trials.protocol import make_trials
+
+TURN = 2 * np.pi
+
+
+@pytest.fixture(scope="module")
+def targets():
+    """Reachable ones from joint angles (one at a wrist singularity), one out of reach, one that is no pose."""
+    q = np.random.default_rng(1).uniform(-np.pi, np.pi, (80, 6))
+    q[7, 4] = 0.0
+    T = torch.from_numpy(ee_pose(load_robot(), q).astype(np.float32))
+    T[3, :3, 3] = torch.tensor([1.3, 0.0, 0.4])
+    T[5, 0, 0] = torch.nan
+    return T
+
+
+@pytest.fixture(scope="module")
+def both(targets):
+    return fused.solve_ik(targets), ik_jacobian.solve_ik(targets)
+
+
+def test_it_finds_the_branches_of_the_fused_kernel(both):
+    kernel, jacobian = both
+    assert torch.equal(kernel.valid, jacobian.valid) and kernel.valid.sum() > 450
+    difference = (kernel.q - jacobian.q)[kernel.valid].double().numpy()
+    assert np.abs(np.sin(difference / 2)).max() < 2e-4  # near singularities; the residuals below are what counts
+    assert np.median(np.abs(difference)) < 1e-6
+    assert jacobian.position_error_m[jacobian.valid].max() < 1e-6
+    assert jacobian.rotation_error_rad[jacobian.valid].max() < 2e-6
+    assert jacobian.q[~jacobian.valid].isnan().all()
+
+
+def test_it_does_the_work_itself_and_says_where_not(both):
+    kernel, jacobian = both
+    converged = int(ik_step.STATUS_CONVERGED)
+    tried = kernel.status == converged
+    assert (jacobian.status[tried] == converged).float().mean() > 0.98
+    assert jacobian.rescued.sum() == (jacobian.status[tried] != converged).sum()
+    assert torch.equal(
+        jacobian.status[~tried], kernel.status[~tried]
+    )  # proofs and lines of solutions are the closed form's
+    assert not torch.equal(jacobian.q[kernel.valid], kernel.q[kernel.valid])  # other bits: not the kernel's answer
+    none = ik_jacobian.solve_ik(torch.eye(4)[None] * 0.4 + 0.1, iterations=1)
+    assert not (none.status == converged).any()
+
+
+def test_turns_and_residuals_are_those_of_the_result(both, targets):
+    _, jacobian = both
+    robot = load_robot()
+    row, _ = jacobian.valid.nonzero(as_tuple=True)
+    q = jacobian.q[jacobian.valid].double().numpy()
+    assert (q >= robot.lower).all() and (q <= robot.upper).all()
+    reached = ee_pose(robot, q)[:, :3, 3]
+    off = np.linalg.norm(reached - targets[row, :3, 3].double().numpy(), axis=1)
+    assert (
+        np.abs(off - jacobian.position_error_m[jacobian.valid].numpy()).max() < 5e-7
+    )  # the URDF's quarter turns are rounded
+
+
+def test_rows_do_not_depend_on_their_batch(both, targets, monkeypatch):
+    _, jacobian = both
+    order = torch.from_numpy(np.random.default_rng(2).permutation(len(targets)))
+    for part in (order, order[:1]):
+        again = ik_jacobian.solve_ik(targets[part])
+        for field in dataclasses.fields(again):
+            mine, whole = getattr(again, field.name), getattr(jacobian, field.name)[part]
+            assert mine.numpy().tobytes() == whole.numpy().tobytes(), field.name
+
+
+def test_wrong_arguments_are_refused_as_the_kernel_refuses_them():
+    with pytest.raises(ValueError, match="T_world_ee"):
+        ik_jacobian.solve_ik(torch.eye(4))
+    with pytest.raises(ValueError, match="seeds"):
+        ik_jacobian.solve_ik(torch.eye(4)[None], seeds=np.zeros((3, 5)))
+    with pytest.raises(ValueError, match=r"IkConfig.solver is 'newton'; allowed are fused, pytorch-kinematics"):
+        IkConfig("newton")
+
+
+@pytest.mark.parametrize("n", [24, pytest.param(1000, marks=pytest.mark.slow)])
+def test_verdicts_are_those_of_the_fused_kernel(n):
+    trials = make_trials(("S0", "S1"), n)
+    still = ExecConfig(sim="none")
+    scores = []
+    for solver in ("fused", "pytorch-kinematics"):
+        evaluator = Evaluator(EvalConfig(ik=IkConfig(solver), execute=still))
+        predicted = predict(trials, evaluator.scene, seed=0)
+        scores.append(evaluator.score(predicted.T_obj_ee, predicted.T_world_ee, trials))
+    kernel, jacobian = scores
+    differ = (kernel.outcome != jacobian.outcome) | (kernel.plan_reason != jacobian.plan_reason)
+    assert not differ.any(), f"trials {trials.trial_id[differ].tolist()}"
+    assert kernel.success.any() and (~kernel.success).any()
