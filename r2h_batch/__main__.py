@@ -14,7 +14,10 @@ COMMANDS = {
     "trials": ("r2h_batch.export.command", "Write the trials and everything that a method may read."),
     "scene": ("r2h_batch.export.command", "Write one stored trial as a folder that plain MuJoCo opens."),
     "import": ("r2h_batch.importers.command", "Turn other people's hands and grasps into files that sweeps read."),
-    "results": ("r2h_batch.results.command", "Check a run folder, or print the digest of its rows."),
+    "results": (
+        "r2h_batch.rejudge.command",
+        "Check a run folder, judge some of its rows again, or print their digest.",
+    ),
     "report": ("r2h_batch.report.command", "Print the table of a run folder."),
     "study": ("r2h_batch.study.command", "Simulation against people: the kit of the user study."),
     "compare": ("r2h_batch.compare.command", "Compare methods on the trials that they share."),
@@ -68,7 +71,7 @@ def _completed() -> dict[str, Command]:
     from r2h_batch.rescore import command as rescore
     from r2h_batch.sweep.options import Options
 
-    def results(command: Literal["verify", "digest"], folder: Path, /) -> None: ...
+    def results(command: Literal["verify", "digest"], folder: Path, /, *, rejudge: int = 0) -> None: ...
 
     def study(command: Literal["paper", "ratings", "real", "plan"], files: tuple[Path, ...], /) -> None: ...
 

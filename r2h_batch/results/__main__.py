@@ -2,7 +2,7 @@
 
 import sys
 
-from r2h_batch.results.command import main
+from r2h_batch.rejudge.command import main
 
 if __name__ == "__main__":
     sys.exit(main())

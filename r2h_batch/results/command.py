@@ -1,10 +1,9 @@
-"""The command `results`: `verify DIR` finds damaged and foreign shards, `digest DIR` names its rows."""
+"""Two answers of the command `results` (r2h_batch.rejudge.command): which shards are damaged, and the digest of the rows."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from r2h_batch.command_line import call, refuse
+from r2h_batch.command_line import refuse
 
 
 def verify(folder: Path, /) -> int:
@@ -46,12 +45,6 @@ def digest(folder: Path, /) -> int:
     except (ValueError, OSError) as error:
         return _refuse(error)
     return 0
-
-
-def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.results") -> int:
-    """Exit code of the chosen subcommand; 2 refused with one line."""
-    given = sys.argv[1:] if arguments is None else arguments
-    return call({"verify": verify, "digest": digest}, given, prog=prog, name="results")
 
 
 def _refuse(error: Exception) -> int:

@@ -37,7 +37,17 @@ def versions() -> dict[str, str]:
     return found
 
 
-ONLY_READ_ROWS = ("statistics", "report", "export", "study", "compare", "rescore", "command_line.py", "__main__.py")
+ONLY_READ_ROWS = (
+    "statistics",
+    "report",
+    "export",
+    "study",
+    "compare",
+    "rescore",
+    "rejudge",
+    "command_line.py",
+    "__main__.py",
+)
 """Folders and modules of the package that look at rows or at command lines: no row depends on them."""
 
 DATA = (".json", ".npy", ".npz", ".safetensors")

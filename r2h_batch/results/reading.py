@@ -124,6 +124,13 @@ class Run:
                 raise RunError(f"{self.folder}: method {method!r} has no {kind}; sweep again with --save-{kind}")
             yield self._stored(kind, receipt, columns)
 
+    def shard(self, kind: str, method: str, index: int) -> pa.Table:
+        """The stored table of a kind of one shard alone; `RunError` where there is none."""
+        receipt = self.entry(method)["receipts"].get(index)
+        if receipt is None or kind not in receipt["files"]:
+            raise RunError(f"{self.folder}: shard {index} of {method!r} has no {kind}")
+        return self._stored(kind, receipt, None)
+
     def verify(self) -> None:
         """Raise unless every file of every receipt is there with its sha256."""
         for _, shard, file, what in problems(self.folder, self.header):

@@ -1,0 +1,185 @@
+"""Score a random sample of stored rows again, from the poses stored beside them, and list every difference.
+
+sha256 and receipts say that a file is as it was written; whoever writes a row can write those too. What cannot be made up
+is the verdict: trials follow from their ids, poses are stored, so the evaluator can be asked again.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import torch
+from pydantic import TypeAdapter, ValidationError
+
+from r2h_batch.bodies.hand import load_hand_set
+from r2h_batch.bodies.objects import load_objects, object_digest, object_from_argument
+from r2h_batch.config import BORDERLINE_M, EvalConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.results import provenance
+from r2h_batch.results.reading import TIMING, Run, RunError
+from r2h_batch.results.rows import TRIAL_SCHEMA, TrialNames, score_rows
+from r2h_batch.trials.protocol import PROTOCOL, trials_with_ids
+from r2h_batch.verdicts import SIDES
+
+__all__ = ["Difference", "Judge", "Rejudged", "rejudge"]
+
+COMPARED = tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING)
+
+MARGIN_TOLERANCE_M = BORDERLINE_M
+TIME_TOLERANCE_S = 0.05
+"""What stored numbers may differ by on another kind of machine or with other versions; on the same, by nothing."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A stored value that the evaluator does not give again; `borderline`: float32 does not decide that trial's verdict."""
+
+    trial_id: int
+    column: str
+    stored: Any
+    again: Any
+    borderline: bool
+
+    def __str__(self) -> str:
+        words = [f"{v:.6g}" if isinstance(v, float) else "none" if v is None else v for v in (self.stored, self.again)]
+        mark = " (borderline: float32 does not decide this trial)" if self.borderline else ""
+        return f"trial {self.trial_id}: {self.column} is stored as {words[0]}, scored again it is {words[1]}{mark}"
+
+
+@dataclass(frozen=True)
+class Rejudged:
+    """Of one method: how many rows are stored and were scored again, how many are equal bit for bit, what differs."""
+
+    method: str
+    stored: int
+    scored: int
+    equal: int
+    differences: tuple[Difference, ...]
+
+
+class Judge:
+    """The evaluator that a run folder describes, with its objects and hands checked against the run's digests.
+
+    `other`: what is not as it was when the rows were scored (code, versions, processor); empty: rows must come out bit for bit.
+    """
+
+    def __init__(self, run: Run, *, object_mesh: Sequence[str] = (), device: str = "cpu", threads: int | None = None):
+        header, where = run.header, run.folder
+        if header["protocol"] != PROTOCOL:
+            raise RunError(f"{where}: protocol {header['protocol']!r}; this version makes the trials of {PROTOCOL!r}")
+        config = configuration(header["configuration"], str(where))
+        given = header.get("objects", [])
+        own = [o["name"] for o in given if not o["built_in"]]
+        if len(object_mesh) != len(own):
+            raise RunError(
+                f"{where}: has the user's objects {', '.join(own) or 'none'}; give their --object-mesh as in the sweep"
+            )
+        pieces = config.plan.object_collision == "pieces"
+        objects = (*load_objects(), *(object_from_argument(mesh, pieces=pieces) for mesh in object_mesh))
+        found = {"objects": object_digest(objects), "hand_set": load_hand_set().digest}
+        if differing := [k for k, v in found.items() if header["digests"].get(k) != v]:
+            raise RunError(
+                f"{where}: was made with other {', '.join(differing)}; judge it with r2h_batch"
+                f" {header['versions']['r2h_batch']} at commit {header.get('git_commit')}"
+            )
+        self.objects = objects
+        self.evaluator = Evaluator(config, device=device, objects=objects, threads=threads)
+        self.other = _other(header, device)
+
+    def rows(self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any) -> pa.Table:
+        """`TRIAL_SCHEMA` rows of (N,) trials answered with (N, 4, 4) poses: as the sweep stores them."""
+        scene = self.evaluator.scene
+        trials = trials_with_ids(torch.from_numpy(np.asarray(trial_id, np.int64)), objects=self.objects)
+        trials = trials.to(scene.device)
+        grasp, handover = (torch.from_numpy(np.array(T, np.float32)).to(scene.device) for T in (T_obj_ee, T_world_ee))
+        names = TrialNames(
+            objects=[o.name for o in scene.objects],
+            object_splits=[o.split for o in scene.objects],
+            hand_sides=[SIDES[s] for s in scene.hands.set.side.tolist()],
+        )
+        return score_rows(trials, self.evaluator.score(grasp, handover, trials), names)
+
+
+def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
+    """The `EvalConfig` of a run.json; `RunError` where this version has other fields, or one is out of bounds."""
+    try:
+        config = TypeAdapter(EvalConfig).validate_json(json.dumps(data), strict=True)
+    except (ValidationError, ValueError) as error:
+        what = " ".join(str(error).split())[:200]
+        raise RunError(f"{where}: its configuration cannot be judged by this version ({what})") from None
+    again = json.loads(TypeAdapter(EvalConfig).dump_json(config))
+    if again != json.loads(json.dumps(data)):
+        odd = [k for k in {**again, **data} if again.get(k) != data.get(k)]
+        raise RunError(f"{where}: its configuration is of another version: {', '.join(odd)[:200]}")
+    return config
+
+
+def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
+    """What could move a last bit: the digest of the code, versions, the kind of processor."""
+    other = [] if header["digests"].get("code") == provenance.code_digest() else ["code"]
+    mine = provenance.versions()
+    other += [k for k, v in header["versions"].items() if k != "python" and mine.get(k) != v]
+    here = provenance.device_name(device)
+    same = here.rpartition(",")[0] == str(header["device"]["name"]).rpartition(",")[0]  # "cpu: MODEL, N cores"
+    return (*other, *([] if same else ["processor"]))
+
+
+def rejudge(run: Run, method: str, n: int, judge: Judge, *, seed: int | None = None) -> Rejudged:
+    """Score `n` of a method's stored rows again, drawn without replacement; all of them where there are fewer.
+
+    One shard at a time is in memory. `RunError` where the run holds no poses.
+    """
+    if "poses" not in run.header["stored"]:
+        raise RunError(f"{run.folder}: stored without poses; sweep again without --no-poses into another --out")
+    receipts = run.entry(method)["receipts"]
+    sizes = {index: r["last"] - r["first"] for index, r in sorted(receipts.items())}
+    ends = np.cumsum([0, *sizes.values()])
+    total = int(ends[-1])
+    chosen = np.sort(np.random.default_rng(seed).choice(total, min(n, total), replace=False))
+    equal, differences = 0, []
+    for place, index in enumerate(sizes):
+        rows = chosen[(chosen >= ends[place]) & (chosen < ends[place + 1])] - ends[place]
+        if len(rows):
+            stored = run.shard("trials", method, index).take(pa.array(rows))
+            same, found = _shard_again(stored, run.shard("poses", method, index), judge)
+            equal += same
+            differences += found
+    return Rejudged(method, total, len(chosen), equal, tuple(differences))
+
+
+def _shard_again(stored: pa.Table, poses: pa.Table, judge: Judge) -> tuple[int, list[Difference]]:
+    """How many rows are equal bit for bit, and what differs beyond what the machine explains."""
+    ids, posed = stored["trial_id"].to_numpy(), poses["trial_id"].to_numpy()
+    place = {int(trial): row for row, trial in enumerate(posed)}
+    rows = [place.get(int(i), -1) for i in ids]
+    answered = np.array(rows) >= 0
+    again: dict[int, dict[str, Any]] = {}
+    if answered.any():
+        kept = poses.take(pa.array([r for r in rows if r >= 0]))
+        T = [_matrices(kept[k]) for k in ("T_obj_ee", "T_world_ee")]
+        again = {row["trial_id"]: row for row in judge.rows(ids[answered], *T).select(COMPARED).to_pylist()}
+    equal, found = 0, []
+    for row in stored.select(COMPARED).to_pylist():
+        other = again.get(row["trial_id"])
+        if other is None:  # no pose is stored: nobody answered, and the row must say so
+            other = dict.fromkeys(COMPARED) | {k: row[k] for k in ("trial_id", "object", "split", "side")}
+            other["outcome"] = "missing"
+        differing = [k for k in COMPARED if row[k] != other[k]]
+        equal += not differing
+        told = [k for k in differing if not judge.other or not _close(k, row[k], other[k])]
+        found += [Difference(row["trial_id"], k, row[k], other[k], bool(other["borderline"])) for k in told]
+    return equal, found
+
+
+def _matrices(column: pa.ChunkedArray) -> np.ndarray:
+    flat = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    return np.asarray(flat, np.float32).reshape(-1, 4, 4)
+
+
+def _close(column: str, a: Any, b: Any) -> bool:
+    if not (isinstance(a, float) and isinstance(b, float)):
+        return False
+    return abs(a - b) <= (MARGIN_TOLERANCE_M if column.startswith("margin_") else TIME_TOLERANCE_S)

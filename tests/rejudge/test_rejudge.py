@@ -1,0 +1,172 @@
+"""Rows that the evaluator does not give again are found, whoever wrote them and however well the folder is made up."""
+
+import json
+from copy import copy
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from made_runs import write_run
+
+from r2h_batch.rejudge import again
+from r2h_batch.rejudge.again import Judge, configuration, rejudge
+from r2h_batch.rejudge.command import main as results
+from r2h_batch.results.manifest import RunError
+from r2h_batch.results.reading import load_run
+from r2h_batch.results.storage import sha256_of
+from r2h_batch.sweep.command import main as sweep
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """24 rows of `random` in 3 shards, as a sweep stores them unless told otherwise."""
+    out = tmp_path_factory.mktemp("rejudge") / "run"
+    line = ["--method", "random", "--trials", "12", "--sim", "none", "--shard-trials", "9", "--out", str(out)]
+    assert sweep(line) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def judge(folder):
+    return Judge(load_run(folder))
+
+
+def forged(folder, out, change):
+    """A copy of the run in which `change(row) -> bool` has edited rows, with file, receipt and sha256 all agreeing."""
+    for path in folder.rglob("*"):
+        target = out / path.relative_to(folder)
+        if path.is_dir():
+            target.mkdir(parents=True, exist_ok=True)
+        else:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(path.read_bytes())
+    edited = []
+    for receipt in sorted((out / "manifest" / "random").glob("*.json")):
+        data = json.loads(receipt.read_text())
+        file = out / data["files"]["trials"]["path"]
+        table = pq.read_table(file, partitioning=None)
+        rows = table.to_pylist()
+        for row in rows:
+            before = row["outcome"]
+            if change(row):
+                edited.append(row["trial_id"])
+                counts = data["outcomes"][row["split"]]
+                counts[before] -= 1
+                counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
+        pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), file)
+        sha = sha256_of(file)
+        renamed = file.with_name(f"{file.name[:6]}-{sha[:16]}.parquet")
+        file.rename(renamed)
+        data["files"]["trials"] = {
+            "path": str(renamed.relative_to(out)),
+            "sha256": sha,
+            "bytes": renamed.stat().st_size,
+        }
+        receipt.write_text(json.dumps(data))
+    return edited
+
+
+def as_success(row):
+    if row["outcome"] == "success":
+        return False
+    row |= {k: True for k, v in row.items() if k.startswith("passed_") and v is False}
+    row["outcome"] = "success"
+    return True
+
+
+def test_every_row_of_an_honest_run_comes_out_bit_for_bit(folder, capsys):
+    assert results(["verify", str(folder), "--rejudge", "200"]) == 0
+    out = capsys.readouterr().out
+    assert "random: 24 of 24 rows judged again" in out and "none differs, 24 are equal bit for bit" in out
+    assert results(["verify", str(folder), "--rejudge", "5", "--seed", "3"]) == 0
+    assert "5 of 24 rows judged again (--seed 3): none differs, 5 are equal" in capsys.readouterr().out
+
+
+def test_one_made_up_success_is_found_though_every_checksum_agrees(folder, tmp_path, capsys, judge, monkeypatch):
+    monkeypatch.setattr(again, "Judge", lambda *_, **__: judge)
+    done = []
+
+    def one(row):
+        if done or not as_success(row):
+            return False
+        done.append(row["trial_id"])
+        return True
+
+    assert forged(folder, tmp_path / "run", one) == done and len(done) == 1
+    assert results(["verify", str(tmp_path / "run")]) == 0  # a checksum sees nothing
+    assert results(["verify", str(tmp_path / "run"), "--rejudge", "24"]) == 1
+    out = capsys.readouterr().out
+    assert "24 of 24 rows judged again" in out and ": 1 differs, 23 are equal bit for bit" in out
+    assert f"trial {done[0]}: outcome is stored as success, scored again it is" in out
+    told = {line.split(":")[0] for line in out.splitlines() if line.startswith("  trial")}
+    assert told == {f"  trial {done[0]}"}
+
+
+def test_a_margin_moved_by_a_micrometre_is_found_here_and_by_a_millimetre_anywhere(folder, tmp_path, judge):
+    def moved(by):
+        def change(row):
+            if row["trial_id"] != 8:
+                return False
+            row["margin_stability_m"] += by
+            return True
+
+        return change
+
+    for name, by in (("micro", 1e-6), ("milli", 1e-3)):
+        forged(folder, tmp_path / name, moved(by))
+    micro, milli = (load_run(tmp_path / name) for name in ("micro", "milli"))
+    found = {}
+    assert judge.other == ()
+    for name, run in (("micro", micro), ("milli", milli)):
+        found[name] = rejudge(run, "random", 24, judge).differences
+        assert [(d.trial_id, d.column) for d in found[name]] == [(8, "margin_stability_m")]
+    elsewhere = copy(judge)
+    elsewhere.other = ("processor",)
+    assert rejudge(micro, "random", 24, elsewhere).differences == ()
+    assert rejudge(milli, "random", 24, elsewhere).differences == found["milli"]
+
+
+def test_an_answer_that_is_said_to_be_missing_and_a_pose_that_is_not_there_are_found(folder, tmp_path, judge):
+    def silent(row):
+        if row["trial_id"] not in (2, 4):
+            return False
+        row |= {k: None for k in row if k not in ("trial_id", "object", "split", "side")} | {"outcome": "missing"}
+        return True
+
+    forged(folder, tmp_path / "run", silent)
+    run = load_run(tmp_path / "run")
+    found = rejudge(run, "random", 24, judge)
+    assert {d.trial_id for d in found.differences if (d.column, d.stored) == ("outcome", "missing")} == {2, 4}
+    assert found.scored == 24 and found.equal == 22
+
+
+def test_what_cannot_be_judged_again_is_refused_with_one_line(folder, tmp_path, capsys):
+    write_run(tmp_path / "a", {"m": np.zeros(4, int)}, 2, 2)
+    assert results(["verify", str(tmp_path / "a"), "--rejudge", "5"]) == 2
+    assert "stored without poses; sweep again without --no-poses" in capsys.readouterr().err
+    assert results(["verify", str(folder), "--rejudge", "-5"]) == 2
+    assert "--rejudge is -5" in capsys.readouterr().err
+    assert results(["verify", str(folder), "--rejudge", "5", "--method", "fc"]) == 2
+    assert "no method 'fc'" in capsys.readouterr().err
+    assert results(["verify", str(folder), "--rejudge", "5", "--object-mesh", "mug.obj"]) == 2
+    assert "has the user's objects none" in capsys.readouterr().err
+
+
+@pytest.mark.check
+def test_a_configuration_comes_back_as_it_was_or_is_refused(tmp_path):
+    from dataclasses import asdict
+
+    from r2h_batch.config import EvalConfig
+
+    for name in ("default", "paper"):
+        config = EvalConfig.preset(name)
+        assert configuration(json.loads(json.dumps(asdict(config))), "run") == config
+    data = json.loads(json.dumps(asdict(EvalConfig())))
+    for wrong in ({"chunk": "many"}, {"chunk": 0}, {"gravity": 9.81}, {"width": "lips"}):
+        with pytest.raises(RunError, match="run: its configuration"):
+            configuration({**data, **wrong}, "run")
+    data.pop("stability")
+    with pytest.raises(RunError, match="of another version: stability"):
+        configuration(data, "run")
+    assert set(again.COMPARED) == set(again.TRIAL_SCHEMA.names) - {"t_plan_s", "t_method_s"}
