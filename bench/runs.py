@@ -2,7 +2,7 @@
 
 `python bench/runs.py --trials 10000000`. Each step is a process of its own, so that its peak memory is its own. Margins and
 times are drawn independently from smooth distributions with full float32 mantissas, clearances cut at 5 cm as real ones are:
-they compress no better than real rows.
+they compress no better than real rows. Ids, objects and sides are the protocol's, so rows are compared with the plan.
 """
 
 import json
@@ -19,6 +19,7 @@ from _report import ROOT, Report, arguments
 
 from r2h_batch.results.manifest import SHARD_TRIALS
 from r2h_batch.results.rows import OUTCOME_NAMES, TRIAL_SCHEMA
+from r2h_batch.turns import PROTOCOL
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
 
 OBJECTS = [f"object_{i:02d}" for i in range(16)]
@@ -75,8 +76,9 @@ def header(trials: int) -> dict:
     """run.json of the synthetic run."""
     n_s0 = trials // 2
     return {
-        "protocol": "synthetic",
+        "protocol": PROTOCOL,
         "trials": {"S0": n_s0, "S1": trials - n_s0},
+        "objects": [{"name": n, "split": SPLITS[i >= 6], "built_in": False} for i, n in enumerate(OBJECTS)],
         "configuration": {"name": "default"},
         "digests": {"trials": "synthetic"},
         "seed": 0,
@@ -115,11 +117,12 @@ def verify(folder: Path, _: int) -> dict:
 def aggregate(folder: Path, _: int) -> dict:
     """Table I's rows from the stored ones."""
     from r2h_batch.results.reading import load_run
-    from r2h_batch.statistics.aggregate import summarise, verdicts
+    from r2h_batch.statistics.aggregate import summarise
+    from r2h_batch.statistics.tally import tally
 
     start = time.perf_counter()
     run = load_run(folder, verify=False)
-    summarise([verdicts(run, m) for m in run.methods])
+    summarise([tally(run, m) for m in run.methods])
     return {"seconds": time.perf_counter() - start}
 
 

@@ -4,20 +4,20 @@ from r2h_batch.report.table import HEADINGS, cell, interval
 from r2h_batch.report.text import NA, aligned, plain
 from r2h_batch.results.reading import Run
 from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import verdicts
-from r2h_batch.verdicts import CRITERIA, SPLITS
+from r2h_batch.statistics.tally import tally
+from r2h_batch.verdicts import CRITERIA
 
 
 def object_lines(run: Run) -> str:
     """Table I's columns for every method and object, and which criteria fail together, as Markdown."""
     lines, parts = [], []
     for method in run.methods:
-        v = verdicts(run, method)
-        for name, row in breakdown.by_object(v):
+        counted = tally(run, method, by_object=True)
+        for name, row in breakdown.by_object(counted):
             ends = interval(row.rates["sr"])
             lines.append([row.split, name, plain(method), str(row.n), *(cell(row, c) for c in HEADINGS), ends])
-        for split in v.splits:
-            counts = breakdown.co_failures(v, v.split == SPLITS.index(split))
+        for split in counted.splits:
+            counts = breakdown.co_failures(counted, split)
             pairs = [
                 [c, *(f"{f}/{e}" if e else NA for f, e in zip(counts.failed[i], counts.evaluated[i]))]
                 for i, c in enumerate(CRITERIA)

@@ -13,7 +13,8 @@ from r2h_batch.report.table import BEST_NOTE, FOOTNOTES, HEADINGS, Table, best_c
 from r2h_batch.report.text import NA
 from r2h_batch.results.reading import Run
 from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import RATES, Row, Verdicts, verdicts
+from r2h_batch.statistics.aggregate import RATES, Row
+from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA
 
 TRIALS_SHOWN = 20_000
@@ -22,7 +23,8 @@ TRIALS_SHOWN = 20_000
 
 def page(run: Run) -> str:
     """The page as text."""
-    table, methods = table_of(run), [verdicts(run, m) for m in run.methods]
+    methods = [tally(run, m, by_object=True) for m in run.methods]
+    table = table_of(run, counted=methods)
     body = [
         f"<h1>{_text(run.folder.resolve().name)}</h1>",
         f"<p class=origin>{' &middot; '.join(f'{_text(k)} <b>{_text(v)}</b>' for k, v in table.origin.items())}</p>",
@@ -40,7 +42,7 @@ def page(run: Run) -> str:
         ),
         _section(
             "Times",
-            _times(methods),
+            _times(run),
             "<li>T_plan is amortised (batch wall time / B): it is the same for all trials of a batch.</li>",
         ),
         _section("Criteria that fail together", "".join(map(_co_failures, methods))),
@@ -95,7 +97,7 @@ def _table(table: Table) -> str:
     return _grid(["Split", "Method", *HEADINGS.values(), "SR, new objects", "N", "invalid", "missing"], lines, 2)
 
 
-def _by_object(v: Verdicts) -> str:
+def _by_object(v: Tally) -> str:
     bars = [(f"{row.split}  {name}", row.counts) for name, row in breakdown.by_object(v)]
     return _section(f"Failures by object: {v.method}", charts.outcome_bars(bars))
 
@@ -109,16 +111,16 @@ def _margins(run: Run) -> str:
     return f"<div class=charts>{''.join(parts)}</div>"
 
 
-def _times(methods: Sequence[Verdicts]) -> str:
+def _times(run: Run) -> str:
     parts = []
     for name, title, scale, unit in (("t_exec_s", "T_exec", 1.0, "s"), ("t_plan_s", "T_plan", 1000.0, "ms")):
-        if found := breakdown.time_histograms(methods, name):
+        if found := breakdown.time_histograms(run, name):
             parts.append(charts.histograms(title, found, scale=scale, unit=unit))
     return f"<div class=charts>{''.join(parts)}</div>"
 
 
-def _co_failures(v: Verdicts) -> str:
-    found = breakdown.co_failures(v, np.ones(len(v.outcome), bool))
+def _co_failures(v: Tally) -> str:
+    found = breakdown.co_failures(v)
     lines = [
         [c, *(f"{f}<small>of {e}</small>" if e else NA for f, e in zip(found.failed[i], found.evaluated[i]))]
         for i, c in enumerate(CRITERIA)

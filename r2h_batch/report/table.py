@@ -12,7 +12,8 @@ from r2h_batch.files import csv_cell
 from r2h_batch.report.text import NA, aligned, plain, wrapped
 from r2h_batch.results.reading import Run
 from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import RATES, TIMES, Mean, Rate, Row, summarise, verdicts
+from r2h_batch.statistics.aggregate import RATES, TIMES, Mean, Rate, Row, summarise
+from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA
 
 FORMATS = ("md", "latex", "csv", "json")
@@ -56,10 +57,13 @@ class Table:
     origin: Mapping[str, str]
 
 
-def table_of(run: Run, order: Sequence[str] = CRITERIA) -> Table:
-    """The table of every complete method of a run folder, first failures looked for in `order`."""
+def table_of(run: Run, order: Sequence[str] = CRITERIA, counted: Sequence[Tally] | None = None) -> Table:
+    """The table of every complete method of a run folder, first failures looked for in `order`.
+
+    `counted`: these methods' trials, where they were counted already.
+    """
     header = run.header
-    rows = [verdicts(run, method) for method in run.methods]
+    rows = [tally(run, method) for method in run.methods] if counted is None else list(counted)
     if tuple(order) != CRITERIA:
         rows = [breakdown.in_order(v, order) for v in rows]
     origin = {

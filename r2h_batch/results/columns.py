@@ -15,11 +15,14 @@ def codes(table: pa.Table, name: str, order: Sequence[str], *, grow: bool = Fals
     """(N,) int64 places in `order` of a column's words; new words extend `order` (a list) if it may `grow`."""
     column = table[name].combine_chunks()
     words = column.dictionary.to_pylist()
+    place = {w: i for i, w in enumerate(order)}
     if grow and isinstance(order, list):
-        order.extend(w for w in words if w not in order)
-    if unknown := [w for w in words if w not in order]:
+        new = [w for w in dict.fromkeys(words) if w not in place]
+        place |= {w: len(order) + i for i, w in enumerate(new)}
+        order.extend(new)
+    if unknown := [w for w in words if w not in place]:
         raise ValueError(f"{name} holds {unknown[0]!r}; known are {', '.join(order)}")
-    return np.array([order.index(w) for w in words], np.int64)[column.indices.to_numpy(zero_copy_only=False)]
+    return np.array([place[w] for w in words], np.int64)[column.indices.to_numpy(zero_copy_only=False)]
 
 
 def states(table: pa.Table) -> dict[str, np.ndarray]:

@@ -52,15 +52,21 @@ def _other_names(header: Mapping[str, Any], ids: NDArray[np.int64], table: pa.Ta
     for column, words, codes in (("object", names, objects), ("split", SPLITS, ids % 2), ("side", SIDES, side)):
         if column not in table.column_names:
             continue
-        found, wanted = _words(table[column]), np.array(words, object)[codes]
-        if (wrong := np.flatnonzero(found != wanted)).size:
-            row = wrong[0]
-            return f"trial {ids[row]}: {column} is {printable(found[row])[:80]!r}, planned is {wanted[row]!r}"
+        found = _codes(table[column], words)
+        if (wrong := np.flatnonzero(found != codes)).size:
+            row = int(wrong[0])
+            said = printable(table[column][row].as_py())[:80]
+            return f"trial {ids[row]}: {column} is {said!r}, planned is {words[codes[row]]!r}"
     return None
 
 
-def _words(column: pa.ChunkedArray) -> NDArray[np.object_]:
-    return np.asarray(column.cast(pa.string()).to_numpy(zero_copy_only=False), object)
+def _codes(column: pa.ChunkedArray, words: Sequence[str]) -> NDArray[np.int64]:
+    """(N,) places of a column's words in `words`; -1 for other ones and for none."""
+    place = {word: i for i, word in enumerate(words)}
+    whole = column.combine_chunks()
+    encoded = whole if pa.types.is_dictionary(whole.type) else whole.dictionary_encode()
+    known = np.array([*(place.get(w, -1) for w in encoded.dictionary.to_pylist()), -1], np.int64)
+    return known[encoded.indices.fill_null(len(known) - 1).to_numpy()]
 
 
 def stored_not_as_planned(header: Mapping[str, Any], first: int, last: int, kind: str, file: Path) -> str | None:

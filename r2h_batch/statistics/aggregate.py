@@ -1,4 +1,4 @@
-"""From per-trial verdicts to Table I: first failures, rates of all trials, intervals, means. Pure functions."""
+"""From counted verdicts to Table I: first failures, rates of all trials, intervals, means. Pure functions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
-from r2h_batch.results.columns import FAILED, UNEVALUATED, codes, pattern, states
-from r2h_batch.results.reading import Run
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.statistics.tally import REQUIRED, SECONDS, Tally
 from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
 
 RATES = {
@@ -25,11 +24,6 @@ RATES = {
 """Reported rate -> the outcomes that it counts; every outcome is counted exactly once, so the rates sum to 100."""
 
 TIMES = ("t_plan_s", "t_exec_s", "t_tot_s", "t_method_s")
-
-_REQUIRED = np.array([c != "affordance" for c in CRITERIA])
-
-PATTERNS = np.array(np.unravel_index(np.arange(3 ** len(CRITERIA)), (3,) * len(CRITERIA))).T
-"""(243, 5) the criteria's words of every pattern; a trial's pattern is the row, invalid and missing trials have row 0."""
 
 
 @dataclass(frozen=True)
@@ -65,31 +59,7 @@ class Row:
     times: Mapping[str, Mean]
 
 
-@dataclass(frozen=True)
-class Verdicts:
-    """One method's trials as (N,) columns: index into `SPLITS`, object and outcome codes, seconds (NaN: none)."""
-
-    method: str
-    split: np.ndarray
-    object: np.ndarray
-    outcome: np.ndarray
-    t_plan_s: np.ndarray
-    t_exec_s: np.ndarray
-    t_method_s: np.ndarray
-    splits: tuple[str, ...] = SPLITS  # planned ones
-    objects: tuple[str, ...] = ()  # names behind the codes
-    pattern: np.ndarray | None = None  # row of `PATTERNS`: the five verdicts on their own
-
-    def __post_init__(self) -> None:
-        n = len(self.outcome)
-        for name in ("split", "object", "t_plan_s", "t_exec_s", "t_method_s"):
-            if len(getattr(self, name)) != n:
-                raise ValueError(f"Verdicts.{name} has {len(getattr(self, name))} rows, outcome has {n}")
-        if n and not (self.outcome.min() >= 0 and self.outcome.max() <= MISSING):
-            raise ValueError(f"Verdicts.outcome must lie in 0..{MISSING} ({', '.join(OUTCOME_NAMES)})")
-
-
-def first_failure(passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = _REQUIRED) -> np.ndarray:
+def first_failure(passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = REQUIRED) -> np.ndarray:
     """Outcome codes (N,) int8: the first evaluated criterion that failed, in the order of `CRITERIA`.
 
     A row without a failure is a success only if every `required` criterion ((5,) or (N, 5), all but Affordance unless
@@ -134,8 +104,14 @@ def clustered_interval(success: np.ndarray, cluster: np.ndarray, confidence: flo
     """
     success, cluster = np.asarray(success, bool), np.asarray(cluster)
     index = cluster if cluster.dtype.kind in "iu" else np.unique(cluster, return_inverse=True)[1]
-    n = np.bincount(index).astype(np.float64)
-    x = np.bincount(index[success], minlength=len(n))[n > 0]
+    n = np.bincount(index)
+    return clustered_rate(np.bincount(index[success], minlength=len(n)), n, confidence)
+
+
+def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0.95) -> Rate | None:
+    """`clustered_interval` from what it needs of each cluster: (K,) successes and trials, 0 of those that are empty."""
+    n = np.asarray(total, np.float64)
+    x = np.asarray(success)[n > 0]
     n = n[n > 0]
     k = len(n)
     if k < 2:
@@ -157,48 +133,57 @@ def mean_rate(rates: Sequence[Rate]) -> Rate:
     return Rate(percent, max(percent - float(below), 0.0), min(percent + float(above), 100.0))
 
 
-def _mean(values: np.ndarray) -> Mean:
-    ran = ~np.isnan(values)
-    return Mean(float(np.mean(values[ran], dtype=np.float64)) if ran.any() else None, int(ran.sum()))
-
-
-def _times(verdicts: Verdicts, rows: np.ndarray) -> dict[str, Mean]:
-    plan, execution = _mean(verdicts.t_plan_s[rows]), _mean(verdicts.t_exec_s[rows])
+def _times(counted: Tally, split: int, code: int | None) -> dict[str, Mean]:
+    means = {}
+    for name in SECONDS:
+        seconds = counted.sum_of(split, code, name)
+        means[name] = Mean(seconds.mean, seconds.count)
+    plan, execution = means["t_plan_s"], means["t_exec_s"]
     total = None if plan.value is None or execution.value is None else plan.value + execution.value
     return {
         "t_plan_s": plan,
         "t_exec_s": execution,
         "t_tot_s": Mean(total, execution.count),
-        "t_method_s": _mean(verdicts.t_method_s[rows]),
+        "t_method_s": means["t_method_s"],
     }
 
 
-def group_row(verdicts: Verdicts, rows: np.ndarray, split: str) -> Row:
-    """The table line of the trials that the mask `rows` selects; on split S0, F_afford is None (not evaluated)."""
-    outcome, objects = verdicts.outcome[rows], verdicts.object[rows]
-    counts = np.bincount(outcome, minlength=MISSING + 1)
+def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
+    """The table line of a split, or of one object (`code`) of it; on split S0, F_afford is None (not evaluated)."""
+    objects, splits, outcome, _ = counted.columns
+    place = SPLITS.index(split)
+    inside = (splits == place) & ((objects == code) if code is not None else True)
+    objects, outcome, count = objects[inside], outcome[inside], counted.count[inside]
+    counts = _added(outcome, count, MISSING + 1)
     n = int(counts.sum())
     if split == "S0" and counts[Outcome.AFFORDANCE]:
-        raise ValueError(f"{verdicts.method}: {counts[Outcome.AFFORDANCE]} S0 trials failed Affordance, which S0 skips")
+        raise ValueError(f"{counted.method}: {counts[Outcome.AFFORDANCE]} S0 trials failed Affordance, which S0 skips")
     rates: dict[str, Rate | None] = {}
     for name, outcomes in RATES.items():
-        count = int(sum(counts[o] for o in outcomes))
-        low, high = (100 * float(end) for end in wilson_interval(count, n))
-        rates[name] = Rate(100 * count / n, low, high, count, n) if n else None
+        of_it = int(sum(counts[o] for o in outcomes))
+        low, high = (100 * float(end) for end in wilson_interval(of_it, n))
+        rates[name] = Rate(100 * of_it / n, low, high, of_it, n) if n else None
     if sum(r.count or 0 for r in rates.values() if r) != n:
-        raise ValueError(f"{verdicts.method}, {split}: the outcomes do not add up to {n} trials: {counts.tolist()}")
+        raise ValueError(f"{counted.method}, {split}: the outcomes do not add up to {n} trials: {counts.tolist()}")
     if split == "S0":
         rates["f_afford"] = None
     return Row(
         split=split,
-        method=verdicts.method,
+        method=counted.method,
         n=n,
         counts=dict(zip(OUTCOME_NAMES, counts.tolist(), strict=True)),
         rates=rates,
-        sr_new_objects=clustered_interval(outcome == Outcome.SUCCESS, objects),
+        sr_new_objects=clustered_rate(_added(objects, count * (outcome == Outcome.SUCCESS)), _added(objects, count)),
         n_objects=len(np.unique(objects)),
-        times=_times(verdicts, rows),
+        times=_times(counted, place, code),
     )
+
+
+def _added(place: np.ndarray, count: np.ndarray, length: int = 0) -> np.ndarray:
+    """(length or more,) how many there are of each place."""
+    sums = np.zeros(max(length, int(place.max(initial=-1)) + 1), np.int64)
+    np.add.at(sums, place, count)
+    return sums
 
 
 def average_row(rows: Sequence[Row]) -> Row:
@@ -229,70 +214,17 @@ def average_row(rows: Sequence[Row]) -> Row:
     )
 
 
-def verdicts(run: Run, method: str) -> Verdicts:
-    """A stored method's verdicts, checked: counts as planned, outcomes equal to the stored criteria's first failure."""
-    times = ("t_plan_s", "t_exec_s", "t_method_s")
-    columns = ["object", "split", "outcome", *times, *(f"passed_{c}" for c in CRITERIA)]
-    names: list[str] = []
-    parts: dict[str, list[np.ndarray]] = {k: [] for k in ("split", "object", "outcome", "pattern", *times)}
-    for table in run.shards("trials", method, columns):
-        try:
-            part = {
-                "split": codes(table, "split", SPLITS).astype(np.int8),
-                "object": codes(table, "object", names, grow=True).astype(np.int32),
-                "outcome": codes(table, "outcome", OUTCOME_NAMES).astype(np.int8),
-                "pattern": pattern(states(table)).astype(np.uint8),
-                **{k: table[k].to_numpy().astype(np.float32) for k in times},
-            }
-        except ValueError as error:
-            raise ValueError(f"{method}: {error}") from None
-        _check_outcomes(method, part["outcome"], part["pattern"], part["split"])
-        for key, values in part.items():
-            parts[key].append(values)
-    empty = np.zeros(0, np.int8)
-    arrays = {k: np.concatenate(v) if v else empty for k, v in parts.items()}
-    planned = run.header["trials"]
-    for name, count in planned.items():
-        if (found := int((arrays["split"] == SPLITS.index(name)).sum())) != count:
-            raise ValueError(f"{method}: {found} rows in {name}, {count} were planned")
-    return Verdicts(method=method, splits=tuple(planned), objects=tuple(names), **arrays)
-
-
-def pattern_outcomes(order: Sequence[str] = CRITERIA) -> np.ndarray:
-    """(2, 243) outcome of every pattern on S0 and on S1 for an order of the criteria; -1: a needed one was not looked at."""
-    if sorted(order) != sorted(CRITERIA):
-        raise ValueError(f"an order of criteria is {', '.join(order)}; it must hold each of {', '.join(CRITERIA)} once")
-    columns = [CRITERIA.index(c) for c in order]
-    failed = PATTERNS[:, columns] == FAILED
-    codes = np.array([Outcome[c.upper()] for c in order], np.int8)
-    first = np.where(failed.any(1), codes[failed.argmax(1)], np.int8(Outcome.SUCCESS)).astype(np.int8)
-    table = np.tile(first, (2, 1))
-    for k, required in enumerate((_REQUIRED, np.ones(len(CRITERIA), bool))):
-        unseen = ((PATTERNS == UNEVALUATED) & required).any(1)
-        table[k, (first == Outcome.SUCCESS) & unseen] = -1
-    return table
-
-
-def _check_outcomes(method: str, outcome: np.ndarray, pattern: np.ndarray, split: np.ndarray) -> None:
-    expected = pattern_outcomes()[split, pattern]
-    judged = outcome < Outcome.INVALID_INPUT
-    if (unseen := int((judged & (expected < 0)).sum())) > 0:
-        raise ValueError(f"{method}: {unseen} rows have no failure but a criterion that was not evaluated")
-    if (wrong := int((judged & (expected != outcome)).sum())) > 0:
-        raise ValueError(f"{method}: {wrong} stored outcomes are not the first failure of the stored criteria")
-
-
-def summarise(methods: Sequence[Verdicts]) -> tuple[Row, ...]:
+def summarise(methods: Sequence[Tally]) -> tuple[Row, ...]:
     """Rows in Table I's order: every method on S0, then on S1, then Avg (only when both splits were planned)."""
     table: list[Row] = []
-    by_method: dict[str, list[Row]] = {v.method: [] for v in methods}
+    by_method: dict[str, list[Row]] = {m.method: [] for m in methods}
     if len(by_method) != len(methods):
-        raise ValueError(f"method names must differ, got {', '.join(v.method for v in methods)}")
+        raise ValueError(f"method names must differ, got {', '.join(m.method for m in methods)}")
     for split in SPLITS:
-        for v in methods:
-            if split in v.splits:
-                row = group_row(v, v.split == SPLITS.index(split), split)
+        for counted in methods:
+            if split in counted.splits:
+                row = group_row(counted, split)
                 table.append(row)
-                by_method[v.method].append(row)
+                by_method[counted.method].append(row)
     table.extend(average_row(rows) for rows in by_method.values() if len(rows) == len(SPLITS))
     return tuple(table)

@@ -1,7 +1,7 @@
 """The same verdicts looked at in other ways: per object, which criteria fail together, other orders of the criteria."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
@@ -9,7 +9,8 @@ import pyarrow as pa
 from r2h_batch.results.columns import FAILED, UNEVALUATED, codes
 from r2h_batch.results.reading import Run
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
-from r2h_batch.statistics.aggregate import PATTERNS, Row, Verdicts, group_row, pattern_outcomes
+from r2h_batch.statistics.aggregate import Row, group_row
+from r2h_batch.statistics.tally import PATTERNS, Tally, pattern_outcomes
 from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
 
 
@@ -24,38 +25,36 @@ class CoFailures:
     evaluated: np.ndarray
 
 
-def _patterns(verdicts: Verdicts) -> np.ndarray:
-    if verdicts.pattern is None:
-        raise ValueError(f"{verdicts.method}: the five verdicts are needed, aggregate.verdicts reads them")
-    return verdicts.pattern
-
-
-def co_failures(verdicts: Verdicts, rows: np.ndarray) -> CoFailures:
-    """Which criteria fail together among the trials that the mask `rows` selects."""
-    count = np.bincount(_patterns(verdicts)[rows], minlength=len(PATTERNS))
+def co_failures(counted: Tally, split: str | None = None) -> CoFailures:
+    """Which criteria fail together among the trials of a split, or among all."""
+    _, splits, _, pattern = counted.columns
+    count = np.zeros(len(PATTERNS), np.int64)
+    inside = slice(None) if split is None else splits == SPLITS.index(split)
+    np.add.at(count, pattern[inside], counted.count[inside])
     failed, evaluated = PATTERNS == FAILED, PATTERNS != UNEVALUATED
     return CoFailures(
         np.einsum("p,pi,pj->ij", count, failed, failed), np.einsum("p,pi,pj->ij", count, evaluated, evaluated)
     )
 
 
-def in_order(verdicts: Verdicts, order: Sequence[str]) -> Verdicts:
-    """The verdicts with the first failure looked for in another order of the criteria; SR does not depend on it."""
-    outcome = pattern_outcomes(order)[verdicts.split, _patterns(verdicts)]
-    judged = verdicts.outcome < Outcome.INVALID_INPUT
-    if (unseen := int((outcome[judged] < 0).sum())) > 0:
-        raise ValueError(f"{verdicts.method}: {unseen} rows have no failure but a criterion that was not evaluated")
-    return replace(verdicts, outcome=np.where(judged, outcome, verdicts.outcome).astype(np.int8))
+def in_order(counted: Tally, order: Sequence[str]) -> Tally:
+    """The trials with the first failure looked for in another order of the criteria; SR does not depend on it."""
+    _, split, before, pattern = counted.columns
+    outcome = pattern_outcomes(order)[split, pattern]
+    judged = before < Outcome.INVALID_INPUT
+    if (unseen := int(counted.count[judged & (outcome < 0)].sum())) > 0:
+        raise ValueError(f"{counted.method}: {unseen} rows have no failure but a criterion that was not evaluated")
+    return counted.with_outcomes(np.where(judged, outcome, before))
 
 
-def by_object(verdicts: Verdicts) -> tuple[tuple[str, Row], ...]:
+def by_object(counted: Tally) -> tuple[tuple[str, Row], ...]:
     """(object, its line of the table) split by split; objects in alphabetical order."""
     lines = []
-    for split in verdicts.splits:
-        inside = verdicts.split == SPLITS.index(split)
-        present = np.bincount(verdicts.object[inside], minlength=len(verdicts.objects)) > 0
-        for code in sorted(np.flatnonzero(present), key=lambda c: verdicts.objects[c]):
-            lines.append((verdicts.objects[code], group_row(verdicts, inside & (verdicts.object == code), split)))
+    objects, splits, _, _ = counted.columns
+    for split in counted.splits:
+        present = np.unique(objects[splits == SPLITS.index(split)]).tolist()
+        for code in sorted(present, key=lambda c: counted.objects[c]):
+            lines.append((counted.objects[code], group_row(counted, split, code)))
     return tuple(lines)
 
 
@@ -102,11 +101,21 @@ def margin_histograms(run: Run, method: str) -> dict[str, Histogram]:
     return {c: Histogram(low, high, n) for c, n in counts.items()}
 
 
-def time_histograms(methods: Sequence[Verdicts], name: str) -> dict[str, Histogram]:
+def time_histograms(run: Run, name: str) -> dict[str, Histogram]:
     """Method -> histogram of a time over one range for all: from 0 to the largest; empty where none was measured."""
-    given = {v.method: getattr(v, name)[np.isfinite(getattr(v, name))] for v in methods}
-    high = max((float(x.max()) for x in given.values() if len(x)), default=0.0)
-    return {m: Histogram(0.0, high, _histogram(x, 0.0, high)) for m, x in given.items() if len(x) and high > 0}
+
+    def seconds(method: str) -> Iterator[np.ndarray]:
+        for table in run.shards("trials", method, [name]):
+            values = table[name].to_numpy().astype(np.float32)
+            yield values[np.isfinite(values)]
+
+    largest = {m: max((float(x.max()) for x in seconds(m) if len(x)), default=None) for m in run.methods}
+    high = max((x for x in largest.values() if x is not None), default=0.0)
+    counts = {m: np.zeros(BINS, np.int64) for m, x in largest.items() if x is not None and high > 0}
+    for method, count in counts.items():
+        for values in seconds(method):
+            count += _histogram(values, 0.0, high)
+    return {m: Histogram(0.0, high, count) for m, count in counts.items()}
 
 
 SHOWN = ("trial_id", "object", "split", "side", "outcome", *(f"margin_{c}_m" for c in CRITERIA))

@@ -1,30 +1,52 @@
 """Which method is better, decided on the same trials: McNemar, Holm, intervals and ranks over objects drawn again."""
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from r2h_batch.results.reading import Run
-from r2h_batch.statistics.aggregate import Verdicts, verdicts
+from r2h_batch.statistics.tally import Verdicts, verdicts
 from r2h_batch.verdicts import SPLITS, Outcome
 
 ALPHA = 0.05
 DRAWS = 10_000
+PIECE = 65_536
+"""Trials of all methods that are looked at together."""
 
 SAME = ("protocol", "trials", "digests", "configuration")
 """Fields of run.json that must agree: else two methods were not asked, or not judged, the same."""
 
 
-@dataclass(frozen=True)
 class Paired:
-    """Several methods on the same trials: success (M, N), split and object codes (N,)."""
+    """Several methods on the same trials, counted: how many of each split and object, and who solved them.
 
-    names: tuple[str, ...]
-    success: np.ndarray
-    split: np.ndarray
-    object: np.ndarray
+    `trials` (2, K) by split and object; `hits` (2, M, K) those that a method solves; `only` (2, M, M) those that
+    method i solves and j does not.
+    """
+
+    def __init__(self, names: Sequence[str]) -> None:
+        m = len(names)
+        self.names = tuple(names)
+        self.trials = np.zeros((len(SPLITS), 0), np.int64)
+        self.hits = np.zeros((len(SPLITS), m, 0), np.int64)
+        self.only = np.zeros((len(SPLITS), m, m), np.int64)
+
+    def add(self, success: np.ndarray, split: np.ndarray, objects: np.ndarray) -> None:
+        """Count more trials: success (M, B), split and object codes (B,)."""
+        if (more := int(objects.max(initial=-1)) + 1 - self.trials.shape[1]) > 0:
+            self.trials = np.pad(self.trials, ((0, 0), (0, more)))
+            self.hits = np.pad(self.hits, ((0, 0), (0, 0), (0, more)))
+        k = self.trials.shape[1]
+        for place in np.unique(split).tolist():
+            inside = split == place
+            solved, code = success[:, inside], objects[inside]
+            self.trials[place] += np.bincount(code, minlength=k)
+            for row, mine in zip(self.hits[place], solved, strict=True):
+                row += np.bincount(code[mine], minlength=k)
+            self.only[place] += [[int((mine & ~other).sum()) for other in solved] for mine in solved]
 
 
 @dataclass(frozen=True)
@@ -94,49 +116,78 @@ def pair_up(runs: Sequence[Run]) -> Paired:
                     f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired;"
                     " sweep both methods with the same version and options"
                 )
-    found: list[tuple[str, Verdicts]] = []
-    ids = None
+    names, streams = [], []
     for run in runs:
         if run.unfinished:
             raise ValueError(f"{run.folder}: {run.unfinished[0]!r} is not complete; run its sweep again to go on")
         for method in run.methods:
-            taken = method in (name for name, _ in found)
-            found.append((f"{run.folder.name}/{method}" if taken else method, verdicts(run, method)))
-            its = run.trials(method, ["trial_id"])["trial_id"].to_numpy()
-            if ids is not None and not np.array_equal(ids, its):
-                raise ValueError(f"{run.folder}: {method!r} has other trial ids than {found[0][0]!r}")
-            ids = its
-    names = tuple(name for name, _ in found)
+            names.append(f"{run.folder.name}/{method}" if method in names else method)
+            streams.append(_Stream(run, method))
     if len(names) < 2:
         raise ValueError(f"one method ({', '.join(names) or 'none'}) is nothing to compare; give a second run")
     if len(set(names)) != len(names):
         raise ValueError(f"two runs of one name hold {next(n for n in names if names.count(n) > 1)!r}; rename a folder")
-    success = np.stack([v.outcome == Outcome.SUCCESS for _, v in found])
-    places = {name: i for i, name in enumerate(found[0][1].objects)}
-    for name, v in found[1:]:
-        codes = np.array([places.get(o, -1) for o in v.objects])
-        if not np.array_equal(codes[v.object], found[0][1].object):
-            raise ValueError(f"{name} and {found[0][0]} have other objects in the same trials")
-    return Paired(names, success, found[0][1].split, found[0][1].object)
+    paired = Paired(names)
+    for pieces in _together([s.rows for s in streams]):
+        _check_same_trials(names, streams, pieces)
+        success = np.stack([p.outcome == Outcome.SUCCESS for p in pieces])
+        paired.add(success, pieces[0].split, pieces[0].object)
+    return paired
+
+
+class _Stream:
+    """A method's verdicts shard by shard, and the names of the objects met so far."""
+
+    def __init__(self, run: Run, method: str) -> None:
+        self.run, self.method = run, method
+        self.objects: list[str] = []
+        self.rows = verdicts(run, method, self.objects)
+
+
+def _together(streams: Sequence[Iterator[Verdicts]]) -> Iterator[list[Verdicts]]:
+    """The same rows of every stream at a time; their shards may end in different places."""
+    left: list[Verdicts | None] = [None] * len(streams)
+    while True:
+        left = [rows if rows is not None and len(rows) else next(s, None) for rows, s in zip(left, streams)]
+        pieces = [rows for rows in left if rows is not None]
+        if len(pieces) < len(streams):  # every stream says at its end whether it had as many rows as planned
+            for stream in streams:
+                deque(stream, maxlen=0)
+            return
+        n = min(PIECE, *map(len, pieces))
+        yield [rows.rows(0, n) for rows in pieces]
+        left = [rows.rows(n) for rows in pieces]
+
+
+def _check_same_trials(names: Sequence[str], streams: Sequence[_Stream], pieces: Sequence[Verdicts]) -> None:
+    first = pieces[0]
+    places = {name: i for i, name in enumerate(streams[0].objects)}
+    for name, stream, rows in zip(names[1:], streams[1:], pieces[1:], strict=True):
+        if not np.array_equal(first.trial_id, rows.trial_id):
+            raise ValueError(f"{stream.run.folder}: {stream.method!r} has other trial ids than {names[0]!r}")
+        codes = np.array([places.get(o, -1) for o in stream.objects])
+        if not np.array_equal(codes[rows.object], first.object):
+            raise ValueError(f"{name} and {names[0]} have other objects in the same trials")
 
 
 def compare(paired: Paired, *, draws: int = DRAWS, seed: int = 0) -> tuple[Comparison, ...]:
     """One comparison for each split, and one for all trials where there are two splits."""
-    groups = [(SPLITS[k], paired.split == k) for k in range(len(SPLITS)) if (paired.split == k).any()]
+    groups = [(SPLITS[k], [k]) for k in range(len(SPLITS)) if paired.trials[k].any()]
     if len(groups) > 1:
-        groups.append(("all", np.ones(len(paired.split), bool)))
-    return tuple(_compare(name, paired, rows, draws, seed) for name, rows in groups)
+        groups.append(("all", list(range(len(SPLITS)))))
+    return tuple(_compare(name, paired, splits, draws, seed) for name, splits in groups)
 
 
-def _compare(group: str, paired: Paired, rows: np.ndarray, draws: int, seed: int) -> Comparison:
-    success, names = paired.success[:, rows], paired.names
-    sampled = _resampled_rates(success, paired.split[rows], paired.object[rows], draws, seed)
+def _compare(group: str, paired: Paired, splits: list[int], draws: int, seed: int) -> Comparison:
+    names, n = paired.names, int(paired.trials[splits].sum())
+    sampled = _resampled_rates(paired, splits, draws, seed)
     pairs = list(combinations(range(len(names)), 2))
-    only = [[int((success[i] & ~success[j]).sum()), int((success[j] & ~success[i]).sum())] for i, j in pairs]
-    p = [mcnemar(*counts) for counts in only]
+    counts = paired.only[splits].sum(0)
+    only = [(int(counts[i, j]), int(counts[j, i])) for i, j in pairs]
+    p = [mcnemar(*both) for both in only]
     lines = []
     for (i, j), (only_i, only_j), raw, adjusted in zip(pairs, only, p, holm(p)):
-        difference = 100 * (only_i - only_j) / success.shape[1]
+        difference = 100 * (only_i - only_j) / n
         ends = None if sampled is None else np.quantile(100 * (sampled[:, i] - sampled[:, j]), [0.025, 0.975])
         low, high = (None, None) if ends is None else (float(ends[0]), float(ends[1]))
         word = "better" if difference > 0 else "worse"
@@ -146,30 +197,25 @@ def _compare(group: str, paired: Paired, rows: np.ndarray, draws: int, seed: int
             word += " here"
         pair = Pair(names[i], names[j], difference, low, high, only_i, only_j, raw, float(adjusted), word)
         lines.append(pair)
-    rates = tuple(float(100 * s.mean()) for s in success)
+    rates = tuple(float(100 * (hits / n)) for hits in paired.hits[splits].sum((0, 2)))
     rank = None if sampled is None else rank_probabilities(sampled)
-    return Comparison(group, success.shape[1], names, rates, tuple(lines), rank)
+    return Comparison(group, n, names, rates, tuple(lines), rank)
 
 
-def _resampled_rates(
-    success: np.ndarray, split: np.ndarray, objects: np.ndarray, draws: int, seed: int
-) -> np.ndarray | None:
+def _resampled_rates(paired: Paired, splits: Sequence[int], draws: int, seed: int) -> np.ndarray | None:
     """(draws, M) success rates when the objects of each split are drawn again with replacement; None for one object."""
-    n_objects = int(objects.max()) + 1
-    hits, totals = np.zeros((draws, len(success))), np.zeros(draws)
+    hits, totals = np.zeros((draws, len(paired.names))), np.zeros(draws)
     random = np.random.default_rng(seed)
-    for k in np.unique(split):
-        inside = split == k
-        n = np.bincount(objects[inside], minlength=n_objects)
-        kept = n > 0
+    for k in splits:
+        kept = paired.trials[k] > 0
+        n, x = paired.trials[k][kept], paired.hits[k][:, kept].astype(np.float64)
         if kept.sum() < 2:
             return None
-        x = np.stack([np.bincount(objects[inside], weights=s[inside], minlength=n_objects)[kept] for s in success])
         # The bootstrap's clusters are objects, not trials: trials on one object succeed together, and a reader asks about new
         # objects. Drawing n objects with replacement is one multinomial; rates then are sums of hits over sums of trials.
         weight = random.multinomial(kept.sum(), np.full(kept.sum(), 1 / kept.sum()), size=draws)
         hits += weight @ x.T
-        totals += weight @ n[kept]
+        totals += weight @ n
     return hits / totals[:, None]
 
 

@@ -12,8 +12,8 @@ from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M
 from r2h_batch.results.columns import FAILED, PASSED, codes, pattern, states
 from r2h_batch.results.reading import Run
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
-from r2h_batch.statistics.aggregate import pattern_outcomes
 from r2h_batch.statistics.paired import rank_probabilities
+from r2h_batch.statistics.tally import pattern_outcomes
 from r2h_batch.verdicts import SPLITS, Outcome
 
 ROUNDING_M = 1e-8

@@ -1,6 +1,7 @@
 """Rates, intervals and means from per-trial verdicts, against scipy and against counting by hand."""
 
 import math
+import pickle
 from itertools import product
 
 import numpy as np
@@ -12,24 +13,31 @@ from scipy import stats
 
 from r2h_batch.results.reading import load_run
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
-from r2h_batch.statistics import aggregate
-from r2h_batch.statistics.aggregate import Rate, Verdicts
+from r2h_batch.statistics import aggregate, breakdown
+from r2h_batch.statistics.aggregate import Rate
+from r2h_batch.statistics.tally import BLOCK, Sum, Tally, Verdicts, tally
 from r2h_batch.types import CRITERIA, Outcome
 
 
-def verdicts_of(outcome, split=None, objects=None, method="m", splits=("S0", "S1"), t_plan_s=None) -> Verdicts:
+def tally_of(
+    outcome, split=None, objects=None, method="m", splits=("S0", "S1"), t_plan_s=None, by_object=False
+) -> Tally:
     outcome = np.asarray(outcome, np.int8)
     n = len(outcome)
-    return Verdicts(
-        method=method,
-        split=np.zeros(n, np.int8) if split is None else np.asarray(split, np.int8),
-        object=np.arange(n) % 4 if objects is None else np.asarray(objects),
-        outcome=outcome,
-        t_plan_s=np.full(n, np.nan) if t_plan_s is None else np.asarray(t_plan_s, np.float32),
-        t_exec_s=np.full(n, np.nan),
-        t_method_s=np.full(n, np.nan),
-        splits=splits,
+    counted = Tally(method, splits, "abcdefgh", by_object)
+    counted.add(
+        Verdicts(
+            split=np.zeros(n, np.int8) if split is None else np.asarray(split, np.int8),
+            object=np.arange(n) % 4 if objects is None else np.asarray(objects),
+            outcome=outcome,
+            pattern=np.zeros(n, np.uint8),
+            t_plan_s=np.full(n, np.nan) if t_plan_s is None else np.asarray(t_plan_s, np.float32),
+            t_exec_s=np.full(n, np.nan),
+            t_method_s=np.full(n, np.nan),
+            trial_id=np.arange(n),
+        )
     )
+    return counted
 
 
 def test_the_first_failure_is_the_first_false_in_criterion_order_for_every_pattern_of_passes():
@@ -137,7 +145,7 @@ def test_the_interval_of_a_mean_rate_covers():
 @pytest.mark.check
 def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
     outcome = np.repeat(np.arange(MISSING + 1), [5, 4, 3, 2, 1, 6, 7, 8, 9])
-    row = aggregate.group_row(verdicts_of(outcome, np.ones(45)), np.ones(45, bool), "S1")
+    row = aggregate.group_row(tally_of(outcome, np.ones(45)), "S1")
     assert row.n == 45
     assert sum(r.percent for r in row.rates.values()) == pytest.approx(100)
     assert {k: r.count for k, r in row.rates.items()} == {
@@ -147,23 +155,22 @@ def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
 
 
 def test_missing_and_invalid_trials_stay_in_the_denominator():
-    row = aggregate.group_row(verdicts_of([0, MISSING, Outcome.INVALID_SIM, 0]), np.ones(4, bool), "S0")
+    row = aggregate.group_row(tally_of([0, MISSING, Outcome.INVALID_SIM, 0]), "S0")
     assert row.rates["sr"].percent == 50
 
 
 def test_an_outcome_that_is_none_of_the_known_ones_is_refused():
     with pytest.raises(ValueError, match="outcome"):
-        verdicts_of([0, MISSING + 1])
+        tally_of([0, MISSING + 1])
 
 
 def test_an_affordance_failure_in_s0_is_refused():
     with pytest.raises(ValueError, match="S0 skips"):
-        aggregate.group_row(verdicts_of([Outcome.AFFORDANCE]), np.ones(1, bool), "S0")
+        aggregate.group_row(tally_of([Outcome.AFFORDANCE]), "S0")
 
 
 def test_times_are_means_over_the_trials_in_which_the_stage_ran():
-    v = verdicts_of([0, 0, 2, 2], t_plan_s=[1.0, 2.0, np.nan, 6.0])
-    row = aggregate.group_row(v, np.ones(4, bool), "S0")
+    row = aggregate.group_row(tally_of([0, 0, 2, 2], t_plan_s=[1.0, 2.0, np.nan, 6.0]), "S0")
     assert (row.times["t_plan_s"].value, row.times["t_plan_s"].count) == (3.0, 3)
     assert (row.times["t_exec_s"].value, row.times["t_exec_s"].count) == (None, 0)
     assert row.times["t_tot_s"].value is None
@@ -171,13 +178,13 @@ def test_times_are_means_over_the_trials_in_which_the_stage_ran():
 
 @pytest.mark.parametrize("code", [Outcome.SUCCESS, Outcome.PLAN])
 def test_0_and_100_percent_give_intervals_inside_0_to_100(code):
-    row = aggregate.group_row(verdicts_of(np.full(20, code)), np.ones(20, bool), "S0")
+    row = aggregate.group_row(tally_of(np.full(20, code)), "S0")
     for rate in row.rates.values():
         assert rate is None or 0 <= rate.low <= rate.percent <= rate.high <= 100
 
 
 def test_an_empty_split_has_no_rates_no_times_and_no_average():
-    rows = aggregate.summarise([verdicts_of([0, 0, 2])])
+    rows = aggregate.summarise([tally_of([0, 0, 2])])
     by_split = {r.split: r for r in rows}
     assert by_split["S1"].n == 0
     for row in (by_split["S1"], by_split["Avg"]):
@@ -187,12 +194,12 @@ def test_an_empty_split_has_no_rates_no_times_and_no_average():
 
 
 def test_one_planned_split_gives_no_avg_row():
-    assert [r.split for r in aggregate.summarise([verdicts_of([0, 2], splits=("S0",))])] == ["S0"]
+    assert [r.split for r in aggregate.summarise([tally_of([0, 2], splits=("S0",))])] == ["S0"]
 
 
 def test_avg_is_the_mean_of_the_splits_whatever_their_sizes_and_takes_s0s_affordance_as_0():
     outcome = [0, 0, 0, 2] + [0] * 5 + [Outcome.AFFORDANCE] * 5
-    rows = {r.split: r for r in aggregate.summarise([verdicts_of(outcome, [0] * 4 + [1] * 10)])}
+    rows = {r.split: r for r in aggregate.summarise([tally_of(outcome, [0] * 4 + [1] * 10)])}
     assert rows["Avg"].rates["sr"].percent == pytest.approx((75 + 50) / 2)
     assert rows["S0"].rates["f_afford"] is None
     s1, avg = rows["S1"].rates["f_afford"], rows["Avg"].rates["f_afford"]
@@ -201,12 +208,12 @@ def test_avg_is_the_mean_of_the_splits_whatever_their_sizes_and_takes_s0s_afford
 
 def test_methods_of_the_same_name_are_refused():
     with pytest.raises(ValueError, match="differ"):
-        aggregate.summarise([verdicts_of([0]), verdicts_of([0])])
+        aggregate.summarise([tally_of([0]), tally_of([0])])
 
 
 def test_the_papers_rows_give_back_every_number_of_table_1(tmp_path):
     run = paper_run(tmp_path / "paper")
-    rows = {(r.split, r.method): r for r in aggregate.summarise([aggregate.verdicts(run, m) for m in run.methods])}
+    rows = {(r.split, r.method): r for r in aggregate.summarise([tally(run, m) for m in run.methods])}
     cells = table_1()
     assert len(rows) == len(cells) == 12
     for cell in cells:
@@ -226,21 +233,21 @@ def test_a_stored_outcome_that_contradicts_its_criteria_is_refused(tmp_path):
     run = write_run(tmp_path / "run", {"m": np.array([0, 1, 2, 5])}, 2, 2)
     _replace_column(run, "passed_stability", pa.array([False, False, True, True]))
     with pytest.raises(ValueError, match="1 stored outcomes"):
-        aggregate.verdicts(load_run(run.folder, verify=False), "m")
+        tally(load_run(run.folder, verify=False), "m")
 
 
 def test_an_s1_success_without_affordance_is_refused(tmp_path):
     run = write_run(tmp_path / "run", {"m": np.array([0, 0])}, 1, 1)
     _replace_column(run, "passed_affordance", pa.nulls(2, pa.bool_()))
     with pytest.raises(ValueError, match="not evaluated"):
-        aggregate.verdicts(load_run(run.folder, verify=False), "m")
+        tally(load_run(run.folder, verify=False), "m")
 
 
 def test_rows_that_are_not_as_many_as_planned_are_refused(tmp_path):
     run = write_run(tmp_path / "run", {"m": np.array([0, 0, 2])}, 2, 1)
     run.header["trials"]["S1"] = 4
     with pytest.raises(ValueError, match="1 rows in S1, 4 were planned"):
-        aggregate.verdicts(run, "m")
+        tally(run, "m")
 
 
 def _replace_column(run, name, values) -> None:
@@ -249,8 +256,48 @@ def _replace_column(run, name, values) -> None:
     pq.write_table(table.set_column(table.column_names.index(name), name, values), path)
 
 
-def test_object_rows_are_the_same_function_on_another_mask():
+def test_object_rows_are_the_same_function_of_fewer_trials():
     trials = make_trials(6, 0)
-    v = verdicts_of([0, 2, 0, 0, 2, 2], objects=trials.object_index.numpy())
-    rates = [aggregate.group_row(v, v.object == k, "S0").rates["sr"].percent for k in range(3)]
+    counted = tally_of([0, 2, 0, 0, 2, 2], objects=trials.object_index.numpy(), by_object=True)
+    rates = [aggregate.group_row(counted, "S0", k).rates["sr"].percent for k in range(3)]
     assert rates == [100, 0, 50]
+
+
+def test_a_mean_has_the_bits_of_numpys_over_all_values_whatever_the_pieces():
+    random = np.random.default_rng(6)
+    for n in (1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 5 * BLOCK + 77):
+        values = random.gamma(20, 0.42, n).astype(np.float32)
+        values[random.random(n) < 0.1] = np.nan
+        values[0] = 0.1
+        expected = np.mean(values[~np.isnan(values)], dtype=np.float64)
+        for _ in range(4):
+            summed, ends = Sum(), np.sort(random.integers(0, n + 1, 6))
+            for piece in np.split(values, ends):
+                summed.add(piece)
+            assert summed.mean == expected and summed.count == (~np.isnan(values)).sum()
+    assert Sum().mean is None
+
+
+def test_the_table_is_the_same_for_any_shards(tmp_path):
+    outcomes = np.random.default_rng(4).choice([0, 0, 1, 2, 3, 5, 6, 8], 240)
+    rows = []
+    for size in (240, 7, 33):
+        run = write_run(tmp_path / str(size), {"m": outcomes}, 120, 120, shard_trials=size)
+        counted = tally(run, "m", by_object=True)
+        rows.append((aggregate.summarise([counted]), breakdown.by_object(counted)))
+    assert rows[0] == rows[1] == rows[2]
+
+
+def test_what_is_kept_does_not_grow_with_the_trials():
+    """200 shards, with every object, outcome and time in each: kinds and waiting seconds stay as they were after five."""
+    random, counted, sizes = np.random.default_rng(2), Tally("m", by_object=True), []
+    for _ in range(200):
+        outcome = random.integers(0, 4, 2000)
+        seconds = [random.random(2000, np.float32) for _ in range(3)]
+        code = np.arange(2000) % 3
+        counted.add(Verdicts(code % 2, code, outcome, outcome, *seconds, code))
+        sizes.append(len(pickle.dumps(counted)))
+    assert (
+        max(sizes) < sizes[4] + 8 * 3 * 4 * BLOCK
+    )  # eight sums of each time, at most a block of float32 waits in each
+    assert counted.count.sum() == 400_000

@@ -1,13 +1,16 @@
 """Per object, co-failures and other orders, against counting by hand."""
 
+from collections import Counter
 from itertools import permutations
 
 import numpy as np
 import pytest
 from made_runs import OBJECTS, write_run
 
+from r2h_batch.results.rows import OUTCOME_NAMES
 from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import PATTERNS, first_failure, group_row, pattern_outcomes, verdicts
+from r2h_batch.statistics.aggregate import first_failure, group_row
+from r2h_batch.statistics.tally import PATTERNS, pattern_outcomes, tally
 from r2h_batch.types import CRITERIA, Outcome
 
 OUTCOMES = np.random.default_rng(3).choice([0, 0, 0, 1, 2, 3, 5, 6, 8], 120)
@@ -17,7 +20,7 @@ OUTCOMES = np.random.default_rng(3).choice([0, 0, 0, 1, 2, 3, 5, 6, 8], 120)
 def made(tmp_path_factory):
     run = write_run(tmp_path_factory.mktemp("b") / "run", {"m": OUTCOMES}, 60, 60, shard_trials=17)
     table = run.trials("m").to_pylist()
-    return verdicts(run, "m"), table
+    return tally(run, "m", by_object=True), table
 
 
 def test_the_outcome_of_every_pattern_is_its_first_failure():
@@ -34,9 +37,8 @@ def test_the_outcome_of_every_pattern_is_its_first_failure():
 
 
 def test_co_failures_are_counted_where_both_were_evaluated(made):
-    v, table = made
-    rows = v.split == 1
-    found = breakdown.co_failures(v, rows)
+    counted, table = made
+    found = breakdown.co_failures(counted, "S1")
     mine = [r for r in table if r["split"] == "S1"]
     for i, a in enumerate(CRITERIA):
         for j, b in enumerate(CRITERIA):
@@ -47,27 +49,43 @@ def test_co_failures_are_counted_where_both_were_evaluated(made):
 
 
 def test_any_order_gives_the_first_failure_in_that_order_and_the_same_success_rate(made):
-    v, table = made
+    counted, table = made
+
+    def outcomes(tally_):
+        code, split, outcome, _ = tally_.columns
+        found = Counter()
+        for *kind, n in zip(split, code, outcome, tally_.count):
+            found[tuple(map(int, kind))] += int(n)
+        return found
+
     for order in permutations(CRITERIA):
-        again = breakdown.in_order(v, order)
-        for code, row in zip(again.outcome, table):
+        expected = Counter()
+        for row in table:
             failed = [c for c in order if row[f"passed_{c}"] is False]
-            if row["outcome"].startswith(("invalid", "missing")):
-                assert code == v.outcome[table.index(row)]
-            else:
-                assert code == (Outcome[failed[0].upper()] if failed else Outcome.SUCCESS)
-        assert (again.outcome == 0).sum() == (v.outcome == 0).sum()
-    assert np.array_equal(breakdown.in_order(v, CRITERIA).outcome, v.outcome)
-    reach_first = breakdown.in_order(v, breakdown.parse_order("reach"))
-    assert (reach_first.outcome == Outcome.REACH).sum() > (v.outcome == Outcome.REACH).sum()
+            told = failed[0] if failed else "success"
+            name = row["outcome"] if row["outcome"].startswith(("invalid", "missing")) else told
+            split = ("S0", "S1").index(row["split"])
+            expected[split, counted.objects.index(row["object"]), OUTCOME_NAMES.index(name)] += 1
+        again = outcomes(breakdown.in_order(counted, order))
+        assert again == expected
+        assert {k: n for k, n in again.items() if k[2] == 0} == {
+            k: n for k, n in outcomes(counted).items() if k[2] == 0
+        }
+    assert outcomes(breakdown.in_order(counted, CRITERIA)) == outcomes(counted)
+    reach_first = outcomes(breakdown.in_order(counted, breakdown.parse_order("reach")))
+
+    def reached(found):
+        return sum(n for k, n in found.items() if k[2] == Outcome.REACH)
+
+    assert reached(reach_first) > reached(outcomes(counted))
 
 
 def test_object_rows_add_up_to_their_split(made):
-    v, _ = made
-    rows = breakdown.by_object(v)
+    counted, _ = made
+    rows = breakdown.by_object(counted)
     assert [name for name, _ in rows] == sorted(OBJECTS[:3]) + sorted(OBJECTS[3:])
-    for k, split in enumerate(("S0", "S1")):
-        whole = group_row(v, v.split == k, split)
+    for split in ("S0", "S1"):
+        whole = group_row(counted, split)
         parts = [row for _, row in rows if row.split == split]
         assert {n: sum(r.counts[n] for r in parts) for n in whole.counts} == dict(whole.counts)
         assert all(r.n_objects == 1 and r.sr_new_objects is None for r in parts)

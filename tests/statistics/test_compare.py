@@ -1,6 +1,7 @@
 """Paired comparisons against statsmodels, by simulation, and what is refused."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from r2h_batch.compare import command as compare
 from r2h_batch.compare.text import render
 from r2h_batch.results.reading import load_run
 from r2h_batch.statistics import paired as pairing
+from r2h_batch.statistics import tally
 from r2h_batch.statistics.paired import Paired
 
 
@@ -21,7 +23,10 @@ def paired(success, objects, split=None):
     success = np.asarray(success, bool)
     n = success.shape[1]
     split = np.zeros(n, int) if split is None else np.asarray(split)
-    return Paired(tuple(f"m{i}" for i in range(len(success))), success, split, np.asarray(objects))
+    counted = Paired([f"m{i}" for i in range(len(success))])
+    for piece in np.array_split(np.arange(n), 3):
+        counted.add(success[:, piece], split[piece], np.asarray(objects)[piece])
+    return counted
 
 
 @pytest.mark.parametrize("counts", [(0, 0), (1, 0), (5, 5), (3, 17), (40, 60), (0, 9), (200, 260)])
@@ -124,6 +129,40 @@ def test_two_runs_of_the_same_trials_are_compared_split_by_split_and_together(tm
     assert "McNemar p" in text and "rank 4" in text and text.isascii()
     assert compare.run(folders, seed=0) == 0
     assert capsys.readouterr().out == text
+
+
+def test_folders_with_other_shards_are_paired_row_by_row(tmp_path, capsys):
+    random, texts = np.random.default_rng(9), []
+    outcomes = {m: random.choice([0, 2, 5], 140) for m in "abc"}
+    for sizes in ((140, 140), (7, 33), (60, 11)):
+        folders = tuple(tmp_path / f"{sizes[0]}-{sizes[1]}" / name for name in "xy")
+        write_run(folders[0], {"a": outcomes["a"]}, 70, 70, shard_trials=sizes[0])
+        write_run(folders[1], {m: outcomes[m] for m in "bc"}, 70, 70, shard_trials=sizes[1])
+        assert compare.run(folders, format="json") == 0
+        texts.append(capsys.readouterr().out)
+    assert texts[0] == texts[1] == texts[2]
+    pair = json.loads(texts[0])[2]["pairs"][0]
+    assert pair["only_a"] == int(((outcomes["a"] == 0) & (outcomes["b"] != 0)).sum())
+
+
+@pytest.mark.parametrize("change", ["ids", "objects"])
+def test_methods_that_answered_other_trials_are_refused(tmp_path, capsys, monkeypatch, change):
+    run = write_run(tmp_path / "a", {m: np.zeros(40, int) for m in "mn"}, 20, 20, shard_trials=7)
+    rows = tally.verdicts
+
+    def another(stored, method, names):
+        for piece in rows(stored, method, names):
+            if method == "n" and change == "ids":
+                piece = replace(piece, trial_id=piece.trial_id[::-1])
+            if method == "n" and change == "objects":
+                names.reverse()
+            yield piece
+
+    monkeypatch.setattr(pairing, "verdicts", another)
+    with pytest.raises(
+        ValueError, match="other trial ids than 'm'" if change == "ids" else "n and m have other objects"
+    ):
+        pairing.pair_up([run])
 
 
 @pytest.mark.parametrize(
