@@ -142,9 +142,10 @@ class _Runner:
         self.scene, self.config, self.threads = scene, config, threads
         self.path, self.length = path.contiguous(), length
         self.reference_s = motion.t_exec_s.double().cpu().numpy()
-        self.simulate = import_module(f"r2h_batch.motion.sim_{engine}").simulate
+        module = import_module(f"r2h_batch.motion.sim_{engine}")
+        self.simulate = module.simulate
         self.law = servo_law(config, lead_s=1.0 / SERVO_RATE, step_s=config.step_s)
-        device = "cpu" if engine == "mujoco" else scene.device
+        device = "cpu" if module.ON_CPU else scene.device
         self.device = device
         self.placed, tables = placed, (self.path, motion.time_s, length)
         self.planned = [wp.from_torch(t.contiguous()) for t in tables]

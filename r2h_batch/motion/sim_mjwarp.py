@@ -26,6 +26,9 @@ from r2h_batch.launch import launch
 from r2h_batch.motion.simulation import Job, Samples, warnings_unwritten
 from r2h_batch.scene.model import MESH_FIELDS, SceneModel
 
+ON_CPU = False
+"""The engine reads its tables on the scene's device."""
+
 MAX_WORLDS = {"cpu": 64, "cuda": 4096}
 """More are no faster on a CPU, and fewer are refilled more often."""
 POLL = 32

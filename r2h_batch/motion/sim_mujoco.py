@@ -14,6 +14,9 @@ from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.launch import cpu_threads, launch_trials, thread_pool
 from r2h_batch.motion.simulation import Job, Samples, warnings_unwritten
 
+ON_CPU = True
+"""The engine reads its tables on the host, whatever device the scene is on."""
+
 CHUNK = 64
 """Trials whose commands are held in memory at once: about 20 MB."""
 

@@ -18,7 +18,7 @@ class Job:
     """n motions to simulate, longest first: row of the batch, trial, start, and how many samples each takes."""
 
     scene: SceneModel
-    law: Any  # Law of r2h_batch.kernels.reference
+    law: Any  # Law of r2h_batch.kernels.motion.time_law
     tables: tuple[Any, Any, Any]  # path (B, W, 6), times (B, W), lengths (B,): Warp arrays on the engine's device
     rows: NDArray[np.int64]
     trials: Sequence[TrialScene]

@@ -43,7 +43,9 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     from r2h_batch.report.text import NA, aligned
     from r2h_batch.statistics.thresholds import ROUNDING_M, rank_stability
 
-    shown = {"SR": 0, "F_plan": 2, "F_reach": 3, "F_safe": 5, "F_stab": 1, "F_afford": 4}
+    # the words of the report's table for the outcomes of a rescored row
+    shown = {"SR": Outcome.SUCCESS, "F_plan": Outcome.PLAN, "F_reach": Outcome.REACH, "F_safe": Outcome.SAFE}
+    shown |= {"F_stab": Outcome.STABILITY, "F_afford": Outcome.AFFORDANCE}
     lines = []
     for point in points:
         for method in methods:

@@ -187,7 +187,7 @@ def _rows(table: pa.Table, method: str, names: list[str]) -> Verdicts:
             split=codes(table, "split", SPLITS).astype(np.int8),
             object=codes(table, "object", names, grow=True).astype(np.int32),
             outcome=codes(table, "outcome", OUTCOME_NAMES).astype(np.int8),
-            pattern=pattern(states(table)).astype(np.uint8),
+            pattern=pattern(states(table)).astype(np.min_scalar_type(len(PATTERNS))),
             trial_id=table["trial_id"].to_numpy(),
             **{k: table[k].to_numpy().astype(np.float32) for k in SECONDS},
         )

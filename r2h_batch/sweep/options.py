@@ -13,7 +13,8 @@ from r2h_batch.files import FileError
 __all__ = ["KINDS", "METHODS", "Options", "UsageError", "as_yaml", "check", "load_config", "parse"]
 
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
-"""Built-in methods: modules of `r2h_batch.methods` (- as _) with a `predict(trials, scene, *, seed, evaluator)`."""
+"""Built-in methods: modules of `r2h_batch.methods` (- as _) with a `predict(trials, scene, *, seed)`, which may
+also take `evaluator`, `noise`, `predictor` (sweep/jobs.py)."""
 
 KINDS = ("details", "poses", "paths")
 """What is stored beside the trials when asked for."""
