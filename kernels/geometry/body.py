@@ -10,11 +10,16 @@ CYLINDER = wp.constant(2)
 BOX = wp.constant(3)
 HULL = wp.constant(4)
 CELLS = wp.constant(5)
+BLOCKS = wp.constant(6)
 
 CELLS_PER_EDGE = wp.constant(6)
 """A CELLS body is a hull whose points are sorted by direction: 6 x 6 cells on each face of a cube around the origin. Its
 first 216 rows in `points` give, for each cell, where its points start (counted from the body's first row) and how many
 they are; only those can be farthest in a direction of that cell (r2h_batch.bodies.bounds.support_cells)."""
+
+BLOCK_POINTS = wp.constant(16)
+"""A BLOCKS body is a hull whose points are stored 16 at a time, their 16 x, then their 16 y and 16 z, in 16 rows of `points`;
+the last block is filled up with a point that it has. A CPU looks at all of a block at once (bodies/bounds.py, point_blocks)."""
 
 ROUNDING_M = wp.constant(1.0e-6)
 
@@ -25,7 +30,7 @@ class Body:
 
     kind: int
     size: wp.vec3
-    start: int  # HULL: its points are points[start : start + count]
+    start: int  # HULL: its points are points[start : start + count]; BLOCKS: `count` blocks from that row on
     count: int
     radius: float  # grown by this (capsules: theirs)
 
@@ -45,6 +50,45 @@ def direction_cell(d: wp.vec3):
     v = wp.clamp(int(0.5 * float(CELLS_PER_EDGE) + scale * d[(axis + 2) % 3]), 0, CELLS_PER_EDGE - 1)
     face = 2 * axis + wp.where(d[axis] < 0.0, 1, 0)
     return (face * CELLS_PER_EDGE + u) * CELLS_PER_EDGE + v
+
+
+# The largest product of each of 16 lanes, then of all; of equal ones the first point, as a loop over the points would have it.
+# Written in C++ because Warp has no array that a compiler could keep in vector registers: as a loop over vec3 the same cost
+# five times as much, and it was a tenth of all of a trial. Each product and sum is a statement of its own, so that nothing is
+# contracted.
+@wp.func_native("""
+    const float* rows = &points.data[start].c[0];
+    float best[16];
+    int at[16];
+    for (int k = 0; k < 16; ++k) {
+        best[k] = -1.0e30f;
+        at[k] = k;
+    }
+    for (int block = 0; block < count; ++block) {
+        const float* x = rows + 48 * block;
+        for (int k = 0; k < 16; ++k) {
+            float tx = x[k] * d.c[0];
+            float ty = x[16 + k] * d.c[1];
+            float tz = x[32 + k] * d.c[2];
+            float t = tx + ty;
+            t = t + tz;
+            int farther = t > best[k];
+            at[k] = farther ? 16 * block + k : at[k];
+            best[k] = farther ? t : best[k];
+        }
+    }
+    for (int half = 8; half > 0; half >>= 1)
+        for (int k = 0; k < half; ++k) {
+            int farther = (best[k + half] > best[k]) | ((best[k + half] == best[k]) & (at[k + half] < at[k]));
+            at[k] = farther ? at[k + half] : at[k];
+            best[k] = farther ? best[k + half] : best[k];
+        }
+    const float* p = rows + 48 * (at[0] / 16) + at[0] % 16;
+    return wp::vec3(p[0], p[16], p[32]);
+""")
+def farthest_in_blocks(points: wp.array(dtype=wp.vec3), start: int, count: int, d: wp.vec3) -> wp.vec3:
+    """The point of a BLOCKS body that is farthest along d."""
+    ...
 
 
 @wp.func
@@ -67,6 +111,8 @@ def support(body: Body, points: wp.array(dtype=wp.vec3), d: wp.vec3):
                 best = t
                 at = i
         p = points[at]
+    elif body.kind == BLOCKS:
+        p = farthest_in_blocks(points, body.start, body.count, d)
     elif body.kind == BOX:
         p = wp.vec3(
             wp.where(d[0] < 0.0, -body.size[0], body.size[0]),

@@ -16,7 +16,12 @@ pairs, while |v| itself can collapse to 0 between separated thin bodies.
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, support
-from r2h_batch.kernels.geometry.simplex import Simplex, nearest_on_edge, nearest_on_face, nearest_on_tetrahedron
+from r2h_batch.kernels.geometry.simplex import (
+    ALL_OF_IT,
+    nearest_on_edge,
+    nearest_on_face,
+    nearest_on_tetrahedron,
+)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -66,11 +71,17 @@ def gjk(
         v = wp.vec3(1.0, 0.0, 0.0)
     lower = float(-1.0e30)
     upper = float(1.0e30)
-    s = Simplex()
-    s.n = 0
-    best = Simplex()
-    best.v = v
-    best.n = 0
+    # the simplex: n points s of the difference, and those of a that they come from
+    n = int(0)
+    s0 = wp.vec3()
+    s1 = wp.vec3()
+    s2 = wp.vec3()
+    a0 = wp.vec3()
+    a1 = wp.vec3()
+    a2 = wp.vec3()
+    # the best so far: v, and the nearest point of a
+    best_v = v
+    best_point = wp.vec3()
     for _ in range(MAX_ITERATIONS):
         # w = support of a along -v less support of b along v; b's frame, and a's for a's own support
         nv = wp.length(v)
@@ -83,53 +94,65 @@ def gjk(
         if upper - lower <= relative_gap * upper + 1.0e-6:
             break
         # a support point that is already a corner: no progress is possible
-        if s.n >= 1 and w == s.s0:
+        if n >= 1 and w == s0:
             break
-        if s.n >= 2 and w == s.s1:
+        if n >= 2 and w == s1:
             break
-        if s.n >= 3 and w == s.s2:
+        if n >= 3 and w == s2:
             break
-        if s.n == 0:
-            s.s0 = w
-            s.a0 = pa
-            s.n = 1
-            s.w0 = 1.0
-            s.v = w
-        elif s.n == 1:
-            s.s1 = w
-            s.a1 = pa
-            s.n = 2
-            s = nearest_on_edge(s)
-        elif s.n == 2:
-            s.s2 = w
-            s.a2 = pa
-            s.n = 3
-            s = nearest_on_face(s)
+        # w joins as the last point, and only the part that holds the nearest point stays
+        part = int(1)
+        weight = wp.vec3(1.0, 0.0, 0.0)
+        nearest = w
+        if n == 0:
+            s0 = w
+            a0 = pa
+        elif n == 1:
+            s1 = w
+            a1 = pa
+            part, weight, nearest = nearest_on_edge(s0, s1)
+        elif n == 2:
+            s2 = w
+            a2 = pa
+            part, weight, nearest = nearest_on_face(s0, s1, s2)
         else:
-            s.s3 = w
-            s.a3 = pa
-            s.n = 4
-            s = nearest_on_tetrahedron(s)
-        if s.n == 4 or wp.dot(s.v, s.v) < 1.0e-14:
+            part, weight, nearest, face = nearest_on_tetrahedron(s0, s1, s2, w)
+            if face == 0:
+                s0 = w
+                a0 = pa
+            elif face == 1:
+                s1 = w
+                a1 = pa
+            elif face == 2:
+                s2 = w
+                a2 = pa
+        point = a0
+        if part != ALL_OF_IT and part != 1:
+            point = weight[0] * a0 + weight[1] * a1 + weight[2] * a2
+            if (part & 1) == 0:  # close the gaps
+                s0 = wp.where((part & 2) != 0, s1, s2)
+                a0 = wp.where((part & 2) != 0, a1, a2)
+            if part == 5 or part == 6:
+                s1 = s2
+                a1 = a2
+        n = (part & 1) + ((part >> 1) & 1) + ((part >> 2) & 1)
+        if part == ALL_OF_IT or wp.dot(nearest, nearest) < 1.0e-14:
             # the origin is inside; unless a separating plane was already found: then rounding has collapsed a thin simplex
             if lower <= ROUNDING_M:
                 upper = 0.0
-                best = s
-                best.v = wp.vec3(0.0, 0.0, 0.0)
+                best_v = wp.vec3(0.0, 0.0, 0.0)
+                best_point = point
             break
-        d = wp.length(s.v)
+        d = wp.length(nearest)
         if d >= upper:
             break  # rounding: the estimate no longer falls
         upper = d
-        best = s
-        v = s.v
+        best_v = nearest
+        best_point = point
+        v = nearest
     out = Distance()
     out.lower = lower - radii - ROUNDING_M
     out.upper = upper - radii
-    out.v = best.v
-    out.point = best.a0
-    if best.n == 2:
-        out.point = best.w0 * best.a0 + best.w1 * best.a1
-    elif best.n == 3:
-        out.point = best.w0 * best.a0 + best.w1 * best.a1 + best.w2 * best.a2
+    out.v = best_v
+    out.point = best_point
     return out

@@ -3,91 +3,62 @@
 The nearest point lies inside exactly one of the simplex's parts (corners, edges, faces, all of it): the one in whose
 Voronoi region the origin is. That part alone is kept. Its point is sum w_i s_i with weights w_i >= 0 that sum to 1, and as
 s_i = a_i - b_i, the same weights give the nearest points sum w_i a_i and sum w_i b_i of both bodies.
+
+A part is said as bits (bit i: corner i is kept) beside the weights and the point, not as a struct: Warp writes a struct that
+differs between branches to memory and reads it back after each, which took a third of a GJK iteration.
 """
 
 import warp as wp
 
 wp.set_module_options({"enable_backward": False})
 
-
-@wp.struct
-class Simplex:
-    """Up to four points of the Minkowski difference a - b, the points of a they come from, and their weights."""
-
-    n: int
-    s0: wp.vec3
-    s1: wp.vec3
-    s2: wp.vec3
-    s3: wp.vec3
-    a0: wp.vec3
-    a1: wp.vec3
-    a2: wp.vec3
-    a3: wp.vec3
-    w0: float
-    w1: float
-    w2: float
-    v: wp.vec3
+ALL_OF_IT = wp.constant(8)
+"""In place of a part: the origin is inside the tetrahedron."""
 
 
 @wp.func
-def _keep(s: Simplex, i: int, j: int):
-    """The simplex of points i (and j if it is not -1)."""
-    r = Simplex()
-    pi = s.s0
-    ai = s.a0
-    if i == 1:
-        pi = s.s1
-        ai = s.a1
-    elif i == 2:
-        pi = s.s2
-        ai = s.a2
-    r.n = 1
-    r.s0 = pi
-    r.a0 = ai
-    r.w0 = 1.0
-    r.v = pi
-    if j >= 0:
-        pj = s.s1
-        aj = s.a1
-        if j == 2:
-            pj = s.s2
-            aj = s.a2
-        r.n = 2
-        r.s1 = pj
-        r.a1 = aj
-    return r
-
-
-@wp.func
-def nearest_on_edge(s: Simplex):
-    """The segment cut to what holds its nearest point: s0 + f (s1 - s0) with f = -s0 . d / d . d, clamped to [0, 1]."""
-    d = s.s1 - s.s0
+def nearest_on_edge(a: wp.vec3, b: wp.vec3):
+    """Part, weights and point of a segment: a + f (b - a) with f = -a . d / d . d, clamped to [0, 1]."""
+    d = b - a
     dd = wp.dot(d, d)
-    t = -wp.dot(s.s0, d)
-    r = s
-    if t <= 0.0 or dd <= 0.0:
-        r = _keep(s, 0, -1)
-    elif t >= dd:
-        r = _keep(s, 1, -1)
-    else:
-        f = t / dd
-        r.n = 2
-        r.w0 = 1.0 - f
-        r.w1 = f
-        r.w2 = 0.0
-        r.v = s.s0 + f * d
-    return r
+    t = -wp.dot(a, d)
+    part = int(1)
+    weight = wp.vec3(1.0, 0.0, 0.0)
+    v = a
+    if t > 0.0 and dd > 0.0:
+        if t >= dd:
+            part = 2
+            weight = wp.vec3(0.0, 1.0, 0.0)
+            v = b
+        else:
+            f = t / dd
+            part = 3
+            weight = wp.vec3(1.0 - f, f, 0.0)
+            v = a + f * d
+    return part, weight, v
 
 
 @wp.func
-def nearest_on_face(s: Simplex):
-    """The triangle cut to what holds its nearest point, by Voronoi regions (Ericson, Real-Time Collision Detection, 5.1.5).
+def _nearest_on_edge_of(a: wp.vec3, b: wp.vec3, c: wp.vec3, edge: int):
+    """As `nearest_on_edge`, of the two corners of a triangle whose bits `edge` has."""
+    kept, w, v = nearest_on_edge(wp.where(edge == 6, b, a), wp.where(edge == 3, b, c))
+    part = kept
+    weight = w
+    if edge == 5:
+        part = (kept & 1) | ((kept & 2) << 1)
+        weight = wp.vec3(w[0], 0.0, w[1])
+    elif edge == 6:
+        part = kept << 1
+        weight = wp.vec3(0.0, w[0], w[1])
+    return part, weight, v
+
+
+@wp.func
+def nearest_on_face(a: wp.vec3, b: wp.vec3, c: wp.vec3):
+    """Part, weights and point of a triangle, by Voronoi regions (Ericson, Real-Time Collision Detection, 5.1.5).
 
     As triangle.py has it, for the origin; the weights va : vb : vc decide the region only.
     """
-    a = s.s0
-    b = s.s1
-    c = s.s2
     ab = b - a
     ac = c - a
     d1 = -wp.dot(ab, a)
@@ -99,86 +70,72 @@ def nearest_on_face(s: Simplex):
     vc = d1 * d4 - d3 * d2
     vb = d5 * d2 - d1 * d6
     va = d3 * d6 - d5 * d4
-    r = s
+    part = int(0)
+    weight = wp.vec3(0.0, 0.0, 0.0)
+    v = a
+    edge = int(0)  # the two corners of the edge in whose region the origin is
     if d1 <= 0.0 and d2 <= 0.0:
-        r = _keep(s, 0, -1)
+        part = 1
+        weight = wp.vec3(1.0, 0.0, 0.0)
     elif d3 >= 0.0 and d4 <= d3:
-        r = _keep(s, 1, -1)
+        part = 2
+        weight = wp.vec3(0.0, 1.0, 0.0)
+        v = b
     elif d6 >= 0.0 and d5 <= d6:
-        r = _keep(s, 2, -1)
+        part = 4
+        weight = wp.vec3(0.0, 0.0, 1.0)
+        v = c
     elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
-        r = nearest_on_edge(_keep(s, 0, 1))
+        edge = 3
     elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        r = nearest_on_edge(_keep(s, 0, 2))
+        edge = 5
     elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        r = nearest_on_edge(_keep(s, 1, 2))
+        edge = 6
     else:
         n = wp.cross(ab, ac)
         nn = wp.dot(n, n)
         total = va + vb + vc
         if nn > 0.0 and total > 0.0:
-            r.n = 3
+            part = 7
             # plane and areas seen from the nearest point: for thin triangles va, vb, vc are mostly rounding
             v = n * (wp.dot(a, n) / nn)
-            r.w0 = wp.clamp(wp.dot(n, wp.cross(b - v, c - v)) / nn, 0.0, 1.0)
-            r.w1 = wp.clamp(wp.dot(n, wp.cross(c - v, a - v)) / nn, 0.0, 1.0 - r.w0)
-            r.w2 = 1.0 - r.w0 - r.w1
-            r.v = v
+            w0 = wp.clamp(wp.dot(n, wp.cross(b - v, c - v)) / nn, 0.0, 1.0)
+            w1 = wp.clamp(wp.dot(n, wp.cross(c - v, a - v)) / nn, 0.0, 1.0 - w0)
+            weight = wp.vec3(w0, w1, 1.0 - w0 - w1)
         else:
-            r = nearest_on_edge(_keep(s, 0, 1))
-    return r
+            edge = 3
+    if edge != 0:
+        part, weight, v = _nearest_on_edge_of(a, b, c, edge)
+    return part, weight, v
 
 
 @wp.func
-def _face(s: Simplex, i: int):
-    """The tetrahedron's face without point i."""
-    r = Simplex()
-    r.n = 3
-    r.s0 = s.s0
-    r.a0 = s.a0
-    r.s1 = s.s1
-    r.a1 = s.a1
-    r.s2 = s.s2
-    r.a2 = s.a2
-    if i == 0:
-        r.s0 = s.s3
-        r.a0 = s.a3
-    elif i == 1:
-        r.s1 = s.s3
-        r.a1 = s.a3
-    elif i == 2:
-        r.s2 = s.s3
-        r.a2 = s.a3
-    return r
+def nearest_on_tetrahedron(s0: wp.vec3, s1: wp.vec3, s2: wp.vec3, s3: wp.vec3):
+    """ALL_OF_IT when the origin is inside; otherwise the nearest of the faces that have the origin on their outer side.
 
-
-@wp.func
-def nearest_on_tetrahedron(s: Simplex):
-    """n = 4 when the origin is inside; otherwise the nearest of the faces that have the origin on their outer side."""
+    Fourth: the face, by the corner that it lacks, in whose place it has corner 3.
+    """
     best = float(1.0e30)
-    found = int(0)
-    r = s
+    part = int(ALL_OF_IT)
+    weight = wp.vec3(0.0, 0.0, 0.0)
+    v = wp.vec3(0.0, 0.0, 0.0)
+    face = int(3)
     for i in range(4):
-        f = _face(s, i)
-        q = s.s3
-        if i == 0:
-            q = s.s0
-        elif i == 1:
-            q = s.s1
-        elif i == 2:
-            q = s.s2
-        n = wp.cross(f.s1 - f.s0, f.s2 - f.s0)
-        origin_side = -wp.dot(n, f.s0)
-        inner_side = wp.dot(n, q - f.s0)
+        a = wp.where(i == 0, s3, s0)
+        b = wp.where(i == 1, s3, s1)
+        c = wp.where(i == 2, s3, s2)
+        q = wp.where(i == 0, s0, wp.where(i == 1, s1, wp.where(i == 2, s2, s3)))
+        n = wp.cross(b - a, c - a)
+        origin_side = -wp.dot(n, a)
+        inner_side = wp.dot(n, q - a)
         # flat tetrahedra have no inner side: all their faces count
         if origin_side * inner_side <= 0.0:
-            c = nearest_on_face(f)
-            d = wp.dot(c.v, c.v)
+            kept, w, x = nearest_on_face(a, b, c)
+            d = wp.dot(x, x)
             if d < best:
                 best = d
-                r = c
-                found = 1
-    if found == 0:
-        r.n = 4
-        r.v = wp.vec3(0.0, 0.0, 0.0)
-    return r
+                part = kept
+                weight = w
+                v = x
+                face = i
+    return part, weight, v, face

@@ -21,9 +21,9 @@ from r2h_batch.kernels.robot.world import (
     body_pose,
     curvature,
     forward_kinematics,
-    hull_body,
     link_frame,
     motion,
+    piece_body,
     robot_body,
     twists,
     vec6,
@@ -130,7 +130,7 @@ def _bound_of_piece(
         if low + SLACK_M < distance - tolerance:
             return WAITS
 
-    hull = hull_body(world.piece_start, piece)
+    hull = piece_body(world, piece)
     h = gjk(mover.shape, mover.R, mover.p, world.points, hull, world.points, center, wp.max(limit, distance), 0.05)
     if h.upper <= TOUCH_M:  # GJK's bound says nothing of how deep: the faces have to
         if distance < 0.0:  # unless the whole piece is no deeper than what is known

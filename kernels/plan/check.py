@@ -18,7 +18,7 @@ halved anyway; then only pairs that may be too near in its very middle are still
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BOX, Body, support, swept_support
+from r2h_batch.kernels.geometry.body import BLOCKS, BOX, Body, support, swept_support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.plan.codes import (
     BLOCKED,
@@ -46,10 +46,10 @@ from r2h_batch.kernels.robot.world import (
     OBJECT,
     TrialBodies,
     World,
+    block_count,
     body_pose,
     curvature,
     forward_kinematics,
-    hull_body,
     link_frame,
     motion,
     object_body,
@@ -68,22 +68,6 @@ class Finding:
     pair: int
     body: int
     best: float
-
-
-@wp.struct
-class Pair:
-    """A body and its partner, seen from the partner's frame: what GJK is asked, and how much the pair may travel."""
-
-    code: int
-    other: Body
-    center: wp.vec3
-    R: wp.mat33
-    p: wp.vec3
-    w: wp.vec3
-    v: wp.vec3
-    margin: float
-    travel: float
-    bend: float
 
 
 @wp.func
@@ -130,68 +114,10 @@ def _mover(
 
 
 @wp.func
-def _pair(mover: Mover):
-    """A pair whose partner stands still in the hand's frame, which is the mover's."""
-    out = Pair()
-    out.R = mover.R
-    out.p = mover.p
-    out.w = mover.w
-    out.v = mover.v
-    out.travel = mover.travel
-    out.bend = mover.bend
-    return out
-
-
-@wp.func
-def _pair_with_piece(world: World, query: Query, mover: Mover, piece: int):
-    out = _pair(mover)
-    out.code = PAIR_HAND
-    out.other = hull_body(world.piece_start, piece)
-    out.center = world.piece_center[piece]
-    out.margin = query.hand_margin
-    return out
-
-
-@wp.func
-def _pair_with_table(world: World, query: Query, mover: Mover, R_hand_world: wp.mat33, table_p: wp.vec3):
-    out = _pair(mover)
-    out.code = PAIR_TABLE
-    out.other.kind = BOX
-    out.other.size = world.table_half
-    out.margin = query.other_margin
-    Rt = wp.transpose(R_hand_world)
-    out.R = Rt * mover.R
-    out.p = Rt * (mover.p - table_p)
-    out.v = Rt * (mover.v + wp.cross(mover.w, table_p))
-    out.w = Rt * mover.w
-    return out
-
-
-@wp.func
-def _pair_with_body(
-    world: World, bodies: TrialBodies, trial: int, query: Query, mover: Mover, o: int,
-    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
-):  # fmt: skip
-    out = _pair(mover)
-    out.code = PAIR_SELF
-    out.other = robot_body(world, o)
-    out.margin = query.other_margin
-    Ro, po = body_pose(world, bodies, trial, R, p, o)
+def _seen_from(Ro: wp.mat33, po: wp.vec3, R: wp.mat33, p: wp.vec3, w: wp.vec3, v: wp.vec3):
+    """Pose and twist in the frame (Ro, po)."""
     Rt = wp.transpose(Ro)
-    out.R = Rt * mover.R
-    out.p = Rt * (mover.p - po)
-    k = world.body_link[o]
-    wr = mover.w - w[k]
-    vr = mover.v - v[k]
-    out.v = Rt * (vr + wp.cross(wr, po))
-    out.w = Rt * wr
-    if mover.link == OBJECT:
-        out.travel = motion(bodies.object_lever, trial, k, query.d)
-        out.bend = curvature(bodies.object_lever, trial, k, query.d)
-    else:
-        out.travel = motion(world.lever, mover.body, k, query.d)
-        out.bend = curvature(world.lever, mover.body, k, query.d)
-    return out
+    return Rt * R, Rt * (p - po), Rt * w, Rt * (v + wp.cross(w, po))
 
 
 # The steps of this file's head, over nine movers: links 0..7 of the robot (a link's bodies share its motion), and the object.
@@ -335,45 +261,78 @@ def examine(
                         continue
                     if i >= n_table and (self_open & bit) != wp.uint64(0):
                         continue
-                pair = Pair()
-                if i < n_hand:
-                    pair = _pair_with_piece(world, query, mover, hand * world.n_pieces + other)
+                # the pair as its partner sees it: the mover's pose and twist in the partner's frame, what the pair may travel.
+                # Values that differ between branches are no struct: Warp would write it to memory and read it back in each
+                shape = Body()
+                center = wp.vec3(0.0, 0.0, 0.0)
+                pair_R = mover.R
+                pair_p = mover.p
+                pair_w = mover.w
+                pair_v = mover.v
+                travel = mover.travel
+                bend = mover.bend
+                code = int(PAIR_HAND)
+                kept = query.other_margin
+                if i < n_hand:  # stands still in the hand's frame, which is the mover's
+                    piece = hand * world.n_pieces + other
+                    center = world.piece_center[piece]
+                    kept = query.hand_margin
+                    shape.kind = BLOCKS
+                    shape.start = world.piece_start[piece]
+                    shape.count = block_count(world, piece)
                 elif i < n_table:
-                    pair = _pair_with_table(world, query, mover, R_hand_world, table_p)
+                    code = PAIR_TABLE
+                    shape.kind = BOX
+                    shape.size = world.table_half
+                    pair_R, pair_p, pair_w, pair_v = _seen_from(
+                        R_hand_world, table_p, mover.R, mover.p, mover.w, mover.v
+                    )
                 else:
-                    pair = _pair_with_body(world, bodies, trial, query, mover, other, R, p, w, v)
+                    code = PAIR_SELF
+                    shape.kind = world.kind[other]
+                    shape.size = world.size[other]
+                    shape.radius = world.radius[other]
+                    k = world.body_link[other]
+                    Ro, po = body_pose(world, bodies, trial, R, p, other)
+                    pair_R, pair_p, pair_w, pair_v = _seen_from(
+                        Ro, po, mover.R, mover.p, mover.w - w[k], mover.v - v[k]
+                    )
+                    if link == OBJECT:
+                        travel = motion(bodies.object_lever, trial, k, query.d)
+                        bend = curvature(bodies.object_lever, trial, k, query.d)
+                    else:
+                        travel = motion(world.lever, b, k, query.d)
+                        bend = curvature(world.lever, b, k, query.d)
                 if link == OBJECT:
-                    pair.code = pair.code + PAIR_OF_OBJECT
-                margin = _target(query, out.best, pair.margin)
-                needed = margin + pair.travel
+                    code = code + PAIR_OF_OBJECT
+                margin = _target(query, out.best, kept)
+                needed = margin + travel
                 if query.track == 1:
                     needed = wp.max(needed, out.best)  # a clearance that becomes the best must have converged
-                dist = gjk(
-                    mover.shape, pair.R, pair.p, world.points, pair.other, world.points, pair.center, needed, gap
-                )
+                dist = gjk(mover.shape, pair_R, pair_p, world.points, shape, world.points, center, needed, gap)
                 if query.track == 1:
                     if dist.lower < out.best:
                         # a core that is met has no clearance, only an overlap that GJK does not measure
                         out.best = wp.max(dist.lower, -1.0e-6)
                         if dist.upper <= 0.0 and dist.lower > -1.0e-6:
                             out.best = -1.0e-6
-                        out.pair = pair.code
+                        out.pair = code
                         out.body = b
                     margin = out.best - query.tolerance
                 elif dist.upper <= margin or (gap == 0.0 and dist.lower < margin):
                     out.status = BLOCKED
-                    out.pair = pair.code
+                    out.pair = code
                     out.body = b
                     return out
                 # settled for the whole stretch? D - L >= margin, or else along the plane that parts them in the middle
                 apart = dist.lower
-                if moving and apart < margin + pair.travel and apart > margin + 0.5 * pair.bend and dist.upper > 0.0:
+                if moving and apart < margin + travel and apart > margin + 0.5 * bend and dist.upper > 0.0:
                     # not clear of everything that the levers allow, but perhaps of where it really goes
                     n_hat = dist.v / wp.length(dist.v)
-                    beside = wp.dot(n_hat, support(pair.other, world.points, n_hat)) + pair.other.radius
-                    swept = swept_support(mover.shape, pair.R, pair.p, world.points, n_hat, pair.w, pair.v, pair.bend)
-                    apart = pair.travel - beside + swept
-                if apart < margin + pair.travel:
+                    beside = wp.dot(n_hat, support(shape, world.points, n_hat)) + shape.radius
+                    swept = swept_support(mover.shape, pair_R, pair_p, world.points, n_hat, pair_w, pair_v, bend)
+                    apart = travel - beside + swept
+                if apart < margin + travel:
                     if i < n_hand:
                         hand_open = hand_open | bit
                     elif i < n_table:

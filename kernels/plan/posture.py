@@ -30,9 +30,9 @@ from r2h_batch.kernels.robot.world import (
     World,
     body_pose,
     forward_kinematics,
-    hull_body,
     link_frame,
     object_body,
+    piece_body,
     robot_body,
     vec6,
 )
@@ -154,7 +154,7 @@ def _hand_piece(world: World, body: BodyInPlace, hand: int, i: int, known: float
             toward = from_ball(body.shape, wp.transpose(body.R) * (out.center - body.p))
             if wp.length(toward) - ball >= known:
                 out.near = 0
-    out.shape = hull_body(world.piece_start, piece)
+    out.shape = piece_body(world, piece)
     return out
 
 

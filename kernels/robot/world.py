@@ -7,7 +7,7 @@ Links are numbered 0 base ... 6 wrist_3, 7 gripper, 8 object; 7 and 8 ride on wr
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import CELLS, HULL, Body
+from r2h_batch.kernels.geometry.body import BLOCK_POINTS, BLOCKS, CELLS, Body
 
 wp.set_module_options({"enable_backward": False})
 
@@ -48,9 +48,13 @@ class World:
     table_from: int  # bodies from this one on are checked against the table: base and shoulder stand on it
     table_center: wp.vec3  # world frame
     table_half: wp.vec3
-    points: wp.array(dtype=wp.vec3)  # hull points of all hands' pieces (hand frame) and all objects (object frame)
+    points: wp.array(
+        dtype=wp.vec3
+    )  # hull points of all hands' pieces (hand frame, in blocks) and all objects (object frame)
     n_pieces: int
-    piece_start: wp.array(dtype=int)  # (H * n_pieces + 1,)
+    piece_start: wp.array(
+        dtype=int
+    )  # (H * n_pieces + 1,) first row of each piece's blocks of points (geometry/body.py, BLOCKS)
     piece_center: wp.array(dtype=wp.vec3)
     piece_radius: wp.array(dtype=float)
     hand_center: wp.array(dtype=wp.vec3)  # (H,)
@@ -144,12 +148,18 @@ def robot_body(world: World, body: int):
 
 
 @wp.func
-def hull_body(starts: wp.array(dtype=int), hull: int):
-    """A point set as a shape."""
+def block_count(world: World, piece: int):
+    """How many blocks of points a piece of a hand has."""
+    return (world.piece_start[piece + 1] - world.piece_start[piece]) / BLOCK_POINTS
+
+
+@wp.func
+def piece_body(world: World, piece: int):
+    """A piece of a hand as a shape."""
     b = Body()
-    b.kind = HULL
-    b.start = starts[hull]
-    b.count = starts[hull + 1] - b.start
+    b.kind = BLOCKS
+    b.start = world.piece_start[piece]
+    b.count = block_count(world, piece)
     return b
 
 

@@ -106,6 +106,16 @@ def support_cells(points: Array) -> Array:
     return np.concatenate([np.array(header, dtype=np.float64), *kept])
 
 
+BLOCK_POINTS = 16
+"""As in kernels/geometry/body.py (tests/kernels/test_codes.py)."""
+
+
+def point_blocks(points: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Rows (16 k, 3) of a hull for geometry/body.py, BLOCKS: 16 points at a time, their x, y and z one after the other."""
+    full = np.concatenate([points, np.repeat(points[-1:], -len(points) % BLOCK_POINTS, axis=0)])
+    return full.reshape(-1, BLOCK_POINTS, 3).transpose(0, 2, 1).reshape(-1, 3)
+
+
 def gripper_balls(robot: Robot) -> tuple[Array, Array]:
     """Ends of the gripper primitives' capsules at every opening, (G, n, 3) in the wrist_3 frame, and radii (G,)."""
     T_wrist_ee = robot.T_wrist3_flange @ robot.T_flange_ee

@@ -74,7 +74,7 @@ class WorldTables:
                 else:
                     array = np.ascontiguousarray(value, dtype=np.int32 if dtype is wp.int32 else np.float32)
                     setattr(w, name, wp.array(array, dtype=dtype, device=device))
-        points = np.concatenate([self._hand_points[0], self._object_points[0], *self._object_cells])
+        points = np.concatenate([self._hand_blocks[0], self._object_points[0], *self._object_cells])
         w.points = wp.array(points, dtype=wp.vec3, device=device)
         w.table_center = wp.vec3(*TABLE_CENTER)
         w.table_half = wp.vec3(*TABLE_HALF)
@@ -145,6 +145,13 @@ class WorldTables:
         hand = np.repeat(np.arange(len(v)), np.diff(offsets[::n_pieces]))
         return v[hand, self.hands.set.hull_vertex_ids.numpy()], offsets.astype(np.int32)
 
+    @cached_property
+    def _hand_blocks(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+        """The same points in blocks (kernels/geometry/body.py, BLOCKS), and where each piece starts."""
+        points, start = self._hand_points
+        blocks = [bounds.point_blocks(points[a:b]) for a, b in pairwise(start)]
+        return np.concatenate(blocks), np.cumsum([0] + [len(b) for b in blocks]).astype(np.int32)
+
     def _fill_hands(self) -> dict:
         points, start = self._hand_points
         low, high = (f.reduceat(points, start[:-1], axis=0) for f in (np.minimum, np.maximum))
@@ -156,7 +163,7 @@ class WorldTables:
         hand_radius = np.linalg.norm(v - hand_center[:, None], axis=2).max(1)
         return {
             "n_pieces": (len(self.hands.model.piece_names), wp.int32),
-            "piece_start": (start, wp.int32),
+            "piece_start": (self._hand_blocks[1], wp.int32),
             "piece_center": (center, wp.vec3),
             "piece_radius": (radius + 1e-6, wp.float32),
             "hand_center": (hand_center, wp.vec3),
@@ -182,7 +189,7 @@ class WorldTables:
     def _fill_objects(self) -> dict:
         points, first, start = self._object_points
         caps = [bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
-        shift = len(self._hand_points[0])
+        shift = len(self._hand_blocks[0])
         return {
             "hull_first": (first, wp.int32),
             "hull_start": (np.array(start) + shift, wp.int32),

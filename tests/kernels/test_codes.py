@@ -31,3 +31,7 @@ def test_pairs_of_the_object_follow_those_of_the_robot() -> None:
 
 def test_hulls_are_sorted_into_as_many_cells_as_are_read() -> None:
     assert bounds.CELLS_PER_EDGE == body.CELLS_PER_EDGE
+
+
+def test_hulls_are_cut_into_blocks_of_as_many_points_as_are_read() -> None:
+    assert bounds.BLOCK_POINTS == body.BLOCK_POINTS

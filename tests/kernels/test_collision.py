@@ -300,11 +300,16 @@ def test_bounding_capsules_and_balls_of_hulls_pieces_and_hands_hold_their_points
         )
     start, center, ball = w.piece_start.numpy(), w.piece_center.numpy(), w.piece_radius.numpy()
     piece = np.repeat(np.arange(len(center)), np.diff(start))
-    assert (np.linalg.norm(points[: start[-1]] - center[piece], axis=1) <= ball[piece] + 1e-7).all()
+    # 16 points a block, their x, y and z one after the other
+    inside = points[: start[-1]].reshape(-1, 3, 16).transpose(0, 2, 1).reshape(-1, 3)
+    assert (np.linalg.norm(inside - center[piece], axis=1) <= ball[piece] + 1e-7).all()
     hand = piece // w.n_pieces
-    assert (
-        np.linalg.norm(points[: start[-1]] - w.hand_center.numpy()[hand], axis=1) <= w.hand_radius.numpy()[hand] + 1e-7
-    ).all()
+    assert (np.linalg.norm(inside - w.hand_center.numpy()[hand], axis=1) <= w.hand_radius.numpy()[hand] + 1e-7).all()
+    hulls, ids = scene.hands.set.hull_offsets.numpy(), scene.hands.set.hull_vertex_ids.numpy()
+    vertices = scene.hands.vertices.numpy()
+    for i in (0, 7, len(center) - 1):
+        own = vertices[i // w.n_pieces, ids[hulls[i] : hulls[i + 1]]]
+        assert np.array_equal(np.unique(inside[start[i] : start[i + 1]], axis=0), np.unique(own, axis=0))
 
 
 def test_capsules_of_primitives_and_balls_hold_random_ones():
