@@ -1,4 +1,4 @@
-"""Whose turn it is: which trial stands where in a plan, with which object and which side. Numbers alone, no torch.
+"""Whose turn it is: which trial stands where in a plan, with which object and which hand. Numbers alone, no torch.
 
 Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. A plan goes through its splits one after the other. Objects of a split
 take turns, and each round of them starts with the other hand, so that an object meets both.
@@ -9,11 +9,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch import rng
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["PROTOCOL", "objects_in_turn", "trial_ids"]
+__all__ = ["PROTOCOL", "hands_in_turn", "objects_in_turn", "trial_ids"]
 
 PROTOCOL = "r2h-v0"
+_HAND = 0  # purpose of the random counters
 
 
 def trial_ids(plan: Mapping[str, int], first: int, last: int) -> NDArray[np.int64]:
@@ -39,3 +41,17 @@ def objects_in_turn(ids: NDArray[np.int64], splits: Sequence[str]) -> tuple[NDAr
             object_index[mine] = members[place]
             side[mine] = (turn + place) % 2
     return object_index, side
+
+
+def hands_in_turn(ids: NDArray[np.int64], side: NDArray[np.int64], sides: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(N,) hand of each trial: one of its side (N,), all equally likely; of a set with one side only (OakInk's) any.
+
+    `sides` (H,): of each hand of the set, 0 right, 1 left.
+    """
+    (u,) = rng.uniforms(rng.key_of(PROTOCOL), ids, 1, purpose=_HAND)
+    hand = np.zeros(len(ids), np.int64)
+    for s in (0, 1):
+        rows, members = np.flatnonzero(side == s), np.flatnonzero(sides == s)
+        members = members if len(members) else np.flatnonzero(sides == 1 - s)
+        hand[rows] = members[rng.choice(u[rows], len(members))] if len(rows) else 0
+    return hand

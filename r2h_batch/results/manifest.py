@@ -69,8 +69,9 @@ IDENTITY = ("format", "protocol", "trials", "configuration", "digests", "seed", 
 def run_hash(header: Mapping[str, Any]) -> str:
     """sha256 (hex) over what decides the rows: the identity of a run and its shard size."""
     data: dict[str, Any] = {k: header.get(k) for k in IDENTITY}
-    if "predictors" in header:  # folders from before there were any keep their hash
-        data["predictors"] = header["predictors"]
+    for key in ("predictors", "hands"):  # folders from before there were any keep their hash
+        if key in header:
+            data[key] = header[key]
     data["device"] = (header.get("device") or {}).get("kind")
     data["shard_trials"] = header["shard_trials"]
     return hashlib.sha256(json.dumps(data, sort_keys=True, allow_nan=False).encode()).hexdigest()

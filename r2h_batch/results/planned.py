@@ -10,12 +10,17 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from r2h_batch.files import printable
-from r2h_batch.turns import PROTOCOL, objects_in_turn, trial_ids
+from r2h_batch.turns import PROTOCOL, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.verdicts import SIDES, SPLITS
 
 __all__ = ["not_as_planned", "stored_not_as_planned"]
 
-_COMPARED = ("trial_id", "object", "split", "side")
+_COMPARED = {
+    "trials": ("trial_id", "object", "split", "side"),
+    "details": ("trial_id", "hand_index"),
+    "failures": ("trial_id", "object", "hand_index"),
+}
+"""Columns of stored files that the plan decides; of the other kinds the trial's id alone."""
 
 
 def not_as_planned(header: Mapping[str, Any], first: int, last: int, table: pa.Table, *, every: bool) -> str | None:
@@ -43,12 +48,15 @@ def not_as_planned(header: Mapping[str, Any], first: int, last: int, table: pa.T
 
 
 def _other_names(header: Mapping[str, Any], ids: NDArray[np.int64], table: pa.Table) -> str | None:
-    """Object, split and side of the hand, where the table has them."""
+    """Object, split, hand and side of the hand, where the table has them; the hand where run.json lists the set's sides."""
     names, splits = ([o[k] for o in header["objects"]] for k in ("name", "split"))
     try:
         objects, side = objects_in_turn(ids, splits)
     except ValueError as error:
         return f"cannot be compared with the plan: {error}"
+    sides = np.array([SIDES.index(s) for s in header.get("hands", ())], np.int64)
+    if len(sides) and (sides == sides[0]).all():  # a set of one side gives that one whoever's turn it is
+        side = np.full_like(side, sides[0])
     for column, words, codes in (("object", names, objects), ("split", SPLITS, ids % 2), ("side", SIDES, side)):
         if column not in table.column_names:
             continue
@@ -57,6 +65,13 @@ def _other_names(header: Mapping[str, Any], ids: NDArray[np.int64], table: pa.Ta
             row = int(wrong[0])
             said = printable(table[column][row].as_py())[:80]
             return f"trial {ids[row]}: {column} is {said!r}, planned is {words[codes[row]]!r}"
+    if "hand_index" in table.column_names and len(sides):
+        if table.schema.field("hand_index").type != pa.int32() or table["hand_index"].null_count:
+            return "column 'hand_index' is not of whole numbers"
+        hand, planned = table["hand_index"].to_numpy(), hands_in_turn(ids, side, sides)
+        if (wrong := np.flatnonzero(hand != planned)).size:
+            row = int(wrong[0])
+            return f"trial {ids[row]}: hand_index is {hand[row]}, planned is {planned[row]}"
     return None
 
 
@@ -77,11 +92,10 @@ def stored_not_as_planned(header: Mapping[str, Any], first: int, last: int, kind
         with pq.ParquetFile(file) as stored:
             if stored.metadata.num_rows > last - first:
                 return f"holds {stored.metadata.num_rows} rows, planned were {last - first}"
-            columns: Sequence[str] = [c for c in _COMPARED if c in stored.schema_arrow.names]
-            needed = _COMPARED if kind == "trials" else ("trial_id",)
-            if missing := [c for c in needed if c not in columns]:
+            columns = _COMPARED.get(kind, ("trial_id",))
+            if missing := [c for c in columns if c not in stored.schema_arrow.names]:
                 return f"column {missing[0]!r} is missing"
-            table = stored.read(columns=columns)
+            table = stored.read(columns=list(columns))
         if table.schema.field("trial_id").type != pa.int64() or table["trial_id"].null_count:
             return "column 'trial_id' is not of whole numbers"
         return not_as_planned(header, first, last, table, every=kind == "trials")

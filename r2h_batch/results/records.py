@@ -115,6 +115,10 @@ class _Object(_Open):
     built_in: bool
 
 
+MAX_HANDS = 10**6
+Side = Literal["right", "left"]
+
+
 class _Predictors(_Open):
     noise_factor: Annotated[float, Field(ge=0, le=1e12)]
 
@@ -136,6 +140,7 @@ class Header(_Record):
     predictors: _Predictors = _ABSENT
     motion: _Motion = _ABSENT
     objects: list[_Object] = _ABSENT
+    hands: Annotated[list[Side], Field(min_length=1, max_length=MAX_HANDS)] = _ABSENT
     platform: Word = ""
     git_commit: Word | None = None
     command: list[Word] = []

@@ -108,6 +108,7 @@ def prepare(options: Options) -> Setting:
             "sample_s": config.execute.step_s * config.execute.record_steps if config.execute.sim != "none" else None,
         },
         "objects": [{"name": o.name, "split": o.split, "built_in": i < len(built_in)} for i, o in enumerate(objects)],
+        "hands": [SIDES[s] for s in evaluator.scene.hands.set.side.tolist()],
         "seed": options.seed,
         "predictors": _predictors(options),
         "stored": options.stored,

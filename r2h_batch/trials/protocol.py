@@ -25,7 +25,7 @@ from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import BALL_OFFSET_M, HOME_Q, TABLE_CENTER, TABLE_HALF
-from r2h_batch.turns import PROTOCOL, objects_in_turn, trial_ids
+from r2h_batch.turns import PROTOCOL, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
@@ -48,7 +48,7 @@ TABLE_LOW, TABLE_HIGH = (
     tuple(round(c + sign * half, 6) for c, half in zip(TABLE_CENTER, TABLE_HALF, strict=True)) for sign in (-1, 1)
 )
 
-_HAND, _POSE = 0, 1  # purposes of the random counters
+_POSE = 1  # purpose of the random counters; `turns` has 0
 _ROWS = 16384  # trials drawn at once
 _NEAR_ROWS = 256  # hands whose every vertex is looked at, at once: 2.7 MB an array
 Array = NDArray[np.float64]
@@ -94,7 +94,7 @@ def trials_with_ids(
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
     for first in range(0, len(ids), _ROWS):
         rows = slice(first, first + _ROWS)
-        hand_index[rows] = hands.draw(ids[rows], side[rows])
+        hand_index[rows] = hands_in_turn(ids[rows], side[rows], hands.side)
         T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands)
     return Trials(
         trial_id=torch.from_numpy(ids),
@@ -119,7 +119,7 @@ def trials_digest(trials: Trials, *, objects: Sequence[ObjectModel] | None = Non
 
 
 class _Hands:
-    """The hands of a set as float64 arrays in their own frames, and how to draw one."""
+    """The hands of a set as float64 arrays in their own frames."""
 
     def __init__(self, hand_set: HandSet) -> None:
         geometry = hand_set.model.pose(hand_set.pose, hand_set.shape, hand_set.side)
@@ -130,18 +130,7 @@ class _Hands:
         self.center = ((low + high) / 2).T
         offset = self.vertices - self.center.T[:, :, None]
         self.radius = np.sqrt((offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2).max(1)) + 1e-6
-        side = hand_set.side.numpy()
-        self._of_side = [np.flatnonzero(side == s) for s in (0, 1)]
-
-    def draw(self, ids: NDArray[np.int64], side: NDArray[np.int64]) -> NDArray[np.int64]:
-        """A hand of the given side, all equally likely; of a set with one side only (OakInk's) any."""
-        (u,) = rng.uniforms(rng.key_of(PROTOCOL), ids, 1, purpose=_HAND)
-        hand = np.zeros(len(ids), np.int64)
-        for s, members in enumerate(self._of_side):
-            rows = np.flatnonzero(side == s)
-            members = members if len(members) else self._of_side[1 - s]
-            hand[rows] = members[rng.choice(u[rows], len(members))] if len(rows) else 0
-        return hand
+        self.side = hand_set.side.numpy()
 
 
 @lru_cache(maxsize=2)

@@ -12,20 +12,20 @@ import pytest
 import torch
 from fake_bench import best
 from fake_bench import prepare as prepare_fake
-from made_runs import make_header, make_scores
+from made_runs import make_header, make_predictions, make_scores
 
 from r2h_batch.predictions import write_predictions
 from r2h_batch.results.manifest import RunError
 from r2h_batch.results.reading import load_run
-from r2h_batch.results.rows import TrialNames, detail_rows, score_rows
+from r2h_batch.results.rows import TrialNames, detail_rows, failure_rows, score_rows
 from r2h_batch.results.storage import sha256_of
 from r2h_batch.results.writing import open_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.answers import AnswerError, answer_of
 from r2h_batch.trials.protocol import make_trials
-from r2h_batch.turns import PROTOCOL, objects_in_turn
-from r2h_batch.types import Predictions
+from r2h_batch.turns import PROTOCOL, hands_in_turn, objects_in_turn
+from r2h_batch.types import Outcome, Predictions
 
 # --- what a method answers ------------------------------------------------------------------------------------------
 
@@ -202,17 +202,19 @@ def test_a_network_that_is_none_is_refused_before_any_preparation(monkeypatch, t
 # --- stored rows and the plan ---------------------------------------------------------------------------------------
 
 OBJECTS = [{"name": n, "split": s, "built_in": False} for n, s in (("a", "S0"), ("b", "S0"), ("c", "S1"))]
-NAMES = TrialNames([o["name"] for o in OBJECTS], [o["split"] for o in OBJECTS], ("right", "left"), ("base",))
+HANDS = ["right"] * 200 + ["left"] * 200  # the sides of the built-in set, in its order
+NAMES = TrialNames([o["name"] for o in OBJECTS], [o["split"] for o in OBJECTS], HANDS, ("base",))
 
 
 def planned_rows(n=4):
-    """Trials as planned with these objects, and made-up scores."""
+    """Trials as planned with these objects and hands, and made-up scores."""
     trials = make_trials(("S0", "S1"), n)
     objects, side = objects_in_turn(trials.trial_id.numpy(), NAMES.object_splits)
+    hands = hands_in_turn(trials.trial_id.numpy(), side, np.repeat([0, 1], 200))
     trials = replace(
         trials,
         object_index=torch.from_numpy(objects.astype(np.int32)),
-        hand_index=torch.from_numpy(side.astype(np.int32)),
+        hand_index=torch.from_numpy(hands.astype(np.int32)),
     )
     return trials, make_scores(trials, np.zeros(2 * n, int))
 
@@ -225,44 +227,57 @@ def edited(table: pa.Table, column: str, row: int, value) -> pa.Table:
 
 
 EDITS = {
-    "another object": ("object", 0, "b", "trial 0: object is 'b', planned is 'a'"),
-    "the other hand": ("side", 0, "left", "trial 0: side is 'left', planned is 'right'"),
-    "an id twice": ("trial_id", 1, 0, "trial_id 0 is not where the plan has it"),
-    "a foreign id": ("trial_id", 2, 40, "trial_id 40 is not planned here"),
+    "another object": ("trials", "object", 0, "b", "trial 0: object is 'b', planned is 'a'"),
+    "the other side": ("trials", "side", 0, "left", "trial 0: side is 'left', planned is 'right'"),
+    "an id twice": ("trials", "trial_id", 1, 0, "trial_id 0 is not where the plan has it"),
+    "a foreign id": ("trials", "trial_id", 2, 40, "trial_id 40 is not planned here"),
+    "a foreign id of details": ("details", "trial_id", 7, 9, "trial_id 9 is not planned here"),
+    "another hand": ("details", "hand_index", 3, 7, r"trial 6: hand_index is 7, planned is \d+"),
+    "another hand that failed": ("failures", "hand_index", 0, 399, r"trial 2: hand_index is 399, planned is \d+"),
 }
 
 
-def start(folder):
-    run = open_run(folder, make_header(4, 4, protocol=PROTOCOL, objects=OBJECTS, stored=["details"]))
+def start(folder, **header):
+    header = {k: v for k, v in {"objects": OBJECTS, "hands": HANDS, "stored": ["details"], **header}.items() if v}
+    run = open_run(folder, make_header(4, 4, protocol=PROTOCOL, **header))
     run.register("m", {"kind": "test"})
     (shard,) = run.todo("m")
     return run, shard
 
 
+def tables(trials, scores):
+    """What is stored of these trials, the second of them as one whose simulation failed."""
+    failed = torch.arange(len(trials)) == 1
+    poses_ = make_predictions(trials)
+    scores_ = replace(scores, outcome=torch.where(failed, int(Outcome.INVALID_SIM), scores.outcome))
+    return {
+        "trials": score_rows(trials, scores, NAMES),
+        "details": detail_rows(trials, scores, NAMES),
+        "failures": failure_rows(trials, poses_, scores_, NAMES),
+    }
+
+
 @pytest.mark.parametrize("case", EDITS)
 def test_rows_that_are_not_the_plans_are_not_written(tmp_path, case):
-    column, row, value, words = EDITS[case]
-    trials, scores = planned_rows()
+    kind, column, row, value, words = EDITS[case]
     run, shard = start(tmp_path / "run")
-    rows, details = score_rows(trials, scores, NAMES), detail_rows(trials, scores, NAMES)
-    with pytest.raises(RunError, match=f"trials: {words}; nothing was stored"), run.write("m", shard) as writer:
-        writer.append(trials=edited(rows, column, row, value), details=details)
-    with pytest.raises(RunError, match="details: trial_id 9 is not planned"), run.write("m", shard) as writer:
-        writer.append(trials=rows, details=edited(details, "trial_id", 7, 9))
+    rows = tables(*planned_rows())
+    wrong = {**rows, kind: edited(rows[kind], column, row, value)}
+    with pytest.raises(RunError, match=f"{kind}: {words}; nothing was stored"), run.write("m", shard) as writer:
+        writer.append(**wrong)
     assert not list((tmp_path / "run").rglob("*.parquet"))
     with run.write("m", shard) as writer:
-        writer.append(trials=rows, details=details)
+        writer.append(**rows)
     assert load_run(tmp_path / "run").trials("m").num_rows == 8
 
 
 @pytest.mark.parametrize("case", EDITS)
 def test_rows_that_were_exchanged_with_their_receipt_are_found_and_not_reported(tmp_path, case):
-    column, row, value, words = EDITS[case]
-    trials, scores = planned_rows()
+    kind, column, row, value, words = EDITS[case]
     run, shard = start(tmp_path / "run")
     with run.write("m", shard) as writer:
-        writer.append(trials=score_rows(trials, scores, NAMES), details=detail_rows(trials, scores, NAMES))
-    (file,) = (tmp_path / "run" / "trials").rglob("*.parquet")
+        writer.append(**tables(*planned_rows()))
+    (file,) = (tmp_path / "run" / kind).rglob("*.parquet")
     table = edited(pq.read_table(file), column, row, value)
     file.unlink()
     pq.write_table(table, file)
@@ -271,7 +286,7 @@ def test_rows_that_were_exchanged_with_their_receipt_are_found_and_not_reported(
     file.rename(named)
     (receipt,) = (tmp_path / "run" / "manifest").rglob("*.json")
     data = json.loads(receipt.read_text())
-    data["files"]["trials"] = {
+    data["files"][kind] = {
         "path": str(named.relative_to(tmp_path / "run")),
         "sha256": digest,
         "bytes": named.stat().st_size,
@@ -279,3 +294,19 @@ def test_rows_that_were_exchanged_with_their_receipt_are_found_and_not_reported(
     receipt.write_text(json.dumps(data))
     with pytest.raises(RunError, match=words):  # what verify, report, compare and resume ask
         load_run(tmp_path / "run")
+
+
+def test_a_hand_set_of_one_side_and_a_folder_without_its_hands_are_compared_as_far_as_is_known(tmp_path):
+    trials, scores = planned_rows()
+    ids, (_, side) = trials.trial_id.numpy(), objects_in_turn(trials.trial_id.numpy(), NAMES.object_splits)
+    left = replace(trials, hand_index=torch.from_numpy(hands_in_turn(ids, side, np.ones(5, int)).astype(np.int32)))
+    names = replace(NAMES, hand_sides=["left"] * 5)
+    run, shard = start(tmp_path / "left", hands=["left"] * 5)
+    with run.write("m", shard) as writer:
+        writer.append(trials=score_rows(left, scores, names), details=detail_rows(left, scores, names))
+    assert set(load_run(tmp_path / "left").trials("m")["side"].to_pylist()) == {"left"}
+    run, shard = start(tmp_path / "before", hands=None)
+    other = edited(detail_rows(trials, scores, NAMES), "hand_index", 3, 7)
+    with run.write("m", shard) as writer:
+        writer.append(trials=score_rows(trials, scores, NAMES), details=other)
+    assert load_run(tmp_path / "before").details("m")["hand_index"][3].as_py() == 7
