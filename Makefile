@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: help demo test lint check quick-tests golden assets bench lock licences audit clean
+.PHONY: help demo test lint check quick-tests golden assets bench lock licences audit gpu clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -51,6 +51,9 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 
 bench: $(VENV)/.installed-test  ## all benchmarks, results under bench/results/
 	for b in collision ik plan throughput execute methods help; do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
+
+gpu: $(VENV)/.installed-test  ## everything that a machine with a GPU can show, into runs/gpu (MINUTES=25)
+	$(BIN)/python bench/gpu.py --out runs/gpu --minutes $(or $(MINUTES),25)
 
 lock: $(VENV)/.installed-test  ## rewrites constraints.txt from what is installed: every package, exact versions
 	$(BIN)/python tools/supply.py lock

@@ -16,6 +16,9 @@ import warp as wp
 from r2h_batch.launch.arguments import bind
 
 CACHE_BYTES = 64 << 20
+BLOCK_DIM = 64
+"""Threads of a block on CUDA (a CPU has one). Warp's 256 would leave most of a GPU without a block (bench/gpu.py varies it)."""
+
 CHUNK = 32
 """Trials a thread takes at a time: small enough that one hard trial does not leave the other core idle."""
 
@@ -107,7 +110,8 @@ def launch_trials(
     if n == 0:
         return
     if device != "cpu":
-        wp.launch(kernel, dim=(n, width) if width > 1 else n, inputs=args, stream=_stream(device))
+        dim = (n, width) if width > 1 else n
+        wp.launch(kernel, dim=dim, inputs=args, stream=_stream(device), block_dim=BLOCK_DIM)
         return
     workers = min(cpu_threads(threads), -(-n // chunk))
     # Arguments are packed once per worker (here: the first packing compiles the module); a launch then costs microseconds.

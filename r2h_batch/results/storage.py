@@ -63,6 +63,16 @@ def write_json_once(path: Path, data: Mapping[str, Any]) -> bool:
         temporary.unlink(missing_ok=True)
 
 
+def drop_second_names(folder: Path) -> None:
+    """Remove temporary names of files that have their final name as well: their writer was killed between the two."""
+    for temporary in folder.glob(".*.tmp") if folder.is_dir() else ():
+        try:
+            if temporary.lstat().st_nlink > 1:
+                temporary.unlink()
+        except OSError:  # its writer lives and was faster, or the folder is only for reading
+            continue
+
+
 def replace_json(path: Path, data: Mapping[str, Any]) -> None:
     """Write a JSON file in place of the one that may be there; readers see the old or the new one."""
     temporary = _json_file(path, data)

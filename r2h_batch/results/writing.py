@@ -38,6 +38,7 @@ from r2h_batch.results.planned import not_as_planned
 from r2h_batch.results.records import Method, checked, printable_words
 from r2h_batch.results.storage import (
     claim,
+    drop_second_names,
     link_once,
     replace_json,
     sha256_of,
@@ -77,6 +78,8 @@ class RunFolder:
     def __init__(self, folder: Path, header: dict[str, Any], command: Sequence[str]) -> None:
         self.folder, self.header, self.command = folder, header, printable_words(command)
         self.slugs = {e["name"]: e["slug"] for e in read_methods(folder)}
+        for part in (folder, folder / "methods"):
+            drop_second_names(part)
 
     def register(self, method: str, source: Mapping[str, Any]) -> None:
         """Add a method; an error if the folder has one of this name from another source."""
@@ -104,6 +107,7 @@ class RunFolder:
     def todo(self, method: str, part: tuple[int, int] = (1, 1)) -> list[Shard]:
         """Shards still to be scored, of part I of N of all (every N-th one)."""
         done = set(stored_in(self.folder, self.header, self.slugs[method]))
+        drop_second_names(self.folder / "manifest" / self.slugs[method])
         return [s for s in shards_of(self.header)[part[0] - 1 :: part[1]] if s not in done]
 
     @contextmanager

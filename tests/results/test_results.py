@@ -340,3 +340,18 @@ def test_equal_rows_give_equal_bytes(tmp_path):
     for name in ("a", "b"):
         write(tmp_path / name)
     assert [p.name for p in files_of(tmp_path / "a")] == [p.name for p in files_of(tmp_path / "b")]
+
+
+def test_a_writer_that_was_killed_between_a_files_two_names_leaves_nothing_behind(tmp_path):
+    write(tmp_path / "run", shard_trials=5)
+    receipt = next((tmp_path / "run" / "manifest").rglob("*.json"))
+    finished = [receipt, tmp_path / "run" / "run.json", next((tmp_path / "run" / "methods").glob("*.json"))]
+    twice = [storage.temporary_name(path) for path in finished]
+    for path, second in zip(finished, twice, strict=True):
+        second.hardlink_to(path)
+    half_done = storage.temporary_name(receipt)  # a living writer's: it has no other name yet
+    half_done.write_text("{")
+    folder = open_run(tmp_path / "run", load_run(tmp_path / "run").header)
+    assert folder.todo("m") == []
+    assert not any(second.exists() for second in twice) and half_done.exists()
+    assert all(path.exists() for path in finished)

@@ -1,0 +1,349 @@
+"""Everything that a machine with a GPU can show, in one command: `python bench/gpu.py --out DIR [--minutes 25]`, `make gpu`.
+
+Parts run in the order of PARTS and stop being started when the minutes are over; gpu.json and gpu.md in DIR are written after
+each, so a run that is cut short leaves what it had. A part that fails says so in both files and the next one runs; the exit
+code is 1 then. Equality: outcomes may differ where a trial is `borderline` on either device, margins by MARGIN_M.
+`--device cpu --trials 8` goes through the same lines on a machine without a GPU: that is what the suite does, no figure of it
+means anything.
+"""
+
+import os
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+import torch
+import warp as wp
+from _report import ROOT, Report, arguments
+
+from r2h_batch import launch
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods import random
+from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch.types import Trials
+
+MIX = Path(__file__).with_name("mix.npz")
+RANDOM_TRIALS = 2048
+MARGIN_M = 1e-4
+CHUNKS = (2048, 8192, 32768)
+BLOCKS = (32, 64, 128, 256)
+WORLDS = (256, 1024, 4096, 16384)
+REPEATS = 3
+KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
+Batch = tuple[torch.Tensor, torch.Tensor, Trials]
+
+
+@dataclass
+class Bench:
+    """What the parts share: the device, how many trials, the report, when to stop."""
+
+    device: str
+    trials: int
+    until: float
+    out: Path
+    report: Report
+
+    @property
+    def cuda(self) -> bool:
+        return self.device != "cpu"
+
+    @cached_property
+    def evaluator(self) -> Evaluator:
+        return Evaluator(KINEMATIC, device=self.device)
+
+    @cached_property
+    def on_cpu(self) -> Evaluator:
+        return Evaluator(KINEMATIC)
+
+    @cached_property
+    def mix(self) -> Batch:
+        """The frozen mix of bench/throughput.py, on the CPU."""
+        scene = self.on_cpu.scene
+        with np.load(MIX, allow_pickle=False) as data:
+            rows = slice(min(self.trials, len(data["trial_id"])))
+            trials = trials_with_ids(
+                torch.from_numpy(data["trial_id"][rows]), objects=scene.objects, hand_set=scene.hands.set
+            )
+            grasp, handover = (torch.from_numpy(data[k][rows]) for k in ("T_obj_ee", "T_world_ee"))
+        return grasp, handover, trials
+
+    @cached_property
+    def random(self) -> Batch:
+        """RANDOM_TRIALS trials with the poses of the method `random`, on the CPU."""
+        scene = self.on_cpu.scene
+        trials = trials_with_ids(torch.arange(min(self.trials, RANDOM_TRIALS)), objects=scene.objects)
+        answer = random.predict(trials, scene, seed=0)
+        return answer.T_obj_ee, answer.T_world_ee, trials
+
+    def there(self, batch: Batch) -> Batch:
+        grasp, handover, trials = batch
+        return grasp.to(self.device), handover.to(self.device), trials.to(self.device)
+
+    def repeated(self, batch: Batch, n: int) -> Batch:
+        """The batch again and again until it has n rows, on the device."""
+        grasp, handover, trials = self.there(batch)
+        rows = torch.arange(n, device=self.device) % len(trials)
+        return grasp[rows], handover[rows], trials[rows]
+
+    def seconds(self, run: Callable[[], object]) -> float:
+        """The median wall time of a call after one to warm up, waiting for the device."""
+        times = []
+        for _ in range(REPEATS + 1):
+            self.wait()
+            start = time.perf_counter()
+            run()
+            self.wait()
+            times.append(time.perf_counter() - start)
+        return statistics.median(times[1:])
+
+    def wait(self) -> None:
+        if self.cuda:
+            torch.cuda.synchronize()
+
+    def command(self, name: str, line: Sequence[str]) -> int:
+        """Exit code of a command that has at most what is left of the minutes; its output is NAME.log in the folder."""
+        left = max(self.until - time.monotonic(), 30.0)
+        with (self.out / f"{name}.log").open("w") as log:
+            try:
+                done = subprocess.run(line, stdout=log, stderr=subprocess.STDOUT, cwd=ROOT, timeout=left, check=False)
+            except subprocess.TimeoutExpired:
+                return 124
+        return done.returncode
+
+
+def machine(bench: Bench) -> None:
+    """What it is."""
+    bench.report.add("gpu.device", torch.cuda.get_device_name(bench.device) if bench.cuda else "cpu")
+    bench.report.add("gpu.torch_cuda", str(torch.version.cuda))
+    if bench.cuda:
+        device = wp.get_device(str(wp.device_from_torch(torch.device(bench.device))))
+        bench.report.add("gpu.arch", f"sm_{device.arch}")
+        bench.report.add("gpu.memory_gib", device.total_memory / 2**30)
+        bench.report.add("gpu.driver", str(wp.get_cuda_driver_version()))
+
+
+FIRST_CALL = """
+import sys, torch
+from r2h_batch import Evaluator
+from r2h_batch.methods import random
+from r2h_batch.trials.protocol import make_trials
+evaluator = Evaluator(device=sys.argv[1])
+trials = make_trials(("S0", "S1"), 4)
+poses = random.predict(trials, Evaluator().scene, seed=0)
+g, h, t = poses.T_obj_ee.to(sys.argv[1]), poses.T_world_ee.to(sys.argv[1]), trials.to(sys.argv[1])
+captured = evaluator.capture(8)(g, h, t)
+plain = evaluator.score(g, h, t, "pose")
+same = all(a.cpu().numpy().tobytes() == b.cpu().numpy().tobytes() for a, b in zip(captured.margin, plain.margin))
+sys.exit(0 if same and plain.margin.isfinite().any() else 3)
+"""
+
+
+def capture_first(bench: Bench) -> None:
+    """`capture()` as the first call of a process, compilation included: the bits of the plain call?"""
+    start = time.perf_counter()
+    code = bench.command("capture_first", [sys.executable, "-c", FIRST_CALL, bench.device])
+    bench.report.add("gpu.capture_first_call_ok", code == 0)
+    bench.report.add("gpu.capture_first_call_s", time.perf_counter() - start)
+    if code:
+        raise RuntimeError(f"exit code {code}; capture_first.log")
+
+
+def compile_times(bench: Bench) -> None:
+    """Seconds until the modules of a first full call are compiled or loaded, and the call itself."""
+    start = time.perf_counter()
+    bench.evaluator.score(*bench.there(bench.mix))
+    bench.wait()
+    bench.report.add("gpu.first_full_call_s", time.perf_counter() - start)
+
+
+def marked_tests(bench: Bench) -> None:
+    """`pytest -m gpu`."""
+    code = bench.command("pytest_gpu", [sys.executable, "-m", "pytest", "-q", "-m", "gpu", "-p", "no:cacheprovider"])
+    last = (bench.out / "pytest_gpu.log").read_text().strip().splitlines()[-1:]
+    bench.report.add("gpu.pytest", last[0] if last else f"exit code {code}")
+    if code not in (0, 5):  # 5: none is left where there is no GPU
+        raise RuntimeError(f"exit code {code}; pytest_gpu.log")
+
+
+def equal_to_cpu(bench: Bench) -> None:
+    """Whole trials here and on the CPU: outcomes, margins, paths."""
+    for name, batch in (("mix", bench.mix), ("random", bench.random)):
+        there = bench.evaluator.score(*bench.there(batch)).to("cpu")
+        here = bench.on_cpu.score(*batch)
+        sharp = ~(here.borderline | there.borderline)
+        differ = (here.outcome != there.outcome) & sharp
+        both = here.margin.isfinite() & there.margin.isfinite()
+        off = (here.margin - there.margin).abs().where(both, torch.zeros(()))
+        other_path = (here.path_len != there.path_len).nonzero().flatten()
+        bench.report.add(f"gpu.{name}.trials", len(here))
+        bench.report.add(f"gpu.{name}.outcomes_that_differ", int(differ.sum()))
+        bench.report.add(f"gpu.{name}.borderline", int((~sharp).sum()))
+        bench.report.add(f"gpu.{name}.margin_difference_max_m", float(off.max()))
+        bench.report.add(f"gpu.{name}.paths_that_differ", " ".join(map(str, here.trial_id[other_path][:50].tolist())))
+        same_path = here.path_len == there.path_len
+        if differ.any() or off[same_path].max() > MARGIN_M:
+            raise RuntimeError(f"{name}: {int(differ.sum())} outcomes differ, margins by {float(off.max()):.1e} m")
+
+
+def equal_bits(bench: Bench) -> None:
+    """Batches of 1 and 7 rows, the whole, and the whole in another order: the same bits."""
+    batch = bench.there(bench.mix)
+    whole = bench.evaluator.score(*batch).margin.cpu()
+    order = torch.from_numpy(np.random.default_rng(0).permutation(len(whole)))
+    parts = {"1": order[:1], "7": order[:7], "permuted": order}
+    for name, rows in parts.items():
+        at = rows.to(bench.device)
+        part = bench.evaluator.score(batch[0][at], batch[1][at], batch[2][at]).margin.cpu()
+        same = part.numpy().tobytes() == whole[rows].contiguous().numpy().tobytes()
+        bench.report.add(f"gpu.same_bits.{name}", same)
+        if not same:
+            raise RuntimeError(f"rows of a batch of {name} have other bits")
+
+
+def memcheck(bench: Bench) -> None:
+    """compute-sanitizer over the first call, where the tool is."""
+    tool = shutil.which("compute-sanitizer")
+    if tool is None or not bench.cuda:
+        bench.report.add("gpu.memcheck", "not here")
+        return
+    line = [tool, "--tool", "memcheck", "--error-exitcode", "9", sys.executable, "-c", FIRST_CALL, bench.device]
+    code = bench.command("memcheck", line)
+    bench.report.add("gpu.memcheck", {0: "clean", 124: "out of time"}.get(code, f"exit code {code}"))
+
+
+def throughput(bench: Bench) -> None:
+    """Kinematic trials/s of the mix over chunk and block size."""
+    best = 0.0
+    for chunk in CHUNKS[: None if bench.cuda else 1]:
+        n = chunk if bench.cuda else bench.trials
+        batch = bench.repeated(bench.mix, n)
+        evaluator = Evaluator(replace(KINEMATIC, chunk=chunk), device=bench.device)
+        for block in BLOCKS[: None if bench.cuda else 1]:
+            with mock.patch.object(launch, "BLOCK_DIM", block):
+                rate = n / bench.seconds(partial(evaluator.score, *batch))
+            bench.report.add(f"gpu.trials_per_s.chunk_{chunk}.block_{block}", rate)
+            best = max(best, rate)
+    bench.report.add("gpu.trials_per_s", best)
+
+
+def pose_stage(bench: Bench) -> None:
+    """Candidates/s of stages="pose", plain and as a captured call."""
+    for n in (64, 4096, 65536) if bench.cuda else (bench.trials,):
+        batch = bench.repeated(bench.mix, n)
+        rate = n / bench.seconds(partial(bench.evaluator.score, *batch, stages="pose"))
+        bench.report.add(f"gpu.candidates_per_s.{n}", rate)
+        captured = bench.evaluator.capture(n)
+        rate = n / bench.seconds(partial(captured, *batch))
+        bench.report.add(f"gpu.candidates_per_s.{n}.captured", rate)
+
+
+def worlds(bench: Bench) -> None:
+    """Moved trials/s of MuJoCo-Warp over the number of worlds."""
+    from r2h_batch.motion import sim_mjwarp
+
+    kind = "cuda" if bench.cuda else "cpu"
+    config = EvalConfig(execute=ExecConfig(sim="mjwarp", model="arm"), chunk=max(WORLDS))
+    evaluator = Evaluator(config, device=bench.device)
+    for count in WORLDS if bench.cuda else (4,):
+        batch = bench.repeated(bench.mix, count if bench.cuda else 2)
+        with mock.patch.dict(sim_mjwarp.MAX_WORLDS, {kind: count}):
+            start = time.perf_counter()
+            scores = evaluator.score(*batch)
+            bench.wait()
+        moved = int((scores.path_len > 0).sum())
+        bench.report.add(f"gpu.mjwarp.moved_trials_per_s.{count}", moved / (time.perf_counter() - start))
+        if time.monotonic() > bench.until:
+            return
+
+
+def profile(bench: Bench) -> None:
+    """The five kernels that take longest in one full call of the mix, and their shares."""
+    batch = bench.there(bench.mix)
+    bench.evaluator.score(*batch)
+    spent: dict[str, float] = {}
+    if bench.cuda:
+        wp.timing_begin(cuda_filter=wp.TIMING_KERNEL, synchronize=True)
+        bench.evaluator.score(*batch)
+        for event in wp.timing_end():
+            spent[event.name] = spent.get(event.name, 0.0) + event.elapsed / 1e3
+    else:
+        original: Callable[..., Any] = wp.Launch.launch
+
+        def timed(command: wp.Launch, *more: Any) -> None:
+            start = time.perf_counter()
+            original(command, *more)
+            spent[command.kernel.key] = spent.get(command.kernel.key, 0.0) + time.perf_counter() - start
+
+        with mock.patch.object(wp.Launch, "launch", timed):
+            bench.evaluator.score(*batch)
+    total = sum(spent.values())
+    for rank, name in enumerate(sorted(spent, key=lambda k: -spent[k])[:5], 1):
+        bench.report.add(f"gpu.profile.{rank}", f"{name} {spent[name] * 1e3:.3f} ms, {100 * spent[name] / total:.1f} %")
+
+
+PARTS: tuple[Callable[[Bench], None], ...] = (
+    machine, capture_first, compile_times, equal_to_cpu, equal_bits, throughput, pose_stage, worlds, profile,
+    marked_tests, memcheck,
+)  # fmt: skip
+"""In the order of what is missed most when the time ends."""
+
+
+def table(report: Report, ends: dict[str, str]) -> str:
+    """The figures and how each part ended, as Markdown."""
+    lines = ["| figure | value |", "|---|--:|"]
+    lines += [f"| {k} | {f'{v:.6g}' if isinstance(v, float) else v} |" for k, v in report.values.items()]
+    lines += ["", "| part | ended |", "|---|---|", *(f"| {k} | {v} |" for k, v in ends.items())]
+    return "\n".join(lines) + "\n"
+
+
+def run(bench: Bench, parts: Sequence[Callable[[Bench], None]]) -> dict[str, str]:
+    """How each part ended; figures so far are on disk after each."""
+    ends = {part.__name__: "not started: out of time" for part in parts}
+    for part in parts:
+        if time.monotonic() < bench.until:
+            start = time.perf_counter()
+            try:
+                part(bench)
+                ends[part.__name__] = f"done, {time.perf_counter() - start:.1f} s"
+            except Exception as error:
+                ends[part.__name__] = f"FAILED: {type(error).__name__}: {error}".splitlines()[0]
+                traceback.print_exc()
+        bench.report.values |= {f"gpu.part.{k}": v for k, v in ends.items()}
+        bench.report.write(bench.out / "gpu.json")
+        (bench.out / "gpu.md").write_text(table(bench.report, ends))
+    return ends
+
+
+def main(given: Sequence[str] | None = None) -> int:
+    parser = arguments(__doc__)
+    parser.set_defaults(device="cuda:0")
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="folder of gpu.json, gpu.md and the logs"
+    )
+    parser.add_argument("--minutes", type=float, default=25.0, help="no part is started after these (default: 25)")
+    parser.add_argument("--trials", type=int, default=RANDOM_TRIALS, help="of each batch; fewer for a dry run")
+    options = parser.parse_args(given)
+    if options.device != "cpu" and not torch.cuda.is_available():
+        print("gpu.py: torch sees no CUDA device; --device cpu --trials 8 is a dry run", file=sys.stderr)
+        return 2
+    options.out.mkdir(parents=True, exist_ok=True)
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    bench = Bench(
+        options.device, options.trials, time.monotonic() + 60 * options.minutes, options.out.resolve(), Report()
+    )
+    return int(any(end.startswith("FAILED") for end in run(bench, PARTS).values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""`make gpu` on a machine without a GPU: the same lines, on a few trials, on the CPU."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+BENCH = Path(__file__).resolve().parents[1] / "bench"
+
+
+@pytest.fixture
+def gpu(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCH))  # scripts there find each other so
+    sys.modules.pop("gpu", None)
+    import gpu
+
+    return gpu
+
+
+def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path, monkeypatch, capsys):
+    apart = ("capture_first", "worlds", "marked_tests")  # processes of their own, and minutes of MuJoCo-Warp on a CPU
+    monkeypatch.setattr(gpu, "PARTS", tuple(p for p in gpu.PARTS if p.__name__ not in apart))
+    assert gpu.main(["--device", "cpu", "--trials", "6", "--out", str(tmp_path)]) == 0
+    values = json.loads((tmp_path / "gpu.json").read_text())["values"]
+    ends = {k.removeprefix("gpu.part."): v for k, v in values.items() if k.startswith("gpu.part.")}
+    assert set(ends) == {p.__name__ for p in gpu.PARTS} and all(v.startswith("done") for v in ends.values())
+    assert values["gpu.mix.outcomes_that_differ"] == 0 and values["gpu.mix.trials"] == 6
+    assert values["gpu.same_bits.permuted"] is True and values["gpu.trials_per_s"] > 0
+    assert "%" in values["gpu.profile.1"] and "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
+
+
+def test_a_part_that_fails_is_named_and_the_next_one_runs(gpu, tmp_path, monkeypatch, capsys):
+    def broken(bench):
+        bench.report.add("gpu.so_far", 1)
+        raise RuntimeError("2 outcomes differ")
+
+    def late(bench):
+        bench.report.add("gpu.after", 2)
+
+    monkeypatch.setattr(gpu, "PARTS", (broken, late))
+    assert gpu.main(["--device", "cpu", "--out", str(tmp_path)]) == 1
+    values = json.loads((tmp_path / "gpu.json").read_text())["values"]
+    assert values["gpu.so_far"] == 1 and values["gpu.after"] == 2
+    assert values["gpu.part.broken"] == "FAILED: RuntimeError: 2 outcomes differ"
+    assert gpu.main(["--device", "cpu", "--out", str(tmp_path), "--minutes", "0"]) == 0
+    assert "not started: out of time" in (tmp_path / "gpu.md").read_text()
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_without_a_gpu_it_says_so(gpu, tmp_path, capsys):
+    assert gpu.main(["--out", str(tmp_path)]) == 2
+    assert "--device cpu --trials 8 is a dry run" in capsys.readouterr().err
