@@ -5,6 +5,7 @@ import json
 import os
 import re
 import socket
+import stat
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,6 +49,9 @@ from r2h_batch.results.storage import (
 )
 
 OTHER = "choose another --out"
+
+TRIES = 3
+"""Deaths or errors of a shard after which it is quarantined."""
 
 _FLOATS = {k: [f.name for f in s if f.type == pa.float32()] for k, s in SCHEMAS.items()}
 _AMORTISED = ("t_plan_s", "t_method_s")  # one value a chunk: a dictionary takes less than a bit a trial
@@ -121,6 +125,42 @@ class RunFolder:
                         stale.unlink(missing_ok=True)
             yield mine
 
+    def deaths(self, method: str, shard: Shard) -> int:
+        """How many processes ended while they were at the shard, killed or crashed, since it was last tried without."""
+        try:
+            found = self._begun(method, shard).lstat()
+        except FileNotFoundError:
+            return 0
+        return found.st_size if stat.S_ISREG(found.st_mode) else 0
+
+    @contextmanager
+    def attempt(self, method: str, shard: Shard) -> Iterator[None]:
+        """Around the scoring of a claimed shard: a process that dies inside leaves a mark, whatever killed it."""
+        path, before = self._begun(method, shard), self.deaths(method, shard)
+        handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+        try:
+            os.write(handle, b".")
+            yield
+        finally:
+            os.ftruncate(handle, before)  # stored, stopped, refused or a full disk: no death
+            os.close(handle)
+            if not before:
+                path.unlink(missing_ok=True)
+
+    def quarantined(self, method: str, shard: Shard) -> bool:
+        """Whether the shard was given up."""
+        return quarantine_path(self.folder, self.slugs[method], shard).exists()
+
+    def give_another_try(self, method: str, shard: Shard) -> None:
+        """Take back a quarantine: one more death brings it back."""
+        slug = self.slugs[method]
+        quarantine_path(self.folder, slug, shard).unlink(missing_ok=True)
+        if (deaths := self.deaths(method, shard)) > 1:
+            os.truncate(self._begun(method, shard), min(deaths, TRIES) - 1)
+
+    def _begun(self, method: str, shard: Shard) -> Path:
+        return self.folder / ".claims" / f"{self.slugs[method]}-{shard.name}.begun"
+
     @contextmanager
     def write(self, method: str, shard: Shard) -> Iterator[ShardWriter]:
         """A writer for a shard's rows; when the block ends well they appear at once, else nothing does."""
@@ -167,7 +207,8 @@ class RunFolder:
         if not won:
             kept = read_json(receipt_path(self.folder, slug, shard))["files"]
             _remove([p for p in mine if str(p.relative_to(self.folder)) not in {f["path"] for f in kept.values()}])
-        quarantine_path(self.folder, slug, shard).unlink(missing_ok=True)
+        for path in (quarantine_path(self.folder, slug, shard), self._begun(method, shard)):
+            path.unlink(missing_ok=True)
         return won
 
     def quarantine(self, method: str, shard: Shard, errors: Sequence[str]) -> None:

@@ -14,17 +14,14 @@ from typing import Any
 
 from r2h_batch.command_line import refuse, tell
 from r2h_batch.files import printable
-from r2h_batch.results.manifest import Shard, differing, quarantine_path
-from r2h_batch.results.writing import RunFolder, ShardWriter
+from r2h_batch.results.manifest import Shard, differing
+from r2h_batch.results.writing import TRIES, RunFolder, ShardWriter
 from r2h_batch.sweep import jobs as sweep_jobs
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.engine import Stopped, chunk_of, score_shard, warm_up
 from r2h_batch.sweep.jobs import Job, Setting
 from r2h_batch.sweep.options import Options
 from r2h_batch.sweep.progress import Log, progress
-
-TRIES = 3
-"""Deaths or errors of a shard after which it is quarantined."""
 
 STARTS = 5
 """Actors that may die one after the other before their first shard; then the cluster is given up."""
@@ -121,7 +118,7 @@ def score_on_ray(
     if not todo:
         return []
     for name, shard in todo:
-        quarantine_path(folder.folder, folder.slugs[name], shard).unlink(missing_ok=True)
+        folder.give_another_try(name, shard)
     with contextlib.redirect_stdout(sys.stderr):  # Ray's threads print; stdout is for the table
         return _on_cluster(ray, setting, todo, folder, options, stopping, log)
 

@@ -10,7 +10,7 @@ import torch
 from r2h_batch.command_line import refuse, tell
 from r2h_batch.results.manifest import SHARD_TRIALS, Shard
 from r2h_batch.results.rows import detail_rows, failure_rows, missing_rows, path_rows, pose_rows, score_rows
-from r2h_batch.results.writing import RunFolder, ShardWriter
+from r2h_batch.results.writing import TRIES, RunFolder, ShardWriter
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import Job, Setting
 from r2h_batch.sweep.options import Options
@@ -51,6 +51,11 @@ def score_local(
         if not todo:
             tell(f"{job.name}: already in the run folder, reused")
             continue
+        for shard in todo:
+            if folder.quarantined(job.name, shard):
+                folder.give_another_try(job.name, shard)
+        # where a process died before comes last: the others are stored first, whatever happens then
+        todo = sorted(todo, key=lambda s: folder.deaths(job.name, s))
         tell(f"{job.name}: warming up (kernels are compiled on first use)")
         try:
             warm_up(job, setting)
@@ -77,8 +82,12 @@ def _score_job(
             with folder.claim(job.name, shard) as mine:
                 if folder.stored(job.name, shard):
                     advance(shard.last - shard.first)
+                elif mine and (deaths := folder.deaths(job.name, shard)) >= TRIES:
+                    what = f"the sweep's process ended {deaths} times while it was scored"
+                    folder.quarantine(job.name, shard, [what])
+                    tell(f"{job.name}: shard {shard.index}: {what}")
                 elif mine:
-                    with folder.write(job.name, shard) as writer:
+                    with folder.attempt(job.name, shard), folder.write(job.name, shard) as writer:
                         score_shard(job, shard, writer, setting, chunk_of(options, setting), stopping, advance)
                 else:
                     left.append(shard)

@@ -22,7 +22,8 @@ def environment(tmp_path, **more):
 
 
 def start(tmp_path, out, method=SLOW, *flags, **more):
-    line = [*SWEEP, "--method", method, "--out", str(out), "--format", "csv", *flags]
+    methods = [method] if isinstance(method, str) else method
+    line = [*SWEEP, "--method", *methods, "--out", str(out), "--format", "csv", *flags]
     env = environment(tmp_path, **more)
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)
 

@@ -118,10 +118,15 @@ def test_kill_9_of_a_second_node_moves_its_shards_to_the_first(tmp_path, undistu
         cluster.shutdown()
 
 
-def test_without_an_address_a_cluster_of_its_own_is_started_whatever_the_environment_names(tmp_path, undisturbed):
+def test_without_an_address_a_cluster_of_its_own_is_started_and_a_refused_method_stops_no_other(tmp_path, undisturbed):
+    """Whatever the environment names; a method whose answers cannot be scored is said once, and is not tried again."""
     out = tmp_path / "run"
-    code, _, error = finish(start(tmp_path, out, SLOW, *RAY, RAY_ADDRESS="192.0.2.1:6379", FAKE_SECONDS="0"))
-    assert code == 0, error
+    both = ("fake_bench:wrong", SLOW)
+    code, table, error = finish(start(tmp_path, out, both, *RAY, RAY_ADDRESS="192.0.2.1:6379", FAKE_SECONDS="0"))
+    assert code == 2 and SLOW in table and "fake_bench:wrong" not in table, error
+    said = [line for line in error.splitlines() if line.startswith("sweep: ")]
+    assert len(said) == 1 and said[0].startswith("sweep: method fake_bench:wrong: T_obj_ee is"), error
+    assert "Traceback" not in error and not list(out.glob("quarantine/**/*.json"))
     same_rows(out, undisturbed)
 
 

@@ -9,12 +9,17 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
+import fake_bench
 import pytest
-from disturbed import SLOW, SWEEP, environment, finish, receipts, same_rows, start, wait_for
+from disturbed import DEADLY, SLOW, SWEEP, environment, finish, receipts, same_rows, start, wait_for
 
+from r2h_batch.results import writing
 from r2h_batch.results.reading import load_run
+from r2h_batch.sweep import command as sweep
+from r2h_batch.sweep import jobs
 
 
 def test_kill_9_of_the_process_loses_one_shard_at_most(tmp_path, undisturbed):
@@ -96,6 +101,64 @@ def test_three_parts_at_once_give_the_rows_of_one_process(tmp_path, undisturbed)
     assert [code for code, _, _ in results] == [0, 0, 0], results
     assert sum(table.startswith("split,") for _, table, _ in results) >= 1
     same_rows(out, undisturbed)
+
+
+@pytest.fixture
+def forked(tmp_path, monkeypatch):
+    """Runs the sweep on the fake bench in a fork of this process: as good as a process of its own to be killed, and cheaper."""
+    for key, value in environment(tmp_path).items():
+        monkeypatch.setenv(key, value)
+
+    def run(*flags, **more):
+        said = tmp_path / "said"
+        if not (child := os.fork()):
+            code = 99
+            try:
+                os.environ.update(more)
+                jobs.prepare = fake_bench.prepare
+                with said.open("w", buffering=1) as file, redirect_stdout(file), redirect_stderr(file):
+                    code = sweep.main([*SWEEP[2:], "--format", "csv", *map(str, flags)])
+            finally:
+                os._exit(code)
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said.read_text()
+
+    return run
+
+
+def test_a_shard_that_always_kills_the_sweep_comes_last_is_quarantined_listed_and_tried_again(
+    tmp_path, undisturbed, forked
+):
+    out = tmp_path / "run"
+    line = ("--method", DEADLY, "--out", out)
+    for deaths, stored in ((1, 4), (2, 11), (3, 11)):  # the second try stores all others before it dies again
+        code, said = forked(*line, FAKE_DEADLY="47")
+        assert code == -signal.SIGKILL and len(receipts(out)) == stored, said
+        assert (tmp_path / "log").read_text() == "x" * deaths
+    code, said = forked(*line, FAKE_DEADLY="47")
+    assert code == 1 and f"{DEADLY}: quarantined after three tries: shards 4" in said, said
+    assert (tmp_path / "log").read_text() == "xxx" and "split," not in said
+    run = load_run(out)
+    assert [s.index for s in run.missing(DEADLY)] == [s.index for s in run.quarantined(DEADLY)] == [4]
+    assert forked(*line, FAKE_DEADLY="47")[0] == -signal.SIGKILL  # tried once more
+    assert forked(*line, FAKE_DEADLY="47")[0] == 1
+    code, said = forked(*line, FAKE_DEADLY="-1")
+    assert code == 0 and "split," in said, said
+    assert not list((out / "quarantine").rglob("*.json")) and not list((out / ".claims").glob("*.begun"))
+    same_rows(out, undisturbed, DEADLY)
+
+
+def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
+    monkeypatch.setattr(writing.pq, "write_table", lambda *a, **k: (_ for _ in ()).throw(OSError(28, "No space left")))
+    line = ["--method", "fake_bench:best", "--trials", "6", "--out", str(tmp_path / "run")]
+    for _ in range(4):
+        assert sweep.main(line) == 1
+    assert not list((tmp_path / "run" / ".claims").glob("*.begun"))
+    monkeypatch.undo()
+    monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
+    (tmp_path / "run" / ".claims" / "fake_bench_best-000000.begun").symlink_to(tmp_path / "elsewhere")
+    assert sweep.main(line) == 1
+    assert not (tmp_path / "elsewhere").exists() and not receipts(tmp_path / "run")
 
 
 def test_a_clock_that_is_set_back_between_two_sweeps_changes_nothing(tmp_path, undisturbed):
