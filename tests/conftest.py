@@ -3,9 +3,15 @@
 import shutil
 import sys
 from collections import Counter
+from contextlib import suppress
 
 import pytest
 from needs import is_here, reason
+
+# CUDA builds of torch bring triton, which ends the process where OSMesa's LLVM was loaded before it (mujoco does that
+# with MUJOCO_GL=osmesa); the other order works
+with suppress(ImportError):
+    import triton  # noqa: F401
 
 INTERPRETERS = ("3.11", "3.12")
 LEFT_OUT = pytest.StashKey[Counter[str]]()

@@ -4,7 +4,7 @@ import json
 
 import pytest
 import torch
-from sweep_command import WITH_HOME, command
+from sweep_command import WITH_HOME, command, in_process
 
 from r2h_batch.predictions import write_predictions
 from r2h_batch.results.reading import load_run
@@ -30,7 +30,7 @@ def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
 
 
 def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
-    first = command("--method", "random", "--trials", 8, "--out", tmp_path / "a", "--save-poses", env=WITH_HOME)
+    first = in_process("--method", "random", "--trials", 8, "--out", tmp_path / "a", "--save-poses")
     assert first.returncode == 0, first.stderr
     run = load_run(tmp_path / "a")
     poses = run.poses("random")
@@ -38,7 +38,7 @@ def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
     order = torch.randperm(len(parts[0]), generator=torch.Generator().manual_seed(1))
     ids = torch.tensor(poses["trial_id"].to_pylist())
     write_predictions(tmp_path / "p.safetensors", Predictions(ids, *parts, None, "random again")[order])
-    second = command("--predictions", tmp_path / "p.safetensors", "--trials", 8, "--out", tmp_path / "b", env=WITH_HOME)
+    second = in_process("--predictions", tmp_path / "p.safetensors", "--trials", 8, "--out", tmp_path / "b")
     assert second.returncode == 0, second.stderr
     timing = ["t_plan_s", "t_method_s"]
     a, b = (r.drop_columns(timing) for r in (run.trials("random"), load_run(tmp_path / "b").trials("random again")))
@@ -48,7 +48,7 @@ def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
 def test_another_device_without_a_gpu_is_refused():
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
-    done = command("--method", "random", "--trials", 1, "--device", "cuda")
+    done = in_process("--method", "random", "--trials", 1, "--device", "cuda")
     assert done.returncode == 2 and done.stdout == "" and "no CUDA device" in done.stderr
 
 
@@ -74,7 +74,7 @@ def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
     found = {}
     for sim in ("auto", "none", "mjwarp"):
         flags = ["--sim", sim, "--sim-model", "arm" if sim == "mjwarp" else "scene", "--out", tmp_path / sim]
-        done = command("--method", "random", "--trials", 6, *flags, env=WITH_HOME)
+        done = in_process("--method", "random", "--trials", 6, *flags)
         assert done.returncode == 0, done.stderr
         run = load_run(tmp_path / sim)
         header = json.loads((tmp_path / sim / "run.json").read_text())
