@@ -64,6 +64,8 @@ def rows(first: int, last: int, n_s0: int) -> pa.Table:
         **{f"margin_{c}_m": floats(margin[:, i], evaluated[:, i]) for i, c in enumerate(CRITERIA)},
         "plan_reason": words(reason, [r.name.lower() for r in PlanReason]),
         "plan_pair": words(pair, [p.name.lower() for p in CollidingPair]),
+        "nearest_pair": words(np.where(found, 1, -1), [p.name.lower() for p in CollidingPair]),
+        "width_m": floats(0.08 * random.random(n), always),
         "borderline": pa.array((np.abs(np.where(evaluated, margin, 1)) < 1e-4).any(1)),
         "t_plan_s": floats(1e-3 + 1e-4 * random.random(block[-1] - block[0] + 1)[block - block[0]], always),
         "t_exec_s": floats(random.gamma(20, 0.42, n), found),

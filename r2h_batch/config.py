@@ -10,6 +10,9 @@ HOME_Q = (-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483)
 OPEN_GAP_M = 0.085
 """Gap between the pads of the open gripper: the published stroke of the 2F-85."""
 
+CLOSED_GAP_M = 0.0015112
+"""Gap that the closed gripper's pads leave: the linkage at its stop (`bodies.robot.gap_from_drive(drive_upper)`)."""
+
 BALL_OFFSET_M = 0.12
 """d_h: how far in front of the palm the centre of the ball lies that an object must meet to be within reach."""
 
@@ -19,6 +22,9 @@ TABLE_HALF = (0.475, 0.6, 0.025)
 
 CLEARANCE_CAP_M = 0.05
 """Clearances are exact below this and a lower bound above it."""
+
+FARTHEST_M = 1e6
+"""Reach is exact up to here: an object farther away counts as this far."""
 
 CLEARANCE_TOLERANCE_M = 1e-4
 """How exactly the smallest clearance along a path is located."""
@@ -44,6 +50,7 @@ class Thresholds:
     """Where a criterion turns from pass to fail (paper, Sec. Evaluation Metrics)."""
 
     w_max_m: float = OPEN_GAP_M
+    w_min_m: float = CLOSED_GAP_M  # thinner material is not held: the closed pads do not reach it
     reach_radius_m: float = 0.10  # r_h
     reach_offset_m: float = BALL_OFFSET_M
     safe_margin_m: float = 0.0  # distance a hand must keep to count as untouched
@@ -51,8 +58,10 @@ class Thresholds:
 
     def __post_init__(self) -> None:
         _positive(self, "w_max_m", "reach_radius_m", "reach_offset_m")
-        if self.safe_margin_m < 0 or self.pad_squeeze_m < 0:
-            raise ValueError("Thresholds.safe_margin_m and pad_squeeze_m must be 0 or more metres")
+        if self.safe_margin_m < 0 or self.pad_squeeze_m < 0 or not 0 <= self.w_min_m < self.w_max_m:
+            raise ValueError(
+                "Thresholds.safe_margin_m, pad_squeeze_m and w_min_m must be 0 or more metres, w_min_m below w_max_m"
+            )
 
 
 @dataclass(frozen=True)
@@ -109,7 +118,7 @@ class ExecConfig:
     payload: Literal["known", "unknown"] = "known"  # whether the controller compensates the object's weight
     settle_position_m: float = 0.001  # at rest: the ee stays this near to the goal,
     settle_rotation_rad: float = math.radians(0.5)  # and turned by no more than this
-    settle_limit_s: float = 20.0  # later than this: Plan failure, not_settled
+    settle_s: float = 12.0  # at rest later than this after its reference has ended: Plan failure, not_settled
     dwell_s: float = 0.5  # it is watched this long after its reference has ended, and must stay for half of that
 
     def __post_init__(self) -> None:
@@ -117,7 +126,7 @@ class ExecConfig:
         _one_of(self, "model", ("auto", "scene", "arm"))
         _one_of(self, "payload", ("known", "unknown"))
         _positive(self, "scale", "max_velocity_rad_s", "max_acceleration_rad_s2", "step_s", "record_steps")
-        _positive(self, "settle_position_m", "settle_rotation_rad", "settle_limit_s", "dwell_s")
+        _positive(self, "settle_position_m", "settle_rotation_rad", "settle_s", "dwell_s")
         if int(self.record_steps) != self.record_steps:
             raise ValueError(f"ExecConfig.record_steps is {self.record_steps}; it must be a whole number of steps")
 

@@ -16,7 +16,7 @@ from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge import ik_jacobian, metrics
-from r2h_batch.judge.goal import judge_goals, safe_at
+from r2h_batch.judge.goal import judge_goals, safe_at, unless_proven
 from r2h_batch.judge.hold import Holding, hold
 from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
 from r2h_batch.judge.inputs import Stages, check_indices, check_stages, checked_inputs, warn_of_no_gradient
@@ -164,6 +164,7 @@ class Evaluator:
             scene, placed, ik.q, branches, active, key, config.plan, execute=config.execute, threads=threads
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
+        planned = replace(planned, reason=unless_proven(planned.reason, ik))
         motion = time_path(planned.path, planned.length, config.execute)
         certified = planned.clearance_m if config.plan.edge_check == "exact" else None  # sampled edges certify nothing
         executed = execute(

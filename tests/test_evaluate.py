@@ -82,7 +82,7 @@ def test_a_stick_held_low_before_an_open_palm_is_a_success(item):
     assert float(s.width_m[0]) == pytest.approx(0.02, abs=1e-5) and float(s.opening_m[0]) == pytest.approx(
         0.02, abs=1e-5
     )
-    assert float(s.margin[0, STABILITY]) == pytest.approx(0.065, abs=1e-5)
+    assert float(s.margin[0, STABILITY]) == pytest.approx(0.01, abs=1e-5)  # 65 mm narrower, 1 cm free
     # the stick's axis passes through c_h: the whole ball's radius is left
     assert float(s.margin[0, REACH]) == pytest.approx(0.10, abs=1e-5)
     assert not s.borderline[0]

@@ -11,8 +11,8 @@ the link's visual mesh is taken. Mean, 95th percentile and maximum are over that
 by it. Where the mesh is an open or recessed sleeve into which the next link is plugged (`MOUTHS`), a flat disc closes
 it first: the neighbour fills it. `mouth_share` is the share of the area nearest to such a disc, and
 `mean_without_mouths_mm` the mean to the bare mesh.
-Protrusion: the largest signed distance of any face sample (lattice <= 1 mm, corners and edges included) to the union:
-negative means that all are inside.
+Protrusion: the largest signed distance of any face sample (lattice <= 0.4 mm, every corner included) to the union: negative
+means that all are inside. The fit itself sees one sample per cubic half millimetre: what lies between may stay outside.
 """
 
 import argparse

@@ -234,6 +234,7 @@ def describe(stored: StoredTrial) -> dict[str, Any]:
         "borderline": row["borderline"],
         "plan_reason": row["plan_reason"],
         "plan_pair": row["plan_pair"],
+        "nearest_pair": row["nearest_pair"],
         "witness": {
             "plan_part": row["witness_plan_part"],
             "safe_part": row["witness_safe_part"],

@@ -1,6 +1,6 @@
 """The goal posture of a handover pose, judged without a path: the branch the planner would go to, its clearance, Safe there."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -98,7 +98,16 @@ def judge_goals(
         **on,
     )
     _measure(goal, scene, placed, postures, residual, on)
-    return goal
+    return replace(goal, reason=unless_proven(goal.reason, ik))
+
+
+def unless_proven(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[Tensor, " b"]:
+    """`reason` (PlanReason) with NO_PATH_IN_BUDGET for IK_IN_COLLISION where branches are not all solutions.
+
+    At sin q5 = 0 they are points of a line of solutions (`IkResult.singular`): that these collide proves nothing of the others.
+    """
+    open_ = ik.singular & (reason == int(PlanReason.IK_IN_COLLISION))
+    return torch.where(open_, int(PlanReason.NO_PATH_IN_BUDGET), reason)
 
 
 def _unjudged(b: int, device: torch.device) -> Goal:

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M
 from r2h_batch.kernels.grasp import region as region_kernels
 from r2h_batch.kernels.grasp import width as width_kernels
 from r2h_batch.kernels.robot import gripper as gripper_kernels
@@ -15,6 +15,7 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.scene.grasp_tables import GraspTables, gripper_tables
 
 __all__ = [
+    "CUT_CAP_M",
     "Grasp",
     "attach",
     "close_gripper",
@@ -24,8 +25,8 @@ __all__ = [
     "region_distance",
 ]
 
-CUT_CAP_M = 0.001
-"""Clearances of the open gripper are exact below this: enough to see whether a trial is near the threshold."""
+CUT_CAP_M = 0.01
+"""Clearances of the open gripper are exact below this and a lower bound above it: so are Stability's margins."""
 
 
 @dataclass(frozen=True)
@@ -51,14 +52,15 @@ def close_gripper(
     object_index: Int32[Tensor, " b"],
     *,
     w_max: float = OPEN_GAP_M,
+    w_min: float = CLOSED_GAP_M,
     mode: Literal["pads", "whole"] = "pads",
     cut_cap_m: float = CUT_CAP_M,
     threads: int | None = None,
 ) -> Grasp:
     """Width, opening, shift and cut of each grasp `T_obj_ee` (ee in the object's frame) of object `object_index`.
 
-    The Stability margin is `w_max - w`, or the cut when the open gripper cuts deeper into the object than that leaves;
-    `-w_max` at least when nothing lies between the pads. 0 passes (touching).
+    The Stability margin is the smallest of `w_max - w`, `w - w_min` and the open gripper's clearance to the object, which
+    counts `cut_cap_m` at most; `-w_max` at least when nothing lies between the pads. 0 passes (touching).
     """
     if mode not in ("pads", "whole"):
         raise ValueError(f"mode is {mode!r}; allowed are 'pads' (what lies between the pads) and 'whole' (the object)")
@@ -82,10 +84,10 @@ def close_gripper(
         threads=threads,
     )
     # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above it.
-    # The cut is not added to w_max - w: the two are lengths of different things, and the worse one decides.
+    # Lengths of different things are not added: the worst one decides, on the passing side too.
     cut, cut_part = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, threads=threads)
-    material = torch.where(empty, torch.full_like(width, -w_max), w_max - width)
-    margin = torch.where(cut < 0, torch.minimum(material, cut), material)
+    material = torch.where(empty, torch.full_like(width, -w_max), torch.minimum(w_max - width, width - w_min))
+    margin = torch.minimum(material, cut)
     return Grasp(width, opening, shift, empty, cut, margin, cut_part)
 
 

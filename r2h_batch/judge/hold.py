@@ -50,8 +50,11 @@ def hold(
             active = active & (index >= 0) & (index < count)
         objects, hands = torch.where(active, objects, 0), torch.where(active, hands, 0)
     T_obj_ee, T_world_ee, T_world_hand = (_usable(T, active) for T in (T_obj_ee, T_world_ee, T_world_hand))
-    w_max = config.thresholds.w_max_m
-    grasp = close_gripper(scene.grasp_tables, T_obj_ee, objects, w_max=w_max, mode=config.width, threads=threads)
+    limits = config.thresholds
+    grasp = close_gripper(
+        scene.grasp_tables, T_obj_ee, objects,
+        w_max=limits.w_max_m, w_min=limits.w_min_m, mode=config.width, threads=threads,
+    )  # fmt: skip
     attached = attach(T_obj_ee, grasp.shift_m)
     placed = scene.place(objects, hands, attached, T_world_hand, grasp.opening_m, threads=threads)
     return Holding(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, placed)

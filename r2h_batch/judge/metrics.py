@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
+from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, Thresholds
 from r2h_batch.judge.grasp import Grasp, attach, region_distance
 from r2h_batch.judge.grasp_physics import DROPPED_M, close_in_physics
 from r2h_batch.judge.plan import Plan
@@ -39,7 +39,10 @@ class Criterion:
 
 
 def stability(grasp: Grasp, active: Bool[Tensor, " b"]) -> Criterion:
-    """Stability(g) <=> w_O(g) <= w_max: margin w_max - w; negative when nothing is held or the open gripper cuts in."""
+    """Stability(g) <=> w_O(g) <= w_max, and something is held that the open gripper does not cut into.
+
+    Margin: the smallest of w_max - w, w - w_min and the open gripper's clearance to the object, which counts 1 cm at most.
+    """
     return Criterion.of(grasp.margin_m, active, touching_passes=True)
 
 
@@ -54,7 +57,7 @@ def stability_in_physics(
 ) -> tuple[Criterion, Float32[Tensor, " b"]]:
     """Stability(g) as above, and the friction grasp holds the object through its weight and a shake along three axes.
 
-    Margin: the smaller of w_max - w and 2 cm - slip. Second: the slip, m; NaN where nothing was shaken.
+    Margin: the smaller of the above and 2 cm - slip. Second: the slip, m; NaN where nothing was shaken.
     `T_obj_ee` after closing. The shake is simulated on the CPU.
     """
     geometric = stability(grasp, active)
@@ -104,7 +107,7 @@ def reach(
     launch_trials(
         reach_kernels.point_to_object,
         len(x),
-        inputs={"cap": 10.0, "mesh": scene.object_mesh_ids, "object": object_index.to(torch.int32), "point": x},
+        inputs={"cap": FARTHEST_M, "mesh": scene.object_mesh_ids, "object": object_index.to(torch.int32), "point": x},
         outputs={"distance": distance, "nearest": nearest},
         device=scene.device,
         threads=threads,

@@ -118,8 +118,9 @@ def _usable_grasps(evaluator: Evaluator) -> tuple[NDArray[np.float32], NDArray[n
     index = torch.from_numpy(np.repeat(np.arange(len(count)), count).astype(np.int32)).to(scene.device)
     active = torch.ones(len(T), dtype=torch.bool, device=scene.device)
     held = close_gripper(
-        scene.grasp_tables, T, index, w_max=thresholds.w_max_m, mode=evaluator.config.width, threads=evaluator.threads
-    )
+        scene.grasp_tables, T, index,
+        w_max=thresholds.w_max_m, w_min=thresholds.w_min_m, mode=evaluator.config.width, threads=evaluator.threads,
+    )  # fmt: skip
     steady = stability(held, active)
     kind = affordance(scene, T, index, held, active, thresholds, threads=evaluator.threads)
     passes = (steady.passed & (kind.passed | ~kind.evaluated)).cpu().numpy()

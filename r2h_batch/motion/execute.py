@@ -63,8 +63,8 @@ def execute(
 ) -> Executed:
     """Moves the arm along B paths in the engine of `config`; rows without a path are left out.
 
-    Each trial runs until its reference has ended and `dwell_s` more; what has not come to rest by then runs again, to the
-    limit. Rows do not depend on each other.
+    Each trial runs until its reference has ended and `dwell_s` more; what has not come to rest by then runs again, for
+    `settle_s` longer. How long the reference takes decides nothing. Rows do not depend on each other.
 
     `clearance_m`: certified smallest distance of all pairs along each planned path (`Plan.clearance_m`). With
     `model="auto"` the arm alone moves first; where no body can have come as near to another as to touch it, the contacts
@@ -95,17 +95,15 @@ def execute(
 
 
 def _until_at_rest(run: "_Runner", rows: Bool[Tensor, " b"]) -> Executed:
-    """The motion of `rows`: to the end of the reference, and on to the limit where the arm is not at rest by then."""
+    """The motion of `rows`: to the end of the reference, and `settle_s` more where the arm is not at rest by then."""
     config = run.config
-    limit = config.settle_limit_s + config.dwell_s
     found = torch.nonzero(rows).flatten().cpu().numpy()
-    reference_s = run.reference_s[found]
-    done = run(found, np.minimum(reference_s + config.dwell_s, limit))
-    restless = (~done.settled & done.valid).cpu().numpy()[found] & (reference_s + config.dwell_s < limit)
-    late = found[restless]
+    done = run(found, run.reference_s[found] + config.dwell_s)
+    late = found[(~done.settled & done.valid).cpu().numpy()[found]]
     if not len(late):
         return done
-    return _merged(done, run(late, np.full(len(late), limit)), torch.from_numpy(late).to(rows.device))
+    longer = run(late, run.reference_s[late] + config.settle_s + config.dwell_s)
+    return _merged(done, longer, torch.from_numpy(late).to(rows.device))
 
 
 def _with_fingers(alone: Executed, found: Bool[Tensor, " b"]) -> Executed:
@@ -210,7 +208,9 @@ class _Runner:
         )
         at = first.float() * sample_s
         still = length - 1 - first >= round(0.5 * config.dwell_s / sample_s)
-        settled = (length > 0) & still & (at <= config.settle_limit_s)
+        # relative to the reference: its length is the planner's, and a longer path is no worse at coming to rest
+        reference_s = torch.from_numpy(self.reference_s).to(device)
+        settled = (length > 0) & still & (at <= reference_s + config.settle_s)
         lever = self.scene.levers.to(device)
         acceleration = torch.zeros((b, 1, 6), dtype=torch.float64, device=device)
         acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)

@@ -26,6 +26,7 @@ from r2h_batch.results.manifest import (
     shards_of,
     stored_in,
 )
+from r2h_batch.results.rows import LATER_COLUMNS
 from r2h_batch.results.storage import claim
 
 TIMING = ("t_plan_s", "t_method_s")
@@ -170,10 +171,14 @@ class Run:
                 rows = file.metadata.num_rows
                 if rows > trials or (kind == "trials" and rows != trials):
                     raise RunError(f"{path}: holds {rows} rows, its receipt says {trials} trials")
+                there = [n for n in names if n in file.schema_arrow.names]
                 for name in names:
-                    if name not in file.schema_arrow.names:
+                    if name not in there and name not in LATER_COLUMNS:
                         raise RunError(f"{path}: column {name!r} is missing; format {FORMAT} has it")
-                table = file.read(columns=names).select(names)
+                table = file.read(columns=there)
+            for name in (n for n in names if n not in there):  # of LATER_COLUMNS: an older run
+                table = table.append_column(schema.field(name), pa.nulls(rows, schema.field(name).type))
+            table = table.select(names)
         except (OSError, pa.ArrowException) as error:
             raise RunError(f"{path}: cannot be read ({printable(error)[:300]})") from error
         _check_columns(table, [schema.field(n) for n in names], path)

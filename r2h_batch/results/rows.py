@@ -31,13 +31,18 @@ TRIAL_SCHEMA = pa.schema(
         *(pa.field(f"passed_{c}", pa.bool_()) for c in CRITERIA),  # null: not evaluated
         *(pa.field(f"margin_{c}_m", pa.float32()) for c in CRITERIA),  # positive: passes; null: none is defined
         pa.field("plan_reason", _NAME),  # verdicts.PlanReason
-        pa.field("plan_pair", _NAME),  # verdicts.CollidingPair, null: none
+        pa.field("plan_pair", _NAME),  # what met where Plan failed: verdicts.CollidingPair, null: none
+        pa.field("nearest_pair", _NAME),  # what is nearest along a path: verdicts.CollidingPair, null: none below 5 cm
+        pa.field("width_m", pa.float32()),  # of the material between the pads; null: nothing there
         pa.field("borderline", pa.bool_()),
         pa.field("t_plan_s", pa.float32()),  # amortised: batch wall time / B; null: planning did not run
         pa.field("t_exec_s", pa.float32()),  # null: no path
         pa.field("t_method_s", pa.float32()),  # null: not measured
     ]
 )
+LATER_COLUMNS = ("nearest_pair", "width_m")
+"""Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""
+
 DETAIL_SCHEMA = pa.schema(
     [
         pa.field("trial_id", pa.int64(), nullable=False),
@@ -142,7 +147,8 @@ def score_rows(trials: "Trials", scores: "Scores", names: TrialNames, t_method_s
     if not np.array_equal(ids, _array(trials.trial_id)):
         raise ValueError("scores and trials must have the same trial_id in the same order")
     passed, evaluated, margin = _array(scores.passed), _array(scores.evaluated), _array(scores.margin)
-    pair = _array(scores.plan_pair).astype(np.int32)
+    pair, has_path = _array(scores.plan_pair).astype(np.int32), _array(scores.path_len) > 0
+    pairs = [p.name.lower() for p in CollidingPair]
     seconds = np.full(len(ids), np.nan, np.float32) if t_method_s is None else t_method_s
     columns = {
         **_trial_columns(trials, names),
@@ -150,7 +156,9 @@ def score_rows(trials: "Trials", scores: "Scores", names: TrialNames, t_method_s
         **{f"passed_{c}": pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i]) for i, c in enumerate(CRITERIA)},
         **{f"margin_{c}_m": _floats(margin[:, i]) for i, c in enumerate(CRITERIA)},
         "plan_reason": _named(scores.plan_reason, [r.name.lower() for r in PlanReason]),
-        "plan_pair": _named(np.where(pair == CollidingPair.NONE, -1, pair), [p.name.lower() for p in CollidingPair]),
+        "plan_pair": _named(np.where(has_path | (pair == CollidingPair.NONE), -1, pair), pairs),
+        "nearest_pair": _named(np.where(has_path & (pair != CollidingPair.NONE), pair, -1), pairs),
+        "width_m": _floats(scores.width_m),
         "borderline": pa.array(_array(scores.borderline), pa.bool_()),
         "t_plan_s": _floats(scores.t_plan_s),
         "t_exec_s": _floats(scores.t_exec_s),

@@ -90,7 +90,10 @@ class _Margins:
         self.state = states(table)
         # float32 of the threshold, because that is what the margin was taken from
         self.distance = np.float32(base["reach_radius_m"]).astype(np.float64) - margin("reach")
-        self.width = np.float32(base["w_max_m"]).astype(np.float64) - margin("stability")
+        width = table["width_m"].to_numpy().astype(np.float64)
+        # runs from before the column was stored: their margin is w_max - w wherever it passes
+        older = np.float32(base["w_max_m"]).astype(np.float64) - margin("stability")
+        self.width = np.where(np.isnan(width), older, width)
         self.clearance = margin("safe") + np.float32(base["safe_margin_m"]).astype(np.float64)
         self.base = base
 
@@ -106,7 +109,9 @@ class _Margins:
                 continue
             margin = spare(float(np.float32(threshold)))
             good = margin >= 0 if touching else margin > 0
-            old = self.state[criterion]  # a grasp that failed has a margin below 0, for whatever reason: it still fails
+            old = self.state[criterion]
+            if criterion == "stability":  # narrower than before: a grasp that failed, for whatever reason, still fails
+                good = good & (old == PASSED)
             state[criterion] = np.where(old > 0, np.where(good, PASSED, FAILED), old)
             near |= (old > 0) & (np.abs(margin) < ROUNDING_M)
         outcome = pattern_outcomes()[self.split, pattern(state)].astype(np.int64)

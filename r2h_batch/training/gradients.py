@@ -15,6 +15,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, OPEN_GAP_M, EvalConfig, Thresholds
 from r2h_batch.judge.goal import Goal
+from r2h_batch.judge.grasp import CUT_CAP_M
 from r2h_batch.judge.hold import Holding
 from r2h_batch.judge.ik import ur_parameters
 from r2h_batch.judge.metrics import squeezed
@@ -95,9 +96,13 @@ class MarginChanges:
         launch = {"threads": threads}
         self.closing = witnesses.closing(scene, held.T_obj_ee, held.objects, grasp.width_m, grasp.opening_m, **launch)
 
-        # Stability: the material, or the cut of the open gripper where that is what the margin says
-        self.cuts = held.active & (grasp.cut_m < 0) & (margin[:, 0] == grasp.cut_m)
-        self.material = held.active & ~self.cuts & (margin[:, 0] == grasp.margin_m) & ~grasp.empty
+        # Stability: the open gripper's clearance, or the material, too wide or too thin: whichever the margin says. A
+        # clearance at its cap is a bound that does not move.
+        self.cuts = held.active & (grasp.cut_m < CUT_CAP_M) & (margin[:, 0] == grasp.cut_m)
+        holds = held.active & ~self.cuts & ~grasp.empty
+        wider, thinner = thresholds.w_max_m - grasp.width_m, grasp.width_m - thresholds.w_min_m
+        self.material = torch.where(holds & (margin[:, 0] == wider), -1.0, 0.0)
+        self.material = torch.where(holds & (margin[:, 0] == thinner), 1.0, self.material)
         opened = torch.full_like(grasp.opening_m, OPEN_GAP_M)
         self.cut = witnesses.fingers(
             scene, held.T_obj_ee, held.objects, opened, grasp.cut_m, self.cuts, region=False, **launch
@@ -166,7 +171,7 @@ class MarginChanges:
         cut = first_order.separation(T_obj_ee, held.T_obj_ee, zero, self.cut)
         material, towards = self.to_material
         missing = se3.apply(se3.inverse(T_obj_ee), material) - se3.apply(se3.inverse(held.T_obj_ee), material)
-        stability = torch.where(self.cuts, cut, torch.where(self.material, -change.width, zero))
+        stability = torch.where(self.cuts, cut, self.material * change.width)
         stability = torch.where(self.empty, -se3.dot(towards, missing), stability)
         nearest, away = self.to_palm
         reach = -first_order.receded(nearest, away, poses)

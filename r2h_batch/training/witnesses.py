@@ -11,7 +11,7 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.config import FARTHEST_M, OPEN_GAP_M
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.witness import closing as closing_kernels
 from r2h_batch.kernels.witness import posture as posture_kernels
@@ -122,7 +122,7 @@ def nearest_to_point(
     launch_trials(
         reach_kernels.point_to_object,
         len(x),
-        inputs={"cap": 10.0, "mesh": scene.object_mesh_ids, "object": object_index, "point": x},
+        inputs={"cap": FARTHEST_M, "mesh": scene.object_mesh_ids, "object": object_index, "point": x},
         outputs={"distance": distance, "nearest": nearest},
         device=scene.device,
         threads=threads,

@@ -15,6 +15,7 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from r2h_batch.assets.robot import build_robot, self_pairs
+from r2h_batch.bodies import robot_visuals
 from r2h_batch.bodies.robot import (
     JOINTS,
     Kind,
@@ -212,6 +213,17 @@ def test_report_keeps_the_promised_limits():
         assert row["mean_mm"] <= 3.5 and row["p95_mm"] <= 10.0 and row["max_mm"] <= 20.0, link
         assert row["worst_protrusion_mm"] <= 0.5, link
     assert report["all"]["mean_mm"] <= 3.0 and report["all"]["arm_mean_mm"] <= 3.0
+
+
+def test_what_the_primitives_leave_outside_is_reported():
+    robot, link = load_robot(), "inner_finger"
+    row = json.loads((files("r2h_batch.assets") / "robot" / "report.json").read_text())["links"][link]
+    mesh = gripper_mesh(f"robotiq_arg2f_85_{link}")
+    mesh.apply_translation(robot_visuals.part_origin(link))
+    chosen = np.flatnonzero([n.startswith(f"right_{link}_") for n in robot.gripper.names])
+    points, table = np.concatenate([mesh.vertices, face_samples(mesh, 50_000)]), robot.gripper
+    out = np.min([depth(table.kind[n], table.T_link_prim[n], table.size[n], points) for n in chosen], axis=0)
+    assert 0.05 < 1e3 * out.max() <= row["worst_protrusion_mm"] + 0.005  # more than the fit's own samples saw
 
 
 @pytest.mark.parametrize("link", ["shoulder", "forearm", "wrist_3", "outer_finger"])

@@ -12,12 +12,14 @@ from scipy.optimize import least_squares, linprog
 from staging import GOAL, GOOD, START, batch_of, staged_evaluator
 
 from r2h_batch import se3
-from r2h_batch.bodies.robot import forward_kinematics, load_robot
+from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.goal import Goal, judge_goals
 from r2h_batch.judge.grasp import attach, close_gripper
+from r2h_batch.judge.hold import hold
 from r2h_batch.judge.ik import solve_ik
+from r2h_batch.judge.plan import Planner
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)
@@ -83,6 +85,30 @@ def test_the_pose_stage_agrees_with_the_whole_evaluation():
 def test_other_ways_to_plan_agree_as_well(plan):
     evaluator = Evaluator(EvalConfig(plan=plan, execute=ExecConfig(sim="none")))
     compare(make_batch(evaluator.scene, 64, random_share=0.5), evaluator)
+
+
+def test_collisions_at_a_singular_wrist_prove_nothing():
+    """At sin q5 = 0 solutions are a line, of which two points a pair are tried: another may be free, and some are."""
+    evaluator, robot, n = default_evaluator().kinematic, load_robot(), 1024
+    b = make_batch(evaluator.scene, n)
+    rng = np.random.default_rng(2)
+    q = rng.uniform([-0.9, -2.2, 0.8, -2.5, 0, -3], [0.9, -0.8, 2.0, 0.5, 0, 3], (n, 6))
+    hand = b.trials.T_world_hand.clone()  # about the wrist of that posture
+    hand[:, :3, 3] = torch.from_numpy(
+        forward_kinematics(robot, q)[:, 4, :3, 3] + 0.08 * rng.normal(size=(n, 3))
+    ).float()
+    T_world_ee = torch.from_numpy(ee_pose(robot, q).astype(np.float32))
+    b = Batch(replace(b.trials, T_world_hand=hand), b.T_obj_ee, T_world_ee)
+    compare(b.rows(slice(0, 48)), evaluator)
+    p = evaluator.score(b.T_obj_ee, b.T_world_ee, b.trials, "pose")
+    singular = solve_ik(b.T_world_ee).singular
+    assert singular.sum() > 1000 and not (singular & (p.plan_reason == int(PlanReason.IK_IN_COLLISION))).any()
+    unproven = singular & (p.plan_reason == int(PlanReason.NO_PATH_IN_BUDGET))
+    assert unproven.sum() > 100 and (p.plan_pair[unproven] != 0).all()
+    # the very posture that the target was made from is a solution: where that is free, "proven" would be false
+    placed = hold(evaluator.scene, b.T_obj_ee, b.T_world_ee, b.trials, evaluator.config).placed
+    free, _, _ = Planner(evaluator.scene, placed, None).check(torch.from_numpy(q.astype(np.float32)), unproven, 1)
+    assert free.any()
 
 
 @pytest.mark.slow

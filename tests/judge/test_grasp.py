@@ -6,15 +6,15 @@ import pytest
 import torch
 import trimesh
 import warp as wp
-from grasp_cases import BAND, PAD_X, PAD_Z, box, pose_at, random_grasps, shapes, tables_of_shapes
+from grasp_cases import BAND, PAD_X, PAD_Z, box, model_of, pose_at, random_grasps, shapes, tables_of_shapes
 
-from r2h_batch.bodies.robot import drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
-from r2h_batch.config import OPEN_GAP_M
-from r2h_batch.judge.grasp import attach, close_gripper, gripper_poses, region_distance
+from r2h_batch.bodies.robot import drive_from_gap, gap_from_drive, gripper_primitives_at, load_robot, pad_center_z
+from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M
+from r2h_batch.judge.grasp import CUT_CAP_M, attach, close_gripper, gripper_poses, region_distance
 from r2h_batch.kernels.geometry.surface import Surfaces, inverse_pose
 from r2h_batch.kernels.grasp.width import material_between
 from r2h_batch.launch import launch_trials
-from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.grasp_tables import grasp_tables, gripper_tables
 
 
 def _material64(
@@ -169,13 +169,25 @@ def test_nothing_between_the_pads_is_empty_and_fails_by_the_whole_stroke() -> No
     assert inside_pipe.width_m.item() == pytest.approx(0.06, abs=1e-4)
 
 
+@pytest.mark.parametrize(("thick_m", "holds"), [(0.0004, False), (0.001505, False), (0.00152, True), (0.004, True)])
+def test_what_is_thinner_than_the_closed_pads_gap_is_not_held(thick_m: float, holds: bool) -> None:
+    assert float(gap_from_drive(load_robot().linkage.drive_upper)) == pytest.approx(CLOSED_GAP_M, abs=1e-7)
+    tables = grasp_tables([model_of(trimesh.creation.box((0.1, thick_m, 0.004)))])
+    T = torch.tensor(np.linalg.inv(pose_at(z=0.01))[None], dtype=torch.float32)
+    grasp = close_gripper(tables, T, torch.zeros(1, dtype=torch.int32))
+    assert grasp.width_m.item() == pytest.approx(thick_m, abs=1e-6) and not grasp.empty
+    assert grasp.opening_m.item() == pytest.approx(max(thick_m, CLOSED_GAP_M), abs=2e-5)
+    assert grasp.margin_m.item() == pytest.approx(min(thick_m - CLOSED_GAP_M, CUT_CAP_M), abs=1e-6)
+    assert (grasp.margin_m.item() >= 0) == holds
+
+
 def test_a_bowls_rim_is_as_wide_as_its_wall_and_the_whole_bowl_is_too_wide() -> None:
     T = pose_at(x=0.0735, z=0.043, about=(0, 1, 0), angle=np.pi) @ trimesh.transformations.rotation_matrix(
         np.pi / 2, (0, 0, 1)
     )
     rim = _one("bowl", T)
     whole = _one("bowl", T, mode="whole")
-    assert 0.002 < rim.width_m.item() < 0.03 and rim.margin_m.item() > 0.05
+    assert 0.002 < rim.width_m.item() < 0.03 and 0 < rim.margin_m.item() <= CUT_CAP_M
     assert whole.width_m.item() == pytest.approx(0.15, abs=1e-3) and whole.margin_m.item() < 0
 
 

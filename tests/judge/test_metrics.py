@@ -14,7 +14,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.robot import Kind, gripper_primitives_at
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, ExecConfig, Thresholds
 from r2h_batch.judge import metrics
-from r2h_batch.judge.grasp import Grasp, attach, close_gripper, region_distance
+from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, attach, close_gripper, open_clearance, region_distance
 from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.types import CRITERIA, Outcome, PlanReason, Scores
@@ -81,14 +81,18 @@ def test_scores_are_consistent_with_their_margins():
 # --- Stability -----------------------------------------------------------------------------------------------------
 
 
-def test_stability_is_the_aperture_less_the_width():
+def test_stability_is_the_least_of_aperture_less_width_and_the_open_grippers_clearance():
     batch, _, s = scored()
     grasp = close_gripper(default_evaluator().scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
     assert torch.equal(metrics.stability(grasp, torch.ones(N, dtype=torch.bool)).margin, grasp.margin_m)
     held = ~grasp.empty & (grasp.cut_m > 0)
     assert held.sum() > 0.9 * N
-    limit = torch.minimum(Thresholds().w_max_m - s.width_m, torch.full((), torch.inf))
+    spare, _ = open_clearance(
+        default_evaluator().scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index, cap_m=CUT_CAP_M
+    )
+    limit = torch.minimum(torch.minimum(Thresholds().w_max_m - s.width_m, s.width_m - Thresholds().w_min_m), spare)
     torch.testing.assert_close(s.margin[held, STABILITY], limit[held], atol=1e-6, rtol=0)
+    assert (spare[held] < CUT_CAP_M).sum() > 0.2 * N
 
 
 # --- Reach ---------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from grasp_cases import BAND, model_of, pose_at, random_grasps, shapes, tables_o
 
 from r2h_batch.bodies.robot import Kind, gripper_primitives_at, load_robot
 from r2h_batch.config import OPEN_GAP_M
-from r2h_batch.judge.grasp import close_gripper, open_clearance, region_distance
+from r2h_batch.judge.grasp import CUT_CAP_M, close_gripper, open_clearance, region_distance
 from r2h_batch.scene.grasp_tables import grasp_tables
 
 
@@ -161,12 +161,14 @@ def test_a_pad_wholly_inside_the_object_and_an_object_wholly_inside_the_palm_are
 
 def test_touching_pads_pass_and_deeper_cuts_have_smaller_margins() -> None:
     tables = grasp_tables([model_of(trimesh.creation.box((0.02, 0.03, 0.02)))])
-    offsets = [0.0, 0.0274, 0.0276, 0.029, 0.0305]  # the box reaches y = offset + 15 mm; the pad begins at 42.5 mm
+    # the box reaches y = offset + 15 mm; the pad begins at 42.5 mm
+    offsets = [0.0, 0.022, 0.027, 0.02749, 0.027501, 0.0276, 0.029, 0.0305]
     T = torch.tensor(np.stack([np.linalg.inv(pose_at(y=y)) for y in offsets]), dtype=torch.float32)
     grasp = close_gripper(tables, T, torch.zeros(len(offsets), dtype=torch.int32))
-    assert (grasp.margin_m[:2] > 0.05).all()
-    assert grasp.margin_m[2].item() == pytest.approx(-1e-4, abs=1e-5)
-    assert (grasp.margin_m[2:].diff() < -1e-4).all()
+    assert grasp.margin_m[0].item() == pytest.approx(CUT_CAP_M)  # at least that far from the pads, and 55 mm narrower
+    assert grasp.margin_m[1:6].tolist() == pytest.approx([0.0055, 5e-4, 1e-5, -1e-6, -1e-4], abs=1e-5)
+    assert (grasp.margin_m[:4] >= 0).all() and (grasp.margin_m[4:] < 0).all()
+    assert (grasp.margin_m.diff() < 0).all()  # no jump where the box meets the pad
 
 
 @pytest.mark.parametrize("count", [56, pytest.param(112, marks=pytest.mark.slow)])

@@ -25,7 +25,7 @@ from made_runs import (
 from r2h_batch.results import manifest, storage
 from r2h_batch.results.manifest import RunError, shards_of
 from r2h_batch.results.reading import load_run
-from r2h_batch.results.rows import DETAIL_SCHEMA, OUTCOME_NAMES, TRIAL_SCHEMA, pose_rows, score_rows
+from r2h_batch.results.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA, pose_rows, score_rows
 from r2h_batch.results.writing import open_run
 from r2h_batch.types import CRITERIA, Outcome
 
@@ -64,6 +64,7 @@ def test_every_column_comes_back_as_it_was_scored(tmp_path):
             row["outcome"], "not_evaluated" if row["outcome"].startswith("invalid") else "ok"
         )
         assert row["plan_pair"] == ("object_hand" if row["outcome"] == "plan" else None)
+        assert row["nearest_pair"] is None
     assert table["borderline"].to_pylist() == scores.borderline.tolist()
     assert table["t_method_s"].null_count == len(table)
 
@@ -223,6 +224,15 @@ def test_a_column_that_may_not_be_empty_is_refused_when_it_is(tmp_path):
     run.register("m", {})
     with pytest.raises(ValueError, match="outcome"), run.write("m", *run.todo("m")) as writer:
         writer.append(trials=rows)
+
+
+def test_a_run_from_before_a_column_was_stored_is_read_with_it_empty(tmp_path):
+    write(tmp_path / "run")
+    (path,) = (tmp_path / "run" / "trials" / "m").iterdir()
+    pq.write_table(pq.read_table(path).drop_columns(list(LATER_COLUMNS)), path)
+    table = load_run(tmp_path / "run", verify=False).trials("m")
+    assert table.schema.equals(TRIAL_SCHEMA, check_metadata=False)
+    assert all(table[name].null_count == 12 for name in LATER_COLUMNS) and table["plan_pair"].null_count < 12
 
 
 def test_the_same_configuration_may_add_a_method_and_finds_the_stored_one(tmp_path):

@@ -72,6 +72,14 @@ def test_a_missing_trial_is_a_row_with_its_names_and_nothing_else():
         assert all(v is None for k, v in row.items() if k not in known)
 
 
+def test_what_met_and_what_is_nearest_are_two_columns():
+    trials = make_trials(2, 0)
+    scores = make_scores(trials, np.array([Outcome.SUCCESS, Outcome.PLAN]))
+    scores.plan_pair[:] = torch.tensor([CollidingPair.HAND, CollidingPair.OBJECT_HAND], dtype=torch.int8)
+    rows = score_rows(trials, scores, NAMES).to_pylist()
+    assert [(r["plan_pair"], r["nearest_pair"]) for r in rows] == [(None, "hand"), ("object_hand", None)]
+
+
 def test_scores_in_another_order_than_their_trials_are_refused():
     trials = make_trials(3, 0)
     scores = make_scores(trials, np.zeros(3, int))

@@ -24,14 +24,14 @@ def scored(trials, distance, width, clearance, thresholds):
     n = len(trials)
     scores = make_scores(trials, np.zeros(n, int))
     margin = scores.margin.clone()
-    margin[:, 0] = thresholds["w_max_m"] - width
+    margin[:, 0] = torch.minimum(thresholds["w_max_m"] - width, torch.tensor(0.01))  # the open gripper's clearance
     margin[:, 2] = thresholds["reach_radius_m"] - distance
     margin[:, 4] = clearance - thresholds["safe_margin_m"]
     passed = scores.passed.clone()
     passed[:, 0], passed[:, 2], passed[:, 4] = margin[:, 0] >= 0, margin[:, 2] >= 0, margin[:, 4] > 0
     failed = scores.evaluated & ~passed
     outcome = torch.where(failed.any(1), failed.int().argmax(1) + 1, 0).to(torch.int8)
-    return dataclasses.replace(scores, margin=margin, passed=passed, outcome=outcome)
+    return dataclasses.replace(scores, margin=margin, passed=passed, outcome=outcome, width_m=width)
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from r2h_batch.motion.time_law import time_path
 
 MUJOCO, PLANNED = ExecConfig(sim="mujoco"), ExecConfig(sim="none")
 ARM, MJWARP = ExecConfig(sim="mujoco", model="arm"), ExecConfig(sim="mjwarp", model="arm")
-BRIEF, BRIEF_WARP = (ExecConfig(sim=s, settle_limit_s=0.2) for s in ("mujoco", "mjwarp"))
-"""The whole scene, watched for 0.7 s only: MuJoCo-Warp on a CPU makes some 15,000 steps a second of it."""
+BRIEF, BRIEF_WARP = (ExecConfig(sim=s, scale=1.0, settle_s=0.02, dwell_s=0.1) for s in ("mujoco", "mjwarp"))
+"""The whole scene at full speed, 1 s in all: MuJoCo-Warp on a CPU makes some 15,000 steps a second of it."""
 N = 16
 
 
