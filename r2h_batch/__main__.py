@@ -13,6 +13,7 @@ COMMANDS = {
     "sweep": ("r2h_batch.sweep.command", "Score methods or predictions files on the trials and print Table I."),
     "trials": ("r2h_batch.export.command", "Write the trials and everything that a method may read."),
     "scene": ("r2h_batch.export.command", "Write one stored trial as a folder that plain MuJoCo opens."),
+    "benchmark": ("r2h_batch.benchmark.command", "Show what a benchmark file may say, or check one."),
     "import": ("r2h_batch.importers.command", "Turn other people's hands and grasps into files that sweeps read."),
     "results": (
         "r2h_batch.rejudge.command",
@@ -77,10 +78,13 @@ def _completed() -> dict[str, Command]:
 
     def import_(command: Literal["hand", "hands", "grasps"], files: tuple[Path, ...], /) -> None: ...
 
+    def benchmark(command: Literal["show", "check"], files: tuple[Path, ...], /) -> None: ...
+
     return {
         "sweep": Options,
         "trials": export.trials,
         "scene": export.scene,
+        "benchmark": benchmark,
         "import": import_,
         "results": results,
         "report": report.run,

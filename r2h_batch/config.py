@@ -77,6 +77,26 @@ class IkConfig:
 
 
 @dataclass(frozen=True)
+class Workplace:
+    """Where the arm starts, and the table that it stands at: world frame, metres and radians."""
+
+    home_q: tuple[float, ...] = HOME_Q
+    table_center: tuple[float, ...] = TABLE_CENTER
+    table_half: tuple[float, ...] = TABLE_HALF
+
+    def __post_init__(self) -> None:
+        for name, count, low, high in (
+            ("home_q", 6, -2 * math.pi, 2 * math.pi), ("table_center", 3, -10.0, 10.0), ("table_half", 3, 1e-3, 10.0),
+        ):  # fmt: skip
+            value = tuple(float(x) for x in getattr(self, name))
+            if len(value) != count or not all(low <= x <= high for x in value):  # NaN is in no range
+                raise ValueError(
+                    f"Workplace.{name} is {value}; it must be {count} numbers from {low:.4g} to {high:.4g}"
+                )
+            object.__setattr__(self, name, value)
+
+
+@dataclass(frozen=True)
 class PlanConfig:
     """How a path from home to the handover pose is looked for."""
 
@@ -145,6 +165,7 @@ class EvalConfig:
     ik: IkConfig = field(default_factory=IkConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)
     execute: ExecConfig = field(default_factory=ExecConfig)
+    workplace: Workplace = field(default_factory=Workplace)
     width: Literal["pads", "whole"] = "pads"  # material between the pads, or the whole object's extent
     stability: Literal["geometric", "physics"] = "geometric"  # physics: the friction grasp must also outlast a shake
     chunk: int = 2048  # trials held in memory at once

@@ -5,13 +5,15 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any
+from pathlib import Path
+from typing import Any, Self
 
 import torch
 from jaxtyping import Float32
 from torch import Tensor
 
 from r2h_batch import se3
+from r2h_batch.benchmark import Benchmark, read_benchmark
 from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.config import EvalConfig
@@ -59,6 +61,25 @@ class Evaluator:
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
         self.threads = threads
         self.handle = torch_op.register(self)
+
+    @classmethod
+    def from_benchmark(
+        cls,
+        benchmark: Benchmark | str | Path,
+        config: EvalConfig | None = None,
+        *,
+        device: str | torch.device = "cpu",
+        threads: int | None = None,
+    ) -> Self:
+        """The evaluator of a benchmark, a file or one that was read: its objects, hands, limits, table and home.
+
+        `config` says the rest (planning, motion); limits of its own are refused. Raises ValueError (`FileError`), one line.
+        """
+        if isinstance(benchmark, (str, Path)):
+            pieces = config is not None and config.plan.object_collision == "pieces"
+            benchmark = read_benchmark(benchmark, pieces=pieces)
+        mine = benchmark.config(config)
+        return cls(mine, device=device, objects=benchmark.objects, hand_set=benchmark.hand_set, threads=threads)
 
     def __getstate__(self) -> dict[str, Any]:
         """What copies and pickles hold: the configuration. Copies share the scene's tables, which nobody changes;
@@ -198,10 +219,11 @@ class Evaluator:
     def _branches(self, holding: Holding) -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""
         solve = ik_jacobian.solve_ik if self.config.ik.solver == "pytorch-kinematics" else solve_ik
-        ik = solve(holding.T_world_ee, active=holding.active, threads=self.threads)
+        home = self.config.workplace.home_q
+        ik = solve(holding.T_world_ee, active=holding.active, home=home, threads=self.threads)
         if self.config.plan.goals == "set":
             return ik, ik.valid
-        return ik, one_branch(ik, holding.T_world_ee, threads=self.threads)
+        return ik, one_branch(ik, holding.T_world_ee, home=home, threads=self.threads)
 
     def _without_posture(self, holding: Holding) -> tuple[tuple[Criterion, Criterion, Criterion], Tensor]:
         """Stability, Reach, Affordance: they need no joint angles; and how far the object slipped (NaN: not shaken)."""

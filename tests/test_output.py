@@ -58,6 +58,7 @@ def lines(folder) -> dict[str, list[str]]:
         "compare": ["compare", "--help"],
         "rescore": ["rescore", str(folder)],
         "import": ["import", "--help"],
+        "benchmark": ["benchmark", "show"],
         "version": ["--version"],
     }
 

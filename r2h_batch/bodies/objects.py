@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import io
+import json
 import re
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import trimesh
@@ -25,6 +26,9 @@ from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.object_mesh import ObjectMeshError, closed_mesh
 from r2h_batch.bodies.solid import sample_surface, solid_occupancy
 from r2h_batch.files import FileError, printable, read_file
+
+if TYPE_CHECKING:
+    from r2h_batch.benchmark.words import Thing
 
 __all__ = [
     "OBJECT_NAMES",
@@ -100,6 +104,10 @@ class ObjectModel:
     """(3, 3) about the centre of mass, axes of ``obj``, uniform density, kg m^2"""
     grasps: GraspSet | None = None
     """a user's grasps: what methods choose from instead of our candidates"""
+    roles: Mapping[str, str] | None = None
+    """part -> function, grasp or wrap, where a benchmark says so (`methods.part_roles`)"""
+    words: Thing | None = None
+    """how people ask for it, where a benchmark says so (`receiver.instructions`)"""
 
     @property
     def occupancy(self) -> NDArray[np.bool_]:
@@ -132,7 +140,8 @@ def is_built_in(model: ObjectModel) -> bool:
     if model.name not in OBJECT_NAMES:
         return False
     (own,) = load_objects([model.name])
-    return model is own or (np.array_equal(model.vertices, own.vertices) and np.array_equal(model.faces, own.faces))
+    shape = ("vertices", "faces", "face_part", "receiver_face")
+    return model is own or all(np.array_equal(getattr(model, k), getattr(own, k)) for k in shape)
 
 
 def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
@@ -141,13 +150,24 @@ def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     for model in [objects] if isinstance(objects, ObjectModel) else objects:
         for f in fields(model):
             value = getattr(model, f.name)
-            if f.name == "grasps":
-                digest.update(b"" if value is None else value.digest.encode())
+            if f.name in SAID:
+                digest.update(b"" if value is None else _said(value).encode())
                 continue
             data = np.ascontiguousarray(value) if isinstance(value, np.ndarray) else np.array(value)
             digest.update(f"{f.name}:{data.dtype.str}:{data.shape}:".encode())
             digest.update(data.tobytes())
     return digest.hexdigest()
+
+
+SAID = ("grasps", "roles", "words")
+"""Fields that only a benchmark or a user fills: nothing of them is stored with an object."""
+
+
+def _said(value: GraspSet | Mapping[str, str] | Thing) -> str:
+    """What the digest takes of a field that somebody filled."""
+    if isinstance(value, GraspSet):
+        return value.digest
+    return json.dumps(dict(value) if isinstance(value, Mapping) else asdict(value), sort_keys=True)
 
 
 def build_object(
@@ -257,7 +277,7 @@ def _load(name: str) -> ObjectModel:
 def read_object(path: str) -> ObjectModel:
     """The object stored in one ``.npz`` of assets/objects' format."""
     with np.load(path, allow_pickle=False) as data:
-        values: dict[str, object] = {f.name: data[f.name] for f in fields(ObjectModel) if f.name != "grasps"}
+        values: dict[str, object] = {f.name: data[f.name] for f in fields(ObjectModel) if f.name not in SAID}
     for key in ("name", "split", "instruction"):
         values[key] = str(values[key])
     values["part_names"] = tuple(str(n) for n in np.atleast_1d(np.asarray(values["part_names"])))

@@ -14,7 +14,13 @@ def scene(
     trial: int,
     out: Path,
     method: str = "",
+    benchmark: str = "",
+    hands: str = "",
+    hand_model: str = "",
+    objects: str = "",
     object_mesh: tuple[str, ...] = (),
+    grasps: tuple[str, ...] = (),
+    trials_file: str = "",
     render: Path | None = None,
 ) -> int:
     """Write one stored trial as MJCF.
@@ -24,19 +30,25 @@ def scene(
         trial: trial id.
         out: folder to write.
         method: needed where the run holds several: the sweep's word (fc) or the table's name.
+        benchmark: as in the sweep.
+        hands: as in the sweep.
+        hand_model: as in the sweep.
+        objects: as in the sweep.
         object_mesh: the user's objects, as in the sweep.
+        grasps: as in the sweep.
+        trials_file: as in the sweep.
         render: also a picture, a .png: start, middle, goal (MUJOCO_GL=osmesa without a screen).
     """
-    from r2h_batch.bodies.object_mesh import ObjectMeshError
-    from r2h_batch.export.trial import ExportError, export_trial, load_trial, render_strip
-    from r2h_batch.results.reading import RunError
+    from r2h_batch.benchmark.given import Given
+    from r2h_batch.export.trial import export_trial, load_trial, render_strip
 
     try:
-        stored = load_trial(run, trial, method=method or None, object_mesh=object_mesh)
+        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file)
+        stored = load_trial(run, trial, method=method or None, given=given)
         folder = export_trial(stored, out)
         if render:
             render_strip(folder, render)
-    except (ExportError, RunError, ObjectMeshError) as error:
+    except ValueError as error:  # ExportError, RunError, FileError, ObjectMeshError
         return refuse("scene", error)
     except OSError as error:
         return refuse("scene", f"{error.filename or out}: {error.strerror or error}", 1)
@@ -50,7 +62,12 @@ def trials(
     protocol: Literal["r2h-v0"] = "r2h-v0",
     trials: int = 500,
     splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1"),
+    benchmark: str = "",
+    hands: str = "",
+    hand_model: str = "",
+    objects: str = "",
     object_mesh: tuple[str, ...] = (),
+    grasps: tuple[str, ...] = (),
 ) -> int:
     """Write a protocol's trials and everything that a handover method may read to make predictions.
 
@@ -59,20 +76,25 @@ def trials(
         protocol: which trials.
         trials: of each split, 1 or more.
         splits: S0 free handover, S1 functional.
+        benchmark: your own benchmark file, as in r2h_batch.sweep.
+        hands: another hand set, as in r2h_batch.sweep.
+        hand_model: another hand, as in r2h_batch.sweep.
+        objects: other objects, as in r2h_batch.sweep.
         object_mesh: your own objects, FILE[:S0|S1], as in r2h_batch.sweep.
+        grasps: grasp candidates of your own, as in r2h_batch.sweep.
     """
     if trials < 1:
         return refuse("trials", f"--trials is {trials}; it must be 1 or more")
     if not splits:
         return refuse("trials", "--splits names no split; allowed are S0, S1")
-    from r2h_batch.bodies.objects import load_objects, object_from_argument
+    from r2h_batch.benchmark.given import Given
     from r2h_batch.export.trial_files import write_trials
     from r2h_batch.verdicts import SPLITS
 
     try:
         chosen = [s for s in SPLITS if s in splits]
-        objects = (*load_objects(), *(object_from_argument(mesh) for mesh in object_mesh))
-        digest = write_trials(out, chosen, trials, objects=objects)
+        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps)
+        digest = write_trials(out, chosen, trials, benchmark=given.read())
     except (FileExistsError, ValueError) as error:
         return refuse("trials", error)
     except OSError as error:

@@ -2,7 +2,7 @@
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Kind, Primitives, Robot, drive_from_gap, finger_motion, gripper_primitives_at
 from r2h_batch.bodies.robot_visuals import part_origin, visual_triangles
-from r2h_batch.config import TABLE_CENTER, TABLE_HALF
+from r2h_batch.config import Workplace
 from r2h_batch.scene.model_parts import (
     AMBIENT,
     COLORS,
@@ -49,6 +49,7 @@ class TrialBodies:
     T_obj_ee: Array
     T_world_hand: Array
     opening_m: float
+    workplace: Workplace = field(default_factory=Workplace)
 
 
 def write_scene(
@@ -85,8 +86,8 @@ class _Writer:
             SubElement(self.worldbody, "light", {**place, "diffuse": _gray(lamp.diffuse), **shadow})
 
     def write(self, keyframes: Iterable[tuple[str, Array]]) -> Path:
-        table = SubElement(self.worldbody, "body", name="table")
-        box = {"type": "box", "size": _text(TABLE_HALF), "pos": _text(TABLE_CENTER)}
+        table, at = SubElement(self.worldbody, "body", name="table"), self.trial.workplace
+        box = {"type": "box", "size": _text(at.table_half), "pos": _text(at.table_center)}
         SubElement(table, "geom", {"name": "table/top", **box, **_collision()})
         SubElement(table, "geom", {"name": "table/top_visual", **box, **_VISUAL, "rgba": _COLORS["table"]})
         self._add_object(self._add_gripper(self._add_arm()))

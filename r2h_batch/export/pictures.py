@@ -12,7 +12,6 @@ import torch
 from numpy.typing import NDArray
 
 from r2h_batch import se3
-from r2h_batch.config import HOME_Q
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach
 from r2h_batch.motion.execute import Executed, execute
@@ -59,13 +58,13 @@ def strips(
     scene = evaluator.scene
     model = build_scene_model(
         scene.robot, [scene.objects[int(trial.object_index[0])]], scene.hands, [int(trial.hand_index[0])],
-        step_s=evaluator.config.execute.step_s, skins=True,
+        step_s=evaluator.config.execute.step_s, skins=True, workplace=scene.config.workplace,
     )  # fmt: skip
     chosen = [_times(scores, executed, frames) for scores, executed, _ in told]
     with mujoco.Renderer(model.model, size[1], size[0]) as renderer:
         out = []
         for p, (scores, executed, bodies), at in zip(predictions, told, chosen, strict=True):
-            postures = _postures(executed, at)
+            postures = _postures(executed, at, scene.config.workplace.home_q)
             camera = _camera(model, bodies, postures, size)
             touch = scores.witness_point[0].numpy() if int(scores.outcome[0]) == Outcome.SAFE else None
             touch_s = float(scores.witness_time_s[0])
@@ -134,10 +133,10 @@ def _times(scores: Scores, executed: Executed, frames: int) -> NDArray[np.float6
     return at
 
 
-def _postures(executed: Executed, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+def _postures(executed: Executed, time_s: NDArray[np.float64], home: Sequence[float]) -> NDArray[np.float64]:
     n = int(executed.length[0])
     if n == 0:
-        return np.array([HOME_Q])
+        return np.array([home])
     assert executed.sample_s is not None
     at = np.clip(np.round(time_s / executed.sample_s).astype(int), 0, n - 1)
     return executed.path[0, at].double().numpy()

@@ -10,7 +10,7 @@ import json
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +21,17 @@ import torch
 from numpy.typing import NDArray
 
 from r2h_batch import se3
+from r2h_batch.benchmark import Benchmark
+from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.of_run import benchmark_of_run
 from r2h_batch.bodies.hand import load_hand_set
-from r2h_batch.bodies.objects import load_objects, object_digest, object_from_argument
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.config import HOME_Q
+from r2h_batch.config import Workplace
 from r2h_batch.export.mjcf import TrialBodies, write_scene
+from r2h_batch.files import FileError
 from r2h_batch.results.reading import load_run
 from r2h_batch.scene.tables import Hands
-from r2h_batch.trials.protocol import PROTOCOL, make_trials, trials_digest, trials_with_ids
+from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 from r2h_batch.verdicts import CRITERIA
 
 Array = NDArray[np.float64]
@@ -58,12 +61,21 @@ class StoredTrial:
     executed_q: Array | None  # (S, 6) every `motion.sample_s` of run.json; None: not simulated
     object_model: Any
     hand_set: Any = None  # None: the built-in one
+    workplace: Workplace = field(default_factory=Workplace)
 
 
 def load_trial(
-    run: str | Path, trial_id: int, *, method: str | None = None, object_mesh: Sequence[str] = ()
+    run: str | Path,
+    trial_id: int,
+    *,
+    method: str | None = None,
+    object_mesh: Sequence[str] = (),
+    given: Given | None = None,
 ) -> StoredTrial:
-    """The trial as it was scored; `object_mesh` as given to the sweep. Raises `ExportError`, `results.RunError`."""
+    """The trial as it was scored; `given` (or `object_mesh` alone): what the sweep's flags said of the benchmark.
+
+    Raises `ExportError`, `results.RunError`.
+    """
     stored = load_run(run)
     header = stored.header
     method = _method(stored, method)
@@ -80,15 +92,18 @@ def load_trial(
         raise ExportError(f"trial {trial_id} of {method!r} was not judged ({row['outcome']}): there is nothing to show")
     poses = _row(stored.poses(method), trial_id, f"{run}: poses of {method!r}")
     path = _rows(stored.paths(method), trial_id)
-    objects, T_world_hand = _trial_again(header, row, object_mesh, str(run))
+    benchmark, T_world_hand = _trial_again(header, row, given or Given(object_mesh=tuple(object_mesh)), str(run))
     T_obj_ee, T_world_ee = (_orthonormal(np.array(poses[k]).reshape(4, 4)) for k in ("T_obj_ee", "T_world_ee"))
     attached = T_obj_ee.copy()
     attached[:3, 3] += T_obj_ee[:3, 1] * np.float32(row["grasp_shift_m"])
-    q = np.array(path[0]["q"], np.float64) if path else np.array([HOME_Q])
+    q = np.array(path[0]["q"], np.float64) if path else np.array([benchmark.workplace.home_q])
     time_s = np.array(path[0]["time_s"], np.float64) if path else np.zeros(1)
     executed_q = np.array(path[0]["executed_q"], np.float64) if path and path[0]["executed_q"] else None
-    model = next(o for o in objects if o.name == row["object"])
-    return StoredTrial(header, method, row, T_obj_ee, attached, T_world_ee, T_world_hand, q, time_s, executed_q, model)
+    model = next(o for o in benchmark.objects if o.name == row["object"])
+    return StoredTrial(
+        header, method, row, T_obj_ee, attached, T_world_ee, T_world_hand, q, time_s, executed_q, model,
+        benchmark.hand_set, benchmark.workplace,
+    )  # fmt: skip
 
 
 def _method(stored: Any, method: str | None) -> str:
@@ -122,36 +137,25 @@ def _row(table: Any, trial_id: int, where: str) -> dict[str, Any]:
     return rows[0]
 
 
-def _trial_again(
-    header: dict[str, Any], row: dict[str, Any], object_mesh: Sequence[str], run: str
-) -> tuple[Any, Array]:
-    """The objects of the run and this trial's T_world_hand, made from the protocol and checked against the digests."""
-    if header["protocol"] != PROTOCOL:
-        raise ExportError(f"{run}: protocol {header['protocol']!r}; this version makes the trials of {PROTOCOL!r}")
-    own = [o["name"] for o in header["objects"] if not o["built_in"]]
-    if len(object_mesh) != len(own):
-        raise ExportError(
-            f"{run}: has the user's objects {', '.join(own) or 'none'}; give their --object-mesh as in the sweep"
-        )
-    pieces = header["configuration"]["plan"]["object_collision"] == "pieces"  # as the sweep builds them
-    objects = (*load_objects(), *(object_from_argument(m, pieces=pieces) for m in object_mesh))
-    digests = header["digests"]
-    trials = make_trials([s for s, n in header["trials"].items() if n], 0, objects=objects)
-    small = sum(header["trials"].values()) <= CHECKED_TRIALS
-    if small and len(set(header["trials"].values())) == 1:
-        trials = make_trials(list(header["trials"]), next(iter(header["trials"].values())), objects=objects)
-    found = {"objects": object_digest(objects), "hand_set": load_hand_set().digest}
-    if len(trials):
-        found["trials"] = trials_digest(trials, objects=objects)
-    if differing := [k for k, v in found.items() if digests.get(k) != v]:
-        raise ExportError(
-            f"{run}: was made with other {', '.join(differing)}: export with r2h_batch {header['versions'].get('r2h_batch')}"
-            f" at commit {header.get('git_commit')}"
-        )
-    trial = trials_with_ids(torch.tensor([row["trial_id"]], dtype=torch.int64, device="cpu"), objects=objects)
-    if objects[int(trial.object_index[0])].name != row["object"] or int(trial.hand_index[0]) != row["hand_index"]:
-        raise ExportError(f"{run}: trial {row['trial_id']} is not the one of {PROTOCOL!r}")
-    return objects, _orthonormal(trial.T_world_hand[0].numpy())
+def _trial_again(header: dict[str, Any], row: dict[str, Any], given: Given, run: str) -> tuple[Benchmark, Array]:
+    """The benchmark of the run and this trial's T_world_hand, made from the protocol and checked against the digests."""
+    try:
+        benchmark = benchmark_of_run(header, given, run)
+    except FileError as error:
+        raise ExportError(str(error)) from None
+    counts = header["trials"]
+    if sum(counts.values()) <= CHECKED_TRIALS and (benchmark.listed is not None or len(set(counts.values())) == 1):
+        trials = make_trials(list(counts), max(counts.values()), benchmark=benchmark)
+        if trials_digest(trials, objects=benchmark.objects) != header["digests"]["trials"]:
+            raise ExportError(
+                f"{run}: was made with other trials: export with r2h_batch {header['versions'].get('r2h_batch')}"
+                f" at commit {header.get('git_commit')}"
+            )
+    trial = trials_of(benchmark, torch.tensor([row["trial_id"]], dtype=torch.int64, device="cpu"))
+    name = benchmark.objects[int(trial.object_index[0])].name
+    if name != row["object"] or int(trial.hand_index[0]) != row["hand_index"]:
+        raise ExportError(f"{run}: trial {row['trial_id']} is not the one of {header['protocol']!r}")
+    return benchmark, _orthonormal(trial.T_world_hand[0].numpy())
 
 
 def _orthonormal(T: NDArray[Any]) -> Array:
@@ -166,10 +170,10 @@ def export_trial(stored: StoredTrial, out: str | Path) -> Path:
     plan = stored.header["configuration"]["plan"]
     bodies = TrialBodies(
         stored.object_model, plan["object_collision"], stored.row["hand_index"], stored.T_obj_ee_attached,
-        stored.T_world_hand, float(stored.row["opening_m"]),
+        stored.T_world_hand, float(stored.row["opening_m"]), stored.workplace,
     )  # fmt: skip
     robot = load_robot()
-    keyframes = [("home", np.array(HOME_Q)), *([("goal", stored.q[-1])] if len(stored.q) > 1 else [])]
+    keyframes = [("home", np.array(stored.workplace.home_q)), *([("goal", stored.q[-1])] if len(stored.q) > 1 else [])]
     hand_set = stored.hand_set or load_hand_set()
     write_scene(folder, robot, Hands.posed(hand_set.model, hand_set), bodies, keyframes)
     _write_csv(folder / "trajectory.csv", robot.joints, *trajectory(stored))

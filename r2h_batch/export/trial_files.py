@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,9 @@ import torch
 from numpy.typing import NDArray
 
 from r2h_batch import se3
-from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
-from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest
-from r2h_batch.config import BALL_OFFSET_M
+from r2h_batch.benchmark import Benchmark, built_in
+from r2h_batch.bodies.hand import HandSet, palm_frame
+from r2h_batch.bodies.objects import ObjectModel, object_digest
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasp_candidates import Candidates
 from r2h_batch.trials.protocol import PROTOCOL, TRIALS, make_trials, trials_digest
@@ -27,22 +28,21 @@ def write_trials(
     splits: Sequence[str] = SPLITS,
     trials: int = TRIALS,
     *,
-    objects: Sequence[ObjectModel] | None = None,
-    hand_set: HandSet | None = None,
+    benchmark: Benchmark | None = None,
 ) -> str:
-    """Write the planned trials with all that a method may read; returns their digest. `folder` is new or empty."""
+    """Write the planned trials of a benchmark (default: the built-in one) with all that a method may read; their digest.
+
+    `folder` is new or empty.
+    """
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"{folder} is not an empty folder; give a new one")
-    objects = load_objects() if objects is None else tuple(objects)
-    hand_set = load_hand_set() if hand_set is None else hand_set
-    planned = make_trials(splits, trials, objects=objects, hand_set=hand_set)
+    benchmark = built_in() if benchmark is None else benchmark
+    objects, hand_set = benchmark.objects, benchmark.hand_set
+    planned = make_trials(splits, trials, benchmark=benchmark)
     chosen = [i for i, o in enumerate(objects) if o.split in splits]
-    names = [objects[i].name for i in chosen]
-    if twice := [n for n in names if names.count(n) > 1]:
-        raise ValueError(f"two objects are called {twice[0]!r}; every object needs its own name")
     hands = _hand_arrays(hand_set)
-    files = {"trials.npz": _trial_arrays(planned, objects, hands), "hands.npz": hands}
+    files = {"trials.npz": _trial_arrays(planned, benchmark, hands), "hands.npz": hands}
     candidates = candidates_of(objects)
     for i in chosen:
         files[f"objects/{objects[i].name}.npz"] = _object_arrays(objects[i], candidates[i])
@@ -51,7 +51,14 @@ def write_trials(
         "format": 1,
         "protocol": PROTOCOL,
         "trials": {s: trials for s in SPLITS if s in splits},
-        "digests": {"trials": digest, "objects": object_digest(objects), "hand_set": hand_set.digest},
+        "digests": {
+            "trials": digest,
+            "benchmark": benchmark.digest,
+            "objects": object_digest(objects),
+            "hand_set": hand_set.digest,
+        },
+        "thresholds": asdict(benchmark.thresholds),
+        "workplace": asdict(benchmark.workplace),
         "objects": [
             {
                 "object_index": i,
@@ -103,8 +110,9 @@ def _hand_arrays(hands: HandSet) -> Arrays:
     }
 
 
-def _trial_arrays(trials: Trials, objects: Sequence[ObjectModel], hands: Arrays) -> Arrays:
-    hand, model = trials.hand_index.long(), [objects[i] for i in trials.object_index.tolist()]
+def _trial_arrays(trials: Trials, benchmark: Benchmark, hands: Arrays) -> Arrays:
+    hand, model = trials.hand_index.long(), [benchmark.objects[i] for i in trials.object_index.tolist()]
+    offset_m = benchmark.thresholds.reach_offset_m
     local = {k: torch.from_numpy(np.asarray(hands[k][0]))[hand] for k in ("joints", "palm_point", "palm_normal")}
     turn = trials.T_world_hand.clone()
     turn[:, :3, 3] = 0.0
@@ -127,7 +135,7 @@ def _trial_arrays(trials: Trials, objects: Sequence[ObjectModel], hands: Arrays)
         ),
         "palm_point": (point.numpy(), "p_h, m, world"),
         "palm_normal": (normal.numpy(), "n_h, unit vector out of the palm, world"),
-        "ball_center": ((point + BALL_OFFSET_M * normal).numpy(), "c_h = p_h + 0.12 n_h, m, world"),
+        "ball_center": ((point + offset_m * normal).numpy(), f"c_h = p_h + {offset_m:g} n_h, m, world"),
     }
 
 

@@ -75,7 +75,7 @@ def judge_goals(
         inputs={
             "world": scene.world,
             "bodies": placed.bodies,
-            "home": home_posture(str(device)),
+            "home": home_posture(str(device), scene.config.workplace.home_q),
             "active": active.contiguous(),
             **postures,
         },
@@ -88,7 +88,7 @@ def judge_goals(
         ik_nearest.nearest_posture,
         b,
         inputs={
-            "ur": default_ur(),
+            "ur": default_ur(scene.config.workplace.home_q),
             "rotation_lever_m": ROTATION_LEVER_M,
             "wanted": active & ~branches.any(1),
             "T_world_ee": T_world_ee.contiguous(),
@@ -136,7 +136,7 @@ def _measure(
             "world": scene.world,
             "hull_ball": scene.hull_balls,
             "bodies": placed.bodies,
-            "home": home_posture(str(residual.device)),
+            "home": home_posture(str(residual.device), scene.config.workplace.home_q),
             "reason": goal.reason,
             **postures,
             "residual": residual,

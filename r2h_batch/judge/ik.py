@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -105,7 +105,7 @@ def solve_ik(
         ik_step.solve_ik_kernel,
         n,
         inputs={
-            "ur": default_ur() if robot is load_robot() and tuple(home) == HOME_Q else ur_parameters(robot, home),
+            "ur": default_ur(tuple(home)) if robot is load_robot() else ur_parameters(robot, home),
             "iterations": iterations,
             "position_tolerance_m": POSITION_TOLERANCE_M,
             "rotation_tolerance_rad": ROTATION_TOLERANCE_RAD,
@@ -197,7 +197,7 @@ def one_branch(
     return ik.valid & (torch.arange(BRANCHES, dtype=torch.int64, device=device) == slot[:, None])
 
 
-@cache
+@lru_cache(maxsize=64)
 def _jacobian_tables(home: tuple[float, ...], device: str) -> dict[str, wp.array]:
     """Joint frames (the last: the ee in wrist_3), limits and starts for `first_branch`, on a device."""
     robot = load_robot()
@@ -217,16 +217,16 @@ def _seed_states(device: str) -> wp.array:
     return wp.array(_cos_sin(ik_seeds()), dtype=wp.float64, device=device)
 
 
-@cache
-def home_posture(device: str) -> Float[Tensor, "1 6"]:
+@lru_cache(maxsize=64)
+def home_posture(device: str, home: tuple[float, ...]) -> Float[Tensor, "1 6"]:
     """Home's joint angles on a device."""
-    return torch.from_numpy(np.array([HOME_Q], np.float32)).to(device)
+    return torch.from_numpy(np.array([home], np.float32)).to(device)
 
 
-@cache
-def default_ur() -> UrParameters:
-    """The parameters of the committed robot, home at its home."""
-    return ur_parameters(load_robot())
+@lru_cache(maxsize=64)
+def default_ur(home: tuple[float, ...] = HOME_Q) -> UrParameters:
+    """The parameters of the committed robot with this home."""
+    return ur_parameters(load_robot(), home)
 
 
 @cache

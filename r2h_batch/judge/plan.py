@@ -54,7 +54,7 @@ def plan_paths(
     b, device = len(active), q.device
     execute = execute or ExecConfig()
     run = Planner(scene, placed, threads)
-    home = home_posture(str(device))
+    home = home_posture(str(device), scene.config.workplace.home_q)
     moveit = int(config.edge_check == "moveit")
 
     start_clear, start_pair, _ = run.check(home.expand(b, 6).contiguous(), active, 1)

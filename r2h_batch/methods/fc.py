@@ -14,7 +14,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.palm_pose import approach_frames, least, roll_angles, rolled, unit
-from r2h_batch.methods.placing import HOME_X, candidates_clear_of, centers_at, first_fit, object_centers, taken
+from r2h_batch.methods.placing import candidates_clear_of, centers_at, first_fit, home_x, object_centers, taken
 from r2h_batch.predictors import PredictorNoise, predict_receiving, predict_target
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
@@ -53,9 +53,7 @@ def predict(
         clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)
         row = taken(rows, least(score, clear, exists))
         T_obj_ee = table.T_obj_ee[row]
-        frames = approach_frames(
-            -target.wrist_to_middle, torch.tensor(HOME_X, dtype=torch.float32, device=scene.device)
-        )
+        frames = approach_frames(-target.wrist_to_middle, home_x(scene))
         T_world_ee = centers_at(
             rolled(frames, roll_angles(rolls)), T_obj_ee, center[part.object_index.long()], target.ball_center
         )

@@ -90,11 +90,12 @@ def predict(
 
 
 def point_roles(scene: Scene, object_index: Int32[Tensor, " b"], seen: SeenParts) -> UInt8[Tensor, "b p"]:
-    """The role of every cloud point: GRASP in the receiver's region as seen (S1), else by its part as seen."""
+    """The role of every cloud point: GRASP in the receiver's region as seen (S1), else by its part as seen; by its part
+    wherever the benchmark says the parts' roles."""
     table = torch.from_numpy(roles_of(scene.objects)).to(scene.device)
-    functional = torch.tensor([o.split == "S1" for o in scene.objects], dtype=torch.bool, device=scene.device)[
-        object_index.long()
-    ]
+    functional = torch.tensor(
+        [o.split == "S1" and o.roles is None for o in scene.objects], dtype=torch.bool, device=scene.device
+    )[object_index.long()]
     by_part = table[object_index.long()[:, None], seen.label.to(scene.device).long()]
     by_region = torch.where(seen.usage.to(scene.device), GRASP, FUNCTION).to(torch.uint8)
     return torch.where(functional[:, None], by_region, by_part)

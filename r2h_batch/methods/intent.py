@@ -22,7 +22,7 @@ from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
 from r2h_batch.methods.palm_pose import approach_frames, least, poses_at, roll_angles, rolled, turned_inward
-from r2h_batch.methods.placing import HOME_X, above_palm, first_fit, taken
+from r2h_batch.methods.placing import above_palm, first_fit, home_x, taken
 from r2h_batch.predictors import PredictorNoise, predict_target, retrieve_receiving
 from r2h_batch.receiver.instructions import ANYWHERE, intents_of, understand
 from r2h_batch.scene.scene import Scene
@@ -85,7 +85,7 @@ def predict(
         row = taken(rows, least(score, fits & exists, exists))
         # The gripper comes against the hand's own direction, turned towards the thumb; home's x settles the roll's zero
         approach = turned_inward(-target.wrist_to_middle, target.palm_normal, target.side, inward_deg)
-        frames = approach_frames(approach, torch.tensor(HOME_X, dtype=torch.float32, device=scene.device))
+        frames = approach_frames(approach, home_x(scene))
         T_world_ee = poses_at(rolled(frames, roll_angles(rolls)), above_palm(target, height_m))
         return table.T_obj_ee[row], first_fit(
             scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, threads=threads

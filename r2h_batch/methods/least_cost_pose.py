@@ -17,7 +17,7 @@ from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import pose_cost as kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.palm_pose import approach_frames, least, poses_at, reachable, roll_angles, rolled
-from r2h_batch.methods.placing import HOME_X, above_palm
+from r2h_batch.methods.placing import HOME_X, above_palm, home_x
 from r2h_batch.predictors import TargetHand
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene
@@ -55,7 +55,7 @@ def least_cost_pose(
 
     Of equal costs the approach nearest to straight into the palm, then the roll nearest to home.
     """
-    R = approach_fan(target.palm_normal, directions, rolls)
+    R = approach_fan(target.palm_normal, directions, rolls, home_x(scene))
     T_world_ee = poses_at(R, above_palm(target, height_m))
     points = target.vertices[:, hand_sample(scene, hand_points)].contiguous()
     cost = collision_cost(scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m, threads=threads)
@@ -63,13 +63,18 @@ def least_cost_pose(
     return T_world_ee[torch.arange(len(best), dtype=torch.int64, device=best.device), best]
 
 
-def approach_fan(palm_normal: Float[Tensor, "b 3"], directions: int, rolls: int) -> Float[Tensor, "b r 3 3"]:
-    """Frames whose z axes spread over the half sphere about -n_h, nearest to it first, each in `rolls` rolls."""
+def approach_fan(
+    palm_normal: Float[Tensor, "b 3"], directions: int, rolls: int, home: Float32[Tensor, "3"] | None = None
+) -> Float[Tensor, "b r 3 3"]:
+    """Frames whose z axes spread over the half sphere about -n_h, nearest to it first, each in `rolls` rolls from `home`
+    (the gripper's x axis there)."""
     k = np.arange(directions) + 0.5
     z = 1.0 - k / directions
     turn, ring = np.pi * (3.0 - np.sqrt(5.0)) * k, np.sqrt(1.0 - z * z)
     lattice = np.round(np.stack([ring * np.cos(turn), ring * np.sin(turn), z], 1), 12)
-    home = torch.tensor(HOME_X, dtype=torch.float64, device=palm_normal.device)
+    if home is None:
+        home = torch.tensor(HOME_X, dtype=torch.float32, device=palm_normal.device)
+    home = home.to(palm_normal.device, torch.float64)
     into = approach_frames(-palm_normal, home)
     fan = torch.from_numpy(lattice).to(palm_normal.device)
     approach = se3.rotate(into[:, None], fan[None])

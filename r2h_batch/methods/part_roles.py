@@ -6,31 +6,27 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.benchmark.words import S0_ROLES
 from r2h_batch.bodies.objects import ObjectModel
 
 __all__ = ["FUNCTION", "GRASP", "WRAP", "roles_of"]
 
 FUNCTION, GRASP, WRAP = 0, 1, 2
 
-_S0_ROLES = {
-    "game_controller": {"grip": GRASP},
-    "bowl": {"wall": WRAP, "rim": WRAP, "foot": WRAP},
-    "headphones": {"band": GRASP, "padding": GRASP, "slider": GRASP},
-    "eyeglasses": {"temple": GRASP, "hinge": GRASP},
-    "cup": {"wall": WRAP, "rim": WRAP, "base": WRAP},
-    "wineglass": {"stem": GRASP, "foot": GRASP},
-}
-"""S0 has no receiver's region: the parts that people take these objects by (AffNet labels bowls and cups wrap-grasp)."""
+CODES = {"function": FUNCTION, "grasp": GRASP, "wrap": WRAP}
+"""As a benchmark file says them."""
 
 
 @lru_cache(maxsize=8)
 def roles_of(objects: tuple[ObjectModel, ...]) -> NDArray[np.uint8]:
-    """(O, parts) role of each part; parts of S1 that lie in the receiver's region are GRASP, all others FUNCTION."""
+    """(O, parts) role of each part: what the benchmark says; else parts of S1 that lie in the receiver's region are GRASP,
+    all others FUNCTION."""
     table = np.full((len(objects), max(len(o.part_names) for o in objects)), FUNCTION, np.uint8)
     for row, model in zip(table, objects, strict=True):
-        known = _S0_ROLES.get(model.name, {}) if model.split == "S0" else {}
+        known = S0_ROLES.get(model.name, {}) if model.split == "S0" else {}
+        said = model.roles or {}
         for k, name in enumerate(model.part_names):
             faces = model.face_part == k
             taken = model.split == "S1" and faces.any() and model.receiver_face[faces].mean() > 0.5
-            row[k] = GRASP if taken else known.get(name, FUNCTION)
+            row[k] = CODES[said[name]] if name in said else GRASP if taken else CODES[known.get(name, "function")]
     return table

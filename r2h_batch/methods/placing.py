@@ -7,17 +7,35 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import se3
+from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.config import HOME_Q
 from r2h_batch.methods.candidates import CandidateTable
 from r2h_batch.methods.hand_clearance import gripper_clearance, posed_hand
 from r2h_batch.methods.palm_pose import first_true, poses_at, reachable
 from r2h_batch.predictors import TargetHand
 from r2h_batch.scene.scene import Scene
 
-__all__ = ["HOME_X", "above_palm", "candidates_clear_of", "centers_at", "first_fit", "object_centers", "taken"]
+__all__ = [
+    "HOME_X",
+    "above_palm",
+    "candidates_clear_of",
+    "centers_at",
+    "first_fit",
+    "home_x",
+    "object_centers",
+    "taken",
+]
 
 
 HOME_X = (-1.0, 0.0, 0.0)
-"""The gripper's x axis at home (world): the first roll that is tried turns the wrist least from there."""
+"""The gripper's x axis at the default home (world), rounded."""
+
+
+def home_x(scene: Scene) -> Float32[Tensor, "3"]:
+    """The gripper's x axis at home (world): the first roll that is tried turns the wrist least from there."""
+    home = scene.config.workplace.home_q
+    axis = HOME_X if home == HOME_Q else ee_pose(scene.robot, home)[:3, 0].tolist()
+    return torch.tensor(axis, dtype=torch.float32, device=scene.device)
 
 
 def candidates_clear_of(

@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+from r2h_batch.benchmark.words import PART_WORDS, THINGS, VERB_WORDS, Thing
 from r2h_batch.bodies.objects import ObjectModel, load_objects
-from r2h_batch.receiver.words import PART_WORDS, THINGS, VERB_WORDS, Thing
 
 __all__ = ["InstructionError", "Intent", "Understood", "instructions_of", "intents_of", "understand"]
 
@@ -230,6 +230,8 @@ def _stem(word: str, inflected: bool) -> str:
 @lru_cache(maxsize=256)
 def _thing(model: ObjectModel) -> Thing:
     """What is known of an object; a user's object has the words of its name and of its parts."""
+    if model.words is not None:
+        return model.words
     if model.name in THINGS and any(set(p) & set(model.part_names) for p in THINGS[model.name].parts.values()):
         return THINGS[model.name]
     allowed = _takeable(model)

@@ -5,7 +5,7 @@ is the verdict: trials follow from their ids, poses are stored, so the evaluator
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,14 +14,15 @@ import pyarrow as pa
 import torch
 from pydantic import TypeAdapter, ValidationError
 
-from r2h_batch.bodies.hand import load_hand_set
-from r2h_batch.bodies.objects import load_objects, object_digest, object_from_argument
+from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.of_run import benchmark_of_run
+from r2h_batch.benchmark.trials_file import LISTED
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.results import provenance
 from r2h_batch.results.reading import TIMING, Run, RunError
 from r2h_batch.results.rows import TRIAL_SCHEMA, TrialNames, score_rows
-from r2h_batch.trials.protocol import PROTOCOL, trials_with_ids
+from r2h_batch.trials.protocol import PROTOCOL, trials_of
 from r2h_batch.verdicts import SIDES
 
 __all__ = ["Difference", "Judge", "Rejudged", "rejudge"]
@@ -66,34 +67,19 @@ class Judge:
     `other`: what is not as it was when the rows were scored (code, versions, processor); empty: rows must come out bit for bit.
     """
 
-    def __init__(self, run: Run, *, object_mesh: Sequence[str] = (), device: str = "cpu", threads: int | None = None):
+    def __init__(self, run: Run, *, given: Given | None = None, device: str = "cpu", threads: int | None = None):
         header, where = run.header, run.folder
-        if header["protocol"] != PROTOCOL:
+        if header["protocol"] not in (PROTOCOL, LISTED):
             raise RunError(f"{where}: protocol {header['protocol']!r}; this version makes the trials of {PROTOCOL!r}")
         config = configuration(header["configuration"], str(where))
-        given = header.get("objects", [])
-        own = [o["name"] for o in given if not o["built_in"]]
-        if len(object_mesh) != len(own):
-            raise RunError(
-                f"{where}: has the user's objects {', '.join(own) or 'none'}; give their --object-mesh as in the sweep"
-            )
-        pieces = config.plan.object_collision == "pieces"
-        objects = (*load_objects(), *(object_from_argument(mesh, pieces=pieces) for mesh in object_mesh))
-        found = {"objects": object_digest(objects), "hand_set": load_hand_set().digest}
-        if differing := [k for k, v in found.items() if header["digests"].get(k) != v]:
-            raise RunError(
-                f"{where}: was made with other {', '.join(differing)}; judge it with r2h_batch"
-                f" {header['versions']['r2h_batch']} at commit {header.get('git_commit')}"
-            )
-        self.objects = objects
-        self.evaluator = Evaluator(config, device=device, objects=objects, threads=threads)
+        self.benchmark = benchmark_of_run(header, given or Given(), str(where))
+        self.evaluator = Evaluator.from_benchmark(self.benchmark, config, device=device, threads=threads)
         self.other = _other(header, device)
 
     def rows(self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any) -> pa.Table:
         """`TRIAL_SCHEMA` rows of (N,) trials answered with (N, 4, 4) poses: as the sweep stores them."""
         scene = self.evaluator.scene
-        trials = trials_with_ids(torch.from_numpy(np.asarray(trial_id, np.int64)), objects=self.objects)
-        trials = trials.to(scene.device)
+        trials = trials_of(self.benchmark, torch.from_numpy(np.asarray(trial_id, np.int64))).to(scene.device)
         grasp, handover = (torch.from_numpy(np.array(T, np.float32)).to(scene.device) for T in (T_obj_ee, T_world_ee))
         names = TrialNames(
             objects=[o.name for o in scene.objects],

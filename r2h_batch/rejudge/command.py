@@ -10,6 +10,7 @@ from r2h_batch.results import command as stored
 from r2h_batch.results.command import digest
 
 if TYPE_CHECKING:
+    from r2h_batch.benchmark.given import Given
     from r2h_batch.rejudge.again import Rejudged
 
 LISTED = 200
@@ -23,7 +24,13 @@ def verify(
     rejudge: int = 0,
     method: tuple[str, ...] = (),
     seed: int | None = None,
+    benchmark: str = "",
+    hands: str = "",
+    hand_model: str = "",
+    objects: str = "",
     object_mesh: tuple[str, ...] = (),
+    grasps: tuple[str, ...] = (),
+    trials_file: str = "",
     device: str = "cpu",
 ) -> int:
     """Find truncated, flipped and foreign shards and mark them for rerun; with --rejudge, judge a sample of rows again.
@@ -36,7 +43,13 @@ def verify(
         rejudge: rows of each method to judge again from their stored poses, drawn at random; 0: none.
         method: judge only these methods again, by the sweep's word (fc) or the table's name; all unless given.
         seed: of the draw; another one each time unless given.
+        benchmark: as in the sweep.
+        hands: as in the sweep.
+        hand_model: as in the sweep.
+        objects: as in the sweep.
         object_mesh: your own objects, as in the sweep.
+        grasps: as in the sweep.
+        trials_file: as in the sweep.
         device: cpu, cuda or cuda:N.
     """
     if rejudge < 0:
@@ -44,17 +57,16 @@ def verify(
     code = stored.verify(folder)
     if code > 1 or not rejudge:
         return code
-    from r2h_batch.bodies.object_mesh import ObjectMeshError
+    from r2h_batch.benchmark.given import Given
 
     try:
-        return max(code, _again(folder, rejudge, method, seed, object_mesh, device))
-    except (ValueError, ObjectMeshError, OSError) as error:
+        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file)
+        return max(code, _again(folder, rejudge, method, seed, given, device))
+    except (ValueError, OSError) as error:
         return refuse("results", error)
 
 
-def _again(
-    folder: Path, n: int, method: Sequence[str], seed: int | None, object_mesh: Sequence[str], device: str
-) -> int:
+def _again(folder: Path, n: int, method: Sequence[str], seed: int | None, given: "Given", device: str) -> int:
     """Print what the evaluator says to a sample of each method's rows; 1 where a row differs."""
     import numpy as np
 
@@ -68,7 +80,7 @@ def _again(
     if "poses" not in run.header["stored"]:
         raise RunError(f"{folder}: stored without poses; sweep again without --no-poses into another --out")
     draw = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    judge = Judge(run, object_mesh=object_mesh, device=device)
+    judge = Judge(run, given=given, device=device)
     if judge.other:
         print(
             f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared exactly, margins to 0.1 mm,"

@@ -119,6 +119,10 @@ MAX_HANDS = 10**6
 Side = Literal["right", "left"]
 
 
+class _Benchmark(_Open):
+    flags: Annotated[list[Word], Field(max_length=100)]
+
+
 class _Predictors(_Open):
     noise_factor: Annotated[float, Field(ge=0, le=1e12)]
 
@@ -140,6 +144,7 @@ class Header(_Record):
     predictors: _Predictors = _ABSENT
     motion: _Motion = _ABSENT
     objects: list[_Object] = _ABSENT
+    benchmark: _Benchmark = _ABSENT
     hands: Annotated[list[Side], Field(min_length=1, max_length=MAX_HANDS)] = _ABSENT
     platform: Word = ""
     git_commit: Word | None = None

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import JOINTS, Robot, drive_from_gap
-from r2h_batch.config import TABLE_CENTER, TABLE_HALF
+from r2h_batch.config import Workplace
 from r2h_batch.scene.dynamics import Payload, add_arm, add_object, arm_model, load, new_spec, quat_wxyz
 from r2h_batch.scene.model_parts import (
     COLLISION,
@@ -136,15 +136,17 @@ def scene_model(
     payload_known: bool,
     object_collision: str,
     full: bool,
+    workplace: Workplace | None = None,
 ) -> SceneModel:
     """`build_scene_model`, or `SceneModel.arm_only`; of this process' last two if one of them does, with more hands if not.
 
     Which hands a model has makes no difference to any motion.
     """
+    workplace = workplace or Workplace()
     if not full:
         return SceneModel.arm_only(robot, step_s=step_s, payload_known=payload_known)
     wanted = set(map(int, hand_indices)) or {0}
-    key = (robot.digest, hands.set.digest, tuple(map(id, objects)), step_s, payload_known, object_collision)
+    key = (robot.digest, hands.set.digest, tuple(map(id, objects)), step_s, payload_known, object_collision, workplace)
     with _keeping:
         _, model = _kept.get(key, (None, None))
         if model is None or not wanted <= model.hands.keys():
@@ -160,6 +162,7 @@ def scene_model(
                 step_s=step_s,
                 payload_known=payload_known,
                 object_collision=object_collision,
+                workplace=workplace,
             )
             _kept[key] = (tuple(objects), model)  # holds the objects, so that no others get their ids
         _kept.move_to_end(key)
@@ -178,6 +181,7 @@ def build_scene_model(
     payload_known: bool = True,
     object_collision: str = "hull",
     skins: bool = False,
+    workplace: Workplace | None = None,
 ) -> SceneModel:
     """Arm, gripper with its linkage, object, hand and table, for any of the objects and the listed hands (`world_tables.Hands`).
 
@@ -195,7 +199,7 @@ def build_scene_model(
     for name, vertices, faces, convex in meshes:
         add_mesh(spec, name, vertices, faces, convex=convex)
 
-    _add_table(spec, partners)
+    _add_table(spec, partners, workplace or Workplace())
     hand = spec.worldbody.add_body(name="hand", mocap=True)
     for k, mesh in enumerate(hand_rows[hand_indices[0]]):
         seen = not skins or k == len(hands.model.piece_names)
@@ -278,9 +282,9 @@ def _partners(robot: Robot) -> list[tuple[int, int]]:
     return [(1 << k, c) for k, c in enumerate(conaffinity)]
 
 
-def _add_table(spec: mujoco.MjSpec, partners: list[tuple[int, int]]) -> None:
+def _add_table(spec: mujoco.MjSpec, partners: list[tuple[int, int]], at: Workplace) -> None:
     table = spec.worldbody.add_body(name="table")
     table.add_geom(
-        name="table/top", type=mujoco.mjtGeom.mjGEOM_BOX, pos=TABLE_CENTER, size=TABLE_HALF, contype=partners[9][0],
+        name="table/top", type=mujoco.mjtGeom.mjGEOM_BOX, pos=at.table_center, size=at.table_half, contype=partners[9][0],
         conaffinity=partners[9][1], group=VISUAL, rgba=[*COLORS["table"], 1],
     )  # fmt: skip

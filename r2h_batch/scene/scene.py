@@ -99,12 +99,15 @@ class Scene:
         return scene_model(
             self.robot, self.objects, self.hands, hand_indices, step_s=execute.step_s, full=execute.model != "arm",
             payload_known=execute.payload == "known", object_collision=self.config.plan.object_collision,
+            workplace=self.config.workplace,
         )  # fmt: skip
 
     @cached_property
     def tables(self) -> WorldTables:
         """Shapes and bounds of everything that planning checks, on the host."""
-        return WorldTables(self.robot, self.hands, self.objects, self.config.plan.object_collision)
+        return WorldTables(
+            self.robot, self.hands, self.objects, self.config.plan.object_collision, self.config.workplace
+        )
 
     @cached_property
     def levers(self) -> Tensor:

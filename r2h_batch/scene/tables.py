@@ -16,7 +16,7 @@ from r2h_batch.bodies import bounds
 from r2h_batch.bodies.hand import HandModel, HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Kind, Robot
-from r2h_batch.config import TABLE_CENTER, TABLE_HALF
+from r2h_batch.config import Workplace
 from r2h_batch.kernels.plan.codes import MAX_PARTNERS
 from r2h_batch.kernels.robot.world import World
 
@@ -51,8 +51,16 @@ class Hands:
 class WorldTables:
     """Host tables of a scene. `object_collision`: hull or pieces, as in `PlanConfig`."""
 
-    def __init__(self, robot: Robot, hands: Hands, objects: Sequence[ObjectModel], object_collision: str) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        hands: Hands,
+        objects: Sequence[ObjectModel],
+        object_collision: str,
+        workplace: Workplace | None = None,
+    ) -> None:
         self.robot, self.hands, self.objects, self.object_collision = robot, hands, objects, object_collision
+        self.workplace = workplace or Workplace()
 
     @cached_property
     def arm_order(self) -> NDArray[np.int64]:
@@ -76,8 +84,8 @@ class WorldTables:
                     setattr(w, name, wp.array(array, dtype=dtype, device=device))
         points = np.concatenate([self._hand_blocks[0], self._object_points[0], *self._object_cells])
         w.points = wp.array(points, dtype=wp.vec3, device=device)
-        w.table_center = wp.vec3(*TABLE_CENTER)
-        w.table_half = wp.vec3(*TABLE_HALF)
+        w.table_center = wp.vec3(*self.workplace.table_center)
+        w.table_half = wp.vec3(*self.workplace.table_half)
         return w
 
     def _fill_robot(self) -> dict:

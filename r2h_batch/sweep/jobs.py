@@ -5,7 +5,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from r2h_batch.benchmark import Benchmark
+from r2h_batch.benchmark.given import Given
 from r2h_batch.predictions import align, load_predictions
 from r2h_batch.results import provenance
 from r2h_batch.results.rows import TrialNames
@@ -77,26 +79,26 @@ def prepare(options: Options) -> Setting:
     """The setting that the options describe."""
     import platform
 
-    from r2h_batch.bodies.objects import load_objects, object_digest, object_from_argument
+    from r2h_batch.bodies.objects import is_built_in, object_digest
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.trials.protocol import PROTOCOL, make_trials, trials_digest, trials_with_ids
+    from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 
     if options.device != "cpu" and not torch.cuda.is_available():
         raise UsageError(f"--device {options.device}: torch sees no CUDA device; use --device cpu")
-    config = _configuration(options)
-    built_in = load_objects()
-    pieces = options.object_collision == "pieces"  # a convex decomposition takes up to a minute: only where it is used
-    objects = (*built_in, *(object_from_argument(mesh, pieces=pieces) for mesh in options.object_mesh))
-    splits = [s for s in SPLITS if s in options.splits]
-    plan: dict[str, int] = dict.fromkeys([str(s) for s in splits], options.trials)
-    first_trials = make_trials(splits, min(options.trials, DIGEST_TRIALS), objects=objects)
-    evaluator = Evaluator(config, device=options.device, objects=objects, threads=options.threads)
+    given = given_of(options)
+    # a convex decomposition takes up to a minute: only where it is used
+    benchmark = given.read(pieces=options.object_collision == "pieces")
+    config, objects = benchmark.config(_configuration(options)), benchmark.objects
+    plan = _plan(options, benchmark)
+    first_trials = make_trials(list(plan), min(max(plan.values()), DIGEST_TRIALS), benchmark=benchmark)
+    evaluator = Evaluator.from_benchmark(benchmark, config, device=options.device, threads=options.threads)
     header = {
-        "protocol": PROTOCOL,
+        "protocol": benchmark.protocol,
         "trials": plan,
         "configuration": asdict(config),
         "digests": {
             "trials": trials_digest(first_trials, objects=objects),
+            "benchmark": benchmark.digest,
             "objects": object_digest(objects),
             "hand_set": evaluator.scene.hands.set.digest,
             "code": provenance.code_digest(),
@@ -107,8 +109,9 @@ def prepare(options: Options) -> Setting:
             "step_s": config.execute.step_s if config.execute.sim != "none" else None,
             "sample_s": config.execute.step_s * config.execute.record_steps if config.execute.sim != "none" else None,
         },
-        "objects": [{"name": o.name, "split": o.split, "built_in": i < len(built_in)} for i, o in enumerate(objects)],
+        "objects": [{"name": o.name, "split": o.split, "built_in": is_built_in(o)} for o in objects],
         "hands": [SIDES[s] for s in evaluator.scene.hands.set.side.tolist()],
+        "benchmark": {"flags": given.flags()},
         "seed": options.seed,
         "predictors": _predictors(options),
         "stored": options.stored,
@@ -123,7 +126,25 @@ def prepare(options: Options) -> Setting:
     def ids(first: int, last: int) -> torch.Tensor:
         return torch.from_numpy(trial_ids(plan, first, last))
 
-    return Setting(evaluator, header, ids, partial(trials_with_ids, objects=objects))
+    return Setting(evaluator, header, ids, partial(trials_of, benchmark))
+
+
+def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
+    """Split -> trials of it."""
+    splits = [str(s) for s in SPLITS if s in options.splits]
+    if benchmark.listed is None:
+        return dict.fromkeys(splits, options.trials)
+    if options.trials != Options.trials:
+        raise UsageError("--trials belongs to the protocol; a trials file says its own, leave --trials out")
+    counts = {s: int((benchmark.listed.trial_id % 2 == SPLITS.index(s)).sum()) for s in splits}
+    if not any(counts.values()):
+        raise UsageError(f"the trials file has none of --splits {' '.join(splits)}")
+    return {s: n for s, n in counts.items() if n}
+
+
+def given_of(options: Options) -> Given:
+    """What the options say of the benchmark."""
+    return Given(**{f.name: getattr(options, f.name) for f in fields(Given)})
 
 
 def _configuration(options: Options) -> "EvalConfig":

@@ -49,8 +49,20 @@ class Options:
     package.module:function; the built-in VoxNet unless given."""
     predictor_noise: float = 1.0
     """Factor on the error model of what the methods see (hands, part labels); 0: they see the truth."""
+    benchmark: str = ""
+    """Your own benchmark, a YAML file: objects, hands, grasps, thresholds, table and home; r2h-batch benchmark show."""
+    hands: str = ""
+    """Another hand set, an .npz of r2h-batch import hands."""
+    hand_model: str = ""
+    """Another hand, an .npz of r2h-batch import hand: whoever uses a hand takes this one."""
+    objects: str = ""
+    """Other objects instead of the benchmark's: a folder of meshes, or a benchmark.yaml."""
     object_mesh: tuple[str, ...] = ()
-    """Your own objects, FILE[:S0|S1]: they take turns with the built-in objects of that split."""
+    """Your own objects, FILE[:S0|S1]: they take turns with the other objects of that split."""
+    grasps: tuple[str, ...] = ()
+    """Grasp candidates of your own, .npz or .safetensors: NAME=FILE, a file called as its object, or a folder of these."""
+    trials_file: str = ""
+    """Trials of your own, .npz or .parquet, instead of the protocol's: object, T_world_hand, and hand or pose, shape, side."""
     preset: Literal["default", "paper"] = "default"
     """default: exact planning to any branch. paper: one goal, MoveIt's edge resolution, to compare with the paper."""
     width: Literal["pads", "whole"] = "pads"

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.bodies.robot import ee_pose, load_robot
-from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, OPEN_GAP_M, EvalConfig, Thresholds
+from r2h_batch.config import CLEARANCE_CAP_M, OPEN_GAP_M, EvalConfig, Thresholds
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.grasp import CUT_CAP_M
 from r2h_batch.judge.hold import Holding
@@ -215,9 +215,9 @@ def _lengths() -> first_order.UrLengths:
 @lru_cache(maxsize=4)
 def _tables(scene: Scene, device: str) -> tuple[Tensor, Tensor, Tensor]:
     """Links of the robot's bodies, home's joint angles and its ee pose, on a device."""
-    T_home = torch.from_numpy(ee_pose(load_robot(), HOME_Q)).float()
+    T_home = torch.from_numpy(ee_pose(load_robot(), scene.config.workplace.home_q)).float()
     return (
         torch.from_numpy(scene.body_links).to(device),
-        torch.tensor(HOME_Q, dtype=torch.float32, device=device),
+        torch.tensor(scene.config.workplace.home_q, dtype=torch.float32, device=device),
         T_home.to(device),
     )

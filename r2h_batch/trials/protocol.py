@@ -10,6 +10,7 @@ import math
 import operator
 from collections.abc import Sequence
 from functools import lru_cache
+from pathlib import Path
 from typing import SupportsIndex
 
 import numpy as np
@@ -19,17 +20,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import rng, se3
+from r2h_batch.benchmark import Benchmark, read_benchmark
+from r2h_batch.benchmark.trials_file import listed_with_ids
 from r2h_batch.bodies.bounds import capsule_of_primitive
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
-from r2h_batch.config import BALL_OFFSET_M, HOME_Q, TABLE_CENTER, TABLE_HALF
+from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.turns import PROTOCOL, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["PROTOCOL", "SPLITS", "make_trials", "trials_digest", "trials_with_ids"]
+__all__ = ["PROTOCOL", "SPLITS", "make_trials", "trials_digest", "trials_of", "trials_with_ids"]
 
 TRIALS = 500
 """Trials of a split in the benchmark; more are the same generator run further."""
@@ -43,10 +46,8 @@ SECTOR_DEG, CONE_DEG, TURNED_AWAY_DEG = 50.0, 75.0, 120.0
 120 degrees from the former [choice]."""
 TCP_ROOM_M, TABLE_ROOM_M, ROBOT_ROOM_M = 0.20, 0.005, 0.005
 """What no vertex of the hand comes nearer to, with the robot at home: the TCP, the table, the arm [choice]."""
-# to a micrometre: 0.475 - 0.025 is not 0.45 in binary
-TABLE_LOW, TABLE_HIGH = (
-    tuple(round(c + sign * half, 6) for c, half in zip(TABLE_CENTER, TABLE_HALF, strict=True)) for sign in (-1, 1)
-)
+
+DEFAULT = Workplace()
 
 _POSE = 1  # purpose of the random counters; `turns` has 0
 _ROWS = 16384  # trials drawn at once
@@ -60,10 +61,13 @@ def make_trials(
     *,
     objects: Sequence[ObjectModel] | None = None,
     hand_set: HandSet | None = None,
+    config: EvalConfig | None = None,
+    benchmark: Benchmark | str | Path | None = None,
 ) -> Trials:
     """The first `trials` trials of each split, split by split, on the CPU.
 
-    `objects` (default: the 16 built-in ones) is what `object_index` counts; those of a split take turns in it.
+    `objects` (default: the 16 built-in ones) is what `object_index` counts; those of a split take turns in it. Hands stand
+    where `config` puts ball, table and home. `benchmark`, a file or one that was read, says all three instead.
     """
     splits = [splits] if isinstance(splits, str) else list(splits)
     if unknown := [s for s in splits if s not in SPLITS]:
@@ -72,13 +76,37 @@ def make_trials(
         raise ValueError(f"splits are {', '.join(splits)}; each may be given once")
     if isinstance(trials, bool) or not isinstance(trials, SupportsIndex) or operator.index(trials) < 0:
         raise ValueError(f"trials is {trials!r}; it must be a whole number, 0 or more")
+    if benchmark is not None:
+        if objects is not None or hand_set is not None or config is not None:
+            raise ValueError("benchmark says objects, hands and limits; give it alone, or the others without it")
+        found = read_benchmark(benchmark) if isinstance(benchmark, (str, Path)) else benchmark
+        if found.listed is not None:
+            return _listed(found.listed, splits, operator.index(trials))
+        objects, hand_set, config = found.objects, found.hand_set, found.config()
     plan = dict.fromkeys(splits, operator.index(trials))
     ids = trial_ids(plan, 0, sum(plan.values()))
-    return trials_with_ids(torch.from_numpy(ids), objects=objects, hand_set=hand_set)
+    return trials_with_ids(torch.from_numpy(ids), objects=objects, hand_set=hand_set, config=config)
+
+
+def _listed(listed: Trials, splits: Sequence[str], trials: int) -> Trials:
+    """The first `trials` of a benchmark's own trials of each split, or as many as there are."""
+    rows = [torch.nonzero(listed.trial_id % 2 == SPLITS.index(s))[:trials, 0] for s in splits]
+    return listed[torch.cat(rows)]
+
+
+def trials_of(benchmark: Benchmark, trial_id: Int64[Tensor, " n"]) -> Trials:
+    """The trials of these ids in a benchmark, in this order."""
+    if benchmark.listed is not None:
+        return listed_with_ids(benchmark.listed, trial_id)
+    return trials_with_ids(trial_id, objects=benchmark.objects, hand_set=benchmark.hand_set, config=benchmark.config())
 
 
 def trials_with_ids(
-    trial_id: Int64[Tensor, " n"], *, objects: Sequence[ObjectModel] | None = None, hand_set: HandSet | None = None
+    trial_id: Int64[Tensor, " n"],
+    *,
+    objects: Sequence[ObjectModel] | None = None,
+    hand_set: HandSet | None = None,
+    config: EvalConfig | None = None,
 ) -> Trials:
     """The trials of these ids (0 or more), in this order."""
     if not isinstance(trial_id, Tensor) or trial_id.ndim != 1 or trial_id.dtype != torch.int64:
@@ -87,7 +115,7 @@ def trials_with_ids(
     ids = trial_id.cpu().numpy().copy()
     if len(ids) and ids.min() < 0:
         raise ValueError(f"trial id {ids.min()} is negative; ids are 2 i (S0) and 2 i + 1 (S1)")
-    objects = checked_objects(objects)
+    objects, config = checked_objects(objects), config or EvalConfig()
     hands = _hands(load_hand_set() if hand_set is None else hand_set)
     object_index, side = objects_in_turn(ids, [o.split for o in objects])
     hand_index = np.zeros(len(ids), np.int64)
@@ -95,7 +123,7 @@ def trials_with_ids(
     for first in range(0, len(ids), _ROWS):
         rows = slice(first, first + _ROWS)
         hand_index[rows] = hands_in_turn(ids[rows], side[rows], hands.side)
-        T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands)
+        T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, config)
     return Trials(
         trial_id=torch.from_numpy(ids),
         object_index=torch.from_numpy(object_index.astype(np.int32)),
@@ -138,9 +166,11 @@ def _hands(hand_set: HandSet) -> _Hands:
     return _Hands(hand_set)
 
 
-def _draw_poses(ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands) -> NDArray[np.float32]:
+def _draw_poses(
+    ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands, config: EvalConfig
+) -> NDArray[np.float32]:
     """T_world_hand (n, 4, 4), each the first proposal of its trial that lies in the reachable set."""
-    key = rng.key_of(PROTOCOL)
+    key, offset_m = rng.key_of(PROTOCOL), config.thresholds.reach_offset_m
 
     def propose(rows: NDArray[np.int64], attempt: int) -> tuple[NDArray[np.bool_], tuple[NDArray[np.float32]]]:
         u = rng.uniforms(key, ids[rows], 7, purpose=_POSE, attempt=attempt)
@@ -153,9 +183,9 @@ def _draw_poses(ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _H
         kept, hand, center, R, normal = kept[faces], hand[faces], center[faces], R[faces], normal[faces]
         T = np.zeros((len(kept), 4, 4), np.float32)
         T[:, :3, :3] = R
-        T[:, :3, 3] = center - BALL_OFFSET_M * normal - se3.rotate(R, hands.palm_point[hand])
+        T[:, :3, 3] = center - offset_m * normal - se3.rotate(R, hands.palm_point[hand])
         T[:, 3, 3] = 1.0
-        clear = _hand_is_clear(T.astype(np.float64), hand, hands)
+        clear = _hand_is_clear(T.astype(np.float64), hand, hands, config.workplace)
         fits = np.zeros(len(rows), bool)
         fits[kept[clear]] = True
         return fits, (T[clear],)
@@ -186,11 +216,15 @@ def _faces_robot_or_up(center: Array, normal: Array) -> NDArray[np.bool_]:
     return ((to_robot >= cone) | (normal[:, 2] >= cone)) & (to_robot >= away)
 
 
-def _hand_is_clear(T_world_hand: Array, hand: NDArray[np.int64], hands: _Hands) -> NDArray[np.bool_]:
+def _hand_is_clear(
+    T_world_hand: Array, hand: NDArray[np.int64], hands: _Hands, at: Workplace = DEFAULT
+) -> NDArray[np.bool_]:
     """Whether no vertex is near TCP, table or arm at home: the hand's bounding sphere first, vertices where needed."""
-    tcp, ends, radius = _home()
+    tcp, ends, radius = _home(at.home_q)
     center = se3.rotate(T_world_hand[:, :3, :3], hands.center[hand]) + T_world_hand[:, :3, 3]
-    low, high = np.array(TABLE_LOW) - TABLE_ROOM_M, np.array(TABLE_HIGH) + TABLE_ROOM_M
+    # to a micrometre: 0.475 - 0.025 is not 0.45 in binary
+    low, high = (np.round(np.array(at.table_center) + sign * np.array(at.table_half), 6) for sign in (-1, 1))
+    low, high = low - TABLE_ROOM_M, high + TABLE_ROOM_M
     segments = [(tcp, tcp), *ends]
     bodies = [_from_box(low, high, center), *(_from_segment(a, b, center) for a, b in segments)]
     room = np.array([0.0, TCP_ROOM_M, *(radius + ROBOT_ROOM_M)])
@@ -204,7 +238,7 @@ def _hand_is_clear(T_world_hand: Array, hand: NDArray[np.int64], hands: _Hands) 
             if k == 0:
                 turned = (sum(R[:, i, j, None] * local[j] for j in range(3)) for i in range(3))
                 x, y, z = (v + p[:, i, None] for i, v in enumerate(turned))
-                hit = (z < high[2]) & (z > low[2]) & (x < high[0]) & (x > low[0]) & (np.abs(y) < high[1])
+                hit = (z < high[2]) & (z > low[2]) & (x < high[0]) & (x > low[0]) & (y < high[1]) & (y > low[1])
             else:
                 a, b = segments[k - 1]
                 back = R.transpose(0, 2, 1)
@@ -213,18 +247,18 @@ def _hand_is_clear(T_world_hand: Array, hand: NDArray[np.int64], hands: _Hands) 
     return clear
 
 
-@lru_cache(maxsize=1)
-def _home() -> tuple[Array, Array, Array]:
+@lru_cache(maxsize=8)
+def _home(home_q: tuple[float, ...]) -> tuple[Array, Array, Array]:
     """TCP (3,), and the arm primitives' bounding capsules: ends (n, 2, 3), radii (n,), with the robot at home (world).
 
     Rounded to a nanometre, so that the last bits of a machine's sine cannot decide about a trial.
     """
     robot = load_robot()
-    T = forward_kinematics(robot, HOME_Q)[robot.arm.link] @ robot.arm.T_link_prim
+    T = forward_kinematics(robot, home_q)[robot.arm.link] @ robot.arm.T_link_prim
     capsules = [capsule_of_primitive(int(k), s) for k, s in zip(robot.arm.kind, robot.arm.size, strict=True)]
     axes = np.stack([t[:3, :3] @ c[0] for t, c in zip(T, capsules, strict=True)])
     ends = np.stack([T[:, :3, 3] - axes, T[:, :3, 3] + axes], 1)
-    return np.round(ee_pose(robot, HOME_Q)[:3, 3], 9), np.round(ends, 9), np.round([c[1] for c in capsules], 9)
+    return np.round(ee_pose(robot, home_q)[:3, 3], 9), np.round(ends, 9), np.round([c[1] for c in capsules], 9)
 
 
 def _from_box(low: Array, high: Array, point: Array) -> Array:

@@ -5,8 +5,12 @@ import json
 import subprocess
 import sys
 
+import mujoco
+import numpy as np
 import trimesh
+from scipy.spatial import cKDTree
 
+from r2h_batch.benchmark import built_in
 from r2h_batch.bodies import hand
 from r2h_batch.export import command as export_command
 from r2h_batch.sweep import command as sweep
@@ -41,8 +45,8 @@ def test_a_run_without_paths_is_refused_naming_the_flag(tmp_path, capsys):
 
 
 def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):
-    other = dataclasses.replace(hand.load_hand_set(), digest="0" * 64)
-    monkeypatch.setattr("r2h_batch.export.trial.load_hand_set", lambda: other)
+    other = dataclasses.replace(built_in(), hand_set=dataclasses.replace(hand.load_hand_set(), digest="0" * 64))
+    monkeypatch.setattr("r2h_batch.benchmark.given.built_in", lambda: other)
     assert "hand_set" in refused(["--run", run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
 
 
@@ -62,6 +66,35 @@ def test_a_users_own_mesh_is_asked_for_and_comes_along(tmp_path, capsys):
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
     trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().subdivide().export(file)
     assert "objects" in refused([*command, "--object-mesh", file], capsys)
+
+
+def test_a_run_of_another_benchmark_comes_with_its_hands_home_and_table(tmp_path, capsys):
+    own = hand.load_hand_set()
+    rows = [7, 250]
+    arrays = {k: getattr(own, k).numpy()[rows] for k in ("pose", "shape", "side")}
+    np.savez(tmp_path / "two.npz", **arrays, posture=np.array(["a", "b"]))
+    home, table = [0.5, -1.6, 1.4, -1.3, -1.6, 1.0], "{center: [-0.1, 0, -0.03], half: [0.4, 0.5, 0.03]}"
+    file, folder = tmp_path / "mine.yaml", tmp_path / "run"
+    file.write_text(f"hand_set: two.npz\nhome: {home}\ntable: {table}\nobjects: [{{built_in: bowl}}]\n")
+    arguments = ["--method", "random", "--splits", "S0", "--trials", "3", "--save-paths", "--sim", "none", "--out"]
+    assert sweep.main([*arguments, str(folder), "--benchmark", str(file)]) == 0
+    capsys.readouterr()
+    command = ["--run", folder, "--trial", 2, "--out", tmp_path / "x"]
+    message = refused(command, capsys)
+    assert "benchmark" in message and f"--benchmark {file}" in message
+    assert export_command.scene_main([*map(str, command), "--benchmark", str(file)]) == 0
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "x" / "scene.xml"))
+    assert np.allclose(model.key("home").qpos, home) and np.allclose(model.geom("table/top").size, [0.4, 0.5, 0.03])
+    told = json.loads((tmp_path / "x" / "trial.json").read_text())
+    assert told["side"] == "left" and told["hand_index"] == 1
+    skin = own.model.pose(own.pose[rows], own.shape[rows], own.side[rows]).vertices[1].numpy()
+    mesh, R = model.mesh("hand_mesh"), np.zeros(9)
+    mujoco.mju_quat2Mat(R, model.mesh_quat[mesh.id])  # MuJoCo moves meshes to their own centre and axes
+    found = model.mesh_vert[mesh.vertadr[0] :][: mesh.vertnum[0]] @ R.reshape(3, 3).T + model.mesh_pos[mesh.id]
+    assert cKDTree(found).query(skin)[0].max() < 1e-6
+    file.write_text("objects: [{built_in: bowl}]\n")
+    capsys.readouterr()
+    assert "hand_set" in refused([*command, "--benchmark", file], capsys)
 
 
 def test_the_command_of_the_readme_works(run, tmp_path):

@@ -150,7 +150,7 @@ def test_what_cannot_be_judged_again_is_refused_with_one_line(folder, tmp_path, 
     assert results(["verify", str(folder), "--rejudge", "5", "--method", "fc"]) == 2
     assert "no method 'fc'" in capsys.readouterr().err
     assert results(["verify", str(folder), "--rejudge", "5", "--object-mesh", "mug.obj"]) == 2
-    assert "has the user's objects none" in capsys.readouterr().err
+    assert "give what its sweep was given: no flag for objects" in capsys.readouterr().err
 
 
 @pytest.mark.check

@@ -12,7 +12,7 @@ import json
 import re
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -35,26 +35,28 @@ ENGINES = ("none", "mujoco", "mjwarp")
 
 def compute(case: str, folder: Path) -> dict[str, dict[str, str]]:
     """Digest and outcomes of each part of a case: `none`, `mujoco`, `mjwarp` (with an export), or `pose`."""
-    return _candidates() if case == "pose" else _sweep(case, folder)
+    return _candidates() if case == "pose" else sweep_digests(case, folder)
 
 
-def _sweep(sim: str, folder: Path) -> dict[str, dict[str, str]]:
-    """All built-in methods through the command, in this process: kernels, objects and tables are loaded once."""
+def sweep_digests(
+    sim: str, folder: Path, methods: Sequence[str] = METHODS, more: Sequence[str] = ()
+) -> dict[str, dict[str, str]]:
+    """Built-in methods through the command, in this process: kernels, objects and tables are loaded once. `more` flags."""
     from r2h_batch.results.reading import load_run
     from r2h_batch.sweep.command import main as sweep
 
     trials = KINEMATIC_TRIALS if sim == "none" else SIMULATED_TRIALS
     run = folder / sim
-    line = ["--method", *METHODS, "--trials", str(trials // 2), "--sim", sim, "--save-paths", "--out", str(run)]
+    line = ["--method", *methods, *more, "--trials", str(trials // 2), "--sim", sim, "--save-paths", "--out", str(run)]
     _run(sweep, line)
     stored = load_run(run)
     found = {}
-    for short, name in zip(METHODS, stored.methods, strict=True):
+    for short, name in zip(methods, stored.methods, strict=True):
         tables = [stored.trials(name), stored.details(name), stored.poses(name), stored.paths(name)]
         rows = [_without(row, NOT_COMPARED) for table in tables for row in table.to_pylist()]
         outcomes = " ".join(row["outcome"] for row in stored.trials(name).to_pylist())
         found[f"{sim}.{short}"] = {"digest": _digest(rows), "outcomes": outcomes}
-    if sim == "mujoco":
+    if sim == "mujoco" and len(methods) > 1:
         found["export"] = _export(run, stored.methods[1], folder / "export")
     return found
 

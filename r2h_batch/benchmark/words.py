@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["PART_WORDS", "THINGS", "VERB_WORDS", "Thing"]
+__all__ = ["PART_WORDS", "S0_ROLES", "THINGS", "VERB_WORDS", "Thing"]
 
 
 @dataclass(frozen=True)
@@ -17,6 +17,16 @@ class Thing:
     verbs: Mapping[str, str]
     part_words: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
+
+S0_ROLES: dict[str, dict[str, str]] = {
+    "game_controller": {"grip": "grasp"},
+    "bowl": {"wall": "wrap", "rim": "wrap", "foot": "wrap"},
+    "headphones": {"band": "grasp", "padding": "grasp", "slider": "grasp"},
+    "eyeglasses": {"temple": "grasp", "hinge": "grasp"},
+    "cup": {"wall": "wrap", "rim": "wrap", "base": "wrap"},
+    "wineglass": {"stem": "grasp", "foot": "grasp"},
+}
+"""S0 has no receiver's region: the parts that people take these objects by (AffNet labels bowls and cups wrap-grasp)."""
 
 PART_WORDS: dict[str, tuple[str, ...]] = {
     "handle": ("grip", "hilt", "haft", "hold"),

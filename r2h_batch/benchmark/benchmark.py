@@ -1,0 +1,86 @@
+"""What makes a benchmark, in memory: two with one digest ask the same of a method and judge it alike."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from r2h_batch.benchmark.trials_file import LISTED
+from r2h_batch.bodies.given_objects import checked_objects
+from r2h_batch.bodies.hand import HandSet, load_hand_set
+from r2h_batch.bodies.objects import ObjectModel, load_objects
+from r2h_batch.config import EvalConfig, Thresholds, Workplace
+from r2h_batch.turns import PROTOCOL
+from r2h_batch.types import Trials
+
+__all__ = ["Benchmark", "built_in"]
+
+DECIDES = (
+    *("name", "split", "instruction", "vertices", "faces", "face_part", "part_names", "receiver_face"),
+    *("mass", "com", "inertia"),
+)
+"""Of an object: what the rest of it is made of. The convex pieces are not here: a sweep makes them only where it needs them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Benchmark:
+    """Objects, hands, limits and the place. The robot is a UR5e with a 2F-85."""
+
+    objects: tuple[ObjectModel, ...]
+    hand_set: HandSet
+    thresholds: Thresholds = field(default_factory=Thresholds)
+    workplace: Workplace = field(default_factory=Workplace)
+    listed: Trials | None = None
+    """trials of its own (`trials_file.py`); None: the protocol draws them"""
+
+    @property
+    def protocol(self) -> str:
+        """What says the trials: the rule that draws them, or `listed`."""
+        return PROTOCOL if self.listed is None else LISTED
+
+    def __post_init__(self) -> None:
+        checked_objects(self.objects)
+        if not self.objects:
+            raise ValueError("a benchmark needs at least one object")
+
+    @cached_property
+    def digest(self) -> str:
+        """sha256 (hex) over everything that decides what is asked and how it is judged, whatever file said it."""
+        digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
+        for part in (self.thresholds, self.workplace):
+            digest.update(json.dumps(asdict(part), sort_keys=True).encode())
+        for o in self.objects:
+            for name in DECIDES:
+                value = np.ascontiguousarray(getattr(o, name))
+                digest.update(f"{name}:{value.dtype.str}:{value.shape}:".encode() + value.tobytes())
+            said = {
+                "grasps": None if o.grasps is None else o.grasps.digest,
+                "roles": None if o.roles is None else dict(o.roles),
+                "words": None if o.words is None else asdict(o.words),
+            }
+            digest.update(json.dumps(said, sort_keys=True).encode())
+        if self.listed is not None:
+            for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
+                digest.update(getattr(self.listed, name).contiguous().numpy().tobytes())
+        return digest.hexdigest()
+
+    def config(self, base: EvalConfig | None = None) -> EvalConfig:
+        """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home.
+
+        Raises ValueError where `base` has other limits or another place of its own: nobody could tell which were meant.
+        """
+        base = base or EvalConfig()
+        for name, own in (("thresholds", self.thresholds), ("workplace", self.workplace)):
+            given = getattr(base, name)
+            if given not in (type(own)(), own):
+                raise ValueError(f"config.{name} is {given}, the benchmark has {own}; say it in one place")
+        return replace(base, thresholds=self.thresholds, workplace=self.workplace)
+
+
+def built_in() -> Benchmark:
+    """This package's own: 16 objects, 400 hands."""
+    return Benchmark(load_objects(), load_hand_set())

@@ -1,0 +1,61 @@
+"""The command `benchmark`: what a benchmark file may say, the built-in one as such a file, and a check of one's own."""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from r2h_batch.command_line import call, refuse
+
+__all__ = ["check", "main", "show"]
+
+
+def show(*, builtin: bool = False) -> int:
+    """Print the schema of a benchmark file (JSON Schema).
+
+    Args:
+        builtin: print the built-in benchmark as such a file instead (YAML): a start for your own.
+    """
+    import json
+
+    from r2h_batch.benchmark.file import BenchmarkFile
+
+    if builtin:
+        from r2h_batch.benchmark.written import built_in_text
+
+        sys.stdout.write(built_in_text())
+    else:
+        print(json.dumps(BenchmarkFile.model_json_schema(), indent=1))
+    return 0
+
+
+def check(file: Path, /) -> int:
+    """Read a benchmark file and all files that it names, and say what it holds.
+
+    Args:
+        file: a benchmark.yaml.
+    """
+    from r2h_batch.benchmark.benchmark import built_in
+    from r2h_batch.benchmark.reading import read_benchmark
+
+    try:
+        found = read_benchmark(file)
+        own = found.digest
+        same = own == built_in().digest
+    except ValueError as error:
+        return refuse("benchmark", error)
+    except OSError as error:
+        return refuse("benchmark", f"{error.filename or file}: {error.strerror or error}", 1)
+    sides = found.hand_set.side.tolist()
+    print(f"{file}: protocol {found.protocol}, digest {own}{' (the built-in benchmark)' if same else ''}")
+    for split in ("S0", "S1"):
+        print(f"{split}: {', '.join(o.name for o in found.objects if o.split == split) or 'no object'}")
+    print(f"hands: {sides.count(0)} right, {sides.count(1)} left, {len(found.hand_set.model.vertices)} vertices")
+    grasps = [f"{o.name} {len(o.grasps)}" for o in found.objects if o.grasps is not None]
+    print(f"grasps of its own: {', '.join(grasps) or 'none'}")
+    return 0
+
+
+def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch benchmark") -> int:
+    """Exit code: 0 read or printed, 1 could not read, 2 refused with one line."""
+    given = sys.argv[1:] if arguments is None else arguments
+    return call({"show": show, "check": check}, given, prog=prog, name="benchmark")

@@ -1,0 +1,111 @@
+"""A benchmark out of flags: a file, or the built-in one, with other hands, objects or grasps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from r2h_batch.benchmark.benchmark import Benchmark, built_in
+from r2h_batch.benchmark.reading import hand_of, hand_set_of, read_benchmark
+from r2h_batch.benchmark.trials_file import read_trials_file
+from r2h_batch.bodies.grasp_set import read_grasps
+from r2h_batch.bodies.hand import make_hand_set
+from r2h_batch.bodies.objects import ObjectModel, build_object, object_from_argument
+from r2h_batch.files import FileError, printable
+
+__all__ = ["Given"]
+
+MESHES = (".obj", ".stl", ".ply", ".off", ".glb")
+GRASPS = (".npz", ".safetensors")
+MAX_FILES = 1000
+
+
+@dataclass(frozen=True)
+class Given:
+    """What flags say of the benchmark; empty: the built-in one."""
+
+    benchmark: str = ""
+    hands: str = ""
+    hand_model: str = ""
+    objects: str = ""
+    object_mesh: tuple[str, ...] = ()
+    grasps: tuple[str, ...] = ()
+    trials_file: str = ""
+
+    def flags(self) -> list[str]:
+        """The flags that are given, as one would type them again."""
+        said = asdict(self).items()
+        return [f"--{k.replace('_', '-')} {v if isinstance(v, str) else ' '.join(v)}" for k, v in said if v]
+
+    def read(self, *, pieces: bool = False) -> Benchmark:
+        """The benchmark. `pieces`: meshes get their convex decomposition. Raises ValueError (`FileError`), one line."""
+        base = read_benchmark(self.benchmark, pieces=pieces) if self.benchmark else built_in()
+        objects = _objects_of(Path(self.objects), pieces) if self.objects else base.objects
+        objects = (*objects, *(object_from_argument(mesh, pieces=pieces) for mesh in self.object_mesh))
+        for argument in self.grasps:
+            objects = _with_grasps(objects, argument)
+        hand_set = base.hand_set
+        model = hand_of(Path(self.hand_model)) if self.hand_model else None
+        if self.hands:
+            hand_set = hand_set_of(Path(self.hands), hand_set.model if model is None else model)
+        elif model is not None:
+            a = {k: getattr(hand_set, k).numpy() for k in ("pose", "shape", "side")}
+            hand_set = make_hand_set(model, **a, posture=hand_set.posture)
+        other = objects != base.objects or hand_set is not base.hand_set
+        listed = base.listed
+        if self.trials_file:
+            listed, hand_set = read_trials_file(Path(self.trials_file), objects, hand_set)
+        elif listed is not None and other:
+            raise FileError(
+                f"{printable(self.benchmark)}: lists trials of its own objects and hands; give --trials-file too"
+            )
+        return (
+            base
+            if not other and listed is base.listed
+            else replace(base, objects=objects, hand_set=hand_set, listed=listed)
+        )
+
+
+def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
+    """Objects of a benchmark file, or of a folder: its benchmark.yaml, else every mesh in it, by name."""
+    if path.is_dir():
+        if (path / "benchmark.yaml").exists():
+            return read_benchmark(path / "benchmark.yaml", pieces=pieces).objects
+        files = _files(path, MESHES)
+        if not files:
+            raise FileError(f"{printable(path)}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml in this folder")
+        return tuple(build_object(file, pieces=pieces) for file in files)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return read_benchmark(path, pieces=pieces).objects
+    raise FileError(
+        f"{printable(path)}: --objects takes a folder of meshes or a benchmark.yaml; one mesh: --object-mesh FILE"
+    )
+
+
+def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
+    """Files of these kinds in a folder, by name; links are left alone."""
+    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in endings and p.is_file() and not p.is_symlink())
+    if len(found) > MAX_FILES:
+        raise FileError(f"{printable(folder)}: {len(found)} files; at most {MAX_FILES} are allowed")
+    return found
+
+
+def _with_grasps(objects: Sequence[ObjectModel], argument: str) -> tuple[ObjectModel, ...]:
+    """Candidates of `NAME=FILE`, of a file called after its object, or of a folder of these."""
+    names = [o.name for o in objects]
+    known = f"the objects are {', '.join(names[:40])}"
+    path, (name, equals, rest) = Path(argument), argument.partition("=")
+    if equals and name in names:
+        files = {name: Path(rest)}
+    elif path.is_dir():
+        files = {f.stem: f for f in _files(path, GRASPS)}
+        if not files:
+            raise FileError(f"{printable(path)}: no grasps ({', '.join(GRASPS)}) in this folder")
+    else:
+        files = {path.stem: path}
+    if unknown := [n for n in files if n not in names]:
+        raise FileError(
+            f"--grasps {printable(argument)}: no object is called {printable(unknown[0])!r}; say NAME=FILE, {known}"
+        )
+    return tuple(replace(o, grasps=read_grasps(files[o.name])) if o.name in files else o for o in objects)

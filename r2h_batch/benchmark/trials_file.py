@@ -1,0 +1,224 @@
+"""Trials of somebody's own: which object meets which hand, and where that hand stands. `--trials-file FILE.npz|.parquet`.
+
+| name | npz | Parquet | meaning |
+|---|---|---|---|
+| `object` | (N,) text | text | the object's name |
+| `T_world_hand` | (N, 4, 4) float | list of 16 float, row by row | the hand's frame in the world, metres |
+| `hand` | (N,) whole numbers | int | row of the hand set, right hands first |
+| `pose`, `shape`, `side` | (N, 48), (N, 10), (N,) | lists of 48 and 10, int | instead of `hand`; side 0 right, 1 left |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from r2h_batch.bodies.hand import HandSet, make_hand_set
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.files import FileError, open_file, printable
+from r2h_batch.files.arrays import read_npz
+from r2h_batch.types import Trials
+from r2h_batch.verdicts import SPLITS
+
+__all__ = ["LISTED", "listed_with_ids", "read_trials_file"]
+
+LISTED = "listed"
+"""Protocol of a run whose trials a file lists."""
+
+MAX_BYTES = 256 << 20
+MAX_TRIALS = 1_000_000
+FARTHEST_M = 10.0
+RIGID = 1e-3
+
+POSTURE = ("pose", "shape", "side")
+WIDTH = {"T_world_hand": 16, "pose": 48, "shape": 10}
+KNOWN = ("object", "T_world_hand", "hand", *POSTURE)
+
+Columns = dict[str, NDArray[Any]]
+
+
+def read_trials_file(path: Path, objects: Sequence[ObjectModel], hand_set: HandSet) -> tuple[Trials, HandSet]:
+    """The trials, S0 before S1, each split in the file's order (its i-th has the id 2 i or 2 i + 1), and their hands.
+
+    Raises `FileError`, one line, for anything that is not as the table above says.
+    """
+    where = printable(path)
+    if path.suffix not in (".npz", ".parquet"):
+        raise FileError(f"{where}: trials are an .npz or .parquet file")
+    columns = read_npz(path, most=MAX_BYTES) if path.suffix == ".npz" else _parquet(path)
+    _check_columns(columns, where)
+    T = _poses(columns["T_world_hand"], where)
+    object_index = _objects(columns["object"], objects, where)
+    if "hand" in columns:
+        hand = columns["hand"].astype(np.int64)
+        if hand.min() < 0 or hand.max() >= len(hand_set):
+            raise FileError(
+                f"{where}: hand goes from {hand.min()} to {hand.max()}; the hand set has 0 to {len(hand_set) - 1}"
+            )
+    else:
+        hand_set, hand = _own_hands(columns, hand_set, where)
+    split = np.array([SPLITS.index(o.split) for o in objects])[object_index]
+    order = np.argsort(split, kind="stable")
+    ids = np.concatenate([2 * np.arange((split == k).sum()) + k for k in range(len(SPLITS))])
+    trials = Trials(
+        trial_id=torch.from_numpy(ids.astype(np.int64)),
+        object_index=torch.from_numpy(object_index[order].astype(np.int32)),
+        hand_index=torch.from_numpy(hand[order].astype(np.int32)),
+        T_world_hand=torch.from_numpy(T[order]),
+    )
+    return trials, hand_set
+
+
+def listed_with_ids(listed: Trials, trial_id: torch.Tensor) -> Trials:
+    """The listed trials of these ids, in this order; ValueError for one that the list has not."""
+    ids, order = torch.sort(listed.trial_id)
+    wanted = trial_id.to(ids.device)
+    at = torch.searchsorted(ids, wanted).clamp(max=len(ids) - 1)
+    if bool((ids[at] != wanted).any()):
+        raise ValueError(f"trial id {int(wanted[ids[at] != wanted][0])} is not in the list of {len(ids)} trials")
+    return listed[order[at]]
+
+
+def _check_columns(columns: Columns, where: str) -> None:
+    """Names, kinds and shapes; all of one length."""
+    if unknown := sorted(set(columns) - set(KNOWN)):
+        raise FileError(f"{where}: unknown column {printable(unknown[0])!r}; allowed are {', '.join(KNOWN)}")
+    hands = [n for n in POSTURE if n in columns]
+    if ("hand" in columns) == bool(hands):
+        raise FileError(f"{where}: give either hand (rows of the hand set) or pose, shape and side")
+    needed = ("object", "T_world_hand", *(("hand",) if "hand" in columns else POSTURE))
+    if missing := [n for n in needed if n not in columns]:
+        raise FileError(f"{where}: has no {missing[0]}; needed are {', '.join(needed)}")
+    n = len(columns["object"]) if columns["object"].ndim == 1 else 0
+    if not 1 <= n <= MAX_TRIALS:
+        raise FileError(
+            f"{where}: object has the shape {columns['object'].shape}; need one name for 1 to {MAX_TRIALS} trials"
+        )
+    shapes = {"object": (n,), "T_world_hand": (n, 4, 4), "hand": (n,), "pose": (n, 48), "shape": (n, 10), "side": (n,)}
+    kinds = {"object": "U", "hand": "iu", "side": "iu"}
+    for name, value in columns.items():
+        if value.shape != shapes[name] or value.dtype.kind not in kinds.get(name, "f"):
+            need = {"U": "text", "iu": "whole numbers"}.get(kinds.get(name, ""), "floats")
+            raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {shapes[name]} {need}")
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            raise FileError(f"{where}: {name} of trial {int(np.argwhere(~np.isfinite(value))[0][0])} is not finite")
+
+
+def _poses(T: NDArray[Any], where: str) -> NDArray[np.float32]:
+    R = T[:, :3, :3].astype(np.float64)
+    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > RIGID
+    off |= (np.linalg.det(R) < 0) | (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) > RIGID)
+    if off.any():
+        raise FileError(f"{where}: T_world_hand of trial {int(off.argmax())} is no rigid pose")
+    far = np.abs(T[:, :3, 3]).max(1) > FARTHEST_M
+    if far.any():
+        raise FileError(
+            f"{where}: the hand of trial {int(far.argmax())} is more than {FARTHEST_M:g} m away; lengths are in metres"
+        )
+    return np.ascontiguousarray(T, np.float32)
+
+
+def _objects(given: NDArray[Any], objects: Sequence[ObjectModel], where: str) -> NDArray[np.int64]:
+    known = {o.name: i for i, o in enumerate(objects)}
+    names, at = np.unique(given, return_inverse=True)
+    for name in names:
+        if str(name) not in known:
+            raise FileError(f"{where}: no object is called {printable(name)[:80]!r}; there are {', '.join(known)}")
+    return np.array([known[str(n)] for n in names], np.int64)[at.reshape(-1)]
+
+
+def _own_hands(columns: Columns, base: HandSet, where: str) -> tuple[HandSet, NDArray[np.int64]]:
+    """A set of the postures that the trials have, on the same hand, and each trial's row of it."""
+    side = columns["side"].astype(np.int64)
+    if not np.isin(side, (0, 1)).all():
+        raise FileError(f"{where}: side must be 0 (right) or 1 (left)")
+    # sorted by the first column: right hands first, as a set has them
+    rows = np.concatenate([side[:, None], columns["pose"], columns["shape"]], 1).astype(np.float32)
+    unique, at = np.unique(rows, axis=0, return_inverse=True)
+    if np.abs(unique[:, 1:]).max() > 100:
+        raise FileError(f"{where}: pose and shape go up to {np.abs(unique[:, 1:]).max():g}; turns are in radians")
+    try:
+        own = make_hand_set(
+            base.model, unique[:, 1:49], unique[:, 49:], unique[:, 0].astype(np.int8), ["listed"] * len(unique)
+        )
+    except ValueError as error:
+        raise FileError(f"{where}: {printable(error)}") from None
+    return own, at.reshape(-1)
+
+
+def _parquet(path: Path) -> Columns:
+    """The columns of a Parquet file; what it says of its sizes is compared with what may be before anything is read."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    where = printable(path)
+    with open_file(path, MAX_BYTES) as stream:
+        try:
+            with pq.ParquetFile(stream, read_dictionary=["object"]) as file:
+                _check_parquet(file, where)
+                table = file.read(columns=[n for n in KNOWN if n in file.schema_arrow.names])
+        except (OSError, pa.ArrowException) as error:
+            raise FileError(f"{where}: no readable Parquet file ({printable(error)[:200]})") from None
+    columns: Columns = {}
+    for name in table.column_names:
+        column = table[name].combine_chunks()
+        if column.null_count:
+            raise FileError(f"{where}: {name} is empty in {column.null_count} rows")
+        if name == "object":
+            columns[name] = np.array(column.cast(pa.string()).to_pylist(), np.str_)
+        elif name in WIDTH:
+            values = column.flatten()
+            if (
+                values.null_count
+                or len(values) != len(table) * WIDTH[name]
+                or bool((_lengths(column) != WIDTH[name]).any())
+            ):
+                raise FileError(f"{where}: {name} must be a list of {WIDTH[name]} numbers in every row")
+            shape = (-1, 4, 4) if name == "T_world_hand" else (-1, WIDTH[name])
+            columns[name] = values.to_numpy(zero_copy_only=False).reshape(shape)
+        else:
+            columns[name] = column.to_numpy(zero_copy_only=False)
+    return columns
+
+
+def _lengths(column: Any) -> NDArray[np.int64]:
+    import pyarrow.compute as pc
+
+    return np.asarray(pc.list_value_length(column).to_numpy(zero_copy_only=False), np.int64)
+
+
+def _check_parquet(file: Any, where: str) -> None:
+    import pyarrow as pa
+
+    meta, schema = file.metadata, file.schema_arrow
+    if not 1 <= meta.num_rows <= MAX_TRIALS:
+        raise FileError(f"{where}: {meta.num_rows} rows; 1 to {MAX_TRIALS} are allowed")
+    for field in schema:
+        kind = field.type
+        is_list = pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
+        fits = {
+            **{n: is_list and pa.types.is_floating(kind.value_type) for n in WIDTH},
+            **{n: pa.types.is_integer(kind) for n in ("hand", "side")},
+            "object": pa.types.is_string(kind) or pa.types.is_dictionary(kind),
+        }
+        if not fits.get(field.name, True):
+            raise FileError(f"{where}: {field.name} is {printable(kind)[:60]}; see docs/your_data.md, Trials")
+        if field.name not in KNOWN:
+            raise FileError(f"{where}: unknown column {printable(field.name)!r}; allowed are {', '.join(KNOWN)}")
+    size = 0
+    for g in range(meta.num_row_groups):
+        for c in range(meta.num_columns):
+            chunk = meta.row_group(g).column(c)
+            most = meta.num_rows * max([1, *(w for n, w in WIDTH.items() if chunk.path_in_schema.startswith(n))])
+            if chunk.num_values > most:
+                raise FileError(
+                    f"{where}: {printable(chunk.path_in_schema)} has {chunk.num_values} values in {meta.num_rows} rows"
+                )
+            size += chunk.total_uncompressed_size
+    if size > MAX_BYTES:
+        raise FileError(f"{where}: unpacks to {size} bytes; at most {MAX_BYTES} are allowed")

@@ -1,0 +1,202 @@
+"""A benchmark out of flags: other hands, grasps and trials in a sweep, and what is refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from r2h_batch import make_trials
+from r2h_batch.__main__ import main
+from r2h_batch.benchmark import built_in
+from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.trials_file import read_trials_file
+from r2h_batch.bodies.hand import load_hand_set
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.files import FileError
+from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.results.reading import load_run
+from r2h_batch.trials.protocol import trials_of
+
+
+def some_trials(count: int = 5) -> dict[str, np.ndarray]:
+    """The protocol's first trials of both splits as a file has them, S1 before S0, with a posture for each."""
+    trials, hands, objects = make_trials(["S1", "S0"], count), load_hand_set(), load_objects()
+    hand = trials.hand_index.long()
+    return {
+        "object": np.array([objects[i].name for i in trials.object_index.tolist()]),
+        "T_world_hand": trials.T_world_hand.numpy(),
+        **{k: getattr(hands, k)[hand].numpy() for k in ("pose", "shape", "side")},
+    }
+
+
+def as_parquet(path: Path, columns: dict[str, np.ndarray]) -> Path:
+    lists = {k: v.reshape(len(v), -1).tolist() if v.ndim > 1 else v.tolist() for k, v in columns.items()}
+    pq.write_table(pa.table({k: pa.array(v) for k, v in lists.items()}), path)
+    return path
+
+
+def score(out: Path, *flags: object) -> None:
+    line = ["sweep", "--method", "random", "--sim", "none", "--out", out, "--save-details", *flags]
+    assert main([str(a) for a in line]) == 0
+
+
+def rows(run: Path) -> list[dict]:
+    free = ("t_plan_s", "t_method_s", "hand_index")
+    return [{k: v for k, v in row.items() if k not in free} for row in load_run(run).trials("random").to_pylist()]
+
+
+def test_the_protocols_trials_as_a_file_give_the_same_rows_and_another_benchmark(tmp_path, capsys):
+    np.savez(tmp_path / "t.npz", **some_trials())
+    score(tmp_path / "a", "--trials", 5)
+    score(tmp_path / "b", "--trials-file", tmp_path / "t.npz")
+    capsys.readouterr()
+    found = rows(tmp_path / "b")
+    assert len(found) == 10 and found == rows(tmp_path / "a")
+    assert load_run(tmp_path / "b").header["protocol"] == "listed"
+    again = ["results", "verify", str(tmp_path / "b"), "--rejudge", "4"]
+    assert main([*again, "--trials-file", str(tmp_path / "t.npz")]) == 0
+    assert "none differs" in capsys.readouterr().out
+    assert main(again) == 2
+    assert f"--trials-file {tmp_path / 't.npz'}" in capsys.readouterr().err
+    assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 2
+    assert "differ in protocol" in capsys.readouterr().err
+    assert main(["sweep", "--method", "random", "--trials", "3", "--trials-file", str(tmp_path / "t.npz")]) == 2
+    assert "leave --trials out" in capsys.readouterr().err
+
+
+def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_path, capsys):
+    own = load_hand_set()
+    right = {k: getattr(own, k).numpy()[:3] for k in ("pose", "shape", "side")}
+    np.savez(tmp_path / "hands.npz", **right, posture=np.array(["a", "b", "c"]))
+    score(tmp_path / "run", "--trials", 4, "--hands", tmp_path / "hands.npz")
+    capsys.readouterr()
+    assert main(["results", "verify", str(tmp_path / "run")]) == 0
+    run = load_run(tmp_path / "run")
+    assert set(run.trials("random")["side"].to_pylist()) == {"right"}
+    assert run.header["benchmark"]["flags"] == [f"--hands {tmp_path / 'hands.npz'}"]
+    assert (
+        run.header["digests"]["benchmark"]
+        == Given(hands=str(tmp_path / "hands.npz")).read().digest
+        != built_in().digest
+    )
+    header = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert header["hands"] == ["right"] * 3
+
+
+def test_npz_and_parquet_with_rows_of_the_hand_set_or_postures_say_the_same(tmp_path):
+    columns, base = some_trials(), built_in()
+    np.savez(tmp_path / "p.npz", **columns)
+    as_parquet(tmp_path / "p.parquet", columns)
+    by_row = {k: columns[k] for k in ("object", "T_world_hand")}
+    by_row["hand"] = make_trials(["S1", "S0"], 5).hand_index.numpy()
+    np.savez(tmp_path / "h.npz", **by_row)
+    as_parquet(tmp_path / "h.parquet", by_row)
+    wanted = make_trials(trials=5)
+    for name in ("p.npz", "p.parquet", "h.npz", "h.parquet"):
+        trials, hands = read_trials_file(tmp_path / name, base.objects, base.hand_set)
+        assert trials.trial_id.tolist() == wanted.trial_id.tolist()
+        assert (trials.T_world_hand == wanted.T_world_hand).all() and (trials.object_index == wanted.object_index).all()
+        for key in ("pose", "shape", "side"):
+            mine, own = (
+                getattr(hands, key)[trials.hand_index.long()],
+                getattr(base.hand_set, key)[wanted.hand_index.long()],
+            )
+            assert (mine == own).all()
+    given = Given(trials_file=str(tmp_path / "h.npz")).read()
+    assert trials_of(given, wanted.trial_id[[7, 2]]).T_world_hand.equal(wanted.T_world_hand[[7, 2]])
+    assert len(make_trials("S1", 3, benchmark=given)) == 3
+    with pytest.raises(ValueError, match="trial id 99 is not in the list"):
+        trials_of(given, wanted.trial_id[:1] + 99)
+
+
+def changed(**change: object) -> dict[str, np.ndarray]:
+    return {k: np.asarray(v) for k, v in (some_trials() | change).items() if v is not None}
+
+
+def bent(at: tuple[int, ...], value: float) -> np.ndarray:
+    T = some_trials()["T_world_hand"].copy()
+    T[at] = value
+    return T
+
+
+REFUSED = {
+    "no object is called 'mug'": lambda: changed(object=["mug"] * 10),
+    "T_world_hand of trial 3 is no rigid pose": lambda: changed(T_world_hand=bent((3, 0, 0), 2.0)),
+    "T_world_hand of trial 4 is not finite": lambda: changed(T_world_hand=bent((4, 0, 3), np.nan)),
+    "the hand of trial 2 is more than 10 m away": lambda: changed(T_world_hand=bent((2, 0, 3), 450.0)),
+    "T_world_hand is (10, 16) float32": lambda: changed(T_world_hand=some_trials()["T_world_hand"].reshape(10, 16)),
+    "has no shape; needed are": lambda: changed(shape=None),
+    "give either hand": lambda: changed(hand=np.zeros(10, int)),
+    "hand goes from 0 to 400": lambda: changed(hand=np.r_[np.zeros(9, int), 400], pose=None, shape=None, side=None),
+    "side must be 0": lambda: changed(side=np.full(10, 2)),
+    "turns are in radians": lambda: changed(pose=np.full((10, 48), 180.0)),
+    "unknown column 'hnad'": lambda: changed(hnad=np.zeros(10, int)),
+    "need one name for 1 to": lambda: changed(object=np.zeros(0, "U1")),
+    "object is (10,) int64": lambda: changed(object=np.zeros(10, int)),
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_a_trials_file_that_is_none_is_refused_in_one_line(words, tmp_path):
+    np.savez(tmp_path / "t.npz", **REFUSED[words]())
+    base = built_in()
+    with pytest.raises(FileError) as error:
+        read_trials_file(tmp_path / "t.npz", base.objects, base.hand_set)
+    assert words in str(error.value) and "\n" not in str(error.value)
+
+
+def test_parquet_files_of_other_shapes_or_sizes_are_refused_before_they_are_read(tmp_path, monkeypatch):
+    base, good = built_in(), some_trials()
+    cases = {
+        "T_world_hand must be a list of 16": {**good, "T_world_hand": good["T_world_hand"][:, :3]},
+        "object is int64": {**good, "object": np.arange(10)},
+    }
+    for words, columns in cases.items():
+        with pytest.raises(FileError, match=words):
+            read_trials_file(as_parquet(tmp_path / "t.parquet", columns), base.objects, base.hand_set)
+    (tmp_path / "no.parquet").write_bytes(b"PAR1" + b"\xff" * 64 + b"PAR1")
+    with pytest.raises(FileError, match="no readable Parquet"):
+        read_trials_file(tmp_path / "no.parquet", base.objects, base.hand_set)
+    # a thousand rows of one long list each, as small as a dictionary makes it: more values than the rows can have
+    many = {"object": ["cup"] * 4, "hand": [0] * 4, "T_world_hand": [[1.0] * 100_000] * 4}
+    pq.write_table(pa.table(many), tmp_path / "long.parquet", compression="zstd")
+    read = []
+    monkeypatch.setattr(pq.ParquetFile, "read", lambda *_, **__: read.append(1))
+    with pytest.raises(FileError, match="400000 values in 4 rows"):
+        read_trials_file(tmp_path / "long.parquet", base.objects, base.hand_set)
+    assert not read
+
+
+def test_grasps_come_by_name_by_file_name_or_by_folder(tmp_path):
+    (cup,) = load_objects(["cup"])
+    own = candidates_of((cup,))[0]
+    (tmp_path / "g").mkdir()
+    for name in ("mine.npz", "cup.npz", "g/cup.npz"):
+        np.savez(tmp_path / name, T_obj_ee=own.T_obj_ee[:9], width=own.width[:9], score=own.score[:9])
+    digests = set()
+    for argument in (f"cup={tmp_path / 'mine.npz'}", tmp_path / "cup.npz", tmp_path / "g"):
+        benchmark = Given(grasps=(str(argument),)).read()
+        assert [o.name for o in benchmark.objects if o.grasps is not None] == ["cup"]
+        digests.add(benchmark.digest)
+    assert len(digests) == 1 and digests != {built_in().digest}
+    for wrong in ("mine.npz", "none", "mug=cup.npz"):
+        with pytest.raises(FileError, match=r"NAME=FILE|no such file|cannot be"):
+            Given(grasps=(str(tmp_path / wrong),)).read()
+
+
+def test_what_the_flags_cannot_mean_is_refused_in_one_line(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    for flags, words in (
+        (("--objects", tmp_path / "empty"), "no mesh"),
+        (("--objects", tmp_path / "x.obj"), "--object-mesh FILE"),
+        (("--hands", tmp_path / "none.npz"), "none.npz"),
+        (("--hand-model", tmp_path / "none.npz"), "none.npz"),
+        (("--benchmark", tmp_path / "none.yaml"), "none.yaml"),
+        (("--trials-file", tmp_path / "none.csv"), ".npz or .parquet"),
+    ):
+        assert main(["sweep", "--method", "random", *map(str, flags)]) == 2
+        told = capsys.readouterr()
+        assert told.out == "" and len(told.err.splitlines()) == 1 and words in told.err
