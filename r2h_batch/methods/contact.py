@@ -21,7 +21,14 @@ from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.least_cost_pose import DIRECTIONS, HAND_POINTS, ROLLS, ZONE_M, least_cost_pose
 from r2h_batch.methods.palm_pose import least
 from r2h_batch.methods.placing import candidates_clear_of, taken
-from r2h_batch.predictors import ContactPredictor, PredictorNoise, predict_contacts, predict_receiving, predict_target
+from r2h_batch.predictors import (
+    ContactPredictor,
+    PredictorNoise,
+    Seen,
+    predict_contacts,
+    predict_receiving,
+    predict_target,
+)
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
@@ -29,6 +36,8 @@ from r2h_batch.types import Predictions, Trials
 __all__ = ["predict"]
 
 TITLE, STAND_IN = "Contact-Handover", "VoxNet, built-in contacts"
+SEES = ("receiving", "target", "contacts")
+"""What it is shown, of `predictors.Seen`."""
 
 THRESHOLD = 0.4
 """Contact probability from which a point counts (published)."""
@@ -56,6 +65,7 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
+    seen: Seen | None = None,
     predictor: ContactPredictor | None = None,
     threshold: float = THRESHOLD,
     height_m: float = HEIGHT_M,
@@ -78,9 +88,9 @@ def predict(
     near = points_near_gripper(scene, blocked_m)
 
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
-        taking = predict_receiving(part, scene, seed=seed, noise=noise)
-        target = predict_target(part, scene, seed=seed, noise=noise)
-        contact = predict_contacts(part, scene, predictor=predictor)
+        taking = predict_receiving(part, scene, seed=seed, noise=noise, seen=seen)
+        target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
+        contact = predict_contacts(part, scene, predictor=predictor, seen=seen)
         rows, exists = table.rows(part.object_index)
         clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)
         blocked = blocked_contact(

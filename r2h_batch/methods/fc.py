@@ -15,13 +15,15 @@ from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.palm_pose import approach_frames, least, roll_angles, rolled, unit
 from r2h_batch.methods.placing import candidates_clear_of, centers_at, first_fit, home_x, object_centers, taken
-from r2h_batch.predictors import PredictorNoise, predict_receiving, predict_target
+from r2h_batch.predictors import PredictorNoise, Seen, predict_receiving, predict_target
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 __all__ = ["predict"]
 
 TITLE, STAND_IN = "FC-Handover", "oracle hand"
+SEES = ("receiving", "target")
+"""What it is shown, of `predictors.Seen`."""
 
 ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
@@ -37,6 +39,7 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
+    seen: Seen | None = None,
     rolls: int = ROLLS,
     clearance_m: float = CLEARANCE_M,
 ) -> Predictions:
@@ -46,8 +49,8 @@ def predict(
     center = torch.from_numpy(object_centers(scene)).to(scene.device)
 
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
-        taking = predict_receiving(part, scene, seed=seed, noise=noise)
-        target = predict_target(part, scene, seed=seed, noise=noise)
+        taking = predict_receiving(part, scene, seed=seed, noise=noise, seen=seen)
+        target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         rows, exists = table.rows(part.object_index)
         score = opposition(table.T_obj_ee[rows][..., :3, 2], taking.wrist_to_middle)
         clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)

@@ -21,13 +21,15 @@ from r2h_batch.methods.palm_pose import approach_frames, least, rolled
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, roles_of
 from r2h_batch.methods.placing import first_fit, taken
 from r2h_batch.methods.utility_axis import LABEL_M, align_templates
-from r2h_batch.predictors import PredictorNoise, SeenParts, predict_parts, predict_target
+from r2h_batch.predictors import PredictorNoise, Seen, SeenParts, predict_parts, predict_target
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 __all__ = ["predict"]
 
 TITLE, STAND_IN = "Handover-VA", "oracle labels"
+SEES = ("parts", "target")
+"""What it is shown, of `predictors.Seen`."""
 
 VOXEL_M, CROP_M = 0.02, 0.10
 """Grid of grasp points, and half side of the box of obstacles about one (published)."""
@@ -52,6 +54,7 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
+    seen: Seen | None = None,
     voxel_m: float = VOXEL_M,
     crop_m: float = CROP_M,
     azimuth_step: float = AZIMUTH_STEP,
@@ -66,9 +69,9 @@ def predict(
     opening = torch.zeros(1, dtype=torch.float32, device=scene.device)  # collisions are not checked
 
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
-        seen = predict_parts(part, scene, seed=seed, noise=noise)
-        target = predict_target(part, scene, seed=seed, noise=noise)
-        role = point_roles(scene, part.object_index, seen)
+        parts = predict_parts(part, scene, seed=seed, noise=noise, seen=seen)
+        target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
+        role = point_roles(scene, part.object_index, parts)
         own = box_grasps(
             scene, part.object_index, role,
             voxel_m=voxel_m, azimuth_step=azimuth_step, depths_m=depths, crop_m=crop_m, threads=threads,
@@ -91,7 +94,9 @@ def predict(
 
 def point_roles(scene: Scene, object_index: Int32[Tensor, " b"], seen: SeenParts) -> UInt8[Tensor, "b p"]:
     """The role of every cloud point: GRASP in the receiver's region as seen (S1), else by its part as seen; by its part
-    wherever the benchmark says the parts' roles."""
+    wherever the benchmark says the parts' roles; what a network says, where it says roles itself."""
+    if seen.role is not None:
+        return seen.role.to(scene.device)
     table = torch.from_numpy(roles_of(scene.objects)).to(scene.device)
     functional = torch.tensor(
         [o.split == "S1" and o.roles is None for o in scene.objects], dtype=torch.bool, device=scene.device

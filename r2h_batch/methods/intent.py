@@ -23,7 +23,7 @@ from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
 from r2h_batch.methods.palm_pose import approach_frames, least, poses_at, roll_angles, rolled, turned_inward
 from r2h_batch.methods.placing import above_palm, first_fit, home_x, taken
-from r2h_batch.predictors import PredictorNoise, predict_target, retrieve_receiving
+from r2h_batch.predictors import PredictorNoise, Seen, predict_target, retrieve_receiving
 from r2h_batch.receiver.instructions import ANYWHERE, intents_of, understand
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
@@ -31,6 +31,8 @@ from r2h_batch.types import Predictions, Trials
 __all__ = ["predict"]
 
 TITLE, STAND_IN = "Intent-Handover", "retrieval"
+SEES = ("receiving", "target")
+"""What it is shown, of `predictors.Seen`."""
 
 ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
@@ -55,6 +57,7 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
+    seen: Seen | None = None,
     instructions: Sequence[str] | None = None,
     rolls: int = ROLLS,
     height_m: float = HEIGHT_M,
@@ -75,8 +78,8 @@ def predict(
 
     def choose(part: Trials, here: slice) -> tuple[Tensor, Tensor]:
         said = None if instructions is None else instructions[here]
-        taking = retrieve_receiving(part, scene, said, seed=seed, noise=noise)
-        target = predict_target(part, scene, seed=seed, noise=noise)
+        taking = retrieve_receiving(part, scene, said, seed=seed, noise=noise, seen=seen)
+        target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         rows, exists = table.rows(part.object_index)
         # The receiver's grasp is what the instruction names: a robot grasp whose approach axis enters that part there is out
         in_region = hit_region[rows] & named[here].gather(1, hit_part[rows])

@@ -2,6 +2,7 @@
 
 from r2h_batch.predictors.contacts import predict_contacts
 from r2h_batch.predictors.files import load_predictor
+from r2h_batch.predictors.given import Seen, read_seen
 from r2h_batch.predictors.grid import ContactPredictor, PredictorError
 from r2h_batch.predictors.hands import (
     ReceivingHand,
@@ -18,6 +19,7 @@ __all__ = [
     "PredictorError",
     "PredictorNoise",
     "ReceivingHand",
+    "Seen",
     "SeenParts",
     "TargetHand",
     "load_predictor",
@@ -25,5 +27,6 @@ __all__ = [
     "predict_parts",
     "predict_receiving",
     "predict_target",
+    "read_seen",
     "retrieve_receiving",
 ]

@@ -12,6 +12,7 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from r2h_batch.bodies.objects import VOXELS, ObjectModel
+from r2h_batch.predictors.given import Seen
 from r2h_batch.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
 from r2h_batch.predictors.voxnet import load_voxnet
 from r2h_batch.scene.scene import Scene
@@ -26,12 +27,14 @@ _cached: dict[tuple[Any, ...], Tensor] = {}
 
 
 def predict_contacts(
-    trials: Trials, scene: Scene, *, predictor: ContactPredictor | None = None
+    trials: Trials, scene: Scene, *, predictor: ContactPredictor | None = None, seen: Seen | None = None
 ) -> Float32[Tensor, "n p"]:
     """Probability that a person touches each cloud point (`ObjectModel.points`); default: the built-in VoxNet.
 
-    The network runs once for each object and predictor; trials only look up.
+    The network runs once for each object and predictor; trials only look up. `seen`: a network's answers instead.
     """
+    if seen is not None and seen.contacts is not None:
+        return seen.contacts.of(trials)["probability"].to(trials.trial_id.device)
     predictor = load_voxnet() if predictor is None else predictor
     device = trials.trial_id.device
     return _of_objects(scene.objects, predictor).to(device)[trials.object_index.long()]

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from r2h_batch import rng, se3
 from r2h_batch.bodies.hand import HandGeometry, HandModel, palm_frame
+from r2h_batch.predictors.given import GivenHands, Seen
 from r2h_batch.predictors.noise import PredictorNoise, perturbed, trial_ids
 from r2h_batch.receiver.instructions import InstructionError, intents_of, understand
 from r2h_batch.receiver.receiving import ReceivingGrasps, load_receiving
@@ -75,7 +76,7 @@ class ReceivingHand(_SeenHand):
     """The receiver's hand on the object as predicted, frame obj."""
 
     grasp: Int64[Tensor, " n"]
-    """row of `load_receiving(scene.objects, scene.hands.model)` that was drawn"""
+    """row of `load_receiving(scene.objects, scene.hands.model)` that was drawn; -1: a network's own"""
 
     @property
     def T_obj_hand(self) -> Float32[Tensor, "n 4 4"]:
@@ -107,11 +108,15 @@ def predict_receiving(
     seed: int = 0,
     noise: PredictorNoise | None = None,
     part: Int32[Tensor, " n"] | None = None,
+    seen: Seen | None = None,
 ) -> ReceivingHand:
     """A receiving grasp of each trial's object and hand side, with the error model; drawn by (seed, trial id).
 
-    `part`: label that the hand should hold, -1 for any; where no grasp holds it, any is drawn.
+    `part`: label that the hand should hold, -1 for any; where no grasp holds it, any is drawn. `seen`: a network's answers
+    instead, where it has some.
     """
+    if seen is not None and seen.receiving is not None:
+        return _given(trials, scene, seen.receiving)
     n, count = len(trials), len(scene.objects)
     labels = torch.full((n,), -1, dtype=torch.int32, device="cpu") if part is None else part.cpu()
     names = max(len(o.part_names) for o in scene.objects)
@@ -131,12 +136,15 @@ def retrieve_receiving(
     *,
     seed: int = 0,
     noise: PredictorNoise | None = None,
+    seen: Seen | None = None,
 ) -> ReceivingHand:
     """A receiving grasp that answers each trial's instruction (None: the object's own), with the error model.
 
     Instructions are understood for object, part and purpose (`instructions.understand`); a sentence about another
-    object, or about a part that nobody takes, raises `InstructionError`.
+    object, or about a part that nobody takes, raises `InstructionError`. `seen`: a network's answers instead.
     """
+    if seen is not None and seen.receiving is not None:
+        return _given(trials, scene, seen.receiving)
     object_index = trials.object_index.cpu().tolist()
     said = [scene.objects[i].instruction for i in object_index] if instructions is None else list(instructions)
     if len(said) != len(trials):
@@ -204,10 +212,33 @@ def _rows(grasps: ReceivingGrasps, fits: Tensor) -> tuple[Tensor, Tensor]:
     return order[..., : int(number.max())], number
 
 
-def predict_target(trials: Trials, scene: Scene, *, seed: int = 0, noise: PredictorNoise | None = None) -> TargetHand:
-    """Each trial's real hand as an estimator sees it, with the error model; drawn by (seed, trial id)."""
+def _given(trials: Trials, scene: Scene, hands: GivenHands) -> ReceivingHand:
+    """A network's hands on the objects."""
+    device = trials.trial_id.device
+    side = scene.hands.set.side.to(torch.int8)[trials.hand_index.cpu().long()]
+    bank, T = hands.hands(trials, scene.hands.model, side)
+    row = torch.arange(len(trials), dtype=torch.int64, device=device)
+    on = HandGeometry(bank.vertices.to(device), bank.joints.to(device))
+    return ReceivingHand(on, row, side.to(device), T.to(device), scene.hands.model, torch.full_like(row, -1))
+
+
+def predict_target(
+    trials: Trials,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    noise: PredictorNoise | None = None,
+    seen: Seen | None = None,
+) -> TargetHand:
+    """Each trial's real hand as an estimator sees it, with the error model; drawn by (seed, trial id).
+
+    `seen`: a network's answers instead, where it has some.
+    """
     noise = PredictorNoise() if noise is None else noise
     hands, device = scene.hands, trials.trial_id.device
+    if seen is not None and seen.target is not None:
+        it = _given(trials, scene, seen.target)
+        return TargetHand(it.bank, it.row, it.side, it.T, it.model, scene.config.thresholds.reach_offset_m)
     row = trials.hand_index.long()
     T = perturbed(
         trials.T_world_hand,

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from r2h_batch import rng
 from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.predictors.given import Seen
 from r2h_batch.predictors.noise import PredictorNoise, normals, trial_ids
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
@@ -35,16 +36,30 @@ class SeenParts:
     """index into the object's `part_names`"""
     usage: Bool[Tensor, "n p"]
     """in the receiver's region; all False for S0 objects"""
+    role: UInt8[Tensor, "n p"] | None = None
+    """0 works, 1 grasp, 2 wrap-grasp, where a network says so itself; None: it follows from label and usage"""
 
 
-def predict_parts(trials: Trials, scene: Scene, *, seed: int = 0, noise: PredictorNoise | None = None) -> SeenParts:
+def predict_parts(
+    trials: Trials,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    noise: PredictorNoise | None = None,
+    seen: Seen | None = None,
+) -> SeenParts:
     """Part label and region of every cloud point, borders shifted along the surface; drawn by (seed, trial id).
 
     Where two parts meet, the border moves by a smooth random field of deviation `border_m`: points on the side that
-    shrinks get the other part's label. The region's border is one of them.
+    shrinks get the other part's label. The region's border is one of them. `seen`: a network's answers instead.
     """
     noise = PredictorNoise() if noise is None else noise
     device = trials.trial_id.device
+    if seen is not None and seen.parts is not None:
+        said = {k: v.to(device) for k, v in seen.parts.of(trials).items()}
+        nothing = torch.zeros_like(next(iter(said.values())))
+        usage = said.get("usage", nothing).to(torch.bool)
+        return SeenParts(said.get("label", nothing), usage, said.get("role"))
     clouds = _clouds(scene.objects)
     at = trials.object_index.cpu().long()
     if noise.border_m == 0:
@@ -52,11 +67,11 @@ def predict_parts(trials: Trials, scene: Scene, *, seed: int = 0, noise: Predict
     z = torch.from_numpy(
         normals(rng.key_of(f"parts {seed}"), trial_ids(trials.trial_id), WAVES, purpose=_PARTS).astype(np.float32)
     )
-    seen = torch.empty((len(at), clouds.label.shape[1]), dtype=torch.uint8, device="cpu")
+    found = torch.empty((len(at), clouds.label.shape[1]), dtype=torch.uint8, device="cpu")
     for first in range(0, len(at), _CHUNK):
         rows = slice(first, first + _CHUNK)
-        seen[rows] = _shifted(clouds, at[rows], z[:, rows] * (noise.border_m * (2.0 / WAVES) ** 0.5))
-    return _split(seen, device)
+        found[rows] = _shifted(clouds, at[rows], z[:, rows] * (noise.border_m * (2.0 / WAVES) ** 0.5))
+    return _split(found, device)
 
 
 def _shifted(clouds: _Clouds, at: Tensor, z: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ import inspect
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from importlib import import_module
@@ -20,7 +20,7 @@ from r2h_batch.predictions import align, load_predictions
 from r2h_batch.results import provenance
 from r2h_batch.results.rows import TrialNames
 from r2h_batch.sweep.answers import answer_of
-from r2h_batch.sweep.options import METHODS, Options, UsageError
+from r2h_batch.sweep.options import METHODS, SEEN_BY, Options, UsageError
 from r2h_batch.turns import trial_ids
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import SIDES, SPLITS
@@ -28,6 +28,7 @@ from r2h_batch.verdicts import SIDES, SPLITS
 if TYPE_CHECKING:
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
+    from r2h_batch.predictors import Seen
 
 DIGEST_TRIALS = 10_000
 """Trials of each split that the digest of the trial list covers: the generator counts, so these stand for all."""
@@ -171,7 +172,14 @@ def _predictors(options: Options) -> dict[str, Any]:
         "noise_factor": options.predictor_noise,
         "noise": asdict(PredictorNoise().scaled(options.predictor_noise)),
         "contact": own if options.predictor else {"built_in": "VoxNet"},
+        **_seen_files(options),
     }
+
+
+def _seen_files(options: Options) -> dict[str, Any]:
+    """Names and digests of the networks' answers; nothing where there are none."""
+    given = {name: getattr(options, name) for name in SEEN_BY if getattr(options, name)}
+    return {k: {"file": v, "sha256": provenance.file_digest([Path(v)])} for k, v in given.items()}
 
 
 Files = list[tuple[str, str, Predictions]]
@@ -185,7 +193,8 @@ def load_files(options: Options) -> Files:
 
 def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     """Every method and file as a job, aligned with the plan; names must differ."""
-    jobs = [_method_job(name, setting.evaluator, options) for name in options.method]
+    seen = _seen(options, setting)
+    jobs = [_method_job(name, setting.evaluator, options, seen) for name in options.method]
     for path, digest, predictions in files:
         planned = setting.ids(0, setting.planned)
         rows = align(predictions, planned, source=path, allow_missing=options.allow_missing)
@@ -195,6 +204,19 @@ def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     if twice := sorted({n for n in names if names.count(n) > 1}):
         raise UsageError(f"two methods are called {twice[0]!r}; give each predictions file its own method name")
     return jobs
+
+
+def _seen(options: Options, setting: Setting) -> "Seen | None":
+    """What networks of the user's saw, checked against the plan; None where no file is given."""
+    files = {name.removeprefix("predicted_"): getattr(options, name) for name in SEEN_BY if getattr(options, name)}
+    if not files:
+        return None
+    from r2h_batch.predictors import read_seen
+
+    scene = setting.evaluator.scene
+    seen = read_seen(scene.objects, scene.hands.model, **files)
+    seen.check_plan(setting.ids(0, setting.planned).numpy())
+    return seen
 
 
 def _stored(predictions: Predictions, _: Trials, rows: torch.Tensor | None) -> Predictions:
@@ -237,14 +259,14 @@ def _method(name: str) -> _Method:
         raise UsageError(f"--method {name}: {what}; {form}") from error
     try:
         signature = inspect.signature(function)
-        more = {k: None for k in ("evaluator", "noise", "predictor") if k in signature.parameters}
+        more = {k: None for k in ("evaluator", "noise", "predictor", "seen") if k in signature.parameters}
         signature.bind(None, None, seed=0, **more)
     except (TypeError, ValueError) as error:
         raise UsageError(f"--method {name}: {error}; {form}") from error
     return _Method(built_in, f"{module_name}:{function_name}", module, function, signature.parameters)
 
 
-def _method_job(name: str, evaluator: "Evaluator", options: Options) -> Job:
+def _method_job(name: str, evaluator: "Evaluator", options: Options, seen: "Seen | None" = None) -> Job:
     found = _method(name)
     module, takes, built_in = found.module, found.takes, found.built_in
     extra: dict[str, Any] = {"evaluator": evaluator} if "evaluator" in takes else {}
@@ -259,8 +281,12 @@ def _method_job(name: str, evaluator: "Evaluator", options: Options) -> Job:
         own = options.predictor if built_in and "predictor" in takes else ""
         if own:
             extra["predictor"] = load_predictor(own)
+        if seen is not None and "seen" in takes:
+            extra["seen"] = seen
         if built_in:
-            title = table_name(module.TITLE, Path(own).name or module.STAND_IN, options.predictor_noise)
+            stand_in = Path(own).name or module.STAND_IN
+            shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in module.SEES}
+            title = table_name(module.TITLE, stand_in, options.predictor_noise, shown, module.SEES)
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
     def predict(trials: Trials, _: object) -> Predictions:
@@ -269,7 +295,20 @@ def _method_job(name: str, evaluator: "Evaluator", options: Options) -> Job:
     return Job(title, source, predict, warm=built_in)
 
 
-def table_name(title: str, stand_in: str, noise: float) -> str:
-    """A method's name in tables: what stood in for the original network, and the error model it was given."""
+SAID = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}
+"""What a method is shown, as its name in tables says it."""
+
+
+def table_name(
+    title: str, stand_in: str, noise: float, shown: Mapping[str, str] | None = None, sees: Sequence[str] = ()
+) -> str:
+    """A method's name in tables: what stood in for the original network, and the error model it was given.
+
+    `shown`: kind -> the network whose prediction it saw, of all the kinds that it `sees`; what no network gave is named too.
+    """
     added = "" if noise == 0 else " + noise" if noise == 1 else f" + {noise:g} x noise"
-    return f"{title} ({stand_in}{added})"
+    if not shown:
+        return f"{title} ({stand_in}{added})"
+    own = {"contacts": stand_in.partition(",")[0]}
+    rest = [f"{SAID[k]}: {own.get(k, 'oracle')}{'' if k == 'contacts' else added}" for k in sees if k not in shown]
+    return f"{title} ({', '.join([*(f'{SAID[k]}: {shown[k]}' for k in sees if k in shown), *rest])})"

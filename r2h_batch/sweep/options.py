@@ -16,6 +16,13 @@ METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
 """Built-in methods: modules of `r2h_batch.methods` (- as _) with a `predict(trials, scene, *, seed)`, which may
 also take `evaluator`, `noise`, `predictor` (sweep/jobs.py)."""
 
+SEEN_BY = {
+    "predicted_hands": ("fc", "handover-va", "contact", "intent"),
+    "predicted_parts": ("handover-va",),
+    "predicted_contacts": ("contact",),
+}
+"""Files of networks' answers -> the methods that are shown them."""
+
 KINDS = ("details", "poses", "paths")
 """What is stored beside the trials when asked for."""
 
@@ -47,6 +54,12 @@ class Options:
     predictor: str = ""
     """Your own contact network for --method contact: a TorchScript file, VoxNet weights as .safetensors, or
     package.module:function; the built-in VoxNet unless given."""
+    predicted_hands: str = ""
+    """Your own networks' hands, .npz or .safetensors, instead of the error model: what fc, handover-va, contact, intent see."""
+    predicted_parts: str = ""
+    """Your own network's part labels or affordances of the objects' points: what handover-va sees."""
+    predicted_contacts: str = ""
+    """Your own network's contact probabilities of the objects' points: what contact sees."""
     predictor_noise: float = 1.0
     """Factor on the error model of what the methods see (hands, part labels); 0: they see the truth."""
     benchmark: str = ""
@@ -153,6 +166,13 @@ def check(options: Options) -> Options:
         )
     if options.predictor and "contact" not in options.method:
         raise UsageError("--predictor is the contact network of --method contact; add that method, or leave it out")
+    for name, users in SEEN_BY.items():
+        if getattr(options, name) and not any(m in users or ":" in m for m in options.method):
+            raise UsageError(
+                f"--{name.replace('_', '-')} is seen by --method {', '.join(users)}; add one, or leave it out"
+            )
+    if options.predictor and options.predicted_contacts:
+        raise UsageError("--predictor and --predicted-contacts both say the contacts; give one")
     if not options.splits:
         raise UsageError("--splits names no split; allowed are S0, S1")
     if options.device not in ("cpu", "cuda") and not (

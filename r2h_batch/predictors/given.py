@@ -1,0 +1,304 @@
+"""What somebody's own networks saw, as files: instead of the built-in error model (`--predicted-hands, -parts, -contacts`).
+
+Arrays of an .npz or .safetensors file; N rows by `trial_id` (N,), or, of parts and contacts, K rows by `object` (K,) names
+(.npz) or `object_index` (K,). P points are the object's own cloud (`ObjectModel.points`), or `points` (K, P, 3) in its frame:
+then each point of the own cloud takes what the nearest of these has. `source`: the network's name for the table (.npz).
+
+hands      on the object, frame obj: `receiving_T_obj_hand` (N, 4, 4), `receiving_pose` (N, 48), `receiving_shape` (N, 10; 0),
+           or `receiving_joints` (N, 16 | 21, 3) and `receiving_vertices` (N, V, 3). In the world the same with `target_` and
+           `target_T_world_hand`. One of the two or both. 16 joints are MANO's; 21 are OpenPose's (wrist, thumb to little
+           finger, each from its root to its tip). The side is the trial's.
+parts      `label` (., P) index into the object's `part_names`, with `usage` (., P) whether the receiver takes it there (S1);
+           or `role` (., P): 0 works, 1 grasp, 2 wrap-grasp, as AffNet's affordances say it.
+contacts   `probability` (., P) in [0, 1] that a person touches the point.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from r2h_batch.bodies.hand import HandGeometry, HandModel
+from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.files import FileError, printable
+from r2h_batch.files.arrays import read_npz, read_safetensors
+from r2h_batch.types import Trials
+
+__all__ = ["GivenHands", "GivenPoints", "Seen", "read_seen"]
+
+MANO_OF_OPENPOSE = (0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3)
+FARTHEST_M = 10.0
+HAND_M = (0.05, 0.5)
+"""Smallest and largest side of a hand's bounding box: what lies outside is in other units."""
+MOST_POINTS = 100_000
+RIGID = 1e-3
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class GivenHands:
+    """Predicted hands by trial id, sorted: MANO's numbers and a frame, or joints and skin. Metres."""
+
+    source: str
+    trial_id: NDArray[np.int64]
+    arrays: Mapping[str, NDArray[np.float32]]
+    """T, pose, shape; or joints (N, 16, 3), vertices (N, V, 3)"""
+
+    def hands(self, trials: Trials, model: HandModel, side: Tensor) -> tuple[HandGeometry, Float32[Tensor, "n 4 4"]]:
+        """Posed hands of these trials, one a row, and where each stands; on the CPU."""
+        rows = rows_of(self.trial_id, trials.trial_id.cpu().numpy())
+        a = {k: torch.from_numpy(v[rows]) for k, v in self.arrays.items()}
+        if "pose" in a:
+            return model.pose(a["pose"], a["shape"], side.cpu()), a["T"]
+        eye = torch.eye(4, dtype=torch.float32, device="cpu").expand(len(rows), 4, 4).contiguous()
+        return HandGeometry(a["vertices"], a["joints"]), eye
+
+
+@dataclass(frozen=True, eq=False)
+class GivenPoints:
+    """Values of each point of the objects' clouds, by trial id (sorted) or by object index."""
+
+    source: str
+    trial_id: NDArray[np.int64] | None
+    arrays: Mapping[str, NDArray[Any]]
+    """(N, P) or, by object, (O, P)"""
+
+    def of(self, trials: Trials) -> dict[str, Tensor]:
+        """(n, P) of each array for these trials, on the CPU."""
+        if self.trial_id is None:
+            rows = trials.object_index.cpu().numpy().astype(np.int64)
+        else:
+            rows = rows_of(self.trial_id, trials.trial_id.cpu().numpy())
+        return {k: torch.from_numpy(v[rows]) for k, v in self.arrays.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What is not left to the built-in error model; None: it is."""
+
+    receiving: GivenHands | None = None
+    target: GivenHands | None = None
+    parts: GivenPoints | None = None
+    contacts: GivenPoints | None = None
+
+    def sources(self) -> dict[str, str]:
+        """Kind -> the network that it is from."""
+        return {k: v.source for k, v in vars(self).items() if v is not None}
+
+    def check_plan(self, trial_id: NDArray[np.int64]) -> None:
+        """`FileError` where a planned trial has no prediction."""
+        for kind, part in vars(self).items():
+            ids = None if part is None else part.trial_id
+            if ids is not None and len(missing := np.setdiff1d(trial_id, ids)):
+                listed = ", ".join(map(str, missing[:10].tolist())) + (", ..." if len(missing) > 10 else "")
+                raise FileError(
+                    f"predicted {kind} of {part.source}: {len(missing)} planned trials are missing: {listed}"
+                )
+
+
+def read_seen(
+    objects: Sequence[ObjectModel], hand: HandModel, *, hands: str = "", parts: str = "", contacts: str = ""
+) -> Seen:
+    """What the files say, for these objects and this hand; every number checked. Raises `FileError`, one line."""
+    found: dict[str, Any] = {}
+    if hands:
+        found |= _hands(Path(hands), hand)
+    if parts:
+        found["parts"] = _parts(Path(parts), objects)
+    if contacts:
+        found["contacts"] = _contacts(Path(contacts), objects)
+    return Seen(**found)
+
+
+def rows_of(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Where each wanted id stands in the sorted ids; ValueError for one that is not there."""
+    at = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
+    if (strange := np.flatnonzero(ids[at] != wanted)).size:
+        raise ValueError(f"trial {wanted[strange[0]]} has no prediction")
+    return at
+
+
+def _read(path: Path, allowed: Sequence[str]) -> tuple[Arrays, str]:
+    """Arrays of known names, and the network's name."""
+    where = printable(path)
+    if path.suffix not in (".npz", ".safetensors"):
+        raise FileError(f"{where}: predictions of networks are an .npz or .safetensors file")
+    arrays = read_npz(path) if path.suffix == ".npz" else read_safetensors(path)
+    source = arrays.pop("source", np.array(path.stem))
+    name = str(source) if source.shape == () and source.dtype.kind == "U" else ""
+    if not name.strip() or len(name) > 60 or not name.isprintable():
+        raise FileError(f"{where}: source is no name; give 1 to 60 printable characters")
+    if unknown := sorted(set(arrays) - set(allowed)):
+        raise FileError(f"{where}: unknown array {printable(unknown[0])!r}; allowed are {', '.join(allowed)}, source")
+    for key, value in arrays.items():
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            row = int(np.argwhere(~np.isfinite(value))[0][0])
+            raise FileError(f"{where}: {key} holds a number that is not finite in row {row}")
+    return arrays, name
+
+
+def _need(where: str, arrays: Arrays, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[Any]:
+    """The array of this name, of this shape (None: any) and kind."""
+    value = arrays.get(name)
+    words = " x ".join("any" if n is None else str(n) for n in shape)
+    if value is None:
+        raise FileError(f"{where}: has no {name}; need {words}")
+    fits = value.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, value.shape, strict=True))
+    if not fits or value.dtype.kind not in kinds:
+        raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {words}")
+    return value
+
+
+def _trial_ids(where: str, arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The ids, sorted, and the order that sorts them."""
+    ids = _need(where, arrays, "trial_id", (None,), "iu")
+    if not len(ids):
+        raise FileError(f"{where}: no rows; give one for each planned trial")
+    if ids.min() < 0 or int(ids.max()) > np.iinfo(np.int64).max:
+        raise FileError(f"{where}: trial_id goes from {ids.min()} to {ids.max()}; ids are 0 or more")
+    order = np.argsort(ids, kind="stable")
+    sorted_ids = ids[order].astype(np.int64)
+    if (twice := np.flatnonzero(np.diff(sorted_ids) == 0)).size:
+        raise FileError(f"{where}: trial {sorted_ids[twice[0]]} is given more than once")
+    return sorted_ids, order
+
+
+def _hands(path: Path, model: HandModel) -> dict[str, GivenHands]:
+    frames = {"receiving": "T_obj_hand", "target": "T_world_hand"}
+    names = [f"{k}_{n}" for k, T in frames.items() for n in (T, "pose", "shape", "joints", "vertices")]
+    arrays, source = _read(path, ("trial_id", *names))
+    where = printable(path)
+    ids, order = _trial_ids(where, arrays)
+    found = {}
+    for kind, T in frames.items():
+        mine = {k.removeprefix(f"{kind}_"): v for k, v in arrays.items() if k.startswith(f"{kind}_")}
+        if mine:
+            values = _one_hand(f"{where}: {kind} hands", mine, T, len(ids), model)
+            found[kind] = GivenHands(
+                source, ids, {k: np.ascontiguousarray(v[order], np.float32) for k, v in values.items()}
+            )
+    if not found:
+        raise FileError(f"{where}: holds no hands; allowed are {', '.join(names)}")
+    return found
+
+
+def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Arrays:
+    """T, pose, shape; or joints in MANO's order and vertices."""
+    posed = "pose" in a or frame in a
+    if posed == ("vertices" in a or "joints" in a):
+        raise FileError(f"{where}: give either {frame} with pose (and shape), or joints with vertices")
+    if posed:
+        T = _need(where, a, frame, (n, 4, 4), "f")
+        R = T[:, :3, :3].astype(np.float64)
+        off = (np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > RIGID) | (np.linalg.det(R) < 0)
+        off |= (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) > RIGID) | (np.abs(T[:, :3, 3]).max(1) > FARTHEST_M)
+        if off.any():
+            raise FileError(f"{where}: {frame} of row {int(off.argmax())} is no rigid pose in metres")
+        pose = _need(where, a, "pose", (n, 48), "f")
+        shape = _need(where, a, "shape", (n, 10), "f") if "shape" in a else np.zeros((n, 10), np.float32)
+        if max(np.abs(pose).max(), np.abs(shape).max()) > 100:
+            raise FileError(f"{where}: pose and shape go beyond 100; turns are in radians")
+        return {"T": T, "pose": pose, "shape": shape}
+    vertices = _need(where, a, "vertices", (n, None, 3), "f")
+    if vertices.shape[1] != len(model.vertices):
+        raise FileError(
+            f"{where}: a skin of {vertices.shape[1]} vertices; the benchmark's hand has {len(model.vertices)}:"
+            " give that hand with --hand-model, or pose and shape instead"
+        )
+    side = np.ptp(vertices, axis=1).max(1)
+    wrong = (side < HAND_M[0]) | (side > HAND_M[1]) | (np.abs(vertices).max((1, 2)) > FARTHEST_M)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise FileError(f"{where}: the hand of row {row} is {side[row]:.3g} m large; lengths are in metres")
+    joints = _need(where, a, "joints", (n, None, 3), "f")
+    if joints.shape[1] not in (16, 21):
+        raise FileError(f"{where}: {joints.shape[1]} joints; need MANO's 16 or OpenPose's 21")
+    joints = joints[:, MANO_OF_OPENPOSE] if joints.shape[1] == 21 else joints
+    apart = np.abs(joints - vertices.mean(1, keepdims=True)).max((1, 2))
+    if apart.max() > HAND_M[1]:
+        raise FileError(
+            f"{where}: joints of row {int(apart.argmax())} are {apart.max():.3g} m off the skin: another frame?"
+        )
+    return {"joints": joints, "vertices": vertices}
+
+
+def _parts(path: Path, objects: Sequence[ObjectModel]) -> GivenPoints:
+    arrays, source = _read(path, ("trial_id", "object", "object_index", "points", "label", "usage", "role"))
+    where = printable(path)
+    if ("role" in arrays) == ("label" in arrays):
+        raise FileError(f"{where}: give either role, or label (with usage)")
+    if "label" in arrays and "usage" not in arrays and any(o.split == "S1" for o in objects):
+        raise FileError(f"{where}: has label without usage; S1 objects need it (or give role)")
+    names = ("role",) if "role" in arrays else ("label", *(("usage",) if "usage" in arrays else ()))
+    most = 2 if "role" in arrays else max(len(o.part_names) for o in objects) - 1
+    for name in names:
+        high = 1 if name == "usage" else most
+        value = _need(where, arrays, name, (None, None), "iub")
+        if value.size and not 0 <= int(value.min()) <= int(value.max()) <= high:
+            raise FileError(f"{where}: {name} goes from {value.min()} to {value.max()}; allowed are 0 to {high}")
+    return _by_key(where, arrays, source, names, np.uint8, objects)
+
+
+def _contacts(path: Path, objects: Sequence[ObjectModel]) -> GivenPoints:
+    arrays, source = _read(path, ("trial_id", "object", "object_index", "points", "probability"))
+    where = printable(path)
+    value = _need(where, arrays, "probability", (None, None), "f")
+    if value.size and not 0 <= value.min() <= value.max() <= 1:
+        raise FileError(
+            f"{where}: probability goes from {value.min():.3g} to {value.max():.3g}; need 0 to 1 (a sigmoid?)"
+        )
+    return _by_key(where, arrays, source, ("probability",), np.float32, objects)
+
+
+def _by_key(
+    where: str, arrays: Arrays, source: str, names: Sequence[str], dtype: Any, objects: Sequence[ObjectModel]
+) -> GivenPoints:
+    """Rows by trial or by object, on the objects' own clouds."""
+    own = len(objects[0].points)
+    keys = [k for k in ("trial_id", "object", "object_index") if k in arrays]
+    if len(keys) != 1:
+        raise FileError(f"{where}: rows go by one of trial_id, object, object_index; found {', '.join(keys) or 'none'}")
+    if keys == ["trial_id"]:
+        ids, order = _trial_ids(where, arrays)
+        if "points" in arrays:
+            raise FileError(f"{where}: points go with rows by object; rows by trial are on the objects' own clouds")
+        values = {k: _need(where, arrays, k, (len(ids), own), "fiub")[order].astype(dtype) for k in names}
+        return GivenPoints(source, ids, values)
+    rows = _object_rows(where, arrays, objects)
+    k = len(arrays[keys[0]])
+    if "points" not in arrays:
+        values = {n: _need(where, arrays, n, (k, own), "fiub")[rows].astype(dtype) for n in names}
+        return GivenPoints(source, None, values)
+    points = _need(where, arrays, "points", (k, None, 3), "f")
+    if not 1 <= points.shape[1] <= MOST_POINTS:
+        raise FileError(f"{where}: {points.shape[1]} points an object; 1 to {MOST_POINTS} are allowed")
+    near = np.stack([cKDTree(points[row]).query(o.points)[1] for row, o in zip(rows, objects, strict=True)])
+    values = {n: _need(where, arrays, n, (k, points.shape[1]), "fiub")[rows] for n in names}
+    return GivenPoints(source, None, {n: np.take_along_axis(v, near, 1).astype(dtype) for n, v in values.items()})
+
+
+def _object_rows(where: str, arrays: Arrays, objects: Sequence[ObjectModel]) -> NDArray[np.int64]:
+    """The row of each of the benchmark's objects."""
+    if "object" in arrays:
+        given = [str(n) for n in _need(where, arrays, "object", (None,), "U")]
+        wanted: Sequence[Any] = [o.name for o in objects]
+    else:
+        given = _need(where, arrays, "object_index", (None,), "iu").tolist()
+        wanted = range(len(objects))
+    if twice := [n for n in given if given.count(n) > 1]:
+        raise FileError(f"{where}: object {printable(twice[0])} is given more than once")
+    if missing := [n for n in wanted if n not in given]:
+        raise FileError(
+            f"{where}: no row for object {missing[0]}; give one for each of the benchmark's {len(objects)} objects"
+        )
+    return np.array([given.index(n) for n in wanted], np.int64)
