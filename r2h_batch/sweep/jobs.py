@@ -238,6 +238,8 @@ def resolve(options: Options) -> None:
     """Raises `UsageError` or `ValueError` for a --method or --predictor that is not there, before anything slow starts."""
     for name in options.method:
         _method(name)
+    if options.predictor and options.predicted_contacts:
+        raise UsageError("--predictor and --predicted-contacts both say the contacts; give one")
     if options.predictor:
         from r2h_batch.predictors import load_predictor
 

@@ -171,8 +171,6 @@ def check(options: Options) -> Options:
             raise UsageError(
                 f"--{name.replace('_', '-')} is seen by --method {', '.join(users)}; add one, or leave it out"
             )
-    if options.predictor and options.predicted_contacts:
-        raise UsageError("--predictor and --predicted-contacts both say the contacts; give one")
     if not options.splits:
         raise UsageError("--splits names no split; allowed are S0, S1")
     if options.device not in ("cpu", "cuda") and not (

@@ -148,6 +148,9 @@ def test_a_sweep_says_whose_predictions_its_methods_saw(scene, tmp_path, capsys)
     assert "2 planned trials are missing: 4, 5" in capsys.readouterr().err
     assert main(["sweep", "--method", "random", "--predicted-hands", "x.npz"]) == 2
     assert "is seen by --method fc" in capsys.readouterr().err
+    both = ["--predictor", "net.pt", "--predicted-contacts", "x.npz"]
+    assert main(["sweep", "--method", "contact", *both]) == 2
+    assert "both say the contacts" in capsys.readouterr().err
 
 
 def test_names_in_the_table_leave_nothing_out():

@@ -29,7 +29,7 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         predictor="net.pt",
         predicted_hands="h.npz",
         predicted_parts="p.npz",
-        predicted_contacts="",
+        predicted_contacts="c.npz",
         predictor_noise=0.5,
         object_mesh=("mug.obj:S0",),
         benchmark="mine.yaml",
