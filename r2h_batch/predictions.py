@@ -19,6 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from r2h_batch.files import DAMAGED_ARCHIVE, FileError, archive_members, open_archive, open_file, printable
+from r2h_batch.files.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.types import Predictions
 
 MAX_MEMBERS = 16
@@ -52,16 +53,39 @@ class _Array:
 
 
 def load_predictions(path: str | Path) -> Predictions:
-    """Predictions of a .npz or .safetensors file, rows as in the file; the method's name defaults to the stem.
+    """Predictions of a .npz, .safetensors, .csv or .json file, rows as in the file; the method's name defaults to the stem.
 
+    CSV: columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), optional t_method_s. JSON: an object with
+    `method` and a list `predictions` of objects with the same names, poses as 16 numbers or 4 x 4.
     Poses are taken as they are: a row whose pose is not finite or not rigid is the evaluator's INVALID_INPUT.
     """
     path = Path(path)
     try:
+        if path.suffix.lower() in (".csv", ".json"):
+            method, values = _text(path)
+            found = {k: _Array(v.shape, v.dtype.name, partial(_same, v)) for k, v in values.items()}
+            return _checked(path, found, path.stem if method is None else method)
         with _npz(path) if _kind(path) == "npz" else _safetensors(path) as (method, arrays):
             return _checked(path, arrays, path.stem if method is None else method)
     except FileError as error:
         raise PredictionsError(f"{error}; {_HOW}") from error
+
+
+def _text(path: Path) -> tuple[str | None, dict[str, np.ndarray]]:
+    """The arrays that a CSV or JSON file says, and the method's name."""
+    widths, optional = {"trial_id": 1, "T_obj_ee": 16, "T_world_ee": 16, "t_method_s": 1}, ("t_method_s",)
+    said: dict[str, str] = {}
+    if path.suffix.lower() == ".csv":
+        values = read_csv_arrays(path, widths, optional)
+    else:
+        values, said = read_json_arrays(path, widths, optional, words=("method",))
+    for name in ("T_obj_ee", "T_world_ee"):
+        values[name] = values[name].reshape(-1, 4, 4)
+    return said.get("method"), values
+
+
+def _same(array: np.ndarray) -> np.ndarray:
+    return array
 
 
 def write_predictions(path: str | Path, predictions: Predictions) -> None:
@@ -131,7 +155,7 @@ def _kind(path: Path) -> str:
         return "npz"
     if path.suffix == ".safetensors" or magic[8:9] == b"{":
         return "safetensors"
-    raise PredictionsError(f"{path}: neither .npz nor .safetensors; {_HOW}")
+    raise PredictionsError(f"{path}: neither .npz, .safetensors, .csv nor .json; {_HOW}")
 
 
 @contextmanager

@@ -312,11 +312,11 @@ def test_a_safetensors_header_beyond_its_limits_is_one_line(tmp_path, content, p
 
 
 @pytest.mark.parametrize(
-    ("name", "content"), [("p.csv", b"trial_id,x\n1,2\n"), ("p.json", b"[1, 2]"), ("p.h5", b"\x89HDF\r\n")]
+    ("name", "content"), [("p.txt", b"trial_id,x\n1,2\n"), ("p.yaml", b"[1, 2]"), ("p.h5", b"\x89HDF\r\n")]
 )
 def test_other_formats_are_refused_saying_what_to_write(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
-    refused(tmp_path / name, "neither .npz nor .safetensors", "np.savez")
+    refused(tmp_path / name, "neither .npz, .safetensors, .csv nor .json", "np.savez")
 
 
 def test_nothing_a_folder_and_an_empty_file_are_refused(tmp_path):

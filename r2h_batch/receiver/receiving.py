@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from importlib import metadata, resources
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,8 @@ from torch import Tensor
 from r2h_batch import se3
 from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
 from r2h_batch.bodies.hand import HandGeometry, HandModel, load_hand
-from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects
+from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, object_digest
+from r2h_batch.files.kept import kept
 from r2h_batch.receiver.instructions import intents_of
 from r2h_batch.receiver.sampler import sample_receiving
 
@@ -102,7 +105,7 @@ def load_receiving(objects: Sequence[ObjectModel] | None = None, hand: HandModel
     """Receiving grasps of these objects (default: the 16 built-in ones), `object_index` counting them in order.
 
     Those of the built-in hand and objects are stored; for a user's hand or object they are sampled once (about half a
-    minute an object).
+    minute an object) and kept on disk (`files.kept`).
     """
     return _load(tuple(load_objects() if objects is None else objects), load_hand() if hand is None else hand)
 
@@ -118,7 +121,27 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     stored = _stored()
     if hand is load_hand() and f"{model.name}/side" in stored and is_built_in(model):
         return {k: stored[f"{model.name}/{k}"] for k in FIELDS}
-    return sample_receiving(model, hand=hand)
+    made = kept("receiving", _made_of(model, hand), lambda: sample_receiving(model, hand=hand))
+    return {k: made[k] for k in FIELDS}
+
+
+def _made_of(model: ObjectModel, hand: HandModel) -> str:
+    """sha256 (hex) over all that an object's receiving grasps come from: object, hand, the code, what it is built on."""
+    digest = hashlib.sha256(f"{object_digest(model)} {hand.digest} {_code()}".encode())
+    return digest.hexdigest()
+
+
+@lru_cache(maxsize=1)
+def _code() -> str:
+    """The digest of the sampler and its kernels, and versions of what computes."""
+    digest = hashlib.sha256()
+    for package in ("r2h_batch.receiver", "r2h_batch.kernels.receiver", "r2h_batch.kernels.geometry"):
+        for file in sorted(resources.files(package).iterdir(), key=lambda f: f.name):
+            if file.name.endswith(".py"):
+                digest.update(file.name.encode() + file.read_bytes())
+    for name in ("numpy", "scipy", "torch", "trimesh", "warp-lang"):
+        digest.update(f"{name} {metadata.version(name)}".encode())
+    return digest.hexdigest()
 
 
 @lru_cache(maxsize=1)

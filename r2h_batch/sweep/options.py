@@ -38,7 +38,7 @@ class Options:
     """Methods to score: fc, handover-va, contact, intent, random, oracle, or your own package.module:function
     (trials, scene, *, seed) -> Predictions."""
     predictions: tuple[str, ...] = ()
-    """Predictions files (.npz or .safetensors) to score."""
+    """Predictions files (.npz, .safetensors, .csv or .json) to score."""
     splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1")
     """S0 free handover, S1 functional."""
     trials: int = 500
