@@ -68,6 +68,8 @@ def trials(
     objects: str = "",
     object_mesh: tuple[str, ...] = (),
     grasps: tuple[str, ...] = (),
+    trials_file: str = "",
+    open_formats: bool = False,
 ) -> int:
     """Write a protocol's trials and everything that a handover method may read to make predictions.
 
@@ -82,6 +84,8 @@ def trials(
         objects: other objects, as in r2h_batch.sweep.
         object_mesh: your own objects, FILE[:S0|S1], as in r2h_batch.sweep.
         grasps: grasp candidates of your own, as in r2h_batch.sweep.
+        trials_file: trials of your own, as in r2h_batch.sweep.
+        open_formats: also as OBJ, PLY, CSV and JSON in OUT/open, for methods in any language.
     """
     if trials < 1:
         return refuse("trials", f"--trials is {trials}; it must be 1 or more")
@@ -93,8 +97,10 @@ def trials(
 
     try:
         chosen = [s for s in SPLITS if s in splits]
-        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps)
-        digest = write_trials(out, chosen, trials, benchmark=given.read())
+        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file)
+        digest = write_trials(
+            out, chosen, trials, benchmark=given.read(), open_formats=open_formats, flags=given.flags()
+        )
     except (FileExistsError, ValueError) as error:
         return refuse("trials", error)
     except OSError as error:

@@ -13,9 +13,10 @@ from r2h_batch import se3
 from r2h_batch.benchmark import Benchmark, built_in
 from r2h_batch.bodies.hand import HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel, object_digest
+from r2h_batch.export.open_files import write_open
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasp_candidates import Candidates
-from r2h_batch.trials.protocol import PROTOCOL, TRIALS, make_trials, trials_digest
+from r2h_batch.trials.protocol import TRIALS, make_trials, trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
@@ -29,17 +30,20 @@ def write_trials(
     trials: int = TRIALS,
     *,
     benchmark: Benchmark | None = None,
+    open_formats: bool = False,
+    flags: Sequence[str] = (),
 ) -> str:
     """Write the planned trials of a benchmark (default: the built-in one) with all that a method may read; their digest.
 
-    `folder` is new or empty.
+    `folder` is new or empty. `open_formats`: the same also as meshes and tables (`open_files.py`). `flags`: what a sweep
+    needs to score on this benchmark. A benchmark with trials of its own has all of them written.
     """
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"{folder} is not an empty folder; give a new one")
     benchmark = built_in() if benchmark is None else benchmark
     objects, hand_set = benchmark.objects, benchmark.hand_set
-    planned = make_trials(splits, trials, benchmark=benchmark)
+    planned = make_trials(splits, trials if benchmark.listed is None else len(benchmark.listed), benchmark=benchmark)
     chosen = [i for i, o in enumerate(objects) if o.split in splits]
     hands = _hand_arrays(hand_set)
     files = {"trials.npz": _trial_arrays(planned, benchmark, hands), "hands.npz": hands}
@@ -49,8 +53,8 @@ def write_trials(
     digest = trials_digest(planned, objects=objects)
     header = {
         "format": 1,
-        "protocol": PROTOCOL,
-        "trials": {s: trials for s in SPLITS if s in splits},
+        "protocol": benchmark.protocol,
+        "trials": {s: int((planned.trial_id % 2 == SPLITS.index(s)).sum()) for s in SPLITS if s in splits},
         "digests": {
             "trials": digest,
             "benchmark": benchmark.digest,
@@ -78,7 +82,11 @@ def write_trials(
     )
     manifest = {**header, "arrays": described}
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
-    (folder / "README.md").write_text(_readme(manifest))
+    sizes = [] if benchmark.listed is not None else [f"--trials {trials}"]
+    sweep = " ".join(["--splits", *manifest["trials"], *sizes, *flags])
+    (folder / "README.md").write_text(_readme(manifest, sweep))
+    if open_formats:
+        write_open(folder / "open", benchmark, planned, f"r2h-batch sweep --predictions mine.csv {sweep}")
     return digest
 
 
@@ -177,7 +185,7 @@ def _described(arrays: Arrays, *, rows: bool = True) -> dict[str, dict[str, obje
     }
 
 
-def _readme(manifest: dict) -> str:
+def _readme(manifest: dict, sweep: str) -> str:
     counts = ", ".join(f"{n} of {s}" for s, n in manifest["trials"].items())
     lines = [
         f"# Trials of protocol {manifest['protocol']}",
@@ -192,8 +200,7 @@ def _readme(manifest: dict) -> str:
         "A method answers every trial with the grasp `T_obj_ee` and the handover pose `T_world_ee`:",
         "",
         "    np.savez('mine.npz', trial_id=trials['trial_id'], T_obj_ee=..., T_world_ee=..., method='mine')",
-        f"    python -m r2h_batch.sweep --predictions mine.npz --splits {' '.join(manifest['trials'])}"
-        f" --trials {max(manifest['trials'].values())}",
+        f"    python -m r2h_batch.sweep --predictions mine.npz {sweep}",
         "",
         "All arrays load with `np.load(FILE)`; `None` in a shape depends on the object.",
     ]
