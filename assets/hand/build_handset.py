@@ -16,8 +16,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.assets.hand.build_hand import write_npz
-from r2h_batch.bodies.arrays import arrays_digest
-from r2h_batch.bodies.hand import HandModel, load_hand
+from r2h_batch.bodies.arrays import arrays_digest, asset, read_arrays
+from r2h_batch.bodies.hand import HandModel
 from r2h_batch.bodies.hand_measure import hull_overlap, hull_planes, piece_report, self_cut, separate_pairs
 
 HERE = Path(__file__).parent
@@ -148,9 +148,8 @@ def draw_hand(index: int, judge: Judge) -> tuple[np.ndarray, np.ndarray, str, tu
 
 
 def main() -> None:
-    load_hand.cache_clear()
     torch.set_num_threads(1)
-    judge = Judge(load_hand())
+    judge = Judge(HandModel.from_arrays(read_arrays(asset("hand", "hand.npz"))))  # as it is now on disk
     poses: list[np.ndarray] = []
     shapes: list[np.ndarray] = []
     hulls: list[np.ndarray] = []

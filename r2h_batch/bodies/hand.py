@@ -311,22 +311,39 @@ class HandSet:
         return len(self.posture)
 
 
-@lru_cache(maxsize=4)
 def load_hand(path: str | Path | None = None) -> HandModel:
-    """The default hand, or one stored in the format of ``hand.npz``."""
-    return HandModel.from_arrays(read_arrays(asset("hand", "hand.npz")) if path is None else read_hand(path))
+    """The default hand (one object, however many others are loaded), or one stored in the format of ``hand.npz``."""
+    return _default_hand() if path is None else _stored_hand(path)
+
+
+@lru_cache(maxsize=1)
+def _default_hand() -> HandModel:
+    return HandModel.from_arrays(read_arrays(asset("hand", "hand.npz")))
 
 
 @lru_cache(maxsize=4)
+def _stored_hand(path: str | Path) -> HandModel:
+    return HandModel.from_arrays(read_hand(path))
+
+
 def load_hand_set(path: str | Path | None = None, model: HandModel | None = None) -> HandSet:
     """The 400 receiving postures, or those of a file, on a hand (default: :func:`load_hand`).
 
     ``digest`` is sha256 over the arrays' bytes and, for another than the default hand, over the hand.
     """
-    a = read_arrays(asset("hand", "handset.npz")) if path is None else read_hand_set(path)
     hand = load_hand() if model is None else model
-    if hand is not load_hand() or path is not None:
-        return make_hand_set(hand, a["pose"], a["shape"], a["side"], a["posture"].tolist())
+    return _default_hand_set() if path is None and hand is load_hand() else _other_hand_set(path, hand)
+
+
+@lru_cache(maxsize=4)
+def _other_hand_set(path: str | Path | None, hand: HandModel) -> HandSet:
+    a = read_arrays(asset("hand", "handset.npz")) if path is None else read_hand_set(path)
+    return make_hand_set(hand, a["pose"], a["shape"], a["side"], a["posture"].tolist())
+
+
+@lru_cache(maxsize=1)
+def _default_hand_set() -> HandSet:
+    a = read_arrays(asset("hand", "handset.npz"))
     return HandSet(
         pose=torch.from_numpy(a["pose"]),
         shape=torch.from_numpy(a["shape"]),
@@ -335,7 +352,7 @@ def load_hand_set(path: str | Path | None = None, model: HandModel | None = None
         hull_vertex_ids=torch.from_numpy(a["hull_vertex_ids"]),
         hull_offsets=torch.from_numpy(a["hull_offsets"]),
         digest=arrays_digest(a),
-        model=hand,
+        model=load_hand(),
     )
 
 

@@ -4,6 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -51,28 +52,7 @@ def write_trials(
     for i in chosen:
         files[f"objects/{objects[i].name}.npz"] = _object_arrays(objects[i], candidates[i])
     digest = trials_digest(planned, objects=objects)
-    header = {
-        "format": 1,
-        "protocol": benchmark.protocol,
-        "trials": {s: int((planned.trial_id % 2 == SPLITS.index(s)).sum()) for s in SPLITS if s in splits},
-        "digests": {
-            "trials": digest,
-            "benchmark": benchmark.digest,
-            "objects": object_digest(objects),
-            "hand_set": hand_set.digest,
-        },
-        "thresholds": asdict(benchmark.thresholds),
-        "workplace": asdict(benchmark.workplace),
-        "objects": [
-            {
-                "object_index": i,
-                "name": objects[i].name,
-                "split": objects[i].split,
-                "instruction": objects[i].instruction,
-            }
-            for i in chosen
-        ],
-    }
+    header = _header(benchmark, planned, splits, chosen, digest)
     (folder / "objects").mkdir(parents=True)
     for name, arrays in files.items():
         np.savez_compressed(folder / name, **{k: v for k, (v, _) in arrays.items()})  # type: ignore[arg-type]
@@ -83,11 +63,39 @@ def write_trials(
     manifest = {**header, "arrays": described}
     (folder / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
     sizes = [] if benchmark.listed is not None else [f"--trials {trials}"]
-    sweep = " ".join(["--splits", *manifest["trials"], *sizes, *flags])
+    sweep = " ".join(["--splits", *(s for s in SPLITS if s in splits), *sizes, *flags])
     (folder / "README.md").write_text(_readme(manifest, sweep))
     if open_formats:
         write_open(folder / "open", benchmark, planned, f"r2h-batch sweep --predictions mine.csv {sweep}")
     return digest
+
+
+def _header(
+    benchmark: Benchmark, planned: Trials, splits: Sequence[str], chosen: Sequence[int], digest: str
+) -> dict[str, Any]:
+    """What the manifest says before the arrays."""
+    return {
+        "format": 1,
+        "protocol": benchmark.protocol,
+        "trials": {s: int((planned.trial_id % 2 == SPLITS.index(s)).sum()) for s in SPLITS if s in splits},
+        "digests": {
+            "trials": digest,
+            "benchmark": benchmark.digest,
+            "objects": object_digest(benchmark.objects),
+            "hand_set": benchmark.hand_set.digest,
+        },
+        "thresholds": asdict(benchmark.thresholds),
+        "workplace": asdict(benchmark.workplace),
+        "objects": [
+            {
+                "object_index": i,
+                "name": benchmark.objects[i].name,
+                "split": benchmark.objects[i].split,
+                "instruction": benchmark.objects[i].instruction,
+            }
+            for i in chosen
+        ],
+    }
 
 
 def _hand_arrays(hands: HandSet) -> Arrays:
