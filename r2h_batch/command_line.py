@@ -170,14 +170,20 @@ def _flags(command: Command) -> list[str]:
         names = [f.name for f in fields(command)]
     else:
         keywords = [p for p in inspect.signature(command).parameters.values() if p.kind is p.KEYWORD_ONLY]
-        names = [_name(p) for p in keywords]
-    return ["--" + name.replace("_", "-") for name in names]
+        names = [name for p in keywords for name in (_name(p), *_aliases(p))]
+    return ["--" + name.removeprefix("--").replace("_", "-") for name in names]
 
 
 def _name(parameter: inspect.Parameter) -> str:
     """A flag's name: the parameter's, or what `tyro.conf.arg(name=...)` says (--from cannot be a parameter)."""
     said = (getattr(m, "name", None) for m in getattr(parameter.annotation, "__metadata__", ()))
     return next((name for name in said if isinstance(name, str)), parameter.name)
+
+
+def _aliases(parameter: inspect.Parameter) -> list[str]:
+    """A flag's other names, as `tyro.conf.arg(aliases=...)` says them (--methods for --method)."""
+    metadata = getattr(parameter.annotation, "__metadata__", ())
+    return [name for m in metadata for name in getattr(m, "aliases", None) or ()]
 
 
 def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:

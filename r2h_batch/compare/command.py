@@ -4,45 +4,64 @@ import contextlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 from r2h_batch.command_line import call, refuse
+from r2h_batch.compare.shipped import BASELINES, FOLDERS, baselines_for
 
 if TYPE_CHECKING:
     from r2h_batch.results.reading import Run
 
 
 def run(
-    runs: tuple[Path, ...], /, *, seed: int = 0, format: Literal["md", "json"] = "md", method: tuple[str, ...] = ()
+    runs: tuple[Path, ...],
+    /,
+    *,
+    seed: int = 0,
+    format: Literal["md", "latex", "csv", "json"] = "md",
+    method: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--methods"])] = (),
 ) -> int:
     """Compare all methods of run folders on the trials that they share.
 
     Args:
-        runs: run folders, as `python -m r2h_batch.sweep --out` writes them; one with several methods is enough.
+        runs: run folders, as `python -m r2h_batch.sweep --out` writes them; one with several methods is enough. baselines: the
+            built-in methods' rows, which ship with the package. Runs of different size are compared where they overlap.
         seed: of the bootstrap.
-        format: md or json.
+        format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
     """
-    import json
-    from dataclasses import asdict
-
     from r2h_batch.compare.text import render
     from r2h_batch.results.reading import load_run
+    from r2h_batch.statistics.common import common_trials
     from r2h_batch.statistics.paired import compare, pair_up
 
     try:
         if not runs:
             raise ValueError("no run folder is given; one with several methods is enough")
-        stored = [load_run(r) for r in runs]
-        comparisons = compare(pair_up(_chosen(stored, method) if method else stored), seed=seed)
+        own = {r: load_run(r) for r in runs if not _is_shipped(r)}
+        like = next(iter(own.values())).header if own else None
+        stored = [own[r] if r in own else load_run(baselines_for(like)) for r in runs]
+        stored = _chosen(stored, method) if method else stored
+        common = common_trials(stored, proven=FOLDERS)
+        comparisons = compare(pair_up(stored, common), seed=seed)
     except (ValueError, OSError) as error:
         return refuse("compare", error)
-    if format == "md":
-        sys.stdout.write(render(comparisons))
-    else:
-        records = [{**asdict(c), "rank": None if c.rank is None else c.rank.tolist()} for c in comparisons]
-        print(json.dumps(records, indent=1, allow_nan=False))
+    header = stored[0].header
+    origin = {
+        "runs": ", ".join(BASELINES if r.folder in FOLDERS else r.folder.name for r in stored),
+        "protocol": str(header["protocol"]),
+        "trials": ", ".join(f"{n} {split}" for split, n in common.trials.items()),
+        "r2h_batch": str(header["versions"]["r2h_batch"]),
+    }
+    sys.stdout.write(render(comparisons, format, origin=origin, notes=common.notes))
     return 0
+
+
+def _is_shipped(folder: Path) -> bool:
+    """Whether the word for the shipped baselines is meant, and no folder of that name is here."""
+    return str(folder) == BASELINES and not folder.exists()
 
 
 def _chosen(runs: "list[Run]", words: Sequence[str]) -> "list[Run]":

@@ -14,6 +14,8 @@ def run(
     *,
     format: Literal["md", "latex", "csv", "json", "html"] = "md",
     by_object: bool = False,
+    columns: Literal[1, 2] = 2,
+    intervals: bool = False,
     order: str = "",
     method: tuple[str, ...] = (),
 ) -> int:
@@ -22,7 +24,9 @@ def run(
     Args:
         run: a run folder, as `python -m r2h_batch.sweep --out` writes it.
         format: md, latex, csv or json; html: one page with charts and a search over trials, no network needed.
-        by_object: each object's rates and the criteria that fail together, instead of Table I.
+        by_object: each object's rates instead of Table I; in md also the criteria that fail together. The html page has both.
+        columns: latex: all of Table I over both columns of a page (2), or each split's SR in one (1).
+        intervals: latex: 95 % intervals below the rates; the other formats have them anyway.
         order: look for the first failure in another order, such as reach,plan (the others follow).
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
     """
@@ -33,19 +37,20 @@ def run(
         stored = load_run(run).only(method)
         if not stored.methods:
             raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
-        if by_object:
-            from r2h_batch.report.objects import object_lines
-
-            text = object_lines(stored)
-        elif format == "html":
+        if format == "html":
             from r2h_batch.report.page import page
 
             text = page(stored)
+        elif by_object:
+            from r2h_batch.report.objects import object_lines
+
+            text = object_lines(stored, format)
         else:
             from r2h_batch.report.table import render, table_of
             from r2h_batch.statistics.breakdown import parse_order
 
-            text = render(table_of(stored, parse_order(order) if order else CRITERIA), format)
+            table = table_of(stored, parse_order(order) if order else CRITERIA)
+            text = render(table, format, columns=columns, intervals=intervals)
     except (ValueError, OSError) as error:
         return refuse("report", error)
     sys.stdout.write(text)

@@ -1,135 +1,203 @@
-"""A run as one HTML page that needs no network: tables, charts, choices and versions, and a search over trials."""
+"""A run as one HTML page that needs no network: who is better, on which objects, why not, and every trial to search.
 
-import html
+jinja2 writes the page (page.html, escaping whatever comes from files), matplotlib draws (figures.py).
+"""
+
 import json
-from collections.abc import Mapping, Sequence
-from importlib import resources
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from r2h_batch.report import charts
-from r2h_batch.report.table import BEST_NOTE, FOOTNOTES, HEADINGS, Table, best_cells, cell, table_of
-from r2h_batch.report.text import NA
+from r2h_batch.report import figures
+from r2h_batch.report.cells import BEST_NOTE, FOOTNOTES, HEADINGS, Table, best_cells, cell
+from r2h_batch.report.table import table_of
+from r2h_batch.report.text import NA, short_names
 from r2h_batch.results.reading import Run
+from r2h_batch.results.rows import OUTCOME_NAMES
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import RATES, Row
+from r2h_batch.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA
 
 TRIALS_SHOWN = 20_000
 """Trials of all methods together that a page carries; above, the first of each outcome stand for the others."""
 
-
-def page(run: Run) -> str:
-    """The page as text."""
-    methods = [tally(run, m, by_object=True) for m in run.methods]
-    table = table_of(run, counted=methods)
-    body = [
-        f"<h1>{_text(run.folder.resolve().name)}</h1>",
-        f"<p class=origin>{' &middot; '.join(f'{_text(k)} <b>{_text(v)}</b>' for k, v in table.origin.items())}</p>",
-        _section("Table I", _table(table), "".join(f"<li>{_text(n)}</li>" for n in (*FOOTNOTES, BEST_NOTE))),
-        _section(
-            "Failures by method",
-            charts.outcome_bars([(f"{r.split}  {r.method}", r.counts) for r in _split_rows(table)]),
-        ),
-        *(_by_object(v) for v in methods),
-        _section(
-            "Margins",
-            _margins(run),
-            "<li>Positive: the criterion passes. Margins outside the range count in the outermost bins;"
-            " a Plan without a path has none.</li>",
-        ),
-        _section(
-            "Times",
-            _times(run),
-            "<li>T_plan is amortised (batch wall time / B): it is the same for all trials of a batch.</li>",
-        ),
-        _section("Criteria that fail together", "".join(map(_co_failures, methods))),
-        _search(run),
-        _section("Choices and versions", _facts(run.header)),
-    ]
-    template = resources.files("r2h_batch.report").joinpath("page.html").read_text(encoding="utf-8")
-    return template.replace("{{title}}", _text(run.folder.resolve().name)).replace("{{body}}", "\n".join(body))
+MARKS = {"better": "\u25b2", "better here": "\u25b3", "tied": "=", "worse here": "\u25bd", "worse": "\u25bc"}
+"""A verdict of `compare` as one sign."""
 
 
-def _text(value: object) -> str:
-    return html.escape(str(value))
+def page(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = None) -> str:
+    """The page as text; `gallery`: method -> pictures with `src`, `alt`, `caption` and perhaps `href`."""
+    import jinja2
 
-
-def _section(title: str, content: str, notes: str = "") -> str:
-    return f"<section><h2>{_text(title)}</h2>{content}{f'<ul class=notes>{notes}</ul>' if notes else ''}</section>"
-
-
-def _split_rows(table: Table) -> list[Row]:
-    return [row for row in table.rows if row.split != "Avg"]
-
-
-def _grid(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) -> str:
-    """An HTML table; cells are HTML already."""
-    head = "".join(f"<th>{_text(h)}</th>" for h in headings)
-    body = "".join(
-        "<tr>" + "".join(f"<td{' class=l' if i < left else ''}>{c}</td>" for i, c in enumerate(line)) + "</tr>"
-        for line in lines
+    figures.needs_matplotlib()
+    counted = [tally(run, m, by_object=True) for m in run.methods]
+    table = table_of(run, counted=counted)
+    short = short_names(run.methods)
+    compared = compare(pair_up([run])) if len(run.methods) > 1 else ()
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("r2h_batch.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
     )
-    return f"<div class=scroll><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    return environment.get_template("page.html").render(
+        title=run.folder.resolve().name,
+        origin=table.origin,
+        short=short,
+        overview=_overview(table, compared),
+        splits=list(dict.fromkeys(row.split for row in table.rows)),
+        matrices=[_matrix(c) for c in compared],
+        heat=_heat(counted, run.methods),
+        failures=[figures.failure_bars(short[m], _bars(table, m)) for m in run.methods],
+        legend=[(figures.WORDS[o], figures.COLORS[o]) for o in _used(table)],
+        margins=_margins(run, short),
+        times=_times(run, short),
+        co_failures=_co_failures(counted, short),
+        gallery=gallery or {},
+        table=_table(table),
+        headings=list(HEADINGS.values()),
+        notes=[*FOOTNOTES, BEST_NOTE],
+        facts=list(_facts(run.header)),
+        trials=_trials(run),
+    )
 
 
-def _table(table: Table) -> str:
+def _split_rows(table: Table, method: str) -> list[Row]:
+    return [row for row in table.rows if row.method == method]
+
+
+def _bars(table: Table, method: str) -> list[tuple[str, Mapping[str, int]]]:
+    return [(row.split, row.counts) for row in _split_rows(table, method) if row.split != "Avg"]
+
+
+def _used(table: Table) -> list[str]:
+    return [o for o in OUTCOME_NAMES if any(row.counts[o] for row in table.rows)]
+
+
+def _rate(row: Row | None, column: str, best: bool = False) -> dict[str, Any]:
+    rate = None if row is None else row.rates[column]
+    if rate is None:
+        return {"text": NA, "value": -1, "low": "", "high": "", "best": False}
+    return {
+        "text": f"{rate.percent:.1f}",
+        "value": round(rate.percent, 4),
+        "low": f"{rate.low:.1f}",
+        "high": f"{rate.high:.1f}",
+        "best": best,
+    }
+
+
+def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, Any]]:
+    """A line a method: SR of each split with its interval, the rank among new objects, the last split's failures."""
     best = best_cells(table)
+    lines = []
+    for method in dict.fromkeys(row.method for row in table.rows):
+        rows = _split_rows(table, method)
+        last = rows[-1]
+        lines.append(
+            {
+                "method": method,
+                "sr": [_rate(r, "sr", (r.split, method, "sr") in best) for r in rows],
+                "rank": _rank(compared[-1], method) if compared else None,
+                "failures": [_rate(last, c) for c in RATES if c.startswith("f_")],
+                "t_exec": {"text": cell(last, "t_exec_s"), "value": last.times["t_exec_s"].value or -1},
+            }
+        )
+    return lines
 
-    def value(row: Row, column: str) -> str:
-        text = cell(row, column)
-        text = f"<b>{text}</b>" if (row.split, row.method, column) in best else text
-        rate = row.rates.get(column) if column in RATES else None
-        return text + (f"<small>{rate.low:.1f}&ndash;{rate.high:.1f}</small>" if rate else "")
 
+def _rank(c: Comparison, method: str) -> dict[str, Any]:
+    """The mean rank over objects drawn again, and the ranks that hold at least one draw in twenty."""
+    share = None if c.rank is None else c.rank[c.names.index(method)]
+    if share is None:
+        return {"text": NA, "value": len(c.names)}
+    likely = [i + 1 for i in np.flatnonzero(share >= 0.05).tolist()]
+    text = str(likely[0]) if len(likely) == 1 else f"{likely[0]}\u2013{likely[-1]}" if likely else NA
+    return {"text": text, "value": round(float((share * np.arange(1, len(share) + 1)).sum()), 4)}
+
+
+def _matrix(c: Comparison) -> dict[str, Any]:
+    """Who is better than whom: a sign and words for each ordered pair of methods."""
+    turned = {"better": "worse", "better here": "worse here", "worse": "better", "worse here": "better here"}
+    words = {}
+    for p in c.pairs:
+        ends = "" if p.low is None or p.high is None else f", 95 % for new objects {p.low:+.1f} to {p.high:+.1f}"
+        said = f"{p.difference:+.1f} points{ends}; only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p.p_holm:.2g}"
+        words[p.a, p.b] = (MARKS[p.verdict], f"{p.a} is {p.verdict}: {said}")
+        words[p.b, p.a] = (MARKS[turned.get(p.verdict, "tied")], f"{p.a} is {p.verdict}: {said}")
+    lines = [(a, [words.get((a, b), ("", "")) for b in c.names]) for a in c.names]
+    return {"group": c.group, "n": c.n, "names": c.names, "lines": lines}
+
+
+def _heat(counted: Sequence[Tally], methods: Sequence[str]) -> list[dict[str, Any]]:
+    """SR of each object (lines) and method."""
+    cells = {(row.split, name, row.method): row for t in counted for name, row in breakdown.by_object(t)}
+    places = dict.fromkeys((split, name) for split, name, _ in cells)
+    return [
+        {
+            "split": split,
+            "object": name.replace("_", " "),
+            "n": max((cells[k].n for k in cells if k[:2] == (split, name)), default=0),
+            "cells": [_rate(cells.get((split, name, m)), "sr") for m in methods],
+        }
+        for split, name in sorted(places)
+    ]
+
+
+def _margins(run: Run, short: Mapping[str, str]) -> list[str]:
+    found = {m: breakdown.margin_histograms(run, m) for m in run.methods}
+    drawn = (
+        figures.ridges(c.capitalize(), {short[m]: h[c] for m, h in found.items()}, scale=1000, unit="mm", zero=True)
+        for c in CRITERIA
+    )
+    return [figure for figure in drawn if figure]
+
+
+def _times(run: Run, short: Mapping[str, str]) -> str:
+    found = breakdown.time_histograms(run, "t_exec_s")
+    return figures.ridges("T_exec", {short[m]: h for m, h in found.items()}, scale=1.0, unit="s") if found else ""
+
+
+def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dict[str, Any]]:
+    """The pairs of criteria that some trial of a method fails together, and nothing where there is none."""
+    lines = []
+    for t in counted:
+        found = breakdown.co_failures(t)
+        for i, a in enumerate(CRITERIA):
+            for j, b in list(enumerate(CRITERIA))[i + 1 :]:
+                if n := int(found.failed[i, j]):
+                    both = int(found.evaluated[i, j])
+                    lines.append({"method": short[t.method], "a": a, "b": b, "n": n, "of": both})
+    return lines
+
+
+def _table(table: Table) -> list[dict[str, Any]]:
+    """Every cell of Table I, with intervals where there are some."""
+    best = best_cells(table)
     lines = []
     for row in table.rows:
+        cells = []
+        for column in HEADINGS:
+            if column in RATES:
+                cells.append(_rate(row, column, (row.split, row.method, column) in best))
+            else:
+                value = row.times[column].value
+                cells.append(
+                    {"text": cell(row, column), "value": -1 if value is None else value, "low": "", "best": False}
+                )
         new = row.sr_new_objects
-        extra = [
-            f"{new.low:.1f}&ndash;{new.high:.1f}" if new else NA,
-            str(row.n),
-            str(row.counts["invalid_input"] + row.counts["invalid_sim"]),
-            str(row.counts["missing"]),
-        ]
-        lines.append([row.split, _text(row.method), *(value(row, c) for c in HEADINGS), *extra])
-    return _grid(["Split", "Method", *HEADINGS.values(), "SR, new objects", "N", "invalid", "missing"], lines, 2)
+        more = {
+            "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
+            "n": row.n,
+            "invalid": row.counts["invalid_input"] + row.counts["invalid_sim"],
+            "missing": row.counts["missing"],
+        }
+        lines.append({"split": row.split, "method": row.method, "cells": cells, **more})
+    return lines
 
 
-def _by_object(v: Tally) -> str:
-    bars = [(f"{row.split}  {name}", row.counts) for name, row in breakdown.by_object(v)]
-    return _section(f"Failures by object: {v.method}", charts.outcome_bars(bars))
-
-
-def _margins(run: Run) -> str:
-    found = {m: breakdown.margin_histograms(run, m) for m in run.methods}
-    parts = []
-    for c in CRITERIA:
-        series = {m: h[c] for m, h in found.items()}
-        parts.append(charts.histograms(f"{c.capitalize()} margin", series, scale=1000, unit="mm", zero=True))
-    return f"<div class=charts>{''.join(parts)}</div>"
-
-
-def _times(run: Run) -> str:
-    parts = []
-    for name, title, scale, unit in (("t_exec_s", "T_exec", 1.0, "s"), ("t_plan_s", "T_plan", 1000.0, "ms")):
-        if found := breakdown.time_histograms(run, name):
-            parts.append(charts.histograms(title, found, scale=scale, unit=unit))
-    return f"<div class=charts>{''.join(parts)}</div>"
-
-
-def _co_failures(v: Tally) -> str:
-    found = breakdown.co_failures(v)
-    lines = [
-        [c, *(f"{f}<small>of {e}</small>" if e else NA for f, e in zip(found.failed[i], found.evaluated[i]))]
-        for i, c in enumerate(CRITERIA)
-    ]
-    return f"<h3>{_text(v.method)}</h3>" + _grid(["fails with", *CRITERIA], lines, 1)
-
-
-def _search(run: Run) -> str:
-    """The trials as columns of one JSON block, which the page's script filters."""
+def _trials(run: Run) -> dict[str, Any]:
+    """The trials as columns of one JSON block, which the page's script filters; `notes` say which methods are cut."""
     each = max(1, TRIALS_SHOWN // len(run.methods))
     data: dict[str, Any] = {"columns": list(breakdown.SHOWN), "methods": {}}
     notes = []
@@ -137,14 +205,10 @@ def _search(run: Run) -> str:
         table, total = breakdown.examples(run, method, each)
         data["methods"][method] = [_column(table[c].to_pylist()) for c in breakdown.SHOWN]
         if len(table) < total:
-            notes.append(f"<li>{_text(method)}: {len(table)} of {total} trials, the first of each outcome.</li>")
+            notes.append(f"{method}: {len(table)} of {total} trials, the first of each outcome.")
     # a "</script>" in a method's name would end the block
     block = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    return _section(
-        "Trials",
-        f'<div id=search></div><script type="application/json" id=trials>{block}</script>',
-        "".join(notes),
-    )
+    return {"block": block, "notes": notes}
 
 
 def _column(values: list[Any]) -> list[Any]:
@@ -153,25 +217,25 @@ def _column(values: list[Any]) -> list[Any]:
     return values
 
 
-def _facts(header: Mapping[str, Any]) -> str:
-    lines: list[tuple[str, str]] = []
+SAID = (
+    *("protocol", "trials", "seed", "configuration", "digests", "objects", "versions", "device", "platform"),
+    *("git_commit", "command", "created", "stored", "shard_trials", "hash"),
+)
+"""Fields of run.json in the order in which a page shows them."""
 
-    def walk(prefix: str, value: Any) -> None:
+
+def _facts(header: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Fields of run.json with dotted names, as text."""
+
+    def walk(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
         if isinstance(value, dict):
             for key, inner in value.items():
-                walk(f"{prefix}.{key}" if prefix else key, inner)
+                yield from walk(f"{prefix}.{key}" if prefix else key, inner)
         elif isinstance(value, list) and any(isinstance(v, dict) for v in value):
-            walk(prefix, ", ".join(f"{v.get('name')} ({v.get('split')})" for v in value))
+            yield prefix, ", ".join(f"{v.get('name')} ({v.get('split')})" for v in value)
         else:
-            text = " ".join(map(str, value)) if isinstance(value, list) else str(value)
-            lines.append((prefix, text))
+            yield prefix, " ".join(map(str, value)) if isinstance(value, list) else str(value)
 
-    for key in ("protocol", "trials", "seed", "configuration", "digests", "objects", "versions", "device", "platform"):
-        if key in header:
-            walk(key, header[key])
-    for key in ("git_commit", "command", "created", "stored", "shard_trials", "hash"):
+    for key in SAID:
         if header.get(key) is not None:
-            walk(key, header[key])
-    rows = [[_text(k), f"<code>{_text(v)}</code>"] for k, v in lines]
-    note = "<p>What each choice means and why it was made: docs/choices.md of the project.</p>"
-    return note + _grid(["field of run.json", "value"], rows, 2)
+            yield from walk(key, header[key])

@@ -1,13 +1,14 @@
 """Which method is better, decided on the same trials: McNemar, Holm, intervals and ranks over objects drawn again."""
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from r2h_batch.results.reading import Run
+from r2h_batch.statistics.common import Common, common_trials
 from r2h_batch.statistics.tally import Verdicts, verdicts
 from r2h_batch.verdicts import SPLITS, Outcome
 
@@ -15,9 +16,6 @@ ALPHA = 0.05
 DRAWS = 10_000
 PIECE = 65_536
 """Trials of all methods that are looked at together."""
-
-SAME = ("protocol", "trials", "digests", "configuration")
-"""Fields of run.json that must agree: else two methods were not asked, or not judged, the same."""
 
 
 class Paired:
@@ -102,27 +100,19 @@ def holm(p: Sequence[float]) -> np.ndarray:
     return adjusted
 
 
-def pair_up(runs: Sequence[Run]) -> Paired:
-    """All methods of the runs, paired on the trial id; an error where runs were not asked the same."""
-    first = runs[0]
-    for run in runs[1:]:
-        for key in SAME:
-            mine, other = first.header.get(key), run.header.get(key)
-            if mine != other:
-                what = key
-                if isinstance(mine, dict) and isinstance(other, dict):
-                    what += f" ({', '.join(k for k in mine if mine[k] != other.get(k))})"
-                raise ValueError(
-                    f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired;"
-                    " sweep both methods with the same version and options"
-                )
+def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
+    """All methods of the runs, paired on the trial id; an error where runs were not asked the same.
+
+    `common`: what they share, where it was looked for already.
+    """
+    common = common or common_trials(runs)
     names, streams = [], []
     for run in runs:
         if run.unfinished:
             raise ValueError(f"{run.folder}: {run.unfinished[0]!r} is not complete; run its sweep again to go on")
         for method in run.methods:
             names.append(f"{run.folder.name}/{method}" if method in names else method)
-            streams.append(_Stream(run, method))
+            streams.append(_Stream(run, method, common.trials))
     if len(names) < 2:
         raise ValueError(f"one method ({', '.join(names) or 'none'}) is nothing to compare; give a second run")
     if len(set(names)) != len(names):
@@ -138,10 +128,20 @@ def pair_up(runs: Sequence[Run]) -> Paired:
 class _Stream:
     """A method's verdicts shard by shard, and the names of the objects met so far."""
 
-    def __init__(self, run: Run, method: str) -> None:
+    def __init__(self, run: Run, method: str, trials: Mapping[str, int]) -> None:
         self.run, self.method = run, method
         self.objects: list[str] = []
-        self.rows = verdicts(run, method, self.objects)
+        rows = verdicts(run, method, self.objects)
+        self.rows = rows if run.header["trials"] == trials else _first(rows, trials)
+
+
+def _first(rows: Iterator[Verdicts], trials: Mapping[str, int]) -> Iterator[Verdicts]:
+    """The first so many trials of each split: their ids count them (r2h_batch.turns)."""
+    planned = np.array([trials.get(s, 0) for s in SPLITS])
+    for piece in rows:
+        kept = piece.trial_id // len(SPLITS) < planned[piece.split]
+        if kept.any():
+            yield piece.where(kept)
 
 
 def _together(streams: Sequence[Iterator[Verdicts]]) -> Iterator[list[Verdicts]]:

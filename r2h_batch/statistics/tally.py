@@ -54,6 +54,10 @@ class Verdicts:
         """Rows first..last-1."""
         return Verdicts(*(getattr(self, column.name)[first:last] for column in fields(self)))
 
+    def where(self, kept: np.ndarray) -> "Verdicts":
+        """The rows that the mask (N,) keeps."""
+        return Verdicts(*(getattr(self, column.name)[kept] for column in fields(self)))
+
 
 class Sum:
     """Sum and number of float32 values that come in pieces: for any pieces the bits of one sum over all of them.

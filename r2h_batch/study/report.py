@@ -226,8 +226,9 @@ def rating_report(path: Path) -> str:
 
 def box_plot(summaries: Mapping[tuple[str, str], Summary]) -> str:
     """The paper's Fig. 7 as SVG: boxes from Q1 to Q3, medians, means as diamonds, whiskers at the extremes."""
-    from r2h_batch.report.charts import box_plots
+    from r2h_batch.report.figures import box_plots, needs_matplotlib
 
+    needs_matplotlib()
     methods = list(dict.fromkeys(m for m, _ in summaries))
     dimensions = list(dict.fromkeys(d for _, d in summaries))
     return box_plots({m: {d: summaries[m, d] for d in dimensions if (m, d) in summaries} for m in methods})

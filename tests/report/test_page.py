@@ -10,9 +10,11 @@ import pytest
 from made_runs import paper_run, table_1, write_run
 from needs import CHROMIUM, needs
 
-from r2h_batch.report import charts, page
+from r2h_batch.report import figures, page
 from r2h_batch.report.text import NA
+from r2h_batch.results.rows import OUTCOME_NAMES
 from r2h_batch.statistics import breakdown
+from r2h_batch.statistics.paired import compare, pair_up
 from r2h_batch.types import CRITERIA
 
 
@@ -20,6 +22,9 @@ from r2h_batch.types import CRITERIA
 def paper(tmp_path_factory):
     run = paper_run(tmp_path_factory.mktemp("page") / "paper")
     return run, page.page(run)
+
+
+FETCHING = ("src", "href", "xlink:href", "data", "action", "srcset")
 
 
 class Outside(html.parser.HTMLParser):
@@ -30,14 +35,17 @@ class Outside(html.parser.HTMLParser):
         self.found, self.open = [], []
 
     def handle_starttag(self, tag, attributes):
-        self.found += [v for k, v in attributes if k in ("src", "href", "data", "action", "srcset")]
-        if tag not in ("meta", "br", "rect", "path"):
+        self.found += [v for k, v in attributes if k in FETCHING and not str(v).startswith("#")]
+        if tag not in ("meta", "br", "input", "img"):
             self.open.append(tag)
 
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        if tag not in ("meta", "br", "input", "img"):
+            self.open.pop()
+
     def handle_endtag(self, tag):
-        if tag not in ("rect", "path", "title"):
-            while self.open.pop() != tag:
-                pass
+        assert self.open.pop() == tag
 
 
 def test_the_page_fetches_nothing(paper):
@@ -45,16 +53,16 @@ def test_the_page_fetches_nothing(paper):
     parser = Outside()
     parser.feed(text)
     assert parser.found == []
-    assert not re.search(r"url\(|@import|https?://(?!www\.w3\.org/2000/svg)", text)
+    assert not re.search(r"url\((?!#)|@import|https?://(?!www\.w3\.org/2000/svg)", text)
     assert "default-src 'none'" in text
 
 
 def test_the_page_holds_every_cell_of_table_1(paper):
     _, text = paper
-    rows = re.findall(r"<tr><td class=l>(S0|S1|Avg)</td><td class=l>(.*?)</td>(.*?)</tr>", text)
+    rows = re.findall(r"<tr><td[^>]*>(S0|S1|Avg)</td><td class=l>(.*?)</td>(.*?)</tr>", text.partition("id=full")[2])
     found = {}
     for split, method, cells in rows:
-        plain = [re.sub(r"<small>.*?</small>|</?b>", "", c) for c in re.findall(r"<td>(.*?)</td>", cells)]
+        plain = [re.sub(r"<small>.*?</small>|</?b>", "", c) for c in re.findall(r"<td[^>]*>(.*?)</td>", cells)]
         found[split, method] = plain[:9]
     names = ("sr", "t_plan_s", "t_exec_s", "t_tot_s", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
     assert found == {(r["split"], r["method"]): [r[n] or NA for n in names] for r in table_1()}
@@ -93,10 +101,14 @@ def test_names_cannot_break_out_of_the_page(tmp_path):
 
 
 def test_bars_are_as_long_as_the_shares_and_name_them():
-    text = charts.outcome_bars([("x", dict.fromkeys(charts.OUTCOME_NAMES, 0) | {"success": 3, "plan": 1})])
-    widths = [float(w) for w in re.findall(r'<rect [^>]*width="([\d.]+)"', text)]
-    assert widths == [0.75 * charts.BAR, 0.25 * charts.BAR]
-    assert "plan 1 of 4 (25.0 %)" in text and "75.0 %  n=4" in text
+    counts = dict.fromkeys(OUTCOME_NAMES, 0) | {"success": 3, "plan": 1}
+    figure = figures.failure_figure({"x": [("S0", counts), ("S1", counts | {"success": 0})]})
+    (axes,) = figure.axes
+    widths = [round(p.get_width()) for p in axes.patches]
+    assert widths == [75, 0, 25, 100]  # success of both splits, then Plan's
+    assert [t.get_text() for t in figure.legends[0].get_texts()] == ["success", "plan"]
+    text = figures.failure_bars("a <method> $x$", [("S0", counts)])
+    assert 'aria-label="a &lt;method&gt; $x$. S0: success 3, plan 1"' in text and "&lt;method&gt; $x$" in text
 
 
 def test_margin_histograms_count_every_finite_margin_once(paper):
@@ -135,3 +147,39 @@ def test_the_search_works_in_a_browser(paper, tmp_path):
     assert f"{expected} of 1000 trials; margins in mm" in shown
     rows = shown.partition('<div id="search">')[2].partition("<script")[0].count("<tr>")
     assert rows == expected + 1
+
+
+def test_a_page_says_who_is_better_on_which_object_and_shows_only_what_is_there(paper, tmp_path):
+    run, text = paper
+    compared = compare(pair_up([run]))[-1]
+    pair = next(p for p in compared.pairs if p.verdict == "better")
+    assert f"{pair.a} is better: {pair.difference:+.1f} points" in text
+    assert text.count("<svg") == len(run.methods) + 6  # outcomes of each method; five margins, T_exec
+    assert len(re.findall(r'class=h data-v="[\d.]+"', text)) == 6 * len(run.methods)
+    assert "Criteria that fail together" in text and len(text) < 5 << 20
+    assert re.search(r"<b>\d", text.partition("id=full")[2]) and "<b>8.5" not in text  # rates may be bold, times never
+    alone = page.page(write_run(tmp_path / "run", {"m": np.zeros(8, int)}, 4, 4))
+    assert "Criteria that fail together" not in alone and "id=significance" not in alone and "<b>100" not in alone
+    pictures = {"m": [{"src": "data:image/png;base64,AA==", "alt": "<x>", "caption": "trial 3", "href": "t.html"}]}
+    shown = page.page(run, pictures)
+    assert 'alt="&lt;x&gt;"' in shown and '<a href="t.html"' in shown and "<h2>Gallery</h2>" in shown
+
+
+@needs("chromium")
+def test_nothing_makes_the_page_wider_than_its_window(tmp_path):
+    """Six methods with long names; a table that does not fit scrolls in itself."""
+    codes = np.array([0, 1, 2, 3, 5])
+    names = {
+        f"Method-{k} (a network, built-in contacts + noise)": codes[np.arange(240) % (k + 2) % 5] for k in range(6)
+    }
+    text = page.page(write_run(tmp_path / "run", names, 120, 120))
+    # a headless window is at least 500 wide: for a phone the document is made narrower than its window of one column
+    probe = """<script>document.title = [390, 1040].map(w => {
+        document.documentElement.style.width = w + "px";
+        return w + ":" + document.body.scrollWidth; }).join(" ")</script></body>"""
+    (tmp_path / "page.html").write_text(text.replace("</body>", probe), encoding="utf-8")
+    assert CHROMIUM
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000", "--window-size=1040,900"]
+    line = [CHROMIUM, *flags, "--dump-dom", f"--user-data-dir={tmp_path}/profile", f"file://{tmp_path}/page.html"]
+    shown = subprocess.run(line, capture_output=True, text=True, timeout=120, check=True).stdout
+    assert "<title>390:390 1040:1040</title>" in shown

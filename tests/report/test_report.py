@@ -14,6 +14,7 @@ import pytest
 from made_runs import paper_run, table_1, write_run
 
 from r2h_batch.report import table as report
+from r2h_batch.report import text as text_of
 from r2h_batch.report.command import run as main
 from r2h_batch.statistics.aggregate import RATES, Mean
 from r2h_batch.statistics.breakdown import parse_order
@@ -52,35 +53,6 @@ def test_markdown_gives_back_every_cell_of_table_1_in_its_order(paper, expected)
     assert heading == ["Split", "Method", *report.HEADINGS.values()]
     assert {(r[0], r[1]): r[2:] for r in rows} == expected
     assert [(r[0], r[1]) for r in rows] == list(expected)
-
-
-def test_latex_gives_back_every_cell_of_table_1(paper, expected):
-    text = report.render(paper, "latex")
-    split, found = "", {}
-    for line in text.splitlines():
-        cells = [c.strip() for c in line.removesuffix(r" \\").split("&")]
-        if len(cells) == 11 and cells[0] != "Split":
-            split = cells[0] or split
-            found[split, cells[1]] = [re.sub(r"\\textbf\{(.*?)\}", r"\1", c).partition(" ")[0] for c in cells[2:]]
-    assert found == expected
-    assert text.count(r"\midrule") == 3 and r"\toprule" in text and r"\bottomrule" in text
-    assert text.count("{") == text.count("}")
-
-
-def test_latex_marks_the_best_value_of_each_split_and_column_and_says_what_that_means(paper):
-    text = report.render(paper, "latex")
-    bold, split = {}, ""
-    for line in text.splitlines():
-        cells = [c.strip() for c in line.removesuffix(r" \\").split("&")]
-        if len(cells) == 11 and cells[0] != "Split":
-            split = cells[0] or split
-            for column, text_of in zip(COLUMNS, cells[2:]):
-                if r"\textbf{" in text_of:
-                    bold.setdefault((split, column), []).append(cells[1])
-    assert bold["S0", "sr"] == ["Contact-Handover"] and bold["S1", "sr"] == ["Intent-Handover"]
-    assert bold["S0", "f_reach"] == ["FC-Handover"] and bold["S1", "f_stab"] == ["Handover-VA"]
-    assert ("S0", "f_afford") not in bold
-    assert report.BEST_NOTE.split(":")[0] in text
 
 
 def test_csv_gives_back_every_cell_of_table_1(paper, expected):
@@ -133,27 +105,43 @@ def test_markdown_names_preset_protocol_digest_counts_and_denominators(paper):
         assert part in text
     counts = md_tables(text)[2]
     assert counts[0][:3] == ["Split", "Method", "N"]
+    assert f"r2h-batch compare {paper.folder} " in text and "r2h-batch results verify" in text
     assert counts[1][2] == "500" and counts[-1][2] == "1000"
     for note in report.FOOTNOTES:
         assert note in " ".join(text.replace("\n- ", "\n").split())
+    alone = report.render(replace(paper, rows=paper.rows[:1]), "md")
+    assert f"r2h-batch compare {paper.folder} baselines" in alone
 
 
 @pytest.mark.parametrize("name", ["oracle", "Contact-Handover (oracle hand)"])
-def test_markdown_is_aligned_ascii_and_fits_a_terminal_of_120_columns(paper, name):
+def test_markdown_is_aligned_ascii_and_fits_a_terminal_of_100_columns(paper, name):
     rows = tuple(replace(row, method=name) for row in paper.rows)
-    text = report.render(replace(paper, rows=rows), "md")
+    text = report.render(replace(paper, rows=rows, folder=""), "md")
     assert text.isascii()
-    assert max(map(len, text.splitlines())) <= 120
+    assert max(map(len, text.splitlines())) <= 100
     for block in re.split(r"\n\n", text):
         assert len({len(line) for line in block.splitlines() if "|" in line}) <= 1
-    assert {(r[0], r[1]) for r in md_tables(text)[0][1:]} == {(r.split, name) for r in rows}
+    short = name.partition(" (")[0]
+    assert {(r[0], r[1]) for r in md_tables(text)[0][1:]} == {(r.split, short) for r in rows}
+    assert (f"- {short}: {name}" in text) == (short != name)
+
+
+def test_short_names_fit_differ_and_say_what_they_stand_for():
+    names = ["Contact (VoxNet)", "Contact (the truth)", "a very long name of one", "a very long name, or one", "random"]
+    short = text_of.short_names(names)
+    assert len(set(short.values())) == len(names) and max(map(len, short.values())) <= 16
+    assert short["random"] == "random" and short["Contact (VoxNet)"] == "Contact"
+    assert text_of.short_names([f"a very long method {i}" for i in range(40)])["a very long method 39"]
+    assert text_of.legend(short)[0] == "Contact: Contact (VoxNet)" and len(text_of.legend(short)) == 4
+    many = {f"{'x' * 30}{i}": i for i in range(300)}
+    assert len(set(text_of.short_names(list(many)).values())) == 300
 
 
 def test_names_with_special_characters_are_escaped(paper):
     row = replace(paper.rows[0], method="50%_a|b & {c}")
     table = replace(paper, rows=(row,))
     assert md_tables(report.render(table, "md"))[0][1][1] == r"50%_a\|b & {c}"
-    assert r"50\%\_a|b \& \{c\}" in report.render(table, "latex")
+    assert r"50\%\_a\textbar{}b \& \{c\}" in report.render(table, "latex")
     assert next(csv.DictReader(io.StringIO(report.render(table, "csv"))))["method"] == row.method
 
 
@@ -231,6 +219,28 @@ def test_by_object_prints_a_line_for_each_and_which_criteria_fail_together(tmp_p
     assert [r[1] for r in first[1:]] == ["bowl", "cup", "eyeglasses", "hammer", "knife", "scissors"]
     assert all(r[3] == "5" for r in first[1:]) and len(pairs) == 2
     assert pairs[0][3][1] == "5/15" and pairs[0][1][4] == "n/a"  # reach with stability; affordance in S0
+
+
+def test_by_object_obeys_the_format(tmp_path, capsys):
+    names = {"m (with a network)": np.array([0, 1, 2, 3, 5, 1] * 5), "n": np.zeros(30, int)}
+    run = write_run(tmp_path / "run", names, 15, 15)
+    assert main(run.folder, by_object=True) == 0
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= 100 and "- m: m (with a network)" in text
+    assert main(run.folder, by_object=True, format="csv") == 0
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert [(r["object"], r["method"]) for r in rows[:2]] == [
+        ("bowl", "m (with a network)"),
+        ("cup", "m (with a network)"),
+    ]
+    assert {r["n"] for r in rows} == {"5"} and len(rows) == 12
+    assert main(run.folder, by_object=True, format="json") == 0
+    assert [r["sr"] for r in json.loads(capsys.readouterr().out)["rows"]] == [float(r["sr"]) for r in rows]
+    assert main(run.folder, by_object=True, format="latex") == 0
+    latex = capsys.readouterr().out
+    assert r"& eyeglasses & 5 & 0.0 & 100.0 \\" in latex and r"\rotatebox{60}{m}" in latex
+    assert main(run.folder, format="latex", columns=1) == 0
+    assert r"Method & {S0} & {S1} & {Avg} \\" in capsys.readouterr().out
 
 
 def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):

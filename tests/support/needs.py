@@ -55,6 +55,14 @@ def _can_netns() -> bool:
     return made
 
 
+def _has_latex() -> bool:
+    """pdflatex with booktabs and siunitx: a small TeX Live has the first alone."""
+    if not (shutil.which("pdflatex") and shutil.which("kpsewhich")):
+        return False
+    styles = ["kpsewhich", "booktabs.sty", "siunitx.sty", "graphicx.sty"]
+    return subprocess.run(styles, capture_output=True, check=False).stdout.count(b"\n") == 3
+
+
 def _module(name: str, extra: str) -> Want:
     return Want(
         f"the package {name}", f"pip install -e '.[{extra}]', as `make test` does", lambda: bool(find_spec(name))
@@ -67,6 +75,11 @@ WANTS = {
         "a GL library that draws without a screen",
         "install OSMesa or EGL (Debian: apt-get install libosmesa6 libegl1) and set MUJOCO_GL=osmesa or egl",
         _can_render,
+    ),
+    "latex": Want(
+        "LaTeX with siunitx",
+        "install TeX Live (Debian: apt-get install texlive-latex-recommended texlive-science)",
+        _has_latex,
     ),
     "gpu": Want("a GPU", "a machine with an NVIDIA GPU and its driver, and `python -m pytest -m gpu`", _sees_a_gpu),
     "h5py": _module("h5py", "import"),

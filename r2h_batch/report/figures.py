@@ -1,0 +1,245 @@
+"""Figures of counted rows, drawn by matplotlib: as SVG for a page that may be light or dark, or as PDF and PNG for print."""
+
+import io
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from r2h_batch.results.rows import OUTCOME_NAMES
+from r2h_batch.statistics.breakdown import Histogram
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = [
+    "COLORS",
+    "WORDS",
+    "Box",
+    "box_plots",
+    "failure_bars",
+    "failure_figure",
+    "needs_matplotlib",
+    "ridges",
+    "style",
+    "svg",
+]
+
+COLORS = {
+    "success": "#009e73",
+    "stability": "#e69f00",
+    "plan": "#0072b2",
+    "reach": "#56b4e9",
+    "affordance": "#cc79a7",
+    "safe": "#d55e00",
+    "invalid_input": "#8c8c8c",
+    "invalid_sim": "#5a5a5a",
+    "missing": "#c8c8c8",
+}
+"""Okabe and Ito's palette, told apart by the colour-blind too: one colour an outcome wherever it appears."""
+
+WORDS = {name: name.replace("_", " ") for name in OUTCOME_NAMES}
+
+INK, FAINT, RIDGE = "#010203", "#040506", "#040507"
+"""Stand for the page's colours of text, rules and bars: `svg` puts those in their place."""
+
+LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5a5a", "#000000")
+
+
+def needs_matplotlib() -> None:
+    """Raises `ValueError` with what to install where matplotlib is missing."""
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None:
+        raise ValueError("figures need matplotlib: pip install 'r2h_batch[report]'")
+
+
+@contextmanager
+def style(*, page: bool) -> Iterator[None]:
+    """matplotlib's settings for figures of a page, or of a paper; names from files are never read as mathematics."""
+    import matplotlib
+
+    ink, faint = (INK, FAINT) if page else ("#000000", "#cccccc")
+    settings: Any = {
+        "font.size": 9,
+        "font.family": ["DejaVu Sans"],
+        "svg.fonttype": "none",
+        "svg.hashsalt": "r2h_batch",
+        "pdf.fonttype": 42,
+        "text.parse_math": False,
+        "text.color": ink,
+        "axes.labelcolor": ink,
+        "axes.edgecolor": faint,
+        "axes.titlecolor": ink,
+        "axes.titlesize": 10,
+        "axes.titlelocation": "left",
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "xtick.color": ink,
+        "ytick.color": ink,
+        "grid.color": faint,
+    }
+    with matplotlib.rc_context(settings):
+        yield
+
+
+def _figure(width: float, height: float) -> "Figure":
+    """A figure without a window system: inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def svg(figure: "Figure", title: str) -> str:
+    """The figure as one <svg> element in the page's colours, as wide as its place; `title`: for who does not see it."""
+    from html import escape
+
+    text = io.StringIO()
+    figure.savefig(text, format="svg", transparent=True, bbox_inches="tight", pad_inches=0.03, metadata={"Date": None})
+    found = text.getvalue()
+    body = found[found.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
+    body = re.sub(r'<g id="[^"]*"', "<g", body)  # several figures of one page would share them
+    body = body.replace(INK, "currentColor").replace(FAINT, "var(--rule)").replace(RIDGE, "var(--bar)")
+    label = f'role="img" aria-label="{escape(title, quote=True)}"'
+    return re.sub(
+        r'<svg[^>]*?(viewBox="[^"]*")[^>]*>', rf'<svg xmlns="http://www.w3.org/2000/svg" \1 {label}>', body, count=1
+    )
+
+
+def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> list[str]:
+    """A stacked bar of 100 % per (label, counts by outcome); the outcomes that occur."""
+    used = [o for o in OUTCOME_NAMES if any(counts[o] for _, counts in bars)]
+    totals = np.array([max(sum(counts.values()), 1) for _, counts in bars], float)
+    left = np.zeros(len(bars))
+    for outcome in used:
+        share = 100 * np.array([counts[outcome] for _, counts in bars]) / totals
+        axes.barh(range(len(bars)), share, left=left, height=0.7, color=COLORS[outcome], label=WORDS[outcome])
+        for row, (x, width) in enumerate(zip(left, share, strict=True)):
+            if width >= 9:
+                axes.text(x + width / 2, row, f"{width:.0f}", ha="center", va="center", color="#ffffff", fontsize=8)
+        left += share
+    axes.set_yticks(range(len(bars)), [label for label, _ in bars])
+    axes.set_ylim(len(bars) - 0.5, -0.5)
+    axes.set_xlim(0, 100)
+    axes.tick_params(length=0)
+    axes.set_xticks([0, 50, 100], ["0", "50", "100 %"])
+    axes.spines["left"].set_visible(False)
+    return used
+
+
+def failure_bars(title: str, bars: Sequence[tuple[str, Mapping[str, int]]]) -> str:
+    """One small multiple: a method's outcomes by split, as SVG; the legend belongs to all of them."""
+    with style(page=True):
+        figure = _figure(3.4, 0.55 + 0.24 * len(bars))
+        axes = figure.add_subplot()
+        _bars(axes, bars)
+        axes.set_title(title)
+        words = "; ".join(
+            f"{label}: " + ", ".join(f"{WORDS[o]} {n}" for o, n in counts.items() if n) for label, counts in bars
+        )
+        return svg(figure, f"{title}. {words}")
+
+
+def failure_figure(methods: Mapping[str, Sequence[tuple[str, Mapping[str, int]]]]) -> "Figure":
+    """All small multiples with their one legend, for print."""
+    columns = min(3, len(methods))
+    rows = -(-len(methods) // columns)
+    figure = _figure(2.35 * columns, 0.5 + rows * (0.6 + 0.22 * max(len(b) for b in methods.values())))
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
+    used: list[str] = []
+    for place, (name, bars) in zip(axes, methods.items(), strict=False):
+        used += _bars(place, bars)
+        place.set_title(name)
+    for place in axes[len(methods) :]:
+        place.set_visible(False)
+    shown = [o for o in OUTCOME_NAMES if o in used]
+    from matplotlib.patches import Patch
+
+    patches = [Patch(color=COLORS[o], label=WORDS[o]) for o in shown]
+    figure.legend(handles=patches, loc="outside lower center", ncols=min(len(shown), 6), frameon=False)
+    return figure
+
+
+def ridges(title: str, series: Mapping[str, Histogram], *, scale: float, unit: str, zero: bool = False) -> str:
+    """One ridge a method over one axis, each scaled to its own highest bin, as SVG; `zero` marks 0."""
+    known = {name: h for name, h in series.items() if h.counts.sum()}
+    if not known:
+        return ""
+    with style(page=True):
+        figure = _figure(3.4, 0.75 + 0.34 * len(known))
+        axes = figure.add_subplot()
+        for row, (_, h) in enumerate(known.items()):
+            x = scale * (h.edges[:-1] + h.edges[1:]) / 2
+            height = 0.85 * h.counts / h.counts.max()
+            axes.fill_between(x, row, row - height, step="mid", color=RIDGE, alpha=0.75, linewidth=0)
+            axes.axhline(row, color=FAINT, linewidth=0.6, zorder=0)
+        if zero:
+            axes.axvline(0, color=INK, linewidth=0.8, linestyle=(0, (3, 3)))
+        axes.set_yticks(range(len(known)), list(known))
+        axes.set_ylim(len(known) - 0.8, -1.0)
+        axes.tick_params(axis="y", length=0)
+        axes.spines["left"].set_visible(False)
+        axes.set_xlabel(unit)
+        axes.set_title(title)
+        counted = ", ".join(f"{name} {int(h.counts.sum())} trials" for name, h in known.items())
+        return svg(figure, f"{title}: {counted}")
+
+
+class Box(Protocol):
+    """What a box of a box plot shows."""
+
+    @property
+    def mean(self) -> float: ...
+    @property
+    def median(self) -> float: ...
+    @property
+    def q1(self) -> float: ...
+    @property
+    def q3(self) -> float: ...
+    @property
+    def min(self) -> float: ...
+    @property
+    def max(self) -> float: ...
+
+
+def box_plots(groups: Mapping[str, Mapping[str, Box]]) -> str:
+    """Boxes of ratings from 1 to 5 as an SVG file: one group a method, one colour a dimension, dotted at the midpoint 3."""
+    from matplotlib.patches import Patch
+
+    names = list(dict.fromkeys(d for boxes in groups.values() for d in boxes))
+    text = io.StringIO()
+    with style(page=False):
+        figure = _figure(1.2 + 0.45 * len(groups) * (len(names) + 1), 3.4)
+        axes = figure.add_subplot()
+        axes.axhline(3, color="#444444", linestyle=(0, (2, 3)), linewidth=0.8)
+        for g, boxes in enumerate(groups.values()):
+            for k, name in enumerate(names):
+                if name not in boxes:
+                    continue
+                box, color = boxes[name], LINES[k % len(LINES)]
+                stats = {"med": box.median, "q1": box.q1, "q3": box.q3, "whislo": box.min, "whishi": box.max}
+                drawn = axes.bxp(
+                    [{**stats, "mean": box.mean, "fliers": []}],
+                    positions=[g * (len(names) + 1) + k],
+                    widths=0.6,
+                    showmeans=True,
+                    patch_artist=True,
+                    boxprops={"facecolor": color + "33", "edgecolor": color},
+                    medianprops={"color": color, "linewidth": 2},
+                    meanprops={"marker": "D", "markerfacecolor": "white", "markeredgecolor": color, "markersize": 5},
+                    whiskerprops={"color": color},
+                    capprops={"color": color},
+                )
+                drawn["boxes"][0].set_gid(f"box-{g}-{k}")
+        middle = [g * (len(names) + 1) + (len(names) - 1) / 2 for g in range(len(groups))]
+        axes.set_xticks(middle, list(groups))
+        axes.set_ylim(0.8, 5.2)
+        axes.set_yticks(range(1, 6))
+        patches = [Patch(color=LINES[k % len(LINES)], label=name) for k, name in enumerate(names)]
+        figure.legend(handles=patches, loc="outside lower center", ncols=max(len(names), 1), frameon=False)
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()

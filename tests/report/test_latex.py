@@ -1,0 +1,111 @@
+"""Tables for print: the paper's numbers cell by cell, and a page on which nothing sticks out."""
+
+import re
+import subprocess
+from dataclasses import replace
+
+import pytest
+from made_runs import paper_run, table_1
+from needs import needs
+
+from r2h_batch.compare.text import render as render_comparison
+from r2h_batch.report import table as report
+from r2h_batch.report.objects import object_lines
+from r2h_batch.statistics.paired import compare, pair_up
+
+COLUMNS = list(report.HEADINGS)
+DOCUMENT = r"""\documentclass[10pt,twocolumn]{article}
+\usepackage[letterpaper,textwidth=516pt,columnsep=12pt,textheight=680pt]{geometry}
+\usepackage{booktabs,siunitx,graphicx}
+\begin{document}
+WIDE
+NARROW
+\end{document}
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    return paper_run(tmp_path_factory.mktemp("latex") / "paper")
+
+
+@pytest.fixture(scope="module")
+def paper(run):
+    return report.table_of(run)
+
+
+def cells_of(text):
+    """(split, method) -> cells of the wide table, without braces and bold."""
+    split, found = "", {}
+    for line in text.splitlines():
+        cells = [re.sub(r"\\bfseries |[{}]", "", c.strip()) for c in line.removesuffix(r" \\").split(" & ")]
+        if len(cells) == 11 and cells[1] and cells[1] != "Method":
+            split = cells[0] or split
+            found[split, cells[1]] = cells[2:]
+    return found
+
+
+def test_the_wide_table_gives_back_every_cell_of_table_1(paper):
+    text = report.render(paper, "latex")
+    assert cells_of(text) == {(r["split"], r["method"]): [r[c] or "n/a" for c in COLUMNS] for r in table_1()}
+    assert text.count(r"\midrule") == 3 and text.count("{") == text.count("}")
+    first = text.partition(r"\begin{tabular}")[0]
+    assert all(line.startswith("% ") for line in first.splitlines())  # provenance is there, and not on the page
+    assert "% protocol: made" in first and "% trials digest: 0123456789abcdef" in first
+    assert "% S0 FC-Handover: N 500" in first and r"\usepackage{booktabs,siunitx}" in first
+
+
+def test_the_narrow_table_gives_back_every_success_rate(paper):
+    lines = report.render(paper, "latex", columns=1, intervals=True).splitlines()
+    rows = [
+        re.sub(r"\\bfseries ", "", line).removesuffix(r" \\").split(" & ") for line in lines if line.endswith(r"\\")
+    ]
+    found = {(s, r[0]): c for r in rows[2:] for s, c in zip(("S0", "S1", "Avg"), r[1:])}
+    assert found == {(r["split"], r["method"]): r["sr"] for r in table_1()}
+    assert sum("scriptsize" in line for line in lines) == len(rows) - 2
+    with pytest.raises(ValueError, match="--columns is 3"):
+        report.render(paper, "latex", columns=3)
+
+
+def test_the_best_rates_of_a_split_are_bold_and_no_time_ever_is(paper):
+    bold, split = {}, ""
+    for line in report.render(paper, "latex").splitlines():
+        cells = [c.strip() for c in line.removesuffix(r" \\").split(" & ")]
+        if len(cells) == 11 and cells[1] not in ("", "Method"):
+            split = cells[0] or split
+            for column, text in zip(COLUMNS, cells[2:]):
+                if r"\bfseries" in text:
+                    bold.setdefault((split, column), []).append(cells[1])
+    assert bold["S0", "sr"] == ["Contact-Handover"] and bold["S1", "sr"] == ["Intent-Handover"]
+    assert bold["S0", "f_reach"] == ["FC-Handover"] and bold["S1", "f_stab"] == ["Handover-VA"]
+    assert ("S0", "f_afford") not in bold
+    assert {c for _, c in bold} <= {"sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford"}
+
+
+def test_a_comment_ends_no_comment(paper):
+    evil = replace(paper, origin={"preset": "a\n\\input{/etc/passwd}\r% b"})
+    first = report.render(evil, "latex").partition(r"\begin{tabular}")[0]
+    assert all(line.startswith("% ") for line in first.splitlines())
+
+
+@needs("latex")
+def test_all_tables_compile_and_fit_their_columns(run, paper, tmp_path):
+    name = r"50%_a|b & {c} \d^~<#$>"
+    rows = tuple(replace(row, method=name if row.method == "FC-Handover" else row.method) for row in paper.rows)
+    hostile = replace(paper, rows=rows)
+    pairs = render_comparison(compare(pair_up([run]), draws=200), "latex", origin=paper.origin)
+    wide = [report.render(hostile, "latex", intervals=i) for i in (False, True)] + [object_lines(run, "latex"), pairs]
+    narrow = [report.render(hostile, "latex", columns=1, intervals=i) for i in (False, True)]
+    parts = {}
+    for word, tables, kind in (("WIDE", wide, "table*"), ("NARROW", narrow, "table")):
+        parts[word] = "".join(rf"\begin{{{kind}}}[p]\centering" + f"\n{t}\\end{{{kind}}}\n" for t in tables)
+    text = DOCUMENT.replace("WIDE", parts["WIDE"]).replace("NARROW", parts["NARROW"])
+    (tmp_path / "doc.tex").write_text(text, encoding="utf-8")
+    line = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "-no-shell-escape", "doc.tex"]
+    done = subprocess.run(
+        line, cwd=tmp_path, capture_output=True, text=True, errors="replace", timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stdout[-2000:]
+    log = (tmp_path / "doc.log").read_text(errors="replace")
+    assert "Overfull" not in log and "Missing character" not in log, log[-2000:]
+    assert (tmp_path / "doc.pdf").stat().st_size > 20_000

@@ -1,0 +1,103 @@
+"""The shipped rows of the built-in methods: whole, as the present code judges them, and comparable with a run of any size."""
+
+import csv
+import io
+
+import numpy as np
+import pytest
+import torch
+from made_runs import make_header, make_scores, make_trials
+
+from r2h_batch.compare.command import main as compare
+from r2h_batch.compare.shipped import FOLDERS, baselines_for
+from r2h_batch.rejudge.again import Judge, rejudge
+from r2h_batch.results.reading import load_run
+from r2h_batch.results.rows import TrialNames, score_rows
+from r2h_batch.results.writing import open_run
+from r2h_batch.statistics.common import common_trials
+from r2h_batch.statistics.paired import pair_up
+from r2h_batch.sweep.command import main as sweep
+from r2h_batch.sweep.options import METHODS
+from r2h_batch.turns import PROTOCOL, trial_ids
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)
+def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
+    run = load_run(folder)
+    assert run.header["trials"] == {"S0": 500, "S1": 500} and not run.unfinished
+    assert {e["source"]["function"] for e in run.entries} == {
+        f"r2h_batch.methods.{m.replace('-', '_')}:predict" for m in METHODS
+    }
+    assert baselines_for(run.header) == folder
+
+
+def rejudged(n, methods):
+    run = load_run(FOLDERS[0])
+    judge = Judge(run)
+    judge.other = judge.other or ("code",)  # the digest of the code changes with every comment
+    return [d for m in methods(run) for d in rejudge(run, m, n, judge, seed=n).differences]
+
+
+def test_a_sample_of_the_shipped_rows_is_judged_the_same_by_this_code():
+    assert list(map(str, rejudged(4, lambda run: run.methods))) == []
+
+
+@pytest.mark.slow
+def test_all_shipped_rows_are_judged_the_same_by_this_code():
+    assert list(map(str, rejudged(1000, lambda run: run.methods))) == []
+
+
+def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_path, capsys, monkeypatch):
+    line = ["--method", "random", "--trials", "12", "--sim", "none", "--out", str(tmp_path / "mine")]
+    assert sweep(line) == 0
+    capsys.readouterr()
+    monkeypatch.chdir(tmp_path)
+    assert compare([str(tmp_path / "mine"), "baselines", "--methods", "random", "oracle", "--format", "csv"]) == 0
+    rows = {(r["group"], r["a"], r["b"]): r for r in csv.DictReader(io.StringIO(capsys.readouterr().out))}
+    own = rows["all", "random", "baselines_as_planned/random"]
+    assert own["n"] == "24" and (own["only_a"], own["only_b"], own["p_holm"]) == ("0", "0", "1.0")  # the same method
+    assert rows["S0", "random", "oracle"]["n"] == "12" and float(rows["S0", "random", "oracle"]["difference"]) < 0
+    assert compare([str(tmp_path / "mine"), "baselines"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "the first 12 S0, 12 S1, which all of them hold" in text
+    with pytest.raises(ValueError, match=r"differ in digests \(code\)|differ in configuration"):
+        mine, shipped = load_run(tmp_path / "mine"), load_run(FOLDERS[1])
+        mine.header["digests"]["code"] = "another"
+        common_trials([mine, shipped])
+
+
+def test_runs_of_different_size_are_compared_on_the_trials_that_both_hold(tmp_path):
+    same = {"protocol": PROTOCOL, "digests": {"trials": "t", "objects": "o", "hand_set": "h"}}
+    objects = [{"name": n, "split": s, "built_in": True} for s, n in (("S0", "bowl"), ("S1", "knife"))]
+    runs = [write_protocol_run(tmp_path / str(n), n, m, {**same, "objects": objects}) for m, n in (("a", 9), ("b", 5))]
+    common = common_trials(runs)
+    assert dict(common.trials) == {"S0": 5, "S1": 5} and "first 5 S0, 5 S1" in common.notes[0]
+    paired = pair_up(runs, common)
+    success = [np.array(r.trials(r.methods[0])["outcome"].to_pylist()) == "success" for r in runs]
+    kept = np.r_[0:5, 9:14]
+    assert int(paired.only.sum(0)[0, 1]) == int((success[0][kept] & ~success[1]).sum())
+    assert int(paired.trials.sum()) == 10
+    with pytest.raises(ValueError, match=r"differ in digests \(objects\)"):
+        other = {**same, "digests": {**same["digests"], "objects": "x"}, "objects": objects}
+        common_trials([runs[0], write_protocol_run(tmp_path / "x", 5, "c", other)])
+    with pytest.raises(ValueError, match="share no split"):
+        one = write_protocol_run(tmp_path / "one", 5, "c", {**same, "objects": objects}, s1=0)
+        common_trials([one, write_protocol_run(tmp_path / "two", 0, "d", {**same, "objects": objects}, s1=5)])
+
+
+def write_protocol_run(folder, n, method, header, s1=None):
+    """A made run whose ids are the protocol's: 2 i in S0, 2 i + 1 in S1."""
+    m = n if s1 is None else s1
+    names = TrialNames(objects=("bowl", "knife"), object_splits=("S0", "S1"), hand_sides=("right", "left"))
+    trials = make_trials(n, m)
+    scores = make_scores(trials, np.random.default_rng(len(method) + n).choice([0, 2], n + m))
+    ids = torch.from_numpy(trial_ids({"S0": n, "S1": m}, 0, n + m))
+    trials.trial_id[:] = ids  # the scores' too
+    trials.object_index[:] = (ids % 2).int()
+    trials.hand_index[:] = (ids // 2 % 2).int()
+    run = open_run(folder, make_header(n, m, **header))
+    run.register(method, {"kind": "test"})
+    for shard in run.todo(method):
+        with run.write(method, shard) as writer:
+            writer.append(trials=score_rows(trials, scores, names))
+    return load_run(folder)
