@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: help demo test lint check quick-tests golden baselines assets bench lock licences audit gpu clean
+.PHONY: help demo test lint check quick-tests golden baselines docs assets bench lock licences audit gpu clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -41,6 +41,10 @@ $(SETUP): pyproject.toml constraints.txt
 $(VENV)/.installed-test: $(SETUP)
 	$(BIN)/python -m pip install -q -c constraints.txt -e '.[test]'
 	touch $@
+
+docs: $(SETUP)  ## the documentation as a site, build/site/index.html: strict, without network
+	$(BIN)/python -c 'import mkdocs, mkdocstrings' 2>/dev/null || $(BIN)/python -m pip install -q -c constraints.txt -e '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict -q
 
 assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its scripts
 	$(BIN)/python -m r2h_batch.assets.robot.build_robot

@@ -116,7 +116,7 @@ def licences() -> str:
             "## Bundled data",
             "",
             "All of it was made by the scripts beside it and is licensed as the rest of the project, Apache-2.0",
-            "([sources](../assets/SOURCES.md)).",
+            "(`assets/SOURCES.md`).",
             "",
             *data,
             "",

@@ -88,6 +88,7 @@ WANTS = {
     ),
     "netns": Want("network namespaces", "Linux, as root, with iproute2 (ip netns)", _can_netns),
     "ray": _module("ray", "ray"),
+    "mkdocs": _module("mkdocs", "docs"),
     "rtree": _module("rtree", "test"),
     "importlinter": _module("importlinter", "test"),
     "setuptools": _module("setuptools", "test"),

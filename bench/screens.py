@@ -1,0 +1,56 @@
+"""Pictures of what a run's report looks like, for the docs: docs/report.png (Chromium) and docs/latex.png (pdflatex).
+
+python -m bench.screens RUN [--out docs]        # a run of the six built-in methods, 500 trials of each split
+"""
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from r2h_batch.report.page import page
+from r2h_batch.report.table import render, table_of
+from r2h_batch.results.reading import load_run
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENT = r"""\documentclass[10pt]{article}
+\usepackage[paperwidth=536pt,paperheight=300pt,margin=10pt]{geometry}
+\usepackage{booktabs,siunitx}\pagestyle{empty}\begin{document}\noindent
+TABLE
+\end{document}
+"""
+
+
+def screenshot(html: Path, png: Path, width: int, height: int) -> None:
+    """The page as headless Chromium shows it."""
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        sys.exit("screens: no browser; install chromium")
+    flags = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=4000"]
+    with tempfile.TemporaryDirectory() as profile:
+        line = [browser, *flags, f"--user-data-dir={profile}", f"--window-size={width},{height}"]
+        subprocess.run([*line, f"--screenshot={png}", html.as_uri()], check=True, capture_output=True, timeout=120)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs")
+    given = parser.parse_args()
+    run = load_run(given.run)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        (folder / "page.html").write_text(page(run), encoding="utf-8")
+        screenshot(folder / "page.html", (given.out / "report.png").resolve(), 1280, 1262)
+        table = render(table_of(run), "latex", intervals=False)
+        (folder / "doc.tex").write_text(DOCUMENT.replace("TABLE", table), encoding="utf-8")
+        line = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "doc.tex"]
+        subprocess.run(line, cwd=folder, check=True, capture_output=True, timeout=120)
+        crop = ["pdftoppm", "-r", "130", "-png", "-singlefile", "doc.pdf", str((given.out / "latex").resolve())]
+        subprocess.run(crop, cwd=folder, check=True, timeout=120)
+
+
+if __name__ == "__main__":
+    main()
