@@ -28,6 +28,15 @@ __all__ = [
 ]
 
 
+def in_one_copy(tensors: Sequence[Tensor]) -> list[Tensor]:
+    """The tensors on the CPU: packed as bytes where they are, copied once, and views of that copy here; no gradients."""
+    by_size = sorted(range(len(tensors)), key=lambda i: -tensors[i].element_size())  # views need aligned offsets
+    flat = [tensors[i].detach().contiguous().view(-1).view(torch.uint8) for i in by_size]
+    parts = torch.cat(flat).cpu().split([len(f) for f in flat])
+    copied = [p.view(tensors[i].dtype).view(tensors[i].shape) for i, p in zip(by_size, parts, strict=True)]
+    return [copied[by_size.index(i)] for i in range(len(tensors))]
+
+
 @dataclass(frozen=True)
 class _Rows:
     """Rows of several tensors with one leading size: ``len``, selection and ``to``."""
@@ -51,8 +60,12 @@ class _Rows:
         return replace(self, **{name: value[rows] for name, value in self._tensors().items()})
 
     def to(self, device: str | torch.device) -> Self:
-        """The same rows on another device."""
-        return replace(self, **{name: value.to(device) for name, value in self._tensors().items()})
+        """The same rows on another device; from a GPU to the CPU in one copy, for which the host waits once."""
+        tensors = self._tensors()
+        here = {value.device.type for value in tensors.values()}
+        if torch.device(device).type == "cpu" and here - {"cpu"}:
+            return replace(self, **dict(zip(tensors, in_one_copy(list(tensors.values())), strict=True)))
+        return replace(self, **{name: value.to(device) for name, value in tensors.items()})
 
     def clone(self) -> Self:
         """The same rows in memory of their own, without history: whoever gets them may write there."""

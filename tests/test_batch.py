@@ -9,7 +9,7 @@ from problems import Batch, assert_same, default_evaluator, make_batch
 
 from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.types import Outcome, Scores
+from r2h_batch.types import Outcome, Scores, in_one_copy
 
 SIZE = 66
 
@@ -145,3 +145,14 @@ def test_two_thousand_rows_agree_with_small_batches_other_chunks_and_one_bad_row
     assert_same(s[:2048], whole)
     keep = torch.arange(2048) != 77
     assert_same(s[2048:][keep], whole[keep])
+
+
+@pytest.mark.parametrize("rows", [0, 1, 7])
+def test_tensors_packed_for_one_copy_come_back_as_they_were(rows):
+    """What takes scores from a GPU; the packing itself runs anywhere."""
+    part = reference()[torch.arange(rows)]
+    tensors = [getattr(part, f.name) for f in fields(part) if isinstance(getattr(part, f.name), torch.Tensor)]
+    tensors.append(torch.arange(2 * rows, dtype=torch.float64).reshape(rows, 2).T)  # not contiguous
+    for mine, theirs in zip(in_one_copy(tensors), tensors, strict=True):
+        assert mine.dtype == theirs.dtype and mine.shape == theirs.shape
+        assert mine.contiguous().numpy().tobytes() == theirs.contiguous().numpy().tobytes()

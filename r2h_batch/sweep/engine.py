@@ -128,6 +128,7 @@ def _score_chunk(job: Job, trials: Trials, rows: torch.Tensor | None, setting: S
         answers = job.predict(part, None if rows is None else rows[answered]).to(setting.evaluator.scene.device)
         keep = "paths" in setting.header["stored"]
         scores = setting.evaluator.score(answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep)
+        part, answers, scores = part.to("cpu"), answers.to("cpu"), scores.to("cpu")  # one copy each from a GPU
         scored = score_rows(part, scores, names, answers.t_method_s)
         if (scores.outcome == int(Outcome.INVALID_SIM)).any():
             tables["failures"] = failure_rows(part, answers, scores, names)
