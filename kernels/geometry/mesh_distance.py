@@ -24,3 +24,22 @@ def signed_distance(
     else:
         distance_out[i] = reach
         closest_out[i] = p
+
+
+@wp.kernel
+def nearest_face(
+    mesh: wp.uint64,
+    reach: wp.float32,
+    points_in: wp.array(dtype=wp.vec3),
+    distance_out: wp.array(dtype=wp.float32),
+    face_out: wp.array(dtype=wp.int32),
+):
+    """distance_out: without a sign; +reach and face -1 where nothing is nearer than that."""
+    i = wp.tid()
+    p = points_in[i]
+    distance_out[i] = reach
+    face_out[i] = -1
+    query = wp.mesh_query_point_no_sign(mesh, p, reach)
+    if query.result:
+        distance_out[i] = wp.length(p - wp.mesh_eval_position(mesh, query.face, query.u, query.v))
+        face_out[i] = query.face

@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from r2h_batch.bodies.mesh_limits import MOST_BODIES, THINNEST_M, Budget, ObjectMeshError
 from r2h_batch.bodies.solid import signed_distance
 
-__all__ = ["bodies_apart", "bodies_of", "body_volumes", "check_bodies", "listed"]
+__all__ = ["bodies_apart", "bodies_of", "body_volumes", "check_bodies", "listed", "thickness"]
 
 
 def bodies_of(mesh: trimesh.Trimesh) -> NDArray[np.int64]:
@@ -27,20 +27,27 @@ def body_volumes(mesh: trimesh.Trimesh) -> list[tuple[float, float]]:
 
 
 def check_bodies(mesh: trimesh.Trimesh, label: str) -> None:
-    """Refuse a cloud of triangles, and closed bodies that are thinner than distances can be trusted."""
+    """Refuse a cloud of triangles, and objects of nothing but closed sheets thinner than distances can be trusted."""
     volumes = body_volumes(mesh)
     if len(volumes) > MOST_BODIES:
         raise ObjectMeshError(
             f"{label}: {len(mesh.faces)} faces in {len(volumes)} bodies that do not touch; at most {MOST_BODIES} are "
             "allowed: join them into one surface in a modelling tool"
         )
-    for volume, area in volumes:
-        thickness = 2 * abs(volume) / area if area > 0 else 0.0
-        if 2e-5 < thickness < THINNEST_M and mesh.is_watertight and mesh.is_winding_consistent:
+    thin = [(thickness(v, a), a) for v, a in volumes if thickness(v, a) < THINNEST_M]
+    if len(thin) < len(volumes) or not (mesh.is_watertight and mesh.is_winding_consistent):
+        return  # beside others they are rebuilt as plates
+    for thick, area in thin:
+        if thick > 2e-5:
             raise ObjectMeshError(
-                f"{label}: a closed sheet of {area / 2:.2g} m^2 is {thickness * 1e3:.2g} mm thick on average; at least "
+                f"{label}: a closed sheet of {area / 2:.2g} m^2 is {thick * 1e3:.2g} mm thick on average; at least "
                 f"{THINNEST_M * 1e3:g} mm are needed: give it its thickness in a modelling tool"
             )
+
+
+def thickness(volume: float, area: float) -> float:
+    """Mean thickness (m) of a closed sheet."""
+    return 2 * abs(volume) / area if area > 0 else 0.0
 
 
 def bodies_apart(mesh: trimesh.Trimesh, budget: Budget) -> list[float]:

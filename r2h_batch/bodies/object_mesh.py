@@ -1,49 +1,71 @@
 """A user's mesh file made into one closed, outward-wound surface, or a clear error.
 
-Every repair is named in a warning. Order: merge duplicate vertices, drop degenerate and repeated faces, fix winding,
-fill holes, unite overlapping bodies, rebuild the surface from its distance field, decimate.
+Every repair is named in a warning, with what it did to volume and surface. Order: merge duplicate vertices, drop
+degenerate and repeated faces, take edges of more than two faces apart, drop slivers, weld, fix winding, fill holes and
+flat openings; what is then still open is rebuilt from its distance field, bodies that are closed stay as they are; unite
+overlapping bodies, decimate.
 """
 
 from __future__ import annotations
 
-import itertools
 import warnings
-from collections.abc import Callable
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
-from r2h_batch.bodies.mesh_bodies import bodies_apart, bodies_of, body_volumes, check_bodies, listed
+from r2h_batch.bodies.given.mend import FLAT_M, apart, mended, merged, open_faces, outwards, without_slivers
+from r2h_batch.bodies.given.rebuild import MOST_FACES, decimated, joined, rebuilt, united
+from r2h_batch.bodies.mesh_bodies import bodies_apart, bodies_of, body_volumes, check_bodies, listed, thickness
 from r2h_batch.bodies.mesh_file import load_mesh_file
-from r2h_batch.bodies.mesh_limits import (
-    MOST_GIVEN_FACES,
-    MOST_TURNED_FACES,
-    Budget,
-    ObjectMeshError,
-)
-from r2h_batch.bodies.solid import level_set_solid, signed_distance, winding_number
+from r2h_batch.bodies.mesh_limits import MOST_GIVEN_FACES, THINNEST_M, Budget, ObjectMeshError
+from r2h_batch.bodies.solid import Surface, sample_surface
 
-__all__ = ["ObjectMeshError", "closed_mesh"]
+__all__ = ["Closed", "ObjectMeshError", "Repair", "closed_mesh"]
 
 SMALLEST_M, LARGEST_M, FARTHEST_M = 0.01, 2.0, 10.0
-MOST_FACES = 20_000
-REBUILD_FACES = 10_000
-REBUILD_POINTS = 600_000
-WELD_M = 1e-5
-MOST_WELDS = 64
-HOLE_SHARE = 0.25
-"""a hole is filled when its rim is no longer than this share of pi times the largest side: a cup's mouth is no hole"""
+CHANGE_SAMPLES = 5000
 
 
-def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) -> tuple[trimesh.Trimesh, bool]:
-    """The closed outward-wound surface in metres, and whether its faces differ from the ones given."""
+@dataclass(frozen=True)
+class Repair:
+    """What was done to a mesh, and what came of it."""
+
+    steps: tuple[str, ...]
+    """in words, in order; none: the mesh is as it was given"""
+    volume_given_m3: float | None
+    """of the given bodies, where they overlap counted twice; None: the given surface is open"""
+    volume_m3: float
+    moved_m: float
+    """the farthest that the new surface is from the given one, or that one outside it, over 5,000 samples of each"""
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        given, made = self.volume_given_m3, f"{1e6 * self.volume_m3:.4g} cm3"
+        change = made
+        if given is not None:
+            share = f" ({100 * (self.volume_m3 / given - 1):+.2f} %)" if given > 1e-3 * self.volume_m3 else ""
+            change = f"{1e6 * given:.4g} -> {made}{share}"
+        return f"{'; '.join(self.steps)}. Volume {change}, surface changed by up to {1e3 * self.moved_m:.2f} mm"
+
+
+@dataclass(frozen=True)
+class Closed:
+    """A closed surface in metres, where its faces came from, and what was done."""
+
+    mesh: trimesh.Trimesh
+    given: trimesh.Trimesh
+    """as in the file, in metres: every face, in its order"""
+    same: bool
+    """whether the faces are the given ones, in their order"""
+    repair: Repair
+
+
+def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) -> Closed:
+    """The closed outward-wound surface; repairs and bodies apart are warned of."""
     if not (np.isfinite(scale) and scale > 0):
         raise ObjectMeshError(f"{label}: scale is {scale}; it must be a positive number (0.001 for millimetres)")
     mesh = load_mesh_file(source, label) if isinstance(source, (str, Path)) else source.copy()
@@ -52,35 +74,98 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
     faces = np.asarray(mesh.faces, np.int64)
     _check(vertices, faces, label)
     done: list[str] = []
-    mesh = _merged(vertices, faces, done)
-    changed = len(mesh.faces) != len(faces)
+    mesh = merged(vertices, faces, done)
+    same = len(mesh.faces) == len(faces)
     if not _closed(mesh):
-        changed = True
-        mesh = _mended(mesh, budget, done)
-    budget.spend("counting bodies")
+        same = False
+        mesh = _whole(mesh, budget, done)
     check_bodies(mesh, label)
-    if not _closed(mesh):
-        mesh = _rebuilt(mesh, budget, done)
-    else:
-        mesh, united = _united(mesh, budget, done)
-        changed |= united
+    mesh, overlapping = united(mesh, budget, done)
+    same &= not overlapping
     if len(mesh.faces) > MOST_FACES:
-        changed = True
-        mesh = _decimated(mesh, budget, done)
+        same = False
+        mesh = decimated(mesh, budget, done)
     if not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0):
         raise ObjectMeshError(
             f"{label}: the mesh is not a closed surface and could not be repaired "
             f"(tried: {'; '.join(done) or 'nothing'}); close it in a modelling tool"
         )
+    given = trimesh.Trimesh(vertices, faces, process=False)
+    repair = _change(given, mesh, tuple(done), same)
     if done:
-        warnings.warn(f"{label}: mesh repaired: {'; '.join(done)}", stacklevel=4)
-    if apart := bodies_apart(mesh, budget):
+        warnings.warn(f"{label}: mesh repaired: {repair.text}", stacklevel=4)
+    if far := bodies_apart(mesh, budget):
         warnings.warn(
-            f"{label}: {len(apart)} bodies apart from each other (largest sides {listed(apart)} m) are taken as one "
+            f"{label}: {len(far)} bodies apart from each other (largest sides {listed(far)} m) are taken as one "
             "rigid object; delete those that do not belong to it",
             stacklevel=4,
         )
-    return mesh, changed
+    return Closed(mesh, given, same, repair)
+
+
+def _whole(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
+    """The mesh repaired where faces suffice, and what is still open rebuilt beside what is closed."""
+    mesh = without_slivers(apart(mesh, budget, done), budget, done)
+    if not _closed(mesh):
+        mesh = mended(mesh, budget, done)
+    budget.spend("counting bodies")
+    check_bodies(mesh, budget.label)
+    loose = _open_bodies(mesh)
+    solid = mesh.faces[~loose]
+    if len(solid):
+        closed = outwards(trimesh.Trimesh(mesh.vertices, solid, process=False), budget, done)
+        solid = closed.faces
+    if not loose.any():
+        return trimesh.Trimesh(mesh.vertices, solid, process=False)
+    rest = trimesh.Trimesh(mesh.vertices, mesh.faces[loose], process=False)
+    rest.remove_unreferenced_vertices()
+    new = rebuilt(rest, budget, done)
+    if not len(solid):
+        return new
+    kept = trimesh.Trimesh(mesh.vertices, solid, process=False)
+    kept.remove_unreferenced_vertices()
+    return united(joined([kept, new]), budget, done, sure=True)[0]
+
+
+def _change(given: trimesh.Trimesh, mesh: trimesh.Trimesh, steps: tuple[str, ...], same: bool) -> Repair:
+    """The figures of a repair."""
+    rims = np.unique(np.sort(merged(given.vertices, given.faces, []).edges_sorted, axis=1), axis=0, return_counts=True)[
+        1
+    ]
+    t = given.triangles - given.bounds.mean(axis=0)
+    volume = float(np.einsum("ij,ij->i", t[:, 0], np.cross(t[:, 1], t[:, 2])).sum() / 6) if (rims > 1).all() else None
+    if same:
+        return Repair(steps, volume, float(mesh.volume), 0.0)
+
+    def samples(of: trimesh.Trimesh) -> NDArray[np.float64]:
+        corners = of.vertices[:: len(of.vertices) // CHANGE_SAMPLES + 1]
+        return np.concatenate([sample_surface(of, CHANGE_SAMPLES)[0], corners])
+
+    outside = float(
+        Surface(mesh).signed(samples(given))[0].max()
+    )  # what lies inside now was inside before, or between bodies
+    moved = max(outside, float(Surface(given).within(samples(mesh), 10 * LARGEST_M)[0].max()))
+    return Repair(steps, volume, float(mesh.volume), moved)
+
+
+def _closed(mesh: trimesh.Trimesh) -> bool:
+    """Closed, consistently wound, and every body encloses something (a double-sided sheet does not)."""
+    if len(mesh.faces) == 0 or not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0):
+        return False
+    volumes = body_volumes(mesh)
+    thin = [thickness(volume, area) < THINNEST_M for volume, area in volumes]
+    return all(thin) == any(thin) and all(abs(volume) > FLAT_M * area for volume, area in volumes[1:])
+
+
+def _open_bodies(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
+    """(F,) the faces of bodies that have a rim, enclose nothing, or are closed sheets thinner than distances can be
+    trusted beside bodies that are not."""
+    body = bodies_of(mesh)
+    volumes = body_volumes(mesh)
+    thin = [k for k, (volume, area) in enumerate(volumes) if abs(volume) <= FLAT_M * area]
+    sheets = [k for k, (volume, area) in enumerate(volumes) if thickness(volume, area) < THINNEST_M]
+    chosen = thin if len(sheets) == len(volumes) else sheets
+    return np.isin(body, [*np.unique(body[open_faces(mesh)]), *chosen])
 
 
 def _check(vertices: NDArray[np.float64], faces: NDArray[np.int64], label: str) -> None:
@@ -111,280 +196,3 @@ def _check(vertices: NDArray[np.float64], faces: NDArray[np.int64], label: str) 
             f"{label}: the object is centred at {((low + high) / 2).round(3).tolist()} m, more than {FARTHEST_M} m "
             "from the origin of its frame; move it to the origin (grasp poses are given in this frame)"
         )
-
-
-def _merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], done: list[str]) -> trimesh.Trimesh:
-    """Duplicate vertices merged, faces without three corners and repeated faces dropped, loose vertices dropped."""
-    used = np.unique(faces)
-    _, first, same = np.unique(vertices[used], axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first, kind="stable")  # keeps the file's order of vertices
-    rank = np.empty_like(order)
-    rank[order] = np.arange(len(order))
-    if len(first) < len(used):
-        done.append(f"merged {len(used) - len(first)} duplicate vertices")
-    lookup = np.zeros(len(vertices), np.int64)
-    lookup[used] = rank[same.reshape(-1)]
-    return _cleaned(vertices[used[first[order]]], lookup[faces], done)
-
-
-def _cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64], done: list[str]) -> trimesh.Trimesh:
-    whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-    if not whole.all():
-        done.append(f"dropped {int((~whole).sum())} degenerate faces")
-    faces = faces[whole]
-    turn = np.argmin(faces, axis=1)[:, None]
-    turned = np.take_along_axis(faces, (turn + np.arange(3)) % 3, axis=1)
-    _, first = np.unique(turned, axis=0, return_index=True)
-    if len(first) < len(faces):
-        done.append(f"dropped {len(faces) - len(first)} repeated faces")
-    mesh = trimesh.Trimesh(vertices, faces[np.sort(first)], process=False)
-    mesh.remove_unreferenced_vertices()
-    return mesh
-
-
-def _closed(mesh: trimesh.Trimesh) -> bool:
-    """Closed, consistently wound, and every body encloses something (a double-sided sheet does not)."""
-    if len(mesh.faces) == 0 or not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0):
-        return False
-    return all(abs(volume) > 1e-5 * area for volume, area in body_volumes(mesh)[1:])
-
-
-def _mended(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
-    """The mesh after welding, filling of small holes and winding repair."""
-    if not mesh.is_watertight:
-        budget.spend("looking for vertices to weld")
-        tree = cKDTree(mesh.vertices)
-        near_count = int(tree.count_neighbors(tree, WELD_M))  # a heap of vertices in one place has a square of pairs
-        if near_count > MOST_WELDS * len(mesh.vertices):
-            raise ObjectMeshError(
-                f"{budget.label}: {near_count} pairs of vertices are nearer than {WELD_M * 1e3:g} mm; merge them first"
-            )
-        pairs = tree.query_pairs(WELD_M, output_type="ndarray")
-        if len(pairs):
-            count = len(mesh.vertices)
-            near = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (count, count))
-            _, first, same = np.unique(connected_components(near, False)[1], return_index=True, return_inverse=True)
-            notes: list[str] = []
-            welded = _cleaned(mesh.vertices[first], same.reshape(-1)[mesh.faces], notes)
-            if _open_edges(welded) < _open_edges(mesh):
-                done += [f"welded {count - len(first)} vertices nearer than {WELD_M * 1e3:g} mm", *notes]
-                mesh = welded
-    budget.spend("turning faces")
-    if not mesh.is_winding_consistent:
-        if len(mesh.faces) > MOST_TURNED_FACES:
-            raise ObjectMeshError(
-                f"{budget.label}: {len(mesh.faces)} faces that do not agree which side is outside; at most "
-                f"{MOST_TURNED_FACES} can be turned: orient the surface, or decimate it first"
-            )
-        before = mesh.faces.copy()
-        trimesh.repair.fix_winding(mesh)
-        turned = int((before != mesh.faces).any(axis=1).sum())
-        if turned and mesh.is_winding_consistent:
-            done.append(f"turned {turned} faces to agree with their neighbours")
-    budget.spend("filling holes")
-    if not mesh.is_watertight:
-        mesh = _filled(mesh, done)
-    if mesh.is_watertight and mesh.is_winding_consistent:
-        body = bodies_of(mesh)
-        budget.spend("looking for bodies that are inside out")
-        inside_out = [k for k, (volume, _) in enumerate(body_volumes(mesh)) if volume < 0]
-        if mesh.volume < 0 or (inside_out and not _cavities(mesh, body, inside_out)):
-            faces = mesh.faces.copy()
-            chosen = np.isin(body, inside_out)
-            faces[chosen] = faces[chosen][:, ::-1]
-            done.append(f"turned {len(inside_out)} inside-out bodies outwards")
-            mesh = trimesh.Trimesh(mesh.vertices, faces, process=False)
-    return mesh
-
-
-def _open_edges(mesh: trimesh.Trimesh) -> int:
-    _, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    return int((count != 2).sum())
-
-
-def _cavities(mesh: trimesh.Trimesh, body: NDArray[np.int64], inward: list[int]) -> bool:
-    """Whether every inward-wound body lies inside an outward one: a hollow, not a mistake."""
-    outer = trimesh.Trimesh(mesh.vertices, mesh.faces[~np.isin(body, inward)], process=False)
-    if len(outer.faces) == 0:
-        return False
-    probes = np.array([mesh.triangles_center[np.argmax(body == k)] for k in inward])
-    return bool((signed_distance(outer, probes)[0] < 0).all())
-
-
-def _filled(mesh: trimesh.Trimesh, done: list[str]) -> trimesh.Trimesh:
-    """Small holes closed by a fan around the middle of their rim."""
-    edges = mesh.edges
-    _, group, count = np.unique(mesh.edges_sorted, axis=0, return_inverse=True, return_counts=True)
-    rim = edges[count[group.reshape(-1)] == 1]
-    follow: dict[int, list[int]] = {}
-    for a, b in rim:
-        follow.setdefault(int(b), []).append(int(a))  # the fan runs against the faces it joins
-    limit = HOLE_SHARE * np.pi * float(mesh.extents.max())
-    vertices, faces, holes, middle = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)], 0, len(mesh.vertices)
-    used: set[int] = set()
-    for start in sorted(follow):
-        loop = [start]
-        while loop[-1] not in used and len(follow.get(loop[-1], ())) == 1:
-            used.add(loop[-1])
-            loop.append(follow[loop[-1]][0])
-        if len(loop) < 4 or loop[-1] != start:
-            continue
-        ring = mesh.vertices[loop[:-1]]
-        if float(np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum()) > limit:
-            continue
-        holes += 1
-        if len(ring) == 3:
-            faces.append(np.array([loop[:3]]))
-            continue
-        vertices.append(ring.mean(axis=0)[None])
-        faces.append(np.array([(a, b, middle) for a, b in itertools.pairwise(loop)]))
-        middle += 1
-    if holes == 0:
-        return mesh
-    done.append(f"filled {holes} holes")
-    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
-
-
-def _united(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> tuple[trimesh.Trimesh, bool]:
-    """Bodies that run into one another made into one surface, so that the inside is counted once."""
-    body = bodies_of(mesh)
-    if body.max() == 0 or int(winding_number(mesh, 64).max()) <= 1:
-        return mesh, False
-    manifold = _manifold3d(budget.label, "unite its overlapping bodies")
-    total = manifold.Manifold()
-    hollow = manifold.Manifold()
-    volumes = body_volumes(mesh)
-    for k, (volume, _) in enumerate(volumes):
-        budget.spend(f"uniting {len(volumes)} bodies", k / len(volumes))
-        faces = mesh.faces[body == k]
-        solid = _solid(manifold, mesh.vertices, faces if volume > 0 else faces[:, ::-1])
-        if solid.is_empty():
-            return _rebuilt(mesh, budget, done), True
-        if volume > 0:
-            total += solid
-        else:
-            hollow += solid
-    done.append(f"united {int(body.max()) + 1} overlapping bodies")
-    return _from_solid(total - hollow), True
-
-
-def _rebuilt(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
-    """A closed surface around what has winding number above 0.5, if that stays near the given surface everywhere;
-    else open sheets become plates, closed bodies stay solid: a cup drawn as one sheet stays hollow."""
-    _manifold3d(budget.label, "close its surface")
-    low, high = mesh.bounds
-    edge = max(float((high - low).max()) / 160, (float((high - low).prod()) * 2 / REBUILD_POINTS) ** (1 / 3))
-    plate = 0.65 * edge
-    sheets, solids = _open_bodies(mesh)
-    tick = partial(budget.spend, f"rebuilding the surface of {len(mesh.faces)} faces")
-
-    def full(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        return -signed_distance(mesh, p, tick)[0]
-
-    def with_plates(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.maximum(solid(p), plate - np.abs(signed_distance(sheets, p, tick)[0]))
-
-    def all_thicker(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.maximum(solid(p), plate - np.abs(signed_distance(mesh, p, tick)[0]))
-
-    def closed_only(p: NDArray[np.float64]) -> NDArray[np.float64]:
-        return -signed_distance(solids, p, tick)[0] if len(solids.faces) else np.full(len(p), -np.inf)
-
-    how = ""
-    new, lost, gained = _contoured(mesh, full, edge, tick)
-    solid = full if gained <= 2 * edge else closed_only
-    if (lost > edge or solid is closed_only) and len(sheets.faces):
-        new, lost, gained = _contoured(mesh, with_plates, edge, tick)
-        how = f", open sheets made {2e3 * plate:.2f} mm thick"
-    if lost > edge:
-        new, lost, gained = _contoured(mesh, all_thicker, edge, tick)
-        how = f", every surface grown by {1e3 * plate:.2f} mm to keep thin parts"
-    if new is None:
-        raise ObjectMeshError(f"{budget.label}: the surface encloses nothing; give a mesh of a solid")
-    done.append(
-        f"surface rebuilt from its distance field at {edge * 1e3:.2f} mm{how}, "
-        f"largest deviation {max(lost, gained) * 1e3:.2f} mm"
-    )
-    return new
-
-
-def _contoured(
-    mesh: trimesh.Trimesh,
-    inside: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    edge: float,
-    tick: Callable[[float], None],
-) -> tuple[trimesh.Trimesh | None, float, float]:
-    """The surface where the field is zero, how far the given one sticks out of it, and how far it is from that one."""
-    low, high = mesh.bounds
-    solid = level_set_solid(inside, [*(low - 3 * edge), *(high + 3 * edge)], edge)
-    if solid.is_empty():
-        return None, np.inf, 0.0
-    new = _from_solid(_simplified(solid, 0.02 * edge, REBUILD_FACES, tick)[0])
-    rng = np.random.Generator(np.random.Philox(key=7))
-    face = rng.choice(len(mesh.faces), 20_000, p=mesh.area_faces / mesh.area)
-    samples = np.einsum("ij,ijk->ik", rng.dirichlet((1, 1, 1), len(face)), mesh.triangles[face])
-    lost = float(signed_distance(new, samples, tick)[0].max())
-    gained = float(np.abs(signed_distance(mesh, np.concatenate([new.vertices, new.triangles_center]), tick)[0]).max())
-    return new, max(lost, 0.0), gained
-
-
-def _open_bodies(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, trimesh.Trimesh]:
-    """The bodies that have a rim, are not manifold, or enclose nothing; and the others."""
-    body = bodies_of(mesh)
-    _, group, count = np.unique(mesh.edges_sorted, axis=0, return_inverse=True, return_counts=True)
-    loose = np.unique(body[mesh.edges_face[count[group.reshape(-1)] != 2]])
-    flat = [k for k, (volume, area) in enumerate(body_volumes(mesh)) if abs(volume) < 1e-5 * area]
-    is_open = np.isin(body, [*loose, *flat])
-    return (
-        trimesh.Trimesh(mesh.vertices, mesh.faces[is_open], process=False),
-        trimesh.Trimesh(mesh.vertices, mesh.faces[~is_open], process=False),
-    )
-
-
-def _simplified(solid: Any, tolerance: float, most: int, tick: Callable[[float], None]) -> tuple[Any, float]:
-    """At most ``most`` faces, and the distance (m) below which its surface moved."""
-    moved = tolerance
-    small = solid.simplify(tolerance)
-    while small.num_tri() > most:
-        tick(most / small.num_tri())
-        tolerance *= 1.5
-        moved += tolerance
-        small = small.simplify(tolerance)
-    return small, moved
-
-
-def _decimated(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
-    manifold = _manifold3d(budget.label, f"decimate its {len(mesh.faces)} faces to {MOST_FACES}")
-    solid = _solid(manifold, mesh.vertices, mesh.faces)
-    if solid.is_empty():
-        return _rebuilt(mesh, budget, done)
-    tick = partial(budget.spend, f"decimating {len(mesh.faces)} faces")
-    small, moved = _simplified(solid, 2e-5 * float(mesh.extents.max()), REBUILD_FACES, tick)
-    done.append(
-        f"decimated {len(mesh.faces)} faces to {small.num_tri()}, surface moved by less than {moved * 1e3:.3f} mm"
-    )
-    return _from_solid(small)
-
-
-def _manifold3d(label: str, purpose: str) -> Any:
-    try:
-        import manifold3d
-    except ImportError as error:
-        raise ObjectMeshError(
-            f"{label}: manifold3d is needed to {purpose}; `pip install r2h_batch[build]`, or repair the mesh first"
-        ) from error
-    return manifold3d
-
-
-def _solid(manifold: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Any:
-    used, local = np.unique(faces, return_inverse=True)
-    return manifold.Manifold(
-        manifold.Mesh64(np.ascontiguousarray(vertices[used], np.float64), local.reshape(-1, 3).astype(np.uint64))
-    )
-
-
-def _from_solid(solid: Any) -> trimesh.Trimesh:
-    mesh = solid.to_mesh64()
-    return trimesh.Trimesh(
-        np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64), process=False
-    )

@@ -195,7 +195,8 @@ def build_object(
     """
     _check_build(split, receiver is not None, mass)
     label = printable(name or (Path(mesh).stem if isinstance(mesh, (str, Path)) else "object"))
-    surface, changed = closed_mesh(mesh, label, scale)
+    closed = closed_mesh(mesh, label, scale)
+    surface, changed = closed.mesh, not closed.same
     vertices = surface.vertices.astype(np.float32)
     faces = surface.faces.astype(np.int32)
     solid = trimesh.Trimesh(vertices.astype(np.float64), faces, process=False)

@@ -9,48 +9,85 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-__all__ = ["level_set_solid", "sample_surface", "signed_distance", "solid_occupancy", "winding_number"]
+__all__ = ["Surface", "level_set_solid", "sample_surface", "signed_distance", "solid_occupancy", "winding_number"]
 
+Tick = Callable[[float], None] | None
 
 POINTS_AT_ONCE = 2048
 """Points whose distance is asked for between two looks at the clock; each is answered alone."""
 
 
-def signed_distance(
-    mesh: trimesh.Trimesh, points: NDArray[np.float64], tick: Callable[[float], None] | None = None
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(N,) distance to the surface, negative where the winding number is above 0.5; (N, 3) closest points. float32.
+class Surface:
+    """A mesh, closed or not, ready to be asked how far points are from it (on a CPU, float32 about its middle)."""
 
-    `tick` is told the share that is done, every now and then; it may raise to end the work.
-    """
-    import warp as wp  # here: whoever only loads the built-in objects needs no Warp
+    def __init__(self, mesh: trimesh.Trimesh) -> None:
+        import warp as wp  # here: whoever only loads the built-in objects needs no Warp
 
-    from r2h_batch.kernels.geometry.mesh_distance import signed_distance as kernel
-    from r2h_batch.launch import init_warp, launch
+        from r2h_batch.launch import init_warp
 
-    init_warp()
-    center = mesh.bounds.mean(axis=0)
-    surface = wp.Mesh(
-        wp.array(np.asarray(mesh.vertices - center, np.float32), dtype=wp.vec3, device="cpu"),
-        wp.array(np.asarray(mesh.faces, np.int32).ravel(), dtype=wp.int32, device="cpu"),
-        support_winding_number=True,
-    )
-    where: Any = wp.array(np.asarray(points - center, np.float32), dtype=wp.vec3, device="cpu")
-    distance = wp.empty(len(points), dtype=wp.float32, device="cpu")
-    closest = wp.empty(len(points), dtype=wp.vec3, device="cpu")
-    reach = 4.0 * float(np.linalg.norm(mesh.extents)) + float(np.abs(points - center).max(initial=0.0))
-    for first in range(0, len(points), POINTS_AT_ONCE):
-        if tick is not None:
-            tick(first / len(points))
-        part = slice(first, min(first + POINTS_AT_ONCE, len(points)))
-        launch(
-            kernel,
-            part.stop - first,
-            inputs={"mesh": surface.id, "reach": reach, "points": where[part]},
-            outputs={"distance": distance[part], "closest": closest[part]},
-            device="cpu",
+        init_warp()
+        self.center = mesh.bounds.mean(axis=0)
+        self.size = float(np.linalg.norm(mesh.extents))
+        self.mesh = wp.Mesh(
+            wp.array(np.asarray(mesh.vertices - self.center, np.float32), dtype=wp.vec3, device="cpu"),
+            wp.array(np.asarray(mesh.faces, np.int32).ravel(), dtype=wp.int32, device="cpu"),
+            support_winding_number=True,
         )
-    return distance.numpy().astype(np.float64), closest.numpy().astype(np.float64) + center
+
+    def signed(self, points: NDArray[np.float64], tick: Tick = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """(N,) distance, negative where the winding number is above 0.5; (N, 3) closest points.
+
+        `tick` is told the share that is done, every now and then; it may raise to end the work.
+        """
+        import warp as wp
+
+        from r2h_batch.kernels.geometry.mesh_distance import signed_distance as kernel
+
+        closest = wp.empty(len(points), dtype=wp.vec3, device="cpu")
+        reach = 4.0 * self.size + float(np.abs(points - self.center).max(initial=0.0))
+        distance = self._ask(kernel, points, reach, tick, closest=closest)
+        return distance, closest.numpy().astype(np.float64) + self.center
+
+    def within(
+        self, points: NDArray[np.float64], reach: float, tick: Tick = None
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """(N,) distance without a sign, `reach` where nothing is nearer; (N,) the face there, -1 for none."""
+        import warp as wp
+
+        from r2h_batch.kernels.geometry.mesh_distance import nearest_face as kernel
+
+        face = wp.empty(len(points), dtype=wp.int32, device="cpu")
+        distance = self._ask(kernel, points, reach, tick, face=face)
+        return distance, face.numpy().astype(np.int64)
+
+    def _ask(
+        self, kernel: Any, points: NDArray[np.float64], reach: float, tick: Tick, **more: Any
+    ) -> NDArray[np.float64]:
+        import warp as wp
+
+        from r2h_batch.launch import launch
+
+        where: Any = wp.array(np.asarray(points - self.center, np.float32), dtype=wp.vec3, device="cpu")
+        distance = wp.empty(len(points), dtype=wp.float32, device="cpu")
+        for first in range(0, len(points), POINTS_AT_ONCE):
+            if tick is not None:
+                tick(first / len(points))
+            part = slice(first, min(first + POINTS_AT_ONCE, len(points)))
+            launch(
+                kernel,
+                part.stop - first,
+                inputs={"mesh": self.mesh.id, "reach": reach, "points": where[part]},
+                outputs={"distance": distance[part], **{k: v[part] for k, v in more.items()}},
+                device="cpu",
+            )
+        return np.asarray(distance.numpy(), np.float64)
+
+
+def signed_distance(
+    mesh: trimesh.Trimesh, points: NDArray[np.float64], tick: Tick = None
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`Surface.signed` of a mesh that is asked once."""
+    return Surface(mesh).signed(points, tick)
 
 
 def winding_number(solid: trimesh.Trimesh, count: int) -> NDArray[np.int64]:

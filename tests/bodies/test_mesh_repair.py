@@ -1,0 +1,135 @@
+"""Repairs do no harm: what is closed stays as it is, to the micrometre, whatever is wrong beside it."""
+
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+from mesh_twins import winding_number
+
+from r2h_batch.bodies.given.edges import split_edges
+from r2h_batch.bodies.given.lattice import Lattice
+from r2h_batch.bodies.mesh_bodies import body_volumes
+from r2h_batch.bodies.object_mesh import closed_mesh
+from r2h_batch.bodies.solid import Surface, signed_distance
+
+
+def closed(mesh):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        found = closed_mesh(mesh, "object", 1.0)
+    assert found.mesh.is_watertight and found.mesh.is_winding_consistent and found.mesh.volume > 0
+    return found, " | ".join(str(w.message) for w in caught)
+
+
+def mug():
+    """Wall and floor of 3 mm, turned from a profile; closed."""
+    outer = [(0, -0.045), (0.04, -0.045), (0.04, 0.045), (0.037, 0.045), (0.037, -0.042), (0, -0.042)]
+    return trimesh.creation.revolve(np.array(outer), sections=48)
+
+
+def with_faces(mesh, vertices, faces):
+    extra = np.asarray(vertices, float).reshape(-1, 3)
+    return trimesh.Trimesh(np.vstack([mesh.vertices, extra]), np.vstack([mesh.faces, faces]), process=False)
+
+
+def test_a_closed_mug_with_two_slivers_stays_what_it_is():
+    """Two triangles with two sides each, glued to edges of the mug, which four faces then share."""
+    clean, n = mug(), len(mug().vertices)
+    (a, b), (c, d) = clean.edges[100], clean.edges[500]
+    points = clean.vertices[[a, c]] + [[0, 0, 4e-4], [3e-4, 0, 0]]
+    mesh = with_faces(clean, points, [[a, b, n], [b, a, n], [c, d, n + 1], [d, c, n + 1]])
+    found, said = closed(mesh)
+    assert "took 2 edges of more than two faces apart; dropped 2 slivers without volume (4 faces)" in said
+    assert "rebuilt" not in said and found.repair.moved_m < 1e-3
+    assert found.repair.volume_m3 == pytest.approx(clean.volume, rel=1e-9)
+    assert f"Volume {1e6 * clean.volume:.4g} -> {1e6 * clean.volume:.4g} cm3 (" in said and "0.00 %)" in said
+    assert np.abs(signed_distance(clean, found.mesh.vertices)[0]).max() < 1e-7
+
+
+def test_needles_and_flaps_that_lie_on_the_surface_are_slivers_and_a_flag_on_it_becomes_a_plate():
+    clean, n = mug(), len(mug().vertices)
+    needle = [[0.06, 0, 0], [0.06, 0, 0.05], [0.06, 2e-6, 0.02]]
+    face = clean.triangles[3] + 2e-5 * clean.face_normals[3]
+    for points in (needle, face):
+        found, said = closed(with_faces(clean, points, [[n, n + 1, n + 2], [n + 1, n, n + 2]]))
+        assert "dropped 1 slivers" in said and found.mesh.volume == pytest.approx(clean.volume, rel=1e-9)
+    flag = [[0.039, 0, 0], [0.09, 0, 0], [0.09, 0, 0.03]]
+    found, said = closed(with_faces(clean, flag, [[n, n + 1, n + 2], [n + 1, n, n + 2]]))
+    assert "open sheets made" in said and "united 2 overlapping bodies" in said
+    assert found.mesh.bounds[1, 0] == pytest.approx(0.09, abs=1e-3)
+    away = found.mesh.vertices[np.abs(found.mesh.vertices[:, 1]) > 0.005]
+    assert np.abs(signed_distance(clean, away)[0]).max() < 1e-6, "the mug itself is as it was"
+
+
+def test_a_body_with_a_rim_is_rebuilt_and_the_closed_one_beside_it_is_not():
+    block = trimesh.creation.box((0.06, 0.04, 0.03))
+    dome = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    dome.apply_translation((0.06, 0, 0))
+    half = trimesh.Trimesh(dome.vertices, dome.faces[dome.triangles_center[:, 0] < 0.062], process=False)
+    found, said = closed(trimesh.util.concatenate([block, half]))
+    assert "open sheets made" in said
+    for corner in block.vertices[block.vertices[:, 0] < 0]:
+        assert np.abs(found.mesh.vertices - corner).max(axis=1).min() == 0.0
+    assert abs(winding_number(found.mesh, np.array([[0.06, 0, 0]]))[0]) < 1e-6, "half a ball drawn as a sheet is hollow"
+
+
+def test_a_box_that_misses_a_face_becomes_a_solid_and_one_with_a_bent_rim_does_not():
+    box = trimesh.creation.box((0.1, 0.06, 0.05)).subdivide()
+    for axis in range(3):
+        open_box = trimesh.Trimesh(box.vertices, box.faces[box.face_normals[:, axis] < 0.9], process=False)
+        found, said = closed(open_box)
+        assert "closed 1 flat openings" in said and "a vessel needs walls" in said
+        assert found.mesh.volume == pytest.approx(box.volume, rel=1e-9)
+    bent = open_box.copy()
+    bent.vertices[np.argmax(bent.vertices @ [1.0, 1.0, 1.0])] += [0.004, 0, 0.004]
+    assert "closed 1 flat" not in closed(bent)[1]
+
+
+def test_two_walls_without_a_lip_are_joined():
+    """A cup whose inside and outside were drawn apart, 1 mm from each other at the rim."""
+    turned = trimesh.creation.revolve(
+        np.array([(0, -0.05), (0.03, -0.05), (0.035, 0.05), (0.034, 0.05), (0.029, -0.049), (0, -0.049)]), sections=40
+    )
+    lip = np.abs(turned.face_normals[:, 2]) > 0.99
+    lip &= turned.triangles_center[:, 2] > 0.049
+    cup = trimesh.Trimesh(turned.vertices, turned.faces[~lip], process=False)
+    found, said = closed(cup)
+    assert lip.sum() == 80 and "joined 1 pairs of rims" in said and "rebuilt" not in said
+    assert found.mesh.volume == pytest.approx(turned.volume, rel=1e-9)
+
+
+def glued(*boxes):
+    """Boxes as one mesh, corners in one place made one."""
+    every = trimesh.util.concatenate(boxes)
+    unique, index = np.unique(every.vertices.round(9), axis=0, return_inverse=True)
+    return trimesh.Trimesh(unique, index.reshape(-1)[every.faces], process=False)
+
+
+@pytest.mark.parametrize("shift", [(0.02, 0.02, 0), (0.02, 0, 0)], ids=["an edge", "a face"])
+def test_boxes_that_share_an_edge_or_a_face_become_two_bodies_again(shift):
+    box, other = (trimesh.creation.box((0.02, 0.02, 0.02)) for _ in range(2))
+    other.apply_translation(shift)
+    mesh, edges = split_edges(glued(box, other), lambda share: None)
+    assert edges == (1 if shift[1] else 4) and mesh.is_watertight and mesh.is_winding_consistent
+    assert [v for v, _ in body_volumes(mesh)] == pytest.approx([8e-6, 8e-6])
+    assert (mesh.triangles == glued(box, other).triangles).all(), "faces keep their order, no point moves"
+
+
+def test_a_fin_on_a_closed_surface_leaves_it_closed():
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.03)
+    a, b = ball.edges[40]
+    mesh, _ = split_edges(with_faces(ball, [0, 0, 0.06], [[a, b, len(ball.vertices)]]), lambda share: None)
+    assert sorted(v for v, _ in body_volumes(mesh))[-1] == pytest.approx(ball.volume)
+
+
+def test_distances_at_a_lattice_are_exact_near_the_surface_and_right_in_sign_elsewhere():
+    ring = trimesh.creation.torus(0.03, 0.008, major_sections=40, minor_sections=20)
+    lattice = Lattice(ring.bounds, 0.002)
+    value, opening = lattice.distance(Surface(ring), lambda share: None)
+    exact = signed_distance(ring, lattice.points)[0]
+    assert (np.sign(value) == np.sign(exact)).all() and opening == 0.0
+    assert value == pytest.approx(exact.clip(-0.005, 0.005), abs=1e-7)
+    assert lattice.solid(-value).volume() == pytest.approx(ring.volume, rel=0.02)
+    half = trimesh.Trimesh(ring.vertices, ring.faces[ring.triangles_center[:, 2] < 0], process=False)
+    assert lattice.distance(Surface(half), lambda share: None)[1] > 0.0, "half a ring is open by 16 mm"
