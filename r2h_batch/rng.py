@@ -39,12 +39,14 @@ def philox4x32(counter: NDArray[np.uint64], key: tuple[int, int]) -> NDArray[np.
     return np.stack([c0, c1, c2, c3])
 
 
-def uniforms(key: tuple[int, int], ids: NDArray[np.int64], count: int, *, purpose: int, attempt: int = 0) -> Array:
+def uniforms(
+    key: tuple[int, int], ids: NDArray[np.int64], count: int, *, purpose: int, attempt: int | NDArray[np.int64] = 0
+) -> Array:
     """(count, n) numbers in (0, 1), the midpoints of 2^32 cells; counter = id (64 bits), attempt, purpose and block."""
     n, blocks = len(ids), -(-count // 4)
     words = ids.astype(np.uint64)
     counter = np.empty((4, blocks, n), np.uint64)
-    counter[0], counter[1], counter[2] = words & _LOW, words >> _HALF, np.uint64(attempt)
+    counter[0], counter[1], counter[2] = words & _LOW, words >> _HALF, np.asarray(attempt, np.uint64)
     counter[3] = (np.uint64(purpose << 16) + np.arange(blocks, dtype=np.uint64))[:, None]
     random = philox4x32(counter, key).transpose(1, 0, 2).reshape(4 * blocks, n)[:count]
     return (random.astype(np.float64) + 0.5) * 2.0**-32

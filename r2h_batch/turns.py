@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from r2h_batch import rng
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["PROTOCOL", "hands_in_turn", "objects_in_turn", "trial_ids"]
+__all__ = ["PROTOCOL", "PROTOCOLS", "hands_in_turn", "objects_in_turn", "trial_ids"]
 
 PROTOCOL = "r2h-v0"
+"""The protocol where none is named."""
+PROTOCOLS = ("r2h-v0", "r2h-v1")
+"""v0: hands alone, their roll free. v1: hands on the arms of people (docs/receivers.md)."""
 _HAND = 0  # purpose of the random counters
 
 
@@ -43,12 +46,14 @@ def objects_in_turn(ids: NDArray[np.int64], splits: Sequence[str]) -> tuple[NDAr
     return object_index, side
 
 
-def hands_in_turn(ids: NDArray[np.int64], side: NDArray[np.int64], sides: NDArray[np.int64]) -> NDArray[np.int64]:
+def hands_in_turn(
+    ids: NDArray[np.int64], side: NDArray[np.int64], sides: NDArray[np.int64], protocol: str = PROTOCOL
+) -> NDArray[np.int64]:
     """(N,) hand of each trial: one of its side (N,), all equally likely; of a set with one side only (OakInk's) any.
 
     `sides` (H,): of each hand of the set, 0 right, 1 left.
     """
-    (u,) = rng.uniforms(rng.key_of(PROTOCOL), ids, 1, purpose=_HAND)
+    (u,) = rng.uniforms(rng.key_of(protocol), ids, 1, purpose=_HAND)
     hand = np.zeros(len(ids), np.int64)
     for s in (0, 1):
         rows, members = np.flatnonzero(side == s), np.flatnonzero(sides == s)

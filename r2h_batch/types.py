@@ -78,12 +78,18 @@ class _Rows:
 
 @dataclass(frozen=True)
 class Trials(_Rows):
-    """N trials: which object is handed to which hand, and where that hand stands (world frame, metres)."""
+    """N trials: which object is handed to which hand, and where that hand stands (world frame, metres).
+
+    `receiver`, where the protocol gives hands a body: rows (x, y, z, w) of the shoulder with the upper arm's radius w, the
+    elbow with the forearm's, the wrist, the torso box's middle, its half sizes along its facing, sideways and up; w of the
+    last two are x and y of the unit vector it faces. No verdict depends on it.
+    """
 
     trial_id: Int64[Tensor, " n"]
     object_index: Int32[Tensor, " n"]
     hand_index: Int32[Tensor, " n"]
     T_world_hand: Float32[Tensor, "n 4 4"]
+    receiver: Float32[Tensor, "n 5 4"] | None = None
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import pytest
 from made_runs import make_header, make_scores, make_trials
 
 from r2h_batch.__main__ import COMMANDS, main
+from r2h_batch.benchmark import built_in
 from r2h_batch.export import command as export
 from r2h_batch.results.manifest import RunError
 from r2h_batch.results.reading import load_run
@@ -95,7 +96,8 @@ def test_completion_knows_the_flags_of_the_subcommands(capsys):
 
 def test_the_trials_command_offers_the_protocol_and_its_number():
     defaults = export.trials.__kwdefaults__
-    assert (defaults["protocol"], defaults["trials"]) == (PROTOCOL, TRIALS)
+    # not given: the benchmark says it
+    assert (defaults["protocol"], built_in().protocol, defaults["trials"]) == ("", PROTOCOL, TRIALS)
 
 
 @pytest.fixture

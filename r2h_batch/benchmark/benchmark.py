@@ -14,7 +14,7 @@ from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
-from r2h_batch.turns import PROTOCOL
+from r2h_batch.turns import PROTOCOL, PROTOCOLS
 from r2h_batch.types import Trials
 
 __all__ = ["Benchmark", "built_in"]
@@ -36,16 +36,20 @@ class Benchmark:
     workplace: Workplace = field(default_factory=Workplace)
     listed: Trials | None = None
     """trials of its own (`trials_file.py`); None: the protocol draws them"""
+    drawn: str = PROTOCOL
+    """the protocol that draws trials: of `turns.PROTOCOLS`"""
 
     @property
     def protocol(self) -> str:
         """What says the trials: the rule that draws them, or `listed`."""
-        return PROTOCOL if self.listed is None else LISTED
+        return self.drawn if self.listed is None else LISTED
 
     def __post_init__(self) -> None:
         checked_objects(self.objects)
         if not self.objects:
             raise ValueError("a benchmark needs at least one object")
+        if self.drawn not in PROTOCOLS:
+            raise ValueError(f"Benchmark.drawn is {self.drawn!r}; allowed are {', '.join(PROTOCOLS)}")
 
     @cached_property
     def digest(self) -> str:

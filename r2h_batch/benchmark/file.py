@@ -99,7 +99,7 @@ class BenchmarkFile(_Entry):
     """A benchmark; what is left out is as in the built-in one. Files are named relative to this one, beside or below it."""
 
     format: Literal[1] = 1
-    protocol: Literal["r2h-v0"] = Field(default="r2h-v0", description="the rule that draws the trials")
+    protocol: Literal["r2h-v0", "r2h-v1"] = Field(default="r2h-v0", description="the rule that draws the trials")
     hand_model: FilePath = Field(default=BUILT_IN, description="built-in, or a hand.npz (r2h-batch import hand)")
     hand_set: FilePath = Field(default=BUILT_IN, description="built-in, or a hands.npz (r2h-batch import hands)")
     objects: Annotated[list[ObjectEntry], Field(min_length=1, max_length=MAX_OBJECTS)] = Field(

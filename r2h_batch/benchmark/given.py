@@ -32,6 +32,7 @@ class Given:
     object_mesh: tuple[str, ...] = ()
     grasps: tuple[str, ...] = ()
     trials_file: str = ""
+    protocol: str = ""
 
     def flags(self) -> list[str]:
         """The flags that are given, as one would type them again."""
@@ -60,11 +61,12 @@ class Given:
             raise FileError(
                 f"{printable(self.benchmark)}: lists trials of its own objects and hands; give --trials-file too"
             )
-        return (
-            base
-            if not other and listed is base.listed
-            else replace(base, objects=objects, hand_set=hand_set, listed=listed)
-        )
+        if self.protocol and listed is not None:
+            raise FileError(f"--protocol {self.protocol} draws trials, and these are listed; give one of the two")
+        drawn = self.protocol or base.drawn
+        if not other and listed is base.listed and drawn == base.drawn:
+            return base
+        return replace(base, objects=objects, hand_set=hand_set, listed=listed, drawn=drawn)
 
 
 def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from r2h_batch.benchmark.benchmark import Benchmark
@@ -10,7 +11,7 @@ from r2h_batch.benchmark.given import Given
 from r2h_batch.benchmark.trials_file import LISTED
 from r2h_batch.bodies.objects import object_digest
 from r2h_batch.files import FileError
-from r2h_batch.turns import PROTOCOL
+from r2h_batch.turns import PROTOCOLS
 
 __all__ = ["benchmark_of_run"]
 
@@ -20,9 +21,12 @@ def benchmark_of_run(header: Mapping[str, Any], given: Given, where: str) -> Ben
 
     Nothing that run.json names is opened: a folder may come from anybody.
     """
-    if header["protocol"] not in (PROTOCOL, LISTED):
-        raise FileError(f"{where}: protocol {header['protocol']!r}; this version makes the trials of {PROTOCOL!r}")
+    protocol = header["protocol"]
+    if protocol not in (*PROTOCOLS, LISTED):
+        raise FileError(f"{where}: protocol {protocol!r}; this version makes the trials of {', '.join(PROTOCOLS)}")
     asked = header["benchmark"]["flags"] if "benchmark" in header else None
+    if asked is not None:  # the run names its protocol: nobody has to give it again
+        asked = [f for f in asked if not f.startswith("--protocol ")]
     own = [o["name"] for o in header.get("objects", []) if not o["built_in"]]
     if asked is None and len(given.object_mesh) != len(own):
         raise FileError(
@@ -31,6 +35,8 @@ def benchmark_of_run(header: Mapping[str, Any], given: Given, where: str) -> Ben
     if asked is not None and {f.split()[0] for f in asked} != {f.split()[0] for f in given.flags()}:
         raise FileError(f"{where}: give what its sweep was given: {' '.join(asked) or 'no flag for objects or hands'}")
     pieces = header["configuration"]["plan"]["object_collision"] == "pieces"  # as the sweep builds them
+    if protocol != LISTED:
+        given = replace(given, protocol=protocol)
     benchmark = given.read(pieces=pieces)
     found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
     if "benchmark" in header["digests"]:  # runs from before there were any lack it

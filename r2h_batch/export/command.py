@@ -59,7 +59,7 @@ def scene(
 def trials(
     *,
     out: Path,
-    protocol: Literal["r2h-v0"] = "r2h-v0",
+    protocol: Literal["", "r2h-v0", "r2h-v1"] = "",
     trials: int = 500,
     splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1"),
     benchmark: str = "",
@@ -75,7 +75,7 @@ def trials(
 
     Args:
         out: a new or empty folder.
-        protocol: which trials.
+        protocol: r2h-v0 (hands alone) or r2h-v1 (with the receivers' bodies); the benchmark's unless given.
         trials: of each split, 1 or more.
         splits: S0 free handover, S1 functional.
         benchmark: your own benchmark file, as in r2h_batch.sweep.
@@ -97,15 +97,14 @@ def trials(
 
     try:
         chosen = [s for s in SPLITS if s in splits]
-        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file)
-        digest = write_trials(
-            out, chosen, trials, benchmark=given.read(), open_formats=open_formats, flags=given.flags()
-        )
+        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file, protocol)
+        found = given.read()
+        digest = write_trials(out, chosen, trials, benchmark=found, open_formats=open_formats, flags=given.flags())
     except (FileExistsError, ValueError) as error:
         return refuse("trials", error)
     except OSError as error:
         return refuse("trials", f"{error.filename or out}: {error.strerror or error}", 1)
-    print(f"{protocol}: {trials} trials each of {', '.join(chosen)} in {out}, digest {digest}")
+    print(f"{found.protocol}: {trials} trials each of {', '.join(chosen)} in {out}, digest {digest}")
     return 0
 
 

@@ -21,6 +21,10 @@ from r2h_batch.trials.protocol import TRIALS, make_trials, trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
+RECEIVER_ROWS = (
+    "the receiver, m, world: rows (x, y, z, w) of shoulder (w: the upper arm's radius), elbow (w: the forearm's), wrist, middle"
+    " of the torso's box, its half sizes along its facing, sideways and up; w of the last two: x and y of the way it faces"
+)
 Arrays = dict[str, tuple[NDArray[np.generic], str]]
 """Name -> array and what it means, with unit and frame."""
 
@@ -152,6 +156,7 @@ def _trial_arrays(trials: Trials, benchmark: Benchmark, hands: Arrays) -> Arrays
         "palm_point": (point.numpy(), "p_h, m, world"),
         "palm_normal": (normal.numpy(), "n_h, unit vector out of the palm, world"),
         "ball_center": ((point + offset_m * normal).numpy(), f"c_h = p_h + {offset_m:g} n_h, m, world"),
+        **({} if trials.receiver is None else {"receiver": (trials.receiver.numpy(), RECEIVER_ROWS)}),
     }
 
 

@@ -22,7 +22,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.results import provenance
 from r2h_batch.results.reading import TIMING, Run, RunError
 from r2h_batch.results.rows import TRIAL_SCHEMA, TrialNames, score_rows
-from r2h_batch.trials.protocol import PROTOCOL, trials_of
+from r2h_batch.trials.protocol import PROTOCOLS, trials_of
 from r2h_batch.verdicts import SIDES
 
 __all__ = ["Difference", "Judge", "Rejudged", "rejudge"]
@@ -69,8 +69,9 @@ class Judge:
 
     def __init__(self, run: Run, *, given: Given | None = None, device: str = "cpu", threads: int | None = None):
         header, where = run.header, run.folder
-        if header["protocol"] not in (PROTOCOL, LISTED):
-            raise RunError(f"{where}: protocol {header['protocol']!r}; this version makes the trials of {PROTOCOL!r}")
+        if header["protocol"] not in (*PROTOCOLS, LISTED):
+            known = ", ".join(PROTOCOLS)
+            raise RunError(f"{where}: protocol {header['protocol']!r}; this version makes the trials of {known}")
         config = configuration(header["configuration"], str(where))
         self.benchmark = benchmark_of_run(header, given or Given(), str(where))
         self.evaluator = Evaluator.from_benchmark(self.benchmark, config, device=device, threads=threads)

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from r2h_batch.files import printable
-from r2h_batch.turns import PROTOCOL, hands_in_turn, objects_in_turn, trial_ids
+from r2h_batch.turns import PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.verdicts import SIDES, SPLITS
 
 __all__ = ["not_as_planned", "stored_not_as_planned"]
@@ -28,7 +28,7 @@ def not_as_planned(header: Mapping[str, Any], first: int, last: int, table: pa.T
 
     Of a run of another protocol nothing is known.
     """
-    if header["protocol"] != PROTOCOL:
+    if header["protocol"] not in PROTOCOLS:
         return None
     if "objects" not in header:
         return "cannot be compared with the plan: run.json names no objects"
@@ -68,7 +68,7 @@ def _other_names(header: Mapping[str, Any], ids: NDArray[np.int64], table: pa.Ta
     if "hand_index" in table.column_names and len(sides):
         if table.schema.field("hand_index").type != pa.int32() or table["hand_index"].null_count:
             return "column 'hand_index' is not of whole numbers"
-        hand, planned = table["hand_index"].to_numpy(), hands_in_turn(ids, side, sides)
+        hand, planned = table["hand_index"].to_numpy(), hands_in_turn(ids, side, sides, header["protocol"])
         if (wrong := np.flatnonzero(hand != planned)).size:
             row = int(wrong[0])
             return f"trial {ids[row]}: hand_index is {hand[row]}, planned is {planned[row]}"
@@ -86,7 +86,7 @@ def _codes(column: pa.ChunkedArray, words: Sequence[str]) -> NDArray[np.int64]:
 
 def stored_not_as_planned(header: Mapping[str, Any], first: int, last: int, kind: str, file: Path) -> str | None:
     """The same of a stored file, of which only the compared columns are read."""
-    if header["protocol"] != PROTOCOL:
+    if header["protocol"] not in PROTOCOLS:
         return None
     try:
         with pq.ParquetFile(file) as stored:

@@ -43,6 +43,9 @@ class Options:
     """S0 free handover, S1 functional."""
     trials: int = 500
     """Trials of each split."""
+    protocol: Literal["", "r2h-v0", "r2h-v1"] = ""
+    """How trials are drawn. r2h-v0 (unless the benchmark file says otherwise): hands alone, any roll. r2h-v1: hands on the
+    arms of people who reach for the object."""
     device: str = "cpu"
     """cpu, cuda or cuda:N."""
     out: str = ""

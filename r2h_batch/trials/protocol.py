@@ -1,8 +1,9 @@
-"""Protocol r2h-v0: which object is handed to which hand, and where that hand stands. `python -m r2h_batch.trials`.
+"""Protocols r2h-v0 and r2h-v1: which object is handed to which hand, and where that stands. `python -m r2h_batch.trials`.
 
 Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. Objects of the split take turns, hands alternate right and left,
 and the hand's pose is drawn from the reachable set by rejection with counters (protocol, trial id, attempt): a trial
-is the same alone or among a million, on any machine.
+is the same alone or among a million, on any machine. In r2h-v0 the hand floats and its roll is free; in r2h-v1 it is that of
+a person who reaches for the object (receivers.py), in the same set.
 """
 
 import hashlib
@@ -28,11 +29,12 @@ from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import EvalConfig, Workplace
-from r2h_batch.turns import PROTOCOL, hands_in_turn, objects_in_turn, trial_ids
+from r2h_batch.trials import receivers
+from r2h_batch.turns import PROTOCOL, PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["PROTOCOL", "SPLITS", "make_trials", "trials_digest", "trials_of", "trials_with_ids"]
+__all__ = ["PROTOCOL", "PROTOCOLS", "SPLITS", "make_trials", "trials_digest", "trials_of", "trials_with_ids"]
 
 TRIALS = 500
 """Trials of a split in the benchmark; more are the same generator run further."""
@@ -63,11 +65,13 @@ def make_trials(
     hand_set: HandSet | None = None,
     config: EvalConfig | None = None,
     benchmark: Benchmark | str | Path | None = None,
+    protocol: str | None = None,
 ) -> Trials:
     """The first `trials` trials of each split, split by split, on the CPU.
 
     `objects` (default: the 16 built-in ones) is what `object_index` counts; those of a split take turns in it. Hands stand
-    where `config` puts ball, table and home. `benchmark`, a file or one that was read, says all three instead.
+    where `config` puts ball, table and home. `benchmark`, a file or one that was read, says all three instead. `protocol`:
+    r2h-v0 (hands alone) or r2h-v1 (with `Trials.receiver`); by default the benchmark's.
     """
     splits = [splits] if isinstance(splits, str) else list(splits)
     if unknown := [s for s in splits if s not in SPLITS]:
@@ -82,10 +86,12 @@ def make_trials(
         found = read_benchmark(benchmark) if isinstance(benchmark, (str, Path)) else benchmark
         if found.listed is not None:
             return _listed(found.listed, splits, operator.index(trials))
-        objects, hand_set, config = found.objects, found.hand_set, found.config()
+        objects, hand_set, config, protocol = found.objects, found.hand_set, found.config(), protocol or found.drawn
     plan = dict.fromkeys(splits, operator.index(trials))
     ids = trial_ids(plan, 0, sum(plan.values()))
-    return trials_with_ids(torch.from_numpy(ids), objects=objects, hand_set=hand_set, config=config)
+    return trials_with_ids(
+        torch.from_numpy(ids), objects=objects, hand_set=hand_set, config=config, protocol=protocol or PROTOCOL
+    )
 
 
 def _listed(listed: Trials, splits: Sequence[str], trials: int) -> Trials:
@@ -98,7 +104,13 @@ def trials_of(benchmark: Benchmark, trial_id: Int64[Tensor, " n"]) -> Trials:
     """The trials of these ids in a benchmark, in this order."""
     if benchmark.listed is not None:
         return listed_with_ids(benchmark.listed, trial_id)
-    return trials_with_ids(trial_id, objects=benchmark.objects, hand_set=benchmark.hand_set, config=benchmark.config())
+    return trials_with_ids(
+        trial_id,
+        objects=benchmark.objects,
+        hand_set=benchmark.hand_set,
+        config=benchmark.config(),
+        protocol=benchmark.drawn,
+    )
 
 
 def trials_with_ids(
@@ -107,6 +119,7 @@ def trials_with_ids(
     objects: Sequence[ObjectModel] | None = None,
     hand_set: HandSet | None = None,
     config: EvalConfig | None = None,
+    protocol: str = PROTOCOL,
 ) -> Trials:
     """The trials of these ids (0 or more), in this order."""
     if not isinstance(trial_id, Tensor) or trial_id.ndim != 1 or trial_id.dtype != torch.int64:
@@ -115,34 +128,44 @@ def trials_with_ids(
     ids = trial_id.cpu().numpy().copy()
     if len(ids) and ids.min() < 0:
         raise ValueError(f"trial id {ids.min()} is negative; ids are 2 i (S0) and 2 i + 1 (S1)")
+    if protocol not in PROTOCOLS:
+        raise ValueError(f"protocol is {protocol!r}; allowed are {', '.join(PROTOCOLS)}")
+    with_body = protocol != PROTOCOLS[0]
     objects, config = checked_objects(objects), config or EvalConfig()
     hands = _hands(load_hand_set() if hand_set is None else hand_set)
     object_index, side = objects_in_turn(ids, [o.split for o in objects])
     hand_index = np.zeros(len(ids), np.int64)
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
+    receiver = np.zeros((len(ids) if with_body else 0, 5, 4), np.float32)
     for first in range(0, len(ids), _ROWS):
         rows = slice(first, first + _ROWS)
-        hand_index[rows] = hands_in_turn(ids[rows], side[rows], hands.side)
-        T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, config)
+        hand_index[rows] = hands_in_turn(ids[rows], side[rows], hands.side, protocol)
+        if with_body:
+            T_world_hand[rows], receiver[rows] = _draw_people(ids[rows], hand_index[rows], hands, config, protocol)
+        else:
+            T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, config)
     return Trials(
         trial_id=torch.from_numpy(ids),
         object_index=torch.from_numpy(object_index.astype(np.int32)),
         hand_index=torch.from_numpy(hand_index.astype(np.int32)),
         T_world_hand=torch.from_numpy(T_world_hand),
+        receiver=torch.from_numpy(receiver) if with_body else None,
     )
 
 
 def trials_digest(trials: Trials, *, objects: Sequence[ObjectModel] | None = None) -> str:
-    """sha256 (hex) over protocol, ids, object names, hand indices and the bytes of the hand poses.
+    """sha256 (hex) over protocol, ids, object names, hand indices, and the bytes of the hand poses and of the receivers.
 
     `objects` is what `object_index` counts; by default the built-in ones, and a number for what comes after them.
     """
     names = dict(enumerate(o.name for o in (load_objects() if objects is None else objects)))
-    digest = hashlib.sha256(f"{PROTOCOL}\n".encode())
+    digest = hashlib.sha256(f"{PROTOCOLS[0 if trials.receiver is None else 1]}\n".encode())
     digest.update(trials.trial_id.cpu().numpy().astype("<i8").tobytes())
     digest.update("\n".join(names.get(i, f"object {i}") for i in trials.object_index.tolist()).encode())
     digest.update(trials.hand_index.cpu().numpy().astype("<i4").tobytes())
     digest.update(trials.T_world_hand.cpu().contiguous().numpy().astype("<f4").tobytes())
+    if trials.receiver is not None:
+        digest.update(trials.receiver.cpu().contiguous().numpy().astype("<f4").tobytes())
     return digest.hexdigest()
 
 
@@ -153,6 +176,13 @@ class _Hands:
         geometry = hand_set.model.pose(hand_set.pose, hand_set.shape, hand_set.side)
         point, normal = palm_frame(geometry.joints.double(), hand_set.side)
         self.palm_point, self.palm_normal = point.numpy(), normal.numpy()
+        joints = geometry.joints.double().numpy()
+        self.wrist, along = (
+            joints[:, 0],
+            joints[:, 4] - joints[:, 0],
+        )  # to the middle finger's root, in the palm's plane
+        along = along - _dot(along, self.palm_normal)[:, None] * self.palm_normal
+        self.along = along / np.sqrt(_dot(along, along))[:, None]
         self.vertices = np.ascontiguousarray(geometry.vertices.double().numpy().transpose(2, 0, 1))  # (3, H, V)
         low, high = self.vertices.min(2), self.vertices.max(2)
         self.center = ((low + high) / 2).T
@@ -170,7 +200,7 @@ def _draw_poses(
     ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands, config: EvalConfig
 ) -> NDArray[np.float32]:
     """T_world_hand (n, 4, 4), each the first proposal of its trial that lies in the reachable set."""
-    key, offset_m = rng.key_of(PROTOCOL), config.thresholds.reach_offset_m
+    key, offset_m = rng.key_of(PROTOCOLS[0]), config.thresholds.reach_offset_m
 
     def propose(rows: NDArray[np.int64], attempt: int) -> tuple[NDArray[np.bool_], tuple[NDArray[np.float32]]]:
         u = rng.uniforms(key, ids[rows], 7, purpose=_POSE, attempt=attempt)
@@ -193,6 +223,73 @@ def _draw_poses(
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
     rng.accepted(len(ids), propose, T_world_hand)
     return T_world_hand
+
+
+def _draw_people(
+    ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands, config: EvalConfig, protocol: str
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """T_world_hand (n, 4, 4) and `Trials.receiver` (n, 5, 4): the first proposal in r2h-v0's reachable set (ball centre
+    and palm), whose hand is clear as there, and whose arm is clear of the table and of the robot at home."""
+    offset_m, at = config.thresholds.reach_offset_m, config.workplace
+
+    def place_hand(people: receivers.Person, rows: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        hand = hand_index[rows]
+        n, a = hands.palm_normal[hand], hands.along[hand]
+        local = np.stack([a, n, _cross(a, n)], 2)
+        world = np.stack([people.hand, people.palm, _cross(people.hand, people.palm)], 2)
+        # R = world local^T, in sums of a fixed order
+        R = world[:, :, None, 0] * local[:, None, :, 0]
+        for k in (1, 2):
+            R = R + world[:, :, None, k] * local[:, None, :, k]
+        center = people.wrist + se3.rotate(R, hands.palm_point[hand] - hands.wrist[hand]) + offset_m * people.palm
+        kept = np.flatnonzero(_in_set(center))
+        kept = kept[_faces_robot_or_up(center[kept], people.palm[kept])]
+        kept = kept[receivers.clear_of_torso(people.rows(kept))]
+        kept = kept[_arm_is_clear(people.rows(kept), at)]
+        T = np.zeros((len(kept), 4, 4), np.float32)
+        T[:, :3, :3], T[:, 3, 3] = R[kept], 1.0
+        T[:, :3, 3] = people.wrist[kept] - se3.rotate(R[kept], hands.wrist[hand[kept]])
+        clear = _hand_is_clear(T.astype(np.float64), hand[kept], hands, at)
+        fits = np.zeros(len(rows), bool)
+        fits[kept[clear]] = True
+        return fits, T[clear]
+
+    edge_m = round(at.table_center[0] + at.table_half[0], 6)
+    return receivers.draw_receivers(rng.key_of(protocol), ids, hands.side[hand_index], place_hand, edge_m)
+
+
+def _in_set(center: Array) -> NDArray[np.bool_]:
+    """Whether ball centres (n, 3) lie in the sector of a ring that r2h-v0 draws them from."""
+    slope = round(math.tan(math.radians(SECTOR_DEG)), 12)
+    x, y, z = center[:, 0], center[:, 1], center[:, 2]
+    square = x * x + y * y
+    ring = (square >= NEAREST_M**2) & (square <= FARTHEST_M**2) & (np.abs(y) <= slope * x)
+    return np.asarray(ring & (z >= LOWEST_M) & (z <= HIGHEST_M))
+
+
+def _arm_is_clear(people: receivers.Person, at: Workplace) -> NDArray[np.bool_]:
+    """Whether upper arm and forearm keep off table, arm and TCP at home, asked at points along them."""
+    tcp, ends, radius = _home(at.home_q)
+    low, high = (np.round(np.array(at.table_center) + sign * np.array(at.table_half), 6) for sign in (-1, 1))
+    low, high = low - TABLE_ROOM_M, high + TABLE_ROOM_M
+    clear = np.ones(len(people.wrist), bool)
+    for points, thick in receivers.limbs(people):
+        for k in range(points.shape[1]):
+            x = points[:, k]
+            clear &= _from_box(low, high, x) >= thick**2
+            clear &= _from_segment(tcp, tcp, x) >= TCP_ROOM_M**2
+            for (a, b), r in zip(ends, radius, strict=True):
+                clear &= _from_segment(a, b, x) >= (r + thick + ROBOT_ROOM_M) ** 2
+    return clear
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
+
+
+def _cross(a: Array, b: Array) -> Array:
+    i, j = [1, 2, 0], [2, 0, 1]
+    return np.asarray(a[:, i] * b[:, j] - a[:, j] * b[:, i])
 
 
 def _ball_center(u: Array) -> tuple[NDArray[np.bool_], Array]:

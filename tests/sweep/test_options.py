@@ -47,6 +47,7 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         sim="none",
         sim_model="arm",
         format="csv",
+        protocol="r2h-v1",
         save_details=True,
         no_poses=True,
         save_poses=True,
