@@ -3,8 +3,11 @@
 import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -27,6 +30,7 @@ STARTS = 5
 """Actors that may die one after the other before their first shard; then the cluster is given up."""
 
 POLL_S = 0.5
+HEAD_EVERY_S, GRACE_S = 2.0, 5.0
 
 Task = tuple[str, Shard]
 
@@ -36,6 +40,8 @@ class ClusterError(Exception):
 
 
 CONNECT = "import sys, ray; ray.init(address=sys.argv[1], log_to_driver=False, logging_level='ERROR'); ray.shutdown()"
+NO_TOKEN = ("InvalidAuthToken", "AuthenticationError", "Unauthenticated")
+"""What Ray says when a cluster asks for a token, again and again until its own time limit."""
 
 
 def reach(address: str, timeout_s: float) -> None:
@@ -43,17 +49,79 @@ def reach(address: str, timeout_s: float) -> None:
 
     Tried in a process of its own: Ray waits for minutes for a cluster that is gone, and cannot be interrupted.
     """
-    line = [sys.executable, "-c", CONNECT, address]
+    _show_token()
+    where = f"at --address {printable(address)}"
     todo = "start one with `ray start --head`, or leave --address out for one on this machine"
-    try:
-        done = subprocess.run(line, capture_output=True, text=True, errors="replace", timeout=timeout_s, check=False)
-    except subprocess.TimeoutExpired:
+    with tempfile.TemporaryFile() as said:
+        line = [sys.executable, "-c", CONNECT, address]
+        process = subprocess.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said)
+        end, text = time.monotonic() + timeout_s, ""
+        try:
+            while process.poll() is None and time.monotonic() < end and not any(w in text for w in NO_TOKEN):
+                time.sleep(0.05)
+                text = os.pread(said.fileno(), 1 << 20, 0).decode(errors="replace")
+            code, text = process.poll(), os.pread(said.fileno(), 1 << 20, 0).decode(errors="replace")
+        finally:
+            process.kill()
+            process.wait()
+    if code == 0:
+        return
+    if any(word in text for word in NO_TOKEN):
         raise ClusterError(
-            f"no Ray cluster answered at --address {printable(address)} within {timeout_s:g} s (--ray-timeout); {todo}"
-        ) from None
-    if done.returncode:
-        why = printable((done.stderr.strip().splitlines() or ["it ended without a word"])[-1])[:200]
-        raise ClusterError(f"no Ray cluster at --address {printable(address)} ({why}); {todo}")
+            f"the Ray cluster {where} asks for another token than this machine shows: export RAY_AUTH_MODE=token and"
+            " RAY_AUTH_TOKEN_PATH (or RAY_AUTH_TOKEN) here and on every node alike, docs/sweeps.md has the steps"
+        )
+    if code is None:
+        raise ClusterError(f"no Ray cluster answered {where} within {timeout_s:g} s (--ray-timeout); {todo}")
+    why = printable((text.strip().splitlines() or ["it ended without a word"])[-1])[:200]
+    raise ClusterError(f"no Ray cluster {where} ({why}); {todo}")
+
+
+def _show_token() -> None:
+    """A token that is there is shown, as `ray start` does: without the mode Ray's own `init` leaves it where it is."""
+    named = os.environ.get("RAY_AUTH_TOKEN") or os.environ.get("RAY_AUTH_TOKEN_PATH")
+    if named or os.path.isfile(os.path.expanduser("~/.ray/auth_token")):
+        os.environ.setdefault("RAY_AUTH_MODE", "token")
+
+
+class Head:
+    """Watches from a thread whether the head of a cluster that was joined still takes connections; "" watches nothing.
+
+    Ray itself notices after a minute or more, and then ends the process from inside; until then its calls may hang.
+    """
+
+    def __init__(self, address: str, timeout_s: float) -> None:
+        self.address, self.timeout_s, self.lost, self.said = address, timeout_s, "", False
+        self.over = threading.Event()
+        if address:
+            threading.Thread(target=self._watch, daemon=True).start()
+
+    def check(self) -> None:
+        """Raises `ClusterError` where it has taken none for as long as `--ray-timeout`."""
+        if self.lost:
+            self.said = True
+            raise ClusterError(self.lost)
+
+    def _watch(self) -> None:
+        host, _, port = self.address.rpartition(":")
+        heard = time.monotonic()
+        while not self.over.wait(HEAD_EVERY_S):
+            with contextlib.suppress(OSError):
+                socket.create_connection((host.strip("[]"), int(port)), timeout=HEAD_EVERY_S).close()
+                heard = time.monotonic()
+            if time.monotonic() - heard > self.timeout_s:
+                break
+        else:
+            return
+        self.lost = (
+            f"the Ray cluster at {printable(self.address)} has not answered for {self.timeout_s:g} s (--ray-timeout):"
+            " its head or the network between is gone; complete shards are stored, the same command goes on"
+        )
+        time.sleep(GRACE_S)  # for the main thread to say so and to leave, unless it hangs in a call of Ray's
+        if not self.said:
+            tell(f"sweep: {self.lost}")
+        sys.stderr.flush()
+        os._exit(1)  # shards appear whole or not at all, so nothing can be left half done
 
 
 class Worker:
@@ -84,6 +152,7 @@ class Pool:
 
     ray: Any
     start: Callable[[], Any]
+    check: Callable[[], None] = lambda: None  # raises where the cluster is gone
     starting: dict[Any, Any] = field(default_factory=dict)  # ready ref -> actor
     busy: dict[Any, tuple[Any, Task]] = field(default_factory=dict)  # result ref -> actor, task
     idle: list[Any] = field(default_factory=list)
@@ -137,25 +206,29 @@ def _on_cluster(
     own = {} if options.address else {"include_dashboard": False}
     try:
         ray.init(address=options.address or "local", log_to_driver=False, logging_level="ERROR", **own)
-    except (OSError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
         raise ClusterError(f"no Ray cluster could be started or joined: {printable(error)[:300]}") from None
     for number, handler in handlers.items():  # Ray puts its own in their place, which end the driver at once
         signal.signal(number, handler)
+    head = Head(ray.get_runtime_context().gcs_address if options.address else "", options.ray_timeout)
     try:
         gpus = options.gpus_per_worker or (1.0 if options.device != "cpu" else 0.0)
         size = options.workers or _devices(ray, gpus)
         # an actor sees its own GPUs only, as cuda:0; max_restarts 0: the pool replaces actors itself
         mine = replace(options, device="cuda" if options.device != "cpu" else "cpu")
         remote = ray.remote(Worker).options(num_cpus=1, num_gpus=gpus, max_restarts=0)
-        pool = Pool(ray, partial(remote.remote, sweep_jobs.prepare, mine))
+        pool = Pool(ray, partial(remote.remote, sweep_jobs.prepare, mine), head.check)
         try:
             total = sum(s.last - s.first for _, s in todo)
             with progress("all methods", total, log=log) as advance:
                 return _feed(pool, size, todo, folder, setting, stopping, advance)
         finally:
-            pool.stop()
+            if not head.lost:
+                pool.stop()
     finally:
-        ray.shutdown()
+        if not head.lost:
+            head.over.set()
+            ray.shutdown()
 
 
 def _devices(ray: Any, gpus: float) -> int:
@@ -175,6 +248,7 @@ def _feed(
     refused: list[str] = []
     errors: dict[Task, list[str]] = {}
     while todo or pool.busy:
+        pool.check()
         if stopping():
             todo.clear()  # what is being scored is stored, nothing new is begun
         while pool.idle and todo:
