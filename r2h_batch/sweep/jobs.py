@@ -311,6 +311,6 @@ def table_name(
     added = "" if noise == 0 else " + noise" if noise == 1 else f" + {noise:g} x noise"
     if not shown:
         return f"{title} ({stand_in}{added})"
-    own = {"contacts": stand_in.partition(",")[0]}
-    rest = [f"{SAID[k]}: {own.get(k, 'oracle')}{'' if k == 'contacts' else added}" for k in sees if k not in shown]
-    return f"{title} ({', '.join([*(f'{SAID[k]}: {shown[k]}' for k in sees if k in shown), *rest])})"
+    # the built-in contact network sees no noise: it is asked about the object alone
+    stood = dict.fromkeys(sees, f"oracle{added}") | {"contacts": stand_in.partition(",")[0]}
+    return f"{title} ({', '.join(f'{SAID[k]}: {shown.get(k, stood[k])}' for k in sees)})"

@@ -157,7 +157,7 @@ def test_names_in_the_table_leave_nothing_out():
     sees = ("receiving", "target", "contacts")
     assert table_name("C", "VoxNet, built-in contacts", 1) == "C (VoxNet, built-in contacts + noise)"
     shown = {"contacts": "deepcontact"}
-    wanted = "C (contacts: deepcontact, hand: oracle + noise, target hand: oracle + noise)"
+    wanted = "C (hand: oracle + noise, target hand: oracle + noise, contacts: deepcontact)"
     assert table_name("C", "VoxNet, built-in contacts", 1, shown, sees) == wanted
     shown = {"receiving": "g", "target": "g"}
     assert table_name("C", "net.pt", 0.5, shown, sees) == "C (hand: g, target hand: g, contacts: net.pt)"
