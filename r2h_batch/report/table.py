@@ -37,6 +37,8 @@ def table_of(run: Run, order: Sequence[str] = CRITERIA, counted: Sequence[Tally]
         "device": str(header["device"]["name"]),
         "r2h_batch": str(header["versions"]["r2h_batch"]),
     }
+    if flags := (header.get("benchmark") or {}).get("flags"):
+        origin["benchmark"] = f"{' '.join(flags)}, digest {header['digests'].get('benchmark', 'unknown')}"
     if "motion" in header:
         origin["motion"] = str(header["motion"]["engine"]).replace("none", "as planned")
     if "predictors" in header:

@@ -7,12 +7,14 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import torch
 
-from r2h_batch import make_trials
+from r2h_batch import Evaluator, make_trials
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark import built_in
 from r2h_batch.benchmark.given import Given
 from r2h_batch.benchmark.trials_file import read_trials_file
+from r2h_batch.bodies.arrays import asset, read_arrays
 from r2h_batch.bodies.hand import load_hand_set
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.files import FileError
@@ -72,16 +74,13 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
     right = {k: getattr(own, k).numpy()[:3] for k in ("pose", "shape", "side")}
     np.savez(tmp_path / "hands.npz", **right, posture=np.array(["a", "b", "c"]))
     score(tmp_path / "run", "--trials", 4, "--hands", tmp_path / "hands.npz")
-    capsys.readouterr()
+    digest = Given(hands=str(tmp_path / "hands.npz")).read().digest
+    assert f"benchmark: --hands {tmp_path / 'hands.npz'}, digest {digest}" in capsys.readouterr().out
     assert main(["results", "verify", str(tmp_path / "run")]) == 0
     run = load_run(tmp_path / "run")
     assert set(run.trials("random")["side"].to_pylist()) == {"right"}
     assert run.header["benchmark"]["flags"] == [f"--hands {tmp_path / 'hands.npz'}"]
-    assert (
-        run.header["digests"]["benchmark"]
-        == Given(hands=str(tmp_path / "hands.npz")).read().digest
-        != built_in().digest
-    )
+    assert run.header["digests"]["benchmark"] == digest != built_in().digest
     header = json.loads((tmp_path / "run" / "run.json").read_text())
     assert header["hands"] == ["right"] * 3
 
@@ -168,6 +167,24 @@ def test_parquet_files_of_other_shapes_or_sizes_are_refused_before_they_are_read
     with pytest.raises(FileError, match="400000 values in 4 rows"):
         read_trials_file(tmp_path / "long.parquet", base.objects, base.hand_set)
     assert not read
+
+
+def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
+    arrays = read_arrays(asset("hand", "hand.npz"))
+    np.savez(tmp_path / "large.npz", **arrays | {"vertices": arrays["vertices"] * np.float32(1.1)})
+    own = load_hand_set()
+    few = {k: getattr(own, k).numpy()[[0, 399]] for k in ("pose", "shape", "side")}
+    np.savez(tmp_path / "two.npz", **few, posture=np.array(["a", "b"]))
+    given = Given(hand_model=str(tmp_path / "large.npz"), hands=str(tmp_path / "two.npz"))
+    found = given.read()
+    assert given.read().hand_set is found.hand_set  # read once: what is made for a hand is made once
+    scene = Evaluator.from_benchmark(found).scene
+    assert scene.hands.model is found.hand_set.model and len(scene.hands.set) == 2
+    rest = own.model.pose(torch.zeros(1, 48)).vertices
+    assert torch.allclose(scene.hands.model.pose(torch.zeros(1, 48)).vertices, rest * 1.1, atol=1e-3)
+    assert found.digest != Given(hands=str(tmp_path / "two.npz")).read().digest
+    np.savez(tmp_path / "large.npz", **arrays)  # another hand in the file: it is read again
+    assert given.read().digest != found.digest
 
 
 def test_grasps_come_by_name_by_file_name_or_by_folder(tmp_path):
