@@ -5,8 +5,11 @@ Files may be deleted at any time. A folder that cannot be written costs the time
 """
 
 import contextlib
+import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from importlib import metadata, resources
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -17,7 +20,7 @@ from numpy.typing import NDArray
 from r2h_batch.files import FileError
 from r2h_batch.files.arrays import read_npz
 
-__all__ = ["cache_folder", "kept"]
+__all__ = ["cache_folder", "code_of", "kept"]
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -55,6 +58,20 @@ def kept(kind: str, key: str, make: Callable[[], Mapping[str, NDArray[Any]]]) ->
             found = dict(make())
             _write(path, found)
         return found
+
+
+@lru_cache(maxsize=8)
+def code_of(packages: Sequence[str], distributions: Sequence[str]) -> str:
+    """sha256 (hex) of the modules in these packages (not those below) and the versions of what they compute with."""
+    digest = hashlib.sha256()
+    for package in packages:
+        for file in sorted(resources.files(package).iterdir(), key=lambda f: f.name):
+            if file.name.endswith(".py"):
+                digest.update(file.name.encode() + file.read_bytes())
+    for name in distributions:
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            digest.update(f"{name} {metadata.version(name)}".encode())
+    return digest.hexdigest()
 
 
 def _read(path: Path) -> Arrays | None:

@@ -1,8 +1,10 @@
 """The 100 grasp candidates that a method may choose from: stored for the built-in objects, sampled for a user's."""
 
+import hashlib
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, fields
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,18 +14,29 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.bodies.arrays import stored_arrays
-from r2h_batch.bodies.objects import ObjectModel, is_built_in
+from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, object_digest
 from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.files.kept import code_of, kept
 from r2h_batch.judge.grasp import close_gripper
-from r2h_batch.methods.grasp_candidates import Candidates, sample_grasps, seat_grasps
+from r2h_batch.methods.grasp_candidates import Candidates, NoGraspError, sample_grasps, seat_grasps
 from r2h_batch.scene.scene import Scene
 
-__all__ = ["CandidateTable", "candidate_table", "candidates_of"]
+__all__ = ["CandidateTable", "candidate_table", "candidates_of", "check_candidates", "without_candidates"]
+
+
+CODE = ("r2h_batch.methods", "r2h_batch.judge", "r2h_batch.scene") + tuple(
+    f"r2h_batch.kernels.{k}" for k in ("methods", "grasp", "robot", "geometry")
+)
+VERSIONS = ("numpy", "scipy", "torch", "warp-lang")
+"""What candidates are made by."""
+
+NOTHING_FITS = "no grasp found; the gripper needs a part narrower than 85 mm that it can reach"
 
 
 @lru_cache(maxsize=8)
 def candidates_of(objects: tuple[ObjectModel, ...]) -> tuple[Candidates, ...]:
-    """Candidates of each object, in the objects' order; those that are not stored are sampled once (seconds each).
+    """Candidates of each object, in the objects' order; those that are not stored are sampled once (seconds each) and kept
+    on disk. An object that the gripper cannot hold has none, with a warning.
 
     `region_m` is not stored: NaN for the built-in objects.
     """
@@ -34,6 +47,20 @@ def stacked(candidates: Sequence[Candidates]) -> tuple[NDArray[np.float32], NDAr
     """T_obj_ee of all candidates (K, 4, 4), and of each object the first row and the number of rows."""
     count = np.array([len(c) for c in candidates], np.int64)
     return np.concatenate([c.T_obj_ee for c in candidates]), np.cumsum(count) - count, count
+
+
+def without_candidates(objects: tuple[ObjectModel, ...]) -> list[int]:
+    """Indices of the objects that no candidate was found for."""
+    return [i for i, c in enumerate(candidates_of(objects)) if len(c) == 0]
+
+
+def check_candidates(scene: Scene, object_index: torch.Tensor) -> None:
+    """Raises `NoGraspError` where a trial's object has no candidate: methods choose from them."""
+    for i in without_candidates(scene.objects):
+        if bool((object_index == i).any()):
+            raise NoGraspError(
+                f"{scene.objects[i].name}: has no grasp candidate; leave its trials out, or give grasps of your own"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,14 +76,24 @@ class CandidateTable:
     first: Int64[Tensor, " o"]
     count: Int64[Tensor, " o"]
 
+    @cached_property
+    def some_have_none(self) -> bool:
+        """Whether some object has no candidate."""
+        return bool((self.count == 0).any())
+
     @property
     def most(self) -> int:
         """K, the largest number of candidates that an object has."""
         return int(self.count.max())
 
     def rows(self, object_index: Int32[Tensor, " b"]) -> tuple[Int64[Tensor, "b k"], Bool[Tensor, "b k"]]:
-        """Rows of the K candidates of each trial's object, and which of them exist (the others repeat the first)."""
+        """Rows of the K candidates of each trial's object, and which of them exist (the others repeat the first).
+
+        Raises `NoGraspError` where an object has none.
+        """
         o = object_index.long()
+        if self.some_have_none and bool((self.count[o] == 0).any()):
+            raise NoGraspError("trials of objects that have no grasp candidate; leave them out")
         k = torch.arange(self.most, dtype=torch.int64, device=o.device)
         exists = k < self.count[o][:, None]
         return self.first[o][:, None] + torch.where(exists, k, 0), exists
@@ -68,6 +105,8 @@ def candidate_table(scene: Scene) -> CandidateTable:
     every = candidates_of(scene.objects)
     T, first, count = stacked(every)
     index = np.repeat(np.arange(len(count)), count).astype(np.int32)
+    if not len(T):
+        raise NoGraspError("no object of the scene has a grasp candidate: the gripper can hold none of them")
     T_obj_ee, object_index = torch.from_numpy(T).to(scene.device), torch.from_numpy(index).to(scene.device)
     held = close_gripper(scene.grasp_tables, T_obj_ee, object_index, w_max=OPEN_GAP_M)
     values = (np.concatenate([getattr(c, name) for c in every]) for name in ("width", "score"))
@@ -79,12 +118,27 @@ def candidate_table(scene: Scene) -> CandidateTable:
 @lru_cache(maxsize=64)
 def _candidates(model: ObjectModel) -> Candidates:
     if model.grasps is not None:
-        return seat_grasps(model, model.grasps)
+        return seat_grasps(model, model.grasps)  # a user's own: none left is the user's to know
     stored = _stored()
     if f"{model.name}/T_obj_ee" in stored and is_built_in(model):
         values = {k: stored[f"{model.name}/{k}"] for k in ("T_obj_ee", "width", "score", "part")}
         return Candidates(**values, region_m=np.full(len(values["width"]), np.nan, np.float32))
-    return sample_grasps(model)
+
+    def make() -> dict[str, NDArray[Any]]:
+        try:
+            return _arrays(sample_grasps(model))
+        except NoGraspError:
+            return {k: v[:0] for k, v in _arrays(_candidates(load_objects()[0])).items()}
+
+    key = hashlib.sha256(f"{object_digest(model)} {code_of(CODE, VERSIONS)}".encode()).hexdigest()
+    found = Candidates(**kept("candidates", key, make))
+    if not len(found):
+        warnings.warn(f"{model.name}: {NOTHING_FITS}", stacklevel=2)
+    return found
+
+
+def _arrays(candidates: Candidates) -> dict[str, NDArray[Any]]:
+    return {f.name: getattr(candidates, f.name) for f in fields(Candidates)}
 
 
 @lru_cache(maxsize=1)

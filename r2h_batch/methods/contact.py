@@ -131,6 +131,8 @@ def in_clusters(scene: Scene, eps_m: float, min_samples: int) -> Bool[Tensor, " 
     kept = np.zeros(len(table.T_obj_ee), bool)
     points = table.T_obj_ee[:, :3, 3].cpu().numpy().astype(np.float64)
     for first, count in zip(table.first.tolist(), table.count.tolist(), strict=True):
+        if not count:
+            continue
         rows = slice(first, first + count)
         kept[rows] = DBSCAN(eps=eps_m, min_samples=min_samples).fit(points[rows]).labels_ >= 0
     return torch.from_numpy(kept).to(scene.device)

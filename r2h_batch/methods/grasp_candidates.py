@@ -25,7 +25,7 @@ from r2h_batch.kernels.methods import antipodal
 from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables
 
-__all__ = ["Candidates", "sample_grasps", "seat_grasps"]
+__all__ = ["Candidates", "NoGraspError", "sample_grasps", "seat_grasps"]
 
 COUNT = 100
 FRICTION = 0.5
@@ -48,6 +48,10 @@ OWN_GRIPPER = "2f-85"
 SEATS_M = (0.0, 0.004, -0.004, 0.008, -0.008, 0.012, -0.012, 0.016, -0.016, 0.02, -0.02)
 
 F32 = NDArray[np.float32]
+
+
+class NoGraspError(ValueError):
+    """An object that the gripper cannot hold anywhere, as far as was found."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +95,7 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None
     every = Candidates(*(np.concatenate([getattr(c, name) for c in pool]) for name in Candidates.__dataclass_fields__))
     if len(every) == 0:
         stroke = f"{1e3 * OPEN_GAP_M:.0f} mm"
-        raise ValueError(
+        raise NoGraspError(
             f"{model.name}: no grasp found; the gripper needs a part narrower than {stroke} that it can reach"
         )
     chosen = _diverse(model, every, count)
@@ -127,7 +131,7 @@ def seat_grasps(
         found, rows = _graded(model, tables, mesh, T, threads)
         seated |= {int(left[r]): (found.rows([k]), depth) for k, r in enumerate(rows)}
     if not seated:
-        raise ValueError(
+        raise NoGraspError(
             f"{model.name}: none of {len(grasps)} grasps can be held by the {OWN_GRIPPER}; are they in the object's frame, in"
             " metres, and named for the right gripper?"
         )

@@ -16,7 +16,7 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.judge.metrics import affordance, stability
-from r2h_batch.methods.candidates import candidates_of, stacked
+from r2h_batch.methods.candidates import candidates_of, check_candidates, stacked
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CRITERIA, Outcome, Predictions, Scores, Trials
 
@@ -44,6 +44,7 @@ def predict(
     """For each trial the first proposal that succeeds, else the one that got farthest; drawn by (seed, trial id)."""
     if evaluator is None:
         evaluator = Evaluator(scene.config, device=scene.device, objects=scene.objects, hand_set=scene.hands.set)
+    check_candidates(scene, trials.object_index)
     evaluator = evaluator.kinematic
     n, home = len(trials), trials.trial_id.device
     trials = trials.to(scene.device)

@@ -5,7 +5,7 @@ import torch
 from numpy.typing import NDArray
 
 from r2h_batch import rng
-from r2h_batch.methods.candidates import candidates_of, stacked
+from r2h_batch.methods.candidates import candidates_of, check_candidates, stacked
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
@@ -19,6 +19,7 @@ _CANDIDATE, _POSE = 0, 1  # purposes of the random counters
 
 def predict(trials: Trials, scene: Scene, *, seed: int = 0) -> Predictions:
     """A grasp from the object's candidates, a TCP pose uniform in ball and orientation; drawn by (seed, trial id)."""
+    check_candidates(scene, trials.object_index)
     key = rng.key_of(f"random {seed}")
     ids = trials.trial_id.cpu().numpy()
     object_index = trials.object_index.cpu().numpy().astype(np.int64)

@@ -39,6 +39,9 @@ def contact_map(model: ObjectModel) -> NDArray[np.float32]:
     Relative, as the thermal maps of ContactDB are scaled for each object: with many ways to hold an object, no point is
     touched in 40 % of them, yet people do have a place where they hold it.
     """
-    often = touched_points(model).mean(0)
+    touched = touched_points(model)
+    if not touched.any():
+        return np.zeros(len(model.points), np.float32)
+    often = touched.mean(0)
     full = np.quantile(often[often > 0], FULL)
     return np.minimum(often / full, 1.0).astype(np.float32)

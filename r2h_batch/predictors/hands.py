@@ -16,8 +16,10 @@ from r2h_batch.predictors.given import GivenHands, Seen
 from r2h_batch.predictors.noise import PredictorNoise, perturbed, trial_ids
 from r2h_batch.receiver.instructions import InstructionError, intents_of, understand
 from r2h_batch.receiver.receiving import ReceivingGrasps, load_receiving
+from r2h_batch.receiver.sampler import NoHoldError
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
+from r2h_batch.verdicts import SIDES
 
 __all__ = ["ReceivingHand", "TargetHand", "predict_receiving", "predict_target", "retrieve_receiving"]
 
@@ -181,6 +183,10 @@ def _drawn(
     side = scene.hands.set.side.to(torch.int8)[trials.hand_index.cpu().long()]
     table, number = _rows(grasps, fits)
     at = (trials.object_index.cpu().long(), side.long(), wanted)
+    if not bool((number[at] > 0).all()):
+        i = int(torch.nonzero(number[at] == 0)[0, 0])
+        name = scene.objects[int(trials.object_index[i])].name
+        raise NoHoldError(f"{name}: no receiving grasp of a {SIDES[int(side[i])]} hand was found; leave its trials out")
     (u,) = rng.uniforms(key, ids, 1, purpose=_GRASP)
     grasp = table[at][
         torch.arange(len(ids), dtype=torch.int64, device="cpu"), torch.from_numpy(rng.choice(u, number[at].numpy()))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from importlib import metadata, resources
 from typing import Any
 
 import numpy as np
@@ -19,16 +19,21 @@ from r2h_batch import se3
 from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
 from r2h_batch.bodies.hand import HandGeometry, HandModel, load_hand
 from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, object_digest
-from r2h_batch.files.kept import kept
+from r2h_batch.files.kept import code_of, kept
 from r2h_batch.receiver.instructions import intents_of
-from r2h_batch.receiver.sampler import sample_receiving
+from r2h_batch.receiver.sampler import PER_SIDE, NoHoldError, sample_receiving
+from r2h_batch.verdicts import SIDES
 
-__all__ = ["CONTACT_M", "PENETRATION_M", "ReceivingGrasps", "load_receiving", "receiving_digest"]
+__all__ = ["CONTACT_M", "PENETRATION_M", "ReceivingGrasps", "load_receiving", "receiving_digest", "without_receiving"]
 
 CONTACT_M = 0.005
 """A digit or the palm is in contact when a point of its palmar skin is this near to the surface."""
 PENETRATION_M = 0.005
 """No point of the hand is deeper in the object, and no point of the object deeper in the hand."""
+
+CODE = ("r2h_batch.receiver", "r2h_batch.kernels.receiver", "r2h_batch.kernels.geometry")
+VERSIONS = ("numpy", "scipy", "torch", "trimesh", "warp-lang")
+"""What receiving grasps are made by."""
 
 FIELDS = ("side", "T_obj_hand", "pose", "shape", "part")
 
@@ -110,6 +115,17 @@ def load_receiving(objects: Sequence[ObjectModel] | None = None, hand: HandModel
     return _load(tuple(load_objects() if objects is None else objects), load_hand() if hand is None else hand)
 
 
+def without_receiving(objects: Sequence[ObjectModel], hand: HandModel) -> list[tuple[int, int]]:
+    """(index, side) of the objects that no receiving grasp of this side was found for."""
+    grasps = load_receiving(objects, hand)
+    return [
+        (i, side)
+        for i in range(len(objects))
+        for side in (0, 1)
+        if not bool(((grasps.object_index == i) & (grasps.side == side)).any())
+    ]
+
+
 def receiving_digest(grasps: ReceivingGrasps | None = None) -> str:
     """sha256 (hex) over every array's name, type, shape and bytes."""
     grasps = load_receiving() if grasps is None else grasps
@@ -118,29 +134,35 @@ def receiving_digest(grasps: ReceivingGrasps | None = None) -> str:
 
 @lru_cache(maxsize=64)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
-    stored = _stored()
-    if hand is load_hand() and f"{model.name}/side" in stored and is_built_in(model):
-        return {k: stored[f"{model.name}/{k}"] for k in FIELDS}
-    made = kept("receiving", _made_of(model, hand), lambda: sample_receiving(model, hand=hand))
+    if hand is load_hand() and f"{model.name}/side" in _stored() and is_built_in(model):
+        return _stored_of(model)
+
+    def make() -> dict[str, NDArray[Any]]:
+        try:
+            return sample_receiving(model, hand=hand)
+        except NoHoldError:
+            return {k: v[:0] for k, v in _stored_of(load_objects()[0]).items()}
+
+    made = kept("receiving", _made_of(model, hand), make)
+    wanted = {side: PER_SIDE - int((made["side"] == side).sum()) for side in (0, 1)}
+    for side, missing in wanted.items():
+        if missing > 0:
+            warnings.warn(
+                f"{model.name}: {PER_SIDE - missing} of {PER_SIDE} {SIDES[side]} receiving grasps found; a hand must be able to "
+                "hold the receiver's region (S1) or some part (S0) between thumb and fingers",
+                stacklevel=2,
+            )
     return {k: made[k] for k in FIELDS}
+
+
+def _stored_of(model: ObjectModel) -> dict[str, NDArray[Any]]:
+    stored = _stored()
+    return {k: stored[f"{model.name}/{k}"] for k in FIELDS}
 
 
 def _made_of(model: ObjectModel, hand: HandModel) -> str:
     """sha256 (hex) over all that an object's receiving grasps come from: object, hand, the code, what it is built on."""
-    digest = hashlib.sha256(f"{object_digest(model)} {hand.digest} {_code()}".encode())
-    return digest.hexdigest()
-
-
-@lru_cache(maxsize=1)
-def _code() -> str:
-    """The digest of the sampler and its kernels, and versions of what computes."""
-    digest = hashlib.sha256()
-    for package in ("r2h_batch.receiver", "r2h_batch.kernels.receiver", "r2h_batch.kernels.geometry"):
-        for file in sorted(resources.files(package).iterdir(), key=lambda f: f.name):
-            if file.name.endswith(".py"):
-                digest.update(file.name.encode() + file.read_bytes())
-    for name in ("numpy", "scipy", "torch", "trimesh", "warp-lang"):
-        digest.update(f"{name} {metadata.version(name)}".encode())
+    digest = hashlib.sha256(f"{object_digest(model)} {hand.digest} {code_of(CODE, VERSIONS)}".encode())
     return digest.hexdigest()
 
 

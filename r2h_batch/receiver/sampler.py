@@ -28,7 +28,7 @@ from r2h_batch.receiver.hand_closing import (
 from r2h_batch.receiver.hand_contact import PALM, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
 from r2h_batch.receiver.instructions import intents_of
 
-__all__ = ["PER_SIDE", "sample_receiving"]
+__all__ = ["PER_SIDE", "NoHoldError", "sample_receiving"]
 
 PER_SIDE = 32
 PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 3000, 4, 240, 16
@@ -49,6 +49,10 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 
+class NoHoldError(ValueError):
+    """An object that neither hand can hold, as far as was found."""
+
+
 def sample_receiving(
     model: ObjectModel,
     *,
@@ -57,16 +61,21 @@ def sample_receiving(
     self_cut_m: float | None = None,
     threads: int | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Arrays as in `receiving.FIELDS`: `per_side` right-hand and as many left-hand holds; the same object, the same holds.
+    """Arrays as in `receiving.FIELDS`: up to `per_side` right-hand and left-hand holds; the same object, the same holds.
 
     Each holds with thumb and a finger from opposite sides and with three regions of the hand or more. `self_cut_m`: how
-    deep a hand may cut into itself where digits press on each other; None: not asked. Raises if an object has fewer than
-    `per_side`.
+    deep a hand may cut into itself where digits press on each other; None: not asked. Raises `NoHoldError` where an object
+    has none at all.
     """
     init_warp()
     hand = load_hand() if hand is None else hand
     right = _holds(model, hand, False, per_side, self_cut_m, threads)
     left = _holds(model, hand, True, per_side, self_cut_m, threads)
+    if not len(right["side"]) + len(left["side"]):
+        raise NoHoldError(
+            f"{model.name}: 0 right receiving grasps found, {per_side} wanted, 0 left; "
+            "a hand must be able to hold the receiver's region (S1) or some part (S0) between thumb and fingers"
+        )
     return {k: np.concatenate([right[k], left[k]]) for k in right}
 
 
@@ -89,11 +98,6 @@ def _holds(
             break
     every = {k: np.concatenate([p[k] for p in pool]) for k in pool[0]}
     chosen = _diverse(model, hand, every, count, self_cut_m)
-    if len(chosen) < count:
-        raise ValueError(
-            f"{model.name}: {len(chosen)} {'left' if mirror else 'right'} receiving grasps found, {count} wanted; "
-            "a hand must be able to hold the receiver's region (S1) or some part (S0) between thumb and fingers"
-        )
     return _as_arrays(hand, every, chosen, flip)
 
 

@@ -75,6 +75,8 @@ def run(options: Options, stopping: Callable[[], bool] = lambda: False) -> int:
         sweep_jobs.resolve(options)
         setting = sweep_jobs.prepare(options)
         jobs = sweep_jobs.make_jobs(options, files, setting)
+        for line in (line for job in jobs for line in job.cannot):
+            tell(line)
         out, folder = _open(options, setting, jobs)
         for job in jobs:
             folder.register(job.name, job.source)

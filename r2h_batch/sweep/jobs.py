@@ -74,6 +74,8 @@ class Job:
     predict: Callable[[Trials, torch.Tensor | None], Predictions]
     rows: torch.Tensor | None = None
     warm: bool = False
+    cannot: tuple[str, ...] = ()
+    """which trials it has no answer to, for people: they count as its failures"""
 
 
 def prepare(options: Options) -> Setting:
@@ -194,6 +196,10 @@ def load_files(options: Options) -> Files:
 def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     """Every method and file as a job, aligned with the plan; names must differ."""
     seen = _seen(options, setting)
+    if any(name in METHODS for name in options.method):
+        from r2h_batch.sweep.able import check_grasps
+
+        check_grasps(setting.evaluator.scene, options.allow_empty_candidates)
     jobs = [_method_job(name, setting.evaluator, options, seen) for name in options.method]
     for path, digest, predictions in files:
         planned = setting.ids(0, setting.planned)
@@ -291,10 +297,15 @@ def _method_job(name: str, evaluator: "Evaluator", options: Options, seen: "Seen
             title = table_name(module.TITLE, stand_in, options.predictor_noise, shown, module.SEES)
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
-    def predict(trials: Trials, _: object) -> Predictions:
+    def answer(trials: Trials) -> Predictions:
         return answer_of(title, trials, lambda mine: found.function(mine, evaluator.scene, seed=options.seed, **extra))
 
-    return Job(title, source, predict, warm=built_in)
+    if not built_in:
+        return Job(title, source, lambda trials, _: answer(trials))
+    from r2h_batch.sweep.able import able_of
+
+    able = able_of(name, getattr(module, "SEES", ()), evaluator.scene, seen)
+    return Job(title, source, lambda trials, _: able.only(trials, answer), warm=True, cannot=able.lines)
 
 
 SAID = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}

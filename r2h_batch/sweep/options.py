@@ -108,6 +108,8 @@ class Options:
     """Also store waypoints and times of every trial, its details and its poses: all that r2h_batch.scene needs."""
     threads: int | None = None
     """CPU threads; all cores unless given."""
+    allow_empty_candidates: bool = False
+    """Count trials of objects that the gripper can hold nowhere as failures of the built-in methods instead of refusing."""
     allow_missing: bool = False
     """Count trials that a predictions file leaves out as failures instead of refusing the file."""
     shard: str = "1/1"

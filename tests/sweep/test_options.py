@@ -53,6 +53,7 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         save_poses=True,
         save_paths=True,
         threads=2,
+        allow_empty_candidates=True,
         allow_missing=True,
         shard="2/3",
         shard_trials=50,

@@ -1,0 +1,81 @@
+"""What a method cannot do with a user's object is said before work starts, and fails that method and object only."""
+
+import pytest
+import trimesh
+
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.methods import candidates
+from r2h_batch.methods.grasp_candidates import NoGraspError
+from r2h_batch.receiver import receiving
+from r2h_batch.receiver.sampler import NoHoldError
+from r2h_batch.results.reading import load_run
+from r2h_batch.sweep import main
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """Two bodies in a folder; grasps and holds are a cup's (sampling takes seconds), 31 right hands and no left one."""
+    monkeypatch.setenv("R2H_BATCH_CACHE", "off")
+    (tmp_path / "meshes").mkdir()
+    for name, radius in (("stick", 0.012), ("ball", 0.06)):
+        trimesh.creation.capsule(height=0.1, radius=radius, count=[12, 12]).export(tmp_path / "meshes" / f"{name}.ply")
+    (cup,) = load_objects(["cup"])
+    found, held = candidates.candidates_of((cup,))[0].rows(slice(0, 10)), receiving.load_receiving([cup])
+    hold = {k: getattr(held, k)[1:32].numpy() for k in receiving.FIELDS}
+    monkeypatch.setattr(receiving, "sample_receiving", lambda model, **_: hold)
+    monkeypatch.setattr(candidates, "sample_grasps", lambda model: found)
+    return tmp_path
+
+
+def sweep(folder, *more):
+    words = ["--objects", str(folder / "meshes"), "--splits", "S0", "--trials", "8", "--sim", "none", "--no-poses"]
+    return main([*words, "--out", str(folder / "run"), *more])
+
+
+def outcomes(folder, method):
+    rows = load_run(folder / "run").trials(method).to_pylist()
+    return {(r["object"], r["side"]): r["outcome"] == "invalid_input" for r in rows}
+
+
+def test_what_was_found_is_enough_and_the_side_without_holds_fails_that_method_only(folder, capsys):
+    with pytest.warns(UserWarning, match="31 of 32 right receiving grasps found"):
+        assert sweep(folder, "--method", "random", "contact") == 0
+    said = capsys.readouterr().err
+    assert said.count("contact: no left hand was found that can hold") == 2 and "random: no " not in said
+    names = load_run(folder / "run").methods
+    contact = next(n for n in names if n.startswith("Contact"))
+    assert set(outcomes(folder, "random").values()) == {False}
+    found = outcomes(folder, contact)
+    assert {side for (_, side), failed in found.items() if failed} == {"left"}
+    assert {side for (_, side), failed in found.items() if not failed} == {"right"}
+
+
+def test_an_object_that_no_hand_can_hold_fails_on_both_sides(folder, monkeypatch, capsys):
+    def none(model, **_):
+        raise NoHoldError("nothing")
+
+    monkeypatch.setattr(receiving, "sample_receiving", none)
+    with pytest.warns(UserWarning, match="0 of 32 left receiving grasps found"):
+        assert sweep(folder, "--method", "fc") == 0
+    assert "fc: no right hand was found that can hold ball" in capsys.readouterr().err
+    name = load_run(folder / "run").methods[0]
+    assert all(outcomes(folder, name).values())
+
+
+def test_an_object_too_wide_for_the_gripper_is_refused_in_one_line_unless_it_may_fail(folder, monkeypatch, capsys):
+    found = candidates.sample_grasps
+
+    def sample(model):
+        if model.name == "ball":
+            raise NoGraspError("none")
+        return found(model)
+
+    monkeypatch.setattr(candidates, "sample_grasps", sample)
+    with pytest.warns(UserWarning, match="ball: no grasp found"):
+        assert sweep(folder, "--method", "random") == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "sweep: ball: no grasp found; the gripper needs a part narrower" in said
+    assert not (folder / "run").exists()
+    assert sweep(folder, "--method", "random", "--allow-empty-candidates") == 0
+    assert "random: no grasp candidate of ball" in capsys.readouterr().err
+    assert {o: failed for (o, _), failed in outcomes(folder, "random").items()} == {"ball": True, "stick": False}
