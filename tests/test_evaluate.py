@@ -33,7 +33,7 @@ from staging import (
     tilted_pole,
 )
 
-from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
+from r2h_batch.config import HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Scores
@@ -192,7 +192,8 @@ def test_a_path_whose_samples_step_over_the_hand_is_not_safe_and_the_exact_check
         palm = HOME_TCP + rng.uniform(0, 1) * (goal[:3, 3] - HOME_TCP) + rng.normal(size=3) * 0.08
         rows.append(GOOD.but(T_world_ee=goal, T_world_hand=hand_at(palm, rng.normal(size=3), rng.normal(size=3))))
     # what else fails must not hide it: Reach passes anywhere
-    config = EvalConfig(plan=PlanConfig(edge_check="moveit", hand_clearance_m=0.0, shortcuts=0))
+    planned = ExecConfig(sim="none")
+    config = EvalConfig(plan=PlanConfig(edge_check="moveit", hand_clearance_m=0.0, shortcuts=0), execute=planned)
     wide = replace(config, thresholds=replace(config.thresholds, reach_radius_m=5.0))
     s = judge(*rows, config=wide)
     unsafe = torch.nonzero(s.outcome == int(Outcome.SAFE)).flatten().tolist()
@@ -210,11 +211,11 @@ def test_a_path_whose_samples_step_over_the_hand_is_not_safe_and_the_exact_check
 
 def test_a_planned_path_with_exact_edges_is_safe_because_pieces_enclose_the_hand():
     evaluator = default_evaluator()
-    batch = make_batch(evaluator.scene, 512, random_share=0.3)
+    batch = make_batch(evaluator.scene, 192, random_share=0.3)
     for config, tolerance in ((evaluator.kinematic, 3e-5), (evaluator, 6e-4)):  # the servos stray by up to 0.5 mm
         s = config.score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
         found = s.path_len > 0
-        assert found.sum() > 200
+        assert found.sum() > 75
         assert (s.passed[:, SAFE] == found).all()
         clear = found & (s.margin[:, PLAN] < 0.049) & (s.plan_pair == int(CollidingPair.HAND))
         assert clear.any() and (s.margin[clear, SAFE] >= s.margin[clear, PLAN] - tolerance).all()

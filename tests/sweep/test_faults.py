@@ -193,8 +193,9 @@ def test_another_version_on_resume_is_refused_and_the_old_one_goes_on(tmp_path, 
     same_rows(out, undisturbed)
 
 
-def test_of_two_configurations_started_at_the_same_moment_one_has_the_folder_and_the_other_is_refused(tmp_path):
-    for turn in range(3):
+@pytest.mark.parametrize("turns", [1, pytest.param(20, marks=pytest.mark.slow)])
+def test_of_two_configurations_started_at_the_same_moment_one_has_the_folder_and_the_other_is_refused(tmp_path, turns):
+    for turn in range(turns):
         out = tmp_path / str(turn)
         both = [start(tmp_path, out, SLOW, "--seed", str(seed), FAKE_SECONDS="0") for seed in (0, 1)]
         ends = [finish(p) for p in both]
