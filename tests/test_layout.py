@@ -1,6 +1,7 @@
 """The layout that .importlinter cannot see: circles, private names borrowed across folders, how full a folder is."""
 
 import ast
+import re
 from collections import Counter
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
@@ -126,3 +127,19 @@ def test_every_new_tensor_says_its_dtype_and_device() -> None:
                 if missing := {"dtype", "device"} - {k.arg for k in node.keywords}:
                     silent.append(f"{name}:{node.lineno} {', '.join(sorted(missing))}")
     assert seen > 100 and silent == []
+
+
+def test_every_test_that_the_list_of_faults_names_is_there() -> None:
+    """`docs/faults.md`: `tests/FILE.py::test_...`; `::test_...` alone is one of the file named last."""
+    named, missing, file = 0, [], ""
+    for path, name in re.findall(
+        r"`(tests/[a-z_/]+\.py)?(?:::(test_\w+))?[^`]*`", (ROOT / "docs/faults.md").read_text()
+    ):
+        file = path or file
+        if path and not (ROOT / path).is_file():
+            missing.append(path)
+        elif name:
+            named += 1
+            if f"def {name}(" not in (ROOT / file).read_text(encoding="utf-8"):
+                missing.append(f"{file}::{name}")
+    assert not missing and named > 80

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from other_program import SETTINGS, OtherProgram
 from problems import assert_same, default_evaluator, make_batch
 from staging import Staged, batch_of, staged_evaluator
 from torch.utils.data import DataLoader, Dataset
@@ -147,6 +148,22 @@ def in_a_program(tmp_path, dtype: str, device: str) -> dict[str, np.ndarray]:
     assert done.returncode == 0, done.stderr
     with np.load(tmp_path / "out.npz") as data:
         return dict(data)
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_the_settings_for_whole_runs_reach_the_package_and_leave_the_tests_own_tensors_alone(setting):
+    """`R2H_DEFAULTS=... python -m pytest -m check`: a line of the package that said neither dtype nor device would be seen."""
+    space = {"torch": torch}
+    forgetful = (
+        "def new(n):\n    return torch.zeros(n), n / torch.full((n,), 2, dtype=torch.int64, device='cpu').clone()"
+    )
+    exec(compile(forgetful, str(Path(inputs.__file__).with_name("forgetful.py")), "exec"), space)
+    with OtherProgram(setting) as program:
+        made, promoted = space["new"](3)
+        mine = torch.zeros(3)
+    other = getattr(torch, setting) if setting != "meta" else torch.float32
+    assert (made.dtype, promoted.dtype) == (other, other) and made.is_meta == (setting == "meta")
+    assert mine.dtype == torch.float32 == torch.zeros(1).dtype and not mine.is_meta and program.calls >= 3
 
 
 @pytest.mark.parametrize("dtype", ["float64", "bfloat16"])

@@ -158,17 +158,26 @@ def test_every_print_of_the_package_goes_through_the_cleaned_ways():
     assert sorted(raw) == ["bodies/mesh_file.py", "command_line.py"]  # the first: a child's word to its parent
 
 
-@pytest.mark.parametrize("cache", ["/proc/nowhere", "full"])
+FULL = (
+    "shutil.disk_usage = lambda path: collections.namedtuple('u', 'total used free')(1 << 30, 0, {free} << 20)\n"
+    "import os; os.makedirs(os.environ['WARP_CACHE_PATH'] + {kernel!r})\n"
+)
+
+
+@pytest.mark.parametrize("cache", ["/proc/nowhere", "full", "fills up"])
 def test_a_kernel_cache_that_takes_nothing_is_one_line_and_exit_code_1(tmp_path, cache):
-    """Where a full disk is needed, shutil is told that it is: the process would else be ended by LLVM."""
-    code = "import collections, shutil, sys\n" + (
-        "shutil.disk_usage = lambda path: collections.namedtuple('u', 'total used free')(1 << 20, 1 << 20, 0)\n"
-        if cache == "full"
-        else ""
-    )
+    """Where a full disk is needed, shutil is told that it is: the process would else be ended by LLVM.
+
+    Fills up: another kernel is there already, so the cache was not full when it was begun.
+    """
+    full = {
+        "full": FULL.format(free=0, kernel=""),
+        "fills up": FULL.format(free=7, kernel="/wp_r2h_batch.kernels.another"),
+    }
+    code = "import collections, shutil, sys\n" + full.get(cache, "")
     line = ["sweep", "--method", "random", "--trials", "1", "--sim", "none", "--out", str(tmp_path / "run")]
     code += f"from r2h_batch.__main__ import main\nsys.exit(main({line}))"
-    folder = str(tmp_path / "cache") if cache == "full" else f"{cache}/x"
+    folder = str(tmp_path / "cache") if cache in full else f"{cache}/x"
     environment = {**os.environ, "WARP_CACHE_PATH": folder}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 1 and "Traceback" not in done.stderr

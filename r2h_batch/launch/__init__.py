@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
 import torch
@@ -15,7 +15,7 @@ import warp as wp
 
 from r2h_batch.launch.arguments import bind
 
-CACHE_BYTES = 64 << 20
+CACHE_BYTES, MODULE_BYTES = 64 << 20, 8 << 20
 BLOCK_DIM = 64
 """Threads of a block on CUDA (a CPU has one). Warp's 256 would leave most of a GPU without a block (bench/gpu.py varies it)."""
 
@@ -35,11 +35,24 @@ def _room_to_compile(cache: str) -> None:
     """Refuse an empty kernel cache on a full disk at once: LLVM ends the whole process when it cannot write."""
     if not os.path.isdir(cache) or any(name.startswith("wp_r2h_batch") for name in os.listdir(cache)):
         return
+    _refuse_below(CACHE_BYTES, cache)
+
+
+@cache
+def _room_for(module: Any) -> None:
+    """The same for one module that is not compiled yet, asked before its first launch: the disk may have filled since."""
+    folder = wp.config.kernel_cache_dir or ""
+    if not os.path.isdir(folder) or shutil.disk_usage(folder).free >= MODULE_BYTES:
+        return
+    known = [module.get_module_identifier(block_dim) for block_dim in (1, BLOCK_DIM, None)]
+    if not any(os.path.isdir(os.path.join(folder, name)) for name in known):
+        _refuse_below(MODULE_BYTES, folder)
+
+
+def _refuse_below(needed: int, cache: str) -> None:
     free = shutil.disk_usage(cache).free
-    if free < CACHE_BYTES:
-        why = (
-            f"{free >> 20} MB free for the kernel cache, {CACHE_BYTES >> 20} are needed; set WARP_CACHE_PATH to another"
-        )
+    if free < needed:
+        why = f"{free >> 20} MB free for the kernel cache, {needed >> 20} are needed; set WARP_CACHE_PATH to another"
         raise OSError(errno.ENOSPC, why, cache)
 
 
@@ -109,6 +122,7 @@ def launch_trials(
     args = [first, *bind(kernel, inputs, outputs, device, trials=first + n)]
     if n == 0:
         return
+    _room_for(kernel.module)
     if device != "cpu":
         dim = (n, width) if width > 1 else n
         wp.launch(kernel, dim=dim, inputs=args, stream=_stream(device), block_dim=BLOCK_DIM)
@@ -136,6 +150,7 @@ def launch_trials(
 
 def launch(kernel: Any, dim: int, *, inputs: Mapping[str, Any], outputs: Mapping[str, Any], device: str) -> None:
     """Runs a kernel that has no parameter `first` once, on Warp's own stream; arguments as in `launch_trials`."""
+    _room_for(kernel.module)
     wp.launch(kernel, dim=dim, inputs=bind(kernel, inputs, outputs, device), device=device)
 
 
