@@ -9,21 +9,23 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
 from r2h_batch.bodies.mesh_limits import MOST_BYTES, MOST_SECONDS, SILENT_SECONDS, ObjectMeshError
 from r2h_batch.command_line import tell
 from r2h_batch.files import FileError, open_file, path_within, printable, read_file
 
-__all__ = ["load_mesh_file"]
+__all__ = ["labels_of", "load_mesh_file"]
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
 MOST_WAITS = 10
@@ -50,12 +52,20 @@ def load_mesh_file(path: str | Path, label: str) -> trimesh.Trimesh:
             if said:
                 raise ObjectMeshError(f"{label}: {shown} {said}")
             answer.seek(0)
-            vertices, faces = (np.load(answer, allow_pickle=False) for _ in range(2))
+            vertices, faces, part, names = (np.load(answer, allow_pickle=False) for _ in range(4))
     except FileError as error:
         raise ObjectMeshError(f"{label}: {error}") from None
     if len(faces) == 0:
         raise ObjectMeshError(f"{label}: {shown} is empty: no triangles in it; export a triangle mesh")
-    return trimesh.Trimesh(vertices, faces, process=False)
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    if len(names) > 1:
+        mesh.metadata[LABELS] = (part, tuple(str(n) for n in names))
+    return mesh
+
+
+def labels_of(mesh: trimesh.Trimesh) -> tuple[NDArray[np.int64], tuple[str, ...]] | None:
+    """(F,) part of each face and the parts' names, as the named groups of its file said; None where they said none."""
+    return mesh.metadata.get(LABELS)
 
 
 def _read_in_child(file: BinaryIO, answer: BinaryIO, path: Path, size: int, label: str) -> str:
@@ -102,6 +112,10 @@ def _read_in_child(file: BinaryIO, answer: BinaryIO, path: Path, size: int, labe
     return "cannot be read as a mesh: its reader ended with an error; export it as a plain STL or OBJ"
 
 
+LABELS = "r2h_batch part labels"
+FROM_END = re.compile(rb"^f\s(?:.*\s)?-\d", re.MULTILINE)
+MOST_GROUPS = 64
+"""Named groups of a file that are parts: more are something else, smoothing or materials."""
 REFUSED = 3
 """The child's exit code when the last line of its stderr says what is wrong with the file."""
 
@@ -137,6 +151,91 @@ def _limit(size: int, seconds: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (memory if hard == resource.RLIM_INFINITY else min(memory, hard), hard))
 
 
+def _read_grouped(data: io.BytesIO, kind: str, resolver: _Beside) -> tuple[Any, NDArray[np.int64], list[str]]:
+    """The mesh, (F,) the named group of each face, the groups' names (none where there are fewer than two)."""
+    options: dict[str, Any] = {"process": False, "maintain_order": True, "skip_materials": True}
+    none: tuple[NDArray[np.int64], list[str]] = (np.zeros(0, np.int64), [])
+    if kind == "obj" and (found := _obj_groups(data.getvalue())) is not None:
+        return found
+    if kind not in ("glb", "gltf"):
+        return trimesh.load_mesh(data, file_type=kind, resolver=resolver, **options), *none
+    scene = trimesh.load_scene(data, file_type=kind, resolver=resolver, **options)
+    vertices, faces, part, count = [], [], [], 0
+    names: list[str] = []
+    for node in scene.graph.nodes_geometry:
+        T, geometry = scene.graph[node]
+        mesh = scene.geometry[geometry]
+        if not isinstance(mesh, trimesh.Trimesh):
+            continue
+        vertices.append(trimesh.transform_points(mesh.vertices, T))
+        turned = np.linalg.det(T[:3, :3]) < 0  # a mirrored node
+        faces.append((mesh.faces[:, ::-1] if turned else mesh.faces) + count)
+        part.append(np.full(len(mesh.faces), len(names)))
+        names.append(_word(str(node)))
+        count += len(mesh.vertices)
+    if not vertices:
+        return trimesh.Trimesh(), *none
+    made = trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), process=False)
+    if not 2 <= len(set(names)) <= MOST_GROUPS:
+        return made, *none
+    return made, *_numbered(np.concatenate(part), names)
+
+
+def _obj_groups(text: bytes) -> tuple[Any, NDArray[np.int64], list[str]] | None:
+    """An OBJ's triangles by its `g` or `o` lines; None where these name fewer than two groups of faces, or too many, and
+    trimesh reads it as well (it counts indices from the end through vertices that come later)."""
+    lines = text.decode("utf-8", "replace").splitlines()
+    for kind in ("g", "o"):
+        names = {line.strip() for line in lines if line.startswith((f"{kind} ", f"{kind}\t"))}
+        if 2 <= len(names) <= MOST_GROUPS:
+            mesh, part, kept = _obj_triangles(lines, kind)
+            if len(kept) > 1:
+                return mesh, part, kept
+    if FROM_END.search(text):
+        return _obj_triangles(lines, "g")[0], np.zeros(0, np.int64), []
+    return None
+
+
+def _obj_triangles(lines: list[str], kind: str) -> tuple[Any, NDArray[np.int64], list[str]]:
+    """Triangles of the `f` lines as fans, the group of each, the groups' names."""
+    corners: list[list[float]] = []
+    faces: list[tuple[int, int, int]] = []
+    part: list[int] = []
+    seen, now = ["body"], 0
+    for line in lines:
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == "v":
+            corners.append([float(x) for x in words[1:4]])
+        elif words[0] == kind:
+            name = _word(" ".join(words[1:]))
+            if name not in seen:
+                seen.append(name)
+            now = seen.index(name)
+        elif words[0] == "f":
+            index = [int(w.partition("/")[0]) for w in words[1:]]
+            index = [i - 1 if i > 0 else len(corners) + i for i in index]
+            if min(index, default=0) < 0:
+                raise ValueError(f"a face names vertex {min(index)}")
+            faces += [(index[0], index[k], index[k + 1]) for k in range(1, len(index) - 1)]
+            part += [now] * (len(index) - 2)
+    mesh = trimesh.Trimesh(np.array(corners).reshape(-1, 3), np.array(faces).reshape(-1, 3), process=False)
+    return mesh, *_numbered(np.array(part, np.int64), seen)
+
+
+def _numbered(part: NDArray[np.int64], names: list[str]) -> tuple[NDArray[np.int64], list[str]]:
+    """Labels counted through the names that faces have, equal names as one."""
+    kept = list(dict.fromkeys(names[k] for k in np.unique(part)))
+    lookup = np.array([kept.index(n) if n in kept else 0 for n in names], np.int64)
+    return lookup[part], kept
+
+
+def _word(name: str) -> str:
+    """A name fit for a part's: letters, digits, `_`, `-`, `.` and blanks, at most 64."""
+    return re.sub(r"[^A-Za-z0-9_. -]+", "_", name.strip())[:64].strip() or "part"
+
+
 def child(options: str) -> int:
     """Exit code of the child: 0 with the vertices and faces on stdout, or `REFUSED` with one line on stderr."""
     given = json.loads(options)
@@ -144,19 +243,14 @@ def child(options: str) -> int:
     data = io.BytesIO(sys.stdin.buffer.read())
     answer, sys.stdout = sys.stdout.buffer, sys.stderr  # whatever a reader prints is no answer
     try:
-        mesh = trimesh.load_mesh(
-            data,
-            file_type=given["type"],
-            resolver=_Beside(given["folder"]),
-            process=False,
-            maintain_order=True,
-            skip_materials=True,
-        )
+        mesh, part, names = _read_grouped(data, given["type"], _Beside(given["folder"]))
         if not isinstance(mesh, trimesh.Trimesh):
             said = f"holds a {type(mesh).__name__}, no triangles; export a triangle mesh"
         else:
             np.save(answer, np.asarray(mesh.vertices, np.float64))
             np.save(answer, np.asarray(mesh.faces, np.int64))
+            np.save(answer, part)
+            np.save(answer, np.array(names, dtype="U64"))
             answer.flush()
             return 0
     except MemoryError:

@@ -57,6 +57,8 @@ class Closed:
     """A closed surface in metres, where its faces came from, and what was done."""
 
     mesh: trimesh.Trimesh
+    source: trimesh.Trimesh
+    """what was read, or the caller's mesh"""
     given: trimesh.Trimesh
     """as in the file, in metres: every face, in its order"""
     same: bool
@@ -70,6 +72,7 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
         raise ObjectMeshError(f"{label}: scale is {scale}; it must be a positive number (0.001 for millimetres)")
     mesh = load_mesh_file(source, label) if isinstance(source, (str, Path)) else source.copy()
     budget = Budget(label)
+    source = mesh
     vertices = np.asarray(mesh.vertices, np.float64) * scale
     faces = np.asarray(mesh.faces, np.int64)
     _check(vertices, faces, label)
@@ -100,7 +103,7 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
             "rigid object; delete those that do not belong to it",
             stacklevel=4,
         )
-    return Closed(mesh, given, same, repair)
+    return Closed(mesh, source, given, same, repair)
 
 
 def _whole(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:

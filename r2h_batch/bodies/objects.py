@@ -7,10 +7,8 @@ bounding box; a user's mesh keeps the frame of its file, so that grasps predicte
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import re
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
@@ -22,10 +20,14 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from r2h_batch.bodies.given.convex import convex_hull, convex_pieces
+from r2h_batch.bodies.given.kept_object import kept_with_warnings, key_of
+from r2h_batch.bodies.given.region import part_of_faces, receiver_region
 from r2h_batch.bodies.grasp_set import GraspSet
-from r2h_batch.bodies.object_mesh import ObjectMeshError, closed_mesh
+from r2h_batch.bodies.mesh_file import labels_of
+from r2h_batch.bodies.object_mesh import ObjectMeshError, Repair, closed_mesh
 from r2h_batch.bodies.solid import sample_surface, solid_occupancy
-from r2h_batch.files import FileError, printable, read_file
+from r2h_batch.files import printable
 
 if TYPE_CHECKING:
     from r2h_batch.benchmark.words import Thing
@@ -44,9 +46,6 @@ __all__ = [
     "read_object",
 ]
 
-MAX_REGION_BYTES = 64 << 20
-"""Of a file that says which faces the receiver's region has: eight bytes for each of millions."""
-
 S0_NAMES = ("game_controller", "bowl", "headphones", "eyeglasses", "cup", "wineglass")
 S1_NAMES = (
     "hammer", "pliers", "knife", "toothbrush", "screwdriver",
@@ -56,8 +55,6 @@ OBJECT_NAMES = S0_NAMES + S1_NAMES
 
 POINTS = 2048
 VOXELS = 64
-MAX_PIECES = 16
-MAX_HULL_VERTICES = 256
 DEFAULT_DENSITY = 600.0  # kg/m^3 for a user's mesh without a mass: between wood and plastic shells
 
 
@@ -108,6 +105,8 @@ class ObjectModel:
     """part -> function, grasp or wrap, where a benchmark says so (`methods.part_roles`)"""
     words: Thing | None = None
     """how people ask for it, where a benchmark says so (`receiver.instructions`)"""
+    repair: Repair | None = None
+    """what was done to a user's mesh, and what came of it"""
 
     @property
     def occupancy(self) -> NDArray[np.bool_]:
@@ -150,6 +149,8 @@ def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     for model in [objects] if isinstance(objects, ObjectModel) else objects:
         for f in fields(model):
             value = getattr(model, f.name)
+            if f.name == "repair":  # the geometry says it
+                continue
             if f.name in SAID:
                 digest.update(b"" if value is None else _said(value).encode())
                 continue
@@ -159,7 +160,7 @@ def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     return digest.hexdigest()
 
 
-SAID = ("grasps", "roles", "words")
+SAID = ("grasps", "roles", "words", "repair")
 """Fields that only a benchmark or a user fills: nothing of them is stored with an object."""
 
 
@@ -187,38 +188,67 @@ def build_object(
 
     A mesh that is not a closed solid is repaired, and a warning says what was done; what cannot be repaired raises
     :class:`ObjectMeshError`. ``scale`` multiplies the coordinates (0.001 for millimetres). Without ``mass``
-    (kg) the density is 600 kg/m^3. An S1 object needs its receiver's region: ``receiver`` is either ``"z<0.3"``
-    (axis, comparison, fraction of the bounding box from its low side), or one bool per face or face indices (array,
-    or ``.npy`` file) of a mesh that needs no repair; without it, S1 takes the lighter half of the longest
-    axis, with a warning. ``face_part`` labels the faces of a mesh that needs no repair. ``pieces=False`` skips the convex
-    decomposition (seconds to a minute): the hull is then the only piece.
+    (kg) the density is 600 kg/m^3. ``face_part`` (one index into ``part_names`` for each face of the file) labels the faces;
+    without it the named groups of an OBJ or GLB do. An S1 object needs its receiver's region: ``receiver`` is the name of
+    a part (``"handle"``, ``"handle,guard"``), ``"z<0.3"`` (axis, comparison, fraction of the bounding box from its low
+    side), or one bool per face of the file or indices of its faces (array, or ``.npy`` file); without it, S1 takes the
+    lighter half of the longest axis, with a warning. Labels and faces are carried over to a repaired mesh.
+    ``pieces=False`` skips the convex decomposition (seconds): the hull is then the only piece.
+
+    What is built of a file is kept on disk (`files.kept`), named by the file's content, the options and the code.
     """
     _check_build(split, receiver is not None, mass)
     label = printable(name or (Path(mesh).stem if isinstance(mesh, (str, Path)) else "object"))
-    closed = closed_mesh(mesh, label, scale)
-    surface, changed = closed.mesh, not closed.same
-    vertices = surface.vertices.astype(np.float32)
-    faces = surface.faces.astype(np.int32)
+    options: dict[str, Any] = {
+        "name": label, "split": split, "receiver": receiver, "scale": scale, "mass": mass, "instruction": instruction,
+        "face_part": face_part, "part_names": tuple(part_names), "pieces": pieces,
+    }  # fmt: skip
+    key = key_of(mesh, options)
+    if key is None:
+        return _built(mesh, **options)
+    return _from_arrays(kept_with_warnings(key, lambda: _as_arrays(_built(mesh, **options))))
+
+
+def _built(
+    mesh: str | Path | trimesh.Trimesh,
+    *,
+    name: str,
+    split: str,
+    receiver: str | Path | NDArray[np.generic] | None,
+    scale: float,
+    mass: float | None,
+    instruction: str | None,
+    face_part: NDArray[np.integer] | None,
+    part_names: Sequence[str],
+    pieces: bool,
+) -> ObjectModel:
+    """`build_object` without the disk."""
+    closed = closed_mesh(mesh, name, scale)
+    if face_part is None and (groups := labels_of(closed.source)) is not None:
+        face_part, part_names = groups
+    surface = closed.mesh
+    vertices, faces = surface.vertices.astype(np.float32), surface.faces.astype(np.int32)
     solid = trimesh.Trimesh(vertices.astype(np.float64), faces, process=False)
-    parts = _part_of_faces(face_part, len(faces), label, changed)
-    region = np.zeros(len(faces), bool) if split == "S0" else _receiver_region(solid, receiver, label, changed)
-    hull_vertices, hull_faces = _convex_hull(solid.vertices, MAX_HULL_VERTICES)
-    convex = _convex_pieces(solid, label) if pieces else [(hull_vertices, hull_faces)]
+    parts = part_of_faces(face_part, part_names, closed, name)
+    region = np.zeros(len(faces), bool)
+    if split == "S1":
+        region = receiver_region(solid, receiver, closed, parts, part_names, name)
+    hull = convex_hull(solid.vertices)
     points, point_face = sample_surface(solid, POINTS)
     occupied, origin, pitch = solid_occupancy(solid, VOXELS)
     return _frozen(
         ObjectModel(
-            name=label,
+            name=name,
             split=split,
-            instruction=instruction or f"hand over the {label.replace('_', ' ')} to human",
+            instruction=instruction or f"hand over the {name.replace('_', ' ')} to human",
             vertices=vertices,
             faces=faces,
             face_part=parts,
             part_names=tuple(part_names),
             receiver_face=region,
-            hull_vertices=hull_vertices,
-            hull_faces=hull_faces,
-            **_packed(convex),
+            hull_vertices=hull[0],
+            hull_faces=hull[1],
+            **_packed(convex_pieces(solid, name) if pieces else [hull]),
             points=points.astype(np.float32),
             normals=solid.face_normals[point_face].astype(np.float32),
             point_part=parts[point_face],
@@ -227,8 +257,15 @@ def build_object(
             voxel_origin=origin,
             voxel_pitch=pitch,
             **_inertial(solid, mass),
+            repair=closed.repair if closed.repair.steps else None,
         )
     )
+
+
+def _as_arrays(model: ObjectModel) -> dict[str, Any]:
+    """What is kept of a built object."""
+    arrays = {f.name: np.asarray(getattr(model, f.name)) for f in fields(ObjectModel) if f.name not in SAID}
+    return {**arrays, "repair": np.array(json.dumps(asdict(model.repair) if model.repair else None))}
 
 
 def _packed(convex: Sequence[tuple[NDArray[np.float32], NDArray[np.int32]]]) -> dict[str, Any]:
@@ -278,13 +315,19 @@ def _load(name: str) -> ObjectModel:
 def read_object(path: str) -> ObjectModel:
     """The object stored in one ``.npz`` of assets/objects' format."""
     with np.load(path, allow_pickle=False) as data:
-        values: dict[str, object] = {f.name: data[f.name] for f in fields(ObjectModel) if f.name not in SAID}
+        return _from_arrays({f.name: data[f.name] for f in fields(ObjectModel) if f.name not in SAID})
+
+
+def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> ObjectModel:
+    values: dict[str, Any] = dict(arrays)
     for key in ("name", "split", "instruction"):
         values[key] = str(values[key])
     values["part_names"] = tuple(str(n) for n in np.atleast_1d(np.asarray(values["part_names"])))
     for key in ("mass", "voxel_pitch"):
         values[key] = float(np.asarray(values[key]))
-    return _frozen(ObjectModel(**values))  # type: ignore[arg-type]
+    said = json.loads(str(values.pop("repair", "null")))
+    values["repair"] = Repair(**{**said, "steps": tuple(said["steps"])}) if said else None
+    return _frozen(ObjectModel(**values))
 
 
 def _frozen(model: ObjectModel) -> ObjectModel:
@@ -293,138 +336,3 @@ def _frozen(model: ObjectModel) -> ObjectModel:
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
     return model
-
-
-def _part_of_faces(face_part: NDArray[np.integer] | None, count: int, label: str, changed: bool) -> NDArray[np.uint8]:
-    """(F,) labels of the faces, all 0 where none were given."""
-    if face_part is None:
-        return np.zeros(count, np.uint8)
-    if changed or len(face_part) != count:
-        raise ObjectMeshError(
-            f"{label}: {len(face_part)} part labels for a mesh that has {count} faces"
-            f"{' after repair' if changed else ''}; labels need one entry per face of a mesh that needs no repair"
-        )
-    return np.asarray(face_part).astype(np.uint8)
-
-
-def _receiver_region(
-    solid: trimesh.Trimesh, receiver: str | Path | NDArray[np.generic] | None, label: str, changed: bool
-) -> NDArray[np.bool_]:
-    """(F,) bool: the faces of the region."""
-    low, high = solid.bounds
-    centers = solid.triangles_center
-    if receiver is None:
-        axis = int(np.argmax(high - low))
-        middle = (low[axis] + high[axis]) / 2
-        below = solid.center_mass[axis] > middle
-        receiver = f"{'xyz'[axis]}{'<' if below else '>'}0.5"
-        warnings.warn(
-            f"{label}: no receiver region given for an S1 object; taking {receiver!r}, the half of the longest axis "
-            "farther from the centre of mass. Give receiver='AXIS<FRACTION' (FILE:S1:AXIS<FRACTION) to choose",
-            stacklevel=3,
-        )
-    if isinstance(receiver, str) and (match := re.fullmatch(r"\s*([xyz])\s*([<>])\s*([0-9.]+)\s*", receiver)):
-        axis, fraction = "xyz".index(match[1]), float(match[3])
-        position = (centers[:, axis] - low[axis]) / (high[axis] - low[axis])
-        region = position < fraction if match[2] == "<" else position > fraction
-    else:
-        if isinstance(receiver, (str, Path)):
-            if Path(receiver).suffix != ".npy" or not Path(receiver).exists():
-                raise ObjectMeshError(
-                    f"{label}: receiver {str(receiver)!r} is neither an existing .npy file nor 'AXIS<FRACTION' "
-                    "such as 'z<0.3' (axis x, y or z; < or >; fraction of the bounding box from its low side)"
-                )
-            try:
-                receiver = np.asarray(np.load(io.BytesIO(read_file(receiver, MAX_REGION_BYTES)), allow_pickle=False))
-            except FileError as error:
-                raise ObjectMeshError(f"{label}: receiver {error}") from None
-            except Exception as error:  # numpy's reader parses Python text and raises whatever that meets
-                raise ObjectMeshError(
-                    f"{label}: receiver {receiver} is not a plain .npy array ({printable(error)[:200]})"
-                ) from error
-        if changed:
-            raise ObjectMeshError(
-                f"{label}: receiver faces refer to the file's faces, but the mesh had to be repaired; "
-                "give the region as 'AXIS<FRACTION', or the labels for the repaired mesh"
-            )
-        chosen = np.asarray(receiver)
-        region = np.zeros(len(solid.faces), bool)
-        if chosen.dtype == bool and chosen.shape == region.shape:
-            region |= chosen
-        elif chosen.ndim == 1 and chosen.dtype.kind in "iu" and np.isin(chosen, np.arange(len(region))).all():
-            region[chosen] = True
-        else:
-            raise ObjectMeshError(
-                f"{label}: receiver array is {chosen.dtype} {chosen.shape}; expected bool ({len(region)},) or face "
-                f"indices below {len(region)}"
-            )
-    if not region.any() or region.all():
-        raise ObjectMeshError(
-            f"{label}: the receiver region {'is empty' if not region.any() else 'is the whole object'}; "
-            "the robot needs a part to hold and the receiver a part to take"
-        )
-    return region
-
-
-def _convex_hull(points: NDArray[np.float64], most: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """The convex hull; where it has more than ``most`` vertices, a convex body of about that many that encloses it."""
-    hull = trimesh.convex.convex_hull(points)
-    if len(hull.vertices) > most:
-        hull = _enclosing_body(hull.vertices, most)
-    hull = trimesh.convex.convex_hull(hull.vertices.astype(np.float32).astype(np.float64))
-    return hull.vertices.astype(np.float32), hull.faces.astype(np.int32)
-
-
-def _enclosing_body(points: NDArray[np.float64], most: int) -> trimesh.Trimesh:
-    """The hull of well spread extreme points, its vertices pushed outwards until nothing is left outside."""
-    step = np.arange(most // 2) + 0.5
-    z, turn = 1 - 2 * step / len(step), np.pi * (1 + 5**0.5) * step
-    ring = np.sqrt(1 - z**2)
-    spread = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
-    kept = {int(k) for k in np.argmax(points @ np.concatenate([spread, np.eye(3), -np.eye(3)]).T, axis=0)}
-    body = trimesh.convex.convex_hull(points[sorted(kept)])
-    while len(kept) < most:
-        outside = points @ body.face_normals.T - _offsets(body)
-        worst = np.argmax(outside, axis=0)
-        for f in np.argsort(-outside.max(axis=0), kind="stable")[: max(1, (most - len(kept)) // 4)]:
-            kept.add(int(worst[f]))
-        body = trimesh.convex.convex_hull(points[sorted(kept)])
-    for _ in range(50):
-        excess = (points @ body.face_normals.T - _offsets(body)).max(axis=0)
-        if excess.max() <= -1e-8:
-            break
-        along = np.einsum("fi,fki->fk", body.face_normals, body.vertex_normals[body.faces])
-        push = np.zeros(len(body.vertices))
-        np.maximum.at(push, body.faces, (excess[:, None] + 5e-8).clip(0) / along.clip(0.2))
-        body = trimesh.convex.convex_hull(body.vertices + push[:, None] * body.vertex_normals)
-    return body
-
-
-def _offsets(body: trimesh.Trimesh) -> NDArray[np.float64]:
-    return np.asarray(np.einsum("ij,ij->i", body.face_normals, body.triangles[:, 0]))
-
-
-def _convex_pieces(solid: trimesh.Trimesh, label: str) -> list[tuple[NDArray[np.float32], NDArray[np.int32]]]:
-    """Convex pieces by CoACD (fixed seed), at most 16; the hull as a single piece where coacd is not installed."""
-    try:
-        import coacd
-    except ImportError:
-        warnings.warn(
-            f"{label}: coacd is not installed, so the convex pieces are the hull alone; "
-            "`pip install r2h_batch[build]` for a convex decomposition",
-            stacklevel=3,
-        )
-        return [_convex_hull(solid.vertices, MAX_HULL_VERTICES)]
-    coacd.set_log_level("error")
-    found = coacd.run_coacd(
-        coacd.Mesh(solid.vertices, solid.faces),
-        threshold=0.04,
-        max_convex_hull=MAX_PIECES,
-        preprocess_mode="off",
-        max_ch_vertex=64,
-        mcts_iterations=40,
-        mcts_nodes=10,
-        mcts_max_depth=2,
-        seed=0,
-    )
-    return [_convex_hull(np.asarray(vertices), MAX_HULL_VERTICES) for vertices, _ in found]

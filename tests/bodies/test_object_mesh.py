@@ -223,16 +223,21 @@ def test_bad_receiver_regions_are_refused(receiver, text):
         build_object(brick(), split="S1", receiver=receiver, pieces=False)
 
 
-def test_labels_of_a_mesh_that_had_to_be_repaired_are_refused(tmp_path):
+def test_labels_and_faces_of_a_file_are_carried_over_to_the_repaired_mesh(tmp_path):
     mesh = ball()
     holed = trimesh.Trimesh(mesh.vertices, mesh.faces[1:], process=False)
-    with (
-        pytest.warns(UserWarning, match="filled 1 holes"),
-        pytest.raises(ObjectMeshError, match="had to be repaired"),
-    ):
-        build_object(holed, split="S1", receiver=np.arange(20), pieces=False)
-    with pytest.raises(ObjectMeshError, match="2 part labels for a mesh"):
+    above = holed.triangles_center[:, 2] > 0
+    for receiver in (above, np.flatnonzero(above)):
+        model, said = built(
+            holed, split="S1", receiver=receiver, face_part=above.astype(int), part_names=("low", "high")
+        )
+        assert "filled 1 holes" in said and len(model.faces) == len(mesh.faces)
+        assert (model.receiver_face == (model.mesh.triangles_center[:, 2] > 0)).all()
+        assert (model.face_part == model.receiver_face).all() and model.part_names == ("low", "high")
+    with pytest.raises(ObjectMeshError, match="2 part labels for a mesh that has 1280 faces"):
         build_object(mesh, face_part=np.zeros(2, int), pieces=False)
+    with pytest.raises(ObjectMeshError, match="labels go from 0 to 3; there are 2 part names"):
+        build_object(mesh, face_part=np.arange(1280) % 4, part_names=("a", "b"), pieces=False)
     np.save(tmp_path / "objects.npy", np.array([{}], dtype=object), allow_pickle=True)
     with pytest.raises(ObjectMeshError, match=r"not a plain \.npy array"):
         build_object(mesh, split="S1", receiver=tmp_path / "objects.npy", pieces=False)

@@ -17,7 +17,7 @@ from r2h_batch.bodies.mesh_bodies import bodies_of, body_volumes
 from r2h_batch.bodies.mesh_limits import Budget, ObjectMeshError
 from r2h_batch.bodies.solid import Surface, signed_distance, winding_number
 
-__all__ = ["decimated", "joined", "rebuilt", "united"]
+__all__ = ["decimated", "joined", "rebuilt", "simplified_to", "united"]
 
 MOST_FACES = 20_000
 REBUILD_FACES = 10_000
@@ -155,6 +155,15 @@ def decimated(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh
         f"decimated {len(mesh.faces)} faces to {small.num_tri()}, surface moved by less than {moved * 1e3:.3f} mm"
     )
     return _from_solid(small)
+
+
+def simplified_to(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
+    """A closed mesh with less detail than `tolerance` (m); as it is where manifold3d is missing or does not take it."""
+    try:
+        solid = _solid(_manifold3d("", ""), np.asarray(mesh.vertices), np.asarray(mesh.faces)).simplify(tolerance)
+    except ObjectMeshError:
+        return mesh
+    return mesh if solid.is_empty() else _from_solid(solid)
 
 
 def _simplified(solid: Any, tolerance: float, most: int, tick: Tick) -> tuple[Any, float]:

@@ -1,0 +1,87 @@
+"""What convex bodies an object is taken for: its hull, and its convex decomposition."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from r2h_batch.bodies.given.rebuild import simplified_to
+
+__all__ = ["convex_hull", "convex_pieces"]
+
+MAX_PIECES = 16
+MAX_HULL_VERTICES = 256
+DECOMPOSED_FACES = 8000
+"""Surfaces of more faces are decomposed as they are with about 0.1 mm less detail."""
+DETAIL_M = 1e-4
+
+Hull = tuple[NDArray[np.float32], NDArray[np.int32]]
+
+
+def convex_hull(points: NDArray[np.float64], most: int = MAX_HULL_VERTICES) -> Hull:
+    """The convex hull; where it has more than ``most`` vertices, a convex body of about that many that encloses it."""
+    hull = trimesh.convex.convex_hull(points)
+    if len(hull.vertices) > most:
+        hull = _enclosing_body(hull.vertices, most)
+    hull = trimesh.convex.convex_hull(hull.vertices.astype(np.float32).astype(np.float64))
+    return hull.vertices.astype(np.float32), hull.faces.astype(np.int32)
+
+
+def _enclosing_body(points: NDArray[np.float64], most: int) -> trimesh.Trimesh:
+    """The hull of well spread extreme points, its vertices pushed outwards until nothing is left outside."""
+    step = np.arange(most // 2) + 0.5
+    z, turn = 1 - 2 * step / len(step), np.pi * (1 + 5**0.5) * step
+    ring = np.sqrt(1 - z**2)
+    spread = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+    kept = {int(k) for k in np.argmax(points @ np.concatenate([spread, np.eye(3), -np.eye(3)]).T, axis=0)}
+    body = trimesh.convex.convex_hull(points[sorted(kept)])
+    while len(kept) < most:
+        outside = points @ body.face_normals.T - _offsets(body)
+        worst = np.argmax(outside, axis=0)
+        for f in np.argsort(-outside.max(axis=0), kind="stable")[: max(1, (most - len(kept)) // 4)]:
+            kept.add(int(worst[f]))
+        body = trimesh.convex.convex_hull(points[sorted(kept)])
+    for _ in range(50):
+        excess = (points @ body.face_normals.T - _offsets(body)).max(axis=0)
+        if excess.max() <= -1e-8:
+            break
+        along = np.einsum("fi,fki->fk", body.face_normals, body.vertex_normals[body.faces])
+        push = np.zeros(len(body.vertices))
+        np.maximum.at(push, body.faces, (excess[:, None] + 5e-8).clip(0) / along.clip(0.2))
+        body = trimesh.convex.convex_hull(body.vertices + push[:, None] * body.vertex_normals)
+    return body
+
+
+def _offsets(body: trimesh.Trimesh) -> NDArray[np.float64]:
+    return np.asarray(np.einsum("ij,ij->i", body.face_normals, body.triangles[:, 0]))
+
+
+def convex_pieces(solid: trimesh.Trimesh, label: str) -> list[Hull]:
+    """Convex pieces by CoACD (fixed seed), at most 16; the hull as a single piece where coacd is not installed."""
+    try:
+        import coacd
+    except ImportError:
+        warnings.warn(
+            f"{label}: coacd is not installed, so the convex pieces are the hull alone; "
+            "`pip install r2h_batch[build]` for a convex decomposition",
+            stacklevel=3,
+        )
+        return [convex_hull(solid.vertices)]
+    coacd.set_log_level("error")
+    if len(solid.faces) > DECOMPOSED_FACES:
+        solid = simplified_to(solid, DETAIL_M)
+    found = coacd.run_coacd(
+        coacd.Mesh(solid.vertices, solid.faces),
+        threshold=0.04,
+        max_convex_hull=MAX_PIECES,
+        preprocess_mode="off",
+        max_ch_vertex=64,
+        mcts_iterations=40,
+        mcts_nodes=10,
+        mcts_max_depth=2,
+        seed=0,
+    )
+    return [convex_hull(np.asarray(vertices)) for vertices, _ in found]

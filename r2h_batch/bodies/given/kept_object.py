@@ -1,0 +1,67 @@
+"""A built object kept on disk: what names it, and its way into arrays and back."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from r2h_batch.bodies.mesh_limits import MOST_BYTES
+from r2h_batch.files import FileError, read_file
+from r2h_batch.files.kept import code_of, kept
+
+__all__ = ["kept_with_warnings", "key_of"]
+
+CODE = ("r2h_batch.bodies", "r2h_batch.bodies.given", "r2h_batch.kernels.geometry", "r2h_batch.kernels.receiver")
+VERSIONS = ("coacd", "manifold3d", "numpy", "scipy", "trimesh", "warp-lang")
+"""What objects are made by."""
+SAID = "warnings"
+
+
+def key_of(mesh: object, options: Mapping[str, Any]) -> str | None:
+    """sha256 (hex) over a mesh file's bytes, the options and the code; None for what is not one file: a mesh in memory, a
+    .gltf, which names others."""
+    if not isinstance(mesh, (str, Path)) or Path(mesh).suffix.lower() == ".gltf":
+        return None
+    digest = hashlib.sha256(Path(mesh).suffix.lower().encode())
+    try:
+        digest.update(read_file(mesh, MOST_BYTES))
+        for name, value in options.items():
+            if isinstance(value, (str, Path)) and str(value).endswith(".npy"):
+                value = hashlib.sha256(read_file(value, MOST_BYTES)).hexdigest()
+            if isinstance(value, np.ndarray):
+                value = [
+                    value.dtype.str,
+                    value.shape,
+                    hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest(),
+                ]
+            digest.update(json.dumps([name, value], default=str).encode())
+    except FileError:
+        return None  # whoever reads it says what is wrong
+    digest.update(code_of(CODE, VERSIONS).encode())
+    return digest.hexdigest()
+
+
+def kept_with_warnings(key: str, make: Callable[[], Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays of a key, and the warnings that making them gave: again each time they are taken from disk."""
+
+    def made() -> dict[str, NDArray[Any]]:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            found = {k: np.asarray(v) for k, v in make().items()}
+        return {**found, SAID: np.array(json.dumps([str(w.message) for w in caught]))}
+
+    arrays = kept("objects", key, made)
+    for text in _texts(arrays.pop(SAID)):
+        warnings.warn(text, stacklevel=4)
+    return arrays
+
+
+def _texts(said: NDArray[Any]) -> Sequence[str]:
+    return [str(text) for text in json.loads(str(said))]

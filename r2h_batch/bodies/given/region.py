@@ -1,0 +1,138 @@
+"""Part labels and the receiver's region of an object: as given, carried over to the faces that a repair left."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+
+from r2h_batch.bodies.mesh_limits import ObjectMeshError
+from r2h_batch.bodies.object_mesh import Closed
+from r2h_batch.bodies.solid import Surface
+from r2h_batch.files import FileError, printable, read_file
+
+__all__ = ["PLANE", "carried", "part_of_faces", "read_region", "receiver_region"]
+
+MAX_REGION_BYTES = 64 << 20
+"""Of a file that says which faces the receiver's region has: eight bytes for each of millions."""
+PLANE = re.compile(r"\s*([xyz])\s*([<>])\s*([0-9.]+)\s*")
+WAYS = "the name of a part, 'AXIS<FRACTION' (axis x, y or z; < or >; fraction of the bounding box from its low side)"
+
+Receiver = str | Path | NDArray[np.generic] | None
+
+
+def carried(closed: Closed) -> NDArray[np.int64]:
+    """(F,) the given face that each face of the closed surface was, or lies nearest to."""
+    if closed.same:
+        return np.arange(len(closed.mesh.faces))
+    return Surface(closed.given).within(closed.mesh.triangles_center, 100.0)[1]
+
+
+def part_of_faces(
+    face_part: NDArray[np.integer] | None, names: Sequence[str], closed: Closed, label: str
+) -> NDArray[np.uint8]:
+    """(F,) labels of the closed surface's faces, all 0 where none were given."""
+    if face_part is None:
+        return np.zeros(len(closed.mesh.faces), np.uint8)
+    given, count = np.asarray(face_part), len(closed.given.faces)
+    if given.shape != (count,) or given.dtype.kind not in "iu":
+        raise ObjectMeshError(
+            f"{label}: {len(given)} part labels for a mesh that has {count} faces; one whole number for each face of the "
+            "file is needed, in its order"
+        )
+    if count and not 0 <= int(given.min()) <= int(given.max()) < min(len(names), 256):
+        raise ObjectMeshError(
+            f"{label}: part labels go from {given.min()} to {given.max()}; there are {len(names)} part names"
+        )
+    return given[carried(closed)].astype(np.uint8)
+
+
+def receiver_region(
+    solid: trimesh.Trimesh,
+    receiver: Receiver,
+    closed: Closed,
+    parts: NDArray[np.uint8],
+    names: Sequence[str],
+    label: str,
+) -> NDArray[np.bool_]:
+    """(F,) bool: the faces of the region."""
+    if receiver is None:
+        receiver = _lighter_half(solid, label)
+    if isinstance(receiver, str) and (chosen := _parts_named(receiver, names)):
+        region = np.isin(parts, chosen)
+    elif isinstance(receiver, str) and (match := PLANE.fullmatch(receiver)):
+        low, high = solid.bounds
+        axis, fraction = "xyz".index(match[1]), float(match[3])
+        position = (solid.triangles_center[:, axis] - low[axis]) / (high[axis] - low[axis])
+        region = position < fraction if match[2] == "<" else position > fraction
+    else:
+        given = read_region(receiver, names, label) if isinstance(receiver, (str, Path)) else np.asarray(receiver)
+        region = _region_of_faces(given, len(closed.given.faces), label)[carried(closed)]
+    if not region.any() or region.all():
+        raise ObjectMeshError(
+            f"{label}: the receiver region {'is empty' if not region.any() else 'is the whole object'}; "
+            "the robot needs a part to hold and the receiver a part to take"
+        )
+    return region
+
+
+def read_region(path: str | Path, names: Sequence[str], label: str) -> NDArray[np.generic]:
+    """The array of an .npy file that says the region's faces."""
+    if Path(path).suffix != ".npy" or not Path(path).exists():
+        have = f"; its parts are {', '.join(names)}" if len(names) > 1 else ""
+        raise ObjectMeshError(
+            f"{label}: receiver {printable(path)!r} is neither an existing .npy file nor {WAYS} such as 'z<0.3'{have}"
+        )
+    try:
+        return np.asarray(np.load(io.BytesIO(read_file(path, MAX_REGION_BYTES)), allow_pickle=False))
+    except FileError as error:
+        raise ObjectMeshError(f"{label}: receiver {error}") from None
+    except Exception as error:  # numpy's reader parses Python text and raises whatever that meets
+        raise ObjectMeshError(
+            f"{label}: receiver {printable(path)} is not a plain .npy array ({printable(error)[:200]})"
+        ) from error
+
+
+def _parts_named(receiver: str, names: Sequence[str]) -> list[int]:
+    """The parts that a text such as `handle` or `handle,guard` names; none where a word is no part."""
+    wanted = [w.strip() for w in receiver.split(",")]
+    return [names.index(w) for w in wanted] if all(w in names for w in wanted) else []
+
+
+def _lighter_half(solid: trimesh.Trimesh, label: str) -> str:
+    """The half of the longest axis farther from the centre of mass, as a plane, with a warning."""
+    low, high = solid.bounds
+    axis = int(np.argmax(high - low))
+    below = solid.center_mass[axis] > (low[axis] + high[axis]) / 2
+    plane = f"{'xyz'[axis]}{'<' if below else '>'}0.5"
+    warnings.warn(
+        f"{label}: no receiver region given for an S1 object; taking {plane!r}, the half of the longest axis "
+        "farther from the centre of mass. Give receiver='AXIS<FRACTION' or a part's name (FILE:S1:REGION) to choose",
+        stacklevel=4,
+    )
+    return plane
+
+
+def _region_of_faces(chosen: NDArray[np.generic], count: int, label: str) -> NDArray[np.bool_]:
+    """(F,) bool of the given faces: as it is, or of face indices."""
+    region = np.zeros(count, bool)
+    if chosen.dtype == bool and chosen.shape == region.shape:
+        region |= chosen
+    elif (
+        chosen.ndim == 1
+        and chosen.dtype.kind in "iu"
+        and (not len(chosen) or 0 <= chosen.min() <= chosen.max() < count)
+    ):
+        region[chosen] = True
+    else:
+        raise ObjectMeshError(
+            f"{label}: receiver array is {chosen.dtype} {chosen.shape}; expected bool ({count},) or face indices below "
+            f"{count}, of the file's faces"
+        )
+    return region

@@ -1,0 +1,102 @@
+"""Parts of a user's object out of its file's named groups, the receiver's region by a part's name, and builds kept on disk."""
+
+import warnings
+
+import numpy as np
+import pytest
+import trimesh
+
+from r2h_batch.bodies import objects
+from r2h_batch.bodies.objects import ObjectMeshError, build_object, object_digest, object_from_argument
+
+
+def block(x0, x1, half=0.01):
+    mesh = trimesh.creation.box((x1 - x0, 2 * half, 2 * half))
+    mesh.apply_translation(((x0 + x1) / 2, 0, 0))
+    return mesh
+
+
+def obj_text(kind):
+    """Two boxes that touch at x = 0, quads as Blender writes them, with groups, materials and normals' numbers."""
+    lines, count = ["mtllib ../../etc/passwd", "s off"], 0
+    for name, (x0, x1) in (("handle", (-0.1, 0.0)), ("blade #1", (0.0, 0.08))):
+        lines += [f"v {x} {y} {z}" for x in (x0, x1) for y in (-0.01, 0.01) for z in (-0.01, 0.01)]
+        lines.append(f"{kind} {name}")
+        quads = ((1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4))
+        for quad in quads:
+            relative = count == 0  # the first body by numbers from the end
+            lines.append("f " + " ".join(f"{q - 9 if relative else q + count}//1" for q in quad))
+        count += 8
+    return "\n".join(lines)
+
+
+@pytest.mark.parametrize("kind", ["g", "o"])
+def test_named_groups_of_an_obj_are_parts_and_name_the_receivers_region(tmp_path, kind):
+    (tmp_path / "knife.obj").write_text(obj_text(kind))
+    model = object_from_argument(f"{tmp_path}/knife.obj:S1:handle", pieces=False)
+    assert model.part_names == ("handle", "blade _1") and model.split == "S1"
+    x = model.mesh.triangles_center[:, 0]
+    assert ((model.face_part == 0) == (x <= 0.0)).sum() >= len(x) - 4, (
+        "only the faces between the bodies may be either's"
+    )
+    assert (model.receiver_face == (model.face_part == 0)).all()
+    both = pytest.raises(ObjectMeshError, match="is the whole object")
+    with both:
+        object_from_argument(f"{tmp_path}/knife.obj:S1:handle,blade _1", pieces=False)
+    with pytest.raises(
+        ObjectMeshError, match=r"'guard' is neither .* nor the name of a part.*its parts are handle, blade _1"
+    ):
+        object_from_argument(f"{tmp_path}/knife.obj:S1:guard", pieces=False)
+
+
+def test_nodes_of_a_glb_are_parts_where_they_stand(tmp_path):
+    scene = trimesh.Scene()
+    scene.add_geometry(
+        block(-0.05, 0.05), node_name="grip", transform=trimesh.transformations.translation_matrix((-0.05, 0, 0))
+    )
+    scene.add_geometry(block(0.0, 0.08), node_name="tip")
+    scene.export(tmp_path / "tool.glb")
+    model = build_object(tmp_path / "tool.glb", split="S1", receiver="grip", pieces=False)
+    assert set(model.part_names) == {"grip", "tip"}
+    assert model.mesh.bounds[:, 0] == pytest.approx((-0.1, 0.08), abs=1e-6)
+    assert model.mesh.triangles_center[model.receiver_face, 0].max() < 1e-6
+
+
+def test_one_group_is_no_part_and_a_group_without_faces_neither(tmp_path):
+    text = obj_text("g").replace("g blade #1", "g handle") + "\ng nothing"
+    (tmp_path / "rod.obj").write_text(text)
+    model = build_object(tmp_path / "rod.obj", pieces=False)
+    assert model.part_names == ("body",)
+    assert model.mesh.bounds[:, 0] == pytest.approx((-0.1, 0.08), abs=1e-6), (
+        "indices from the end count what stands before"
+    )
+
+
+def test_a_build_is_kept_by_content_and_options_and_warns_each_time(tmp_path, monkeypatch):
+    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path / "cache"))
+    built, times = objects._built, []  # the private one: what is counted is work, not calls of build_object
+    monkeypatch.setattr(objects, "_built", lambda *a, **k: times.append(1) or built(*a, **k))
+    holed = block(-0.05, 0.05).subdivide()
+    trimesh.Trimesh(holed.vertices, holed.faces[1:], process=False).export(tmp_path / "rod.ply")
+
+    def build(**options):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            model = build_object(tmp_path / "rod.ply", pieces=False, **options)
+        return model, [str(w.message) for w in caught]
+
+    (first, said), (again, said_again) = build(), build()
+    assert len(times) == 1 and said == said_again and "filled 1 holes" in said[0]
+    assert object_digest(first) == object_digest(again) and first.repair == again.repair
+    assert again.repair.steps == ("filled 1 holes",) and not again.vertices.flags.writeable
+    build(mass=0.2)
+    np.save(tmp_path / "region.npy", np.arange(10))
+    build(split="S1", receiver=tmp_path / "region.npy")
+    np.save(tmp_path / "region.npy", np.arange(12))
+    build(split="S1", receiver=tmp_path / "region.npy")
+    (tmp_path / "rod.ply").write_bytes((tmp_path / "rod.ply").read_bytes().replace(b"comment", b"comment "))
+    assert len(times) == 4
+    for file in (tmp_path / "cache" / "objects").glob("*.npz"):
+        file.write_bytes(file.read_bytes()[:-100])
+    model, _ = build()
+    assert len(times) == 5 and object_digest(model) == object_digest(first), "a damaged file is made again"
