@@ -14,6 +14,12 @@ COMMANDS = {
     "trials": ("r2h_batch.export.command", "Write the trials and everything that a method may read."),
     "scene": ("r2h_batch.export.command", "Write one stored trial as a folder that plain MuJoCo opens."),
     "benchmark": ("r2h_batch.benchmark.command", "Show what a benchmark file may say, or check one."),
+    "view": (
+        "r2h_batch.view.command",
+        "Look at the trials of a run folder in three dimensions, or write one as a page.",
+    ),
+    "video": ("r2h_batch.view.command", "Film a stored trial, or draw it as a strip of pictures."),
+    "strips": ("r2h_batch.view.command", "Draw what several methods make of one trial, without a run folder."),
     "import": ("r2h_batch.importers.command", "Turn other people's hands and grasps into files that sweeps read."),
     "results": (
         "r2h_batch.rejudge.command",
@@ -71,6 +77,7 @@ def _completed() -> dict[str, Command]:
     from r2h_batch.report import command as report
     from r2h_batch.rescore import command as rescore
     from r2h_batch.sweep.options import Options
+    from r2h_batch.view import command as view
 
     def results(command: Literal["verify", "digest"], folder: Path, /, *, rejudge: int = 0) -> None: ...
 
@@ -85,6 +92,9 @@ def _completed() -> dict[str, Command]:
         "trials": export.trials,
         "scene": export.scene,
         "benchmark": benchmark,
+        "view": view.view,
+        "video": view.video,
+        "strips": view.strips,
         "import": import_,
         "results": results,
         "report": report.run,

@@ -26,7 +26,7 @@ def scene(
     """Write one stored trial as MJCF.
 
     Args:
-        run: run folder of a sweep with --save-paths.
+        run: run folder of a sweep; what it does not store is computed again.
         trial: trial id.
         out: folder to write.
         method: needed where the run holds several: the sweep's word (fc) or the table's name.
@@ -37,17 +37,22 @@ def scene(
         object_mesh: the user's objects, as in the sweep.
         grasps: as in the sweep.
         trials_file: as in the sweep.
-        render: also a picture, a .png: start, middle, goal (MUJOCO_GL=osmesa without a screen).
+        render: also a picture, a .png: start, middle, goal; of a failed Plan what was asked.
     """
     from r2h_batch.benchmark.given import Given
-    from r2h_batch.export.trial import export_trial, load_trial, render_strip
+    from r2h_batch.export.drawing import render_strip
+    from r2h_batch.export.stored import load_trial
+    from r2h_batch.export.trial import export_trial
+    from r2h_batch.scene.offscreen import RenderError
 
     try:
         given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file)
         stored = load_trial(run, trial, method=method or None, given=given)
         folder = export_trial(stored, out)
         if render:
-            render_strip(folder, render)
+            render_strip(stored, render)
+    except RenderError as error:
+        return refuse("scene", error, 1)
     except ValueError as error:  # ExportError, RunError, FileError, ObjectMeshError
         return refuse("scene", error)
     except OSError as error:

@@ -1,47 +1,45 @@
-"""A trial as a self-contained MJCF folder: what the planner checks as collision geoms, what one sees as visual geoms."""
+"""A trial as MuJoCo's MjSpec, and as a folder that any MuJoCo opens: what the planner checks as collision geoms, what one
+sees as visual geoms, and what the criteria ask about as sites and numbers.
 
-import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable
+Everything stands in `T_world_obj` of the posture: the object hangs on wrist_3 as it is attached. Joint angles 0 .. 2 pi are
+the robot's own; the model opens at home (joint `ref`), where it stays: weights are compensated, the servos (actuator
+group 1) are off until `<option actuatorgroupdisable>` says otherwise.
+"""
+
+import ctypes
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import combinations
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement
 
+import mujoco
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Kind, Primitives, Robot, drive_from_gap, finger_motion, gripper_primitives_at
-from r2h_batch.bodies.robot_visuals import part_origin, visual_triangles
-from r2h_batch.config import Workplace
-from r2h_batch.scene.model_parts import (
-    AMBIENT,
-    COLORS,
-    DIFFUSE,
-    LIGHTS,
-    PICTURE_PIXELS,
-    SEEN_CENTER,
-    SEEN_EXTENT_M,
-    SHADOW_PIXELS,
-    SKY,
-    SKY_PIXELS,
-)
+from r2h_batch.bodies.robot import Robot
+from r2h_batch.config import ExecConfig, Thresholds, Workplace
+from r2h_batch.export.mjcf_parts import MARK, MESHES, add_gripper_shapes, add_marks, convex, mesh_geom, visual
+from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, add_arm, add_body, add_gripper, new_spec, quat_wxyz
+from r2h_batch.scene.model_parts import COLLISION, COLORS, SEEN_CENTER, VISUAL, add_primitive, look
 from r2h_batch.scene.tables import TABLE_FROM_LINK, Hands
 
 Array = NDArray[np.float64]
 
-_TYPES = {Kind.SPHERE: "sphere", Kind.CAPSULE: "capsule", Kind.CYLINDER: "cylinder", Kind.BOX: "box"}
-_VISUAL = {"contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
-_COLORS = {
-    name: " ".join(f"{x:.2f}" for x in (*rgb, 0.4 if name == "collision" else 1)) for name, rgb in COLORS.items()
-}
+SERVO_GROUP = 1
+"""Of the six position servos: switched off in the file, so that the model stays at home until someone asks for more."""
+CAMERAS = {"receiver": (1.75, -0.55, 0.75), "side": (0.35, -1.75, 0.65), "above": (0.35, -0.01, 2.1)}
+"""Fixed cameras and where they stand (m, world); all look at the middle of the scene."""
+DIGITS = 17
+"""Of numbers in scene.xml: they read back to the same bits. MuJoCo writes 6 unless told."""
 
 
 @dataclass(frozen=True)
 class TrialBodies:
-    """Where one trial's bodies are: `T_obj_ee` as attached (after closing), hand in the world, gap between the pads."""
+    """Where one trial's bodies are: `T_obj_ee` as attached (after closing), hand in the world, gap between the pads; and
+    what was asked: the handover `T_world_ee`, how far closing moved the object along the pads' axis (m), the limits."""
 
     object: ObjectModel
     object_collision: str  # "hull" or "pieces", as planned with
@@ -49,202 +47,143 @@ class TrialBodies:
     T_obj_ee: Array
     T_world_hand: Array
     opening_m: float
+    T_world_ee: Array
+    shift_m: float = 0.0
+    width_m: float | None = None  # None: nothing between the pads
+    thresholds: Thresholds = field(default_factory=Thresholds)
     workplace: Workplace = field(default_factory=Workplace)
 
 
-def write_scene(
-    folder: Path, robot: Robot, hands: Hands, trial: TrialBodies, keyframes: Iterable[tuple[str, Array]] = ()
-) -> Path:
-    """`scene.xml` and `meshes/` in `folder`: loads in plain MuJoCo from anywhere. Returns the path of scene.xml.
-
-    Contacts are left between exactly the pairs that planning checks (MuJoCo makes none between bodies that both stand
-    still, as base and hand do).
-    """
-    return _Writer(folder, robot, hands, trial).write(keyframes)
-
-
-class _Writer:
-    def __init__(self, folder: Path, robot: Robot, hands: Hands, trial: TrialBodies) -> None:
-        self.folder, self.robot, self.hands, self.trial = folder, robot, hands, trial
-        (folder / "meshes").mkdir(parents=True, exist_ok=True)
-        self.root = Element("mujoco", model="r2h_batch trial")
-        SubElement(self.root, "compiler", angle="radian", meshdir="meshes", autolimits="true")
-        option = SubElement(self.root, "option", gravity="0 0 0", ccd_iterations="200", ccd_tolerance="1e-9")
-        SubElement(option, "flag", filterparent="disable")  # every pair is named below
-        visual = SubElement(self.root, "visual")
-        SubElement(visual, "headlight", ambient=_gray(AMBIENT), diffuse=_gray(DIFFUSE), specular=_gray(0))
-        SubElement(visual, "global", offwidth=str(PICTURE_PIXELS[0]), offheight=str(PICTURE_PIXELS[1]))
-        SubElement(visual, "quality", shadowsize=str(SHADOW_PIXELS), offsamples="8")
-        SubElement(self.root, "statistic", center=_words(SEEN_CENTER), extent=str(SEEN_EXTENT_M))
-        self.asset = SubElement(self.root, "asset")
-        sky = {"type": "skybox", "builtin": "gradient", "rgb1": _words(SKY[0]), "rgb2": _words(SKY[1])}
-        SubElement(self.asset, "texture", sky, width=str(SKY_PIXELS[0]), height=str(SKY_PIXELS[1]))
-        self.worldbody = SubElement(self.root, "worldbody")
-        for lamp in LIGHTS:
-            shadow = {} if lamp.shadow else {"castshadow": "false"}
-            place = {"pos": _words(lamp.pos), "dir": _words(lamp.dir)}
-            SubElement(self.worldbody, "light", {**place, "diffuse": _gray(lamp.diffuse), **shadow})
-
-    def write(self, keyframes: Iterable[tuple[str, Array]]) -> Path:
-        table, at = SubElement(self.worldbody, "body", name="table"), self.trial.workplace
-        box = {"type": "box", "size": _text(at.table_half), "pos": _text(at.table_center)}
-        SubElement(table, "geom", {"name": "table/top", **box, **_collision()})
-        SubElement(table, "geom", {"name": "table/top_visual", **box, **_VISUAL, "rgba": _COLORS["table"]})
-        self._add_object(self._add_gripper(self._add_arm()))
-        self._add_hand()
-        self._add_exclusions()
-        frames = SubElement(self.root, "keyframe")
-        for name, q in keyframes:
-            SubElement(frames, "key", name=name, qpos=_text(q))
-        ElementTree.indent(self.root)
-        path = self.folder / "scene.xml"
-        ElementTree.ElementTree(self.root).write(path, encoding="utf-8", xml_declaration=True)
-        return path
-
-    def _add_arm(self) -> Element:
-        robot, body = self.robot, self.worldbody
-        for k, link in enumerate(robot.links[:7]):
-            frame = _pose(robot.T_parent_joint[k - 1]) if k else {}
-            body = SubElement(body, "body", {"name": link, **frame})
-            if k:
-                limits = _text([robot.lower[k - 1], robot.upper[k - 1]])
-                SubElement(body, "joint", name=robot.joints[k - 1], axis="0 0 1", range=limits, damping="1")
-            for i in np.flatnonzero(robot.arm.link == k):
-                self._add_primitive(body, f"robot/{robot.arm.names[i]}", robot.arm, int(i), robot.arm.T_link_prim[i])
-            self._add_visual(body, f"robot/{link}_visual", visual_triangles(link), np.eye(4), _COLORS[link])
-        return body
-
-    def _add_gripper(self, wrist: Element) -> Element:
-        robot, gap = self.robot, self.trial.opening_m
-        T_wrist_gripper = robot.T_wrist3_flange @ robot.T_flange_gripper
-        body = SubElement(wrist, "body", {"name": "gripper", **_pose(T_wrist_gripper)})
-        T_gripper_ee = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee
-        poses = T_gripper_ee @ gripper_primitives_at(robot, gap)
-        for i, name in enumerate(robot.gripper.names):
-            self._add_primitive(body, f"gripper/{name}", robot.gripper, i, poses[i])
-        self._add_visual(body, "gripper/body_visual", visual_triangles("body"), np.eye(4), _COLORS["gripper"])
-        turned = np.diag([-1.0, -1.0, 1.0, 1.0])  # the left finger is the right one turned about the approach axis
-        seen = set()
-        for part, motion, side in zip(robot.gripper_part, robot.gripper_motion, robot.gripper_side, strict=True):
-            if side == 0 or (part, side) in seen:
-                continue
-            seen.add((part, side))
-            origin = np.eye(4)
-            origin[:3, 3] = part_origin(part)
-            T = (
-                finger_motion(robot, motion, int(side), drive_from_gap(gap))
-                @ (turned if side < 0 else np.eye(4))
-                @ origin
-            )
-            name = f"gripper/{'left' if side < 0 else 'right'}_{part}_visual"
-            if part == "pad":  # a box in the model it comes from
-                box = {"type": "box", "size": _text(robot.linkage.pad_half_size), "rgba": _COLORS["pad"]}
-                SubElement(body, "geom", {"name": name, **box, **_pose(T), **_VISUAL})
-            else:
-                self._add_visual(body, name, visual_triangles(part), T, _COLORS["gripper"], mesh=f"gripper_{part}")
-        return wrist
-
-    def _add_object(self, wrist: Element) -> None:
-        robot, model = self.robot, self.trial.object
-        T = robot.T_wrist3_flange @ robot.T_flange_ee @ np.linalg.inv(self.trial.T_obj_ee)
-        body = SubElement(wrist, "body", {"name": "object", **_pose(T)})
-        xx, yy, zz, xy, xz, yz = (model.inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)))
-        inertia = _text([xx, yy, zz, xy, xz, yz])
-        SubElement(body, "inertial", pos=_text(model.com), mass=_text([model.mass]), fullinertia=inertia)
-        if self.trial.object_collision == "hull":
-            self._add_convex(body, "object/hull", model.hull_vertices)
-        else:
-            for k, (points, _) in enumerate(model.pieces):
-                self._add_convex(body, f"object/piece_{k}", points)
-        self._add_visual(body, "object/mesh_visual", model.vertices[model.faces], np.eye(4), _COLORS["object"])
-
-    def _add_hand(self) -> None:
-        hands, k = self.hands, self.trial.hand_index
-        body = SubElement(self.worldbody, "body", {"name": "hand", **_pose(self.trial.T_world_hand)})
-        for i, name in enumerate(hands.model.piece_names):
-            self._add_convex(body, f"hand/{name}", hands.piece_points(k, i))
-        faces = hands.model.faces_by_side[int(hands.set.side[k])].numpy()
-        vertices = hands.vertices[k].numpy()
-        self._write_obj("hand_mesh", vertices, faces)
-        self._mesh_geom(
-            body, "hand/mesh_visual", "hand_mesh", {**_VISUAL, "rgba": _COLORS["hand"]}, file="hand_mesh.obj"
-        )
-
-    def _add_exclusions(self) -> None:
-        robot, contact = self.robot, SubElement(self.root, "contact")
-        checked = {frozenset((robot.links[a], robot.links[b])) for a, b in robot.self_pairs}
-        checked |= {frozenset(("object", robot.links[a])) for a in robot.object_pairs}
-        checked |= {frozenset((link, "hand")) for link in (*robot.links, "object")}
-        checked |= {frozenset((link, "table")) for link in (*robot.links[TABLE_FROM_LINK:], "object")}
-        for a, b in combinations((*robot.links, "object", "hand", "table"), 2):
-            if frozenset((a, b)) not in checked:
-                SubElement(contact, "exclude", body1=a, body2=b)
-
-    def _add_primitive(self, body: Element, name: str, shapes: Primitives, i: int, T: Array) -> None:
-        kind = Kind(int(shapes.kind[i]))
-        size = shapes.size[i][: {Kind.SPHERE: 1, Kind.BOX: 3}.get(kind, 2)]
-        SubElement(body, "geom", {"name": name, "type": _TYPES[kind], "size": _text(size), **_pose(T), **_collision()})
-
-    def _add_convex(self, body: Element, name: str, points: NDArray[np.float32]) -> None:
-        hull = ConvexHull(points.astype(np.float64))
-        at = np.full(len(points), -1)
-        at[hull.vertices] = np.arange(len(hull.vertices))
-        inward = np.einsum(
-            "fi,fi->f",
-            np.cross(*np.moveaxis(np.diff(points[hull.simplices].astype(np.float64), axis=1), 1, 0)),
-            hull.equations[:, :3],
-        )
-        faces = np.where((inward < 0)[:, None], hull.simplices[:, ::-1], hull.simplices)
-        mesh = name.replace("/", "_")
-        self._write_obj(mesh, points[hull.vertices], at[faces])
-        self._mesh_geom(body, name, mesh, _collision(), file=f"{mesh}.obj", inertia="convex")
-
-    def _add_visual(
-        self, body: Element, name: str, triangles: NDArray[np.floating], T: Array, rgba: str, mesh: str = ""
-    ) -> None:
-        mesh = mesh or name.replace("/", "_").removesuffix("_visual")
-        path = self.folder / "meshes" / f"{mesh}.stl"
-        if not any(m.get("name") == mesh for m in self.asset):
-            _write_stl(path, triangles)
-        self._mesh_geom(body, name, mesh, {**_pose(T), **_VISUAL, "rgba": rgba}, file=path.name)
-
-    def _mesh_geom(
-        self, body: Element, name: str, mesh: str, attributes: dict[str, str], *, file: str, inertia: str = "shell"
-    ) -> None:
-        if not any(m.get("name") == mesh for m in self.asset):
-            SubElement(self.asset, "mesh", name=mesh, file=file, inertia=inertia)
-        SubElement(body, "geom", {"name": name, "type": "mesh", "mesh": mesh, **attributes})
-
-    def _write_obj(self, mesh: str, vertices: NDArray[np.float32], faces: NDArray[np.integer]) -> None:
-        lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in vertices.tolist()]
-        lines += [f"f {a} {b} {c}" for a, b, c in (np.asarray(faces) + 1).tolist()]
-        (self.folder / "meshes" / f"{mesh}.obj").write_text("\n".join(lines) + "\n")
+def trial_spec(
+    robot: Robot, hands: Hands, trial: TrialBodies, keyframes: Iterable[tuple[str, Array]] = ()
+) -> mujoco.MjSpec:
+    """The trial, ready to compile; its meshes are in `assets`. Contacts are left between exactly the pairs that planning
+    checks (MuJoCo makes none between bodies that both stand still, as base and hand do)."""
+    spec = new_spec(ExecConfig().step_s)
+    spec.modelname, spec.meshdir = "r2h_batch trial", MESHES
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)  # every pair is named below
+    spec.option.ccd_iterations, spec.option.ccd_tolerance = 200, 1e-9
+    spec.option.disableactuator = 1 << SERVO_GROUP
+    look(spec)
+    _add_table(spec, trial.workplace)
+    links = _add_arm(spec, robot, trial.workplace.home_q)
+    gripper = add_gripper(links[-1], robot, GRIPPER_MASS_KG)
+    add_gripper_shapes(spec, gripper, robot, trial.opening_m)
+    _add_object(spec, links[-1], robot, trial)
+    _add_hand(spec, hands, trial)
+    _add_exclusions(spec, robot)
+    add_marks(spec, robot, hands, trial, gripper)
+    for name, at in CAMERAS.items():
+        spec.worldbody.add_camera(name=name, pos=at, quat=_towards(np.subtract(SEEN_CENTER, at)), fovy=45.0)
+    for name, q in keyframes:
+        spec.add_key(name=name, qpos=np.asarray(q, np.float64), ctrl=np.asarray(q, np.float64))
+    return spec
 
 
-def _write_stl(path: Path, triangles: NDArray[np.floating]) -> None:
-    """Binary STL; normals are left to the reader."""
-    rows = np.zeros(len(triangles), dtype=[("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    rows["corners"] = triangles
-    path.write_bytes(bytes(80) + np.uint32(len(triangles)).tobytes() + rows.tobytes())
+def write_scene(folder: Path, spec: mujoco.MjSpec) -> Path:
+    """`scene.xml` and `meshes/` in `folder`: loads in plain MuJoCo from anywhere. Returns the path of scene.xml."""
+    spec.compile()
+    meshes = folder / MESHES
+    meshes.mkdir(parents=True, exist_ok=True)
+    for old in meshes.iterdir():  # of an earlier export
+        if old.is_file() and old.name not in spec.assets:
+            old.unlink()
+    for name, content in spec.assets.items():
+        (meshes / name).write_bytes(content)
+    path = folder / "scene.xml"
+    with _all_digits():
+        path.write_text(spec.to_xml(), encoding="utf-8")
+    return path
 
 
-def _collision() -> dict[str, str]:
-    return {"group": "3", "rgba": _COLORS["collision"]}
+@contextmanager
+def _all_digits() -> Iterator[None]:
+    """MuJoCo writes numbers with all their digits in here, where its library lets itself be told (mju, private)."""
+    library = ctypes.CDLL(next(str(f) for f in sorted(Path(mujoco.__file__).parent.glob("libmujoco*"))))
+    told = getattr(library, "_mjPRIVATE__set_xml_precision", None)
+    if told is None:
+        yield
+        return
+    told(DIGITS)
+    try:
+        yield
+    finally:
+        told(6)
 
 
-def _pose(T: Array) -> dict[str, str]:
-    quat_wxyz = Rotation.from_matrix(np.asarray(T)[:3, :3]).as_quat(canonical=True, scalar_first=True)
-    return {"pos": _text(np.asarray(T)[:3, 3]), "quat": _text(quat_wxyz)}
+def _towards(direction: Array) -> Array:
+    """The quaternion (w, x, y, z) of a camera that looks along `direction`, its top up: MuJoCo's cameras look along -z."""
+    back = -direction / np.linalg.norm(direction)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    return quat_wxyz(np.stack([right, np.cross(back, right), back], axis=1))
 
 
-def _words(values: Iterable[float]) -> str:
-    """Numbers as they are written in the source: 1, not 1.0."""
-    return " ".join(map(str, values))
+def _add_table(spec: mujoco.MjSpec, place: Workplace) -> None:
+    table = spec.worldbody.add_body(name="table")
+    for name, group, color in (("table/top", COLLISION, "collision"), ("table/top_visual", VISUAL, "table")):
+        seen = {"contype": 0, "conaffinity": 0} if group == VISUAL else {}
+        table.add_geom(
+            name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=place.table_half, pos=place.table_center, group=group,
+            rgba=[*COLORS[color], 1.0 if group == VISUAL else 0.4], **seen,
+        )  # fmt: skip
 
 
-def _gray(value: float) -> str:
-    return _words([value] * 3)
+def _add_arm(spec: mujoco.MjSpec, robot: Robot, home_q: Sequence[float]) -> list[mujoco.MjsBody]:
+    """Base to wrist_3 with masses, joints and servos; the bodies stand at home and the joints say so (`ref`)."""
+    links = add_arm(spec, robot, spec.worldbody)
+    for k, body in enumerate(links):
+        if k:
+            turn = np.array([[np.cos(a := home_q[k - 1]), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]])
+            body.quat = quat_wxyz(robot.T_parent_joint[k - 1][:3, :3] @ turn)
+            body.joints[0].ref = home_q[k - 1]
+            body.joints[0].damping = [1.0, 0.0, 0.0]
+        for i in np.flatnonzero(robot.arm.link == k):
+            add_primitive(body, robot.arm, int(i), robot.arm.T_link_prim[i], 1, 1, f"robot/{robot.arm.names[i]}")
+        visual(spec, body, f"robot/{robot.links[k]}_visual", robot.links[k], np.eye(4), robot.links[k])
+    for servo, k in zip(spec.actuators, range(len(robot.joints)), strict=True):
+        servo.group = SERVO_GROUP
+        servo.ctrlrange = [robot.lower[k], robot.upper[k]]
+    return links
 
 
-def _text(values: Iterable[float]) -> str:
-    return " ".join(repr(float(v)) for v in values)
+def _add_object(spec: mujoco.MjSpec, wrist: mujoco.MjsBody, robot: Robot, trial: TrialBodies) -> None:
+    model = trial.object
+    T = robot.T_wrist3_flange @ robot.T_flange_ee @ np.linalg.inv(trial.T_obj_ee)
+    body = add_body(wrist, "object", T, float(model.mass), model.com, np.asarray(model.inertia, np.float64))
+    if trial.object_collision == "hull":
+        convex(spec, body, "object/hull", model.hull_vertices)
+    else:
+        for k, (points, _) in enumerate(model.pieces):
+            convex(spec, body, f"object/piece_{k}", points)
+    mesh_geom(spec, body, "object/mesh_visual", "object_mesh", model.mesh, "object")
+    if model.receiver_face.any():
+        region = trimesh.Trimesh(model.mesh.vertices, model.faces[model.receiver_face], process=False)
+        region.remove_unreferenced_vertices()
+        mesh_geom(spec, body, "object/region_visual", "object_region", region, "region", group=MARK)
+
+
+def _add_hand(spec: mujoco.MjSpec, hands: Hands, trial: TrialBodies) -> None:
+    k, T = trial.hand_index, trial.T_world_hand
+    body = spec.worldbody.add_body(name="hand", pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]))
+    for i, name in enumerate(hands.model.piece_names):
+        convex(spec, body, f"hand/{name}", hands.piece_points(k, i))
+    faces = hands.model.faces_by_side[int(hands.set.side[k])].numpy()
+    skin = trimesh.Trimesh(hands.vertices[k].double().numpy(), faces, process=False)
+    mesh_geom(spec, body, "hand/mesh_visual", "hand_mesh", skin, "hand")
+
+
+def _add_exclusions(spec: mujoco.MjSpec, robot: Robot) -> None:
+    checked = checked_pairs(robot)
+    for a, b in combinations((*robot.links, "object", "hand", "table"), 2):
+        if frozenset((a, b)) not in checked:
+            spec.add_exclude(bodyname1=a, bodyname2=b)
+
+
+def checked_pairs(robot: Robot) -> dict[frozenset[str], str]:
+    """The pairs of bodies (by name) that planning keeps apart, and what `verdicts.CollidingPair` calls them."""
+    found = {frozenset((robot.links[a], robot.links[b])): "self" for a, b in robot.self_pairs}
+    found |= {frozenset(("object", robot.links[a])): "object_robot" for a in robot.object_pairs}
+    found |= {frozenset((link, "hand")): "hand" for link in robot.links}
+    found |= {frozenset((link, "table")): "table" for link in robot.links[TABLE_FROM_LINK:]}
+    return found | {frozenset(("object", "hand")): "object_hand", frozenset(("object", "table")): "object_table"}

@@ -1,5 +1,4 @@
-"""Pictures of a handover along the motion that happened, from the model that was simulated. Needs MUJOCO_GL=osmesa or egl
-where there is no display (set before mujoco is imported)."""
+"""Pictures of a handover along the motion that happened, from the model that was simulated."""
 
 import copy
 from collections.abc import Sequence
@@ -18,6 +17,7 @@ from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.model import COLLISION, SceneModel, TrialScene, build_scene_model
+from r2h_batch.scene.offscreen import renderer
 from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
 
 AZIMUTH_DEG, ELEVATION_DEG = 125.0, -18.0
@@ -61,7 +61,7 @@ def strips(
         step_s=evaluator.config.execute.step_s, skins=True, workplace=scene.config.workplace,
     )  # fmt: skip
     chosen = [_times(scores, executed, frames) for scores, executed, _ in told]
-    with mujoco.Renderer(model.model, size[1], size[0]) as renderer:
+    with renderer(model.model, *size) as drawer:
         out = []
         for p, (scores, executed, bodies), at in zip(predictions, told, chosen, strict=True):
             postures = _postures(executed, at, scene.config.workplace.home_q)
@@ -70,7 +70,7 @@ def strips(
             touch_s = float(scores.witness_time_s[0])
             images = [
                 _picture(
-                    renderer, model, bodies, q, camera, touch if touch is not None and abs(t - touch_s) < 0.01 else None
+                    drawer, model, bodies, q, camera, touch if touch is not None and abs(t - touch_s) < 0.01 else None
                 )
                 for t, q in zip(at, postures, strict=True)
             ]
@@ -180,7 +180,7 @@ def _camera(
 
 
 def _picture(
-    renderer: mujoco.Renderer, model: SceneModel, bodies: TrialScene, q: NDArray[np.float64], camera: mujoco.MjvCamera,
+    drawer: mujoco.Renderer, model: SceneModel, bodies: TrialScene, q: NDArray[np.float64], camera: mujoco.MjvCamera,
     touch: NDArray[np.float32] | None,
 ) -> NDArray[np.uint8]:  # fmt: skip
     data = mujoco.MjData(model.model)
@@ -188,12 +188,12 @@ def _picture(
     mujoco.mj_resetData(model.model, data)
     data.qpos[:] = model.start(bodies, q)
     mujoco.mj_forward(model.model, data)
-    renderer.update_scene(data, camera)
+    drawer.update_scene(data, camera)
     if touch is not None:
-        scene = renderer.scene
+        scene = drawer.scene
         mujoco.mjv_initGeom(
             scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.025), touch.astype(np.float64),
             np.eye(3).ravel(), np.array([0.85, 0.1, 0.1, 0.75], np.float32),
         )  # fmt: skip
         scene.ngeom += 1
-    return np.array(renderer.render())
+    return np.array(drawer.render())

@@ -186,7 +186,7 @@ def add_primitive(
 def add_visual(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, mesh: str, T: Array, color: str) -> None:
     """A part of the robot as airo-models shows it."""
     if spec.mesh(f"robot_{mesh}") is None:
-        add_mesh(spec, f"robot_{mesh}", *_visual_mesh(mesh), convex=False)
+        add_mesh(spec, f"robot_{mesh}", *visual_mesh(mesh), convex=False)
     add_mesh_geom(body, name, f"robot_{mesh}", color, T=T)
 
 
@@ -212,7 +212,7 @@ def add_mesh_geom(
 
 
 @lru_cache(maxsize=16)
-def _visual_mesh(name: str) -> tuple[Array, NDArray[np.int64]]:
+def visual_mesh(name: str) -> tuple[Array, NDArray[np.int64]]:
     """Vertices and faces of a part of the robot that airo-models shows."""
     corners = np.asarray(visual_triangles(name), np.float32).reshape(-1, 3)
     rows = np.ascontiguousarray(corners).view([("", np.float32)] * 3).ravel()

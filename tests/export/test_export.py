@@ -3,7 +3,10 @@
 import csv
 import dataclasses
 import json
+import re
 import shutil
+import subprocess
+import sys
 from xml.etree import ElementTree
 
 import mujoco
@@ -16,6 +19,7 @@ import trimesh
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.export import trial as export
+from r2h_batch.export.stored import Reader, StoredTrial
 from r2h_batch.motion.time_law import time_at, time_path
 from r2h_batch.results.reading import load_run
 
@@ -30,7 +34,7 @@ def exported(run, tmp_path_factory):
     base = tmp_path_factory.mktemp("exports")
     result = {}
     for k in TRIALS:
-        stored = export.load_trial(run, k, method="oracle")
+        stored = Reader(run).trial(k, "oracle")
         folder = export.export_trial(stored, base / f"first{k}")
         result[k] = (stored, shutil.move(folder, base / f"moved{k}"))
     return result
@@ -87,7 +91,7 @@ def test_the_folder_opens_elsewhere_and_names_say_what_is_what(exported):
         assert [model.joint(i).name for i in range(model.njnt)] == list(robot.joints)
         assert np.allclose(model.jnt_range, np.stack([robot.lower, robot.upper], 1))
         names = [model.geom(i).name for i in range(model.ngeom)]
-        assert {n.split("/")[0] for n in names} == {"robot", "gripper", "hand", "object", "table"}
+        assert {n.split("/")[0] for n in names} == {"robot", "gripper", "hand", "object", "table", "target"}
         found, visual = groups(model)
         assert all(model.geom_contype[i] == 0 and model.geom_conaffinity[i] == 0 for i in visual)
         assert all(model.geom_contype[i] and model.geom_conaffinity[i] for ids in found.values() for i in ids)
@@ -277,7 +281,7 @@ def test_samples_agree_with_the_evaluators_own_clock():
     path, length = torch.tensor(q[None], dtype=torch.float32), torch.tensor([4], dtype=torch.int32)
     motion = time_path(path, length, config)
     header = {"configuration": {"execute": dataclasses.asdict(config)}}
-    stored = export.StoredTrial(
+    stored = StoredTrial(
         header,
         "",
         {},
@@ -311,15 +315,39 @@ def test_the_description_holds_the_verdict(exported, run):
         assert d["digests"]["trials"] and d["protocol"] and len(d["poses"]["T_world_hand"]) == 4
 
 
-def test_a_trial_without_a_path_shows_the_robot_at_home(run, tmp_path):
-    stored = load_run(run)
-    judged = stored.details("random")["trial_id"].to_pylist()
-    rows = stored.trials("random").to_pylist()
-    without = [r["trial_id"] for r in rows if r["t_exec_s"] is None and r["trial_id"] in judged]
-    if not without:
-        pytest.skip("random found a path in all of these trials")
-    folder = export.export_trial(export.load_trial(run, without[0], method="random"), tmp_path / "x")
-    _, table = trajectory(folder)
-    assert len(table) == 1 and np.allclose(table[0, 1:], HOME_Q, atol=1e-6)
-    described = json.loads((folder / "trial.json").read_text())
-    assert described["waypoints"] == [] and described["margin_m"]["plan"] in ("-inf", None)
+def test_a_trial_without_a_path_holds_what_was_asked(run, tmp_path):
+    """The key `target` is the posture that comes nearest, where MuJoCo C finds the pair that the verdict names."""
+    reader = Reader(run)
+    rows = reader.rows("random").to_pylist()
+    failed = [r for r in rows if r["plan_reason"] in ("ik_in_collision", "ik_unreachable")]
+    assert failed, "random found a path in all of these trials"
+    for row in failed:
+        stored = reader.trial(row["trial_id"], "random")
+        assert stored.note == "" and not stored.moves
+        folder = export.export_trial(stored, tmp_path / str(row["trial_id"]))
+        _, table = trajectory(folder)
+        assert len(table) == 1 and np.allclose(table[0, 1:], HOME_Q, atol=1e-6)
+        described = json.loads((folder / "trial.json").read_text())
+        assert described["waypoints"] == [] and described["margin_m"]["plan"] in ("-inf", None)
+        model, data = load(folder)
+        mujoco.mj_resetDataKeyframe(model, data, model.key("target").id)
+        assert np.abs(data.qpos - HOME_Q).max() > 0.05 and np.allclose(data.qpos, described["q_target"])
+        least = clearances(model, data, data.qpos.copy())
+        off = np.linalg.norm(data.site("ee").xpos - data.site("target").xpos)
+        if row["plan_reason"] == "ik_in_collision":
+            assert off < 1e-4 and least[row["plan_pair"]] < 0 and described["target_clearance_m"] < 0
+        else:
+            assert 1e-4 < off <= -described["target_clearance_m"] + 1e-4
+
+
+def test_a_model_opens_at_home_stays_there_and_plays_with_the_script_beside_it(exported):
+    _, folder = exported[0]
+    model, data = load(folder)
+    assert np.allclose(data.qpos, HOME_Q) and model.ncam >= 1 and model.nlight >= 1 and model.nu == 6
+    mujoco.mj_step(model, data, 200)
+    assert np.abs(data.qpos - HOME_Q).max() < 1e-9
+    for flags, off_mm in (([], 0.2), (["--servos"], 1.0)):
+        line = [sys.executable, str(folder / "play.py"), "--check", *flags]
+        done = subprocess.run(line, capture_output=True, text=True, check=True, cwd=folder.parent)
+        found = re.search(r"gripper ([0-9.]+) mm from its target, (\d+) contacts", done.stdout)
+        assert found and float(found[1]) < off_mm and found[2] == "0"

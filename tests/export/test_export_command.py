@@ -7,13 +7,17 @@ import sys
 
 import mujoco
 import numpy as np
+import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
 from r2h_batch.benchmark import built_in
 from r2h_batch.bodies import hand
 from r2h_batch.export import command as export_command
+from r2h_batch.export.stored import ExportError, Reader
 from r2h_batch.sweep import command as sweep
+
+TIMES = ("t_plan_s", "t_method_s")
 
 
 def refused(arguments, capsys):
@@ -35,13 +39,31 @@ def test_what_is_not_there_is_refused_with_what_is(run, tmp_path, capsys):
     assert not (tmp_path / "x").exists()
 
 
-def test_a_run_without_paths_is_refused_naming_the_flag(tmp_path, capsys):
+def test_what_a_run_does_not_store_is_computed_again_to_the_same_bits(run, tmp_path, capsys):
     bare = tmp_path / "bare"
-    assert (
-        sweep.main(["--method", "random", "--splits", "S0", "--trials", "1", "--sim", "none", "--out", str(bare)]) == 0
-    )
+    assert sweep.main(["--method", "oracle", "random", "--trials", "2", "--no-poses", "--out", str(bare)]) == 0
     capsys.readouterr()
-    assert "--save-paths" in refused(["--run", bare, "--trial", 0, "--out", tmp_path / "x"], capsys)
+    whole, part = Reader(run), Reader(bare)
+    for method in ("oracle", "random"):
+        for k in (0, 1, 2, 3):
+            one, two = whole.trial(k, method), part.trial(k, method)
+            assert two.note == "" and {k: v for k, v in one.row.items() if k not in TIMES} == {
+                k: v for k, v in two.row.items() if k not in TIMES
+            }
+            for name in ("T_obj_ee", "T_world_ee", "T_world_hand", "q", "time_s", "executed_q", "target_q"):
+                assert np.array_equal(getattr(one, name), getattr(two, name)), (method, k, name)
+
+
+def test_what_a_folder_names_is_neither_imported_nor_opened(run, tmp_path, monkeypatch):
+    """A folder may come from anybody: the method that it names may be any code."""
+    reader = Reader(run)
+    entry = {**reader.run.entry("oracle"), "source": {"kind": "method", "function": "evil_module:predict"}}
+    monkeypatch.setattr(type(reader.run), "entry", lambda self, method: entry)
+    reader.run.header["stored"][:] = []
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "evil_module.py").write_text("raise SystemExit('imported')")
+    with pytest.raises(ExportError, match="sweep without --no-poses"):
+        reader.trial(0, "oracle")
 
 
 def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):

@@ -92,6 +92,9 @@ WANTS = {
     "rtree": _module("rtree", "test"),
     "importlinter": _module("importlinter", "test"),
     "setuptools": _module("setuptools", "test"),
+    "viser": _module("viser", "view"),
+    "nbclient": _module("nbclient", "notebook"),
+    "pandas": _module("pandas", "pandas"),
     "coacd": _module("coacd", "build"),
     "ur_analytic_ik": Want(
         "the package ur-analytic-ik",

@@ -1,29 +1,37 @@
 """What the methods' handovers of one trial look like: a row for each method, along the motion that was executed.
 
-python -m bench.strips --trial ID --out FILE.png [--method random oracle ...] [--predictions FILE ...] [--frames 5]
-    [--preset default|paper]
-
-The scene is the one that was simulated, rendered by MuJoCo; the row's title says what came of it. Needs matplotlib.
+The scene is the one that was simulated, rendered by MuJoCo; the row's title says what came of it.
 """
 
-import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("MUJOCO_GL", "osmesa")  # read when mujoco is imported
-
 import numpy as np
 import torch
 
+from r2h_batch.command_line import tell
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.export.pictures import Strip, strips
-from r2h_batch.predictions import PredictionsError
+from r2h_batch.scene.offscreen import RenderError
 from r2h_batch.sweep.jobs import load_files, make_jobs, prepare
 from r2h_batch.sweep.options import Options, UsageError, check
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Outcome, Predictions
+
+
+def write_strips(
+    trial_id: int, methods: Sequence[str], files: Sequence[str], preset: str, frames: int, out: Path
+) -> list[str]:
+    """Draws the grid and returns a line for each row: the method, and what came of it."""
+    evaluator, found = answers(trial_id, methods, files, preset)
+    if not found:
+        raise UsageError(f"nobody answers trial {trial_id}")
+    trial = trials_with_ids(torch.tensor([trial_id], dtype=torch.int64, device="cpu"), objects=evaluator.scene.objects)
+    rows = strips(evaluator, trial, found, frames=frames)
+    name = evaluator.scene.objects[int(trial.object_index[0])].name.replace("_", " ")
+    draw(rows, f"trial {trial_id}: {name}", out, frames=frames)
+    return [f"{row.method}: {row.verdict}" for row in rows]
 
 
 def answers(
@@ -38,17 +46,19 @@ def answers(
     for job in make_jobs(options, load_files(options), bench):
         row = None if job.rows is None else job.rows[place : place + 1]
         if row is not None and int(row[0]) < 0:
-            print(f"{job.name} has no answer to trial {trial_id}")
+            tell(f"strips: {job.name} has no answer to trial {trial_id}")
             continue
-        p = job.predict(bench.trials(torch.tensor([trial_id])), row)
+        p = job.predict(bench.trials(torch.tensor([trial_id], dtype=torch.int64, device="cpu")), row)
         found.append(Predictions(p.trial_id, p.T_obj_ee, p.T_world_ee, method=job.name))
     return bench.evaluator, found
 
 
 def draw(rows: Sequence[Strip], title: str, out: Path, *, frames: int) -> None:
     """Writes the grid of pictures: methods by times."""
-    import matplotlib
-
+    try:
+        import matplotlib
+    except ImportError:
+        raise RenderError("strips need matplotlib: pip install 'r2h_batch[view]'") from None
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
@@ -73,30 +83,3 @@ def draw(rows: Sequence[Strip], title: str, out: Path, *, frames: int) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(out, metadata={"Software": None})
     plt.close(figure)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trial", type=int, required=True, help="trial id of the protocol")
-    parser.add_argument("--method", nargs="*", default=[], help="as in a sweep")
-    parser.add_argument("--predictions", nargs="*", default=[], help="as in a sweep")
-    parser.add_argument("--preset", default="default", choices=("default", "paper"))
-    parser.add_argument("--frames", type=int, default=5)
-    parser.add_argument("--out", type=Path, required=True)
-    options = parser.parse_args()
-    if options.trial < 0:
-        parser.error(f"--trial is {options.trial}; it must be 0 or more")
-    try:
-        evaluator, found = answers(options.trial, options.method, options.predictions, options.preset)
-    except (UsageError, PredictionsError) as error:
-        parser.error(str(error))
-    trial = trials_with_ids(torch.tensor([options.trial]), objects=evaluator.scene.objects)
-    rows = strips(evaluator, trial, found, frames=options.frames)
-    name = evaluator.scene.objects[int(trial.object_index[0])].name.replace("_", " ")
-    draw(rows, f"trial {options.trial}: {name}", options.out, frames=options.frames)
-    for row in rows:
-        print(f"{row.method}: {row.verdict}")
-
-
-if __name__ == "__main__":
-    main()

@@ -1,0 +1,232 @@
+"""One trial of a run folder, whole: what is stored, and what is not, computed again from the method and its seed."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.compute as pc
+import torch
+from numpy.typing import NDArray
+
+from r2h_batch import se3
+from r2h_batch.benchmark import Benchmark
+from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.of_run import benchmark_of_run
+from r2h_batch.config import Workplace
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.export import replay
+from r2h_batch.files import FileError
+from r2h_batch.results.reading import Run, load_run
+from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
+from r2h_batch.types import Predictions, Trials
+
+Array = NDArray[np.float64]
+
+CHECKED_TRIALS = 20_000
+"""Runs of at most this many trials have their whole trial list compared with its digest."""
+
+
+class ExportError(ValueError):
+    """A trial that cannot be shown: the message says what is there and what to do."""
+
+
+@dataclass(frozen=True)
+class StoredTrial:
+    """One trial of one method as it was judged: what a run folder says, and the trial itself made from its protocol."""
+
+    header: dict[str, Any]
+    method: str
+    row: dict[str, Any]  # of trials and details
+    T_obj_ee: Array  # as predicted
+    T_obj_ee_attached: Array  # after closing moved the object between the pads
+    T_world_ee: Array
+    T_world_hand: Array
+    q: Array  # (W, 6) waypoints; home alone where no path was found
+    time_s: Array  # (W,)
+    executed_q: Array | None  # (S, 6) every `motion.sample_s` of run.json; None: not simulated
+    object_model: Any
+    hand_set: Any = None  # None: the built-in one
+    workplace: Workplace = field(default_factory=Workplace)
+    asked_q: Array | None = None  # (6,) posture at the target, or the nearest to it; None: q[-1]
+    asked_clearance_m: float | None = None  # of that posture, where there is no path
+    note: str = ""  # where what was computed again is not what is stored
+
+    @property
+    def target_q(self) -> Array:
+        """The posture that was asked for: the goal, or what comes nearest to it."""
+        return self.q[-1] if self.asked_q is None else self.asked_q
+
+    @property
+    def moves(self) -> bool:
+        """Whether there is a path."""
+        return len(self.q) > 1
+
+
+class Reader:
+    """Trials of one run folder, one after the other: the run, its objects and one evaluator are made once."""
+
+    def __init__(self, run: str | Path, given: Given | None = None) -> None:
+        self.where = str(run)
+        self.run: Run = load_run(run)
+        self.given = given or Given()
+        self._evaluator: Evaluator | None = None
+        self._rows: dict[str, Any] = {}
+
+    @cached_property
+    def benchmark(self) -> Benchmark:
+        """Objects, hands and place of the run, compared with its digests. Raises `ExportError`."""
+        header = self.run.header
+        parts = {"plan", "execute"} <= header["configuration"].keys()
+        if not {"objects", "motion", "seed"} <= header.keys() or not parts:
+            raise ExportError(f"{self.where}: run.json lacks objects or configuration; it was not made by a sweep")
+        return _benchmark_again(header, self.given, self.where)
+
+    @property
+    def evaluator(self) -> Evaluator:
+        """An evaluator with the run's configuration, made when the first trial needs it."""
+        if self._evaluator is None:
+            self._evaluator = replay.evaluator_of(self.run.header, self.benchmark, self.where)
+        return self._evaluator
+
+    def method(self, word: str | None = None) -> str:
+        """The full name of a method; the only one where none is given. Raises `ExportError`."""
+        return _method(self.run, word)
+
+    def rows(self, method: str) -> Any:
+        """All rows of a method (pyarrow)."""
+        if method not in self._rows:
+            self._rows[method] = self.run.trials(method)
+        return self._rows[method]
+
+    def trial(self, trial_id: int, method: str | None = None) -> StoredTrial:
+        """The trial as it was scored. Raises `ExportError`, `RunError`."""
+        name = self.method(method)
+        row = _row(self.rows(name), trial_id, f"{self.where}: method {name!r}")
+        if not replay.was_judged(row):
+            raise ExportError(
+                f"trial {trial_id} of {name!r} was not judged ({row['outcome']}): there is nothing to show"
+            )
+        stored = self.run.header["stored"]
+        for details in _rows(self.run.details(name), trial_id) if "details" in stored else ():
+            row |= details
+        trial = _trial_again(self.run.header, row, self.benchmark, self.where)
+        poses = _rows(self.run.poses(name), trial_id) if "poses" in stored else []
+        path = _rows(self.run.paths(name), trial_id) if "paths" in stored else []
+        if poses and path and "details" in stored:
+            return self._as_stored(name, row, trial, poses[0], path[0])
+        return self._again(name, row, trial, poses)
+
+    def _as_stored(
+        self, name: str, row: dict[str, Any], trial: Trials, poses: dict[str, Any], path: dict[str, Any]
+    ) -> StoredTrial:
+        T_obj_ee, T_world_ee = (
+            torch.tensor(poses[k], dtype=torch.float32, device="cpu").reshape(1, 4, 4) for k in _POSES
+        )
+        answer = Predictions(trial.trial_id, T_obj_ee, T_world_ee, method=name)
+        return stored_trial(self.run.header, name, row, path, trial, answer, self.benchmark)
+
+    def _again(self, name: str, row: dict[str, Any], trial: Trials, poses: list[dict[str, Any]]) -> StoredTrial:
+        """What is not stored, from the poses or from the method; the stored row stands where it says something."""
+        try:
+            if poses:
+                T = {k: torch.tensor(poses[0][k], dtype=torch.float32, device="cpu").reshape(1, 4, 4) for k in _POSES}
+                answer = Predictions(trial.trial_id, **T, method=name)
+            else:
+                answer = replay.answer_again(self.run.header, self.run.entry(name), trial, self.evaluator)
+            again = replay.judge_again(self.evaluator, trial, answer)
+        except replay.ReplayError as error:
+            raise ExportError(f"{self.where}: {error}") from error
+        note = replay.difference(row, again.row)
+        shown = stored_trial(self.run.header, name, again.row | row, again.path, trial, answer, self.benchmark)
+        return replace(shown, asked_q=again.asked_q, asked_clearance_m=again.asked_clearance_m, note=note)
+
+
+_POSES = ("T_obj_ee", "T_world_ee")
+
+
+def load_trial(
+    run: str | Path, trial_id: int, *, method: str | None = None, given: Given | None = None
+) -> StoredTrial:  # fmt: skip
+    """The trial as it was scored; `given`: what the sweep's flags said of the benchmark. Raises `ExportError`, `RunError`."""
+    return Reader(run, given).trial(trial_id, method)
+
+
+def stored_trial(
+    header: dict[str, Any], method: str, row: dict[str, Any], path: dict[str, Any] | None, trial: Trials,
+    answer: Predictions, benchmark: Benchmark,
+) -> StoredTrial:  # fmt: skip
+    """A trial from its rows, one row of trials and the answer that was scored."""
+    T_obj_ee, T_world_ee = (_orthonormal(T[0].numpy()) for T in (answer.T_obj_ee, answer.T_world_ee))
+    attached = T_obj_ee.copy()
+    attached[:3, 3] += T_obj_ee[:3, 1] * np.float32(row["grasp_shift_m"])
+    q = np.array(path["q"], np.float64) if path else np.array([benchmark.workplace.home_q])
+    time_s = np.array(path["time_s"], np.float64) if path else np.zeros(1)
+    executed_q = np.array(path["executed_q"], np.float64) if path and path["executed_q"] else None
+    return StoredTrial(
+        header, method, row, T_obj_ee, attached, T_world_ee, _orthonormal(trial.T_world_hand[0].numpy()), q, time_s,
+        executed_q, benchmark.objects[int(trial.object_index[0])], benchmark.hand_set, benchmark.workplace,
+    )  # fmt: skip
+
+
+def _method(stored: Any, method: str | None) -> str:
+    names = stored.methods
+    if method is None and len(names) == 1:
+        return str(names[0])
+    if method is None:
+        raise ExportError(
+            f"{stored.folder}: holds several methods, choose one with --method: {', '.join(names) or 'none'}"
+        )
+    try:
+        name = str(stored.named(method))
+    except ValueError as error:
+        raise ExportError(str(error)) from None
+    if name not in names:
+        raise ExportError(f"{stored.folder}: {name!r} is not complete; run its sweep again to go on")
+    return name
+
+
+def _rows(table: Any, trial_id: int) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = table.filter(pc.equal(table["trial_id"], trial_id)).to_pylist()
+    return rows
+
+
+def _row(table: Any, trial_id: int, where: str) -> dict[str, Any]:
+    rows = _rows(table, trial_id)
+    if not rows:
+        ids = table["trial_id"].to_pylist()
+        some = ", ".join(map(str, ids[:10])) + (f", ... up to {max(ids)}" if len(ids) > 10 else "")
+        raise ExportError(f"{where} has no trial {trial_id}; it has {len(ids)}: {some or 'none'}")
+    return rows[0]
+
+
+def _benchmark_again(header: dict[str, Any], given: Given, run: str) -> Benchmark:
+    """The benchmark of the run, its trials too as far as that is cheap, made again and checked against the digests."""
+    try:
+        benchmark = benchmark_of_run(header, given, run)
+    except FileError as error:
+        raise ExportError(str(error)) from None
+    counts = header["trials"]
+    if sum(counts.values()) <= CHECKED_TRIALS and (benchmark.listed is not None or len(set(counts.values())) == 1):
+        trials = make_trials(list(counts), max(counts.values()), benchmark=benchmark)
+        if trials_digest(trials, objects=benchmark.objects) != header["digests"]["trials"]:
+            raise ExportError(
+                f"{run}: was made with other trials: export with r2h_batch {header['versions'].get('r2h_batch')}"
+                f" at commit {header.get('git_commit')}"
+            )
+    return benchmark
+
+
+def _trial_again(header: dict[str, Any], row: dict[str, Any], benchmark: Benchmark, run: str) -> Trials:
+    """This row's trial, made from the protocol."""
+    trial = trials_of(benchmark, torch.tensor([row["trial_id"]], dtype=torch.int64, device="cpu"))
+    other_hand = int(trial.hand_index[0]) != row.get("hand_index", int(trial.hand_index[0]))
+    if benchmark.objects[int(trial.object_index[0])].name != row["object"] or other_hand:
+        raise ExportError(f"{run}: trial {row['trial_id']} is not the one of {header['protocol']!r}")
+    return trial
+
+
+def _orthonormal(T: NDArray[Any]) -> Array:
+    """As the evaluator reads a pose: float32, z kept, x and y made orthonormal."""
+    return se3.orthonormalise(torch.from_numpy(np.array(T, np.float32))[None])[0].double().numpy()
