@@ -10,6 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+from r2h_batch.gallery.command import figures_main, report_main
 from r2h_batch.report.page import page
 from r2h_batch.report.table import render, table_of
 from r2h_batch.results.reading import load_run
@@ -34,6 +35,21 @@ def screenshot(html: Path, png: Path, width: int, height: int) -> None:
         subprocess.run([*line, f"--screenshot={png}", html.as_uri()], check=True, capture_output=True, timeout=120)
 
 
+def gallery(run: Path, folder: Path, out: Path) -> None:
+    """The page's gallery alone, and two of the paper's figures."""
+    page_file = folder / "gallery.html"
+    line = [str(run), "--method", "fc", "handover-va", "--format", "html", "--gallery", "2", "--out"]
+    drawn = [str(run), "--method", "fc", "random", "handover-va", "--out", str(folder / "figures")]
+    if code := report_main([*line, str(page_file)]) or figures_main(drawn):
+        sys.exit(code)
+    alone = "<style>body > :not(section), section:not(:has(.gallery)) { display: none !important }</style></body>"
+    text = page_file.read_text(encoding="utf-8").replace("</body>", alone)
+    page_file.write_text(text, encoding="utf-8")
+    screenshot(page_file, (out / "gallery.png").resolve(), 1130, 640)
+    for name in ("protocol", "failures"):
+        shutil.copy(folder / "figures" / f"{name}.png", out / f"figure_{name}.png")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", type=Path)
@@ -48,6 +64,7 @@ def main() -> None:
         (folder / "doc.tex").write_text(DOCUMENT.replace("TABLE", table), encoding="utf-8")
         line = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "doc.tex"]
         subprocess.run(line, cwd=folder, check=True, capture_output=True, timeout=120)
+        gallery(given.run, folder, given.out)
         crop = ["pdftoppm", "-r", "130", "-png", "-singlefile", "doc.pdf", str((given.out / "latex").resolve())]
         subprocess.run(crop, cwd=folder, check=True, timeout=120)
 

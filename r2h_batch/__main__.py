@@ -25,7 +25,11 @@ COMMANDS = {
         "r2h_batch.rejudge.command",
         "Check a run folder, judge some of its rows again, or print their digest.",
     ),
-    "report": ("r2h_batch.report.command", "Print the table of a run folder."),
+    "report": ("r2h_batch.gallery.command", "Print the table of a run folder, or write its page."),
+    "figures": (
+        "r2h_batch.gallery.command",
+        "Draw the paper's figures of a run: protocol, methods over time, failures.",
+    ),
     "study": ("r2h_batch.study.command", "Simulation against people: the kit of the user study."),
     "compare": ("r2h_batch.compare.command", "Compare methods on the trials that they share."),
     "rescore": ("r2h_batch.rescore.command", "Print the rates of a run folder at other thresholds."),
@@ -74,7 +78,7 @@ def _completed() -> dict[str, Command]:
     """Subcommands with all their flags, for shell completion: here every command's module is imported."""
     from r2h_batch.compare import command as compare
     from r2h_batch.export import command as export
-    from r2h_batch.report import command as report
+    from r2h_batch.gallery import command as gallery
     from r2h_batch.rescore import command as rescore
     from r2h_batch.sweep.options import Options
     from r2h_batch.view import command as view
@@ -97,7 +101,8 @@ def _completed() -> dict[str, Command]:
         "strips": view.strips,
         "import": import_,
         "results": results,
-        "report": report.run,
+        "report": gallery.report,
+        "figures": gallery.figures,
         "study": study,
         "compare": compare.run,
         "rescore": rescore.run,

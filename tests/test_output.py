@@ -54,6 +54,7 @@ def lines(folder) -> dict[str, list[str]]:
         "scene": ["scene", "--help"],
         "results": ["results", "digest", str(folder)],
         "report": ["report", str(folder)],
+        "figures": ["figures", "--help"],
         "study": ["study"],
         "compare": ["compare", "--help"],
         "rescore": ["rescore", str(folder)],

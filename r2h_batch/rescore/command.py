@@ -40,12 +40,13 @@ def values(text: str, name: str) -> tuple[float, ...]:
 
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     """Tables of rates for every point and method, and the ranks over the points."""
-    from r2h_batch.report.text import NA, aligned
+    from r2h_batch.report.text import NA, aligned, legend, plain, short_names, wrapped
     from r2h_batch.statistics.thresholds import ROUNDING_M, rank_stability
 
     # the words of the report's table for the outcomes of a rescored row
     shown = {"SR": Outcome.SUCCESS, "F_plan": Outcome.PLAN, "F_reach": Outcome.REACH, "F_safe": Outcome.SAFE}
     shown |= {"F_stab": Outcome.STABILITY, "F_afford": Outcome.AFFORDANCE}
+    short = {method: plain(name) for method, name in short_names(methods).items()}
     lines = []
     for point in points:
         for method in methods:
@@ -54,17 +55,21 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
                     skipped = (Outcome.AFFORDANCE,) if SPLITS[k] == "S0" else ()
                     rates = [NA if c in skipped else f"{100 * counts[c] / n:.1f}" for c in shown.values()]
                     key = [f"{v:.4g}" for v in (point.reach_radius_m, point.w_max_m, point.safe_margin_m)]
-                    lines.append([method, SPLITS[k], *key, *rates, str(point.undecided[method])])
+                    lines.append([short[method], SPLITS[k], *key, *rates, str(point.undecided[method])])
     parts = [
         "Rates in percent of all planned trials, thresholds in metres, rescored from stored margins.",
         aligned(["Method", "Split", "r_h", "w_max", "safe", *shown, "undecided"], lines, 2),
     ]
     if len(methods) > 1:
-        ranks = [[m, *(f"{100 * p:.0f} %" for p in row)] for m, row in zip(methods, rank_stability(points, methods))]
-        parts += [
-            f"Share of the {len(points)} settings at which a method has a rank (mean SR of the splits).",
-            aligned(["Method", *(f"rank {i + 1}" for i in range(len(methods)))], ranks, 1),
+        ranks = [
+            [short[m], *(f"{100 * p:.0f} %" for p in row)] for m, row in zip(methods, rank_stability(points, methods))
         ]
+        parts += [
+            f"Share of the {len(points)} settings at which a method has a rank, #1 the best (mean SR of the splits).",
+            aligned(["Method", *(f"#{i + 1}" for i in range(len(methods)))], ranks, 1),
+        ]
+    if told := legend(short_names(methods)):
+        parts.append("\n".join(wrapped(plain(line)) for line in told))
     parts.append(
         "- Poses as they were predicted for the run's own thresholds.\n"
         f"- undecided: within {ROUNDING_M:g} m of a threshold, where float32 does not tell (counted as computed)."

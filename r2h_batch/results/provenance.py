@@ -45,6 +45,7 @@ ONLY_READ_ROWS = (
     "compare",
     "rescore",
     "rejudge",
+    "gallery",
     "command_line.py",
     "__main__.py",
 )

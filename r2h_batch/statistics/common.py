@@ -7,7 +7,7 @@ from typing import Any
 
 from r2h_batch.config import EvalConfig
 from r2h_batch.results.reading import Run
-from r2h_batch.turns import PROTOCOL
+from r2h_batch.turns import PROTOCOLS
 from r2h_batch.verdicts import SPLITS
 
 __all__ = ["Common", "common_trials"]
@@ -31,9 +31,13 @@ def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Comm
     first, notes = runs[0], []
     for run in runs[1:]:
         if what := _differing(first, run, proven):
+            advice = (
+                "the shipped baselines have the default options, with --sim mujoco and with --sim none: sweep like that"
+                if {first.folder, run.folder} & set(proven)
+                else "sweep both methods with the same version and options"
+            )
             raise ValueError(
-                f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired;"
-                " sweep both methods with the same version and options"
+                f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired; {advice}"
             )
     plans = [run.header["trials"] for run in runs]
     trials = {s: min(p[s] for p in plans) for s in SPLITS if all(p.get(s) for p in plans)}
@@ -55,7 +59,7 @@ def _differing(a: Run, b: Run, proven: Collection[Path]) -> str:
     if mine["protocol"] != other["protocol"]:
         return "protocol"
     same_plan = mine["trials"] == other["trials"]
-    if not same_plan and not (mine["protocol"] == PROTOCOL and {"objects", "hand_set"} <= mine["digests"].keys()):
+    if not same_plan and not (mine["protocol"] in PROTOCOLS and {"objects", "hand_set"} <= mine["digests"].keys()):
         return f"trials ({', '.join(s for s in mine['trials'] if mine['trials'][s] != other['trials'].get(s))})"
     skipped = set() if same_plan else {"trials"}
     if a.folder in proven or b.folder in proven:

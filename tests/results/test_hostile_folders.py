@@ -12,8 +12,8 @@ import pytest
 from made_runs import files_of, make_header, read_json, write, write_run
 
 from r2h_batch.compare.command import main as compare
+from r2h_batch.gallery.command import report_main as report
 from r2h_batch.rejudge.command import main as results
-from r2h_batch.report.command import main as report
 from r2h_batch.results.manifest import RunError, run_hash
 from r2h_batch.results.reading import load_run, mark_for_rerun
 from r2h_batch.results.storage import claim, sha256_of

@@ -1,0 +1,159 @@
+"""The commands `report` (table, page, gallery) and `figures` (the paper's). Light until there is work."""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+from r2h_batch.command_line import UsageError, call, refuse
+from r2h_batch.report import command as plain
+
+MOST = 20
+"""Pictures of one method and outcome in a gallery."""
+
+
+def report(
+    run: Path,
+    /,
+    *,
+    format: Literal["md", "latex", "csv", "json", "html"] = "md",
+    by_object: bool = False,
+    columns: Literal[1, 2] = 2,
+    intervals: bool = False,
+    order: str = "",
+    method: tuple[str, ...] = (),
+    gallery: int = 0,
+    out: Path | None = None,
+    benchmark: str = "",
+    hands: str = "",
+    hand_model: str = "",
+    objects: str = "",
+    object_mesh: tuple[str, ...] = (),
+    grasps: tuple[str, ...] = (),
+    trials_file: str = "",
+) -> int:
+    """Print the table of a run folder, or write its page.
+
+    Args:
+        run: a run folder, as `r2h-batch sweep --out` writes it.
+        format: md, latex, csv or json; html: one page with figures and a search over trials, no network needed.
+        by_object: each object's rates instead of Table I; in md also the criteria that fail together. The html page has both.
+        columns: latex: all of Table I over both columns of a page (2), or each split's SR in one (1).
+        intervals: latex: 95 % intervals below the rates; the other formats have them anyway.
+        order: look for the first failure in another order, such as reach,plan (the others follow).
+        method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
+        gallery: html: pictures of so many successes and failures of each kind and method, each with the page of its trial in
+            three dimensions in a folder beside --out.
+        out: the file to write instead of printing.
+        benchmark: as in the sweep, where it was given other hands or objects than the built-in ones; so the next ones.
+        hands: as in the sweep.
+        hand_model: as in the sweep.
+        objects: as in the sweep.
+        object_mesh: as in the sweep.
+        grasps: as in the sweep.
+        trials_file: as in the sweep.
+    """
+    if not 0 <= gallery <= MOST:
+        return refuse("report", f"--gallery is {gallery}; it must be 0 to {MOST}")
+    if gallery and (format != "html" or out is None):
+        return refuse("report", "--gallery needs --format html and --out FILE.html, for the pages of its trials")
+    from r2h_batch.scene.offscreen import RenderError
+
+    given = (benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file)
+    pictures = None if not gallery or out is None else _gallery_of(run, method, gallery, out, given)
+    try:
+        return plain.run(
+            run, format=format, by_object=by_object, columns=columns, intervals=intervals, order=order, method=method,
+            out=out, gallery=pictures,
+        )  # fmt: skip
+    except RenderError as error:
+        return refuse("report", error, 1)
+    except OSError as error:
+        return refuse("report", f"{error.filename or out}: {error.strerror or error}", 1)
+
+
+def _gallery_of(
+    run: Path, method: Sequence[str], n: int, out: Path, given: tuple[Any, ...]
+) -> Callable[[], dict[str, list[dict[str, str]]]]:
+    def pictures() -> dict[str, list[dict[str, str]]]:
+        from r2h_batch.benchmark.given import Given
+        from r2h_batch.export.stored import Reader
+        from r2h_batch.gallery.pictures import gallery
+        from r2h_batch.scene.offscreen import ready
+
+        ready()
+        reader = Reader(run, Given(*given))
+        return gallery(reader.run.only(method), reader, n, out.parent / f"{out.stem}_trials", out.parent)
+
+    return pictures
+
+
+def figures(
+    run: Path,
+    /,
+    *,
+    out: Path,
+    method: tuple[str, ...] = (),
+    trial: int | None = None,
+    benchmark: str = "",
+    hands: str = "",
+    hand_model: str = "",
+    objects: str = "",
+    object_mesh: tuple[str, ...] = (),
+    grasps: tuple[str, ...] = (),
+    trials_file: str = "",
+) -> int:
+    """Draw the paper's figures of a run folder as PDF and PNG: protocol, methods over time, success and failures.
+
+    Args:
+        run: a run folder, as `r2h-batch sweep --out` writes it; what it does not store is computed again.
+        out: folder to write.
+        method: only these methods; the first one shows the protocol.
+        trial: trial id of the protocol and of the methods over time; chosen by the command unless given.
+        benchmark: as in the sweep, where it was given other hands or objects than the built-in ones; so the next ones.
+        hands: as in the sweep.
+        hand_model: as in the sweep.
+        objects: as in the sweep.
+        object_mesh: as in the sweep.
+        grasps: as in the sweep.
+        trials_file: as in the sweep.
+    """
+    from r2h_batch.benchmark.given import Given
+    from r2h_batch.bodies.object_mesh import ObjectMeshError
+    from r2h_batch.export.stored import ExportError, Reader
+    from r2h_batch.report.figures import needs_matplotlib
+    from r2h_batch.scene.offscreen import RenderError, ready
+
+    try:
+        needs_matplotlib()
+        reader = Reader(run, Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file))
+        stored = reader.run.only(method)
+        if not stored.methods:
+            raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+        ready()
+        from r2h_batch.gallery import paper
+
+        for name, (figure, said) in (
+            ("protocol", paper.protocol(stored, reader, stored.methods[0], trial)),
+            ("methods", paper.methods_over_time(stored, reader, stored.methods, trial)),
+            ("failures", paper.failures(stored, reader, stored.methods)),
+        ):
+            pdf, png = paper.write(figure, out, name)
+            print(f"{pdf}, {png.name}: {said}")
+    except RenderError as error:
+        return refuse("figures", error, 1)
+    except (UsageError, ExportError, ObjectMeshError, ValueError) as error:
+        return refuse("figures", error)
+    except OSError as error:
+        return refuse("figures", f"{error.filename or out}: {error.strerror or error}", 1)
+    return 0
+
+
+def report_main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.report") -> int:
+    """Exit code: 0 printed, 1 a method is not complete or nothing draws here, 2 refused with one line."""
+    return call(report, sys.argv[1:] if arguments is None else arguments, prog=prog, name="report")
+
+
+def figures_main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch figures") -> int:
+    """Exit code: 0 written, 1 could not draw or write, 2 refused with one line."""
+    return call(figures, sys.argv[1:] if arguments is None else arguments, prog=prog, name="figures")
