@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, create_model
 
@@ -16,7 +16,7 @@ from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.files import FileError, printable
 from r2h_batch.files.plain_yaml import read_plain_yaml
 
-__all__ = ["BUILT_IN", "BenchmarkFile", "ObjectEntry", "WordsEntry", "read_file_model"]
+__all__ = ["BUILT_IN", "BenchmarkFile", "ObjectEntry", "WordsEntry", "read_entry", "read_file_model"]
 
 BUILT_IN = "built-in"
 DEEPEST = 6
@@ -67,7 +67,7 @@ class ObjectEntry(_Entry):
     mass: Annotated[float, Field(gt=0, le=100)] | None = Field(default=None, description="kg")
     scale: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="0.001 for millimetres")
     receiver: FilePath | None = Field(
-        default=None, description="the receiver's region (S1): z<0.3, or a .npy beside this file"
+        default=None, description="the receiver's region (S1): a part's name, z<0.3, or a .npy beside this file"
     )
     parts: FilePath | None = Field(default=None, description=".npy beside this file: a part label for every face")
     part_names: Annotated[list[Name], Field(min_length=1, max_length=64)] | None = None
@@ -118,13 +118,30 @@ class BenchmarkFile(_Entry):
 def read_file_model(path: Path) -> BenchmarkFile:
     """The fields of a benchmark file, each within its bounds. Raises `FileError`, one line that names the field."""
     data, shown = read_plain_yaml(path, deepest=DEEPEST), printable(path)
+    return _checked(BenchmarkFile, data, shown, "")
+
+
+def read_entry(path: Path, mesh: str) -> ObjectEntry:
+    """What a file beside a mesh says of it: the fields of a benchmark's object but for `file` and `built_in`."""
+    data, shown = read_plain_yaml(path, deepest=DEEPEST), printable(path)
+    for name in ("file", "built_in"):
+        if name in data:
+            raise FileError(f"{shown}: {name} has no place here: this file is about {printable(mesh)} beside it")
+    return _checked(ObjectEntry, {**data, "file": mesh}, shown, "objects")
+
+
+Kind = TypeVar("Kind", bound=BaseModel)
+
+
+def _checked(model: type[Kind], data: dict[str, Any], shown: str, top: str) -> Kind:
+    """The model of these fields; `top`: what `_fields_at` calls it."""
     try:
-        return BenchmarkFile.model_validate_json(json.dumps(data), strict=True)
+        return model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(printable(p)[:60] for p in first["loc"])
         if first["type"] == "extra_forbidden":
-            allowed = _fields_at(first["loc"][:-1])
+            allowed = _fields_at((top, *first["loc"][:-1]))
             hint = nearest(str(first["loc"][-1]), allowed)
             listed = f"; allowed are {', '.join(allowed)}" if allowed else ""
             raise FileError(f"{shown}: unknown field {where}{hint}{listed}") from None

@@ -7,11 +7,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from r2h_batch.benchmark.benchmark import Benchmark, built_in
-from r2h_batch.benchmark.reading import hand_of, hand_set_of, read_benchmark
+from r2h_batch.benchmark.file import ObjectEntry, read_entry
+from r2h_batch.benchmark.reading import hand_of, hand_set_of, objects_of, read_benchmark
 from r2h_batch.benchmark.trials_file import read_trials_file
+from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.grasp_set import read_grasps
 from r2h_batch.bodies.hand import make_hand_set
-from r2h_batch.bodies.objects import ObjectModel, build_object, object_from_argument
+from r2h_batch.bodies.objects import ObjectModel, call_of, object_from_argument
 from r2h_batch.files import FileError, printable
 
 __all__ = ["Given"]
@@ -43,6 +45,7 @@ class Given:
         """The benchmark. `pieces`: meshes get their convex decomposition. Raises ValueError (`FileError`), one line."""
         base = read_benchmark(self.benchmark, pieces=pieces) if self.benchmark else built_in()
         objects = _objects_of(Path(self.objects), pieces) if self.objects else base.objects
+        build_ahead([call_of(mesh, pieces=pieces) for mesh in self.object_mesh])
         objects = (*objects, *(object_from_argument(mesh, pieces=pieces) for mesh in self.object_mesh))
         for argument in self.grasps:
             objects = _with_grasps(objects, argument)
@@ -77,12 +80,18 @@ def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
         files = _files(path, MESHES)
         if not files:
             raise FileError(f"{printable(path)}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml in this folder")
-        return tuple(build_object(file, pieces=pieces) for file in files)
+        return objects_of([_entry(file) for file in files], path, pieces)
     if path.suffix.lower() in (".yaml", ".yml"):
         return read_benchmark(path, pieces=pieces).objects
     raise FileError(
         f"{printable(path)}: --objects takes a folder of meshes or a benchmark.yaml; one mesh: --object-mesh FILE"
     )
+
+
+def _entry(file: Path) -> ObjectEntry:
+    """What a folder says of a mesh in it: NAME.yaml beside it holds the fields of a benchmark's object, if it is there."""
+    beside = file.with_suffix(".yaml")
+    return read_entry(beside, file.name) if beside.exists() else ObjectEntry(file=file.name)
 
 
 def _files(folder: Path, endings: Sequence[str]) -> list[Path]:

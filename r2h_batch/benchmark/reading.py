@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -16,6 +16,7 @@ from r2h_batch.benchmark.benchmark import Benchmark
 from r2h_batch.benchmark.file import BUILT_IN, BenchmarkFile, ObjectEntry, read_file_model
 from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.benchmark.words import S0_ROLES, THINGS, Thing
+from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.grasp_set import read_grasps
 from r2h_batch.bodies.hand import HandModel, HandSet, load_hand, load_hand_set, make_hand_set
 from r2h_batch.bodies.hand_file import read_hand, read_hand_set
@@ -25,7 +26,7 @@ from r2h_batch.config import Thresholds, Workplace
 from r2h_batch.files import FileError, path_within, printable, read_file
 from r2h_batch.files.arrays import read_npy
 
-__all__ = ["hand_of", "hand_set_of", "read_benchmark"]
+__all__ = ["hand_of", "hand_set_of", "objects_of", "read_benchmark"]
 
 MAX_FILE_BYTES = 1 << 30
 MAX_LABELS_BYTES = 64 << 20
@@ -48,7 +49,7 @@ def read_benchmark(path: str | Path, *, pieces: bool = False) -> Benchmark:
 def _read(path: str, _: str, pieces: bool) -> Benchmark:
     file, folder = read_file_model(Path(path)), Path(path).parent
     try:
-        objects = tuple(_object(entry, folder, pieces) for entry in file.objects)
+        objects = objects_of(file.objects, folder, pieces)
         names = [o.name for o in objects]
         if twice := [n for n in names if names.count(n) > 1]:
             raise FileError(f"{printable(path)}: two objects are called {twice[0]!r}; give one of them another name")
@@ -118,10 +119,16 @@ def _hand_set(path: str, _: str, model: HandModel) -> HandSet:
         raise FileError(f"{printable(path)}: {printable(error)}") from None
 
 
+def objects_of(entries: Sequence[ObjectEntry], folder: Path, pieces: bool) -> tuple[ObjectModel, ...]:
+    """The objects of entries whose files lie in the folder or below; several meshes are built at a time."""
+    build_ahead([_own_call(e, folder, pieces) for e in entries if e.file is not None and e.built_in is None])
+    return tuple(_object(entry, folder, pieces) for entry in entries)
+
+
 def _object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
     if (entry.built_in is None) == (entry.file is None):
         raise FileError(f"object {entry.name or entry.file or entry.built_in!r}: give either built_in or file")
-    model = _own_object(entry, folder, pieces) if entry.built_in is None else _built_in_object(entry)
+    model = build_object(**_own_call(entry, folder, pieces)) if entry.built_in is None else _built_in_object(entry)
     more: dict[str, Any] = {}
     if entry.grasps is not None:
         more["grasps"] = read_grasps(path_within(folder, entry.grasps))
@@ -186,7 +193,8 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     return array
 
 
-def _own_object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
+def _own_call(entry: ObjectEntry, folder: Path, pieces: bool) -> dict[str, Any]:
+    """The arguments of `build_object` that an entry means."""
     mesh = path_within(folder, str(entry.file))
     receiver: str | Path | None = entry.receiver
     if receiver is not None and str(receiver).endswith(".npy"):
@@ -203,8 +211,9 @@ def _own_object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
             raise FileError(
                 f"{printable(entry.parts)}: labels go from {labels.min()} to {labels.max()}; there are {count} names"
             )
-    return build_object(
-        mesh, entry.name or Path(str(entry.file)).stem, entry.split or "S0", receiver=receiver, scale=entry.scale or 1.0,
-        mass=entry.mass, instruction=entry.instruction, face_part=labels, part_names=entry.part_names or ("body",),
-        pieces=pieces,
-    )  # fmt: skip
+    return {
+        "mesh": str(mesh), "name": entry.name or Path(str(entry.file)).stem, "split": entry.split or "S0",
+        "receiver": None if receiver is None else str(receiver), "scale": entry.scale or 1.0, "mass": entry.mass,
+        "instruction": entry.instruction, "face_part": None if labels is None else labels.tolist(),
+        "part_names": tuple(entry.part_names or ("body",)), "pieces": pieces,
+    }  # fmt: skip

@@ -7,6 +7,7 @@ bounding box; a user's mesh keeps the frame of its file, so that grasps predicte
 from __future__ import annotations
 
 import hashlib
+import inspect
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -28,6 +29,7 @@ from r2h_batch.bodies.mesh_file import labels_of
 from r2h_batch.bodies.object_mesh import ObjectMeshError, Repair, closed_mesh
 from r2h_batch.bodies.solid import sample_surface, solid_occupancy
 from r2h_batch.files import printable
+from r2h_batch.files.kept import is_kept
 
 if TYPE_CHECKING:
     from r2h_batch.benchmark.words import Thing
@@ -39,6 +41,8 @@ __all__ = [
     "ObjectMeshError",
     "ObjectModel",
     "build_object",
+    "call_of",
+    "is_built",
     "is_built_in",
     "load_objects",
     "object_digest",
@@ -198,15 +202,32 @@ def build_object(
     What is built of a file is kept on disk (`files.kept`), named by the file's content, the options and the code.
     """
     _check_build(split, receiver is not None, mass)
-    label = printable(name or (Path(mesh).stem if isinstance(mesh, (str, Path)) else "object"))
-    options: dict[str, Any] = {
-        "name": label, "split": split, "receiver": receiver, "scale": scale, "mass": mass, "instruction": instruction,
-        "face_part": face_part, "part_names": tuple(part_names), "pieces": pieces,
-    }  # fmt: skip
+    options = _options(
+        mesh, name=name, split=split, receiver=receiver, scale=scale, mass=mass, instruction=instruction,
+        face_part=face_part, part_names=part_names, pieces=pieces,
+    )  # fmt: skip
     key = key_of(mesh, options)
     if key is None:
         return _built(mesh, **options)
     return _from_arrays(kept_with_warnings(key, lambda: _as_arrays(_built(mesh, **options))))
+
+
+def _options(mesh: str | Path | trimesh.Trimesh, **given: Any) -> dict[str, Any]:
+    """All options of a build, the defaults of `build_object` for those that are not given."""
+    defaults = {k: p.default for k, p in inspect.signature(build_object).parameters.items() if k != "mesh"}
+    options = {**defaults, **given}
+    label = options["name"] or (Path(mesh).stem if isinstance(mesh, (str, Path)) else "object")
+    labels = options["face_part"]
+    return {
+        **options, "name": printable(label), "part_names": tuple(options["part_names"]),
+        "face_part": None if labels is None else np.asarray(labels),
+    }  # fmt: skip
+
+
+def is_built(mesh: str | Path | trimesh.Trimesh, **given: Any) -> bool:
+    """Whether what `build_object` would build of these arguments is kept on disk."""
+    key = key_of(mesh, _options(mesh, **given))
+    return key is not None and is_kept("objects", key)
 
 
 def _built(
@@ -301,10 +322,20 @@ def _check_build(split: str, with_receiver: bool, mass: float | None) -> None:
 
 def object_from_argument(argument: str, *, pieces: bool = True) -> ObjectModel:
     """The object of the command line's ``FILE[:S0|S1[:RECEIVER]]``, e.g. ``mug.obj``, ``saw.stl:S1:x<0.4``."""
+    return build_object(**call_of(argument, pieces=pieces))
+
+
+def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
+    """The arguments of `build_object` that such a text means."""
     match = re.fullmatch(r"(?P<file>.+?)(?::(?P<split>S\d+)(?::(?P<receiver>.+))?)?", argument)
     if match is None:
         raise ObjectMeshError(f"object mesh {argument!r}: expected FILE[:S0|S1[:RECEIVER]], e.g. saw.stl:S1:x<0.4")
-    return build_object(match["file"], split=match["split"] or "S0", receiver=match["receiver"], pieces=pieces)
+    return {
+        "mesh": match["file"],
+        "split": match["split"] or "S0",
+        "receiver": match["receiver"],
+        "pieces": pieces,
+    }
 
 
 def _load(name: str) -> ObjectModel:

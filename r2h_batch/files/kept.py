@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from r2h_batch.files import FileError
 from r2h_batch.files.arrays import read_npz
 
-__all__ = ["cache_folder", "code_of", "kept"]
+__all__ = ["cache_folder", "code_of", "is_kept", "kept"]
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -37,6 +37,12 @@ def cache_folder() -> Path | None:
         return (Path(above) if above else Path.home() / ".cache") / "r2h_batch"
     except RuntimeError:  # a user without a home
         return None
+
+
+def is_kept(kind: str, key: str) -> bool:
+    """Whether there is a file of this kind and key; it may still turn out to be damaged."""
+    folder = cache_folder()
+    return folder is not None and (folder / kind / f"{key}.npz").is_file()
 
 
 def kept(kind: str, key: str, make: Callable[[], Mapping[str, NDArray[Any]]]) -> Arrays:

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from r2h_batch.benchmark.given import Given
 from r2h_batch.bodies import objects
-from r2h_batch.bodies.objects import ObjectMeshError, build_object, object_digest, object_from_argument
+from r2h_batch.bodies.given.many import build_ahead
+from r2h_batch.bodies.objects import ObjectMeshError, build_object, is_built, object_digest, object_from_argument
+from r2h_batch.files import FileError
 
 
 def block(x0, x1, half=0.01):
@@ -100,3 +103,43 @@ def test_a_build_is_kept_by_content_and_options_and_warns_each_time(tmp_path, mo
         file.write_bytes(file.read_bytes()[:-100])
     model, _ = build()
     assert len(times) == 5 and object_digest(model) == object_digest(first), "a damaged file is made again"
+
+
+def test_several_meshes_are_built_by_workers_and_asked_for_as_one(tmp_path, monkeypatch):
+    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path / "cache"))
+    for k in range(3):
+        block(-0.05, 0.05 + 0.01 * k).export(tmp_path / f"rod{k}.ply")
+    (tmp_path / "bad.ply").write_text("nothing")
+    calls = [{"mesh": str(path), "pieces": False} for path in sorted(tmp_path.glob("*.ply"))]
+    assert build_ahead(calls, cores=2) == 4
+    assert [is_built(**call) for call in calls] == [False, True, True, True]
+    monkeypatch.setattr(objects, "_built", None)  # whoever built now would fail
+    assert build_ahead(calls[1:], cores=2) == 0
+    assert [build_object(**call).mesh.extents[0] for call in calls[1:]] == pytest.approx([0.1, 0.11, 0.12])
+    monkeypatch.undo()
+    with pytest.raises(ObjectMeshError, match=r"bad\.ply"):
+        build_object(**calls[0])
+
+
+def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
+    for name in ("saw", "cube"):
+        block(-0.1, 0.08).subdivide().export(tmp_path / f"{name}.ply")
+    labels = (block(-0.1, 0.08).subdivide().triangles_center[:, 0] > 0).astype(np.uint8)
+    np.save(tmp_path / "saw_parts.npy", labels)
+    (tmp_path / "saw.yaml").write_text(
+        "split: S1\nparts: saw_parts.npy\npart_names: [handle, blade]\nreceiver: handle\nmass: 0.3\n"
+    )
+    cube, saw = Given(objects=str(tmp_path)).read().objects
+    assert (cube.name, cube.split, cube.part_names) == ("cube", "S0", ("body",))
+    assert (saw.split, saw.mass, saw.part_names) == ("S1", 0.3, ("handle", "blade"))
+    assert (saw.receiver_face == (saw.mesh.triangles_center[:, 0] < 0)).all()
+    for text, words in {
+        "parts: ../saw_parts.npy\npart_names: [a, b]": "points outside the folder",
+        "parts: /etc/passwd\npart_names: [a, b]": "points outside the folder",
+        "file: other.ply": "file has no place here",
+        "colour: red": "unknown field colour",
+        "split: S9": "split is 'S9'",
+    }.items():
+        (tmp_path / "saw.yaml").write_text(text)
+        with pytest.raises(FileError, match=words):
+            Given(objects=str(tmp_path)).read()

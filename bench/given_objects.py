@@ -1,0 +1,108 @@
+"""Somebody's meshes through build, grasps and every method: `python bench/given_objects.py DIR [--json OUT] [--trials N]`.
+
+Measured: CPU seconds (all threads of the process) of the build without and with the convex decomposition and of the grasp
+candidates, with nothing kept on disk; what the repair changed; how many receiving grasps were found; and how many of N
+trials (S0, the built-in hands, the motion as planned) each method solves. Compared with nothing: the oracle is the bound.
+"""
+
+import json
+import os
+import sys
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("R2H_BATCH_CACHE", "off")
+
+METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
+SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
+
+
+def measure(path: Path, trials: int) -> dict[str, Any]:
+    """The figures of one mesh file."""
+    from r2h_batch import Evaluator, make_trials
+    from r2h_batch.bodies.given.convex import convex_pieces
+    from r2h_batch.bodies.objects import ObjectMeshError, build_object
+    from r2h_batch.methods.candidates import candidates_of
+    from r2h_batch.sweep.jobs import Setting, make_jobs
+    from r2h_batch.sweep.options import Options
+
+    start = time.process_time()
+    try:
+        model = build_object(path, pieces=False)
+    except ObjectMeshError as error:
+        return {"object": path.stem, "refused": str(error)}
+    built = time.process_time()
+    convex_pieces(model.mesh, model.name)
+    decomposed = time.process_time()
+    grasps = candidates_of((model,))[0]
+    sampled = time.process_time()
+    row: dict[str, Any] = {
+        "object": path.stem,
+        "faces": len(model.faces),
+        "build_cpu_s": round(built - start, 2),
+        "pieces_cpu_s": round(decomposed - built, 2),
+        "grasps_cpu_s": round(sampled - decomposed, 2),
+        "grasps": len(grasps),
+        "volume_cm3": round(1e6 * float(model.mesh.volume), 2),
+    }
+    if model.repair:
+        given = model.repair.volume_given_m3
+        row |= {"steps": list(model.repair.steps), "moved_mm": round(1e3 * model.repair.moved_m, 3)}
+        row["volume_change"] = None if not given else round(model.repair.volume_m3 / given - 1, 4)
+    if not len(grasps):
+        return row
+    evaluator = Evaluator(objects=[model])
+    asked = make_trials(["S0"], trials, objects=[model])
+
+    setting = Setting(evaluator, {}, lambda first, last: asked.trial_id[first:last], lambda ids: asked)
+    for method in METHODS:
+        begin = time.process_time()
+        (job,) = make_jobs(Options(method=(method,)), [], setting)
+        answer = job.predict(asked, None)
+        scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
+        row[method] = int(scores.success.sum())
+        row[f"{method}_cpu_s"] = round(time.process_time() - begin, 1)
+        row["cannot"] = [*row.get("cannot", []), *job.cannot]
+    return row
+
+
+def table(rows: list[dict[str, Any]], trials: int) -> str:
+    """The figures as Markdown."""
+    head = ["object", "faces", "build", "pieces", "grasps", "volume", "surface moved", *METHODS]
+    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    for r in rows:
+        if "refused" in r:
+            lines.append(f"| {r['object']} | refused: {r['refused']} |")
+            continue
+        change = r.get("volume_change")
+        cells = [r["object"], r["faces"], f"{r['build_cpu_s']} s", f"{r['pieces_cpu_s']} s"]
+        cells += [f"{r['grasps']} in {r['grasps_cpu_s']} s", "" if change is None else f"{100 * change:+.2f} %"]
+        cells += [
+            f"{r['moved_mm']} mm" if "moved_mm" in r else "as given",
+            *(f"{r.get(m, '-')}/{trials}" for m in METHODS),
+        ]
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str]) -> int:
+    """Exit code: 0 measured."""
+    words = list(arguments)
+    out = Path(words.pop(words.index("--json") + 1)) if "--json" in words else None
+    trials = int(words.pop(words.index("--trials") + 1)) if "--trials" in words else 20
+    (folder,) = [Path(w) for w in words if not w.startswith("--")]
+    warnings.simplefilter("ignore")
+    rows = []
+    for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
+        rows.append(measure(path, trials))
+        print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
+        if out is not None:
+            out.write_text(json.dumps({"trials": trials, "objects": rows}, indent=1) + "\n")
+    print(table(rows, trials))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
