@@ -90,6 +90,7 @@ def test_every_command_that_takes_a_file_refuses_a_pipe_at_once(tmp_path):
         ["r2h_batch.sweep", "--predictions", "pipe.npz", "--trials", "1", "--out", "run"],
         ["r2h_batch.sweep", "--config", "pipe.yaml"],
         ["r2h_batch.study", "ratings", "pipe.csv"],
+        ["r2h_batch.benchmark", "check", "pipe.yaml"],
     ):
         done = subprocess.run(
             [sys.executable, "-m", *line], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False

@@ -148,7 +148,7 @@ def _trial_rows(benchmark: Benchmark, trials: Trials) -> list[dict[str, Any]]:
     turn[:, :3, 3] = 0.0
     p, n = se3.apply(trials.T_world_hand, point[hand]), se3.apply(turn, normal[hand])
     ball = p + benchmark.thresholds.reach_offset_m * n
-    rows = []
+    rows: list[dict[str, Any]] = []
     for i in range(len(trials)):
         o, h = benchmark.objects[int(trials.object_index[i])], int(hand[i])
         rows.append({
@@ -158,16 +158,17 @@ def _trial_rows(benchmark: Benchmark, trials: Trials) -> list[dict[str, Any]]:
             "T_world_hand": trials.T_world_hand[i].flatten().tolist(), "palm_point": p[i].tolist(),
             "palm_normal": n[i].tolist(), "ball_center": ball[i].tolist(),
         })  # fmt: skip
+        if trials.receiver is not None:
+            rows[-1]["receiver"] = trials.receiver[i].flatten().tolist()
     return rows
 
 
 def _columns(row: dict[str, Any]) -> list[str]:
-    axes = ("x", "y", "z")
-    return [
-        c
-        for name, value in row.items()
-        for c in ([f"{name}_{k}" for k in (axes if len(value) == 3 else MATRIX)] if isinstance(value, list) else [name])
-    ]
+    names: list[str] = []
+    for name, value in row.items():
+        places = len(value) if isinstance(value, list) else 0
+        names += [f"{name}_{'xyz'[k] if places == 3 else k}" for k in range(places)] or [name]
+    return names
 
 
 def _cells(row: dict[str, Any]) -> list[Any]:
@@ -215,7 +216,9 @@ Calibration: `frames.json` has `T_flange_ee`, and where `ee` is in the world wit
 your own robot model for `home_rad` and compare it with `T_world_ee_at_home` before you trust any pose.
 
 The palm normal is a unit vector out of the palm; `ball_center` is OFFSET m along it from the palm point: what the object has to
-come near to.
+come near to. `receiver` (protocol r2h-v1) is a person in five rows of x, y, z, w: shoulder (w: the upper arm's radius), elbow
+(w: the forearm's), wrist, the middle of the torso's box, its half sizes along its facing, sideways and up (w of both: x, y of
+its facing).
 
 ## Files
 

@@ -1,6 +1,7 @@
 """What a figure was made with: versions, digest of the code and its data, commit, device. For run.json and bench."""
 
 import hashlib
+import io
 import os
 import platform
 import subprocess
@@ -8,8 +9,10 @@ from collections.abc import Iterable
 from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
+from typing import cast
 
 import r2h_batch
+from r2h_batch.files import open_file
 
 PACKAGES = (
     "mujoco",
@@ -77,12 +80,17 @@ def _sources(folder: Path, kinds: tuple[str, ...]) -> Iterable[Path]:
     return (p for p in folder.rglob("*") if p.suffix in kinds and p.is_file())
 
 
+MAX_BYTES = 1 << 42
+
+
 def file_digest(paths: Iterable[Path]) -> str:
     """sha256 over the names and contents of files, in the order given."""
     digest = hashlib.sha256()
     for path in paths:
-        with path.open("rb") as file:
-            digest.update(path.name.encode() + b"\0" + hashlib.file_digest(file, "sha256").digest())
+        with open_file(path, MAX_BYTES) as file:  # a user may name a pipe
+            digest.update(
+                path.name.encode() + b"\0" + hashlib.file_digest(cast(io.BufferedReader, file), "sha256").digest()
+            )
     return digest.hexdigest()
 
 

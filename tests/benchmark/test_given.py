@@ -1,6 +1,7 @@
 """A benchmark out of flags: other hands, grasps and trials in a sweep, and what is refused."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -206,14 +207,24 @@ def test_grasps_come_by_name_by_file_name_or_by_folder(tmp_path):
 
 def test_what_the_flags_cannot_mean_is_refused_in_one_line(tmp_path, capsys):
     (tmp_path / "empty").mkdir()
+    for ending in ("npz", "parquet", "yaml"):
+        os.mkfifo(tmp_path / f"pipe.{ending}")  # a reader that opened it would wait for ever
+    pipe = tmp_path / "pipe.npz"
     for flags, words in (
         (("--objects", tmp_path / "empty"), "no mesh"),
         (("--objects", tmp_path / "x.obj"), "--object-mesh FILE"),
+        (("--hands", pipe), "not a regular file"),
+        (("--hand-model", pipe), "not a regular file"),
+        (("--grasps", f"cup={pipe}"), "not a regular file"),
+        (("--trials-file", pipe), "not a regular file"),
+        (("--trials-file", tmp_path / "pipe.parquet"), "not a regular file"),
+        (("--benchmark", tmp_path / "pipe.yaml"), "not a regular file"),
+        (("--predicted-hands", pipe), "not a regular file"),
         (("--hands", tmp_path / "none.npz"), "none.npz"),
         (("--hand-model", tmp_path / "none.npz"), "none.npz"),
         (("--benchmark", tmp_path / "none.yaml"), "none.yaml"),
         (("--trials-file", tmp_path / "none.csv"), ".npz or .parquet"),
     ):
-        assert main(["sweep", "--method", "random", *map(str, flags)]) == 2
+        assert main(["sweep", "--method", "fc", "--trials", "1", *map(str, flags)]) == 2
         told = capsys.readouterr()
         assert told.out == "" and len(told.err.splitlines()) == 1 and words in told.err

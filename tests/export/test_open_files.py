@@ -101,6 +101,19 @@ def test_answers_made_of_the_tables_alone_are_scored(folder, tmp_path, capsys):
     assert "mine" in capsys.readouterr().out
 
 
+def test_receivers_with_bodies_come_along(tmp_path):
+    from dataclasses import replace
+
+    from r2h_batch.benchmark import built_in
+
+    own = replace(built_in(), objects=load_objects(["cup"]), drawn="r2h-v1")
+    trials = make_trials("S0", 2, benchmark=own)
+    write_open(tmp_path / "open", own, trials, "sweep")
+    rows = rows_of(tmp_path / "open" / "trials.csv")
+    found = np.array([[float(r[f"receiver_{i}"]) for i in range(20)] for r in rows], np.float32)
+    assert np.array_equal(found.reshape(-1, 5, 4), trials.receiver.numpy())
+
+
 def test_a_name_that_is_a_formula_stays_text(tmp_path):
     from dataclasses import replace
 

@@ -1,0 +1,72 @@
+"""docs/your_data.md says what there is: every flag, field and array that the page names, and its examples."""
+
+import re
+import runpy
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from r2h_batch import make_trials
+from r2h_batch.__main__ import main
+from r2h_batch.benchmark import built_in
+from r2h_batch.benchmark.file import BenchmarkFile, read_file_model
+from r2h_batch.benchmark.trials_file import KNOWN, read_trials_file
+from r2h_batch.predictors import read_seen
+from r2h_batch.sweep.options import Options
+
+PAGE = (Path(__file__).resolve().parents[1] / "docs/your_data.md").read_text()
+CODE = {kind: re.findall(rf"```{kind}\n(.*?)```", PAGE, re.S) for kind in ("yaml", "python")}
+
+pytestmark = pytest.mark.check
+
+
+def test_every_flag_of_the_page_is_one(capsys):
+    known = {f"--{f.name.replace('_', '-')}" for f in fields(Options)} | {"--rejudge", "--builtin"}
+    for line in (["import", "hand"], ["import", "hands"], ["import", "grasps"], ["trials"]):
+        with pytest.raises(SystemExit):
+            main([*line, "--help"])
+        known |= set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
+    said = set(re.findall(r"--[a-z][a-z-]+", PAGE))
+    assert len(said) > 20 and said <= known, said - known
+
+
+def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_path):
+    named = set()
+    for i, text in enumerate(CODE["yaml"]):
+        path = tmp_path / f"{i}.yaml"
+        path.write_text(text)
+        assert isinstance(read_file_model(path), BenchmarkFile)
+        named |= set(yaml.safe_load(text))
+    assert named | {"format", "protocol", "trials"} == set(BenchmarkFile.model_fields)
+
+
+def test_the_arrays_of_the_page_are_what_readers_take():
+    trials = PAGE[PAGE.index("## Trials") : PAGE.index("## Predictions")]
+    assert set(re.findall(r"^\| (.*?) \|", trials, re.M)[1:]) == {
+        "`object`",
+        "`T_world_hand`",
+        "`hand`",
+        "`pose`, `shape`, `side`",
+    }
+    assert all(f"`{name}`" in trials for name in KNOWN)
+    seen = PAGE[PAGE.index("## Predictions") :]
+    for name in ("receiving_T_obj_hand", "receiving_pose", "receiving_shape", "target_T_world_hand", "label", "usage", "role",
+                 "probability", "object_index", "trial_id", "source", "points"):  # fmt: skip
+        assert f"`{name}`" in seen or f"`{name} " in seen or f"`{name}`," in seen, name
+
+
+def test_the_python_of_the_page_writes_files_that_are_read(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    base = built_in()
+    for text in CODE["python"]:
+        if "np.savez" in text:
+            (tmp_path / "x.py").write_text(text)
+            runpy.run_path("x.py")
+    trials, _ = read_trials_file(tmp_path / "two.npz", base.objects, base.hand_set)
+    assert [base.objects[i].name for i in trials.object_index.tolist()] == ["cup", "hammer"]
+    seen = read_seen(base.objects, base.hand_set.model, hands="exact.npz")
+    seen.check_plan(make_trials(trials=5).trial_id.numpy())
+    assert seen.sources() == {"target": "exact"} and np.load("exact.npz")["trial_id"].shape == (10,)
