@@ -69,7 +69,10 @@ class ObjectEntry(_Entry):
     receiver: FilePath | None = Field(
         default=None, description="the receiver's region (S1): a part's name, z<0.3, or a .npy beside this file"
     )
-    parts: FilePath | None = Field(default=None, description=".npy beside this file: a part label for every face")
+    parts: FilePath | None = Field(
+        default=None,
+        description=".npy beside this file: a part label for every face; else the groups of an OBJ or GLB are its parts",
+    )
     part_names: Annotated[list[Name], Field(min_length=1, max_length=64)] | None = None
     roles: dict[Name, Literal["function", "grasp", "wrap"]] | None = Field(
         default=None, description="part -> what it is for; else grasp in the receiver's region, function elsewhere"

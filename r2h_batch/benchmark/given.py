@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.grasp_set import read_grasps
 from r2h_batch.bodies.hand import make_hand_set
 from r2h_batch.bodies.objects import ObjectModel, call_of, object_from_argument
-from r2h_batch.files import FileError, printable
+from r2h_batch.files import FileError, path_within, printable
 
 __all__ = ["Given"]
 
@@ -91,7 +92,9 @@ def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
 def _entry(file: Path) -> ObjectEntry:
     """What a folder says of a mesh in it: NAME.yaml beside it holds the fields of a benchmark's object, if it is there."""
     beside = file.with_suffix(".yaml")
-    return read_entry(beside, file.name) if beside.exists() else ObjectEntry(file=file.name)
+    if not os.path.lexists(beside):
+        return ObjectEntry(file=file.name)
+    return read_entry(path_within(file.parent, beside.name), file.name)
 
 
 def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
