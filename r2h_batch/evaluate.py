@@ -38,7 +38,7 @@ POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
 
 SORTED_ROWS = 256
-"""From here on the pose stage takes the rows of a CPU batch object by object: a tenth faster, for the caches' sake."""
+"""From here on the rows of a CPU batch are taken object by object: five to ten per cent faster, for the caches' sake."""
 
 
 class Evaluator:
@@ -160,17 +160,17 @@ class Evaluator:
         else:  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
         judge = self._score_pose if stages == "pose" else partial(self._score_motion, keep_motion=keep_motion)
-        order = None
-        if stages == "pose" and n >= SORTED_ROWS and not T_obj_ee.is_cuda:
-            order = torch.argsort(trials.object_index, stable=True)
-            T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
         with one_torch_thread(self.scene.device):
+            order = None
+            if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
+                order = torch.argsort(trials.object_index, stable=True)
+                T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
             parts = [
                 judge(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
                 for i in range(0, max(n, 1), chunk)
             ]
-        scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
-        return scores if order is None else scores[torch.argsort(order)]
+            scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
+            return scores if order is None else scores[torch.argsort(order)]
 
     def _score_motion(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool) -> Scores:
         """Every stage: hold, IK, plan, move, judge."""

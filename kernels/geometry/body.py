@@ -162,13 +162,22 @@ def swept_support(
     n: wp.vec3,
     w: wp.vec3,
     v: wp.vec3,
-    bend: float,
+    g: wp.vec3,
+    c: float,
+    second: float,
+    third: float,
 ):
-    """Lower bound of n . x over a body while it moves by up to +-1 along the velocity field v + w x.
+    """Lower bound of n . x over a body that moves by up to +-1 with the twist (w, v).
 
-    To first order n . x + s n . (v + w x), which is linear in x and, as a minimum over x, concave in s: the ends
-    s = -1, 1 bound it. What is left of the motion is at most bend / 2.
+    To first order n . x + s n . (v + w x), linear in x and, as a minimum over x, concave in s. The rest is at most
+    s^2 / 2 `second`, a bound on any point's acceleration. Or, as along n a point accelerates by c + g . x in the middle, it is
+    at most s^2 / 2 times the least of that (above 0: 0) and |s|^3 / 6 `third`. The ends s = -1, 1 bound all of it.
     """
+    rest = 0.5 * second
+    if third < 3.0 * second:
+        x = R * support(body, points, -(wp.transpose(R) * g)) + p
+        least = c + wp.dot(g, x) - body.radius * wp.length(g)
+        rest = wp.min(rest, third / 6.0 - 0.5 * wp.min(least, 0.0))
     low = float(1.0e30)
     # n . (w x x) = (n x w) . x: the moving body is asked for its support along n +- n x w
     m = wp.cross(n, w)
@@ -177,4 +186,4 @@ def swept_support(
         u = n + s * m
         x = R * support(body, points, -(wp.transpose(R) * u)) + p
         low = wp.min(low, wp.dot(u, x) - body.radius * wp.length(u) + s * wp.dot(n, v))
-    return low - 0.5 * bend - ROUNDING_M
+    return low - rest - ROUNDING_M

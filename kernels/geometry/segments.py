@@ -62,17 +62,19 @@ def from_segment(b0: wp.vec3, b1: wp.vec3, a0: wp.vec3, a1: wp.vec3):
 
 
 @wp.func
-def swept_capsule(c0: wp.vec3, c1: wp.vec3, radius: float, n: wp.vec3, w: wp.vec3, v: wp.vec3, bend: float):
-    """Lower bound of n . x over a capsule while it moves by up to +-1 along the velocity field v + w x.
-
-    To first order n . x + s n . (v + w x), which is linear in x and concave in s after the minimum over x: the ends
-    s = -1, 1 bound it. The rest of the motion is at most bend / 2.
-    """
+def swept_capsule(
+    c0: wp.vec3, c1: wp.vec3, radius: float, n: wp.vec3, w: wp.vec3, v: wp.vec3, g: wp.vec3, c: float,
+    second: float, third: float,
+):  # fmt: skip
+    """Lower bound of n . x over a capsule that moves: `swept_support` (body.py) says how."""
+    rest = 0.5 * second
+    if third < 3.0 * second:
+        least = c + wp.min(wp.dot(g, c0), wp.dot(g, c1)) - radius * wp.length(g)
+        rest = wp.min(rest, third / 6.0 - 0.5 * wp.min(least, 0.0))
     low = float(1.0e30)
-    # n . (w x x) = (n x w) . x: the moving capsule is asked for its support along n +- n x w
     m = wp.cross(n, w)
     for k in range(2):
         s = float(2 * k - 1)
         u = n + s * m
         low = wp.min(low, wp.min(wp.dot(u, c0), wp.dot(u, c1)) - radius * wp.length(u) + s * wp.dot(n, v))
-    return low - 0.5 * bend - ROUNDING_M
+    return low - rest - ROUNDING_M

@@ -19,7 +19,7 @@ from r2h_batch.kernels.plan.codes import (
 from r2h_batch.kernels.plan.edge import edge
 from r2h_batch.kernels.plan.posture import PairClearance, posture_clearance
 from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import WRIST_3, TrialBodies, World, vec6
+from r2h_batch.kernels.robot.world import FIELDS, WRIST_3, TrialBodies, World, vec6
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -238,8 +238,8 @@ def goal_safe_distance(
     R = wp.zeros(shape=7, dtype=wp.mat33)
     p = wp.zeros(shape=7, dtype=wp.vec3)
     tri = wp.zeros(shape=3, dtype=wp.vec3)
-    w = wp.zeros(shape=7, dtype=wp.vec3)
-    v = wp.zeros(shape=7, dtype=wp.vec3)
+    w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
+    v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     mask = wp.zeros(shape=1, dtype=wp.uint64)
     mask[0] = (wp.uint64(1) << wp.uint64(world.n_robot)) - wp.uint64(1)
     found = posture_distance(world, mesh, bodies, trial, load(q_in, trial), vec6(), cap, 0.0, mask, R, p, w, v, tri)

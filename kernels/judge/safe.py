@@ -6,20 +6,23 @@ and bounding volumes prune, and triangles decide.
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, from_ball, support, swept_support
+from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, from_ball, support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, rounded, signed_distance
 from r2h_batch.kernels.geometry.segments import from_point
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_stretch
-from r2h_batch.kernels.plan.partners import Mover
+from r2h_batch.kernels.plan.edge import PART_RAD
+from r2h_batch.kernels.plan.partners import Mover, least_rest, swept_mover
 from r2h_batch.kernels.robot.posture import load_waypoint
 from r2h_batch.kernels.robot.world import (
+    CHANGES,
+    FIELDS,
     OBJECT,
     TrialBodies,
     World,
+    bends,
     body_pose,
-    curvature,
     forward_kinematics,
     link_frame,
     motion,
@@ -59,7 +62,7 @@ def _robot_mover(
     world: World, bodies: TrialBodies, trial: int, link: int, b: int, d: vec6,
     R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
-    """Body b of a link, its twist over the stretch, how far its levers let it travel, its path's curvature."""
+    """Body b of a link, its twist over the stretch, how far its levers let it travel, how its path bends."""
     out = Mover()
     out.link = link
     out.body = b
@@ -72,9 +75,13 @@ def _robot_mover(
     out.c1 = pb + axis
     out.radius = world.cap_radius[b]
     out.travel = motion(world.lever, b, 0, d)
-    out.bend = curvature(world.lever, b, 0, d)
+    second, third = bends(world.lever, b, 0, d)
+    out.second = second
+    out.third = third
     out.w = w[link_frame(link)]
     out.v = v[link_frame(link)]
+    out.a = w[CHANGES + link_frame(link)]
+    out.b = v[CHANGES + link_frame(link)]
     return out
 
 
@@ -89,7 +96,7 @@ def _bound_of_hand(world: World, mover: Mover, hand: int, distance: float, toler
         return SETTLED
     if apart > distance:
         n_hat = toward / far
-        low = swept_support(mover.shape, mover.R, mover.p, world.points, n_hat, mover.w, mover.v, mover.bend)
+        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
         low = low - wp.dot(n_hat, center) - world.hand_radius[hand]
         if low >= distance - tolerance:
             return SETTLED
@@ -98,17 +105,39 @@ def _bound_of_hand(world: World, mover: Mover, hand: int, distance: float, toler
     return ASK
 
 
+# From the coarse to the fine, with D the distance known so far, tol the tolerance, travel what the levers allow:
+#
+# 1. the piece's ball against the body's ball, then against the body itself: farther than D - tol + travel, it is settled;
+# 2. not nearer than D in the middle: the swept bound along the way to the ball's centre. Enough: settled. Short by more than
+#    a ball understates a distance (SLACK_M): GJK would not settle it either, it waits for the stretch's halves;
+# 3. GJK of body and hull. They meet: the faces have to say how deep, unless the whole piece is clear of the body's core grown
+#    by what is known;
+# 4. along the plane that GJK found, over the whole stretch. What is left: the faces, or, if nothing is nearer in the middle
+#    and the plane could not have settled it (`least_rest`), the halves.
 @wp.func
 def _bound_of_piece(
-    world: World, mover: Mover, core: Body, hand: int, i: int, distance: float, tolerance: float, waits: int
+    world: World,
+    mover: Mover,
+    core: Body,
+    hand: int,
+    i: int,
+    distance: float,
+    tolerance: float,
+    waits: int,
 ):
-    """SETTLED, WAITS, ASK or MEETS, from the piece's ball, then from its hull, which holds all its faces."""
+    """SETTLED, WAITS, ASK or MEETS, from the piece's ball, then from its hull, which holds all its faces.
+
+    With ASK also a direction n and how far along it the body stays over the whole stretch (n . x at least `beyond`): most
+    faces of a piece lie behind its hull, and are settled by that alone.
+    """
     piece = hand * world.n_pieces + i
+    n = wp.vec3(0.0, 0.0, 0.0)
+    beyond = float(-1.0e30)
     limit = distance - tolerance + mover.travel
     center = world.piece_center[piece]
     size = wp.length(mover.R * world.cap_axis[mover.body]) + mover.radius
     if wp.length(center - mover.p) - world.piece_radius[piece] - size >= limit:
-        return SETTLED
+        return SETTLED, n, beyond
     at = wp.transpose(mover.R) * (center - mover.p)
     toward = mover.R * from_ball(mover.shape, at)
     far = wp.length(toward)
@@ -117,18 +146,18 @@ def _bound_of_piece(
         deepest = signed_distance(mover.shape.kind, mover.shape.size, at) - world.piece_radius[piece] - TOUCH_M
         apart = wp.where(deepest >= limit, deepest, -1.0e30)
     if apart >= limit:
-        return SETTLED
+        return SETTLED, n, beyond
     if apart >= distance:
         if waits == 1:
-            return WAITS
+            return WAITS, n, beyond
         n_hat = toward / far
-        low = swept_support(mover.shape, mover.R, mover.p, world.points, n_hat, mover.w, mover.v, mover.bend)
+        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
         low = low - wp.dot(n_hat, center)
         low = low - world.piece_radius[piece]
         if low >= distance - tolerance:
-            return SETTLED
+            return SETTLED, n, beyond
         if low + SLACK_M < distance - tolerance:
-            return WAITS
+            return WAITS, n, beyond
 
     hull = piece_body(world, piece)
     h = gjk(mover.shape, mover.R, mover.p, world.points, hull, world.points, center, wp.max(limit, distance), 0.05)
@@ -136,21 +165,21 @@ def _bound_of_piece(
         if distance < 0.0:  # unless the whole piece is no deeper than what is known
             deep = gjk(core, mover.R, mover.p, world.points, hull, world.points, center, limit, 0.05)
             if deep.lower >= limit:
-                return SETTLED
-        return MEETS
+                return SETTLED, n, beyond
+        return MEETS, n, beyond
     if h.lower >= limit or (waits == 1 and h.lower >= distance):
-        return SETTLED
+        return SETTLED, n, beyond
     low = h.lower - mover.travel
+    rest = least_rest(mover.second, mover.third)
     if h.lower > 0.0:
-        n_hat = h.v / wp.length(h.v)
-        beside = wp.dot(n_hat, support(hull, world.points, n_hat))
-        swept = swept_support(mover.shape, mover.R, mover.p, world.points, n_hat, mover.w, mover.v, mover.bend)
-        low = wp.max(low, swept - beside)
+        n = h.v / wp.length(h.v)
+        beyond = swept_mover(world, mover, n, mover.second, mover.third)
+        low = wp.max(low, beyond - wp.dot(n, support(hull, world.points, n)))
     if low >= distance - tolerance and h.lower >= distance:
-        return SETTLED
-    if h.lower >= distance and h.lower < distance - tolerance + 0.5 * mover.bend:
-        return WAITS  # too long a stretch to settle here, and nothing nearer in its middle
-    return ASK
+        return SETTLED, n, beyond
+    if h.lower >= distance and h.lower < distance - tolerance + rest:
+        return WAITS, n, beyond  # too long a stretch to settle here, and nothing nearer in its middle
+    return ASK, n, beyond
 
 
 @wp.func
@@ -171,7 +200,7 @@ def _bound_of_face(world: World, mover: Mover, ball: wp.vec4, distance: float, t
         if waits == 1:
             return WAITS
         n_hat = mover.R * (toward / far)
-        low = swept_support(mover.shape, mover.R, mover.p, world.points, n_hat, mover.w, mover.v, mover.bend)
+        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
         low = low - wp.dot(n_hat, center) - ball[3]
         if low >= distance - tolerance:
             return SETTLED
@@ -182,8 +211,9 @@ def _bound_of_face(world: World, mover: Mover, ball: wp.vec4, distance: float, t
 
 # For each face of the piece, with D the distance known so far and tol the tolerance:
 #
-# 1. the ball about the face: farther than D - tol along the whole stretch, it is settled; it may come nearer, but not in
-#    the middle: that is left to the stretch's halves (WAITS);
+# 1. the ball about the face: wholly behind the plane (n, beyond) that the body keeps to, by D - tol, or farther than D - tol
+#    along the whole stretch, it is settled; it may come nearer, but not in the middle: that is left to the stretch's halves
+#    (WAITS);
 # 2. GJK of body and triangle. It is asked no further than what decides: max(limit, D);
 # 3. a box or cylinder that meets the triangle is asked again as a core that is smaller by t all around and grown by t:
 #    GJK measures how far they are apart, so the core's distance less t is the overlap, while that is below t. Where an
@@ -197,6 +227,8 @@ def nearest_to_mesh(
     mover: Mover,
     hand: int,
     piece: int,
+    n: wp.vec3,
+    beyond: float,
     best: float,
     tolerance: float,
     tri: wp.array(dtype=wp.vec3),
@@ -216,6 +248,8 @@ def nearest_to_mesh(
     edged = shape.kind == BOX or shape.kind == CYLINDER
     for face in range(mesh.piece_face[piece], mesh.piece_face[piece + 1]):
         ball = mesh.face_ball[hand * mesh.n_faces + face]
+        if beyond - wp.dot(n, wp.vec3(ball[0], ball[1], ball[2])) - ball[3] >= out.distance - tolerance:
+            continue
         bound = _bound_of_face(world, mover, ball, out.distance, tolerance, out.open)
         if bound == WAITS:
             out.open = 1
@@ -248,7 +282,7 @@ def nearest_to_mesh(
             low = value - mover.travel
             if value > 0.0 and low < out.distance - tolerance:
                 n_hat = d.v / wp.length(d.v)
-                low = swept_support(mover.shape, mover.R, mover.p, world.points, n_hat, mover.w, mover.v, mover.bend)
+                low = swept_mover(world, mover, n_hat, mover.second, mover.third)
                 low = low - wp.dot(n_hat, support(b, tri, n_hat))
             if low < out.distance - tolerance:
                 out.open = 1
@@ -279,7 +313,7 @@ def posture_distance(
     mask: wp.array(dtype=wp.uint64),  # bit b: robot body b may come nearer within q +- d; cleared here
     R: wp.array(dtype=wp.mat33),  # (7,) scratch: link frames
     p: wp.array(dtype=wp.vec3),
-    w: wp.array(dtype=wp.vec3),  # (7,) scratch: link twists
+    w: wp.array(dtype=wp.vec3),  # (FIELDS,) scratch: link twists and how they change
     v: wp.array(dtype=wp.vec3),
     tri: wp.array(dtype=wp.vec3),  # (3,) scratch: a face
 ):
@@ -321,12 +355,12 @@ def posture_distance(
                 waits = 1
             if bound == ASK and -core.radius < out.distance - tolerance:  # it cannot be met deeper than that
                 for i in range(world.n_pieces):
-                    bound = _bound_of_piece(world, mover, core, hand, i, out.distance, tolerance, waits)
+                    bound, n, beyond = _bound_of_piece(world, mover, core, hand, i, out.distance, tolerance, waits)
                     if bound == WAITS:
                         waits = 1
                     if bound < ASK:
                         continue
-                    near = nearest_to_mesh(world, mesh, mover, hand, i, out.distance, tolerance, tri)
+                    near = nearest_to_mesh(world, mesh, mover, hand, i, n, beyond, out.distance, tolerance, tri)
                     if near.changed == 1:
                         out.distance = near.distance
                         out.point = near.point
@@ -390,8 +424,8 @@ def safe_distance(
     R = wp.zeros(shape=7, dtype=wp.mat33)
     p = wp.zeros(shape=7, dtype=wp.vec3)
     tri = wp.zeros(shape=3, dtype=wp.vec3)
-    w = wp.zeros(shape=7, dtype=wp.vec3)
-    v = wp.zeros(shape=7, dtype=wp.vec3)
+    w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
+    v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     mask = wp.zeros(shape=1, dtype=wp.uint64)
     stack = wp.zeros(shape=16, dtype=wp.uint64)  # per level of the bisection: the mask that its stretches start from
     everything = (wp.uint64(1) << wp.uint64(world.n_robot)) - wp.uint64(1)
@@ -405,13 +439,19 @@ def safe_distance(
         i = wp.max(n - 1 - wp.max(step, 1), 0)
         a = load_waypoint(path_in, trial, i)
         delta = load_waypoint(path_in, trial, i + 1) - a
+        length = float(0.0)
+        for j in range(6):
+            length += wp.abs(delta[j])
+        parts = wp.max(int(wp.ceil(length / PART_RAD)), 1)
+        part = parts - 1
+        one = 1.0 / float(parts)
         stack[0] = everything
         level = int(0)
         index = int(0)
         running = bool(True)
         while running:
-            t = middle(level, index)
-            d = half_width(level) * delta
+            t = (float(part) + middle(level, index)) * one
+            d = (half_width(level) * one) * delta
             if step == 0:
                 t = 1.0
                 d = 0.0 * delta
@@ -431,7 +471,10 @@ def safe_distance(
                 stack[level] = mask[0]
             else:
                 level, index = next_stretch(level, index)
-                running = level > 0
+                if level == 0:
+                    index = 0
+                    part -= 1
+                    running = part >= 0
     distance_out[trial] = best
     body_out[trial] = body
     segment_out[trial] = segment

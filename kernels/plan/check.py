@@ -36,6 +36,7 @@ from r2h_batch.kernels.plan.partners import (
     Near,
     Query,
     bodies_near,
+    least_rest,
     link_clears_hand,
     link_clears_table,
     links_in_reach,
@@ -43,12 +44,15 @@ from r2h_batch.kernels.plan.partners import (
     table_near,
 )
 from r2h_batch.kernels.robot.world import (
+    CHANGES,
     OBJECT,
     TrialBodies,
     World,
+    acceleration_along,
+    acceleration_seen_along,
+    bends,
     block_count,
     body_pose,
-    curvature,
     forward_kinematics,
     link_frame,
     motion,
@@ -95,6 +99,8 @@ def _mover(
     out.p = pb
     out.w = w[link_frame(link)]
     out.v = v[link_frame(link)]
+    out.a = w[CHANGES + link_frame(link)]
+    out.b = v[CHANGES + link_frame(link)]
     out.shape = robot_body(world, wp.min(b, world.n_robot - 1))
     if link == OBJECT:
         out.shape = object_body(world, hull)
@@ -102,22 +108,19 @@ def _mover(
         out.c1 = Rb * world.hull_c1[hull] + pb
         out.radius = world.hull_radius[hull]
         out.travel = motion(bodies.object_lever, trial, 0, query.d)
-        out.bend = curvature(bodies.object_lever, trial, 0, query.d)
+        second, third = bends(bodies.object_lever, trial, 0, query.d)
+        out.second = second
+        out.third = third
     else:
         axis = Rb * world.cap_axis[b]
         out.c0 = pb - axis
         out.c1 = pb + axis
         out.radius = world.cap_radius[b]
         out.travel = motion(world.lever, b, 0, query.d)
-        out.bend = curvature(world.lever, b, 0, query.d)
+        second, third = bends(world.lever, b, 0, query.d)
+        out.second = second
+        out.third = third
     return out
-
-
-@wp.func
-def _seen_from(Ro: wp.mat33, po: wp.vec3, R: wp.mat33, p: wp.vec3, w: wp.vec3, v: wp.vec3):
-    """Pose and twist in the frame (Ro, po)."""
-    Rt = wp.transpose(Ro)
-    return Rt * R, Rt * (p - po), Rt * w, Rt * (v + wp.cross(w, po))
 
 
 # The steps of this file's head, over nine movers: links 0..7 of the robot (a link's bodies share its motion), and the object.
@@ -143,7 +146,7 @@ def examine(
     masks: wp.array(dtype=wp.uint64),  # hand, table, self: bit = body still to be settled; cleared here
     R: wp.array(dtype=wp.mat33),  # (7,) scratch: link frames
     p: wp.array(dtype=wp.vec3),
-    w: wp.array(dtype=wp.vec3),  # (7,) scratch: link twists
+    w: wp.array(dtype=wp.vec3),  # (FIELDS,) scratch: link twists and how they change
     v: wp.array(dtype=wp.vec3),
     partner: wp.array(dtype=int),  # (MAX_PARTNERS,) scratch
 ):
@@ -197,7 +200,21 @@ def examine(
             c1 = R[k] * world.link_c1[link] + p[k]
             if hand_on:
                 target = _target(query, out.best, query.hand_margin)
-                if link_clears_hand(world, query, target, hand_center, hand_radius, link, c0, c1, w[k], v[k], moving):
+                if link_clears_hand(
+                    world,
+                    query,
+                    target,
+                    hand_center,
+                    hand_radius,
+                    link,
+                    c0,
+                    c1,
+                    w[k],
+                    v[k],
+                    w[CHANGES + k],
+                    v[CHANGES + k],
+                    moving,
+                ):
                     hand_on = False
                     masks[0] = masks[0] & ~bits
             target = _target(query, out.best, query.other_margin)
@@ -261,16 +278,15 @@ def examine(
                         continue
                     if i >= n_table and (self_open & bit) != wp.uint64(0):
                         continue
-                # the pair as its partner sees it: the mover's pose and twist in the partner's frame, what the pair may travel.
+                # the pair as its partner sees it: the mover's pose in the partner's frame, what the pair may travel.
                 # Values that differ between branches are no struct: Warp would write it to memory and read it back in each
                 shape = Body()
                 center = wp.vec3(0.0, 0.0, 0.0)
                 pair_R = mover.R
                 pair_p = mover.p
-                pair_w = mover.w
-                pair_v = mover.v
                 travel = mover.travel
-                bend = mover.bend
+                second = mover.second
+                third = mover.third
                 code = int(PAIR_HAND)
                 kept = query.other_margin
                 if i < n_hand:  # stands still in the hand's frame, which is the mover's
@@ -284,9 +300,8 @@ def examine(
                     code = PAIR_TABLE
                     shape.kind = BOX
                     shape.size = world.table_half
-                    pair_R, pair_p, pair_w, pair_v = _seen_from(
-                        R_hand_world, table_p, mover.R, mover.p, mover.w, mover.v
-                    )
+                    pair_R = wp.transpose(R_hand_world) * mover.R
+                    pair_p = wp.transpose(R_hand_world) * (mover.p - table_p)
                 else:
                     code = PAIR_SELF
                     shape.kind = world.kind[other]
@@ -294,15 +309,14 @@ def examine(
                     shape.radius = world.radius[other]
                     k = world.body_link[other]
                     Ro, po = body_pose(world, bodies, trial, R, p, other)
-                    pair_R, pair_p, pair_w, pair_v = _seen_from(
-                        Ro, po, mover.R, mover.p, mover.w - w[k], mover.v - v[k]
-                    )
+                    pair_R = wp.transpose(Ro) * mover.R
+                    pair_p = wp.transpose(Ro) * (mover.p - po)
                     if link == OBJECT:
                         travel = motion(bodies.object_lever, trial, k, query.d)
-                        bend = curvature(bodies.object_lever, trial, k, query.d)
+                        second, third = bends(bodies.object_lever, trial, k, query.d)
                     else:
                         travel = motion(world.lever, b, k, query.d)
-                        bend = curvature(world.lever, b, k, query.d)
+                        second, third = bends(world.lever, b, k, query.d)
                 if link == OBJECT:
                     code = code + PAIR_OF_OBJECT
                 margin = _target(query, out.best, kept)
@@ -326,11 +340,30 @@ def examine(
                     return out
                 # settled for the whole stretch? D - L >= margin, or else along the plane that parts them in the middle
                 apart = dist.lower
-                if moving and apart < margin + travel and apart > margin + 0.5 * bend and dist.upper > 0.0:
-                    # not clear of everything that the levers allow, but perhaps of where it really goes
+                least = margin + least_rest(second, third)
+                if moving and apart < margin + travel and apart > least and dist.upper > 0.0:
+                    # not clear of everything that the levers allow, but perhaps of where it really goes. In the hand's frame
                     n_hat = dist.v / wp.length(dist.v)
                     beside = wp.dot(n_hat, support(shape, world.points, n_hat)) + shape.radius
-                    swept = swept_support(mover.shape, pair_R, pair_p, world.points, n_hat, pair_w, pair_v, bend)
+                    wr = mover.w
+                    vr = mover.v
+                    n = n_hat
+                    g = wp.vec3(0.0, 0.0, 0.0)
+                    c = float(0.0)
+                    if i < n_table:
+                        if i >= n_hand:
+                            n = R_hand_world * n_hat
+                            beside += wp.dot(n, table_p)
+                        g, c = acceleration_along(n, mover.w, mover.a, mover.b)
+                    else:
+                        k = world.body_link[other]
+                        Ro, po = body_pose(world, bodies, trial, R, p, other)
+                        n = Ro * n_hat
+                        beside += wp.dot(n, po)
+                        wr = mover.w - w[k]
+                        vr = mover.v - v[k]
+                        g, c = acceleration_seen_along(n, mover.w, mover.v, mover.a, mover.b, k, w, v)
+                    swept = swept_support(mover.shape, mover.R, mover.p, world.points, n, wr, vr, g, c, second, third)
                     apart = travel - beside + swept
                 if apart < margin + travel:
                     if i < n_hand:

@@ -14,12 +14,15 @@ import warp as wp
 from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, from_ball, support, swept_support
 from r2h_batch.kernels.geometry.segments import from_point, from_segment, swept_capsule
 from r2h_batch.kernels.robot.world import (
+    CHANGES,
     GRIPPER,
     OBJECT,
     TrialBodies,
     World,
+    acceleration_along,
+    acceleration_seen_along,
+    bends,
     body_pose,
-    curvature,
     link_frame,
     motion,
     vec6,
@@ -58,9 +61,12 @@ class Mover:
     c1: wp.vec3
     radius: float
     travel: float
-    bend: float
+    second: float  # bounds on its points' second and third derivative along the stretch
+    third: float
     w: wp.vec3
     v: wp.vec3
+    a: wp.vec3
+    b: wp.vec3
 
 
 @wp.struct
@@ -72,9 +78,29 @@ class Near:
 
 
 @wp.func
+def least_rest(second: float, third: float):
+    """What a swept bound takes off at least: with less between two bodies they are not settled along any plane."""
+    return wp.min(0.5 * second, third / 6.0)
+
+
+@wp.func
+def swept_mover(world: World, mover: Mover, n: wp.vec3, second: float, third: float):
+    """`swept_support` of a body for a partner that stands still in the hand's frame."""
+    g, c = acceleration_along(n, mover.w, mover.a, mover.b)
+    return swept_support(mover.shape, mover.R, mover.p, world.points, n, mover.w, mover.v, g, c, second, third)
+
+
+@wp.func
+def _swept_capsule_of(query: Query, mover: Mover, n: wp.vec3):
+    """The same of its bounding capsule."""
+    g, c = acceleration_along(n, mover.w, mover.a, mover.b)
+    return swept_capsule(mover.c0, mover.c1, mover.radius, n, mover.w, mover.v, g, c, mover.second, mover.third)
+
+
+@wp.func
 def link_clears_hand(
     world: World, query: Query, target: float, center: wp.vec3, radius: float, link: int,
-    c0: wp.vec3, c1: wp.vec3, w: wp.vec3, v: wp.vec3, moving: bool,
+    c0: wp.vec3, c1: wp.vec3, w: wp.vec3, v: wp.vec3, a: wp.vec3, b: wp.vec3, moving: bool,
 ):  # fmt: skip
     """Whether a whole link keeps `target` to the ball around the whole hand."""
     rk = world.link_radius[link]
@@ -82,9 +108,12 @@ def link_clears_hand(
     far = wp.length(toward)
     clear = far - radius - rk - motion(world.link_lever, link, 0, query.d) >= target
     if moving and not clear and far - radius - rk > target:
-        n_hat = toward / far
-        low = swept_capsule(c0, c1, rk, n_hat, w, v, curvature(world.link_lever, link, 0, query.d))
-        clear = low - wp.dot(n_hat, center) - radius >= target
+        second, third = bends(world.link_lever, link, 0, query.d)
+        if far - radius - rk - least_rest(second, third) >= target:
+            n_hat = toward / far
+            g, c = acceleration_along(n_hat, w, a, b)
+            low = swept_capsule(c0, c1, rk, n_hat, w, v, g, c, second, third)
+            clear = low - wp.dot(n_hat, center) - radius >= target
     return clear
 
 
@@ -114,17 +143,30 @@ def links_in_reach(
             reach = far - rk - world.link_radius[other]
             clear = reach - motion(world.link_lever, link, other, query.d) >= target
             if moving and not clear and reach > target:
-                n_hat = toward / far
-                k = link_frame(link)
-                bend = curvature(world.link_lever, link, other, query.d)
-                low = swept_capsule(c0, c1, rk, n_hat, w[k] - w[other], v[k] - v[other], bend)
-                high = wp.max(wp.dot(n_hat, o0), wp.dot(n_hat, o1)) + world.link_radius[other]
-                clear = low - high >= target
+                second, third = bends(world.link_lever, link, other, query.d)
+                if reach - least_rest(second, third) >= target:
+                    n_hat = toward / far
+                    k = link_frame(link)
+                    g, c = acceleration_seen_along(n_hat, w[k], v[k], w[CHANGES + k], v[CHANGES + k], other, w, v)
+                    wr = w[k] - w[other]
+                    vr = v[k] - v[other]
+                    low = swept_capsule(c0, c1, rk, n_hat, wr, vr, g, c, second, third)
+                    high = wp.max(wp.dot(n_hat, o0), wp.dot(n_hat, o1)) + world.link_radius[other]
+                    clear = low - high >= target
             if not clear:
                 found = found | (1 << other)
     return found
 
 
+# The ball around the whole hand, then each piece, by three bounds of what is left between the two along the stretch:
+#
+# 1. as the levers allow: apart - travel >= target settles the pair;
+# 2. `least_rest`: what any swept bound takes off. Even without more it falls short of the target by more than bounding
+#    volumes understate a distance: the stretch has to be halved, and neither the sweep nor GJK is worth asking;
+# 3. the swept bound along the way to the ball's centre: enough settles the pair; short by more than that slack: halved.
+#
+# What is left is listed for GJK. A pair that its volumes do not keep apart in the middle is listed with MAY_MEET whatever the
+# rest says, for it alone can block.
 @wp.func
 def pieces_near(
     world: World, query: Query, target: float, mover: Mover, hand: int, center: wp.vec3, radius: float, moving: bool,
@@ -137,10 +179,13 @@ def pieces_near(
     far = wp.length(toward)
     # the ball around the whole hand
     near = far - radius - mover.radius < target + mover.travel
+    rest = least_rest(mover.second, mover.third)
     if near and moving and far - radius - mover.radius > target + query.tolerance:
         n_hat = toward / far
-        low = swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, mover.w, mover.v, mover.bend)
-        low = low - wp.dot(n_hat, center) - radius
+        low = far - radius - mover.radius - rest
+        if low + HAND_SLACK_M >= target:
+            low = _swept_capsule_of(query, mover, n_hat)
+            low = low - wp.dot(n_hat, center) - radius
         if low >= target:
             near = False
         elif low + HAND_SLACK_M < target:
@@ -169,14 +214,15 @@ def pieces_near(
             if moving and apart > target + query.tolerance:
                 if out.open == 1:
                     continue  # the stretch has to be halved anyway
+                if apart - rest + SLACK_M < target:
+                    out.open = 1
+                    continue
                 n_hat = toward / far
                 low = -wp.dot(n_hat, at) - world.piece_radius[piece]
                 if mover.link == OBJECT:
-                    low = low + swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, mover.w, mover.v, mover.bend)
+                    low = low + _swept_capsule_of(query, mover, n_hat)
                 else:
-                    low = low + swept_support(
-                        mover.shape, mover.R, mover.p, world.points, n_hat, mover.w, mover.v, mover.bend
-                    )
+                    low = low + swept_mover(world, mover, n_hat, mover.second, mover.third)
                 if low >= target:
                     continue
                 if low + SLACK_M < target:
@@ -206,14 +252,15 @@ def table_near(
         if mover.link == OBJECT:
             low = height - motion(bodies.object_lever, trial, 1, query.d)
             if low < target:
-                bend = curvature(bodies.object_lever, trial, 1, query.d)
-                swept = swept_capsule(mover.c0, mover.c1, mover.radius, up, mover.w, mover.v, bend)
+                second, third = bends(bodies.object_lever, trial, 1, query.d)
+                g, c = acceleration_along(up, mover.w, mover.a, mover.b)
+                swept = swept_capsule(mover.c0, mover.c1, mover.radius, up, mover.w, mover.v, g, c, second, third)
                 low = wp.max(low, swept - top)
         else:
             low = height - motion(world.lever, mover.body, 1, query.d)
             if low < target:
-                bend = curvature(world.lever, mover.body, 1, query.d)
-                swept = swept_support(mover.shape, mover.R, mover.p, world.points, up, mover.w, mover.v, bend)
+                second, third = bends(world.lever, mover.body, 1, query.d)
+                swept = swept_mover(world, mover, up, second, third)
                 low = wp.max(low, swept - top)
     if low < target:
         if height > target + query.tolerance:
@@ -224,6 +271,15 @@ def table_near(
     return out
 
 
+# For each other link that this one may meet: the link as a whole first, then its bodies, capsule against capsule, with the
+# three bounds of `pieces_near`. Motion counts as the other link sees it: only the joints between the two turn them against
+# each other, so the levers are summed from there on, and twist and acceleration are differences (world.py).
+#
+# 1. the whole link's capsule: settled as the levers allow, or along the way between the capsules;
+# 2. each of its bodies: settled in the same two ways, or left for the stretch's halves (`open`) without asking further;
+# 3. what is left is listed for GJK, with MAY_MEET where the capsules touch in the middle.
+#
+# The object is a mover as the gripper's bodies are, with levers of its own in each trial.
 @wp.func
 def bodies_near(
     world: World, bodies: TrialBodies, trial: int, query: Query, target: float, mover: Mover, links: int, moving: bool,
@@ -237,13 +293,14 @@ def bodies_near(
     for other in range(wp.min(mover.link, GRIPPER)):
         if (links >> other) & 1 == 1:
             travel = float(0.0)
-            bend = float(0.0)
+            second = float(0.0)
+            third = float(0.0)
             if mover.link == OBJECT:
                 travel = motion(bodies.object_lever, trial, other, query.d)
-                bend = curvature(bodies.object_lever, trial, other, query.d)
+                second, third = bends(bodies.object_lever, trial, other, query.d)
             else:
                 travel = motion(world.lever, mover.body, other, query.d)
-                bend = curvature(world.lever, mover.body, other, query.d)
+                second, third = bends(world.lever, mover.body, other, query.d)
             # motion relative to the other link: only the joints between the two turn them against each other
             wr = mover.w - w[other]
             vr = mover.v - v[other]
@@ -255,9 +312,11 @@ def bodies_near(
             far = wp.length(toward)
             if far - mover.radius - ro >= target + travel:
                 continue
-            if moving and far - mover.radius - ro > target + query.tolerance:
+            rest = least_rest(second, third)
+            if moving and far - mover.radius - ro - rest >= target + query.tolerance:
                 n_hat = toward / far
-                low = swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, wr, vr, bend)
+                g, c = acceleration_seen_along(n_hat, mover.w, mover.v, mover.a, mover.b, other, w, v)
+                low = swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, wr, vr, g, c, second, third)
                 if low - wp.max(wp.dot(n_hat, o0), wp.dot(n_hat, o1)) - ro >= target:
                     continue
             # then its bodies one by one, capsule against capsule
@@ -272,8 +331,12 @@ def bodies_near(
                 if moving and apart > target + query.tolerance:
                     if out.open == 1:
                         continue
+                    if apart - rest + SLACK_M < target:
+                        out.open = 1
+                        continue
                     n_hat = toward / far
-                    low = swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, wr, vr, bend)
+                    g, c = acceleration_seen_along(n_hat, mover.w, mover.v, mover.a, mover.b, other, w, v)
+                    low = swept_capsule(mover.c0, mover.c1, mover.radius, n_hat, wr, vr, g, c, second, third)
                     low = low - wp.max(wp.dot(n_hat, po - axis), wp.dot(n_hat, po + axis)) - world.cap_radius[o]
                     if low >= target:
                         continue

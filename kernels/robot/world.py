@@ -16,6 +16,10 @@ vec6 = wp.types.vector(length=6, dtype=float)
 WRIST_3 = wp.constant(6)
 GRIPPER = wp.constant(7)
 OBJECT = wp.constant(8)
+CHANGES = wp.constant(7)
+"""Row from which on `twists` writes how the twists change."""
+FIELDS = wp.constant(14)
+"""Rows that `twists` writes."""
 
 
 @wp.struct
@@ -182,19 +186,22 @@ def motion(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
 
 
 @wp.func
-def curvature(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
-    """Bound on the second derivative of a body's points along q + s d: sum over i, j of |d_i| |d_j| lever_max(i, j).
+def bends(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
+    """Bounds on the second and on the third derivative of a body's points along q + s d, joints from `first_joint` on.
 
-    |d^2 x / dq_i dq_j| = |z_i x (z_j x (x - o_j))| for i <= j, at most the distance to the outer joint's axis.
+    |d^2 x / dq_i dq_j| = |z_i x (z_j x (x - o_j))| for i <= j is at most the distance to the outer joint's axis, lever_j; the
+    same holds for three joints. With S_j = |d_0| + .. + |d_j| the pairs whose outer joint is j weigh S_j^2 - S_(j-1)^2, the
+    triples S_j^3 - S_(j-1)^3.
     """
-    c = float(0.0)
+    second = float(0.0)
+    third = float(0.0)
     inner = float(0.0)
     for j in range(first_joint, 6):
-        # the pairs (i, j) with i < j, twice, and (j, j), all with the outer joint's lever
-        e = wp.abs(d[j])
-        c += e * (e + 2.0 * inner) * lever[row, j]
-        inner += e
-    return c
+        outer = inner + wp.abs(d[j])
+        second += (outer * outer - inner * inner) * lever[row, j]
+        third += (outer * outer * outer - inner * inner * inner) * lever[row, j]
+        inner = outer
+    return second, third
 
 
 @wp.func
@@ -205,16 +212,51 @@ def twists(
     w: wp.array(dtype=wp.vec3),
     v: wp.array(dtype=wp.vec3),
 ):
-    """Writes each link's velocity field v + w x when the joints turn at rates d (hand frame)."""
+    """Writes each link's fields of velocity v + w x and acceleration b + a x + w (w x) when the joints turn at rates d.
+
+    Hand frame; x: cross product with the point. Rows 0..6: w and v; rows 7..13: a in `w`, b in `v`.
+    """
     wk = wp.vec3(0.0, 0.0, 0.0)
     vk = wp.vec3(0.0, 0.0, 0.0)
+    ak = wp.vec3(0.0, 0.0, 0.0)
+    uk = wp.vec3(0.0, 0.0, 0.0)  # how v changes
     w[0] = wk
     v[0] = vk
+    w[CHANGES] = wk
+    v[CHANGES] = vk
     for j in range(6):
         Rj = R[j + 1]
-        # a turn at rate d_j about an axis z through p has the field z x (x - p) = z x x + p x z
+        # a turn at rate d_j about an axis z through o has the field z x (x - o) = z x x + o x z; the link before carries both
         z = d[j] * wp.vec3(Rj[0, 2], Rj[1, 2], Rj[2, 2])
+        o = p[j + 1]
+        dz = wp.cross(wk, z)
+        ak = ak + dz
+        uk = uk + wp.cross(vk + wp.cross(wk, o), z) + wp.cross(o, dz)
         wk = wk + z
-        vk = vk + wp.cross(p[j + 1], z)
+        vk = vk + wp.cross(o, z)
         w[j + 1] = wk
         v[j + 1] = vk
+        w[CHANGES + j + 1] = ak
+        v[CHANGES + j + 1] = uk + wp.cross(wk, vk)
+
+
+@wp.func
+def acceleration_along(n: wp.vec3, w: wp.vec3, a: wp.vec3, b: wp.vec3):
+    """g and c: along n a point x of a link accelerates by c + g . x (`twists`)."""
+    return wp.cross(n, a) + wp.cross(wp.cross(n, w), w), wp.dot(n, b)
+
+
+@wp.func
+def acceleration_seen_along(
+    n: wp.vec3, w: wp.vec3, v: wp.vec3, a: wp.vec3, b: wp.vec3, other: int,
+    of_w: wp.array(dtype=wp.vec3), of_v: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    """The same as the link `other` sees it, with which n turns; `of_w`, `of_v`: as `twists` writes them.
+
+    In its frame the acceleration is less by that of its own point there, and by 2 w_other x (relative velocity).
+    """
+    g, c = acceleration_along(n, w, a, b)
+    wo = of_w[other]
+    go, co = acceleration_along(n, wo, of_w[CHANGES + other], of_v[CHANGES + other])
+    turn = 2.0 * wp.cross(n, wo)
+    return g - go - wp.cross(turn, w - wo), c - co - wp.dot(turn, v - of_v[other])
