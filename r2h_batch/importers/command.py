@@ -1,4 +1,4 @@
-"""Other people's hands, hand sets and grasps as files that this package reads: `r2h-batch import hand|hands|grasps`."""
+"""Other people's hands, hand sets, grasps and objects as files that this package reads: `r2h-batch import ...`."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from r2h_batch.command_line import Command, UsageError, call, refuse
+from r2h_batch.command_line import Command, UsageError, call, refuse, tell
+from r2h_batch.files import printable
 
 if TYPE_CHECKING:
     from r2h_batch.bodies.grasp_set import GraspSet
     from r2h_batch.importers.mano import ManoHand
 
-__all__ = ["grasps", "hand", "hands", "import_main", "main"]
+__all__ = ["grasps", "hand", "hands", "import_main", "main", "objects"]
 
 Frame = Literal["aperture", "first", "middle", "last"]
 
@@ -131,6 +132,46 @@ def grasps(
     return _guarded(run)
 
 
+def objects(
+    folder: Annotated[Path, tyro.conf.Positional],
+    *,
+    source: Annotated[Literal["oakink"], tyro.conf.arg(name="from", metavar="SOURCE")],
+    out: Path,
+    strict: bool = False,
+) -> int:
+    """A data set's objects as a folder for --objects: meshes in the frame of its hands, part labels, benchmark.yaml.
+
+    Args:
+        folder: The data set as its owners give it: OakInk's with shape/metaV2; OakBase's parts anywhere below it.
+        source: Whose it is: oakink.
+        out: A new or empty folder. It holds the data set's meshes: its licence says who may have them.
+        strict: Refuse a data set with an object that cannot be read, instead of naming and skipping it.
+    """
+
+    def run() -> None:
+        from r2h_batch.importers.meshes.oakink_objects import OakObject, collect, write
+        from r2h_batch.importers.reading import ImportRefused
+
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise UsageError(f"--out {out}: is there already; give a new or empty folder")
+        found, skipped = [], 0
+        for name, made in collect(folder):
+            if isinstance(made, OakObject):
+                found.append(made)
+                continue
+            if strict:
+                raise ImportRefused(f"{printable(name)}: {made}")
+            skipped += 1
+            tell(f"skipped: {name}: {made}")
+        if not found:
+            raise ImportRefused(f"{printable(folder)}: none of {skipped} objects could be read")
+        write(out, found)
+        held = sum(bool(o.held) for o in found)
+        print(f"{len(found)} objects of {source} ({held} with a receiver's region) in {out}; {skipped} skipped")
+
+    return _guarded(run)
+
+
 def _grasps(
     file: Path, source: str, gripper: str | None, object_id: int | None, pose: Path | None
 ) -> "tuple[GraspSet, int]":
@@ -160,7 +201,7 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch impor
     return call(COMMANDS, list(sys.argv[1:] if arguments is None else arguments), prog=prog, name="import")
 
 
-COMMANDS: dict[str, Command] = {"hand": hand, "hands": hands, "grasps": grasps}
+COMMANDS: dict[str, Command] = {"hand": hand, "hands": hands, "grasps": grasps, "objects": objects}
 import_main = main
 
 

@@ -72,9 +72,11 @@ class Options:
     hand_model: str = ""
     """Another hand, an .npz of r2h-batch import hand: whoever uses a hand takes this one."""
     objects: str = ""
-    """Other objects instead of the benchmark's: a folder of meshes, or a benchmark.yaml."""
+    """Other objects instead of the benchmark's: a folder of meshes (NAME.yaml beside a mesh says its split, parts, region),
+    or a benchmark.yaml."""
     object_mesh: tuple[str, ...] = ()
-    """Your own objects, FILE[:S0|S1]: they take turns with the other objects of that split."""
+    """Your own objects, FILE[:S0|S1[:REGION]]: they take turns with the other objects of that split. REGION, what the receiver
+    wants: a part's name, a plane such as z<0.3, or an .npy of the file's faces (docs/your_data.md)."""
     grasps: tuple[str, ...] = ()
     """Grasp candidates of your own, .npz or .safetensors: NAME=FILE, a file called as its object, or a folder of these."""
     trials_file: str = ""

@@ -1,0 +1,1 @@
+"""Other people's objects as a folder that `--objects` takes."""

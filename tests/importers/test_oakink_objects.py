@@ -1,0 +1,91 @@
+"""OakInk's objects with OakBase's parts, written as they are on disk and read back: frame, labels, region, refusals."""
+
+import json
+
+import numpy as np
+import pytest
+import trimesh
+
+from r2h_batch.benchmark.given import Given
+from r2h_batch.importers.command import main
+
+
+def block(x0, x1):
+    mesh = trimesh.creation.box((x1 - x0, 0.02, 0.02)).subdivide()
+    mesh.apply_translation(((x0 + x1) / 2, 0.3, 0.0))  # off the origin, as scans are
+    return mesh
+
+
+@pytest.fixture
+def oakink(tmp_path):
+    """A knife with parts, a mug without, a virtual knife; one object that is not on this disk."""
+    shape = tmp_path / "oakink" / "shape"
+    (shape / "metaV2").mkdir(parents=True)
+    real = {"C10001": {"name": "knife 1"}, "C20001": {"name": "mug"}, "C90001": {"name": "elsewhere"}}
+    (shape / "metaV2" / "object_id.json").write_text(json.dumps(real))
+    (shape / "metaV2" / "virtual_object_id.json").write_text(json.dumps({"s10101": {"name": "knife v"}}))
+    for base, name, kind, suffix in (
+        ("OakInkObjectsV2", "knife 1", "align_ds", "ply"),
+        ("OakInkObjectsV2", "mug", "align", "obj"),
+        ("OakInkVirtualObjectsV2", "knife v", "align_ds", "obj"),
+    ):
+        at = shape / base / name / kind
+        at.mkdir(parents=True)
+        block(-0.1, 0.08).export(at / f"scan.{suffix}")
+    parts = tmp_path / "oakink" / "OakBase" / "knife" / "knife 1"
+    parts.mkdir(parents=True)
+    for k, (name, span, attr) in enumerate(
+        [("handle", (-0.1, 0.0), ["held_by_hand", "no_function"]), ("blade", (0.0, 0.08), ["cut_something"])]
+    ):
+        block(*span).export(parts / f"part_{k:02}.ply")
+        (parts / f"part_{k:02}.json").write_text(json.dumps({"name": name, "attr": attr}))
+    return tmp_path / "oakink"
+
+
+def test_objects_come_in_the_frame_of_the_hands_with_parts_and_region(oakink, tmp_path, capsys):
+    out = tmp_path / "mine"
+    assert main(["objects", str(oakink), "--from", "oakink", "--out", str(out)]) == 0
+    assert "3 objects of oakink (1 with a receiver's region)" in capsys.readouterr().out
+    found = {o.name: o for o in Given(objects=str(out)).read().objects}
+    assert set(found) == {"knife_1", "mug", "knife_v"}
+    knife = found["knife_1"]
+    assert knife.mesh.bounds.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-7), "its loader's frame"
+    assert knife.split == "S1" and knife.part_names == ("handle", "blade")
+    assert (knife.receiver_face == (knife.mesh.triangles_center[:, 0] < 0.01)).all(), "parts meet 1 cm off the middle"
+    assert found["mug"].split == "S0" and found["mug"].part_names == ("body",)
+
+
+def test_what_is_not_as_it_should_be_is_named_and_skipped_or_refused(oakink, tmp_path, capsys):
+    part = oakink / "OakBase" / "knife" / "knife 1" / "part_00.ply"
+    far = block(-0.1, 0.0)
+    far.apply_translation((0, 0.2, 0))
+    far.export(part)
+    other = part.with_name("part_01.ply")
+    far.export(other)
+    line = ["objects", str(oakink), "--from", "oakink", "--out", str(tmp_path / "mine")]
+    assert main([*line, "--strict"]) == 2
+    assert "its parts are" in capsys.readouterr().err and not (tmp_path / "mine").exists()
+    assert main(line) == 0
+    said = capsys.readouterr()
+    assert "skipped: knife 1: knife 1: its parts are" in said.err and "1 skipped" in said.out
+    assert main(line) == 2
+    assert "new or empty folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("meta", "words"),
+    [
+        ('{"X1": {"name": "../../../etc"}}', "points outside the folder"),
+        ('{"X1": {"name": "/etc"}}', "points outside the folder"),
+        ('{"X1": {"name": 7}}', "X1 has no name"),
+        ("[1]", "holds a list"),
+        ("{" * 100_000, "no readable JSON"),
+        ('{"X1": {"name": "nowhere"}}', "no folder OakInkObjectsV2/NAME is here"),
+    ],
+)
+def test_hostile_and_empty_lists_of_objects_are_one_line(tmp_path, capsys, meta, words):
+    (tmp_path / "metaV2").mkdir()
+    (tmp_path / "metaV2" / "object_id.json").write_text(meta)
+    assert main(["objects", str(tmp_path), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and words in said
