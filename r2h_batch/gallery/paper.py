@@ -57,15 +57,29 @@ def methods_over_time(run: Run, reader: Reader, methods: Sequence[str], trial: i
     trial = shared_trial(run, methods) if trial is None else trial
     short = short_names(methods)
     rows, names = [], []
+    first: Stage | None = None
     for method in methods:
         stored = reader.trial(trial, method)
-        rows.append(_moments(stored))
+        stage = _SeenAlike(stored, first)
+        first = first or stage
+        rows.append(_moments(stage))
         names.append(f"{short[method]}\n{verdict(stored)}")
     return _grid(rows, names), f"trial {trial}"
 
 
-def _moments(stored: StoredTrial) -> list[Panel]:
-    stage, (width, height) = Stage(stored), SIZE
+class _SeenAlike(Stage):
+    """A trial from where another method's answer to it is seen."""
+
+    def __init__(self, stored: StoredTrial, like: Stage | None) -> None:
+        super().__init__(stored)
+        self.like = like
+
+    def camera(self, close: bool) -> Any:
+        return super().camera(close) if self.like is None else self.like.camera(close)
+
+
+def _moments(stage: Stage) -> list[Panel]:
+    stored, (width, height) = stage.stored, SIZE
     if not stored.moves:
         asked = [np.array(HOME_Q), stored.target_q]
         images = list(stage.pictures(asked, width=width, height=height, asked=True))
