@@ -134,7 +134,10 @@ def figures(
         from r2h_batch.gallery import paper
 
         for name, (figure, said) in (
-            ("protocol", paper.protocol(stored, reader, stored.methods[0], trial)),
+            (
+                "protocol",
+                paper.protocol(stored, reader, stored.named(method[0]) if method else stored.methods[0], trial),
+            ),
             ("methods", paper.methods_over_time(stored, reader, stored.methods, trial)),
             ("failures", paper.failures(stored, reader, stored.methods)),
         ):
