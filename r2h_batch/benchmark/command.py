@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from r2h_batch.command_line import call, refuse
+from r2h_batch.command_line import call, refuse, tell
 
 __all__ = ["check", "main", "show"]
 
@@ -34,11 +34,18 @@ def check(file: Path, /) -> int:
     Args:
         file: a benchmark.yaml.
     """
+    import warnings
+
     from r2h_batch.benchmark.benchmark import built_in
     from r2h_batch.benchmark.reading import read_benchmark
 
     try:
-        found = read_benchmark(file)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always", UserWarning)
+            found = read_benchmark(file)
+        for w in told:  # what was done to a mesh
+            if w.category is UserWarning:
+                tell(f"benchmark: {w.message}")
         own = found.digest
         same = own == built_in().digest
     except ValueError as error:
