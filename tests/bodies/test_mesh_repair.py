@@ -54,6 +54,12 @@ def test_needles_and_flaps_that_lie_on_the_surface_are_slivers_and_a_flag_on_it_
     for points in (needle, face):
         found, said = closed(with_faces(clean, points, [[n, n + 1, n + 2], [n + 1, n, n + 2]]))
         assert "dropped 1 slivers" in said and found.mesh.volume == pytest.approx(clean.volume, rel=1e-9)
+    top = np.flatnonzero(clean.vertices[:, 2] > 0.0449)
+    a, b, c = top[[0, len(top) // 3, 2 * len(top) // 3]]
+    found, said = closed(with_faces(clean, np.zeros((0, 3)), [[a, b, c], [b, a, c]]))
+    assert "slivers" not in said and "open sheets made" in said, (
+        "a lid between three points of the rim does not lie on it"
+    )
     flag = [[0.039, 0, 0], [0.09, 0, 0], [0.09, 0, 0.03]]
     found, said = closed(with_faces(clean, flag, [[n, n + 1, n + 2], [n + 1, n, n + 2]]))
     assert "open sheets made" in said and "united 2 overlapping bodies" in said

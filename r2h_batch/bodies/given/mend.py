@@ -96,13 +96,20 @@ def without_slivers(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> t
         size = float(np.ptp(corners, axis=0).max())
         width = volumes[k, 1] / max(size, 1e-12)  # its two sides' area over its length: twice its mean width
         tiny = size < least or width < THINNEST_M
-        if tiny or (rest.within(corners, THINNEST_M)[1] >= 0).all():
+        if tiny or (rest.within(_spread(corners), THINNEST_M)[1] >= 0).all():
             slivers.append(k)
     if not slivers:
         return mesh
     dropped = np.isin(body, slivers)
     done.append(f"dropped {len(slivers)} slivers without volume ({int(dropped.sum())} faces)")
     return _mesh(mesh.vertices, mesh.faces[~dropped])
+
+
+def _spread(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(M, 3) points of triangles (3 F, 3): corners, middles of sides, centres: a chord across a surface is not on it."""
+    t = corners.reshape(-1, 3, 3)
+    sides = (t + np.roll(t, -1, axis=1)) / 2
+    return np.concatenate([corners, sides.reshape(-1, 3), t.mean(axis=1)])
 
 
 def mended(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:

@@ -144,13 +144,13 @@ def united(
 
 
 def decimated(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
-    """The closed mesh with at most `REBUILD_FACES` faces."""
+    """The closed mesh with at most `MOST_FACES` faces."""
     manifold = _manifold3d(budget.label, f"decimate its {len(mesh.faces)} faces to {MOST_FACES}")
     solid = _solid(manifold, mesh.vertices, mesh.faces)
     if solid.is_empty():
         return rebuilt(mesh, budget, done)
     tick = partial(budget.spend, f"decimating {len(mesh.faces)} faces")
-    small, moved = _simplified(solid, 2e-5 * float(mesh.extents.max()), REBUILD_FACES, tick)
+    small, moved = _simplified(solid, 2e-5 * float(mesh.extents.max()), MOST_FACES, tick)
     done.append(
         f"decimated {len(mesh.faces)} faces to {small.num_tri()}, surface moved by less than {moved * 1e3:.3f} mm"
     )
