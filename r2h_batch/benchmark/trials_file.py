@@ -32,6 +32,7 @@ LISTED = "listed"
 
 MAX_BYTES = 256 << 20
 MAX_TRIALS = 1_000_000
+MAX_NAME_BYTES = 200
 FARTHEST_M = 10.0
 RIGID = 1e-3
 
@@ -161,7 +162,7 @@ def _parquet(path: Path) -> Columns:
         try:
             with pq.ParquetFile(stream, read_dictionary=["object"]) as file:
                 _check_parquet(file, where)
-                table = file.read(columns=[n for n in KNOWN if n in file.schema_arrow.names])
+                table = file.read(columns=[n for n in KNOWN if n in file.schema_arrow.names]).unify_dictionaries()
         except (OSError, pa.ArrowException) as error:
             raise FileError(f"{where}: no readable Parquet file ({printable(error)[:200]})") from None
     columns: Columns = {}
@@ -170,7 +171,7 @@ def _parquet(path: Path) -> Columns:
         if column.null_count:
             raise FileError(f"{where}: {name} is empty in {column.null_count} rows")
         if name == "object":
-            columns[name] = np.array(column.cast(pa.string()).to_pylist(), np.str_)
+            columns[name] = _words(column, where)
         elif name in WIDTH:
             values = column.flatten()
             if (
@@ -184,6 +185,19 @@ def _parquet(path: Path) -> Columns:
         else:
             columns[name] = column.to_numpy(zero_copy_only=False)
     return columns
+
+
+def _words(column: Any, where: str) -> NDArray[Any]:
+    """Names by their codes: a long one that many rows point to is refused before it is written out for each."""
+    import pyarrow as pa
+
+    if not pa.types.is_dictionary(column.type):
+        column = column.dictionary_encode()
+    words = column.dictionary
+    if len(words) and max(len(w.as_buffer()) if w.is_valid else 0 for w in words) > MAX_NAME_BYTES:
+        raise FileError(f"{where}: object holds a name of more than {MAX_NAME_BYTES} bytes")
+    names = np.array([str(w) for w in words.to_pylist()] or [""], np.str_)
+    return names[column.indices.to_numpy(zero_copy_only=False)]
 
 
 def _lengths(column: Any) -> NDArray[np.int64]:

@@ -160,6 +160,14 @@ def test_parquet_files_of_other_shapes_or_sizes_are_refused_before_they_are_read
     (tmp_path / "no.parquet").write_bytes(b"PAR1" + b"\xff" * 64 + b"PAR1")
     with pytest.raises(FileError, match="no readable Parquet"):
         read_trials_file(tmp_path / "no.parquet", base.objects, base.hand_set)
+    # a name of 20 MB that 3000 rows point to: 60 GB if it were written out
+    long = pa.DictionaryArray.from_arrays(pa.array([0] * 3000), pa.array(["x" * 20_000_000]))
+    poses = pa.array([np.eye(4).ravel().tolist()] * 3000)
+    pq.write_table(
+        pa.table({"object": long, "hand": pa.array([0] * 3000), "T_world_hand": poses}), tmp_path / "name.parquet"
+    )
+    with pytest.raises(FileError, match="a name of more than 200 bytes"):
+        read_trials_file(tmp_path / "name.parquet", base.objects, base.hand_set)
     # a thousand rows of one long list each, as small as a dictionary makes it: more values than the rows can have
     many = {"object": ["cup"] * 4, "hand": [0] * 4, "T_world_hand": [[1.0] * 100_000] * 4}
     pq.write_table(pa.table(many), tmp_path / "long.parquet", compression="zstd")
