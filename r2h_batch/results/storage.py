@@ -97,20 +97,24 @@ def _json_file(path: Path, data: Mapping[str, Any]) -> Path:
     return temporary
 
 
+def open_own(path: Path, flags: int) -> int:
+    """A descriptor of a plain file of the folder, made where there is none; links and pipes are refused in one line."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        return os.open(path, flags | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+    except OSError as error:
+        if error.errno not in (errno.ELOOP, errno.ENXIO):
+            raise
+        raise OSError(error.errno, "no plain file but a link or a pipe; take it away", str(path)) from None
+
+
 @contextmanager
 def claim(path: Path) -> Iterator[bool]:
     """Whether this process alone works on what `path` stands for, until the block ends or the process dies.
 
     A claim only saves double work; `link_once` decides who wins. So a file system without locks says yes to everybody.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
-    except OSError as error:
-        if error.errno not in (errno.ELOOP, errno.ENXIO):
-            raise
-        raise OSError(error.errno, "no plain file but a link or a pipe; take it away", str(path)) from None
-    with open(handle, "w") as lock:
+    with open(open_own(path, os.O_RDWR), "w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

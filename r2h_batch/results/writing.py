@@ -41,6 +41,7 @@ from r2h_batch.results.storage import (
     claim,
     drop_second_names,
     link_once,
+    open_own,
     replace_json,
     sha256_of,
     sync_file,
@@ -137,7 +138,7 @@ class RunFolder:
     def attempt(self, method: str, shard: Shard) -> Iterator[None]:
         """Around the scoring of a claimed shard: a process that dies inside leaves a mark, whatever killed it."""
         path, before = self._begun(method, shard), self.deaths(method, shard)
-        handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+        handle = open_own(path, os.O_WRONLY | os.O_APPEND)
         try:
             os.write(handle, b".")
             yield

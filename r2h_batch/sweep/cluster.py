@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import secrets
 import signal
 import socket
 import subprocess
@@ -10,7 +11,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
@@ -82,6 +83,20 @@ def _show_token() -> None:
     named = os.environ.get("RAY_AUTH_TOKEN") or os.environ.get("RAY_AUTH_TOKEN_PATH")
     if named or os.path.isfile(os.path.expanduser("~/.ray/auth_token")):
         os.environ.setdefault("RAY_AUTH_MODE", "token")
+
+
+@contextlib.contextmanager
+def _own_token() -> Iterator[None]:
+    """A token for one cluster: Ray would write one to ~/.ray/auth_token, and from then on ask every node here for it."""
+    if any(os.environ.get(k) for k in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")):
+        yield
+        return
+    os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)  # not the mode: `init` sets that, and tells its own core
+    try:
+        yield
+    finally:
+        for name in ("RAY_AUTH_TOKEN", "RAY_AUTH_MODE"):
+            os.environ.pop(name, None)
 
 
 class Head:
@@ -205,12 +220,14 @@ def _on_cluster(
     # local: a cluster of its own; without an address Ray would join whatever a file in /tmp or the environment names
     own = {} if options.address else {"include_dashboard": False}
     try:
-        ray.init(address=options.address or "local", log_to_driver=False, logging_level="ERROR", **own)
+        with contextlib.nullcontext() if options.address else _own_token():
+            ray.init(address=options.address or "local", log_to_driver=False, logging_level="ERROR", **own)
     except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
         raise ClusterError(f"no Ray cluster could be started or joined: {printable(error)[:300]}") from None
     for number, handler in handlers.items():  # Ray puts its own in their place, which end the driver at once
         signal.signal(number, handler)
-    head = Head(ray.get_runtime_context().gcs_address if options.address else "", options.ray_timeout)
+    watched = options.address and "://" not in options.address  # a Ray client (ray://) has no head of its own to ask
+    head = Head(ray.get_runtime_context().gcs_address if watched else "", options.ray_timeout)
     try:
         gpus = options.gpus_per_worker or (1.0 if options.device != "cpu" else 0.0)
         size = options.workers or _devices(ray, gpus)

@@ -122,7 +122,9 @@ def test_without_an_address_a_cluster_of_its_own_is_started_and_a_refused_method
     """Whatever the environment names; a method whose answers cannot be scored is said once, and is not tried again."""
     out = tmp_path / "run"
     both = ("fake_bench:wrong", SLOW)
-    code, table, error = finish(start(tmp_path, out, both, *RAY, RAY_ADDRESS="192.0.2.1:6379", FAKE_SECONDS="0"))
+    around = {"RAY_ADDRESS": "192.0.2.1:6379", "HOME": str(tmp_path / "home")}
+    code, table, error = finish(start(tmp_path, out, both, *RAY, **around, FAKE_SECONDS="0"))
+    assert not (tmp_path / "home" / ".ray").exists()  # no token that later clusters of this user would ask for
     assert code == 2 and SLOW in table and "fake_bench:wrong" not in table, error
     said = [line for line in error.splitlines() if line.startswith("sweep: ")]
     assert len(said) == 1 and said[0].startswith("sweep: method fake_bench:wrong: T_obj_ee is"), error

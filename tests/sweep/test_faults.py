@@ -147,7 +147,7 @@ def test_a_shard_that_always_kills_the_sweep_comes_last_is_quarantined_listed_an
     same_rows(out, undisturbed, DEADLY)
 
 
-def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(tmp_path, monkeypatch):
+def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
     monkeypatch.setattr(writing.pq, "write_table", lambda *a, **k: (_ for _ in ()).throw(OSError(28, "No space left")))
     line = ["--method", "fake_bench:best", "--trials", "6", "--out", str(tmp_path / "run")]
@@ -156,8 +156,14 @@ def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(
     assert not list((tmp_path / "run" / ".claims").glob("*.begun"))
     monkeypatch.undo()
     monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
-    (tmp_path / "run" / ".claims" / "fake_bench_best-000000.begun").symlink_to(tmp_path / "elsewhere")
+    mark = tmp_path / "run" / ".claims" / "fake_bench_best-000000.begun"
+    mark.symlink_to(tmp_path / "elsewhere")
     assert sweep.main(line) == 1
+    mark.unlink()
+    os.mkfifo(mark)
+    capsys.readouterr()
+    assert sweep.main(line) == 1
+    assert f"sweep: {mark}: no plain file but a link or a pipe; take it away\n" in capsys.readouterr().err
     assert not (tmp_path / "elsewhere").exists() and not receipts(tmp_path / "run")
 
 
