@@ -87,8 +87,8 @@ class Histogram:
 
 def _histogram(values: np.ndarray, low: float, high: float) -> np.ndarray:
     values = values[np.isfinite(values)]
-    place = ((values - low) * (BINS / (high - low))).astype(np.int64).clip(0, BINS - 1)
-    return np.bincount(place, minlength=BINS)
+    place = ((values - low) * (BINS / (high - low))).clip(0, BINS - 1)  # first: a margin of 1e38 m is no int64
+    return np.bincount(place.astype(np.int64), minlength=BINS)
 
 
 def margin_histograms(run: Run, method: str) -> dict[str, Histogram]:

@@ -172,7 +172,7 @@ def tally(run: Run, method: str, *, by_object: bool = False) -> Tally:
 def verdicts(run: Run, method: str, names: list[str]) -> Iterator[Verdicts]:
     """A stored method's verdicts shard by shard; `names` collects the objects' names behind the codes.
 
-    Checked: outcomes equal the stored criteria's first failure, and at the end that there were as many as planned.
+    Checked: seconds are some, outcomes equal the stored criteria's first failure, and at the end that there were as many as planned.
     """
     columns = ["trial_id", "object", "split", "outcome", *SECONDS, *(f"passed_{c}" for c in CRITERIA)]
     found = np.zeros(len(SPLITS), np.int64)
@@ -197,7 +197,7 @@ def _rows(table: pa.Table, method: str, names: list[str]) -> Verdicts:
         )
     except ValueError as error:
         raise ValueError(f"{method}: {error}") from None
-    _check_outcomes(method, rows)
+    _check(method, rows)
     return rows
 
 
@@ -216,7 +216,15 @@ def pattern_outcomes(order: Sequence[str] = CRITERIA) -> np.ndarray:
     return table
 
 
-def _check_outcomes(method: str, rows: Verdicts) -> None:
+def _check(method: str, rows: Verdicts) -> None:
+    for name in SECONDS:
+        seconds = getattr(rows, name)
+        odd = (seconds < 0) | np.isinf(seconds)
+        if odd.any():
+            row = int(odd.argmax())
+            raise ValueError(
+                f"{method}: trial {rows.trial_id[row]} has {seconds[row]:g} s in {name}; stored are finite seconds, 0 or more"
+            )
     expected = pattern_outcomes()[rows.split, rows.pattern]
     judged = rows.outcome < Outcome.INVALID_INPUT
     if (unseen := int((judged & (expected < 0)).sum())) > 0:

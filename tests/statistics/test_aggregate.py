@@ -243,6 +243,14 @@ def test_an_s1_success_without_affordance_is_refused(tmp_path):
         tally(load_run(run.folder, verify=False), "m")
 
 
+@pytest.mark.parametrize(("column", "value"), [("t_exec_s", np.inf), ("t_plan_s", -1.0), ("t_method_s", -np.inf)])
+def test_stored_seconds_that_no_clock_shows_are_refused(tmp_path, column, value):
+    run = write_run(tmp_path / "run", {"m": np.array([0, 0, 2, 0])}, 2, 2)
+    _replace_column(run, column, pa.array([None, 1.0, value, 2.0], pa.float32()))
+    with pytest.raises(ValueError, match=f"m: trial 2 has {value:g} s in {column}; stored are finite seconds"):
+        tally(load_run(run.folder, verify=False), "m")
+
+
 def test_rows_that_are_not_as_many_as_planned_are_refused(tmp_path):
     run = write_run(tmp_path / "run", {"m": np.array([0, 0, 2])}, 2, 1)
     run.header["trials"]["S1"] = 4
