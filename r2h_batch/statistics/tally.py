@@ -172,7 +172,7 @@ def tally(run: Run, method: str, *, by_object: bool = False) -> Tally:
 def verdicts(run: Run, method: str, names: list[str]) -> Iterator[Verdicts]:
     """A stored method's verdicts shard by shard; `names` collects the objects' names behind the codes.
 
-    Checked: seconds are some, outcomes equal the stored criteria's first failure, and at the end that there were as many as planned.
+    Checked: seconds, outcomes (the stored criteria's first failure), and at the end that there were as many as planned.
     """
     columns = ["trial_id", "object", "split", "outcome", *SECONDS, *(f"passed_{c}" for c in CRITERIA)]
     found = np.zeros(len(SPLITS), np.int64)
