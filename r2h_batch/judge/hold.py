@@ -44,12 +44,15 @@ def hold(
 ) -> Holding:
     """B trials with the gripper closed on the object; rows with a pose that is none, or an unknown body, are not active."""
     T_world_hand, objects, hands = trials.T_world_hand, trials.object_index.contiguous(), trials.hand_index
-    active = se3.is_pose(T_obj_ee) & se3.is_pose(T_world_ee) & se3.is_pose(T_world_hand)
+    poses = torch.stack(
+        [T_obj_ee.detach(), T_world_ee.detach(), T_world_hand.detach()]
+    )  # as one: a small batch is all overhead
+    active = se3.is_pose(poses).all(0)
     if objects.is_cuda:  # on a CPU they were looked at before any work
         for index, count in ((objects, len(scene.objects)), (hands, len(scene.hands.set))):
             active = active & (index >= 0) & (index < count)
         objects, hands = torch.where(active, objects, 0), torch.where(active, hands, 0)
-    T_obj_ee, T_world_ee, T_world_hand = (_usable(T, active) for T in (T_obj_ee, T_world_ee, T_world_hand))
+    T_obj_ee, T_world_ee, T_world_hand = _usable(poses, active).unbind(0)
     limits = config.thresholds
     grasp = close_gripper(
         scene.grasp_tables, T_obj_ee, objects,
@@ -60,8 +63,8 @@ def hold(
     return Holding(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, placed)
 
 
-def _usable(T: Tensor, active: Tensor) -> Tensor:
+def _usable(T: Float32[Tensor, "k b 4 4"], active: Bool[Tensor, " b"]) -> Float32[Tensor, "k b 4 4"]:
     """Orthonormal poses, the identity where a row is not active."""
     eye, kept = torch.eye(4, dtype=T.dtype, device=T.device), active[:, None, None]
     # twice: a row that is no pose may hold anything, and must not reach the orthonormalisation
-    return torch.where(kept, se3.orthonormalise(torch.where(kept, T.detach(), eye)), eye).contiguous()
+    return torch.where(kept, se3.orthonormalise(torch.where(kept, T, eye)), eye).contiguous()

@@ -128,6 +128,9 @@ def launch_trials(
         wp.launch(kernel, dim=dim, inputs=args, stream=_stream(device), block_dim=BLOCK_DIM)
         return
     workers = min(cpu_threads(threads), -(-n // chunk))
+    if workers == 1 and n <= chunk:  # a small batch: nothing to share, and nothing to set again
+        wp.launch(kernel, dim=(n, width) if width > 1 else n, inputs=args, device="cpu")
+        return
     # Arguments are packed once per worker (here: the first packing compiles the module); a launch then costs microseconds.
     commands = [wp.launch(kernel, dim=1, inputs=args, device="cpu", record_cmd=True) for _ in range(workers)]
     firsts = iter(range(first, first + n, chunk))  # next() is atomic: whoever is free takes the next chunk
