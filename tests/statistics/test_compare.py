@@ -168,7 +168,7 @@ def test_methods_that_answered_other_trials_are_refused(tmp_path, capsys, monkey
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        ({"protocol": "r2h-v1"}, "protocol"),
+        ({"protocol": "another"}, "protocol"),
         ({"digests": {"trials": "f"}}, r"digests \(trials\)"),
         ({"configuration": {"name": "paper"}}, r"configuration \(name\)"),
     ],
