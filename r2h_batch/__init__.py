@@ -11,10 +11,11 @@ if TYPE_CHECKING:
     from r2h_batch.scene.scene import Scene
     from r2h_batch.trials.protocol import make_trials
     from r2h_batch.types import Predictions, Scores, Trials
+    from r2h_batch.view.notebook import show
 
 __version__ = "0.1.0"
 
-__all__ = ["EvalConfig", "Evaluator", "Predictions", "Scene", "Scores", "Trials", "make_trials"]
+__all__ = ["EvalConfig", "Evaluator", "Predictions", "Scene", "Scores", "Trials", "make_trials", "show"]
 
 _root = Path(__file__).resolve().parent
 if not (_root / "kernels").exists():  # a checkout or an editable install: kernels/ and assets/ stand beside the package
@@ -47,5 +48,6 @@ if not TYPE_CHECKING:  # else any name would pass
             "Scores": "types",
             "Trials": "types",
             "make_trials": "trials.protocol",
+            "show": "view.notebook",
         },
     )

@@ -12,15 +12,20 @@ import itertools
 import os
 import re
 import sys
+import time
 import traceback
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial, wraps
+from pathlib import Path
 from typing import Any, TextIO
 
 from r2h_batch.files import printable
 
 Command = Callable[..., Any]
+
+MOST_KEPT = 1000
+"""Lines kept until there is a log file."""
 
 
 class UsageError(Exception):
@@ -137,12 +142,87 @@ class _Kept(io.StringIO):
 
 def refuse(name: str, error: object, code: int = 2) -> int:
     """One line on stderr, whatever the error says; returns the exit code."""
-    tell(f"{name}: {' '.join(str(error).split())}")
+    text = f"{name}: {' '.join(str(error).split())}"
+    _keep(text)
+    _print(text)
     return code
 
 
 def tell(text: object) -> None:
-    """Lines on stderr, at once, without the control characters that names in files may hold; nothing where it is full."""
+    """Lines on stderr, at once, without the control characters that names in files may hold; nothing where it is full.
+
+    With --quiet they are kept for the log alone.
+    """
+    _keep(text)
+    if not _telling.quiet:
+        _print(text)
+
+
+def note(text: object) -> None:
+    """Lines that only --verbose shows; a log file has them always."""
+    _keep(text)
+    if _telling.verbose and not _telling.quiet:
+        _print(text)
+
+
+@dataclass
+class _Telling:
+    """How much is said on stderr, and the log file with what was said before it was known."""
+
+    quiet: bool = False
+    verbose: bool = False
+    log: Path | None = None
+    before: list[str] = field(default_factory=list)
+
+
+_telling = _Telling()
+
+
+@contextlib.contextmanager
+def telling(*, quiet: bool = False, verbose: bool = False) -> Iterator[Callable[[Path], None]]:
+    """How much `tell` and `note` say inside; gives `log_to(FILE)`, which writes there what was said and what will be."""
+    global _telling
+    kept, _telling = _telling, _Telling(quiet, verbose)
+
+    def log_to(file: Path) -> None:
+        _telling.log, lines = file, _telling.before
+        _telling.before = []
+        for line in lines:
+            _append(line)
+
+    try:
+        yield log_to
+    finally:
+        _telling = kept
+
+
+def is_quiet() -> bool:
+    """Whether stderr is for refusals alone."""
+    return _telling.quiet
+
+
+def _keep(text: object) -> None:
+    stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    line = f"{stamp} {' '.join(printable(str(text), keep=chr(10)).split())}\n"
+    if _telling.log is not None:
+        _append(line)
+    elif len(_telling.before) < MOST_KEPT:
+        _telling.before.append(line)
+
+
+def _append(line: str) -> None:
+    """One line at the log's end, whole whoever else writes there; a full disk is the sweep's trouble, not the log's."""
+    with contextlib.suppress(OSError):
+        assert _telling.log is not None
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+        handle = os.open(_telling.log, flags, 0o666)
+        try:
+            os.write(handle, line.encode("utf-8", "replace"))
+        finally:
+            os.close(handle)
+
+
+def _print(text: object) -> None:
     try:
         print(printable(text, keep="\n"), file=sys.stderr, flush=True)
     except (OSError, ValueError):

@@ -29,10 +29,11 @@ from r2h_batch.launch import cpu_threads, one_torch_thread
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.scene import Scene
+from r2h_batch.shown import html_table
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
-from r2h_batch.types import Scores, Trials
+from r2h_batch.types import Asked, Scores, Trials
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
@@ -130,7 +131,16 @@ class Evaluator:
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
         check_indices(self.scene, trials)
-        return self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
+        scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
+        return scores.knowing(Asked(T_obj_ee.detach(), T_world_ee.detach(), trials, self))
+
+    def __repr__(self) -> str:
+        engine = self.config.execute.engine(torch.device(self.scene.device).type)
+        return f"Evaluator({self.scene.about}; preset {self.config.name}, sim {engine})"
+
+    def _repr_html_(self) -> str:
+        limits = vars(self.config.thresholds).items()
+        return html_table(repr(self), ("limit", "value"), [(name, f"{value:g}") for name, value in limits])
 
     def capture(self, b: int, *, stages: Stages = "pose") -> Captured:
         """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on CUDA one graph."""

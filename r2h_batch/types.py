@@ -1,7 +1,7 @@
 """The types that walk through the stages: trials in, predictions beside them, scores out."""
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self, SupportsIndex
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import pad
 
+from r2h_batch import shown
 from r2h_batch.soft import soft_success
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Outcome, PlanReason
 
@@ -19,6 +20,7 @@ __all__ = [
     "CRITERIA",
     "SIDES",
     "SPLITS",
+    "Asked",
     "CollidingPair",
     "Outcome",
     "PlanReason",
@@ -57,19 +59,36 @@ class _Rows:
             rows = slice(row % n, row % n + 1)
         elif isinstance(rows, (Tensor, np.ndarray)) and rows.ndim == 0:
             rows = rows[None]
-        return replace(self, **{name: value[rows] for name, value in self._tensors().items()})
+        return self._changed(lambda value: value[rows])
 
     def to(self, device: str | torch.device) -> Self:
         """The same rows on another device; from a GPU to the CPU in one copy, for which the host waits once."""
         tensors = self._tensors()
         here = {value.device.type for value in tensors.values()}
         if torch.device(device).type == "cpu" and here - {"cpu"}:
-            return replace(self, **dict(zip(tensors, in_one_copy(list(tensors.values())), strict=True)))
-        return replace(self, **{name: value.to(device) for name, value in tensors.items()})
+            new = replace(self, **dict(zip(tensors, in_one_copy(list(tensors.values())), strict=True)))
+            return new._with(self._beside, lambda value: value.to(device))
+        return self._changed(lambda value: value.to(device))
 
     def clone(self) -> Self:
         """The same rows in memory of their own, without history: whoever gets them may write there."""
-        return replace(self, **{name: value.detach().clone() for name, value in self._tensors().items()})
+        return self._changed(lambda value: value.detach().clone())
+
+    _beside = None  # what is known beside the tensors: not a field, and not asked for by anything that judges
+
+    def _changed(self, change: Callable[[Tensor], Tensor]) -> Self:
+        """The same with each tensor changed; what is known beside them goes along, its rows too."""
+        new = replace(self, **{name: change(value) for name, value in self._tensors().items()})
+        return new._with(self._beside, change)
+
+    def _with(self, beside: Any, change: Callable[[Tensor], Tensor]) -> Self:
+        if beside is None:
+            return self
+        return self._knowing(beside._changed(change) if isinstance(beside, _Rows) else beside)
+
+    def _knowing(self, beside: Any) -> Self:
+        object.__setattr__(self, "_beside", beside)
+        return self
 
     def _tensors(self) -> dict[str, Tensor]:
         values = ((f.name, getattr(self, f.name)) for f in fields(self))
@@ -90,6 +109,58 @@ class Trials(_Rows):
     hand_index: Int32[Tensor, " n"]
     T_world_hand: Float32[Tensor, "n 4 4"]
     receiver: Float32[Tensor, "n 5 4"] | None = None
+
+    def named(self, objects: Sequence[Any]) -> Self:
+        """The same trials, which know what their objects are called: `objects` as indexed by `object_index`."""
+        return replace(self)._knowing(tuple(str(getattr(o, "name", o)) for o in objects))
+
+    @property
+    def object_names(self) -> list[str]:
+        """(N,) names of the objects; ValueError for trials that were not told (`make_trials` tells them)."""
+        if self._beside is None:
+            raise ValueError("these trials do not know their objects' names; say trials.named(scene.objects)")
+        return [self._beside[i] for i in self.object_index.tolist()]
+
+    @property
+    def splits(self) -> list[str]:
+        """(N,) S0 or S1: trial i of S0 has the id 2 i, of S1 the id 2 i + 1."""
+        return [SPLITS[i % 2] for i in self.trial_id.tolist()]
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{n:,} of {s}" for s in SPLITS if (n := self.splits.count(s)))
+        kinds = [
+            shown.counted(len(x.unique()), w) for x, w in ((self.object_index, "object"), (self.hand_index, "hand"))
+        ]
+        return f"Trials({len(self):,} on {self.trial_id.device}: {counts or 'none'}; {', '.join(kinds)})"
+
+    def _repr_html_(self) -> str:
+        names = self.object_names if self._beside is not None else [f"object {i}" for i in self.object_index.tolist()]
+        ids, hands = self.trial_id.tolist(), self.hand_index.tolist()
+        rows = [(str(t), s, o, str(h)) for t, s, o, h in zip(ids, self.splits, names, hands)]
+        more = [("...", "", "", "")] if len(rows) > SHOWN_ROWS else []
+        return shown.html_table(repr(self), ("trial", "split", "object", "hand"), rows[:SHOWN_ROWS] + more)
+
+
+SHOWN_ROWS = 10
+"""Of a table in a notebook."""
+
+
+@dataclass(frozen=True)
+class Asked(_Rows):
+    """What scores were asked about: B trials with their poses, and who judged. `r2h_batch.show` draws from it."""
+
+    T_obj_ee: Float32[Tensor, "b 4 4"]
+    T_world_ee: Float32[Tensor, "b 4 4"]
+    trials: Trials
+    evaluator: Any
+
+    def _changed(self, change: Callable[[Tensor], Tensor]) -> Self:
+        return replace(
+            self,
+            T_obj_ee=change(self.T_obj_ee),
+            T_world_ee=change(self.T_world_ee),
+            trials=self.trials._changed(change),
+        )
 
 
 @dataclass(frozen=True)
@@ -154,6 +225,53 @@ class Scores(_Rows):
         Differentiable where `margin` is: scored with stages="pose" from poses that require a gradient.
         """
         return soft_success(self.margin, self.evaluated, self.success, temperature_m=temperature_m, log=log)
+
+    @property
+    def asked(self) -> Asked | None:
+        """What these rows were asked about; None where nobody kept it (captured and compiled calls, rows of two calls)."""
+        return self._beside
+
+    def knowing(self, asked: Asked) -> Self:
+        """The same scores, which know what they were asked about."""
+        return replace(self)._knowing(asked)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What copies and pickles hold: the numbers, not the evaluator."""
+        return {k: v for k, v in self.__dict__.items() if k != "_beside"}
+
+    def __repr__(self) -> str:
+        return shown.scores_line(self.outcome.shape, str(self.outcome.device), self._array("outcome"))
+
+    def _repr_html_(self) -> str:
+        head = ("criterion", "evaluated", "pass", "median margin, mm", "5 % margin, mm")
+        return shown.html_table(repr(self), head, self._table())
+
+    def summary(self) -> str:
+        """A few lines: outcomes, and each criterion with its pass rate and margins."""
+        lines = [repr(self), f"{'':12}{'evaluated':>10}{'pass':>9}{'median mm':>11}{'5 % mm':>9}"]
+        lines += [f"{name:12}{n:>10}{rate:>9}{middle:>11}{low:>9}" for name, n, rate, middle, low in self._table()]
+        return "\n".join(lines)
+
+    def scalars(self) -> dict[str, float]:
+        """Plain numbers for any logger: rates of outcomes and criteria, mean margins (m) and times (s); none is NaN."""
+        passed, evaluated, margin, outcome = (self._array(k) for k in ("passed", "evaluated", "margin", "outcome"))
+        times = {name: self._array(name) for name in ("t_plan_s", "t_exec_s")}
+        return shown.scalars_of(passed, evaluated, margin, outcome, times)
+
+    def to_pandas(self) -> Any:
+        """A pandas DataFrame, a row for each of B (or N x K) rows, the columns of a run folder's trials (extra `pandas`)."""
+        flat = (
+            self
+            if self.outcome.ndim == 1
+            else replace(self, **{k: x.flatten(0, 1) for k, x in self._tensors().items()})
+        )
+        return shown.frame_of(shown.score_columns(flat._array))
+
+    def _table(self) -> list[tuple[str, str, str, str, str]]:
+        return shown.scores_table(self._array("passed"), self._array("evaluated"), self._array("margin"))
+
+    def _array(self, name: str) -> NDArray[Any]:
+        return np.asarray(getattr(self, name).detach().cpu())
 
     @staticmethod
     def concatenate(parts: list["Scores"]) -> "Scores":

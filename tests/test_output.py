@@ -59,6 +59,7 @@ def lines(folder) -> dict[str, list[str]]:
         "compare": ["compare", "--help"],
         "rescore": ["rescore", str(folder)],
         "import": ["import", "--help"],
+        **{name: [name, "--help"] for name in ("view", "video", "strips")},
         "benchmark": ["benchmark", "show"],
         "version": ["--version"],
     }

@@ -3,10 +3,14 @@
 Writes docs/pictures/view_*.png: pages that `r2h-batch view --html` writes, as headless Chromium shows them.
 """
 
+import base64
+import json
 import shutil
 import subprocess
 import sys
 import tempfile
+import time
+import urllib.request
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,13 +31,37 @@ def shoot(browser: str, page: Path, png: Path, seconds: float) -> None:
     subprocess.run(line, check=True, capture_output=True, timeout=300)
 
 
+def shoot_live(browser: str, address: str, png: Path, seconds: float) -> None:
+    """The same of a page that talks to a server, after so many seconds of ours."""
+    from websockets.sync.client import connect
+
+    line = [browser, *FLAGS, f"--window-size={SIZE[0]},{SIZE[1]}", "--remote-debugging-port=9339"]
+    with subprocess.Popen([*line, "--remote-allow-origins=*", address], stderr=subprocess.DEVNULL) as process:
+        try:
+            time.sleep(seconds)
+            with urllib.request.urlopen("http://127.0.0.1:9339/json") as answer:
+                page = next(tab for tab in json.load(answer) if tab["type"] == "page")
+            with connect(page["webSocketDebuggerUrl"], max_size=None) as talk:
+                talk.send(json.dumps({"id": 1, "method": "Page.captureScreenshot"}))
+                told = next(m for m in map(json.loads, talk) if m.get("id") == 1)
+            png.write_bytes(base64.b64decode(told["result"]["data"]))
+        finally:
+            process.terminate()
+
+
+def keep(png: Path, about: str) -> None:
+    """Packs a picture into docs/pictures."""
+    import imageio.v3 as imageio
+
+    imageio.imwrite(OUT / png.name, imageio.imread(png)[..., :3], optimize=True)
+    print(OUT / png.name, about)
+
+
 def main() -> None:
     """All of them."""
     browser = shutil.which("chromium") or shutil.which("google-chrome")
     if browser is None:
         sys.exit("pictures: install chromium (Debian: apt-get install chromium)")
-    import imageio.v3 as imageio
-
     OUT.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
@@ -46,9 +74,14 @@ def main() -> None:
             page, png = Path(folder) / f"{name}.html", Path(folder) / f"{name}.png"
             command("view", str(run), "--method", *methods, "--trial", trial, "--html", str(page))
             shoot(browser, page, png, seconds)
-            picture = imageio.imread(png)[..., :3]
-            imageio.imwrite(OUT / f"{name}.png", picture, optimize=True)
-            print(OUT / f"{name}.png", f"{page.stat().st_size / 1e6:.1f} MB page")
+            keep(png, f"{page.stat().st_size / 1e6:.1f} MB page")
+        from r2h_batch.export.stored import Reader
+        from r2h_batch.view.server import Viewer
+
+        viewer = Viewer(Reader(run), ["random"], trial=16)
+        shoot_live(browser, viewer.address, Path(folder) / "view_live.png", 25.0)
+        viewer.stop()
+        keep(Path(folder) / "view_live.png", "live")
 
 
 if __name__ == "__main__":

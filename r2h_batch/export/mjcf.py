@@ -21,7 +21,16 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Robot
 from r2h_batch.config import ExecConfig, Thresholds, Workplace
-from r2h_batch.export.mjcf_parts import MARK, MESHES, add_gripper_shapes, add_marks, convex, mesh_geom, visual
+from r2h_batch.export.mjcf_parts import (
+    MARK,
+    MESHES,
+    add_gripper_shapes,
+    add_marks,
+    add_receiver,
+    convex,
+    mesh_geom,
+    visual,
+)
 from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, add_arm, add_body, add_gripper, new_spec, quat_wxyz
 from r2h_batch.scene.model_parts import COLLISION, COLORS, SEEN_CENTER, VISUAL, add_primitive, look
 from r2h_batch.scene.tables import TABLE_FROM_LINK, Hands
@@ -52,6 +61,7 @@ class TrialBodies:
     width_m: float | None = None  # None: nothing between the pads
     thresholds: Thresholds = field(default_factory=Thresholds)
     workplace: Workplace = field(default_factory=Workplace)
+    receiver: Array | None = None  # (5, 4) as in Trials.receiver
 
 
 def trial_spec(
@@ -73,6 +83,8 @@ def trial_spec(
     _add_hand(spec, hands, trial)
     _add_exclusions(spec, robot)
     add_marks(spec, robot, hands, trial, gripper)
+    if trial.receiver is not None:
+        add_receiver(spec, trial.receiver)
     for name, at in CAMERAS.items():
         spec.worldbody.add_camera(name=name, pos=at, quat=_towards(np.subtract(SEEN_CENTER, at)), fovy=45.0)
     for name, q in keyframes:

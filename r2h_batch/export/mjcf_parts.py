@@ -33,6 +33,7 @@ _SEEN: dict[str, Any] = {"contype": 0, "conaffinity": 0, "mass": 0.0}
 COLORS_OF_MARKS = {
     "region": (0.95, 0.62, 0.10, 1.0), "ball": (0.20, 0.65, 0.35, 0.25), "target": (0.55, 0.20, 0.75, 0.35),
     "palm": (0.20, 0.65, 0.35, 1.0), "fingers": (0.9, 0.3, 0.2, 0.4),
+    "receiver": (0.55, 0.62, 0.66, 1.0),
 }  # fmt: skip
 
 
@@ -168,6 +169,26 @@ def _add_target(spec: mujoco.MjSpec, robot: Robot, trial: "TrialBodies") -> None
     _add_gripper_visuals(spec, inner, robot, trial.opening_m, "target/", ghost)
     T_ee_obj = np.asarray(np.linalg.inv(trial.T_obj_ee), np.float64)
     mesh_geom(spec, body, "target/mesh_visual", "object_mesh", trial.object.mesh, "target", T=T_ee_obj, **ghost)
+
+
+def add_receiver(spec: mujoco.MjSpec, receiver: Array) -> None:
+    """The receiver's arm and torso (`Trials.receiver`, (5, 4)), where the protocol has one: only seen, no verdict asks them."""
+    body = spec.worldbody.add_body(name="receiver")
+    shoulder, elbow, wrist = receiver[:3, :3]
+    for name, a, b, radius in (
+        ("upper_arm", shoulder, elbow, receiver[0, 3]),
+        ("forearm", elbow, wrist, receiver[1, 3]),
+    ):
+        body.add_geom(
+            name=f"receiver/{name}_visual", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[radius, 0, 0],
+            group=VISUAL, rgba=COLORS_OF_MARKS["receiver"], **_SEEN,
+        )  # fmt: skip
+    middle, half, x, y = receiver[3, :3], receiver[4, :3], receiver[3, 3], receiver[4, 3]
+    turn = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
+    body.add_geom(
+        name="receiver/torso_visual", type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, quat=quat_wxyz(turn), size=half,
+        group=VISUAL, rgba=COLORS_OF_MARKS["receiver"], **_SEEN,
+    )  # fmt: skip
 
 
 def _finger_sites(body: mujoco.MjsBody, robot: Robot, prefix: str, poses: Array) -> None:

@@ -100,7 +100,7 @@ def judge_again(evaluator: Evaluator, trial: Trials, answer: Predictions) -> Aga
         q, clearance = np.array(path[0]["q"][-1], np.float64), float(scores.margin[0, CRITERIA.index("plan")])
     else:
         posed = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, stages="pose")
-        q, clearance = posed.q_goal[0].double().numpy(), float(posed.margin[0, CRITERIA.index("plan")])
+        q, clearance = posed.q_goal[0].double().cpu().numpy(), float(posed.margin[0, CRITERIA.index("plan")])
     return Again(row, path[0] if path else None, q, clearance, scores)
 
 

@@ -49,6 +49,7 @@ class StoredTrial:
     object_model: Any
     hand_set: Any = None  # None: the built-in one
     workplace: Workplace = field(default_factory=Workplace)
+    receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
     asked_q: Array | None = None  # (6,) posture at the target, or the nearest to it; None: q[-1]
     asked_clearance_m: float | None = None  # of that posture, where there is no path
     note: str = ""  # where what was computed again is not what is stored
@@ -155,18 +156,19 @@ def load_trial(
 
 def stored_trial(
     header: dict[str, Any], method: str, row: dict[str, Any], path: dict[str, Any] | None, trial: Trials,
-    answer: Predictions, benchmark: Benchmark,
+    answer: Predictions, benchmark: Any,
 ) -> StoredTrial:  # fmt: skip
-    """A trial from its rows, one row of trials and the answer that was scored."""
-    T_obj_ee, T_world_ee = (_orthonormal(T[0].numpy()) for T in (answer.T_obj_ee, answer.T_world_ee))
+    """A trial from its rows, one row of trials and the answer that was scored; of the benchmark objects, hand_set, workplace."""
+    T_obj_ee, T_world_ee = (_orthonormal(T[0].cpu().numpy()) for T in (answer.T_obj_ee, answer.T_world_ee))
     attached = T_obj_ee.copy()
     attached[:3, 3] += T_obj_ee[:3, 1] * np.float32(row["grasp_shift_m"])
     q = np.array(path["q"], np.float64) if path else np.array([benchmark.workplace.home_q])
     time_s = np.array(path["time_s"], np.float64) if path else np.zeros(1)
     executed_q = np.array(path["executed_q"], np.float64) if path and path["executed_q"] else None
     return StoredTrial(
-        header, method, row, T_obj_ee, attached, T_world_ee, _orthonormal(trial.T_world_hand[0].numpy()), q, time_s,
+        header, method, row, T_obj_ee, attached, T_world_ee, _orthonormal(trial.T_world_hand[0].cpu().numpy()), q, time_s,
         executed_q, benchmark.objects[int(trial.object_index[0])], benchmark.hand_set, benchmark.workplace,
+        None if trial.receiver is None else trial.receiver[0].double().cpu().numpy(),
     )  # fmt: skip
 
 

@@ -39,7 +39,7 @@ def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
         stored.object_model, configuration["plan"]["object_collision"], stored.row["hand_index"],
         stored.T_obj_ee_attached, stored.T_world_hand, float(stored.row["opening_m"]), stored.T_world_ee,
         float(stored.row["grasp_shift_m"] or 0.0), stored.row["width_m"],
-        Thresholds(**configuration["thresholds"]), stored.workplace,
+        Thresholds(**configuration["thresholds"]), stored.workplace, stored.receiver,
     )  # fmt: skip
     goal = [("goal", stored.q[-1])] if stored.moves else []
     keyframes = [("home", np.array(stored.workplace.home_q)), *goal, ("target", stored.target_q)]

@@ -4,9 +4,10 @@ import errno
 import os
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, lru_cache
 from typing import Any
 
@@ -26,8 +27,36 @@ CHUNK = 32
 def init_warp() -> None:
     """Starts Warp without its banner (stdout is for results)."""
     wp.config.log_level = wp.LOG_WARNING
-    wp.init()
+    _start()
     _room_to_compile(wp.config.kernel_cache_dir or "")
+
+
+NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
+"""What Warp's library writes to the process' stderr on a machine without a GPU: no news to whoever uses a CPU."""
+
+
+@lru_cache(maxsize=1)
+def _start() -> None:
+    """Starts Warp once; of what its library writes to stderr meanwhile, all but NO_DRIVER is passed on."""
+    if torch.cuda.is_available():
+        wp.init()
+        return
+    try:
+        before = os.dup(2)
+    except OSError:  # stderr is closed
+        wp.init()
+        return
+    with tempfile.TemporaryFile() as kept:
+        os.dup2(kept.fileno(), 2)
+        try:
+            wp.init()
+        finally:
+            os.dup2(before, 2)
+            os.close(before)
+            kept.seek(0)
+            said = b"".join(line for line in kept if not line.startswith(NO_DRIVER))
+            with suppress(OSError):
+                os.write(2, said)
 
 
 @lru_cache(maxsize=1)

@@ -1,5 +1,6 @@
 """Robot, gripper, hands, objects and table as tables on a device: what every stage's kernels read."""
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,6 +27,7 @@ from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tables
 from r2h_batch.scene.model import SceneModel, scene_model
 from r2h_batch.scene.tables import Hands, WorldTables
+from r2h_batch.shown import counted, html_table
 
 
 class Scene:
@@ -50,6 +52,22 @@ class Scene:
             raise ValueError("a scene needs at least one object; objects is empty")
         hand_set = hand_set or load_hand_set()
         self.hands = Hands.posed(hand_set.model, hand_set)
+
+    @property
+    def about(self) -> str:
+        """Device, objects and hands in a few words."""
+        splits = Counter(o.split for o in self.objects)
+        kinds = ", ".join(f"{n} of {s}" for s, n in sorted(splits.items()))
+        return (
+            f"{self.device}, {counted(len(self.objects), 'object')} ({kinds}), {counted(len(self.hands.set), 'hand')}"
+        )
+
+    def __repr__(self) -> str:
+        return f"Scene({self.about})"
+
+    def _repr_html_(self) -> str:
+        rows = [(str(i), o.name, o.split, o.instruction) for i, o in enumerate(self.objects)]
+        return html_table(repr(self), ("index", "object", "split", "instruction"), rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Rebuilt from its configuration: tables on a device do not travel. What is built in goes by name."""

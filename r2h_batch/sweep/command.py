@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.command_line import answer, place, refuse, tell
+from r2h_batch.command_line import answer, note, place, refuse, tell, telling
 from r2h_batch.sweep.options import METHODS, Options, UsageError, parse
 
 if TYPE_CHECKING:  # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
@@ -57,6 +58,11 @@ def stop_signals() -> Iterator[Callable[[], bool]]:
 
 def run(options: Options, stopping: Callable[[], bool] = lambda: False) -> int:
     """Score every job's shards, print the table of the whole run folder once it is complete."""
+    with telling(quiet=options.quiet, verbose=options.verbose) as log_to:
+        return _run(options, stopping, log_to)
+
+
+def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path], None]) -> int:
     from importlib.util import find_spec
 
     from r2h_batch.results.manifest import RunError
@@ -73,13 +79,17 @@ def run(options: Options, stopping: Callable[[], bool] = lambda: False) -> int:
         options = replace(options, out=os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S")))
         files = sweep_jobs.load_files(options)
         sweep_jobs.resolve(options)
+        start = time.perf_counter()
         setting = sweep_jobs.prepare(options)
+        note(f"ready in {time.perf_counter() - start:.1f} s: {setting.evaluator!r}, {setting.planned} trials")
         jobs = sweep_jobs.make_jobs(options, files, setting)
         for line in (line for job in jobs for line in job.cannot):
             tell(line)
         out, folder = _open(options, setting, jobs)
+        log_to(folder.folder / _of_part("log.txt", options))
         for job in jobs:
             folder.register(job.name, job.source)
+            note(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")
     except (UsageError, ClusterError, ValueError, ImportError) as error:
         return refuse("sweep", error, 2)
     try:
@@ -102,7 +112,7 @@ def _score(
 
     for line in mark_for_rerun(folder.folder, folder.header):
         tell(line)
-    log = Log(folder.folder / ("progress.json" if options.part[1] == 1 else f"progress-{options.part[0]}.json"))
+    log = Log(folder.folder / _of_part("progress.json", options))
     if options.engine == "ray":
         from r2h_batch.sweep.cluster import score_on_ray
 
@@ -113,10 +123,14 @@ def _score(
     return 2 if refused else code
 
 
+def _of_part(name: str, options: Options) -> str:
+    """The file that this part of a sweep has for itself: progress.json, or progress-3.json of part 3."""
+    stem, _, ending = name.partition(".")
+    return name if options.part[1] == 1 else f"{stem}-{options.part[0]}.{ending}"
+
+
 def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "tuple[str, RunFolder]":
     """The run folder of the options: new, or the one to go on with."""
-    from pathlib import Path
-
     from r2h_batch.results.manifest import RunError
     from r2h_batch.results.writing import open_run
     from r2h_batch.sweep.engine import shard_size

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from r2h_batch.command_line import refuse, tell
+from r2h_batch.command_line import note, refuse, tell
 from r2h_batch.results.manifest import SHARD_TRIALS, Shard
 from r2h_batch.results.rows import detail_rows, failure_rows, missing_rows, path_rows, pose_rows, score_rows
 from r2h_batch.results.writing import TRIES, RunFolder, ShardWriter
@@ -87,8 +87,10 @@ def _score_job(
                     folder.quarantine(job.name, shard, [what])
                     tell(f"{job.name}: shard {shard.index}: {what}")
                 elif mine:
+                    start = time.perf_counter()
                     with folder.attempt(job.name, shard), folder.write(job.name, shard) as writer:
                         score_shard(job, shard, writer, setting, chunk_of(options, setting), stopping, advance)
+                    note(f"{job.name}: shard {shard.index} stored after {time.perf_counter() - start:.1f} s")
                 else:
                     left.append(shard)
         if stopping():

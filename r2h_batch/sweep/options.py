@@ -108,6 +108,10 @@ class Options:
     """Store the poses, as is the default: for command lines from before it was."""
     save_paths: bool = False
     """Also store waypoints and times of every trial, its details and its poses: all that r2h_batch.scene needs."""
+    quiet: bool = False
+    """Say nothing on stderr but what went wrong, whatever --verbose says."""
+    verbose: bool = False
+    """Say more on stderr: what is made ready, and every shard. log.txt in the run folder has it always."""
     threads: int | None = None
     """CPU threads; all cores unless given."""
     allow_empty_candidates: bool = False

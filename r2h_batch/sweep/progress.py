@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import is_quiet, tell
 
 LOG_EVERY_S = 5.0
 
@@ -47,7 +47,7 @@ def progress(
         if log is not None:
             log.say(name, done, total, time.perf_counter() - start)
 
-    if sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb":
+    if sys.stderr.isatty() and not is_quiet() and os.environ.get("TERM", "dumb") != "dumb":
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

@@ -58,7 +58,8 @@ class Captured:
                     _copy(name, mine, given)
             if trials is not None:
                 for f in fields(Trials):
-                    _copy(f"trials.{f.name}", getattr(self.trials, f.name), getattr(trials, f.name))
+                    if (mine := getattr(self.trials, f.name)) is not None:  # the receiver's body decides nothing
+                        _copy(f"trials.{f.name}", mine, getattr(trials, f.name))
             if self._graph is not None:
                 self._graph.replay()
             else:

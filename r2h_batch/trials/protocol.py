@@ -85,7 +85,7 @@ def make_trials(
             raise ValueError("benchmark says objects, hands and limits; give it alone, or the others without it")
         found = read_benchmark(benchmark) if isinstance(benchmark, (str, Path)) else benchmark
         if found.listed is not None:
-            return _listed(found.listed, splits, operator.index(trials))
+            return _listed(found.listed, splits, operator.index(trials)).named(found.objects)
         objects, hand_set, config, protocol = found.objects, found.hand_set, found.config(), protocol or found.drawn
     plan = dict.fromkeys(splits, operator.index(trials))
     ids = trial_ids(plan, 0, sum(plan.values()))
@@ -103,7 +103,7 @@ def _listed(listed: Trials, splits: Sequence[str], trials: int) -> Trials:
 def trials_of(benchmark: Benchmark, trial_id: Int64[Tensor, " n"]) -> Trials:
     """The trials of these ids in a benchmark, in this order."""
     if benchmark.listed is not None:
-        return listed_with_ids(benchmark.listed, trial_id)
+        return listed_with_ids(benchmark.listed, trial_id).named(benchmark.objects)
     return trials_with_ids(
         trial_id,
         objects=benchmark.objects,
@@ -150,7 +150,7 @@ def trials_with_ids(
         hand_index=torch.from_numpy(hand_index.astype(np.int32)),
         T_world_hand=torch.from_numpy(T_world_hand),
         receiver=torch.from_numpy(receiver) if with_body else None,
-    )
+    ).named(objects)
 
 
 def trials_digest(trials: Trials, *, objects: Sequence[ObjectModel] | None = None) -> str:

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 MARKS = ("target", "region", "ball", "palm", "width", "witness")
 """What can be shown and hidden: see `Drawn.marks`."""
-STANDING = ("world", "table", "hand", "target", "target_gripper")
+STANDING = ("world", "table", "hand", "target", "target_gripper", "receiver")
 LIFT_M = 4e-4
 """The region is drawn this far outside of the object's surface, that both are not seen at once."""
 
@@ -187,6 +187,8 @@ def look_at(server: Any, stage: Stage, aside: float = 0.0) -> None:
     azimuth = 180.0 if aside else camera.azimuth  # two trials stand beside each other along y
     a, e = np.radians([azimuth, camera.elevation - 6.0])
     back = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    right = np.array([np.sin(a), -np.cos(a), 0.0])
+    at = at + (0.22 + 0.15 * aside) * right  # the panel stands on the right
     server.initial_camera.fov = np.radians(45.0)
     server.initial_camera.look_at = at
     server.initial_camera.position = at - (1.75 + 0.7 * aside) * back

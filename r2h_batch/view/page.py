@@ -73,8 +73,7 @@ def hidden_server() -> Iterator[Any]:
     try:
         yield server
     finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server.stop()
+        stop_server(server)
 
 
 def new_server(port: int) -> Any:
@@ -85,6 +84,12 @@ def new_server(port: int) -> Any:
         raise UsageError("looking at trials needs viser: pip install 'r2h_batch[view]'") from None
     with contextlib.redirect_stdout(io.StringIO()):  # its banner; what is printed here are answers
         return viser.ViserServer(host="127.0.0.1", port=port or _free_port(), verbose=False)
+
+
+def stop_server(server: Any) -> None:
+    """Ends a server without a word on stdout, which is for answers."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        server.stop()
 
 
 def _free_port() -> int:

@@ -14,7 +14,7 @@ from r2h_batch.export.stored import ExportError, Reader
 from r2h_batch.results.reading import RunError
 from r2h_batch.view.choose import ANY, ORDERS, Filter, chosen, words_of
 from r2h_batch.view.draw import MARKS, Drawn, look_at, prepare
-from r2h_batch.view.page import APART_M, new_server
+from r2h_batch.view.page import APART_M, new_server, stop_server
 from r2h_batch.view.words import as_markdown, in_brief
 
 LISTED = 500
@@ -54,7 +54,7 @@ class Viewer:
     def stop(self) -> None:
         """Ends `run` and the server."""
         self.ended.set()
-        self.server.stop()
+        stop_server(self.server)
 
     def run(self) -> None:
         """Plays while `play` is ticked, in real time times the speed, until `stop` or an interrupt."""
@@ -78,6 +78,7 @@ class Viewer:
             self.count = gui.add_markdown("")
             self.list = gui.add_dropdown("trial", ["none"], initial_value="none")
             self.before, self.after = gui.add_button("previous"), gui.add_button("next")
+        self.words = gui.add_markdown("")
         with gui.add_folder("Motion"):
             self.kind = gui.add_dropdown("motion", ["executed", "planned"], initial_value="executed")
             self.slider = gui.add_slider("time, s", 0.0, 10.0, 0.01, 0.0)
@@ -85,7 +86,6 @@ class Viewer:
             self.speed = gui.add_dropdown("speed", ["0.25", "0.5", "1", "2", "4"], initial_value="1")
         with gui.add_folder("Shown"):
             self.shown = {mark: gui.add_checkbox(mark, True) for mark in MARKS}
-        self.words = gui.add_markdown("")
         for control in (self.method, self.object, self.outcome, self.reason, self.order, self.below):
             control.on_update(lambda _: self._filter())
         for control in (self.list, self.beside, self.kind):

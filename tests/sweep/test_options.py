@@ -49,6 +49,8 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         format="csv",
         protocol="r2h-v1",
         save_details=True,
+        quiet=True,
+        verbose=True,
         no_poses=True,
         save_poses=True,
         save_paths=True,

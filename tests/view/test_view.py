@@ -231,3 +231,23 @@ def test_a_page_draws_its_scene_in_a_browser_without_server_or_network(reader, t
     spread = picture.max(-1) - picture.min(-1)
     assert (spread[:, :420] > 60).mean() > 0.002, "nothing coloured is drawn: object, hand, red bodies"
     assert json.dumps(picture.shape) == "[480, 640, 3]"
+
+
+def test_a_receiver_with_a_body_is_drawn_where_the_protocol_has_it(reader):
+    from dataclasses import replace
+
+    from r2h_batch import make_trials
+
+    receiver = make_trials("S0", 1, protocol="r2h-v1").receiver[0].double().numpy()
+    model = Stage(replace(reader.trial(1, "oracle"), receiver=receiver)).model
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for name, a, b in (("upper_arm", 0, 1), ("forearm", 1, 2)):
+        geom = model.geom(f"receiver/{name}_visual")
+        ends = data.geom(geom.id).xpos + np.outer([-1, 1], data.geom(geom.id).xmat.reshape(3, 3)[:, 2] * geom.size[1])
+        assert np.abs(np.sort(ends, 0) - np.sort(receiver[[a, b], :3], 0)).max() < 1e-6
+        assert geom.size[0] == pytest.approx(receiver[a, 3]) and geom.contype == 0
+    torso = data.geom("receiver/torso_visual")
+    facing = torso.xmat.reshape(3, 3)[:, 0]
+    np.testing.assert_allclose(facing, [receiver[3, 3], receiver[4, 3], 0], atol=1e-6)
+    np.testing.assert_allclose(torso.xpos, receiver[3, :3], atol=1e-9)
