@@ -26,6 +26,7 @@ from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import SIDES, SPLITS
 
 if TYPE_CHECKING:
+    from r2h_batch.bodies.objects import ObjectModel
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.predictors import Seen
@@ -82,7 +83,7 @@ def prepare(options: Options) -> Setting:
     """The setting that the options describe."""
     import platform
 
-    from r2h_batch.bodies.objects import is_built_in, object_digest
+    from r2h_batch.bodies.objects import object_digest
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 
@@ -112,7 +113,7 @@ def prepare(options: Options) -> Setting:
             "step_s": config.execute.step_s if config.execute.sim != "none" else None,
             "sample_s": config.execute.step_s * config.execute.record_steps if config.execute.sim != "none" else None,
         },
-        "objects": [{"name": o.name, "split": o.split, "built_in": is_built_in(o)} for o in objects],
+        "objects": [_said_of(o) for o in objects],
         "hands": [SIDES[s] for s in evaluator.scene.hands.set.side.tolist()],
         "benchmark": {"flags": given.flags()},
         "seed": options.seed,
@@ -130,6 +131,14 @@ def prepare(options: Options) -> Setting:
         return torch.from_numpy(trial_ids(plan, first, last))
 
     return Setting(evaluator, header, ids, partial(trials_of, benchmark))
+
+
+def _said_of(model: "ObjectModel") -> dict[str, Any]:
+    """What run.json says of an object: a repaired mesh with what was done, and what came of it."""
+    from r2h_batch.bodies.objects import is_built_in
+
+    said = {"name": model.name, "split": model.split, "built_in": is_built_in(model)}
+    return said if model.repair is None else {**said, "repair": asdict(model.repair)}
 
 
 def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:

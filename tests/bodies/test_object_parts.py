@@ -8,6 +8,7 @@ import trimesh
 
 from r2h_batch.benchmark.given import Given
 from r2h_batch.bodies import objects
+from r2h_batch.bodies.given.kept_object import key_of
 from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.objects import ObjectMeshError, build_object, is_built, object_digest, object_from_argument
 from r2h_batch.files import FileError
@@ -59,6 +60,9 @@ def test_nodes_of_a_glb_are_parts_where_they_stand(tmp_path):
     )
     scene.add_geometry(block(0.0, 0.08), node_name="tip")
     scene.export(tmp_path / "tool.glb")
+    assert key_of(tmp_path / "tool.glb", {}) is not None
+    (tmp_path / "two.glb").write_bytes((tmp_path / "tool.glb").read_bytes().replace(b'"byteLength"', b'"uri"      ', 1))
+    assert key_of(tmp_path / "two.glb", {}) is None, "names another file: its own bytes do not say what it holds"
     model = build_object(tmp_path / "tool.glb", split="S1", receiver="grip", pieces=False)
     assert set(model.part_names) == {"grip", "tip"}
     assert model.mesh.bounds[:, 0] == pytest.approx((-0.1, 0.08), abs=1e-6)

@@ -18,7 +18,9 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("R2H_BATCH_CACHE", "off")
     (tmp_path / "meshes").mkdir()
     for name, radius in (("stick", 0.012), ("ball", 0.06)):
-        trimesh.creation.capsule(height=0.1, radius=radius, count=[12, 12]).export(tmp_path / "meshes" / f"{name}.ply")
+        mesh = trimesh.creation.capsule(height=0.1, radius=radius, count=[12, 12])
+        mesh.faces = mesh.faces[name == "stick" :]  # the stick misses a face
+        mesh.export(tmp_path / "meshes" / f"{name}.ply")
     (cup,) = load_objects(["cup"])
     found, held = candidates.candidates_of((cup,))[0].rows(slice(0, 10)), receiving.load_receiving([cup])
     hold = {k: getattr(held, k)[1:32].numpy() for k in receiving.FIELDS}
@@ -42,6 +44,9 @@ def test_what_was_found_is_enough_and_the_side_without_holds_fails_that_method_o
         assert sweep(folder, "--method", "random", "contact") == 0
     said = capsys.readouterr().err
     assert said.count("contact: no left hand was found that can hold") == 2 and "random: no " not in said
+    ball, stick = load_run(folder / "run").header["objects"]
+    assert stick["repair"]["steps"] == ["filled 1 holes"] and "repair" not in ball
+    assert stick["repair"]["volume_given_m3"] is None and 0 <= stick["repair"]["moved_m"] < 1e-3
     names = load_run(folder / "run").methods
     contact = next(n for n in names if n.startswith("Contact"))
     assert set(outcomes(folder, "random").values()) == {False}

@@ -26,12 +26,15 @@ SAID = "warnings"
 
 def key_of(mesh: object, options: Mapping[str, Any]) -> str | None:
     """sha256 (hex) over a mesh file's bytes, the options and the code; None for what is not one file: a mesh in memory, a
-    .gltf, which names others."""
-    if not isinstance(mesh, (str, Path)) or Path(mesh).suffix.lower() == ".gltf":
+    .gltf or .glb that names others."""
+    if not isinstance(mesh, (str, Path)):
         return None
     digest = hashlib.sha256(Path(mesh).suffix.lower().encode())
     try:
-        digest.update(read_file(mesh, MOST_BYTES))
+        data = read_file(mesh, MOST_BYTES)
+        if Path(mesh).suffix.lower() in (".gltf", ".glb") and b'"uri"' in data:
+            return None
+        digest.update(data)
         for name, value in options.items():
             if isinstance(value, (str, Path)) and str(value).endswith(".npy"):
                 value = hashlib.sha256(read_file(value, MOST_BYTES)).hexdigest()
