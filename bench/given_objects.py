@@ -1,4 +1,6 @@
-"""Somebody's meshes through build, grasps and every method: `python bench/given_objects.py DIR [--json OUT] [--trials N]`.
+"""Somebody's meshes through build, grasps and every method: `python bench/given_objects.py DIR [--json OUT]`.
+
+`--trials N` of each object (20), `--methods A,B` or none (all).
 
 Measured: CPU seconds (all threads of the process) of the build without and with the convex decomposition and of the grasp
 candidates, with nothing kept on disk; what the repair changed; how many receiving grasps were found; and how many of N
@@ -10,6 +12,7 @@ import os
 import sys
 import time
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +22,7 @@ METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
 
 
-def measure(path: Path, trials: int) -> dict[str, Any]:
+def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
     """The figures of one mesh file."""
     from r2h_batch import Evaluator, make_trials
     from r2h_batch.bodies.given.convex import convex_pieces
@@ -36,28 +39,29 @@ def measure(path: Path, trials: int) -> dict[str, Any]:
     built = time.process_time()
     convex_pieces(model.mesh, model.name)
     decomposed = time.process_time()
-    grasps = candidates_of((model,))[0]
-    sampled = time.process_time()
     row: dict[str, Any] = {
         "object": path.stem,
         "faces": len(model.faces),
         "build_cpu_s": round(built - start, 2),
         "pieces_cpu_s": round(decomposed - built, 2),
-        "grasps_cpu_s": round(sampled - decomposed, 2),
-        "grasps": len(grasps),
         "volume_cm3": round(1e6 * float(model.mesh.volume), 2),
     }
     if model.repair:
         given = model.repair.volume_given_m3
         row |= {"steps": list(model.repair.steps), "moved_mm": round(1e3 * model.repair.moved_m, 3)}
         row["volume_change"] = None if not given else round(model.repair.volume_m3 / given - 1, 4)
-    if not len(grasps):
+    if not methods:
+        return row
+    begin = time.process_time()
+    row["grasps"] = len(candidates_of((model,))[0])
+    row["grasps_cpu_s"] = round(time.process_time() - begin, 2)
+    if not row["grasps"]:
         return row
     evaluator = Evaluator(objects=[model])
     asked = make_trials(["S0"], trials, objects=[model])
 
     setting = Setting(evaluator, {}, lambda first, last: asked.trial_id[first:last], lambda ids: asked)
-    for method in METHODS:
+    for method in methods:
         begin = time.process_time()
         (job,) = make_jobs(Options(method=(method,)), [], setting)
         answer = job.predict(asked, None)
@@ -78,7 +82,8 @@ def table(rows: list[dict[str, Any]], trials: int) -> str:
             continue
         change = r.get("volume_change")
         cells = [r["object"], r["faces"], f"{r['build_cpu_s']} s", f"{r['pieces_cpu_s']} s"]
-        cells += [f"{r['grasps']} in {r['grasps_cpu_s']} s", "" if change is None else f"{100 * change:+.2f} %"]
+        cells.append(f"{r['grasps']} in {r['grasps_cpu_s']} s" if "grasps" in r else "-")
+        cells.append("" if change is None else f"{100 * change:+.2f} %")
         cells += [
             f"{r['moved_mm']} mm" if "moved_mm" in r else "as given",
             *(f"{r.get(m, '-')}/{trials}" for m in METHODS),
@@ -92,11 +97,13 @@ def main(arguments: list[str]) -> int:
     words = list(arguments)
     out = Path(words.pop(words.index("--json") + 1)) if "--json" in words else None
     trials = int(words.pop(words.index("--trials") + 1)) if "--trials" in words else 20
+    chosen = words.pop(words.index("--methods") + 1) if "--methods" in words else ",".join(METHODS)
+    methods = [m for m in chosen.split(",") if m != "none"]
     (folder,) = [Path(w) for w in words if not w.startswith("--")]
     warnings.simplefilter("ignore")
     rows = []
     for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
-        rows.append(measure(path, trials))
+        rows.append(measure(path, trials, methods))
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
         if out is not None:
             out.write_text(json.dumps({"trials": trials, "objects": rows}, indent=1) + "\n")
