@@ -23,6 +23,11 @@ from _report import ROOT, hardware
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
 OWN = {"FC": "FC-Handover", "VA": "Handover-VA", "Contact": "Contact-Handover", "Intent": "Intent-Handover"}
 
+FINGERS = {
+    "r2h-v0": "The protocol leaves a hand's roll free: fingers that point away from the robot ask FC- and Intent-Handover, which"
+    " oppose the gripper to them, for poses that no arm on this side takes.",
+    "r2h-v1": "The hand follows from a reaching arm (docs/receivers.md): few fingers point away from the robot.",
+}
 Cells = Callable[[str, str, str], float]
 
 
@@ -70,7 +75,7 @@ def finger_lines(run) -> list[str]:
 
     scene, tip = Scene(), 1
     ids = np.array(run.trials(run.methods[0])["trial_id"])
-    trials = trials_with_ids(torch.from_numpy(ids))
+    trials = trials_with_ids(torch.from_numpy(ids), protocol=run.header["protocol"])
     hand = trials.hand_index.long()
     pointing = scene.hands.vertices[hand, int(scene.hands.model.tip_vertices[tip])] - scene.hands.joints[hand, 0]
     fingers = torch.einsum("nij,nj->ni", trials.T_world_hand[:, :3, :3], pointing).double().numpy()
@@ -85,7 +90,9 @@ def finger_lines(run) -> list[str]:
         rows = run.trials(method)
         failed = np.array(rows["outcome"].to_pylist()) == "plan"
         failed = failed[np.argsort(np.array(rows["trial_id"]))][np.argsort(np.argsort(ids))]
-        lines.append(f"| {method} | " + " | ".join(f"{100 * failed[m].mean():.1f}" for m in inside) + " |")
+        lines.append(
+            f"| {method} | " + " | ".join(f"{100 * failed[m].mean():.1f}" if m.any() else "-" for m in inside) + " |"
+        )
     return lines
 
 
@@ -143,9 +150,8 @@ def write(folder: Path, out: Path, name: str, title: str, line: list[str]) -> No
         "Point estimates of the four methods; whether two of them differ by more than chance says the intervals above.",
         "\n".join(finding_lines(cell)),
         "## Plan failures by where the receiver's fingers point",
-        "Angle between the true hand's direction (wrist to middle tip) and the horizontal direction to the robot. The"
-        " protocol leaves a hand's roll free: fingers that point away from the robot ask FC- and Intent-Handover, which"
-        " oppose the gripper to them, for poses that no arm on this side takes.",
+        "Angle between the true hand's direction (wrist to middle tip) and the horizontal direction to the robot. "
+        + FINGERS[run.header["protocol"]],
         "\n".join(finger_lines(run)),
         "## By object",
         object_lines(run).rstrip(),
@@ -163,14 +169,19 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
     parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="where the two run folders are")
+    parser.add_argument("--only", nargs="*", default=(), help="names of tables; all unless given")
     given, more = parser.parse_known_args()
-    for name, title, noise, preset in (
-        ("table1", "Table I of r2h-v0", 1.0, "default"),
-        ("table1-exact", "Table I of r2h-v0, methods see the truth", 0.0, "default"),
-        ("table1-paper-preset", "Table I of r2h-v0, planned as the paper does", 1.0, "paper"),
+    for name, title, noise, preset, protocol in (
+        ("table1", "Table I of r2h-v0", 1.0, "default", "r2h-v0"),
+        ("table1-exact", "Table I of r2h-v0, methods see the truth", 0.0, "default", "r2h-v0"),
+        ("table1-paper-preset", "Table I of r2h-v0, planned as the paper does", 1.0, "paper", "r2h-v0"),
+        ("table1-v1", "Table I of r2h-v1", 1.0, "default", "r2h-v1"),
+        ("table1-v1-paper-preset", "Table I of r2h-v1, planned as the paper does", 1.0, "paper", "r2h-v1"),
     ):
+        if given.only and name not in given.only:
+            continue
         folder = given.runs / f"{name}-{given.trials}"
-        line = sweep(folder, given.trials, noise, ["--preset", preset, *more])
+        line = sweep(folder, given.trials, noise, ["--preset", preset, "--protocol", protocol, *more])
         write(folder, given.out, name, title, line)
 
 

@@ -14,6 +14,7 @@ from r2h_batch.judge.grasp_physics import DROPPED_M, close_in_physics
 from r2h_batch.judge.plan import Plan
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.judge import safe as safe_kernels
+from r2h_batch.kernels.judge.overlap import hand_overlap
 from r2h_batch.launch import launch_trials
 from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.scene import Placed, Scene
@@ -167,9 +168,9 @@ def safe(
 ) -> tuple[Criterion, Touch]:
     """Safe(g, h) <=> M_hand does not meet M_robot(g, h) over the motion: margin is the smallest distance over time.
 
-    Exact hand mesh against the robot's primitives, without the object; exact below 5 cm, a lower bound above, an overlap
-    bound below 0, all less what the motion may have been off the lines between its samples. Defined where there is a
-    motion. Touching fails.
+    Exact hand mesh against the robot's primitives, without the object; exact below 5 cm, a lower bound above, below 0 minus
+    the depth of the hand's deepest point in a primitive. All less what the motion may have been off the lines between its
+    samples. Defined where there is a motion. Touching fails.
     """
     b, device = len(active), active.device
     distance = torch.zeros(b, dtype=torch.float32, device=device)
@@ -192,6 +193,24 @@ def safe(
         device=scene.device,
         threads=threads,
         chunk=16,
+    )
+    # The search for the smallest distance stops asking how deep once bodies meet
+    meets = torch.nonzero((executed.length > 0) & active & (distance < 0)).flatten().to(torch.int32)
+    launch_trials(
+        hand_overlap,
+        len(meets),
+        inputs={
+            "world": scene.world,
+            "mesh": scene.hand_mesh,
+            "bodies": placed.bodies,
+            "row": meets,
+            "path": executed.path,
+            "length": executed.length,
+        },
+        outputs={"distance": distance, "body": body, "segment": segment, "fraction": fraction, "point": point},
+        device=scene.device,
+        threads=threads,
+        chunk=1,
     )
     # Between two samples the arm may be off the line by slack_m, so the distance along the lines is taken less that
     defined = active & (executed.length > 0)

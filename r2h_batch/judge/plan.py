@@ -9,6 +9,7 @@ from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
 from r2h_batch.judge.ik import home_posture
+from r2h_batch.kernels.judge.overlap import path_overlap
 from r2h_batch.kernels.plan import rrt
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.launch import launch_trials
@@ -28,7 +29,9 @@ class Plan:
     reason: Int32[Tensor, " b"]  # PlanReason
     pair: Int32[Tensor, " b"]  # CollidingPair that ruled a start or goal out, or that is nearest along the path
     body: Int32[Tensor, " b"]  # robot body of the nearest pair (Scene.part_names), -1: none below the cap
-    clearance_m: Float32[Tensor, " b"]  # smallest along the path over all pairs, exact below 5 cm; -inf without a path
+    # smallest along the path over all pairs, exact below 5 cm; of a sampled path that passes through something, minus the way
+    # out of the deepest overlap found; -inf without a path
+    clearance_m: Float32[Tensor, " b"]
     straight: Bool[Tensor, " b"]  # the path is one straight joint-space line
     path: Float32[Tensor, "b w 6"]
     length: Int32[Tensor, " b"]
@@ -83,6 +86,8 @@ def plan_paths(
     _search(run, home, goals, n_goals, margin, key, path, length, config, execute)
 
     least, pair, body = _least_clearance(run, path, length)
+    if moveit:  # sampled edges may pass through things
+        _measure_overlaps(run, scene, path, length, least, pair, body)
     reason = _reasons(active, start_clear, valid, n_goals, length)
     first_valid = valid.to(torch.int8).argmax(1)
     blocked_by = goal_pair[torch.arange(b, dtype=torch.int64, device=device), first_valid]
@@ -107,6 +112,26 @@ def _least_clearance(
         chunk=8,
     )
     return least, pair, body
+
+
+def _measure_overlaps(
+    run: "Planner",
+    scene: Scene,
+    path: Float32[Tensor, "b w 6"],
+    length: Int32[Tensor, " b"],
+    least: Float32[Tensor, " b"],
+    pair: Int32[Tensor, " b"],
+    body: Int32[Tensor, " b"],
+) -> None:
+    """Writes how deep the bodies meet on paths whose clearance is below 0, and which they are."""
+    rows = torch.nonzero((length > 0) & (least < 0)).flatten().to(torch.int32)
+    run(
+        path_overlap,
+        len(rows),
+        inputs={"hull_ball": scene.hull_balls, "row": rows, "path": path, "length": length},
+        outputs={"clearance": least, "pair": pair, "body": body},
+        chunk=1,
+    )
 
 
 def _reasons(

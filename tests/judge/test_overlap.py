@@ -1,0 +1,75 @@
+"""How deep things meet: paths that were only sampled, and motions that touch the hand, against dense float64 samples."""
+
+import numpy as np
+import pytest
+import torch
+from convex_twin import primitive_distance
+from oracle import Staged, hand_triangles, mujoco_scene, samples
+from problems import Problems, default_evaluator, make_batch, solve
+
+from r2h_batch.bodies.robot import Kind
+from r2h_batch.config import BORDERLINE_M, PlanConfig, Thresholds
+from r2h_batch.judge import metrics
+from r2h_batch.motion.execute import Executed
+
+SAMPLED = PlanConfig(goals="one", edge_check="moveit", hand_clearance_m=0.0)
+
+
+@pytest.fixture(scope="module")
+def sampled() -> Problems:
+    scene = default_evaluator().scene
+    return solve(scene, make_batch(scene, 256, random_share=0.3), SAMPLED)
+
+
+def staged(p: Problems, row: int) -> Staged:
+    t = p.batch.trials
+    return Staged(
+        int(t.object_index[row]), int(t.hand_index[row]), p.T_obj_ee_attached[row].double().numpy(),
+        t.T_world_hand[row].double().numpy(), float(p.opening_m[row]),
+    )  # fmt: skip
+
+
+def test_a_sampled_path_says_how_deep_it_passes_through_things(sampled):
+    plan, scene = sampled.plan, default_evaluator().scene
+    through = torch.nonzero((plan.length > 0) & (plan.clearance_m < 0)).flatten().tolist()
+    assert len(through) >= 10
+    deep, ratio = [], []
+    for row in through[:8]:
+        twin = mujoco_scene(scene, staged(sampled, row))
+        path = plan.path[row, : int(plan.length[row])].double().numpy()
+        found = min(twin.least(q)[0] for q in samples(path, 0.02))
+        said = float(plan.clearance_m[row])
+        # a body whose middle lies in another has no normal: there the bound is the radius of its inner ball, 3 mm or more;
+        # and depths of penetration solvers are rough
+        assert found < 2e-4 and said <= max(0.4 * found, -3e-3) + 2e-4, (row, said, found)
+        deep.append(found)
+        ratio.append(said / min(found, -1e-9))
+    assert min(deep) < -1e-3 and 0.7 < np.median(ratio) < 2.5
+    said = plan.clearance_m[through]
+    assert (said.abs() < BORDERLINE_M).float().mean() < 0.1  # -1e-6 for each of them before
+
+
+def test_safe_says_how_deep_the_hand_is_in_the_robot(sampled):
+    scene, plan = default_evaluator().scene, sampled.plan
+    n = len(plan.length)
+    free = torch.zeros(n)
+    moved = Executed(plan.path, plan.length, free, plan.length > 0, plan.length >= 0, free, free, plan.length, None)
+    safe, touch = metrics.safe(scene, sampled.placed, moved, torch.ones(n, dtype=torch.bool), Thresholds())
+    rows = torch.nonzero(safe.evaluated & (safe.margin < 0)).flatten().tolist()
+    assert len(rows) >= 2
+    for row in rows[:4]:
+        s = staged(sampled, row)
+        twin, triangles = mujoco_scene(scene, s), hand_triangles(scene, s)
+        i, f = int(touch.segment[row]), float(touch.fraction[row])
+        q = (1 - f) * plan.path[row, i].double().numpy() + f * plan.path[row, i + 1].double().numpy()
+        twin.safe_at(triangles, q)  # puts the model there
+        weights = np.array([[a, b, 8 - a - b] for a in range(9) for b in range(9 - a)]) / 8
+        points = np.einsum("wk,fkd->fwd", weights, triangles).reshape(-1, 3)
+        m, depth = twin.model, np.inf
+        for link in scene.robot.links:
+            for name in twin.groups[link]:
+                g = m.geom(name)
+                kind = {6: Kind.BOX, 5: Kind.CYLINDER}.get(int(g.type[0]), Kind.CAPSULE)
+                local = (points - twin.data.geom_xpos[g.id]) @ twin.data.geom_xmat[g.id].reshape(3, 3)
+                depth = min(depth, float(primitive_distance(kind, g.size, local).min()))
+        assert depth < 0 and float(safe.margin[row]) == pytest.approx(depth, abs=max(1.5e-4, 0.05 * abs(depth)))
