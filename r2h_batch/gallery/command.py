@@ -133,11 +133,9 @@ def figures(
         ready()
         from r2h_batch.gallery import paper
 
+        shown = stored.named(method[0]) if method else stored.methods[0]
         for name, (figure, said) in (
-            (
-                "protocol",
-                paper.protocol(stored, reader, stored.named(method[0]) if method else stored.methods[0], trial),
-            ),
+            ("protocol", paper.protocol(stored, reader, shown, trial)),
             ("methods", paper.methods_over_time(stored, reader, stored.methods, trial)),
             ("failures", paper.failures(stored, reader, stored.methods)),
         ):
