@@ -96,7 +96,10 @@ def without_slivers(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> t
         size = float(np.ptp(corners, axis=0).max())
         width = volumes[k, 1] / max(size, 1e-12)  # its two sides' area over its length: twice its mean width
         tiny = size < least or width < THINNEST_M
-        if tiny or (rest.within(_spread(corners), THINNEST_M)[1] >= 0).all():
+        spread = _spread(corners)
+        off = spread[rest.within(spread, THINNEST_M)[1] < 0] if not tiny else spread[:0]
+        # on the others, or within them, as the wall between two blocks that were drawn back to back
+        if not len(off) or (rest.signed(off)[0] < 0).all():
             slivers.append(k)
     if not slivers:
         return mesh

@@ -66,7 +66,9 @@ def _rebuilt_group(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> tr
         new, lost, gained = _contoured(mesh, surface, lattice, field, tick)
         how = f", open sheets made {2e3 * plate:.2f} mm thick"
     if new is None:
-        raise ObjectMeshError(f"{budget.label}: the surface encloses nothing; give a mesh of a solid")
+        raise ObjectMeshError(
+            f"{budget.label}: the surface encloses nothing that can be rebuilt; give a mesh of a solid"
+        )
     done.append(
         f"surface rebuilt from its distance field at {pitch * 1e3:.2f} mm{how}, "
         f"largest deviation {max(lost, gained) * 1e3:.2f} mm"
@@ -80,7 +82,10 @@ def _contoured(
     """The surface where the field is zero, how far the given one sticks out of it, and how far it is from that one."""
     if not (field > 0).any():
         return None, np.inf, 0.0
-    solid, _ = _simplified(lattice.solid(field), 0.02 * lattice.pitch, REBUILD_FACES, tick)
+    found = lattice.solid(field)
+    if found is None:
+        return None, np.inf, 0.0
+    solid, _ = _simplified(found, 0.02 * lattice.pitch, REBUILD_FACES, tick)
     new = _without_specks(_from_solid(solid), lattice.pitch)
     rng = np.random.Generator(np.random.Philox(key=7))
     face = rng.choice(len(mesh.faces), 20_000, p=mesh.area_faces / mesh.area)
