@@ -47,7 +47,10 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> 
     if name in COMMANDS:
         if arguments is None:
             sys.argv = [sys.argv[0], *given[1:]]  # run.json keeps the sweep's command line as the sweep would see it
-        return main_of(name)(given[1:], prog=f"{prog} {name}")
+        try:
+            return main_of(name)(given[1:], prog=f"{prog} {name}")
+        except KeyboardInterrupt:  # while the subcommand is imported; what it does itself, `answer` hears
+            return refuse(name, "interrupted", 130)
     return answer(prog, lambda: _about(name, given, prog))
 
 

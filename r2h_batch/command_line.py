@@ -11,6 +11,7 @@ import io
 import itertools
 import os
 import re
+import stat
 import sys
 import time
 import traceback
@@ -101,6 +102,8 @@ def answer(name: str, work: Callable[[], int]) -> int:
         code = refuse(name, error)
     except OSError as error:
         code = refuse(name, place(error), 1)
+    except KeyboardInterrupt:
+        code = refuse(name, "interrupted", 130)
     except SystemExit as stop:  # --help
         stopped = stop
     try:
@@ -117,6 +120,27 @@ def answer(name: str, work: Callable[[], int]) -> int:
     if stopped is not None:
         raise stopped
     return code
+
+
+def write_answer(path: Path, text: str) -> None:
+    """Write what a command was asked for to a file, whole or not at all; a link there is replaced, not followed.
+
+    Raises `UsageError` for a name that a run folder has for its own, and for a folder, a pipe or a device; OSError.
+    """
+    for folder in path.absolute().parents:
+        if os.path.lexists(folder / "run.json") and os.path.isdir(folder / "manifest"):
+            inside = path.absolute().relative_to(folder)
+            if len(inside.parts) > 1 or inside.suffix in (".json", ".txt") or inside.name.startswith("."):
+                raise UsageError(f"{path}: is what the run folder {folder} may store there; write elsewhere")
+    if os.path.lexists(path) and not (path.is_file() or path.is_symlink()):
+        raise UsageError(f"{path}: is no plain file; give a file's name")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def place(error: OSError, otherwise: str = "") -> str:
@@ -214,10 +238,11 @@ def _append(line: str) -> None:
     """One line at the log's end, whole whoever else writes there; a full disk is the sweep's trouble, not the log's."""
     with contextlib.suppress(OSError):
         assert _telling.log is not None
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | getattr(os, "O_NOFOLLOW", 0)
         handle = os.open(_telling.log, flags, 0o666)
         try:
-            os.write(handle, line.encode("utf-8", "replace"))
+            if stat.S_ISREG(os.fstat(handle).st_mode):  # nobody may read a pipe that stands there
+                os.write(handle, line.encode("utf-8", "replace"))
         finally:
             os.close(handle)
 

@@ -81,12 +81,23 @@ def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
         files = _files(path, MESHES)
         if not files:
             raise FileError(f"{printable(path)}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml in this folder")
+        _no_stray_words(path, files)
         return objects_of([_entry(file) for file in files], path, pieces)
     if path.suffix.lower() in (".yaml", ".yml"):
         return read_benchmark(path, pieces=pieces).objects
     raise FileError(
         f"{printable(path)}: --objects takes a folder of meshes or a benchmark.yaml; one mesh: --object-mesh FILE"
     )
+
+
+def _no_stray_words(folder: Path, meshes: Sequence[Path]) -> None:
+    """A file of words that is about no mesh is a slip: what it says would be passed over without a word."""
+    about = {mesh.with_suffix(".yaml").name for mesh in meshes}
+    for name in sorted(os.listdir(folder)):
+        if name.lower().endswith((".yaml", ".yml")) and name not in about:
+            raise FileError(
+                f"{printable(folder / name)}: is about no mesh of this folder; MESH.yaml goes with MESH.obj"
+            )
 
 
 def _entry(file: Path) -> ObjectEntry:

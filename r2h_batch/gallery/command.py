@@ -82,6 +82,8 @@ def _gallery_of(
         from r2h_batch.scene.offscreen import ready
 
         ready()
+        if (out.parent / f"{out.stem}_trials").is_symlink():
+            raise UsageError(f"{out.stem}_trials beside {out.name} is a link; its pages would be written elsewhere")
         reader = Reader(run, Given(*given))
         return gallery(reader.run.only(method), reader, n, out.parent / f"{out.stem}_trials", out.parent)
 

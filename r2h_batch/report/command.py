@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from r2h_batch.command_line import refuse, tell
+from r2h_batch.command_line import refuse, tell, write_answer
 
 if TYPE_CHECKING:
     from r2h_batch.results.reading import Run
@@ -40,8 +40,7 @@ def run(
     if out is None:
         sys.stdout.write(text)
     else:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(text, encoding="utf-8")
+        write_answer(out, text)
         print(out)
     for name in stored.unfinished:
         missing = sum(s.last - s.first for s in stored.missing(name))

@@ -44,6 +44,8 @@ def view(
     def work() -> int:
         if len(method) > 2:
             raise UsageError(f"--method names {len(method)} methods; two can be seen side by side")
+        if not 0 <= port <= 65535:
+            raise UsageError(f"--port is {port}; it must be 0 (any free one) to 65535")
         if html is not None and trial is None:
             raise UsageError("--html needs --trial ID: which one to write")
         from r2h_batch.benchmark.given import Given
