@@ -278,14 +278,23 @@ def profile(bench: Bench) -> None:
         for event in wp.timing_end():
             spent[event.name] = spent.get(event.name, 0.0) + event.elapsed / 1e3
     else:
-        original: Callable[..., Any] = wp.Launch.launch
+        recorded: Callable[..., Any] = wp.Launch.launch
+        direct: Callable[..., Any] = wp.launch
 
-        def timed(command: wp.Launch, *more: Any) -> None:
+        def timed(call: Callable[..., Any], name: str, *args: Any, **kwargs: Any) -> Any:
             start = time.perf_counter()
-            original(command, *more)
-            spent[command.kernel.key] = spent.get(command.kernel.key, 0.0) + time.perf_counter() - start
+            try:
+                return call(*args, **kwargs)
+            finally:
+                spent[name] = spent.get(name, 0.0) + time.perf_counter() - start
 
-        with mock.patch.object(wp.Launch, "launch", timed):
+        def launch_recorded(command: wp.Launch, *args: Any) -> Any:
+            return timed(recorded, command.kernel.key, command, *args)
+
+        def launch_direct(kernel: wp.Kernel, *args: Any, **kwargs: Any) -> Any:
+            return timed(direct, kernel.key, kernel, *args, **kwargs)
+
+        with mock.patch.object(wp.Launch, "launch", launch_recorded), mock.patch.object(wp, "launch", launch_direct):
             bench.evaluator.score(*batch)
     total = sum(spent.values())
     for rank, name in enumerate(sorted(spent, key=lambda k: -spent[k])[:5], 1):

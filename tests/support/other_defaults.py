@@ -47,7 +47,7 @@ def everything() -> dict[str, np.ndarray]:
             scores.soft(temperature_m=0.01).sum().backward()
     out |= {f"gradient {i}": T.grad for i, T in enumerate(moving)}
     out["twist"] = log(exp(torch.full((2, 6), 0.3, dtype=torch.float32, device="cpu")))
-    return {k: np.atleast_1d(v.detach().numpy()) for k, v in out.items()}
+    return {k: np.atleast_1d(v.detach().numpy()) for k, v in out.items() if isinstance(v, torch.Tensor)}
 
 
 if __name__ == "__main__":
