@@ -7,9 +7,11 @@ import pytest
 import trimesh
 from mesh_twins import winding_number
 
+from r2h_batch.bodies.given import lattice
 from r2h_batch.bodies.given.edges import split_edges
 from r2h_batch.bodies.given.lattice import Lattice
 from r2h_batch.bodies.mesh_bodies import body_volumes
+from r2h_batch.bodies.mesh_limits import ObjectMeshError
 from r2h_batch.bodies.object_mesh import closed_mesh
 from r2h_batch.bodies.solid import Surface, signed_distance
 
@@ -131,11 +133,36 @@ def test_a_fin_on_a_closed_surface_leaves_it_closed():
 
 def test_distances_at_a_lattice_are_exact_near_the_surface_and_right_in_sign_elsewhere():
     ring = trimesh.creation.torus(0.03, 0.008, major_sections=40, minor_sections=20)
-    lattice = Lattice(ring.bounds, 0.002)
-    value, opening = lattice.distance(Surface(ring), lambda share: None)
-    exact = signed_distance(ring, lattice.points)[0]
+    grid = Lattice(ring.bounds, 0.002)
+    value, opening = grid.distance(Surface(ring), lambda share: None)
+    exact = signed_distance(ring, grid.points)[0]
     assert (np.sign(value) == np.sign(exact)).all() and opening == 0.0
     assert value == pytest.approx(exact.clip(-0.005, 0.005), abs=1e-7)
-    assert lattice.solid(-value).volume() == pytest.approx(ring.volume, rel=0.02)
+    assert grid.solid(-value)[0].volume() == pytest.approx(ring.volume, rel=0.02)
     half = trimesh.Trimesh(ring.vertices, ring.faces[ring.triangles_center[:, 2] < 0], process=False)
-    assert lattice.distance(Surface(half), lambda share: None)[1] > 0.0, "half a ring is open by 16 mm"
+    assert grid.distance(Surface(half), lambda share: None)[1] > 0.0, "half a ring is open by 16 mm"
+
+
+def sheet():
+    """A bowl drawn as one open sheet: nothing but a plate can become of it."""
+    bowl = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    bowl.update_faces(bowl.triangles_center[:, 2] < 0)
+    bowl.remove_unreferenced_vertices()
+    return bowl
+
+
+CRASH = "import os; os.kill(os.getpid(), 11)\n"
+
+
+def test_a_library_that_ends_its_process_is_asked_again_farther_out_and_the_deviation_says_so(tmp_path, monkeypatch):
+    once = f"import os, pathlib\np = pathlib.Path({str(tmp_path / 'asked')!r})\n"
+    once += "if not p.exists():\n    p.touch()\n    os.kill(os.getpid(), 11)\n"
+    monkeypatch.setattr(lattice, "CHILD", once + lattice.CHILD)
+    found, said = closed(sheet())
+    assert "farther out than given, where manifold3d does not fail" in said and found.mesh.volume > 0
+
+
+def test_a_library_that_always_ends_its_process_is_one_line(monkeypatch):
+    monkeypatch.setattr(lattice, "CHILD", CRASH)
+    with pytest.raises(ObjectMeshError, match="encloses nothing that can be rebuilt"):
+        closed_mesh(sheet(), "object", 1.0)

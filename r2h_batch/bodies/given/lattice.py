@@ -19,7 +19,6 @@ STRIDE = 4
 NEAR = 2.5
 """Pitches from the surface within which the distance is exact; farther off only its sign counts."""
 
-
 TRIES = 5
 CHILD = """
 import io, sys
@@ -77,8 +76,9 @@ class Lattice:
         value[ask] = surface.signed(self.points[ask], tick)[0].clip(-most, most)
         return value, _opening(coarse, step)
 
-    def solid(self, field: NDArray[np.float64]) -> Any:
-        """manifold3d's solid where the field (N,) is positive; None where that library fails on it every time.
+    def solid(self, field: NDArray[np.float64]) -> tuple[Any, float]:
+        """manifold3d's solid where the field (N,) is positive, None where that library fails on it every time; and by how
+        much (m) its surface was moved out for that.
 
         manifold3d 3.5.4 ends its process on some fields with walls of one or two pitches, by chance or always. So it works in
         a process of its own, and what failed is asked again for a surface a tenth of a pitch farther out.
@@ -86,15 +86,15 @@ class Lattice:
         from manifold3d import Manifold, Mesh64
 
         for attempt in range(TRIES):
-            data = io.BytesIO()
-            np.savez(data, field=field + attempt * 0.1 * self.pitch, low=self.low, high=self.high, pitch=self.pitch)
+            out, data = attempt * 0.1 * self.pitch, io.BytesIO()
+            np.savez(data, field=field + out, low=self.low, high=self.high, pitch=self.pitch)
             done = subprocess.run(
                 [sys.executable, "-c", CHILD], input=data.getvalue(), capture_output=True, check=False
             )
             if done.returncode == 0:
                 with np.load(io.BytesIO(done.stdout)) as found:
-                    return Manifold(Mesh64(found["vertices"], found["faces"]))
-        return None
+                    return Manifold(Mesh64(found["vertices"], found["faces"])), out
+        return None, 0.0
 
 
 def _opening(coarse: NDArray[np.float64], step: float) -> float:

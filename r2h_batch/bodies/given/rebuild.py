@@ -56,15 +56,17 @@ def _rebuilt_group(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> tr
     tick = partial(budget.spend, f"rebuilding the surface of {len(mesh.faces)} faces")
     lattice, surface = Lattice(mesh.bounds, pitch), Surface(mesh)
     distance, opening = lattice.distance(surface, tick)
-    how, new, lost, gained = "", None, np.inf, opening
+    how, new, lost, gained, out = "", None, np.inf, opening, 0.0
     if opening <= 2 * pitch:
-        new, lost, gained = _contoured(mesh, surface, lattice, -distance, tick)
+        new, lost, gained, out = _contoured(mesh, surface, lattice, -distance, tick)
     if lost > pitch or gained > 2 * pitch:
         field = plate - np.abs(distance)
         if gained <= 2 * pitch:
             field = np.maximum(field, -distance)
-        new, lost, gained = _contoured(mesh, surface, lattice, field, tick)
-        how = f", open sheets made {2e3 * plate:.2f} mm thick"
+        new, lost, gained, out = _contoured(mesh, surface, lattice, field, tick)
+        how = f", open sheets made {2e3 * (plate + out):.2f} mm thick"
+    if out:
+        how += f", {out * 1e3:.2f} mm farther out than given, where manifold3d does not fail"
     if new is None:
         raise ObjectMeshError(
             f"{budget.label}: the surface encloses nothing that can be rebuilt; give a mesh of a solid"
@@ -78,13 +80,14 @@ def _rebuilt_group(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> tr
 
 def _contoured(
     mesh: trimesh.Trimesh, surface: Surface, lattice: Lattice, field: NDArray[np.float64], tick: Tick
-) -> tuple[trimesh.Trimesh | None, float, float]:
-    """The surface where the field is zero, how far the given one sticks out of it, and how far it is from that one."""
+) -> tuple[trimesh.Trimesh | None, float, float, float]:
+    """The surface where the field is zero, how far the given one sticks out of it, how far it is from that one, and by
+    how much `Lattice.solid` had to move it out."""
     if not (field > 0).any():
-        return None, np.inf, 0.0
-    found = lattice.solid(field)
+        return None, np.inf, 0.0, 0.0
+    found, out = lattice.solid(field)
     if found is None:
-        return None, np.inf, 0.0
+        return None, np.inf, 0.0, 0.0
     solid, _ = _simplified(found, 0.02 * lattice.pitch, REBUILD_FACES, tick)
     new = _without_specks(_from_solid(solid), lattice.pitch)
     rng = np.random.Generator(np.random.Philox(key=7))
@@ -92,7 +95,7 @@ def _contoured(
     samples = np.einsum("ij,ijk->ik", rng.dirichlet((1, 1, 1), len(face)), mesh.triangles[face])
     lost = float(signed_distance(new, samples, tick)[0].max())
     gained = float(surface.within(np.concatenate([new.vertices, new.triangles_center]), surface.size, tick)[0].max())
-    return new, max(lost, 0.0), gained
+    return new, max(lost, 0.0), gained, out
 
 
 def _without_specks(mesh: trimesh.Trimesh, pitch: float) -> trimesh.Trimesh:
