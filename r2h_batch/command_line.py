@@ -71,7 +71,9 @@ def read(
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):
-            return parse(prog=prog, args=list(arguments), config=(tyro.conf.FlagCreatePairsOff,))
+            return parse(
+                prog=prog, args=list(arguments), config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
+            )
     except SystemExit as stop:
         if not stop.code:
             raise  # --help, or a shell completion
@@ -275,8 +277,15 @@ def _flags(command: Command) -> list[str]:
         names = [f.name for f in fields(command)]
     else:
         keywords = [p for p in inspect.signature(command).parameters.values() if p.kind is p.KEYWORD_ONLY]
-        names = [name for p in keywords for name in (_name(p), *_aliases(p))]
+        names = [name for p in keywords for name in _names(p)]
     return ["--" + name.removeprefix("--").replace("_", "-") for name in names]
+
+
+def _names(parameter: inspect.Parameter) -> list[str]:
+    """A parameter's flag and its other names; of a dataclass of flags those of its fields."""
+    if is_dataclass(parameter.annotation):
+        return [f.name for f in fields(parameter.annotation)]
+    return [_name(parameter), *_aliases(parameter)]
 
 
 def _name(parameter: inspect.Parameter) -> str:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from r2h_batch.benchmark.benchmark import Benchmark, built_in
 from r2h_batch.benchmark.file import ObjectEntry, read_entry
+from r2h_batch.benchmark.flags import BenchmarkFlags
 from r2h_batch.benchmark.reading import hand_of, hand_set_of, objects_of, read_benchmark
 from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.bodies.given.many import build_ahead
@@ -25,22 +26,15 @@ MAX_FILES = 1000
 
 
 @dataclass(frozen=True)
-class Given:
+class Given(BenchmarkFlags):
     """What flags say of the benchmark; empty: the built-in one."""
 
-    benchmark: str = ""
-    hands: str = ""
-    hand_model: str = ""
-    objects: str = ""
-    object_mesh: tuple[str, ...] = ()
-    grasps: tuple[str, ...] = ()
-    trials_file: str = ""
     protocol: str = ""
 
-    def flags(self) -> list[str]:
-        """The flags that are given, as one would type them again."""
-        said = asdict(self).items()
-        return [f"--{k.replace('_', '-')} {v if isinstance(v, str) else ' '.join(v)}" for k, v in said if v]
+    @classmethod
+    def of(cls, flags: BenchmarkFlags, *, protocol: str = "") -> Given:
+        """The same flags, ready to be read; `protocol` instead of the benchmark's."""
+        return cls(**asdict(flags), protocol=protocol)
 
     def read(self, *, pieces: bool = False) -> Benchmark:
         """The benchmark. `pieces`: meshes get their convex decomposition. Raises ValueError (`FileError`), one line."""

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import call, refuse
 
 
@@ -14,13 +15,7 @@ def scene(
     trial: int,
     out: Path,
     method: str = "",
-    benchmark: str = "",
-    hands: str = "",
-    hand_model: str = "",
-    objects: str = "",
-    object_mesh: tuple[str, ...] = (),
-    grasps: tuple[str, ...] = (),
-    trials_file: str = "",
+    benchmark: BenchmarkFlags = BUILT_IN,
     render: Path | None = None,
 ) -> int:
     """Write one stored trial as MJCF.
@@ -30,13 +25,7 @@ def scene(
         trial: trial id.
         out: folder to write.
         method: needed where the run holds several: the sweep's word (fc) or the table's name.
-        benchmark: as in the sweep.
-        hands: as in the sweep.
-        hand_model: as in the sweep.
-        objects: as in the sweep.
-        object_mesh: the user's objects, as in the sweep.
-        grasps: as in the sweep.
-        trials_file: as in the sweep.
+        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
         render: also a picture, a .png: start, middle, goal; of a failed Plan what was asked.
     """
     from r2h_batch.benchmark.given import Given
@@ -46,7 +35,7 @@ def scene(
     from r2h_batch.scene.offscreen import RenderError
 
     try:
-        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file)
+        given = Given.of(benchmark)
         stored = load_trial(run, trial, method=method or None, given=given)
         folder = export_trial(stored, out)
         if render:
@@ -67,13 +56,7 @@ def trials(
     protocol: Literal["", "r2h-v0", "r2h-v1"] = "",
     trials: int = 500,
     splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1"),
-    benchmark: str = "",
-    hands: str = "",
-    hand_model: str = "",
-    objects: str = "",
-    object_mesh: tuple[str, ...] = (),
-    grasps: tuple[str, ...] = (),
-    trials_file: str = "",
+    benchmark: BenchmarkFlags = BUILT_IN,
     open_formats: bool = False,
 ) -> int:
     """Write a protocol's trials and everything that a handover method may read to make predictions.
@@ -83,13 +66,7 @@ def trials(
         protocol: r2h-v0 (hands alone) or r2h-v1 (with the receivers' bodies); the benchmark's unless given.
         trials: of each split, 1 or more.
         splits: S0 free handover, S1 functional.
-        benchmark: your own benchmark file, as in r2h_batch.sweep.
-        hands: another hand set, as in r2h_batch.sweep.
-        hand_model: another hand, as in r2h_batch.sweep.
-        objects: other objects, as in r2h_batch.sweep.
-        object_mesh: your own objects, FILE[:S0|S1], as in r2h_batch.sweep.
-        grasps: grasp candidates of your own, as in r2h_batch.sweep.
-        trials_file: trials of your own, as in r2h_batch.sweep.
+        benchmark: your own, as in r2h-batch sweep; the built-in one unless given.
         open_formats: also as OBJ, PLY, CSV and JSON in OUT/open, for methods in any language.
     """
     if trials < 1:
@@ -102,7 +79,7 @@ def trials(
 
     try:
         chosen = [s for s in SPLITS if s in splits]
-        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file, protocol)
+        given = Given.of(benchmark, protocol=protocol)
         found = given.read()
         digest = write_trials(out, chosen, trials, benchmark=found, open_formats=open_formats, flags=given.flags())
     except (FileExistsError, ValueError) as error:

@@ -3,8 +3,9 @@
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
+from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import UsageError, call, refuse
 from r2h_batch.report import command as plain
 
@@ -24,13 +25,7 @@ def report(
     method: tuple[str, ...] = (),
     gallery: int = 0,
     out: Path | None = None,
-    benchmark: str = "",
-    hands: str = "",
-    hand_model: str = "",
-    objects: str = "",
-    object_mesh: tuple[str, ...] = (),
-    grasps: tuple[str, ...] = (),
-    trials_file: str = "",
+    benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
     """Print the table of a run folder, or write its page.
 
@@ -45,13 +40,7 @@ def report(
         gallery: html: pictures of so many successes and failures of each kind and method, each with the page of its trial in
             three dimensions in a folder beside --out.
         out: the file to write instead of printing.
-        benchmark: as in the sweep, where it was given other hands or objects than the built-in ones; so the next ones.
-        hands: as in the sweep.
-        hand_model: as in the sweep.
-        objects: as in the sweep.
-        object_mesh: as in the sweep.
-        grasps: as in the sweep.
-        trials_file: as in the sweep.
+        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
     if not 0 <= gallery <= MOST:
         return refuse("report", f"--gallery is {gallery}; it must be 0 to {MOST}")
@@ -59,8 +48,7 @@ def report(
         return refuse("report", "--gallery needs --format html and --out FILE.html, for the pages of its trials")
     from r2h_batch.scene.offscreen import RenderError
 
-    given = (benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file)
-    pictures = None if not gallery or out is None else _gallery_of(run, method, gallery, out, given)
+    pictures = None if not gallery or out is None else _gallery_of(run, method, gallery, out, benchmark)
     try:
         return plain.run(
             run, format=format, by_object=by_object, columns=columns, intervals=intervals, order=order, method=method,
@@ -73,7 +61,7 @@ def report(
 
 
 def _gallery_of(
-    run: Path, method: Sequence[str], n: int, out: Path, given: tuple[Any, ...]
+    run: Path, method: Sequence[str], n: int, out: Path, benchmark: BenchmarkFlags
 ) -> Callable[[], dict[str, list[dict[str, str]]]]:
     def pictures() -> dict[str, list[dict[str, str]]]:
         from r2h_batch.benchmark.given import Given
@@ -84,7 +72,7 @@ def _gallery_of(
         ready()
         if (out.parent / f"{out.stem}_trials").is_symlink():
             raise UsageError(f"{out.stem}_trials beside {out.name} is a link; its pages would be written elsewhere")
-        reader = Reader(run, Given(*given))
+        reader = Reader(run, Given.of(benchmark))
         return gallery(reader.run.only(method), reader, n, out.parent / f"{out.stem}_trials", out.parent)
 
     return pictures
@@ -97,13 +85,7 @@ def figures(
     out: Path,
     method: tuple[str, ...] = (),
     trial: int | None = None,
-    benchmark: str = "",
-    hands: str = "",
-    hand_model: str = "",
-    objects: str = "",
-    object_mesh: tuple[str, ...] = (),
-    grasps: tuple[str, ...] = (),
-    trials_file: str = "",
+    benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
     """Draw the paper's figures of a run folder as PDF and PNG: protocol, methods over time, success and failures.
 
@@ -112,13 +94,7 @@ def figures(
         out: folder to write.
         method: only these methods; the first one shows the protocol.
         trial: trial id of the protocol and of the methods over time; chosen by the command unless given.
-        benchmark: as in the sweep, where it was given other hands or objects than the built-in ones; so the next ones.
-        hands: as in the sweep.
-        hand_model: as in the sweep.
-        objects: as in the sweep.
-        object_mesh: as in the sweep.
-        grasps: as in the sweep.
-        trials_file: as in the sweep.
+        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
     from r2h_batch.benchmark.given import Given
     from r2h_batch.bodies.object_mesh import ObjectMeshError
@@ -128,7 +104,7 @@ def figures(
 
     try:
         needs_matplotlib()
-        reader = Reader(run, Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file))
+        reader = Reader(run, Given.of(benchmark))
         stored = reader.run.only(method)
         if not stored.methods:
             raise ValueError(f"{run}: no method is complete; run its sweep again to go on")

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import call, refuse
 from r2h_batch.results import command as stored
 from r2h_batch.results.command import digest
@@ -24,13 +25,7 @@ def verify(
     rejudge: int = 0,
     method: tuple[str, ...] = (),
     seed: int | None = None,
-    benchmark: str = "",
-    hands: str = "",
-    hand_model: str = "",
-    objects: str = "",
-    object_mesh: tuple[str, ...] = (),
-    grasps: tuple[str, ...] = (),
-    trials_file: str = "",
+    benchmark: BenchmarkFlags = BUILT_IN,
     device: str = "cpu",
 ) -> int:
     """Find truncated, flipped and foreign shards and mark them for rerun; with --rejudge, judge a sample of rows again.
@@ -43,13 +38,7 @@ def verify(
         rejudge: rows of each method to judge again from their stored poses, drawn at random; 0: none.
         method: judge only these methods again, by the sweep's word (fc) or the table's name; all unless given.
         seed: of the draw; another one each time unless given.
-        benchmark: as in the sweep.
-        hands: as in the sweep.
-        hand_model: as in the sweep.
-        objects: as in the sweep.
-        object_mesh: your own objects, as in the sweep.
-        grasps: as in the sweep.
-        trials_file: as in the sweep.
+        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
         device: cpu, cuda or cuda:N.
     """
     if rejudge < 0:
@@ -60,7 +49,7 @@ def verify(
     from r2h_batch.benchmark.given import Given
 
     try:
-        given = Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file)
+        given = Given.of(benchmark)
         return max(code, _again(folder, rejudge, method, seed, given, device))
     except (ValueError, OSError) as error:
         return refuse("results", error)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Literal
 
+from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import UsageError, call, refuse, tell
 
 
@@ -16,13 +17,7 @@ def view(
     trial: int | None = None,
     html: Path | None = None,
     port: int = 8080,
-    benchmark: str = "",
-    hands: str = "",
-    hand_model: str = "",
-    objects: str = "",
-    object_mesh: tuple[str, ...] = (),
-    grasps: tuple[str, ...] = (),
-    trials_file: str = "",
+    benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
     """Look at the trials of a run folder in a browser: motion, what a failed plan was asked for, margins.
 
@@ -32,13 +27,7 @@ def view(
         trial: trial id to start with.
         html: write this trial as one page that opens without a server, and end; with two methods, one page of both.
         port: where the viewer listens, on this machine alone; 0: any free port.
-        benchmark: as in the sweep.
-        hands: as in the sweep.
-        hand_model: as in the sweep.
-        objects: as in the sweep.
-        object_mesh: the user's objects, as in the sweep.
-        grasps: as in the sweep.
-        trials_file: as in the sweep.
+        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
 
     def work() -> int:
@@ -51,7 +40,7 @@ def view(
         from r2h_batch.benchmark.given import Given
         from r2h_batch.export.stored import Reader
 
-        reader = Reader(run, Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file))
+        reader = Reader(run, Given.of(benchmark))
         if html is not None and trial is not None:
             from r2h_batch.view.page import write_page
 
@@ -74,13 +63,7 @@ def video(
     method: tuple[str, ...] = (),
     size: tuple[int, int] = (960, 720),
     fps: int = 25,
-    benchmark: str = "",
-    hands: str = "",
-    hand_model: str = "",
-    objects: str = "",
-    object_mesh: tuple[str, ...] = (),
-    grasps: tuple[str, ...] = (),
-    trials_file: str = "",
+    benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
     """Film a stored trial (.mp4, .webm, .gif), or draw it as a strip (.png, .jpg); several methods beside each other.
 
@@ -91,13 +74,7 @@ def video(
         method: needed where the run holds several; the sweep's word (fc) or the table's name.
         size: width and height of a picture, pixels.
         fps: pictures a second.
-        benchmark: as in the sweep.
-        hands: as in the sweep.
-        hand_model: as in the sweep.
-        objects: as in the sweep.
-        object_mesh: the user's objects, as in the sweep.
-        grasps: as in the sweep.
-        trials_file: as in the sweep.
+        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
 
     def work() -> int:
@@ -106,7 +83,7 @@ def video(
         from r2h_batch.view.video import check_size, write_video
 
         check_size(out, size, fps)
-        reader = Reader(run, Given(benchmark, hands, hand_model, objects, object_mesh, grasps, trials_file))
+        reader = Reader(run, Given.of(benchmark))
         print(write_video([reader.trial(trial, m) for m in method or [None]], out, size=size, fps=fps))
         return 0
 
