@@ -1,7 +1,5 @@
 """One trial as one page: viser's client, the recorded motion and the margins in a single file that needs no server."""
 
-import contextlib
-import io
 import socket
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -81,14 +79,27 @@ def new_server(port: int) -> Any:
         import viser
     except ImportError:
         raise UsageError("looking at trials needs viser: pip install 'r2h_batch[view]'") from None
-    with contextlib.redirect_stdout(io.StringIO()):  # its banner; what is printed here are answers
+    with _no_banner():
         return viser.ViserServer(host="127.0.0.1", port=port or _free_port(), verbose=False)
 
 
 def stop_server(server: Any) -> None:
     """Ends a server without a word on stdout, which is for answers."""
-    with contextlib.redirect_stdout(io.StringIO()):
+    with _no_banner():
         server.stop()
+
+
+@contextmanager
+def _no_banner() -> Iterator[None]:
+    """viser greets through rich, which in a notebook writes past sys.stdout: its console is told to be quiet."""
+    import rich
+
+    console = rich.get_console()
+    kept, console.quiet = console.quiet, True
+    try:
+        yield
+    finally:
+        console.quiet = kept
 
 
 def _free_port() -> int:
