@@ -209,7 +209,7 @@ def build_object(
     key = key_of(mesh, options)
     if key is None:
         return _built(mesh, **options)
-    return _from_arrays(kept_with_warnings(key, lambda: _as_arrays(_built(mesh, **options))))
+    return _from_arrays(kept_with_warnings(key, lambda: _as_arrays(_built(mesh, **options)), _from_arrays))
 
 
 def _options(mesh: str | Path | trimesh.Trimesh, **given: Any) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from torch import Tensor
 from r2h_batch.bodies.arrays import stored_arrays
 from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, object_digest
 from r2h_batch.config import OPEN_GAP_M
-from r2h_batch.files.kept import code_of, kept
+from r2h_batch.files.kept import Column, code_of, kept
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.grasp_candidates import Candidates, NoGraspError, sample_grasps, seat_grasps
 from r2h_batch.scene.scene import Scene
@@ -29,6 +29,15 @@ CODE = ("r2h_batch.methods", "r2h_batch.judge", "r2h_batch.scene") + tuple(
 )
 VERSIONS = ("numpy", "scipy", "torch", "warp-lang")
 """What candidates are made by."""
+
+FORM = {
+    "T_obj_ee": Column("float32", ("grasps", 4, 4)),
+    "width": Column("float32", ("grasps",)),
+    "score": Column("float32", ("grasps",)),
+    "part": Column("uint8", ("grasps",)),
+    "region_m": Column("float32", ("grasps",), gaps=True),
+}
+"""What is kept of `Candidates`."""
 
 NOTHING_FITS = "no grasp found; the gripper needs a part narrower than 85 mm that it can reach"
 
@@ -131,7 +140,7 @@ def _candidates(model: ObjectModel) -> Candidates:
             return {k: v[:0] for k, v in _arrays(_candidates(load_objects()[0])).items()}
 
     key = hashlib.sha256(f"{object_digest(model)} {code_of(CODE, VERSIONS)}".encode()).hexdigest()
-    found = Candidates(**kept("candidates", key, make))
+    found = Candidates(**kept("candidates", key, make, FORM))
     if not len(found):
         warnings.warn(f"{model.name}: {NOTHING_FITS}", stacklevel=2)
     return found

@@ -19,7 +19,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
 from r2h_batch.bodies.hand import HandGeometry, HandModel, load_hand
 from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, object_digest
-from r2h_batch.files.kept import code_of, kept
+from r2h_batch.files.kept import Column, code_of, kept
 from r2h_batch.receiver.instructions import intents_of
 from r2h_batch.receiver.sampler import PER_SIDE, NoHoldError, sample_receiving
 from r2h_batch.verdicts import SIDES
@@ -35,7 +35,14 @@ CODE = ("r2h_batch.receiver", "r2h_batch.kernels.receiver", "r2h_batch.kernels.g
 VERSIONS = ("numpy", "scipy", "torch", "trimesh", "warp-lang")
 """What receiving grasps are made by."""
 
-FIELDS = ("side", "T_obj_hand", "pose", "shape", "part")
+FORM = {
+    "side": Column("int8", ("holds",)),
+    "T_obj_hand": Column("float32", ("holds", 4, 4)),
+    "pose": Column("float32", ("holds", 48)),
+    "shape": Column("float32", ("holds", 10)),
+    "part": Column("uint8", ("holds",)),
+}
+FIELDS = tuple(FORM)
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +150,7 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
         except NoHoldError:
             return {k: v[:0] for k, v in _stored_of(load_objects()[0]).items()}
 
-    made = kept("receiving", _made_of(model, hand), make)
+    made = kept("receiving", _made_of(model, hand), make, FORM)
     wanted = {side: PER_SIDE - int((made["side"] == side).sum()) for side in (0, 1)}
     for side, missing in wanted.items():
         if missing > 0:

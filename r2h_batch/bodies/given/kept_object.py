@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.bodies.mesh_limits import MOST_BYTES
 from r2h_batch.files import FileError, read_file
-from r2h_batch.files.kept import code_of, kept
+from r2h_batch.files.kept import Column, code_of, kept
 
 __all__ = ["kept_with_warnings", "key_of"]
 
@@ -22,6 +22,36 @@ CODE = ("r2h_batch.bodies", "r2h_batch.bodies.given", "r2h_batch.kernels.geometr
 VERSIONS = ("coacd", "manifold3d", "numpy", "scipy", "trimesh", "warp-lang")
 """What objects are made by."""
 SAID = "warnings"
+
+FORM = {
+    "name": Column("text"),
+    "split": Column("text"),
+    "instruction": Column("text"),
+    "vertices": Column("float32", ("vertices", 3)),
+    "faces": Column("int32", ("faces", 3), below="vertices"),
+    "face_part": Column("uint8", ("faces",), below="parts"),
+    "part_names": Column("text", ("parts",)),
+    "receiver_face": Column("bool", ("faces",)),
+    "hull_vertices": Column("float32", ("hull", 3)),
+    "hull_faces": Column("int32", ("hull faces", 3), below="hull"),
+    "piece_vertices": Column("float32", ("piece vertices", 3)),
+    "piece_faces": Column("int32", ("piece faces", 3), below="piece vertices"),
+    "piece_vertex_offsets": Column("int32", ("pieces",)),
+    "piece_face_offsets": Column("int32", ("pieces",)),
+    "points": Column("float32", ("points", 3)),
+    "normals": Column("float32", ("points", 3)),
+    "point_part": Column("uint8", ("points",), below="parts"),
+    "point_face": Column("int32", ("points",), below="faces"),
+    "voxels": Column("uint8", ("voxels",)),
+    "voxel_origin": Column("float64", (3,)),
+    "voxel_pitch": Column("float64"),
+    "mass": Column("float64"),
+    "com": Column("float64", (3,)),
+    "inertia": Column("float64", (3, 3)),
+    "repair": Column("text"),
+    SAID: Column("text"),
+}
+"""What is kept of an `ObjectModel`, with the warnings."""
 
 
 def key_of(mesh: object, options: Mapping[str, Any]) -> str | None:
@@ -51,8 +81,13 @@ def key_of(mesh: object, options: Mapping[str, Any]) -> str | None:
     return digest.hexdigest()
 
 
-def kept_with_warnings(key: str, make: Callable[[], Mapping[str, Any]]) -> dict[str, NDArray[Any]]:
-    """The arrays of a key, and the warnings that making them gave: again each time they are taken from disk."""
+def kept_with_warnings(
+    key: str, make: Callable[[], Mapping[str, Any]], reads: Callable[[dict[str, NDArray[Any]]], object]
+) -> dict[str, NDArray[Any]]:
+    """The arrays of a key, and the warnings that making them gave: again each time they are taken from disk.
+
+    `reads` raises where arrays are no object, whatever their form.
+    """
 
     def made() -> dict[str, NDArray[Any]]:
         with warnings.catch_warnings(record=True) as caught:
@@ -60,7 +95,11 @@ def kept_with_warnings(key: str, make: Callable[[], Mapping[str, Any]]) -> dict[
             found = {k: np.asarray(v) for k, v in make().items()}
         return {**found, SAID: np.array(json.dumps([str(w.message) for w in caught]))}
 
-    arrays = kept("objects", key, made)
+    def read(arrays: dict[str, NDArray[Any]]) -> None:
+        _texts(arrays.pop(SAID))
+        reads(arrays)
+
+    arrays = kept("objects", key, made, FORM, reads=read)
     for text in _texts(arrays.pop(SAID)):
         warnings.warn(text, stacklevel=4)
     return arrays
