@@ -18,7 +18,7 @@ from r2h_batch.view.page import APART_M, new_server, stop_server
 from r2h_batch.view.words import as_markdown, in_brief
 
 LISTED = 500
-"""Trials in the list; more pass through the filters."""
+"""Trials in the list; `from` says which of those that pass the filters comes first."""
 NOBODY = "nobody"
 TICK_S = 0.04
 
@@ -75,6 +75,9 @@ class Viewer:
             )
             self.order = gui.add_dropdown("sorted by", list(ORDERS), initial_value=ORDERS[0])
             self.below = gui.add_number("margin below, mm", 1000.0, step=1.0)
+            self.start = gui.add_number(
+                "from", 1, min=1, step=LISTED, hint=f"the list holds {LISTED} trials from this one"
+            )
             self.count = gui.add_markdown("")
             self.list = gui.add_dropdown("trial", ["none"], initial_value="none")
             self.before, self.after = gui.add_button("previous"), gui.add_button("next")
@@ -86,7 +89,7 @@ class Viewer:
             self.speed = gui.add_dropdown("speed", ["0.25", "0.5", "1", "2", "4"], initial_value="1")
         with gui.add_folder("Shown"):
             self.shown = {mark: gui.add_checkbox(mark, True) for mark in MARKS}
-        for control in (self.method, self.object, self.outcome, self.reason, self.order, self.below):
+        for control in (self.method, self.object, self.outcome, self.reason, self.order, self.below, self.start):
             control.on_update(lambda _: self._filter())
         for control in (self.list, self.beside, self.kind):
             control.on_update(lambda _: self._show())
@@ -115,11 +118,9 @@ class Viewer:
             wanted = trial if trial is not None else self.listed.get(self.list.value)
             if trial is not None and all(row["trial_id"] != trial for row in kept):
                 raise ExportError(f"{self.reader.where}: no trial {trial}; it has {len(kept)} of them")
-            some = kept[:LISTED] + [row for row in kept[LISTED:] if row["trial_id"] == wanted]
+            some, listed = _part(kept, int(self.start.value), wanted if trial is not None else None)
             self.listed = {in_brief(row): row["trial_id"] for row in some}
-            self.count.content = f"{len(kept)} of {len(rows)} trials" + (
-                f", the first {LISTED}" if len(kept) > LISTED else ""
-            )
+            self.count.content = f"{len(kept)} of {len(rows)} trials{listed}"
             options = list(self.listed) or ["none"]
             self.list.options = options
             self.list.value = next((k for k, v in self.listed.items() if v == wanted), options[0])
@@ -169,3 +170,11 @@ class Viewer:
         with self.lock:
             for drawn, (times, q) in zip(self.drawn, self.motions, strict=True):
                 drawn.pose(q[np.abs(times - self.slider.value).argmin()])
+
+
+def _part(rows: Sequence[dict[str, Any]], start: int, wanted: int | None) -> tuple[list[dict[str, Any]], str]:
+    """The rows that are listed, from number `start` (1 is the first), and words for it; `wanted` is listed whatever its place."""
+    first = max(0, min(start, len(rows)) - 1)
+    some = list(rows[first : first + LISTED])
+    words = f", {first + 1} to {first + len(some)} listed" if len(some) < len(rows) else ""
+    return some + [row for row in rows if row["trial_id"] == wanted and row not in some], words

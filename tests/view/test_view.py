@@ -128,7 +128,8 @@ def test_two_methods_stand_side_by_side_and_a_failed_plan_in_red(run, reader, tm
     assert any(str(n).endswith("_red") for n in names)
 
 
-def test_the_viewer_lists_filters_steps_and_shows(reader):
+def test_the_viewer_lists_filters_steps_and_shows(reader, monkeypatch):
+    from r2h_batch.view import server
     from r2h_batch.view.server import NOBODY, Viewer
 
     viewer = Viewer(reader, ["random", "oracle"], trial=4)
@@ -149,6 +150,16 @@ def test_the_viewer_lists_filters_steps_and_shows(reader):
         viewer.method.value, viewer.outcome.value = "oracle", ANY
         viewer._filter(3)
         before = viewer.drawn[0].bodies[max(viewer.drawn[0].moving)].position.copy()
+        monkeypatch.setattr(
+            server, "LISTED", 3
+        )  # a run of more trials than a list should have: the next ones, by `from`
+        viewer.start.value = 4
+        viewer._filter()
+        assert list(viewer.listed.values()) == sorted(viewer.listed.values()) and len(viewer.listed) == 3
+        assert "4 to 6 listed" in viewer.count.content
+        viewer.start.value = 10**6
+        viewer._filter()
+        assert len(viewer.listed) == 1
         viewer.slider.value = 0.0
         viewer._pose()
         assert np.abs(viewer.drawn[0].bodies[max(viewer.drawn[0].moving)].position - before).max() > 0.05
