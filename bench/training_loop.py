@@ -7,7 +7,9 @@ with random ones), repeated; `perturbed`: the oracle's half moved by 1 cm (grasp
 distributions, as a generator in training proposes them. Figures of a size come from one call after another, the median of
 several; core_us is process time (other work on the machine counts little), its smallest, and candidates_per_2_core_s
 what two cores would do at that price with nothing else to do. kernel.*_us: process time inside
-each kernel's launch at B = 4,096, by occurrence; beyond_kernels_us is what a call takes beside them. On CUDA there is one
+each kernel's launch at B = 4,096, by occurrence; beyond_kernels_us is what a call takes beside them. host_us_per_call (CPU):
+the least thread time that a call took beside compiled code of our kernels, packing their arguments included, of stages
+"pose" and "all", on one thread. On CUDA there is one
 kind of time: wall, synchronised. training: one step of a small generator (three layers of 256, Adam) on 4,096 candidates,
 scored each step. The peer judges the same candidates one by one with MuJoCo C, trimesh, FCL and ur-analytic-ik
 (bench/_pose_peer.py; building its MuJoCo model is not counted). memory: resident kB (CUDA: allocated) around 1,000 calls.
@@ -22,11 +24,13 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, Literal
 from unittest import mock
 
 import numpy as np
 import torch
+import warp as wp
 from _report import Report, arguments
 
 from r2h_batch import launch, reward
@@ -141,6 +145,42 @@ def kernels(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock,
     for name, value in least.items() if b == 4096 else ():
         report.add(f"training_loop.kernel.{name}_us", 1e6 * value / b)
     report.add(f"training_loop.b{b}.beyond_kernels_us_per_call", 1e6 * min(a - k for a, k in calls))
+
+
+def host(report: Report, mix: Candidates, device: str) -> None:
+    """What a small call costs beside compiled kernels: tensor operations, checks, packing; one thread, the least of many."""
+    config = EvalConfig(execute=ExecConfig(sim="none"))
+    evaluator, inside = Evaluator(config, device=device, threads=1), [0.0]
+    honest = wp.Launch.launch
+
+    def timed(command: Any, *args: Any, **kw: Any) -> None:
+        """A launch whose compiled function alone is on the clock."""
+        compiled = command.hooks.forward
+
+        def forward(*pointers: Any) -> Any:
+            start = time.thread_time()
+            try:
+                return compiled(*pointers)
+            finally:
+                inside[0] += time.thread_time() - start
+
+        hooks, command.hooks = command.hooks, SimpleNamespace(forward=forward)
+        try:
+            honest(command, *args, **kw)
+        finally:
+            command.hooks = hooks
+
+    stages: tuple[Literal["pose", "all"], ...] = ("pose", "all")
+    for stage in stages:
+        for b in (1, 64):
+            c = repeated(mix, b)
+            least = []
+            with mock.patch.object(wp.Launch, "launch", timed):
+                for _ in range(400 if b == 1 else 60):
+                    inside[0], start = 0.0, time.thread_time()
+                    evaluator.score(*c, stages=stage)
+                    least.append(time.thread_time() - start - inside[0])
+            report.add(f"training_loop.{stage}.b{b}.host_us_per_call", 1e6 * min(least))
 
 
 class Generator(torch.nn.Module):
@@ -276,6 +316,8 @@ def main() -> None:
     sizes(report, evaluator, mix, clock, largest)
     for b in (1, 64, 4096):
         kernels(report, evaluator, mix, clock, b)
+    if not clock.cuda:
+        host(report, mix, options.device)
     near = repeated(candidates(evaluator, "perturbed", options.device), 4096)
     median, best, core = clock.of(lambda: evaluator.score(*near, stages="pose"), 5)
     report.add("training_loop.perturbed.b4096.candidates_per_s", 4096 / median)

@@ -12,7 +12,6 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from r2h_batch import se3
 from r2h_batch.benchmark import Benchmark, read_benchmark
 from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
@@ -175,9 +174,11 @@ class Evaluator:
             if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
                 order = torch.argsort(trials.object_index, stable=True)
                 T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
+            if n <= chunk and order is None:
+                return judge(T_obj_ee, T_world_ee, trials)
             parts = [
                 judge(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
-                for i in range(0, max(n, 1), chunk)
+                for i in range(0, n, chunk)
             ]
             scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
             return scores if order is None else scores[torch.argsort(order)]
@@ -205,7 +206,7 @@ class Evaluator:
         safe, touch = metrics.safe(scene, placed, executed, active, config.thresholds, threads=threads)
         (steady, reach, affordance), slip = self._without_posture(holding)
         criteria = [steady, metrics.plan(planned, executed, active), reach, affordance, safe]
-        shared = verdict(trials.trial_id, criteria, holding, slip, executed.valid)
+        shared = verdict(trials.trial_id, criteria, holding, slip, executed.valid, threads=threads)
         return motion_scores(
             shared, active, planned, motion, executed, touch, config.execute, t_plan_s=t_plan_s, keep_motion=keep_motion
         )
@@ -220,7 +221,7 @@ class Evaluator:
         safe, body, point = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
         (steady, reach, affordance), slip = self._without_posture(holding)
         plan = Criterion(torch.where(active, goal.clearance_m, torch.nan), goal.free, active)
-        shared = verdict(trials.trial_id, [steady, plan, reach, affordance, safe], holding, slip)
+        shared = verdict(trials.trial_id, [steady, plan, reach, affordance, safe], holding, slip, threads=threads)
         scores = pose_scores(shared, goal, body, point)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             return differentiable(scene, config, threads, scores, (T_obj_ee, T_world_ee), holding, goal)
@@ -239,13 +240,11 @@ class Evaluator:
         """Stability, Reach, Affordance: they need no joint angles; and how far the object slipped (NaN: not shaken)."""
         scene, limits, threads, active = self.scene, self.config.thresholds, self.threads, holding.active
         objects, grasp = holding.objects, holding.grasp
-        T_world_obj = se3.matmul(holding.T_world_ee, se3.inverse(holding.attached))
-        _, _, ball_center = scene.palm(holding.hands, holding.T_world_hand)
         steady, slip = metrics.stability(grasp, active), torch.full_like(grasp.width_m, torch.nan)
         if self.config.stability == "physics":
             steady, slip = metrics.stability_in_physics(
                 scene, grasp, holding.attached, objects, active, threads=threads
             )
-        reach = metrics.reach(scene, T_world_obj, ball_center, objects, active, limits, threads=threads)
-        affordance = metrics.affordance(scene, holding.T_obj_ee, objects, grasp, active, limits, threads=threads)
+        reach = metrics.reach(scene, holding.ball, objects, active, limits, threads=threads)
+        affordance = metrics.affordance(scene, holding.attached, objects, grasp, active, limits, threads=threads)
         return (steady, reach, affordance), slip

@@ -111,7 +111,11 @@ def is_pose(T: Float[Tensor, "*b 4 4"]) -> Bool[Tensor, "*b"]:
 
 def orthonormalise(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
     """`T` with its z axis kept in direction and x, y made exactly orthonormal (Gram-Schmidt z, y, x; row by row)."""
-    z = T[..., :3, 2] / T[..., :3, 2].square().sum(-1, keepdim=True).sqrt()
-    y = T[..., :3, 1] - z * (T[..., :3, 1] * z).sum(-1, keepdim=True)
+    _, y, z, p = T[..., :3, :].unbind(-1)
+    z = z / z.square().sum(-1, keepdim=True).sqrt()
+    y = y - z * (y * z).sum(-1, keepdim=True)
     y = y / y.square().sum(-1, keepdim=True).sqrt()
-    return from_rotation(torch.stack([torch.linalg.cross(y, z), y, z], -1), T[..., :3, 3])
+    out = torch.zeros_like(T)
+    out[..., :3, :] = torch.stack([torch.linalg.cross(y, z), y, z, p], -1)
+    out[..., 3, 3] = 1.0
+    return out

@@ -233,7 +233,9 @@ class Scores(_Rows):
 
     def knowing(self, asked: Asked) -> Self:
         """The same scores, which know what they were asked about."""
-        return replace(self)._knowing(asked)
+        same = object.__new__(type(self))
+        same.__dict__.update(self.__dict__)
+        return same._knowing(asked)
 
     def __getstate__(self) -> dict[str, Any]:
         """What copies and pickles hold: the numbers, not the evaluator."""

@@ -1,6 +1,8 @@
 """Kernel calls by name: every mistake is an error that names it before anything runs, and nobody passes a bare list."""
 
 import ast
+import weakref
+from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
 
@@ -129,6 +131,69 @@ def test_a_tensor_that_wants_a_gradient_is_passed_by_value_and_gets_none():
     launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
     torch.testing.assert_close(outputs["length"], expected(inputs).detach())
     assert inputs["weight"].grad is None
+
+
+def test_a_repeated_call_takes_the_memory_rows_and_values_it_is_given():
+    for n in (N, 3, 50, 0, N):
+        for power, offset in ((1, 0.5), (2, 0.25), (1, -0.0)):
+            inputs, outputs = arguments(n, power=power, offset=offset)
+            inputs["point"] = torch.rand((n, 3))
+            launch_trials(scaled, n, inputs=inputs, outputs=outputs, device="cpu", threads=2, chunk=20)
+            length = inputs["point"].norm(dim=1) * inputs["weight"] * 2.0 + offset + 0.25
+            torch.testing.assert_close(outputs["length"], length**power)
+            assert (outputs["calls"] == 1).all()
+
+
+def test_a_struct_whose_numbers_change_and_another_one_are_both_seen():
+    inputs, outputs = arguments()
+    for factor in (2.0, 3.0):
+        inputs["scale"].factor = factor
+        launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
+        torch.testing.assert_close(outputs["length"], (expected(inputs) - 0.75) * factor / 2.0 + 0.75)
+    other, _ = arguments(scale=Scale())
+    launch_trials(scaled, N, inputs=other, outputs=outputs, device="cpu")
+    torch.testing.assert_close(outputs["length"], torch.full((N,), 0.75))
+
+
+def test_what_is_refused_the_first_time_is_refused_after_a_call_that_was_right():
+    inputs, outputs = arguments()
+    launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
+    for name, value in {
+        "point": torch.rand((N, 2)),
+        "weight": torch.rand(N, dtype=torch.float64),
+        "table": torch.rand((2, 4)).T,
+        "power": 1.5,
+        "scale": Other(),
+    }.items():
+        refused(f"`{name}`", {**inputs, name: value}, outputs)
+    refused("`length`", inputs, {**outputs, "length": torch.zeros(N - 1)}, ValueError)
+    refused("unknown", {**inputs, "wait": 1}, outputs)
+    refused("missing", {k: v for k, v in inputs.items() if k != "weight"}, outputs)
+    launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
+    torch.testing.assert_close(outputs["length"], expected(inputs))
+
+
+def test_callers_in_threads_do_not_see_each_others_memory():
+    def many(seed: int) -> bool:
+        right = True
+        for n in [2, 40] * 20:
+            inputs, outputs = arguments(n, offset=float(seed))
+            launch_trials(scaled, n, inputs=inputs, outputs=outputs, device="cpu", threads=2, chunk=16)
+            length = inputs["point"].norm(dim=1) * inputs["weight"] * 2.0 + seed + 0.25
+            right = right and torch.allclose(outputs["length"], length) and bool((outputs["calls"] == 1).all())
+        return right
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(many, range(4)))
+
+
+def test_memory_of_a_call_is_given_back_after_it():
+    """What is kept for the next call is addresses, not what stands there."""
+    inputs, outputs = arguments()
+    launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
+    gone = [weakref.ref(x) for x in (inputs["scale"], inputs["point"], outputs["length"])]
+    del inputs, outputs
+    assert [x() for x in gone] == [None] * 3
 
 
 def test_nothing_to_do_is_checked_all_the_same():
@@ -271,9 +336,9 @@ def test_nobody_launches_with_a_list():
             if not isinstance(node, ast.Call):
                 continue
             called = ast.unparse(node.func)
-            assert (
-                called not in ("wp.launch", "warp.launch") or file == ROOT / "r2h_batch" / "launch" / "__init__.py"
-            ), f"{file.relative_to(ROOT)}:{node.lineno} calls {called}: use r2h_batch.launch"
+            assert called not in ("wp.launch", "warp.launch") or file.parent == ROOT / "r2h_batch" / "launch", (
+                f"{file.relative_to(ROOT)}:{node.lineno} calls {called}: use r2h_batch.launch"
+            )
             passed_on = any(isinstance(a, ast.Starred) for a in node.args)  # a bench's wrapper around the launcher
             if called.rsplit(".", 1)[-1] not in ("launch", "launch_trials") or called.startswith("wp.") or passed_on:
                 continue

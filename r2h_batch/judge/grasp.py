@@ -220,7 +220,9 @@ def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor) -> int
                 f"expected contiguous {dtype} {shape} on {tables.device}"
             )
     # on CUDA looking at them would wait for the device: there the caller vouches for them
-    if n and tables.device == "cpu" and (int(object_index.min()) < 0 or int(object_index.max()) >= tables.objects):
-        given = f"[{int(object_index.min())}, {int(object_index.max())}]"
-        raise ValueError(f"object_index lies in {given}; allowed is [0, {tables.objects - 1}]: the tables' objects")
+    if n and tables.device == "cpu":
+        low, high = (int(x) for x in torch.aminmax(object_index))
+        if low < 0 or high >= tables.objects:
+            allowed = f"[0, {tables.objects - 1}]"
+            raise ValueError(f"object_index lies in [{low}, {high}]; allowed is {allowed}: the tables' objects")
     return n

@@ -8,11 +8,17 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.config import EvalConfig
-from r2h_batch.judge.grasp import Grasp, attach, close_gripper
+from r2h_batch.judge.grasp import Grasp, close_gripper
+from r2h_batch.kernels.judge import rows as row_kernels
+from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import Placed, Scene
 from r2h_batch.types import Trials
 
-__all__ = ["Holding", "hold"]
+__all__ = ["ROWS_CHUNK", "Holding", "hold"]
+
+
+ROWS_CHUNK = 4096
+"""Rows a thread takes at a time where a row costs tens of nanoseconds."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +36,7 @@ class Holding:
     objects: Int32[Tensor, " b"]
     grasp: Grasp
     attached: Float32[Tensor, "b 4 4"]  # T_obj_ee once the pads have met the object
+    ball: Float32[Tensor, "b 3"]  # centre of the receiver's ball in the object's frame
     placed: Placed
 
 
@@ -43,28 +50,70 @@ def hold(
     threads: int | None = None,
 ) -> Holding:
     """B trials with the gripper closed on the object; rows with a pose that is none, or an unknown body, are not active."""
-    T_world_hand, objects, hands = trials.T_world_hand, trials.object_index.contiguous(), trials.hand_index
-    poses = torch.stack(
-        [T_obj_ee.detach(), T_world_ee.detach(), T_world_hand.detach()]
-    )  # as one: a small batch is all overhead
-    active = se3.is_pose(poses).all(0)
-    if objects.is_cuda:  # on a CPU they were looked at before any work
-        for index, count in ((objects, len(scene.objects)), (hands, len(scene.hands.set))):
-            active = active & (index >= 0) & (index < count)
-        objects, hands = torch.where(active, objects, 0), torch.where(active, hands, 0)
-    T_obj_ee, T_world_ee, T_world_hand = _usable(poses, active).unbind(0)
+    active, (T_obj_ee, T_world_ee, T_world_hand), objects, hands = _usable(
+        scene, (T_obj_ee, T_world_ee, trials.T_world_hand), trials, threads
+    )
     limits = config.thresholds
     grasp = close_gripper(
         scene.grasp_tables, T_obj_ee, objects,
         w_max=limits.w_max_m, w_min=limits.w_min_m, mode=config.width, threads=threads,
     )  # fmt: skip
-    attached = attach(T_obj_ee, grasp.shift_m)
+    attached, ball = torch.empty_like(T_obj_ee), torch.empty_like(T_obj_ee[:, 0, :3])
+    point, normal = scene.palms
+    launch_trials(
+        row_kernels.close_rows,
+        len(active),
+        inputs={
+            "reach_offset": limits.reach_offset_m,
+            "palm_point": point,
+            "palm_normal": normal,
+            "T_obj_ee": T_obj_ee,
+            "T_world_ee": T_world_ee,
+            "T_world_hand": T_world_hand,
+            "hand": hands,
+            "shift": grasp.shift_m,
+        },
+        outputs={"attached": attached, "ball": ball},
+        device=scene.device,
+        threads=threads,
+        chunk=ROWS_CHUNK,
+    )
     placed = scene.place(objects, hands, attached, T_world_hand, grasp.opening_m, threads=threads)
-    return Holding(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, placed)
+    return Holding(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, ball, placed)
 
 
-def _usable(T: Float32[Tensor, "k b 4 4"], active: Bool[Tensor, " b"]) -> Float32[Tensor, "k b 4 4"]:
-    """Orthonormal poses, the identity where a row is not active."""
-    eye, kept = torch.eye(4, dtype=T.dtype, device=T.device), active[:, None, None]
-    # twice: a row that is no pose may hold anything, and must not reach the orthonormalisation
-    return torch.where(kept, se3.orthonormalise(torch.where(kept, T, eye)), eye).contiguous()
+def _usable(
+    scene: Scene, poses: tuple[Tensor, Tensor, Tensor], trials: Trials, threads: int | None
+) -> tuple[Tensor, tuple[Tensor, ...], Tensor, Tensor]:
+    """Which rows are active; the poses orthonormal, the identity elsewhere; objects and hands, 0 where there are none such.
+
+    On a CPU bodies outside the scene were refused before any work; on CUDA looking at them would have waited.
+    """
+    given = [T.detach().contiguous() for T in poses]
+    b, device = len(given[0]), given[0].device
+    clean = torch.empty((3, b, 4, 4), dtype=torch.float32, device=device)
+    objects, hands = (torch.empty_like(x) for x in (trials.object_index, trials.hand_index))
+    active = torch.empty(b, dtype=torch.bool, device=device)
+    launch_trials(
+        row_kernels.usable_rows,
+        b,
+        inputs={
+            "objects": len(scene.objects),
+            "hands": len(scene.hands.set),
+            "T_obj_ee": given[0],
+            "T_world_ee": given[1],
+            "T_world_hand": given[2],
+            "object": trials.object_index.contiguous(),
+            "hand": trials.hand_index.contiguous(),
+        },
+        outputs={
+            "active": active,
+            **dict(zip(("T_obj_ee", "T_world_ee", "T_world_hand"), clean.unbind(0), strict=True)),
+            "object": objects,
+            "hand": hands,
+        },
+        device=scene.device,
+        threads=threads,
+        chunk=ROWS_CHUNK,
+    )
+    return active, se3.orthonormalise(clean).unbind(0), objects, hands

@@ -154,12 +154,22 @@ def _check(
         raise ValueError(
             f"active is {active.dtype} {tuple(active.shape)} on {active.device}; it must be bool ({n},) on {device}"
         )
-    if len(home) != 6 or not ((robot.lower <= home) & (home <= robot.upper)).all():
+    if not (robot is load_robot() and _is_home(tuple(home))) and not _within_limits(robot, home):
         raise ValueError(f"home is {tuple(home)}; it must be 6 joint angles in rad within the robot's limits")
     if iterations < 1:
         raise ValueError(f"iterations is {iterations}; it must be 1 or more")
-    if seeds.ndim != 2 or seeds.shape[1] != 6 or not np.isfinite(seeds).all():
+    if seeds is not ik_seeds() and (seeds.ndim != 2 or seeds.shape[1] != 6 or not np.isfinite(seeds).all()):
         raise ValueError(f"seeds have shape {seeds.shape}; they must be finite joint angles (S, 6) in rad")
+
+
+def _within_limits(robot: Robot, home: Sequence[float]) -> bool:
+    return len(home) == 6 and bool(((robot.lower <= home) & (home <= robot.upper)).all())
+
+
+@lru_cache(maxsize=64)
+def _is_home(home: tuple[float, ...]) -> bool:
+    """Whether the committed robot can stand there, asked once for each home."""
+    return _within_limits(load_robot(), home)
 
 
 JACOBIAN_STEPS = 100

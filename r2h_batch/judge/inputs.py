@@ -86,7 +86,7 @@ def check_indices(scene: Scene, trials: Trials) -> None:
         ("object_index", trials.object_index, len(scene.objects)),
         ("hand_index", trials.hand_index, len(scene.hands.set)),
     ):
-        low, high = int(index.min()), int(index.max())
+        low, high = (int(x) for x in torch.aminmax(index))
         if low < 0 or high >= count:
             raise ValueError(f"trials.{name} runs from {low} to {high}; the scene has 0 to {count - 1}")
 

@@ -7,9 +7,8 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch import se3
 from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, Thresholds
-from r2h_batch.judge.grasp import Grasp, attach, region_distance
+from r2h_batch.judge.grasp import Grasp, region_distance
 from r2h_batch.judge.grasp_physics import DROPPED_M, close_in_physics
 from r2h_batch.judge.plan import Plan
 from r2h_batch.kernels.judge import reach as reach_kernels
@@ -92,7 +91,6 @@ def plan(planned: Plan, executed: Executed, active: Bool[Tensor, " b"]) -> Crite
 
 def reach(
     scene: Scene,
-    T_world_obj: Float32[Tensor, "b 4 4"],
     ball_center: Float32[Tensor, "b 3"],
     object_index: Int32[Tensor, " b"],
     active: Bool[Tensor, " b"],
@@ -100,15 +98,21 @@ def reach(
     *,
     threads: int | None = None,
 ) -> Criterion:
-    """Reach(g, h) <=> V_O(g, h) meets the ball B_h: margin r_h - dist(c_h, object solid). Touching passes."""
-    # dist(c_h, V_O) is asked in the object's frame, where the mesh's tree stands: the ball moves, not the object
-    x = se3.apply(se3.inverse(T_world_obj), ball_center).contiguous()
-    distance = torch.zeros(len(x), dtype=torch.float32, device=x.device)
-    nearest = torch.zeros((len(x), 3), dtype=torch.float32, device=x.device)
+    """Reach(g, h) <=> V_O(g, h) meets the ball B_h: margin r_h - dist(c_h, object solid). Touching passes.
+
+    `ball_center`: c_h in the object's frame, where the mesh's tree stands: the ball moves, not the object.
+    """
+    distance = torch.empty_like(ball_center[:, 0])
+    nearest = torch.empty_like(ball_center)
     launch_trials(
         reach_kernels.point_to_object,
-        len(x),
-        inputs={"cap": FARTHEST_M, "mesh": scene.object_mesh_ids, "object": object_index.to(torch.int32), "point": x},
+        len(active),
+        inputs={
+            "cap": FARTHEST_M,
+            "mesh": scene.object_mesh_ids,
+            "object": object_index.to(torch.int32),
+            "point": ball_center,
+        },
         outputs={"distance": distance, "nearest": nearest},
         device=scene.device,
         threads=threads,
@@ -119,7 +123,7 @@ def reach(
 
 def affordance(
     scene: Scene,
-    T_obj_ee: Float32[Tensor, "b 4 4"],
+    attached: Float32[Tensor, "b 4 4"],
     object_index: Int32[Tensor, " b"],
     grasp: Grasp,
     active: Bool[Tensor, " b"],
@@ -130,11 +134,10 @@ def affordance(
     """Affordance(g) <=> V_grip(g) does not meet G_O^H(g): margin is the fingers' distance to the region. S1 only.
 
     The fingers are taken `pad_squeeze_m` tighter than the material between them, so that fingers which hold the region
-    itself meet it clearly and not within rounding.
+    itself meet it clearly and not within rounding. `attached`: `T_obj_ee` once the pads have met the object (`attach`): the
+    region moves with the object, which they have shifted.
     """
-    # The region moves with the object, which the pads have shifted: fingers and region in the attachment's frame
     opening = squeezed(grasp, thresholds)
-    attached = attach(T_obj_ee, grasp.shift_m)
     distance, _ = region_distance(
         scene.grasp_tables, attached, object_index, opening, cap_m=CLEARANCE_CAP_M, threads=threads
     )

@@ -3,17 +3,19 @@
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float32, Int8, Int32, Int64
+from jaxtyping import Bool, Float32, Int32, Int64
 from torch import Tensor
 
 from r2h_batch.config import BORDERLINE_M, ExecConfig
 from r2h_batch.judge.goal import Goal
-from r2h_batch.judge.hold import Holding
+from r2h_batch.judge.hold import ROWS_CHUNK, Holding
 from r2h_batch.judge.metrics import Criterion, Touch
 from r2h_batch.judge.plan import Plan
+from r2h_batch.kernels.judge import verdict as verdict_kernels
+from r2h_batch.launch import launch_trials
 from r2h_batch.motion.execute import Executed, executed_time_at
 from r2h_batch.motion.time_law import Motion, time_at
-from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
+from r2h_batch.types import CollidingPair, PlanReason, Scores
 
 __all__ = ["motion_scores", "pose_scores", "random_key", "verdict"]
 
@@ -24,35 +26,53 @@ def verdict(
     holding: Holding,
     slip_m: Float32[Tensor, " b"],
     valid: Bool[Tensor, " b"] | None = None,
+    *,
+    threads: int | None = None,
 ) -> dict[str, Tensor]:
     """The fields of `Scores` that need neither path nor posture; `criteria` in the order of `CRITERIA`.
 
     `valid`: False where the simulator failed. Such a row is judged by nothing, and comes back as INVALID_SIM.
     """
     active, grasp = holding.active, holding.grasp
-    # (B, 5), columns as CRITERIA
-    evaluated = torch.stack([c.evaluated for c in criteria], 1)
-    passed = torch.stack([c.passed for c in criteria], 1)
-    margin = torch.stack([c.margin for c in criteria], 1)
-    if valid is not None:
-        evaluated, passed = evaluated & valid[:, None], passed & valid[:, None]
-        margin = torch.where(valid[:, None], margin, torch.nan)
-    outcome = _first_failure(passed, evaluated, active)
-    if valid is not None:
-        outcome = outcome.masked_fill(active & ~valid, int(Outcome.INVALID_SIM))
-    return {
-        "trial_id": trial_id,
-        "outcome": outcome,
-        "success": outcome == int(Outcome.SUCCESS),
+    b, device = len(active), active.device
+    columns = {
+        f"{name}_{k}": getattr(c, name) for name in ("margin", "passed", "evaluated") for k, c in enumerate(criteria)
+    }
+    # (B,) and (B, 5), columns as CRITERIA
+    success, borderline = (torch.empty_like(active) for _ in range(2))
+    passed, evaluated = (torch.empty((b, len(criteria)), dtype=torch.bool, device=device) for _ in range(2))
+    width, opening, shift = (torch.empty_like(grasp.width_m) for _ in range(3))
+    out = {
+        "outcome": torch.empty(b, dtype=torch.int8, device=device),
+        "success": success,
+        "borderline": borderline,
         "passed": passed,
         "evaluated": evaluated,
-        "margin": margin,
-        "borderline": (evaluated & (margin.abs() < BORDERLINE_M)).any(1),
-        "width_m": torch.where(active, grasp.width_m, torch.nan),
-        "opening_m": torch.where(active, grasp.opening_m, torch.nan),
-        "grasp_shift_m": torch.where(active, grasp.shift_m, torch.nan),
-        "slip_m": slip_m,
+        "margin": torch.empty((b, len(criteria)), dtype=torch.float32, device=device),
+        "width_m": width,
+        "opening_m": opening,
+        "shift_m": shift,
     }
+    launch_trials(
+        verdict_kernels.judge_rows,
+        b,
+        inputs={
+            "borderline_m": BORDERLINE_M,
+            "simulated": int(valid is not None),
+            **columns,
+            "active": active,
+            "valid": active if valid is None else valid,
+            "width": grasp.width_m,
+            "opening": grasp.opening_m,
+            "shift": grasp.shift_m,
+        },
+        outputs=out,
+        device=str(device),
+        threads=threads,
+        chunk=ROWS_CHUNK,
+    )
+    out["grasp_shift_m"] = out.pop("shift_m")
+    return {"trial_id": trial_id, **out, "slip_m": slip_m}
 
 
 def motion_scores(
@@ -127,16 +147,6 @@ def random_key(trial_id: Int64[Tensor, " b"]) -> Int32[Tensor, " b"]:
     for shift, factor in ((16, 0x45D9F3B), (16, 0x45D9F3B), (16, 1)):
         x = ((x ^ (x >> shift)) * factor) & 0xFFFFFFFF
     return (x & 0x7FFFFFFF).to(torch.int32)
-
-
-def _first_failure(
-    passed: Bool[Tensor, "b 5"], evaluated: Bool[Tensor, "b 5"], active: Bool[Tensor, " b"]
-) -> Int8[Tensor, " b"]:
-    """The outcome: the first criterion, in the paper's order, that was evaluated and failed."""
-    outcome = torch.full(passed.shape[:1], int(Outcome.SUCCESS), dtype=torch.int8, device=passed.device)
-    for i in reversed(range(passed.shape[1])):
-        outcome = outcome.masked_fill(evaluated[:, i] & ~passed[:, i], i + 1)
-    return outcome.masked_fill(~active, int(Outcome.INVALID_INPUT))
 
 
 def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor, Tensor]:

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 import warp as wp
 
+from r2h_batch.launch import repeated
 from r2h_batch.launch.arguments import bind
 
 CACHE_BYTES, MODULE_BYTES = 64 << 20, 8 << 20
@@ -148,34 +149,54 @@ def launch_trials(
     Warp runs a CPU kernel as one serial loop but releases the interpreter lock, so threads over chunks use all cores.
     Chunks only say who computes a trial: results do not depend on them.
     """
+    if device == "cpu":
+        _launch_on_cpu(kernel, n, inputs, outputs, threads, chunk, width, first)
+        return
     args = [first, *bind(kernel, inputs, outputs, device, trials=first + n)]
     if n == 0:
         return
     _room_for(kernel.module)
-    if device != "cpu":
-        dim = (n, width) if width > 1 else n
-        wp.launch(kernel, dim=dim, inputs=args, stream=_stream(device), block_dim=BLOCK_DIM)
-        return
-    workers = min(cpu_threads(threads), -(-n // chunk))
-    if workers == 1 and n <= chunk:  # a small batch: nothing to share, and nothing to set again
-        wp.launch(kernel, dim=(n, width) if width > 1 else n, inputs=args, device="cpu")
-        return
-    # Arguments are packed once per worker (here: the first packing compiles the module); a launch then costs microseconds.
-    commands = [wp.launch(kernel, dim=1, inputs=args, device="cpu", record_cmd=True) for _ in range(workers)]
-    firsts = iter(range(first, first + n, chunk))  # next() is atomic: whoever is free takes the next chunk
+    dim = (n, width) if width > 1 else n
+    wp.launch(kernel, dim=dim, inputs=args, stream=_stream(device), block_dim=BLOCK_DIM)
 
-    def work(command: wp.Launch) -> None:
-        size = 0
+
+def _launch_on_cpu(
+    kernel: Any,
+    n: int,
+    inputs: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    threads: int | None,
+    chunk: int,
+    width: int,
+    first: int,
+) -> None:
+    """`launch_trials` on all cores, with what this thread packed for the kernel before (repeated.py)."""
+    packed = repeated.taken(kernel)
+    if packed is None or not packed.refill(inputs, outputs, first + n):
+        args = [first, *bind(kernel, inputs, outputs, "cpu", trials=first + n)]
+        if n == 0:
+            return
+        _room_for(kernel.module)
+        packed = repeated.Repeated(kernel, args, inputs, outputs)
+    workers = 1 if n <= chunk else min(cpu_threads(threads), -(-n // chunk))
+    if workers > 1:
+        _share(packed, n, workers, chunk, width, first)
+    elif n:  # nothing to share
+        packed.run(0, first, n, width)
+    repeated.kept(packed)
+
+
+def _share(packed: repeated.Repeated, n: int, workers: int, chunk: int, width: int, first: int) -> None:
+    """Trials first..first+n-1 by chunks: whoever of the workers is free takes the next one."""
+    packed.prepare(workers, chunk, width)  # compiles the module, once
+    firsts = iter(range(first, first + n, chunk))  # next() is atomic
+
+    def work(worker: int) -> None:
         for start in firsts:
-            rows = min(chunk, first + n - start)
-            if rows != size:
-                size = rows
-                command.set_dim((rows, width) if width > 1 else rows)
-            command.set_param_at_index(0, start)
-            command.launch()
+            packed.run(worker, start, min(chunk, first + n - start), width)
 
-    futures = [thread_pool(workers).submit(work, command) for command in commands[1:]]
-    work(commands[0])
+    futures = [thread_pool(workers).submit(work, worker) for worker in range(1, workers)]
+    work(0)
     for future in futures:
         future.result()
 

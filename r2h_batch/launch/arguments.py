@@ -21,12 +21,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 import warp as wp
+from torch import Tensor
 from warp.types import types_equal
 
 _WRITTEN = ("_inout", "_out", "_scratch")
 
 _NUMPY: dict[Any, np.dtype[Any]] = {
     wp.bool: np.dtype(np.bool_),
+    wp.int8: np.dtype(np.int8),
     wp.uint8: np.dtype(np.uint8),
     wp.int32: np.dtype(np.int32),
     wp.int64: np.dtype(np.int64),
@@ -96,6 +98,24 @@ def bind(
         ]
     except KeyError:
         raise _wrong_names(signature, inputs, outputs) from None
+
+
+def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
+    """A `kind` (of wp.struct) whose arrays are these tensors' memory; whoever makes it keeps the tensors.
+
+    Raises TypeError where a tensor is not what the struct declares, KeyError where one is missing.
+    """
+    made = kind()
+    for name, p in _fields(kind):
+        value = tensors[name]
+        setattr(made.__ctype__(), name, _pack_array(p, value, wp.device_from_torch(value.device), 0))
+    return made
+
+
+@cache
+def _fields(kind: Any) -> tuple[tuple[str, "Parameter"], ...]:
+    """The arrays of a struct."""
+    return tuple((name, _parameter(kind.key, name, declared.type)) for name, declared in kind.vars.items())
 
 
 def parameters(kernel: Any) -> tuple[Parameter, ...]:

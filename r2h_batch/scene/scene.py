@@ -24,6 +24,7 @@ from r2h_batch.kernels.robot.place import place_bodies
 from r2h_batch.kernels.robot.tool import Tool
 from r2h_batch.kernels.robot.world import TrialBodies
 from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.launch.arguments import struct_of
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tables
 from r2h_batch.scene.model import SceneModel, scene_model
 from r2h_batch.scene.tables import Hands, WorldTables
@@ -107,9 +108,14 @@ class Scene:
         """The `Tool` of r2h_batch.kernels.robot.tool."""
         tool = Tool()
         tool.joint_R, tool.joint_p = self.world.joint_R, self.world.joint_p
-        tool.R_wrist_ee = wp.mat33(*self.T_wrist_ee[:3, :3].astype(np.float32).ravel())
-        tool.p_wrist_ee = wp.vec3(*self.T_wrist_ee[:3, 3].astype(np.float32))
+        tool.R_wrist_ee, tool.p_wrist_ee = self._wrist_ee
         return tool
+
+    @cached_property
+    def _wrist_ee(self) -> tuple[Any, Any]:
+        """`T_wrist_ee` as kernels take it: R (mat33) and p (vec3)."""
+        T = self.T_wrist_ee.astype(np.float32)
+        return wp.mat33(*T[:3, :3].ravel()), wp.vec3(*T[:3, 3])
 
     def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> SceneModel:
         """The scene as one MuJoCo model, which takes any trial with one of these hands: what is simulated and rendered."""
@@ -191,12 +197,13 @@ class Scene:
         return mesh
 
     @cached_property
-    def _palms(self) -> tuple[Tensor, Tensor]:
+    def palms(self) -> tuple[Tensor, Tensor]:
+        """Palm points and normals (H, 3) of the hands, each in its hand's frame."""
         return self.hands.palm_point.to(self.device), self.hands.palm_normal.to(self.device)
 
     def palm(self, hand_index: Tensor, T_world_hand: Float32[Tensor, "n 4 4"]) -> tuple[Tensor, Tensor, Tensor]:
         """Palm point p_h, palm normal n_h and ball centre c_h (n, 3) in the world (paper: c_h = p_h + d_h n_h)."""
-        point, normal = self._palms
+        point, normal = self.palms
         i = hand_index.long()
         p = se3.apply(T_world_hand, point[i])
         turn = T_world_hand.clone()
@@ -236,8 +243,8 @@ class Scene:
             inputs={
                 "world": self.world,
                 "gripper": gripper,
-                "R_wrist_ee": wp.mat33(*self.T_wrist_ee[:3, :3].astype(np.float32).ravel()),
-                "p_wrist_ee": wp.vec3(*self.T_wrist_ee[:3, 3].astype(np.float32)),
+                "R_wrist_ee": self._wrist_ee[0],
+                "p_wrist_ee": self._wrist_ee[1],
                 "object": objects,
                 "T_obj_ee": T_obj_ee.contiguous(),
                 "T_world_hand": T_world_hand.contiguous(),
@@ -248,11 +255,8 @@ class Scene:
             threads=threads,
             chunk=256,
         )
-        bodies = TrialBodies()
-        bodies.hand, bodies.object = wp.from_torch(hands), wp.from_torch(objects)
-        for name, value in out.items():
-            dtype = wp.mat33 if name.startswith("R_") else wp.float32 if name == "lever" else wp.vec3
-            setattr(bodies, "object_lever" if name == "lever" else name, wp.from_torch(value, dtype=dtype))
+        names = {"hand": hands, "object": objects, "object_lever": out["lever"]}
+        bodies = struct_of(TrialBodies, {**out, **names})
         return Placed(bodies, (objects, hands, *out.values(), T_world_hand, opening_m))
 
 

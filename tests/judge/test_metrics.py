@@ -142,13 +142,10 @@ def test_the_balls_centre_is_twelve_centimetres_out_of_the_palm():
 @pytest.mark.parametrize(("gap", "passes"), [(0.0999, True), (0.1001, False)])
 def test_reach_passes_up_to_the_balls_radius(gap, passes):
     scene = default_evaluator().scene
-    T = torch.eye(4)[None]
     top = float(scene.objects[0].vertices[:, 0].max())
     corner = scene.objects[0].vertices[scene.objects[0].vertices[:, 0].argmax()]
     center = torch.tensor([[top + gap, float(corner[1]), float(corner[2])]])
-    c = metrics.reach(
-        scene, T, center, torch.zeros(1, dtype=torch.int32), torch.ones(1, dtype=torch.bool), Thresholds()
-    )
+    c = metrics.reach(scene, center, torch.zeros(1, dtype=torch.int32), torch.ones(1, dtype=torch.bool), Thresholds())
     assert bool(c.passed[0]) is passes
 
 
@@ -214,7 +211,7 @@ def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
     assert (s.margin[holding, AFFORDANCE] < -1e-4).all()
     too_wide = Grasp(**{**grasp.__dict__, "width_m": torch.full((N,), 0.2), "opening_m": torch.full((N,), 0.085)})
     c = metrics.affordance(
-        scene, batch.T_obj_ee, batch.trials.object_index, too_wide, torch.ones(N, dtype=torch.bool), Thresholds()
+        scene, closed[0], batch.trials.object_index, too_wide, torch.ones(N, dtype=torch.bool), Thresholds()
     )
     open_, _ = region_distance(scene.grasp_tables, *closed, too_wide.opening_m, cap_m=CLEARANCE_CAP_M)
     assert torch.equal(c.margin[c.evaluated], open_[c.evaluated])
@@ -296,11 +293,12 @@ def test_inactive_rows_are_not_judged():
     grasp = close_gripper(scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
     _, _, center = scene.palm(batch.trials.hand_index, batch.trials.T_world_hand)
     T_world_obj = se3.matmul(batch.T_world_ee, se3.inverse(problems.T_obj_ee_attached))
+    ball = se3.apply(se3.inverse(T_world_obj), center)
     for c in (
         metrics.stability(grasp, none),
         metrics.plan(problems.plan, as_planned(problems), none),
-        metrics.reach(scene, T_world_obj, center, batch.trials.object_index, none, Thresholds()),
-        metrics.affordance(scene, batch.T_obj_ee, batch.trials.object_index, grasp, none, Thresholds()),
+        metrics.reach(scene, ball, batch.trials.object_index, none, Thresholds()),
+        metrics.affordance(scene, problems.T_obj_ee_attached, batch.trials.object_index, grasp, none, Thresholds()),
         metrics.safe(scene, problems.placed, as_planned(problems), none, Thresholds())[0],
     ):
         assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()

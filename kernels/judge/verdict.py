@@ -1,0 +1,97 @@
+"""From the criteria side by side to a row's verdict: the first that was evaluated and failed, in the paper's order."""
+
+import warp as wp
+
+wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+
+INVALID_INPUT = wp.constant(6)
+"""As `r2h_batch.verdicts.Outcome`, of which a criterion's own number is its place + 1."""
+INVALID_SIM = wp.constant(7)
+
+
+@wp.kernel
+def judge_rows(
+    first: int,
+    borderline_m: float,
+    simulated: int,  # 0: `valid` says nothing
+    # the criteria, in the order of `r2h_batch.verdicts.CRITERIA`
+    margin_0_in: wp.array(dtype=wp.float32),
+    margin_1_in: wp.array(dtype=wp.float32),
+    margin_2_in: wp.array(dtype=wp.float32),
+    margin_3_in: wp.array(dtype=wp.float32),
+    margin_4_in: wp.array(dtype=wp.float32),
+    passed_0_in: wp.array(dtype=wp.bool),
+    passed_1_in: wp.array(dtype=wp.bool),
+    passed_2_in: wp.array(dtype=wp.bool),
+    passed_3_in: wp.array(dtype=wp.bool),
+    passed_4_in: wp.array(dtype=wp.bool),
+    evaluated_0_in: wp.array(dtype=wp.bool),
+    evaluated_1_in: wp.array(dtype=wp.bool),
+    evaluated_2_in: wp.array(dtype=wp.bool),
+    evaluated_3_in: wp.array(dtype=wp.bool),
+    evaluated_4_in: wp.array(dtype=wp.bool),
+    # rows
+    active_in: wp.array(dtype=wp.bool),
+    valid_in: wp.array(dtype=wp.bool),
+    width_in: wp.array(dtype=wp.float32),
+    opening_in: wp.array(dtype=wp.float32),
+    shift_in: wp.array(dtype=wp.float32),
+    # out
+    outcome_out: wp.array(dtype=wp.int8),
+    success_out: wp.array(dtype=wp.bool),
+    borderline_out: wp.array(dtype=wp.bool),
+    passed_out: wp.array2d(dtype=wp.bool),
+    evaluated_out: wp.array2d(dtype=wp.bool),
+    margin_out: wp.array2d(dtype=wp.float32),
+    width_m_out: wp.array(dtype=wp.float32),
+    opening_m_out: wp.array(dtype=wp.float32),
+    shift_m_out: wp.array(dtype=wp.float32),
+):
+    """Outcome, the criteria's columns, whether a margin is within `borderline_m` of 0; widths of rows that are active.
+
+    The columns are walked from the last to the first, so that the first criterion that was evaluated and failed is what stays:
+
+    1. a criterion counts where it was evaluated and the simulation did not fail; its margin is NaN where that did;
+    2. what counts and did not pass is the outcome, its place + 1; if nothing is, the row is a success;
+    3. what counts and is nearer to 0 than `borderline_m` makes the row borderline;
+    4. a row that is not active is INVALID_INPUT, one whose simulation failed INVALID_SIM: neither is judged by anything.
+    """
+    row = first + wp.tid()
+    active = active_in[row]
+    judged = simulated == 0 or valid_in[row]
+    margin = wp.vector(
+        margin_0_in[row], margin_1_in[row], margin_2_in[row], margin_3_in[row], margin_4_in[row], dtype=float
+    )
+    passed = wp.vector(
+        int(passed_0_in[row]), int(passed_1_in[row]), int(passed_2_in[row]), int(passed_3_in[row]),
+        int(passed_4_in[row]), dtype=int,
+    )  # fmt: skip
+    evaluated = wp.vector(
+        int(evaluated_0_in[row]), int(evaluated_1_in[row]), int(evaluated_2_in[row]), int(evaluated_3_in[row]),
+        int(evaluated_4_in[row]), dtype=int,
+    )  # fmt: skip
+    outcome = int(0)
+    near = bool(False)
+    for i in range(5):
+        k = 4 - i
+        asked = judged and evaluated[k] != 0
+        fine = judged and passed[k] != 0
+        m = margin[k]
+        if not judged:
+            m = wp.nan
+        if asked and not fine:
+            outcome = k + 1
+        near = near or (asked and wp.abs(m) < borderline_m)
+        passed_out[row, k] = fine
+        evaluated_out[row, k] = asked
+        margin_out[row, k] = m
+    if not active:
+        outcome = INVALID_INPUT
+    elif not judged:
+        outcome = INVALID_SIM
+    outcome_out[row] = wp.int8(outcome)
+    success_out[row] = outcome == 0
+    borderline_out[row] = near
+    width_m_out[row] = wp.where(active, width_in[row], wp.nan)
+    opening_m_out[row] = wp.where(active, opening_in[row], wp.nan)
+    shift_m_out[row] = wp.where(active, shift_in[row], wp.nan)

@@ -1,0 +1,96 @@
+"""What a row needs beside its geometry: kernels against `se3` and against the definition, in plain Python."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+import torch
+from problems import default_evaluator
+
+from r2h_batch import se3
+from r2h_batch.judge.grasp import attach
+from r2h_batch.judge.hold import hold
+from r2h_batch.judge.metrics import Criterion
+from r2h_batch.judge.verdict import verdict
+from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch.types import Outcome
+
+N = 512
+
+
+def poses(seed: int) -> torch.Tensor:
+    """Rotations near the tolerance of a pose, some of them mirrored, far away, not finite, or with another bottom row."""
+    g = torch.Generator().manual_seed(seed)
+    R = torch.linalg.qr(torch.randn(N, 3, 3, generator=g))[0]
+    R = R * torch.sign(torch.linalg.det(R))[:, None, None]
+    T = se3.from_rotation(R, torch.randn(N, 3, generator=g))
+    T[::2, :3, :3] += 3e-4 * torch.randn(N // 2, 3, 3, generator=g)
+    for i, (row, column, value) in enumerate(
+        [(0, 3, 1001.0), (1, 3, -999.0), (3, 0, 2e-6), (3, 3, 1.00001), (2, 1, math.nan), (0, 0, math.inf)]
+    ):
+        T[seed + 7 * i, row, column] = value
+    T[seed + 50 :: 61, :3, 0] *= -1
+    return T
+
+
+@pytest.fixture(scope="module")
+def held():
+    evaluator = default_evaluator()
+    trials = trials_with_ids(torch.arange(N))
+    given = poses(1), poses(2), poses(3)
+    trials = replace(trials, T_world_hand=given[2])
+    return given, trials, hold(evaluator.scene, given[0], given[1], trials, evaluator.config)
+
+
+def test_poses_are_those_of_se3_and_rows_that_are_none_have_the_identity(held):
+    given, _, holding = held
+    active = torch.stack([se3.is_pose(T) for T in given]).all(0)
+    assert torch.equal(holding.active, active)
+    assert 0.2 < active.double().mean() < 0.9
+    for mine, T in zip((holding.T_obj_ee, holding.T_world_ee, holding.T_world_hand), given, strict=True):
+        assert torch.equal(mine[active], se3.orthonormalise(T[active]))
+        assert (mine[~active] == torch.eye(4)).all()
+
+
+def test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit(held):
+    _, trials, holding = held
+    scene, active = default_evaluator().scene, holding.active
+    attached = attach(holding.T_obj_ee, holding.grasp.shift_m)
+    assert torch.equal(holding.attached[active], attached[active])
+    _, _, center = scene.palm(trials.hand_index, holding.T_world_hand)
+    T_world_obj = se3.matmul(holding.T_world_ee, se3.inverse(attached))
+    ball = se3.apply(se3.inverse(T_world_obj), center)
+    assert torch.equal(holding.ball[active], ball[active])
+
+
+@pytest.mark.parametrize("simulated", [False, True])
+def test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed(simulated):
+    g = torch.Generator().manual_seed(0)
+    criteria = []
+    for _ in range(5):
+        margin = 3e-4 * torch.randn(N, generator=g)
+        evaluated = torch.rand(N, generator=g) < 0.8
+        criteria.append(Criterion(torch.where(evaluated, margin, torch.nan), (margin > 0) & evaluated, evaluated))
+    active, valid = (torch.rand(N, generator=g) < 0.8 for _ in range(2))
+    lengths = {k: torch.rand(N, generator=g) for k in ("width_m", "opening_m", "shift_m")}
+    holding = SimpleNamespace(active=active, grasp=SimpleNamespace(**lengths))
+    found = verdict(torch.arange(N), criteria, holding, lengths["width_m"], valid if simulated else None)  # type: ignore[arg-type]
+    for i in range(N):
+        judged = bool(valid[i]) or not simulated
+        asked = [judged and bool(c.evaluated[i]) for c in criteria]
+        fine = [judged and bool(c.passed[i]) for c in criteria]
+        failed = [k + 1 for k in range(5) if asked[k] and not fine[k]]
+        outcome = failed[0] if failed else int(Outcome.SUCCESS)
+        outcome = int(Outcome.INVALID_SIM) if not judged else outcome
+        outcome = int(Outcome.INVALID_INPUT) if not active[i] else outcome
+        assert int(found["outcome"][i]) == outcome and bool(found["success"][i]) == (outcome == 0)
+        assert found["evaluated"][i].tolist() == asked and found["passed"][i].tolist() == fine
+        near = any(a and abs(float(c.margin[i])) < 1e-4 for a, c in zip(asked, criteria, strict=True))
+        assert bool(found["borderline"][i]) == near
+        for k, c in enumerate(criteria):
+            m = float(c.margin[i]) if judged else math.nan
+            assert float(found["margin"][i, k]) == m or (math.isnan(m) and math.isnan(float(found["margin"][i, k])))
+        for name, key in (("width_m", "width_m"), ("opening_m", "opening_m"), ("grasp_shift_m", "shift_m")):
+            value = float(found[name][i])
+            assert value == float(lengths[key][i]) if active[i] else math.isnan(value)
