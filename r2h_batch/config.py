@@ -101,6 +101,7 @@ class PlanConfig:
     """How a path from home to the handover pose is looked for."""
 
     goals: Literal["set", "one"] = "set"  # all collision-free branches, or the paper's single one
+    hand: Literal["true", "estimated"] = "true"  # which hand paths keep clear of; all else is judged on the true one
     edge_check: Literal["exact", "moveit"] = "exact"  # conservative advancement, or samples at MoveIt's resolution
     object_collision: Literal["hull", "pieces"] = "hull"
     hand_clearance_m: float = 0.003  # kept along the path wherever the goal keeps it [choice]
@@ -111,6 +112,7 @@ class PlanConfig:
 
     def __post_init__(self) -> None:
         _one_of(self, "goals", ("set", "one"))
+        _one_of(self, "hand", ("true", "estimated"))
         _one_of(self, "edge_check", ("exact", "moveit"))
         _one_of(self, "object_collision", ("hull", "pieces"))
         _positive(self, "range_rad")
@@ -119,6 +121,22 @@ class PlanConfig:
         if not self.rounds or any(n < 1 for n in self.rounds) or self.shortcuts < 0:
             raise ValueError(
                 f"PlanConfig.rounds is {self.rounds}, shortcuts {self.shortcuts}; rounds must be 1 or more"
+            )
+
+
+@dataclass(frozen=True)
+class EstimateConfig:
+    """The hand that a planner with `PlanConfig.hand = "estimated"` sees: `predictors.predict_target` with the same numbers."""
+
+    errors: Literal["normal", "frames", "tails"] = "normal"  # `PredictorNoise.target_errors`
+    factor: float = 1.0  # on all of them; 0: the truth
+    seed: int = 0  # of the methods: they and the planner see the same hand
+
+    def __post_init__(self) -> None:
+        _one_of(self, "errors", ("normal", "frames", "tails"))
+        if not (isinstance(self.factor, (int, float)) and math.isfinite(self.factor) and self.factor >= 0):
+            raise ValueError(
+                f"EstimateConfig.factor is {self.factor!r}; it must be 0 (the truth) or more, 1 is the default"
             )
 
 
@@ -166,12 +184,17 @@ class EvalConfig:
     plan: PlanConfig = field(default_factory=PlanConfig)
     execute: ExecConfig = field(default_factory=ExecConfig)
     workplace: Workplace = field(default_factory=Workplace)
+    estimate: EstimateConfig = field(default_factory=EstimateConfig)
+    candidates: Literal["filtered", "as-generated"] = (
+        "filtered"  # grasps that methods choose from; nothing is judged by it
+    )
     width: Literal["pads", "whole"] = "pads"  # material between the pads, or the whole object's extent
     stability: Literal["geometric", "physics"] = "geometric"  # physics: the friction grasp must also outlast a shake
     chunk: int = 2048  # trials held in memory at once
     name: str = "default"
 
     def __post_init__(self) -> None:
+        _one_of(self, "candidates", ("filtered", "as-generated"))
         _one_of(self, "width", ("pads", "whole"))
         _one_of(self, "stability", ("geometric", "physics"))
         if self.chunk < 1:
@@ -183,5 +206,8 @@ class EvalConfig:
         if name == "default":
             return EvalConfig()
         if name == "paper":
-            return EvalConfig(plan=PlanConfig(goals="one", edge_check="moveit", hand_clearance_m=0.0), name="paper")
+            plan = PlanConfig(goals="one", hand="estimated", edge_check="moveit", hand_clearance_m=0.0)
+            return EvalConfig(
+                plan=plan, estimate=EstimateConfig(errors="tails"), candidates="as-generated", name="paper"
+            )
         raise ValueError(f"unknown preset {name!r}; allowed are default, paper")

@@ -147,6 +147,8 @@ class Evaluator:
         device, stability = torch.device(self.scene.device), self.config.stability
         if device.type == "cuda" and self.config.ik.solver != "fused":
             raise ValueError("ik.solver='pytorch-kinematics' waits for the device and cannot be captured; use 'fused'")
+        if device.type == "cuda" and self.config.plan.hand == "estimated":
+            raise ValueError("plan.hand='estimated' is drawn on the host and cannot be captured; use 'true'")
         if device.type == "cuda" and (stages != "pose" or stability == "physics"):
             raise ValueError(
                 f"stages is {stages!r}, stability {stability!r}: planning and physics wait for the "
@@ -193,7 +195,7 @@ class Evaluator:
         ik, branches = self._branches(holding)
         key = random_key(trials.trial_id)
         planned = plan_paths(
-            scene, placed, ik.q, branches, active, key, config.plan, execute=config.execute, threads=threads
+            scene, holding.planned, ik.q, branches, active, key, config.plan, execute=config.execute, threads=threads
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         planned = replace(planned, reason=unless_proven(planned.reason, ik))
@@ -217,7 +219,7 @@ class Evaluator:
         holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
         active, placed = holding.active, holding.placed
         ik, branches = self._branches(holding)
-        goal = judge_goals(scene, placed, holding.T_world_ee, ik, branches, active, threads=threads)
+        goal = judge_goals(scene, holding.planned, holding.T_world_ee, ik, branches, active, threads=threads)
         safe, body, point = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
         (steady, reach, affordance), slip = self._without_posture(holding)
         plan = Criterion(torch.where(active, goal.clearance_m, torch.nan), goal.free, active)

@@ -1,44 +1,78 @@
-"""Makes grasps.npz and grasps_report.json from the object files: ``python -m r2h_batch.assets.objects.build_grasps``.
+"""Makes grasps.npz, grasps_as_generated.npz and their reports from the object files:
+``python -m r2h_batch.assets.objects.build_grasps``.
 
-grasps.npz holds, per object, ``<name>/T_obj_ee`` (100, 4, 4) float32 (ee frame in the object's frame),
-``<name>/width`` (m), ``<name>/score`` and ``<name>/part`` (uint8, index into the object's ``part_names``).
+Both hold, per object, ``<name>/T_obj_ee`` (100, 4, 4) float32 (ee frame in the object's frame), ``<name>/width`` (m),
+``<name>/score`` and ``<name>/part`` (uint8, index into the object's ``part_names``). The first are grasps that the evaluator's
+own gripper can hold, the second what a generator proposes.
 """
 
+import argparse
 import json
 import time
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.methods.grasp_candidates import COUNT, REGION_CLEARANCE_M, Candidates, sample_grasps
+from r2h_batch.config import Thresholds
+from r2h_batch.judge.grasp import close_gripper
+from r2h_batch.judge.metrics import affordance, stability
+from r2h_batch.methods.candidates import STORED
+from r2h_batch.methods.grasp_candidates import (
+    COUNT,
+    REGION_CLEARANCE_M,
+    Candidates,
+    generate_grasps,
+    sample_grasps,
+)
+from r2h_batch.scene.scene import Scene
 
 HERE = Path(__file__).resolve().parent
 
 
 def main() -> None:
-    """Writes both files and prints a line per object."""
-    arrays: dict[str, np.ndarray] = {}
-    report: dict[str, object] = {}
-    for model in load_objects():
-        begin = time.process_time()
-        found = sample_grasps(model)
-        if len(found) < COUNT:
-            raise SystemExit(f"{model.name}: {len(found)} grasps instead of {COUNT}")
-        for key in ("T_obj_ee", "width", "score", "part"):
-            arrays[f"{model.name}/{key}"] = getattr(found, key)
-        report[model.name] = line = _describe(model, found)
-        print(f"{model.name:16s} {time.process_time() - begin:5.1f} CPU-s  {json.dumps(line)}", flush=True)
-    np.savez_compressed(HERE / "grasps.npz", allow_pickle=False, **arrays)
-    summary = {
-        "digest": arrays_digest(arrays),
-        "robot_digest": load_robot().digest,
-        "objects_digest": object_digest(load_objects()),
-        "objects": report,
+    """Writes the files (--only filtered or as-generated: one of them) and prints a line per object."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", choices=list(STORED))
+    only = parser.parse_args().only
+    for kind, file in STORED.items():
+        if only not in (None, kind):
+            continue
+        arrays: dict[str, np.ndarray] = {}
+        report: dict[str, object] = {}
+        for model in load_objects():
+            begin = time.process_time()
+            found = sample_grasps(model) if kind == "filtered" else generate_grasps(model)
+            if len(found) < COUNT:
+                raise SystemExit(f"{model.name}: {len(found)} grasps instead of {COUNT}")
+            for key in ("T_obj_ee", "width", "score", "part"):
+                arrays[f"{model.name}/{key}"] = getattr(found, key)
+            report[model.name] = line = _describe(model, found) | (_judged(model, found) if kind != "filtered" else {})
+            print(f"{model.name:16s} {time.process_time() - begin:5.1f} CPU-s  {json.dumps(line)}", flush=True)
+        np.savez_compressed(HERE / file, allow_pickle=False, **arrays)
+        summary = {
+            "digest": arrays_digest(arrays),
+            "robot_digest": load_robot().digest,
+            "objects_digest": object_digest(load_objects()),
+            "objects": report,
+        }
+        (HERE / f"{Path(file).stem}_report.json").write_text(json.dumps(summary, indent=1) + "\n")
+
+
+def _judged(model: ObjectModel, found: Candidates) -> dict[str, object]:
+    """How many pass Stability, and Affordance, when this evaluator asks."""
+    scene, limits = Scene(objects=[model]), Thresholds()
+    T, index = torch.from_numpy(found.T_obj_ee), torch.zeros(len(found), dtype=torch.int32)
+    held = close_gripper(scene.grasp_tables, T, index, w_max=limits.w_max_m, w_min=limits.w_min_m)
+    active = torch.ones(len(found), dtype=torch.bool)
+    kind = affordance(scene, T, index, held, active, limits)
+    return {
+        "pass_stability": int(stability(held, active).passed.sum()),
+        "pass_affordance": None if model.split == "S0" else int(kind.passed.sum()),
     }
-    (HERE / "grasps_report.json").write_text(json.dumps(summary, indent=1) + "\n")
 
 
 def _describe(model: ObjectModel, found: Candidates) -> dict[str, object]:

@@ -6,7 +6,7 @@ batch; `Again.note` says where a computed verdict is not the stored one (another
 
 import json
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -15,6 +15,7 @@ from r2h_batch.benchmark import Benchmark
 from r2h_batch.command_line import UsageError
 from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.predictors.noise import Errors
 from r2h_batch.results.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import Setting, make_jobs
@@ -83,11 +84,27 @@ def answer_again(header: dict[str, Any], entry: dict[str, Any], trial: Trials, e
     setting = Setting(evaluator, header, lambda *_: trial.trial_id, lambda _: trial)
     try:
         options = check(
-            Options(method=(word,), seed=header["seed"], predictor_noise=predictors.get("noise_factor", 1.0))
+            Options(
+                method=(word,),
+                seed=header["seed"],
+                predictor_noise=predictors.get("noise_factor", 1.0),
+                hand_errors=_errors_of(predictors),
+            )
         )
         return make_jobs(options, [], setting)[0].predict(trial, None)
     except (UsageError, AnswerError) as error:
         raise ReplayError(f"{name!r} cannot answer again ({error}); sweep without --no-poses") from error
+
+
+def _errors_of(predictors: dict[str, Any]) -> Errors:
+    """The error model of the target hand that a run.json names; runs from before there were several had normal errors."""
+    noise = predictors.get("noise")
+    named = noise.get("target_errors", "normal") if isinstance(noise, dict) else "normal"
+    if named not in get_args(Errors):
+        raise ReplayError(
+            f"run.json names the error model {str(named)[:40]!r}; there are {', '.join(get_args(Errors))}"
+        )
+    return cast(Errors, named)
 
 
 def judge_again(evaluator: Evaluator, trial: Trials, answer: Predictions) -> Again:

@@ -11,6 +11,8 @@ from r2h_batch.config import EvalConfig
 from r2h_batch.judge.grasp import Grasp, close_gripper
 from r2h_batch.kernels.judge import rows as row_kernels
 from r2h_batch.launch import launch_trials
+from r2h_batch.predictors.hands import estimated_hand
+from r2h_batch.predictors.noise import PredictorNoise
 from r2h_batch.scene.scene import Placed, Scene
 from r2h_batch.types import Trials
 
@@ -38,6 +40,7 @@ class Holding:
     attached: Float32[Tensor, "b 4 4"]  # T_obj_ee once the pads have met the object
     ball: Float32[Tensor, "b 3"]  # centre of the receiver's ball in the object's frame
     placed: Placed
+    planned: Placed  # the same as the planner sees it: `placed` unless it plans against an estimated hand
 
 
 def hold(
@@ -79,7 +82,20 @@ def hold(
         chunk=ROWS_CHUNK,
     )
     placed = scene.place(objects, hands, attached, T_world_hand, grasp.opening_m, threads=threads)
-    return Holding(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, ball, placed)
+    planned = placed
+    if config.plan.hand == "estimated":
+        T = _seen(scene, trials, hands, active, config)
+        planned = scene.place(objects, hands, attached, T, grasp.opening_m, threads=threads)
+    return Holding(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, ball, placed, planned)
+
+
+def _seen(scene: Scene, trials: Trials, hands: Tensor, active: Tensor, config: EvalConfig) -> Float32[Tensor, "b 4 4"]:
+    """Where the planner sees the hands stand, the identity where a row is not active."""
+    seen, noise = config.estimate, PredictorNoise(target_errors=config.estimate.errors)
+    given = trials.T_world_hand.detach()
+    T = estimated_hand(scene, trials.trial_id, hands, given, seed=seen.seed, noise=noise.scaled(seen.factor))
+    eye = torch.eye(4, dtype=T.dtype, device=T.device)
+    return se3.orthonormalise(torch.where(active[:, None, None], T, eye)).contiguous()
 
 
 def _usable(

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -18,11 +18,30 @@ from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, obj
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.files.kept import Column, code_of, kept
 from r2h_batch.judge.grasp import close_gripper
-from r2h_batch.methods.grasp_candidates import Candidates, NoGraspError, sample_grasps, seat_grasps
+from r2h_batch.methods.grasp_candidates import (
+    Candidates,
+    NoGraspError,
+    generate_grasps,
+    own_grasps,
+    sample_grasps,
+    seat_grasps,
+)
 from r2h_batch.scene.scene import Scene
 
-__all__ = ["CandidateTable", "candidate_table", "candidates_of", "check_candidates", "without_candidates"]
+__all__ = [
+    "CandidateTable",
+    "Kind",
+    "candidate_table",
+    "candidates_in",
+    "candidates_of",
+    "check_candidates",
+    "without_candidates",
+]
 
+Kind = Literal["filtered", "as-generated"]
+"""As `EvalConfig.candidates` says it: what this evaluator's own gripper can hold, or whatever is proposed."""
+
+STORED: dict[Kind, str] = {"filtered": "grasps.npz", "as-generated": "grasps_as_generated.npz"}
 
 CODE = ("r2h_batch.methods", "r2h_batch.judge", "r2h_batch.scene") + tuple(
     f"r2h_batch.kernels.{k}" for k in ("methods", "grasp", "robot", "geometry")
@@ -42,14 +61,19 @@ FORM = {
 NOTHING_FITS = "no grasp found; the gripper needs a part narrower than 85 mm that it can reach"
 
 
+def candidates_in(scene: Scene) -> tuple[Candidates, ...]:
+    """Candidates of each of a scene's objects, of the kind that its configuration says."""
+    return candidates_of(scene.objects, scene.config.candidates)
+
+
 @lru_cache(maxsize=8)
-def candidates_of(objects: tuple[ObjectModel, ...]) -> tuple[Candidates, ...]:
+def candidates_of(objects: tuple[ObjectModel, ...], kind: Kind = "filtered") -> tuple[Candidates, ...]:
     """Candidates of each object, in the objects' order; those that are not stored are sampled once (seconds each) and kept
     on disk. An object that the gripper cannot hold has none, with a warning.
 
     `region_m` is not stored: NaN for the built-in objects.
     """
-    return tuple(_candidates(o) for o in objects)
+    return tuple(_candidates(o, kind) for o in objects)
 
 
 def stacked(candidates: Sequence[Candidates]) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
@@ -58,14 +82,14 @@ def stacked(candidates: Sequence[Candidates]) -> tuple[NDArray[np.float32], NDAr
     return np.concatenate([c.T_obj_ee for c in candidates]), np.cumsum(count) - count, count
 
 
-def without_candidates(objects: tuple[ObjectModel, ...]) -> list[int]:
+def without_candidates(scene: Scene) -> list[int]:
     """Indices of the objects that no candidate was found for."""
-    return [i for i, c in enumerate(candidates_of(objects)) if len(c) == 0]
+    return [i for i, c in enumerate(candidates_in(scene)) if len(c) == 0]
 
 
 def check_candidates(scene: Scene, object_index: torch.Tensor) -> None:
     """Raises `NoGraspError` where a trial's object has no candidate: methods choose from them."""
-    for i in without_candidates(scene.objects):
+    for i in without_candidates(scene):
         if bool((object_index == i).any()):
             raise NoGraspError(
                 f"{scene.objects[i].name}: has no grasp candidate; leave its trials out, or give grasps of your own"
@@ -111,7 +135,7 @@ class CandidateTable:
 @lru_cache(maxsize=4)
 def candidate_table(scene: Scene) -> CandidateTable:
     """The candidates of a scene's objects with the opening that each closes to; made once per scene."""
-    every = candidates_of(scene.objects)
+    every = candidates_in(scene)
     T, first, count = stacked(every)
     index = np.repeat(np.arange(len(count)), count).astype(np.int32)
     if not len(T):
@@ -125,22 +149,23 @@ def candidate_table(scene: Scene) -> CandidateTable:
 
 
 @lru_cache(maxsize=64)
-def _candidates(model: ObjectModel) -> Candidates:
-    if model.grasps is not None:
-        return seat_grasps(model, model.grasps)  # a user's own: none left is the user's to know
-    stored = _stored()
+def _candidates(model: ObjectModel, kind: Kind) -> Candidates:
+    filtered = kind == "filtered"
+    if model.grasps is not None:  # a user's own: none left is the user's to know
+        return seat_grasps(model, model.grasps) if filtered else own_grasps(model, model.grasps)
+    stored = _stored(kind)
     if f"{model.name}/T_obj_ee" in stored and is_built_in(model):
         values = {k: stored[f"{model.name}/{k}"] for k in ("T_obj_ee", "width", "score", "part")}
         return Candidates(**values, region_m=np.full(len(values["width"]), np.nan, np.float32))
 
     def make() -> dict[str, NDArray[Any]]:
         try:
-            return _arrays(sample_grasps(model))
+            return _arrays(sample_grasps(model) if filtered else generate_grasps(model))
         except NoGraspError:
-            return {k: v[:0] for k, v in _arrays(_candidates(load_objects()[0])).items()}
+            return {k: v[:0] for k, v in _arrays(_candidates(load_objects()[0], kind)).items()}
 
     key = hashlib.sha256(f"{object_digest(model)} {code_of(CODE, VERSIONS)}".encode()).hexdigest()
-    found = Candidates(**kept("candidates", key, make, FORM))
+    found = Candidates(**kept("candidates" if filtered else "candidates-as-generated", key, make, FORM))
     if not len(found):
         warnings.warn(f"{model.name}: {NOTHING_FITS}", stacklevel=2)
     return found
@@ -150,6 +175,6 @@ def _arrays(candidates: Candidates) -> dict[str, NDArray[Any]]:
     return {f.name: getattr(candidates, f.name) for f in fields(Candidates)}
 
 
-@lru_cache(maxsize=1)
-def _stored() -> dict[str, NDArray[Any]]:
-    return stored_arrays("objects", "grasps.npz")
+@lru_cache(maxsize=2)
+def _stored(kind: Kind) -> dict[str, NDArray[Any]]:
+    return stored_arrays("objects", STORED[kind])

@@ -23,9 +23,10 @@ from r2h_batch.config import OPEN_GAP_M, Thresholds
 from r2h_batch.judge.grasp import attach, close_gripper, closed_clearance, open_clearance, region_distance
 from r2h_batch.kernels.methods import antipodal
 from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.methods.box_grasps import three_boxes
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables
 
-__all__ = ["Candidates", "NoGraspError", "sample_grasps", "seat_grasps"]
+__all__ = ["Candidates", "NoGraspError", "generate_grasps", "own_grasps", "sample_grasps", "seat_grasps"]
 
 COUNT = 100
 FRICTION = 0.5
@@ -42,6 +43,7 @@ CENTERED_M = 0.0005
 REGION_CLEARANCE_M = 0.001
 REACH_M = 0.0015
 LEAST_CONTACT = 0.05
+GENERATED_CONTACT = 0.1
 BEHIND_PADS_M = -0.001  # the closed gripper's shapes overshoot the real one by about this much
 TURN_RAD = 0.9
 OWN_GRIPPER = "2f-85"
@@ -88,7 +90,7 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None
     pool: list[Candidates] = []
     for turn in range(ROUNDS):
         rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-        pool.append(_graded(model, tables, mesh, _proposals(model, mesh, rng, threads), threads)[0])
+        pool.append(_graded(model, tables, mesh, _proposals(model, mesh, rng, threads)[0], threads)[0])
         found, off_region = sum(map(len, pool)), sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool)
         if found >= ENOUGH and (model.split == "S0" or off_region >= ENOUGH // 4 or found >= 3 * ENOUGH):
             break
@@ -107,6 +109,45 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None
             stacklevel=2,
         )
     return chosen
+
+
+def generate_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None = None) -> Candidates:
+    """Up to `count` grasps as a generator proposes them, not tried on this evaluator's gripper; reproducible. Raises if none.
+
+    Antipodal pairs within the friction cone and 82 mm apart, with a tenth of each pad on the surface there; the open gripper,
+    as three boxes, holds no point of the object's cloud outside the gap (as ten Pas et al. 2017 ask of a hand). `width` is the
+    pair's distance: what else lies between the pads, whether they close on it centred, and what the true gripper cuts into is
+    not asked. `region_m`: 1 where no cloud point of the receiver's region is touched by the pads, else -1.
+    """
+    init_warp()
+    mesh = _mesh(model)
+    key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
+    pool: list[Candidates] = []
+    for turn in range(ROUNDS):
+        rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
+        T, width = _proposals(model, mesh, rng, threads)
+        contact, alignment, part = _contact(model, mesh, T, width, width, threads)
+        score, square = _score(model, T, width, contact, alignment)
+        rows = np.flatnonzero(square & (contact >= GENERATED_CONTACT))
+        rows = rows[_boxes_clear(model, T[rows])]
+        region = np.where(_on_region(model, T[rows], width[rows]), -1.0, 1.0).astype(np.float32)
+        pool.append(Candidates(T[rows], width[rows], score[rows], part[rows].astype(np.uint8), region))
+        if sum(map(len, pool)) >= ENOUGH:
+            break
+    every = Candidates(*(np.concatenate([getattr(c, name) for c in pool]) for name in Candidates.__dataclass_fields__))
+    if len(every) == 0:
+        raise NoGraspError(f"{model.name}: no antipodal pair that the {OWN_GRIPPER} fits about was found")
+    return _diverse(model, every, count)
+
+
+def own_grasps(model: ObjectModel, grasps: GraspSet, *, threads: int | None = None) -> Candidates:
+    """The user's grasps as they are, best score first; nothing is asked of them. `width`: of what lies between the pads."""
+    init_warp()
+    order = np.argsort(-grasps.score, kind="stable")
+    T = np.ascontiguousarray(grasps.T_obj_ee[order])
+    held = close_gripper(grasp_tables([model]), torch.from_numpy(T), _zeros(torch.from_numpy(T)), threads=threads)
+    part, nan = np.maximum(grasps.part[order], 0).astype(np.uint8), np.full(len(T), np.nan, np.float32)
+    return Candidates(T, held.width_m.numpy(), grasps.score[order], part, nan)
 
 
 def seat_grasps(
@@ -155,8 +196,58 @@ def _mesh(model: ObjectModel) -> wp.Mesh:
     )
 
 
-def _proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threads: int | None) -> F32:
-    """(M, 4, 4) T_obj_ee: pads on opposite surface points, several approaches about each closing axis."""
+def _boxes_clear(model: ObjectModel, T: F32) -> NDArray[np.bool_]:
+    """Whether no point of the object's cloud lies in the open gripper as three boxes: two fingers, and the rest."""
+    finger_low, finger_high, rest_low, rest_high = (x.astype(np.float32) for x in three_boxes())
+    clear = np.ones(len(T), bool)
+    for first in range(0, len(T), 256):
+        x, y, z = _in_gripper(model, T[first : first + 256])
+        on_finger, in_rest = np.ones((2, *x.shape), bool)
+        for axis, (mirrored, value) in enumerate(((x, x), (np.abs(y), y), (z, z))):
+            on_finger &= (mirrored > finger_low[axis]) & (mirrored < finger_high[axis])
+            in_rest &= (value > rest_low[axis]) & (value < rest_high[axis])
+        clear[first : first + 256] = ~(on_finger | in_rest).any(1)
+    return clear
+
+
+def _on_region(model: ObjectModel, T: F32, width: F32) -> NDArray[np.bool_]:
+    """Whether pads `width` apart touch a cloud point of the receiver's region."""
+    link = load_robot().linkage
+    pad_z = _pad_z(width).astype(np.float32)
+    region = model.receiver_face[model.point_face]
+    touches = np.zeros(len(T), bool)
+    for first in range(0, len(T), 256):
+        rows = slice(first, first + 256)
+        x, y, z = _in_gripper(model, T[rows])
+        near = (np.abs(x) <= link.pad_half_size[0]) & (np.abs(z - pad_z[rows, None]) <= link.pad_half_size[2])
+        touches[rows] = (near & (np.abs(np.abs(y) - 0.5 * width[rows, None]) <= REACH_M) & region).any(1)
+    return touches
+
+
+def _in_gripper(model: ObjectModel, T: F32) -> tuple[F32, F32, F32]:
+    """Coordinates (n, P) of the object's cloud in the ee frames of n grasps."""
+    p = model.points[None].astype(np.float32) - T[:, None, :3, 3]
+    axes = [
+        p[..., 0] * T[:, 0, k, None] + p[..., 1] * T[:, 1, k, None] + p[..., 2] * T[:, 2, k, None] for k in range(3)
+    ]
+    return axes[0], axes[1], axes[2]
+
+
+def _score(
+    model: ObjectModel, T: F32, opening: F32, contact: NDArray[np.float64], alignment: NDArray[np.float64]
+) -> tuple[F32, NDArray[np.bool_]]:
+    """Scores (the head of this file), and whether the touched surface is within the friction cone."""
+    edge = 1 / np.hypot(1, FRICTION)
+    pads = T[:, :3, 3] + _pad_z(opening)[:, None] * T[:, :3, 2]
+    farthest = np.linalg.norm(model.vertices - model.com, axis=1).max()
+    balance = 1 - np.clip(np.linalg.norm(pads - model.com, axis=1) / farthest, 0, 1)
+    score = 0.4 * (alignment - edge) / (1 - edge) + 0.35 * np.minimum(contact / 0.5, 1) + 0.25 * balance
+    return score.astype(np.float32), alignment >= edge
+
+
+def _proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threads: int | None) -> tuple[F32, F32]:
+    """(M, 4, 4) T_obj_ee, pads on opposite surface points, several approaches about each closing axis; (M,) how far these
+    points are from each other."""
     corner = model.vertices[model.faces].astype(np.float64)
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     double_area = np.linalg.norm(normal, axis=1)
@@ -197,7 +288,7 @@ def _proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, thre
     T[..., :3, 0], T[..., :3, 1], T[..., :3, 2], T[..., 3, 3] = np.cross(y, z), y, z, 1
     height = _pad_z(thickness[keep].astype(np.float64))[:, None] + depth[keep]
     T[..., :3, 3] = center64[:, None] - height[..., None] * z
-    return T.reshape(-1, 4, 4).astype(np.float32)
+    return T.reshape(-1, 4, 4).astype(np.float32), np.repeat(thickness[keep], APPROACHES)
 
 
 def _graded(
@@ -223,13 +314,9 @@ def _graded(
     squeezed = (width - Thresholds().pad_squeeze_m).clamp(min=0)
     region = region_distance(tables, attach(T, shift), _zeros(T), squeezed, threads=threads)[0].numpy()
     contact, alignment, part = _contact(model, mesh, T.numpy(), width.numpy(), opening.numpy(), threads)
-    edge = 1 / np.hypot(1, FRICTION)
-    pads = T.numpy()[:, :3, 3] + _pad_z(opening.numpy())[:, None] * T.numpy()[:, :3, 2]
-    farthest = np.linalg.norm(model.vertices - model.com, axis=1).max()
-    balance = 1 - np.clip(np.linalg.norm(pads - model.com, axis=1) / farthest, 0, 1)
-    score = 0.4 * (alignment - edge) / (1 - edge) + 0.35 * np.minimum(contact / 0.5, 1) + 0.25 * balance
-    every = Candidates(T.numpy(), width.numpy(), score.astype(np.float32), part.astype(np.uint8), region)
-    good = (alignment >= edge) & (contact >= LEAST_CONTACT)
+    score, square = _score(model, T.numpy(), opening.numpy(), contact, alignment)
+    every = Candidates(T.numpy(), width.numpy(), score, part.astype(np.uint8), region)
+    good = square & (contact >= LEAST_CONTACT)
     return every.rows(good), row.numpy()[good]
 
 

@@ -16,7 +16,7 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.metrics import affordance, stability
-from r2h_batch.methods.candidates import candidates_of, check_candidates, stacked
+from r2h_batch.methods.candidates import candidates_in, check_candidates, stacked
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CRITERIA, Outcome, Predictions, Scores, Trials
 
@@ -114,7 +114,7 @@ def _usable_grasps(evaluator: Evaluator) -> tuple[NDArray[np.float32], NDArray[n
     Without such candidates, those that pass; without those, all. Last: each object's free point (frame obj).
     """
     scene, thresholds = evaluator.scene, evaluator.config.thresholds
-    grasps, first, count = stacked(candidates_of(scene.objects))
+    grasps, first, count = stacked(candidates_in(scene))
     T = torch.from_numpy(grasps).to(scene.device)
     index = torch.from_numpy(np.repeat(np.arange(len(count)), count).astype(np.int32)).to(scene.device)
     active = torch.ones(len(T), dtype=torch.bool, device=scene.device)

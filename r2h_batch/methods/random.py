@@ -5,7 +5,7 @@ import torch
 from numpy.typing import NDArray
 
 from r2h_batch import rng
-from r2h_batch.methods.candidates import candidates_of, check_candidates, stacked
+from r2h_batch.methods.candidates import candidates_in, check_candidates, stacked
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
@@ -23,7 +23,7 @@ def predict(trials: Trials, scene: Scene, *, seed: int = 0) -> Predictions:
     key = rng.key_of(f"random {seed}")
     ids = trials.trial_id.cpu().numpy()
     object_index = trials.object_index.cpu().numpy().astype(np.int64)
-    grasps, first, count = stacked(candidates_of(scene.objects))
+    grasps, first, count = stacked(candidates_in(scene))
     (u,) = rng.uniforms(key, ids, 1, purpose=_CANDIDATE)
     T_obj_ee = grasps[first[object_index] + rng.choice(u, count[object_index])]
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from r2h_batch import rng, se3
 from r2h_batch.bodies.hand import HandGeometry, HandModel, palm_frame
 from r2h_batch.predictors.given import GivenHands, Seen
-from r2h_batch.predictors.noise import PredictorNoise, perturbed, trial_ids
+from r2h_batch.predictors.noise import PredictorNoise, as_in_a_frame, perturbed, trial_ids
 from r2h_batch.receiver.instructions import InstructionError, intents_of, understand
 from r2h_batch.receiver.receiving import ReceivingGrasps, load_receiving
 from r2h_batch.receiver.sampler import NoHoldError
@@ -21,10 +21,17 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SIDES
 
-__all__ = ["ReceivingHand", "TargetHand", "predict_receiving", "predict_target", "retrieve_receiving"]
+__all__ = [
+    "ReceivingHand",
+    "TargetHand",
+    "estimated_hand",
+    "predict_receiving",
+    "predict_target",
+    "retrieve_receiving",
+]
 
 MIDDLE_TIP = 1  # in HandModel.tip_vertices
-_GRASP, _RECEIVING, _TARGET = 0, 1, 2  # purposes of the random counters
+_GRASP, _RECEIVING, _TARGET, _FRAME = 0, 1, 2, 3  # purposes of the random counters
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,15 +253,31 @@ def predict_target(
         it = _given(trials, scene, seen.target)
         return TargetHand(it.bank, it.row, it.side, it.T, it.model, scene.config.thresholds.reach_offset_m)
     row = trials.hand_index.long()
-    T = perturbed(
-        trials.T_world_hand,
-        hands.palm_point.to(device)[row],
-        trial_ids(trials.trial_id),
-        rng.key_of(f"target hand {seed}"),
-        purpose=_TARGET,
-        rotation_deg=noise.target_rotation_deg,
-        translation_m=noise.target_translation_m,
-    )
+    T = estimated_hand(scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=seed, noise=noise)
     bank = HandGeometry(hands.vertices.to(device), hands.joints.to(device))
     side = hands.set.side.to(device, torch.int8)[row]
     return TargetHand(bank, row, side, T, hands.model, scene.config.thresholds.reach_offset_m)
+
+
+def estimated_hand(
+    scene: Scene,
+    trial_id: Int64[Tensor, " n"],
+    hand_index: Int32[Tensor, " n"],
+    T_world_hand: Float32[Tensor, "n 4 4"],
+    *,
+    seed: int,
+    noise: PredictorNoise,
+) -> Float32[Tensor, "n 4 4"]:
+    """Where an estimator sees the hands stand (world), with the error model; drawn by (seed, trial id)."""
+    hands, row = scene.hands, hand_index.long()
+    ids, key, pivot = trial_ids(trial_id), rng.key_of(f"target hand {seed}"), hands.palm_point.to(row.device)[row]
+    T = T_world_hand
+    if noise.target_errors != "frames":
+        T = perturbed(
+            T, pivot, ids, key,
+            purpose=_TARGET, rotation_deg=noise.target_rotation_deg, translation_m=noise.target_translation_m,
+        )  # fmt: skip
+    if noise.target_errors != "normal":
+        B = hands.directions.to(row.device)[row]
+        T = as_in_a_frame(T, pivot, B, ids, key, purpose=_FRAME, factor=noise.frame_factor)
+    return T

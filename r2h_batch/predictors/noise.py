@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import rng, se3
+from r2h_batch.bodies.arrays import stored_arrays
 from r2h_batch.bodies.hand import rotation_from_axis_angle
 
-__all__ = ["PredictorNoise", "normals", "perturbed"]
+__all__ = ["Errors", "PredictorNoise", "as_in_a_frame", "normals", "perturbed"]
+
+Errors = Literal["normal", "frames", "tails"]
+"""Of the target hand. normal: the deviations below. frames: what published estimators were off by in single frames, with their
+outliers and flipped hands (assets/receiving/build_hand_errors.py). tails: both, one after the other."""
 
 
 @dataclass(frozen=True)
@@ -28,20 +35,27 @@ class PredictorNoise:
     target_translation_m: float = 0.012
     border_m: float = 0.006
     """shift of the border between two labelled parts along the surface"""
+    frame_factor: float = 1.0
+    """on the errors of single frames, where `target_errors` asks for them"""
+    target_errors: Errors = "normal"
 
     def __post_init__(self) -> None:
-        for f in fields(self):
-            value = getattr(self, f.name)
+        if self.target_errors not in get_args(Errors):
+            raise ValueError(f"target_errors is {self.target_errors!r}; allowed are {', '.join(get_args(Errors))}")
+        for name, value in self._numbers().items():
             if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{f.name} is {value}; it must be a number, 0 (exact) or more")
+                raise ValueError(f"{name} is {value}; it must be a number, 0 (exact) or more")
+
+    def _numbers(self) -> dict[str, float]:
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "target_errors"}
 
     def scaled(self, factor: float) -> PredictorNoise:
-        """All deviations times a factor; 0 is exact: the oracle."""
+        """All deviations and the errors of frames times a factor; 0 is exact: the oracle."""
         if not (np.isfinite(factor) and factor >= 0):
             raise ValueError(
                 f"the predictors' noise factor is {factor}; it must be 0 (oracle) or more, 1 is the default"
             )
-        return replace(self, **{f.name: factor * getattr(self, f.name) for f in fields(self)})
+        return replace(self, **{name: factor * value for name, value in self._numbers().items()})  # type: ignore[arg-type]
 
 
 def normals(key: tuple[int, int], ids: NDArray[np.int64], count: int, *, purpose: int) -> NDArray[np.float64]:
@@ -74,6 +88,45 @@ def perturbed(
         E[:, :3, 3] - se3.apply(se3.from_rotation(R, torch.zeros_like(about)), about) + translation_m * z[3:].T
     )
     return se3.matmul(T.double(), E).float()
+
+
+def as_in_a_frame(
+    T: Float32[Tensor, "n 4 4"],
+    pivot: Float32[Tensor, "n 3"],
+    directions: Float64[Tensor, "n 3 3"],
+    ids: NDArray[np.int64],
+    key: tuple[int, int],
+    *,
+    purpose: int,
+    factor: float,
+) -> Float32[Tensor, "n 4 4"]:
+    """T with the error of one frame of a published estimator, all frames equally likely: a turn about `pivot`, then a shift.
+
+    `directions`: columns along the hand, out of its palm, to its thumb (hand frame; a left hand's are a mirrored frame, and
+    the error is mirrored with it). Exact for factor 0.
+    """
+    if factor == 0:
+        return T.clone()
+    turns, shifts = _frames()
+    (u,) = rng.uniforms(key, ids, 1, purpose=purpose)
+    row = torch.from_numpy(rng.choice(u, np.full(len(ids), len(turns))))
+    R = rotation_from_axis_angle(factor * turns[row]).to(T.device)
+    shift = factor * shifts[row].to(T.device)
+    B = directions.to(T.device)
+    # B R B^T, in sums of a fixed order: an improper B mirrors the turn
+    turned = torch.stack([se3.rotate(B, R[:, :, k]) for k in range(3)], 2)
+    R = torch.stack([se3.rotate(turned, B[:, k]) for k in range(3)], 2)
+    about = pivot.double()
+    E = se3.from_rotation(R, about - se3.rotate(R, about) + se3.rotate(B, shift))
+    return se3.matmul(T.double(), E).float()
+
+
+@lru_cache(maxsize=1)
+def _frames() -> tuple[Tensor, Tensor]:
+    """Rotation vectors (rad) and shifts (m) of single frames, (F, 3) each, in a hand's directions, float64."""
+    stored = stored_arrays("receiving", "hand_errors.npz")
+    turn, shift = (torch.from_numpy(stored[k].astype(np.float64)) for k in ("turn_rad", "shift_m"))
+    return turn, shift
 
 
 def trial_ids(trial_id: Tensor) -> NDArray[np.int64]:

@@ -29,6 +29,9 @@ __all__ = ["Difference", "Judge", "Rejudged", "rejudge"]
 
 COMPARED = tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING)
 
+LATER_OPTIONS = ("estimate", "candidates")
+"""Of `EvalConfig`: options that older runs do not name, for they had no other way."""
+
 MARGIN_TOLERANCE_M = BORDERLINE_M
 TIME_TOLERANCE_S = 0.05
 """What stored numbers may differ by on another kind of machine or with other versions; on the same, by nothing."""
@@ -98,10 +101,20 @@ def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
         what = " ".join(str(error).split())[:200]
         raise RunError(f"{where}: its configuration cannot be judged by this version ({what})") from None
     again = json.loads(TypeAdapter(EvalConfig).dump_json(config))
-    if again != json.loads(json.dumps(data)):
+    data = _with_later(json.loads(json.dumps(data)))
+    if again != data:
         odd = [k for k in {**again, **data} if again.get(k) != data.get(k)]
         raise RunError(f"{where}: its configuration is of another version: {', '.join(odd)[:200]}")
     return config
+
+
+def _with_later(data: dict[str, Any]) -> dict[str, Any]:
+    """A run.json's configuration with the options that came later, at the value that says what there was before."""
+    now = json.loads(TypeAdapter(EvalConfig).dump_json(EvalConfig()))
+    plan = data.get("plan")
+    if isinstance(plan, dict):
+        data = {**data, "plan": {"hand": now["plan"]["hand"], **plan}}
+    return {**{k: now[k] for k in LATER_OPTIONS}, **data}
 
 
 def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:

@@ -43,6 +43,12 @@ def table_of(run: Run, order: Sequence[str] = CRITERIA, counted: Sequence[Tally]
         origin["motion"] = str(header["motion"]["engine"]).replace("none", "as planned")
     if "predictors" in header:
         origin["predictor noise"] = f"{header['predictors']['noise_factor']:g}"
+    # what methods and planner know, where it is not as everywhere else
+    said = header["configuration"]
+    if (said.get("plan") or {}).get("hand", "true") != "true":
+        origin["paths planned against"] = f"the {said['plan']['hand']} hand"
+    if said.get("candidates", "filtered") != "filtered":
+        origin["grasp candidates"] = str(said["candidates"]).replace("-", " ")
     if tuple(order) != CRITERIA:
         origin["order of criteria"] = ", ".join(order)
     return Table(summarise(rows), origin, str(run.folder))

@@ -7,11 +7,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import torch
 import warp as wp
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
+from r2h_batch import se3
 from r2h_batch.bodies import bounds
 from r2h_batch.bodies.hand import HandModel, HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
@@ -20,6 +22,8 @@ from r2h_batch.config import Workplace
 from r2h_batch.kernels.plan.codes import MAX_PARTNERS
 from r2h_batch.kernels.robot.world import World
 
+MIDDLE_ROOT = 4
+"""MANO's joint where the middle finger begins."""
 TABLE_FROM_LINK = 2
 """Links from this on are checked against the table: base and shoulder stand on it."""
 
@@ -40,6 +44,20 @@ class Hands:
         """All hands of a set, posed once."""
         geometry = model.pose(hand_set.pose, hand_set.shape, hand_set.side)
         return Hands(model, hand_set, geometry.vertices, geometry.joints, *palm_frame(geometry.joints, hand_set.side))
+
+    @cached_property
+    def directions(self) -> Float64[Tensor, "h 3 3"]:
+        """Columns: along each hand (wrist to the middle finger's root, in the palm's plane), out of its palm, to its thumb.
+
+        Hand frame. Left hands' are a mirrored (improper) frame: what is said in these directions holds for both.
+        """
+        joints, out = self.joints.double(), self.palm_normal.double()
+        along = joints[:, MIDDLE_ROOT] - joints[:, 0]
+        along = along - se3.dot(along, out)[:, None] * out
+        along = along / se3.dot(along, along).sqrt()[:, None]
+        out = out / se3.dot(out, out).sqrt()[:, None]
+        side = 1.0 - 2.0 * self.set.side.double()  # right 1, left -1
+        return torch.stack([along, out, side[:, None] * se3.cross(along, out)], 2)
 
     def piece_points(self, hand: int, piece: int) -> NDArray[np.float32]:
         """Hull points of one convex piece of one hand, hand frame."""

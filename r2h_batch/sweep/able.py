@@ -53,7 +53,7 @@ class Able:
 
 def check_grasps(scene: Scene, allow_empty: bool) -> None:
     """Raises `UsageError` where an object has no grasp candidate and that is not allowed."""
-    empty = [scene.objects[i].name for i in without_candidates(scene.objects)]
+    empty = [scene.objects[i].name for i in without_candidates(scene)]
     if empty and not allow_empty:
         raise UsageError(
             f"{', '.join(empty)}: no grasp found; the gripper needs a part narrower than 85 mm that it can reach: leave "
@@ -68,7 +68,7 @@ def able_of(name: str, sees: Sequence[str], scene: Scene, seen: Seen | None) -> 
     not shown a network's) also need one of the hand's side."""
     answers = torch.ones((len(scene.objects), 2), dtype=torch.bool, device="cpu")
     lines = []
-    for i in without_candidates(scene.objects):
+    for i in without_candidates(scene):
         answers[i] = False
         lines.append(f"{name}: no grasp candidate of {scene.objects[i].name}: its trials count as failures")
     if "receiving" in sees and (seen is None or seen.receiving is None):

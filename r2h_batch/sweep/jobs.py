@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from r2h_batch.bodies.objects import ObjectModel
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.predictors import Seen
+    from r2h_batch.predictors import PredictorNoise, Seen
+    from r2h_batch.predictors.noise import Errors
 
 DIGEST_TRIALS = 10_000
 """Trials of each split that the digest of the trial list covers: the generator counts, so these stand for all."""
@@ -161,27 +162,46 @@ def given_of(options: Options) -> Given:
 
 def _configuration(options: Options) -> "EvalConfig":
     """The preset with what the options change."""
-    from r2h_batch.config import EvalConfig, IkConfig
+    from r2h_batch.config import EstimateConfig, EvalConfig, IkConfig
 
     config = EvalConfig.preset(options.preset)
     edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
-    plan = replace(config.plan, object_collision=options.object_collision, edge_check=edge_check)
+    hand = config.plan.hand if options.plan_hand == "preset" else options.plan_hand
+    plan = replace(config.plan, object_collision=options.object_collision, edge_check=edge_check, hand=hand)
+    # what nothing is judged by says nothing: two runs that differ in it can be compared
+    seen = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
     execute = replace(config.execute, sim=options.sim, model=options.sim_model)
     execute = replace(execute, sim=execute.engine(options.device))
     return replace(
-        config, ik=IkConfig(options.ik), plan=plan, execute=execute, width=options.width, stability=options.stability
-    )
+        config, ik=IkConfig(options.ik), plan=plan, execute=execute, width=options.width, stability=options.stability,
+        estimate=seen if hand == "estimated" else EstimateConfig(),
+        candidates=config.candidates if options.candidates == "preset" else options.candidates,
+    )  # fmt: skip
+
+
+def _errors(options: Options) -> "Errors":
+    """The error model of the target hand that the options mean."""
+    from r2h_batch.config import EvalConfig
+
+    if options.hand_errors != "preset":
+        return options.hand_errors
+    return EvalConfig.preset(options.preset).estimate.errors
+
+
+def _noise(options: Options) -> "PredictorNoise":
+    """The error model of what the methods see."""
+    from r2h_batch.predictors import PredictorNoise
+
+    return PredictorNoise(target_errors=_errors(options)).scaled(options.predictor_noise)
 
 
 def _predictors(options: Options) -> dict[str, Any]:
     """What the methods see: the error model, and which contact network."""
-    from r2h_batch.predictors import PredictorNoise
-
     file = Path(options.predictor)
     own = {"file": options.predictor} | ({"sha256": provenance.file_digest([file])} if file.is_file() else {})
     return {
         "noise_factor": options.predictor_noise,
-        "noise": asdict(PredictorNoise().scaled(options.predictor_noise)),
+        "noise": asdict(_noise(options)),
         "contact": own if options.predictor else {"built_in": "VoxNet"},
         **_seen_files(options),
     }
@@ -292,9 +312,9 @@ def _method_job(name: str, evaluator: "Evaluator", options: Options, seen: "Seen
     source["sha256"] = provenance.file_digest([Path(file)]) if file else ""
     title = name
     if "noise" in takes:
-        from r2h_batch.predictors import PredictorNoise, load_predictor
+        from r2h_batch.predictors import load_predictor
 
-        extra["noise"] = PredictorNoise().scaled(options.predictor_noise)
+        extra["noise"] = _noise(options)
         own = options.predictor if built_in and "predictor" in takes else ""
         if own:
             extra["predictor"] = load_predictor(own)
@@ -303,7 +323,9 @@ def _method_job(name: str, evaluator: "Evaluator", options: Options, seen: "Seen
         if built_in:
             stand_in = Path(own).name or module.STAND_IN
             shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in module.SEES}
-            title = table_name(module.TITLE, stand_in, options.predictor_noise, shown, module.SEES)
+            title = table_name(
+                module.TITLE, stand_in, options.predictor_noise, shown, module.SEES, errors=_errors(options)
+            )
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
     def answer(trials: Trials) -> Predictions:
@@ -322,13 +344,20 @@ SAID = {"receiving": "hand", "target": "target hand", "parts": "labels", "contac
 
 
 def table_name(
-    title: str, stand_in: str, noise: float, shown: Mapping[str, str] | None = None, sees: Sequence[str] = ()
+    title: str,
+    stand_in: str,
+    noise: float,
+    shown: Mapping[str, str] | None = None,
+    sees: Sequence[str] = (),
+    *,
+    errors: "Errors" = "normal",
 ) -> str:
     """A method's name in tables: what stood in for the original network, and the error model it was given.
 
     `shown`: kind -> the network whose prediction it saw, of all the kinds that it `sees`; what no network gave is named too.
     """
-    added = "" if noise == 0 else " + noise" if noise == 1 else f" + {noise:g} x noise"
+    kind = {"normal": "", "frames": " of frames", "tails": " with tails"}[errors]
+    added = "" if noise == 0 else f" + noise{kind}" if noise == 1 else f" + {noise:g} x noise{kind}"
     if not shown:
         return f"{title} ({stand_in}{added})"
     # the built-in contact network sees no noise: it is asked about the object alone

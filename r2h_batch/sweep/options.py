@@ -65,6 +65,12 @@ class Options:
     """Your own network's contact probabilities of the objects' points: what contact sees."""
     predictor_noise: float = 1.0
     """Factor on the error model of what the methods see (hands, part labels); 0: they see the truth."""
+    hand_errors: Literal["preset", "normal", "frames", "tails"] = "preset"
+    """Error model of the target hand. normal: no outliers. frames: what published estimators were off by in single frames.
+    tails: both. preset: normal, with --preset paper tails."""
+    candidates: Literal["preset", "filtered", "as-generated"] = "preset"
+    """Grasps that methods choose from. filtered: those that this evaluator's own gripper can hold. as-generated: whatever the
+    sampler proposes, so that methods can fail Stability. preset: filtered, with --preset paper as-generated."""
     benchmark: str = ""
     """Your own benchmark, a YAML file: objects, hands, grasps, thresholds, table and home; r2h-batch benchmark show."""
     hands: str = ""
@@ -91,6 +97,9 @@ class Options:
     """The attached object in planning: its convex hull (as in the paper), or its convex decomposition."""
     edge_check: Literal["preset", "exact", "moveit"] = "preset"
     """Path edges: as the preset says, certified, or sampled at MoveIt's resolution."""
+    plan_hand: Literal["preset", "true", "estimated"] = "preset"
+    """Which hand paths keep clear of: the true one, or the one that the methods see (judged is always the true one). preset:
+    true, with --preset paper estimated."""
     ik: Literal["fused", "pytorch-kinematics"] = "fused"
     """Who finds joint angles: a Warp kernel, or pytorch-kinematics' batched Jacobian (slower; the same verdicts)."""
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
@@ -182,6 +191,14 @@ def check(options: Options) -> Options:
             raise UsageError(
                 f"--{name.replace('_', '-')} is seen by --method {', '.join(users)}; add one, or leave it out"
             )
+    if (
+        options.predicted_hands
+        and (options.plan_hand == "estimated" or options.preset == "paper")
+        and options.plan_hand != "true"
+    ):
+        raise UsageError(
+            "--predicted-hands: paths are planned against the error model's hand or the true one; add --plan-hand true"
+        )
     if not options.splits:
         raise UsageError("--splits names no split; allowed are S0, S1")
     if options.device not in ("cpu", "cuda") and not (

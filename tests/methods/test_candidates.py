@@ -1,0 +1,80 @@
+"""Grasp candidates as generated: antipodal and clear of three boxes, but not tried on the evaluator's own gripper."""
+
+import json
+import warnings
+from dataclasses import replace
+from importlib import resources
+
+import numpy as np
+import pytest
+import torch
+from problems import default_evaluator
+
+from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
+from r2h_batch.bodies.grasp_set import GraspSet
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.config import EvalConfig
+from r2h_batch.judge.grasp import close_gripper
+from r2h_batch.judge.metrics import stability
+from r2h_batch.methods.box_grasps import three_boxes
+from r2h_batch.methods.candidates import candidate_table, candidates_in, candidates_of
+from r2h_batch.methods.grasp_candidates import generate_grasps
+from r2h_batch.scene.scene import Scene
+
+OBJECTS = load_objects()
+
+
+def judged(kind):
+    """How many of an object's candidates pass Stability, for each object."""
+    scene = default_evaluator().scene
+    counts = []
+    for i, c in enumerate(candidates_of(scene.objects, kind)):
+        T, index = torch.from_numpy(c.T_obj_ee), torch.full((len(c),), i, dtype=torch.int32)
+        held = close_gripper(scene.grasp_tables, T, index)
+        counts.append(int(stability(held, torch.ones(len(c), dtype=torch.bool)).passed.sum()))
+    return counts
+
+
+def test_methods_can_fail_stability_with_grasps_as_generated_and_not_with_filtered_ones():
+    report = json.loads((resources.files("r2h_batch.assets.objects") / "grasps_as_generated_report.json").read_text())
+    assert judged("filtered") == [100] * 16
+    raw = judged("as-generated")
+    assert raw == [o["pass_stability"] for o in report["objects"].values()]
+    assert 1400 < sum(raw) < 1600
+    assert arrays_digest(stored_arrays("objects", "grasps_as_generated.npz")) == report["digest"]
+
+
+def test_no_cloud_point_lies_in_the_boxes_of_the_open_gripper():
+    low, high, rest_low, rest_high = three_boxes()
+    for model, c in zip(OBJECTS[::5], candidates_of(OBJECTS, "as-generated")[::5], strict=True):
+        for T in c.T_obj_ee.astype(np.float64)[::9]:
+            p = (model.points.astype(np.float64) - T[:3, 3]) @ T[:3, :3]
+            mirrored = p * [1, -1, 1]
+            for x, a, b in ((p, low, high), (mirrored, low, high), (p, rest_low, rest_high)):
+                assert not ((x > a + 1e-5) & (x < b - 1e-5)).all(1).any()
+
+
+@pytest.mark.slow
+def test_the_stored_ones_are_made_again():
+    stored = stored_arrays("objects", "grasps_as_generated.npz")
+    for model in OBJECTS[6:8]:
+        assert np.array_equal(generate_grasps(model).T_obj_ee, stored[f"{model.name}/T_obj_ee"])
+
+
+def test_a_scene_gives_methods_the_kind_that_its_configuration_says():
+    scene = Scene(config=EvalConfig(candidates="as-generated"))
+    assert candidates_in(scene) is candidates_of(scene.objects, "as-generated")
+    rows = torch.from_numpy(np.concatenate([c.T_obj_ee for c in candidates_in(scene)]))
+    assert torch.equal(candidate_table(scene).T_obj_ee, rows)
+    assert not torch.equal(rows, candidate_table(default_evaluator().scene).T_obj_ee)
+
+
+def test_a_users_own_grasps_are_taken_as_they_are():
+    hammer = OBJECTS[6]
+    T = np.tile(np.eye(4, dtype=np.float32), (3, 1, 1))
+    T[:, 2, 3] = [0.3, 0.0, 0.1]  # the first holds nothing at all
+    own = GraspSet(T, np.zeros(3, np.float32), np.array([0.2, 0.9, 0.5], np.float32), np.full(3, -1, np.int32))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (found,) = candidates_of((replace(hammer, grasps=own),), "as-generated")
+    assert np.array_equal(found.T_obj_ee[:, 2, 3], np.float32([0.0, 0.1, 0.3])) and found.score[0] == np.float32(0.9)
