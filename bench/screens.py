@@ -1,13 +1,17 @@
 """Pictures of what a run's report looks like, for the docs: docs/report.png (Chromium) and docs/latex.png (pdflatex).
 
 python -m bench.screens RUN [--out docs]        # a run of the six built-in methods, 500 trials of each split
+
+Prints how large the pages are and how long Chromium takes until all scripts of a page have run, beyond an empty page.
 """
 
 import argparse
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
+import time
 from pathlib import Path
 
 from r2h_batch.gallery.command import figures_main, report_main
@@ -24,14 +28,36 @@ TABLE
 """
 
 
+def browser() -> str:
+    """Chromium by whatever name it has here."""
+    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    return found or sys.exit("screens: no browser; install chromium")
+
+
+def loading_s(address: str) -> float:
+    """Median of five starts of the browser that end when the page's document is whole."""
+    line = [browser(), "--headless=new", "--no-sandbox", "--disable-gpu", "--dump-dom", address]
+    times = []
+    for _ in range(5):
+        start = time.perf_counter()
+        subprocess.run(line, check=True, capture_output=True, timeout=120)
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+def weigh(pages: dict[str, Path]) -> None:
+    """Prints size and loading time of pages."""
+    empty = loading_s("about:blank")
+    for name, page_file in pages.items():
+        took = loading_s(page_file.as_uri()) - empty
+        print(f"{name}: {page_file.stat().st_size / 1e6:.1f} MB, {max(took, 0.0):.1f} s to load")
+
+
 def screenshot(html: Path, png: Path, width: int, height: int) -> None:
     """The page as headless Chromium shows it."""
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    if browser is None:
-        sys.exit("screens: no browser; install chromium")
     flags = ["--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=4000"]
     with tempfile.TemporaryDirectory() as profile:
-        line = [browser, *flags, f"--user-data-dir={profile}", f"--window-size={width},{height}"]
+        line = [browser(), *flags, f"--user-data-dir={profile}", f"--window-size={width},{height}"]
         subprocess.run([*line, f"--screenshot={png}", html.as_uri()], check=True, capture_output=True, timeout=120)
 
 
@@ -42,6 +68,8 @@ def gallery(run: Path, folder: Path, out: Path) -> None:
     drawn = [str(run), "--method", "fc", "random", "handover-va", "--out", str(folder / "figures")]
     if code := report_main([*line, str(page_file)]) or figures_main(drawn):
         sys.exit(code)
+    trial = min((folder / "gallery_trials").glob("*.html"))
+    weigh({"report": folder / "page.html", "report with gallery": page_file, "a trial of it": trial})
     alone = "<style>body > :not(section), section:not(:has(.gallery)) { display: none !important }</style></body>"
     text = page_file.read_text(encoding="utf-8").replace("</body>", alone)
     page_file.write_text(text, encoding="utf-8")
