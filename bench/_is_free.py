@@ -2,12 +2,13 @@
 
 import warp as wp
 
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import FREE, POSTURE
 from r2h_batch.kernels.plan.edge import edge
 from r2h_batch.kernels.robot.posture import load
 from r2h_batch.kernels.robot.world import TrialBodies, World
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 
 @wp.kernel

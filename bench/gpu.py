@@ -230,7 +230,7 @@ def throughput(bench: Bench) -> None:
         batch = bench.repeated(bench.mix, n)
         evaluator = Evaluator(replace(KINEMATIC, chunk=chunk), device=bench.device)
         for block in BLOCKS[: None if bench.cuda else 1]:
-            with mock.patch.object(launch, "BLOCK_DIM", block):
+            with mock.patch.multiple(launch, BLOCK_DIM=block, UNEVEN_BLOCK_DIM=block):
                 rate = n / bench.seconds(partial(evaluator.score, *batch))
             bench.report.add(f"gpu.trials_per_s.chunk_{chunk}.block_{block}", rate)
             best = max(best, rate)

@@ -19,12 +19,13 @@ from r2h_batch.config import EvalConfig
 from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.goal import judge_goals, safe_at, unless_proven
 from r2h_batch.judge.hold import Holding, hold
-from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
+from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import Stages, check_indices, check_stages, checked_inputs, warn_of_no_gradient
 from r2h_batch.judge.metrics import Criterion
 from r2h_batch.judge.plan import plan_paths
 from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
 from r2h_batch.launch import cpu_threads, one_torch_thread
+from r2h_batch.launch.memory import in_parts, rows_at_once
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.scene import Scene
@@ -36,6 +37,9 @@ from r2h_batch.types import Asked, Scores, Trials
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
+
+ROW_BYTES, MOVED_ROW_BYTES = 32 << 10, 192 << 10
+"""Working memory of a row with a path, and of one whose motion is recorded; trees of the search not counted."""
 
 SORTED_ROWS = 256
 """From here on the rows of a CPU batch are taken object by object: five to ten per cent faster, for the caches' sake."""
@@ -60,6 +64,8 @@ class Evaluator:
         cpu_threads(threads)
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
         self.threads = threads
+        if self.scene.device != "cpu":
+            build_tables(self.scene.device, self.config.workplace.home_q)
         self.handle = torch_op.register(self)
 
     @classmethod
@@ -165,10 +171,8 @@ class Evaluator:
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, keep_motion: bool = False
     ) -> Scores:
         """The batch in chunks that bound the memory; rows do not depend on where the cuts are."""
-        n, chunk = len(trials), self.config.chunk
-        if stages == "pose":  # without paths a row needs a quarter of the memory
-            chunk = max(chunk, POSE_CHUNK_CUDA) if T_obj_ee.is_cuda else 4 * chunk
-        else:  # a path's margins have no gradient here
+        n = len(trials)
+        if stages == "all":  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
         judge = self._score_pose if stages == "pose" else partial(self._score_motion, keep_motion=keep_motion)
         with one_torch_thread(self.scene.device):
@@ -176,14 +180,26 @@ class Evaluator:
             if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
                 order = torch.argsort(trials.object_index, stable=True)
                 T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
-            if n <= chunk and order is None:
-                return judge(T_obj_ee, T_world_ee, trials)
-            parts = [
-                judge(T_obj_ee[i : i + chunk], T_world_ee[i : i + chunk], trials[i : i + chunk])
-                for i in range(0, n, chunk)
-            ]
+
+            def part(first: int, last: int) -> Scores:
+                if last - first == n:  # a small batch is all overhead
+                    return judge(T_obj_ee, T_world_ee, trials)
+                return judge(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
+
+            parts = in_parts(n, self.rows_at_once(stages), part)
             scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
             return scores if order is None else scores[torch.argsort(order)]
+
+    def rows_at_once(self, stages: Stages = "all") -> int:
+        """How many rows are judged together: `EvalConfig.chunk`, on CUDA more where there is memory for it.
+
+        More than these in one call are judged in chunks; a call with fewer leaves a GPU without work.
+        """
+        chunk, device = self.config.chunk, self.scene.device
+        if stages == "pose":  # without paths a row needs a quarter of the memory
+            return max(chunk, POSE_CHUNK_CUDA) if device != "cpu" else 4 * chunk
+        moves = self.config.execute.engine(torch.device(device).type) != "none"
+        return rows_at_once(device, chunk, MOVED_ROW_BYTES if moves else ROW_BYTES)
 
     def _score_motion(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool) -> Scores:
         """Every stage: hold, IK, plan, move, judge."""

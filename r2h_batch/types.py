@@ -63,11 +63,17 @@ class _Rows:
 
     def to(self, device: str | torch.device) -> Self:
         """The same rows on another device; from a GPU to the CPU in one copy, for which the host waits once."""
-        tensors = self._tensors()
-        here = {value.device.type for value in tensors.values()}
+        every: list[Tensor] = []
+
+        def seen(value: Tensor) -> Tensor:
+            every.append(value)
+            return value
+
+        self._changed(seen)  # in the order in which they are put back; what stands beside the rows goes along
+        here = {value.device.type for value in every}
         if torch.device(device).type == "cpu" and here - {"cpu"}:
-            new = replace(self, **dict(zip(tensors, in_one_copy(list(tensors.values())), strict=True)))
-            return new._with(self._beside, lambda value: value.to(device))
+            copied = iter(in_one_copy(every))
+            return self._changed(lambda value: next(copied))
         return self._changed(lambda value: value.to(device))
 
     def clone(self) -> Self:

@@ -2,7 +2,9 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 SPHERE = wp.constant(0)
 CAPSULE = wp.constant(1)
@@ -35,7 +37,7 @@ class Body:
     radius: float  # grown by this (capsules: theirs)
 
 
-@wp.func
+@wp.func(inline=False)
 def direction_cell(d: wp.vec3):
     """The cell of a CELLS body that a direction falls into."""
     # the cube's face is that of d's largest coordinate; u, v: the other two, each cut into CELLS_PER_EDGE
@@ -91,7 +93,7 @@ def farthest_in_blocks(points: wp.array(dtype=wp.vec3), start: int, count: int, 
     ...
 
 
-@wp.func
+@wp.func(inline=False)
 def support(body: Body, points: wp.array(dtype=wp.vec3), d: wp.vec3):
     """The core's farthest point along d, in the body's frame."""
     p = wp.vec3(0.0, 0.0, 0.0)
@@ -131,7 +133,7 @@ def support(body: Body, points: wp.array(dtype=wp.vec3), d: wp.vec3):
     return p
 
 
-@wp.func
+@wp.func(inline=False)
 def from_ball(body: Body, x: wp.vec3):
     """The vector from point x to the nearest point of a primitive (not a hull), in its frame; zero inside it."""
     y = wp.vec3(0.0, 0.0, 0.0)
@@ -153,7 +155,7 @@ def from_ball(body: Body, x: wp.vec3):
     return y - x
 
 
-@wp.func
+@wp.func(inline=False)
 def swept_support(
     body: Body,
     R: wp.mat33,

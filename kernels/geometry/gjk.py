@@ -22,8 +22,9 @@ from r2h_batch.kernels.geometry.simplex import (
     nearest_on_face,
     nearest_on_tetrahedron,
 )
+from r2h_batch.kernels.options import OPTIONS
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 MAX_ITERATIONS = wp.constant(32)
 
@@ -48,7 +49,7 @@ class Distance:
 #    tetrahedron that holds the origin itself: the cores overlap.
 #
 # It stays one function, for all its length: inlined at each call, and the cost of a split could not be told from noise.
-@wp.func
+@wp.func(inline=False)
 def gjk(
     a: Body,
     R: wp.mat33,

@@ -7,8 +7,9 @@ sides). The depth of a point is its distance to the nearest face, so at depth d 
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, Body
+from r2h_batch.kernels.options import OPTIONS
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 TOUCH_M = wp.constant(1.0e-6)
 """Bodies nearer than this count as touching: GJK's rounding allowance."""

@@ -3,11 +3,12 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import ROUNDING_M
+from r2h_batch.kernels.options import OPTIONS
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 
-@wp.func
+@wp.func(inline=False)
 def from_point(x: wp.vec3, a: wp.vec3, b: wp.vec3):
     """The vector from x to the nearest point of the segment a-b."""
     d = b - a
@@ -18,7 +19,7 @@ def from_point(x: wp.vec3, a: wp.vec3, b: wp.vec3):
     return a + t * d - x
 
 
-@wp.func
+@wp.func(inline=False)
 def from_segment(b0: wp.vec3, b1: wp.vec3, a0: wp.vec3, a1: wp.vec3):
     """The vector from segment b to segment a where they are nearest (Ericson 5.1.9)."""
     # |r + s u - t v|^2 over s, t in [0, 1]: a quadratic with the matrix [[a, -b], [-b, e]]
@@ -61,7 +62,7 @@ def from_segment(b0: wp.vec3, b1: wp.vec3, a0: wp.vec3, a1: wp.vec3):
     return out
 
 
-@wp.func
+@wp.func(inline=False)
 def swept_capsule(
     c0: wp.vec3, c1: wp.vec3, radius: float, n: wp.vec3, w: wp.vec3, v: wp.vec3, g: wp.vec3, c: float,
     second: float, third: float,

@@ -10,13 +10,15 @@ differs between branches to memory and reads it back after each, which took a th
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 ALL_OF_IT = wp.constant(8)
 """In place of a part: the origin is inside the tetrahedron."""
 
 
-@wp.func
+@wp.func(inline=False)
 def nearest_on_edge(a: wp.vec3, b: wp.vec3):
     """Part, weights and point of a segment: a + f (b - a) with f = -a . d / d . d, clamped to [0, 1]."""
     d = b - a
@@ -53,7 +55,7 @@ def _nearest_on_edge_of(a: wp.vec3, b: wp.vec3, c: wp.vec3, edge: int):
     return part, weight, v
 
 
-@wp.func
+@wp.func(inline=False)
 def nearest_on_face(a: wp.vec3, b: wp.vec3, c: wp.vec3):
     """Part, weights and point of a triangle, by Voronoi regions (Ericson, Real-Time Collision Detection, 5.1.5).
 
@@ -109,7 +111,7 @@ def nearest_on_face(a: wp.vec3, b: wp.vec3, c: wp.vec3):
     return part, weight, v
 
 
-@wp.func
+@wp.func(inline=False)
 def nearest_on_tetrahedron(s0: wp.vec3, s1: wp.vec3, s2: wp.vec3, s3: wp.vec3):
     """ALL_OF_IT when the origin is inside; otherwise the nearest of the faces that have the origin on their outer side.
 

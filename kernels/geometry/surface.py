@@ -6,7 +6,9 @@ triangles leaf_first[l] .. , and triangle t has corners points[3 t .. 3 t + 2]. 
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 
 @wp.struct
@@ -46,7 +48,7 @@ def may_hit(surfaces: Surfaces, tri: int, rz: wp.vec3, z: float) -> bool:
     return wp.min(z0, wp.min(z1, z2)) <= z + 1.0e-6 and wp.max(z0, wp.max(z1, z2)) >= z - 1.0e-6
 
 
-@wp.func
+@wp.func(inline=False)
 def line_hit(a: wp.vec3, b: wp.vec3, c: wp.vec3, x: float, z: float):
     """Signed crossings (-1, 0, 1) of triangle abc and the line (x, ., z) along y, and the y where it crosses.
 

@@ -2,10 +2,12 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 
-@wp.func
+@wp.func(inline=False)
 def closest_on_triangle(x: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3):
     """The triangle's point nearest to x (Ericson, Real-Time Collision Detection, 5.1.5).
 

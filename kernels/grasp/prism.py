@@ -6,10 +6,12 @@ or points of the triangle on the prism's four corner lines: y, being linear on i
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 
-@wp.func
+@wp.func(inline=False)
 def clip_edge(p: float, q: float, low: float, high: float, t0: float, t1: float):
     """[t0, t1] cut to where low <= p + t (q - p) <= high (t0 > t1: nowhere)."""
     if (p < low and q < low) or (p > high and q > high):

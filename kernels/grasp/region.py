@@ -11,9 +11,10 @@ from r2h_batch.kernels.geometry.body import BOX, HULL, SPHERE, Body
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose, line_hit, may_hit
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 DEPTH_M = wp.constant(5.0e-6)
 

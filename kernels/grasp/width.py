@@ -9,9 +9,10 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose, line_hit, may_hit
 from r2h_batch.kernels.grasp.prism import clip_edge, corner
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, gap_from_drive, pad_center_z_range
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 MAX_RUNS = wp.constant(24)
 JOIN_M = wp.constant(1.0e-6)
@@ -24,7 +25,7 @@ vec24 = wp.types.vector(24, wp.float32)
 vec24i = wp.types.vector(24, wp.int32)
 
 
-@wp.func
+@wp.func(inline=False)
 def _triangle_in_prism(a: wp.vec3, b: wp.vec3, c: wp.vec3, half_x: float, z_low: float, z_high: float):
     """Range of y of triangle abc cut to the prism (low > high: none)."""
     low = float(FAR)
@@ -72,7 +73,7 @@ def _covered(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a:
     return out
 
 
-@wp.func
+@wp.func(inline=False)
 def _add(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a: float, b: float) -> int:
     """Joins [a, b] to the runs it meets, in place; the new number of runs."""
     i = int(0)
@@ -103,7 +104,7 @@ def _add(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a: flo
     return n
 
 
-@wp.func
+@wp.func(inline=False)
 def _crossings(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, x: float, z: float):
     """Where the line (x, ., z) of the ee frame crosses surface s: how often, the y (unsorted), the signs."""
     rx = wp.vec3(R[0, 0], R[0, 1], R[0, 2])

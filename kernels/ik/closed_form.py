@@ -3,9 +3,10 @@
 import warp as wp
 
 from r2h_batch.kernels.ik.wrist_center import arm_state, elbow_reach, shoulder_turn
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import UrParameters, to_shoulder, vec12d
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 NO_BRANCH = wp.constant(0)
 BRANCH = wp.constant(1)

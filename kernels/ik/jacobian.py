@@ -5,9 +5,10 @@ Which branch such a solver ends in is decided by its start; the solutions themse
 
 import warp as wp
 
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import ee_and_axes, vec6d
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 mat67d = wp.types.matrix((6, 7), wp.float64)
 

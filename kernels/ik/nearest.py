@@ -10,9 +10,10 @@ import warp as wp
 from r2h_batch.kernels.ik.closed_form import SINGULAR_SIN
 from r2h_batch.kernels.ik.step import joint_angles, nearest_turn
 from r2h_batch.kernels.ik.wrist_center import arm_state, elbow_reach, orthonormal, shoulder_turn
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import UrParameters, to_shoulder, ur_pose_error, vec6d, vec12d
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))

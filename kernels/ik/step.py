@@ -10,6 +10,7 @@ import warp as wp
 
 from r2h_batch.kernels.ik.closed_form import BRANCH, BRANCH_EDGE, BRANCH_LINE, closed_form, other_elbow
 from r2h_batch.kernels.ik.wrist_center import orthonormal
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import (
     UrParameters,
     to_shoulder,
@@ -20,7 +21,7 @@ from r2h_batch.kernels.robot.fk import (
     vec12d,
 )
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 STATUS_UNREACHABLE = wp.constant(0)  # the closed form has no solution
 STATUS_CONVERGED = wp.constant(1)  # damped least squares

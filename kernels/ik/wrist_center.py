@@ -12,9 +12,10 @@ UR-5/UR-10 arms), written with cosines and sines instead of angles:
 
 import warp as wp
 
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import UrParameters, vec12d
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))

@@ -4,6 +4,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.judge.safe import posture_distance
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import (
     BRANCHES,
     FREE,
@@ -21,7 +22,7 @@ from r2h_batch.kernels.plan.posture import PairClearance, posture_clearance
 from r2h_batch.kernels.robot.posture import load
 from r2h_batch.kernels.robot.world import FIELDS, WRIST_3, TrialBodies, World, vec6
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
+wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
 TIE_M = wp.constant(1.0e-5)
 """Branches that differ by less are equal (the hand mostly meets gripper and object, which stand alike in all): the first."""

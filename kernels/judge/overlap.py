@@ -9,11 +9,12 @@ import warp as wp
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
 from r2h_batch.kernels.geometry.primitives import signed_distance
 from r2h_batch.kernels.grasp.region import triangle_clearance
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.posture import posture_clearance
 from r2h_batch.kernels.robot.posture import load_waypoint
 from r2h_batch.kernels.robot.world import TrialBodies, World, body_pose, forward_kinematics
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 STEP_RAD = wp.constant(0.04)
 """Between two postures that are looked at, summed over the joints."""

@@ -7,7 +7,9 @@ the same row by row in torch; so the bits are the same on every processor.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS | {"fuse_fp": False})
 
 ROTATION_TOLERANCE = wp.constant(1.0e-3)
 """As `r2h_batch.se3.ROTATION_TOLERANCE`."""

@@ -11,6 +11,7 @@ from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, rounded, signed_distance
 from r2h_batch.kernels.geometry.segments import from_point
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_stretch
 from r2h_batch.kernels.plan.edge import PART_RAD
 from r2h_batch.kernels.plan.partners import Mover, least_rest, swept_mover
@@ -32,7 +33,7 @@ from r2h_batch.kernels.robot.world import (
     vec6,
 )
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
+wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
 SLACK_M = wp.constant(0.03)
 HAND_SLACK_M = wp.constant(0.06)

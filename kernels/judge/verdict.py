@@ -2,7 +2,9 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS | {"fuse_fp": False})
 
 INVALID_INPUT = wp.constant(6)
 """As `r2h_batch.verdicts.Outcome`, of which a criterion's own number is its place + 1."""

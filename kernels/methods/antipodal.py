@@ -2,7 +2,9 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 STEP_M = wp.constant(2.0e-5)
 MAX_HITS = wp.constant(6)
@@ -11,6 +13,13 @@ ROWS_Z = wp.constant(7)
 PARTS = wp.constant(16)
 
 vec16i = wp.types.vector(16, wp.int32)
+
+
+@wp.func(inline=False)
+def _first_hit(mesh: wp.uint64, start: wp.vec3, d: wp.vec3, far: float):
+    """Whether the ray meets the mesh within `far`; how far off, on which face, with what normal."""
+    hit = wp.mesh_query_ray(mesh, start, d, far)
+    return hit.result, hit.t, hit.face, hit.normal
 
 
 @wp.kernel
@@ -53,11 +62,11 @@ def opposite_points(
     thickness = float(0.0)
     pick = float(u[2])
     for _ in range(MAX_HITS):
-        hit = wp.mesh_query_ray(mesh, start + travelled * d, d, widest - travelled)
-        if not hit.result:
+        met, at, _face, normal = _first_hit(mesh, start + travelled * d, d, widest - travelled)
+        if not met:
             break
-        travelled += hit.t
-        if wp.dot(hit.normal, d) >= friction_cosine:
+        travelled += at
+        if wp.dot(normal, d) >= friction_cosine:
             found += 1
             # each of k opposite points with probability 1 / k
             pick = pick * float(found)
@@ -111,11 +120,11 @@ def pad_contact(
                 x = half_x * (2.0 * (float(j) + 0.5) / float(ROWS_X) - 1.0)
                 z = half_z * (2.0 * (float(k) + 0.5) / float(ROWS_Z) - 1.0)
                 start = R * wp.vec3(x, side * (0.5 * width_in[i] + reach), pad_z_in[i] + z) + origin
-                hit = wp.mesh_query_ray(mesh, start, inward, 2.0 * reach)
-                if hit.result:
+                met, _at, face, normal = _first_hit(mesh, start, inward, 2.0 * reach)
+                if met:
                     on_pad += 1
-                    aligned += wp.max(-wp.dot(hit.normal, inward), 0.0)
-                    part = wp.min(int(face_part[hit.face]), PARTS - 1)
+                    aligned += wp.max(-wp.dot(normal, inward), 0.0)
+                    part = wp.min(int(face_part[face]), PARTS - 1)
                     parts[part] = parts[part] + 1
         touched += on_pad
         least = wp.min(least, float(on_pad) / float(ROWS_X * ROWS_Z))

@@ -6,7 +6,9 @@ seed point plus `depth` along z. Boxes are given in that frame; the second finge
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 
 @wp.struct

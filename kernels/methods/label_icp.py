@@ -5,7 +5,9 @@ Neighbours are nearest in (x, y, z, label), as where labels are colours: another
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 
 @wp.func

@@ -4,9 +4,10 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.primitives import signed_distance
 from r2h_batch.kernels.geometry.surface import inverse_pose
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 MOST_POINTS = 256
 

@@ -2,11 +2,12 @@
 
 import warp as wp
 
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import vec6d
 from r2h_batch.kernels.robot.trapezoid import duration, peak_speed
 from r2h_batch.kernels.robot.world import vec6
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 f64 = wp.float64
 

@@ -7,8 +7,9 @@ busy until the queue is empty. Which world a trial runs in makes no difference t
 import warp as wp
 
 from r2h_batch.kernels.motion.time_law import Law, servo_command
+from r2h_batch.kernels.options import OPTIONS
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 IDLE = wp.constant(-1)
 OVERFLOW = wp.constant(1)

@@ -7,7 +7,9 @@ nothing about it, and no other stretch of that level is waiting. A stack of MAX_
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 MAX_LEVEL = wp.constant(15)
 """Levels of a walk: the shortest stretch is 2^-14 of the edge."""

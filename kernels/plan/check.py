@@ -20,6 +20,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.body import BLOCKS, BOX, Body, support, swept_support
 from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import (
     BLOCKED,
     FREE,
@@ -61,7 +62,7 @@ from r2h_batch.kernels.robot.world import (
     twists,
 )
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 
 @wp.struct

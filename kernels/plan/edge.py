@@ -19,13 +19,14 @@ following time, as Schwarzer, Saha and Latombe (2005) do for articulated robots.
 
 import warp as wp
 
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_stretch
 from r2h_batch.kernels.plan.check import Finding, examine
 from r2h_batch.kernels.plan.codes import BLOCKED, CERTIFY, CLEARANCE, FREE, MAX_PARTNERS, OPEN, POSTURE, SAMPLES
 from r2h_batch.kernels.plan.partners import Query
 from r2h_batch.kernels.robot.world import FIELDS, TrialBodies, World, vec6
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 PART_RAD = wp.constant(1.6)
 """Longest part of an edge, summed over the joints, that is looked at as one stretch: nothing was ever settled on a longer one."""

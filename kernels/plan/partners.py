@@ -13,6 +13,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, from_ball, support, swept_support
 from r2h_batch.kernels.geometry.segments import from_point, from_segment, swept_capsule
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.world import (
     CHANGES,
     GRIPPER,
@@ -28,7 +29,7 @@ from r2h_batch.kernels.robot.world import (
     vec6,
 )
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 MAY_MEET = wp.constant(256)  # added to a partner that bounding volumes do not keep apart in the middle of the stretch
 SLACK_M = wp.constant(0.03)

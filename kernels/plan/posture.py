@@ -22,6 +22,7 @@ from r2h_batch.kernels.geometry.body import BOX, Body, from_ball, support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, inner_radius
 from r2h_batch.kernels.geometry.segments import from_point, from_segment
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import PAIR_HAND, PAIR_OF_OBJECT, PAIR_SELF, PAIR_TABLE
 from r2h_batch.kernels.robot.world import (
     GRIPPER,
@@ -37,7 +38,7 @@ from r2h_batch.kernels.robot.world import (
     vec6,
 )
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 GROWTH_STEPS = wp.constant(12)
 

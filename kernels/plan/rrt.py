@@ -10,13 +10,14 @@ Random numbers are keyed by (seed, key of the trial), so a problem's path does n
 
 import warp as wp
 
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import BRANCHES, CLEARANCE, FREE, POSTURE
 from r2h_batch.kernels.plan.edge import edge
 from r2h_batch.kernels.robot.posture import load, load_waypoint, store_waypoint
 from r2h_batch.kernels.robot.trapezoid import duration
 from r2h_batch.kernels.robot.world import TrialBodies, World, vec6
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})  # unrolled, the code outgrows every cache
+wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
 CLEARANCE_CAP = wp.constant(0.0065)
 """A little over twice what a path has to keep (m): a goal's clearance matters below that."""
@@ -171,7 +172,7 @@ def rrt_connect(
     parents_scratch: wp.array(dtype=int),  # (P * 2 * capacity,) within the same tree, -1: a root
     # out
     path_out: wp.array3d(dtype=float),  # (B, W, 6)
-    length_out: wp.array(dtype=int),  # (B,) waypoints, 0: not found
+    length_inout: wp.array(dtype=int),  # (B,) waypoints, 0: not found; a trial that has some is passed over
 ):
     """A collision-free polyline from home to one of the goals, within a number of iterations.
 
@@ -181,7 +182,8 @@ def rrt_connect(
     """
     problem = first + wp.tid()
     trial = trial_in[problem]
-    length_out[trial] = 0
+    if length_inout[trial] > 0:
+        return
     base0 = problem * 2 * capacity
     base1 = base0 + capacity
     n0 = int(1)
@@ -249,7 +251,7 @@ def rrt_connect(
         return
     _write_branch(nodes_scratch, parents_scratch, base0, met0, path_out, trial, n_back - 1, -1)
     _write_branch(nodes_scratch, parents_scratch, base1, after, path_out, trial, n_back, 1)
-    length_out[trial] = n_back + n_forth
+    length_inout[trial] = n_back + n_forth
 
 
 @wp.func

@@ -6,7 +6,9 @@ Hand h of the tables has a rest pose without turns; a finger is three rigid segm
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 ROUNDS = wp.constant(64)
 STEPS = wp.constant(90)

@@ -2,7 +2,9 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 
 @wp.kernel

@@ -14,7 +14,9 @@ and the ee frame's origin is p5 + tool z_ee.
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 vec6d = wp.types.vector(6, wp.float64)
 vec12d = wp.types.vector(12, wp.float64)

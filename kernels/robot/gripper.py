@@ -6,7 +6,9 @@ q = acos((gap / 2 - offset) / r) - phi. `side` is -1 for the finger at -y, +1 fo
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 FIXED = wp.constant(0)
 DRIVER = wp.constant(1)

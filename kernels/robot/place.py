@@ -2,10 +2,11 @@
 
 import warp as wp
 
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
 from r2h_batch.kernels.robot.world import World, vec6
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 BALL_ROUNDING = wp.constant(1.0e-6)
 

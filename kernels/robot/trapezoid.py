@@ -6,7 +6,9 @@ v / a + d / v. Below d = v^2 / a the trapezoid is a triangle with the peak sqrt(
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False})
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 
 @wp.func

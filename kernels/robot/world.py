@@ -8,8 +8,9 @@ Links are numbered 0 base ... 6 wrist_3, 7 gripper, 8 object; 7 and 8 ride on wr
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import BLOCK_POINTS, BLOCKS, CELLS, Body
+from r2h_batch.kernels.options import OPTIONS
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 vec6 = wp.types.vector(length=6, dtype=float)
 
@@ -86,7 +87,7 @@ class TrialBodies:
     object_lever: wp.array2d(dtype=float)  # (B, 6)
 
 
-@wp.func
+@wp.func(inline=False)
 def child_frame(R: wp.mat33, p: wp.vec3, joint_R: wp.mat33, joint_p: wp.vec3, q: float):
     """R, p of a joint's child link, from its parent's: to the joint's frame, then by q (rad) about its z."""
     c = wp.cos(q)
@@ -176,7 +177,7 @@ def object_body(world: World, hull: int):
     return b
 
 
-@wp.func
+@wp.func(inline=False)
 def motion(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
     """How far a body's points can move when the joints from `first_joint` on turn by d (rad): sum of |d_j| lever_j."""
     m = float(0.0)
@@ -185,7 +186,7 @@ def motion(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
     return m
 
 
-@wp.func
+@wp.func(inline=False)
 def bends(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
     """Bounds on the second and on the third derivative of a body's points along q + s d, joints from `first_joint` on.
 
@@ -204,7 +205,7 @@ def bends(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
     return second, third
 
 
-@wp.func
+@wp.func(inline=False)
 def twists(
     d: vec6,
     R: wp.array(dtype=wp.mat33),
@@ -240,13 +241,13 @@ def twists(
         v[CHANGES + j + 1] = uk + wp.cross(wk, vk)
 
 
-@wp.func
+@wp.func(inline=False)
 def acceleration_along(n: wp.vec3, w: wp.vec3, a: wp.vec3, b: wp.vec3):
     """g and c: along n a point x of a link accelerates by c + g . x (`twists`)."""
     return wp.cross(n, a) + wp.cross(wp.cross(n, w), w), wp.dot(n, b)
 
 
-@wp.func
+@wp.func(inline=False)
 def acceleration_seen_along(
     n: wp.vec3, w: wp.vec3, v: wp.vec3, a: wp.vec3, b: wp.vec3, other: int,
     of_w: wp.array(dtype=wp.vec3), of_v: wp.array(dtype=wp.vec3),

@@ -11,9 +11,10 @@ import warp as wp
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose, line_hit
 from r2h_batch.kernels.grasp.prism import clip_edge, corner
 from r2h_batch.kernels.grasp.width import FAR, between_gaps, close_on
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, gap_from_drive, pad_center_z_range
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 STEP_M = wp.constant(2.0e-5)
 """Twice the accuracy to which closing locates the opening: the sweep of this much contains what the pads met."""
@@ -35,7 +36,7 @@ class Extreme:
     slope_z: float
 
 
-@wp.func
+@wp.func(inline=False)
 def _at_cut(out: Extreme, target: float, p: wp.vec3, d: wp.vec3, t: float, half_x: float, z_low: float, z_high: float):
     """`out`, or the point p + t d of an edge if its y is nearer to the target."""
     x = p + t * d
@@ -55,7 +56,7 @@ def _at_cut(out: Extreme, target: float, p: wp.vec3, d: wp.vec3, t: float, half_
     return out
 
 
-@wp.func
+@wp.func(inline=False)
 def _extreme_of_triangle(
     out: Extreme, target: float, a: wp.vec3, b: wp.vec3, c: wp.vec3, half_x: float, z_low: float, z_high: float
 ):

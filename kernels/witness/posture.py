@@ -6,12 +6,13 @@ from r2h_batch.kernels.geometry.body import CAPSULE
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
 from r2h_batch.kernels.geometry.primitives import rounded, signed_distance
 from r2h_batch.kernels.ik.jacobian import damped_gram, joint_rate, solve_spd
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import ee_and_axes
 from r2h_batch.kernels.robot.gripper import Gripper
 from r2h_batch.kernels.robot.world import TrialBodies, World, body_pose, forward_kinematics, vec6
 from r2h_batch.kernels.witness.surface import SurfacePoint, finger_velocity, triangle_witness
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 SLACK_M = wp.constant(3.0e-5)
 """As in r2h_batch.training.witnesses."""

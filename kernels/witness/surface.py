@@ -16,9 +16,10 @@ from r2h_batch.kernels.geometry.primitives import TOUCH_M, eroded, inner_radius,
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose
 from r2h_batch.kernels.geometry.triangle import closest_on_triangle
 from r2h_batch.kernels.grasp.region import DEPTH_M
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import FIXED, INNER_KNUCKLE, PIN, Gripper, drive_from_gap, finger_pose
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 RIDGE_M = wp.constant(2.0e-5)
 REFINEMENTS = wp.constant(8)

@@ -227,6 +227,12 @@ def _seed_states(device: str) -> wp.array:
     return wp.array(_cos_sin(ik_seeds()), dtype=wp.float64, device=device)
 
 
+def build_tables(device: str, home: tuple[float, ...]) -> None:
+    """What the solvers read, on a CUDA device before this returns: see `Scene`, whose tables are there at once too."""
+    home_posture(device, home), _seed_states(device), _jacobian_tables(home, device)
+    wp.synchronize_device(device)
+
+
 @lru_cache(maxsize=64)
 def home_posture(device: str, home: tuple[float, ...]) -> Float[Tensor, "1 6"]:
     """Home's joint angles on a device."""

@@ -196,6 +196,7 @@ def safe(
         device=scene.device,
         threads=threads,
         chunk=16,
+        uneven=True,
     )
     # The search for the smallest distance stops asking how deep once bodies meet
     meets = torch.nonzero((executed.length > 0) & active & (distance < 0)).flatten().to(torch.int32)
@@ -214,6 +215,7 @@ def safe(
         device=scene.device,
         threads=threads,
         chunk=1,
+        uneven=True,
     )
     # Between two samples the arm may be off the line by slack_m, so the distance along the lines is taken less that
     defined = active & (executed.length > 0)

@@ -19,7 +19,7 @@ from r2h_batch.types import PlanReason
 GOAL_ROOM_M = 2e-4
 """A path may come this much nearer to the hand than its goal does: the stretch next to the goal must be certifiable."""
 
-_SCRATCH_NODES = 4_000_000  # of all trees of one launch: 96 MB
+_SCRATCH_NODES, _NODE_BYTES = 4_000_000, 28  # of all trees of one launch: 112 MB
 
 
 @dataclass(frozen=True)
@@ -166,16 +166,20 @@ def _search(
     """RRT-Connect and shortcuts where no straight line was free; writes `path` and `length`.
 
     Budgets grow from round to round: most searches end within 50 iterations, and a launch is as large as its budget's trees.
+    The host asks twice which rows are left, before the first round and after it, and no more: asking waits for a GPU. A
+    problem that has its path already costs later rounds nothing.
     """
     b, device, moveit = len(path), path.device, int(config.edge_check == "moveit")
     todo = torch.nonzero((n_goals > 0) & (length == 0)).flatten().to(torch.int32)
+    found_with = torch.zeros(b, dtype=torch.float32, device=device)
     for i, iterations in enumerate(config.rounds):
         last = i == len(config.rounds) - 1
         kept, n_kept, path_margin = _goals_for_search(goals.view(b, BRANCHES, 6), n_goals, margin, everything=last)
         # An iteration adds one node to one tree and then as many to the other as it takes to meet or to be blocked;
         # how many is not bounded, so a tree that is full ends the search (`rrt_connect`)
         capacity = 4 * iterations + 16
-        for part in todo.split(max(1, _SCRATCH_NODES // (2 * capacity))):
+        unsolved = length == 0
+        for part in todo.split(max(1, _scratch_nodes(device) // (2 * capacity))):
             nodes = torch.empty((len(part) * 2 * capacity, 6), dtype=torch.float32, device=device)
             parents = torch.empty(len(part) * 2 * capacity, dtype=torch.int32, device=device)
             run(
@@ -197,16 +201,26 @@ def _search(
                 outputs={"nodes": nodes, "parents": parents, "path": path, "length": length},
                 chunk=1,
             )
-            found = part[length[part.long()] > 0]
-            _shorten(run, found, key, path_margin, path, length, config, execute)
-        todo = todo[length[todo.long()] == 0]
-        if not len(todo):
-            break
+        found_with = torch.where(unsolved, path_margin, found_with)
+        if i == 0 or last:
+            _shorten(run, todo, key, found_with, path, length, config, execute)
+        if i == 0 and not last:
+            todo = todo[length[todo.long()] == 0]
+            if not len(todo):
+                break
+
+
+def _scratch_nodes(device: torch.device) -> int:
+    """How many tree nodes one launch may have: on CUDA a quarter of the memory that is free."""
+    if device.type == "cpu":
+        return _SCRATCH_NODES
+    free, _ = torch.cuda.mem_get_info(device)
+    return max(_SCRATCH_NODES, free // 4 // _NODE_BYTES)
 
 
 def _shorten(
     run: "Planner",
-    found: Int32[Tensor, " f"],
+    rows: Int32[Tensor, " f"],
     key: Int32[Tensor, " b"],
     margin: Float32[Tensor, " b"],
     path: Float32[Tensor, "b w 6"],
@@ -214,17 +228,17 @@ def _shorten(
     config: PlanConfig,
     execute: ExecConfig,
 ) -> None:
-    """Shortcuts on the paths of the rows `found`, as long as they save time under the arm's limits; in place."""
+    """Shortcuts on the paths that `rows` have, as long as they save time under the arm's limits; in place."""
     run(
         rrt.shortcut,
-        len(found),
+        len(rows),
         inputs={
             "tries": config.shortcuts,
             "speed": execute.scale * execute.max_velocity_rad_s,
             "acceleration": execute.scale * execute.max_acceleration_rad_s2,
             "seed": config.seed,
             "moveit": int(config.edge_check == "moveit"),
-            "trial": found,
+            "trial": rows,
             "key": key,
             "margin": margin,
         },
@@ -244,7 +258,14 @@ class Planner:
     def __call__(self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int) -> None:
         inputs = {**self._tables, **inputs}
         launch_trials(
-            kernel, n, inputs=inputs, outputs=outputs, device=self._device, threads=self._threads, chunk=chunk
+            kernel,
+            n,
+            inputs=inputs,
+            outputs=outputs,
+            device=self._device,
+            threads=self._threads,
+            chunk=chunk,
+            uneven=True,
         )
 
     def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:

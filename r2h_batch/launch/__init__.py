@@ -20,6 +20,8 @@ from r2h_batch.launch.arguments import bind
 CACHE_BYTES, MODULE_BYTES = 64 << 20, 8 << 20
 BLOCK_DIM = 64
 """Threads of a block on CUDA (a CPU has one). Warp's 256 would leave most of a GPU without a block (bench/gpu.py varies it)."""
+UNEVEN_BLOCK_DIM = 32
+"""The same of kernels whose trials differ a hundredfold: a block keeps its registers until its last thread ends."""
 
 CHUNK = 32
 """Trials a thread takes at a time: small enough that one hard trial does not leave the other core idle."""
@@ -74,7 +76,7 @@ def _room_for(module: Any) -> None:
     folder = wp.config.kernel_cache_dir or ""
     if not os.path.isdir(folder) or shutil.disk_usage(folder).free >= MODULE_BYTES:
         return
-    known = [module.get_module_identifier(block_dim) for block_dim in (1, BLOCK_DIM, None)]
+    known = [module.get_module_identifier(block_dim) for block_dim in (1, BLOCK_DIM, UNEVEN_BLOCK_DIM, None)]
     if not any(os.path.isdir(os.path.join(folder, name)) for name in known):
         _refuse_below(MODULE_BYTES, folder)
 
@@ -141,11 +143,13 @@ def launch_trials(
     chunk: int = CHUNK,
     width: int = 1,
     first: int = 0,
+    uneven: bool = False,
 ) -> None:
     """Runs `kernel` for trials first..first+n-1; they are wp.tid() + its parameter `first`; `width` > 1: of a second index.
 
     `inputs`, `outputs`: by the kernel's parameter names without `_in`, `_out`; tensors and NumPy arrays as they are. Every
     name and kind is checked against the kernel before anything runs (`r2h_batch.launch.arguments.bind`).
+    `uneven`: some trials take a hundred times as long as others.
     Warp runs a CPU kernel as one serial loop but releases the interpreter lock, so threads over chunks use all cores.
     Chunks only say who computes a trial: results do not depend on them.
     """
@@ -157,7 +161,8 @@ def launch_trials(
         return
     _room_for(kernel.module)
     dim = (n, width) if width > 1 else n
-    wp.launch(kernel, dim=dim, inputs=args, stream=_stream(device), block_dim=BLOCK_DIM)
+    block_dim = UNEVEN_BLOCK_DIM if uneven else BLOCK_DIM
+    wp.launch(kernel, dim=dim, inputs=args, stream=_stream(device), block_dim=block_dim)
 
 
 def _launch_on_cpu(

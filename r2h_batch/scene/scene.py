@@ -53,6 +53,20 @@ class Scene:
             raise ValueError("a scene needs at least one object; objects is empty")
         hand_set = hand_set or load_hand_set()
         self.hands = Hands.posed(hand_set.model, hand_set)
+        if self.device != "cpu":
+            self._build_tables()
+
+    def _build_tables(self) -> None:
+        """Every table now, and there before this returns.
+
+        They are written on Warp's stream. Built at first use, a kernel on another stream (a graph's, while it is captured)
+        could read them before they are there, and memory would be asked for while a graph is captured.
+        """
+        for name, value in vars(type(self)).items():
+            if isinstance(value, cached_property):
+                getattr(self, name)
+        gripper_tables(self.device)
+        wp.synchronize_device(self.device)
 
     @property
     def about(self) -> str:

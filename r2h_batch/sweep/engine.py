@@ -35,7 +35,7 @@ class Stopped(Exception):
 
 def chunk_of(options: Options, setting: Setting) -> int:
     """Trials scored at once."""
-    return options.chunk or (CPU_CHUNK if options.device == "cpu" else setting.evaluator.config.chunk)
+    return options.chunk or (CPU_CHUNK if options.device == "cpu" else setting.evaluator.rows_at_once())
 
 
 def score_local(

@@ -16,9 +16,10 @@ from r2h_batch.bodies.robot import Kind
 from r2h_batch.kernels.geometry import body as shapes
 from r2h_batch.kernels.geometry import gjk as kernel
 from r2h_batch.kernels.geometry.segments import from_point, from_segment
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.launch import init_warp, launch
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 ABOVE_TRUTH_M = 1e-7
 """The certified bound may be above the float64 distance by no more than this."""

@@ -6,6 +6,7 @@ import torch
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import swept_support
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.world import (
     CHANGES,
     FIELDS,
@@ -19,7 +20,7 @@ from r2h_batch.kernels.robot.world import (
 )
 from r2h_batch.launch import launch_trials
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options(OPTIONS)
 
 STEPS = 64
 

@@ -1,0 +1,85 @@
+"""Rows at a time: as memory allows, half as many when it was not enough, never other results."""
+
+from dataclasses import replace
+from unittest import mock
+
+import pytest
+import torch
+from pretend_cuda import pretending
+
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.evaluate import POSE_CHUNK_CUDA, Evaluator
+from r2h_batch.launch.memory import CUDA_ROWS, in_parts, rows_at_once
+from r2h_batch.methods import random
+from r2h_batch.trials.protocol import make_trials
+
+WORDS = {
+    "torch": torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB"),
+    "torch on a CPU": RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 8 bytes"),
+    "Warp": RuntimeError("Failed to allocate 4096 bytes on device 'cuda:0'"),
+    "Python": MemoryError(),
+}
+
+
+@pytest.mark.parametrize("error", WORDS.values(), ids=WORDS.keys())
+def test_out_of_memory_halves_the_rows_and_says_so(error: Exception, caplog: pytest.LogCaptureFixture) -> None:
+    asked = []
+
+    def judge(first: int, last: int) -> range:
+        asked.append(last - first)
+        if last - first > 3:
+            raise error
+        return range(first, last)
+
+    parts = in_parts(10, 8, judge)
+    assert [i for part in parts for i in part] == list(range(10))
+    assert asked == [8, 4, 2, 2, 2, 2, 2]
+    assert [r.getMessage() for r in caplog.records] == [
+        "out of memory with 8 rows: going on with 4 at a time",
+        "out of memory with 4 rows: going on with 2 at a time",
+    ]
+
+
+def test_other_errors_and_a_single_row_that_is_too_much_are_not_swallowed() -> None:
+    for rows, error in ((4, RuntimeError("shapes differ")), (1, torch.OutOfMemoryError("CUDA out of memory"))):
+        judge = mock.Mock(side_effect=error)
+        with pytest.raises(type(error), match=str(error)):
+            in_parts(4, rows, judge)
+        assert judge.call_count == 1
+
+
+def test_no_rows_are_one_part() -> None:
+    assert in_parts(0, 8, lambda a, b: (a, b)) == [(0, 0)]
+
+
+def test_a_gpu_takes_what_its_memory_is_good_for() -> None:
+    with pretending(), mock.patch.object(torch.cuda, "mem_get_info", lambda device: (4 << 30, 8 << 30)):
+        assert rows_at_once("cuda:0", 2048, 64 << 10) == (1 << 30) // (64 << 10)
+        assert rows_at_once("cuda:0", 2048, 1 << 30) == 2048  # never fewer than were asked for
+        assert rows_at_once("cuda:0", 2048, 1 << 10) == CUDA_ROWS
+    assert rows_at_once("cpu", 2048, 1) == 2048
+
+
+def test_an_evaluator_that_runs_out_of_memory_gives_the_same_rows() -> None:
+    config = EvalConfig(execute=ExecConfig(sim="none"))
+    evaluator = Evaluator(config)
+    trials = make_trials(("S0",), 12)
+    poses = random.predict(trials, evaluator.scene, seed=0)
+    whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials, "pose")
+    judge, sizes = Evaluator._score_pose, []
+
+    def tight(self: Evaluator, *args: torch.Tensor) -> object:
+        sizes.append(len(args[0]))
+        if len(args[0]) > 5:
+            raise WORDS["Warp"]
+        return judge(self, *args)
+
+    with mock.patch.object(Evaluator, "_score_pose", tight):
+        parts = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials, "pose")
+    assert sizes == [12, 6, 3, 3, 3, 3]
+    assert torch.equal(parts.margin.nan_to_num(9.0), whole.margin.nan_to_num(9.0))
+    assert parts.outcome.tolist() == whole.outcome.tolist()
+    assert evaluator.rows_at_once("pose") == 4 * evaluator.rows_at_once("all") == 4 * config.chunk
+    with pretending():
+        there = Evaluator(replace(config, chunk=64), device="cuda:0")
+        assert there.rows_at_once("pose") == POSE_CHUNK_CUDA and there.rows_at_once("all") == CUDA_ROWS
