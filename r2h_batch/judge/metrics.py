@@ -215,7 +215,6 @@ def safe(
         device=scene.device,
         threads=threads,
         chunk=1,
-        uneven=True,
     )
     # Between two samples the arm may be off the line by slack_m, so the distance along the lines is taken less that
     defined = active & (executed.length > 0)

@@ -47,6 +47,8 @@ class Seen:
 
 
 _seen = Seen()
+_structs: dict[int, tuple[Any, bool]] = {}
+"""Structs of tensors and whether these were on cuda:0; the struct itself, that no other gets its number."""
 
 
 def _where() -> str:
@@ -212,6 +214,15 @@ class _Functions(TorchFunctionMode):
         return func(*args, **kwargs)
 
 
+class _Device:
+    """Warp's name of it."""
+
+    is_cpu, is_cuda, ordinal = False, True, 0
+
+    def __str__(self) -> str:
+        return "cuda:0"
+
+
 class _Stream:
     cuda_stream, device = 0, CUDA
 
@@ -240,22 +251,41 @@ def _from_torch(original: Callable[..., Any]) -> Callable[..., Any]:
     return from_torch
 
 
+def _device_from_torch(original: Callable[..., Any]) -> Callable[..., Any]:
+    return lambda device: _Device() if _is_cuda(device) else original(device)
+
+
+def _struct_of(original: Callable[..., Any]) -> Callable[..., Any]:
+    def struct_of(kind: Any, tensors: Mapping[str, torch.Tensor]) -> Any:
+        made = original(kind, tensors)
+        (marked,) = {isinstance(t, OnCuda) for t in tensors.values()}
+        _structs[id(made)] = (made, marked)
+        return made
+
+    return struct_of
+
+
 def _bind(original: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
     def bind(kernel: Any, inputs: Mapping[str, Any], outputs: Mapping[str, Any], device: str, **more: Any) -> list[Any]:
         cuda = str(device) != "cpu"
         for name, value in {**inputs, **outputs}.items():
-            fields = [getattr(value, k) for k in value._cls.vars] if hasattr(value, "_cls") else [value]
-            for x in fields:
-                marked = getattr(x, "on_cuda", False) if isinstance(x, wp.array) else isinstance(x, OnCuda)
-                empty = isinstance(x, wp.array) and not x.size
-                if isinstance(x, (wp.array, torch.Tensor)) and marked != cuda and not empty:
-                    raise RuntimeError(f"kernel {kernel.key} on {device}: `{name}` is on the other device: {_where()}")
+            if cuda in _others(value):
+                raise RuntimeError(f"kernel {kernel.key} on {device}: `{name}` is on the other device: {_where()}")
         if cuda:
             _seen.launches.append(kernel.key)
         plain = ({k: real(v) for k, v in values.items()} for values in (inputs, outputs))
         return original(kernel, *plain, "cpu", **more)
 
     return bind
+
+
+def _others(value: Any) -> set[bool]:
+    """False where something in a kernel's argument is on cuda:0, True where something is on the CPU."""
+    if id(value) in _structs:
+        return {not _structs[id(value)][1]}
+    fields = [getattr(value, k) for k in value._cls.vars] if hasattr(value, "_cls") else [value]
+    there = [getattr(x, "on_cuda", False) for x in fields if isinstance(x, wp.array) and x.size]
+    return {not x for x in (*there, *(isinstance(x, OnCuda) for x in fields if isinstance(x, torch.Tensor)))}
 
 
 @contextmanager
@@ -277,10 +307,13 @@ def pretending() -> Iterator[Seen]:
             stack.enter_context(mock.patch.object(torch.cuda, name, value))
         stack.enter_context(mock.patch.object(wp.array, "__init__", _array_init(wp.array.__init__)))
         stack.enter_context(mock.patch.object(wp, "from_torch", _from_torch(wp.from_torch)))
-        stack.enter_context(mock.patch.object(wp, "device_from_torch", lambda device: str(device)))
+        stack.enter_context(mock.patch.object(wp, "device_from_torch", _device_from_torch(wp.device_from_torch)))
         stack.enter_context(mock.patch.object(wp, "synchronize_device", lambda device: _waits("synchronize")))
         stack.enter_context(mock.patch.object(launch, "bind", _bind(launch.bind)))
         stack.enter_context(mock.patch.object(launch, "_stream", lambda device: None))
+        for module in _ours():
+            if hasattr(module, "struct_of"):
+                stack.enter_context(mock.patch.object(module, "struct_of", _struct_of(module.struct_of)))
         stack.callback(_forget_tables)
         stack.enter_context(_Dispatch())
         stack.enter_context(_Functions())
@@ -289,8 +322,12 @@ def pretending() -> Iterator[Seen]:
 
 def _forget_tables() -> None:
     """Tables that functions keep by device: a real GPU's tests in the same process must not find the pretended ones."""
-    for name, module in list(sys.modules.items()):
-        if name.startswith("r2h_batch"):
-            for kept in vars(module).values():
-                if hasattr(kept, "cache_clear") and "device" in inspect.signature(kept).parameters:
-                    kept.cache_clear()
+    _structs.clear()
+    for module in _ours():
+        for kept in vars(module).values():
+            if hasattr(kept, "cache_clear") and "device" in inspect.signature(kept).parameters:
+                kept.cache_clear()
+
+
+def _ours() -> list[Any]:
+    return [module for name, module in list(sys.modules.items()) if name.startswith("r2h_batch.")]
