@@ -41,10 +41,10 @@ def rotate(R: Array, v: Array) -> Array:
     return R[..., 0] * v[..., 0, None] + R[..., 1] * v[..., 1, None] + R[..., 2] * v[..., 2, None]
 
 
-def matmul(a: Float[Tensor, "*#b 4 4"], b: Float[Tensor, "*#b 4 4"]) -> Float[Tensor, "*b 4 4"]:
+def matmul(a: Float[Tensor, "*#b n n"], b: Float[Tensor, "*#b n n"]) -> Float[Tensor, "*b n n"]:
     """`a @ b` row by row: a torch matmul may round a row differently at another batch size, this cannot."""
     total = a[..., :, 0, None] * b[..., None, 0, :]
-    for k in range(1, 4):
+    for k in range(1, a.shape[-1]):
         total = total + a[..., :, k, None] * b[..., None, k, :]
     return total
 

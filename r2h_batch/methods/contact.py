@@ -2,10 +2,11 @@
 
 Grasp: DBSCAN over an object's candidates drops outliers; of the others whose gripper is clear of the hand on the object,
 the one that blocks least of the contact map (probabilities of 0.4 and more). Pose: 15 cm above the estimated palm, in
-the orientation of least collision cost with the estimated hand among those that the arm reaches.
+the orientation of least collision cost with the estimated hand; whether the arm reaches it is not asked (`gate`).
 """
 
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import torch
@@ -20,7 +21,7 @@ from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.least_cost_pose import DIRECTIONS, HAND_POINTS, ROLLS, ZONE_M, least_cost_pose
 from r2h_batch.methods.palm_pose import least
-from r2h_batch.methods.placing import candidates_clear_of, taken
+from r2h_batch.methods.placing import Anchor, candidates_clear_of, check_choice, taken
 from r2h_batch.predictors import (
     ContactPredictor,
     PredictorNoise,
@@ -58,6 +59,10 @@ CLEARANCE_M = 0.0
 """What gripper and hand on the object must keep: the paper filters collisions, it asks for no room."""
 
 
+Contacts = Literal["left-out", "all"]
+"""Which weights answer for a built-in object: those that never saw it, or those trained on all objects."""
+
+
 def predict(
     trials: Trials,
     scene: Scene,
@@ -77,11 +82,17 @@ def predict(
     rolls: int = ROLLS,
     zone_m: float = ZONE_M,
     hand_points: int = HAND_POINTS,
+    gate: Literal["none", "ik"] = "none",
+    at: Anchor = "gripper",
+    contacts: Contacts = "left-out",
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
-    `predictor`: what gives the contact map (`r2h_batch.predictors.load_predictor`); None: the built-in VoxNet.
+    `predictor`: what gives the contact map (`r2h_batch.predictors.load_predictor`); None: the built-in VoxNet, of built-in
+    objects with the weights that never saw the object (`contacts="all"`: trained on all of them). `gate="ik"`: only
+    orientations that the arm reaches. `at`: what stands `height_m` above the palm.
     """
+    check_choice("contacts", contacts, Contacts)
     threads = evaluator.threads if evaluator else None
     table = candidate_table(scene)
     clustered = in_clusters(scene, eps_m, min_samples)
@@ -90,7 +101,7 @@ def predict(
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
         taking = predict_receiving(part, scene, seed=seed, noise=noise, seen=seen)
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
-        contact = predict_contacts(part, scene, predictor=predictor, seen=seen)
+        contact = predict_contacts(part, scene, predictor=predictor, seen=seen, left_out=contacts == "left-out")
         rows, exists = table.rows(part.object_index)
         clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)
         blocked = blocked_contact(
@@ -100,7 +111,7 @@ def predict(
         row = taken(rows, least_blocked(blocked, table.score[rows], clear, clustered[rows], exists))
         T_world_ee = least_cost_pose(
             scene, part.object_index, table.T_obj_ee[row], table.opening_m[row], target, height_m,
-            directions=directions, rolls=rolls, zone_m=zone_m, hand_points=hand_points, threads=threads,
+            directions=directions, rolls=rolls, zone_m=zone_m, hand_points=hand_points, gate=gate, at=at, threads=threads,
         )  # fmt: skip
         return table.T_obj_ee[row], T_world_ee
 

@@ -14,7 +14,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.palm_pose import approach_frames, least, roll_angles, rolled, unit
-from r2h_batch.methods.placing import candidates_clear_of, centers_at, first_fit, home_x, object_centers, taken
+from r2h_batch.methods.placing import Gate, candidates_clear_of, centers_at, first_fit, home_x, object_centers, taken
 from r2h_batch.predictors import PredictorNoise, Seen, predict_receiving, predict_target
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
@@ -42,8 +42,12 @@ def predict(
     seen: Seen | None = None,
     rolls: int = ROLLS,
     clearance_m: float = CLEARANCE_M,
+    gate: Gate = "hand",
 ) -> Predictions:
-    """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id)."""
+    """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
+
+    `gate`: what a roll about the approach axis must pass (`placing.Gate`).
+    """
     threads = evaluator.threads if evaluator else None
     table = candidate_table(scene)
     center = torch.from_numpy(object_centers(scene)).to(scene.device)
@@ -61,7 +65,7 @@ def predict(
             rolled(frames, roll_angles(rolls)), T_obj_ee, center[part.object_index.long()], target.ball_center
         )
         return T_obj_ee, first_fit(
-            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, threads=threads
+            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, gate=gate, threads=threads
         )
 
     return answers(trials, scene, "fc", choose)

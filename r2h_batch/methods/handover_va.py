@@ -1,27 +1,29 @@
 """Handover-VA (Lehotsky et al. 2023): grasp the part that works, present the handle; docs/baselines.md.
 
-Grasp: the method's own top-down grasps of the functional part (`box_grasps.py`), the one with most summed finger room.
-Pose: ICP of a handle-function template gives the utility axis (`utility_axis.py`); the handle points at the palm, its
-centre at the ball centre c_h, the gripper behind it opposite the palm. Seven rotations about that axis, the first that
-the arm reaches. Nothing else is checked, no collision: as published.
+Grasps: the method's own top-down grasps of the functional part (`box_grasps.py`), most summed finger room first.
+Poses: ICP of a handle-function template gives the utility axis (`utility_axis.py`), which points at the palm. Each grasp is
+tried at five distances in front of the palm and in seven turns, added up as the original's program adds them; the first
+pose that the arm reaches is taken. Nothing else is checked, no collision: as published.
 """
 
 import math
+from itertools import accumulate
+from typing import Literal
 
 import torch
-from jaxtyping import Float, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
-from r2h_batch.methods.box_grasps import box_grasps, depth_steps
+from r2h_batch.methods.box_grasps import BoxGrasps, box_grasps, depth_steps
 from r2h_batch.methods.candidates import candidate_table
-from r2h_batch.methods.palm_pose import approach_frames, least, rolled
-from r2h_batch.methods.part_roles import FUNCTION, GRASP, roles_of
-from r2h_batch.methods.placing import first_fit, taken
-from r2h_batch.methods.utility_axis import LABEL_M, align_templates
-from r2h_batch.predictors import PredictorNoise, Seen, SeenParts, predict_parts, predict_target
+from r2h_batch.methods.palm_pose import approach_frames, first_true, least, reachable, rolled
+from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP, roles_of
+from r2h_batch.methods.placing import check_choice, taken
+from r2h_batch.methods.utility_axis import LABEL_M, Alignment, align_templates
+from r2h_batch.predictors import PredictorNoise, Seen, SeenParts, TargetHand, predict_parts, predict_target
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
@@ -44,7 +46,18 @@ ICP_STEPS, ICP_TOLERANCE_M = 100, 1e-5
 """At most so many steps, and the change of the mean distance that ends them (published)."""
 
 ROTATIONS = 7
-"""Turns about the handover axis, 2 pi / 7 apart (published)."""
+"""Turns, 2 pi / 7 apart (published)."""
+
+DISTANCES, DISTANCE_STEP_M = 5, 0.08
+"""Places along the line between the two, the nearest to the receiver first (published)."""
+
+Loops = Literal["original", "one"]
+"""original: grasps by score x five distances x seven turns that add up, about the axis of the object's class. one: the
+best grasp, one distance, seven even turns about the handle."""
+
+Placed = Literal["gripper", "object", "handle"]
+"""What stands on the palm's normal: the gripper's TCP; the aligned template's origin; the handle's centre (all of the object's,
+where nothing is a handle)."""
 
 
 def predict(
@@ -55,18 +68,24 @@ def predict(
     evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
     seen: Seen | None = None,
+    loops: Loops = "original",
+    at: Placed = "handle",
     voxel_m: float = VOXEL_M,
     crop_m: float = CROP_M,
     azimuth_step: float = AZIMUTH_STEP,
     rotations: int = ROTATIONS,
+    distances: int = DISTANCES,
     label_m: float = LABEL_M,
 ) -> Predictions:
-    """One grasp and handover pose a trial; labels and target hand predicted with `noise`, drawn by (seed, trial id)."""
+    """One grasp and handover pose a trial; labels and target hand predicted with `noise`, drawn by (seed, trial id).
+
+    `loops`: what is tried, in which order. `at`: what is put opposite the palm.
+    """
+    check_choice("loops", loops, Loops)
+    check_choice("at", at, Placed)
     threads = evaluator.threads if evaluator else None
     depths = depth_steps(DEPTH_LOW_M, DEPTH_HIGH_M, DEPTH_STEP_M)
-    angles = [2 * math.pi * k / rotations for k in range(rotations)]
     table = candidate_table(scene)
-    opening = torch.zeros(1, dtype=torch.float32, device=scene.device)  # collisions are not checked
 
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
         parts = predict_parts(part, scene, seed=seed, noise=noise, seen=seen)
@@ -76,20 +95,90 @@ def predict(
             scene, part.object_index, role,
             voxel_m=voxel_m, azimuth_step=azimuth_step, depths_m=depths, crop_m=crop_m, threads=threads,
         )  # fmt: skip
-        best = least(-own.score, own.score > 0, torch.ones_like(own.used))
-        T_obj_ee = own.T_obj_ee[torch.arange(len(part), dtype=torch.int64, device=best.device), best]
         rows, exists = table.rows(part.object_index)
         spare = table.T_obj_ee[taken(rows, least(-table.score[rows], exists, exists))]
-        T_obj_ee = torch.where((own.score > 0).any(1)[:, None, None], T_obj_ee, spare)
+        grasps, feasible = by_score(own, spare)
         axis = align_templates(
             scene, part.object_index, role,
             iterations=ICP_STEPS, tolerance_m=ICP_TOLERANCE_M, label_m=label_m, threads=threads,
         )  # fmt: skip
-        R_world_obj = presented(axis.R_obj_template, target.palm_normal, angles)
-        T_world_ee = carried(R_world_obj, axis.handle, target.ball_center, T_obj_ee)
-        return T_obj_ee, first_fit(scene, T_world_ee, opening.expand(len(part)), None, threads=threads)
+        if loops == "one":
+            about_z = torch.zeros(len(part), dtype=torch.bool, device=role.device)
+            angles, places = even_turns(rotations), in_front_of(target, 1)
+            grasps, feasible = grasps[:, :1], feasible[:, :1]
+        else:
+            about_z = (role == WRAP).any(1)
+            angles, places = added_turns(rotations), in_front_of(target, distances)
+        R_world_obj = presented(axis.R_obj_template, target.palm_normal, angles, about_z)
+        return first_reached(R_world_obj, places, axis, at, grasps, feasible, threads=threads)
 
     return answers(trials, scene, "handover-va", choose)
+
+
+def even_turns(count: int) -> list[float]:
+    """0, 1, 2, ... of `count` parts of a whole turn, rad."""
+    return [2 * math.pi * k / count for k in range(count)]
+
+
+def added_turns(count: int) -> list[float]:
+    """The turns that the original's loop comes by, in its order and each once, rad: it turns on from where the last one
+    ended, by 0, 1, 2, ... parts of a whole turn. Of seven it sees 0, 1, 3 and 6 parts; the rest repeat these."""
+    seen = dict.fromkeys(total % count for total in accumulate(range(count)))
+    return [2 * math.pi * k / count for k in seen]
+
+
+def in_front_of(target: TargetHand, count: int) -> Float[Tensor, "b d 3"]:
+    """`count` points on each palm's normal, c_h first, each 8 cm farther from the palm than the one before (world)."""
+    away = DISTANCE_STEP_M * torch.arange(count, dtype=torch.float64, device=target.palm_normal.device)
+    return target.ball_center.double()[:, None] + away[:, None] * target.palm_normal.double()[:, None]
+
+
+def by_score(own: BoxGrasps, spare: Float32[Tensor, "b 4 4"]) -> tuple[Float32[Tensor, "b s 4 4"], Bool[Tensor, "b s"]]:
+    """Each trial's feasible own grasps, best score first, and which of the rows those are; `spare` where it has none."""
+    score, order = torch.sort(own.score, dim=1, descending=True, stable=True)
+    T = own.T_obj_ee.gather(1, order[:, :, None, None].expand(-1, -1, 4, 4))
+    feasible = score > 0
+    none = ~feasible.any(1)
+    T[:, 0] = torch.where(none[:, None, None], spare, T[:, 0])
+    feasible[:, 0] |= none
+    return T, feasible
+
+
+def first_reached(
+    R_world_obj: Float[Tensor, "b r 3 3"],
+    places: Float[Tensor, "b d 3"],
+    axis: Alignment,
+    at: Placed,
+    grasps: Float32[Tensor, "b s 4 4"],
+    feasible: Bool[Tensor, "b s"],
+    *,
+    threads: int | None = None,
+) -> tuple[Float32[Tensor, "b 4 4"], Float32[Tensor, "b 4 4"]]:
+    """Grasp and pose: the first that the arm reaches, grasps outermost, then places, then turns; none: the first of all."""
+    d, r = places.shape[1], R_world_obj.shape[1]
+    R, place = R_world_obj.repeat(1, d, 1, 1), places.repeat_interleave(r, 1)
+    T_obj_ee, T_world_ee = grasps[:, 0].clone(), torch.empty_like(grasps[:, 0])
+    todo = torch.arange(len(grasps), dtype=torch.int64, device=grasps.device)
+    for k in range(grasps.shape[1]):
+        todo = todo[feasible[todo, k]]
+        if not len(todo):
+            break
+        grasp = grasps[todo, k]
+        T = carried(R[todo], _point(axis, at, grasp, todo), place[todo], grasp)
+        reached = reachable(T, threads=threads)
+        found = reached.any(1)
+        rows = todo if k == 0 else todo[found]
+        here = torch.ones_like(found) if k == 0 else found
+        T_obj_ee[rows], T_world_ee[rows] = grasp[here], T[here, first_true(reached)[here]]
+        todo = todo[~found]
+    return T_obj_ee, T_world_ee
+
+
+def _point(axis: Alignment, at: Placed, T_obj_ee: Float32[Tensor, "b 4 4"], rows: Tensor) -> Float[Tensor, "b 3"]:
+    """The object's point (frame obj) that is put at a place."""
+    if at == "gripper":
+        return T_obj_ee[:, :3, 3].double()
+    return (axis.p_obj_template if at == "object" else axis.handle)[rows].double()
 
 
 def point_roles(scene: Scene, object_index: Int32[Tensor, " b"], seen: SeenParts) -> UInt8[Tensor, "b p"]:
@@ -107,13 +196,19 @@ def point_roles(scene: Scene, object_index: Int32[Tensor, " b"], seen: SeenParts
 
 
 def presented(
-    R_obj_template: Float[Tensor, "b 3 3"], palm_normal: Float[Tensor, "b 3"], angles: list[float]
+    R_obj_template: Float[Tensor, "b 3 3"],
+    palm_normal: Float[Tensor, "b 3"],
+    angles: list[float],
+    about_z: Bool[Tensor, " b"] | None = None,
 ) -> Float[Tensor, "b r 3 3"]:
-    """R_world_obj with the template's x axis (the handle) along -n_h, its z axis upwards, turned about x by `angles`."""
+    """R_world_obj with the template's x axis (the handle) along -n_h and its z axis upwards, turned by `angles` about x, or
+    about z where `about_z`."""
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, device=palm_normal.device)
     frame = approach_frames(-palm_normal, up)  # columns: up, across, handle
     R_world_template = torch.stack([frame[..., 2], -frame[..., 1], frame[..., 0]], -1)
     turned = rolled(R_world_template, angles, axis=0)
+    if about_z is not None:
+        turned = torch.where(about_z[:, None, None, None], rolled(R_world_template, angles, axis=2), turned)
     back = R_obj_template.double().transpose(1, 2)[:, None]
     return torch.stack([se3.rotate(turned, back[..., k].expand(turned.shape[:3])) for k in range(3)], -1)
 
@@ -121,14 +216,14 @@ def presented(
 def carried(
     R_world_obj: Float[Tensor, "b r 3 3"],
     point_obj: Float[Tensor, "b 3"],
-    target: Float[Tensor, "b 3"],
+    target: Float[Tensor, "b r 3"],
     T_obj_ee: Float[Tensor, "b 4 4"],
 ) -> Float[Tensor, "b r 4 4"]:
     """T_world_ee that carries the object turned so, with its point `point_obj` (frame obj) at `target` (world)."""
     R_obj_ee = T_obj_ee[:, :3, :3].double()[:, None]
     R = torch.stack([se3.rotate(R_world_obj, R_obj_ee[..., k].expand(R_world_obj.shape[:3])) for k in range(3)], -1)
     offset = (T_obj_ee[:, :3, 3].double() - point_obj.double())[:, None]
-    p = target.double()[:, None] + se3.rotate(R_world_obj, offset.expand(R_world_obj.shape[:3]))
+    p = target.double() + se3.rotate(R_world_obj, offset.expand(R_world_obj.shape[:3]))
     T = torch.zeros((*R.shape[:2], 4, 4), dtype=torch.float32, device=R.device)
     T[..., :3, :3], T[..., :3, 3], T[..., 3, 3] = R.float(), p.float(), 1.0
     return T

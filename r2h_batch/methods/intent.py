@@ -2,16 +2,18 @@
 
 Grasp: of the candidates that fit the gripper and whose approach axis does not first meet the region named by the
 instruction, the least A(g) = cos(v_g, v_h) - |p_g - p_h|, as published (metres; the hand is the one retrieved for the
-instruction, on the object). Pose: 15 cm above the target palm, the gripper opposed to the hand's direction in the palm
-plane, turned 15 degrees inward.
+instruction, on the object). Pose: 15 cm above the target palm; hand, object and gripper are turned as one, so that the
+retrieved hand lies as the target hand turned 15 degrees inward in its palm plane (`orientation="transform"`), or the
+gripper alone is opposed to that direction ("axis").
 """
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int64
+from jaxtyping import Bool, Float, Float32, Int64
 from torch import Tensor
 
 from r2h_batch import se3
@@ -21,9 +23,16 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
-from r2h_batch.methods.palm_pose import approach_frames, least, poses_at, roll_angles, rolled, turned_inward
-from r2h_batch.methods.placing import above_palm, first_fit, home_x, taken
-from r2h_batch.predictors import PredictorNoise, Seen, predict_target, retrieve_receiving
+from r2h_batch.methods.palm_pose import approach_frames, least, roll_angles, rolled, turned_inward
+from r2h_batch.methods.placing import Anchor, Gate, check_choice, first_fit, home_x, placed_above_palm, taken
+from r2h_batch.predictors import (
+    PredictorNoise,
+    ReceivingHand,
+    Seen,
+    TargetHand,
+    predict_target,
+    retrieve_receiving,
+)
 from r2h_batch.receiver.instructions import ANYWHERE, intents_of, understand
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
@@ -50,6 +59,11 @@ BACK_OFF_M = 0.10
 """The approach ray starts this far behind the TCP: inside the gripper's body, where a candidate has no material."""
 
 
+Orientation = Literal["transform", "axis"]
+"""transform: the predicted hand and the gripper keep their places on the object (the original's fixed hand-to-gripper
+transform). axis: the gripper's approach axis against the hand's direction, its roll searched."""
+
+
 def predict(
     trials: Trials,
     scene: Scene,
@@ -64,11 +78,16 @@ def predict(
     inward_deg: float = INWARD_DEG,
     clearance_m: float = CLEARANCE_M,
     back_off_m: float = BACK_OFF_M,
+    orientation: Orientation = "transform",
+    gate: Gate = "hand",
+    at: Anchor = "gripper",
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
-    `instructions`: one sentence a trial; None: each object's own.
+    `instructions`: one sentence a trial; None: each object's own. `orientation`: what is turned (`Orientation`). With "axis"
+    the roll about it is searched: `rolls`, `gate`, `clearance_m`. `at`: what stands `height_m` above the palm.
     """
+    check_choice("orientation", orientation, Orientation)
     threads = evaluator.threads if evaluator else None
     table, w_max = candidate_table(scene), scene.config.thresholds.w_max_m
     if instructions is not None and len(instructions) != len(trials):
@@ -86,15 +105,31 @@ def predict(
         fits = (table.width_m[rows] <= w_max) & ~in_region
         score = affordance_score(table.T_obj_ee[rows], taking.wrist_to_middle, taking.palm_point)
         row = taken(rows, least(score, fits & exists, exists))
-        # The gripper comes against the hand's own direction, turned towards the thumb; home's x settles the roll's zero
-        approach = turned_inward(-target.wrist_to_middle, target.palm_normal, target.side, inward_deg)
-        frames = approach_frames(approach, home_x(scene))
-        T_world_ee = poses_at(rolled(frames, roll_angles(rolls)), above_palm(target, height_m))
-        return table.T_obj_ee[row], first_fit(
-            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, threads=threads
+        T_obj_ee = table.T_obj_ee[row]
+        if orientation == "transform":
+            R = moved_with_the_hand(taking, target, T_obj_ee, inward_deg)[:, None]
+        else:  # the gripper comes against the hand's own direction, turned towards the thumb; home's x is the roll's zero
+            approach = turned_inward(-target.wrist_to_middle, target.palm_normal, target.side, inward_deg)
+            R = rolled(approach_frames(approach, home_x(scene)), roll_angles(rolls))
+        T_world_ee = placed_above_palm(scene, R, T_obj_ee, part.object_index, target, height_m, at)
+        if orientation == "transform":
+            return T_obj_ee, T_world_ee[:, 0].contiguous()
+        return T_obj_ee, first_fit(
+            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, gate=gate, threads=threads
         )
 
     return answers(trials, scene, "intent", choose)
+
+
+def moved_with_the_hand(
+    taking: ReceivingHand, target: TargetHand, T_obj_ee: Float32[Tensor, "b 4 4"], inward_deg: float
+) -> Float[Tensor, "b 3 3"]:
+    """R_world_ee that keeps hand and gripper as they are on the object, when the hand on the object is turned to lie as the
+    target hand (palm normal and fingers' direction), `inward_deg` towards the thumb about its palm normal."""
+    fingers = turned_inward(target.wrist_to_middle, target.palm_normal, target.side, inward_deg)
+    R_world_palm = approach_frames(target.palm_normal, fingers)  # z out of the palm, x along the fingers
+    R_obj_palm = approach_frames(taking.palm_normal, taking.wrist_to_middle)
+    return se3.matmul(R_world_palm, se3.matmul(R_obj_palm.mT, T_obj_ee[:, :3, :3].double()))
 
 
 def affordance_score(

@@ -1,7 +1,7 @@
 """Contact-Handover's orientation: of a fan of handover poses above a palm, the one of least collision cost with the hand."""
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -16,8 +16,8 @@ from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import pose_cost as kernels
 from r2h_batch.launch import launch_trials
-from r2h_batch.methods.palm_pose import approach_frames, least, poses_at, reachable, roll_angles, rolled
-from r2h_batch.methods.placing import HOME_X, above_palm, home_x
+from r2h_batch.methods.palm_pose import approach_frames, least, reachable, roll_angles, rolled
+from r2h_batch.methods.placing import HOME_X, Anchor, check_choice, home_x, placed_above_palm
 from r2h_batch.predictors import TargetHand
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene
@@ -49,17 +49,22 @@ def least_cost_pose(
     rolls: int = ROLLS,
     zone_m: float = ZONE_M,
     hand_points: int = HAND_POINTS,
+    gate: Literal["none", "ik"] = "ik",
+    at: Anchor = "gripper",
     threads: int | None = None,
 ) -> Float32[Tensor, "b 4 4"]:
-    """T_world_ee `height_m` above each palm with the least cost of those that the arm reaches (of all, if it reaches none).
+    """T_world_ee with `at` `height_m` above each palm and the least cost; `gate="ik"`: of those that the arm reaches (of all,
+    if it reaches none).
 
     Of equal costs the approach nearest to straight into the palm, then the roll nearest to home.
     """
+    check_choice("gate", gate, Literal["none", "ik"])
     R = approach_fan(target.palm_normal, directions, rolls, home_x(scene))
-    T_world_ee = poses_at(R, above_palm(target, height_m))
+    T_world_ee = placed_above_palm(scene, R, T_obj_ee, object_index, target, height_m, at)
     points = target.vertices[:, hand_sample(scene, hand_points)].contiguous()
     cost = collision_cost(scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m, threads=threads)
-    best = least(cost, reachable(T_world_ee, threads=threads), torch.ones_like(cost, dtype=torch.bool))
+    every = torch.ones_like(cost, dtype=torch.bool)
+    best = least(cost, reachable(T_world_ee, threads=threads) if gate == "ik" else every, every)
     return T_world_ee[torch.arange(len(best), dtype=torch.int64, device=best.device), best]
 
 

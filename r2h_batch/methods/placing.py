@@ -1,5 +1,7 @@
 """From a chosen grasp to a handover pose: the first of several poses that passes what a method checks."""
 
+from typing import Any, Literal, get_args
+
 import numpy as np
 import torch
 from jaxtyping import Float, Float32, Int64
@@ -17,14 +19,24 @@ from r2h_batch.scene.scene import Scene
 
 __all__ = [
     "HOME_X",
+    "Anchor",
+    "Gate",
     "above_palm",
     "candidates_clear_of",
     "centers_at",
+    "check_choice",
     "first_fit",
     "home_x",
     "object_centers",
+    "placed_above_palm",
     "taken",
 ]
+
+Gate = Literal["hand", "ik", "none"]
+"""What a roll must pass: the arm reaches it with the gripper clear of the estimated hand; the arm reaches it; nothing."""
+
+Anchor = Literal["gripper", "object"]
+"""What stands on the palm's normal: the gripper's TCP, or the middle of the object's bounding box."""
 
 
 HOME_X = (-1.0, 0.0, 0.0)
@@ -64,16 +76,20 @@ def first_fit(
     hand_vertices: Float32[Tensor, "b v 3"] | None,
     clearance_m: float = 0.0,
     *,
+    gate: Gate = "hand",
     threads: int | None = None,
 ) -> Float32[Tensor, "b 4 4"]:
     """Each row's first pose that the arm reaches with the gripper clear of the hand (world frame; None: any will do).
 
-    Where none passes: the first that the arm reaches, else the first.
+    Where none passes: the first that the arm reaches, else the first. `gate`: what is asked for at all.
     """
+    check_choice("gate", gate, Gate)
     b, r = T_world_ee.shape[:2]
+    if gate == "none":
+        return T_world_ee[:, 0].contiguous()
     reached = reachable(T_world_ee, threads=threads)
     passes = reached
-    if hand_vertices is not None:
+    if hand_vertices is not None and gate == "hand":
         hand = posed_hand(scene.hands.model, hand_vertices, scene.device, threads=threads)
         row = torch.arange(b, dtype=torch.int64, device=T_world_ee.device) * r
         distance = gripper_clearance(
@@ -85,9 +101,33 @@ def first_fit(
     return T_world_ee[torch.arange(b, dtype=torch.int64, device=at.device), at]
 
 
+def check_choice(name: str, given: str, allowed: Any) -> None:
+    """`ValueError` for a choice that is none of those of a `Literal`."""
+    if given not in get_args(allowed):
+        raise ValueError(f"{name} is {given!r}; allowed are {', '.join(get_args(allowed))}")
+
+
 def above_palm(target: TargetHand, height_m: float) -> Float[Tensor, "b 3"]:
     """The points `height_m` above the target hands' palm centres, along their normals (world, float64)."""
     return target.palm_point.double() + height_m * target.palm_normal.double()
+
+
+def placed_above_palm(
+    scene: Scene,
+    R_world_ee: Float[Tensor, "b r 3 3"],
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Tensor,
+    target: TargetHand,
+    height_m: float,
+    at: Anchor,
+) -> Float32[Tensor, "b r 4 4"]:
+    """T_world_ee with these rotations that put `at` at `height_m` above each palm's centre."""
+    check_choice("at", at, Anchor)
+    point = above_palm(target, height_m)
+    if at == "gripper":
+        return poses_at(R_world_ee, point)
+    center = torch.from_numpy(object_centers(scene)).to(scene.device)[object_index.long()]
+    return centers_at(R_world_ee, T_obj_ee, center, point)
 
 
 def object_centers(scene: Scene) -> NDArray[np.float64]:

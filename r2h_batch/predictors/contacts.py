@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from r2h_batch.bodies.objects import VOXELS, ObjectModel
+from r2h_batch.bodies.objects import VOXELS, ObjectModel, is_built_in
 from r2h_batch.predictors.given import Seen
 from r2h_batch.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
 from r2h_batch.predictors.voxnet import load_voxnet
@@ -27,25 +27,36 @@ _cached: dict[tuple[Any, ...], Tensor] = {}
 
 
 def predict_contacts(
-    trials: Trials, scene: Scene, *, predictor: ContactPredictor | None = None, seen: Seen | None = None
+    trials: Trials,
+    scene: Scene,
+    *,
+    predictor: ContactPredictor | None = None,
+    seen: Seen | None = None,
+    left_out: bool = True,
 ) -> Float32[Tensor, "n p"]:
     """Probability that a person touches each cloud point (`ObjectModel.points`); default: the built-in VoxNet.
 
     The network runs once for each object and predictor; trials only look up. `seen`: a network's answers instead.
+    `left_out`: a built-in object is shown to the weights that never saw it; else, as any other object, to those of all.
     """
     if seen is not None and seen.contacts is not None:
         return seen.contacts.of(trials)["probability"].to(trials.trial_id.device)
-    predictor = load_voxnet() if predictor is None else predictor
     device = trials.trial_id.device
-    return _of_objects(scene.objects, predictor).to(device)[trials.object_index.long()]
+    return _of_objects(scene.objects, predictor, left_out).to(device)[trials.object_index.long()]
 
 
-def _of_objects(objects: tuple[ObjectModel, ...], predictor: ContactPredictor) -> Float32[Tensor, "o p"]:
-    key = (objects, predictor)
+def _of_objects(
+    objects: tuple[ObjectModel, ...], predictor: ContactPredictor | None, left_out: bool
+) -> Float32[Tensor, "o p"]:
+    key = (objects, predictor, left_out)
     if key not in _cached:
         if len(_cached) >= 8:
             _cached.clear()
-        _cached[key] = torch.stack([_of_object(o, predictor) for o in objects])
+        networks = (
+            load_voxnet(o.name if left_out and is_built_in(o) else "") if predictor is None else predictor
+            for o in objects
+        )
+        _cached[key] = torch.stack([_of_object(o, n) for o, n in zip(objects, networks, strict=True)])
     return _cached[key]
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from torch import Tensor, nn
 from r2h_batch.files import printable, read_file
 from r2h_batch.predictors.grid import CHANNELS, PredictorError
 
-__all__ = ["VoxNet", "load_voxnet", "read_voxnet"]
+__all__ = ["LEFT_OUT_FILE", "STORED_FILE", "VoxNet", "halved", "load_voxnet", "read_voxnet"]
 
 WIDTHS = (8, 20, 40)
 MIDDLE_M, SPREAD_M = 0.1, 0.05
@@ -91,12 +93,43 @@ def _doubled(x: Tensor) -> Tensor:
     return nn.functional.interpolate(x, scale_factor=2.0, mode="trilinear", align_corners=False)
 
 
+STORED_FILE, LEFT_OUT_FILE = "voxnet.safetensors", "voxnet_left_out.safetensors"
+"""Weights trained on all built-in objects; and on all but one, for each of them (OBJECT/WEIGHT, float16)."""
+
+
+def halved(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """The weights in float16, as those without an object are stored: sixteen networks in 3.3 MB."""
+    return {k: v.half() for k, v in weights.items()}
+
+
+@lru_cache(maxsize=32)
+def load_voxnet(left_out: str = "") -> VoxNet:
+    """The network trained on all built-in objects; or, by the name of one, the network that never saw that object.
+
+    How they were made: `r2h_batch.predictors.train_voxnet`.
+    """
+    if not left_out:
+        with resources.as_file(_asset(STORED_FILE)) as path:
+            return read_voxnet(path)
+    net = VoxNet()
+    net.load_state_dict({k: v.float() for k, v in _left_out()[left_out].items()})
+    return net.eval()
+
+
+def _asset(name: str) -> Traversable:
+    return resources.files("r2h_batch.assets.receiving") / name
+
+
 @lru_cache(maxsize=1)
-def load_voxnet() -> VoxNet:
-    """The trained network; how it was made: `r2h_batch.predictors.train_voxnet`."""
-    file = resources.files("r2h_batch.assets.receiving") / "voxnet.safetensors"
-    with resources.as_file(file) as path:
-        return read_voxnet(path)
+def _left_out() -> dict[str, dict[str, Tensor]]:
+    """Object -> weights of the network that never saw it."""
+    with resources.as_file(_asset(LEFT_OUT_FILE)) as path:
+        stored = load(read_file(path, MAX_BYTES))
+    found: dict[str, dict[str, Tensor]] = {}
+    for key, value in stored.items():
+        name, _, weight = key.partition("/")
+        found.setdefault(name, {})[weight] = value
+    return found
 
 
 def read_voxnet(path: str | Path) -> VoxNet:

@@ -21,6 +21,7 @@ from r2h_batch.results import provenance
 from r2h_batch.results.rows import TrialNames
 from r2h_batch.sweep.answers import answer_of
 from r2h_batch.sweep.options import METHODS, SEEN_BY, Options, UsageError
+from r2h_batch.sweep.variants import base_of, options_of, said_options
 from r2h_batch.turns import trial_ids
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import SIDES, SPLITS
@@ -225,7 +226,7 @@ def load_files(options: Options) -> Files:
 def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     """Every method and file as a job, aligned with the plan; names must differ."""
     seen = _seen(options, setting)
-    if any(name in METHODS for name in options.method):
+    if any(base_of(name) in METHODS for name in options.method):
         from r2h_batch.sweep.able import check_grasps
 
         check_grasps(setting.evaluator.scene, options.allow_empty_candidates)
@@ -267,6 +268,7 @@ class _Method:
     module: ModuleType
     function: Callable[..., Any]
     takes: Mapping[str, Any]
+    options: Mapping[str, Any]
 
 
 def resolve(options: Options) -> None:
@@ -281,7 +283,8 @@ def resolve(options: Options) -> None:
         load_predictor(options.predictor)
 
 
-def _method(name: str) -> _Method:
+def _method(said: str) -> _Method:
+    name = base_of(said)
     built_in = name in METHODS
     module_name, _, function_name = (
         (f"r2h_batch.methods.{name.replace('-', '_')}", "", "predict") if built_in else name.rpartition(":")
@@ -294,23 +297,26 @@ def _method(name: str) -> _Method:
         plain = isinstance(error, (ImportError, AttributeError))
         what = " ".join(str(error).split()) if plain else f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise UsageError(f"--method {name}: {what}; {form}") from error
+    given = options_of(said, function, known=built_in) if callable(function) else {}
     try:
         signature = inspect.signature(function)
         more = {k: None for k in ("evaluator", "noise", "predictor", "seen") if k in signature.parameters}
-        signature.bind(None, None, seed=0, **more)
+        signature.bind(None, None, seed=0, **more, **given)
     except (TypeError, ValueError) as error:
         raise UsageError(f"--method {name}: {error}; {form}") from error
-    return _Method(built_in, f"{module_name}:{function_name}", module, function, signature.parameters)
+    return _Method(built_in, f"{module_name}:{function_name}", module, function, signature.parameters, given)
 
 
 def _method_job(name: str, evaluator: "Evaluator", options: Options, seen: "Seen | None" = None) -> Job:
-    found = _method(name)
+    found, said = _method(name), said_options(name)
     module, takes, built_in = found.module, found.takes, found.built_in
-    extra: dict[str, Any] = {"evaluator": evaluator} if "evaluator" in takes else {}
+    extra: dict[str, Any] = {**found.options, **({"evaluator": evaluator} if "evaluator" in takes else {})}
     source = {"kind": "method", "function": found.spec}
     file = getattr(module, "__file__", None)
     source["sha256"] = provenance.file_digest([Path(file)]) if file else ""
-    title = name
+    if said:
+        source["options"] = said
+    title = f"{base_of(name)} ({said})" if said else name
     if "noise" in takes:
         from r2h_batch.predictors import load_predictor
 
@@ -324,7 +330,7 @@ def _method_job(name: str, evaluator: "Evaluator", options: Options, seen: "Seen
             stand_in = Path(own).name or module.STAND_IN
             shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in module.SEES}
             title = table_name(
-                module.TITLE, stand_in, options.predictor_noise, shown, module.SEES, errors=_errors(options)
+                module.TITLE, stand_in, options.predictor_noise, shown, module.SEES, said, errors=_errors(options)
             )
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
@@ -349,17 +355,20 @@ def table_name(
     noise: float,
     shown: Mapping[str, str] | None = None,
     sees: Sequence[str] = (),
+    said: str = "",
     *,
     errors: "Errors" = "normal",
 ) -> str:
-    """A method's name in tables: what stood in for the original network, and the error model it was given.
+    """A method's name in tables: what stood in for the original network, the error model it was given, its options.
 
     `shown`: kind -> the network whose prediction it saw, of all the kinds that it `sees`; what no network gave is named too.
+    `said`: the options that were given with its name.
     """
+    more = f"; {said}" if said else ""
     kind = {"normal": "", "frames": " of frames", "tails": " with tails"}[errors]
     added = "" if noise == 0 else f" + noise{kind}" if noise == 1 else f" + {noise:g} x noise{kind}"
     if not shown:
-        return f"{title} ({stand_in}{added})"
+        return f"{title} ({stand_in}{added}{more})"
     # the built-in contact network sees no noise: it is asked about the object alone
     stood = dict.fromkeys(sees, f"oracle{added}") | {"contacts": stand_in.partition(",")[0]}
-    return f"{title} ({', '.join(f'{SAID[k]}: {shown.get(k, stood[k])}' for k in sees)})"
+    return f"{title} ({', '.join(f'{SAID[k]}: {shown.get(k, stood[k])}' for k in sees)}{more})"

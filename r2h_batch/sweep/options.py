@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from r2h_batch.command_line import UsageError, nearest, read
 from r2h_batch.files import FileError
+from r2h_batch.sweep.variants import base_of
 
 __all__ = ["KINDS", "METHODS", "Options", "UsageError", "as_yaml", "check", "load_config", "parse"]
 
@@ -36,7 +37,7 @@ class Options:
 
     method: tuple[str, ...] = ()
     """Methods to score: fc, handover-va, contact, intent, random, oracle, or your own package.module:function
-    (trials, scene, *, seed) -> Predictions."""
+    (trials, scene, *, seed) -> Predictions. With options of its own: contact,gate=ik (docs/baselines.md lists them)."""
     predictions: tuple[str, ...] = ()
     """Predictions files (.npz, .safetensors, .csv or .json) to score."""
     splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1")
@@ -161,7 +162,8 @@ def check(options: Options) -> Options:
     """The options, or a `UsageError` about the first that cannot be."""
     if not options.method and not options.predictions:
         raise UsageError(f"nothing to score: give --method {' '.join(METHODS)} or --predictions FILE")
-    for name in options.method:
+    bases = [base_of(name) for name in options.method]
+    for name in bases:
         if name not in METHODS and ":" not in name:
             raise UsageError(
                 f"unknown method {name!r}{nearest(name, METHODS)}; allowed are {', '.join(METHODS)}"
@@ -184,10 +186,10 @@ def check(options: Options) -> Options:
         raise UsageError(
             f"--predictor-noise is {options.predictor_noise}; it must be 0 (the truth) or more, 1 is the default"
         )
-    if options.predictor and "contact" not in options.method:
+    if options.predictor and "contact" not in bases:
         raise UsageError("--predictor is the contact network of --method contact; add that method, or leave it out")
     for name, users in SEEN_BY.items():
-        if getattr(options, name) and not any(m in users or ":" in m for m in options.method):
+        if getattr(options, name) and not any(m in users or ":" in m for m in bases):
             raise UsageError(
                 f"--{name.replace('_', '-')} is seen by --method {', '.join(users)}; add one, or leave it out"
             )

@@ -23,6 +23,7 @@ from needs import needs
 
 from r2h_batch import se3
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import handover_va, intent
 from r2h_batch.methods.box_grasps import box_grasps, depth_steps
 from r2h_batch.methods.utility_axis import align_templates
@@ -90,24 +91,63 @@ def test_intent_takes_the_least_published_score_of_what_fits_and_keeps_off_the_n
     assert refused >= 1
 
 
-def test_intent_stands_15_cm_above_the_palm_turned_15_degrees_towards_the_thumb():
-    target = predict_target(trials(), evaluator().scene, noise=NOISE)
+def fifteen_degrees_to_the_thumb(target, i: int):
+    """Palm normal, and the fingers' direction in the palm plane turned 15 degrees towards the thumb."""
+    n, fingers = (getattr(target, k)[i].double().numpy() for k in ("palm_normal", "wrist_to_middle"))
+    fingers = fingers - fingers @ n * n
+    fingers /= np.linalg.norm(fingers)
+    thumb = (target.joints[i, 13] - target.joints[i, 7]).double().numpy()  # from the little finger's root
+    aside = thumb - thumb @ n * n - thumb @ fingers * fingers
+    aside /= np.linalg.norm(aside)
+    return n, np.cos(np.radians(15)) * fingers + np.sin(np.radians(15)) * aside
+
+
+def test_intent_moves_hand_object_and_gripper_as_one_onto_the_target_hand():
+    scene = evaluator().scene
+    target = predict_target(trials(), scene, noise=NOISE)
+    taking = retrieve_receiving(trials(), scene, noise=NOISE)
     for i in range(len(trials())):
-        T = answer("intent").T_world_ee[i].double().numpy()
-        n, palm = target.palm_normal[i].double().numpy(), target.palm_point[i].double().numpy()
-        assert np.abs(T[:3, 3] - palm - 0.15 * n).max() < 1e-5 and abs(T[:3, 2] @ n) < 1e-5
-        fingers = target.wrist_to_middle[i].double().numpy()
-        fingers = fingers - fingers @ n * n
-        fingers /= np.linalg.norm(fingers)
-        thumb = (target.joints[i, 13] - target.joints[i, 7]).double().numpy()  # from the little finger's root
-        aside = thumb - thumb @ n * n - thumb @ fingers * fingers
-        aside /= np.linalg.norm(aside)
-        z = -(np.cos(np.radians(15)) * fingers + np.sin(np.radians(15)) * aside)
-        assert np.abs(T[:3, 2] - z).max() < 1e-4
-        tries = pose(rolls_from(answer("intent").T_world_ee[i], T[:3, 2]), T[:3, 3])
-        k = chosen_candidate(i, answer("intent").T_obj_ee[i])
+        T_obj_ee, T = (getattr(answer("intent"), k)[i].double().numpy() for k in ("T_obj_ee", "T_world_ee"))
+        n, fingers = fifteen_degrees_to_the_thumb(target, i)
+        assert np.abs(T[:3, 3] - target.palm_point[i].double().numpy() - 0.15 * n).max() < 1e-5
+        R_world_obj = T[:3, :3] @ T_obj_ee[:3, :3].T
+        assert np.abs(R_world_obj @ taking.palm_normal[i].double().numpy() - n).max() < 1e-5
+        carried = R_world_obj @ taking.wrist_to_middle[i].double().numpy()
+        carried -= carried @ n * n
+        assert np.abs(carried / np.linalg.norm(carried) - fingers).max() < 1e-4
+
+
+def test_intent_by_its_axis_opposes_the_gripper_to_the_hand_and_searches_the_roll():
+    target = predict_target(trials(), evaluator().scene, noise=NOISE)
+    found = predict(intent, trials(), orientation="axis")
+    for i in range(0, len(trials()), 3):
+        T = found.T_world_ee[i].double().numpy()
+        n, fingers = fifteen_degrees_to_the_thumb(target, i)
+        assert np.abs(T[:3, 3] - target.palm_point[i].double().numpy() - 0.15 * n).max() < 1e-5
+        assert abs(T[:3, 2] @ n) < 1e-5 and np.abs(T[:3, 2] + fingers).max() < 1e-4
+        tries = pose(rolls_from(found.T_world_ee[i], T[:3, 2]), T[:3, 3])
+        k = chosen_candidate(i, found.T_obj_ee[i])
         turn = first_passing(tries, candidates(i)[1][k : k + 1], target.vertices[i])
         assert np.abs(tries[turn] - T).max() < 2e-5
+
+
+def test_the_object_instead_of_the_gripper_can_stand_15_cm_above_the_palm():
+    target = predict_target(trials()[:4], evaluator().scene, noise=NOISE)
+    for name in ("contact", "intent"):
+        found = predict(METHODS[name], trials()[:4], at="object")
+        for i in range(4):
+            T_world_obj = found.T_world_ee[i].double().numpy() @ np.linalg.inv(found.T_obj_ee[i].double().numpy())
+            model = evaluator().scene.objects[int(trials().object_index[i])]
+            middle = T_world_obj[:3, :3] @ (model.vertices.min(0) + model.vertices.max(0)) / 2 + T_world_obj[:3, 3]
+            above = target.palm_point[i].double() + 0.15 * target.palm_normal[i].double()
+            assert np.abs(middle - above.numpy()).max() < 1e-5
+
+
+def test_without_a_gate_the_roll_nearest_home_is_taken_unseen():
+    found = predict(METHODS["fc"], trials()[:6], gate="none")
+    for i in range(6):
+        T = found.T_world_ee[i].double().numpy()
+        assert np.abs(T[:3, :3] - rolls_from(found.T_world_ee[i], T[:3, 2])[0]).max() < 1e-5
 
 
 def test_intent_does_as_it_is_told():
@@ -133,39 +173,100 @@ def test_the_region_is_what_the_sentence_names():
     assert [scene.objects[0].part_names[k] for k in words.nonzero()[:, 0]] == ["grip"]
 
 
-def test_va_takes_its_own_best_scored_grasp_and_presents_the_handle_to_the_palm():
+def va_inputs():
+    """Roles, own grasps and the aligned template that Handover-VA works from."""
     scene = evaluator().scene
-    seen = predict_parts(trials(), scene, noise=NOISE)
-    target = predict_target(trials(), scene, noise=NOISE)
-    role = handover_va.point_roles(scene, trials().object_index, seen)
+    role = handover_va.point_roles(scene, trials().object_index, predict_parts(trials(), scene, noise=NOISE))
     own = box_grasps(
         scene, trials().object_index, role,
         voxel_m=0.02, azimuth_step=0.05 * np.pi, depths_m=depth_steps(-0.005, 0.05, 0.0025), crop_m=0.1,
     )  # fmt: skip
-    axis = align_templates(scene, trials().object_index, role, iterations=100, tolerance_m=1e-5)
+    return role, own, align_templates(scene, trials().object_index, role, iterations=100, tolerance_m=1e-5)
+
+
+def arm(T: torch.Tensor) -> torch.Tensor:
+    """Which of (n, 4, 4) poses the arm reaches."""
+    return solve_ik(T.reshape(-1, 4, 4).contiguous()).reachable.reshape(T.shape[:-2])
+
+
+def hardly(T: torch.Tensor) -> torch.Tensor:
+    """Few poses, so that turns, places and grasps all have to be gone through."""
+    return ((T[..., 0, 3] * 1e3).floor() % 29 == 0) & (T[..., 0, 2] < 0.3)
+
+
+@pytest.mark.parametrize("reached", [arm, hardly])
+def test_va_goes_through_grasps_distances_and_turns_as_the_original_program_does(reached, monkeypatch):
+    monkeypatch.setattr(handover_va, "reachable", lambda T, threads=None: reached(T))
+    found = predict(handover_va, trials())
+    target = predict_target(trials(), evaluator().scene, noise=NOISE)
+    role, own, axis = va_inputs()
+    gone = []
     for i in range(len(trials())):
-        T_obj_ee, got = (getattr(answer("handover_va"), k)[i].double().numpy() for k in ("T_obj_ee", "T_world_ee"))
+        order = [k for k in np.argsort(-own.score[i].numpy(), kind="stable") if own.score[i, k] > 0]
+        grasps = [own.T_obj_ee[i, k].double().numpy() for k in order] or [
+            candidates(i)[0][int(candidates(i)[2].argmax())].double().numpy()
+        ]
+        n, c = (getattr(target, k)[i].double().numpy() for k in ("palm_normal", "ball_center"))
+        up = np.array([0, 0, 1.0]) - n[2] * n
+        up /= np.linalg.norm(up)
+        frame = np.stack([-n, np.cross(up, -n), up], 1)  # the giver's: x to the palm, z upwards
+        wraps = bool((role[i] == 2).any())
+        goal, tries = np.eye(3), []
+        for T_obj_ee in grasps:
+            for place in range(5):
+                for turn in range(7):  # the goal is turned on from where the last turn left it, and never set back
+                    a = 2 * np.pi * turn / 7
+                    about_x = [[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]]
+                    about_z = [[np.cos(a), -np.sin(a), 0], [np.sin(a), np.cos(a), 0], [0, 0, 1]]
+                    goal = np.array(about_z if wraps else about_x) @ goal
+                    T = np.eye(4)
+                    T[:3, :3] = frame @ goal @ axis.R_obj_template[i].numpy().T
+                    T[:3, 3] = c + 0.08 * place * n - T[:3, :3] @ axis.handle[i].double().numpy()
+                    tries.append(T @ T_obj_ee)
+            solved = reached(torch.from_numpy(np.stack(tries[-35:])).float())
+            if solved.any():
+                break
+        first = len(tries) - 35 + int(solved.to(torch.int8).argmax()) if solved.any() else 0
+        T_obj_ee = grasps[first // 35]
+        got = [getattr(found, k)[i].double().numpy() for k in ("T_obj_ee", "T_world_ee")]
+        assert np.abs(got[0] - T_obj_ee).max() < 1e-6 and np.abs(got[1] - tries[first]).max() < 2e-5
+        gone.append((first // 35 > 0, first // 7 % 5 > 0, first % 7 > 0, wraps))
+    assert np.any(gone, 0)[3] and (reached is arm or np.any(gone, 0).all())
+
+
+def test_va_with_one_loop_takes_its_best_scored_grasp_and_turns_the_handle_evenly():
+    target = predict_target(trials(), evaluator().scene, noise=NOISE)
+    _, own, axis = va_inputs()
+    one = predict(handover_va, trials(), loops="one")
+    for i in range(0, len(trials()), 3):
+        T_obj_ee, got = (getattr(one, k)[i].double().numpy() for k in ("T_obj_ee", "T_world_ee"))
         if (own.score[i] > 0).any():
             assert np.array_equal(T_obj_ee, own.T_obj_ee[i, int(own.score[i].argmax())].double().numpy())
         else:
-            best = candidates(i)[2].argmax()
-            assert chosen_candidate(i, answer("handover_va").T_obj_ee[i]) == best
+            assert chosen_candidate(i, one.T_obj_ee[i]) == candidates(i)[2].argmax()
         T_world_obj = got @ np.linalg.inv(T_obj_ee)
-        handle = T_world_obj[:3, :3] @ axis.R_obj_template[i, :, 0].numpy()
         n = target.palm_normal[i].double().numpy()
-        assert np.abs(handle + n).max() < 1e-5
+        assert np.abs(T_world_obj[:3, :3] @ axis.R_obj_template[i, :, 0].numpy() + n).max() < 1e-5
         middle = T_world_obj[:3, :3] @ axis.handle[i].double().numpy() + T_world_obj[:3, 3]
         assert np.abs(middle - target.ball_center[i].numpy()).max() < 1e-5
         tries = handover_va.carried(
             handover_va.presented(
                 axis.R_obj_template[i : i + 1], target.palm_normal[i : i + 1], [2 * np.pi * k / 7 for k in range(7)]
             ),
-            axis.handle[i : i + 1], target.ball_center[i : i + 1], answer("handover_va").T_obj_ee[i : i + 1],
+            axis.handle[i : i + 1], target.ball_center[i : i + 1, None], one.T_obj_ee[i : i + 1],
         )[0].double().numpy()  # fmt: skip
         assert np.abs(tries[first_passing(tries, torch.zeros(1), None)] - got).max() < 2e-5
         turn = tries[1, :3, :3] @ tries[0, :3, :3].T  # 2 pi / 7 about the handover axis
         assert np.trace(turn) == pytest.approx(1 + 2 * np.cos(2 * np.pi / 7), abs=1e-5)
         assert np.abs(turn @ n - n).max() < 1e-5
+
+
+def test_va_puts_what_it_is_told_on_the_palms_normal():
+    target = predict_target(trials(), evaluator().scene, noise=NOISE)
+    gripper = predict(handover_va, trials()[:6], loops="one", at="gripper")
+    assert (gripper.T_world_ee[:, :3, 3] - target.ball_center[:6]).abs().max() < 1e-5
+    with pytest.raises(ValueError, match="at is 'head'; allowed are gripper, object, handle"):
+        predict(handover_va, trials()[:1], at="head")
 
 
 def test_va_presents_with_the_templates_z_axis_up():

@@ -108,3 +108,43 @@ def test_table_1s_findings_say_yes_no_or_tied(monkeypatch):
     assert said["Contact-Handover has the best SR in S0"] == "tied" == said["Handover-VA has the highest F_plan"]
     assert said["Handover-VA drops most from S0 to S1"] == "no"  # it rises here
     assert len(said) == len(table1.findings()) + 1
+
+
+def test_a_methods_options_reach_it_and_stand_in_its_name(bench):
+    some = ("contact", "contact,gate=ik,height_m=0.12", "oracle,rounds=8")
+    given = jobs.make_jobs(Options(method=some, predictor_noise=0.0), [], bench)
+    assert [j.name for j in given] == [
+        "Contact-Handover (VoxNet, built-in contacts)",
+        "Contact-Handover (VoxNet, built-in contacts; gate=ik, height_m=0.12)",
+        "oracle (rounds=8)",
+    ]
+    assert [j.source.get("options") for j in given] == [None, "gate=ik, height_m=0.12", "rounds=8"]
+    # no public way from a job to what its function is called with
+    assert jobs._method(some[1]).options == {"gate": "ik", "height_m": 0.12}
+
+
+def test_a_users_own_function_takes_options_too(bench, tmp_path, monkeypatch):
+    code = "def predict(trials, scene, *, seed, shift, name='a', often: int = 3):\n    raise ValueError\n"
+    (tmp_path / "with_options.py").write_text(code)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert jobs._method("with_options:predict,shift=0.5,name=b").options == {"shift": 0.5, "name": "b"}
+    assert names(bench, method=("with_options:predict,shift=2",)) == ["with_options:predict (shift=2)"]
+
+
+@pytest.mark.parametrize(
+    ("method", "said"),
+    [
+        ("contact,gat=ik", "unknown option 'gat', did you mean gate?"),
+        ("contact,contacts=al", "contacts is 'al', did you mean all?; allowed are left-out, all"),
+        ("contact,gate", "option gate has no value; say gate=VALUE"),
+        ("contact,rolls=1.5", "rolls is '1.5'; it must be a whole number"),
+        ("contact,height_m=nan", "height_m is 'nan'; it must be a number"),
+        ("contact,gate=ik,gate=ik", "option gate is given twice"),
+        ("random,x=1", "unknown option 'x'; it takes none"),
+        ("contact,predictor=x", "unknown option 'predictor'"),
+    ],
+)
+def test_an_option_that_cannot_be_is_one_line_and_exit_code_2(capsys, method, said):
+    assert sweep.main(["--method", method]) == 2
+    error = capsys.readouterr().err.splitlines()
+    assert said in error[-1] and error[-1].startswith(f"sweep: --method {method.partition(',')[0]}: ")
