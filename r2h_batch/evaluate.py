@@ -23,6 +23,7 @@ from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import Stages, check_indices, check_stages, checked_inputs, warn_of_no_gradient
 from r2h_batch.judge.metrics import Criterion
 from r2h_batch.judge.plan import plan_paths
+from r2h_batch.judge.presented import presented
 from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
 from r2h_batch.launch import cpu_threads, one_torch_thread
 from r2h_batch.launch.memory import in_parts, rows_at_once
@@ -224,7 +225,8 @@ class Evaluator:
         safe, touch = metrics.safe(scene, placed, executed, active, config.thresholds, threads=threads)
         (steady, reach, affordance), slip = self._without_posture(holding)
         criteria = [steady, metrics.plan(planned, executed, active), reach, affordance, safe]
-        shared = verdict(trials.trial_id, criteria, holding, slip, executed.valid, threads=threads)
+        shown = presented(scene, holding, config.thresholds, threads=threads)
+        shared = verdict(trials.trial_id, criteria, holding, slip, shown, executed.valid, threads=threads)
         return motion_scores(
             shared, active, planned, motion, executed, touch, config.execute, t_plan_s=t_plan_s, keep_motion=keep_motion
         )
@@ -239,7 +241,9 @@ class Evaluator:
         safe, body, point = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
         (steady, reach, affordance), slip = self._without_posture(holding)
         plan = Criterion(torch.where(active, goal.clearance_m, torch.nan), goal.free, active)
-        shared = verdict(trials.trial_id, [steady, plan, reach, affordance, safe], holding, slip, threads=threads)
+        shown = presented(scene, holding, config.thresholds, threads=threads)
+        criteria = [steady, plan, reach, affordance, safe]
+        shared = verdict(trials.trial_id, criteria, holding, slip, shown, threads=threads)
         scores = pose_scores(shared, goal, body, point)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             return differentiable(scene, config, threads, scores, (T_obj_ee, T_world_ee), holding, goal)

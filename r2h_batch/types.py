@@ -187,6 +187,8 @@ class Scores(_Rows):
     `margin` is in metres, positive when the criterion passes. `witness_part` names the robot part
     (`Scene.part_names`) of Plan's and Safe's smallest clearance, `witness_time_s` and `witness_point` (world frame)
     when and where Safe's occurs. `borderline` marks trials with a margin within 0.1 mm of the verdict changing.
+    `presented`: the receiver's region faces the palm and lies where the hand reaches (no part of the outcome), by its angle
+    seen from the TCP and its distance from c_h; False and NaN where the object has no region.
     `slip_m`: how far the object slipped in the shake (NaN unless `stability = "physics"` shook it). `motion`: the executed
     joint angles, one row every `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the trials
     whose simulation failed, up to the failure, and of all that moved where `score(keep_motion=True)` asked for it.
@@ -212,6 +214,9 @@ class Scores(_Rows):
     opening_m: Float32[Tensor, " b"]
     grasp_shift_m: Float32[Tensor, " b"]
     slip_m: Float32[Tensor, " b"]
+    presented: Bool[Tensor, " b"]
+    presented_angle_deg: Float32[Tensor, " b"]
+    presented_distance_m: Float32[Tensor, " b"]
     path: Float32[Tensor, "b w 6"]
     path_time_s: Float32[Tensor, "b w"]
     path_len: Int32[Tensor, " b"]

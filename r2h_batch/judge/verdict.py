@@ -11,6 +11,7 @@ from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.hold import ROWS_CHUNK, Holding
 from r2h_batch.judge.metrics import Criterion, Touch
 from r2h_batch.judge.plan import Plan
+from r2h_batch.judge.presented import Presented
 from r2h_batch.kernels.judge import verdict as verdict_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.motion.execute import Executed, executed_time_at
@@ -25,6 +26,7 @@ def verdict(
     criteria: Sequence[Criterion],
     holding: Holding,
     slip_m: Float32[Tensor, " b"],
+    shown: Presented,
     valid: Bool[Tensor, " b"] | None = None,
     *,
     threads: int | None = None,
@@ -72,7 +74,13 @@ def verdict(
         chunk=ROWS_CHUNK,
     )
     out["grasp_shift_m"] = out.pop("shift_m")
-    return {"trial_id": trial_id, **out, "slip_m": slip_m}
+    out |= {
+        "slip_m": slip_m,
+        "presented": shown.presented,
+        "presented_angle_deg": shown.angle_deg,
+        "presented_distance_m": shown.distance_m,
+    }
+    return {"trial_id": trial_id, **out}
 
 
 def motion_scores(

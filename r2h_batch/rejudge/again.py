@@ -21,7 +21,7 @@ from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.results import provenance
 from r2h_batch.results.reading import TIMING, Run, RunError
-from r2h_batch.results.rows import TRIAL_SCHEMA, TrialNames, score_rows
+from r2h_batch.results.rows import LATER_COLUMNS, TRIAL_SCHEMA, TrialNames, score_rows
 from r2h_batch.trials.protocol import PROTOCOLS, trials_of
 from r2h_batch.verdicts import SIDES
 
@@ -33,7 +33,7 @@ LATER_OPTIONS = ("estimate", "candidates")
 """Of `EvalConfig`: options that older runs do not name, for they had no other way."""
 
 MARGIN_TOLERANCE_M = BORDERLINE_M
-TIME_TOLERANCE_S = 0.05
+TIME_TOLERANCE_S = 0.05  # and for degrees
 """What stored numbers may differ by on another kind of machine or with other versions; on the same, by nothing."""
 
 
@@ -161,13 +161,15 @@ def _shard_again(stored: pa.Table, poses: pa.Table, judge: Judge) -> tuple[int, 
         kept = poses.take(pa.array([r for r in rows if r >= 0]))
         T = [_matrices(kept[k]) for k in ("T_obj_ee", "T_world_ee")]
         again = {row["trial_id"]: row for row in judge.rows(ids[answered], *T).select(COMPARED).to_pylist()}
+    # an older run lacks some columns, which are read as empty: they say nothing that could be wrong
+    silent = [k for k in LATER_COLUMNS if stored[k].null_count == len(stored)]
     equal, found = 0, []
     for row in stored.select(COMPARED).to_pylist():
         other = again.get(row["trial_id"])
         if other is None:  # no pose is stored: nobody answered, and the row must say so
             other = dict.fromkeys(COMPARED) | {k: row[k] for k in ("trial_id", "object", "split", "side")}
             other["outcome"] = "missing"
-        differing = [k for k in COMPARED if row[k] != other[k]]
+        differing = [k for k in COMPARED if row[k] != other[k] and k not in silent]
         equal += not differing
         told = [k for k in differing if not judge.other or not _close(k, row[k], other[k])]
         found += [Difference(row["trial_id"], k, row[k], other[k], bool(other["borderline"])) for k in told]
@@ -182,4 +184,5 @@ def _matrices(column: pa.ChunkedArray) -> np.ndarray:
 def _close(column: str, a: Any, b: Any) -> bool:
     if not (isinstance(a, float) and isinstance(b, float)):
         return False
-    return abs(a - b) <= (MARGIN_TOLERANCE_M if column.startswith("margin_") else TIME_TOLERANCE_S)
+    lengths = column.startswith("margin_") or column == "presented_distance_m"
+    return abs(a - b) <= (MARGIN_TOLERANCE_M if lengths else TIME_TOLERANCE_S)

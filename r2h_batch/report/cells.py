@@ -29,6 +29,8 @@ FOOTNOTES = (
     " time; T_exec: mean over the trials whose arm came to rest at its goal; T_tot = T_plan + T_exec; the counts are in"
     " the last table.",
     "Avg: mean of the two splits, S0's F_afford (not evaluated) taken as 0.",
+    "Presented: percent of S1's trials, failed ones too, whose receiver's region faces the palm (seen from the TCP, 90 degrees"
+    " at most) and lies within the ball's radius of c_h; no part of SR.",
     "Intervals: 95 %. Wilson speaks about more trials with these objects; the object-clustered t interval about new"
     " objects of the same kind.",
 )

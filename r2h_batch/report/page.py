@@ -188,6 +188,7 @@ def _table(table: Table) -> list[dict[str, Any]]:
         new = row.sr_new_objects
         more = {
             "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
+            "presented": f"{row.presented.percent:.1f}" if row.presented else NA,
             "n": row.n,
             "invalid": row.counts["invalid_input"] + row.counts["invalid_sim"],
             "missing": row.counts["missing"],

@@ -87,6 +87,11 @@ def _md(table: Table) -> str:
         for n, row in zip(names, table.rows)
     ]
     others = ("N", "SR new obj.", "n T_plan", "n T_exec", "T_method", "invalid", "missing")
+    shown = [
+        [*n, f"{row.presented.percent:.1f}", interval(row.presented), str(row.presented.total)]
+        for n, row in zip(names, table.rows)
+        if row.presented
+    ]
     parts = [
         "  \n".join(f"{key}: {value}" for key, value in table.origin.items()),
         "Rates in percent, times in seconds.",
@@ -95,6 +100,11 @@ def _md(table: Table) -> str:
         aligned(["Split", "Method", *(HEADINGS[c] for c in rates)], ends, 2),
         "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial.",
         aligned(["Split", "Method", *others], counts, 2),
+        *(
+            ["Presented (not in SR).", aligned(["Split", "Method", "Presented", "95 %", "of"], shown, 2)]
+            if shown
+            else []
+        ),
         "\n".join(wrapped(note) for note in [*map(plain, legend(short)), *FOOTNOTES]),
         *([next_commands(table)] if table.folder else []),
     ]
@@ -121,6 +131,12 @@ def record(row: Row) -> dict[str, Any]:
         fields |= {name: rate and rate.percent, f"{name}_low": rate and rate.low, f"{name}_high": rate and rate.high}
     new = row.sr_new_objects
     fields |= {"sr_new_objects_low": new and new.low, "sr_new_objects_high": new and new.high}
+    shown = row.presented
+    fields |= {
+        "presented": shown and shown.percent,
+        "presented_low": shown and shown.low,
+        "presented_high": shown and shown.high,
+    }
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}

@@ -35,12 +35,15 @@ TRIAL_SCHEMA = pa.schema(
         pa.field("nearest_pair", _NAME),  # what is nearest along a path: verdicts.CollidingPair, null: none below 5 cm
         pa.field("width_m", pa.float32()),  # of the material between the pads; null: nothing there
         pa.field("borderline", pa.bool_()),
+        pa.field("presented", pa.bool_()),  # null: the object has no receiver's region
+        pa.field("presented_angle_deg", pa.float32()),
+        pa.field("presented_distance_m", pa.float32()),
         pa.field("t_plan_s", pa.float32()),  # amortised: batch wall time / B; null: planning did not run
         pa.field("t_exec_s", pa.float32()),  # null: no path
         pa.field("t_method_s", pa.float32()),  # null: not measured
     ]
 )
-LATER_COLUMNS = ("nearest_pair", "width_m")
+LATER_COLUMNS = ("nearest_pair", "width_m", "presented", "presented_angle_deg", "presented_distance_m")
 """Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""
 
 DETAIL_SCHEMA = pa.schema(
@@ -160,6 +163,9 @@ def score_rows(trials: "Trials", scores: "Scores", names: TrialNames, t_method_s
         "nearest_pair": _named(np.where(has_path & (pair != CollidingPair.NONE), pair, -1), pairs),
         "width_m": _floats(scores.width_m),
         "borderline": pa.array(_array(scores.borderline), pa.bool_()),
+        "presented": pa.array(_array(scores.presented), pa.bool_(), mask=np.isnan(_array(scores.presented_angle_deg))),
+        "presented_angle_deg": _floats(scores.presented_angle_deg),
+        "presented_distance_m": _floats(scores.presented_distance_m),
         "t_plan_s": _floats(scores.t_plan_s),
         "t_exec_s": _floats(scores.t_exec_s),
         "t_method_s": _floats(seconds),

@@ -184,6 +184,31 @@ class Scene:
         return wp.array([m.id for m in self._object_meshes], dtype=wp.uint64, device=self.device)
 
     @cached_property
+    def regions(self) -> tuple[wp.array, wp.array]:
+        """The receivers' regions: handles for Warp's mesh queries (0: the object has none), and their centres by area (object
+        frame, m)."""
+        corners = [o.vertices.astype(np.float64)[o.faces[o.receiver_face]] for o in self.objects]
+        area = [np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1) for t in corners]
+        center = [np.average(t.mean(1), axis=0, weights=a) if len(t) else np.zeros(3) for t, a in zip(corners, area)]
+        ids = [0 if m is None else m.id for m in self._region_meshes]
+        return (
+            wp.array(ids, dtype=wp.uint64, device=self.device),
+            wp.array(np.array(center, np.float32), dtype=wp.vec3, device=self.device),
+        )
+
+    @cached_property
+    def _region_meshes(self) -> list[wp.Mesh | None]:
+        return [
+            wp.Mesh(
+                points=wp.array(o.vertices.astype(np.float32), dtype=wp.vec3, device=self.device),
+                indices=wp.array(o.faces[o.receiver_face].astype(np.int32).ravel(), dtype=wp.int32, device=self.device),
+            )
+            if o.receiver_face.any()
+            else None
+            for o in self.objects
+        ]
+
+    @cached_property
     def hand_mesh(self) -> Any:
         """The exact hand surfaces (r2h_batch.kernels.geometry.hand_mesh), faces grouped by the piece that encloses them."""
         model, v = self.hands.model, self.hands.vertices.numpy()

@@ -57,6 +57,8 @@ class Row:
     sr_new_objects: Rate | None
     n_objects: int
     times: Mapping[str, Mean]
+    presented: Rate | None = None
+    """trials whose region faced the palm within reach, of those that were asked"""
 
 
 def first_failure(passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = REQUIRED) -> np.ndarray:
@@ -133,6 +135,16 @@ def mean_rate(rates: Sequence[Rate]) -> Rate:
     return Rate(percent, max(percent - float(below), 0.0), min(percent + float(above), 100.0))
 
 
+def _presented(counted: Tally, split: int, code: int | None) -> Rate | None:
+    """The share of the trials with a region whose region was presented; None without any."""
+    asked = counted.sum_of(split, code, "presented")
+    if asked.mean is None:
+        return None
+    yes = round(asked.mean * asked.count)
+    low, high = (100 * float(end) for end in wilson_interval(yes, asked.count))
+    return Rate(100 * yes / asked.count, low, high, yes, asked.count)
+
+
 def _times(counted: Tally, split: int, code: int | None) -> dict[str, Mean]:
     means = {}
     for name in SECONDS:
@@ -176,6 +188,7 @@ def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
         sr_new_objects=clustered_rate(_added(objects, count * (outcome == Outcome.SUCCESS)), _added(objects, count)),
         n_objects=len(np.unique(objects)),
         times=_times(counted, place, code),
+        presented=_presented(counted, place, code),
     )
 
 

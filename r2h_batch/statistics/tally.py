@@ -22,6 +22,9 @@ REQUIRED = np.array([c != "affordance" for c in CRITERIA])
 PATTERNS = np.array(np.unravel_index(np.arange(3 ** len(CRITERIA)), (3,) * len(CRITERIA))).T
 """(243, 5) the criteria's words of every pattern; a trial's pattern is the row, invalid and missing trials have row 0."""
 
+SUMMED = (*SECONDS, "presented")
+"""What is added up trial by trial: times, and who was presented the region."""
+
 BLOCK = 8192
 
 
@@ -38,9 +41,13 @@ class Verdicts:
     t_exec_s: np.ndarray
     t_method_s: np.ndarray
     trial_id: np.ndarray
+    presented: np.ndarray | None = None
+    """1 and 0, NaN where it is not asked; None: nowhere"""
 
     def __post_init__(self) -> None:
         n = len(self.outcome)
+        if self.presented is None:
+            object.__setattr__(self, "presented", np.full(n, np.nan, np.float32))
         for column in fields(self):
             if len(found := getattr(self, column.name)) != n:
                 raise ValueError(f"Verdicts.{column.name} has {len(found)} rows, outcome has {n}")
@@ -125,7 +132,7 @@ class Tally:
         np.add.at(self.count, place, count)
         for k in np.unique(rows.split).tolist():
             inside = rows.split == k
-            seconds = {name: getattr(rows, name)[inside] for name in SECONDS}
+            seconds = {name: getattr(rows, name)[inside] for name in SUMMED}
             for name, values in seconds.items():
                 self.sum_of(k, None, name).add(values)
             if self.by_object:
@@ -174,7 +181,7 @@ def verdicts(run: Run, method: str, names: list[str]) -> Iterator[Verdicts]:
 
     Checked: seconds, outcomes (the stored criteria's first failure), and at the end that there were as many as planned.
     """
-    columns = ["trial_id", "object", "split", "outcome", *SECONDS, *(f"passed_{c}" for c in CRITERIA)]
+    columns = ["trial_id", "object", "split", "outcome", "presented", *SECONDS, *(f"passed_{c}" for c in CRITERIA)]
     found = np.zeros(len(SPLITS), np.int64)
     for table in run.shards("trials", method, columns):
         rows = _rows(table, method, names)
@@ -193,6 +200,7 @@ def _rows(table: pa.Table, method: str, names: list[str]) -> Verdicts:
             outcome=codes(table, "outcome", OUTCOME_NAMES).astype(np.int8),
             pattern=pattern(states(table)).astype(np.min_scalar_type(len(PATTERNS))),
             trial_id=table["trial_id"].to_numpy(),
+            presented=table["presented"].cast("float32").to_numpy(),
             **{k: table[k].to_numpy().astype(np.float32) for k in SECONDS},
         )
     except ValueError as error:

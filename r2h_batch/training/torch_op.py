@@ -38,6 +38,7 @@ _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "evaluated": (torch.bool, (5,)),
     "margin": (torch.float32, (5,)),
     "borderline": (torch.bool, ()),
+    "presented": (torch.bool, ()),
     "plan_reason": (torch.int8, ()),
     "plan_pair": (torch.int8, ()),
     "witness_part": (torch.int32, (2,)),

@@ -1,0 +1,64 @@
+"""Presented: does the receiver's region face the palm, and lie where the hand reaches? No part of the verdict."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float32
+from torch import Tensor
+
+from r2h_batch.config import FARTHEST_M, Thresholds
+from r2h_batch.judge.hold import Holding
+from r2h_batch.kernels.judge import presented as kernels
+from r2h_batch.launch import launch_trials
+from r2h_batch.scene.scene import Scene
+
+__all__ = ["FACING_DEG", "Presented", "presented"]
+
+FACING_DEG = 90.0
+"""The region faces the palm up to this angle: its centre is on the palm's side of the grasp."""
+
+
+@dataclass(frozen=True)
+class Presented:
+    """Of B trials, NaN and False where the object has no region or the row is not judged."""
+
+    angle_deg: Float32[Tensor, " b"]
+    """at the TCP, between the directions to the region's centre and to the palm's"""
+    distance_m: Float32[Tensor, " b"]
+    """from the ball's centre c_h to the region's nearest point"""
+    presented: Bool[Tensor, " b"]
+
+
+def presented(scene: Scene, holding: Holding, thresholds: Thresholds, *, threads: int | None = None) -> Presented:
+    """Where each trial's receiver's region is when the object is handed over: facing, and within the ball's radius of c_h."""
+    meshes, center = scene.regions
+    point, _ = scene.palms
+    found = Presented(
+        angle_deg=torch.empty_like(holding.ball[:, 0]),
+        distance_m=torch.empty_like(holding.ball[:, 0]),
+        presented=torch.empty_like(holding.active),
+    )
+    launch_trials(
+        kernels.region_presented,
+        len(holding.active),
+        inputs={
+            "cap": FARTHEST_M,
+            "facing_deg": FACING_DEG,
+            "reach_radius": thresholds.reach_radius_m,
+            "mesh": meshes,
+            "center": center,
+            "palm_point": point,
+            "active": holding.active,
+            "object": holding.objects,
+            "hand": holding.hands,
+            "attached": holding.attached,
+            "T_world_ee": holding.T_world_ee,
+            "T_world_hand": holding.T_world_hand,
+            "ball": holding.ball,
+        },
+        outputs={"presented": found.presented, "angle": found.angle_deg, "distance": found.distance_m},
+        device=scene.device,
+        threads=threads,
+        chunk=256,
+    )
+    return found

@@ -1,0 +1,67 @@
+"""Presented: angle and distance of the receiver's region, made again in float64; it says what it should and decides nothing."""
+
+import numpy as np
+import pytest
+import torch
+from problems import default_evaluator
+
+from r2h_batch.methods import random as random_method
+from r2h_batch.trials.protocol import make_trials
+
+
+def closest(p: np.ndarray, triangles: np.ndarray) -> float:
+    """Distance from a point to triangles (n, 3, 3): inside a triangle the plane's, else the nearest edge's."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    n = np.cross(b - a, c - a)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    height = ((p - a) * n).sum(1)
+    foot = p - height[:, None] * n
+    inside = np.ones(len(a), bool)
+    best = np.full(len(a), np.inf)
+    for u, v in ((a, b), (b, c), (c, a)):
+        inside &= (np.cross(v - u, foot - u) * n).sum(1) >= 0
+        t = np.clip(((p - u) * (v - u)).sum(1) / ((v - u) ** 2).sum(1), 0, 1)
+        best = np.minimum(best, np.linalg.norm(p - u - t[:, None] * (v - u), axis=1))
+    return float(np.where(inside, np.abs(height), best).min())
+
+
+@pytest.mark.check
+def test_angle_and_distance_are_those_of_the_region_and_s0_has_none():
+    evaluator = default_evaluator()
+    trials = make_trials(trials=20)
+    asked = random_method.predict(trials, evaluator.scene)
+    scores = evaluator.score(asked.T_obj_ee, asked.T_world_ee, trials, stages="pose")
+    palm, _, ball = (x.double().numpy() for x in evaluator.scene.palm(trials.hand_index, trials.T_world_hand))
+    seen = 0
+    for i in range(len(trials)):
+        model = evaluator.scene.objects[int(trials.object_index[i])]
+        angle, distance = (float(getattr(scores, f"presented_{k}")[i]) for k in ("angle_deg", "distance_m"))
+        if not model.receiver_face.any():
+            assert np.isnan(angle) and np.isnan(distance) and not scores.presented[i]
+            continue
+        T_obj_ee, T_world_ee = asked.T_obj_ee[i].double().numpy().copy(), asked.T_world_ee[i].double().numpy()
+        T_obj_ee[:3, 3] += T_obj_ee[:3, 1] * float(scores.grasp_shift_m[i])  # the pads have moved the object along y
+        T = T_world_ee @ np.linalg.inv(T_obj_ee)
+        triangles = model.vertices.astype(float)[model.faces[model.receiver_face]] @ T[:3, :3].T + T[:3, 3]
+        area = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+        to_region = np.average(triangles.mean(1), axis=0, weights=area) - T_world_ee[:3, 3]
+        to_palm = palm[i] - T_world_ee[:3, 3]
+        cos = to_region @ to_palm / np.linalg.norm(to_region) / np.linalg.norm(to_palm)
+        assert angle == pytest.approx(np.degrees(np.arccos(cos)), abs=0.01)
+        assert distance == pytest.approx(closest(ball[i], triangles), abs=2e-6)
+        assert bool(scores.presented[i]) == (angle <= 90 and distance <= 0.10)
+        seen += bool(scores.presented[i])
+    assert 0 < seen < 20
+
+
+def test_turning_a_hammer_in_the_gripper_turns_its_handle_and_changes_nothing_of_the_grasp():
+    evaluator = default_evaluator()
+    trials = make_trials(trials=1)[1:]  # S1's first object
+    model = evaluator.scene.objects[int(trials.object_index[0])]
+    assert model.name == "hammer"
+    asked = random_method.predict(trials, evaluator.scene)
+    R = asked.T_world_ee.clone()
+    R[:, :3, :2] = -R[:, :3, :2]  # half a turn about the approach axis
+    scores = [evaluator.score(asked.T_obj_ee, T, trials, stages="pose") for T in (asked.T_world_ee, R)]
+    assert abs(float(scores[0].presented_angle_deg[0] - scores[1].presented_angle_deg[0])) > 1
+    assert torch.equal(scores[0].passed[:, 0], scores[1].passed[:, 0])  # the grasp is the same
