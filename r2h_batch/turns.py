@@ -35,14 +35,17 @@ def objects_in_turn(ids: NDArray[np.int64], splits: Sequence[str]) -> tuple[NDAr
     """Index of the object and side of the hand (0 right, 1 left) of trials; `splits`: of each object."""
     object_index, side = np.zeros_like(ids), np.zeros_like(ids)
     for k, split in enumerate(SPLITS):
-        mine = ids % 2 == k
+        mine = (ids & 1) == k
         members = np.array([i for i, s in enumerate(splits) if s == split], np.int64)
         if mine.any() and not len(members):
             raise ValueError(f"no object belongs to split {split}; give at least one, or leave the split out")
         if mine.any():
-            turn, place = np.divmod(ids[mine] // 2, len(members))
-            object_index[mine] = members[place]
-            side[mine] = (turn + place) % 2
+            rows = slice(None) if mine.all() else mine  # most shards are of one split
+            half = ids[rows] >> 1
+            turn = half // len(members)  # and not divmod: numpy divides by one number faster than it takes remainders
+            place = half - turn * len(members)
+            object_index[rows] = members[place]
+            side[rows] = (turn + place) & 1
     return object_index, side
 
 

@@ -14,6 +14,9 @@ SIDES = ("right", "left")
 CRITERIA = ("stability", "plan", "reach", "affordance", "safe")
 """Column order of every (B, 5) tensor, and the order in which the first failure is looked for."""
 
+MOST_SECONDS = 1e9
+"""A stored time is at most this long (30 years): what is longer was made up."""
+
 
 class Outcome(IntEnum):
     """A trial's verdict: success, the first criterion that failed, or why it was not judged."""

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from r2h_batch.files import printable
-from r2h_batch.results.planned import stored_not_as_planned
+from r2h_batch.results.planned import stored_wrong
 from r2h_batch.results.records import SLUG, Header, Method, Receipt, RunError, bounded, checked, read_json
 from r2h_batch.results.rows import DETAIL_SCHEMA, FAILURE_SCHEMA, PATH_SCHEMA, POSE_SCHEMA, TRIAL_SCHEMA
 from r2h_batch.results.storage import sha256_of
@@ -230,7 +230,7 @@ def problems(folder: Path, header: Mapping[str, Any]) -> Iterator[tuple[str, Sha
                 file = folder / stored["path"]
                 known.add(file)
                 kind = file.parent.parent.name
-                what = _damage(file, stored) or stored_not_as_planned(header, shard.first, shard.last, kind, file)
+                what = _damage(file, stored) or stored_wrong(header, shard.first, shard.last, kind, file)
                 if what:
                     yield entry["name"], shard, file, what
         for kind in SCHEMAS:

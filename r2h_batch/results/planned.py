@@ -10,10 +10,11 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from r2h_batch.files import printable
+from r2h_batch.results.consistent import CHECKED, inconsistent
 from r2h_batch.turns import PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.verdicts import SIDES, SPLITS
 
-__all__ = ["not_as_planned", "stored_not_as_planned"]
+__all__ = ["not_as_planned", "stored_wrong"]
 
 _COMPARED = {
     "trials": ("trial_id", "object", "split", "side"),
@@ -34,6 +35,8 @@ def not_as_planned(header: Mapping[str, Any], first: int, last: int, table: pa.T
         return "cannot be compared with the plan: run.json names no objects"
     planned = trial_ids(header["trials"], first, last)
     ids = table["trial_id"].to_numpy()
+    if np.array_equal(planned, ids):
+        return _other_names(header, ids, table)
     order = np.argsort(planned)
     place = order[np.searchsorted(planned[order], ids).clip(max=len(planned) - 1)] if len(planned) else order
     strange = np.flatnonzero(planned[place] != ids) if len(planned) else np.arange(len(ids))
@@ -57,7 +60,7 @@ def _other_names(header: Mapping[str, Any], ids: NDArray[np.int64], table: pa.Ta
     sides = np.array([SIDES.index(s) for s in header.get("hands", ())], np.int64)
     if len(sides) and (sides == sides[0]).all():  # a set of one side gives that one whoever's turn it is
         side = np.full_like(side, sides[0])
-    for column, words, codes in (("object", names, objects), ("split", SPLITS, ids % 2), ("side", SIDES, side)):
+    for column, words, codes in (("object", names, objects), ("split", SPLITS, ids & 1), ("side", SIDES, side)):
         if column not in table.column_names:
             continue
         found = _codes(table[column], words)
@@ -84,20 +87,21 @@ def _codes(column: pa.ChunkedArray, words: Sequence[str]) -> NDArray[np.int64]:
     return known[encoded.indices.fill_null(len(known) - 1).to_numpy()]
 
 
-def stored_not_as_planned(header: Mapping[str, Any], first: int, last: int, kind: str, file: Path) -> str | None:
-    """The same of a stored file, of which only the compared columns are read."""
-    if header["protocol"] not in PROTOCOLS:
-        return None
+def stored_wrong(header: Mapping[str, Any], first: int, last: int, kind: str, file: Path) -> str | None:
+    """What is wrong with the rows of a stored file: not the plan's, or no verdicts. Only the columns it takes are read."""
+    known = header["protocol"] in PROTOCOLS
+    columns = [*(_COMPARED.get(kind, ("trial_id",)) if known else ()), *(CHECKED if kind == "trials" else ())]
     try:
         with pq.ParquetFile(file) as stored:
-            if stored.metadata.num_rows > last - first:
-                return f"holds {stored.metadata.num_rows} rows, planned were {last - first}"
-            columns = _COMPARED.get(kind, ("trial_id",))
+            rows = stored.metadata.num_rows
+            if rows > last - first or (kind == "trials" and rows != last - first):
+                return f"holds {rows} rows, planned were {last - first}"
             if missing := [c for c in columns if c not in stored.schema_arrow.names]:
                 return f"column {missing[0]!r} is missing"
-            table = stored.read(columns=list(columns))
-        if table.schema.field("trial_id").type != pa.int64() or table["trial_id"].null_count:
+            table = stored.read(columns=list(dict.fromkeys(columns)))
+        if columns and (table.schema.field("trial_id").type != pa.int64() or table["trial_id"].null_count):
             return "column 'trial_id' is not of whole numbers"
-        return not_as_planned(header, first, last, table, every=kind == "trials")
+        wrong = not_as_planned(header, first, last, table, every=kind == "trials") if known else None
+        return wrong or (inconsistent(header, table) if kind == "trials" else None)
     except (OSError, pa.ArrowException) as error:
         return f"cannot be read ({printable(error)[:300]})"

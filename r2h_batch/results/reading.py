@@ -137,7 +137,7 @@ class Run:
         for _, shard, file, what in problems(self.folder, self.header):
             if shard is not None:
                 raise RunError(
-                    f"{file}: {what}; `python -m r2h_batch.results verify {self.folder}` marks it, the sweep redoes it"
+                    f"{file}: {what}; `r2h-batch results verify {self.folder}` marks it, the sweep redoes it"
                 )
 
     def digest(self, method: str) -> str:

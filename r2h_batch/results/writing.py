@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from r2h_batch.files import printable
+from r2h_batch.results.consistent import inconsistent
 from r2h_batch.results.manifest import (
     FORMAT,
     SCHEMAS,
@@ -179,7 +180,8 @@ class RunFolder:
             raise RunError(f"{self.folder}: shard {shard.index} of {method!r} has {found} rows, planned were {planned}")
         for kind in SCHEMAS:
             rows, every = writer.table(kind), kind == "trials"
-            if what := not_as_planned(self.header, shard.first, shard.last, rows, every=every):
+            what = not_as_planned(self.header, shard.first, shard.last, rows, every=every)
+            if what := what or (inconsistent(self.header, rows) if every else None):
                 raise RunError(f"{self.folder}: shard {shard.index} of {method!r}, {kind}: {what}; nothing was stored")
         mine: list[Path] = []
         try:

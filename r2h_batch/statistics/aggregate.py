@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
+from r2h_batch.results.columns import REQUIRED
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
-from r2h_batch.statistics.tally import REQUIRED, SECONDS, Tally
+from r2h_batch.statistics.tally import SECONDS, Tally
 from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
 
 RATES = {

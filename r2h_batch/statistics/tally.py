@@ -6,21 +6,15 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.results.columns import FAILED, UNEVALUATED, codes, pattern, states
+from r2h_batch.results.columns import PATTERNS, codes, pattern, states
 from r2h_batch.results.reading import Run
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
-from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
+from r2h_batch.verdicts import CRITERIA, SPLITS
 
-__all__ = ["PATTERNS", "REQUIRED", "SECONDS", "Sum", "Tally", "Verdicts", "pattern_outcomes", "tally", "verdicts"]
+__all__ = ["SECONDS", "Sum", "Tally", "Verdicts", "tally", "verdicts"]
 
 SECONDS = ("t_plan_s", "t_exec_s", "t_method_s")
 """Stored times."""
-
-REQUIRED = np.array([c != "affordance" for c in CRITERIA])
-"""(5,) criteria that every success must have been looked at for."""
-
-PATTERNS = np.array(np.unravel_index(np.arange(3 ** len(CRITERIA)), (3,) * len(CRITERIA))).T
-"""(243, 5) the criteria's words of every pattern; a trial's pattern is the row, invalid and missing trials have row 0."""
 
 SUMMED = (*SECONDS, "presented")
 """What is added up trial by trial: times, and who was presented the region."""
@@ -179,7 +173,7 @@ def tally(run: Run, method: str, *, by_object: bool = False) -> Tally:
 def verdicts(run: Run, method: str, names: list[str]) -> Iterator[Verdicts]:
     """A stored method's verdicts shard by shard; `names` collects the objects' names behind the codes.
 
-    Checked: seconds, outcomes (the stored criteria's first failure), and at the end that there were as many as planned.
+    Checked at the end: that there were as many as planned. That each row can be a verdict was checked when the run was loaded.
     """
     columns = ["trial_id", "object", "split", "outcome", "presented", *SECONDS, *(f"passed_{c}" for c in CRITERIA)]
     found = np.zeros(len(SPLITS), np.int64)
@@ -194,7 +188,7 @@ def verdicts(run: Run, method: str, names: list[str]) -> Iterator[Verdicts]:
 
 def _rows(table: pa.Table, method: str, names: list[str]) -> Verdicts:
     try:
-        rows = Verdicts(
+        return Verdicts(
             split=codes(table, "split", SPLITS).astype(np.int8),
             object=codes(table, "object", names, grow=True).astype(np.int32),
             outcome=codes(table, "outcome", OUTCOME_NAMES).astype(np.int8),
@@ -205,37 +199,3 @@ def _rows(table: pa.Table, method: str, names: list[str]) -> Verdicts:
         )
     except ValueError as error:
         raise ValueError(f"{method}: {error}") from None
-    _check(method, rows)
-    return rows
-
-
-def pattern_outcomes(order: Sequence[str] = CRITERIA) -> np.ndarray:
-    """(2, 243) outcome of every pattern on S0 and on S1 for an order of the criteria; -1: a needed one was not looked at."""
-    if sorted(order) != sorted(CRITERIA):
-        raise ValueError(f"an order of criteria is {', '.join(order)}; it must hold each of {', '.join(CRITERIA)} once")
-    columns = [CRITERIA.index(c) for c in order]
-    failed = PATTERNS[:, columns] == FAILED
-    codes_ = np.array([Outcome[c.upper()] for c in order], np.int8)
-    first = np.where(failed.any(1), codes_[failed.argmax(1)], np.int8(Outcome.SUCCESS)).astype(np.int8)
-    table = np.tile(first, (2, 1))
-    for k, required in enumerate((REQUIRED, np.ones(len(CRITERIA), bool))):
-        unseen = ((PATTERNS == UNEVALUATED) & required).any(1)
-        table[k, (first == Outcome.SUCCESS) & unseen] = -1
-    return table
-
-
-def _check(method: str, rows: Verdicts) -> None:
-    for name in SECONDS:
-        seconds = getattr(rows, name)
-        odd = (seconds < 0) | np.isinf(seconds)
-        if odd.any():
-            row = int(odd.argmax())
-            raise ValueError(
-                f"{method}: trial {rows.trial_id[row]} has {seconds[row]:g} s in {name}; stored are finite seconds, 0 or more"
-            )
-    expected = pattern_outcomes()[rows.split, rows.pattern]
-    judged = rows.outcome < Outcome.INVALID_INPUT
-    if (unseen := int((judged & (expected < 0)).sum())) > 0:
-        raise ValueError(f"{method}: {unseen} rows have no failure but a criterion that was not evaluated")
-    if (wrong := int((judged & (expected != rows.outcome)).sum())) > 0:
-        raise ValueError(f"{method}: {wrong} stored outcomes are not the first failure of the stored criteria")

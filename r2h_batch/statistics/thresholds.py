@@ -9,15 +9,16 @@ import numpy as np
 import pyarrow as pa
 
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M
-from r2h_batch.results.columns import FAILED, PASSED, codes, pattern, states
+from r2h_batch.results.columns import FAILED, PASSED, codes, pattern, pattern_outcomes, states
 from r2h_batch.results.reading import Run
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics.paired import rank_probabilities
-from r2h_batch.statistics.tally import pattern_outcomes
 from r2h_batch.verdicts import SPLITS, Outcome
 
 ROUNDING_M = 1e-8
 """A stored margin gives the distance back to within this (float32): nearer to a threshold, a trial is undecided."""
+
+WIDTH_ROUNDING_M = 1e-6
 
 MAX_POINTS = 10_000
 """Combinations of thresholds that one call takes."""
@@ -94,6 +95,13 @@ class _Margins:
         # runs from before the column was stored: their margin is w_max - w wherever it passes
         older = np.float32(base["w_max_m"]).astype(np.float64) - margin("stability")
         self.width = np.where(np.isnan(width), older, width)
+        odd = (self.state["stability"] == PASSED) & ~((self.width >= 0) & (self.width <= older + WIDTH_ROUNDING_M))
+        if odd.any():
+            row = int(odd.argmax())
+            raise ValueError(
+                f"trial {table['trial_id'][row].as_py()}: width_m is {width[row]:g}, its margin of Stability says at most "
+                f"{older[row]:g}; `r2h-batch results verify --rejudge` scores it again"
+            )
         self.clearance = margin("safe") + np.float32(base["safe_margin_m"]).astype(np.float64)
         self.base = base
 

@@ -71,7 +71,8 @@ def forged(folder, out, change):
 def as_success(row):
     if row["outcome"] == "success":
         return False
-    row |= {k: True for k, v in row.items() if k.startswith("passed_") and v is False}
+    for name in [k.removeprefix("passed_") for k, v in row.items() if k.startswith("passed_") and v is False]:
+        row |= {f"passed_{name}": True, f"margin_{name}_m": 0.01}  # margins that go with it: the row could be a verdict
     row["outcome"] = "success"
     return True
 

@@ -3,19 +3,23 @@
 import contextlib
 import json
 import os
+import re
 import shutil
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_runs import files_of, make_header, read_json, write, write_run
+from made_runs import NAMES, files_of, make_header, make_scores, make_trials, read_json, write, write_run
 
 from r2h_batch.compare.command import main as compare
 from r2h_batch.gallery.command import report_main as report
 from r2h_batch.rejudge.command import main as results
+from r2h_batch.rescore.command import main as rescore
+from r2h_batch.results.consistent import inconsistent
 from r2h_batch.results.manifest import RunError, run_hash
 from r2h_batch.results.reading import load_run, mark_for_rerun
+from r2h_batch.results.rows import score_rows
 from r2h_batch.results.storage import claim, sha256_of
 from r2h_batch.results.writing import open_run
 
@@ -252,6 +256,108 @@ def test_a_forged_table_with_the_right_sha256_is_one_line(run, what, capsys):
         assert COMMANDS[command](run) == 2
         captured = capsys.readouterr()
         assert captured.out == "" and captured.err.count("\n") == 1 and captured.err[:-1].isprintable()
+
+
+def at(row, **values):
+    """A change of a table: other values in one row."""
+
+    def change(table):
+        for name, value in values.items():
+            column = table[name].to_pylist()
+            column[row] = value
+            place = table.column_names.index(name)
+            table = table.set_column(place, table.schema.field(place), pa.array(column, table.schema.field(place).type))
+        return table
+
+    return change
+
+
+def margin(name, value, row=3):
+    return at(row, **{f"margin_{name}_m": value})
+
+
+MADE_UP = {  # of six rows that are successes with margins of 1 cm: S0 0, 1, 2, S1 3, 4, 5
+    "a pass with a negative margin": (margin("reach", -0.01), "trial 3: reach passes with a margin of -0.01 m"),
+    "a pass without a margin": (margin("safe", None), "trial 3: safe passes with a margin of nan m"),
+    "a pass of NaN": (margin("plan", float("nan")), "trial 3: plan passes with a margin of nan m"),
+    "a pass with a margin of 1e38": (margin("stability", 1e38), "trial 3: stability passes with a margin of 1e.38 m"),
+    "a pass with an endless margin": (margin("safe", float("inf")), "trial 3: safe passes with a margin of inf m"),
+    "a pass farther than the ball": (margin("reach", 0.2), "trial 3: reach passes with a margin of 0.2 m"),
+    "a path through something": (margin("plan", -0.01), "trial 3: plan passes with a margin of -0.01 m"),
+    "touching what must not be touched": (margin("affordance", 0.0), "trial 3: affordance passes with a margin of 0 m"),
+    "a margin of what was not looked at": (
+        margin("affordance", 0.01, 0), "trial 0: affordance is not evaluated with a margin of 0.01 m",
+    ),
+    "a failure with a positive margin": (
+        at(3, passed_safe=False, outcome="safe"), "trial 3: safe fails with a margin of 0.01 m",
+    ),
+    "a failure without end": (
+        at(3, passed_safe=False, outcome="safe", margin_safe_m=-float("inf")), "trial 3: safe fails with a margin of -inf m",
+    ),
+    "another outcome than the first failure": (
+        at(3, passed_reach=False, margin_reach_m=-0.1), "trial 3: outcome is 'success', its criteria say reach",
+    ),
+    "a success without Affordance in S1": (
+        at(4, passed_affordance=None, margin_affordance_m=None),
+        "trial 4: outcome is 'success', its criteria say nothing that can be",
+    ),
+    "an invalid row that passes": (at(2, outcome="invalid_sim"), "trial 2: outcome is 'invalid_sim', its criteria say success"),
+    "a clock that runs backwards": (at(1, t_plan_s=-1.0), "trial 1: -1 s in t_plan_s; 0 to 1e.09 s are allowed"),
+    "a clock that never stops": (at(1, t_exec_s=float("inf")), "trial 1: inf s in t_exec_s"),
+    "a method of 1e30 years": (at(1, t_method_s=1e38), "trial 1: 1e.38 s in t_method_s"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", MADE_UP)
+def test_a_row_that_can_be_no_verdict_is_found_by_every_command(run, what, capsys):
+    """Margins against verdicts, the order of criteria, times: with a right sha256, and found without judging again."""
+    change, words = MADE_UP[what]
+    in_file(run / "run.json", lambda d: put(d, "configuration.thresholds", LIMITS))
+    (run / "manifest" / "m" / "000000.json").write_text(
+        json.dumps({**read_json(run / "manifest" / "m" / "000000.json"), "run": read_json(run / "run.json")["hash"]})
+    )
+    shutil.rmtree(run / "manifest" / "second")
+    forge(run, change)
+    for command in (*(COMMANDS[c] for c in ("report", "compare", "digest")), lambda folder: rescore([str(folder)])):
+        assert command(run) == 2
+        captured = capsys.readouterr()
+        assert captured.out == "" and captured.err.count("\n") == 1
+        assert re.search(f"/trials/m/000000-[0-9a-f]{{16}}.parquet: {words}", captured.err), captured.err
+    assert COMMANDS["verify"](run) == 1
+    assert re.search(f"{words}.*; shard 0 of 'm' will be scored again", capsys.readouterr().out)
+
+
+LIMITS = {"reach_radius_m": 0.1, "w_max_m": 0.085, "safe_margin_m": 0.0}
+
+
+def test_what_a_judge_may_say_is_no_forgery(tmp_path):
+    """What must not be refused: paths of preset paper that pass through something, overlaps, no path, far objects, ..."""
+    n = 4
+    run = write_run(tmp_path / "run", {"m": np.array([0, 2, 3, 1, 6, 7, 8, 0])}, n, n)
+    ((path,),) = [files_of(run.folder)]
+    table = pq.read_table(path, partitioning=None)
+    paper = {"configuration": {"plan": {"edge_check": "moveit"}}}
+    good = [
+        margin("plan", -1e-6, 0), margin("reach", 0.0, 0), margin("stability", 0.0, 0), margin("reach", -1e6 + 0.1, 2),
+        margin("stability", -float("inf"), 3), at(0, t_method_s=None, t_plan_s=0.0, t_exec_s=1e6),
+    ]  # fmt: skip
+    assert inconsistent(run.header, table) is None
+    for change in good:
+        assert inconsistent(run.header, change(table)) is None
+    assert inconsistent(paper, margin("plan", -0.05, 0)(table)) is None
+    assert inconsistent(run.header, margin("plan", -0.05, 0)(table)) is not None
+    assert inconsistent(run.header, table.slice(0, 0)) is None
+
+
+def test_a_row_that_can_be_no_verdict_is_not_written(tmp_path):
+    run = open_run(tmp_path / "run", make_header(2, 0))
+    run.register("m", {"kind": "test"})
+    trials = make_trials(2, 0)
+    rows = score_rows(trials, make_scores(trials, np.zeros(2, int)), NAMES)
+    refused = pytest.raises(RunError, match="trial 0: reach passes with a margin of -1 m; nothing was stored")
+    with refused, run.write("m", run.todo("m")[0]) as writer:
+        writer.append(trials=margin("reach", -1.0, 0)(rows))
+    assert not files_of(tmp_path / "run")
 
 
 def test_more_shards_than_their_numbers_have_digits_are_refused_before_anything_is_written(tmp_path):

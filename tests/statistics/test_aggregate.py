@@ -5,13 +5,10 @@ import pickle
 from itertools import product
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from made_runs import make_trials, paper_run, table_1, write_run
 from scipy import stats
 
-from r2h_batch.results.reading import load_run
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics import aggregate, breakdown
 from r2h_batch.statistics.aggregate import Rate
@@ -229,39 +226,11 @@ def test_the_papers_rows_give_back_every_number_of_table_1(tmp_path):
             assert row.times[name].value == pytest.approx(float(cell[name]), abs=1e-5), (cell, name)
 
 
-def test_a_stored_outcome_that_contradicts_its_criteria_is_refused(tmp_path):
-    run = write_run(tmp_path / "run", {"m": np.array([0, 1, 2, 5])}, 2, 2)
-    _replace_column(run, "passed_stability", pa.array([False, False, True, True]))
-    with pytest.raises(ValueError, match="1 stored outcomes"):
-        tally(load_run(run.folder, verify=False), "m")
-
-
-def test_an_s1_success_without_affordance_is_refused(tmp_path):
-    run = write_run(tmp_path / "run", {"m": np.array([0, 0])}, 1, 1)
-    _replace_column(run, "passed_affordance", pa.nulls(2, pa.bool_()))
-    with pytest.raises(ValueError, match="not evaluated"):
-        tally(load_run(run.folder, verify=False), "m")
-
-
-@pytest.mark.parametrize(("column", "value"), [("t_exec_s", np.inf), ("t_plan_s", -1.0), ("t_method_s", -np.inf)])
-def test_stored_seconds_that_no_clock_shows_are_refused(tmp_path, column, value):
-    run = write_run(tmp_path / "run", {"m": np.array([0, 0, 2, 0])}, 2, 2)
-    _replace_column(run, column, pa.array([None, 1.0, value, 2.0], pa.float32()))
-    with pytest.raises(ValueError, match=f"m: trial 2 has {value:g} s in {column}; stored are finite seconds"):
-        tally(load_run(run.folder, verify=False), "m")
-
-
 def test_rows_that_are_not_as_many_as_planned_are_refused(tmp_path):
     run = write_run(tmp_path / "run", {"m": np.array([0, 0, 2])}, 2, 1)
     run.header["trials"]["S1"] = 4
     with pytest.raises(ValueError, match="1 rows in S1, 4 were planned"):
         tally(run, "m")
-
-
-def _replace_column(run, name, values) -> None:
-    path = run.folder / run.entry("m")["receipts"][0]["files"]["trials"]["path"]
-    table = pq.read_table(path, partitioning=None)
-    pq.write_table(table.set_column(table.column_names.index(name), name, values), path)
 
 
 def test_object_rows_are_the_same_function_of_fewer_trials():

@@ -62,7 +62,7 @@ def make_scores(trials: Trials, outcome: np.ndarray, *, t_plan_s: float = 0.1, t
     passed &= evaluated
     margin = np.where(passed, 0.01, -0.02).astype(np.float32)
     margin[~evaluated] = np.nan
-    margin[outcome == Outcome.PLAN, 1] = np.nan
+    margin[outcome == Outcome.PLAN, 1] = -np.inf
     has_path = evaluated[:, 1] & passed[:, 1]
     lengths = np.where(has_path, 2 + np.arange(n) % 3, 0)
     path = np.random.default_rng(7).normal(size=(n, 5, 6)).astype(np.float32)
