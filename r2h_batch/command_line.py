@@ -15,6 +15,7 @@ import stat
 import sys
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from functools import partial, wraps
@@ -98,7 +99,7 @@ def answer(name: str, work: Callable[[], int]) -> int:
         return refuse(name, "standard output is closed; give it a terminal, a file or a pipe", 1)
     kept, code, stopped = _Kept(sys.stdout), 0, None
     try:
-        with contextlib.redirect_stdout(kept):
+        with contextlib.redirect_stdout(kept), _told_warnings(name):
             code = work()
     except UsageError as error:
         code = refuse(name, error)
@@ -122,6 +123,27 @@ def answer(name: str, work: Callable[[], int]) -> int:
     if stopped is not None:
         raise stopped
     return code
+
+
+@contextlib.contextmanager
+def _told_warnings(name: str) -> Iterator[None]:
+    """Warnings as one line each, without the source that Python shows; those of libraries only with --verbose, and in the log."""
+
+    def told(
+        message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+    ) -> str:
+        text = f"{name}: {printable(' '.join(str(message).split()))}"
+        if issubclass(category, UserWarning):
+            _keep(text)
+            return "" if _telling.quiet else f"{text}\n"
+        note(f"{text} ({category.__name__})")
+        return ""
+
+    before, warnings.formatwarning = warnings.formatwarning, told
+    try:
+        yield
+    finally:
+        warnings.formatwarning = before
 
 
 def write_answer(path: Path, text: str) -> None:

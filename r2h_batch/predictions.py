@@ -21,6 +21,7 @@ from safetensors.numpy import save_file
 from r2h_batch.files import DAMAGED_ARCHIVE, FileError, archive_members, open_archive, open_file, printable
 from r2h_batch.files.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.types import Predictions
+from r2h_batch.verdicts import MOST_SECONDS
 
 MAX_MEMBERS = 16
 MAX_BYTES = 8 << 30
@@ -283,17 +284,22 @@ def _checked(path: Path, arrays: Mapping[str, _Array], method: str) -> Predictio
     trial_id = _read(path, "trial_id", ids)
     if trial_id.dtype == np.uint64 and trial_id.max() > np.iinfo(np.int64).max:
         raise PredictionsError(f"{path}: 'trial_id' {trial_id.max()} does not fit int64")
-    floats = {k: torch.from_numpy(_read(path, k, arrays[k]).astype(np.float32)) for k in _SHAPES if k in arrays}
-    seconds = floats.get("t_method_s")
-    if seconds is not None and bool(((seconds < 0) | torch.isinf(seconds)).any()):
+    given = {k: _read(path, k, arrays[k]) for k in _SHAPES if k in arrays}
+    if "t_method_s" in given and (odd := (given["t_method_s"] < 0) | (given["t_method_s"] > MOST_SECONDS)).any():
+        seconds = given["t_method_s"][int(odd.argmax())]
         raise PredictionsError(
-            f"{path}: 't_method_s' has negative or infinite seconds; use NaN where it was not measured"
+            f"{path}: 't_method_s' of row {int(odd.argmax())} is {seconds:g}; 0 to {MOST_SECONDS:g} seconds are allowed,"
+            " NaN where it was not measured"
         )
+    with np.errstate(
+        over="ignore"
+    ):  # what float32 does not hold becomes infinite: no pose, which is the evaluator's to say
+        floats = {k: torch.from_numpy(v.astype(np.float32)) for k, v in given.items()}
     return Predictions(
         trial_id=torch.from_numpy(trial_id.astype(np.int64)),
         T_obj_ee=floats["T_obj_ee"],
         T_world_ee=floats["T_world_ee"],
-        t_method_s=seconds,
+        t_method_s=floats.get("t_method_s"),
         method=method,
     )
 

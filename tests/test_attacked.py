@@ -1,15 +1,19 @@
 """What somebody who had not written the commands broke: outputs over runs, links, pipes, stray files, Ctrl-C."""
 
 import os
+import warnings
 
+import numpy as np
 import pytest
 from made_runs import write
 
 from r2h_batch.benchmark.given import _objects_of  # no public way to a folder's files without building its meshes
-from r2h_batch.command_line import answer, write_answer
+from r2h_batch.command_line import answer, telling, write_answer
 from r2h_batch.files import FileError
 from r2h_batch.files.plain_yaml import read_plain_yaml
 from r2h_batch.gallery.command import report_main as report
+from r2h_batch.predictions import load_predictions
+from r2h_batch.rescore.command import main as rescore
 from r2h_batch.view.command import view
 
 
@@ -74,3 +78,36 @@ def test_a_sidecar_that_is_about_no_mesh_is_refused(tmp_path):
 def test_a_number_with_an_exponent_is_a_number(tmp_path, text, value):
     (tmp_path / "a.yaml").write_text(f"scale: {text}\n")
     assert read_plain_yaml(tmp_path / "a.yaml") == {"scale": value}
+
+
+@pytest.mark.parametrize(
+    ("flags", "said"),
+    [((), "figures: mug: repaired \\x1b[2J\n"), (("quiet",), ""), (("verbose",), "overflow encountered")],
+)
+def test_a_warning_is_one_line_without_the_source_that_warns(flags, said, capsys):
+    def work():
+        warnings.warn("mug:\n repaired \x1b[2J", stacklevel=1)
+        return int(np.isfinite(np.float64(1e300).astype(np.float32)))
+
+    with telling(**dict.fromkeys(flags, True)), warnings.catch_warnings():
+        warnings.simplefilter("always")
+        assert answer("figures", work) == 0
+    error = capsys.readouterr().err
+    assert said in error and "test_attacked.py" not in error and error.count("\n") <= 1 + ("verbose" in flags)
+    assert ("overflow" in error) == ("verbose" in flags)
+
+
+def test_numbers_that_float32_does_not_hold_are_no_pose_and_no_threshold(run, tmp_path, capsys):
+    T = np.eye(4)[None].repeat(2, 0)
+    far = np.where(np.arange(4) == 3, 1e300, T)
+    np.savez(tmp_path / "p.npz", trial_id=np.arange(2), T_obj_ee=T, T_world_ee=far)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert np.isinf(load_predictions(tmp_path / "p.npz").T_world_ee.numpy()).any()
+        write(
+            tmp_path / "new",
+            configuration={"thresholds": {"reach_radius_m": 0.1, "w_max_m": 0.085, "safe_margin_m": 0.0}},
+        )
+        for radius in ("1e308", "1e308:1e308:1"):
+            assert rescore([str(tmp_path / "new"), "--reach-radius", radius]) == 2
+            assert "--reach-radius 1e+308 cannot be rescored exactly; allowed is 0 to 1e+06" in capsys.readouterr().err

@@ -90,7 +90,7 @@ CSV = {
     "no rows": lambda t: t[:1],
     "longer than 10000 characters": lambda t: [t[0], t[1] + " " * 20_000],
     "no readable CSV": lambda t: [t[0], '"' + t[1]],
-    "negative or infinite seconds": lambda t: [t[0], t[1].rpartition(",")[0] + ",-1"],
+    "is -1; 0 to 1e+09 seconds are allowed": lambda t: [t[0], t[1].rpartition(",")[0] + ",-1"],
 }
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M
+from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, FARTHEST_M
 from r2h_batch.results.columns import FAILED, PASSED, codes, pattern, pattern_outcomes, states
 from r2h_batch.results.reading import Run
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
@@ -56,7 +56,7 @@ def rescore(
     widths = tuple(w_max_m) or (base["w_max_m"],)
     safe = tuple(safe_margin_m) or (base["safe_margin_m"],)
     for name, given, low, high in (
-        ("reach-radius", radii, 0.0, np.inf),
+        ("reach-radius", radii, 0.0, FARTHEST_M),
         ("w-max", widths, 0.0, base["w_max_m"]),
         ("safe-margin", safe, 0.0, CLEARANCE_CAP_M - BORDERLINE_M),
     ):

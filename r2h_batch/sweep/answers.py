@@ -10,6 +10,7 @@ from torch import Tensor
 
 from r2h_batch.files import printable
 from r2h_batch.types import Predictions, Trials
+from r2h_batch.verdicts import MOST_SECONDS
 
 __all__ = ["AnswerError", "answer_of"]
 
@@ -51,9 +52,10 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
         t_method_s = torch.full((n,), seconds, dtype=torch.float32, device="cpu")
     else:
         t_method_s = _float32(name, "t_method_s", own, (n,))
-        if bool(((t_method_s < 0) | torch.isinf(t_method_s)).any()):
+        if bool((odd := (t_method_s < 0) | (t_method_s > MOST_SECONDS)).any()):
             raise AnswerError(
-                f"method {name}: t_method_s has negative or infinite seconds; use NaN where it was not measured"
+                f"method {name}: t_method_s is {float(t_method_s[odd][0]):g}; 0 to {MOST_SECONDS:g} seconds are allowed, "
+                "NaN where it was not measured"
             )
     return Predictions(trials.trial_id, grasp, handover, t_method_s, name)
 

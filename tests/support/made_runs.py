@@ -46,11 +46,19 @@ def make_predictions(trials: Trials, method: str = "made", seed: int = 0) -> Pre
     return Predictions(trials.trial_id, poses[0], poses[1], None, method)
 
 
-def make_scores(trials: Trials, outcome: np.ndarray, *, t_plan_s: float = 0.1, t_exec_s: float = 8.5) -> Scores:
-    """Scores whose first failure is `outcome`; Stability and Plan failures fail Reach too, times vary."""
+def make_scores(
+    trials: Trials,
+    outcome: np.ndarray,
+    *,
+    t_plan_s: float = 0.1,
+    t_exec_s: float = 8.5,
+    s1: np.ndarray | None = None,
+) -> Scores:
+    """Scores whose first failure is `outcome`; Stability and Plan failures fail Reach too, times vary. `s1`: whose
+    Affordance is looked at (default: of `OBJECTS`)."""
     outcome = np.asarray(outcome)
     n = len(outcome)
-    s1 = trials.object_index.numpy() >= 3
+    s1 = trials.object_index.numpy() >= 3 if s1 is None else s1
     invalid = outcome >= Outcome.INVALID_INPUT
     passed, evaluated = np.ones((n, 5), bool), np.ones((n, 5), bool)
     for code, column in FAILED.items():

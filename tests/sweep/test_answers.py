@@ -51,8 +51,12 @@ WRONG = {
     "meta": (lambda t: (poses(t), poses(t).to("meta")), "T_world_ee is on meta"),
     "a list of times": (lambda t: (poses(t), poses(t), [0.1] * len(t)), "t_method_s is list; it must be a tensor"),
     "one time": (lambda t: (poses(t), poses(t), torch.tensor(0.1)), r"t_method_s is torch.float32 \(\)"),
-    "time runs backwards": (lambda t: (poses(t), poses(t), torch.full((4,), -1.0)), "t_method_s has negative or"),
-    "for ever": (lambda t: (poses(t), poses(t), torch.full((4,), torch.inf)), "t_method_s has negative or infinite"),
+    "time runs backwards": (lambda t: (poses(t), poses(t), torch.full((4,), -1.0)), "t_method_s is -1; 0 to"),
+    "for ever": (
+        lambda t: (poses(t), poses(t), torch.full((4,), torch.inf)),
+        "t_method_s is inf; 0 to 1e[+]09 seconds",
+    ),
+    "for ages": (lambda t: (poses(t), poses(t), torch.full((4,), 1e38)), "t_method_s is 1e[+]38; 0 to 1e[+]09 seconds"),
     "another order": (
         lambda t: Predictions(t.trial_id.flip(0), poses(t), poses(t)),
         "trial_id differs from that of the 4 trials",
@@ -161,7 +165,7 @@ def test_other_methods_finish_when_one_answers_nonsense(fake, tmp_path, capsys):
     captured = capsys.readouterr()
     (said,) = [x for x in captured.err.splitlines() if "t_method_s" in x]
     assert said == (
-        "sweep: method mine:late: t_method_s has negative or infinite seconds; use NaN where it was not measured"
+        "sweep: method mine:late: t_method_s is -1; 0 to 1e+09 seconds are allowed, NaN where it was not measured"
     )
     assert "mine:best" in captured.out and "Traceback" not in captured.err
     run = load_run(tmp_path / "run")
@@ -218,7 +222,7 @@ def planned_rows(n=4):
         object_index=torch.from_numpy(objects.astype(np.int32)),
         hand_index=torch.from_numpy(hands.astype(np.int32)),
     )
-    return trials, make_scores(trials, np.zeros(2 * n, int))
+    return trials, make_scores(trials, np.zeros(2 * n, int), s1=trials.trial_id.numpy() % 2 == 1)
 
 
 def edited(table: pa.Table, column: str, row: int, value) -> pa.Table:
