@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from r2h_batch.command_line import call, refuse
+from r2h_batch.command_line import call, refuse, tell
 from r2h_batch.compare.shipped import BASELINES, FOLDERS, baselines_for
 
 if TYPE_CHECKING:
@@ -45,7 +45,8 @@ def run(
         stored = [own[r] if r in own else load_run(baselines_for(like)) for r in runs]
         stored = _chosen(stored, method) if method else stored
         common = common_trials(stored, proven=FOLDERS)
-        comparisons = compare(pair_up(stored, common), seed=seed)
+        paired = pair_up(stored, common)
+        comparisons = compare(paired, seed=seed)
     except (ValueError, OSError) as error:
         return refuse("compare", error)
     header = stored[0].header
@@ -55,7 +56,9 @@ def run(
         "trials": ", ".join(f"{n} {split}" for split, n in common.trials.items()),
         "r2h_batch": str(header["versions"]["r2h_batch"]),
     }
-    sys.stdout.write(render(comparisons, format, origin=origin, notes=common.notes))
+    for note in paired.notes if format in ("csv", "json") else ():
+        tell(f"compare: {note}")
+    sys.stdout.write(render(comparisons, format, origin=origin, notes=(*common.notes, *paired.notes)))
     return 0
 
 

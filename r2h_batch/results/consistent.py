@@ -55,10 +55,10 @@ def inconsistent(header: Mapping[str, Any], table: pa.Table) -> str | None:
         return f"trial {ids[row]}: outcome is {OUTCOME_NAMES[outcome[row]]!r}, {means}"
     for criterion, (given, passed) in judged.items():
         margin = table[f"margin_{criterion}_m"].to_numpy()
-        row = _first_odd(header, criterion, given, passed, margin)
-        if row is not None:
-            verdict = ("is not evaluated", "fails", "passes")[int(given[row]) + int(passed[row])]
-            return f"trial {ids[row]}: {criterion} {verdict} with a margin of {margin[row]:g} m"
+        odd = _first_odd(header, criterion, given, passed, margin)
+        if odd is not None:
+            verdict = ("is not evaluated", "fails", "passes")[int(given[odd]) + int(passed[odd])]
+            return f"trial {ids[odd]}: {criterion} {verdict} with a margin of {margin[odd]:g} m"
     for name in SECONDS:
         seconds = table[name].to_numpy()
         if np.fmin.reduce(seconds) < 0 or np.fmax.reduce(seconds) > MOST_SECONDS:

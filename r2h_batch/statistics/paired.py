@@ -31,6 +31,15 @@ class Paired:
         self.trials = np.zeros((len(SPLITS), 0), np.int64)
         self.hits = np.zeros((len(SPLITS), m, 0), np.int64)
         self.only = np.zeros((len(SPLITS), m, m), np.int64)
+        self.notes: tuple[str, ...] = ()
+        """what a reader should know about the methods"""
+
+    def only_of(self, methods: Sequence[int], names: Sequence[str], notes: Sequence[str]) -> "Paired":
+        """The same counts of some of the methods, under these names."""
+        kept = Paired(names)
+        kept.trials, kept.notes = self.trials, tuple(notes)
+        kept.hits, kept.only = self.hits[:, methods], self.only[:, methods][:, :, methods]
+        return kept
 
     def add(self, success: np.ndarray, split: np.ndarray, objects: np.ndarray) -> None:
         """Count more trials: success (M, B), split and object codes (B,)."""
@@ -106,23 +115,58 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
     `common`: what they share, where it was looked for already.
     """
     common = common or common_trials(runs)
-    names, streams = [], []
+    streams = []
     for run in runs:
         if run.unfinished:
             raise ValueError(f"{run.folder}: {run.unfinished[0]!r} is not complete; run its sweep again to go on")
-        for method in run.methods:
-            names.append(f"{run.folder.name}/{method}" if method in names else method)
-            streams.append(_Stream(run, method, common.trials))
-    if len(names) < 2:
-        raise ValueError(f"one method ({', '.join(names) or 'none'}) is nothing to compare; give a second run")
-    if len(set(names)) != len(names):
-        raise ValueError(f"two runs of one name hold {next(n for n in names if names.count(n) > 1)!r}; rename a folder")
-    paired = Paired(names)
+        streams += [_Stream(run, method, common.trials) for method in run.methods]
+    if len(streams) < 2:
+        names = ", ".join(s.method for s in streams) or "none"
+        raise ValueError(f"one method ({names}) is nothing to compare; give a second run")
+    paired = Paired([s.method for s in streams])
     for pieces in _together([s.rows for s in streams]):
-        _check_same_trials(names, streams, pieces)
+        _check_same_trials(streams, pieces)
         success = np.stack([p.outcome == Outcome.SUCCESS for p in pieces])
         paired.add(success, pieces[0].split, pieces[0].object)
-    return paired
+    once = _once(streams, paired)
+    if len(once) < 2:
+        raise ValueError(
+            f"{streams[0].method!r} is given {len(streams)} times ({', '.join(str(s.run.folder) for s in streams)}): "
+            "one method is nothing to compare; give a second one"
+        )
+    left_out = [s for i, s in enumerate(streams) if i not in once]
+    names = _names([streams[i] for i in once])
+    if len(set(names)) != len(names):
+        raise ValueError(f"two runs of one name hold {next(n for n in names if names.count(n) > 1)!r}; rename a folder")
+    return paired.only_of(
+        once, names, [f"{s.run.folder}: {s.method} is given twice, and counted once." for s in left_out]
+    )
+
+
+def _once(streams: Sequence["_Stream"], paired: Paired) -> list[int]:
+    """Which methods are not one before them again: the same answers from the same source, in another copy of the run or a
+    longer one. Holm's correction would count each as a method of its own."""
+    kept: list[int] = []
+    for i, stream in enumerate(streams):
+        again = (j for j in kept if streams[j].source == stream.source and not paired.only[:, [i, j], [j, i]].any())
+        if next(again, None) is None:
+            kept.append(i)
+    return kept
+
+
+def _names(streams: Sequence["_Stream"]) -> list[str]:
+    """What the methods are called: with their run where a name is there already, or is that of a method of the package."""
+    own = {_plain(s.method) for s in streams if s.is_built_in}
+    names: list[str] = []
+    for s in streams:
+        taken = s.method in names or (not s.is_built_in and _plain(s.method) in own)
+        names.append(f"{s.run.folder.absolute().name}/{s.method}" if taken else s.method)
+    return names
+
+
+def _plain(method: str) -> str:
+    """A name as tables shorten it: without what stands in brackets."""
+    return method.partition(" (")[0].strip().casefold()
 
 
 class _Stream:
@@ -130,6 +174,10 @@ class _Stream:
 
     def __init__(self, run: Run, method: str, trials: Mapping[str, int]) -> None:
         self.run, self.method = run, method
+        entry, header = run.entry(method), run.header
+        self.source = (method, entry["source"], header["seed"], header.get("predictors"))
+        """What answered: two with one source give the same rows for the same trials."""
+        self.is_built_in = str(entry["source"].get("function", "")).startswith("r2h_batch.methods.")
         self.objects: list[str] = []
         rows = verdicts(run, method, self.objects)
         self.rows = rows if run.header["trials"] == trials else _first(rows, trials)
@@ -159,15 +207,15 @@ def _together(streams: Sequence[Iterator[Verdicts]]) -> Iterator[list[Verdicts]]
         left = [rows.rows(n) for rows in pieces]
 
 
-def _check_same_trials(names: Sequence[str], streams: Sequence[_Stream], pieces: Sequence[Verdicts]) -> None:
+def _check_same_trials(streams: Sequence[_Stream], pieces: Sequence[Verdicts]) -> None:
     first = pieces[0]
     places = {name: i for i, name in enumerate(streams[0].objects)}
-    for name, stream, rows in zip(names[1:], streams[1:], pieces[1:], strict=True):
+    for stream, rows in zip(streams[1:], pieces[1:], strict=True):
         if not np.array_equal(first.trial_id, rows.trial_id):
-            raise ValueError(f"{stream.run.folder}: {stream.method!r} has other trial ids than {names[0]!r}")
+            raise ValueError(f"{stream.run.folder}: {stream.method!r} has other trial ids than {streams[0].method!r}")
         codes = np.array([places.get(o, -1) for o in stream.objects])
         if not np.array_equal(codes[rows.object], first.object):
-            raise ValueError(f"{name} and {names[0]} have other objects in the same trials")
+            raise ValueError(f"{stream.method} and {streams[0].method} have other objects in the same trials")
 
 
 def compare(paired: Paired, *, draws: int = DRAWS, seed: int = 0) -> tuple[Comparison, ...]:

@@ -1,6 +1,7 @@
 """Paired comparisons against statsmodels, by simulation, and what is refused."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -129,6 +130,49 @@ def test_two_runs_of_the_same_trials_are_compared_split_by_split_and_together(tm
     assert "Holm p" in text and "#4" in text and text.isascii() and max(map(len, text.splitlines())) <= 100
     assert compare.run(folders, seed=0) == 0
     assert capsys.readouterr().out == text
+
+
+def test_a_run_that_is_given_twice_is_counted_once(tmp_path, capsys):
+    """By another spelling, by a link, as a copy, scored again: each would be a method of its own in Holm's correction."""
+    random = np.random.default_rng(4)
+    rows = {m: random.choice([0, 2], 60) for m in ("m", "n")}
+    first = write_run(tmp_path / "a", rows, 30, 30, shard_trials=60).folder
+    shutil.copytree(first, tmp_path / "copy")
+    (tmp_path / "link").symlink_to(first)
+    write_run(tmp_path / "again", rows, 30, 30, shard_trials=7)
+    write_run(tmp_path / "other", {"m": rows["m"][::-1]}, 30, 30)
+    assert compare.run((first,), format="json") == 0
+    once = json.loads(capsys.readouterr().out)
+    for second in (
+        first,
+        tmp_path / "." / "copy" / ".." / "a",
+        tmp_path / "link",
+        tmp_path / "copy",
+        tmp_path / "again",
+    ):
+        assert compare.run((first, second), format="json") == 0
+        captured = capsys.readouterr()
+        assert json.loads(captured.out) == once and captured.err.count("is given twice") == 2
+    assert compare.run((first, tmp_path / "copy")) == 0
+    assert " ".join(capsys.readouterr().out.split()).count("is given twice, and counted once") == 2
+    assert compare.run((first, tmp_path / "other"), format="json") == 0
+    assert json.loads(capsys.readouterr().out)[2]["names"] == ["m", "n", "other/m"]
+    assert compare.run((first, tmp_path / "copy"), method=("m",)) == 2
+    assert "'m' is given 2 times" in capsys.readouterr().err
+
+
+def test_a_method_that_is_called_as_one_of_the_package_shows_its_run(tmp_path, capsys):
+    def with_source(folder, function):
+        (file,) = (folder / "methods").iterdir()
+        file.write_text(json.dumps({**json.loads(file.read_text()), "source": {"function": function}}))
+
+    for folder, name, function in (
+        ("mine", "FC-Handover", "my.rules:predict"), ("theirs", "FC-Handover (oracle hand)", "r2h_batch.methods.fc:predict"),
+    ):  # fmt: skip
+        write_run(tmp_path / folder, {name: np.random.default_rng(len(name)).choice([0, 2], 20)}, 10, 10)
+        with_source(tmp_path / folder, function)
+    assert compare.run((tmp_path / "mine", tmp_path / "theirs"), format="json") == 0
+    assert json.loads(capsys.readouterr().out)[0]["names"] == ["mine/FC-Handover", "FC-Handover (oracle hand)"]
 
 
 def test_folders_with_other_shards_are_paired_row_by_row(tmp_path, capsys):
