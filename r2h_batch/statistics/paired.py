@@ -121,8 +121,8 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
             raise ValueError(f"{run.folder}: {run.unfinished[0]!r} is not complete; run its sweep again to go on")
         streams += [_Stream(run, method, common.trials) for method in run.methods]
     if len(streams) < 2:
-        names = ", ".join(s.method for s in streams) or "none"
-        raise ValueError(f"one method ({names}) is nothing to compare; give a second run")
+        only = ", ".join(s.method for s in streams) or "none"
+        raise ValueError(f"one method ({only}) is nothing to compare; give a second run")
     paired = Paired([s.method for s in streams])
     for pieces in _together([s.rows for s in streams]):
         _check_same_trials(streams, pieces)
