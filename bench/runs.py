@@ -73,6 +73,7 @@ def rows(first: int, last: int, n_s0: int) -> pa.Table:
         "t_plan_s": floats(1e-3 + 1e-4 * random.random(block[-1] - block[0] + 1)[block - block[0]], always),
         "t_exec_s": floats(random.gamma(20, 0.42, n), found),
         "t_method_s": floats(np.full(n, 0.0002), always),
+        "body_m": floats(np.full(n, np.nan), ~always),
     }
     return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
 

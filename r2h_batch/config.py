@@ -184,6 +184,9 @@ class EvalConfig:
     plan: PlanConfig = field(default_factory=PlanConfig)
     execute: ExecConfig = field(default_factory=ExecConfig)
     workplace: Workplace = field(default_factory=Workplace)
+    receiver: Literal["hand", "body"] = (
+        "hand"  # what planning and Safe see of the person: the hand, or arm and torso too
+    )
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
     candidates: Literal["filtered", "as-generated"] = (
         "filtered"  # grasps that methods choose from; nothing is judged by it
@@ -194,6 +197,7 @@ class EvalConfig:
     name: str = "default"
 
     def __post_init__(self) -> None:
+        _one_of(self, "receiver", ("hand", "body"))
         _one_of(self, "candidates", ("filtered", "as-generated"))
         _one_of(self, "width", ("pads", "whole"))
         _one_of(self, "stability", ("geometric", "physics"))

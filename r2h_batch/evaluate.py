@@ -20,8 +20,16 @@ from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.goal import judge_goals, safe_at, unless_proven
 from r2h_batch.judge.hold import Holding, hold
 from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
-from r2h_batch.judge.inputs import Stages, check_indices, check_stages, checked_inputs, warn_of_no_gradient
-from r2h_batch.judge.metrics import Criterion
+from r2h_batch.judge.inputs import (
+    Stages,
+    check_indices,
+    check_receiver,
+    check_stages,
+    checked_inputs,
+    warn_of_no_gradient,
+)
+from r2h_batch.judge.metrics import Criterion, Touch
+from r2h_batch.judge.person import person_distance, with_body
 from r2h_batch.judge.plan import plan_paths
 from r2h_batch.judge.presented import presented
 from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
@@ -132,6 +140,7 @@ class Evaluator:
         K candidates for each of N trials: poses (N, K, 4, 4), rows of the result in that order (`Scores.by_trial`).
         """
         T_obj_ee, T_world_ee, trials = checked_inputs(self.scene, T_obj_ee, T_world_ee, trials, stages)
+        check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
         if stages == "all" and torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
@@ -166,6 +175,7 @@ class Evaluator:
     def _score_checked(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages) -> Scores:
         """`score` of tensors whose shapes are known to fit."""
         check_indices(self.scene, trials)
+        check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
         return self._score(T_obj_ee, T_world_ee, trials, stages)
 
     def _score(
@@ -223,13 +233,18 @@ class Evaluator:
         )
 
         safe, touch = metrics.safe(scene, placed, executed, active, config.thresholds, threads=threads)
+        body_m, part = self._body(holding, trials, executed.path, executed.length)
+        body_m = body_m - executed.slack_m
+        if config.receiver == "body":
+            safe, touch = with_body(safe, touch, body_m, part, config.thresholds)
         (steady, reach, affordance), slip = self._without_posture(holding)
         criteria = [steady, metrics.plan(planned, executed, active), reach, affordance, safe]
         shown = presented(scene, holding, config.thresholds, threads=threads)
         shared = verdict(trials.trial_id, criteria, holding, slip, shown, executed.valid, threads=threads)
         return motion_scores(
-            shared, active, planned, motion, executed, touch, config.execute, t_plan_s=t_plan_s, keep_motion=keep_motion
-        )
+            shared, active, planned, motion, executed, touch, config.execute,
+            t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
+        )  # fmt: skip
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         """As `_score_motion`, as far as it goes without a path."""
@@ -239,15 +254,26 @@ class Evaluator:
         ik, branches = self._branches(holding)
         goal = judge_goals(scene, holding.planned, holding.T_world_ee, ik, branches, active, threads=threads)
         safe, body, point = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
+        body_m, part = self._body(holding, trials, goal.q[:, None], active.to(torch.int32))
+        if config.receiver == "body":
+            still = torch.zeros_like(body), torch.zeros_like(body_m)
+            safe, touch = with_body(safe, Touch(body, *still, point), body_m, part, config.thresholds)
+            body, point = touch.body, touch.point
         (steady, reach, affordance), slip = self._without_posture(holding)
         plan = Criterion(torch.where(active, goal.clearance_m, torch.nan), goal.free, active)
         shown = presented(scene, holding, config.thresholds, threads=threads)
         criteria = [steady, plan, reach, affordance, safe]
         shared = verdict(trials.trial_id, criteria, holding, slip, shown, threads=threads)
-        scores = pose_scores(shared, goal, body, point)
+        scores = pose_scores(shared, goal, body, point, body_m)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             return differentiable(scene, config, threads, scores, (T_obj_ee, T_world_ee), holding, goal)
         return scores
+
+    def _body(self, holding: Holding, trials: Trials, path: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
+        """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where there is none."""
+        if trials.receiver is not None:
+            return person_distance(self.scene, holding.placed, trials.receiver, path, length, threads=self.threads)
+        return torch.full_like(path[:, 0, 0], torch.nan), torch.full_like(length, -1)
 
     def _branches(self, holding: Holding) -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""

@@ -107,7 +107,7 @@ class Trials(_Rows):
 
     `receiver`, where the protocol gives hands a body: rows (x, y, z, w) of the shoulder with the upper arm's radius w, the
     elbow with the forearm's, the wrist, the torso box's middle, its half sizes along its facing, sideways and up; w of the
-    last two are x and y of the unit vector it faces. No verdict depends on it.
+    last two are x and y of the unit vector it faces. No verdict depends on it but with `EvalConfig.receiver = "body"`.
     """
 
     trial_id: Int64[Tensor, " n"]
@@ -189,6 +189,8 @@ class Scores(_Rows):
     when and where Safe's occurs. `borderline` marks trials with a margin within 0.1 mm of the verdict changing.
     `presented`: the receiver's region faces the palm and lies where the hand reaches (no part of the outcome), by its angle
     seen from the TCP and its distance from c_h; False and NaN where the object has no region.
+    `body_m`: how near the robot comes to the receiver's arm and torso (m, negative: they meet; NaN where the protocol gives no
+    body, or there is no motion), exact below 5 cm; no verdict depends on it unless `EvalConfig.receiver` is "body".
     `slip_m`: how far the object slipped in the shake (NaN unless `stability = "physics"` shook it). `motion`: the executed
     joint angles, one row every `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the trials
     whose simulation failed, up to the failure, and of all that moved where `score(keep_motion=True)` asked for it.
@@ -223,6 +225,7 @@ class Scores(_Rows):
     motion: Float32[Tensor, "b s 6"]
     motion_len: Int32[Tensor, " b"]
     failed_state: Float64[Tensor, "b s"]
+    body_m: Float32[Tensor, " b"]
 
     def by_trial(self, k: int) -> Self:
         """The same rows as views (N, k, ...): k candidates for each of N trials, as they were scored."""

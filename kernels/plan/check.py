@@ -297,6 +297,7 @@ def examine(
                     shape.kind = BLOCKS
                     shape.start = world.piece_start[piece]
                     shape.count = block_count(world, piece)
+                    shape.radius = world.piece_round[piece]
                 elif i < n_table:
                     code = PAIR_TABLE
                     shape.kind = BOX

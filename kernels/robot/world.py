@@ -7,7 +7,7 @@ Links are numbered 0 base ... 6 wrist_3, 7 gripper, 8 object; 7 and 8 ride on wr
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BLOCK_POINTS, BLOCKS, CELLS, Body
+from r2h_batch.kernels.geometry.body import BLOCKS, CELLS, Body
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -59,7 +59,11 @@ class World:
     n_pieces: int
     piece_start: wp.array(
         dtype=int
-    )  # (H * n_pieces + 1,) first row of each piece's blocks of points (geometry/body.py, BLOCKS)
+    )  # (H * n_pieces,) first row of each piece's blocks of points (geometry/body.py, BLOCKS)
+    piece_blocks: wp.array(dtype=int)  # how many blocks these are
+    piece_round: wp.array(
+        dtype=float
+    )  # the piece is its points' hull grown by this (m): a hand's 0, an arm's its radius
     piece_center: wp.array(dtype=wp.vec3)
     piece_radius: wp.array(dtype=float)
     hand_center: wp.array(dtype=wp.vec3)  # (H,)
@@ -155,7 +159,7 @@ def robot_body(world: World, body: int):
 @wp.func
 def block_count(world: World, piece: int):
     """How many blocks of points a piece of a hand has."""
-    return (world.piece_start[piece + 1] - world.piece_start[piece]) / BLOCK_POINTS
+    return world.piece_blocks[piece]
 
 
 @wp.func
@@ -165,6 +169,7 @@ def piece_body(world: World, piece: int):
     b.kind = BLOCKS
     b.start = world.piece_start[piece]
     b.count = block_count(world, piece)
+    b.radius = world.piece_round[piece]
     return b
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from r2h_batch.turns import PROTOCOL, PROTOCOLS
 from r2h_batch.types import Trials
 
 __all__ = ["Benchmark", "built_in"]
+
+WITH_BODIES = PROTOCOLS[1]
+"""The protocol whose trials have receivers with a body."""
 
 DECIDES = (
     *("name", "split", "instruction", "vertices", "faces", "face_part", "part_names", "receiver_face"),
@@ -38,6 +42,8 @@ class Benchmark:
     """trials of its own (`trials_file.py`); None: the protocol draws them"""
     drawn: str = PROTOCOL
     """the protocol that draws trials: of `turns.PROTOCOLS`"""
+    receiver: Literal["hand", "body"] = "hand"
+    """what planning and Safe see of the receiver, as `EvalConfig.receiver`"""
 
     @property
     def protocol(self) -> str:
@@ -50,11 +56,17 @@ class Benchmark:
             raise ValueError("a benchmark needs at least one object")
         if self.drawn not in PROTOCOLS:
             raise ValueError(f"Benchmark.drawn is {self.drawn!r}; allowed are {', '.join(PROTOCOLS)}")
+        if self.receiver not in ("hand", "body"):
+            raise ValueError(f"Benchmark.receiver is {self.receiver!r}; allowed are hand, body")
+        if self.receiver == "body" and self.protocol != WITH_BODIES:
+            raise ValueError(f"receiver is body, trials of {self.protocol} have none; take protocol {WITH_BODIES}")
 
     @cached_property
     def digest(self) -> str:
         """sha256 (hex) over everything that decides what is asked and how it is judged, whatever file said it."""
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
+        if self.receiver != "hand":  # what there was before it could be said keeps its digest
+            digest.update(f"receiver {self.receiver}\n".encode())
         for part in (self.thresholds, self.workplace):
             digest.update(json.dumps(asdict(part), sort_keys=True).encode())
         for o in self.objects:
@@ -73,7 +85,7 @@ class Benchmark:
         return digest.hexdigest()
 
     def config(self, base: EvalConfig | None = None) -> EvalConfig:
-        """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home.
+        """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home, and what it sees of the receiver.
 
         Raises ValueError where `base` has other limits or another place of its own: nobody could tell which were meant.
         """
@@ -82,7 +94,8 @@ class Benchmark:
             given = getattr(base, name)
             if given not in (type(own)(), own):
                 raise ValueError(f"config.{name} is {given}, the benchmark has {own}; say it in one place")
-        return replace(base, thresholds=self.thresholds, workplace=self.workplace)
+        seen: Literal["hand", "body"] = "body" if "body" in (base.receiver, self.receiver) else "hand"
+        return replace(base, thresholds=self.thresholds, workplace=self.workplace, receiver=seen)
 
 
 def built_in() -> Benchmark:

@@ -103,6 +103,9 @@ class BenchmarkFile(_Entry):
 
     format: Literal[1] = 1
     protocol: Literal["r2h-v0", "r2h-v1"] = Field(default="r2h-v0", description="the rule that draws the trials")
+    receiver: Literal["hand", "body"] = Field(
+        default="hand", description="what planning and Safe see of the person: the hand, or arm and torso too (r2h-v1)"
+    )
     hand_model: FilePath = Field(default=BUILT_IN, description="built-in, or a hand.npz (r2h-batch import hand)")
     hand_set: FilePath = Field(default=BUILT_IN, description="built-in, or a hands.npz (r2h-batch import hands)")
     objects: Annotated[list[ObjectEntry], Field(min_length=1, max_length=MAX_OBJECTS)] = Field(

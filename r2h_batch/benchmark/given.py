@@ -6,8 +6,9 @@ import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Literal
 
-from r2h_batch.benchmark.benchmark import Benchmark, built_in
+from r2h_batch.benchmark.benchmark import WITH_BODIES, Benchmark, built_in
 from r2h_batch.benchmark.file import ObjectEntry, read_entry
 from r2h_batch.benchmark.flags import BenchmarkFlags
 from r2h_batch.benchmark.reading import hand_of, hand_set_of, objects_of, read_benchmark
@@ -30,6 +31,7 @@ class Given(BenchmarkFlags):
     """What flags say of the benchmark; empty: the built-in one."""
 
     protocol: str = ""
+    receiver: Literal["", "hand", "body"] = ""
 
     @classmethod
     def of(cls, flags: BenchmarkFlags, *, protocol: str = "") -> Given:
@@ -61,10 +63,13 @@ class Given(BenchmarkFlags):
             )
         if self.protocol and listed is not None:
             raise FileError(f"--protocol {self.protocol} draws trials, and these are listed; give one of the two")
-        drawn = self.protocol or base.drawn
-        if not other and listed is base.listed and drawn == base.drawn:
+        drawn, seen = self.protocol or base.drawn, self.receiver or base.receiver
+        if seen == "body" and (listed is not None or drawn != WITH_BODIES):
+            named = "listed trials" if listed is not None else f"trials of {drawn}"
+            raise FileError(f"--receiver body: {named} have no body; take --protocol {WITH_BODIES}, or --receiver hand")
+        if not other and listed is base.listed and (drawn, seen) == (base.drawn, base.receiver):
             return base
-        return replace(base, objects=objects, hand_set=hand_set, listed=listed, drawn=drawn)
+        return replace(base, objects=objects, hand_set=hand_set, listed=listed, drawn=drawn, receiver=seen)
 
 
 def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:

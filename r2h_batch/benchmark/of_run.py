@@ -25,8 +25,8 @@ def benchmark_of_run(header: Mapping[str, Any], given: Given, where: str) -> Ben
     if protocol not in (*PROTOCOLS, LISTED):
         raise FileError(f"{where}: protocol {protocol!r}; this version makes the trials of {', '.join(PROTOCOLS)}")
     asked = header["benchmark"]["flags"] if "benchmark" in header else None
-    if asked is not None:  # the run names its protocol: nobody has to give it again
-        asked = [f for f in asked if not f.startswith("--protocol ")]
+    if asked is not None:  # the run names these itself: nobody has to give them again
+        asked = [f for f in asked if not f.startswith(("--protocol ", "--receiver "))]
     own = [o["name"] for o in header.get("objects", []) if not o["built_in"]]
     if asked is None and len(given.object_mesh) != len(own):
         raise FileError(
@@ -37,6 +37,8 @@ def benchmark_of_run(header: Mapping[str, Any], given: Given, where: str) -> Ben
     pieces = header["configuration"]["plan"]["object_collision"] == "pieces"  # as the sweep builds them
     if protocol != LISTED:
         given = replace(given, protocol=protocol)
+    if header["configuration"].get("receiver") == "body":
+        given = replace(given, receiver="body")
     benchmark = given.read(pieces=pieces)
     found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
     if "benchmark" in header["digests"]:  # runs from before there were any lack it

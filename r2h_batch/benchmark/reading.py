@@ -57,7 +57,7 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
         if file.trials is not None:
             listed, hand_set = read_trials_file(path_within(folder, file.trials), objects, hand_set)
         limits = Thresholds(**file.thresholds.model_dump())
-        return Benchmark(objects, hand_set, limits, _workplace(file, path), listed, file.protocol)
+        return Benchmark(objects, hand_set, limits, _workplace(file, path), listed, file.protocol, file.receiver)
     except FileError:
         raise
     except ValueError as error:

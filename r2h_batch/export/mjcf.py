@@ -62,6 +62,9 @@ class TrialBodies:
     thresholds: Thresholds = field(default_factory=Thresholds)
     workplace: Workplace = field(default_factory=Workplace)
     receiver: Array | None = None  # (5, 4) as in Trials.receiver
+    receiver_judged: bool = (
+        False  # `EvalConfig.receiver = "body"`: arm and torso are planned around, so they collide here too
+    )
 
 
 def trial_spec(
@@ -84,7 +87,7 @@ def trial_spec(
     _add_exclusions(spec, robot)
     add_marks(spec, robot, hands, trial, gripper)
     if trial.receiver is not None:
-        add_receiver(spec, trial.receiver)
+        add_receiver(spec, trial.receiver, collides=trial.receiver_judged)
     for name, at in CAMERAS.items():
         spec.worldbody.add_camera(name=name, pos=at, quat=_towards(np.subtract(SEEN_CENTER, at)), fovy=45.0)
     for name, q in keyframes:

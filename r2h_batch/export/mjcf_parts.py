@@ -12,7 +12,7 @@ from r2h_batch.bodies.robot import Kind, Robot, drive_from_gap, finger_motion, g
 from r2h_batch.bodies.robot_visuals import part_origin
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.scene.dynamics import quat_wxyz
-from r2h_batch.scene.model_parts import COLORS, VISUAL, add_primitive, visual_mesh
+from r2h_batch.scene.model_parts import COLLISION, COLORS, VISUAL, add_primitive, visual_mesh
 from r2h_batch.scene.tables import Hands
 
 if TYPE_CHECKING:
@@ -171,24 +171,30 @@ def _add_target(spec: mujoco.MjSpec, robot: Robot, trial: "TrialBodies") -> None
     mesh_geom(spec, body, "target/mesh_visual", "object_mesh", trial.object.mesh, "target", T=T_ee_obj, **ghost)
 
 
-def add_receiver(spec: mujoco.MjSpec, receiver: Array) -> None:
-    """The receiver's arm and torso (`Trials.receiver`, (5, 4)), where the protocol has one: only seen, no verdict asks them."""
+def add_receiver(spec: mujoco.MjSpec, receiver: Array, *, collides: bool) -> None:
+    """The receiver's arm and torso (`Trials.receiver`, (5, 4)), where the protocol has one.
+
+    Seen; with `collides` also touched by what planning keeps off them (`EvalConfig.receiver = "body"`): links and object.
+    """
     body = spec.worldbody.add_body(name="receiver")
+    color = COLORS_OF_MARKS["receiver"]
+    kinds: list[tuple[str, dict[str, Any]]] = [("_visual", {"group": VISUAL, "rgba": color, **_SEEN})]
+    if collides:
+        kinds.append(("", {"group": COLLISION, "rgba": [*color[:3], 0.4]}))
     shoulder, elbow, wrist = receiver[:3, :3]
-    for name, a, b, radius in (
-        ("upper_arm", shoulder, elbow, receiver[0, 3]),
-        ("forearm", elbow, wrist, receiver[1, 3]),
-    ):
-        body.add_geom(
-            name=f"receiver/{name}_visual", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[radius, 0, 0],
-            group=VISUAL, rgba=COLORS_OF_MARKS["receiver"], **_SEEN,
-        )  # fmt: skip
     middle, half, x, y = receiver[3, :3], receiver[4, :3], receiver[3, 3], receiver[4, 3]
     turn = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
-    body.add_geom(
-        name="receiver/torso_visual", type=mujoco.mjtGeom.mjGEOM_BOX, pos=middle, quat=quat_wxyz(turn), size=half,
-        group=VISUAL, rgba=COLORS_OF_MARKS["receiver"], **_SEEN,
-    )  # fmt: skip
+    limbs = (("upper_arm", shoulder, elbow, receiver[0, 3]), ("forearm", elbow, wrist, receiver[1, 3]))
+    for ending, how in kinds:
+        for name, a, b, radius in limbs:
+            body.add_geom(
+                name=f"receiver/{name}{ending}", type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                fromto=[*a, *b], size=[radius, 0, 0], **how,
+            )  # fmt: skip
+        body.add_geom(
+            name=f"receiver/torso{ending}", type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=middle, quat=quat_wxyz(turn), size=half, **how,
+        )  # fmt: skip
 
 
 def _finger_sites(body: mujoco.MjsBody, robot: Robot, prefix: str, poses: Array) -> None:

@@ -40,6 +40,7 @@ def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
         stored.T_obj_ee_attached, stored.T_world_hand, float(stored.row["opening_m"]), stored.T_world_ee,
         float(stored.row["grasp_shift_m"] or 0.0), stored.row["width_m"],
         Thresholds(**configuration["thresholds"]), stored.workplace, stored.receiver,
+        configuration.get("receiver") == "body",
     )  # fmt: skip
     goal = [("goal", stored.q[-1])] if stored.moves else []
     keyframes = [("home", np.array(stored.workplace.home_q)), *goal, ("target", stored.target_q)]

@@ -73,7 +73,7 @@ def judge_goals(
         goal_kernels.choose_goal,
         b,
         inputs={
-            "world": scene.world,
+            "world": placed.tables(scene),
             "bodies": placed.bodies,
             "home": home_posture(str(device), scene.config.workplace.home_q),
             "active": active.contiguous(),
@@ -133,7 +133,7 @@ def _measure(
         len(residual),
         inputs={
             "cap": CLEARANCE_CAP_M,
-            "world": scene.world,
+            "world": placed.tables(scene),
             "hull_ball": scene.hull_balls,
             "bodies": placed.bodies,
             "home": home_posture(str(residual.device), scene.config.workplace.home_q),

@@ -13,6 +13,7 @@ from r2h_batch.kernels.judge import rows as row_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.predictors.hands import estimated_hand
 from r2h_batch.predictors.noise import PredictorNoise
+from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import Placed, Scene
 from r2h_batch.types import Trials
 
@@ -40,7 +41,7 @@ class Holding:
     attached: Float32[Tensor, "b 4 4"]  # T_obj_ee once the pads have met the object
     ball: Float32[Tensor, "b 3"]  # centre of the receiver's ball in the object's frame
     placed: Placed
-    planned: Placed  # the same as the planner sees it: `placed` unless it plans against an estimated hand
+    planned: Placed  # the same as the planner sees it: `placed` unless the hand is estimated, or the body there too
 
 
 def hold(
@@ -86,6 +87,9 @@ def hold(
     if config.plan.hand == "estimated":
         T = _seen(scene, trials, hands, active, config)
         planned = scene.place(objects, hands, attached, T, grasp.opening_m, threads=threads)
+    if config.receiver == "body":
+        assert trials.receiver is not None  # `inputs.check_receiver` has asked
+        planned = with_person(scene, planned, trials.receiver, hand=True)
     return Holding(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, ball, placed, planned)
 
 

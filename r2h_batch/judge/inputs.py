@@ -8,6 +8,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
+from r2h_batch.config import EvalConfig
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
@@ -58,6 +59,26 @@ def checked_inputs(
         T_obj_ee, T_world_ee = T_obj_ee.reshape(n * k, 4, 4), T_world_ee.reshape(n * k, 4, 4)
         trials = repeated(trials, k)
     return T_obj_ee, T_world_ee, trials
+
+
+def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tensor]) -> None:
+    """Raises ValueError where a body is asked about that trials do not have, or for a gradient that nobody knows."""
+    if trials.receiver is not None and (
+        trials.receiver.shape != (len(trials), 5, 4)
+        or trials.receiver.dtype != torch.float32
+        or trials.receiver.device != trials.T_world_hand.device
+    ):
+        found = trials.receiver
+        raise ValueError(
+            f"trials.receiver is {found.dtype} {tuple(found.shape)} on {found.device}; it must be torch.float32"
+            f" ({len(trials)}, 5, 4) on {trials.T_world_hand.device}"
+        )
+    if config.receiver != "body":
+        return
+    if trials.receiver is None:
+        raise ValueError("receiver is 'body', these trials have none; take protocol r2h-v1, or receiver='hand'")
+    if torch.is_grad_enabled() and any(T.requires_grad for T in poses):
+        raise ValueError("receiver is 'body': its margins have no gradient; score with receiver='hand' for training")
 
 
 def check_stages(stages: object) -> None:

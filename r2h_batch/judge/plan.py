@@ -251,7 +251,7 @@ class Planner:
     """Runs planning kernels, which all take the scene's world and the trials' bodies."""
 
     def __init__(self, scene: Scene, placed: Placed, threads: int | None) -> None:
-        self._tables = {"world": scene.world, "bodies": placed.bodies}
+        self._tables = {"world": placed.tables(scene), "bodies": placed.bodies}
         self._device = scene.device
         self._threads = threads
 

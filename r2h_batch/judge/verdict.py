@@ -94,6 +94,7 @@ def motion_scores(
     *,
     t_plan_s: float,
     keep_motion: bool,
+    body_m: Float32[Tensor, " b"],
 ) -> Scores:
     """`Scores` of trials that were planned and moved; `shared` from `verdict`."""
     found, witnessed = planned.length > 0, touch.body >= 0
@@ -121,11 +122,16 @@ def motion_scores(
         motion=kept,
         motion_len=kept_len,
         failed_state=failed_state,
+        body_m=body_m,
     )
 
 
 def pose_scores(
-    shared: dict[str, Tensor], goal: Goal, safe_body: Int32[Tensor, " b"], safe_point: Float32[Tensor, "b 3"]
+    shared: dict[str, Tensor],
+    goal: Goal,
+    safe_body: Int32[Tensor, " b"],
+    safe_point: Float32[Tensor, "b 3"],
+    body_m: Float32[Tensor, " b"],
 ) -> Scores:
     """`Scores` of poses that were judged without a path; `shared` from `verdict`."""
     nan, zero = torch.full_like(goal.clearance_m, torch.nan), torch.zeros_like(goal.reason)
@@ -146,6 +152,7 @@ def pose_scores(
         motion=none,
         motion_len=zero.clone(),
         failed_state=none[:, :, 0].double(),
+        body_m=body_m,
     )
 
 

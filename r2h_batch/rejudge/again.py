@@ -29,7 +29,7 @@ __all__ = ["Difference", "Judge", "Rejudged", "rejudge"]
 
 COMPARED = tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING)
 
-LATER_OPTIONS = ("estimate", "candidates")
+LATER_OPTIONS = ("receiver", "estimate", "candidates")
 """Of `EvalConfig`: options that older runs do not name, for they had no other way."""
 
 MARGIN_TOLERANCE_M = BORDERLINE_M

@@ -41,9 +41,10 @@ TRIAL_SCHEMA = pa.schema(
         pa.field("t_plan_s", pa.float32()),  # amortised: batch wall time / B; null: planning did not run
         pa.field("t_exec_s", pa.float32()),  # null: no path
         pa.field("t_method_s", pa.float32()),  # null: not measured
+        pa.field("body_m", pa.float32()),  # robot to the receiver's arm and torso; null: no body, or no motion
     ]
 )
-LATER_COLUMNS = ("nearest_pair", "width_m", "presented", "presented_angle_deg", "presented_distance_m")
+LATER_COLUMNS = ("nearest_pair", "width_m", "presented", "presented_angle_deg", "presented_distance_m", "body_m")
 """Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""
 
 DETAIL_SCHEMA = pa.schema(
@@ -169,6 +170,7 @@ def score_rows(trials: "Trials", scores: "Scores", names: TrialNames, t_method_s
         "t_plan_s": _floats(scores.t_plan_s),
         "t_exec_s": _floats(scores.t_exec_s),
         "t_method_s": _floats(seconds),
+        "body_m": _floats(scores.body_m),
     }
     return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
 

@@ -30,6 +30,9 @@ from r2h_batch.scene.model import SceneModel, scene_model
 from r2h_batch.scene.tables import Hands, WorldTables
 from r2h_batch.shown import counted, html_table
 
+PLACED = ("R_hand_world", "p_hand_world", "R_wrist_grip", "p_wrist_grip", "R_wrist_obj", "p_wrist_obj", "lever")
+"""What `place` writes for each trial, in the order of `Placed.owners` behind object and hand."""
+
 
 class Scene:
     """Everything that stays the same over trials. `objects` and `hands` are indexed by `Trials.object_index, hand_index`."""
@@ -264,15 +267,8 @@ class Scene:
         b, device = len(object_index), object_index.device
         gripper = gripper_tables(self.device)
         count = gripper.kind.shape[0]
-        shapes = {
-            "R_hand_world": (b, 3, 3),
-            "p_hand_world": (b, 3),
-            "R_wrist_grip": (b, count, 3, 3),
-            "p_wrist_grip": (b, count, 3),
-            "R_wrist_obj": (b, 3, 3),
-            "p_wrist_obj": (b, 3),
-            "lever": (b, 6),
-        }
+        sizes = ((b, 3, 3), (b, 3), (b, count, 3, 3), (b, count, 3), (b, 3, 3), (b, 3), (b, 6))
+        shapes = dict(zip(PLACED, sizes, strict=True))
         out = {k: torch.empty(shape, dtype=torch.float32, device=device) for k, shape in shapes.items()}
         objects = object_index.to(torch.int32).contiguous()
         hands = hand_index.to(torch.int32).contiguous()
@@ -332,6 +328,13 @@ class Placed:
 
     bodies: Any
     owners: tuple[Tensor, ...]
+    world: Any = None
+    """the tables that `bodies` index where they are not the scene's (person.py)"""
+    more_owners: tuple[Tensor, ...] = ()
+
+    def tables(self, scene: Scene) -> Any:
+        """The `World` that `bodies` index."""
+        return scene.world if self.world is None else self.world
 
     @property
     def object_index(self) -> Int32[Tensor, " b"]:

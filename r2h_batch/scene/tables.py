@@ -15,6 +15,7 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.bodies import bounds
+from r2h_batch.bodies.bounds import BLOCK_POINTS
 from r2h_batch.bodies.hand import HandModel, HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Kind, Robot
@@ -189,7 +190,9 @@ class WorldTables:
         hand_radius = np.linalg.norm(v - hand_center[:, None], axis=2).max(1)
         return {
             "n_pieces": (len(self.hands.model.piece_names), wp.int32),
-            "piece_start": (self._hand_blocks[1], wp.int32),
+            "piece_start": (self._hand_blocks[1][:-1], wp.int32),
+            "piece_blocks": (np.diff(self._hand_blocks[1]) // BLOCK_POINTS, wp.int32),
+            "piece_round": (np.zeros(len(center)), wp.float32),
             "piece_center": (center, wp.vec3),
             "piece_radius": (radius + 1e-6, wp.float32),
             "hand_center": (hand_center, wp.vec3),

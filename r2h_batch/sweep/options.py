@@ -47,6 +47,9 @@ class Options:
     protocol: Literal["", "r2h-v0", "r2h-v1"] = ""
     """How trials are drawn. r2h-v0 (unless the benchmark file says otherwise): hands alone, any roll. r2h-v1: hands on the
     arms of people who reach for the object."""
+    receiver: Literal["", "hand", "body"] = ""
+    """What planning and Safe see of the receiver. hand (unless the benchmark file says otherwise), as the paper; contact with the
+    arm is stored beside Safe (body_m). body, with --protocol r2h-v1: forearm, upper arm and torso too."""
     device: str = "cpu"
     """cpu, cuda or cuda:N."""
     out: str = ""

@@ -223,7 +223,7 @@ def test_object_levers_bound_every_point_and_match_the_robots_own_bound(scene):
     rng = np.random.default_rng(6)
     stages, _ = oracle.random_stages(scene, rng, 24)
     placed = oracle.place(scene, stages)
-    lever = placed.bodies.object_lever.numpy()
+    lever = placed.object_lever.numpy()
     world = scene.world
     first, c0, c1, radius = (getattr(world, n).numpy() for n in ("hull_first", "hull_c0", "hull_c1", "hull_radius"))
     q = rng.uniform(-np.pi, np.pi, (400, 6))
@@ -299,6 +299,8 @@ def test_bounding_capsules_and_balls_of_hulls_pieces_and_hands_hold_their_points
             <= radius[h] + 1e-7
         )
     start, center, ball = w.piece_start.numpy(), w.piece_center.numpy(), w.piece_radius.numpy()
+    start = np.append(start, start[-1] + 16 * w.piece_blocks.numpy()[-1])
+    assert np.array_equal(np.diff(start), 16 * w.piece_blocks.numpy()) and not w.piece_round.numpy().any()
     piece = np.repeat(np.arange(len(center)), np.diff(start))
     # 16 points a block, their x, y and z one after the other
     inside = points[: start[-1]].reshape(-1, 3, 16).transpose(0, 2, 1).reshape(-1, 3)

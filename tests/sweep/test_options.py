@@ -32,6 +32,7 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         predicted_contacts="c.npz",
         predictor_noise=0.5,
         hand_errors="tails",
+        receiver="body",
         candidates="as-generated",
         plan_hand="true",
         object_mesh=("mug.obj:S0",),

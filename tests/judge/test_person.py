@@ -1,0 +1,166 @@
+"""The receiver's arm and torso in planning and Safe, and reported beside it: against MuJoCo C; refused without a body."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+
+from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.export.mjcf import TrialBodies, trial_spec
+from r2h_batch.methods import fc
+from r2h_batch.sweep import command as sweep
+from r2h_batch.trials.protocol import make_trials
+
+PLAN, SAFE = 1, 4
+FORCED = 40
+"""Trials whose person is moved towards the robot: otherwise one motion in eight comes within 5 cm."""
+
+
+def evaluator(receiver):
+    return Evaluator(EvalConfig(execute=ExecConfig(sim="none"), receiver=receiver))
+
+
+@pytest.fixture(scope="module")
+def asked():
+    """Answers for receivers of r2h-v1, the first of them 25 cm nearer to the robot than they stood (arm and torso alone)."""
+    trials = make_trials(trials=36, protocol="r2h-v1")
+    receiver = trials.receiver.clone()
+    receiver[:FORCED, :4, 0] -= 0.25
+    trials = replace(trials, receiver=receiver)
+    answer = fc.predict(trials, evaluator("hand").scene)
+    return answer.T_obj_ee, answer.T_world_ee, trials
+
+
+@pytest.fixture(scope="module")
+def as_paper(asked):
+    return evaluator("hand").score(*asked)
+
+
+@pytest.fixture(scope="module")
+def with_bodies(asked):
+    return evaluator("body").score(*asked)
+
+
+class Twin:
+    """One trial in MuJoCo C: the robot's primitives against capsules and box, in double precision."""
+
+    def __init__(self, scene, trials, scores, i):
+        bodies = TrialBodies(
+            scene.objects[int(trials.object_index[i])], "hull", int(trials.hand_index[i]), np.eye(4),
+            trials.T_world_hand[i].double().numpy(), float(scores.opening_m[i]), np.eye(4), 0.0, None,
+            receiver=trials.receiver[i].double().numpy(), receiver_judged=True,
+        )  # fmt: skip
+        self.model = trial_spec(scene.robot, scene.hands, bodies).compile()
+        self.data = mujoco.MjData(self.model)
+        names = [self.model.geom(g).name for g in range(self.model.ngeom)]
+        self.robot = [
+            g for g, n in enumerate(names) if n.startswith(("robot/", "gripper/")) and not n.endswith("_visual")
+        ]
+        self.person = [
+            g for g, n in enumerate(names) if n in ("receiver/forearm", "receiver/upper_arm", "receiver/torso")
+        ]
+        assert len(self.robot) == scene.world.n_robot and len(self.person) == 3
+
+    def distance(self, q):
+        self.data.qpos[:6] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        pairs = ((a, b) for a in self.robot for b in self.person)
+        return min(mujoco.mj_geomDistance(self.model, self.data, a, b, CLEARANCE_CAP_M, None) for a, b in pairs)
+
+
+def test_distances_at_a_posture_are_those_of_mujoco(asked):
+    judge = evaluator("hand")
+    posed = judge.score(*asked, stages="pose")
+    near = torch.nonzero(posed.body_m < CLEARANCE_CAP_M).flatten().tolist()
+    assert len(near) >= 8 and (posed.body_m[near] > 0).sum() >= 3 and (posed.body_m[near] < 0).sum() >= 3
+    for i in [*near, 70, 71]:
+        found, true = float(posed.body_m[i]), Twin(judge.scene, asked[2], posed, i).distance(posed.q_goal[i].numpy())
+        if true > 0:
+            assert found == pytest.approx(true, abs=2e-5), i
+        else:
+            assert found < 0, i  # how deep is a bound; that they meet is not
+
+
+def test_the_smallest_distance_along_a_path_is_that_of_mujoco_sampled_finely(asked, as_paper):
+    scene, rows = evaluator("hand").scene, torch.nonzero(as_paper.body_m.abs() < CLEARANCE_CAP_M).flatten().tolist()
+    assert len(rows) >= 6
+    for i in rows[:8]:
+        twin, path = Twin(scene, asked[2], as_paper, i), as_paper.path[i, : int(as_paper.path_len[i])].double().numpy()
+        steps = [a + s * (b - a) for a, b in pairwise(path) for s in np.linspace(0, 1, 120)]
+        least = min(twin.distance(q) for q in steps)
+        found = float(as_paper.body_m[i])
+        if found > 0:  # samples come as near as the path does, but for the curve between two of them
+            assert -3e-5 < least - found < 2e-3, i
+        else:
+            assert least < 1e-3, i
+
+
+def test_reported_only_nothing_else_of_a_row_changes(asked, as_paper):
+    T_obj_ee, T_world_ee, trials = asked
+    bare = evaluator("hand").score(T_obj_ee, T_world_ee, replace(trials, receiver=None))
+    assert torch.isnan(bare.body_m).all() and not torch.isnan(as_paper.body_m[as_paper.path_len > 0]).any()
+    for name in ("outcome", "margin", "path", "t_exec_s", "witness_point", "plan_pair"):
+        assert torch.equal(getattr(bare, name).nan_to_num(), getattr(as_paper, name).nan_to_num()), name
+
+
+def test_with_bodies_paths_go_round_them_and_goals_in_them_fail(asked, as_paper, with_bodies):
+    met = as_paper.body_m < 0
+    assert met.sum() >= 5 and as_paper.passed[met, SAFE].any()  # judged as the paper: an arm that is hit passes
+    found = with_bodies.path_len > 0
+    assert (with_bodies.body_m[found] > 0.0028).all()  # kept as from the hand: 3 mm, less what goals have
+    assert (with_bodies.margin[found, SAFE] <= with_bodies.body_m[found] + 1e-7).all()
+    assert (with_bodies.margin[found, PLAN] <= with_bodies.body_m[found] + 1e-4).all()
+    assert (met & found).any() and (met & ~found).any()
+    lost = (as_paper.path_len > 0) & ~found
+    assert set(with_bodies.plan_pair[lost].tolist()) <= {1, 4, 0, 3} and lost.any()
+
+
+def test_safe_counts_the_body_where_a_path_knows_nothing_of_it(asked, as_paper, with_bodies):
+    """The same motions: `with_body` on what was planned without."""
+    from r2h_batch.judge.metrics import Criterion, Touch
+    from r2h_batch.judge.person import with_body
+
+    column = Criterion(as_paper.margin[:, SAFE], as_paper.passed[:, SAFE], as_paper.evaluated[:, SAFE])
+    n = len(as_paper.body_m)
+    touch = Touch(
+        as_paper.witness_part[:, 1], torch.zeros(n, dtype=torch.int32), torch.zeros(n), as_paper.witness_point
+    )
+    safe, new = with_body(column, touch, as_paper.body_m, torch.full((n,), 5), evaluator("body").config.thresholds)
+    met = as_paper.body_m < 0
+    assert not safe.passed[met].any() and (safe.passed[~met] == column.passed[~met]).all()
+    moved = as_paper.path_len > 0
+    assert torch.equal(safe.margin[moved], torch.minimum(column.margin, as_paper.body_m)[moved])
+    assert (new.body[met] == 5).all() and torch.isnan(new.point[met]).all()
+
+
+def test_a_row_alone_has_the_bits_of_its_batch(asked, with_bodies):
+    T_obj_ee, T_world_ee, trials = asked
+    judge = evaluator("body")
+    for i in (0, 17, 65):
+        one = judge.score(T_obj_ee[i : i + 1], T_world_ee[i : i + 1], trials[i : i + 1])
+        for name in ("margin", "body_m", "outcome", "q_goal", "t_exec_s"):
+            assert torch.equal(getattr(one, name).nan_to_num(), getattr(with_bodies, name)[i : i + 1].nan_to_num()), (
+                name
+            )
+    posed = judge.score(*asked, stages="pose")
+    again = judge.score(T_obj_ee[30:41], T_world_ee[30:41], trials[30:41], stages="pose")
+    assert torch.equal(posed.margin[30:41].nan_to_num(), again.margin.nan_to_num())
+    assert torch.equal(posed.passed[:, PLAN] | ~with_bodies.passed[:, PLAN], torch.ones_like(posed.success))
+
+
+def test_without_a_body_it_is_refused_in_one_line(asked, tmp_path, capsys):
+    T_obj_ee, T_world_ee, trials = asked
+    with pytest.raises(ValueError, match="these trials have none; take protocol r2h-v1"):
+        evaluator("body").score(T_obj_ee, T_world_ee, replace(trials, receiver=None))
+    with pytest.raises(ValueError, match=r"trials.receiver is torch.float64"):
+        evaluator("hand").score(T_obj_ee, T_world_ee, replace(trials, receiver=trials.receiver.double()))
+    with pytest.raises(ValueError, match="no gradient; score with receiver='hand'"):
+        evaluator("body").score(T_obj_ee.clone().requires_grad_(), T_world_ee, trials, stages="pose")
+    line = ["--method", "random", "--trials", "2", "--receiver", "body", "--out", str(tmp_path / "run")]
+    assert sweep.main(line) == 2
+    said = capsys.readouterr().err.strip()
+    assert "--receiver body: trials of r2h-v0 have no body; take --protocol r2h-v1" in said and "\n" not in said
