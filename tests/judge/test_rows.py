@@ -12,6 +12,7 @@ from r2h_batch import se3
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.hold import hold
 from r2h_batch.judge.metrics import Criterion
+from r2h_batch.judge.presented import Presented
 from r2h_batch.judge.verdict import verdict
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Outcome
@@ -75,7 +76,8 @@ def test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed(simula
     active, valid = (torch.rand(N, generator=g) < 0.8 for _ in range(2))
     lengths = {k: torch.rand(N, generator=g) for k in ("width_m", "opening_m", "shift_m")}
     holding = SimpleNamespace(active=active, grasp=SimpleNamespace(**lengths))
-    found = verdict(torch.arange(N), criteria, holding, lengths["width_m"], valid if simulated else None)  # type: ignore[arg-type]
+    shown = Presented(lengths["width_m"], lengths["opening_m"], active)
+    found = verdict(torch.arange(N), criteria, holding, lengths["width_m"], shown, valid if simulated else None)  # type: ignore[arg-type]
     for i in range(N):
         judged = bool(valid[i]) or not simulated
         asked = [judged and bool(c.evaluated[i]) for c in criteria]
