@@ -13,7 +13,7 @@ import trimesh
 import warp as wp
 
 from r2h_batch.launch import init_warp, launch, launch_trials
-from r2h_batch.launch.arguments import parameters
+from r2h_batch.launch.arguments import parameters, struct_of
 
 ROOT = Path(__file__).parents[1]
 KERNELS = Path(str(import_module("r2h_batch.kernels").__path__[0]))
@@ -46,6 +46,18 @@ def scaled(
     length = wp.length(turn * point_in[i]) * weight_in[i] * scale.factor + offset + table[0, 1]
     length_out[i] = wp.pow(length, float(power))
     calls_inout[i] = calls_inout[i] + 1
+
+
+@wp.struct
+class Table:
+    weight: wp.array(dtype=float)
+    count: wp.array(dtype=int)
+
+
+@wp.kernel
+def weighted(first: int, table: Table, y_out: wp.array(dtype=float)):
+    i = first + wp.tid()
+    y_out[i] = table.weight[i] * float(table.count[i])
 
 
 @wp.kernel
@@ -185,6 +197,16 @@ def test_callers_in_threads_do_not_see_each_others_memory():
 
     with ThreadPoolExecutor(4) as pool:
         assert all(pool.map(many, range(4)))
+
+
+def test_a_struct_made_of_tensors_keeps_their_memory_and_refuses_other_kinds():
+    made = struct_of(Table, {"weight": torch.full((N,), 2.0), "count": torch.arange(N, dtype=torch.int32)})
+    others = [torch.full((N,), 7.0) for _ in range(20)]  # would take the memory if it were free
+    out = torch.zeros(N)
+    launch_trials(weighted, N, inputs={"table": made}, outputs={"y": out}, device="cpu")
+    assert out.tolist() == [2.0 * i for i in range(N)] and len(others) == 20
+    with pytest.raises(TypeError, match="`weight`"):
+        struct_of(Table, {"weight": torch.zeros(N, dtype=torch.float64), "count": torch.zeros(N, dtype=torch.int32)})
 
 
 def test_memory_of_a_call_is_given_back_after_it():

@@ -7,7 +7,7 @@ minus the primitive's inner radius. Depths are thus lower bounds on how far the 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BOX, HULL, SPHERE, Body
+from r2h_batch.kernels.geometry.body import BOX, CAPSULE, HULL, SPHERE, Body
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose, line_hit, may_hit
@@ -17,6 +17,33 @@ from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
 wp.set_module_options(OPTIONS)
 
 DEPTH_M = wp.constant(5.0e-6)
+LISTED = wp.constant(128)
+GJK_M = wp.constant(1.0e-5)
+"""What GJK gives may be this much below the distance: a triangle that is farther than `best` and this cannot lower it."""
+
+
+@wp.func
+def _apart(kind: int, size: wp.vec3, low: wp.vec3, high: wp.vec3) -> float:
+    """A lower bound of the distance between a primitive and what lies in the box [low, high], both in its frame."""
+    half = size
+    if kind == CAPSULE:
+        half = wp.vec3(size[0], size[0], size[1] + size[0])
+    elif kind == SPHERE:
+        half = wp.vec3(size[0], size[0], size[0])
+    elif kind != BOX:
+        half = wp.vec3(size[0], size[0], size[1])
+    a = wp.max(low - half, -half - high)
+    return wp.length(wp.max(a, wp.vec3(0.0, 0.0, 0.0)))
+
+
+@wp.func
+def _turned_half(R: wp.mat33, half: wp.vec3) -> wp.vec3:
+    """Half sides of a box that holds a box turned by R."""
+    return wp.vec3(
+        wp.abs(R[0, 0]) * half[0] + wp.abs(R[0, 1]) * half[1] + wp.abs(R[0, 2]) * half[2],
+        wp.abs(R[1, 0]) * half[0] + wp.abs(R[1, 1]) * half[1] + wp.abs(R[1, 2]) * half[2],
+        wp.abs(R[2, 0]) * half[0] + wp.abs(R[2, 1]) * half[1] + wp.abs(R[2, 2]) * half[2],
+    )
 
 
 @wp.func
@@ -37,6 +64,9 @@ def triangle_clearance(
     least = signed_distance(kind, size, middle) - r  # no point of the triangle is nearer
     clearance = float(least)
     if least < best:
+        # a box about it, of what is left
+        if _apart(kind, size, wp.min(u, wp.min(v, w)), wp.max(u, wp.max(v, w))) >= wp.max(best, 0.0) + GJK_M:
+            return best
         # its corners are points of it too
         clearance = wp.min(
             wp.min(best, signed_distance(kind, size, u)),
@@ -145,8 +175,12 @@ def _place_primitives(
     low_out: wp.array(dtype=wp.vec3),
     high_out: wp.array(dtype=wp.vec3),
     mask_out: wp.array(dtype=int),
+    middle_out: wp.array(dtype=wp.vec3),
 ):
-    """Writes the poses object to primitive frame; boxes (ee frame) and bits of the body's and each finger's primitives."""
+    """Writes each primitive's pose (object to primitive frame) and middle (ee frame).
+
+    And of the body and each finger the box about its primitives (ee frame) and their bits.
+    """
     for g in range(3):
         low_out[g] = wp.vec3(1.0e30, 1.0e30, 1.0e30)
         high_out[g] = wp.vec3(-1.0e30, -1.0e30, -1.0e30)
@@ -158,6 +192,7 @@ def _place_primitives(
             low_out[g] = wp.min(low_out[g], p - half)
             high_out[g] = wp.max(high_out[g], p + half)
             mask_out[g] = mask_out[g] | (1 << i)
+        middle_out[i] = p
         R_out[trial, i] = wp.transpose(R) * R_ee_obj
         p_out[trial, i] = wp.transpose(R) * (t_ee_obj - p)
 
@@ -166,7 +201,7 @@ def _place_primitives(
 def _most_buried(
     gripper: Gripper,
     used: int,
-    drive: float,
+    middle: wp.array(dtype=wp.vec3),
     surfaces: Surfaces,
     s: int,
     R_ee_obj: wp.mat33,
@@ -177,7 +212,7 @@ def _most_buried(
     witness = int(-1)
     for i in range(gripper.kind.shape[0]):
         if (used >> i) & 1 != 0:
-            _, p = finger_pose(gripper, i, drive)
+            p = middle[i]
             x = wp.transpose(R_ee_obj) * (p - t_ee_obj)
             r = inner_radius(gripper.kind[i], gripper.size[i])
             if -r < best and _in_box(surfaces, s, x) and _inside(surfaces, s, R_ee_obj, t_ee_obj, p):
@@ -206,7 +241,11 @@ def _leaf_clearance(
             pi = p[trial, i]
             kind = gripper.kind[i]
             size = gripper.size[i]
-            if signed_distance(kind, size, Ri * center(ball) + pi) - ball[3] < best:
+            x = Ri * center(ball) + pi
+            if signed_distance(kind, size, x) - ball[3] >= best:
+                continue
+            half = _turned_half(Ri, surfaces.leaf_half[leaf])
+            if _apart(kind, size, x - half, x + half) < wp.max(best, 0.0) + GJK_M:
                 for tri in range(surfaces.leaf_first[leaf], surfaces.leaf_first[leaf + 1]):
                     d = triangle_clearance(surfaces.points, tri, kind, size, Ri, pi, best)
                     if d < best:
@@ -221,7 +260,9 @@ def _leaf_clearance(
 #
 # 1. primitives that lie in the solid: the depth of their cores (`_most_buried`);
 # 2. one vertex of every node: an upper bound that spares most triangles;
-# 3. nodes by groups of primitives (chassis, each finger) with a box about each, then by primitive, then their leaves.
+# 3. nodes by groups of primitives (chassis, each finger) with a box about each, then by primitive, then their leaves. A box
+#    about a leaf or a triangle, along the primitive's axes, says sooner than a sphere that something flat is too far away;
+#    GJK is asked of what neither rules out.
 #
 # A primitive's frame (object to primitive) is needed for every sphere: it is written once to the scratch arrays.
 @wp.kernel
@@ -263,23 +304,35 @@ def primitives_clearance(
     low = wp.zeros(shape=3, dtype=wp.vec3)
     high = wp.zeros(shape=3, dtype=wp.vec3)
     mask = wp.zeros(shape=3, dtype=int)
-    _place_primitives(gripper, used, drive, R_ee_obj, t_ee_obj, trial, R_scratch, p_scratch, low, high, mask)
+    middle = wp.zeros(shape=31, dtype=wp.vec3)  # as many as a bit mask has room for
+    _place_primitives(gripper, used, drive, R_ee_obj, t_ee_obj, trial, R_scratch, p_scratch, low, high, mask, middle)
     if solid != 0:
-        best, witness = _most_buried(gripper, used, drive, surfaces, s, R_ee_obj, t_ee_obj, best)
+        best, witness = _most_buried(gripper, used, middle, surfaces, s, R_ee_obj, t_ee_obj, best)
     # some points first: a small `best` spares most triangles
+    near_nodes = wp.zeros(shape=128, dtype=int)
+    nodes = int(0)
     for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
-        x = surfaces.points[3 * surfaces.leaf_first[surfaces.node_first[node]]]
         ball = surfaces.node_sphere[node]
         around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)
         if around == 0:
             continue
+        if nodes < LISTED:
+            near_nodes[nodes] = node
+        nodes += 1
+        x = surfaces.points[3 * surfaces.leaf_first[surfaces.node_first[node]]]
         for i in range(count):
             if (around >> i) & 1 != 0:
                 d = signed_distance(gripper.kind[i], gripper.size[i], R_scratch[trial, i] * x + p_scratch[trial, i])
                 if d < best:
                     best = d
                     witness = i
-    for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
+    whole = nodes > LISTED  # a large surface: all of its nodes again
+    if whole:
+        nodes = surfaces.surface_first[s + 1] - surfaces.surface_first[s]
+    for k in range(nodes):
+        node = surfaces.surface_first[s] + k
+        if not whole:
+            node = near_nodes[k]
         near = int(0)
         ball = surfaces.node_sphere[node]
         around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)

@@ -101,7 +101,7 @@ def bind(
 
 
 def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
-    """A `kind` (of wp.struct) whose arrays are these tensors' memory; whoever makes it keeps the tensors.
+    """A `kind` (of wp.struct) whose arrays are these tensors' memory, which it keeps.
 
     Raises TypeError where a tensor is not what the struct declares, KeyError where one is missing.
     """
@@ -109,6 +109,7 @@ def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
     for name, p in _fields(kind):
         value = tensors[name]
         setattr(made.__ctype__(), name, _pack_array(p, value, wp.device_from_torch(value.device), 0))
+    vars(made)["tensors"] = tensors
     return made
 
 
