@@ -1,8 +1,9 @@
 """Table I of all methods and both bounds: docs/results/table1*.{md,csv,json}.
 
-With the error model, without it (-exact), and with it under the paper's planning (-paper-preset).
+Of r2h-v0 and r2h-v1 (-v1), in the default preset and with what the paper's planning and methods know (-paper-preset).
+`make tables` runs this, bench/sensitivity.py and bench/findings.py.
 
-    python bench/table1.py                     # 500 trials a split, about a quarter of an hour on two cores
+    python bench/table1.py                     # 500 trials a split, about twenty minutes on two cores
     python bench/table1.py --trials 100 --out /tmp/table1
 
 Run folders (--runs) are gone on with where they stopped. Each file says command, digests and versions; the Markdown also
@@ -75,7 +76,7 @@ def finger_lines(run) -> list[str]:
 
     scene, tip = Scene(), 1
     ids = np.array(run.trials(run.methods[0])["trial_id"])
-    trials = trials_with_ids(torch.from_numpy(ids), protocol=run.header["protocol"])
+    trials = trials_with_ids(torch.from_numpy(ids.copy()), protocol=run.header["protocol"])
     hand = trials.hand_index.long()
     pointing = scene.hands.vertices[hand, int(scene.hands.model.tip_vertices[tip])] - scene.hands.joints[hand, 0]
     fingers = torch.einsum("nij,nj->ni", trials.T_world_hand[:, :3, :3], pointing).double().numpy()
@@ -94,6 +95,32 @@ def finger_lines(run) -> list[str]:
             f"| {method} | " + " | ".join(f"{100 * failed[m].mean():.1f}" if m.any() else "-" for m in inside) + " |"
         )
     return lines
+
+
+def pairs_of(run) -> list[dict[str, object]]:
+    """The paired test of the four methods on all trials of each split and of both: who is apart from whom."""
+    from r2h_batch.statistics.common import common_trials
+    from r2h_batch.statistics.paired import Paired, compare, pair_up
+
+    paired: Paired = pair_up([run], common_trials([run]))
+    return [
+        {"group": c.group, "a": p.a, "b": p.b, "difference": p.difference, "p_holm": p.p_holm, "verdict": p.verdict}
+        for c in compare(paired)
+        for p in c.pairs
+    ]
+
+
+def unsolved(run) -> dict[str, list[int]]:
+    """Ids of the trials that the oracle does not solve, and of those that no method solves."""
+    solved: dict[int, set[str]] = {}
+    for method in run.methods:
+        rows = run.trials(method)
+        for trial, outcome in zip(rows["trial_id"].to_pylist(), rows["outcome"].to_pylist()):
+            solved.setdefault(trial, set())
+            if outcome == "success":
+                solved[trial].add(method)
+    oracle = [t for t, who in sorted(solved.items()) if "oracle" in run.methods and "oracle" not in who]
+    return {"oracle_unsolved": oracle, "solved_by_nobody": [t for t, who in sorted(solved.items()) if not who]}
 
 
 def sweep(folder: Path, trials: int, noise: float, more: list[str]) -> list[str]:
@@ -159,7 +186,7 @@ def write(folder: Path, out: Path, name: str, title: str, line: list[str]) -> No
     out.mkdir(parents=True, exist_ok=True)
     (out / f"{name}.md").write_text("\n\n".join(parts) + "\n")
     (out / f"{name}.csv").write_text(render(table, "csv"))
-    data = json.loads(render(table, "json")) | {"provenance": origin}
+    data = json.loads(render(table, "json")) | {"provenance": origin, "pairs": pairs_of(run)} | unsolved(run)
     (out / f"{name}.json").write_text(json.dumps(data, indent=1) + "\n")
     print(out / f"{name}.md")
 
@@ -168,12 +195,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
-    parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="where the two run folders are")
+    parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="where the run folders are")
     parser.add_argument("--only", nargs="*", default=(), help="names of tables; all unless given")
     given, more = parser.parse_known_args()
     for name, title, noise, preset, protocol in (
         ("table1", "Table I of r2h-v0", 1.0, "default", "r2h-v0"),
-        ("table1-exact", "Table I of r2h-v0, methods see the truth", 0.0, "default", "r2h-v0"),
         ("table1-paper-preset", "Table I of r2h-v0, planned as the paper does", 1.0, "paper", "r2h-v0"),
         ("table1-v1", "Table I of r2h-v1", 1.0, "default", "r2h-v1"),
         ("table1-v1-paper-preset", "Table I of r2h-v1, planned as the paper does", 1.0, "paper", "r2h-v1"),

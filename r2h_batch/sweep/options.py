@@ -116,7 +116,7 @@ class Options:
     save_details: bool = False
     """Also store joint goal, opening, shift and witness of every trial."""
     no_poses: bool = False
-    """Do not store the two poses that were scored: 47 to 72 bytes a trial less, and nobody can judge the rows again."""
+    """Do not store the two poses that were scored: 51 to 81 bytes a trial less, and nobody can judge the rows again."""
     save_poses: bool = False
     """Store the poses, as is the default: for command lines from before it was."""
     save_paths: bool = False

@@ -47,7 +47,8 @@ def check_against_finite_differences(n: int, seed: int, least: dict[str, int]) -
         right = slopes.error(c) < SLOPE_ERROR
         shares[name] = float((right & judged).sum() / judged.sum())
         counted = int(judged.sum()), int(slopes.scores.evaluated[:, c].sum()), int(out.sum())
-        print(f"{name}: {counted[0]} of {counted[1]} without a kink, {counted[2]} on a plateau")
+        right_share = f"{shares[name]:.4f} of these right"
+        print(f"{name}: {counted[0]} of {counted[1]} without a kink, {counted[2]} on a plateau; {right_share}")
         sloped = judged & (slopes.gradient[:, c].abs().amax(1) > 0.05)
         assert int(sloped.sum()) >= least[name], f"{name}: only {int(sloped.sum())} rows with a slope"
         assert not (slopes.plateau(c) & rows & (margin >= 0) & (slopes.gradient[:, c].abs().amax(1) > 0.05)).any()

@@ -1,0 +1,233 @@
+"""What each choice is worth: the four methods with one choice changed at a time, docs/results/sensitivity.{md,json}.
+
+    python bench/sensitivity.py                  # 200 trials a split, some ten minutes on two idle cores
+    python bench/sensitivity.py --trials 50 --out /tmp/sensitivity --runs /tmp/runs
+
+Motion as planned (`--sim none`). Each variant is one sweep; run folders (--runs) are gone on with where they stopped. The paired
+test (`r2h-batch compare`) says which methods are apart in each, and the ranks how often their order is that of the base.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from _report import ROOT, hardware
+
+METHODS = ("fc", "handover-va", "contact", "intent")
+TITLES = {
+    "fc": "FC-Handover",
+    "handover-va": "Handover-VA",
+    "contact": "Contact-Handover",
+    "intent": "Intent-Handover",
+}
+COLUMNS = ("sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
+BASE = ("--protocol", "r2h-v1")
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One choice changed: its name, what is said instead of the base's flags, and options of single methods."""
+
+    name: str
+    flags: tuple[str, ...] = ()
+    options: tuple[tuple[str, str], ...] = ()
+    """method -> options; the other methods are the base's"""
+
+    @property
+    def methods(self) -> list[str]:
+        """What is swept: everybody, or the methods whose options change."""
+        if not self.options:
+            return list(METHODS)
+        return [f"{m},{said}" for m, said in self.options]
+
+
+def variants() -> list[Variant]:
+    """The base first; then the protocol, what methods and planner know, how it is judged, and each method's own choices."""
+    own = [
+        ("handover-va", "loops=one"),
+        ("handover-va", "at=gripper"),
+        ("handover-va", "at=object"),
+        ("contact", "gate=ik"),
+        ("contact", "contacts=all"),
+        ("contact", "at=object"),
+        ("intent", "orientation=axis"),
+        ("intent", "at=object"),
+        ("intent", "inward_deg=-15"),
+        ("fc", "gate=none"),
+    ]
+    return [
+        Variant("base"),
+        Variant("protocol r2h-v0", ("--protocol", "r2h-v0")),
+        Variant("plan-hand estimated", (*BASE, "--plan-hand", "estimated")),
+        Variant("candidates as generated", (*BASE, "--candidates", "as-generated")),
+        Variant("errors of frames", (*BASE, "--hand-errors", "frames")),
+        Variant("errors with tails", (*BASE, "--hand-errors", "tails")),
+        Variant("no error", (*BASE, "--predictor-noise", "0")),
+        Variant("error x 2", (*BASE, "--predictor-noise", "2")),
+        Variant("receiver with a body", (*BASE, "--receiver", "body")),
+        Variant("edges sampled", (*BASE, "--edge-check", "moveit")),
+        Variant("width of the whole object", (*BASE, "--width", "whole")),
+        Variant("preset paper", (*BASE, "--preset", "paper")),
+        *(Variant(f"{m},{said}", (), ((m, said),)) for m, said in own),
+    ]
+
+
+def swept(variant: Variant, folder: Path, trials: int) -> list[str]:
+    """Runs (or goes on with) one variant's sweep; its command."""
+    from r2h_batch.sweep.command import main as sweep
+
+    line = ["--method", *variant.methods, "--trials", str(trials), "--sim", "none", *(variant.flags or BASE)]
+    line += ["--out", str(folder)]
+    with contextlib.redirect_stdout(io.StringIO()):
+        code = sweep(line)
+    if code:
+        sys.exit(code)
+    return ["python", "-m", "r2h_batch.sweep", *line]
+
+
+def rates_of(folder: Path) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Method (the sweep's word) -> split -> column -> percent."""
+    from r2h_batch.report.table import render, table_of
+    from r2h_batch.results.reading import load_run
+
+    words = {title: word for word, title in TITLES.items()}
+    found: dict[str, dict[str, dict[str, float | None]]] = {}
+    for row in json.loads(render(table_of(load_run(folder)), "json"))["rows"]:
+        word = words[row["method"].partition(" (")[0]]
+        found.setdefault(word, {})[row["split"]] = {c: row[c] for c in (*COLUMNS, "presented")}
+    return found
+
+
+def pairs_of(folders: Sequence[Path]) -> dict[str, str]:
+    """`a > b` or `a = b` for the pairs of methods over all trials: apart (on these objects at least) or tied."""
+    from r2h_batch.results.reading import load_run
+    from r2h_batch.statistics.paired import compare, pair_up
+
+    (whole,) = [c for c in compare(pair_up([load_run(f) for f in folders])) if c.group == "all"]
+    found = {}
+    for p in whole.pairs:
+        a, b = (name.partition(" (")[0] for name in (p.a, p.b))
+        found[f"{a} / {b}"] = "tied" if p.verdict == "tied" else a if p.verdict.startswith("better") else b
+    return found
+
+
+def order_of(rates: dict[str, dict[str, dict[str, float | None]]]) -> list[str]:
+    """The methods by their mean SR of both splits, best first."""
+    return sorted(METHODS, key=lambda m: -float(rates[m]["Avg"]["sr"] or 0))
+
+
+def kept_pairs(order: Sequence[str], base: Sequence[str]) -> int:
+    """How many of the six pairs of methods stand in the base's order."""
+    place = {m: order.index(m) for m in base}
+    return sum(place[a] < place[b] for i, a in enumerate(base) for b in base[i + 1 :])
+
+
+def markdown(data: dict) -> str:
+    """The page: a line a variant, changes of SR against the base, ranks, and pairs in the base."""
+    variants_, base = data["variants"], data["variants"][0]
+    short = {"fc": "FC", "handover-va": "VA", "contact": "Contact", "intent": "Intent"}
+    lines = [
+        "| changed | " + " | ".join(f"{short[m]} SR" for m in METHODS) + " | order | pairs as in the base |",
+        "|---|" + "--:|" * len(METHODS) + "---|--:|",
+    ]
+    for v in variants_:
+        cells = []
+        for m in METHODS:
+            sr = v["rates"][m]["Avg"]["sr"]
+            moved = "" if v is base or m not in v["own"] else f" ({sr - base['rates'][m]['Avg']['sr']:+.1f})"
+            cells.append(f"{sr:.1f}{moved}")
+        order = " > ".join(short[m] for m in v["order"])
+        lines.append(f"| {v['name']} | " + " | ".join(cells) + f" | {order} | {v['kept']} of 6 |")
+    failures = [
+        "| changed | method | " + " | ".join(c.upper()[0] + c[1:] for c in COLUMNS[1:]) + " | Presented |",
+        "|---|---|" + "--:|" * (len(COLUMNS) - 1) + "--:|",
+    ]
+    for v in variants_:
+        for m in v["own"]:
+            s0, s1 = v["rates"][m]["S0"], v["rates"][m]["S1"]
+            cells = [
+                f"{s1[c]:.1f}" if c == "f_afford" else f"{s0[c]:.1f} / {s1[c]:.1f}" for c in COLUMNS[1:]
+            ]  # S0 has no affordance
+            shown = "n/a" if s1["presented"] is None else f"{s1['presented']:.1f}"
+            failures.append(f"| {v['name']} | {short[m]} | " + " | ".join(cells) + f" | {shown} |")
+    pairs = ["| pair | base | " + " | ".join(v["name"] for v in variants_ if v["pairs"] and v is not base) + " |"]
+    pairs += ["|---|" + "---|" * sum(bool(v["pairs"]) for v in variants_)]
+    for pair in base["pairs"]:
+        said = [v["pairs"][pair] for v in variants_ if v["pairs"]]
+        pairs.append(f"| {pair} | " + " | ".join(said) + " |")
+    stable = [v["name"] for v in variants_[1:] if v["kept"] == 6]
+    best = sum(v["order"][0] == base["order"][0] for v in variants_[1:])
+    parts = [
+        "# What each choice is worth",
+        f"`{data['command']}`: {data['trials']} trials of each split, motion as planned, base `{' '.join(BASE)}` with the default"
+        f" preset; one choice changed at a time. Commit {data['commit']}, code {data['code'][:16]}. Percent; in brackets the"
+        " change against the base, of the methods that the change touches.",
+        "Mean SR of both splits:",
+        "\n".join(lines),
+        f"The base's order holds in {len(stable)} of {len(variants_) - 1} variants"
+        + (f" ({', '.join(stable)})" if stable else "")
+        + f"; its first method stays first in {best}.",
+        "## First failures",
+        "S0 / S1 (Affordance and Presented: S1).",
+        "\n".join(failures),
+        "## Apart or tied",
+        "Exact McNemar on the same trials, both splits together, Holm over the six pairs: the better method of a pair, or tied"
+        " (`r2h-batch compare`).",
+        "\n".join(pairs),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--trials", type=int, default=200, help="of each split")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
+    parser.add_argument("--runs", type=Path, default=ROOT / "runs" / "sensitivity", help="where the run folders are")
+    given = parser.parse_args()
+    from r2h_batch.results.reading import load_run
+
+    begin, found, base_folder = time.perf_counter(), [], Path()
+    base_rates: dict = {}
+    for variant in variants():
+        folder = given.runs / f"{variant.name.replace(' ', '-').replace(',', '-').replace('=', '-')}-{given.trials}"
+        line = swept(variant, folder, given.trials)
+        mine = rates_of(folder)
+        if not base_rates:
+            base_rates, base_folder = mine, folder
+        rates = {**base_rates, **mine}
+        order = order_of(rates)
+        found.append({
+            "name": variant.name,
+            "command": shlex.join(line),
+            "own": list(mine),
+            "rates": rates,
+            "order": order,
+            "kept": kept_pairs(order, order_of(base_rates)),
+            "pairs": pairs_of([folder]) if len(mine) == len(METHODS) else {},
+        })  # fmt: skip
+        print(variant.name, *(f"{m} {rates[m]['Avg']['sr']:.1f}" for m in METHODS), flush=True)
+    header = load_run(base_folder).header
+    data = {
+        "command": shlex.join(["python", *sys.argv]),
+        "trials": given.trials,
+        "commit": header["git_commit"],
+        "code": header["digests"]["code"],
+        "seconds": round(time.perf_counter() - begin),
+        "hardware": hardware(),
+        "variants": found,
+    }
+    given.out.mkdir(parents=True, exist_ok=True)
+    (given.out / "sensitivity.json").write_text(json.dumps(data, indent=1) + "\n")
+    (given.out / "sensitivity.md").write_text(markdown(data))
+    print(given.out / "sensitivity.md")
+
+
+if __name__ == "__main__":
+    main()

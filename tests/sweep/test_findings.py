@@ -1,0 +1,61 @@
+"""The pages that benches make of tables: findings that appear, in part or not; ranks; README's table exchanged."""
+
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def benches(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "bench")
+
+
+def test_the_papers_own_table_shows_all_eight_findings():
+    import findings
+
+    paper = findings.paper_cells()
+    said = [findings.said(f, paper) for f in findings.findings()]
+    assert said == [("appears", "")] * 8 and len(findings.CAUSES) == 8
+
+
+def test_a_finding_may_appear_in_part_or_not_at_all():
+    import findings
+
+    first, *_, last = findings.findings()
+    tied = {"f_safe": 0.0}
+    assert findings.said(first, lambda s, m, c: tied.get(c, 9.0 if m == "Contact" else 1.0)) == (
+        "in part",
+        "lowest F_safe",
+    )
+    assert findings.said(last, lambda s, m, c: 1.0)[0] == "no"
+
+
+def test_ranks_count_the_pairs_that_stand_as_in_the_base():
+    import sensitivity
+
+    base = ["contact", "intent", "handover-va", "fc"]
+    assert sensitivity.kept_pairs(base, base) == 6 and sensitivity.kept_pairs(base[::-1], base) == 0
+    assert sensitivity.kept_pairs(["intent", "contact", "handover-va", "fc"], base) == 5
+    names = [v.name for v in sensitivity.variants()]
+    assert names[0] == "base" and len(set(names)) == len(names)
+
+
+def test_a_variants_flags_and_options_are_a_sweeps():
+    import sensitivity
+
+    from r2h_batch.sweep import jobs
+    from r2h_batch.sweep.options import parse
+
+    for v in sensitivity.variants():
+        jobs.resolve(parse(["--method", *v.methods, *(v.flags or sensitivity.BASE)]))
+
+
+def test_readmes_table_is_exchanged_and_nothing_else():
+    import findings
+
+    text = "before\n\n| | SR S0 | SR S1 |\n|---|--:|--:|\n| FC | 1 | 2 |\n| VA | 3 | 4 |\n\nafter | not a table\n"
+    lines = ["| | SR S0 | new |", "|---|--:|--:|", "| FC | 5 | 6 |"]
+    want = "before\n\n| | SR S0 | new |\n|---|--:|--:|\n| FC | 5 | 6 |\n\nafter | not a table\n"
+    assert findings.with_table(text, lines) == want
