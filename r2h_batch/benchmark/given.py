@@ -52,7 +52,8 @@ class Given(BenchmarkFlags):
             hand_set = hand_set_of(Path(self.hands), hand_set.model if model is None else model)
         elif model is not None:
             a = {k: getattr(hand_set, k).numpy() for k in ("pose", "shape", "side")}
-            hand_set = make_hand_set(model, **a, posture=hand_set.posture)
+            turned = None if hand_set.in_body is None else hand_set.in_body.numpy()
+            hand_set = make_hand_set(model, **a, posture=hand_set.posture, in_body=turned)
         other = objects != base.objects or hand_set is not base.hand_set
         listed = base.listed
         if self.trials_file:

@@ -114,7 +114,7 @@ def hand_set_of(path: Path | None, model: HandModel | None) -> HandSet:
 def _hand_set(path: str, _: str, model: HandModel) -> HandSet:
     a = read_hand_set(path)
     try:
-        return make_hand_set(model, a["pose"], a["shape"], a["side"], a["posture"].tolist())
+        return make_hand_set(model, a["pose"], a["shape"], a["side"], a["posture"].tolist(), a["in_body"])
     except ValueError as error:
         raise FileError(f"{printable(path)}: {printable(error)}") from None
 

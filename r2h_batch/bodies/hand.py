@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32, Float64, Int
 from torch import Tensor
 
 from r2h_batch import se3
@@ -306,6 +306,8 @@ class HandSet:
     digest: str
     model: HandModel
     """the hand that takes these postures"""
+    in_body: Float64[Tensor, "H 3 3"] | None = None
+    """how each was turned in the frame of its body (x where the chest faces, z up), NaN where nobody knows; None: of none"""
 
     def __len__(self) -> int:
         return len(self.posture)
@@ -338,7 +340,7 @@ def load_hand_set(path: str | Path | None = None, model: HandModel | None = None
 @lru_cache(maxsize=4)
 def _other_hand_set(path: str | Path | None, hand: HandModel) -> HandSet:
     a = read_arrays(asset("hand", "handset.npz")) if path is None else read_hand_set(path)
-    return make_hand_set(hand, a["pose"], a["shape"], a["side"], a["posture"].tolist())
+    return make_hand_set(hand, a["pose"], a["shape"], a["side"], a["posture"].tolist(), a.get("in_body"))
 
 
 @lru_cache(maxsize=1)
@@ -357,7 +359,12 @@ def _default_hand_set() -> HandSet:
 
 
 def make_hand_set(
-    model: HandModel, pose: np.ndarray, shape: np.ndarray, side: np.ndarray, posture: Sequence[str]
+    model: HandModel,
+    pose: np.ndarray,
+    shape: np.ndarray,
+    side: np.ndarray,
+    posture: Sequence[str],
+    in_body: np.ndarray | None = None,
 ) -> HandSet:
     """Postures (H, 48), shapes (H, 10) and sides (H,) on a hand, right ones first; every piece's hull is built and checked."""
     from r2h_batch.bodies.hand_pieces import hulls_of
@@ -380,4 +387,5 @@ def make_hand_set(
         hull_offsets=torch.from_numpy(offsets),
         digest=arrays_digest({**arrays, "hull_vertex_ids": ids, "hull_offsets": offsets, **hand}),
         model=model,
+        in_body=None if in_body is None or not np.isfinite(in_body).any() else torch.from_numpy(in_body[order]),
     )

@@ -42,6 +42,10 @@ SET: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "posture": ("U", ("H",)),
 }
 
+BODY: dict[str, tuple[int, ...]] = {"facing": (3,), "up": (3,), "T_world_hand": (4, 4)}
+"""What a hand set may know of a hand's body and place when it was recorded, in one world."""
+RIGID = 1e-3
+
 
 def read_hand(path: str | Path) -> dict[str, np.ndarray]:
     """The arrays of a hand model as `HandModel.from_arrays` takes them. Raises `FileError`, one line."""
@@ -66,14 +70,44 @@ def read_hand(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def read_hand_set(path: str | Path) -> dict[str, np.ndarray]:
-    """pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set. Raises `FileError`, one line."""
+    """pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set, and in_body (H, 3, 3) float64: how each was turned
+    to its body (`HandSet.in_body`), NaN where the file does not know. Raises `FileError`, one line."""
     where, arrays = printable(path), read_npz(Path(path))
     sizes = _check(arrays, SET, where)
     if not 1 <= sizes["H"] <= MAX_HANDS:
         raise FileError(f"{where}: {sizes['H']} hands; a set may have 1 to {MAX_HANDS}")
     if not np.isin(arrays["side"], (0, 1)).all():
         raise FileError(f"{where}: side must be 0 (right) or 1 (left)")
-    return {k: arrays[k] for k in SET}
+    return {**{k: arrays[k] for k in SET}, "in_body": _in_body(arrays, sizes["H"], where)}
+
+
+def _in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:
+    """Rotations (H, 3, 3) from body to hand: the body stands as `up` says and looks where `facing` does, level."""
+    out = np.full((count, 3, 3), np.nan)
+    if not all(name in arrays for name in BODY):
+        return out
+    for name, shape in BODY.items():
+        value = arrays[name]
+        if value.shape != (count, *shape) or value.dtype.kind != "f":
+            need = " x ".join(map(str, (count, *shape)))
+            raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {need}, NaN where unknown")
+    facing, up, T = (arrays[name].astype(np.float64) for name in BODY)
+    known = np.isfinite(facing).all(1) & np.isfinite(up).all(1) & np.isfinite(T).all((1, 2))
+    facing, up, R = facing[known], up[known], T[known, :3, :3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = up / np.sqrt((up * up).sum(1, keepdims=True))
+        x = facing - (facing * z).sum(1, keepdims=True) * z
+        x = x / np.sqrt((x * x).sum(1, keepdims=True))
+        body = np.stack([x, np.cross(z, x), z], 2)
+    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > RIGID
+    bad = off | ~np.isfinite(body).all((1, 2)) | (np.linalg.det(R) < 0)
+    if bad.any():
+        i = int(np.flatnonzero(known)[bad.argmax()])
+        raise FileError(
+            f"{where}: T_world_hand, facing and up of hand {i} are no rotation and two directions that differ"
+        )
+    out[known] = body.transpose(0, 2, 1) @ R
+    return out
 
 
 def _check(

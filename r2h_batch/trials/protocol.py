@@ -29,7 +29,7 @@ from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import EvalConfig, Workplace
-from r2h_batch.trials import receivers
+from r2h_batch.trials import receivers, recorded
 from r2h_batch.turns import PROTOCOL, PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
@@ -189,6 +189,7 @@ class _Hands:
         offset = self.vertices - self.center.T[:, :, None]
         self.radius = np.sqrt((offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2).max(1)) + 1e-6
         self.side = hand_set.side.numpy()
+        self.in_body = None if hand_set.in_body is None else hand_set.in_body.numpy()
 
 
 @lru_cache(maxsize=2)
@@ -232,8 +233,10 @@ def _draw_people(
     and palm), whose hand is clear as there, and whose arm is clear of the table and of the robot at home."""
     offset_m, at = config.thresholds.reach_offset_m, config.workplace
 
-    def place_hand(people: receivers.Person, rows: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
-        hand = hand_index[rows]
+    def place_hand(
+        people: receivers.Person, rows: NDArray[np.int64], number: NDArray[np.int64]
+    ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+        hand, palm, able = hand_index[rows], people.palm, np.ones(len(rows), bool)
         n, a = hands.palm_normal[hand], hands.along[hand]
         local = np.stack([a, n, _cross(a, n)], 2)
         world = np.stack([people.hand, people.palm, _cross(people.hand, people.palm)], 2)
@@ -241,9 +244,15 @@ def _draw_people(
         R = world[:, :, None, 0] * local[:, None, :, 0]
         for k in (1, 2):
             R = R + world[:, :, None, k] * local[:, None, :, k]
-        center = people.wrist + se3.rotate(R, hands.palm_point[hand] - hands.wrist[hand]) + offset_m * people.palm
-        kept = np.flatnonzero(_in_set(center))
-        kept = kept[_faces_robot_or_up(center[kept], people.palm[kept])]
+        if hands.in_body is not None:  # of those recorded with a body the arm is the one that can have them
+            known = np.isfinite(hands.in_body[hand][:, 0, 0]) & (number < recorded.GIVEN_UP)
+            own = recorded.recorded_in_world(people.facing, np.nan_to_num(hands.in_body[hand]))
+            R = np.where(known[:, None, None], own, R)
+            palm = np.where(known[:, None], se3.rotate(R, n), palm)
+            able = ~known | recorded.arm_can(people, hands.side[hand], se3.rotate(R, a), palm)
+        center = people.wrist + se3.rotate(R, hands.palm_point[hand] - hands.wrist[hand]) + offset_m * palm
+        kept = np.flatnonzero(able & _in_set(center))
+        kept = kept[_faces_robot_or_up(center[kept], palm[kept])]
         kept = kept[receivers.clear_of_torso(people.rows(kept))]
         kept = kept[_arm_is_clear(people.rows(kept), at)]
         T = np.zeros((len(kept), 4, 4), np.float32)

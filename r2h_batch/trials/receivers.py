@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 
 from r2h_batch import rng
 
-__all__ = ["Person", "clear_of_torso", "draw_receivers", "limbs", "normal_quantile", "propose", "sine_cosine"]
+__all__ = [
+    "Person",
+    "arm_axes",
+    "clear_of_torso",
+    "draw_receivers",
+    "limbs",
+    "normal_quantile",
+    "propose",
+    "sine_cosine",
+]
 
 Array = NDArray[np.float64]
 
@@ -98,13 +107,13 @@ def draw_receivers(
     key: tuple[int, int],
     ids: NDArray[np.int64],
     side: NDArray[np.int64],
-    place_hand: Callable[[Person, NDArray[np.int64]], tuple[NDArray[np.bool_], NDArray[np.float32]]],
+    place_hand: Callable[[Person, NDArray[np.int64], NDArray[np.int64]], tuple[NDArray[np.bool_], NDArray[np.float32]]],
     table_edge_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """T_world_hand (n, 4, 4) and receivers (n, 5, 4) of trials: the first proposal of each that is accepted.
 
-    `side` (n,): 0 right, 1 left. `place_hand(people, rows)`: whether these proposals of trials `rows` are kept, and the
-    poses (k, 4, 4) of the k that are.
+    `side` (n,): 0 right, 1 left. `place_hand(people, rows, number)`: whether these proposals of trials `rows`, the `number`-th
+    of each, are kept, and the poses (k, 4, 4) of the k that are.
     """
 
     person = rng.uniforms(key, ids, OF_PERSON, purpose=_PERSON)
@@ -119,7 +128,7 @@ def draw_receivers(
         number = tried + np.tile(np.arange(turns), len(todo))
         v = rng.uniforms(key, ids[rows], OF_POSTURE, purpose=_POSE, attempt=number)
         people = propose(person[:, rows], v, side[rows], table_edge_m)
-        fits, T = place_hand(people, rows)
+        fits, T = place_hand(people, rows, number)
         kept = np.flatnonzero(fits)
         done, first = np.unique(rows[kept], return_index=True)
         T_world_hand[done], receiver[done] = T[first], people.rows(kept[first]).table()
@@ -193,10 +202,7 @@ def _lengths(woman: NDArray[np.bool_], u: Array) -> dict[str, Array]:
 
 def _hand_axes(shoulder: Array, elbow: Array, wrist: Array, outwards: Array, v: Array) -> tuple[Array, Array]:
     """Where the hand points and its palm faces, (n, 3) each: forearm turned, wrist bent and aside."""
-    upper, forearm = _unit(elbow - shoulder), _unit(wrist - elbow)
-    # neutral: the thumb on the side away from the upper arm, the palm to the body's middle
-    thumb = _unit(_dot(upper, forearm)[:, None] * forearm - upper)
-    inwards = -outwards[:, None] * _cross(thumb, forearm)
+    forearm, thumb, inwards = arm_axes(shoulder, elbow, wrist, outwards)
     s, c = sine_cosine(_between(v[0], -PRONATED_DEG, SUPINATED_DEG))
     palm = c[:, None] * inwards + s[:, None] * thumb
     thumb = c[:, None] * thumb - s[:, None] * inwards
@@ -205,6 +211,14 @@ def _hand_axes(shoulder: Array, elbow: Array, wrist: Array, outwards: Array, v: 
     palm = c[:, None] * palm - s[:, None] * forearm
     s, c = sine_cosine(WRIST_ASIDE_DEG * (v[3] + v[4] - 1.0))
     return c[:, None] * hand - s[:, None] * thumb, palm
+
+
+def arm_axes(shoulder: Array, elbow: Array, wrist: Array, outwards: Array) -> tuple[Array, Array, Array]:
+    """Unit vectors (n, 3): along the forearm, and where thumb and palm of a hand in neutral are: away from the upper arm, and
+    towards the body's middle. `outwards` (n,): -1 of right arms, 1 of left ones."""
+    upper, forearm = _unit(elbow - shoulder), _unit(wrist - elbow)
+    thumb = _unit(_dot(upper, forearm)[:, None] * forearm - upper)
+    return forearm, thumb, -outwards[:, None] * _cross(thumb, forearm)
 
 
 def limbs(people: Person) -> list[tuple[Array, Array]]:

@@ -1,6 +1,7 @@
 """The receiver's arm and torso in planning and Safe, and reported beside it: against MuJoCo C; refused without a body."""
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import mujoco
@@ -20,6 +21,7 @@ FORCED = 40
 """Trials whose person is moved towards the robot: otherwise one motion in eight comes within 5 cm."""
 
 
+@cache
 def evaluator(receiver):
     return Evaluator(EvalConfig(execute=ExecConfig(sim="none"), receiver=receiver))
 
@@ -77,7 +79,7 @@ def test_distances_at_a_posture_are_those_of_mujoco(asked):
     posed = judge.score(*asked, stages="pose")
     near = torch.nonzero(posed.body_m < CLEARANCE_CAP_M).flatten().tolist()
     assert len(near) >= 8 and (posed.body_m[near] > 0).sum() >= 3 and (posed.body_m[near] < 0).sum() >= 3
-    for i in [*near, 70, 71]:
+    for i in [*near[:3], *near[-3:], 71]:
         found, true = float(posed.body_m[i]), Twin(judge.scene, asked[2], posed, i).distance(posed.q_goal[i].numpy())
         if true > 0:
             assert found == pytest.approx(true, abs=2e-5), i
@@ -88,7 +90,7 @@ def test_distances_at_a_posture_are_those_of_mujoco(asked):
 def test_the_smallest_distance_along_a_path_is_that_of_mujoco_sampled_finely(asked, as_paper):
     scene, rows = evaluator("hand").scene, torch.nonzero(as_paper.body_m.abs() < CLEARANCE_CAP_M).flatten().tolist()
     assert len(rows) >= 6
-    for i in rows[:8]:
+    for i in [*rows[:2], *rows[-2:]]:
         twin, path = Twin(scene, asked[2], as_paper, i), as_paper.path[i, : int(as_paper.path_len[i])].double().numpy()
         steps = [a + s * (b - a) for a, b in pairwise(path) for s in np.linspace(0, 1, 120)]
         least = min(twin.distance(q) for q in steps)

@@ -1,0 +1,47 @@
+"""Hands of r2h-v1 that were recorded with a body: they keep their direction to it, and an arm is looked for that can have them.
+
+Only +, -, *, / and sqrt, as in receivers.py.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from r2h_batch.trials.receivers import (
+    PRONATED_DEG,
+    SUPINATED_DEG,
+    WRIST_ASIDE_DEG,
+    WRIST_BENT_DEG,
+    Array,
+    Person,
+    arm_axes,
+    sine_cosine,
+)
+
+__all__ = ["GIVEN_UP", "arm_can", "recorded_in_world"]
+
+GIVEN_UP = 4000
+"""Proposals after which a hand's recorded direction is let go: hands that grasp from above show no palm to robot or sky."""
+
+
+def recorded_in_world(facing: Array, R_body_hand: Array) -> Array:
+    """(n, 3, 3) rotations of hands in the world, of bodies that stand upright and face (n, 2)."""
+    x, y = facing[:, 0, None], facing[:, 1, None]
+    ahead, aside, up = R_body_hand[:, 0], R_body_hand[:, 1], R_body_hand[:, 2]
+    return np.stack([x * ahead - y * aside, y * ahead + x * aside, up], 1)
+
+
+def arm_can(people: Person, side: NDArray[np.int64], along: Array, palm: Array) -> NDArray[np.bool_]:
+    """Whether these arms can have hands that point along (n, 3) with this palm normal: wrist and forearm within their ranges.
+
+    The wrist: no farther from the forearm's line than bent and aside together; the forearm's turn: of the palm about that line.
+    """
+    forearm, thumb, inwards = arm_axes(people.shoulder, people.elbow, people.wrist, np.where(side == 0, -1.0, 1.0))
+    (_, (bent, aside)) = sine_cosine(np.array([WRIST_BENT_DEG, WRIST_ASIDE_DEG]))
+    straight = _dot(forearm, along) >= bent * aside
+    c, s = _dot(palm, inwards), _dot(palm, thumb)
+    (s_low, s_high), (c_low, c_high) = sine_cosine(np.array([-PRONATED_DEG, SUPINATED_DEG]))
+    return np.asarray(straight & (c_low * s - s_low * c >= 0.0) & (c * s_high - s * c_high >= 0.0))
+
+
+def _dot(a: Array, b: Array) -> Array:
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])

@@ -1,0 +1,109 @@
+"""Hands that were recorded with a body keep their direction to it (r2h-v1); the others, and the frozen digest, do not notice."""
+
+import numpy as np
+import pytest
+import torch
+
+from r2h_batch.bodies.hand import load_hand, load_hand_set, make_hand_set
+from r2h_batch.bodies.hand_file import read_hand_set
+from r2h_batch.files import FileError
+from r2h_batch.trials.protocol import make_trials, trials_with_ids
+
+COUNT = 24  # hands of each side
+
+
+def some_hands(in_body):
+    own = load_hand_set()
+    rows = np.concatenate([np.arange(COUNT), 200 + np.arange(COUNT)])
+    a = [getattr(own, k).numpy()[rows] for k in ("pose", "shape", "side")]
+    return make_hand_set(load_hand(), *a, [own.posture[i] for i in rows], in_body)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    hands = some_hands(None)
+    return hands, make_trials(trials=60, hand_set=hands, protocol="r2h-v1")
+
+
+def turned(trials, i):
+    """The hand of trial i in the frame of its body."""
+    x, y = float(trials.receiver[i, 3, 3]), float(trials.receiver[i, 4, 3])
+    body = np.array([[x, -y, 0.0], [y, x, 0.0], [0.0, 0.0, 1.0]])
+    return body.T @ trials.T_world_hand[i, :3, :3].double().numpy()
+
+
+@pytest.fixture(scope="module")
+def recorded(plain):
+    """Every second hand knows its body: as it stood in some trial; hand 0 a palm that nobody can show the robot."""
+    _, trials = plain
+    in_body = np.full((2 * COUNT, 3, 3), np.nan)
+    for i in range(len(trials)):
+        k = int(trials.hand_index[i])
+        if k % 2 == 0:
+            in_body[k] = turned(trials, i)
+    known = np.isfinite(in_body[:, 0, 0])
+    in_body[0] = np.diag([-1.0, 1.0, -1.0]) @ in_body[0]
+    hands = some_hands(in_body)
+    return in_body, known, hands, make_trials(trials=60, hand_set=hands, protocol="r2h-v1")
+
+
+def test_known_directions_are_kept_and_unknown_ones_drawn_as_before(plain, recorded):
+    _, before = plain
+    in_body, known, hands, trials = recorded
+    assert hands.digest == plain[0].digest and known.sum() > 15
+    kept = []
+    for i in range(len(trials)):
+        k = int(trials.hand_index[i])
+        if not known[k]:
+            assert torch.equal(trials.T_world_hand[i], before.T_world_hand[i])
+            assert torch.equal(trials.receiver[i], before.receiver[i])
+        elif k:  # somebody who sits cannot have every hand that somebody had who stood
+            kept.append(np.abs(turned(trials, i) - in_body[k]).max() < 1e-6)
+    assert len(kept) > 30 and np.mean(kept) > 0.9
+
+
+def test_the_arm_can_have_the_hand(recorded):
+    in_body, known, hands, trials = recorded
+    joints = hands.model.pose(hands.pose, hands.shape, hands.side).joints.double().numpy()
+    for i in range(len(trials)):
+        k, r = int(trials.hand_index[i]), trials.receiver[i].double().numpy()
+        if not known[k] or np.abs(turned(trials, i) - in_body[k]).max() > 1e-6:
+            continue
+        R, p = trials.T_world_hand[i, :3, :3].double().numpy(), trials.T_world_hand[i, :3, 3].double().numpy()
+        wrist, middle = (R @ joints[k, j] + p for j in (0, 4))
+        assert np.abs(wrist - r[2, :3]).max() < 1e-5
+        forearm = (r[2, :3] - r[1, :3]) / np.linalg.norm(r[2, :3] - r[1, :3])
+        angle = np.degrees(np.arccos((middle - wrist) @ forearm / np.linalg.norm(middle - wrist)))
+        assert angle < 44 + 12  # the root of the middle finger lies up to 12 degrees out of the palm's plane
+
+
+def test_a_direction_that_no_arm_can_show_is_let_go(recorded):
+    in_body, _, _, trials = recorded
+    rows = [i for i in range(len(trials)) if int(trials.hand_index[i]) == 0]
+    assert rows and all(np.abs(turned(trials, i) - in_body[0]).max() > 0.1 for i in rows)
+
+
+def test_a_trial_alone_is_that_of_the_batch(recorded):
+    _, _, hands, trials = recorded
+    for i in (3, 64):
+        one = trials_with_ids(trials.trial_id[i : i + 1], hand_set=hands, protocol="r2h-v1")
+        assert torch.equal(one.T_world_hand[0], trials.T_world_hand[i]) and torch.equal(
+            one.receiver[0], trials.receiver[i]
+        )
+
+
+def test_a_file_says_it_by_facing_up_and_place_and_nonsense_is_refused(tmp_path):
+    own, n = load_hand_set(), 3
+    T = np.tile(np.eye(4, dtype=np.float32), (n, 1, 1))
+    base = {k: getattr(own, k).numpy()[:n] for k in ("pose", "shape", "side")} | {"posture": np.array(["a"] * n)}
+    facing, up = np.float32([[0, 2, 0.5]] * n), np.float32([[0, 0, 1]] * n)
+    facing[1] = np.nan
+    np.savez(tmp_path / "h.npz", **base, facing=facing, up=up, T_world_hand=T)
+    found = read_hand_set(tmp_path / "h.npz")["in_body"]
+    assert np.allclose(found[0], [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]) and np.isnan(found[1]).all()
+    np.savez(tmp_path / "without.npz", **base)
+    assert np.isnan(read_hand_set(tmp_path / "without.npz")["in_body"]).all()
+    for name, value in (("facing", up), ("T_world_hand", 2 * T), ("up", up[:2])):
+        np.savez(tmp_path / "bad.npz", **{**base, "facing": facing, "up": up, "T_world_hand": T, name: value})
+        with pytest.raises(FileError, match=name):
+            read_hand_set(tmp_path / "bad.npz")
