@@ -10,6 +10,9 @@ costs with the callback. Its edges are sampled every 1/64 rad. A problem counts 
 re-check at 1/320 rad. Our paths are certified between samples too, are shortened, and carry their smallest clearance;
 us_search_core leaves those two extras out.
 
+detour_*: T_exec over the time of the straight line from home to the path's own end; over_bound_*: to the free goal that a
+straight line reaches soonest; over all paths. bench/tail.py has them over thousands of trials.
+
 ratio_to_ompl: process times, one core each, the median of OMPL over our mean per problem: other work on the machine counts
 little. ratio_to_ompl_wall: wall times, ours on all cores. ratio_to_ompl_search: with us_search_core. ratio_to_ompl_fine:
 OMPL's edges sampled every 1/320 rad, as finely as the re-check.
@@ -24,6 +27,7 @@ from unittest import mock
 
 import numpy as np
 import torch
+from _detours import detours, report_detours
 from _report import Report, arguments
 from _twins import Batch, Checker, Problems, checker_of, dense, motion_samples, ompl_solve, recheck, solve
 from numpy.typing import NDArray
@@ -219,6 +223,7 @@ def main() -> None:
     report.add("plan.problems", len(batch))
 
     own = own_times(report, scene, batch)
+    report_detours(report, "plan", detours(scene, own.problems))
     latencies(report, scene, batch)
     recheck_paths(report, scene, own, checkers)
     compare_with_ompl(report, scene, batch, own, (checkers, goals), options)

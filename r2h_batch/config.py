@@ -106,8 +106,8 @@ class PlanConfig:
     object_collision: Literal["hull", "pieces"] = "hull"
     hand_clearance_m: float = 0.003  # kept along the path wherever the goal keeps it [choice]
     range_rad: float = 1.5  # longest RRT extension
-    rounds: tuple[int, ...] = (50, 500, 5000)  # iterations of each budget round
-    shortcuts: int = 15  # random shortcuts after the greedy pass
+    rounds: tuple[int, ...] = (50, 500, 3000, 5000)  # iterations of each budget round
+    shortcuts: int = 8  # waypoints pulled, segments joined: tries after the quickest subset of the waypoints is found
     seed: int = 0
 
     def __post_init__(self) -> None:

@@ -257,6 +257,8 @@ def table_near(
                 g, c = acceleration_along(up, mover.w, mover.a, mover.b)
                 swept = swept_capsule(mover.c0, mover.c1, mover.radius, up, mover.w, mover.v, g, c, second, third)
                 low = wp.max(low, swept - top)
+                if low < target and height > target:  # its capsule reaches lower than the hull does
+                    low = wp.max(low, swept_mover(world, mover, up, second, third) - top)
         else:
             low = height - motion(world.lever, mover.body, 1, query.d)
             if low < target:

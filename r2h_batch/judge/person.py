@@ -7,7 +7,7 @@ from torch import Tensor
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.judge.metrics import SAFE_TOLERANCE_M, Criterion, Touch
 from r2h_batch.kernels.judge.overlap import path_overlap
-from r2h_batch.kernels.plan import rrt
+from r2h_batch.kernels.plan.lines import path_clearance
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import Placed, Scene
@@ -37,7 +37,7 @@ def person_distance(
     tables = {"world": alone.tables(scene), "bodies": alone.bodies}
     path, length = path.contiguous(), length.contiguous()
     launch_trials(
-        rrt.path_clearance,
+        path_clearance,
         b,
         inputs={
             "cap": CLEARANCE_CAP_M,

@@ -9,17 +9,16 @@ from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
 from r2h_batch.judge.ik import home_posture
+from r2h_batch.judge.search import Search
 from r2h_batch.kernels.judge.overlap import path_overlap
-from r2h_batch.kernels.plan import rrt
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
+from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import Placed, Scene
 from r2h_batch.types import PlanReason
 
 GOAL_ROOM_M = 2e-4
 """A path may come this much nearer to the hand than its goal does: the stretch next to the goal must be certifiable."""
-
-_SCRATCH_NODES, _NODE_BYTES = 4_000_000, 28  # of all trees of one launch: 112 MB
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ def plan_paths(
     goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, home, config)
     chosen = torch.full((b,), -1, dtype=torch.int32, device=device)
     run(
-        rrt.straight_lines,
+        straight_lines,
         b,
         inputs={"moveit": moveit, "home": home, "goals": goals, "n_goals": n_goals, "goal_margin": margin.view(-1)},
         outputs={"chosen": chosen},
@@ -79,11 +78,10 @@ def plan_paths(
     path = torch.zeros((b, WAYPOINTS, 6), dtype=torch.float32, device=device)
     length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
     path[:, 0] = home
-    straight = chosen >= 0
     nearest = goals.view(b, BRANCHES, 6)[torch.arange(b, dtype=torch.int64, device=device), chosen.clamp(min=0).long()]
-    path[:, 1] = torch.where(straight[:, None], nearest, 0.0)
+    path[:, 1] = torch.where((chosen >= 0)[:, None], nearest, 0.0)
 
-    _search(run, home, goals, n_goals, margin, key, path, length, config, execute)
+    Search(run, home, goals, n_goals, margin, key, config, execute)(path, length)
 
     least, pair, body = _least_clearance(run, path, length)
     if moveit:  # sampled edges may pass through things
@@ -93,7 +91,7 @@ def plan_paths(
     blocked_by = goal_pair[torch.arange(b, dtype=torch.int64, device=device), first_valid]
     pair = torch.where(reason == int(PlanReason.IK_IN_COLLISION), blocked_by, pair)
     pair = torch.where(reason == int(PlanReason.START_IN_COLLISION), start_pair, pair)
-    return Plan(reason, pair, body, least, straight, path, length)
+    return Plan(reason, pair, body, least, length == 2, path, length)
 
 
 def _least_clearance(
@@ -105,7 +103,7 @@ def _least_clearance(
     pair = torch.zeros(b, dtype=torch.int32, device=device)
     body = torch.full((b,), -1, dtype=torch.int32, device=device)
     run(
-        rrt.path_clearance,
+        path_clearance,
         b,
         inputs={"cap": CLEARANCE_CAP_M, "tolerance": CLEARANCE_TOLERANCE_M, "path": path, "length": length},
         outputs={"clearance": least, "pair": pair, "body": body},
@@ -151,102 +149,6 @@ def _reasons(
     return reason
 
 
-def _search(
-    run: "Planner",
-    home: Float32[Tensor, "1 6"],
-    goals: Float32[Tensor, "g 6"],
-    n_goals: Int32[Tensor, " b"],
-    margin: Float32[Tensor, "b 8"],
-    key: Int32[Tensor, " b"],
-    path: Float32[Tensor, "b w 6"],
-    length: Int32[Tensor, " b"],
-    config: PlanConfig,
-    execute: ExecConfig,
-) -> None:
-    """RRT-Connect and shortcuts where no straight line was free; writes `path` and `length`.
-
-    Budgets grow from round to round: most searches end within 50 iterations, and a launch is as large as its budget's trees.
-    The host asks twice which rows are left, before the first round and after it, and no more: asking waits for a GPU. A
-    problem that has its path already costs later rounds nothing.
-    """
-    b, device, moveit = len(path), path.device, int(config.edge_check == "moveit")
-    todo = torch.nonzero((n_goals > 0) & (length == 0)).flatten().to(torch.int32)
-    found_with = torch.zeros(b, dtype=torch.float32, device=device)
-    for i, iterations in enumerate(config.rounds):
-        last = i == len(config.rounds) - 1
-        kept, n_kept, path_margin = _goals_for_search(goals.view(b, BRANCHES, 6), n_goals, margin, everything=last)
-        # An iteration adds one node to one tree and then as many to the other as it takes to meet or to be blocked;
-        # how many is not bounded, so a tree that is full ends the search (`rrt_connect`)
-        capacity = 4 * iterations + 16
-        unsolved = length == 0
-        for part in todo.split(max(1, _scratch_nodes(device) // (2 * capacity))):
-            nodes = torch.empty((len(part) * 2 * capacity, 6), dtype=torch.float32, device=device)
-            parents = torch.empty(len(part) * 2 * capacity, dtype=torch.int32, device=device)
-            run(
-                rrt.rrt_connect,
-                len(part),
-                inputs={
-                    "iterations": iterations,
-                    "capacity": capacity,
-                    "range_rad": config.range_rad,
-                    "seed": config.seed,
-                    "moveit": moveit,
-                    "home": home,
-                    "trial": part,
-                    "key": key,
-                    "goals": kept.view(-1, 6),
-                    "n_goals": n_kept,
-                    "margin": path_margin,
-                },
-                outputs={"nodes": nodes, "parents": parents, "path": path, "length": length},
-                chunk=1,
-            )
-        found_with = torch.where(unsolved, path_margin, found_with)
-        if i == 0 or last:
-            _shorten(run, todo, key, found_with, path, length, config, execute)
-        if i == 0 and not last:
-            todo = todo[length[todo.long()] == 0]
-            if not len(todo):
-                break
-
-
-def _scratch_nodes(device: torch.device) -> int:
-    """How many tree nodes one launch may have: on CUDA a quarter of the memory that is free."""
-    if device.type == "cpu":
-        return _SCRATCH_NODES
-    free, _ = torch.cuda.mem_get_info(device)
-    return max(_SCRATCH_NODES, free // 4 // _NODE_BYTES)
-
-
-def _shorten(
-    run: "Planner",
-    rows: Int32[Tensor, " f"],
-    key: Int32[Tensor, " b"],
-    margin: Float32[Tensor, " b"],
-    path: Float32[Tensor, "b w 6"],
-    length: Int32[Tensor, " b"],
-    config: PlanConfig,
-    execute: ExecConfig,
-) -> None:
-    """Shortcuts on the paths that `rows` have, as long as they save time under the arm's limits; in place."""
-    run(
-        rrt.shortcut,
-        len(rows),
-        inputs={
-            "tries": config.shortcuts,
-            "speed": execute.scale * execute.max_velocity_rad_s,
-            "acceleration": execute.scale * execute.max_acceleration_rad_s2,
-            "seed": config.seed,
-            "moveit": int(config.edge_check == "moveit"),
-            "trial": rows,
-            "key": key,
-            "margin": margin,
-        },
-        outputs={"path": path, "length": length},
-        chunk=1,
-    )
-
-
 class Planner:
     """Runs planning kernels, which all take the scene's world and the trials' bodies."""
 
@@ -275,7 +177,7 @@ class Planner:
         pair = torch.zeros(n, dtype=torch.int32, device=q.device)
         clearance = torch.zeros(n, dtype=torch.float32, device=q.device)
         self(
-            rrt.check_postures,
+            check_postures,
             n,
             inputs={"per_trial": per_trial, "active": active.contiguous(), "q": q.contiguous()},
             outputs={"clear": clear, "pair": pair, "hand_clearance": clearance},
@@ -301,25 +203,3 @@ def _sort_goals(
     keep = torch.maximum(room - GOAL_ROOM_M, 0.5 * room).clamp(max=config.hand_clearance_m)
     n_goals = clear.sum(1).to(torch.int32)
     return goals, n_goals, keep.contiguous()
-
-
-def _goals_for_search(
-    goals: Tensor, n_goals: Tensor, margin: Tensor, *, everything: bool
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The goals that one search may end at, and the hand clearance that all of it keeps.
-
-    A tree has one margin. First only goals that allow (nearly) the widest one; in the last round all of them.
-    """
-    slot = torch.arange(BRANCHES, dtype=torch.int64, device=goals.device)[None]
-    there = slot < n_goals[:, None]
-    widest = torch.where(there, margin, 0.0).amax(1, keepdim=True)
-    # One near goal would lower the margin of the whole tree, and with it that of paths to goals with more room
-    use = there & ((margin >= 0.9 * widest) | torch.tensor(everything, dtype=torch.bool, device=goals.device))
-    order = torch.where(use, slot, BRANCHES + slot).argsort(dim=1)
-    rows = torch.arange(len(goals), dtype=torch.int64, device=goals.device)[:, None]
-    kept_margin = torch.where(use, margin, torch.inf).amin(1)
-    return (
-        goals[rows, order].contiguous(),
-        use.sum(1).to(torch.int32),
-        torch.where(there.any(1), kept_margin, 0.0).contiguous(),
-    )

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies import bounds
 from r2h_batch.bodies.robot import Kind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere
 from r2h_batch.judge.plan import CLEARANCE_TOLERANCE_M, Planner
-from r2h_batch.kernels.plan import rrt
+from r2h_batch.kernels.plan.lines import path_clearance, straight_lines
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import Scene
 
@@ -117,7 +117,7 @@ def free_edges(scene, rng, trials, hand_margin):
         margin = torch.full((8 * trials * 8,), hand_margin, dtype=torch.float32)
         chosen = torch.full((8 * trials,), -1, dtype=torch.int32)
         launch_trials(
-            rrt.straight_lines,
+            straight_lines,
             8,
             inputs={
                 "moveit": 0,
@@ -168,7 +168,7 @@ def test_many_edges_certified_free_never_penetrate(scene, hand_margin):
     assert certified >= 1000
 
 
-def clearance_of(scene, placed, paths, kernel=rrt.path_clearance):
+def clearance_of(scene, placed, paths, kernel=path_clearance):
     n = len(paths)
     width = max(len(p) for p in paths)
     path = torch.zeros((n, width, 6))

@@ -11,7 +11,7 @@ from r2h_batch.bodies.robot import ee_pose, gripper_primitives_at
 from r2h_batch.judge.metrics import SAFE_TOLERANCE_M
 from r2h_batch.judge.plan import Planner
 from r2h_batch.kernels.judge.safe import safe_distance
-from r2h_batch.kernels.plan import rrt
+from r2h_batch.kernels.plan.lines import path_clearance
 from r2h_batch.scene.scene import Scene
 
 CAP_M = 0.05
@@ -216,7 +216,7 @@ def test_the_paths_hand_clearance_is_never_above_safe(scene):
     least, pair, body = torch.zeros(n), torch.zeros(n, dtype=torch.int32), torch.zeros(n, dtype=torch.int32)
     placed = oracle.place(scene, stages)
     Planner(scene, placed, None)(
-        rrt.path_clearance,
+        path_clearance,
         n,
         inputs={
             "cap": CAP_M,

@@ -1,0 +1,109 @@
+"""Postures and straight lines: which goals are free, which of them a straight line leads to, a path's smallest clearance."""
+
+import warp as wp
+
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.plan.codes import BRANCHES, CLEARANCE, FREE, POSTURE
+from r2h_batch.kernels.plan.edge import edge
+from r2h_batch.kernels.robot.posture import load, load_waypoint
+from r2h_batch.kernels.robot.world import TrialBodies, World
+
+wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
+
+CLEARANCE_CAP = wp.constant(0.0065)
+"""A little over twice what a path has to keep (m): a goal's clearance matters below that."""
+
+
+@wp.kernel
+def check_postures(
+    first: int,
+    per_trial: int,
+    # tables
+    world: World,
+    bodies: TrialBodies,
+    # postures
+    active_in: wp.array(dtype=wp.bool),  # (B * per_trial,)
+    q_in: wp.array2d(dtype=float),  # (B * per_trial, 6)
+    # out
+    clear_out: wp.array(dtype=wp.bool),
+    pair_out: wp.array(dtype=int),
+    hand_clearance_out: wp.array(dtype=float),
+):
+    """Is each posture free of all pairs, what does it collide with, and its hand clearance up to CLEARANCE_CAP."""
+    row = first + wp.tid()
+    trial = row / per_trial
+    if not active_in[row]:
+        return
+    q = load(q_in, row)
+    for step in range(2):
+        if step == 0 or clear_out[row]:
+            found = edge(
+                world, bodies, trial, q, q, 0.0, 0.0, CLEARANCE_CAP, 0.0, wp.where(step == 0, POSTURE, CLEARANCE), step
+            )
+            if step == 0:
+                clear_out[row] = found.status == FREE
+                pair_out[row] = found.pair
+            else:
+                hand_clearance_out[row] = found.best
+
+
+@wp.kernel
+def straight_lines(
+    first: int,
+    moveit: int,  # how edges are checked: CERTIFY or SAMPLES
+    # tables
+    world: World,
+    bodies: TrialBodies,
+    home_in: wp.array2d(dtype=float),  # (1, 6)
+    # trials
+    goals_in: wp.array2d(dtype=float),  # (B * 8, 6) nearest first
+    n_goals_in: wp.array(dtype=int),  # (B,)
+    goal_margin_in: wp.array(dtype=float),  # (B * 8,) hand clearance that a path to this goal keeps
+    # out
+    chosen_out: wp.array(dtype=int),
+):
+    """The first goal whose straight line from home is free, or -1."""
+    trial = first + wp.tid()
+    home = load(home_in, 0)
+    chosen_out[trial] = -1
+    for g in range(n_goals_in[trial]):
+        row = trial * BRANCHES + g
+        found = edge(world, bodies, trial, home, load(goals_in, row), goal_margin_in[row], 0.0, 0.0, 0.0, moveit, 0)
+        if found.status == FREE:
+            chosen_out[trial] = g
+            break
+
+
+@wp.kernel
+def path_clearance(
+    first: int,
+    cap: float,
+    tolerance: float,
+    # tables
+    world: World,
+    bodies: TrialBodies,
+    # trials
+    path_in: wp.array3d(dtype=float),  # (B, W, 6)
+    length_in: wp.array(dtype=int),  # (B,)
+    # out
+    clearance_out: wp.array(dtype=float),
+    pair_out: wp.array(dtype=int),
+    body_out: wp.array(dtype=int),
+):
+    """Smallest clearance over all pairs along each path, exact to `tolerance` below `cap`."""
+    trial = first + wp.tid()
+    n = length_in[trial]
+    if n == 0:
+        return
+    best = float(cap)
+    # the goal first: it is usually the tightest, and prunes the rest
+    for k in range(n):
+        i = n - 1 - k
+        a = load_waypoint(path_in, trial, i)
+        b = load_waypoint(path_in, trial, wp.min(i + 1, n - 1))
+        found = edge(world, bodies, trial, a, b, 0.0, 0.0, best, tolerance, CLEARANCE, 0)
+        if found.best < best:
+            best = found.best
+            pair_out[trial] = found.pair
+            body_out[trial] = found.body
+    clearance_out[trial] = best

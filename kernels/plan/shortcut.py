@@ -1,0 +1,299 @@
+"""Shorter paths, by the time that the time law takes for them. One thread per problem.
+
+A path of n waypoints is first the best of all its subsets: the waypoints are numbered along it, any two may be joined by
+a straight line, and the quickest way from the first to the last is a shortest path in a graph without cycles. Whether a
+line is free costs a thousand times as much to know as how long it takes, so lines count as free until they are looked at,
+and only those are looked at that the quickest way would use (LazySP, Dellin and Srinivasa 2016).
+
+Then waypoints move: towards the line between their neighbours, all joints or some of them (partial shortcuts, Geraerts and
+Overmars 2007), and two points of different segments are joined. A path that is nearly as quick as the straight line between
+its ends is left as it is.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.plan.codes import FREE
+from r2h_batch.kernels.plan.edge import edge
+from r2h_batch.kernels.robot.posture import load_waypoint, store_waypoint
+from r2h_batch.kernels.robot.trapezoid import duration
+from r2h_batch.kernels.robot.world import TrialBodies, World, vec6
+
+wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
+
+MOST_LINES = wp.constant(64)
+"""Lines between waypoints that are looked at in one pass at most."""
+LEAST_SAVED_S = wp.constant(0.001)
+"""What a change has to save to be worth a look."""
+
+FIRST_SHARE = wp.constant(0.9)
+"""By how much of its way a waypoint is pulled at first; half of that after each pull that is not free."""
+
+# What is tried (`shortcut`).
+SUBSET = wp.constant(0)  # a line between two waypoints, which the quickest way would use
+JOIN = wp.constant(1)  # a line between points of two segments
+PULL = wp.constant(2)  # a waypoint nearer to the line between its neighbours: the line to it
+PULL_ON = wp.constant(3)  # and the line from it
+
+
+@wp.func
+def _segment_time(a: vec6, b: vec6, speed: float, acceleration: float):
+    """Time of a segment, stopping at both ends: the joint with the farthest to go sets the pace."""
+    d = float(0.0)
+    for j in range(6):
+        d = wp.max(d, wp.abs(b[j] - a[j]))
+    return duration(d, speed, acceleration)
+
+
+@wp.func
+def _saved(
+    path: wp.array3d(dtype=float), trial: int, i: int, j: int, a: vec6, b: vec6, speed: float, acceleration: float
+):
+    """Time saved when a on segment i and b on segment j > i are joined by a straight line."""
+    saved = float(0.0)
+    for m in range(i, j + 1):
+        saved += _segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), speed, acceleration)
+    a0 = load_waypoint(path, trial, i)
+    saved -= _segment_time(a0, a, speed, acceleration) + _segment_time(a, b, speed, acceleration)
+    saved -= _segment_time(b, load_waypoint(path, trial, j + 1), speed, acceleration)
+    return saved
+
+
+@wp.func
+def _splice(path: wp.array3d(dtype=float), trial: int, n: int, i: int, j: int, a: vec6, b: vec6):
+    """Waypoints i + 1 .. j give way to a and b. The new number of waypoints; n, and nothing done, if there is no room."""
+    removed = j - i
+    if removed == 1 and n >= path.shape[1]:
+        return n
+    if removed == 1:
+        m = int(n)
+        while m > j + 1:
+            store_waypoint(path, trial, m, load_waypoint(path, trial, m - 1))
+            m -= 1
+    else:
+        for m in range(j + 1, n):
+            store_waypoint(path, trial, m - removed + 2, load_waypoint(path, trial, m))
+    store_waypoint(path, trial, i + 1, a)
+    store_waypoint(path, trial, i + 2, b)
+    return n - removed + 2
+
+
+@wp.func
+def _time_of(path: wp.array3d(dtype=float), trial: int, n: int, speed: float, acceleration: float):
+    """Time of a whole path."""
+    time = float(0.0)
+    for m in range(n - 1):
+        time += _segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), speed, acceleration)
+    return time
+
+
+@wp.func
+def _quickest(
+    path: wp.array3d(dtype=float), trial: int, n: int, speed: float, acceleration: float,
+    blocked: wp.array(dtype=wp.uint32), cost: wp.array(dtype=float), before: wp.array(dtype=int),
+):  # fmt: skip
+    """Writes which waypoint comes before each on the quickest way there that uses no line known to be blocked."""
+    cost[0] = 0.0
+    for k in range(1, n):
+        cost[k] = 1.0e30
+        here = load_waypoint(path, trial, k)
+        for i in range(k):
+            if (blocked[i] >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(0):
+                t = cost[i] + _segment_time(load_waypoint(path, trial, i), here, speed, acceleration)
+                if t < cost[k]:
+                    cost[k] = t
+                    before[k] = i
+
+
+@wp.func
+def _unknown(known: wp.array(dtype=wp.uint32), before: wp.array(dtype=int), n: int):
+    """The last line of the quickest way that nobody has looked at: the waypoint at its end, 0 where all are known."""
+    k = int(n - 1)
+    while k > 0 and (known[before[k]] >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(1):
+        k = before[k]
+    return k
+
+
+@wp.func
+def _keep_quickest(path: wp.array3d(dtype=float), trial: int, n: int, before: wp.array(dtype=int)):
+    """Leaves out all waypoints but those of the quickest way; the new number."""
+    kept = wp.uint64(0)
+    k = int(n - 1)
+    while k > 0:
+        kept = kept | (wp.uint64(1) << wp.uint64(k))
+        k = before[k]
+    m = int(1)
+    for i in range(1, n):
+        if (kept >> wp.uint64(i)) & wp.uint64(1) == wp.uint64(1):
+            store_waypoint(path, trial, m, load_waypoint(path, trial, i))
+            m += 1
+    return m
+
+
+# Three phases in one loop around one call of `edge`:
+#
+# 1. SUBSET: the quickest subset of the waypoints, line by line (the head of this file);
+# 2. `tries` times, in turn: PULL, the next waypoint moves by a share of the way to where it would be on the line between its
+#    neighbours, first in all joints, then in some; or JOIN, two random points on different segments are joined;
+# 3. SUBSET once more if something changed: a waypoint that has moved may be one to leave out.
+#
+# Time is asked before the edge: it costs nothing. What does not save any is no try, but there are at most 4 `tries` of all.
+# A splice puts two waypoints in place of those between; where the array has no room for one more it is left out (`_splice`).
+@wp.kernel
+def shortcut(
+    first: int,
+    # search
+    tries: int,
+    enough: float,  # a path that takes at most this times the straight line between its ends is left as it is
+    speed: float,  # of the time law, rad/s and rad/s^2
+    acceleration: float,
+    seed: int,
+    moveit: int,  # how edges are checked: CERTIFY or SAMPLES
+    # tables
+    world: World,
+    bodies: TrialBodies,
+    # trials
+    trial_in: wp.array(dtype=int),  # (P,) rows of the problems
+    key_in: wp.array(dtype=int),  # (B,)
+    margin_in: wp.array(dtype=float),  # (B,)
+    # in and out
+    path_inout: wp.array3d(dtype=float),  # (B, W, 6)
+    length_inout: wp.array(dtype=int),  # (B,)
+):
+    """Shortens paths in place: the quickest subset of the waypoints, then changes that save time, the subset once more.
+
+    Rows with two waypoints or none are passed over.
+
+    The arm stops at waypoints, so a shortcut that adds one has to save more than a stop: asked before its edge is checked.
+    """
+    trial = trial_in[first + wp.tid()]
+    n = int(length_inout[trial])
+    if n <= 2:
+        return
+    rng = wp.rand_init(seed + 1, key_in[trial])
+    margin = margin_in[trial]
+    known = wp.zeros(shape=32, dtype=wp.uint32)  # bit j of entry i: somebody has looked at the line from i to j > i
+    blocked = wp.zeros(shape=32, dtype=wp.uint32)
+    cost = wp.zeros(shape=32, dtype=float)
+    before = wp.zeros(shape=32, dtype=int)
+    share = wp.zeros(shape=32, dtype=float)  # by how much a waypoint is pulled next
+    for i in range(n - 1):
+        known[i] = wp.uint32(1) << wp.uint32(i + 1)
+    straight = _segment_time(
+        load_waypoint(path_inout, trial, 0), load_waypoint(path_inout, trial, n - 1), speed, acceleration
+    )
+    # the line from end to end is blocked, or there would have been no search
+    known[0] = known[0] | (wp.uint32(1) << wp.uint32(n - 1))
+    blocked[0] = wp.uint32(1) << wp.uint32(n - 1)
+    kind = int(0)
+    changed = int(0)
+    phase = int(SUBSET)
+    passes = int(0)
+    looked = int(0)
+    tried = int(0)
+    proposed = int(0)
+    i = int(0)
+    j = int(0)
+    a = vec6()
+    b = vec6()
+    moved = vec6()
+    running = bool(True)
+    while running:
+        if phase == SUBSET:
+            _quickest(path_inout, trial, n, speed, acceleration, blocked, cost, before)
+            j = _unknown(known, before, n)
+            i = before[j]
+            if looked >= MOST_LINES:  # the rest counts as blocked
+                for m in range(n - 1):
+                    blocked[m] = blocked[m] | ~known[m]
+                _quickest(path_inout, trial, n, speed, acceleration, blocked, cost, before)
+                j = 0
+            if j > 0:
+                a = load_waypoint(path_inout, trial, i)
+                b = load_waypoint(path_inout, trial, j)
+                looked += 1
+            else:
+                n = _keep_quickest(path_inout, trial, n, before)
+                passes += 1
+                phase = JOIN
+                for m in range(n):
+                    share[m] = FIRST_SHARE
+                if passes == 2 or n == 2 or _time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
+                    running = False
+                continue
+        elif phase != PULL_ON:
+            proposed += 1
+            if tried >= tries or proposed > 4 * tries:
+                if changed == 0:
+                    break
+                phase = SUBSET
+                looked = 0
+                for m in range(n - 1):
+                    blocked[m] = wp.uint32(0)
+                    known[m] = wp.uint32(1) << wp.uint32(m + 1)
+                known[0] = known[0] | (wp.uint32(1) << wp.uint32(n - 1))
+                blocked[0] = wp.uint32(1) << wp.uint32(n - 1)
+                continue
+            kind = proposed % 3
+            phase = wp.where(kind == 0, JOIN, PULL)
+            if phase == JOIN:
+                i = wp.min(int(wp.randf(rng) * float(n - 1)), n - 2)
+                j = wp.min(int(wp.randf(rng) * float(n - 1)), n - 2)
+                s = wp.randf(rng)
+                t = wp.randf(rng)
+                if i == j:
+                    continue
+                # from the point s of segment i to the point t of segment j
+                if i > j:
+                    i, j = j, i
+                a0 = load_waypoint(path_inout, trial, i)
+                b0 = load_waypoint(path_inout, trial, j)
+                a = a0 + s * (load_waypoint(path_inout, trial, i + 1) - a0)
+                b = b0 + t * (load_waypoint(path_inout, trial, j + 1) - b0)
+                if _saved(path_inout, trial, i, j, a, b, speed, acceleration) <= LEAST_SAVED_S:
+                    continue
+            else:
+                i = 1 + (proposed / 3) % (n - 2)
+                a = load_waypoint(path_inout, trial, i - 1)
+                moved = load_waypoint(path_inout, trial, i)
+                b = load_waypoint(path_inout, trial, i + 1)
+                t0 = _segment_time(a, moved, speed, acceleration)
+                t1 = _segment_time(moved, b, speed, acceleration)
+                some = kind == 2
+                by = wp.where(some, wp.randf(rng), share[i])
+                for m in range(6):
+                    on_line = a[m] + (t0 / (t0 + t1)) * (b[m] - a[m])
+                    if not some or wp.randf(rng) < 0.5:
+                        moved[m] = moved[m] + by * (on_line - moved[m])
+                now = _segment_time(a, moved, speed, acceleration) + _segment_time(moved, b, speed, acceleration)
+                if now >= t0 + t1 - LEAST_SAVED_S:
+                    continue
+                b = moved
+            tried += 1
+        else:  # PULL_ON: the line from the moved waypoint
+            a = moved
+            b = load_waypoint(path_inout, trial, i + 1)
+        found = edge(world, bodies, trial, a, b, margin, 0.0, 0.0, 0.0, moveit, 0)
+        free = found.status == FREE
+        if phase == SUBSET:
+            known[i] = known[i] | (wp.uint32(1) << wp.uint32(j))
+            if not free:
+                blocked[i] = blocked[i] | (wp.uint32(1) << wp.uint32(j))
+        elif phase == JOIN:
+            if free:
+                changed = 1
+                n = _splice(path_inout, trial, n, i, j, a, b)
+                for m in range(n):
+                    share[m] = FIRST_SHARE
+        elif phase == PULL and free:
+            phase = PULL_ON
+        else:
+            if free:
+                store_waypoint(path_inout, trial, i, moved)
+                changed = 1
+                if _time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
+                    tried = tries
+            elif kind != 2:
+                share[i] = 0.5 * share[i]
+            phase = PULL
+    length_inout[trial] = n

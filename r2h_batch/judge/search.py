@@ -1,0 +1,215 @@
+"""Paths where no straight line is free: rounds of RRT-Connect, shortcuts, and other searches where the first path is long."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Bool, Float32, Int32
+from torch import Tensor
+
+from r2h_batch.config import ExecConfig, PlanConfig
+from r2h_batch.kernels.plan.codes import BRANCHES
+from r2h_batch.kernels.plan.rrt import rrt_connect
+from r2h_batch.kernels.plan.shortcut import shortcut
+from r2h_batch.motion.time_law import limits, path_time
+
+if TYPE_CHECKING:
+    from r2h_batch.judge.plan import Planner
+
+__all__ = ["Search", "straight_time"]
+
+_SCRATCH_NODES, _NODE_BYTES = 4_000_000, 32  # of all trees of one launch: 128 MB
+SHORTER = 0.9
+"""What is left of a node's reach when a step from it is blocked, in all rounds but the last."""
+ENOUGH = 1.1
+"""A path that takes at most this times the straight line between its ends is not shortened further."""
+TOO_LONG = 2.0
+"""A path that takes more than this times the straight line to the goal nearest in time is looked for again ..."""
+AGAIN = 2
+"""... this many times, with other random numbers and a budget of ..."""
+AGAIN_ITERATIONS = 500
+
+
+@dataclass(frozen=True)
+class Search:
+    """What searches of B trials share: the goals of each, (b * 8, 6), the first `n_goals` of them free, and their margins."""
+
+    run: "Planner"
+    home: Float32[Tensor, "1 6"]
+    goals: Float32[Tensor, "g 6"]
+    n_goals: Int32[Tensor, " b"]
+    margin: Float32[Tensor, "b 8"]
+    key: Int32[Tensor, " b"]
+    config: PlanConfig
+    execute: ExecConfig
+
+    def __call__(self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]) -> None:
+        """RRT-Connect and shortcuts where `length` is 0 and there is a goal; writes `path` and `length`.
+
+        Budgets grow from round to round: most searches end within 50 iterations, and a launch is as large as its budget's
+        trees. Where the path found then is a long detour the quickest of a few searches counts. The host asks twice which
+        rows are left, before the first round and after it, and no more: asking waits for a GPU. A problem that has its path
+        already costs later rounds nothing.
+        """
+        rows = torch.nonzero((self.n_goals > 0) & (length == 0)).flatten().to(torch.int32)
+        with_margin = self._round(rows, 0, path, length)
+        self._shorten(rows, self.config.seed, with_margin, path, length)
+        rounds = range(1, len(self.config.rounds))
+        detour = (length > 0) & (self._time(path, length) > TOO_LONG * self._straight_time())
+        unsolved = length == 0
+        left = detour | (unsolved if len(rounds) else torch.zeros_like(unsolved))
+        rows = torch.nonzero((self.n_goals > 0) & left).flatten().to(torch.int32)
+        if not len(rows):
+            return
+        if len(rounds):
+            self._rest(rows, rounds, unsolved, path, length)
+        for attempt in range(1, AGAIN + 1):
+            self._again(rows, detour, self.config.seed + 100 * attempt, path, length)
+
+    def _rest(
+        self, rows: Int32[Tensor, " r"], rounds: range, unsolved: Bool[Tensor, " b"],
+        path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
+    ) -> None:  # fmt: skip
+        """The other rounds of those `rows` that are `unsolved`, and shortcuts on what they find."""
+        found_with = torch.zeros_like(self.margin[:, 0])
+        for i in rounds:
+            here = length == 0
+            found_with = torch.where(here, self._round(rows, i, path, length), found_with)
+        fresh = torch.where(unsolved, length, 0)
+        self._shorten(rows, self.config.seed, found_with, path, fresh)
+        length.copy_(torch.where(unsolved, fresh, length))
+
+    def _again(
+        self, rows: Int32[Tensor, " r"], detour: Bool[Tensor, " b"], seed: int,
+        path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
+    ) -> None:  # fmt: skip
+        """One more search of those `rows` that are a `detour`; what it finds counts where it is quicker.
+
+        Some of these are straight lines themselves: to a goal far away, as the line to a nearer one is blocked.
+        """
+        other, n = path.clone(), torch.where(detour, 0, 1).to(torch.int32)
+        margin = self._connect(rows, AGAIN_ITERATIONS, seed, SHORTER, other, n, everything=False)
+        n = torch.where(detour, n, 0)
+        self._shorten(rows, seed, margin, other, n)
+        quicker = (n > 0) & (self._time(other, n) < self._time(path, length))
+        path.copy_(torch.where(quicker[:, None, None], other, path))
+        length.copy_(torch.where(quicker, n, length))
+
+    def _round(
+        self, rows: Int32[Tensor, " r"], i: int, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]
+    ) -> Float32[Tensor, " b"]:
+        """Round i of the configured ones. The last takes all goals, and steps of one length: plain RRT-Connect."""
+        last = i == len(self.config.rounds) - 1
+        # other numbers in each round: what begins as the round before would end as it did
+        seed = self.config.seed + (0 if last else 10 * i)
+        shorter = 1.0 if last else SHORTER
+        return self._connect(rows, self.config.rounds[i], seed, shorter, path, length, everything=last)
+
+    def _connect(
+        self, rows: Int32[Tensor, " r"], iterations: int, seed: int, shorter: float,
+        path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], *, everything: bool,
+    ) -> Float32[Tensor, " b"]:  # fmt: skip
+        """One search of those `rows` whose `length` is 0; the hand clearance that paths keep."""
+        b, device = len(path), path.device
+        kept, n_kept, margin = goals_for_search(
+            self.goals.view(b, BRANCHES, 6), self.n_goals, self.margin, everything=everything
+        )
+        # An iteration adds one node to one tree and then as many to the other as it takes to meet or to be blocked;
+        # how many is not bounded, so a tree that is full ends the search (`rrt_connect`)
+        capacity = 4 * iterations + 16
+        for part in rows.split(max(1, _scratch_nodes(device) // (2 * capacity))):
+            nodes = torch.empty((len(part) * 2 * capacity, 7), dtype=torch.float32, device=device)
+            parents = torch.empty(len(part) * 2 * capacity, dtype=torch.int32, device=device)
+            self.run(
+                rrt_connect,
+                len(part),
+                inputs={
+                    "iterations": iterations,
+                    "capacity": capacity,
+                    "range_rad": self.config.range_rad,
+                    "shorter": shorter,
+                    "seed": seed,
+                    "moveit": int(self.config.edge_check == "moveit"),
+                    "home": self.home,
+                    "trial": part,
+                    "key": self.key,
+                    "goals": kept.view(-1, 6),
+                    "n_goals": n_kept,
+                    "margin": margin,
+                },
+                outputs={"nodes": nodes, "parents": parents, "path": path, "length": length},
+                chunk=1,
+            )
+        return margin
+
+    def _shorten(
+        self, rows: Int32[Tensor, " r"], seed: int, margin: Float32[Tensor, " b"],
+        path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
+    ) -> None:  # fmt: skip
+        """Shortcuts on the paths that `rows` have, as long as they save time under the arm's limits; in place."""
+        speed, acceleration = limits(self.execute)
+        self.run(
+            shortcut,
+            len(rows),
+            inputs={
+                "tries": self.config.shortcuts,
+                "enough": ENOUGH,
+                "speed": speed,
+                "acceleration": acceleration,
+                "seed": seed,
+                "moveit": int(self.config.edge_check == "moveit"),
+                "trial": rows,
+                "key": self.key,
+                "margin": margin,
+            },
+            outputs={"path": path, "length": length},
+            chunk=1,
+        )
+
+    def _time(self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]) -> Tensor:
+        """Seconds of each path."""
+        return path_time(path, length, self.execute)
+
+    def _straight_time(self) -> Tensor:
+        return straight_time(self.home, self.goals, self.n_goals, self.execute)
+
+
+def straight_time(
+    home: Float32[Tensor, "1 6"], goals: Float32[Tensor, "g 6"], n_goals: Int32[Tensor, " b"], execute: ExecConfig
+) -> Tensor:
+    """Time of the straight line from home to that free goal which it reaches soonest, s; infinite without one."""
+    lines = torch.stack([home.expand_as(goals), goals], 1)
+    two = torch.full((len(lines),), 2, dtype=torch.int32, device=home.device)
+    time = path_time(lines, two, execute).view(-1, BRANCHES)
+    slot = torch.arange(BRANCHES, dtype=torch.int64, device=home.device)[None]
+    return torch.where(slot < n_goals[:, None], time, torch.inf).amin(1)
+
+
+def _scratch_nodes(device: torch.device) -> int:
+    """How many tree nodes one launch may have: on CUDA a quarter of the memory that is free."""
+    if device.type == "cpu":
+        return _SCRATCH_NODES
+    free, _ = torch.cuda.mem_get_info(device)
+    return max(_SCRATCH_NODES, free // 4 // _NODE_BYTES)
+
+
+def goals_for_search(
+    goals: Tensor, n_goals: Tensor, margin: Tensor, *, everything: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The goals that one search may end at, and the hand clearance that all of it keeps.
+
+    A tree has one margin. First only goals that allow (nearly) the widest one; in the last round all of them.
+    """
+    slot = torch.arange(BRANCHES, dtype=torch.int64, device=goals.device)[None]
+    there = slot < n_goals[:, None]
+    widest = torch.where(there, margin, 0.0).amax(1, keepdim=True)
+    # One near goal would lower the margin of the whole tree, and with it that of paths to goals with more room
+    use = there & ((margin >= 0.9 * widest) | torch.tensor(everything, dtype=torch.bool, device=goals.device))
+    order = torch.where(use, slot, BRANCHES + slot).argsort(dim=1)
+    rows = torch.arange(len(goals), dtype=torch.int64, device=goals.device)[:, None]
+    kept_margin = torch.where(use, margin, torch.inf).amin(1)
+    return (
+        goals[rows, order].contiguous(),
+        use.sum(1).to(torch.int32),
+        torch.where(there.any(1), kept_margin, 0.0).contiguous(),
+    )

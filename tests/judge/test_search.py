@@ -1,0 +1,76 @@
+"""Searches: narrow ways out, long detours, what plain RRT-Connect finds. Problems of `random`, whose goals are anywhere."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from problems import Batch, Problems, default_evaluator, make_batch, solve
+
+from r2h_batch.config import PlanConfig
+from r2h_batch.judge import search
+from r2h_batch.methods import random
+from r2h_batch.motion.time_law import time_path
+from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch.types import PlanReason
+
+LONG_WAYS = [13, 80, 293, 592]
+"""Trials whose first path takes more than twice as long as the straight line to the nearest goal."""
+PLAIN = PlanConfig(rounds=(5000,))
+"""RRT-Connect with steps of one length to all goals, 5,000 iterations: the last round alone."""
+
+
+def random_batch(ids: torch.Tensor) -> Batch:
+    scene = default_evaluator().scene
+    trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set)
+    answer = random.predict(trials, scene, seed=0)
+    return Batch(trials, answer.T_obj_ee, answer.T_world_ee)
+
+
+def time_s(p: Problems) -> np.ndarray:
+    return time_path(p.plan.path, p.plan.length, default_evaluator().config.execute).t_exec_s.double().numpy()
+
+
+def test_a_goal_30_micrometres_from_the_hand_is_left_in_a_few_hundred_iterations():
+    """Steps of one length fail there by the thousand: this was the longest of 2,048 problems, and held up all others."""
+    scene, batch = default_evaluator().scene, random_batch(torch.tensor([1352]))
+    plain = solve(scene, batch, PlanConfig(rounds=(1050,))).plan
+    assert int(plain.reason) == PlanReason.NO_PATH_IN_BUDGET
+    found = solve(scene, batch, PlanConfig(rounds=(50, 1000, 1))).plan
+    assert int(found.reason) == PlanReason.OK and float(found.clearance_m) > 0
+
+
+def test_shortcuts_never_make_a_path_slower_and_mostly_quicker():
+    scene = default_evaluator().scene
+    batch = make_batch(scene, 512, random_share=0.3)
+    hard = torch.nonzero(~solve(scene, batch).plan.straight).flatten()
+    batch = batch.rows(hard)
+    raw, short = (solve(scene, batch, PlanConfig(shortcuts=n)) for n in (0, 8))
+    found = ((raw.plan.length > 0) & (short.plan.length > 0)).numpy()
+    before, after = time_s(raw)[found], time_s(short)[found]
+    assert found.sum() >= 15
+    assert (after <= before + 1e-4).all() and (after < before - 0.01).mean() >= 0.5, after - before
+
+
+def test_a_long_way_to_a_far_goal_is_looked_for_again(monkeypatch):
+    scene, batch = default_evaluator().scene, random_batch(torch.tensor(LONG_WAYS))
+    again = time_s(solve(scene, batch))
+    monkeypatch.setattr(search, "TOO_LONG", math.inf)
+    once = time_s(solve(scene, batch))
+    assert (again < once - 1.0).all(), (once, again)
+
+
+@pytest.mark.slow
+def test_nothing_is_lost_that_plain_rrt_connect_finds_for_a_hundred_thousand_trials():
+    scene, lost, gained, searched = default_evaluator().scene, [], [], 0
+    for ids in torch.arange(100_000).split(10_000):
+        batch = random_batch(ids)
+        ours = solve(scene, batch).plan
+        none = ours.reason == int(PlanReason.NO_PATH_IN_BUDGET)
+        hard = torch.nonzero(none | ((ours.length > 0) & ~ours.straight)).flatten()
+        searched += len(hard)
+        plain = solve(scene, batch.rows(hard), PLAIN).plan.length > 0
+        lost += ids[hard[plain & none[hard]]].tolist()
+        gained += ids[hard[~plain & ~none[hard]]].tolist()
+    print(f"\n{searched} searched; lost {lost}, gained {gained}")
+    assert searched > 5000 and not lost
