@@ -92,6 +92,11 @@ def _md(table: Table) -> str:
         for n, row in zip(names, table.rows)
         if row.presented
     ]
+    met = [
+        [*n, f"{row.body_met.percent:.1f}", interval(row.body_met), str(row.body_met.total)]
+        for n, row in zip(names, table.rows)
+        if row.body_met
+    ]
     parts = [
         "  \n".join(f"{key}: {value}" for key, value in table.origin.items()),
         "Rates in percent, times in seconds.",
@@ -103,6 +108,14 @@ def _md(table: Table) -> str:
         *(
             ["Presented (not in SR).", aligned(["Split", "Method", "Presented", "95 %", "of"], shown, 2)]
             if shown
+            else []
+        ),
+        *(
+            [
+                "Motions that meet the receiver's arm or torso (in Safe with --receiver body only).",
+                aligned(["Split", "Method", "Body met", "95 %", "of"], met, 2),
+            ]
+            if met
             else []
         ),
         "\n".join(wrapped(note) for note in [*map(plain, legend(short)), *FOOTNOTES]),
@@ -137,6 +150,8 @@ def record(row: Row) -> dict[str, Any]:
         "presented_low": shown and shown.low,
         "presented_high": shown and shown.high,
     }
+    met = row.body_met
+    fields |= {"body_met": met and met.percent, "body_met_low": met and met.low, "body_met_high": met and met.high}
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}

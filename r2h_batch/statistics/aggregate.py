@@ -60,6 +60,8 @@ class Row:
     times: Mapping[str, Mean]
     presented: Rate | None = None
     """trials whose region faced the palm within reach, of those that were asked"""
+    body_met: Rate | None = None
+    """motions that met the receiver's arm or torso, of those past a receiver who has them"""
 
 
 def first_failure(passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = REQUIRED) -> np.ndarray:
@@ -136,9 +138,9 @@ def mean_rate(rates: Sequence[Rate]) -> Rate:
     return Rate(percent, max(percent - float(below), 0.0), min(percent + float(above), 100.0))
 
 
-def _presented(counted: Tally, split: int, code: int | None) -> Rate | None:
-    """The share of the trials with a region whose region was presented; None without any."""
-    asked = counted.sum_of(split, code, "presented")
+def _share(counted: Tally, split: int, code: int | None, name: str) -> Rate | None:
+    """How many of the trials that were asked say yes; None without any."""
+    asked = counted.sum_of(split, code, name)
     if asked.mean is None:
         return None
     yes = round(asked.mean * asked.count)
@@ -189,7 +191,8 @@ def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
         sr_new_objects=clustered_rate(_added(objects, count * (outcome == Outcome.SUCCESS)), _added(objects, count)),
         n_objects=len(np.unique(objects)),
         times=_times(counted, place, code),
-        presented=_presented(counted, place, code),
+        presented=_share(counted, place, code, "presented"),
+        body_met=_share(counted, place, code, "body_met"),
     )
 
 

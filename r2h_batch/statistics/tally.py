@@ -16,8 +16,8 @@ __all__ = ["SECONDS", "Sum", "Tally", "Verdicts", "tally", "verdicts"]
 SECONDS = ("t_plan_s", "t_exec_s", "t_method_s")
 """Stored times."""
 
-SUMMED = (*SECONDS, "presented")
-"""What is added up trial by trial: times, and who was presented the region."""
+SUMMED = (*SECONDS, "presented", "body_met")
+"""What is added up trial by trial: times, who was presented the region, and whose arm or torso was met."""
 
 BLOCK = 8192
 
@@ -37,11 +37,14 @@ class Verdicts:
     trial_id: np.ndarray
     presented: np.ndarray | None = None
     """1 and 0, NaN where it is not asked; None: nowhere"""
+    body_met: np.ndarray | None = None
+    """the same of motions past a receiver with a body"""
 
     def __post_init__(self) -> None:
         n = len(self.outcome)
-        if self.presented is None:
-            object.__setattr__(self, "presented", np.full(n, np.nan, np.float32))
+        for name in ("presented", "body_met"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.full(n, np.nan, np.float32))
         for column in fields(self):
             if len(found := getattr(self, column.name)) != n:
                 raise ValueError(f"Verdicts.{column.name} has {len(found)} rows, outcome has {n}")
@@ -175,7 +178,16 @@ def verdicts(run: Run, method: str, names: list[str]) -> Iterator[Verdicts]:
 
     Checked at the end: that there were as many as planned. That each row can be a verdict was checked when the run was loaded.
     """
-    columns = ["trial_id", "object", "split", "outcome", "presented", *SECONDS, *(f"passed_{c}" for c in CRITERIA)]
+    columns = [
+        "trial_id",
+        "object",
+        "split",
+        "outcome",
+        "presented",
+        "body_m",
+        *SECONDS,
+        *(f"passed_{c}" for c in CRITERIA),
+    ]
     found = np.zeros(len(SPLITS), np.int64)
     for table in run.shards("trials", method, columns):
         rows = _rows(table, method, names)
@@ -195,7 +207,13 @@ def _rows(table: pa.Table, method: str, names: list[str]) -> Verdicts:
             pattern=pattern(states(table)).astype(np.min_scalar_type(len(PATTERNS))),
             trial_id=table["trial_id"].to_numpy(),
             presented=table["presented"].cast("float32").to_numpy(),
+            body_met=_below_zero(table["body_m"].to_numpy()),
             **{k: table[k].to_numpy().astype(np.float32) for k in SECONDS},
         )
     except ValueError as error:
         raise ValueError(f"{method}: {error}") from None
+
+
+def _below_zero(values: np.ndarray) -> np.ndarray:
+    """1 and 0, NaN where nothing is known."""
+    return np.where(np.isnan(values), np.nan, values < 0).astype(np.float32)

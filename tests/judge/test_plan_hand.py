@@ -1,5 +1,6 @@
 """Paths planned against the hand that the methods see, judged on the true one (`PlanConfig.hand`)."""
 
+import copy
 from dataclasses import replace
 
 import pytest
@@ -7,7 +8,6 @@ import torch
 from problems import default_evaluator
 
 from r2h_batch.config import EstimateConfig, EvalConfig, ExecConfig, PlanConfig
-from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import fc
 from r2h_batch.predictors import PredictorNoise, predict_target
 from r2h_batch.trials.protocol import make_trials
@@ -17,7 +17,10 @@ SEEN = EstimateConfig(errors="tails", factor=2.0, seed=5)
 
 
 def evaluator(config=None):
-    return Evaluator(replace(config or EvalConfig(), execute=ExecConfig(sim="none")))
+    """The shared evaluator's scene with another configuration."""
+    twin = copy.copy(default_evaluator())
+    twin.config = replace(config or EvalConfig(), execute=ExecConfig(sim="none"))
+    return twin
 
 
 @pytest.fixture(scope="module")

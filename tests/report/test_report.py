@@ -11,11 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from made_runs import paper_run, table_1, write_run
+import torch
+from made_runs import make_header, make_scores, make_trials, paper_run, store, table_1, write_run
 
 from r2h_batch.report import table as report
 from r2h_batch.report import text as text_of
 from r2h_batch.report.command import run as main
+from r2h_batch.results.reading import load_run
+from r2h_batch.results.writing import open_run
 from r2h_batch.statistics.aggregate import RATES, Mean
 from r2h_batch.statistics.breakdown import parse_order
 from r2h_batch.types import CRITERIA
@@ -171,6 +174,16 @@ def test_edges_print_na_and_never_nan(tmp_path, fmt, n_s0, n_s1, code):
 def test_seconds_keep_two_digits_however_short(paper, seconds, text):
     row = replace(paper.rows[0], times={**paper.rows[0].times, "t_plan_s": Mean(seconds, 1)})
     assert report.cell(row, "t_plan_s") == text
+
+
+def test_motions_that_meet_a_receivers_body_are_a_rate_of_those_past_one(tmp_path):
+    trials, run = make_trials(8, 0), open_run(tmp_path / "run", make_header(8, 0))
+    body_m = torch.tensor([0.05, -0.01, 0.0, torch.nan, -0.002, 0.03, torch.nan, -0.1])
+    store(run, "m", trials, replace(make_scores(trials, np.zeros(8, int)), body_m=body_m))
+    table = report.table_of(load_run(tmp_path / "run"))
+    *_, met = md_tables(report.render(table, "md"))
+    assert met[0] == ["Split", "Method", "Body met", "95 %", "of"] and met[1][2:] == ["50.0", "18.8-81.2", "6"]
+    assert table.rows[0].body_met.percent == 50.0 and '"body_met": 50.0' in report.render(table, "json")
 
 
 def test_missing_and_invalid_trials_are_shown(tmp_path):

@@ -111,7 +111,7 @@ def make_scores(
         motion=torch.from_numpy(path[:, ::-1].copy()),
         motion_len=torch.from_numpy(np.where(has_path, 5, 0).astype(np.int32)),
         failed_state=torch.arange(3 * n, dtype=torch.float64).reshape(n, 3),
-        body_m=floats(np.full(n, 0.03), has_path),
+        body_m=torch.full((n,), torch.nan),
     )
 
 

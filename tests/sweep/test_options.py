@@ -153,6 +153,7 @@ def test_the_command_says_so_in_one_line_and_exits_with_2(tmp_path):
         ("--engine dask", "dask"),
         ("--predictor-noise -1", "--predictor-noise is -1.0; it must be 0 (the truth) or more"),
         ("--predictor-noise nan", "--predictor-noise is nan"),
+        ("--method random fc --predicted-hands h.npz --preset paper", "add --plan-hand true"),
         ("--predictor net.pt", "--predictor is the contact network of --method contact; add that method"),
     ],
 )
