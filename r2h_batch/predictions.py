@@ -138,7 +138,8 @@ def align(
 def _refuse(source: str, what: str, ids: np.ndarray, how: str) -> None:
     if len(ids):
         listed = ", ".join(map(str, ids[:10].tolist())) + (", ..." if len(ids) > 10 else "")
-        raise PredictionsError(f"{source}: {len(ids)} trial ids are {what}: {listed}; {how}")
+        count = "1 trial id is" if len(ids) == 1 else f"{len(ids)} trial ids are"
+        raise PredictionsError(f"{source}: {count} {what}: {listed}; {how}")
 
 
 def _kind(path: Path) -> str:

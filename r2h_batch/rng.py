@@ -16,6 +16,14 @@ __all__ = ["accepted", "choice", "key_of", "philox4x32", "rotation", "uniforms"]
 Array = NDArray[np.float64]
 
 MAX_ATTEMPTS = 100_000
+LOOK_AFTER, HOPELESS = 200, 30_000
+"""After so many attempts without any row accepted so many proposals are looked at; where none fits, no more are tried."""
+
+
+class NothingFits(RuntimeError):
+    """What is asked of a draw leaves no place, or hardly any."""
+
+
 """An acceptance rate this low is an empty set, and not bad luck."""
 
 _MULTIPLIERS = (np.uint64(0xD2511F53), np.uint64(0xCD9E8D57))
@@ -72,11 +80,12 @@ def rotation(u: Array) -> tuple[NDArray[np.bool_], Array]:
 
 
 def accepted(
-    n: int, propose: Callable[[NDArray[np.int64], int], tuple[NDArray[np.bool_], Any]], *outputs: NDArray[Any]
+    n: int, propose: Callable[[NDArray[np.int64], Any], tuple[NDArray[np.bool_], Any]], *outputs: NDArray[Any]
 ) -> None:
     """Rejection sampling of n rows at once: fills `outputs` (n, ...) with each row's first accepted proposal.
 
-    `propose(rows, attempt)` returns which of these rows it accepts and, for the accepted ones, a tuple of values.
+    `propose(rows, attempt)` returns which of these rows it accepts and, for the accepted ones, a tuple of values; `attempt` is
+    one number or one for each row. Raises `NothingFits`.
     """
     todo = np.arange(n)
     for attempt in range(MAX_ATTEMPTS):
@@ -86,4 +95,9 @@ def accepted(
         for output, value in zip(outputs, values, strict=True):
             output[todo[fits]] = value
         todo = todo[~fits]
-    raise RuntimeError(f"{len(todo)} of {n} rows found no acceptable draw in {MAX_ATTEMPTS} attempts")
+        if len(todo) == n and attempt == LOOK_AFTER:
+            # many attempts at once: of a share of 1e-3 that fits, one is among so many but for one case in 10^13
+            turns = max(1, HOPELESS // n)
+            if not propose(np.tile(todo, turns), np.repeat(np.arange(turns), n))[0].any():
+                break
+    raise NothingFits(f"{len(todo)} of {n} rows found no acceptable draw in {attempt + 1} attempts")

@@ -40,6 +40,12 @@ def check(file: Path, /) -> int:
     from r2h_batch.benchmark.reading import read_benchmark
 
     try:
+        if file.is_dir():
+            inside = file / "benchmark.yaml"
+            how = (
+                f"give {inside}" if inside.is_file() else "give a benchmark.yaml; meshes alone: sweep --objects FOLDER"
+            )
+            return refuse("benchmark", f"{file}: is a folder; {how}")
         with warnings.catch_warnings(record=True) as told:
             warnings.simplefilter("always", UserWarning)
             found = read_benchmark(file)

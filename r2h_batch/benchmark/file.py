@@ -15,6 +15,7 @@ from r2h_batch.command_line import nearest
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.files import FileError, printable
 from r2h_batch.files.plain_yaml import read_plain_yaml
+from r2h_batch.files.rules import rule_of
 
 __all__ = ["BUILT_IN", "BenchmarkFile", "ObjectEntry", "WordsEntry", "read_entry", "read_file_model"]
 
@@ -136,6 +137,11 @@ def read_entry(path: Path, mesh: str) -> ObjectEntry:
     return _checked(ObjectEntry, {**data, "file": mesh}, shown, "objects")
 
 
+_KINDS: dict[str, type[BaseModel]] = {
+    "": BenchmarkFile, "objects": ObjectEntry, "words": WordsEntry, "thresholds": ThresholdsEntry, "table": TableEntry,
+}  # fmt: skip
+"""Field -> what its entries are."""
+
 Kind = TypeVar("Kind", bound=BaseModel)
 
 
@@ -152,16 +158,20 @@ def _checked(model: type[Kind], data: dict[str, Any], shown: str, top: str) -> K
             listed = f"; allowed are {', '.join(allowed)}" if allowed else ""
             raise FileError(f"{shown}: unknown field {where}{hint}{listed}") from None
         what = "is missing" if first["type"] == "missing" else f"is {printable(repr(first['input']))[:80]}"
-        raise FileError(
-            f"{shown}: {where} {what}; {first['msg'][:1].lower()}{printable(first['msg'])[1:300]}"
-        ) from None
+        said = _said_of((top, *first["loc"]))
+        raise FileError(f"{shown}: {where} {what}; {rule_of(first)}{f': {said}' if said else ''}") from None
+
+
+def _said_of(place: tuple[int | str, ...]) -> str:
+    """What the schema says of a field; empty where it says nothing."""
+    *above, name = [p for p in place if isinstance(p, str)]
+    kind = _KINDS.get(above[-1] if above else "")
+    field = kind.model_fields.get(name) if kind is not None else None
+    return field.description or "" if field is not None else ""
 
 
 def _fields_at(place: tuple[int | str, ...]) -> list[str]:
     """Names that the schema allows at a place; none where anything goes."""
-    kinds: dict[str, type[BaseModel]] = {
-        "": BenchmarkFile, "objects": ObjectEntry, "words": WordsEntry, "thresholds": ThresholdsEntry, "table": TableEntry,
-    }  # fmt: skip
     names = [p for p in place if isinstance(p, str)]
-    kind = kinds.get(names[-1] if names else "")
+    kind = _KINDS.get(names[-1] if names else "")
     return [] if kind is None else list(kind.model_fields)

@@ -40,8 +40,13 @@ def read_benchmark(path: str | Path, *, pieces: bool = False) -> Benchmark:
     path = Path(path)
     file = read_file_model(path)
     digest = hashlib.sha256(read_file(path, MAX_FILE_BYTES))
-    for name in _named(file):
-        digest.update(hashlib.sha256(read_file(path_within(path.parent, name), MAX_FILE_BYTES)).digest())
+    for field, name in _named(file):
+        try:
+            if "\\" in name and ":" not in name:
+                raise FileError(f"{printable(name)!r}: has a backslash; write / between folders")
+            digest.update(hashlib.sha256(read_file(path_within(path.parent, name), MAX_FILE_BYTES)).digest())
+        except FileError as error:
+            raise FileError(f"{printable(path)}: {field}: {error}") from None
     return _read(str(path.resolve()), digest.hexdigest(), pieces)
 
 
@@ -64,12 +69,17 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
         raise FileError(f"{printable(path)}: {printable(error)}") from None
 
 
-def _named(file: BenchmarkFile) -> list[str]:
-    """Names of the files that it reads, as it says them."""
-    own = [n for o in file.objects for n in (o.file, o.parts, o.grasps) if n is not None]
-    own += [o.receiver for o in file.objects if o.receiver is not None and o.receiver.endswith(".npy")]
-    own += [file.trials] if file.trials is not None else []
-    return own + [n for n in (file.hand_model, file.hand_set) if n != BUILT_IN]
+def _named(file: BenchmarkFile) -> list[tuple[str, str]]:
+    """(field, name) of the files that it reads, as it says them."""
+    own = [
+        (f"objects.{i}.{field}", name)
+        for i, o in enumerate(file.objects)
+        for field in ("file", "parts", "grasps", "receiver")
+        if (name := getattr(o, field)) is not None and (field != "receiver" or name.endswith(".npy"))
+    ]
+    own += [("trials", file.trials)] if file.trials is not None else []
+    hands = [(field, getattr(file, field)) for field in ("hand_model", "hand_set")]
+    return own + [(field, name) for field, name in hands if name != BUILT_IN]
 
 
 def _workplace(file: BenchmarkFile, path: str) -> Workplace:

@@ -19,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.hand import HandSet, make_hand_set
+from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.files import FileError, open_file, printable
 from r2h_batch.files.arrays import read_npz
@@ -56,11 +57,12 @@ def read_trials_file(path: Path, objects: Sequence[ObjectModel], hand_set: HandS
     T = _poses(columns["T_world_hand"], where)
     object_index = _objects(columns["object"], objects, where)
     if "hand" in columns:
-        hand = columns["hand"].astype(np.int64)
+        hand = columns["hand"]  # compared as it is: what does not fit int64 would wrap
         if hand.min() < 0 or hand.max() >= len(hand_set):
             raise FileError(
                 f"{where}: hand goes from {hand.min()} to {hand.max()}; the hand set has 0 to {len(hand_set) - 1}"
             )
+        hand = hand.astype(np.int64)
     else:
         hand_set, hand = _own_hands(columns, hand_set, where)
     split = np.array([SPLITS.index(o.split) for o in objects])[object_index]
@@ -135,20 +137,19 @@ def _objects(given: NDArray[Any], objects: Sequence[ObjectModel], where: str) ->
 
 def _own_hands(columns: Columns, base: HandSet, where: str) -> tuple[HandSet, NDArray[np.int64]]:
     """A set of the postures that the trials have, on the same hand, and each trial's row of it."""
-    side = columns["side"].astype(np.int64)
-    if not np.isin(side, (0, 1)).all():
+    if not np.isin(columns["side"], (0, 1)).all():
         raise FileError(f"{where}: side must be 0 (right) or 1 (left)")
+    side = columns["side"].astype(np.int64)
     # sorted by the first column: right hands first, as a set has them
     rows = np.concatenate([side[:, None], columns["pose"], columns["shape"]], 1).astype(np.float32)
     unique, at = np.unique(rows, axis=0, return_inverse=True)
-    if np.abs(unique[:, 1:]).max() > 100:
-        raise FileError(f"{where}: pose and shape go up to {np.abs(unique[:, 1:]).max():g}; turns are in radians")
     try:
+        check_postures(columns["pose"], columns["shape"])
         own = make_hand_set(
             base.model, unique[:, 1:49], unique[:, 49:], unique[:, 0].astype(np.int8), ["listed"] * len(unique)
         )
     except ValueError as error:
-        raise FileError(f"{where}: {printable(error)}") from None
+        raise FileError(f"{where}: {printable(error).replace('of hand', 'of trial', 1)}") from None
     return own, at.reshape(-1)
 
 

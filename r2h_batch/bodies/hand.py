@@ -23,7 +23,7 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.bodies.arrays import arrays_digest, asset, read_arrays
-from r2h_batch.bodies.hand_file import read_hand, read_hand_set
+from r2h_batch.bodies.hand_file import check_postures, read_hand, read_hand_set
 from r2h_batch.config import BALL_OFFSET_M
 
 __all__ = [
@@ -369,6 +369,7 @@ def make_hand_set(
     """Postures (H, 48), shapes (H, 10) and sides (H,) on a hand, right ones first; every piece's hull is built and checked."""
     from r2h_batch.bodies.hand_pieces import hulls_of
 
+    check_postures(pose, shape)
     order = np.argsort(side, kind="stable")
     arrays: dict[str, np.ndarray] = {
         "pose": np.asarray(pose, np.float32)[order],

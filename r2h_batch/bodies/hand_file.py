@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from r2h_batch.files import FileError, printable
 from r2h_batch.files.arrays import read_npz
 
-__all__ = ["read_hand", "read_hand_set"]
+__all__ = ["check_postures", "read_hand", "read_hand_set"]
 
 HAND: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "vertices": ("f", ("V", 3)),
@@ -47,6 +49,28 @@ BODY: dict[str, tuple[int, ...]] = {"facing": (3,), "up": (3,), "T_world_hand": 
 RIGID = 1e-3
 
 
+KINDS = {"f": "floats (float32 or float64)", "iu": "whole numbers", "U": "text"}
+
+MOST_TURN_RAD = 2 * math.pi
+MOST_SHAPE = 100.0
+
+
+def check_postures(pose: NDArray[Any], shape: NDArray[Any]) -> None:
+    """ValueError that names the hand and the joint where an axis-angle turn of (H, 48) is more than a whole turn, or one of
+    (H, 10) shape numbers is no hand's: degrees, mostly."""
+    turn = np.linalg.norm(np.asarray(pose, np.float64).reshape(len(pose), -1, 3), axis=2)
+    if turn.size and not turn.max() <= MOST_TURN_RAD:
+        hand, joint = np.unravel_index(int(np.argmax(~(turn <= MOST_TURN_RAD))), turn.shape)
+        raise ValueError(
+            f"pose of hand {hand} turns joint {joint} by {turn[hand, joint]:.4g} rad; a turn is an axis times radians,"
+            f" at most {MOST_TURN_RAD:.4g}. If these are degrees, multiply them by pi / 180"
+        )
+    size = np.abs(np.asarray(shape, np.float64))
+    if size.size and not size.max() <= MOST_SHAPE:
+        hand = int(np.argmax(~(size <= MOST_SHAPE).all(1)))
+        raise ValueError(f"shape of hand {hand} goes up to {size[hand].max():.4g}; at most {MOST_SHAPE:g} is allowed")
+
+
 def read_hand(path: str | Path) -> dict[str, np.ndarray]:
     """The arrays of a hand model as `HandModel.from_arrays` takes them. Raises `FileError`, one line."""
     where, arrays = printable(path), read_npz(Path(path))
@@ -78,6 +102,10 @@ def read_hand_set(path: str | Path) -> dict[str, np.ndarray]:
         raise FileError(f"{where}: {sizes['H']} hands; a set may have 1 to {MAX_HANDS}")
     if not np.isin(arrays["side"], (0, 1)).all():
         raise FileError(f"{where}: side must be 0 (right) or 1 (left)")
+    try:
+        check_postures(arrays["pose"], arrays["shape"])
+    except ValueError as error:
+        raise FileError(f"{where}: {error}") from None
     return {**{k: arrays[k] for k in SET}, "in_body": _in_body(arrays, sizes["H"], where)}
 
 
@@ -121,8 +149,10 @@ def _check(
         value = arrays[name]
         expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in shape)
         fits = value.ndim == len(shape) and all(isinstance(n, str) or n == m for n, m in zip(expected, value.shape))
-        if not fits or value.dtype.kind not in kind:
-            raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {' x '.join(map(str, expected))}")
+        if value.dtype.kind not in kind:
+            raise FileError(f"{where}: {name} is of type {value.dtype}; it must be {KINDS[kind]}")
+        if not fits:
+            raise FileError(f"{where}: {name} is {value.shape}; its shape must be {' x '.join(map(str, expected))}")
         sizes |= {n: m for n, m in zip(shape, value.shape) if isinstance(n, str)}
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             raise FileError(f"{where}: {name} holds numbers that are not finite")

@@ -327,6 +327,10 @@ def object_from_argument(argument: str, *, pieces: bool = True) -> ObjectModel:
 
 def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
     """The arguments of `build_object` that such a text means."""
+    if re.match(r"[A-Za-z][A-Za-z0-9+.-]*://", argument):
+        raise ObjectMeshError(
+            f"object mesh {printable(argument)[:200]!r}: an address; nothing is fetched: save the file and give its path"
+        )
     match = re.fullmatch(r"(?P<file>.+?)(?::(?P<split>S\d+)(?::(?P<receiver>.+))?)?", argument)
     if match is None:
         raise ObjectMeshError(f"object mesh {argument!r}: expected FILE[:S0|S1[:RECEIVER]], e.g. saw.stl:S1:x<0.4")

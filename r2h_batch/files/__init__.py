@@ -100,7 +100,8 @@ def open_file(path: str | Path, most: int) -> BinaryIO:
 def _regular(found: os.stat_result, shown: str) -> None:
     if not stat.S_ISREG(found.st_mode):
         kind = _KINDS.get(stat.S_IFMT(found.st_mode), "of an unknown kind")
-        raise FileError(f"{shown}: not a regular file but {kind}; copy its content into a file and give that")
+        how = "give a file in it" if stat.S_ISDIR(found.st_mode) else "copy its content into a file and give that"
+        raise FileError(f"{shown}: not a regular file but {kind}; {how}")
 
 
 def read_file(path: str | Path, most: int) -> bytes:

@@ -86,5 +86,6 @@ def read_plain_yaml(path: Path, *, most: int = MAX_BYTES, deepest: int = MAX_DEP
         problem = printable(getattr(error, "problem", None) or error or "nested too deeply")
         raise FileError(f"{printable(path)}:{where} {problem[:300]}") from None
     if not isinstance(data, dict):
-        raise FileError(f"{printable(path)}: must hold fields like `trials: 500`, not a {type(data).__name__}")
+        found = "it is empty" if data is None else f"not {'a list' if isinstance(data, list) else 'one word or number'}"
+        raise FileError(f"{printable(path)}: must hold fields, one `name: value` a line; {found}")
     return data

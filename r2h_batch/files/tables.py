@@ -22,6 +22,10 @@ MAX_JSON_BYTES = 64 << 20
 MAX_LINE = 10_000
 MAX_ROWS = 10_000_000
 
+MOST_DIGITS = 400
+UTF_16 = (b"\xff\xfe", b"\xfe\xff")
+"""How a file in UTF-16 begins."""
+
 _NUMBER = re.compile(
     r"[-+]?([0-9]{1,30}(\.[0-9]{0,30})?|\.[0-9]{1,30})([eE][-+]?[0-9]{1,3})?|[-+]?(nan|inf)", re.I | re.A
 )
@@ -38,6 +42,9 @@ def read_csv_arrays(path: Path, widths: Widths, optional: tuple[str, ...] = ()) 
     is NaN. Raises `FileError`: file, line, column, what was found and what is allowed.
     """
     where, key = printable(path), next(iter(widths))
+    with open_file(path, MAX_CSV_BYTES) as stream:
+        if stream.read(2) in UTF_16:
+            raise FileError(f"{where}: is in UTF-16; save it in UTF-8 (in Excel: CSV UTF-8)")
     with (
         open_file(path, MAX_CSV_BYTES) as stream,
         io.TextIOWrapper(stream, encoding="utf-8-sig", errors="strict", newline="") as text,
@@ -76,6 +83,11 @@ def _places(names: list[str], widths: Widths, optional: tuple[str, ...], where: 
     wanted = {name: [name] if w == 1 else [f"{name}_{i}" for i in range(w)] for name, w in widths.items()}
     known = [c for columns in wanted.values() for c in columns]
     stripped = [n.strip() for n in names]
+    if len(names) == 1 and any(c in names[0] for c in ";\t"):
+        what = "semicolons" if ";" in names[0] else "tabs"
+        raise FileError(
+            f"{where}: line 1: columns are separated by {what}; write commas between, and points in numbers"
+        )
     shown = ", ".join(n if w == 1 else f"{n}_0 to {n}_{w - 1}" for n, w in widths.items())
     for n in stripped:
         if n not in known:
@@ -129,7 +141,8 @@ def read_json_arrays(
     """
     where, key = printable(path), next(iter(widths))
     try:
-        data = json.loads(read_file(path, MAX_JSON_BYTES).decode("utf-8-sig"), object_pairs_hook=_once)
+        text = _decoded(read_file(path, MAX_JSON_BYTES), where)
+        data = json.loads(text, object_pairs_hook=_once, parse_int=_whole)
     except (ValueError, RecursionError) as error:
         if isinstance(error, FileError):
             raise
@@ -163,6 +176,18 @@ def read_json_arrays(
     for name, part in values.items():
         found[name] = np.array(part, np.float64).reshape((-1, widths[name]) if widths[name] > 1 else -1)
     return found, {k: data[k] for k in words if k in data}
+
+
+def _decoded(data: bytes, where: str) -> str:
+    if data[:2] in UTF_16:
+        raise FileError(f"{where}: is in UTF-16; save it in UTF-8")
+    return data.decode("utf-8-sig")
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > MOST_DIGITS:
+        raise ValueError(f"a number of {len(digits)} digits; ids have at most 18")
+    return int(digits)
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

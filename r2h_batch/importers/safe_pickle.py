@@ -34,6 +34,8 @@ def read_pickle(data: bytes, *, where: str = "pickle", max_bytes: int = MAX_BYTE
     """
     if len(data) > max_bytes:
         raise UnsafePickle(f"{where}: {len(data)} bytes; a pickle may have {max_bytes}")
+    if data[:1] not in (b"\x80", b"(", b"c", b"}", b"]", b")"):
+        raise UnsafePickle(f"{where}: no pickle (it begins with {data[:16]!r}); give the file as its owners give it")
     try:
         return _Unfold().of(Machine(data).run())
     except UnsafePickle as error:

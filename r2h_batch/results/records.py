@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from r2h_batch.files import FileError, printable, read_file
+from r2h_batch.files.rules import rule_of
 from r2h_batch.results.rows import OUTCOME_NAMES
 
 __all__ = ["KINDS", "MAX_SHARDS", "SLUG", "Header", "Method", "Receipt", "RunError", "checked", "read_json"]
@@ -192,7 +193,7 @@ def checked(model: type[_Record], data: Any, path: Path) -> dict[str, Any]:
         found = "" if first["type"] == "missing" else f" is {printable(repr(first['input']))[:80]};"
         raise RunError(
             f"{printable(path)}: a field is missing, of another type or out of bounds: {where}{found}"
-            f" {first['msg'][:1].lower()}{first['msg'][1:200]}"
+            f" {'it is needed' if first['type'] == 'missing' else rule_of(first)[:200]}"
         ) from None
     return {key: data[key] for key in model.model_fields if key in data}
 

@@ -242,6 +242,7 @@ def load_config(path: Path) -> Options:
 
     try:
         from r2h_batch.files.plain_yaml import read_plain_yaml
+        from r2h_batch.files.rules import rule_of
     except ImportError:
         raise UsageError("--config needs PyYAML; pip install pyyaml") from None
     try:
@@ -265,9 +266,7 @@ def load_config(path: Path) -> Options:
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise UsageError(
-            f"{path}: {where} is {repr(first['input'])[:80]}; {first['msg'][0].lower()}{first['msg'][1:]}"
-        ) from None
+        raise UsageError(f"{path}: {where} is {repr(first['input'])[:80]}; {rule_of(first)}") from None
     return Options(**checked.model_dump())
 
 

@@ -140,10 +140,16 @@ def trials_with_ids(
     for first in range(0, len(ids), _ROWS):
         rows = slice(first, first + _ROWS)
         hand_index[rows] = hands_in_turn(ids[rows], side[rows], hands.side, protocol)
-        if with_body:
-            T_world_hand[rows], receiver[rows] = _draw_people(ids[rows], hand_index[rows], hands, config, protocol)
-        else:
-            T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, config)
+        try:
+            if with_body:
+                T_world_hand[rows], receiver[rows] = _draw_people(ids[rows], hand_index[rows], hands, config, protocol)
+            else:
+                T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, config)
+        except rng.NothingFits as error:
+            raise ValueError(
+                f"no place for a hand where {protocol} draws them: {error}. Table (center {config.workplace.table_center}, half "
+                f"{config.workplace.table_half} m), arm at home or reach_offset_m leave none; change these, or list trials"
+            ) from None
     return Trials(
         trial_id=torch.from_numpy(ids),
         object_index=torch.from_numpy(object_index.astype(np.int32)),
@@ -203,7 +209,9 @@ def _draw_poses(
     """T_world_hand (n, 4, 4), each the first proposal of its trial that lies in the reachable set."""
     key, offset_m = rng.key_of(PROTOCOLS[0]), config.thresholds.reach_offset_m
 
-    def propose(rows: NDArray[np.int64], attempt: int) -> tuple[NDArray[np.bool_], tuple[NDArray[np.float32]]]:
+    def propose(
+        rows: NDArray[np.int64], attempt: int | NDArray[np.int64]
+    ) -> tuple[NDArray[np.bool_], tuple[NDArray[np.float32]]]:
         u = rng.uniforms(key, ids[rows], 7, purpose=_POSE, attempt=attempt)
         inside, center = _ball_center(u[:3])
         turned, R = rng.rotation(u[3:])

@@ -133,8 +133,10 @@ def draw_receivers(
         done, first = np.unique(rows[kept], return_index=True)
         T_world_hand[done], receiver[done] = T[first], people.rows(kept[first]).table()
         todo, tried = np.setdiff1d(todo, done), tried + turns
+        if len(todo) == len(ids) and tried * len(ids) >= rng.HOPELESS:
+            break
     if len(todo):
-        raise RuntimeError(f"trial {ids[todo[0]]} has no acceptable posture in {tried} proposals")
+        raise rng.NothingFits(f"trial {ids[todo[0]]} has no acceptable posture in {tried} proposals")
     return T_world_hand, receiver
 
 

@@ -1,0 +1,167 @@
+"""What is said to somebody whose file is not what a command takes: what was given, what is allowed, what to do."""
+
+import re
+
+import numpy as np
+import pytest
+
+from r2h_batch.__main__ import main
+from r2h_batch.benchmark.trials_file import read_trials_file
+from r2h_batch.bodies.hand import load_hand_set, make_hand_set
+from r2h_batch.bodies.hand_file import read_hand_set
+from r2h_batch.bodies.objects import load_objects
+from r2h_batch.config import EvalConfig, Workplace
+from r2h_batch.files import FileError
+from r2h_batch.rng import NothingFits, accepted
+from r2h_batch.trials import make_trials
+
+NAMES = [f"{p}_{i}" for p in ("T_obj_ee", "T_world_ee") for i in range(16)]
+TABLE = ",".join(["trial_id", *NAMES]) + "\n0," + ",".join(["1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1"] * 2) + "\n"
+
+SAID = {
+    "no pickle": (b"hello world", "hand.pkl", "import hand --out h.npz --mano-right", r"no pickle \(it begins with b'hello w"),
+    "empty YAML": (b"", "b.yaml", "benchmark check", "must hold fields, one `name: value` a line; it is empty"),
+    "a list": (b"- a", "b.yaml", "benchmark check", "must hold fields, one `name: value` a line; not a list"),
+    "a config for a benchmark": (
+        b"trials: 500", "b.yaml", "benchmark check", "trials is 500; it must be text: trials of your own, .npz or .parquet",
+    ),
+    "outside": (
+        b"objects: [{file: ../x.obj}]", "b.yaml", "benchmark check", r"b.yaml: objects.0.file: '../x.obj': points outside",
+    ),
+    "another type": (b"objects: 3", "b.yaml", "benchmark check", "objects is 3; it must be a list"),
+    "another word": (
+        b"objects: [{file: a.obj, split: S3}]", "b.yaml", "benchmark check", "objects.0.split is 'S3'; allowed are 'S0' or 'S1'",
+    ),
+    "two numbers": (
+        b"table: {half: [1, 2]}", "b.yaml", "benchmark check", "table.half is .*; it must have 3 entries or more, it has 2",
+    ),
+    "heavy": (
+        b"objects: [{file: a.obj, mass: 200}]", "b.yaml", "benchmark check", "mass is 200; it must be 100.0 or less: kg",
+    ),
+    "backslash": (
+        b"objects: [{file: 'a\\b.obj'}]", "b.yaml", "benchmark check", "has a backslash; write / between folders",
+    ),
+    "missing": (b"objects: [{file: a.obj}]", "b.yaml", "benchmark check", "b.yaml: objects.0.file: .*a.obj: no such file"),
+    "UTF-16": (TABLE.encode("utf-16"), "p.csv", "sweep --trials 1 --predictions", "is in UTF-16; save it in UTF-8"),
+    "semicolons": (
+        TABLE.replace(",", ";").encode(), "p.csv", "sweep --trials 1 --predictions",
+        "columns are separated by semicolons; write commas between, and points in numbers",
+    ),
+    "JSON in UTF-16": (b"\xff\xfe{\0}\0", "p.json", "sweep --trials 1 --predictions", "is in UTF-16; save it in UTF-8"),
+    "a long number": (
+        b'{"predictions": [{"trial_id": %s}]}' % (b"9" * 5000), "p.json", "sweep --trials 1 --predictions",
+        "a number of 5000 digits; ids have at most 18",
+    ),
+    "one id": (TABLE.encode(), "p.csv", "sweep --trials 1 --predictions", "1 trial id is planned but missing: 1;"),
+    "a config of words": (b"trials: many", "c.yaml", "sweep --config", "trials is 'many'; it must be a whole number"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", SAID)
+def test_a_file_that_is_something_else_is_told_what_it_is_and_what_is_allowed(case, tmp_path, monkeypatch, capsys):
+    data, name, command, words = SAID[case]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / name).write_bytes(data)
+    assert (
+        main([*command.split(), str(tmp_path / name), *(["--out", "run"] if command.startswith("sweep") else [])]) == 2
+    )
+    error = capsys.readouterr().err
+    assert re.search(words, error) and error.count("\n") == 1, error
+    assert "NoneType" not in error and "input should" not in error and "int_max_str" not in error
+
+
+def test_an_address_and_a_folder_are_told_what_to_give_instead(tmp_path, capsys):
+    line = [
+        "--object-mesh",
+        "https://x.org/a.obj:S1",
+        "--method",
+        "random",
+        "--trials",
+        "1",
+        "--out",
+        str(tmp_path / "run"),
+    ]
+    assert main(["sweep", *line]) == 2
+    assert "an address; nothing is fetched: save the file and give its path" in capsys.readouterr().err
+    assert main(["benchmark", "check", str(tmp_path)]) == 2
+    assert "is a folder; give a benchmark.yaml; meshes alone: sweep --objects FOLDER" in capsys.readouterr().err
+    (tmp_path / "benchmark.yaml").write_text("")
+    assert main(["benchmark", "check", str(tmp_path)]) == 2
+    assert f"is a folder; give {tmp_path}/benchmark.yaml" in capsys.readouterr().err
+
+
+def hands(**changes):
+    return {
+        "pose": np.zeros((3, 48)), "shape": np.zeros((3, 10)), "side": np.array([0, 0, 1]), "posture": np.array(list("abc")),
+        **changes,
+    }  # fmt: skip
+
+
+def turned(row, joint, radians):
+    pose = np.zeros((3, 48))
+    pose[row, 3 * joint] = radians
+    return pose
+
+
+HANDS = {
+    "degrees": (
+        hands(pose=turned(1, 5, 45.0)),
+        "pose of hand 1 turns joint 5 by 45 rad; .* If these are degrees, multiply",
+    ),
+    "whole numbers": (hands(pose=np.zeros((3, 48), int)), "pose is of type int64; it must be floats"),
+    "another shape": (hands(pose=np.zeros((3, 45))), r"pose is \(3, 45\); its shape must be H x 48"),
+    "a giant": (hands(shape=np.full((3, 10), 200.0)), "shape of hand 0 goes up to 200; at most 100 is allowed"),
+}
+
+
+@pytest.mark.parametrize("case", HANDS)
+def test_a_hand_set_in_degrees_or_of_another_type_is_refused_by_what_is_wrong(case, tmp_path):
+    arrays, words = HANDS[case]
+    np.savez(tmp_path / "h.npz", **arrays)
+    with pytest.raises(FileError, match=f"h.npz: {words}"):
+        read_hand_set(tmp_path / "h.npz")
+    np.savez(tmp_path / "h.npz", **hands(pose=turned(1, 5, 6.28)))  # odd, and still a turn
+    assert read_hand_set(tmp_path / "h.npz")["pose"][1, 15] == 6.28
+
+
+def test_trials_and_callers_are_held_to_the_same_turns(tmp_path):
+    own = load_hand_set()
+    with pytest.raises(ValueError, match="pose of hand 2 turns joint 0 by 90 rad"):
+        make_hand_set(own.model, turned(2, 0, 90.0), np.zeros((3, 10)), np.array([0, 0, 1]), list("abc"))
+    listed = {"object": np.array(["cup"] * 3), "T_world_hand": np.tile(np.eye(4), (3, 1, 1))}
+    bent = {k: v for k, v in hands(pose=turned(2, 7, 30.0)).items() if k != "posture"}
+    wrong = {
+        "pose of trial 2 turns joint 7 by 30 rad": {**listed, **bent},
+        "hand goes from 3 to 18446744073709551615; the hand set has 0 to": {
+            **listed, "hand": np.array([3, 4, 2**64 - 1], np.uint64),
+        },
+        "side must be 0": {**listed, **hands(side=np.array([0, 1, 2**64 - 1], np.uint64))},
+    }  # fmt: skip
+    for words, columns in wrong.items():
+        columns.pop("posture", None)
+        np.savez(tmp_path / "t.npz", **columns)
+        with pytest.raises(FileError, match=words):
+            read_trials_file(tmp_path / "t.npz", load_objects(), own)
+
+
+@pytest.mark.parametrize("protocol", ["r2h-v0", "r2h-v1"])
+def test_a_table_that_leaves_no_place_for_a_hand_is_told_in_seconds(protocol):
+    everywhere = EvalConfig(workplace=Workplace(table_center=(0.6, 0.0, 0.3), table_half=(5.0, 5.0, 5.0)))
+    with pytest.raises(
+        ValueError, match=r"no place for a hand where r2h-v\d draws them: .*Table \(center \(0.6, 0.0, 0.3\)"
+    ):
+        make_trials(("S0",), 40, config=everywhere, protocol=protocol)
+
+
+def test_a_draw_that_hardly_ever_fits_still_finds_its_rows():
+    """Looked at many attempts at once it is not hopeless, and what is drawn is each row's first that fits."""
+    got = np.zeros(2, np.int64)
+
+    def one_in_a_thousand(rows, attempt):
+        fits = np.broadcast_to((np.asarray(attempt) % 1000) == 999, rows.shape)
+        return fits, (np.broadcast_to(np.asarray(attempt), rows.shape)[fits],)
+
+    accepted(2, one_in_a_thousand, got)
+    assert got.tolist() == [999, 999]
+    with pytest.raises(NothingFits, match="2 of 2 rows found no acceptable draw in 201 attempts"):
+        accepted(2, lambda rows, attempt: (np.zeros(len(rows), bool), (np.zeros(0, np.int64),)), got)
