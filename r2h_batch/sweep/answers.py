@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from r2h_batch.files import printable
+from r2h_batch.sweep.devices import device_trouble
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import MOST_SECONDS
 
@@ -31,6 +32,8 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
     try:
         given = call(mine)
     except Exception as error:  # a user's code raises what it likes; other methods go on
+        if device_trouble(error) is not None:
+            raise  # not the method's fault: no other one would fare better
         where = traceback.extract_tb(error.__traceback__)[-1]
         what = f"{type(error).__name__}: {printable(' '.join(str(error).split()))[:300]}"
         raise AnswerError(f"method {name}: {what} ({printable(where.filename)}, line {where.lineno})") from error

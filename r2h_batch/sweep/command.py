@@ -35,6 +35,13 @@ def _main(arguments: Sequence[str], prog: str) -> int:
         return refuse("sweep", "interrupted; shards that were complete are stored, run the same command to go on", 130)
     except OSError as error:
         return refuse("sweep", place(error, "writing the run folder"), 1)
+    except (RuntimeError, AssertionError) as error:
+        from r2h_batch.sweep.devices import device_trouble
+
+        if (trouble := device_trouble(error)) is None:
+            raise
+        words = "shards that were complete are stored; run the same command to go on once `nvidia-smi` shows the GPU"
+        return refuse("sweep", f"--device {options.device}: {trouble}; {words}", 1)
 
 
 @contextmanager

@@ -20,6 +20,7 @@ from r2h_batch.predictions import align, load_predictions
 from r2h_batch.results import provenance
 from r2h_batch.results.rows import TrialNames
 from r2h_batch.sweep.answers import answer_of
+from r2h_batch.sweep.devices import why_no_cuda
 from r2h_batch.sweep.options import METHODS, SEEN_BY, Options, UsageError
 from r2h_batch.sweep.variants import base_of, options_of, said_options
 from r2h_batch.turns import trial_ids
@@ -90,7 +91,7 @@ def prepare(options: Options) -> Setting:
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 
     if options.device != "cpu" and not torch.cuda.is_available():
-        raise UsageError(f"--device {options.device}: torch sees no CUDA device; use --device cpu")
+        raise UsageError(f"--device {options.device}: torch sees no CUDA device ({why_no_cuda()}); use --device cpu")
     given = given_of(options)
     # a convex decomposition takes up to a minute: only where it is used
     benchmark = given.read(pieces=options.object_collision == "pieces")

@@ -132,7 +132,7 @@ REFUSED = {
     "give either hand": lambda: changed(hand=np.zeros(10, int)),
     "hand goes from 0 to 400": lambda: changed(hand=np.r_[np.zeros(9, int), 400], pose=None, shape=None, side=None),
     "side must be 0": lambda: changed(side=np.full(10, 2)),
-    "turns are in radians": lambda: changed(pose=np.full((10, 48), 180.0)),
+    "a turn is an axis times radians": lambda: changed(pose=np.full((10, 48), 180.0)),
     "unknown column 'hnad'": lambda: changed(hnad=np.zeros(10, int)),
     "need one name for 1 to": lambda: changed(object=np.zeros(0, "U1")),
     "object is (10,) int64": lambda: changed(object=np.zeros(10, int)),
