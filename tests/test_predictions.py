@@ -144,7 +144,8 @@ def test_rows_in_any_order_are_aligned_by_trial_id():
 def test_duplicate_and_unknown_ids_are_refused_with_the_first_ten(given, count, what, listed, allow_missing):
     with pytest.raises(PredictionsError) as error:
         align(predictions_for(given), torch.arange(40), source="my.npz", allow_missing=allow_missing)
-    assert str(error.value).startswith(f"my.npz: {count} trial ids are {what}: {listed}")
+    ids = "1 trial id is" if count == 1 else f"{count} trial ids are"
+    assert str(error.value).startswith(f"my.npz: {ids} {what}: {listed}")
 
 
 def test_missing_ids_are_refused_with_the_first_ten_and_the_flag_that_allows_them():

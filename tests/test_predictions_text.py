@@ -86,7 +86,7 @@ CSV = {
     "'0x10'": lambda t: [t[0], t[1].replace(t[1].split(",")[5], "0x10")],
     "'1_0'": lambda t: [t[0], t[1].replace(t[1].split(",")[5], "1_0")],
     "''": lambda t: [t[0], t[1].replace(t[1].split(",")[5], "")],
-    "with commas between": lambda t: [x.replace(",", ";") for x in t],
+    "columns are separated by semicolons; write commas between": lambda t: [x.replace(",", ";") for x in t],
     "no rows": lambda t: t[:1],
     "longer than 10000 characters": lambda t: [t[0], t[1] + " " * 20_000],
     "no readable CSV": lambda t: [t[0], '"' + t[1]],

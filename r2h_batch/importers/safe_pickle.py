@@ -27,6 +27,10 @@ MAX_DENSE = 1 << 24
 _KINDS = "biufcSU"
 
 
+STARTS = (b"\x80", b"(", b"c", b"}", b"]", b")")
+"""How pickles begin that somebody wrote; all end with a full stop."""
+
+
 def read_pickle(data: bytes, *, where: str = "pickle", max_bytes: int = MAX_BYTES) -> Any:
     """The data of one pickle: dicts, lists, tuples, str, bytes, numbers, and dense arrays for all array-like classes.
 
@@ -34,11 +38,12 @@ def read_pickle(data: bytes, *, where: str = "pickle", max_bytes: int = MAX_BYTE
     """
     if len(data) > max_bytes:
         raise UnsafePickle(f"{where}: {len(data)} bytes; a pickle may have {max_bytes}")
-    if data[:1] not in (b"\x80", b"(", b"c", b"}", b"]", b")"):
-        raise UnsafePickle(f"{where}: no pickle (it begins with {data[:16]!r}); give the file as its owners give it")
     try:
         return _Unfold().of(Machine(data).run())
     except UnsafePickle as error:
+        if data and data[:1] not in STARTS and not data.rstrip().endswith(b"."):
+            what = f"no pickle (it begins with {data[:16]!r}); give the file as its owners give it"
+            raise UnsafePickle(f"{where}: {what}") from None
         raise UnsafePickle(f"{where}: {error}") from None
     except (
         ValueError,

@@ -135,7 +135,7 @@ HOSTILE = {
     "a call of data": (b"\x80\x02]" + b"(tR.", "no allowed name"),
     "an unhashable key": (b"\x80\x02}]K\x01s.", "key of type list"),
     "nothing": (b"", "ends before its end mark"),
-    "text": (b"hello", "recalls value 101"),
+    "text": (b"hello", "no pickle .it begins with b.hello"),
     "two values": (b"K\x01K\x02.", "leaves 2 values"),
 }  # fmt: skip
 
