@@ -67,8 +67,8 @@ def check_postures(pose: NDArray[Any], shape: NDArray[Any]) -> None:
         )
     size = np.abs(np.asarray(shape, np.float64))
     if size.size and not size.max() <= MOST_SHAPE:
-        hand = int(np.argmax(~(size <= MOST_SHAPE).all(1)))
-        raise ValueError(f"shape of hand {hand} goes up to {size[hand].max():.4g}; at most {MOST_SHAPE:g} is allowed")
+        odd = int(np.argmax(~(size <= MOST_SHAPE).all(1)))
+        raise ValueError(f"shape of hand {odd} goes up to {size[odd].max():.4g}; at most {MOST_SHAPE:g} is allowed")
 
 
 def read_hand(path: str | Path) -> dict[str, np.ndarray]:
