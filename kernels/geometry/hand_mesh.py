@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.angles import angle_of
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
@@ -40,7 +41,7 @@ def inside_mesh(mesh: HandMesh, hand: int, x: wp.vec3, tri: wp.array(dtype=wp.ve
         la = wp.length(a)
         lb = wp.length(b)
         lc = wp.length(c)
-        total += wp.atan2(
+        total += angle_of(
             wp.dot(a, wp.cross(b, c)), la * lb * lc + wp.dot(a, b) * lc + wp.dot(b, c) * la + wp.dot(c, a) * lb
         )
     return wp.abs(total) > 3.14159265

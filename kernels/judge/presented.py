@@ -2,7 +2,10 @@
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": False})
+from r2h_batch.kernels.geometry.angles import angle_of
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
 
 
 @wp.func
@@ -61,7 +64,7 @@ def region_presented(
         palm = _point(T_world_hand_in[row], palm_point_in[hand_in[row]])
         b = _turned_back(pose, palm - wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3]))
         # atan2 keeps its digits where acos loses them: at 0 and 180 degrees
-        angle = wp.degrees(wp.atan2(wp.length(wp.cross(a, b)), wp.dot(a, b)))
+        angle = wp.degrees(angle_of(wp.length(wp.cross(a, b)), wp.dot(a, b)))
         x = ball_in[row]
         hit = wp.mesh_query_point_no_sign(mesh, x, cap)
         distance = cap

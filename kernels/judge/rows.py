@@ -9,7 +9,7 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 
-wp.set_module_options(OPTIONS | {"fuse_fp": False})
+wp.set_module_options(OPTIONS)
 
 ROTATION_TOLERANCE = wp.constant(1.0e-3)
 """As `r2h_batch.se3.ROTATION_TOLERANCE`."""

@@ -4,7 +4,7 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 
-wp.set_module_options(OPTIONS | {"fuse_fp": False})
+wp.set_module_options(OPTIONS)
 
 INVALID_INPUT = wp.constant(6)
 """As `r2h_batch.verdicts.Outcome`, of which a criterion's own number is its place + 1."""

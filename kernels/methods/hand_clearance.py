@@ -12,7 +12,7 @@ from r2h_batch.kernels.geometry.surface import inverse_pose
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
 
-wp.set_module_options(OPTIONS)
+wp.set_module_options(OPTIONS | {"fuse_fp": True})
 
 
 @wp.struct

@@ -7,7 +7,7 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 
-wp.set_module_options(OPTIONS)
+wp.set_module_options(OPTIONS | {"fuse_fp": True})
 
 
 @wp.func

@@ -6,6 +6,7 @@ q = acos((gap / 2 - offset) / r) - phi. `side` is -1 for the finger at -y, +1 fo
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.angles import angle_of, arc_cosine, sin_cos
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -47,19 +48,21 @@ def drive_from_gap(g: Gripper, gap: float) -> float:
     # half the gap = offset + r cos(q + phi) solved for q; gaps beyond the linkage give its ends
     r = wp.sqrt(g.pin_y * g.pin_y + g.pin_z * g.pin_z)
     c = wp.clamp((0.5 * gap - g.gap_offset) / r, -1.0, 1.0)
-    return wp.clamp(wp.acos(c) - wp.atan2(g.pin_z, g.pin_y), g.drive_lower, g.drive_upper)
+    return wp.clamp(arc_cosine(c) - angle_of(g.pin_z, g.pin_y), g.drive_lower, g.drive_upper)
 
 
 @wp.func
 def gap_from_drive(g: Gripper, drive: float) -> float:
     """Gap between the pads (m) at a drive angle."""
-    return 2.0 * (g.gap_offset + g.pin_y * wp.cos(drive) - g.pin_z * wp.sin(drive))
+    s, c = sin_cos(drive)
+    return 2.0 * (g.gap_offset + g.pin_y * c - g.pin_z * s)
 
 
 @wp.func
 def pad_center_z(g: Gripper, drive: float) -> float:
     """z of the pads' centres in the ee frame (0 at gap 42.5 mm)."""
-    return g.pad_z + g.pin_z * wp.cos(drive) + g.pin_y * wp.sin(drive)
+    s, c = sin_cos(drive)
+    return g.pad_z + g.pin_z * c + g.pin_y * s
 
 
 @wp.func
@@ -71,7 +74,7 @@ def pad_center_z_range(g: Gripper, gap_low: float, gap_high: float):
     b = pad_center_z(g, q_closed)
     low = wp.min(a, b)
     high = wp.max(a, b)
-    q_top = wp.atan2(g.pin_y, g.pin_z)  # the pin's arc is highest here
+    q_top = angle_of(g.pin_y, g.pin_z)  # the pin's arc is highest here
     if q_top > q_open and q_top < q_closed:
         high = wp.max(high, pad_center_z(g, q_top))
     return low, high
@@ -86,8 +89,8 @@ def finger_pose(g: Gripper, i: int, drive: float):
     # the finger at -y is the mirror image: it turns the other way
     if motion != FIXED:
         side = g.side[i]
-        c = wp.cos(drive)
-        s = side * wp.sin(drive)
+        sine, c = sin_cos(drive)
+        s = side * sine
         if motion == PIN:  # the parallelogram carries inner finger and pad along the pin's arc without turning them
             y = side * g.pin_y
             p = p + wp.vec3(0.0, c * y - s * g.pin_z - y, s * y + c * g.pin_z - g.pin_z)

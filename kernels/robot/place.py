@@ -12,6 +12,11 @@ BALL_ROUNDING = wp.constant(1.0e-6)
 
 
 @wp.func
+def _square(x: float) -> float:
+    return x * x
+
+
+@wp.func
 def lever_of_ball(world: World, center: wp.vec3, ball_radius: float):
     """Largest distance of a ball, fixed to wrist_3, from each joint's axis in any posture (r2h_batch.bodies.bounds, same bound).
 
@@ -23,7 +28,7 @@ def lever_of_ball(world: World, center: wp.vec3, ball_radius: float):
     radius = wp.sqrt(center[0] * center[0] + center[1] * center[1]) + ball_radius
     low = center[2] - ball_radius
     high = center[2] + ball_radius
-    ball = wp.sqrt(radius * radius + wp.pow(wp.max(wp.abs(low), wp.abs(high)), 2.0))
+    ball = wp.sqrt(radius * radius + _square(wp.max(wp.abs(low), wp.abs(high))))
     for i in range(6):
         j = 5 - i
         rho[j] = radius + BALL_ROUNDING
@@ -49,7 +54,7 @@ def lever_of_ball(world: World, center: wp.vec3, ball_radius: float):
         radius = wp.min(reach, ball)
         low = wp.max(mid[2] - reach_z, -ball)
         high = wp.min(mid[2] + reach_z, ball)
-        ball = wp.min(ball, wp.sqrt(radius * radius + wp.pow(wp.max(wp.abs(low), wp.abs(high)), 2.0)))
+        ball = wp.min(ball, wp.sqrt(radius * radius + _square(wp.max(wp.abs(low), wp.abs(high)))))
     return rho
 
 

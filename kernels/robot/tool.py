@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.angles import angle_of
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.world import child_frame, vec6
 
@@ -63,7 +64,7 @@ def settle_sample(
             # |axis| = 2 sin(angle) and trace - 1 = 2 cos(angle): the angle without acos, which is blunt near 0
             D = wp.transpose(Rg) * R
             axis = wp.vec3(D[2, 1] - D[1, 2], D[0, 2] - D[2, 0], D[1, 0] - D[0, 1])
-            angle = wp.atan2(wp.length(axis), wp.trace(D) - 1.0)
+            angle = angle_of(wp.length(axis), wp.trace(D) - 1.0)
             near = wp.length(p - pg) <= position_m and angle <= rotation_rad
             if near:
                 k -= 1

@@ -7,6 +7,7 @@ Links are numbered 0 base ... 6 wrist_3, 7 gripper, 8 object; 7 and 8 ride on wr
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.angles import sin_cos
 from r2h_batch.kernels.geometry.body import BLOCKS, CELLS, Body
 from r2h_batch.kernels.options import OPTIONS
 
@@ -94,8 +95,7 @@ class TrialBodies:
 @wp.func(inline=False)
 def child_frame(R: wp.mat33, p: wp.vec3, joint_R: wp.mat33, joint_p: wp.vec3, q: float):
     """R, p of a joint's child link, from its parent's: to the joint's frame, then by q (rad) about its z."""
-    c = wp.cos(q)
-    s = wp.sin(q)
+    s, c = sin_cos(q)
     return R * joint_R * wp.mat33(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0), R * joint_p + p
 
 

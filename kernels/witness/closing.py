@@ -8,6 +8,7 @@ To first order (see surface.py). The extreme y of the material in the prism is a
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.angles import sin_cos
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose, line_hit
 from r2h_batch.kernels.grasp.prism import clip_edge, corner
 from r2h_batch.kernels.grasp.width import FAR, between_gaps, close_on
@@ -188,8 +189,9 @@ def _ends_along_y(surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3):
 def _lift(g: Gripper, gap: float):
     """By how much the pads' centres rise per metre of opening: dz/dq over dgap/dq, q the drive angle (gripper.py)."""
     drive = drive_from_gap(g, gap)
-    dz = g.pin_y * wp.cos(drive) - g.pin_z * wp.sin(drive)
-    dg = -2.0 * (g.pin_y * wp.sin(drive) + g.pin_z * wp.cos(drive))
+    s, c = sin_cos(drive)
+    dz = g.pin_y * c - g.pin_z * s
+    dg = -2.0 * (g.pin_y * s + g.pin_z * c)
     return dz / dg
 
 

@@ -10,6 +10,7 @@ n . (move of the surface's point - move of the primitive's point). Where several
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.angles import sin_cos
 from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, HULL, Body, from_ball
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, eroded, inner_radius, signed_distance
@@ -240,8 +241,7 @@ def finger_velocity(g: Gripper, i: int, gap: float, x: wp.vec3):
     motion = g.motion[i]
     if motion != FIXED and drive > g.drive_lower and drive < g.drive_upper:
         side = g.side[i]
-        c = wp.cos(drive)
-        s = wp.sin(drive)
+        s, c = sin_cos(drive)
         turns = -1.0 / (2.0 * (g.pin_y * s + g.pin_z * c))  # rad per metre
         if motion == PIN:
             out = turns * wp.vec3(0.0, -side * (s * g.pin_y + c * g.pin_z), c * g.pin_y - s * g.pin_z)

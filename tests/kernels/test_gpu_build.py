@@ -5,6 +5,7 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 import pytest
 import warp as wp
 
@@ -13,6 +14,7 @@ from r2h_batch.launch import init_warp
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
 
+import _lanes
 import gpu_build
 
 PACKAGE = "r2h_batch.kernels."
@@ -69,6 +71,26 @@ def test_functions_are_out_of_line_on_cuda_only() -> None:
     source = {device: builder.codegen(device) for device in ("cpu", "cuda")}
     assert all("WP_NOINLINE" in text for text in source.values())
     assert "#undef WP_NOINLINE\n#define WP_NOINLINE\n" in source["cpu"] and "#undef WP_NOINLINE" not in source["cuda"]
+
+
+def test_lanes_are_useful_while_the_slowest_of_their_warp_works() -> None:
+    even, one, half = np.ones(64), np.eye(1, 32)[0], np.repeat([4.0, 0.0], 16)
+    assert (_lanes.useful([even]), _lanes.useful([one]), _lanes.useful([half])) == (1.0, 1 / 32, 0.5)
+    assert _lanes.useful([np.ones(8)]) == 0.25  # the last warp is not full
+    assert _lanes.useful([even, one]) == pytest.approx((64 + 1) / (64 + 32))
+    scattered = np.zeros(64)
+    scattered[::4] = 5.0
+    assert _lanes.useful([scattered]) == 0.25 and _lanes.useful([_lanes.packed(scattered)]) == 0.5
+    assert _lanes.longest_us([even, 3 * one]) == 4.0
+
+
+def test_every_planning_kernel_is_counted_row_by_row(capsys: pytest.CaptureFixture[str]) -> None:
+    assert gpu_build.main(["--lanes", "16"]) == 0
+    lines = dict(line.split() for line in capsys.readouterr().out.splitlines())
+    for kernel in ("check_postures", "straight_lines", "rrt_connect", "path_clearance", "safe_distance"):
+        share = float(lines[f"gpu_build.useful_lanes.{kernel}"])
+        assert float(lines["gpu_build.useful_lanes_min"]) <= share <= 1.0
+        assert 0.0 < float(lines[f"gpu_build.longest_chain_us.{kernel}"]) <= float(lines["gpu_build.longest_chain"])
 
 
 @pytest.mark.slow
