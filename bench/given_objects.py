@@ -1,9 +1,10 @@
 """Somebody's meshes through build, grasps and every method: `python bench/given_objects.py DIR [--json OUT]`.
 
-`--trials N` of each object (20), `--methods A,B` or none (all).
+`--trials N` of each object (20), `--methods A,B` or none (all). Objects that OUT holds already are not measured again.
 
-Measured: CPU seconds (all threads of the process) of the build without and with the convex decomposition and of the grasp
-candidates, with nothing kept on disk; what the repair changed; how many receiving grasps were found; and how many of N
+Measured: CPU seconds (all threads of the process, kernels compiled) of the build, of the convex decomposition, of the grasp
+candidates and of the receiving grasps, with nothing kept on disk; how far points of the surface stick out of the convex
+pieces and by how much these have more volume; what the repair changed; how many receiving grasps were found; and how many of N
 trials (S0, the built-in hands, the motion as planned) each method solves. Compared with nothing: the oracle is the bound.
 """
 
@@ -28,6 +29,7 @@ def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
     from r2h_batch.bodies.given.convex import convex_pieces
     from r2h_batch.bodies.objects import ObjectMeshError, build_object
     from r2h_batch.methods.candidates import candidates_of
+    from r2h_batch.receiver.receiving import load_receiving
     from r2h_batch.sweep.jobs import Setting, make_jobs
     from r2h_batch.sweep.options import Options
 
@@ -37,25 +39,29 @@ def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
     except ObjectMeshError as error:
         return {"object": path.stem, "refused": str(error)}
     built = time.process_time()
-    convex_pieces(model.mesh, model.name)
+    pieces = convex_pieces(model.mesh, model.name)
     decomposed = time.process_time()
     row: dict[str, Any] = {
         "object": path.stem,
         "faces": len(model.faces),
         "build_cpu_s": round(built - start, 2),
         "pieces_cpu_s": round(decomposed - built, 2),
+        **held_by(pieces, model),
         "volume_cm3": round(1e6 * float(model.mesh.volume), 2),
     }
     if model.repair:
         given = model.repair.volume_given_m3
         row |= {"steps": list(model.repair.steps), "moved_mm": round(1e3 * model.repair.moved_m, 3)}
         row["volume_change"] = None if not given else round(model.repair.volume_m3 / given - 1, 4)
-    if not methods:
-        return row
     begin = time.process_time()
     row["grasps"] = len(candidates_of((model,))[0])
     row["grasps_cpu_s"] = round(time.process_time() - begin, 2)
-    if not row["grasps"]:
+    begin = time.process_time()
+    row["receiving"] = len(load_receiving((model,)))
+    row["receiving_cpu_s"] = round(time.process_time() - begin, 2)
+    made = ("build_cpu_s", "pieces_cpu_s", "grasps_cpu_s", "receiving_cpu_s")
+    row["all_cpu_s"] = round(sum(row[k] for k in made), 2)
+    if not methods or not row["grasps"]:
         return row
     evaluator = Evaluator(objects=[model])
     asked = make_trials(["S0"], trials, objects=[model])
@@ -72,9 +78,41 @@ def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
     return row
 
 
+def held_by(pieces: Sequence[tuple[Any, Any]], model: Any) -> dict[str, Any]:
+    """How many pieces, how far the surface's 2,048 points stick out of them, and their volume as a share of the solid's."""
+    import numpy as np
+    import trimesh
+
+    depth, volume = np.full(len(model.points), np.inf), 0.0
+    for vertices, faces in pieces:
+        piece = trimesh.Trimesh(vertices.astype(float), faces, process=False)
+        offset = np.einsum("ij,ij->i", piece.face_normals, piece.triangles[:, 0])
+        depth = np.minimum(depth, (model.points @ piece.face_normals.T - offset).max(axis=1))
+        volume += float(piece.volume)
+    out = max(0.0, float(depth.max()))
+    return {
+        "pieces": len(pieces),
+        "pieces_out_mm": round(1e3 * out, 3),
+        "pieces_volume": round(volume / model.mesh.volume, 3),
+    }
+
+
+def warm() -> None:
+    """Compiles and loads every kernel that is measured, on a box."""
+    import trimesh
+
+    from r2h_batch.bodies.objects import build_object
+    from r2h_batch.methods.grasp_candidates import sample_grasps
+    from r2h_batch.receiver.sampler import sample_receiving
+
+    box = build_object(trimesh.creation.box((0.05, 0.06, 0.1)), "box")
+    sample_grasps(box, count=10, enough=10)
+    sample_receiving(box, per_side=2)
+
+
 def table(rows: list[dict[str, Any]], trials: int) -> str:
     """The figures as Markdown."""
-    head = ["object", "faces", "build", "pieces", "grasps", "volume", "surface moved", *METHODS]
+    head = ["object", "faces", "build", "pieces", "grasps", "receiving", "in all", "volume", "surface moved", *METHODS]
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     for r in rows:
         if "refused" in r:
@@ -82,7 +120,8 @@ def table(rows: list[dict[str, Any]], trials: int) -> str:
             continue
         change = r.get("volume_change")
         cells = [r["object"], r["faces"], f"{r['build_cpu_s']} s", f"{r['pieces_cpu_s']} s"]
-        cells.append(f"{r['grasps']} in {r['grasps_cpu_s']} s" if "grasps" in r else "-")
+        cells += [f"{r[k]} in {r[f'{k}_cpu_s']} s" for k in ("grasps", "receiving")]
+        cells.append(f"{r['all_cpu_s']} s")
         cells.append("" if change is None else f"{100 * change:+.2f} %")
         cells += [
             f"{r['moved_mm']} mm" if "moved_mm" in r else "as given",
@@ -101,8 +140,12 @@ def main(arguments: list[str]) -> int:
     methods = [m for m in chosen.split(",") if m != "none"]
     (folder,) = [Path(w) for w in words if not w.startswith("--")]
     warnings.simplefilter("ignore")
-    rows = []
+    rows = json.loads(out.read_text())["objects"] if out is not None and out.exists() else []
+    known = {row["object"] for row in rows}
+    warm()
     for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
+        if path.stem in known:
+            continue
         rows.append(measure(path, trials, methods))
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
         if out is not None:

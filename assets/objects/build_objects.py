@@ -57,6 +57,7 @@ def build(spec: Spec) -> ObjectModel:
         instruction=f"hand over the {spec.name.replace('_', ' ')}{' ' + spec.take if spec.take else ''} to human",
         face_part=label,
         part_names=spec.parts,
+        pieces="fine",
     )
 
 

@@ -17,6 +17,7 @@ from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
 wp.set_module_options(OPTIONS)
 
 DEPTH_M = wp.constant(5.0e-6)
+UNASKED = wp.constant(-1.0e29)
 LISTED = wp.constant(128)
 GJK_M = wp.constant(1.0e-5)
 """What GJK gives may be this much below the distance: a triangle that is farther than `best` and this cannot lower it."""
@@ -254,6 +255,41 @@ def _leaf_clearance(
     return best, witness
 
 
+@wp.func
+def _points_clearance(
+    gripper: Gripper,
+    surfaces: Surfaces,
+    s: int,
+    R_ee_obj: wp.mat33,
+    t_ee_obj: wp.vec3,
+    low: wp.array(dtype=wp.vec3),
+    high: wp.array(dtype=wp.vec3),
+    mask: wp.array(dtype=int),
+    trial: int,
+    R: wp.array2d(dtype=wp.mat33),
+    p: wp.array2d(dtype=wp.vec3),
+    enough: float,
+    best: float,
+    witness: int,
+):
+    """`best` and `witness` after one point of every node; no more are looked at once `best` is below `enough`."""
+    for node in range(surfaces.surface_first[s], surfaces.surface_first[s + 1]):
+        if best < enough:
+            break
+        x = surfaces.points[3 * surfaces.leaf_first[surfaces.node_first[node]]]
+        ball = surfaces.node_sphere[node]
+        around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)
+        if around == 0:
+            continue
+        for i in range(gripper.kind.shape[0]):
+            if (around >> i) & 1 != 0:
+                d = signed_distance(gripper.kind[i], gripper.size[i], R[trial, i] * x + p[trial, i])
+                if d < best:
+                    best = d
+                    witness = i
+    return best, witness
+
+
 # Branch and bound over a surface in two levels of bounding spheres (nodes, their leaves, triangles). A primitive's signed
 # distance f never changes faster than the point it is asked at, so |f(x) - f(c)| <= r for every x of a sphere (c, r): what
 # has f(c) - r >= best holds nothing nearer than `best`. In this order, as each lowers `best` for the next:
@@ -275,6 +311,7 @@ def primitives_clearance(
     used: int,
     solid: int,
     cap: float,
+    enough: float,
     # trials
     T_obj_ee_in: wp.array(dtype=wp.mat44),
     object_index_in: wp.array(dtype=wp.int32),
@@ -288,7 +325,9 @@ def primitives_clearance(
 ):
     """Least clearance (m) of the primitives in bit mask `used` at each trial's opening, and which one has it.
 
-    Exact below `cap`; `cap` and -1 beyond. The surface is object_index + surface_offset; `solid` counts its inside too.
+    Exact between `enough` and `cap`; `cap` and -1 beyond; something below `enough` where it is less than that (who only asks
+    whether a gripper is clear need not know how deep it is not). The surface is object_index + surface_offset; `solid` counts
+    its inside too.
 
     Branch and bound. `best` starts at the cap and falls: with primitives buried in the solid, with one point of every
     node, and then with the triangles of nodes and leaves whose sphere a primitive may come nearer to than `best`.
@@ -306,6 +345,29 @@ def primitives_clearance(
     mask = wp.zeros(shape=3, dtype=int)
     middle = wp.zeros(shape=31, dtype=wp.vec3)  # as many as a bit mask has room for
     _place_primitives(gripper, used, drive, R_ee_obj, t_ee_obj, trial, R_scratch, p_scratch, low, high, mask, middle)
+    if (
+        enough > UNASKED
+    ):  # most that are not clear are found out by a point: that is cheaper than what lies in the solid
+        best, witness = _points_clearance(
+            gripper,
+            surfaces,
+            s,
+            R_ee_obj,
+            t_ee_obj,
+            low,
+            high,
+            mask,
+            trial,
+            R_scratch,
+            p_scratch,
+            enough,
+            best,
+            witness,
+        )
+        if best < enough:
+            clearance_out[trial] = best
+            witness_out[trial] = witness
+            return
     if solid != 0:
         best, witness = _most_buried(gripper, used, middle, surfaces, s, R_ee_obj, t_ee_obj, best)
     # some points first: a small `best` spares most triangles
@@ -333,6 +395,8 @@ def primitives_clearance(
         node = surfaces.surface_first[s] + k
         if not whole:
             node = near_nodes[k]
+        if best < enough:
+            break
         near = int(0)
         ball = surfaces.node_sphere[node]
         around = _near_groups(low, high, R_ee_obj * center(ball) + t_ee_obj, wp.max(best, 0.0) + ball[3], mask)

@@ -12,6 +12,8 @@ wp.set_module_options(OPTIONS | {"fuse_fp": True})
 
 ROUNDS = wp.constant(64)
 STEPS = wp.constant(90)
+STEEPEST = wp.constant(1.7321)
+"""How fast `distance` changes at most inside the grid: nodes by no more than one goes, between them along each axis."""
 
 
 @wp.struct
@@ -35,7 +37,10 @@ class ClosingHands:
     rate: wp.array(dtype=wp.float32)  # (K * 16) share of a step
     limit: wp.array(dtype=wp.float32)  # (16) rad
     skin: wp.array(dtype=wp.vec3)  # (K * n_points) rest, less the rest joint of the point's segment
-    segment_first: wp.array(dtype=wp.int32)  # (17) points of segment (joint) j: segment_first[j] up to the next
+    cluster: wp.array(dtype=wp.vec4)  # (K * n_clusters) ball about some points, as `skin`: centre, radius
+    cluster_first: wp.array(dtype=wp.int32)  # (n_clusters + 1) its points
+    segment_first: wp.array(dtype=wp.int32)  # (17) clusters of segment (joint) j: segment_first[j] up to the next
+    n_clusters: wp.int32
     n_points: wp.int32
     open_skin: wp.array(dtype=wp.vec3)  # (K * n_open) the whole hand at the start
     n_open: wp.int32
@@ -127,20 +132,33 @@ def flexed(hands: ClosingHands, hand: int, joint: int, angle: float) -> wp.mat33
 
 @wp.func
 def clearance(
-    field: Field, hands: ClosingHands, hand: int, root: int, angle: wp.vec3, begin: int, R: wp.mat33, p: wp.vec3
+    field: Field,
+    hands: ClosingHands,
+    hand: int,
+    root: int,
+    angle: wp.vec3,
+    begin: int,
+    R: wp.mat33,
+    p: wp.vec3,
+    most: float,
 ) -> float:
-    """Least distance of a finger's segments from `begin` (0, 1, 2) on."""
+    """Least distance of a finger's segments from `begin` (0, 1, 2) on, `most` where nothing is nearer than that."""
     turn = R
     at = R * hands.joints[hand * 16 + root] + p
-    least = float(1.0)
+    least = float(most)
     for k in range(3):
         joint = root + k
         if k > 0:
             at = turn * (hands.joints[hand * 16 + joint] - hands.joints[hand * 16 + joint - 1]) + at
         turn = turn * flexed(hands, hand, joint, angle[k])
         if k >= begin:
-            for i in range(hands.segment_first[joint], hands.segment_first[joint + 1]):
-                least = wp.min(least, distance(field, turn * hands.skin[hand * hands.n_points + i] + at))
+            for c in range(hands.segment_first[joint], hands.segment_first[joint + 1]):
+                # no point of a ball is nearer than its centre less this
+                ball = hands.cluster[hand * hands.n_clusters + c]
+                middle = turn * wp.vec3(ball[0], ball[1], ball[2]) + at
+                if distance(field, middle) - STEEPEST * ball[3] < least:
+                    for i in range(hands.cluster_first[c], hands.cluster_first[c + 1]):
+                        least = wp.min(least, distance(field, turn * hands.skin[hand * hands.n_points + i] + at))
     return least
 
 
@@ -152,6 +170,7 @@ def close_fingers(
     hands: ClosingHands,
     step: float,
     deepest: float,
+    wanted: int,
     # trials
     hand_in: wp.array(dtype=wp.int32),
     R_in: wp.array(dtype=wp.mat33),
@@ -160,8 +179,13 @@ def close_fingers(
     flexion_out: wp.array2d(dtype=wp.vec3),
     gap_out: wp.array2d(dtype=wp.float32),
 ):
-    """Flexion (rad) of a finger's three joints: each turns on until it would press what it moves `deepest` into the object."""
+    """Flexion (rad) of a finger's three joints: each turns on until it would press what it moves `deepest` into the object.
+
+    Fingers that are not in bit mask `wanted` are passed over.
+    """
     row, f = wp.tid()
+    if (wanted >> f) & 1 == 0:
+        return
     i = first + row
     hand = hand_in[i]
     R = R_in[i]
@@ -181,10 +205,22 @@ def close_fingers(
                 tried[k] = new
                 stop = new > hands.limit[root + k]
                 if not stop:
-                    stop = clearance(field, hands, hand, root, tried, k, R, p) < -deepest
+                    stop = clearance(field, hands, hand, root, tried, k, R, p, -deepest) < -deepest
                 if stop:
                     free[k] = 0
                 else:
                     angle[k] = new
     flexion_out[i, f] = angle
-    gap_out[i, f] = clearance(field, hands, hand, root, angle, 0, R, p)
+    gap_out[i, f] = clearance(field, hands, hand, root, angle, 0, R, p, 1.0)
+
+
+@wp.kernel
+def field_distance(
+    first: int,
+    field: Field,
+    point_in: wp.array(dtype=wp.vec3),
+    distance_out: wp.array(dtype=wp.float32),
+):
+    """`distance` of points."""
+    i = first + wp.tid()
+    distance_out[i] = distance(field, point_in[i])

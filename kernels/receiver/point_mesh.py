@@ -1,4 +1,4 @@
-"""Signed distance of points to a closed mesh, and the outward direction there; launched over points."""
+"""Signed distance of points to a closed mesh, and the outward direction there; launched over points. Two ways to a sign."""
 
 import warp as wp
 
@@ -21,6 +21,32 @@ def point_mesh_distance(
     i = first + wp.tid()
     p = point_in[i]
     query = wp.mesh_query_point_sign_winding_number(mesh, p, reach, 2.0, 0.5)
+    if query.result:
+        closest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+        distance_out[i] = query.sign * wp.length(p - closest)
+        normal_out[i] = wp.mesh_eval_face_normal(mesh, query.face)
+        face_out[i] = query.face
+    else:
+        distance_out[i] = reach
+        normal_out[i] = wp.vec3(0.0, 0.0, 0.0)
+        face_out[i] = -1
+
+
+@wp.kernel
+def point_mesh_distance_by_normal(
+    first: int,
+    mesh: wp.uint64,
+    reach: float,
+    point_in: wp.array(dtype=wp.vec3),
+    distance_out: wp.array(dtype=wp.float32),
+    normal_out: wp.array(dtype=wp.vec3),
+    face_out: wp.array(dtype=wp.int32),
+):
+    """As `point_mesh_distance`, five times as fast: negative behind the nearest face, edge or vertex, which may err where a
+    surface touches itself (Baerentzen and Aanaes 2005)."""
+    i = first + wp.tid()
+    p = point_in[i]
+    query = wp.mesh_query_point_sign_normal(mesh, p, reach)
     if query.result:
         closest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
         distance_out[i] = query.sign * wp.length(p - closest)

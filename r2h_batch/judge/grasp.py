@@ -19,9 +19,11 @@ __all__ = [
     "Grasp",
     "attach",
     "close_gripper",
+    "close_pads",
     "closed_clearance",
     "gripper_poses",
     "open_clearance",
+    "open_is_clear",
     "region_distance",
 ]
 
@@ -64,6 +66,24 @@ def close_gripper(
     """
     if mode not in ("pads", "whole"):
         raise ValueError(f"mode is {mode!r}; allowed are 'pads' (what lies between the pads) and 'whole' (the object)")
+    width, opening, shift, empty = close_pads(tables, T_obj_ee, object_index, mode=mode, threads=threads)
+    # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above it.
+    # Lengths of different things are not added: the worst one decides, on the passing side too.
+    cut, cut_part = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, threads=threads)
+    material = torch.where(empty, torch.full_like(width, -w_max), torch.minimum(w_max - width, width - w_min))
+    margin = torch.minimum(material, cut)
+    return Grasp(width, opening, shift, empty, cut, margin, cut_part)
+
+
+def close_pads(
+    tables: GraspTables,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    *,
+    mode: Literal["pads", "whole"] = "pads",
+    threads: int | None = None,
+) -> tuple[Float32[Tensor, " b"], Float32[Tensor, " b"], Float32[Tensor, " b"], Bool[Tensor, " b"]]:
+    """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open gripper cuts."""
     n = _checked(tables, T_obj_ee, object_index)
     width, opening, shift = (torch.empty(n, dtype=torch.float32, device=tables.device) for _ in range(3))
     empty = torch.empty(n, dtype=torch.bool, device=tables.device)
@@ -83,12 +103,7 @@ def close_gripper(
         device=tables.device,
         threads=threads,
     )
-    # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above it.
-    # Lengths of different things are not added: the worst one decides, on the passing side too.
-    cut, cut_part = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, threads=threads)
-    material = torch.where(empty, torch.full_like(width, -w_max), torch.minimum(w_max - width, width - w_min))
-    margin = torch.minimum(material, cut)
-    return Grasp(width, opening, shift, empty, cut, margin, cut_part)
+    return width, opening, shift, empty
 
 
 def attach(T_obj_ee: Float32[Tensor, "b 4 4"], shift_m: Float32[Tensor, " b"]) -> Float32[Tensor, "b 4 4"]:
@@ -109,6 +124,21 @@ def open_clearance(
     """Clearance of the open gripper to the object's solid (m, at most `cap_m`; negative: depth) and the primitive."""
     opening = torch.full((len(T_obj_ee),), OPEN_GAP_M, dtype=torch.float32, device=tables.device)
     return _clearance(tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, threads)
+
+
+def open_is_clear(
+    tables: GraspTables,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    *,
+    clearance_m: float,
+    threads: int | None = None,
+) -> Bool[Tensor, " b"]:
+    """Whether `open_clearance` is `clearance_m` or more, without measuring how deep it cuts where it is not."""
+    opening = torch.full((len(T_obj_ee),), OPEN_GAP_M, dtype=torch.float32, device=tables.device)
+    cap, used = 1.5 * clearance_m, tables.every
+    found = _clearance(tables, T_obj_ee, object_index, opening, 0, used, True, cap, threads, clearance_m)[0]
+    return found >= clearance_m
 
 
 def closed_clearance(
@@ -156,6 +186,7 @@ def _clearance(
     solid: bool,
     cap_m: float,
     threads: int | None,
+    enough_m: float = -1e30,
 ) -> tuple[Tensor, Tensor]:
     n = _checked(tables, T_obj_ee, object_index)
     count = tables.gripper.kind.shape[0]
@@ -172,6 +203,7 @@ def _clearance(
             "used": used,
             "solid": int(solid),
             "cap": cap_m,
+            "enough": enough_m,
             "T_obj_ee": T_obj_ee,
             "object_index": object_index,
             "opening": opening_m,

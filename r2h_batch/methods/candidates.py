@@ -58,6 +58,9 @@ FORM = {
 }
 """What is kept of `Candidates`."""
 
+ENOUGH = 240
+"""Of a user's object: what its candidates are chosen from. The stored ones are of 1,200."""
+
 NOTHING_FITS = "no grasp found; the gripper needs a part narrower than 85 mm that it can reach"
 
 
@@ -160,7 +163,7 @@ def _candidates(model: ObjectModel, kind: Kind) -> Candidates:
 
     def make() -> dict[str, NDArray[Any]]:
         try:
-            return _arrays(sample_grasps(model) if filtered else generate_grasps(model))
+            return _arrays(sample_grasps(model, enough=ENOUGH) if filtered else generate_grasps(model))
         except NoGraspError:
             return {k: v[:0] for k, v in _arrays(_candidates(load_objects()[0], kind)).items()}
 

@@ -20,7 +20,7 @@ from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import drive_from_gap, load_robot, pad_center_z
 from r2h_batch.config import OPEN_GAP_M, Thresholds
-from r2h_batch.judge.grasp import attach, close_gripper, closed_clearance, open_clearance, region_distance
+from r2h_batch.judge.grasp import attach, close_pads, closed_clearance, open_is_clear, region_distance
 from r2h_batch.kernels.methods import antipodal
 from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.methods.box_grasps import three_boxes
@@ -44,6 +44,8 @@ REGION_CLEARANCE_M = 0.001
 REACH_M = 0.0015
 LEAST_CONTACT = 0.05
 GENERATED_CONTACT = 0.1
+HOPELESS = 0.15
+"""Below the friction cone's edge (cosine) after the first closing: the others move the pads along the closing axis only."""
 BEHIND_PADS_M = -0.001  # the closed gripper's shapes overshoot the real one by about this much
 TURN_RAD = 0.9
 OWN_GRIPPER = "2f-85"
@@ -77,8 +79,12 @@ class Candidates:
         return len(self.width)
 
 
-def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None = None) -> Candidates:
+def sample_grasps(
+    model: ObjectModel, *, count: int = COUNT, enough: int = ENOUGH, threads: int | None = None
+) -> Candidates:
     """Up to `count` grasps of an object: the same object and name, the same grasps. Raises if it has none.
+
+    They are chosen of the first `enough` that are found (a round more or less), or of what 8 rounds find.
 
     Each closes on 82 mm or less within the friction cone, is centred between the pads to 0.5 mm, keeps the open gripper
     1 mm off the object, and closed touches it with the pads (1 mm for the shapes' overshoot). At least 40 % of an S1
@@ -92,7 +98,7 @@ def sample_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None
         rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
         pool.append(_graded(model, tables, mesh, _proposals(model, mesh, rng, threads)[0], threads)[0])
         found, off_region = sum(map(len, pool)), sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool)
-        if found >= ENOUGH and (model.split == "S0" or off_region >= ENOUGH // 4 or found >= 3 * ENOUGH):
+        if found >= enough and (model.split == "S0" or off_region >= enough // 4 or found >= 3 * enough):
             break
     every = Candidates(*(np.concatenate([getattr(c, name) for c in pool]) for name in Candidates.__dataclass_fields__))
     if len(every) == 0:
@@ -145,9 +151,9 @@ def own_grasps(model: ObjectModel, grasps: GraspSet, *, threads: int | None = No
     init_warp()
     order = np.argsort(-grasps.score, kind="stable")
     T = np.ascontiguousarray(grasps.T_obj_ee[order])
-    held = close_gripper(grasp_tables([model]), torch.from_numpy(T), _zeros(torch.from_numpy(T)), threads=threads)
+    width = close_pads(grasp_tables([model]), torch.from_numpy(T), _zeros(torch.from_numpy(T)), threads=threads)[0]
     part, nan = np.maximum(grasps.part[order], 0).astype(np.uint8), np.full(len(T), np.nan, np.float32)
-    return Candidates(T, held.width_m.numpy(), grasps.score[order], part, nan)
+    return Candidates(T, width.numpy(), grasps.score[order], part, nan)
 
 
 def seat_grasps(
@@ -298,19 +304,22 @@ def _graded(
     T = torch.from_numpy(proposals)
     row = torch.nonzero(_clear(tables, T, threads))[:, 0]
     T = T[row].contiguous()
-    for _ in range(3):  # the pads centre the object; what then lies between them may differ
-        grasp = close_gripper(tables, T, _zeros(T), threads=threads)
-        held = ~grasp.empty & (grasp.width_m <= WIDEST_M)
-        T, row = attach(T[held], grasp.shift_m[held]).contiguous(), row[held]
+    edge = 1 / np.hypot(1, FRICTION)
+    for turn in range(3):  # the pads centre the object; what then lies between them may differ
+        width, opening, shift, empty = close_pads(tables, T, _zeros(T), threads=threads)
+        held = ~empty & (width <= WIDEST_M)
+        T, row = attach(T[held], shift[held]).contiguous(), row[held]
+        if turn == 0:  # for most there is no hope: they hold by an edge, or at a slant
+            share, cosine, _ = _contact(model, mesh, T.numpy(), width[held].numpy(), opening[held].numpy(), threads)
+            hopeful = torch.from_numpy((share > 0) & (cosine >= edge - HOPELESS))
+            T, row = T[hopeful].contiguous(), row[hopeful]
     clear = _clear(tables, T, threads)
     T, row = T[clear].contiguous(), row[clear]
-    grasp = close_gripper(tables, T, _zeros(T), threads=threads)
-    held = ~grasp.empty & (grasp.width_m <= WIDEST_M) & (grasp.shift_m.abs() <= CENTERED_M)
-    behind, _ = closed_clearance(tables, T, _zeros(T), grasp.opening_m, cap_m=CLEARANCE_M, threads=threads)
+    width, opening, shift, empty = close_pads(tables, T, _zeros(T), threads=threads)
+    held = ~empty & (width <= WIDEST_M) & (shift.abs() <= CENTERED_M)
+    behind, _ = closed_clearance(tables, T, _zeros(T), opening, cap_m=CLEARANCE_M, threads=threads)
     held &= behind >= BEHIND_PADS_M
-    T, width, opening, shift, row = (
-        x[held].contiguous() for x in (T, grasp.width_m, grasp.opening_m, grasp.shift_m, row)
-    )
+    T, width, opening, shift, row = (x[held].contiguous() for x in (T, width, opening, shift, row))
     squeezed = (width - Thresholds().pad_squeeze_m).clamp(min=0)
     region = region_distance(tables, attach(T, shift), _zeros(T), squeezed, threads=threads)[0].numpy()
     contact, alignment, part = _contact(model, mesh, T.numpy(), width.numpy(), opening.numpy(), threads)
@@ -389,8 +398,7 @@ def _likeness(place: NDArray[Any], y: NDArray[Any], z: NDArray[Any], i: int, rad
 
 def _clear(tables: GraspTables, T: torch.Tensor, threads: int | None) -> torch.Tensor:
     """Whether the open gripper keeps its clearance to the object."""
-    clearance, _ = open_clearance(tables, T, _zeros(T), cap_m=1.5 * CLEARANCE_M, threads=threads)
-    return clearance >= CLEARANCE_M
+    return open_is_clear(tables, T, _zeros(T), clearance_m=CLEARANCE_M, threads=threads)
 
 
 def _pad_z(gap: NDArray[Any]) -> NDArray[np.float64]:

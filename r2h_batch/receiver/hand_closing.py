@@ -17,13 +17,26 @@ from r2h_batch.kernels.receiver import close_hand
 from r2h_batch.launch import launch_trials
 from r2h_batch.receiver.hand_contact import REGIONS, THUMB, ObjectSurface
 
-__all__ = ["DEEPEST_M", "FAMILIES", "Families", "close", "come_down", "distance_field", "load_families", "posture"]
+__all__ = [
+    "DEEPEST_M",
+    "FAMILIES",
+    "Families",
+    "close",
+    "come_down",
+    "distance_field",
+    "field_distance",
+    "load_families",
+    "mirrored",
+    "posture",
+]
 
 FAMILIES = 64
 """Hands to close: shape, spread, thumb's place, and how the joints share the closing."""
 STEP_RAD = float(np.radians(1.5))
 DEEPEST_M = 0.0005
 PITCH_M, MARGIN_M = 0.0015, 0.02
+EXACT_M, STRIDE = 0.009, 4
+CLUSTER = 10
 
 # Degrees. What a finger opens to, then its limits; the thumb's place is drawn, its limits are anatomical.
 OPEN = (((-12, 12), (4, 26), (2, 14)), ((-14, 4), (-8, 4), (-8, 8)))
@@ -84,15 +97,17 @@ def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> 
     """The `ClosingHands` of these families."""
     rest = model.pose(torch.zeros((FAMILIES, 48), dtype=torch.float32, device="cpu"), torch.from_numpy(shape))
     segment = model.weights.argmax(1).numpy()
-    order = np.argsort(segment, kind="stable")
-    moved = order[np.searchsorted(segment[order], 1) :]  # without the palm
-    skin = rest.vertices.numpy()[:, moved] - rest.joints.numpy()[:, segment[moved]]
-    first = np.searchsorted(segment[moved], np.arange(17))
+    local = rest.vertices.numpy() - rest.joints.numpy()[:, segment]
+    clusters = [_clusters(local[0], np.flatnonzero(segment == j)) if j else [] for j in range(16)]  # without the palm
+    rows = [c for of_segment in clusters for c in of_segment]
+    skin = local[:, np.concatenate(rows)]
     root_turn = Rotation.from_euler("XYZ", (turns * [0, 1, 1]).reshape(-1, 3), degrees=True).as_matrix()
     opened = model.pose(torch.from_numpy(posture(model, turns, np.radians(turns[:, 1:, 0]))), torch.from_numpy(shape))
     open_skin = opened.vertices.numpy()[:, ::2]
     tables = close_hand.ClosingHands()
     tables.n_points, tables.n_open = skin.shape[1], open_skin.shape[1]
+    tables.n_clusters = wp.int32(len(rows))
+    balls = np.stack([_ball(local[:, c]) for c in rows], axis=1)
     values = {
         "joints": (rest.joints.numpy().reshape(-1, 3), wp.vec3),
         "axes": (model.joint_axes.numpy(), wp.mat33),
@@ -102,23 +117,71 @@ def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> 
         "limit": (limit, wp.float32),
         "skin": (skin.reshape(-1, 3), wp.vec3),
         "open_skin": (open_skin.reshape(-1, 3), wp.vec3),
+        "cluster": (balls.reshape(-1, 4), wp.vec4),
     }
     for name, (value, dtype) in values.items():
         setattr(tables, name, wp.array(np.ascontiguousarray(value, np.float32), dtype=dtype, device="cpu"))
-    tables.segment_first = wp.array(first.astype(np.int32), dtype=wp.int32, device="cpu")
+    for name, counts in (("cluster_first", map(len, rows)), ("segment_first", map(len, clusters))):
+        setattr(tables, name, wp.array(np.cumsum([0, *counts]).astype(np.int32), dtype=wp.int32, device="cpu"))
     return tables
 
 
-def distance_field(surface: ObjectSurface, threads: int | None) -> Any:
-    """The object's signed distance at grid nodes."""
+def _clusters(points: F32, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """The rows in groups of `CLUSTER` at most, near each other: halves along the longest side, again and again."""
+    if len(rows) <= CLUSTER:
+        return [rows]
+    axis = int(np.argmax(np.ptp(points[rows], axis=0)))
+    rows = rows[np.argsort(points[rows, axis], kind="stable")]
+    return _clusters(points, rows[: len(rows) // 2]) + _clusters(points, rows[len(rows) // 2 :])
+
+
+def _ball(points: F32) -> F64:
+    """(K, 4) a ball about each hand's points (K, n, 3): centre, radius."""
+    center = (points.min(axis=1) + points.max(axis=1)) / 2
+    radius = np.linalg.norm(points - center[:, None], axis=2).max(axis=1, keepdims=True)
+    return np.concatenate([center, radius + 1e-6], axis=1).astype(np.float64)
+
+
+def distance_field(surface: ObjectSurface, threads: int | None = None) -> Any:
+    """The object's signed distance at grid nodes: exact to `EXACT_M` from the surface, farther off a lower bound that is 1.5 mm
+    short or less.
+
+    Most nodes are far from the surface: they take what a grid of `STRIDE` times the pitch says, which is at most half a cell's
+    diagonal off the distance; only those that may be near are asked. Second derivatives of a distance d are at most 1 / d, so
+    that linear interpolation overshoots it by 3 h^2 / 8 d at most.
+    """
     low = surface.vertices.min(0) - MARGIN_M
     nodes = np.ceil((np.ptp(surface.vertices, axis=0) + 2 * MARGIN_M) / PITCH_M).astype(int) + 1
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in nodes), indexing="ij"), -1).reshape(-1, 3)
-    value, _, _ = surface.distance(low + PITCH_M * grid, 1.0, threads)
+    cell = STRIDE * PITCH_M
+    coarse = np.stack(np.meshgrid(*(np.arange((n - 2) // STRIDE + 2) for n in nodes), indexing="ij"), -1)
+    value = surface.distance(low + cell * coarse.reshape(-1, 3), 1.0, threads)[0].reshape(coarse.shape[:3])
+    for axis, n in enumerate(nodes):
+        first, share = np.divmod(np.arange(n, dtype=np.int64), STRIDE)
+        above = np.take(value, np.minimum(first + 1, value.shape[axis] - 1), axis)
+        weight = (share / np.float32(STRIDE)).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
+        value = np.take(value, first, axis) * (1 - weight) + above * weight
+    near = np.argwhere(np.abs(value) <= EXACT_M + cell * 3**0.5 / 2)
+    exact, _, face = surface.distance(low + PITCH_M * near, EXACT_M, threads, quick=True)
+    short = value - np.float32(3 * cell**2 / (8 * EXACT_M))
+    value = np.where(value > 0, np.maximum(short, np.float32(EXACT_M)), np.minimum(value, -np.float32(EXACT_M)))
+    asked = tuple(near[face >= 0].T)
+    value[asked] = exact[face >= 0]
+    return _field(value.reshape(-1), low, nodes)
+
+
+def _field(value: F32, low: F32, nodes: NDArray[np.int64]) -> Any:
     field = close_hand.Field()
     field.origin, field.pitch, field.nodes = wp.vec3(*low.tolist()), wp.float32(PITCH_M), wp.vec3i(*nodes.tolist())
     field.value = wp.array(value, dtype=wp.float32, device="cpu")
     return field
+
+
+def mirrored(field: Any) -> Any:
+    """The field of the object mirrored in x."""
+    nodes = np.array(list(field.nodes))
+    low = np.array(list(field.origin))
+    low[0] = -(low[0] + PITCH_M * (nodes[0] - 1))
+    return _field(np.ascontiguousarray(field.value.numpy().reshape(nodes)[::-1]).reshape(-1), low, nodes)
 
 
 def come_down(
@@ -153,24 +216,49 @@ def come_down(
     return travel
 
 
-def close(field: Any, families: Families, family: Any, R: F32, p: F32, threads: int | None) -> tuple[F32, F32]:
-    """Flexion (n, 5, 3) in rad, and each digit's distance (n, 5)."""
+def close(
+    field: Any, families: Families, family: Any, R: F32, p: F32, reach: float, threads: int | None
+) -> tuple[NDArray[np.int64], F32, F32]:
+    """The rows whose thumb comes nearer than `reach`; of these flexion (n, 5, 3) in rad, and each digit's distance (n, 5)."""
     flexion, gap = np.empty((len(family), 5, 3), np.float32), np.empty((len(family), 5), np.float32)
+    rows = np.arange(len(family))
+    for wanted in (1 << THUMB, (1 << THUMB) - 1):
+        bent, left = flexion[rows], gap[rows]
+        launch_trials(
+            close_hand.close_fingers,
+            len(rows),
+            inputs={
+                "field": field,
+                "hands": families.tables,
+                "step": STEP_RAD,
+                "deepest": DEEPEST_M,
+                "wanted": wanted,
+                "hand": np.ascontiguousarray(family[rows]),
+                "R": np.ascontiguousarray(R[rows]),
+                "p": np.ascontiguousarray(p[rows]),
+            },
+            outputs={"flexion": bent, "gap": left},
+            device="cpu",
+            threads=threads,
+            width=len(REGIONS) - 1,
+        )
+        flexion[rows], gap[rows] = bent, left
+        rows = rows[gap[rows, THUMB] < reach]
+    return rows, flexion[rows], gap[rows]
+
+
+def field_distance(field: Any, points: F32, threads: int | None) -> F32:
+    """(n,) distances of points (n, 3) in the field: trilinear between its nodes."""
+    distance = np.empty(len(points), np.float32)
+    inputs = {"field": field, "point": np.ascontiguousarray(points, np.float32)}
+    outputs = {"distance": distance}
     launch_trials(
-        close_hand.close_fingers,
-        len(family),
-        inputs={
-            "field": field,
-            "hands": families.tables,
-            "step": STEP_RAD,
-            "deepest": DEEPEST_M,
-            "hand": np.ascontiguousarray(family),
-            "R": np.ascontiguousarray(R),
-            "p": np.ascontiguousarray(p),
-        },
-        outputs={"flexion": flexion, "gap": gap},
+        close_hand.field_distance,
+        len(points),
+        inputs=inputs,
+        outputs=outputs,
         device="cpu",
         threads=threads,
-        width=len(REGIONS) - 1,
+        chunk=4096,
     )
-    return flexion, gap
+    return distance

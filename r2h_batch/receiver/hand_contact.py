@@ -12,7 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.hand import HandModel, load_hand
-from r2h_batch.kernels.receiver.point_mesh import point_mesh_distance
+from r2h_batch.kernels.receiver.point_mesh import point_mesh_distance, point_mesh_distance_by_normal
 from r2h_batch.launch import launch_trials
 
 __all__ = ["REGIONS", "Contact", "ObjectSurface", "hand_depth", "measure_contact", "palmar_region"]
@@ -21,6 +21,7 @@ REGIONS = ("index", "middle", "pinky", "ring", "thumb", "palm")
 """Where a hand touches: five digits (joints 1-3, 4-6, 7-9, 10-12, 13-15) and the palm."""
 THUMB, PALM = 4, 5
 REACH_M = 0.02
+BOX_M = 1e-5
 PALMAR_COSINE = 0.35
 """Palmar skin: its rest normal leans at least this much (70 degrees) towards the side that the joint flexes to."""
 
@@ -59,14 +60,17 @@ class ObjectSurface:
         )
 
     def distance(
-        self, points: NDArray[Any], reach: float, threads: int | None = None
+        self, points: NDArray[Any], reach: float, threads: int | None = None, *, quick: bool = False
     ) -> tuple[F32, F32, NDArray[np.int32]]:
-        """Signed distance (n,), outward normal (n, 3) and nearest face (n,) of points (n, 3); see `point_mesh_distance`."""
+        """Signed distance (n,), outward normal (n, 3) and nearest face (n,) of points (n, 3); see `point_mesh_distance`.
+
+        `quick`: the sign by the nearest face's normal, not by the winding number.
+        """
         flat = np.ascontiguousarray(points, np.float32).reshape(-1, 3)
         distance, normal = np.empty(len(flat), np.float32), np.empty((len(flat), 3), np.float32)
         face = np.empty(len(flat), np.int32)
         launch_trials(
-            point_mesh_distance,
+            point_mesh_distance_by_normal if quick else point_mesh_distance,
             len(flat),
             inputs={"mesh": self.mesh.id, "reach": reach, "point": flat},
             outputs={"distance": distance, "normal": normal, "face": face},
@@ -99,23 +103,40 @@ def palmar_region(model: HandModel | None = None) -> NDArray[np.int64]:
 
 
 def measure_contact(
-    surface: ObjectSurface, vertices: F32, *, hand: HandModel | None = None, threads: int | None = None
+    surface: ObjectSurface,
+    vertices: F32,
+    *,
+    hand: HandModel | None = None,
+    threads: int | None = None,
+    about: F32 | None = None,
 ) -> Contact:
-    """Contacts of B hands with skins `vertices` (B, V, 3) in the object's frame; `hand`: whose skins (default: ours)."""
+    """Contacts of B hands with skins `vertices` (B, V, 3) in the object's frame; `hand`: whose skins (default: ours).
+
+    `about` (B, V): what the skins' distances are about. Then only the points that are nearest by it are asked, quickly:
+    contacts to look at, not to vouch for.
+    """
     n, count = vertices.shape[:2]
-    distance, normal, face = surface.distance(vertices, REACH_M, threads)
-    distance, normal, face = distance.reshape(n, count), normal.reshape(n, count, 3), face.reshape(n, count)
     region = palmar_region(hand or load_hand())
     rows = np.arange(n)[:, None]
+    if about is None:
+        distance, normal, face = surface.distance(vertices, REACH_M, threads)
+        distance, normal, face = distance.reshape(n, count), normal.reshape(n, count, 3), face.reshape(n, count)
+    else:
+        distance = np.minimum(about, REACH_M)
     nearest = np.stack(
         [np.flatnonzero(region == r)[distance[:, region == r].argmin(1)] for r in range(len(REGIONS))], axis=1
     )
+    if about is None:
+        gap, normal, face = distance[rows, nearest], normal[rows, nearest], face[rows, nearest]
+    else:
+        gap, normal, face = surface.distance(vertices[rows, nearest], REACH_M, threads, quick=True)
+        gap, normal, face = gap.reshape(n, -1), normal.reshape(n, -1, 3), face.reshape(n, -1)
     inside = np.maximum(-distance, 0.0)
     return Contact(
-        gap=distance[rows, nearest],
-        normal=normal[rows, nearest],
+        gap=gap,
+        normal=normal,
         point=vertices[rows, nearest],
-        face=face[rows, nearest],
+        face=face,
         depth=inside.max(1),
         back_depth=inside[:, region < 0].max(1),
         touch=(distance[:, region >= 0] < 0.005).mean(1).astype(np.float32),
@@ -131,12 +152,26 @@ def hand_depth(
     threads: int | None = None,
 ) -> NDArray[np.float32]:
     """(B,) how deep the deepest of the object's surface points (n, 3) is in each hand: what thin parts do to a hand."""
-    faces = (hand or load_hand()).faces_by_side.numpy()[int(side)]
+    model = hand or load_hand()
+    faces = model.faces_by_side.numpy()[int(side)]
+    pieces = [p.numpy() for p in model.pieces]
     depth = np.zeros(len(vertices), np.float32)
     for i, skin in enumerate(vertices):
-        # Only points within the hand's bounding box can be inside it: a hand's tree is asked for a few hundred, not thousands
-        near = points[((points > skin.min(0)) & (points < skin.max(0))).all(1)]
+        near = points[_in_boxes(points, skin, pieces)]
         if len(near):
             distance, _, _ = ObjectSurface(skin, faces).distance(near, 0.05, threads)
             depth[i] = max(0.0, -float(distance.min()))
     return depth
+
+
+def _in_boxes(points: F32, skin: F32, pieces: list[NDArray[np.int64]]) -> NDArray[np.bool_]:
+    """(n,) whether points lie in a box about one of the hand's convex pieces: these hold the skin, so no other is inside."""
+    found = np.zeros(len(points), bool)
+    rows = np.flatnonzero(((points > skin.min(0)) & (points < skin.max(0))).all(1))
+    for piece in pieces:
+        own = skin[piece].astype(np.float64)
+        center = own.mean(0)
+        axes = np.linalg.eigh((own - center).T @ (own - center))[1]
+        extent, at = (own - center) @ axes, (points[rows] - center) @ axes
+        found[rows] |= ((at > extent.min(0) - BOX_M) & (at < extent.max(0) + BOX_M)).all(1)
+    return found

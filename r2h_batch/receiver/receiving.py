@@ -116,8 +116,8 @@ def _intents(model: ObjectModel, part: NDArray[np.uint8]) -> NDArray[np.int32]:
 def load_receiving(objects: Sequence[ObjectModel] | None = None, hand: HandModel | None = None) -> ReceivingGrasps:
     """Receiving grasps of these objects (default: the 16 built-in ones), `object_index` counting them in order.
 
-    Those of the built-in hand and objects are stored; for a user's hand or object they are sampled once (about half a
-    minute an object) and kept on disk (`files.kept`).
+    Those of the built-in hand and objects are stored; for a user's hand or object they are sampled once (seconds
+    an object) and kept on disk (`files.kept`).
     """
     return _load(tuple(load_objects() if objects is None else objects), load_hand() if hand is None else hand)
 

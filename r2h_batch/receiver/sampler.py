@@ -6,6 +6,8 @@ A left hand is sampled as a right hand on the mirrored object: nothing about it 
 from __future__ import annotations
 
 import hashlib
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,7 +24,9 @@ from r2h_batch.receiver.hand_closing import (
     close,
     come_down,
     distance_field,
+    field_distance,
     load_families,
+    mirrored,
     posture,
 )
 from r2h_batch.receiver.hand_contact import PALM, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
@@ -31,7 +35,7 @@ from r2h_batch.receiver.instructions import intents_of
 __all__ = ["PER_SIDE", "NoHoldError", "sample_receiving"]
 
 PER_SIDE = 32
-PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 3000, 4, 240, 16
+PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 600, 20, 160, 16
 STANDOFF_M = 0.25
 
 CONTACT_M = 0.004
@@ -69,8 +73,8 @@ def sample_receiving(
     """
     init_warp()
     hand = load_hand() if hand is None else hand
-    right = _holds(model, hand, False, per_side, self_cut_m, threads)
-    left = _holds(model, hand, True, per_side, self_cut_m, threads)
+    field = distance_field(ObjectSurface(model.vertices, model.faces), threads)
+    right, left = (_holds(model, hand, mirror, field, per_side, self_cut_m, threads) for mirror in (False, True))
     if not len(right["side"]) + len(left["side"]):
         raise NoHoldError(
             f"{model.name}: 0 right receiving grasps found, {per_side} wanted, 0 left; "
@@ -80,62 +84,91 @@ def sample_receiving(
 
 
 def _holds(
-    model: ObjectModel, hand: HandModel, mirror: bool, count: int, self_cut_m: float | None, threads: int | None
+    model: ObjectModel,
+    hand: HandModel,
+    mirror: bool,
+    field: Any,
+    count: int,
+    self_cut_m: float | None,
+    threads: int | None,
 ) -> dict[str, NDArray[Any]]:
     flip = np.array([-1.0 if mirror else 1.0, 1.0, 1.0], np.float32)
-    vertices, faces = model.vertices * flip, model.faces[:, ::-1] if mirror else model.faces
-    surface = ObjectSurface(vertices, faces)
-    field = distance_field(surface, threads)
-    points = np.concatenate([model.points * flip, vertices])
+    side = _Side(model, hand, flip, mirrored(field) if mirror else field, threads)
     pool: list[dict[str, NDArray[Any]]] = []
+    known: dict[int, bool] = {}
     digest = hashlib.sha256(f"receiving {model.name} {'left' if mirror else 'right'}".encode()).digest()
     key = int.from_bytes(digest[:8], "little")
     for turn in range(ROUNDS):
         rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-        pool.append(_try(model, hand, flip, surface, field, points, rng, threads))
+        pool.append(_try(side, rng))
         held = np.concatenate([p["part"] for p in pool])
-        if len(held) >= ENOUGH and all(np.isin(held, i.labels).sum() >= ENOUGH_OF_PART for i in intents_of(model)):
+        enough = len(held) >= ENOUGH and all(np.isin(held, i.labels).sum() >= ENOUGH_OF_PART for i in intents_of(model))
+        if not enough and turn + 1 < ROUNDS:
+            continue
+        every = {k: np.concatenate([p[k] for p in pool]) for k in pool[0]}
+        chosen = _diverse(side, every, count, self_cut_m, known)
+        if len(chosen) == count:
             break
-    every = {k: np.concatenate([p[k] for p in pool]) for k in pool[0]}
-    chosen = _diverse(model, hand, every, count, self_cut_m)
     return _as_arrays(hand, every, chosen, flip)
 
 
-def _try(
-    model: ObjectModel,
-    hand: HandModel,
-    flip: F32,
-    surface: ObjectSurface,
-    field: Any,
-    points: F32,
-    rng: Any,
-    threads: int | None,
-) -> dict[str, NDArray[Any]]:
-    """One round of proposals, those kept: hand pose, posture, what they touch, score."""
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """One side's hands on an object: a left hand is a right hand on the object mirrored by `flip`."""
+
+    model: ObjectModel
+    hand: HandModel
+    flip: F32
+    field: Any
+    threads: int | None
+
+    @cached_property
+    def surface(self) -> ObjectSurface:
+        faces = self.model.faces if self.flip[0] > 0 else self.model.faces[:, ::-1]
+        return ObjectSurface(self.model.vertices * self.flip, faces)
+
+    @cached_property
+    def points(self) -> F32:
+        """What of the object is looked for in a hand."""
+        return np.concatenate([self.model.points * self.flip, self.surface.vertices])
+
+    def holds(self, skin: F32) -> bool:
+        """Whether a hand with this skin (V, 3), which seems to hold, does so: measured on the exact meshes of both."""
+        contact = measure_contact(self.surface, skin[None], hand=self.hand, threads=self.threads)
+        if not _holds_well(self.model, contact)[0]:
+            return False
+        deep = hand_depth(self.points, skin[None], 0, hand=self.hand, threads=self.threads)
+        return bool(deep[0] <= THIN_DEPTH_M)
+
+
+def _try(side: _Side, rng: Any) -> dict[str, NDArray[Any]]:
+    """One round of proposals, those kept: hand pose, posture, what they seem to touch, score."""
+    hand, threads = side.hand, side.threads
     families = load_families(hand)
-    family, R, start, direction, retreat = _proposals(model, flip, rng)
-    travel = come_down(field, families, family, R, start, direction, farthest=2 * STANDOFF_M, threads=threads)
+    family, R, start, direction, retreat = _proposals(side.model, side.flip, rng)
+    travel = come_down(side.field, families, family, R, start, direction, farthest=2 * STANDOFF_M, threads=threads)
     near = travel < 2 * STANDOFF_M - 0.01
     family, R, start, direction = family[near], R[near], start[near], direction[near]
     travel, retreat = travel[near], retreat[near]
     p = start + (travel - retreat)[:, None] * direction
-    flexion, gap = close(field, families, family, R, p, threads)
-    held = (gap[:, THUMB] < CONTACT_M) & ((gap[:, :THUMB] < CONTACT_M).sum(1) >= 1) & (gap.min(1) > -2 * DEEPEST_M)
-    family, R, p, flexion = (x[held] for x in (family, R, p, flexion))
+    rows, flexion, gap = close(side.field, families, family, R, p, CONTACT_M, threads)
+    held = ((gap[:, :THUMB] < CONTACT_M).sum(1) >= 1) & (gap.min(1) > -2 * DEEPEST_M)
+    rows, flexion = rows[held], flexion[held]
+    family, R, p = family[rows], R[rows], p[rows]
     pose = posture(hand, families.turns[family], flexion)
     posed = hand.pose(torch.from_numpy(pose), torch.from_numpy(families.shape[family]))
-    skin = np.einsum("nij,nvj->nvi", R, posed.vertices.numpy()) + p[:, None]
+    skin = (np.einsum("nij,nvj->nvi", R, posed.vertices.numpy()) + p[:, None]).astype(np.float32)
     joints = np.einsum("nij,nvj->nvi", R, posed.joints.numpy()) + p[:, None]
-    contact = measure_contact(surface, skin.astype(np.float32), hand=hand, threads=threads)
-    good = _holds_well(model, contact) & (_crossing(hand, joints, posed.vertices.numpy(), R, p) < CROSSING_M)
+    about = field_distance(side.field, skin.reshape(-1, 3), threads).reshape(skin.shape[:2])
+    contact = measure_contact(side.surface, skin, hand=hand, threads=threads, about=about)
+    good = _holds_well(side.model, contact) & (_crossing(hand, joints, posed.vertices.numpy(), R, p) < CROSSING_M)
     rows = np.flatnonzero(good)
-    deep = hand_depth(points, skin[rows].astype(np.float32), 0, hand=hand, threads=threads)
-    rows = rows[deep <= THIN_DEPTH_M]
     touching = contact.gap[rows] <= CONTACT_M
     return {
         "family": family[rows], "R": R[rows], "p": p[rows], "pose": pose[rows], "joints": joints[rows].astype(np.float32),
-        "part": _parts(model, contact.face[rows], touching),
-        "score": _score(model, flip, contact, rows, touching, R[rows]),
+        "skin": skin[rows],
+        "part": _parts(side.model, contact.face[rows], touching),
+        "score": _score(side.model, side.flip, contact, rows, touching, R[rows]),
     }  # fmt: skip
 
 
@@ -237,25 +270,26 @@ def _segment_distance(a: F64, b: F64, c: F64, d: F64) -> F64:
 
 
 def _diverse(
-    model: ObjectModel, hand: HandModel, every: dict[str, NDArray[Any]], count: int, self_cut_m: float | None
+    side: _Side, every: dict[str, NDArray[Any]], count: int, self_cut_m: float | None, known: dict[int, bool]
 ) -> NDArray[np.int64]:
-    """Rows of the best scores, none too like one already taken; that bar falls until `count` are found.
+    """Rows of the best scores that hold, none too like one already taken; that bar falls until `count` are found.
 
-    Every part that instructions name gets its share first, as far as it can be held.
+    Every part that instructions name gets its share first, as far as it can be held. `known`: what was measured of rows.
     """
     palm = every["joints"][:, [0, 1, 4, 7, 10]].mean(1)
     order = np.argsort(-every["score"], kind="stable")
-    wanted = {i.part: i.labels for i in intents_of(model)}
+    wanted = {i.part: i.labels for i in intents_of(side.model)}
     stages = [(np.isin(every["part"], labels), min(count // 4, count // len(wanted))) for labels in wanted.values()]
     stages.append((np.ones(len(order), bool), count))
     taken: list[int] = []
     usable = np.ones(len(order), bool)
+    usable[[i for i, holds in known.items() if not holds]] = False
     for allowed, number in stages:
         mine = order[allowed[order]]
         mine = mine[: max(number, int(BEST * len(mine)))]
         scale = 1.0
         while int(allowed[taken].sum()) < min(number, int(usable[mine].sum())):
-            for i in mine:
+            for i in mine.tolist():
                 if int(allowed[taken].sum()) >= number:
                     break
                 if i in taken or not usable[i]:
@@ -264,10 +298,15 @@ def _diverse(
                 turn = 1 - np.einsum("mij,ij->m", every["R"][taken], every["R"][i]) / 3  # 0 alike, 4/3 opposite
                 if taken and (apart + 2 * turn).min() < scale:
                     continue
-                # measured only of those that are wanted: 50 ms each
-                usable[i] = self_cut_m is None or _self_cut(hand, every["pose"][i], every["family"][i]) <= self_cut_m
+                if (
+                    i not in known
+                ):  # measured only of those that are wanted: 10 ms each, and 50 of how they cut into themselves
+                    known[i] = side.holds(every["skin"][i]) and (
+                        self_cut_m is None or _self_cut(side.hand, every["pose"][i], every["family"][i]) <= self_cut_m
+                    )
+                usable[i] = known[i]
                 if usable[i]:
-                    taken.append(int(i))
+                    taken.append(i)
             scale *= 0.75
     return np.array(taken, np.int64)
 

@@ -10,12 +10,22 @@ import trimesh
 from hand_twins import skinning_twin
 from scipy.spatial import cKDTree
 
+from r2h_batch import se3
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.hand import load_hand, palm_frame
 from r2h_batch.bodies.hand_measure import hull_planes, sample_surface, winding_number
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.launch import init_warp
-from r2h_batch.receiver.hand_contact import PALM, REGIONS, THUMB, ObjectSurface, measure_contact, palmar_region
+from r2h_batch.receiver.hand_closing import EXACT_M, PITCH_M, distance_field, mirrored
+from r2h_batch.receiver.hand_contact import (
+    PALM,
+    REGIONS,
+    THUMB,
+    ObjectSurface,
+    hand_depth,
+    measure_contact,
+    palmar_region,
+)
 from r2h_batch.receiver.instructions import intents_of
 from r2h_batch.receiver.receiving import CONTACT_M, PENETRATION_M, load_receiving, receiving_digest
 from r2h_batch.receiver.sampler import sample_receiving
@@ -166,6 +176,51 @@ def test_selected_rows_keep_their_object_and_hand(grasps) -> None:
     picked = grasps[rows]
     assert len(picked) == len(rows) and bool((picked.object_index == 3).all()) and bool((picked.side == 1).all())
     assert torch.equal(picked.joints, grasps.joints[rows])
+
+
+def test_a_field_is_exact_near_the_surface_and_a_little_short_of_the_distance_elsewhere() -> None:
+    init_warp()
+    ball = trimesh.creation.icosphere(3, 0.04)
+    surface = ObjectSurface(ball.vertices.astype(np.float32), ball.faces.astype(np.int32))
+    for field, flip in ((distance_field(surface), 1.0), (mirrored(distance_field(surface)), -1.0)):
+        nodes = np.array(list(field.nodes))
+        grid = np.stack(np.meshgrid(*(np.arange(n) for n in nodes), indexing="ij"), -1).reshape(-1, 3)[::7]
+        value = field.value.numpy()[::7]
+        at = np.array(list(field.origin)) + PITCH_M * grid
+        exact, _, _ = surface.distance(at * [flip, 1, 1], 1.0)
+        near = np.abs(exact) < EXACT_M
+        assert near.sum() > 1000 and np.abs(value - exact)[near].max() < 1e-6
+        outside = exact >= EXACT_M
+        assert (value[outside] <= exact[outside] + 1e-6).all() and (exact - value)[outside].max() < 0.006
+        assert ((value < 0) == (exact < 0)).all()
+
+
+def test_what_is_in_a_hand_is_found_as_by_asking_every_point(grasps) -> None:
+    init_warp()
+    for row in (grasps.rows_of(3, 1)[0], grasps.rows_of(6, 0)[0]):
+        model, side = OBJECTS[int(grasps.object_index[row])], int(grasps.side[row])
+        points = np.concatenate([model.points, model.vertices])
+        skin = grasps.vertices[row].numpy()
+        every, _, _ = ObjectSurface(skin, load_hand().faces_by_side.numpy()[side]).distance(points, 0.05)
+        assert hand_depth(points, skin[None], side)[0] == max(0.0, -every.min())
+
+
+def test_grasps_of_a_users_object_hold_by_the_exact_meshes() -> None:
+    from r2h_batch.bodies.objects import build_object
+
+    stick = build_object(
+        trimesh.creation.capsule(height=0.2, radius=0.012), "stick", "S1", receiver="z<0.4", pieces=False
+    )
+    found = sample_receiving(stick, per_side=6)
+    assert (found["side"] == np.repeat([0, 1], 6)).all()
+    pose, shape, side, T = (torch.from_numpy(found[k]) for k in ("pose", "shape", "side", "T_obj_hand"))
+    skin = se3.apply(T[:, None], load_hand().pose(pose, shape, side).vertices).numpy()
+    contact = measure_contact(ObjectSurface(stick.vertices, stick.faces), skin)
+    touching = contact.gap <= CONTACT_M
+    assert (contact.depth < PENETRATION_M).all() and touching[:, THUMB].all() and (touching.sum(1) >= 3).all()
+    points = np.concatenate([stick.points, stick.vertices])
+    for of in (0, 1):
+        assert (hand_depth(points, skin[found["side"] == of], of) < PENETRATION_M).all()
 
 
 @pytest.mark.slow

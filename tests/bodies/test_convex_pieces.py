@@ -1,0 +1,48 @@
+"""Convex pieces of a user's object: few, convex, and nothing of the surface outside."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from r2h_batch.bodies.given.convex import convex_pieces
+from r2h_batch.bodies.given.fewer import covering, fewer
+from tests.support.needs import needs
+
+
+def test_parts_are_joined_where_that_adds_least() -> None:
+    box = trimesh.creation.box((0.01, 0.01, 0.01)).vertices
+    row = [box + [0.01 * i, 0, 0] for i in range(5)]
+    corner = [box + [0, 0.01 * i, 0] for i in (1, 2)]
+    flat = [np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]) * 0.01]
+    found = fewer([*row, *corner, *flat], 2)
+    volumes = sorted(trimesh.convex.convex_hull(p).volume for p in found)
+    assert np.allclose(volumes, [2e-6, 5e-6])
+    assert len(fewer(row, 16)) == 5
+
+
+def test_what_sticks_out_is_taken_in_by_the_nearest_piece() -> None:
+    box = trimesh.creation.box((0.02, 0.02, 0.02)).vertices
+    far = box + [0.1, 0, 0]
+    point = np.array([[0.11 + 0.003, 0, 0], [0.01 + 4e-5, 0, 0]])
+    first, second = covering([box, far], point, 5e-5)
+    assert np.allclose(np.sort(first, axis=0), np.sort(box, axis=0))
+    assert np.isclose(second[:, 0].max(), 0.113)
+
+
+@needs("coacd", "manifold3d")
+@pytest.mark.parametrize("parts", [2, 3])
+def test_pieces_hold_the_surface_and_little_else(parts: int) -> None:
+    teeth = [trimesh.creation.box((0.01, 0.02, 0.06)) for _ in range(parts)]
+    for i, tooth in enumerate(teeth):
+        tooth.apply_translation([0.03 * i - 0.015 * parts + 0.005, 0, 0.02])
+    comb = trimesh.boolean.union([trimesh.creation.box((0.03 * parts, 0.02, 0.02)), *teeth], engine="manifold")
+    found = convex_pieces(comb, "comb")
+    points = np.concatenate([comb.vertices, trimesh.sample.sample_surface(comb, 2000, seed=1)[0]])
+    depth = np.full(len(points), np.inf)
+    for vertices, faces in found:
+        piece = trimesh.Trimesh(vertices.astype(float), faces, process=False)
+        offset = np.einsum("ij,ij->i", piece.face_normals, piece.triangles[:, 0])
+        depth = np.minimum(depth, (points @ piece.face_normals.T - offset).max(axis=1))
+    assert 2 <= len(found) <= 16 and depth.max() < 1e-4
+    volume = sum(trimesh.Trimesh(v.astype(float), f, process=False).volume for v, f in found)
+    assert comb.volume * 0.999 < volume < 1.1 * comb.volume
