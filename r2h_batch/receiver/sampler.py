@@ -284,9 +284,9 @@ def _diverse(
     taken: list[int] = []
     usable = np.ones(len(order), bool)
     usable[[i for i, holds in known.items() if not holds]] = False
-    for allowed, number in stages:
+    for allowed, number, share in ((a, n, s) for a, n in stages for s in (BEST, 1.0)):  # the poorest where the best fail
         mine = order[allowed[order]]
-        mine = mine[: max(number, int(BEST * len(mine)))]
+        mine = mine[: max(number, int(share * len(mine)))]
         scale = 1.0
         while int(allowed[taken].sum()) < min(number, int(usable[mine].sum())):
             for i in mine.tolist():

@@ -25,7 +25,7 @@ def folder(tmp_path, monkeypatch):
     found, held = candidates.candidates_of((cup,))[0].rows(slice(0, 10)), receiving.load_receiving([cup])
     hold = {k: getattr(held, k)[1:32].numpy() for k in receiving.FIELDS}
     monkeypatch.setattr(receiving, "sample_receiving", lambda model, **_: hold)
-    monkeypatch.setattr(candidates, "sample_grasps", lambda model: found)
+    monkeypatch.setattr(candidates, "sample_grasps", lambda model, **_: found)
     return tmp_path
 
 
@@ -70,10 +70,10 @@ def test_an_object_that_no_hand_can_hold_fails_on_both_sides(folder, monkeypatch
 def test_an_object_too_wide_for_the_gripper_is_refused_in_one_line_unless_it_may_fail(folder, monkeypatch, capsys):
     found = candidates.sample_grasps
 
-    def sample(model):
+    def sample(model, **options):
         if model.name == "ball":
             raise NoGraspError("none")
-        return found(model)
+        return found(model, **options)
 
     monkeypatch.setattr(candidates, "sample_grasps", sample)
     with pytest.warns(UserWarning, match="ball: no grasp found"):
