@@ -284,7 +284,9 @@ def _diverse(
     taken: list[int] = []
     usable = np.ones(len(order), bool)
     usable[[i for i, holds in known.items() if not holds]] = False
-    for allowed, number, share in ((a, n, s) for a, n in stages for s in (BEST, 1.0)):  # the poorest where the best fail
+    for allowed, number, share in (
+        (a, n, s) for a, n in stages for s in (BEST, 1.0)
+    ):  # the poorest where the best fail
         mine = order[allowed[order]]
         mine = mine[: max(number, int(share * len(mine)))]
         scale = 1.0
@@ -298,9 +300,8 @@ def _diverse(
                 turn = 1 - np.einsum("mij,ij->m", every["R"][taken], every["R"][i]) / 3  # 0 alike, 4/3 opposite
                 if taken and (apart + 2 * turn).min() < scale:
                     continue
-                if (
-                    i not in known
-                ):  # measured only of those that are wanted: 10 ms each, and 50 of how they cut into themselves
+                # measured only of those that are wanted: 10 ms each, and 50 of how they cut into themselves
+                if i not in known:
                     known[i] = side.holds(every["skin"][i]) and (
                         self_cut_m is None or _self_cut(side.hand, every["pose"][i], every["family"][i]) <= self_cut_m
                     )
