@@ -37,14 +37,16 @@ def timed(scene: Scene, batch: Batch) -> tuple[Problems, dict[int, float]]:
     """The batch planned on one thread, and the seconds that each searched problem took by trial id."""
     spent: dict[int, float] = defaultdict(float)
 
-    def one_by_one(kernel: Any, n: int, **kwargs: Any) -> None:
+    def one_by_one(*job: Any, **kwargs: Any) -> None:
         rows = kwargs["inputs"].get("trial")
         if rows is None:
-            launch_trials(kernel, n, **kwargs)
+            launch_trials(*job, **kwargs)
             return
+        kernel, n = job
+        one = (kernel, 1)
         for i in range(n):
             start = time.process_time()
-            launch_trials(kernel, 1, **{**kwargs, "first": i})
+            launch_trials(*one, **{**kwargs, "first": i})
             spent[int(batch.trials.trial_id[int(rows[i])])] += time.process_time() - start
 
     with mock.patch.object(plan, "launch_trials", one_by_one):

@@ -38,7 +38,15 @@ class FakeEvaluator:
         scores = make_scores(trials, outcome)
         ids = trials.trial_id  # make_scores counts rows; a verdict may depend on the trial only
         t_exec_s = torch.where(torch.isnan(scores.t_exec_s), torch.nan, 8.0 + 0.001 * ids).float()
-        return replace(scores, t_exec_s=t_exec_s, borderline=ids % 7 == 0)
+        seen = ~torch.isnan(scores.presented_angle_deg)
+        angle = torch.where(seen, torch.where(ids % 4 > 0, 20.0, 120.0), torch.nan)
+        return replace(
+            scores,
+            t_exec_s=t_exec_s,
+            borderline=ids % 7 == 0,
+            presented=seen & (ids % 4 > 0),
+            presented_angle_deg=angle.float(),
+        )
 
 
 def prepare(options) -> Setting:
