@@ -50,29 +50,30 @@ def fewer(parts: Sequence[F64], most: int) -> list[F64]:
     return [corners[a] for a in alive]
 
 
-def covering(parts: Sequence[F64], points: F64, allowed: float) -> list[F64]:
-    """The pieces, those grown that points (N, 3) stick out of by more than `allowed` (m): each point into the nearest."""
+def covering(parts: Sequence[F64], points: F64, triangles: NDArray[np.int64], allowed: float) -> list[F64]:
+    """The pieces, grown until each triangle (T, 3) of `points` (N, 3) lies in one of them, up to `allowed` (m) outside.
+
+    A triangle is in a convex piece when its corners are; so nothing of the surface is outside, not only none of the points.
+    Each that is in no piece goes whole into the one that its farthest corner is nearest to.
+    """
     found = list(parts) or [points]
-    depth, nearest = _outside(found, points)
-    for k in np.unique(nearest[depth > allowed]).tolist():
-        mine = points[(depth > allowed) & (nearest == k)]
+    depth = np.stack([_outside(part, points)[triangles].max(axis=1) for part in found])  # (P, T)
+    nearest = depth.argmin(axis=0)
+    out = depth.min(axis=0) > allowed
+    for k in np.unique(nearest[out]).tolist():
+        mine = points[np.unique(triangles[out & (nearest == k)])]
         both = np.concatenate([found[k], mine])
         found[k] = both[ConvexHull(both).vertices]
     return found
 
 
-def _outside(parts: Sequence[F64], points: F64) -> tuple[F64, NDArray[np.int64]]:
-    """(N,) how far points are outside the nearest piece, by its planes (0 or less: inside); (N,) that piece."""
-    depth, nearest = np.full(len(points), np.inf), np.zeros(len(points), np.int64)
-    for k, part in enumerate(parts):
-        planes = ConvexHull(part).equations
-        of = np.full(len(points), -np.inf)
-        for first in range(0, len(planes), 64):  # a few at a time: (N, planes) of a large mesh is much
-            some = planes[first : first + 64]
-            of = np.maximum(of, (points @ some[:, :3].T + some[:, 3]).max(axis=1))
-        nearest[of < depth] = k
-        depth = np.minimum(depth, of)
-    return depth, nearest
+def _outside(part: F64, points: F64) -> F64:
+    """(N,) how far points are outside a piece, by its planes (0 or less: inside)."""
+    planes, of = ConvexHull(part).equations, np.full(len(points), -np.inf)
+    for first in range(0, len(planes), 64):  # a few at a time: (N, planes) of a large mesh is much
+        some = planes[first : first + 64]
+        of = np.maximum(of, (points @ some[:, :3].T + some[:, 3]).max(axis=1))
+    return of
 
 
 def _nearest(corners: Sequence[F64], k: int, others: list[int]) -> list[int]:
