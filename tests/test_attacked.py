@@ -1,6 +1,7 @@
 """What somebody who had not written the commands broke: outputs over runs, links, pipes, stray files, Ctrl-C."""
 
 import os
+import sys
 import warnings
 
 import numpy as np
@@ -84,7 +85,12 @@ def test_a_number_with_an_exponent_is_a_number(tmp_path, text, value):
     ("flags", "said"),
     [((), "figures: mug: repaired \\x1b[2J\n"), (("quiet",), ""), (("verbose",), "overflow encountered")],
 )
-def test_a_warning_is_one_line_without_the_source_that_warns(flags, said, capsys):
+def test_a_warning_is_one_line_without_the_source_that_warns(flags, said, capsys, monkeypatch):
+    def shown(message, category, filename, lineno, file=None, line=None):  # as outside pytest, which records them
+        sys.stderr.write(warnings.formatwarning(message, category, filename, lineno, line))
+
+    monkeypatch.setattr(warnings, "showwarning", shown)
+
     def work():
         warnings.warn("mug:\n repaired \x1b[2J", stacklevel=1)
         return int(np.isfinite(np.float64(1e300).astype(np.float32)))

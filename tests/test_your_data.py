@@ -43,7 +43,7 @@ def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_p
             named |= set(yaml.safe_load(text))
         else:  # what lies beside a mesh
             assert read_entry(path, "saw.obj").file == "saw.obj"
-    assert named | {"format", "protocol", "trials"} == set(BenchmarkFile.model_fields)
+    assert named | {"format", "trials"} == set(BenchmarkFile.model_fields)
 
 
 def test_the_arrays_of_the_page_are_what_readers_take():

@@ -14,15 +14,14 @@ from r2h_batch.benchmark.flags import BenchmarkFlags
 from r2h_batch.benchmark.reading import hand_of, hand_set_of, objects_of, read_benchmark
 from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.bodies.given.many import build_ahead
-from r2h_batch.bodies.grasp_set import read_grasps
 from r2h_batch.bodies.hand import make_hand_set
 from r2h_batch.bodies.objects import ObjectModel, call_of, object_from_argument
 from r2h_batch.files import FileError, path_within, printable
+from r2h_batch.importers.any_file import GRASP_FILES, grasps_from, without_gripper
 
 __all__ = ["Given"]
 
 MESHES = (".obj", ".stl", ".ply", ".off", ".glb")
-GRASPS = (".npz", ".safetensors")
 MAX_FILES = 1000
 
 
@@ -122,15 +121,15 @@ def _with_grasps(objects: Sequence[ObjectModel], argument: str) -> tuple[ObjectM
     known = f"the objects are {', '.join(names[:40])}"
     path, (name, equals, rest) = Path(argument), argument.partition("=")
     if equals and name in names:
-        files = {name: Path(rest)}
+        files: dict[str, str | Path] = {name: rest}
     elif path.is_dir():
-        files = {f.stem: f for f in _files(path, GRASPS)}
+        files = {f.stem: f for f in _files(path, GRASP_FILES)}
         if not files:
-            raise FileError(f"{printable(path)}: no grasps ({', '.join(GRASPS)}) in this folder")
+            raise FileError(f"{printable(path)}: no grasps ({', '.join(GRASP_FILES)}) in this folder")
     else:
-        files = {path.stem: path}
+        files = {without_gripper(argument)[0].stem: argument}
     if unknown := [n for n in files if n not in names]:
         raise FileError(
             f"--grasps {printable(argument)}: no object is called {printable(unknown[0])!r}; say NAME=FILE, {known}"
         )
-    return tuple(replace(o, grasps=read_grasps(files[o.name])) if o.name in files else o for o in objects)
+    return tuple(replace(o, grasps=grasps_from(files[o.name])) if o.name in files else o for o in objects)

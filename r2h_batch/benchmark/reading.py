@@ -17,14 +17,15 @@ from r2h_batch.benchmark.file import BUILT_IN, BenchmarkFile, ObjectEntry, read_
 from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.benchmark.words import S0_ROLES, THINGS, Thing
 from r2h_batch.bodies.given.many import build_ahead
-from r2h_batch.bodies.grasp_set import read_grasps
+from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.hand import HandModel, HandSet, load_hand, load_hand_set, make_hand_set
-from r2h_batch.bodies.hand_file import read_hand, read_hand_set
+from r2h_batch.bodies.hand_file import read_hand_set
 from r2h_batch.bodies.objects import ObjectModel, build_object, load_objects
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import Thresholds, Workplace
 from r2h_batch.files import FileError, path_within, printable, read_file
 from r2h_batch.files.arrays import read_npy
+from r2h_batch.importers.any_file import grasps_from, hand_from, without_gripper
 
 __all__ = ["hand_of", "hand_set_of", "objects_of", "read_benchmark"]
 
@@ -75,11 +76,25 @@ def _named(file: BenchmarkFile) -> list[tuple[str, str]]:
         (f"objects.{i}.{field}", name)
         for i, o in enumerate(file.objects)
         for field in ("file", "parts", "grasps", "receiver")
-        if (name := getattr(o, field)) is not None and (field != "receiver" or name.endswith(".npy"))
+        if (name := _file_of(o, field)) is not None
     ]
     own += [("trials", file.trials)] if file.trials is not None else []
     hands = [(field, getattr(file, field)) for field in ("hand_model", "hand_set")]
     return own + [(field, name) for field, name in hands if name != BUILT_IN]
+
+
+def _file_of(entry: ObjectEntry, field: str) -> str | None:
+    """What an object's field names as a file; None where it names none."""
+    said: str | None = getattr(entry, field)
+    if said is None or (field == "receiver" and not said.endswith(".npy")):
+        return None
+    return str(without_gripper(said)[0]) if field == "grasps" else said
+
+
+def _grasps(folder: Path, said: str) -> GraspSet:
+    path, gripper = without_gripper(said)
+    inside = path_within(folder, str(path))
+    return grasps_from(f"{inside}:{gripper}" if gripper else inside)
 
 
 def _workplace(file: BenchmarkFile, path: str) -> Workplace:
@@ -99,17 +114,13 @@ def _hands(file: BenchmarkFile, folder: Path) -> HandSet:
 
 
 def hand_of(path: Path) -> HandModel:
-    """The hand model of a file; the same one as long as the file does not change."""
-    if path.suffix.lower() in (".pkl", ".pickle"):
-        raise FileError(
-            f"{printable(path)}: a pickle; make a hand.npz of it: r2h-batch import hand --mano-right {path.name}"
-        )
+    """The hand model of a file (`hand.npz`, or one of MANO's own); the same one as long as the file does not change."""
     return _hand(str(path), hashlib.sha256(read_file(path, MAX_FILE_BYTES)).hexdigest())
 
 
 @lru_cache(maxsize=4)
 def _hand(path: str, _: str) -> HandModel:
-    return HandModel.from_arrays(read_hand(path))
+    return hand_from(Path(path))
 
 
 def hand_set_of(path: Path | None, model: HandModel | None) -> HandSet:
@@ -141,7 +152,7 @@ def _object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
     model = build_object(**_own_call(entry, folder, pieces)) if entry.built_in is None else _built_in_object(entry)
     more: dict[str, Any] = {}
     if entry.grasps is not None:
-        more["grasps"] = read_grasps(path_within(folder, entry.grasps))
+        more["grasps"] = _grasps(folder, entry.grasps)
     known_roles = S0_ROLES.get(model.name) if entry.built_in else None
     if entry.roles is not None and entry.roles != known_roles:
         _check_names(model, "roles", entry.roles, model.part_names)

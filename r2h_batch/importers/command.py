@@ -114,7 +114,7 @@ def grasps(
         file: ACRONYM's .h5, graspnetAPI's .npy (N x 17), an isaac_grasp .yaml, or our own .npz or .safetensors to check.
         source: Whose it is: acronym, graspnet, isaac (also GraspGen), own.
         out: The grasps to write, .npz.
-        gripper: Whose frame an isaac_grasp file is in; needed for those, see `r2h_batch.importers.grippers`.
+        gripper: Whose frame an isaac_grasp file is in; needed for those, see `r2h_batch.importers.grasps.grippers`.
         object_id: Which object's grasps of a graspnet file.
         pose: T_obj_source, .npy of 4 x 4, for a graspnet file: the frame that the network saw in the object's frame.
     """
@@ -177,7 +177,7 @@ def _grasps(
 ) -> "tuple[GraspSet, int]":
     from r2h_batch.bodies.grasp_set import read_grasps
     from r2h_batch.files.arrays import read_npy
-    from r2h_batch.importers import acronym, graspnet, isaac_grasp
+    from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
     from r2h_batch.importers.sequences import numbers
 
     given = {"--gripper": gripper, "--object-id": object_id, "--pose": pose}

@@ -80,7 +80,7 @@ class Options:
     hands: str = ""
     """Another hand set, an .npz of r2h-batch import hands."""
     hand_model: str = ""
-    """Another hand, an .npz of r2h-batch import hand: whoever uses a hand takes this one."""
+    """Another hand, MANO_RIGHT.pkl or an .npz of r2h-batch import hand: whoever uses a hand takes this one."""
     objects: str = ""
     """Other objects instead of the benchmark's: a folder of meshes (NAME.yaml beside a mesh says its split, parts, region),
     or a benchmark.yaml."""
@@ -88,7 +88,8 @@ class Options:
     """Your own objects, FILE[:S0|S1[:REGION]]: they take turns with the other objects of that split. REGION, what the receiver
     wants: a part's name, a plane such as z<0.3, or an .npy of the file's faces (docs/your_data.md)."""
     grasps: tuple[str, ...] = ()
-    """Grasp candidates of your own, .npz or .safetensors: NAME=FILE, a file called as its object, or a folder of these."""
+    """Grasp candidates of your own: NAME=FILE, a file called as its object, or a folder of these. .npz or .safetensors, .h5
+    (ACRONYM), .npy (GraspNet), FILE.yaml:GRIPPER (isaac_grasp); docs/your_data.md."""
     trials_file: str = ""
     """Trials of your own, .npz or .parquet, instead of the protocol's: object, T_world_hand, and hand or pose, shape, side."""
     preset: Literal["default", "paper"] = "default"

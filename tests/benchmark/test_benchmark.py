@@ -191,7 +191,7 @@ REFUSED = {
     "objects: [{built_in: cup, split: S1}]": "no receiver's region",
     "objects: [{built_in: cup, scale: 2}]": "scale of a built-in object",
     "hand_set: ../hands.npz": "points outside the folder",
-    "hand_model: MANO_RIGHT.pkl": "r2h-batch import hand",
+    "hand_model: MANO_RIGHT.pkl": "MANO_RIGHT.pkl: ",
     "hand_set: missing.npz": "missing.npz",
     "home: [0, 0, 0, 0, 0]": "home is [0, 0, 0, 0, 0]",
     "home: [0, 0, 4, 0, 0, 0]": "the robot's joint goes from",

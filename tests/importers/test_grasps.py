@@ -12,12 +12,14 @@ from needs import needs
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.__main__ import main
+from r2h_batch.benchmark import read_benchmark
+from r2h_batch.benchmark.given import Given
 from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.files import FileError
-from r2h_batch.importers import acronym, graspnet, isaac_grasp
-from r2h_batch.importers.grippers import PAD_HALF_M, T_gripper_ee
+from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
+from r2h_batch.importers.grasps.grippers import PAD_HALF_M, T_gripper_ee
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasp_candidates import seat_grasps
 
@@ -320,3 +322,41 @@ def test_acronym_of_another_gripper_or_without_success_is_refused(tmp_path):
     (tmp_path / "c.h5").write_bytes(os.urandom(4096))
     with pytest.raises(FileError, match="not a readable HDF5 file"):
         acronym.read(Path(tmp_path / "c.h5"))
+
+
+@needs("h5py")
+def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path, capsys):
+    T, held = poses(6), np.array([1, 1, 0, 1, 1, 1])
+    write_acronym(tmp_path / "mug.h5", T, held)
+    write_isaac(tmp_path / "mug.yaml", T, np.ones(6))
+    rows = np.column_stack(
+        [np.ones((6, 3)) * 0.02, np.full(6, 0.03), T[:, :3, :3].reshape(6, 9), T[:, :3, 3], np.full(6, 5)]
+    )
+    np.save(tmp_path / "mug.npy", rows)
+    for said, source, more in (
+        ("mug.h5", "acronym", []),
+        ("mug.npy", "graspnet", []),
+        ("mug.yaml:panda-hand", "isaac", ["--gripper", "panda-hand"]),
+    ):
+        out = tmp_path / f"{source}.npz"
+        assert (
+            main(
+                ["import", "grasps", str(tmp_path / said.partition(":")[0]), "--from", source, "--out", str(out), *more]
+            )
+            == 0
+        )
+        capsys.readouterr()
+        found = Given(grasps=(f"cup={tmp_path / said}",)).read()
+        (cup,) = (o for o in found.objects if o.name == "cup")
+        assert cup.grasps.digest == read_grasps(out).digest
+        assert ("1 left out" in capsys.readouterr().err) == (source == "acronym")
+    (tmp_path / "b.yaml").write_text("objects: [{built_in: cup, grasps: 'mug.yaml:ee'}]\n")
+    (cup,) = read_benchmark(tmp_path / "b.yaml").objects
+    assert cup.grasps.digest == isaac_grasp.read(tmp_path / "mug.yaml", "ee")[0].digest
+
+
+def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
+    write_isaac(tmp_path / "cup.yaml", poses(2), np.ones(2))
+    for said, why in (("cup.yaml", "say FILE:GRIPPER, one of"), ("cup.npz:ee", "leave :ee out")):
+        with pytest.raises(FileError, match=why):
+            Given(grasps=(str(tmp_path / said),)).read()

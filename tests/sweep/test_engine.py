@@ -28,8 +28,17 @@ class Failing(fake_bench.FakeEvaluator):
 
     def score(self, T_obj_ee, T_world_ee, trials, *, keep_motion=False):
         scores = super().score(T_obj_ee, T_world_ee, trials)
-        outcome = torch.where(trials.trial_id % 5 == 0, int(Outcome.INVALID_SIM), scores.outcome)
-        return replace(scores, outcome=outcome.to(torch.int8), success=outcome == int(Outcome.SUCCESS))
+        failed = trials.trial_id % 5 == 0
+        outcome = torch.where(failed, int(Outcome.INVALID_SIM), scores.outcome)
+        judged = ~failed[:, None]  # such a row is judged by nothing
+        return replace(
+            scores,
+            outcome=outcome.to(torch.int8),
+            success=outcome == int(Outcome.SUCCESS),
+            passed=scores.passed & judged,
+            evaluated=scores.evaluated & judged,
+            margin=torch.where(judged, scores.margin, torch.nan),
+        )
 
 
 def test_trials_that_the_simulator_failed_on_are_dumped_into_the_run_folder_and_others_are_not(tmp_path):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps
 from r2h_batch.files import printable
 from r2h_batch.files.arrays import read_npy
-from r2h_batch.importers.grippers import PAD_HALF_M
+from r2h_batch.importers.grasps.grippers import PAD_HALF_M
 from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import numbers
 
@@ -32,7 +32,10 @@ def read(
         ids = sorted({int(i) for i in rows[:, 16]})[:10]
         raise ImportRefused(f"{where}: no grasp of object {object_id}; there are objects {', '.join(map(str, ids))}")
     if object_id is None and len(np.unique(rows[:, 16])) > 1:
-        raise ImportRefused(f"{where}: grasps of {len(np.unique(rows[:, 16]))} objects; choose one with --object-id")
+        many = len(np.unique(rows[:, 16]))
+        raise ImportRefused(
+            f"{where}: grasps of {many} objects; choose one with --object-id of r2h-batch import grasps"
+        )
     rows = rows[mine]
     R = rows[:, 4:13].reshape(-1, 3, 3)
     approach, closing = R[:, :, 0], R[:, :, 1]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies.grasp_set import GraspSet, checked_grasps
 from r2h_batch.files import printable
 from r2h_batch.files.plain_yaml import read_plain_yaml
-from r2h_batch.importers.grippers import T_gripper_ee
+from r2h_batch.importers.grasps.grippers import T_gripper_ee
 from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import numbers
 

@@ -1,0 +1,1 @@
+"""Grasps of other data sets and tools in our own ee frame."""
