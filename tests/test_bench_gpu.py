@@ -31,6 +31,14 @@ def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path,
     assert "%" in values["gpu.profile.1"] and "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
 
 
+def test_the_stages_that_are_timed_are_there(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCH))
+    import throughput
+
+    with throughput.watched("cpu") as clock:
+        assert clock.spent == {}
+
+
 def test_a_part_that_fails_is_named_and_the_next_one_runs(gpu, tmp_path, monkeypatch, capsys):
     def broken(bench):
         bench.report.add("gpu.so_far", 1)
