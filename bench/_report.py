@@ -41,18 +41,21 @@ class Report:
         """Writes the figures with where they come from; nothing if `path` is None."""
         if path is None:
             return
-        data = {
-            "values": self.values,
-            "commit": _git("rev-parse", "HEAD"),
-            "changed_files": len(
-                [x for x in (_git("status", "--porcelain", "--untracked-files=no") or "").splitlines() if x]
-            ),
-            "date": datetime.now(UTC).isoformat(timespec="seconds"),
-            "versions": {"python": platform.python_version()} | {p: v for p in PACKAGES if (v := _version(p))},
-            "hardware": hardware(),
-        }
+        data = {"values": self.values, **made_by()}
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         Path(path).write_text(json.dumps(data, indent=1) + "\n")
+
+
+def made_by() -> dict[str, object]:
+    """Commit, files changed since, date, versions and hardware: where figures come from."""
+    changed = (_git("status", "--porcelain", "--untracked-files=no") or "").splitlines()
+    return {
+        "commit": _git("rev-parse", "HEAD"),
+        "changed_files": len([line for line in changed if line]),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {"python": platform.python_version()} | {p: v for p in PACKAGES if (v := _version(p))},
+        "hardware": hardware(),
+    }
 
 
 def hardware() -> dict[str, object]:

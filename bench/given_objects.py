@@ -17,6 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from _report import made_by
+
 os.environ.setdefault("R2H_BATCH_CACHE", "off")
 
 METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
@@ -140,7 +142,8 @@ def main(arguments: list[str]) -> int:
     methods = [m for m in chosen.split(",") if m != "none"]
     (folder,) = [Path(w) for w in words if not w.startswith("--")]
     warnings.simplefilter("ignore")
-    rows = json.loads(out.read_text())["objects"] if out is not None and out.exists() else []
+    stored = json.loads(out.read_text()) if out is not None and out.exists() else {"objects": [], **made_by()}
+    rows = stored["objects"]
     known = {row["object"] for row in rows}
     warm()
     for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
@@ -149,7 +152,7 @@ def main(arguments: list[str]) -> int:
         rows.append(measure(path, trials, methods))
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
         if out is not None:
-            out.write_text(json.dumps({"trials": trials, "objects": rows}, indent=1) + "\n")
+            out.write_text(json.dumps({**stored, "trials": trials, "objects": rows}, indent=1) + "\n")
     print(table(rows, trials))
     return 0
 
