@@ -142,8 +142,8 @@ def main(arguments: list[str]) -> int:
     methods = [m for m in chosen.split(",") if m != "none"]
     (folder,) = [Path(w) for w in words if not w.startswith("--")]
     warnings.simplefilter("ignore")
-    stored = json.loads(out.read_text()) if out is not None and out.exists() else {"objects": [], **made_by()}
-    rows = stored["objects"]
+    stored: dict[str, Any] = json.loads(out.read_text()) if out is not None and out.exists() else {**made_by()}
+    rows: list[dict[str, Any]] = stored.get("objects", [])
     known = {row["object"] for row in rows}
     warm()
     for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
