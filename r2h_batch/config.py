@@ -62,6 +62,11 @@ class Thresholds:
             raise ValueError(
                 "Thresholds.safe_margin_m, pad_squeeze_m and w_min_m must be 0 or more metres, w_min_m below w_max_m"
             )
+        if not self.safe_margin_m < CLEARANCE_CAP_M:  # nobody would keep a distance that is not measured
+            raise ValueError(
+                f"Thresholds.safe_margin_m is {self.safe_margin_m:g}; the hand's distance is measured up to"
+                f" {CLEARANCE_CAP_M:g} m, so it must be below that"
+            )
 
 
 @dataclass(frozen=True)

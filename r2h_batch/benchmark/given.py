@@ -43,8 +43,7 @@ class Given(BenchmarkFlags):
         objects = _objects_of(Path(self.objects), pieces) if self.objects else base.objects
         build_ahead([call_of(mesh, pieces=pieces) for mesh in self.object_mesh])
         objects = (*objects, *(object_from_argument(mesh, pieces=pieces) for mesh in self.object_mesh))
-        for argument in self.grasps:
-            objects = _with_grasps(objects, argument)
+        objects = _with_grasps(objects, self.grasps)
         hand_set = base.hand_set
         model = hand_of(Path(self.hand_model)) if self.hand_model else None
         if self.hands:
@@ -115,21 +114,36 @@ def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
     return found
 
 
-def _with_grasps(objects: Sequence[ObjectModel], argument: str) -> tuple[ObjectModel, ...]:
-    """Candidates of `NAME=FILE`, of a file called after its object, or of a folder of these."""
-    names = [o.name for o in objects]
-    known = f"the objects are {', '.join(names[:40])}"
+def _with_grasps(objects: Sequence[ObjectModel], arguments: Sequence[str]) -> tuple[ObjectModel, ...]:
+    """The objects, with the candidates of the files that are given for them: one file for an object."""
+    files: dict[str, str | Path] = {}
+    for argument in arguments:
+        for name, file in _grasp_files([o.name for o in objects], argument):
+            if name in files:
+                raise FileError(
+                    f"--grasps gives {printable(name)} two files, {printable(files[name])} and {printable(file)}; leave one out"
+                )
+            files[name] = file
+    return tuple(replace(o, grasps=grasps_from(files[o.name])) if o.name in files else o for o in objects)
+
+
+def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | Path]]:
+    """(object, file) of `NAME=FILE`, of a file called after its object, or of a folder of these."""
     path, (name, equals, rest) = Path(argument), argument.partition("=")
+    files: list[tuple[str, str | Path]]
+    if not argument or (equals and name in names and not rest):
+        raise FileError(f"--grasps {printable(argument)!r} names no file; say NAME=FILE")
     if equals and name in names:
-        files: dict[str, str | Path] = {name: rest}
+        files = [(name, rest)]
     elif path.is_dir():
-        files = {f.stem: f for f in _files(path, GRASP_FILES)}
+        files = [(f.stem, f) for f in _files(path, GRASP_FILES)]
         if not files:
             raise FileError(f"{printable(path)}: no grasps ({', '.join(GRASP_FILES)}) in this folder")
     else:
-        files = {without_gripper(argument)[0].stem: argument}
-    if unknown := [n for n in files if n not in names]:
+        files = [(without_gripper(argument)[0].stem, argument)]
+    if unknown := [n for n, _ in files if n not in names]:
+        known = f"the objects are {', '.join(names[:40])}"
         raise FileError(
             f"--grasps {printable(argument)}: no object is called {printable(unknown[0])!r}; say NAME=FILE, {known}"
         )
-    return tuple(replace(o, grasps=grasps_from(files[o.name])) if o.name in files else o for o in objects)
+    return files

@@ -197,6 +197,7 @@ REFUSED = {
     "home: [0, 0, 4, 0, 0, 0]": "the robot's joint goes from",
     "table: {half: [1, 1, 0]}": "table.half.2 is 0",
     "thresholds: {reach_radius: 0.1}": "did you mean reach_radius_m",
+    "thresholds: {safe_margin_m: 0.06}": "safe_margin_m is 0.06; the hand's distance is measured up to 0.05 m",
     "tresholds: {}": "did you mean thresholds",
     "protocol: mine": "protocol is 'mine'",
     "a: &x [1]\nb: *x": "anchors and aliases",

@@ -360,3 +360,27 @@ def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
     for said, why in (("cup.yaml", "say FILE:GRIPPER, one of"), ("cup.npz:ee", "leave :ee out")):
         with pytest.raises(FileError, match=why):
             Given(grasps=(str(tmp_path / said),)).read()
+
+
+@needs("h5py")
+def test_a_chunk_that_is_larger_than_what_it_holds_is_refused_before_it_is_unpacked(tmp_path):
+    import h5py
+
+    write_acronym(tmp_path / "mug.h5", poses(6), np.ones(6))
+    with h5py.File(tmp_path / "mug.h5", "a") as f:
+        T = f["grasps/transforms"][()]
+        del f["grasps/transforms"]
+        f.create_dataset("grasps/transforms", data=T, chunks=(200_000, 4, 4), maxshape=(None, 4, 4), compression="gzip")
+    with pytest.raises(FileError, match="lies in chunks of 3200000 numbers, more than it holds"):
+        acronym.read(tmp_path / "mug.h5")
+
+
+def test_one_object_takes_grasps_of_one_file(tmp_path):
+    for name in ("cup.yaml", "other.yaml"):
+        write_isaac(tmp_path / name, poses(2), np.ones(2))
+    twice = (f"{tmp_path / 'cup.yaml'}:ee", f"cup={tmp_path / 'other.yaml'}:ee")
+    with pytest.raises(FileError, match=r"gives cup two files, .*cup\.yaml:ee and .*other\.yaml:ee; leave one out"):
+        Given(grasps=twice).read()
+    for nothing in ("", "cup="):
+        with pytest.raises(FileError, match="names no file"):
+            Given(grasps=(nothing,)).read()

@@ -8,6 +8,7 @@ keep their numbers elsewhere, or are put together from others, are refused.
 from __future__ import annotations
 
 import io
+import math
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from r2h_batch.importers.sequences import numbers
 __all__ = ["read"]
 
 MOST = 64 << 20
+MOST_CHUNK = 1 << 20
 GRIPPER = "acronym-panda"
 TRANSFORMS, QUALITY, KIND = "grasps/transforms", "grasps/qualities/flex/object_in_gripper", "gripper/type"
 
@@ -70,4 +72,6 @@ def _read(h5py: Any, file: Any, name: str, where: str, most: int) -> Any:
         raise ImportRefused(f"{where}: {name} keeps its numbers elsewhere; only data in this file are read")
     if at.size is None or at.size > most or at.dtype.itemsize > 256:
         raise ImportRefused(f"{where}: {name} has {at.size} numbers; at most {most} are allowed")
+    if at.chunks is not None and math.prod(at.chunks) > max(MOST_CHUNK, at.size):  # a chunk is unpacked whole
+        raise ImportRefused(f"{where}: {name} lies in chunks of {math.prod(at.chunks)} numbers, more than it holds")
     return np.asarray(at[()]) if at.shape else at[()]
