@@ -79,7 +79,7 @@ def with_body(
     nearer: Bool[Tensor, " b"] = own.margin < safe.margin
     margin = torch.where(nearer, own.margin, safe.margin)
     point = torch.where(nearer[:, None], torch.nan, touch.point)
-    # a part of -1 has no moment; one on the person's body has none either, so its time is not said
+    # the moment stays the hand's nearest: none is known of the body's
     part = torch.where(nearer, body, touch.body)
     found = Criterion(margin, safe.passed & own.passed, safe.evaluated)
     return found, Touch(part, touch.segment, touch.fraction, point)

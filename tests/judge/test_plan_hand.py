@@ -7,6 +7,7 @@ import pytest
 import torch
 from problems import default_evaluator
 
+from r2h_batch import evaluate
 from r2h_batch.config import EstimateConfig, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.methods import fc
 from r2h_batch.predictors import PredictorNoise, predict_target
@@ -78,3 +79,20 @@ def test_the_paper_preset_knows_what_the_methods_know():
     paper, default = EvalConfig.preset("paper"), EvalConfig()
     assert (paper.plan.hand, paper.estimate.errors, paper.candidates) == ("estimated", "tails", "as-generated")
     assert (default.plan.hand, default.estimate, default.candidates) == ("true", EstimateConfig(), "filtered")
+
+
+@pytest.mark.parametrize(("hand", "certain"), [("true", True), ("estimated", False)])
+def test_a_path_clear_of_the_estimated_hand_does_not_rule_a_contact_with_the_true_one_out(
+    asked, hand, certain, monkeypatch
+):
+    """What `execute` takes for certified lets the arm move alone: nothing would push it then."""
+    seen = []
+
+    def execute(*args, clearance_m, **more):
+        seen.append(clearance_m)
+        return moved(*args, clearance_m=clearance_m, **more)
+
+    moved = evaluate.execute
+    monkeypatch.setattr(evaluate, "execute", execute)
+    evaluator(EvalConfig(plan=PlanConfig(hand=hand), estimate=SEEN)).score(*(x[:4] for x in asked))
+    assert len(seen) == 1 and (seen[0] is not None) == certain
