@@ -104,7 +104,7 @@ def warm() -> None:
     import trimesh
 
     from r2h_batch.bodies.objects import build_object
-    from r2h_batch.methods.grasp_candidates import sample_grasps
+    from r2h_batch.methods.grasps.sample import sample_grasps
     from r2h_batch.receiver.sampler import sample_receiving
 
     box = build_object(trimesh.creation.box((0.05, 0.06, 0.1)), "box")

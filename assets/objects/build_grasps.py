@@ -21,13 +21,9 @@ from r2h_batch.config import Thresholds
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.judge.metrics import affordance, stability
 from r2h_batch.methods.candidates import STORED
-from r2h_batch.methods.grasp_candidates import (
-    COUNT,
-    REGION_CLEARANCE_M,
-    Candidates,
-    generate_grasps,
-    sample_grasps,
-)
+from r2h_batch.methods.grasps.candidate_set import Candidates
+from r2h_batch.methods.grasps.diverse import REGION_CLEARANCE_M
+from r2h_batch.methods.grasps.sample import COUNT, generate_grasps, sample_grasps
 from r2h_batch.scene.scene import Scene
 
 HERE = Path(__file__).resolve().parent

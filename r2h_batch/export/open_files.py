@@ -28,7 +28,7 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.files import csv_cell
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.methods.grasp_candidates import Candidates
+from r2h_batch.methods.grasps.candidate_set import Candidates
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SIDES
 

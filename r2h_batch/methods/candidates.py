@@ -18,14 +18,9 @@ from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, obj
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.files.kept import Column, code_of, kept
 from r2h_batch.judge.grasp import close_gripper
-from r2h_batch.methods.grasp_candidates import (
-    Candidates,
-    NoGraspError,
-    generate_grasps,
-    own_grasps,
-    sample_grasps,
-    seat_grasps,
-)
+from r2h_batch.methods.grasps.candidate_set import Candidates, NoGraspError
+from r2h_batch.methods.grasps.own import own_grasps, seat_grasps
+from r2h_batch.methods.grasps.sample import generate_grasps, sample_grasps
 from r2h_batch.scene.scene import Scene
 
 __all__ = [
@@ -43,7 +38,7 @@ Kind = Literal["filtered", "as-generated"]
 
 STORED: dict[Kind, str] = {"filtered": "grasps.npz", "as-generated": "grasps_as_generated.npz"}
 
-CODE = ("r2h_batch.methods", "r2h_batch.judge", "r2h_batch.scene") + tuple(
+CODE = ("r2h_batch.methods", "r2h_batch.methods.grasps", "r2h_batch.judge", "r2h_batch.scene") + tuple(
     f"r2h_batch.kernels.{k}" for k in ("methods", "grasp", "robot", "geometry")
 )
 VERSIONS = ("numpy", "scipy", "torch", "warp-lang")

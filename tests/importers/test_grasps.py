@@ -21,7 +21,7 @@ from r2h_batch.files import FileError
 from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
 from r2h_batch.importers.grasps.grippers import PAD_HALF_M, T_gripper_ee
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.methods.grasp_candidates import seat_grasps
+from r2h_batch.methods.grasps.own import seat_grasps
 
 RNG = np.random.default_rng(4)
 

@@ -18,7 +18,7 @@ from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.judge.metrics import stability
 from r2h_batch.methods.box_grasps import three_boxes
 from r2h_batch.methods.candidates import candidate_table, candidates_in, candidates_of
-from r2h_batch.methods.grasp_candidates import generate_grasps
+from r2h_batch.methods.grasps.sample import generate_grasps
 from r2h_batch.scene.scene import Scene
 
 OBJECTS = load_objects()

@@ -14,7 +14,8 @@ import trimesh
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.objects import OBJECT_NAMES, ObjectModel, load_objects, object_digest
 from r2h_batch.bodies.robot import Kind, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
-from r2h_batch.methods.grasp_candidates import FRICTION, sample_grasps
+from r2h_batch.methods.grasps.antipodal import FRICTION
+from r2h_batch.methods.grasps.sample import sample_grasps
 
 BAND = 1e-4
 OPEN_GAP_M, STEP = 0.085, 12

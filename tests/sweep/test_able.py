@@ -5,7 +5,7 @@ import trimesh
 
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.methods import candidates
-from r2h_batch.methods.grasp_candidates import NoGraspError
+from r2h_batch.methods.grasps.candidate_set import NoGraspError
 from r2h_batch.receiver import receiving
 from r2h_batch.receiver.sampler import NoHoldError
 from r2h_batch.results.reading import load_run
