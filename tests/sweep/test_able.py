@@ -78,8 +78,9 @@ def test_an_object_too_wide_for_the_gripper_is_refused_in_one_line_unless_it_may
     monkeypatch.setattr(candidates, "sample_grasps", sample)
     with pytest.warns(UserWarning, match="ball: no grasp found"):
         assert sweep(folder, "--method", "random") == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "sweep: ball: no grasp found; the gripper needs a part narrower" in said
+    lines = capsys.readouterr().err.splitlines()
+    said = [line for line in lines if not line.endswith(" s")]  # a slow machine says "reading ball.ply, 5 s"
+    assert len(said) == 1 and "sweep: ball: no grasp found; the gripper needs a part narrower" in said[0]
     assert not (folder / "run").exists()
     assert sweep(folder, "--method", "random", "--allow-empty-candidates") == 0
     assert "random: no grasp candidate of ball" in capsys.readouterr().err
