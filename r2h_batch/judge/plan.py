@@ -10,6 +10,7 @@ from torch import Tensor
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.judge.search import Search
+from r2h_batch.judge.waves import Waves, in_waves
 from r2h_batch.kernels.judge.overlap import path_overlap
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
@@ -68,13 +69,16 @@ def plan_paths(
     # (b * 8, 6) free branches first, nearest to home first; what lies beyond n_goals of a trial is never looked at
     goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, home, config)
     chosen = torch.full((b,), -1, dtype=torch.int32, device=device)
-    run(
-        straight_lines,
-        b,
-        inputs={"moveit": moveit, "home": home, "goals": goals, "n_goals": n_goals, "goal_margin": margin.view(-1)},
-        outputs={"chosen": chosen},
-        chunk=8,
-    )
+    if run.waves is not None:
+        chosen = run.waves.straight(home, goals, n_goals, margin, moveit)
+    else:
+        run(
+            straight_lines,
+            b,
+            inputs={"moveit": moveit, "home": home, "goals": goals, "n_goals": n_goals, "goal_margin": margin.view(-1)},
+            outputs={"chosen": chosen},
+            chunk=8,
+        )
     path = torch.zeros((b, WAYPOINTS, 6), dtype=torch.float32, device=device)
     length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
     path[:, 0] = home
@@ -98,6 +102,8 @@ def _least_clearance(
     run: "Planner", path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Smallest clearance along each path over all pairs (-inf without one), its pair and the robot's body."""
+    if run.waves is not None:
+        return run.waves.clearance(path, length)
     b, device = len(path), path.device
     least = torch.full((b,), -torch.inf, dtype=torch.float32, device=device)
     pair = torch.zeros(b, dtype=torch.int32, device=device)
@@ -150,12 +156,17 @@ def _reasons(
 
 
 class Planner:
-    """Runs planning kernels, which all take the scene's world and the trials' bodies."""
+    """Runs planning kernels, which all take the scene's world and the trials' bodies; on a GPU what can goes in `waves`."""
 
     def __init__(self, scene: Scene, placed: Placed, threads: int | None) -> None:
         self._tables = {"world": placed.tables(scene), "bodies": placed.bodies}
         self._device = scene.device
         self._threads = threads
+        self.waves = (
+            Waves(**self._tables, device=scene.device, rows=len(placed.object_index))
+            if in_waves(scene.device)
+            else None
+        )
 
     def __call__(self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int) -> None:
         inputs = {**self._tables, **inputs}
@@ -172,6 +183,8 @@ class Planner:
 
     def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
         """Free or not, the pair that collides, the hand clearance up to 6.5 mm; one row per posture."""
+        if self.waves is not None:
+            return self.waves.check(q.contiguous(), active, per_trial)
         n = len(q)
         clear = torch.zeros(n, dtype=torch.bool, device=q.device)
         pair = torch.zeros(n, dtype=torch.int32, device=q.device)

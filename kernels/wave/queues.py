@@ -1,0 +1,177 @@
+"""The queues of a wave: stretches of edges that are not settled, what of them has to be looked at, and how many there are.
+
+A wave examines all stretches of a queue at once, stage by stage; what is left open goes to the next wave in two halves:
+
+    stretches -> frames -> links -> bodies by kind of pair -> pairs -> GJK -> settled, met or open -> the halves
+
+Whatever one stage writes for another is independent of the order in which threads run: sets of bits, smallest keys, and queues
+whose order nobody reads. So what is found does not depend on the number of threads, nor on what else is in the queues.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.robot.world import OBJECT, World
+
+wp.set_module_options(OPTIONS)
+
+# What a pair's partner is; also which of a stretch's three sets of bits it belongs to.
+HAND = wp.constant(0)
+TABLE = wp.constant(1)
+SELF = wp.constant(2)
+
+# Entries of `Counts.n`.
+NOW = wp.constant(0)  # stretches of this wave; the other parity is the next one's
+BODIES = wp.constant(2)  # + HAND, TABLE or SELF: bodies to be looked at
+PAIRS = wp.constant(5)
+TAKEN = wp.constant(6)  # pairs that a lane has taken
+FULL = wp.constant(7)  # 1: some queue was too short, and nothing counts
+EDGES = wp.constant(8)  # edges of paths
+COUNTS = wp.constant(9)
+
+POSTURE_LEVEL = wp.constant(-1)
+"""Level of a stretch that is one posture: number `index` + 1 of `part` steps of its edge."""
+
+NOTHING = wp.constant(0x7FFFFFFF)
+"""Order of a pair that is none."""
+
+
+@wp.struct
+class Counts:
+    """How many entries each queue has."""
+
+    n: wp.array(dtype=int)  # (COUNTS,)
+
+
+@wp.struct
+class Edges:
+    """Straight lines in joint space (E,), and what is known of what each belongs to."""
+
+    trial: wp.array(dtype=int)
+    owner: wp.array(dtype=int)  # row of `found`: the edge itself, or its path
+    a: wp.array2d(dtype=float)  # (E, 6)
+    b: wp.array2d(dtype=float)
+    hand_margin: wp.array(dtype=float)
+    found: wp.array(dtype=wp.int64)  # (owners,) smallest key so far (`key_of`)
+    left: wp.array(dtype=int)  # (E,) stretches that are not settled
+
+
+@wp.struct
+class Stretches:
+    """One queue of stretches (N,)."""
+
+    edge: wp.array(dtype=int)
+    part: wp.array(dtype=int)
+    level: wp.array(dtype=int)
+    index: wp.array(dtype=int)
+    look: wp.array2d(dtype=wp.int64)  # (N, 3) by kind of pair: bit = body still to be looked at
+
+
+@wp.struct
+class Frames:
+    """What is known of this wave's stretches (N,): frames, twists, and which bodies stay open."""
+
+    d: wp.array2d(dtype=float)  # (N, 6) half the stretch, rad
+    R: wp.array2d(dtype=wp.mat33)  # (N, 7)
+    p: wp.array2d(dtype=wp.vec3)
+    w: wp.array2d(dtype=wp.vec3)  # (N, FIELDS)
+    v: wp.array2d(dtype=wp.vec3)
+    open: wp.array2d(dtype=wp.int64)  # (N, 3) by kind of pair: bit = the stretch has to be halved for this body
+
+
+@wp.struct
+class Bodies:
+    """Bodies to be looked at (3 M,), a third for each kind of pair."""
+
+    stretch: wp.array(dtype=int)
+    body: wp.array(dtype=int)
+    links: wp.array(dtype=int)  # SELF: bits of the links that it may meet
+
+
+@wp.struct
+class Pairs:
+    """Pairs that bounding volumes do not settle (P,), and what GJK says of them."""
+
+    stretch: wp.array(dtype=int)
+    body: wp.array(dtype=int)
+    other: wp.array(dtype=int)  # `pair_of`
+    R: wp.array(dtype=wp.mat33)  # the body in its partner's frame
+    p: wp.array(dtype=wp.vec3)
+    needed: wp.array(dtype=float)  # lower bound that settles the pair for the whole stretch
+    lower: wp.array(dtype=float)
+    upper: wp.array(dtype=float)
+    v: wp.array(dtype=wp.vec3)
+    steps: wp.array(dtype=int)  # iterations of GJK
+
+
+@wp.func
+def pair_of(kind: int, other: int):
+    """A partner as one number."""
+    return kind * 256 + other
+
+
+@wp.func
+def order_of(body: int, other: int):
+    """The place of a pair among all of a posture, as one number; NOTHING is behind all."""
+    return body * 1024 + other
+
+
+@wp.func
+def key_of(value: float, order: int):
+    """(value, order of the pair) as one number that is smaller where value is, or else order."""
+    bits = wp.cast(value, wp.int32)
+    if bits < 0:
+        bits = -(bits & 0x7FFFFFFF)  # negative floats run the other way
+    return (wp.int64(bits) << wp.int64(32)) | wp.int64(order)
+
+
+@wp.func
+def value_of(key: wp.int64):
+    """The value of a key."""
+    bits = wp.int32(key >> wp.int64(32))
+    if bits < 0:
+        bits = (-bits) | wp.int32(-2147483648)
+    return wp.cast(bits, wp.float32)
+
+
+@wp.func
+def order_in(key: wp.int64):
+    """The order of a key."""
+    return wp.int32(key & wp.int64(0xFFFFFFFF))
+
+
+@wp.func
+def bit_of(world: World, body: int):
+    """A body's bit; all hulls of the object share one."""
+    return wp.int64(1) << wp.int64(wp.min(body, world.n_robot))
+
+
+@wp.func
+def link_of(world: World, body: int):
+    """A body's link."""
+    link = int(OBJECT)
+    if body < world.n_robot:
+        link = world.body_link[body]
+    return link
+
+
+@wp.func
+def target_of(track: int, tolerance: float, key: wp.int64, margin: float):
+    """What a pair has to keep: its margin, or what would improve on the smallest clearance so far."""
+    return wp.where(track == 1, value_of(key) - tolerance, margin)
+
+
+@wp.func
+def is_done(track: int, key: wp.int64):
+    """Whether nothing more is asked of an owner: something blocks it, or bodies meet on it."""
+    return wp.where(track == 1, value_of(key) < 0.0, order_in(key) != NOTHING)
+
+
+@wp.func
+def take(counts: Counts, which: int, capacity: int):
+    """The next free row of a queue, -1 where it is full."""
+    row = wp.atomic_add(counts.n, which, 1)
+    if row >= capacity:
+        counts.n[FULL] = 1
+        row = -1
+    return row

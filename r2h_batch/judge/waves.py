@@ -1,0 +1,254 @@
+"""Postures, straight lines and clearances in waves: the planner's form for a GPU (docs/gpu.md). It runs on a CPU too.
+
+A wave is one level of the bisection of all edges at once, in eight launches (kernels/wave/). Nobody waits for the device
+meanwhile: as many waves are launched as a bisection may have levels, and those of empty queues do nothing. What comes out is
+what the kernels of plan/lines.py find, one thread a trial: the same goals and lines, clearances within the tolerance of both.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Int32, Int64
+from torch import Tensor
+
+from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M
+from r2h_batch.kernels.plan.bisection import MAX_LEVEL
+from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, PAIR_OF_OBJECT, POSTURE, SAMPLES
+from r2h_batch.kernels.plan.lines import CLEARANCE_CAP
+from r2h_batch.kernels.robot.world import FIELDS
+from r2h_batch.kernels.wave import queues
+from r2h_batch.kernels.wave.bodies import clear_links, near_bodies, near_pieces, near_table
+from r2h_batch.kernels.wave.pairs import pair_distances
+from r2h_batch.kernels.wave.settle import settle_pairs
+from r2h_batch.kernels.wave.stretches import halve, queue_edges, queue_paths, stretch_frames
+from r2h_batch.launch import launch_trials
+from r2h_batch.launch.arguments import struct_of
+
+LANES, CUDA_LANES = 1, 1 << 16
+"""Threads of a launch on a CPU and on CUDA; each takes every so-manieth entry of a queue."""
+PER_ROW, LEAST, LEAST_CUDA = 16, 1 << 12, 1 << 16
+"""Stretches that the queue has room for: so many a row of the batch, and so many at least. Where that is too little half the
+rows have twice as much each (r2h_batch.launch.memory)."""
+BODIES_PER_STRETCH, PAIRS_PER_STRETCH = 8, 6
+SEGMENTS_PER_ROW, LEAST_SEGMENTS = 4, 1 << 10
+NOBODY = 0x7FFFFFFF
+NONE = (NOBODY << 32) | NOBODY
+"""Key of an edge that nothing blocks (kernels/wave/queues.py)."""
+
+_on_cpu = False
+
+
+@contextmanager
+def waves_on_cpu() -> Iterator[None]:
+    """Inside, planning takes the GPU's form on a CPU as well: for tests and benches; not for several threads of a program."""
+    global _on_cpu
+    before, _on_cpu = _on_cpu, True
+    try:
+        yield
+    finally:
+        _on_cpu = before
+
+
+def in_waves(device: str) -> bool:
+    """Whether planning on this device goes in waves."""
+    return device != "cpu" or _on_cpu
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Straight lines from `a` to `b` (rad) of `trial`s; `owner`: the row of the result that each belongs to."""
+
+    trial: Int32[Tensor, " e"]
+    owner: Int32[Tensor, " e"]
+    a: Float32[Tensor, "e 6"]
+    b: Float32[Tensor, "e 6"]
+    hand_margin: Float32[Tensor, " e"]
+
+
+class Waves:
+    """Waves over `rows` trials; `world` and `bodies` as the planning kernels take them."""
+
+    def __init__(self, world: Any, bodies: Any, device: str, rows: int) -> None:
+        self._tables = {"world": world, "bodies": bodies}
+        self._device = device
+        least = LEAST if device == "cpu" else LEAST_CUDA
+        self._room = max(PER_ROW * rows, least)
+        self._tables |= self._queues(self._room)
+        self._full = torch.zeros(1, dtype=torch.int32, device=device)
+
+    def _new(self, *shape: int, dtype: torch.dtype = torch.int32) -> Tensor:
+        return torch.empty(shape, dtype=dtype, device=self._device)
+
+    def _queues(self, n: int) -> dict[str, Any]:
+        """Room for n stretches."""
+        new, real = self._new, torch.float32
+        m, p = BODIES_PER_STRETCH * n, PAIRS_PER_STRETCH * n
+        self._counts = torch.zeros(int(queues.COUNTS), dtype=torch.int32, device=self._device)
+        self._stretches = [
+            struct_of(
+                queues.Stretches,
+                {x: new(n) for x in ("edge", "part", "level", "index")} | {"look": new(n, 3, dtype=torch.int64)},
+            )
+            for _ in range(2)
+        ]
+        frames = {
+            "d": new(n, 6, dtype=real), "open": new(n, 3, dtype=torch.int64),
+            "R": new(n, 7, 3, 3, dtype=real), "p": new(n, 7, 3, dtype=real),
+            "w": new(n, FIELDS, 3, dtype=real), "v": new(n, FIELDS, 3, dtype=real),
+        }  # fmt: skip
+        pairs = {x: new(p) for x in ("stretch", "body", "other", "steps")}
+        pairs |= {x: new(p, dtype=real) for x in ("needed", "lower", "upper")}
+        pairs |= {"R": new(p, 3, 3, dtype=real), "p": new(p, 3, dtype=real), "v": new(p, 3, dtype=real)}
+        return {
+            "frames": struct_of(queues.Frames, frames),
+            "queue_bodies": struct_of(queues.Bodies, {x: new(3 * m) for x in ("stretch", "body", "links")}),
+            "pairs": struct_of(queues.Pairs, pairs),
+            "counts": struct_of(queues.Counts, {"n": self._counts}),
+        }
+
+    def check(
+        self, q: Float32[Tensor, "n 6"], active: Bool[Tensor, " n"], per_trial: int
+    ) -> tuple[Bool[Tensor, " n"], Int32[Tensor, " n"], Float32[Tensor, " n"]]:
+        """As plan/lines.py `check_postures`: free or not, the pair that collides, the hand clearance up to CLEARANCE_CAP."""
+        room = self._room // 2
+        parts = [
+            self._check(q[i : i + room], active[i : i + room], self._arange(len(q))[i : i + room] // per_trial)
+            for i in range(0, len(q), room)
+        ]
+        clear, pair, least = (torch.cat(x) if len(parts) > 1 else x[0] for x in zip(*parts, strict=True))
+        self.refuse_if_full()
+        return clear, pair, least
+
+    def _check(self, q: Tensor, active: Tensor, trial: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        lines = Lines(trial, self._arange(len(q)), q, q, torch.zeros_like(q[:, 0]))
+        blocked = self._blocked(lines, active, POSTURE)
+        clear = active & (blocked == NONE)
+        found = torch.full_like(blocked, cap_key(float(CLEARANCE_CAP)))
+        self._asked = {"track": 1, "tolerance": 0.0}
+        self._run(self._edges(lines, found), clear, POSTURE, hand_only=1)
+        least, _, _ = self._read(found)
+        _, pair, _ = self._read(blocked)
+        return clear, pair, torch.where(clear, least, 0.0)
+
+    def straight(
+        self, home: Float32[Tensor, "1 6"], goals: Float32[Tensor, "g 6"], n_goals: Int32[Tensor, " b"],
+        margin: Float32[Tensor, "b 8"], mode: int,
+    ) -> Int32[Tensor, " b"]:  # fmt: skip
+        """As plan/lines.py `straight_lines`: the first goal whose straight line from home is free, or -1.
+
+        The nearest goals first, then all others of those trials whose nearest one is no straight line away.
+        """
+        b = len(n_goals)
+        rows = self._arange(b * BRANCHES)
+        lines = Lines(rows // BRANCHES, rows, home.expand(b * BRANCHES, 6).contiguous(), goals, margin.reshape(-1))
+        slot = self._arange(BRANCHES)[None]
+        there = slot < n_goals[:, None]
+        nearest = there & (slot == 0)
+        free = nearest & (self._blocked(lines, nearest.reshape(-1), mode).view(b, BRANCHES) == NONE)
+        others = there & ~nearest & ~free[:, :1]
+        free |= others & (self._blocked(lines, others.reshape(-1), mode).view(b, BRANCHES) == NONE)
+        self.refuse_if_full()
+        return torch.where(free, slot, BRANCHES).amin(1).where(free.any(1), -1).to(torch.int32)
+
+    def clearance(
+        self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]
+    ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
+        """As plan/lines.py `path_clearance`: -inf without a path; the pair, and the robot's body.
+
+        The goals' postures first: they are mostly the tightest, and leave little to be looked at.
+        """
+        b = len(length)
+        rows = self._arange(b)
+        found = torch.full((b,), cap_key(CLEARANCE_CAP_M), dtype=torch.int64, device=self._device)
+        goal = path[rows.long(), (length - 1).clamp(min=0).long()]
+        room = max(SEGMENTS_PER_ROW * b, LEAST_SEGMENTS)
+        lines = Lines(rows, rows, goal, goal, torch.zeros_like(goal[:, 0]))
+        edges = self._edges(lines, found, more=room)
+        self._asked = {"track": 1, "tolerance": CLEARANCE_TOLERANCE_M}
+        self._run(edges, length > 0, POSTURE)
+        self._counts.zero_()
+        self._launch(
+            queue_paths,
+            b,
+            {"parity": 0, "row": b, "edges": edges, "queue": self._stretches[0], "path": path, "length": length},
+        )
+        self._waves(edges, MAX_LEVEL, certify=0)
+        least, pair, body = self._read(found)
+        self.refuse_if_full()
+        return torch.where(length > 0, least, -torch.inf), pair, body
+
+    def refuse_if_full(self) -> None:
+        """On a CPU, where asking costs nothing: raises MemoryError when a queue was too short."""
+        if self._device == "cpu" and int(self._full):
+            raise MemoryError("cannot allocate a longer queue of stretches: fewer rows at once have more room each")
+
+    def _blocked(self, lines: Lines, used: Bool[Tensor, " e"], mode: int) -> Int64[Tensor, " e"]:
+        """For each line of its own owner the key of the first pair that blocks it, NONE where it is free."""
+        found = torch.full((len(lines.trial),), NONE, dtype=torch.int64, device=self._device)
+        self._asked = {"track": 0, "tolerance": 0.0}
+        self._run(self._edges(lines, found), used, mode)
+        return found
+
+    def _edges(self, lines: Lines, found: Tensor, *, more: int = 0) -> Any:
+        """The lines as kernels take them, with room for more of them."""
+        tensors = {x: getattr(lines, x) for x in ("trial", "owner", "a", "b", "hand_margin")}
+        if more:
+            tensors = {k: torch.cat([x, x.new_empty((more, *x.shape[1:]))]) for k, x in tensors.items()}
+        left = self._new(len(tensors["trial"]))
+        return struct_of(queues.Edges, {k: x.contiguous() for k, x in tensors.items()} | {"found": found, "left": left})
+
+    def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
+        """Queues the edges in use, and runs all waves that they may need."""
+        self._counts.zero_()
+        asked = {"parity": 0, "mode": mode, "hand_only": hand_only, "edges": edges}
+        self._launch(queue_edges, len(used), asked | {"used": used.contiguous(), "queue": self._stretches[0]})
+        single = mode in (POSTURE, SAMPLES)
+        self._waves(edges, 1 if single else MAX_LEVEL, certify=int(mode == CERTIFY))
+
+    def _waves(self, edges: Any, n: int, *, certify: int) -> None:
+        for wave in range(n):
+            self._wave(edges, wave & 1, certify)
+        self._full |= self._counts[queues.FULL : queues.FULL + 1]
+
+    def _wave(self, edges: Any, parity: int, certify: int) -> None:
+        """One level of all queued stretches."""
+        lanes = LANES if self._device == "cpu" else CUDA_LANES
+        now, later = self._stretches[parity], self._stretches[1 - parity]
+        every = {"lanes": lanes, "queue": now, "edges": edges}
+        self._launch(stretch_frames, lanes, every | {"parity": parity})
+        self._launch(clear_links, lanes, every | {"parity": parity} | self._asked)
+        for kernel in (near_pieces, near_table, near_bodies):
+            self._launch(kernel, lanes, every | self._asked)
+        self._launch(pair_distances, lanes, {"queue": now, "edges": edges, "track": self._asked["track"]})
+        self._launch(settle_pairs, lanes, every | self._asked)
+        more = {"parity": parity, "certify": certify, "later": later, "track": self._asked["track"]}
+        self._launch(halve, lanes, every | more)
+
+    def _launch(self, kernel: Any, n: int, inputs: dict[str, Any]) -> None:
+        """With those of the tables and queues that the kernel takes; on a CPU one thread, as its additions are not atomic."""
+        taken = {a.label for a in kernel.adj.args}
+        inputs = inputs | {k: v for k, v in self._tables.items() if k in taken}
+        launch_trials(kernel, n, inputs=inputs, outputs={}, device=self._device, threads=1, uneven=True)
+
+    def _read(self, found: Int64[Tensor, " o"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Value, CollidingPair and body of keys."""
+        value = (found >> 32).to(torch.int32)
+        value = torch.where(value < 0, -value | -(1 << 31), value).view(torch.float32)
+        order = found & NOBODY
+        body = torch.where(order >= NOBODY - 1, -1, order // 1024)
+        pair = order % 1024 // 256 + 1
+        hull = body >= self._tables["world"].n_robot
+        pair = torch.where(hull, pair + int(PAIR_OF_OBJECT), pair)
+        return value, torch.where(body < 0, 0, pair).to(torch.int32), body.to(torch.int32)
+
+    def _arange(self, n: int) -> Int32[Tensor, " n"]:
+        return torch.arange(n, dtype=torch.int32, device=self._device)
+
+
+def cap_key(cap: float) -> int:
+    """Key of a clearance that no pair is nearer than; `cap` above 0."""
+    return (int(np.float32(cap).view(np.int32)) << 32) | NOBODY

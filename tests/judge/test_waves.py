@@ -1,0 +1,142 @@
+"""The planner in waves (a GPU's form) against one thread a trial (a CPU's): the same goals, lines and verdicts, on a CPU."""
+
+from functools import cache
+from unittest import mock
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+from problems import Problems, make_batch, solve
+
+from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge import waves
+from r2h_batch.judge.plan import Plan
+from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.robot.world import TrialBodies, World
+from r2h_batch.kernels.wave.pairs import partner_of, shape_of
+from r2h_batch.kernels.wave.queues import Edges, Pairs, Stretches
+from r2h_batch.launch import launch_trials
+from r2h_batch.methods import oracle
+from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.protocol import trials_with_ids
+
+wp.set_module_options(OPTIONS)
+
+PLANS = {"exact": PlanConfig(), "moveit": PlanConfig(goals="one", edge_check="moveit")}
+
+
+@cache
+def one_thread(scene: Scene, plan: str, n: int) -> Problems:
+    return solve(scene, make_batch(scene, n, random_share=0.5), PLANS[plan])
+
+
+def in_waves(scene: Scene, plan: str, n: int, rows: slice | torch.Tensor = slice(None)) -> Plan:
+    with waves.waves_on_cpu():
+        return solve(scene, make_batch(scene, n, random_share=0.5).rows(rows), PLANS[plan]).plan
+
+
+def same_bits(a: Plan, b: Plan, rows: slice | torch.Tensor = slice(None)) -> None:
+    for name in ("reason", "pair", "body", "clearance_m", "straight", "length"):
+        assert torch.equal(getattr(a, name)[rows], getattr(b, name)), name
+    beyond = torch.arange(a.path.shape[1])[None] >= b.length[:, None]
+    assert torch.equal(a.path[rows].masked_fill(beyond[..., None], 0), b.path.masked_fill(beyond[..., None], 0))
+
+
+def compare(scene: Scene, plan: str, n: int) -> Plan:
+    """Of n trials, half of them sensible: everything as one thread finds it, clearances within the tolerance of both."""
+    here, there = one_thread(scene, plan, n).plan, in_waves(scene, plan, n)
+    for name in ("reason", "straight", "length"):
+        assert torch.equal(getattr(here, name), getattr(there, name)), name
+    found = here.length > 0
+    assert torch.equal(here.path[found], there.path[found])
+    assert torch.equal(here.pair[~found], there.pair[~found])  # which pair rules a start or all goals out
+    assert (here.clearance_m - there.clearance_m)[found].abs().max() <= CLEARANCE_TOLERANCE_M
+    assert torch.equal(here.clearance_m < 0, there.clearance_m < 0)
+    nearest = there.clearance_m == here.clearance_m
+    assert torch.equal(here.body[nearest], there.body[nearest]) and nearest.float().mean() > 0.8
+    return there
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("plan", PLANS)
+def test_waves_find_what_one_thread_finds(scene: Scene, plan: str) -> None:
+    found = compare(scene, plan, 96)
+    assert found.straight.sum() >= 20 and (found.length == 0).sum() >= 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plan", PLANS)
+def test_waves_find_what_one_thread_finds_in_a_thousand_trials(scene: Scene, plan: str) -> None:
+    compare(scene, plan, 1024)
+
+
+def test_a_row_does_not_depend_on_its_batch_its_place_or_the_number_of_lanes(scene: Scene) -> None:
+    whole = in_waves(scene, "exact", 96)
+    order = torch.from_numpy(np.random.default_rng(1).permutation(96))
+    same_bits(whole, in_waves(scene, "exact", 96, order), order)
+    same_bits(whole, in_waves(scene, "exact", 96, slice(40, 47)), slice(40, 47))
+    with mock.patch.object(waves, "LANES", 7):
+        same_bits(whole, in_waves(scene, "exact", 96))
+
+
+@wp.kernel
+def gjk_of_pairs(
+    first: int,
+    world: World,
+    bodies: TrialBodies,
+    edges: Edges,
+    queue: Stretches,
+    pairs: Pairs,
+    lower_out: wp.array(dtype=float),
+    upper_out: wp.array(dtype=float),
+    v_out: wp.array(dtype=wp.vec3),
+):
+    i = first + wp.tid()
+    trial = edges.trial[queue.edge[pairs.stretch[i]]]
+    a = shape_of(world, bodies, trial, pairs.body[i])
+    b, center = partner_of(world, bodies, trial, pairs.other[i])
+    d = gjk(a, pairs.R[i], pairs.p[i], world.points, b, world.points, center, pairs.needed[i], 0.0)
+    lower_out[i] = d.lower
+    upper_out[i] = d.upper
+    v_out[i] = d.v
+
+
+def test_gjk_an_iteration_at_a_time_has_the_bits_of_gjk(scene: Scene) -> None:
+    """Asked of clearances, where both go on until they have converged or proved enough."""
+    checked = 0
+
+    def launch(kernel, n, *, inputs, outputs, **ways):
+        nonlocal checked
+        launch_trials(kernel, n, inputs=inputs, outputs=outputs, **ways)
+        if kernel.key == "pair_distances" and inputs["track"] == 1:
+            counts, pairs = (vars(inputs[x])["tensors"] for x in ("counts", "pairs"))
+            m = int(counts["n"][int(waves.queues.PAIRS)])
+            lower, upper, v = torch.empty(m), torch.empty(m), torch.empty(m, 3)
+            tables = {k: inputs[k] for k in ("world", "bodies", "edges", "queue", "pairs")}
+            launch_trials(
+                gjk_of_pairs, m, inputs=tables, outputs={"lower": lower, "upper": upper, "v": v}, device="cpu"
+            )
+            for name, expected in (("lower", lower), ("upper", upper), ("v", v)):
+                assert torch.equal(pairs[name][:m], expected), name
+            checked += m
+
+    with mock.patch.object(waves, "launch_trials", launch):
+        in_waves(scene, "exact", 64)
+    assert checked > 1000
+
+
+def test_where_a_queue_is_too_short_fewer_rows_go_at_once_and_come_out_the_same(scene: Scene) -> None:
+    trials = trials_with_ids(torch.arange(48), objects=scene.objects)
+    poses = oracle.predict(trials, scene, seed=0)
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+    with waves.waves_on_cpu():
+        whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+        with mock.patch.object(waves, "LEAST", 256), mock.patch.object(waves, "PER_ROW", 1):
+            with pytest.raises(MemoryError, match="cannot allocate"):
+                solve(scene, make_batch(scene, 96, random_share=0.0))
+            parts = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+    assert torch.equal(whole.outcome, parts.outcome)
+    assert torch.equal(whole.margin.nan_to_num(9.0), parts.margin.nan_to_num(9.0))
