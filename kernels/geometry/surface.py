@@ -24,6 +24,10 @@ class Surfaces:
     points: wp.array(dtype=wp.vec3)
     low: wp.array(dtype=wp.vec3)  # bounding box
     high: wp.array(dtype=wp.vec3)
+    group_first: wp.array(dtype=wp.int32)  # surface s has the groups group_first[s] .. of eight nodes
+    node_lanes: wp.array(dtype=float)  # the same numbers eight abreast (geometry/lanes.py)
+    leaf_lanes: wp.array(dtype=float)
+    triangle_lanes: wp.array(dtype=float)
 
 
 @wp.func

@@ -8,7 +8,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
 from r2h_batch.kernels.geometry.primitives import signed_distance
-from r2h_batch.kernels.grasp.region import triangle_clearance
+from r2h_batch.kernels.grasp.triangle import triangle_clearance
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.posture import posture_clearance
 from r2h_batch.kernels.robot.posture import load_waypoint

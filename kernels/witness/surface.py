@@ -16,7 +16,7 @@ from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose
 from r2h_batch.kernels.geometry.triangle import closest_on_triangle
-from r2h_batch.kernels.grasp.region import DEPTH_M
+from r2h_batch.kernels.grasp.triangle import DEPTH_M
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import FIXED, INNER_KNUCKLE, PIN, Gripper, drive_from_gap, finger_pose
 

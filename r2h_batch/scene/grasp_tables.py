@@ -15,6 +15,7 @@ from torch import Tensor
 
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import load_robot
+from r2h_batch.kernels.geometry.lanes import LANES, LEAF_ROWS, NODE_ROWS, TRIANGLE_ROWS
 from r2h_batch.kernels.geometry.surface import Surfaces
 from r2h_batch.kernels.robot.gripper import Gripper
 from r2h_batch.launch import init_warp
@@ -101,21 +102,49 @@ def surface_tables(surfaces: Sequence[NDArray[np.float32]], device: str) -> Surf
     leaf_points = [3 * i for i in leaf_first]
     node_points = [leaf_points[i] for i in node_first]
     corners = [t.reshape(-1, 3) if len(t) else np.zeros((1, 3), np.float32) for t in surfaces]
+    (node_sphere, node_half), (leaf_sphere, leaf_half) = _bounds(flat, node_points), _bounds(flat, leaf_points)
+    of_node = np.concatenate([node_sphere[:, :3], node_half, node_sphere[:, 3:], flat[node_points[:-1]]], 1)
+    of_leaf = np.concatenate([leaf_sphere[:, :3], leaf_half, leaf_sphere[:, 3:]], 1)
+    group_first, group_nodes = _groups(surface_first)
+    assert of_node.shape[1] == int(NODE_ROWS) and of_leaf.shape[1] == int(LEAF_ROWS)
     out = Surfaces()
     for name, value, dtype in (
         ("surface_first", surface_first, wp.int32),
         ("node_first", node_first, wp.int32),
         ("leaf_first", leaf_first, wp.int32),
-        ("node_sphere", _bounds(flat, node_points)[0], wp.vec4),
-        ("leaf_sphere", _bounds(flat, leaf_points)[0], wp.vec4),
-        ("leaf_half", _bounds(flat, leaf_points)[1], wp.vec3),
+        ("node_sphere", node_sphere, wp.vec4),
+        ("leaf_sphere", leaf_sphere, wp.vec4),
+        ("leaf_half", leaf_half, wp.vec3),
         ("points", flat, wp.vec3),
+        ("group_first", group_first, wp.int32),
+        ("node_lanes", _lanes(of_node, group_nodes), wp.float32),
+        ("leaf_lanes", _lanes(of_leaf, node_first), wp.float32),
+        ("triangle_lanes", _lanes(flat.reshape(-1, int(TRIANGLE_ROWS)), leaf_first), wp.float32),
         ("low", np.array([c.min(axis=0) for c in corners], np.float32), wp.vec3),
         ("high", np.array([c.max(axis=0) for c in corners], np.float32), wp.vec3),
     ):
         array: Any = wp.array(value, dtype=dtype, device=device)
         setattr(out, name, array)
     return out
+
+
+def _groups(first: list[int]) -> tuple[list[int], list[int]]:
+    """Which groups each surface has, and which nodes each group: up to eight, never of two surfaces."""
+    of_surface, of_group = [0], [0]
+    for a, b in pairwise(first):
+        of_group += [*range(a + LANES, b, LANES), b] if b > a else []
+        of_surface.append(len(of_group) - 1)
+    return of_surface, of_group
+
+
+def _lanes(rows: NDArray[np.float32], first: list[int]) -> NDArray[np.float32]:
+    """Rows first[i] .. first[i + 1] - 1 side by side, flat (groups, columns, 8): the last row repeated up to eight."""
+    most = np.maximum(np.array(first[1:], np.int64) - 1, 0)
+    index = np.minimum(np.array(first[:-1], np.int64)[:, None] + np.arange(LANES), most[:, None])
+    if len(index) and int(np.diff(first).max()) > LANES:
+        raise ValueError(f"a group has {int(np.diff(first).max())} rows; {LANES} is all that it can hold")
+    lanes = rows[index].transpose(0, 2, 1).ravel() if len(rows) else np.zeros(0)
+    return np.ascontiguousarray(lanes, dtype=np.float32)
 
 
 def _split(centers: NDArray[np.float32], rows: NDArray[np.intp], most: int) -> list[NDArray[np.intp]]:

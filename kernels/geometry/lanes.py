@@ -1,0 +1,340 @@
+"""Eight nodes, leaves or triangles of a surface at a time: which of them may be near something, as the bits of a number.
+
+A CPU looks at eight numbers at once where they lie side by side. `Surfaces` therefore holds bounds and corners once more in
+groups of eight: row k of a group is one number of each of its members, what is missing to eight repeats the last one.
+
+    node_lanes      NODE_ROWS rows for each group of eight nodes of a surface (`group_first`)
+    leaf_lanes      LEAF_ROWS rows for each node's leaves
+    triangle_lanes  TRIANGLE_ROWS rows for each leaf's triangles
+
+Written in C++, as plain loops that a compiler turns into vector instructions: Warp's own vectors carry along what is to be
+done with NaN, its loops and arrays what is to be done with negative steps and indices, and took four times as long. On CUDA
+they are loops over eight. Each product and sum is a statement of its own, so that nothing is contracted; sums are taken in
+the order of `wp.dot` and have its bits.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.options import OPTIONS
+
+wp.set_module_options(OPTIONS)
+
+LANES = wp.constant(8)
+NODE_ROWS = wp.constant(10)
+"""Centre x, y, z; half sides of the box about it x, y, z; the ball's radius; a point of it x, y, z."""
+LEAF_ROWS = wp.constant(7)
+"""Centre x, y, z; half sides x, y, z; the ball's radius."""
+TRIANGLE_ROWS = wp.constant(9)
+"""x, y, z of the first corner, of the second, of the third."""
+BOX_M = wp.constant(1.0e-6)
+"""Rounding of a box's place in another frame."""
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return __ffs(bits) - 1;
+#else
+    return __builtin_ctz(bits);
+#endif
+""")
+def first_lane(bits: int) -> int:
+    """The lowest bit that is set; `bits` is not 0."""
+    ...
+
+
+@wp.func_native("""
+    const float* p = lanes.data + 8 * row;
+    float ax = fabsf(rx.c[0]), ay = fabsf(rx.c[1]), az = fabsf(rx.c[2]);
+    float bx = fabsf(rz.c[0]), by = fabsf(rz.c[1]), bz = fabsf(rz.c[2]);
+    int near[8];
+    for (int k = 0; k < 8; ++k) {
+        float u0 = rx.c[0] * p[k], u1 = rx.c[1] * p[8 + k], u2 = rx.c[2] * p[16 + k];
+        float u = u0 + u1;
+        u = u + u2;
+        u = u + tx;
+        u = fabsf(u - x);
+        float e0 = ax * p[24 + k], e1 = ay * p[32 + k], e2 = az * p[40 + k];
+        float e = e0 + e1;
+        e = e + e2;
+        e = e + half_x;
+        float w0 = rz.c[0] * p[k], w1 = rz.c[1] * p[8 + k], w2 = rz.c[2] * p[16 + k];
+        float w = w0 + w1;
+        w = w + w2;
+        w = w + tz;
+        w = fabsf(w - z);
+        float f0 = bx * p[24 + k], f1 = by * p[32 + k], f2 = bz * p[40 + k];
+        float f = f0 + f1;
+        f = f + f2;
+        f = f + half_z;
+        near[k] = (u <= e) & (w <= f);
+    }
+    int bits = 0;
+    for (int k = 0; k < 8; ++k)
+        bits |= near[k] << k;
+    return bits & ((1 << count) - 1);
+""")
+def boxes_in_prism(
+    lanes: wp.array(dtype=float), row: int, count: int, rx: wp.vec3, rz: wp.vec3, tx: float, tz: float,
+    x: float, half_x: float, z: float, half_z: float,
+) -> int:  # fmt: skip
+    """Those of the first `count` boxes that may meet the prism |X - x| <= half_x, |Z - z| <= half_z along y of the ee frame.
+
+    rx, rz: rows of the rotation from the object's frame to the ee frame; tx, tz: its translation.
+    """
+    ...
+
+
+@wp.func_native("""
+    const float* p = lanes.data + 8 * row;
+    int near[8];
+    int out[8];
+    for (int k = 0; k < 8; ++k) {
+        float low_x = 1.0e30f, high_x = -1.0e30f, low_z = 1.0e30f, high_z = -1.0e30f;
+        for (int c = 0; c < 3; ++c) {
+            const float* q = p + 24 * c;
+            float u0 = rx.c[0] * q[k], u1 = rx.c[1] * q[8 + k], u2 = rx.c[2] * q[16 + k];
+            float u = u0 + u1;
+            u = u + u2;
+            u = u + tx;
+            float w0 = rz.c[0] * q[k], w1 = rz.c[1] * q[8 + k], w2 = rz.c[2] * q[16 + k];
+            float w = w0 + w1;
+            w = w + w2;
+            w = w + tz;
+            low_x = u < low_x ? u : low_x;
+            high_x = u > high_x ? u : high_x;
+            low_z = w < low_z ? w : low_z;
+            high_z = w > high_z ? w : high_z;
+        }
+        near[k] = (low_x <= x_high) & (high_x >= x_low) & (low_z <= z_high) & (high_z >= z_low);
+        out[k] = (low_x < x_low) | (high_x > x_high) | (low_z < z_low) | (high_z > z_high);
+    }
+    int bits = 0;
+    for (int k = 0; k < 8; ++k)
+        bits |= near[k] << k;
+    int sticking = 0;
+    for (int k = 0; k < 8; ++k)
+        sticking |= out[k] << k;
+    return (bits & ((1 << count) - 1)) | (sticking << 8);
+""")
+def triangles_in_prism(
+    lanes: wp.array(dtype=float), row: int, count: int, rx: wp.vec3, rz: wp.vec3, tx: float, tz: float,
+    x_low: float, x_high: float, z_low: float, z_high: float,
+) -> int:  # fmt: skip
+    """Those of the first `count` triangles whose bounding rectangle in x and z meets the prism's; bits 8 ..: it sticks out."""
+    ...
+
+
+@wp.func_native("""
+    const float* p = lanes.data + 8 * row;
+    float ax = fabsf(ry.c[0]), ay = fabsf(ry.c[1]), az = fabsf(ry.c[2]);
+    float low[8];
+    float high[8];
+    int within[8];
+    for (int k = 0; k < 8; ++k) {
+        float u0 = ry.c[0] * p[k], u1 = ry.c[1] * p[8 + k], u2 = ry.c[2] * p[16 + k];
+        float u = u0 + u1;
+        u = u + u2;
+        u = u + ty;
+        float e0 = ax * p[24 + k], e1 = ay * p[32 + k], e2 = az * p[40 + k];
+        float e = e0 + e1;
+        e = e + e2;
+        low[k] = u - e;
+        high[k] = u + e;
+        within[k] = 0;
+    }
+    for (int i = 0; i < n; ++i) {
+        float a = run_low.data[i] - slack, b = run_high.data[i] + slack;
+        for (int k = 0; k < 8; ++k)
+            within[k] |= (low[k] >= a) & (high[k] <= b);
+    }
+    int bits = 0;
+    for (int k = 0; k < 8; ++k)
+        bits |= within[k] << k;
+    return near & ~bits;
+""")
+def boxes_outside_runs(
+    lanes: wp.array(dtype=float), row: int, near: int, ry: wp.vec3, ty: float, slack: float,
+    run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
+) -> int:  # fmt: skip
+    """Of the boxes in `near` those whose extent along y (ee frame) none of n intervals holds, give or take `slack`."""
+    ...
+
+
+@wp.func_native("""
+    const float* p = lanes.data + 8 * row;
+    float low[8];
+    float high[8];
+    int within[8];
+    for (int k = 0; k < 8; ++k) {
+        low[k] = 1.0e30f;
+        high[k] = -1.0e30f;
+        within[k] = 0;
+        for (int c = 0; c < 3; ++c) {
+            const float* q = p + 24 * c;
+            float u0 = ry.c[0] * q[k], u1 = ry.c[1] * q[8 + k], u2 = ry.c[2] * q[16 + k];
+            float u = u0 + u1;
+            u = u + u2;
+            u = u + ty;
+            low[k] = u < low[k] ? u : low[k];
+            high[k] = u > high[k] ? u : high[k];
+        }
+    }
+    for (int i = 0; i < n; ++i) {
+        float a = run_low.data[i] - slack, b = run_high.data[i] + slack;
+        for (int k = 0; k < 8; ++k)
+            within[k] |= (low[k] >= a) & (high[k] <= b);
+    }
+    int bits = 0;
+    for (int k = 0; k < 8; ++k)
+        bits |= within[k] << k;
+    return near & ~bits;
+""")
+def triangles_outside_runs(
+    lanes: wp.array(dtype=float), row: int, near: int, ry: wp.vec3, ty: float, slack: float,
+    run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
+) -> int:  # fmt: skip
+    """As `boxes_outside_runs`, of triangles."""
+    ...
+
+
+@wp.func_native("""
+    const float* p = lanes.data + 8 * row + lane;
+    return wp::vec3(p[0], p[8], p[16]);
+""")
+def lane_point(lanes: wp.array(dtype=float), row: int, lane: int) -> wp.vec3:
+    """The point of one lane in rows row .. row + 2."""
+    ...
+
+
+# What is near a primitive is first asked of the box about it along the axes of the ee frame, which needs no turning: with c the
+# middle of a box of surface and e its half sides there, no point of it is nearer to [low, high] along an axis than
+# max(low - c, c - high) - e; nor than the distance of c less the ball's radius.
+@wp.func_native("""
+    const float* p = lanes.data + 8 * row;
+    float cx[8], cy[8], cz[8], ex[8], ey[8], ez[8], far2[8];
+    for (int k = 0; k < 8; ++k) {
+        float x = p[k], y = p[8 + k], z = p[16 + k];
+        float hx = p[24 + k], hy = p[32 + k], hz = p[40 + k];
+        cx[k] = R.data[0][0] * x + R.data[0][1] * y + R.data[0][2] * z + t.c[0];
+        cy[k] = R.data[1][0] * x + R.data[1][1] * y + R.data[1][2] * z + t.c[1];
+        cz[k] = R.data[2][0] * x + R.data[2][1] * y + R.data[2][2] * z + t.c[2];
+        ex[k] = fabsf(R.data[0][0]) * hx + fabsf(R.data[0][1]) * hy + fabsf(R.data[0][2]) * hz;
+        ey[k] = fabsf(R.data[1][0]) * hx + fabsf(R.data[1][1]) * hy + fabsf(R.data[1][2]) * hz;
+        ez[k] = fabsf(R.data[2][0]) * hx + fabsf(R.data[2][1]) * hy + fabsf(R.data[2][2]) * hz;
+        float far = reach + p[48 + k];
+        far2[k] = far * far;
+        near.data[k] = 0;
+    }
+    float reach2 = reach * reach;
+    int any = 0;
+    for (int i = 0; used >> i != 0; ++i) {
+        int bit = used & (1 << i);
+        if (bit == 0)
+            continue;
+        float lx = low.data[i].c[0], ly = low.data[i].c[1], lz = low.data[i].c[2];
+        float ux = high.data[i].c[0], uy = high.data[i].c[1], uz = high.data[i].c[2];
+        int of[8];
+        for (int k = 0; k < 8; ++k) {
+            float x1 = lx - cx[k], x2 = cx[k] - ux, y1 = ly - cy[k], y2 = cy[k] - uy, z1 = lz - cz[k], z2 = cz[k] - uz;
+            float x = x1 > x2 ? x1 : x2, y = y1 > y2 ? y1 : y2, z = z1 > z2 ? z1 : z2;
+            float a = x > 0.0f ? x : 0.0f, b = y > 0.0f ? y : 0.0f, c = z > 0.0f ? z : 0.0f;
+            float d2 = a * a + b * b + c * c;
+            x = x - ex[k], y = y - ey[k], z = z - ez[k];
+            a = x > 0.0f ? x : 0.0f, b = y > 0.0f ? y : 0.0f, c = z > 0.0f ? z : 0.0f;
+            float s2 = a * a + b * b + c * c;
+            of[k] = ((d2 <= far2[k]) & (s2 <= reach2)) ? bit : 0;
+        }
+        for (int k = 0; k < 8; ++k)
+            near.data[k] |= of[k];
+    }
+    for (int k = 0; k < count; ++k)
+        any |= near.data[k] != 0 ? 1 << k : 0;
+    return any;
+""")
+def boxes_near(
+    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
+    low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), used: int, near: wp.array(dtype=int),
+) -> int:  # fmt: skip
+    """Those of the first `count` boxes that may be `reach` or less from some box [low, high] of the bits `used`.
+
+    `near` (8,): the bits of those boxes for each lane. R, t: from the lanes' frame to that of low and high. `reach` has to
+    be a little more than what is asked, for rounding.
+    """
+    ...
+
+
+@wp.func_native("""
+    const float* p = lanes.data + 8 * row;
+    float cx[8], cy[8], cz[8];
+    for (int k = 0; k < 8; ++k) {
+        float x = p[k], y = p[8 + k], z = p[16 + k];
+        cx[k] = R.data[0][0] * x + R.data[0][1] * y + R.data[0][2] * z + t.c[0];
+        cy[k] = R.data[1][0] * x + R.data[1][1] * y + R.data[1][2] * z + t.c[1];
+        cz[k] = R.data[2][0] * x + R.data[2][1] * y + R.data[2][2] * z + t.c[2];
+        near.data[k] = 0;
+    }
+    float reach2 = reach * reach;
+    int any = 0;
+    for (int i = 0; used >> i != 0; ++i) {
+        int bit = used & (1 << i);
+        if (bit == 0)
+            continue;
+        float lx = low.data[i].c[0], ly = low.data[i].c[1], lz = low.data[i].c[2];
+        float ux = high.data[i].c[0], uy = high.data[i].c[1], uz = high.data[i].c[2];
+        int of[8];
+        for (int k = 0; k < 8; ++k) {
+            float x1 = lx - cx[k], x2 = cx[k] - ux, y1 = ly - cy[k], y2 = cy[k] - uy, z1 = lz - cz[k], z2 = cz[k] - uz;
+            float x = x1 > x2 ? x1 : x2, y = y1 > y2 ? y1 : y2, z = z1 > z2 ? z1 : z2;
+            float a = x > 0.0f ? x : 0.0f, b = y > 0.0f ? y : 0.0f, c = z > 0.0f ? z : 0.0f;
+            float d2 = a * a + b * b + c * c;
+            of[k] = (d2 <= reach2) ? bit : 0;
+        }
+        for (int k = 0; k < 8; ++k)
+            near.data[k] |= of[k];
+    }
+    for (int k = 0; k < count; ++k)
+        any |= near.data[k] != 0 ? 1 << k : 0;
+    return any;
+""")
+def points_near(
+    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
+    low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), used: int, near: wp.array(dtype=int),
+) -> int:  # fmt: skip
+    """As `boxes_near`, of points in rows row .. row + 2."""
+    ...
+
+
+@wp.func_native("""
+    const float* p = lanes.data + 8 * row;
+    float reach2 = reach * reach;
+    int of[8];
+    for (int k = 0; k < 8; ++k) {
+        float d2 = 0.0f;
+        for (int axis = 0; axis < 3; ++axis) {
+            float low = 1.0e30f, high = -1.0e30f;
+            for (int c = 0; c < 3; ++c) {
+                const float* q = p + 24 * c;
+                float u = R.data[axis][0] * q[k] + R.data[axis][1] * q[8 + k] + R.data[axis][2] * q[16 + k] + t.c[axis];
+                low = u < low ? u : low;
+                high = u > high ? u : high;
+            }
+            float a = low - half.c[axis], b = -half.c[axis] - high;
+            float d = a > b ? a : b;
+            d = d > 0.0f ? d : 0.0f;
+            d2 = d2 + d * d;
+        }
+        of[k] = d2 <= reach2;
+    }
+    int bits = 0;
+    for (int k = 0; k < 8; ++k)
+        bits |= of[k] << k;
+    return bits & ((1 << count) - 1);
+""")
+def triangles_near(
+    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, half: wp.vec3, reach: float
+) -> int:
+    """Those of the first `count` triangles whose box, along the axes of a box with these half sides, is within `reach` of it.
+
+    R, t: from the lanes' frame to the box's.
+    """
+    ...
