@@ -110,6 +110,8 @@ def reach(
         inputs={
             "cap": FARTHEST_M,
             "mesh": scene.object_mesh_ids,
+            "low": scene.grasp_tables.surfaces.low,
+            "high": scene.grasp_tables.surfaces.high,
             "object": object_index.to(torch.int32),
             "point": ball_center,
         },

@@ -122,7 +122,14 @@ def nearest_to_point(
     launch_trials(
         reach_kernels.point_to_object,
         len(x),
-        inputs={"cap": FARTHEST_M, "mesh": scene.object_mesh_ids, "object": object_index, "point": x},
+        inputs={
+            "cap": FARTHEST_M,
+            "mesh": scene.object_mesh_ids,
+            "low": scene.grasp_tables.surfaces.low,
+            "high": scene.grasp_tables.surfaces.high,
+            "object": object_index,
+            "point": x,
+        },
         outputs={"distance": distance, "nearest": nearest},
         device=scene.device,
         threads=threads,
