@@ -6,11 +6,12 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from r2h_batch.benchmark.trials_file import LISTED
+from r2h_batch.benchmark.unbuilt import is_unbuilt
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
@@ -64,16 +65,10 @@ class Benchmark:
     @cached_property
     def digest(self) -> str:
         """sha256 (hex) over everything that decides what is asked and how it is judged, whatever file said it."""
-        digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
-        if self.receiver != "hand":  # what there was before it could be said keeps its digest
-            digest.update(f"receiver {self.receiver}\n".encode())
-        if (
-            self.protocol == WITH_BODIES and self.hand_set.in_body is not None
-        ):  # it says how hands stand in these trials
-            digest.update(self.hand_set.in_body.contiguous().numpy().tobytes())
-        for part in (self.thresholds, self.workplace):
-            digest.update(json.dumps(asdict(part), sort_keys=True).encode())
+        digest = self._without_objects()
         for o in self.objects:
+            if is_unbuilt(o):
+                raise ValueError(f"{o.name}: was not built, so this benchmark has no digest; read it whole")
             for name in DECIDES:
                 value = np.ascontiguousarray(getattr(o, name))
                 digest.update(f"{name}:{value.dtype.str}:{value.shape}:".encode() + value.tobytes())
@@ -83,10 +78,33 @@ class Benchmark:
                 "words": None if o.words is None else asdict(o.words),
             }
             digest.update(json.dumps(said, sort_keys=True).encode())
+        self._add_listed(digest)
+        return digest.hexdigest()
+
+    @cached_property
+    def apart_from_objects(self) -> str:
+        """sha256 (hex) as `digest`, over everything but the objects; of listed trials their objects' places are in it."""
+        digest = self._without_objects()
+        self._add_listed(digest)
+        return digest.hexdigest()
+
+    def _without_objects(self) -> Any:
+        """Protocol, hands, receiver, limits and place, taken in by a sha256."""
+        digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
+        if self.receiver != "hand":  # what there was before it could be said keeps its digest
+            digest.update(f"receiver {self.receiver}\n".encode())
+        if (
+            self.protocol == WITH_BODIES and self.hand_set.in_body is not None
+        ):  # it says how hands stand in these trials
+            digest.update(self.hand_set.in_body.contiguous().numpy().tobytes())
+        for part in (self.thresholds, self.workplace):
+            digest.update(json.dumps(asdict(part), sort_keys=True).encode())
+        return digest
+
+    def _add_listed(self, digest: Any) -> None:
         if self.listed is not None:
             for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
                 digest.update(getattr(self.listed, name).contiguous().numpy().tobytes())
-        return digest.hexdigest()
 
     def config(self, base: EvalConfig | None = None) -> EvalConfig:
         """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home, and what it sees of the receiver.

@@ -11,8 +11,9 @@ from typing import Literal
 from r2h_batch.benchmark.benchmark import WITH_BODIES, Benchmark, built_in
 from r2h_batch.benchmark.file import ObjectEntry, read_entry
 from r2h_batch.benchmark.flags import BenchmarkFlags
-from r2h_batch.benchmark.reading import hand_of, hand_set_of, objects_of, read_benchmark
+from r2h_batch.benchmark.reading import Only, hand_of, hand_set_of, objects_of, read_benchmark
 from r2h_batch.benchmark.trials_file import read_trials_file
+from r2h_batch.benchmark.unbuilt import is_unbuilt, unbuilt
 from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.hand import make_hand_set
 from r2h_batch.bodies.objects import ObjectModel, call_of, object_from_argument
@@ -37,12 +38,12 @@ class Given(BenchmarkFlags):
         """The same flags, ready to be read; `protocol` instead of the benchmark's."""
         return cls(**asdict(flags), protocol=protocol)
 
-    def read(self, *, pieces: bool = False) -> Benchmark:
-        """The benchmark. `pieces`: meshes get their convex decomposition. Raises ValueError (`FileError`), one line."""
-        base = read_benchmark(self.benchmark, pieces=pieces) if self.benchmark else built_in()
-        objects = _objects_of(Path(self.objects), pieces) if self.objects else base.objects
-        build_ahead([call_of(mesh, pieces=pieces) for mesh in self.object_mesh])
-        objects = (*objects, *(object_from_argument(mesh, pieces=pieces) for mesh in self.object_mesh))
+    def read(self, *, pieces: bool = False, only: Only = None) -> Benchmark:
+        """The benchmark. `pieces`: meshes get their convex decomposition. `only`: names of the meshes that are built; of the
+        others name and split are known (`benchmark.unbuilt`). Raises ValueError (`FileError`), one line."""
+        base = read_benchmark(self.benchmark, pieces=pieces, only=only) if self.benchmark else built_in()
+        objects = _objects_of(Path(self.objects), pieces, only) if self.objects else base.objects
+        objects = (*objects, *_own_meshes(self.object_mesh, pieces, only))
         objects = _with_grasps(objects, self.grasps)
         hand_set = base.hand_set
         model = hand_of(Path(self.hand_model)) if self.hand_model else None
@@ -71,18 +72,30 @@ class Given(BenchmarkFlags):
         return replace(base, objects=objects, hand_set=hand_set, listed=listed, drawn=drawn, receiver=seen)
 
 
-def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
+def _own_meshes(arguments: Sequence[str], pieces: bool, only: Only) -> list[ObjectModel]:
+    """The objects of --object-mesh, several built at a time."""
+    calls = [call_of(mesh, pieces=pieces) for mesh in arguments]
+    names = [printable(Path(call["mesh"]).stem) for call in calls]
+    wanted = [only is None or name in only for name in names]
+    build_ahead([call for call, built in zip(calls, wanted, strict=True) if built])
+    return [
+        object_from_argument(argument, pieces=pieces) if built else unbuilt(name, call["split"])
+        for argument, call, name, built in zip(arguments, calls, names, wanted, strict=True)
+    ]
+
+
+def _objects_of(path: Path, pieces: bool, only: Only) -> tuple[ObjectModel, ...]:
     """Objects of a benchmark file, or of a folder: its benchmark.yaml, else every mesh in it, by name."""
     if path.is_dir():
         if (path / "benchmark.yaml").exists():
-            return read_benchmark(path / "benchmark.yaml", pieces=pieces).objects
+            return read_benchmark(path / "benchmark.yaml", pieces=pieces, only=only).objects
         files = _files(path, MESHES)
         if not files:
             raise FileError(f"{printable(path)}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml in this folder")
         _no_stray_words(path, files)
-        return objects_of([_entry(file) for file in files], path, pieces)
+        return objects_of([_entry(file) for file in files], path, pieces, only)
     if path.suffix.lower() in (".yaml", ".yml"):
-        return read_benchmark(path, pieces=pieces).objects
+        return read_benchmark(path, pieces=pieces, only=only).objects
     raise FileError(
         f"{printable(path)}: --objects takes a folder of meshes or a benchmark.yaml; one mesh: --object-mesh FILE"
     )
@@ -124,7 +137,9 @@ def _with_grasps(objects: Sequence[ObjectModel], arguments: Sequence[str]) -> tu
                     f"--grasps gives {printable(name)} two files, {printable(files[name])} and {printable(file)}; leave one out"
                 )
             files[name] = file
-    return tuple(replace(o, grasps=grasps_from(files[o.name])) if o.name in files else o for o in objects)
+    return tuple(
+        replace(o, grasps=grasps_from(files[o.name])) if o.name in files and not is_unbuilt(o) else o for o in objects
+    )
 
 
 def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | Path]]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from r2h_batch.benchmark.benchmark import Benchmark
 from r2h_batch.benchmark.file import BUILT_IN, BenchmarkFile, ObjectEntry, read_file_model
 from r2h_batch.benchmark.trials_file import read_trials_file
+from r2h_batch.benchmark.unbuilt import unbuilt
 from r2h_batch.benchmark.words import S0_ROLES, THINGS, Thing
 from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.grasp_set import GraspSet
@@ -27,14 +28,18 @@ from r2h_batch.files import FileError, path_within, printable, read_file
 from r2h_batch.files.arrays import read_npy
 from r2h_batch.importers.any_file import grasps_from, hand_from, without_gripper
 
-__all__ = ["hand_of", "hand_set_of", "objects_of", "read_benchmark"]
+__all__ = ["Only", "hand_of", "hand_set_of", "objects_of", "read_benchmark"]
 
 MAX_FILE_BYTES = 1 << 30
 MAX_LABELS_BYTES = 64 << 20
 
+Only = frozenset[str] | None
+"""Names of the meshes that are built; None: all."""
 
-def read_benchmark(path: str | Path, *, pieces: bool = False) -> Benchmark:
-    """The benchmark of a file. `pieces`: its meshes get their convex decomposition (up to a minute each).
+
+def read_benchmark(path: str | Path, *, pieces: bool = False, only: Only = None) -> Benchmark:
+    """The benchmark of a file. `pieces`: its meshes get their convex decomposition (up to a minute each). `only`: names of the
+    meshes that are built; of the others name and split are known (`benchmark.unbuilt`).
 
     Read once as long as neither it nor a file that it names changes. Raises `FileError` and `ObjectMeshError`, one line.
     """
@@ -48,14 +53,14 @@ def read_benchmark(path: str | Path, *, pieces: bool = False) -> Benchmark:
             digest.update(hashlib.sha256(read_file(path_within(path.parent, name), MAX_FILE_BYTES)).digest())
         except FileError as error:
             raise FileError(f"{printable(path)}: {field}: {error}") from None
-    return _read(str(path.resolve()), digest.hexdigest(), pieces)
+    return _read(str(path.resolve()), digest.hexdigest(), pieces, only)
 
 
 @lru_cache(maxsize=8)
-def _read(path: str, _: str, pieces: bool) -> Benchmark:
+def _read(path: str, _: str, pieces: bool, only: Only) -> Benchmark:
     file, folder = read_file_model(Path(path)), Path(path).parent
     try:
-        objects = objects_of(file.objects, folder, pieces)
+        objects = objects_of(file.objects, folder, pieces, only)
         names = [o.name for o in objects]
         if twice := [n for n in names if names.count(n) > 1]:
             raise FileError(f"{printable(path)}: two objects are called {twice[0]!r}; give one of them another name")
@@ -140,10 +145,19 @@ def _hand_set(path: str, _: str, model: HandModel) -> HandSet:
         raise FileError(f"{printable(path)}: {printable(error)}") from None
 
 
-def objects_of(entries: Sequence[ObjectEntry], folder: Path, pieces: bool) -> tuple[ObjectModel, ...]:
-    """The objects of entries whose files lie in the folder or below; several meshes are built at a time."""
-    build_ahead([_own_call(e, folder, pieces) for e in entries if e.file is not None and e.built_in is None])
-    return tuple(_object(entry, folder, pieces) for entry in entries)
+def objects_of(
+    entries: Sequence[ObjectEntry], folder: Path, pieces: bool, only: Only = None
+) -> tuple[ObjectModel, ...]:
+    """The objects of entries whose files lie in the folder or below; several meshes are built at a time, `only` those of these
+    names unless None."""
+    meshes = [e.file is not None and e.built_in is None for e in entries]
+    names = [printable(e.name or Path(str(e.file)).stem) for e in entries]
+    left = [mesh and only is not None and name not in only for mesh, name in zip(meshes, names, strict=True)]
+    build_ahead([_own_call(e, folder, pieces) for e, mesh, out in zip(entries, meshes, left) if mesh and not out])
+    return tuple(
+        unbuilt(name, e.split or "S0") if out else _object(e, folder, pieces)
+        for e, name, out in zip(entries, names, left, strict=True)
+    )
 
 
 def _object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:

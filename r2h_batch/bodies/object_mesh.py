@@ -47,7 +47,8 @@ class Repair:
         given, made = self.volume_given_m3, f"{1e6 * self.volume_m3:.4g} cm3"
         change = made
         if given is not None:
-            share = f" ({100 * (self.volume_m3 / given - 1):+.2f} %)" if given > 1e-3 * self.volume_m3 else ""
+            percent = round(100 * (self.volume_m3 / given - 1), 2) + 0.0 if given > 1e-3 * self.volume_m3 else None
+            share = "" if percent is None else f" ({percent:+.2f} %)"  # + 0.0: no minus before nothing
             change = f"{1e6 * given:.4g} -> {made}{share}"
         return f"{'; '.join(self.steps)}. Volume {change}, surface changed by up to {1e3 * self.moved_m:.2f} mm"
 

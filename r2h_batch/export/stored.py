@@ -1,11 +1,14 @@
 """One trial of a run folder, whole: what is stored, and what is not, computed again from the method and its seed."""
 
+from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 from numpy.typing import NDArray
@@ -14,6 +17,7 @@ from r2h_batch import se3
 from r2h_batch.benchmark import Benchmark
 from r2h_batch.benchmark.given import Given
 from r2h_batch.benchmark.of_run import benchmark_of_run
+from r2h_batch.benchmark.unbuilt import is_unbuilt
 from r2h_batch.config import Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.export import replay
@@ -65,31 +69,75 @@ class StoredTrial:
         return len(self.q) > 1
 
 
+class _Bench:
+    """A run's benchmark as far as its objects are built: trials are drawn from all of it, judged on what is built."""
+
+    def __init__(self, header: dict[str, Any], benchmark: Benchmark, where: str) -> None:
+        self.header, self.where, self.whole, self.benchmark = header, where, benchmark, benchmark
+        built = [i for i, o in enumerate(benchmark.objects) if not is_unbuilt(o)]
+        self._place = torch.full((len(benchmark.objects),), -1, dtype=torch.int32, device="cpu")
+        self._place[built] = torch.arange(len(built), dtype=torch.int32, device="cpu")
+        if len(built) < len(benchmark.objects):
+            self.benchmark = replace(benchmark, objects=tuple(benchmark.objects[i] for i in built), listed=None)
+
+    @cached_property
+    def evaluator(self) -> Evaluator:
+        """An evaluator with the run's configuration, made when the first trial needs it."""
+        return replay.evaluator_of(self.header, self.benchmark, self.where)
+
+    def trial(self, row: dict[str, Any]) -> Trials:
+        """This row's trial, made from the protocol; its object as `benchmark` counts them."""
+        trial = _trial_again(self.header, row, self.whole, self.where)
+        own = replace(trial, object_index=self._place[trial.object_index.long()])
+        return own.named(self.benchmark.objects)
+
+
 class Reader:
-    """Trials of one run folder, one after the other: the run, its objects and one evaluator are made once."""
+    """Trials of one run folder, one after the other. Of the user's meshes only those are built that a trial needs, each
+    once."""
 
     def __init__(self, run: str | Path, given: Given | None = None) -> None:
         self.where = str(run)
         self.run: Run = load_run(run)
         self.given = given or Given()
-        self._evaluator: Evaluator | None = None
+        self._benches: dict[str, _Bench] = {}
         self._rows: dict[str, Any] = {}
 
     @cached_property
-    def benchmark(self) -> Benchmark:
-        """Objects, hands and place of the run, compared with its digests. Raises `ExportError`."""
+    def _own(self) -> frozenset[str]:
+        """Names of the run's objects that are not built in."""
         header = self.run.header
         parts = {"plan", "execute"} <= header["configuration"].keys()
         if not {"objects", "motion", "seed"} <= header.keys() or not parts:
             raise ExportError(f"{self.where}: run.json lacks objects or configuration; it was not made by a sweep")
-        return _benchmark_again(header, self.given, self.where)
+        return frozenset(o["name"] for o in header["objects"] if not o["built_in"])
 
-    @property
-    def evaluator(self) -> Evaluator:
-        """An evaluator with the run's configuration, made when the first trial needs it."""
-        if self._evaluator is None:
-            self._evaluator = replay.evaluator_of(self.run.header, self.benchmark, self.where)
-        return self._evaluator
+    def build_for(self, trials: Mapping[str, Sequence[int]]) -> None:
+        """Builds the objects of these trials (by method) together, on all cores, before they are asked for one by one."""
+        names: set[str] = set()
+        for method, ids in trials.items():
+            table = self.rows(self.method(method))
+            names |= set(table.filter(pc.is_in(table["trial_id"], pa.array(ids, pa.int64())))["object"].to_pylist())
+        if wanted := names & self._own - self._benches.keys():
+            self._know(wanted)
+
+    def _bench_of(self, name: str) -> _Bench:
+        """The run's benchmark with at least this object and those that are built in. Raises `ExportError`."""
+        return self._benches.get(name) or self._know(self._own & {name})
+
+    def _know(self, own: AbstractSet[str]) -> _Bench:
+        """The run's benchmark, compared with its digests, with these of the user's objects: kept for all that are built."""
+        header = self.run.header
+        only = frozenset({o["name"] for o in header["objects"]} - self._own | own) if self._own else None
+        try:
+            benchmark = benchmark_of_run(header, self.given, self.where, only)
+        except FileError as error:
+            raise ExportError(str(error)) from None
+        if not self._benches:  # the next one has the same names, hands and places
+            _check_trials(header, benchmark, self.where)
+        bench = _Bench(header, benchmark, self.where)
+        self._benches = {o.name: bench for o in bench.benchmark.objects} | self._benches
+        return bench
 
     def method(self, word: str | None = None) -> str:
         """The full name of a method; the only one where none is given. Raises `ExportError`."""
@@ -112,35 +160,40 @@ class Reader:
         stored = self.run.header["stored"]
         for details in _rows(self.run.details(name), trial_id) if "details" in stored else ():
             row |= details
-        trial = _trial_again(self.run.header, row, self.benchmark, self.where)
+        bench = self._bench_of(row["object"])
+        trial = bench.trial(row)
         poses = _rows(self.run.poses(name), trial_id) if "poses" in stored else []
         path = _rows(self.run.paths(name), trial_id) if "paths" in stored else []
         if poses and path and "details" in stored:
-            return self._as_stored(name, row, trial, poses[0], path[0])
-        return self._again(name, row, trial, poses)
+            return self._as_stored(name, row, trial, poses[0], path[0], bench)
+        return self._again(name, row, trial, poses, bench)
 
     def _as_stored(
-        self, name: str, row: dict[str, Any], trial: Trials, poses: dict[str, Any], path: dict[str, Any]
-    ) -> StoredTrial:
+        self, name: str, row: dict[str, Any], trial: Trials, poses: dict[str, Any], path: dict[str, Any],
+        bench: _Bench,
+    ) -> StoredTrial:  # fmt: skip
         T_obj_ee, T_world_ee = (
             torch.tensor(poses[k], dtype=torch.float32, device="cpu").reshape(1, 4, 4) for k in _POSES
         )
         answer = Predictions(trial.trial_id, T_obj_ee, T_world_ee, method=name)
-        return stored_trial(self.run.header, name, row, path, trial, answer, self.benchmark)
+        return stored_trial(self.run.header, name, row, path, trial, answer, bench.benchmark)
 
-    def _again(self, name: str, row: dict[str, Any], trial: Trials, poses: list[dict[str, Any]]) -> StoredTrial:
+    def _again(
+        self, name: str, row: dict[str, Any], trial: Trials, poses: list[dict[str, Any]], bench: _Bench
+    ) -> StoredTrial:
         """What is not stored, from the poses or from the method; the stored row stands where it says something."""
         try:
+            evaluator = bench.evaluator
             if poses:
                 T = {k: torch.tensor(poses[0][k], dtype=torch.float32, device="cpu").reshape(1, 4, 4) for k in _POSES}
                 answer = Predictions(trial.trial_id, **T, method=name)
             else:
-                answer = replay.answer_again(self.run.header, self.run.entry(name), trial, self.evaluator)
-            again = replay.judge_again(self.evaluator, trial, answer)
+                answer = replay.answer_again(self.run.header, self.run.entry(name), trial, evaluator)
+            again = replay.judge_again(evaluator, trial, answer)
         except replay.ReplayError as error:
             raise ExportError(f"{self.where}: {error}") from error
         note = replay.difference(row, again.row)
-        shown = stored_trial(self.run.header, name, again.row | row, again.path, trial, answer, self.benchmark)
+        shown = stored_trial(self.run.header, name, again.row | row, again.path, trial, answer, bench.benchmark)
         return replace(shown, asked_q=again.asked_q, asked_clearance_m=again.asked_clearance_m, note=note)
 
 
@@ -203,12 +256,8 @@ def _row(table: Any, trial_id: int, where: str) -> dict[str, Any]:
     return rows[0]
 
 
-def _benchmark_again(header: dict[str, Any], given: Given, run: str) -> Benchmark:
-    """The benchmark of the run, its trials too as far as that is cheap, made again and checked against the digests."""
-    try:
-        benchmark = benchmark_of_run(header, given, run)
-    except FileError as error:
-        raise ExportError(str(error)) from None
+def _check_trials(header: dict[str, Any], benchmark: Benchmark, run: str) -> None:
+    """The run's trials, as far as that is cheap, made again and checked against their digest."""
     counts = header["trials"]
     if sum(counts.values()) <= CHECKED_TRIALS and (benchmark.listed is not None or len(set(counts.values())) == 1):
         trials = make_trials(list(counts), max(counts.values()), benchmark=benchmark)
@@ -217,7 +266,6 @@ def _benchmark_again(header: dict[str, Any], given: Given, run: str) -> Benchmar
                 f"{run}: was made with other trials: export with r2h_batch {header['versions'].get('r2h_batch')}"
                 f" at commit {header.get('git_commit')}"
             )
-    return benchmark
 
 
 def _trial_again(header: dict[str, Any], row: dict[str, Any], benchmark: Benchmark, run: str) -> Trials:

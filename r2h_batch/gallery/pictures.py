@@ -28,9 +28,11 @@ QUALITY = 82
 def gallery(run: Run, reader: Reader, n: int, pages: Path, base: Path) -> dict[str, list[dict[str, str]]]:
     """Method -> pictures of at most `n` trials of each outcome; their pages are written into `pages`, linked from `base`."""
     found: dict[str, list[dict[str, str]]] = {}
+    shown = {method: first_of_each_outcome(run, method, n) for method in run.methods}
+    reader.build_for({m: [k for ids in trials.values() for k in ids] for m, trials in shown.items()})
     for method in run.methods:
         found[method] = []
-        for outcome, trials in first_of_each_outcome(run, method, n).items():
+        for outcome, trials in shown[method].items():
             for trial in trials:
                 stored = reader.trial(trial, method)
                 slug = re.sub(r"[^A-Za-z0-9._-]+", "_", run.entry(method)["slug"])

@@ -31,6 +31,9 @@ CONTACT_M = 0.005
 PENETRATION_M = 0.005
 """No point of the hand is deeper in the object, and no point of the object deeper in the hand."""
 
+SAME_M, SAME_POSED = 1e-6, 16
+"""By how much a skin may be off the built-in hand's to be the same hand, and in how many random postures it is asked."""
+
 CODE = ("r2h_batch.receiver", "r2h_batch.kernels.receiver", "r2h_batch.kernels.geometry")
 VERSIONS = ("numpy", "scipy", "torch", "trimesh", "warp-lang")
 """What receiving grasps are made by."""
@@ -116,8 +119,8 @@ def _intents(model: ObjectModel, part: NDArray[np.uint8]) -> NDArray[np.int32]:
 def load_receiving(objects: Sequence[ObjectModel] | None = None, hand: HandModel | None = None) -> ReceivingGrasps:
     """Receiving grasps of these objects (default: the 16 built-in ones), `object_index` counting them in order.
 
-    Those of the built-in hand and objects are stored; for a user's hand or object they are sampled once (seconds
-    an object) and kept on disk (`files.kept`).
+    Those of the built-in hand and objects are stored, whatever file the same hand comes from; for a user's hand or object they
+    are sampled once (seconds an object) and kept on disk (`files.kept`).
     """
     return _load(tuple(load_objects() if objects is None else objects), load_hand() if hand is None else hand)
 
@@ -139,8 +142,24 @@ def receiving_digest(grasps: ReceivingGrasps | None = None) -> str:
     return arrays_digest({k: getattr(grasps, k).cpu().numpy() for k in ("object_index", *FIELDS)})
 
 
+@lru_cache(maxsize=16)
+def _like_own(hand: HandModel) -> bool:
+    """Whether a hand has the built-in one's skin, to `SAME_M` in `SAME_POSED` postures and shapes: the same hand from a file of
+    another layout must not be shown other receiving grasps, which other digits of its numbers would make of it."""
+    own = load_hand()
+    if hand is own:
+        return True
+    if not torch.equal(hand.faces, own.faces) or hand.vertices.shape != own.vertices.shape:
+        return False
+    rng = np.random.Generator(np.random.Philox(key=13))
+    pose, shape = (torch.from_numpy(rng.normal(0, s, (SAME_POSED, n))) for s, n in ((0.5, 48), (1.0, 10)))
+    side = torch.arange(SAME_POSED, dtype=torch.int8, device="cpu") % 2
+    return bool((hand.pose(pose, shape, side).vertices - own.pose(pose, shape, side).vertices).abs().max() < SAME_M)
+
+
 @lru_cache(maxsize=64)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
+    hand = load_hand() if _like_own(hand) else hand
     if hand is load_hand() and f"{model.name}/side" in _stored() and is_built_in(model):
         return _stored_of(model)
 

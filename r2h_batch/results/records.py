@@ -19,7 +19,7 @@ from r2h_batch.results.rows import OUTCOME_NAMES
 
 __all__ = ["KINDS", "MAX_SHARDS", "SLUG", "Header", "Method", "Receipt", "RunError", "checked", "read_json"]
 
-MAX_BYTES = 16 << 20
+MAX_BYTES = 32 << 20
 """Of a JSON file: a run.json with 100,000 objects of one's own still fits."""
 MAX_WORD = 4096
 MAX_SHARDS = 10**6
@@ -114,6 +114,7 @@ class _Object(_Open):
     name: Name
     split: Split
     built_in: bool
+    digest: Hash = _ABSENT
 
 
 MAX_HANDS = 10**6

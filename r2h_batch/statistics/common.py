@@ -12,6 +12,9 @@ from r2h_batch.verdicts import SPLITS
 
 __all__ = ["Common", "common_trials"]
 
+FINER = ("apart_from_objects", "each_object")
+"""Digests that say in parts what others say whole; older runs lack them."""
+
 
 @dataclass(frozen=True)
 class Common:
@@ -61,7 +64,7 @@ def _differing(a: Run, b: Run, proven: Collection[Path]) -> str:
     same_plan = mine["trials"] == other["trials"]
     if not same_plan and not (mine["protocol"] in PROTOCOLS and {"objects", "hand_set"} <= mine["digests"].keys()):
         return f"trials ({', '.join(s for s in mine['trials'] if mine['trials'][s] != other['trials'].get(s))})"
-    skipped = set() if same_plan else {"trials"}
+    skipped = set(FINER) if same_plan else {"trials", *FINER}
     if a.folder in proven or b.folder in proven:
         skipped.add("code")
     digests, others = ({k: v for k, v in h["digests"].items() if k not in skipped} for h in (mine, other))

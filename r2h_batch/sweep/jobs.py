@@ -86,6 +86,7 @@ def prepare(options: Options) -> Setting:
     """The setting that the options describe."""
     import platform
 
+    from r2h_batch.benchmark.of_run import objects_digest
     from r2h_batch.bodies.objects import object_digest
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
@@ -106,7 +107,9 @@ def prepare(options: Options) -> Setting:
         "digests": {
             "trials": trials_digest(first_trials, objects=objects),
             "benchmark": benchmark.digest,
+            "apart_from_objects": benchmark.apart_from_objects,
             "objects": object_digest(objects),
+            "each_object": objects_digest(object_digest(o) for o in objects),
             "hand_set": evaluator.scene.hands.set.digest,
             "code": provenance.code_digest(),
         },
@@ -138,9 +141,9 @@ def prepare(options: Options) -> Setting:
 
 def _said_of(model: "ObjectModel") -> dict[str, Any]:
     """What run.json says of an object: a repaired mesh with what was done, and what came of it."""
-    from r2h_batch.bodies.objects import is_built_in
+    from r2h_batch.bodies.objects import is_built_in, object_digest
 
-    said = {"name": model.name, "split": model.split, "built_in": is_built_in(model)}
+    said = {"name": model.name, "split": model.split, "built_in": is_built_in(model), "digest": object_digest(model)}
     return said if model.repair is None else {**said, "repair": asdict(model.repair)}
 
 
