@@ -29,6 +29,7 @@ from _report import ROOT, Report, arguments
 from r2h_batch import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.waves import waves_on_cpu
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Trials
@@ -180,18 +181,20 @@ def equal_to_cpu(bench: Bench) -> None:
     """Whole trials here and on the CPU: outcomes, margins, paths."""
     for name, batch in (("mix", bench.mix), ("random", bench.random)):
         there = bench.evaluator.score(*bench.there(batch)).to("cpu")
-        here = bench.on_cpu.score(*batch)
+        here = bench.on_cpu.score(*batch)  # one thread a trial: other paths where they are searched, the same outcomes
+        with waves_on_cpu():
+            alike = bench.on_cpu.score(*batch)
         sharp = ~(here.borderline | there.borderline)
         differ = (here.outcome != there.outcome) & sharp
-        both = here.margin.isfinite() & there.margin.isfinite()
-        off = (here.margin - there.margin).abs().where(both, torch.zeros(()))
-        other_path = (here.path_len != there.path_len).nonzero().flatten()
+        both = alike.margin.isfinite() & there.margin.isfinite()
+        off = (alike.margin - there.margin).abs().where(both, torch.zeros(()))
+        other_path = (alike.path_len != there.path_len).nonzero().flatten()
         bench.report.add(f"gpu.{name}.trials", len(here))
         bench.report.add(f"gpu.{name}.outcomes_that_differ", int(differ.sum()))
         bench.report.add(f"gpu.{name}.borderline", int((~sharp).sum()))
         bench.report.add(f"gpu.{name}.margin_difference_max_m", float(off.max()))
         bench.report.add(f"gpu.{name}.paths_that_differ", " ".join(map(str, here.trial_id[other_path][:50].tolist())))
-        same_path = here.path_len == there.path_len
+        same_path = alike.path_len == there.path_len
         if differ.any() or off[same_path].max() > MARGIN_M:
             raise RuntimeError(f"{name}: {int(differ.sum())} outcomes differ, margins by {float(off.max()):.1e} m")
 

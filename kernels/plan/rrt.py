@@ -35,7 +35,9 @@ FULL_REACH = wp.constant(3)
 
 
 @wp.func
-def _add(nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), row: int, q: vec6, parent: int, reach: float):
+def add_node(
+    nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), row: int, q: vec6, parent: int, reach: float
+):
     """Writes a node, with how far its next step may go."""
     for j in range(6):
         nodes[row, j] = q[j]
@@ -44,7 +46,7 @@ def _add(nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), row: int,
 
 
 @wp.func
-def _nearest(nodes: wp.array2d(dtype=float), base: int, n: int, q: vec6):
+def nearest_node(nodes: wp.array2d(dtype=float), base: int, n: int, q: vec6):
     """The node nearest to q (joint space, Euclidean) of the first n from `base` on; of equal ones the first."""
     best = float(1.0e30)
     at = int(0)
@@ -60,7 +62,7 @@ def _nearest(nodes: wp.array2d(dtype=float), base: int, n: int, q: vec6):
 
 
 @wp.func
-def _depth(parents: wp.array(dtype=int), base: int, node: int):
+def depth_of(parents: wp.array(dtype=int), base: int, node: int):
     """How many nodes lie between a node and its root, both counted."""
     n = int(0)
     i = int(node)
@@ -71,7 +73,7 @@ def _depth(parents: wp.array(dtype=int), base: int, node: int):
 
 
 @wp.func
-def _write_branch(
+def write_branch(
     nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), base: int, node: int,
     path: wp.array3d(dtype=float), trial: int, k: int, step: int,
 ):  # fmt: skip
@@ -141,10 +143,10 @@ def rrt_connect(
     base0 = problem * 2 * capacity
     base1 = base0 + capacity
     n0 = int(1)
-    _add(nodes_scratch, parents_scratch, base0, load(home_in, 0), -1, range_rad)
+    add_node(nodes_scratch, parents_scratch, base0, load(home_in, 0), -1, range_rad)
     n1 = int(n_goals_in[trial])
     for g in range(n1):
-        _add(nodes_scratch, parents_scratch, base1 + g, load(goals_in, trial * BRANCHES + g), -1, range_rad)
+        add_node(nodes_scratch, parents_scratch, base1 + g, load(goals_in, trial * BRANCHES + g), -1, range_rad)
     rng = wp.rand_init(seed, key_in[trial])
     margin = margin_in[trial]
 
@@ -169,7 +171,7 @@ def rrt_connect(
         base = wp.where(grow == 0, base0, base1)
         n = wp.where(grow == 0, n0, n1)
         if phase != CONNECT_ON:
-            near = _nearest(nodes_scratch, base, n, target)
+            near = nearest_node(nodes_scratch, base, n, target)
             origin = near
         q_near = load(nodes_scratch, base + near)
         q_new = target
@@ -184,7 +186,7 @@ def rrt_connect(
             q_new = q_origin + ((whole - dist + reach) / whole) * (target - q_origin)
         found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, moveit, 0)
         if found.status == FREE:
-            _add(nodes_scratch, parents_scratch, base + n, q_new, origin, range_rad)
+            add_node(nodes_scratch, parents_scratch, base + n, q_new, origin, range_rad)
             if grow == 0:
                 n0 += 1
             else:
@@ -207,11 +209,11 @@ def rrt_connect(
         return
 
     # home .. meeting point .. goal; the two trees hold the meeting posture once each
-    n_back = _depth(parents_scratch, base0, met0)
+    n_back = depth_of(parents_scratch, base0, met0)
     after = parents_scratch[base1 + met1]
-    n_forth = _depth(parents_scratch, base1, after)
+    n_forth = depth_of(parents_scratch, base1, after)
     if n_back + n_forth > path_out.shape[1]:
         return
-    _write_branch(nodes_scratch, parents_scratch, base0, met0, path_out, trial, n_back - 1, -1)
-    _write_branch(nodes_scratch, parents_scratch, base1, after, path_out, trial, n_back, 1)
+    write_branch(nodes_scratch, parents_scratch, base0, met0, path_out, trial, n_back - 1, -1)
+    write_branch(nodes_scratch, parents_scratch, base1, after, path_out, trial, n_back, 1)
     length_inout[trial] = n_back + n_forth

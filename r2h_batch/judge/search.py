@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import ExecConfig, PlanConfig
+from r2h_batch.judge.wave_search import Problem, connect_in_waves
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
@@ -117,6 +118,10 @@ class Search:
         # An iteration adds one node to one tree and then as many to the other as it takes to meet or to be blocked;
         # how many is not bounded, so a tree that is full ends the search (`rrt_connect`)
         capacity = 4 * iterations + 16
+        if self.run.waves is not None and self.config.edge_check != "moveit":
+            problem = Problem(self.home, kept, n_kept, margin, self.key)
+            connect_in_waves(self.run.waves, rows, problem, self.config, iterations, seed, shorter, path, length)
+            return margin
         for part in rows.split(max(1, _scratch_nodes(device) // (2 * capacity))):
             nodes = torch.empty((len(part) * 2 * capacity, 7), dtype=torch.float32, device=device)
             parents = torch.empty(len(part) * 2 * capacity, dtype=torch.int32, device=device)

@@ -70,25 +70,25 @@ class Lines:
 
 
 class Waves:
-    """Waves over `rows` trials; `world` and `bodies` as the planning kernels take them."""
+    """Waves over `rows` trials; `world` and `bodies` (`scene`) as the planning kernels take them."""
 
     def __init__(self, world: Any, bodies: Any, device: str, rows: int) -> None:
-        self._tables = {"world": world, "bodies": bodies}
-        self._device = device
+        self.scene = {"world": world, "bodies": bodies}
+        self.device = device
         least = LEAST if device == "cpu" else LEAST_CUDA
         self._room = max(PER_ROW * rows, least)
-        self._tables |= self._queues(self._room)
+        self._tables = self.scene | self._queues(self._room)
         self._full = torch.zeros(1, dtype=torch.int32, device=device)
 
     def _new(self, *shape: int, dtype: torch.dtype = torch.int32) -> Tensor:
-        return torch.empty(shape, dtype=dtype, device=self._device)
+        return torch.empty(shape, dtype=dtype, device=self.device)
 
     def _queues(self, n: int) -> dict[str, Any]:
         """Room for n stretches."""
         new, real = self._new, torch.float32
         m, p = BODIES_PER_STRETCH * n, PAIRS_PER_STRETCH * n
-        self._counts = torch.zeros(int(queues.COUNTS), dtype=torch.int32, device=self._device)
-        self._stretches = [
+        self._counts = torch.zeros(int(queues.COUNTS), dtype=torch.int32, device=self.device)
+        self.stretches = [
             struct_of(
                 queues.Stretches,
                 {x: new(n) for x in ("edge", "part", "level", "index")} | {"look": new(n, 3, dtype=torch.int64)},
@@ -128,8 +128,8 @@ class Waves:
         blocked = self._blocked(lines, active, POSTURE)
         clear = active & (blocked == NONE)
         found = torch.full_like(blocked, cap_key(float(CLEARANCE_CAP)))
-        self._asked = {"track": 1, "tolerance": 0.0}
-        self._run(self._edges(lines, found), clear, POSTURE, hand_only=1)
+        self.ask(1, 0.0)
+        self._run(self.edges(lines, found), clear, POSTURE, hand_only=1)
         least, _, _ = self._read(found)
         _, pair, _ = self._read(blocked)
         return clear, pair, torch.where(clear, least, 0.0)
@@ -163,37 +163,49 @@ class Waves:
         """
         b = len(length)
         rows = self._arange(b)
-        found = torch.full((b,), cap_key(CLEARANCE_CAP_M), dtype=torch.int64, device=self._device)
+        found = torch.full((b,), cap_key(CLEARANCE_CAP_M), dtype=torch.int64, device=self.device)
         goal = path[rows.long(), (length - 1).clamp(min=0).long()]
         room = max(SEGMENTS_PER_ROW * b, LEAST_SEGMENTS)
         lines = Lines(rows, rows, goal, goal, torch.zeros_like(goal[:, 0]))
-        edges = self._edges(lines, found, more=room)
-        self._asked = {"track": 1, "tolerance": CLEARANCE_TOLERANCE_M}
+        edges = self.edges(lines, found, more=room)
+        self.ask(1, CLEARANCE_TOLERANCE_M)
         self._run(edges, length > 0, POSTURE)
-        self._counts.zero_()
-        self._launch(
+        self.clear()
+        self.launch(
             queue_paths,
             b,
-            {"parity": 0, "row": b, "edges": edges, "queue": self._stretches[0], "path": path, "length": length},
+            {"parity": 0, "row": b, "edges": edges, "queue": self.stretches[0], "path": path, "length": length},
         )
-        self._waves(edges, MAX_LEVEL, certify=0)
+        self._all_waves(edges, MAX_LEVEL, certify=0)
         least, pair, body = self._read(found)
         self.refuse_if_full()
         return torch.where(length > 0, least, -torch.inf), pair, body
 
+    def ask(self, track: int, tolerance: float) -> None:
+        """What the next waves look for: the smallest clearance (1), to `tolerance`, or whether margins are kept (0)."""
+        self._asked = {"track": track, "tolerance": tolerance}
+
+    def clear(self) -> None:
+        """Empties all queues."""
+        self._counts.zero_()
+
+    def note_full(self) -> None:
+        """Keeps in mind that a queue was too short."""
+        self._full |= self._counts[queues.FULL : queues.FULL + 1]
+
     def refuse_if_full(self) -> None:
         """On a CPU, where asking costs nothing: raises MemoryError when a queue was too short."""
-        if self._device == "cpu" and int(self._full):
+        if self.device == "cpu" and int(self._full):
             raise MemoryError("cannot allocate a longer queue of stretches: fewer rows at once have more room each")
 
     def _blocked(self, lines: Lines, used: Bool[Tensor, " e"], mode: int) -> Int64[Tensor, " e"]:
         """For each line of its own owner the key of the first pair that blocks it, NONE where it is free."""
-        found = torch.full((len(lines.trial),), NONE, dtype=torch.int64, device=self._device)
-        self._asked = {"track": 0, "tolerance": 0.0}
-        self._run(self._edges(lines, found), used, mode)
+        found = torch.full((len(lines.trial),), NONE, dtype=torch.int64, device=self.device)
+        self.ask(0, 0.0)
+        self._run(self.edges(lines, found), used, mode)
         return found
 
-    def _edges(self, lines: Lines, found: Tensor, *, more: int = 0) -> Any:
+    def edges(self, lines: Lines, found: Tensor, *, more: int = 0) -> Any:
         """The lines as kernels take them, with room for more of them."""
         tensors = {x: getattr(lines, x) for x in ("trial", "owner", "a", "b", "hand_margin")}
         if more:
@@ -203,36 +215,36 @@ class Waves:
 
     def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
         """Queues the edges in use, and runs all waves that they may need."""
-        self._counts.zero_()
+        self.clear()
         asked = {"parity": 0, "mode": mode, "hand_only": hand_only, "edges": edges}
-        self._launch(queue_edges, len(used), asked | {"used": used.contiguous(), "queue": self._stretches[0]})
+        self.launch(queue_edges, len(used), asked | {"used": used.contiguous(), "queue": self.stretches[0]})
         single = mode in (POSTURE, SAMPLES)
-        self._waves(edges, 1 if single else MAX_LEVEL, certify=int(mode == CERTIFY))
+        self._all_waves(edges, 1 if single else MAX_LEVEL, certify=int(mode == CERTIFY))
 
-    def _waves(self, edges: Any, n: int, *, certify: int) -> None:
+    def _all_waves(self, edges: Any, n: int, *, certify: int) -> None:
         for wave in range(n):
-            self._wave(edges, wave & 1, certify)
-        self._full |= self._counts[queues.FULL : queues.FULL + 1]
+            self.wave(edges, wave & 1, certify=certify)
+        self.note_full()
 
-    def _wave(self, edges: Any, parity: int, certify: int) -> None:
-        """One level of all queued stretches."""
-        lanes = LANES if self._device == "cpu" else CUDA_LANES
-        now, later = self._stretches[parity], self._stretches[1 - parity]
+    def wave(self, edges: Any, parity: int, *, certify: int) -> None:
+        """One level of all stretches that are queued in `stretches[parity]`."""
+        lanes = LANES if self.device == "cpu" else CUDA_LANES
+        now, later = self.stretches[parity], self.stretches[1 - parity]
         every = {"lanes": lanes, "queue": now, "edges": edges}
-        self._launch(stretch_frames, lanes, every | {"parity": parity})
-        self._launch(clear_links, lanes, every | {"parity": parity} | self._asked)
+        self.launch(stretch_frames, lanes, every | {"parity": parity})
+        self.launch(clear_links, lanes, every | {"parity": parity} | self._asked)
         for kernel in (near_pieces, near_table, near_bodies):
-            self._launch(kernel, lanes, every | self._asked)
-        self._launch(pair_distances, lanes, {"queue": now, "edges": edges, "track": self._asked["track"]})
-        self._launch(settle_pairs, lanes, every | self._asked)
+            self.launch(kernel, lanes, every | self._asked)
+        self.launch(pair_distances, lanes, {"queue": now, "edges": edges, "track": self._asked["track"]})
+        self.launch(settle_pairs, lanes, every | self._asked)
         more = {"parity": parity, "certify": certify, "later": later, "track": self._asked["track"]}
-        self._launch(halve, lanes, every | more)
+        self.launch(halve, lanes, every | more)
 
-    def _launch(self, kernel: Any, n: int, inputs: dict[str, Any]) -> None:
+    def launch(self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Any] | None = None) -> None:
         """With those of the tables and queues that the kernel takes; on a CPU one thread, as its additions are not atomic."""
         taken = {a.label for a in kernel.adj.args}
         inputs = inputs | {k: v for k, v in self._tables.items() if k in taken}
-        launch_trials(kernel, n, inputs=inputs, outputs={}, device=self._device, threads=1, uneven=True)
+        launch_trials(kernel, n, inputs=inputs, outputs=outputs or {}, device=self.device, threads=1, uneven=True)
 
     def _read(self, found: Int64[Tensor, " o"]) -> tuple[Tensor, Tensor, Tensor]:
         """Value, CollidingPair and body of keys."""
@@ -246,7 +258,7 @@ class Waves:
         return value, torch.where(body < 0, 0, pair).to(torch.int32), body.to(torch.int32)
 
     def _arange(self, n: int) -> Int32[Tensor, " n"]:
-        return torch.arange(n, dtype=torch.int32, device=self._device)
+        return torch.arange(n, dtype=torch.int32, device=self.device)
 
 
 def cap_key(cap: float) -> int:

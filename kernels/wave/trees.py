@@ -1,0 +1,262 @@
+"""RRT-Connect in waves: many lanes of a problem grow the same two trees, each as plan/rrt.py has it, an edge at a time.
+
+Every lane draws a random posture of its own, takes a step towards it from the nearest node of the smaller tree, then lets the
+other tree come to what it added. Between two steps its edge is certified, which takes as many waves as its bisection has
+levels; lanes do not wait for each other. What lanes found is entered in their order, wave by wave, so a problem's trees depend
+on nothing but its own numbers: (seed, key of the trial, number of the random posture). pRRTC (Huang et al. 2025) grows two trees
+on a GPU in a like way.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY
+from r2h_batch.kernels.plan.rrt import (
+    CONNECT,
+    CONNECT_ON,
+    EXTEND,
+    FULL_REACH,
+    FULL_TURN,
+    HALF_TURN,
+    LEAST_REACH,
+    REACH,
+    add_node,
+    depth_of,
+    nearest_node,
+    write_branch,
+)
+from r2h_batch.kernels.robot.posture import load
+from r2h_batch.kernels.robot.world import World
+from r2h_batch.kernels.wave.queues import NOTHING, Counts, Edges, Stretches
+from r2h_batch.kernels.wave.stretches import add_edge
+
+wp.set_module_options(OPTIONS | {"max_unroll": 0})
+
+IDLE = wp.constant(-1)
+"""Phase of a lane without an edge."""
+
+# State of a problem.
+SEARCHING = wp.constant(0)
+OVER = wp.constant(1)
+
+
+@wp.struct
+class Trees:
+    """Two trees for each problem, and how far its search is (P,)."""
+
+    trial: wp.array(dtype=int)
+    nodes: wp.array2d(dtype=float)  # (P * 2 * capacity, 7), as plan/rrt.py has them
+    parents: wp.array(dtype=int)
+    size: wp.array2d(dtype=int)  # (P, 2) nodes
+    drawn: wp.array(dtype=int)  # random postures so far
+    state: wp.array(dtype=int)
+
+
+@wp.struct
+class Growers:
+    """Lanes (P * K): what each is about to do, or waits for."""
+
+    phase: wp.array(dtype=int)
+    grow: wp.array(dtype=int)  # the tree that grows
+    ask: wp.array(dtype=int)  # 1: its next edge has to be made
+    number: wp.array(dtype=int)  # of its random posture
+    near: wp.array(dtype=int)  # the node that the edge begins at
+    origin: wp.array(dtype=int)  # the node where the line to the target begins
+    node: wp.array(dtype=int)  # the node of the other tree that is the target
+    reached: wp.array(dtype=int)  # whether the edge ends at the target
+    reach: wp.array(dtype=float)
+    target: wp.array2d(dtype=float)
+
+
+@wp.kernel
+def plant_trees(
+    first: int,
+    capacity: int,
+    range_rad: float,
+    lanes_each: int,
+    edges: Edges,
+    trees: Trees,
+    growers: Growers,
+    home_in: wp.array2d(dtype=float),  # (1, 6)
+    goals_in: wp.array2d(dtype=float),  # (B * 8, 6)
+    n_goals_in: wp.array(dtype=int),  # (B,)
+    margin_in: wp.array(dtype=float),  # (B,)
+    length_in: wp.array(dtype=int),  # (B,) a trial that has a path is passed over
+):
+    """Each problem's trees with their roots alone, and lanes without an edge."""
+    problem = first + wp.tid()
+    trial = trees.trial[problem]
+    base = problem * 2 * capacity
+    n = n_goals_in[trial]
+    add_node(trees.nodes, trees.parents, base, load(home_in, 0), -1, range_rad)
+    for g in range(n):
+        add_node(trees.nodes, trees.parents, base + capacity + g, load(goals_in, trial * BRANCHES + g), -1, range_rad)
+    trees.size[problem, 0] = 1
+    trees.size[problem, 1] = n
+    trees.drawn[problem] = 0
+    trees.state[problem] = wp.where(length_in[trial] > 0 or n == 0, OVER, SEARCHING)
+    for k in range(lanes_each):
+        e = problem * lanes_each + k
+        growers.phase[e] = IDLE
+        growers.ask[e] = 0
+        edges.trial[e] = trial
+        edges.owner[e] = e
+        edges.hand_margin[e] = margin_in[trial]
+        edges.left[e] = 0
+
+
+@wp.func
+def write_path(
+    trees: Trees,
+    base0: int,
+    base1: int,
+    met0: int,
+    met1: int,
+    path: wp.array3d(dtype=float),
+    length: wp.array(dtype=int),
+    trial: int,
+):
+    """Home .. meeting posture .. goal; both trees hold the meeting posture. Nothing where it is too long."""
+    n_back = depth_of(trees.parents, base0, met0)
+    after = trees.parents[base1 + met1]
+    n_forth = depth_of(trees.parents, base1, after)
+    if n_back + n_forth <= path.shape[1]:
+        write_branch(trees.nodes, trees.parents, base0, met0, path, trial, n_back - 1, -1)
+        write_branch(trees.nodes, trees.parents, base1, after, path, trial, n_back, 1)
+        length[trial] = n_back + n_forth
+
+
+# One problem's lanes in their order. A lane whose edge is settled goes on as in plan/rrt.py:
+#
+#     free, EXTEND               the node is added; the other tree tries to come here (CONNECT)
+#     free, not at the target    the node is added; on along the same line (CONNECT_ON)
+#     free, at the target        the trees have met: the path is written, the search is over
+#     blocked                    after EXTEND its node's reach shrinks; the next random posture
+#
+# The search is over as well when a tree is full, or all random postures are drawn and no lane waits for an edge.
+@wp.kernel
+def enter_edges(
+    first: int,
+    iterations: int,
+    capacity: int,
+    range_rad: float,
+    shorter: float,
+    lanes_each: int,
+    edges: Edges,
+    trees: Trees,
+    growers: Growers,
+    path_out: wp.array3d(dtype=float),  # (B, W, 6)
+    length_out: wp.array(dtype=int),  # (B,)
+):
+    """Adds the nodes that settled edges lead to, and says what each lane does next."""
+    problem = first + wp.tid()
+    if trees.state[problem] == OVER:
+        return
+    base0 = problem * 2 * capacity
+    busy = int(0)
+    for k in range(lanes_each):
+        e = problem * lanes_each + k
+        phase = growers.phase[e]
+        if phase != IDLE and edges.left[e] > 0:
+            busy += 1
+            continue
+        grow = growers.grow[e]
+        base = base0 + grow * capacity
+        next_phase = int(IDLE)
+        if phase != IDLE and (edges.found[e] & wp.int64(NOTHING)) == wp.int64(NOTHING):
+            n = trees.size[problem, grow]
+            if n >= capacity:
+                trees.state[problem] = OVER
+                return
+            q = load(edges.b, e)
+            add_node(trees.nodes, trees.parents, base + n, q, growers.origin[e], range_rad)
+            trees.size[problem, grow] = n + 1
+            if phase == EXTEND:
+                growers.grow[e] = 1 - grow
+                growers.node[e] = n
+                for j in range(6):
+                    growers.target[e, j] = q[j]
+                next_phase = CONNECT
+            elif growers.reached[e] == 1:
+                met0 = wp.where(grow == 0, n, growers.node[e])
+                met1 = wp.where(grow == 0, growers.node[e], n)
+                trees.state[problem] = OVER
+                write_path(trees, base0, base0 + capacity, met0, met1, path_out, length_out, trees.trial[problem])
+                return
+            else:
+                growers.near[e] = n
+                next_phase = CONNECT_ON
+        elif phase == EXTEND and growers.number[e] % FULL_REACH != 1:
+            near = base + growers.near[e]
+            trees.nodes[near, REACH] = wp.max(shorter * trees.nodes[near, REACH], LEAST_REACH * range_rad)
+        if next_phase == IDLE and trees.drawn[problem] < iterations:
+            next_phase = EXTEND
+            trees.drawn[problem] = trees.drawn[problem] + 1
+            growers.number[e] = trees.drawn[problem]
+            growers.grow[e] = wp.where(trees.size[problem, 0] <= trees.size[problem, 1], 0, 1)
+        growers.phase[e] = next_phase
+        if next_phase != IDLE:
+            growers.ask[e] = 1
+            busy += 1
+    if busy == 0:
+        trees.state[problem] = OVER
+
+
+@wp.kernel
+def next_edges(
+    first: int,
+    parity: int,
+    capacity: int,
+    range_rad: float,
+    seed: int,
+    lanes_each: int,
+    world: World,
+    edges: Edges,
+    queue: Stretches,
+    counts: Counts,
+    trees: Trees,
+    growers: Growers,
+    home_in: wp.array2d(dtype=float),  # (1, 6)
+    key_in: wp.array(dtype=int),  # (B,)
+):
+    """The edge that each lane asks for: one step from the nearest node towards its target; queued."""
+    e = first + wp.tid()
+    problem = e / lanes_each
+    if growers.ask[e] == 0 or trees.state[problem] == OVER:
+        return
+    growers.ask[e] = 0
+    phase = growers.phase[e]
+    number = growers.number[e]
+    target = load(growers.target, e)
+    if phase == EXTEND:
+        rng = wp.rand_init(wp.int32(wp.rand_init(seed, key_in[trees.trial[problem]])), number)
+        # mostly within half a turn of home, where paths are short; every fourth time anywhere within the limits
+        around = wp.where(number % 4 == 0, FULL_TURN, HALF_TURN)
+        for j in range(6):
+            lo = wp.max(world.lower[j], home_in[0, j] - around)
+            hi = wp.min(world.upper[j], home_in[0, j] + around)
+            target[j] = lo + (hi - lo) * wp.randf(rng)
+            growers.target[e, j] = target[j]
+    grow = growers.grow[e]
+    base = (2 * problem + grow) * capacity
+    if phase != CONNECT_ON:
+        near = nearest_node(trees.nodes, base, trees.size[problem, grow], target)
+        growers.near[e] = near
+        growers.origin[e] = near
+    near = growers.near[e]
+    q_near = load(trees.nodes, base + near)
+    q_new = target
+    dist = wp.length(target - q_near)
+    reach = trees.nodes[base + near, REACH]
+    if number % FULL_REACH == 1:
+        reach = range_rad
+    growers.reached[e] = wp.where(dist <= reach, 1, 0)
+    if dist > reach:
+        q_origin = load(trees.nodes, base + growers.origin[e])  # all nodes of a line lie on it
+        whole = wp.length(target - q_origin)
+        q_new = q_origin + ((whole - dist + reach) / whole) * (target - q_origin)
+    for j in range(6):
+        edges.a[e, j] = q_near[j]
+        edges.b[e, j] = q_new[j]
+    edges.found[e] = (wp.int64(NOTHING) << wp.int64(32)) | wp.int64(NOTHING)
+    add_edge(world, edges, queue, counts, parity, e, CERTIFY, 0)
