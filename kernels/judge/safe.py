@@ -6,6 +6,7 @@ and bounding volumes prune, and triangles decide.
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
 from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, from_ball, support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
@@ -355,7 +356,16 @@ def posture_distance(
             if bound == WAITS:
                 waits = 1
             if bound == ASK and -core.radius < out.distance - tolerance:  # it cannot be met deeper than that
-                for i in range(world.n_pieces):
+                # most pieces are settled all at once
+                left = balls_near(
+                    world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
+                    mover.c0, mover.c1, mover.radius, mover.travel,
+                    mover.w, mover.v, mover.a, mover.b, mover.second, mover.third,
+                    1, out.distance - tolerance, tolerance,
+                )  # fmt: skip
+                while left != wp.uint64(0):
+                    i = lowest_bit(left)
+                    left = left & (left - wp.uint64(1))
                     bound, n, beyond = _bound_of_piece(world, mover, core, hand, i, out.distance, tolerance, waits)
                     if bound == WAITS:
                         waits = 1

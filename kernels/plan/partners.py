@@ -11,6 +11,7 @@ the direction between them. If even the swept volume falls short by more than bo
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
 from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, from_ball, support, swept_support
 from r2h_batch.kernels.geometry.segments import from_point, from_segment, swept_capsule
 from r2h_batch.kernels.options import OPTIONS
@@ -193,14 +194,18 @@ def pieces_near(
             near = False
             out.open = 1
     if near:
-        # piece by piece: its ball against the mover's ball, its capsule (hulls) or its very shape (primitives)
-        middle = 0.5 * (mover.c0 + mover.c1)
-        around = 0.5 * wp.length(mover.c1 - mover.c0) + mover.radius + target + mover.travel
-        for i in range(world.n_pieces):
-            piece = hand * world.n_pieces + i
+        # piece by piece: its ball against the mover's capsule, then against its very shape (primitives)
+        first = hand * world.n_pieces
+        left = balls_near(
+            world.piece_center, world.piece_radius, first, world.n_pieces,
+            mover.c0, mover.c1, mover.radius, mover.travel, mover.w, mover.v, mover.a, mover.b, mover.second, mover.third,
+            int(moving), target, query.tolerance,
+        )  # fmt: skip
+        while left != wp.uint64(0):
+            i = lowest_bit(left)
+            left = left & (left - wp.uint64(1))
+            piece = first + i
             at = world.piece_center[piece]
-            if wp.length(at - middle) - world.piece_radius[piece] >= around:
-                continue
             toward = wp.vec3(0.0, 0.0, 0.0)
             if mover.link == OBJECT:
                 toward = from_point(at, mover.c0, mover.c1)
