@@ -56,3 +56,15 @@ def point_mesh_distance_by_normal(
         distance_out[i] = reach
         normal_out[i] = wp.vec3(0.0, 0.0, 0.0)
         face_out[i] = -1
+
+
+@wp.kernel
+def wall_thickness(first: int, mesh: wp.uint64, most: float, thickness_out: wp.array(dtype=wp.float32)):
+    """How far it is from the middle of each face straight into the solid to the next face; `most` where that is farther."""
+    f = first + wp.tid()
+    n = wp.mesh_eval_face_normal(mesh, f)
+    hit = wp.mesh_query_ray(mesh, wp.mesh_eval_position(mesh, f, 1.0 / 3.0, 1.0 / 3.0) - 1.0e-6 * n, -n, most)
+    if hit.result:
+        thickness_out[f] = hit.t + 1.0e-6
+    else:
+        thickness_out[f] = most

@@ -197,8 +197,8 @@ def build_object(
     a part (``"handle"``, ``"handle,guard"``), ``"z<0.3"`` (axis, comparison, fraction of the bounding box from its low
     side), or one bool per face of the file or indices of its faces (array, or ``.npy`` file); without it, S1 takes the
     lighter half of the longest axis, with a warning. Labels and faces are carried over to a repaired mesh.
-    ``pieces=False`` skips the convex decomposition (a second or two): the hull is then the only piece. ``"fine"`` takes four
-    times as long and adds less volume, as for the built-in objects.
+    ``pieces=False`` skips the convex decomposition (half a second): the hull is then the only piece. ``"fine"`` is CoACD's, as
+    of the built-in objects: a minute and more.
 
     What is built of a file is kept on disk (`files.kept`), named by the file's content, the options and the code.
     """

@@ -36,6 +36,9 @@ STEP_RAD = float(np.radians(1.5))
 DEEPEST_M = 0.0005
 PITCH_M, MARGIN_M = 0.0015, 0.02
 EXACT_M, STRIDE = 0.009, 4
+SEEN_M = PITCH_M + 2 * DEEPEST_M
+"""Between two nodes that lie a wall's two sides the distance reaches half a pitch less half the wall's thickness: at this
+thickness -`DEEPEST_M`, at which fingers stop."""
 CLUSTER = 10
 
 # Degrees. What a finger opens to, then its limits; the thumb's place is drawn, its limits are anatomical.
@@ -149,6 +152,9 @@ def distance_field(surface: ObjectSurface, threads: int | None = None) -> Any:
     Most nodes are far from the surface: they take what a grid of `STRIDE` times the pitch says, which is at most half a cell's
     diagonal off the distance; only those that may be near are asked. Second derivatives of a distance d are at most 1 / d, so
     that linear interpolation overshoots it by 3 h^2 / 8 d at most.
+
+    A wall that is thinner than the grid's nodes are apart would be inside at none of them, and fingers would close through it:
+    the field is that of a solid whose walls are as thick as is seen, `SEEN_M`.
     """
     low = surface.vertices.min(0) - MARGIN_M
     nodes = np.ceil((np.ptp(surface.vertices, axis=0) + 2 * MARGIN_M) / PITCH_M).astype(int) + 1
@@ -165,7 +171,8 @@ def distance_field(surface: ObjectSurface, threads: int | None = None) -> Any:
     short = value - np.float32(3 * cell**2 / (8 * EXACT_M))
     value = np.where(value > 0, np.maximum(short, np.float32(EXACT_M)), np.minimum(value, -np.float32(EXACT_M)))
     asked = tuple(near[face >= 0].T)
-    value[asked] = exact[face >= 0]
+    thinner = np.maximum(SEEN_M - surface.thickness(SEEN_M, threads), 0.0) / 2
+    value[asked] = exact[face >= 0] - thinner[face[face >= 0]]
     return _field(value.reshape(-1), low, nodes)
 
 

@@ -12,7 +12,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.hand import HandModel, load_hand
-from r2h_batch.kernels.receiver.point_mesh import point_mesh_distance, point_mesh_distance_by_normal
+from r2h_batch.kernels.receiver.point_mesh import (
+    point_mesh_distance,
+    point_mesh_distance_by_normal,
+    wall_thickness,
+)
 from r2h_batch.launch import launch_trials
 
 __all__ = ["REGIONS", "Contact", "ObjectSurface", "hand_depth", "measure_contact", "palmar_region"]
@@ -79,6 +83,22 @@ class ObjectSurface:
             chunk=2048,
         )
         return distance, normal, face
+
+    def thickness(self, most: float, threads: int | None = None) -> F32:
+        """(F,) how thick (m) the solid is behind each face, or a face that shares a corner with it; `most` where it is more."""
+        behind = np.empty(len(self.faces), np.float32)
+        launch_trials(
+            wall_thickness,
+            len(behind),
+            inputs={"mesh": self.mesh.id, "most": most},
+            outputs={"thickness": behind},
+            device="cpu",
+            threads=threads,
+            chunk=2048,
+        )
+        corner = np.full(len(self.vertices), most, np.float32)
+        np.minimum.at(corner, self.faces, behind[:, None])
+        return np.asarray(corner[self.faces].min(axis=1))
 
 
 @lru_cache(maxsize=2)

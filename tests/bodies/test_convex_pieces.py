@@ -5,11 +5,13 @@ import pytest
 import trimesh
 
 from r2h_batch.bodies.given.convex import convex_pieces
-from r2h_batch.bodies.given.fewer import covering, fewer
 from tests.support.needs import needs
 
 
+@needs("manifold3d")
 def test_parts_are_joined_where_that_adds_least() -> None:
+    from r2h_batch.bodies.given.fewer import fewer
+
     box = trimesh.creation.box((0.01, 0.01, 0.01)).vertices
     row = [box + [0.01 * i, 0, 0] for i in range(5)]
     corner = [box + [0, 0.01 * i, 0] for i in (1, 2)]
@@ -18,9 +20,13 @@ def test_parts_are_joined_where_that_adds_least() -> None:
     volumes = sorted(trimesh.convex.convex_hull(p).volume for p in found)
     assert np.allclose(volumes, [2e-6, 5e-6])
     assert len(fewer(row, 16)) == 5
+    assert len(fewer([*row, *corner], 16, 1e-9)) == 2  # what adds nothing is joined although there are few enough
 
 
+@needs("manifold3d")
 def test_a_triangle_that_sticks_out_is_taken_in_whole_by_the_nearest_piece() -> None:
+    from r2h_batch.bodies.given.fewer import covering
+
     box = trimesh.creation.box((0.02, 0.02, 0.02)).vertices
     far = box + [0.1, 0, 0]
     point = np.array(
@@ -32,9 +38,33 @@ def test_a_triangle_that_sticks_out_is_taken_in_whole_by_the_nearest_piece() -> 
     between = np.array([[0.01, 0, 0], [0.09, 0, 0], [0.05, 0, 0.005]])  # corners in pieces, the middle in none
     first, second = covering([box, far], between, np.array([[0, 1, 2]]), 5e-5)
     assert first[:, 0].max() > 0.089 or second[:, 0].min() < 0.011
+    halved = covering([box, far], between, np.array([[0, 1, 2]]), 5e-5, 0.02)
+    assert all(np.ptp(p[:, 0]) > 0.05 for p in halved)  # each takes the triangles next to it, those held are left
 
 
-@needs("coacd", "manifold3d")
+@needs("manifold3d")
+def test_a_ring_and_a_thin_cup_are_cut_though_the_first_cut_gains_nothing() -> None:
+    from r2h_batch.bodies.given.cut import cut_apart
+    from r2h_batch.bodies.given.fewer import fewer
+
+    ring = trimesh.creation.annulus(0.03, 0.036, 0.03)
+    cup = trimesh.boolean.difference(
+        [
+            trimesh.creation.cylinder(0.035, 0.1),
+            trimesh.creation.cylinder(0.0346, 0.1).apply_translation([0, 0, 0.0004]),
+        ],
+        engine="manifold",
+    )
+    for solid, most, joined in ((ring, 1.1, 1.3), (cup, 3.5, 5.5)):  # hulls of the whole: 3.3 and 30 times the solid
+        found = cut_apart(solid)
+        volume = [
+            sum(trimesh.convex.convex_hull(p).volume for p in parts) / solid.volume
+            for parts in (found, fewer(found, 16))
+        ]
+        assert len(found) <= 64 and 1 <= volume[0] < most and volume[1] < joined
+
+
+@needs("manifold3d")
 @pytest.mark.parametrize("parts", [2, 3])
 def test_pieces_hold_the_surface_and_little_else(parts: int) -> None:
     teeth = [trimesh.creation.box((0.01, 0.02, 0.06)) for _ in range(parts)]

@@ -261,12 +261,12 @@ def test_the_command_lines_form_names_file_split_and_region(tmp_path):
         object_from_argument(f"{tmp_path}/saw.ply:S3")
 
 
-def test_without_coacd_the_hull_is_the_only_piece_and_without_manifold3d_rebuilding_is_refused(monkeypatch):
-    monkeypatch.setitem(sys.modules, "coacd", None)
-    with pytest.warns(UserWarning, match="coacd is not installed"):
-        model = build_object(brick())
-    assert len(model.pieces) == 1 and len(model.pieces[0][0]) == len(model.hull_vertices)
-    monkeypatch.setitem(sys.modules, "manifold3d", None)
+def test_without_manifold3d_the_hull_is_the_only_piece_and_rebuilding_is_refused(monkeypatch):
+    for missing, pieces in (("coacd", "fine"), ("manifold3d", True)):
+        monkeypatch.setitem(sys.modules, missing, None)
+        with pytest.warns(UserWarning, match=f"{missing} is not installed"):
+            model = build_object(brick(), pieces=pieces)
+        assert len(model.pieces) == 1 and len(model.pieces[0][0]) == len(model.hull_vertices)
     mesh = ball()
     half = trimesh.Trimesh(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0], process=False)
     with pytest.raises(ObjectMeshError, match=r"manifold3d is needed to close its surface; .pip install"):

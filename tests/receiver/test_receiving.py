@@ -16,7 +16,7 @@ from r2h_batch.bodies.hand import load_hand, palm_frame
 from r2h_batch.bodies.hand_measure import hull_planes, sample_surface, winding_number
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.launch import init_warp
-from r2h_batch.receiver.hand_closing import EXACT_M, PITCH_M, distance_field, mirrored
+from r2h_batch.receiver.hand_closing import DEEPEST_M, EXACT_M, PITCH_M, distance_field, field_distance, mirrored
 from r2h_batch.receiver.hand_contact import (
     PALM,
     REGIONS,
@@ -221,6 +221,21 @@ def test_grasps_of_a_users_object_hold_by_the_exact_meshes() -> None:
     points = np.concatenate([stick.points, stick.vertices])
     for of in (0, 1):
         assert (hand_depth(points, skin[found["side"] == of], of) < PENETRATION_M).all()
+
+
+def test_walls_thinner_than_the_fields_nodes_are_apart_stop_fingers() -> None:
+    from r2h_batch.bodies.objects import build_object
+
+    cup = trimesh.creation.annulus(0.0335, 0.034, 0.1)  # fingers closed through this one: no hold of 24,000 proposals
+    model = build_object(cup, "sleeve", pieces=False)
+    surface = ObjectSurface(model.vertices, model.faces)
+    assert np.abs(surface.thickness(0.02) - 5e-4).max() < 1e-5
+    middle = np.stack(
+        [0.03375 * np.cos(np.arange(100)), 0.03375 * np.sin(np.arange(100)), np.linspace(-0.045, 0.045, 100)]
+    )
+    seen = field_distance(distance_field(surface), middle.T.astype(np.float32), None)
+    assert seen.max() < -DEEPEST_M
+    assert len(sample_receiving(model, per_side=6)["side"]) == 12
 
 
 @pytest.mark.slow

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import warnings
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.given.fewer import covering, fewer
 from r2h_batch.bodies.given.rebuild import simplified_to
 
 __all__ = ["convex_hull", "convex_pieces"]
@@ -19,9 +19,8 @@ FACES, DETAIL_M, COARSEST_M = 2500, 1e-4, 2.5e-4
 """A user's surface is cut with 0.1 to 0.25 mm less detail: as little less as leaves it that many faces."""
 HELD_M = 5e-5
 APART_M, MOST_POINTS = 3e-3, 60_000
-CUT = {"resolution": 300, "mcts_iterations": 10, "max_convex_hull": -1, "merge": False}
-CONCAVITY, CONCAVITY_OF_MANY = 0.06, 0.1
-"""CoACD's threshold; the second for surfaces that keep more than twice `FACES`, which it would cut into hundreds."""
+SPARE = 0.002
+"""Pieces are joined, however few they are, where that adds no more than this share of the solid's volume."""
 FINE = {"threshold": 0.04, "resolution": 2000, "mcts_iterations": 40, "max_convex_hull": MAX_PIECES}
 
 Hull = tuple[NDArray[np.float32], NDArray[np.int32]]
@@ -66,43 +65,44 @@ def _offsets(body: trimesh.Trimesh) -> NDArray[np.float64]:
 
 
 def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> list[Hull]:
-    """At most 16 convex pieces (fixed seed); the hull as a single piece where coacd is not installed.
+    """At most 16 convex pieces (float32, m); the hull as a single piece where manifold3d, or for `fine` coacd, is not installed.
 
-    CoACD cuts a slightly simpler surface, what it cuts too small is joined again (`fewer`), and pieces are grown until no
-    point of the surface is more than 0.05 mm outside all of them (`covering`: each triangle, cut to 3 mm, lies in one).
-    `fine`: as those of the built-in objects, by CoACD alone, three to twenty times the time; those leave up to 0.1 mm outside.
+    A slightly simpler surface is cut by planes (`cut_apart`), parts are joined again where that costs the least (`fewer`), and
+    these pieces are grown until no point of the surface is more than 0.05 mm outside all of them (`covering`: each
+    triangle, cut to 3 mm, lies in one). `fine`: as those of the built-in objects, by CoACD alone (fixed seed), thirty times
+    the time; those leave up to 0.1 mm outside.
     """
-    try:
-        import coacd
-    except ImportError:
+    needed = "coacd" if fine else "manifold3d"
+    if importlib.util.find_spec(needed) is None:
         warnings.warn(
-            f"{label}: coacd is not installed, so the convex pieces are the hull alone; "
+            f"{label}: {needed} is not installed, so the convex pieces are the hull alone; "
             "`pip install r2h_batch[build]` for a convex decomposition",
             stacklevel=3,
         )
         return [convex_hull(solid.vertices)]
+    return _fine(solid) if fine else _quick(solid)
+
+
+def _quick(solid: trimesh.Trimesh) -> list[Hull]:
+    from r2h_batch.bodies.given.cut import cut_apart
+    from r2h_batch.bodies.given.fewer import covering, fewer
+
+    parts = fewer(cut_apart(_simpler(solid)), MAX_PIECES, SPARE * float(solid.volume))
+    # a square metre of triangles with edges this long has 2.3 / apart^2 corners
+    apart = max(APART_M, float(np.sqrt(4 * solid.area / MOST_POINTS)))
+    surface = np.array(solid.vertices, np.float64), np.array(solid.faces, np.int64)
+    return [convex_hull(part) for part in covering(parts, *surface, HELD_M, apart)]
+
+
+def _fine(solid: trimesh.Trimesh) -> list[Hull]:
+    import coacd
+
     coacd.set_log_level("error")
-    cut, chosen = solid, FINE
-    if not fine:
-        cut = _simpler(solid)
-        chosen = {**CUT, "threshold": CONCAVITY if len(cut.faces) <= 2 * FACES else CONCAVITY_OF_MANY}
     found = coacd.run_coacd(
-        coacd.Mesh(cut.vertices, cut.faces),
-        **chosen, preprocess_mode="off", max_ch_vertex=64, mcts_nodes=10, mcts_max_depth=2, seed=0,
+        coacd.Mesh(solid.vertices, solid.faces),
+        **FINE, preprocess_mode="off", max_ch_vertex=64, mcts_nodes=10, mcts_max_depth=2, seed=0,
     )  # fmt: skip
-    parts = [np.asarray(vertices) for vertices, _ in found]
-    if not fine:
-        parts = covering(fewer(parts, MAX_PIECES), *_cut_small(solid), HELD_M)
-    return [convex_hull(part) for part in parts]
-
-
-def _cut_small(solid: trimesh.Trimesh) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points (N, 3) and triangles (T, 3) of the surface, faces cut in four until their edges are short."""
-    apart = max(
-        APART_M, float(np.sqrt(4 * solid.area / MOST_POINTS))
-    )  # a square metre of such triangles has 2.3 / apart^2
-    points, faces = trimesh.remesh.subdivide_to_size(solid.vertices, solid.faces, apart, max_iter=12)
-    return points, faces
+    return [convex_hull(np.asarray(vertices)) for vertices, _ in found]
 
 
 def _simpler(solid: trimesh.Trimesh) -> trimesh.Trimesh:

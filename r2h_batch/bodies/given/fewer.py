@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from manifold3d import Manifold
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial import ConvexHull
 
 __all__ = ["covering", "fewer"]
 
@@ -16,15 +18,15 @@ NEIGHBOURS = 8
 F64 = NDArray[np.float64]
 
 
-def fewer(parts: Sequence[F64], most: int) -> list[F64]:
+def fewer(parts: Sequence[F64], most: int, spare: float = -np.inf) -> list[F64]:
     """At most `most` point sets, each the corners of a convex piece: (n, 3) of some of `parts` together.
 
     Two are joined again and again, those whose common hull adds the least volume to theirs (Mamou and Ghorbel 2009, whose
-    cost is another), of each and its nearest neighbours. Much cheaper than CoACD's own merging, which measures distances.
+    cost is another), of each and its nearest neighbours; also when there are few enough, while that adds less than `spare` (m^3).
     """
-    hulls = [(p, h) for p in parts if (h := _hull(p)) is not None]  # what is flat holds nothing
-    corners = [p[h.vertices] for p, h in hulls]
-    volume = [float(h.volume) for _, h in hulls]
+    hulls = [hull for part in parts if (hull := Manifold.hull_points(part)).volume() > 0]  # what is flat holds nothing
+    corners = [_corners(hull) for hull in hulls]
+    volume = [float(hull.volume()) for hull in hulls]
     alive = list(range(len(corners)))
     cost: dict[tuple[int, int], float] = {}
 
@@ -32,16 +34,18 @@ def fewer(parts: Sequence[F64], most: int) -> list[F64]:
         for a in _nearest(corners, k, others):
             pair = (min(a, k), max(a, k))
             if pair not in cost:
-                cost[pair] = float(ConvexHull(np.concatenate([corners[a], corners[k]])).volume) - volume[a] - volume[k]
+                both = Manifold.hull_points(np.concatenate([corners[a], corners[k]]))
+                cost[pair] = float(both.volume()) - volume[a] - volume[k]
 
     for k in alive:
         compare(k, [a for a in alive if a != k])
-    while len(alive) > most:
+    while cost:
         i, j = min(cost, key=lambda pair: (cost[pair], pair))
-        both = np.concatenate([corners[i], corners[j]])
-        hull = ConvexHull(both)
-        corners.append(both[hull.vertices])
-        volume.append(float(hull.volume))
+        if len(alive) <= most and cost[i, j] > spare:
+            break
+        hull = Manifold.hull_points(np.concatenate([corners[i], corners[j]]))
+        corners.append(_corners(hull))
+        volume.append(float(hull.volume()))
         alive = [a for a in alive if a not in (i, j)]
         for pair in [p for p in cost if i in p or j in p]:
             del cost[pair]
@@ -50,26 +54,59 @@ def fewer(parts: Sequence[F64], most: int) -> list[F64]:
     return [corners[a] for a in alive]
 
 
-def covering(parts: Sequence[F64], points: F64, triangles: NDArray[np.int64], allowed: float) -> list[F64]:
+def covering(
+    parts: Sequence[F64], points: F64, triangles: NDArray[np.int64], allowed: float, apart: float = np.inf
+) -> list[F64]:
     """The pieces, grown until each triangle (T, 3) of `points` (N, 3) lies in one of them, up to `allowed` (m) outside.
 
     A triangle is in a convex piece when its corners are; so nothing of the surface is outside, not only none of the points.
-    Each that is in no piece goes whole into the one that its farthest corner is nearest to.
+    Each that is in no piece is halved until its edges are `apart` (m) or shorter; what is then still in none goes whole into
+    the piece that its farthest corner is nearest to, of those whose bounding box is `apart` from it or nearer, if any is.
     """
     found = list(parts) or [points]
-    depth = np.stack([_outside(part, points)[triangles].max(axis=1) for part in found])  # (P, T)
+    planes = [ConvexHull(part).equations for part in found]
+    rest, small = points[triangles], []
+    while len(rest):
+        rest = rest[~_held(found, planes, rest, allowed)]
+        edge = np.linalg.norm(rest - np.roll(rest, -1, axis=1), axis=2)  # edge k: from corner k to the next
+        longest = edge.argmax(axis=1)
+        long = edge.max(axis=1, initial=0.0) > apart
+        small.append(rest[~long])
+        rest = _halved(rest[long], longest[long])
+    out = np.concatenate(small)
+    depth = np.full((len(found), len(out)), np.inf)
+    near = np.array([((out >= _low(p) - apart) & (out <= _high(p) + apart)).all(axis=(1, 2)) for p in found])
+    near |= ~near.any(axis=0)
+    for k, of in enumerate(planes):
+        depth[k, near[k]] = _outside(of, out[near[k]].reshape(-1, 3)).reshape(-1, 3).max(axis=1)
     nearest = depth.argmin(axis=0)
-    out = depth.min(axis=0) > allowed
-    for k in np.unique(nearest[out]).tolist():
-        mine = points[np.unique(triangles[out & (nearest == k)])]
-        both = np.concatenate([found[k], mine])
-        found[k] = both[ConvexHull(both).vertices]
+    for k in np.unique(nearest).tolist():
+        found[k] = _corners(Manifold.hull_points(np.concatenate([found[k], out[nearest == k].reshape(-1, 3)])))
     return found
 
 
-def _outside(part: F64, points: F64) -> F64:
-    """(N,) how far points are outside a piece, by its planes (0 or less: inside)."""
-    planes, of = ConvexHull(part).equations, np.full(len(points), -np.inf)
+def _held(parts: Sequence[F64], planes: Sequence[F64], triangles: F64, allowed: float) -> NDArray[np.bool_]:
+    """(T,) whether triangles (T, 3, 3) lie in one of the pieces."""
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    held = np.zeros(len(triangles), bool)
+    for part, of in zip(parts, planes, strict=True):
+        box = (low >= _low(part) - allowed) & (high <= _high(part) + allowed)
+        rows = np.flatnonzero(box.all(axis=1) & ~held)
+        held[rows] = (_outside(of, triangles[rows].reshape(-1, 3)) <= allowed).reshape(-1, 3).all(axis=1)
+    return held
+
+
+def _halved(triangles: F64, edge: NDArray[np.int64]) -> F64:
+    """(2 T, 3, 3) triangles (T, 3, 3) cut in two at the middle of an edge (T,): 0, 1 or 2, from that corner to the next."""
+    row = np.arange(len(triangles))
+    a, b, c = (triangles[row, (edge + k) % 3] for k in range(3))
+    middle = (a + b) / 2
+    return np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+
+
+def _outside(planes: F64, points: F64) -> F64:
+    """(N,) how far points are outside a piece with these planes (P, 4); 0 or less: inside."""
+    of = np.full(len(points), -np.inf)
     for first in range(0, len(planes), 64):  # a few at a time: (N, planes) of a large mesh is much
         some = planes[first : first + 64]
         of = np.maximum(of, (points @ some[:, :3].T + some[:, 3]).max(axis=1))
@@ -95,9 +132,6 @@ def _high(points: F64) -> F64:
     return np.asarray(points.max(axis=0))
 
 
-def _hull(points: F64) -> ConvexHull | None:
-    """The hull; None of points in a plane."""
-    try:
-        return ConvexHull(points)
-    except QhullError:
-        return None
+def _corners(hull: Manifold) -> F64:
+    mesh: Any = hull.to_mesh64()
+    return np.asarray(mesh.vert_properties, np.float64)[:, :3]
