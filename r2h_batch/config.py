@@ -154,7 +154,7 @@ class ExecConfig:
     max_acceleration_rad_s2: float = 5.0
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"  # auto: mujoco on a CPU, mjwarp on CUDA; none: kinematic
     # What is simulated: the whole scene; the arm with a rigid gripper and no contacts; auto: the arm, and again the whole
-    # scene where the path's clearance does not rule contacts out.
+    # scene where a contact is not ruled out (docs/choices.md).
     model: Literal["auto", "scene", "arm"] = "auto"
     step_s: float = 0.002  # of simulator and servos: the real controller's 500 Hz
     record_steps: int = 4  # steps between two samples of the executed motion

@@ -30,11 +30,17 @@ class Shapes:
 
 @wp.struct
 class Queue:
-    """n trials in the order they are started: row of the batch, steps, start (rad), and what they put into the scene."""
+    """n trials in the order they are started: path, steps, start (rad), and what they put into the scene.
 
-    n: int
-    row: wp.array(dtype=int)
+    The arrays are as long as the longest queue so far: a captured graph runs them again with other trials in them.
+    """
+
+    n: wp.array(dtype=int)  # (1,)
+    path: wp.array3d(dtype=float)  # (n, W, 6)
+    time: wp.array2d(dtype=float)  # (n, W)
+    length: wp.array(dtype=int)
     steps: wp.array(dtype=int)
+    sample: wp.array(dtype=int)  # place of the trial's first recorded sample
     start: wp.array2d(dtype=float)  # (n, nq)
     hold: wp.array2d(dtype=float)  # (n, nu - 6)
     pos: wp.array(dtype=wp.vec3)
@@ -88,6 +94,8 @@ class Fields:
     qvel: wp.array2d(dtype=float)
     ctrl: wp.array2d(dtype=float)
     qacc_warmstart: wp.array2d(dtype=float)
+    cvel: wp.array2d(dtype=wp.spatial_vector)
+    cdof_dot: wp.array2d(dtype=wp.spatial_vector)
     nacon: wp.array(dtype=int)
     ncollision: wp.array(dtype=int)
     nefc: wp.array(dtype=int)
@@ -110,7 +118,7 @@ class Fingers:
 class Record:
     """What is kept of n trials."""
 
-    q: wp.array3d(dtype=float)  # (n, W, 6)
+    q: wp.array2d(dtype=float)  # (samples, 6) of all trials, each from `Queue.sample` on
     acceleration: wp.array2d(dtype=float)  # (n, 6)
     sway: wp.array(dtype=float)  # (n,)
     failed: wp.array(dtype=int)  # (n,) OVERFLOW, NOT_FINITE
@@ -118,12 +126,32 @@ class Record:
 
 
 @wp.func
+def at_rest(fields: Fields, w: int):
+    """Takes all speed out of a world. The next step reads twists of the last one (times 0, which leaves what was not finite)."""
+    still = wp.spatial_vector(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for b in range(fields.cvel.shape[1]):
+        fields.cvel[w, b] = still
+    for j in range(fields.qvel.shape[1]):
+        fields.cdof_dot[w, j] = still
+        fields.qvel[w, j] = 0.0
+        fields.qacc_warmstart[w, j] = 0.0
+
+
+@wp.func
 def start_next(worlds: Worlds, queue: Queue, shapes: Shapes, fields: Fields, w: int, record: Record):
     """Puts the next trial of the queue into a world."""
     # whichever world is free first takes the next trial
     slot = wp.atomic_add(worlds.taken, 0, 1)
-    if slot >= queue.n:
+    if slot >= queue.n[0]:
         worlds.slot[w] = IDLE
+        # it stands where the first trial starts: all worlds share one pool of contacts, and none should be left in any
+        for j in range(queue.hold.shape[1]):
+            fields.ctrl[w, 6 + j] = queue.hold[0, j]
+        for j in range(6):
+            fields.ctrl[w, j] = queue.start[0, j]
+        for j in range(fields.qpos.shape[1]):
+            fields.qpos[w, j] = queue.start[0, j]
+        at_rest(fields, w)
         return
     worlds.slot[w] = slot
     worlds.step[w] = 0
@@ -158,11 +186,10 @@ def start_next(worlds: Worlds, queue: Queue, shapes: Shapes, fields: Fields, w: 
         fields.dof_invweight0[w, j] = queue.dof_invweight[slot, j]
         fields.qpos[w, j] = queue.start[slot, j]
         worlds.qpos[w, j] = queue.start[slot, j]
-        fields.qvel[w, j] = 0.0
         worlds.qvel[w, j] = 0.0
-        fields.qacc_warmstart[w, j] = 0.0
+    at_rest(fields, w)
     for j in range(6):
-        record.q[slot, 0, j] = queue.start[slot, j]
+        record.q[queue.sample[slot], j] = queue.start[slot, j]
 
 
 @wp.kernel
@@ -177,9 +204,6 @@ def command_worlds(
     worlds_inout: Worlds,
     queue: Queue,
     fields_inout: Fields,
-    path_in: wp.array3d(dtype=float),
-    time_in: wp.array2d(dtype=float),
-    length_in: wp.array(dtype=int),
     record_out: Record,
 ):
     """Before a step: the servos' commands. One that is not finite is noted: torque limits would hide it in the motion."""
@@ -187,7 +211,8 @@ def command_worlds(
     slot = worlds_inout.slot[w]
     if slot == IDLE:
         return
-    c = servo_command(law, path_in, time_in, length_in, queue.row[slot], wp.float64(worlds_inout.step[w]) * law.step)
+    t = wp.float64(worlds_inout.step[w]) * law.step
+    c = servo_command(law, queue.path, queue.time, queue.length, slot, t)
     for j in range(6):
         fields_inout.ctrl[w, j] = float(c[j])
         if not wp.isfinite(c[j]):
@@ -255,7 +280,7 @@ def finish_step(
             worlds_inout.qvel[w, j] = fields_inout.qvel[w, j]
     if step % record_steps == 0:
         for j in range(6):
-            record_out.q[slot, step / record_steps, j] = fields_inout.qpos[w, j]
+            record_out.q[queue.sample[slot] + step / record_steps, j] = fields_inout.qpos[w, j]
     if step == queue.steps[slot]:
         for j in range(nq):
             record_out.state[slot, j] = worlds_inout.qpos[w, j]

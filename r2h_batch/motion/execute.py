@@ -15,15 +15,12 @@ from r2h_batch.config import CLEARANCE_TOLERANCE_M, ExecConfig
 from r2h_batch.kernels.motion.time_law import path_deviation
 from r2h_batch.kernels.robot.tool import settle_sample
 from r2h_batch.launch import launch_trials
+from r2h_batch.motion.contacts import FINGER_GIVE_M, nothing_pushes
 from r2h_batch.motion.simulation import Job, Samples
 from r2h_batch.motion.time_law import Motion, limits, servo_law
-from r2h_batch.scene.dynamics import SERVO_RATE, Payload
-from r2h_batch.scene.model import TrialScene
+from r2h_batch.scene.dynamics import SERVO_RATE
+from r2h_batch.scene.model import TrialScenes
 from r2h_batch.scene.scene import Placed, Scene
-
-FINGER_GIVE_M = 1.2e-5
-"""A bound on how far the fingers of the whole scene give way in a motion without contacts: twice the most that was seen
-(`bench/execute.py --ask models`: execute.models.finger_sway_max_um)."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +29,8 @@ class Executed:
 
     `t_exec_s`: when the arm came to rest at its goal, NaN where it did not or there is no path. `valid`: False where the
     simulator failed: such a row has no length, but `path` still holds its `recorded` samples. `slack_m`: how far any point
-    of the robot may have been off the lines between two samples, fingers that gave way included. `deviation_m`: a bound on
+    of the robot may have been off the lines between two samples, fingers that gave way included; `slack_with_object_m`:
+    any point of robot and object. `deviation_m`: a bound on
     how far any point of robot or object ever was from where the planned path has it at that time; below the path's clearance
     it certifies that the motion touched nothing of what planning checks. `failed_state`: qpos and qvel as the simulator had
     them before it failed.
@@ -44,6 +42,7 @@ class Executed:
     settled: Bool[Tensor, " b"]
     valid: Bool[Tensor, " b"]
     slack_m: Float32[Tensor, " b"]
+    slack_with_object_m: Float32[Tensor, " b"]
     deviation_m: Float32[Tensor, " b"]
     recorded: Int32[Tensor, " b"]
     sample_s: float | None
@@ -68,14 +67,16 @@ def execute(
 
     `clearance_m`: certified smallest distance of all pairs along each planned path (`Plan.clearance_m`). With
     `model="auto"` the arm alone moves first; where no body can have come as near to another as to touch it, the contacts
-    of the whole scene cannot have pushed and the motion stands. The other rows, and all where no clearance is given, are
-    moved in the whole scene.
+    of the whole scene cannot have pushed and the motion stands: known from the clearance, if it is given and large
+    enough, else from a walk along the motion (`nothing_pushes`). The other rows are moved in the whole scene.
     """
     engine = config.engine(scene.device)
     if engine == "none":
         true = torch.ones_like(length, dtype=torch.bool)
         zero = torch.zeros_like(motion.t_exec_s)
-        return Executed(path, length, motion.t_exec_s, length > 0, true, zero, zero, torch.zeros_like(length), None)
+        return Executed(
+            path, length, motion.t_exec_s, length > 0, true, zero, zero, zero, torch.zeros_like(length), None
+        )
 
     def move(model: Literal["scene", "arm"], rows: Bool[Tensor, " b"]) -> Executed:
         run = _Runner(scene, placed, path, length, motion, replace(config, model=model), engine, threads)
@@ -84,11 +85,15 @@ def execute(
     found = length > 0
     if config.model != "auto":
         return move(config.model, found)
-    if clearance_m is None:
-        return move("scene", found)
     alone = _with_fingers(move("arm", found), found)
-    # Two bodies may each be off by the deviation, towards each other; the clearance is located to a tolerance.
-    free = alone.valid & (2.0 * alone.deviation_m < clearance_m - CLEARANCE_TOLERANCE_M)
+    free = torch.zeros_like(found)
+    if clearance_m is not None:
+        # Two bodies may each be off by the deviation, towards each other; the clearance is located to a tolerance.
+        free = alone.valid & (2.0 * alone.deviation_m < clearance_m - CLEARANCE_TOLERANCE_M)
+    asked = found & alone.valid & ~free
+    if bool(asked.any()):
+        recorded = torch.where(asked, alone.length, 0)
+        free = free | nothing_pushes(scene, placed, alone.path, recorded, alone.slack_with_object_m, threads=threads)
     if bool((free | ~found).all()):
         return alone
     return _merged(alone, move("scene", found & ~free), torch.nonzero(found & ~free).flatten())
@@ -109,7 +114,8 @@ def _until_at_rest(run: "_Runner", rows: Bool[Tensor, " b"]) -> Executed:
 def _with_fingers(alone: Executed, found: Bool[Tensor, " b"]) -> Executed:
     """The arm's own motion with what the fingers of the whole scene would have given way at most."""
     give = FINGER_GIVE_M * found.to(alone.slack_m.dtype)
-    return replace(alone, slack_m=alone.slack_m + give, deviation_m=alone.deviation_m + give)
+    more = {name: getattr(alone, name) + give for name in ("slack_m", "slack_with_object_m", "deviation_m")}
+    return replace(alone, **more)
 
 
 def _merged(first: Executed, again: Executed, rows: Tensor) -> Executed:
@@ -152,10 +158,11 @@ class _Runner:
         T_wrist_gripper = scene.robot.T_wrist3_flange @ scene.robot.T_flange_gripper
         T_wrist_obj = np.tile(np.eye(4), (len(length), 1, 1))
         T_wrist_obj[:, :3, :3], T_wrist_obj[:, :3, 3] = placed.R_wrist_obj.cpu(), placed.p_wrist_obj.cpu()
-        self.T_gripper_obj = np.linalg.inv(T_wrist_gripper) @ T_wrist_obj
-        self.objects, self.hands = placed.object_index.cpu().numpy(), placed.hand_index.cpu().numpy()
-        self.T_world_hand = placed.T_world_hand.double().cpu().numpy()
-        self.opening_m = placed.opening_m.cpu().numpy()
+        self.trials = TrialScenes(
+            scene.objects, np.linalg.inv(T_wrist_gripper) @ T_wrist_obj, placed.object_index.long().cpu().numpy(),
+            placed.hand_index.long().cpu().numpy(), placed.T_world_hand.double().cpu().numpy(),
+            placed.opening_m.double().cpu().numpy(),
+        )  # fmt: skip
 
     def __call__(self, rows: np.ndarray, duration_s: np.ndarray) -> Executed:
         sample_s = self.config.step_s * self.config.record_steps
@@ -163,17 +170,11 @@ class _Runner:
         order = np.argsort(-samples, kind="stable")
         rows, samples = rows[order], samples[order]
         job = Job(
-            self.scene.model(self.hands[rows], self.config), self.law, self.tables, rows, [self._trial(i) for i in rows],
+            self.scene.model(self.trials.hand_index[rows], self.config), self.law, self.tables, rows, self.trials.rows(rows),
             self.path[torch.from_numpy(rows), 0].double().cpu().numpy(),
             samples, self.config.record_steps, self.device,
         )  # fmt: skip
         return self._judged(job, self.simulate(job, threads=self.threads), sample_s)
-
-    def _trial(self, i: int) -> TrialScene:
-        held = Payload.of(self.scene.objects[self.objects[i]], self.T_gripper_obj[i])
-        return TrialScene(
-            held, int(self.objects[i]), int(self.hands[i]), self.T_world_hand[i], float(self.opening_m[i])
-        )
 
     def _judged(self, job: Job, answer: Samples, sample_s: float) -> Executed:
         """When each motion came to rest, and how far it may have been off its samples."""
@@ -186,6 +187,41 @@ class _Runner:
         length = torch.zeros(b, dtype=torch.int32, device=device)
         length[rows] = torch.from_numpy(job.samples + 1).to(device, torch.int32)
         recorded, length = length, torch.where(valid, length, 0)
+        first = self._at_rest(path, length)
+        at = first.float() * sample_s
+        still = length - 1 - first >= round(0.5 * config.dwell_s / sample_s)
+        # relative to the reference: its length is the planner's, and a longer path is no worse at coming to rest
+        reference_s = torch.from_numpy(self.reference_s).to(device)
+        settled = (length > 0) & still & (at <= reference_s + config.settle_s)
+        lever = self.scene.levers.to(device)
+        acceleration = torch.zeros((b, 1, 6), dtype=torch.float64, device=device)
+        acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)
+        slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
+        slack[rows] += torch.from_numpy(np.nan_to_num(answer.sway_m)).to(device)
+        t_exec = torch.where(settled, at.float(), torch.nan)
+        state = torch.full((b, answer.failed_state.shape[1]), torch.nan, dtype=torch.float64, device=device)
+        state[rows] = torch.from_numpy(answer.failed_state).to(device)
+        both = torch.maximum(
+            slack, (acceleration[:, 0] * self.placed.object_lever.to(device)).sum(-1) * sample_s**2 / 8
+        )
+        deviation = torch.where(length > 0, self._deviation(path, length, sample_s) + both, 0.0)
+        return Executed(
+            path,
+            length,
+            t_exec,
+            settled,
+            valid,
+            slack.float(),
+            both.float(),
+            deviation.float(),
+            recorded,
+            sample_s,
+            state,
+        )
+
+    def _at_rest(self, path: Tensor, length: Tensor) -> Int32[Tensor, " b"]:
+        """The sample from which each motion stays at its goal."""
+        b, device, config = len(length), path.device, self.config
         goal = self.path[torch.arange(b, dtype=torch.int64, device=device), (self.length - 1).clamp(min=0).long()][
             :, None
         ].contiguous()
@@ -206,25 +242,7 @@ class _Runner:
             threads=self.threads,
             chunk=64,
         )
-        at = first.float() * sample_s
-        still = length - 1 - first >= round(0.5 * config.dwell_s / sample_s)
-        # relative to the reference: its length is the planner's, and a longer path is no worse at coming to rest
-        reference_s = torch.from_numpy(self.reference_s).to(device)
-        settled = (length > 0) & still & (at <= reference_s + config.settle_s)
-        lever = self.scene.levers.to(device)
-        acceleration = torch.zeros((b, 1, 6), dtype=torch.float64, device=device)
-        acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)
-        slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
-        slack[rows] += torch.from_numpy(np.nan_to_num(answer.sway_m)).to(device)
-        t_exec = torch.where(settled, at.float(), torch.nan)
-        state = torch.full((b, answer.failed_state.shape[1]), torch.nan, dtype=torch.float64, device=device)
-        state[rows] = torch.from_numpy(answer.failed_state).to(device)
-        held = (acceleration[:, 0] * self.placed.object_lever.to(device)).sum(-1) * sample_s**2 / 8
-        deviation = self._deviation(path, length, sample_s) + torch.maximum(slack, held)
-        deviation = torch.where(length > 0, deviation, 0.0)
-        return Executed(
-            path, length, t_exec, settled, valid, slack.float(), deviation.float(), recorded, sample_s, state
-        )
+        return first
 
     def _deviation(self, motion: Tensor, length: Tensor, sample_s: float) -> Tensor:
         """Of the lines between samples from the planned path: at the samples, and what the path curves between two in time."""

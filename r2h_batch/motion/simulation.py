@@ -1,7 +1,7 @@
 """What a simulator is asked and what it answers: the same for every engine."""
 
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.scene.model import SceneModel, TrialScene
+from r2h_batch.scene.model import SceneModel, TrialScenes
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Job:
     law: Any  # Law of r2h_batch.kernels.motion.time_law
     tables: tuple[Any, Any, Any]  # path (B, W, 6), times (B, W), lengths (B,): Warp arrays on the engine's device
     rows: NDArray[np.int64]
-    trials: Sequence[TrialScene]
+    trials: TrialScenes
     start: NDArray[np.float64]  # (n, 6) rad, at rest
     samples: NDArray[np.int64]  # recorded after the start
     record_steps: int

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import JOINTS, Robot
+from r2h_batch.scene.payloads import principal
 
 Array = NDArray[np.float64]
 
@@ -139,14 +140,13 @@ def loaded_model(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -
 def load(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> None:
     """Puts a payload into the model itself (its last body), whatever it held before; `data` is scratch."""
     i = model.nbody - 1
-    inertia, axes = np.linalg.eigh(payload.inertia)
-    axes[:, 2] *= np.linalg.det(axes)
+    inertia, axes = principal(payload.inertia)
     model.body_pos[i] = payload.T_gripper_obj[:3, 3]
     model.body_quat[i] = quat_wxyz(payload.T_gripper_obj[:3, :3])
     model.body_ipos[i] = payload.com
     model.body_iquat[i] = quat_wxyz(axes)
     model.body_mass[i] = payload.mass
-    model.body_inertia[i] = np.maximum(inertia, 1e-12)
+    model.body_inertia[i] = inertia
     mujoco.mj_setConst(model, data)  # subtree masses, which the centres of mass are divided by
 
 

@@ -3,7 +3,8 @@
 import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any
 
 import mujoco
@@ -27,6 +28,7 @@ from r2h_batch.scene.model_parts import (
     add_visual,
     look,
 )
+from r2h_batch.scene.payloads import MassProperties, PayloadTables, principal
 from r2h_batch.scene.tables import TABLE_FROM_LINK
 
 Array = NDArray[np.float64]
@@ -52,6 +54,44 @@ class TrialScene:
     def drive(self) -> float:
         """Drive angle of the fingers, rad."""
         return float(drive_from_gap(self.opening_m))
+
+
+@dataclass(frozen=True)
+class TrialScenes:
+    """What n trials put into the scene; `[i]` is one of them."""
+
+    objects: Sequence[ObjectModel]
+    T_gripper_obj: Array  # (n, 4, 4)
+    object_index: NDArray[np.int64]  # (n,)
+    hand_index: NDArray[np.int64]
+    T_world_hand: Array  # (n, 4, 4)
+    opening_m: Array  # (n,)
+
+    def __len__(self) -> int:
+        return len(self.object_index)
+
+    def __getitem__(self, i: int) -> TrialScene:
+        held = Payload.of(self.objects[self.object_index[i]], self.T_gripper_obj[i])
+        hand = int(self.hand_index[i])
+        return TrialScene(held, int(self.object_index[i]), hand, self.T_world_hand[i], float(self.opening_m[i]))
+
+    def rows(self, at: NDArray[np.int64]) -> "TrialScenes":
+        """Those at places `at`."""
+        return TrialScenes(self.objects, *(getattr(self, f.name)[at] for f in fields(self) if f.name != "objects"))
+
+    @property
+    def drive(self) -> Array:
+        """Drive angles (n,) of the fingers, rad."""
+        return np.asarray(drive_from_gap(self.opening_m))
+
+    @property
+    def held(self) -> MassProperties:
+        """Mass properties of what they hold."""
+        used, place = np.unique(self.object_index, return_inverse=True)
+        payloads = [Payload.of(self.objects[o], np.eye(4)) for o in used]
+        moments, axes = principal(np.stack([x.inertia for x in payloads]))
+        mass, com = np.array([x.mass for x in payloads]), np.stack([x.com for x in payloads])
+        return MassProperties(*(x[place] for x in (mass, com, axes, moments)))
 
 
 class SceneModel:
@@ -99,12 +139,27 @@ class SceneModel:
             model.body_quat[self.hand_body] = quat_wxyz(trial.T_world_hand[:3, :3])
         load(model, trial.payload, data)
 
-    def start(self, trial: TrialScene, q: ArrayLike) -> Array:
-        """qpos with the arm at q and the fingers at their opening."""
-        qpos = np.zeros(self.model.nq)
-        qpos[:JOINTS] = q
+    def loaded(self, trials: TrialScenes) -> dict[str, Array]:
+        """What `load` writes for each of n trials: fields of the model, as `PayloadTables.rows` gives them."""
+        return self._payloads.rows(trials.T_gripper_obj, trials.held)
+
+    @cached_property
+    def _payloads(self) -> PayloadTables:
+        return PayloadTables(self.model)
+
+    def meshes_of(self, trials: TrialScenes) -> NDArray[np.int64]:
+        """`meshes` of each of n trials, (n, geoms)."""
+        assert self.objects is not None
+        hands = np.stack([self.hands[h] for h in trials.hand_index.tolist()])
+        return np.concatenate([hands, self.objects[trials.object_index]], 1)
+
+    def start(self, trial: TrialScene | TrialScenes, q: ArrayLike) -> Array:
+        """qpos (nq,) or (n, nq) with the arm at q and the fingers at their opening."""
+        q = np.asarray(q, np.float64)
+        qpos = np.zeros((*q.shape[:-1], self.model.nq))
+        qpos[..., :JOINTS] = q
         if self.full:
-            qpos[JOINTS:] = np.array([1, -1, 1] * 2) * trial.drive
+            qpos[..., JOINTS:] = np.array([1, -1, 1] * 2) * np.asarray(trial.drive)[..., None]
         return qpos
 
     def sway(self, trial: TrialScene, qpos: Array) -> float:
@@ -117,12 +172,13 @@ class SceneModel:
         worst = np.maximum(driver * max(at.driver, at.pin_arm) + pin * at.pin, knuckle * at.inner_knuckle)
         return float(worst.max())
 
-    def hold(self, trial: TrialScene) -> Array:
-        """What the actuators beyond the arm's are told, all the time."""
-        return np.full(self.model.nu - JOINTS, trial.drive)
+    def hold(self, trial: TrialScene | TrialScenes) -> Array:
+        """What the actuators beyond the arm's are told, all the time: (nu - 6,) or (n, nu - 6)."""
+        return np.repeat(np.asarray(trial.drive)[..., None], self.model.nu - JOINTS, axis=-1)
 
 
 _kept: "OrderedDict[tuple[Any, ...], tuple[Any, SceneModel]]" = OrderedDict()
+_arms: dict[tuple[Any, ...], SceneModel] = {}  # a few kB each
 _keeping = threading.Lock()
 
 
@@ -144,7 +200,11 @@ def scene_model(
     """
     workplace = workplace or Workplace()
     if not full:
-        return SceneModel.arm_only(robot, step_s=step_s, payload_known=payload_known)
+        with _keeping:
+            arm = (robot.digest, step_s, payload_known)
+            if arm not in _arms:
+                _arms[arm] = SceneModel.arm_only(robot, step_s=step_s, payload_known=payload_known)
+            return _arms[arm]
     wanted = set(map(int, hand_indices)) or {0}
     key = (robot.digest, hands.set.digest, tuple(map(id, objects)), step_s, payload_known, object_collision, workplace)
     with _keeping:

@@ -22,7 +22,7 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.robot.place import place_bodies
 from r2h_batch.kernels.robot.tool import Tool
-from r2h_batch.kernels.robot.world import TrialBodies
+from r2h_batch.kernels.robot.world import TrialBodies, World
 from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.launch.arguments import struct_of
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tables
@@ -159,6 +159,17 @@ class Scene:
     def world(self) -> Any:
         """The `World` of r2h_batch.kernels.robot.world, on the scene's device."""
         return self.tables.world(self.device)
+
+    @cached_property
+    def world_without_hand(self) -> Any:
+        """The same with a hand of no pieces, too far away to matter: whom only robot, object and table concern."""
+        world: Any = World()
+        world.assign(self.world)  # its arrays are shared
+        n = len(self.hands.set)
+        world.n_pieces = 0
+        world.hand_center = wp.full(n, wp.vec3(1e3, 0.0, 0.0), dtype=wp.vec3, device=self.device)
+        world.hand_radius = wp.zeros(n, dtype=wp.float32, device=self.device)
+        return world
 
     @cached_property
     def hull_balls(self) -> wp.array:

@@ -111,7 +111,7 @@ class Options:
     """Who moves the arm: MuJoCo C, MuJoCo-Warp, nobody (the motion as planned); auto: mujoco on a CPU, mjwarp on CUDA."""
     sim_model: Literal["auto", "scene", "arm"] = "auto"
     """What is simulated. scene: everything, with contacts. arm: a rigid gripper, no contacts. auto: the arm, and the whole
-    scene again for each trial whose path's clearance does not rule a contact out."""
+    scene again for each trial in which a contact is not ruled out."""
     format: Literal["md", "latex", "csv", "json"] = "md"
     """Format of the table on stdout."""
     save_details: bool = False

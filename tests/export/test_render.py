@@ -75,8 +75,8 @@ def test_times_end_at_rest_and_hold_the_touch_where_safe_fails():
     one = torch.ones(1)
     length = torch.tensor([101], dtype=torch.int32)
     rest = Executed(
-        path, length, t_exec_s=one * 0.7, settled=one.bool(), valid=one.bool(), slack_m=one * 0, deviation_m=one * 0,
-        recorded=length, sample_s=0.008,
+        path, length, t_exec_s=one * 0.7, settled=one.bool(), valid=one.bool(), slack_m=one * 0,
+        slack_with_object_m=one * 0, deviation_m=one * 0, recorded=length, sample_s=0.008,
     )  # fmt: skip
     np.testing.assert_allclose(_times(replace(scores, outcome=torch.tensor([0])), rest, 3), [0, 0.35, 0.7], atol=1e-7)
     touched = replace(scores, outcome=torch.tensor([int(Outcome.SAFE)]), witness_time_s=torch.tensor([0.4]))

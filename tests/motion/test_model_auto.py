@@ -1,24 +1,32 @@
 """`model="auto"`: the arm alone where a contact is ruled out, the whole scene everywhere else, and nothing in between."""
 
+import copy
 from dataclasses import replace
 from unittest import mock
 
+import mujoco
+import numpy as np
 import pytest
 import torch
-from motions import ARM, MUJOCO, N, problems, reference_run
+from motions import ARM, BRIEF, MUJOCO, N, into_the_table, problems, reference_run, run
 from problems import default_evaluator
 
+import r2h_batch.motion.execute as module
 from r2h_batch import evaluate
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.motion.execute import FINGER_GIVE_M, Executed, execute
+from r2h_batch.motion.contacts import FINGER_GIVE_M, NEAR_M, nothing_pushes
+from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import time_path
+from r2h_batch.scene.dynamics import Payload
+from r2h_batch.scene.model import TrialScene
 
 AUTO = replace(MUJOCO, model="auto")
 SCENE = replace(MUJOCO, model="scene")
 
 
-def auto(clearance_m: torch.Tensor | None, rows: torch.Tensor | None = None) -> Executed:
+def auto(clearance_m: torch.Tensor, rows: torch.Tensor | None = None) -> Executed:
+    """With nothing to go by but the clearance: the walk along the motion rules nothing out."""
     p = problems()
     rows = torch.arange(N) if rows is None else rows
     trials = p.batch.trials
@@ -28,8 +36,9 @@ def auto(clearance_m: torch.Tensor | None, rows: torch.Tensor | None = None) -> 
     )  # fmt: skip
     path, length = p.plan.path[rows], p.plan.length[rows]
     motion = time_path(path, length, AUTO)
-    near = None if clearance_m is None else clearance_m[rows]
-    return execute(default_evaluator().scene, placed, path, length, motion, AUTO, clearance_m=near)
+    near, never = clearance_m[rows], mock.Mock(return_value=torch.zeros_like(length, dtype=torch.bool))
+    with mock.patch.object(module, "nothing_pushes", never):
+        return execute(default_evaluator().scene, placed, path, length, motion, AUTO, clearance_m=near)
 
 
 def same(a: Executed, b: Executed, i: int, j: int) -> bool:
@@ -56,14 +65,64 @@ def test_a_row_is_the_arms_where_its_clearance_rules_contacts_out_and_the_scenes
     assert not e.settled[p.plan.length == 0].any() and (e.length[p.plan.length == 0] == 0).all()
 
 
-def test_without_a_certified_clearance_everything_moves_in_the_scene():
-    e, scene = auto(None), reference_run(SCENE)
-    assert torch.equal(e.path, scene.path) and torch.equal(e.slack_m, scene.slack_m)
-    sampled = Evaluator(EvalConfig(plan=PlanConfig(edge_check="moveit")))
+def test_without_a_certified_clearance_the_motion_itself_rules_contacts_out():
+    path, length, low = into_the_table()
+    config = replace(BRIEF, model="auto")
+    e, scene, arm = (run(replace(config, model=m), path, length) for m in ("auto", "scene", "arm"))
+    for i in torch.nonzero(length > 0).flatten().tolist():
+        assert same(e, scene if i == low else arm, i, i)
+    assert not e.settled[low] and arm.settled[low]  # alone the arm goes through the table
+    # whoever has no bound says so and is asked in the same way: sampled edges, paths planned against an estimated hand
     batch = problems().batch
-    with mock.patch.object(evaluate, "execute", wraps=execute) as moved:
-        sampled.score(batch.T_obj_ee[:2], batch.T_world_ee[:2], batch.trials[:2])
-    assert moved.call_args.kwargs["clearance_m"] is None
+    for plan in (PlanConfig(edge_check="moveit"), PlanConfig(hand="estimated")):
+        with mock.patch.object(evaluate, "execute", wraps=execute) as moved:
+            Evaluator(EvalConfig(plan=plan)).score(batch.T_obj_ee[:2], batch.T_world_ee[:2], batch.trials[:2])
+        assert moved.call_args.kwargs["clearance_m"] is None
+
+
+def test_what_is_said_not_to_push_touches_nothing_in_mujoco_and_the_rest_does():
+    """Straight motions to random postures, with the hand where it may be: MuJoCo's own contacts at 200 samples of each."""
+    p, scene = problems(), default_evaluator().scene
+    rng, n, steps = np.random.default_rng(5), 40, 200
+    rows = torch.arange(n) % N
+    trials = p.batch.trials
+    placed = scene.place(
+        trials.object_index[rows], trials.hand_index[rows], p.T_obj_ee_attached[rows], trials.T_world_hand[rows],
+        p.opening_m[rows],
+    )  # fmt: skip
+    home = p.plan.path[0, 0].numpy()
+    goal = home + rng.uniform(-1.8, 1.8, (n, 6))
+    path = torch.from_numpy((home + np.linspace(0, 1, 26)[:, None] * (goal - home)[:, None]).astype(np.float32))
+    length = torch.full((n,), 26, dtype=torch.int32)
+    length[-1] = 0
+    free = nothing_pushes(scene, placed, path, length, torch.zeros(n))
+    scenes = scene.model(trials.hand_index.tolist(), SCENE)
+    T_gripper_ee = np.linalg.inv(scene.robot.T_flange_gripper) @ scene.robot.T_flange_ee
+    model = copy.copy(scenes.model)
+    data = mujoco.MjData(model)
+    touched = []
+    for i in range(n - 1):
+        k = int(rows[i])
+        T_gripper_obj = T_gripper_ee @ np.linalg.inv(p.T_obj_ee_attached[k].double().numpy())
+        o = int(trials.object_index[k])
+        trial = TrialScene(
+            Payload.of(scene.objects[o], T_gripper_obj), o, int(trials.hand_index[k]),
+            trials.T_world_hand[k].double().numpy(), float(p.opening_m[k]),
+        )  # fmt: skip
+        scenes.load(model, trial, data)
+        count = 0
+        for f in np.linspace(0, 1, steps):
+            data.qpos[:] = scenes.start(trial, home + f * (goal[i] - home))
+            mujoco.mj_fwdPosition(model, data)
+            count += data.ncon
+        touched.append(count > 0)
+    assert not free[-1]
+    assert [not x for x in touched] == free[:-1].tolist()
+    assert 5 < sum(touched) < n - 5
+    # each body may be off by as much: none of them keeps a millimetre's half from itself for ever
+    assert not nothing_pushes(scene, placed, path, length, torch.full((n,), 0.5 * NEAR_M)).any()
+    some = nothing_pushes(scene, placed, path, length, torch.full((n,), 2e-4))
+    assert (free | ~some).all()
 
 
 def test_rows_do_not_depend_on_who_else_needs_the_scene():

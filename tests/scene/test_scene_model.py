@@ -3,6 +3,7 @@
 import copy
 from collections import OrderedDict
 from functools import cache
+from unittest import mock
 
 import mujoco
 import mujoco_warp as mjw
@@ -14,13 +15,13 @@ from problems import default_evaluator
 
 from r2h_batch.bodies.robot import drive_from_gap, ee_pose, forward_kinematics, gripper_primitives_at
 from r2h_batch.config import HOME_Q, ExecConfig
-from r2h_batch.kernels.motion.worlds import Record, Worlds, start_worlds
-from r2h_batch.launch import init_warp, launch
-from r2h_batch.motion import sim_mjwarp
+from r2h_batch.launch import init_warp
 from r2h_batch.motion.simulation import Job
+from r2h_batch.motion.standing import StandingWorlds
+from r2h_batch.motion.time_law import servo_law
 from r2h_batch.scene import model as module
 from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, LINK_MASS_KG, Payload
-from r2h_batch.scene.model import MESH_FIELDS, SceneModel, TrialScene, build_scene_model
+from r2h_batch.scene.model import SceneModel, TrialScene, TrialScenes, build_scene_model
 from r2h_batch.scene.scene import Scene
 from r2h_batch.scene.tables import TABLE_FROM_LINK
 
@@ -184,31 +185,20 @@ def test_worlds_of_mujoco_warp_each_have_the_body_of_their_own_trial():
     """Sixteen objects in sixteen worlds, put in by the kernel that refills them: deepest contact and pose as in MuJoCo C."""
     init_warp()
     rng, q, model = np.random.default_rng(6), np.array(HOME_Q), built()
-    trials = []
-    for o in range(16):
-        T_world_hand = some_trial(rng, 0).T_world_hand
-        trials.append(TrialScene(into_the_forearm(rng, o, q), o, HANDS[o % 3], T_world_hand, 0.02 + 0.004 * o))
+    hands = np.stack([some_trial(rng, 0).T_world_hand for _ in range(16)])
+    grasps = np.stack([into_the_forearm(rng, o, q).T_gripper_obj for o in range(16)])
+    which = np.arange(16)
+    trials = TrialScenes(scene().objects, grasps, which, np.array(HANDS)[which % 3], hands, 0.02 + 0.004 * which)
     order = rng.permutation(16)  # which world runs which trial
-    job = Job(
-        model, None, (None, None, None), np.arange(16), trials, np.tile(q, (16, 1)), np.full(16, 2), 1, "cpu",
-    )  # fmt: skip
-    # no public way to one world of an engine: simulate() fills its own
-    host = sim_mjwarp._for_warp(model.model)
-    sizes = dict.fromkeys((*sim_mjwarp.BATCHED, *MESH_FIELDS), 16)
-    m, d = mjw.put_model(host, batch_sizes=sizes), mjw.make_data(host, nworld=16, njmax=512, naconmax=2048)
-    m.opt.warn_overflow = 0
-    worlds, record = Worlds(), Record()
-    worlds.slot, worlds.step = wp.zeros(16, dtype=int), wp.zeros(16, dtype=int)
-    worlds.qpos, worlds.qvel = wp.zeros((16, 12)), wp.zeros((16, 12))
-    worlds.taken, record.q = wp.zeros(1, dtype=int), wp.zeros((16, 3, 6))
-    queue = sim_mjwarp._queue(job, order)
-    launch(
-        start_worlds,
-        16,
-        inputs={"queue": queue, "shapes": sim_mjwarp._shapes(model)},
-        outputs={"worlds": worlds, "fields": sim_mjwarp._fields(m, d), "record": record},
-        device="cpu",
-    )
+    path = [wp.zeros(shape, dtype=kind) for shape, kind in (((16, 2, 6), float), ((16, 2), float), (16, int))]
+    law = servo_law(ExecConfig(), lead_s=0.0, step_s=STEP_S)
+    job = Job(model, law, tuple(path), which, trials, np.tile(q, (16, 1)), np.full(16, 2), 1, "cpu")
+    # no public way to one world of an engine: simulate() steps its own until they are empty
+    stand = StandingWorlds(model, law, 1, "cpu", 16, 512, 2048)
+    m, d = stand.model, stand.data
+    with mock.patch.object(wp, "capture_launch", lambda graph: stand.worlds.left.zero_()):
+        stand.run(job, order)
+    worlds = stand.worlds
     mjw.kinematics(m, d)
     mjw.collision(m, d)
     n = int(d.nacon.numpy()[0])
@@ -217,7 +207,7 @@ def test_worlds_of_mujoco_warp_each_have_the_body_of_their_own_trial():
     slot = worlds.slot.numpy()
     hand, geoms = model.hand_body, model.varied
     for w in range(16):
-        _, data = at(model, trials[order[slot[w]]], q)
+        _, data = at(model, trials[int(order[slot[w]])], q)
         np.testing.assert_allclose(d.geom_xpos.numpy()[w][geoms], data.geom_xpos[geoms], atol=2e-6)
         np.testing.assert_allclose(d.geom_xmat.numpy()[w][geoms].reshape(-1, 9), data.geom_xmat[geoms], atol=2e-6)
         np.testing.assert_allclose(d.xpos.numpy()[w, hand], data.xpos[hand], atol=1e-6)

@@ -6,15 +6,18 @@ import numpy as np
 import torch
 from problems import default_evaluator, make_batch, solve
 
+from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.config import ExecConfig
 from r2h_batch.kernels.motion.time_law import Law, servo_commands
 from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import time_path
 
-MUJOCO, PLANNED = ExecConfig(sim="mujoco"), ExecConfig(sim="none")
+MUJOCO, PLANNED = ExecConfig(sim="mujoco", model="scene"), ExecConfig(sim="none")
 ARM, MJWARP = ExecConfig(sim="mujoco", model="arm"), ExecConfig(sim="mjwarp", model="arm")
-BRIEF, BRIEF_WARP = (ExecConfig(sim=s, scale=1.0, settle_s=0.02, dwell_s=0.1) for s in ("mujoco", "mjwarp"))
+BRIEF, BRIEF_WARP = (
+    ExecConfig(sim=s, model="scene", scale=1.0, settle_s=0.02, dwell_s=0.1) for s in ("mujoco", "mjwarp")
+)
 """The whole scene at full speed, 1 s in all: MuJoCo-Warp on a CPU makes some 15,000 steps a second of it."""
 N = 16
 
@@ -23,6 +26,19 @@ N = 16
 def problems(n: int = N):
     evaluator = default_evaluator()
     return solve(evaluator.scene, make_batch(evaluator.scene, n, seed=3, random_share=0.3))
+
+
+def into_the_table() -> tuple[torch.Tensor, torch.Tensor, int]:
+    """The first paths, one of which now goes down to fingertips 13 cm below the table's top; which."""
+    p = problems()
+    found = torch.nonzero(p.plan.length > 0).flatten()[:4]
+    path, length = p.plan.path.clone(), torch.zeros_like(p.plan.length)
+    length[found] = p.plan.length[found]
+    row = int(found[1])
+    path[row, 1:] = path[row, 0] + torch.tensor([0, 0.8, 0.8, -1.0, 0, 0])
+    length[row] = 2
+    assert ee_pose(default_evaluator().scene.robot, path[row, 1].double().numpy())[2, 3] < -0.1
+    return path, length, row
 
 
 def run(config: ExecConfig, path=None, length=None, motion=None, n: int = N) -> Executed:
