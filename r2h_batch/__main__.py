@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 import r2h_batch
-from r2h_batch.command_line import Command, answer, nearest, read, refuse
+from r2h_batch.command_line import Command, answer, failed, nearest, read, refuse
 
 COMMANDS = {
     "sweep": ("r2h_batch.sweep.command", "Score methods or predictions files on the trials and print Table I."),
@@ -65,7 +65,7 @@ def _about(name: str, given: Sequence[str], prog: str) -> int:
         try:
             read(_completed(), given, prog=prog)
         except OSError as error:
-            return refuse(prog, error)
+            return failed(prog, error)
     kind, allowed = ("flag", ["--help", "--version"]) if name.startswith("-") else ("subcommand", list(COMMANDS))
     return refuse(prog, f"unknown {kind} {name!r}{nearest(name, allowed)}; allowed are {', '.join(allowed)}")
 

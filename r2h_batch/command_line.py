@@ -2,10 +2,12 @@
 
 A command is a function with plain types (its docstring is the help), a dataclass of options, or a dict of functions
 (subcommands). What cannot be understood is one line: what was given, the nearest match, what is allowed; exit code 2.
+Numbers are plain decimal digits, and ~ is the home folder, in every argument of every command.
 """
 
 import contextlib
 import difflib
+import errno
 import inspect
 import io
 import itertools
@@ -22,9 +24,12 @@ from functools import partial, wraps
 from pathlib import Path
 from typing import Any, TextIO
 
-from r2h_batch.files import printable
+from r2h_batch.files import FileError, printable
+from r2h_batch.files.plain import at_home, number, whole_number
 
 Command = Callable[..., Any]
+
+MOST_SEED = (1 << 63) - 1
 
 MOST_KEPT = 1000
 """Lines kept until there is a log file."""
@@ -54,6 +59,10 @@ def read(
     """
     import tyro
 
+    try:
+        arguments = [at_home(a) for a in arguments]
+    except FileError as error:
+        raise UsageError(str(error)) from None
     if isinstance(command, Mapping):
         words = [a for a in arguments if not a.startswith("-")]
         completing = bool(arguments) and arguments[0].startswith("--tyro-")
@@ -72,14 +81,54 @@ def read(
     box = io.StringIO()
     try:
         with contextlib.redirect_stderr(box):
-            return parse(
-                prog=prog, args=list(arguments), config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes)
-            )
+            found = parse(
+                prog=prog, args=arguments, config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+                registry=_plain_numbers(),
+            )  # fmt: skip
     except SystemExit as stop:
         if not stop.code:
             raise  # --help, or a shell completion
         flags = [*more_flags, *(_flags(chosen) if chosen is not None else ())]
         raise UsageError(_one_line(box.getvalue(), arguments, flags)) from None
+    try:
+        os.getcwd()
+    except OSError as error:
+        raise UsageError(f"the current folder is gone or closed ({error.strerror}); cd to one that is there") from None
+    return found
+
+
+def _plain_numbers() -> Any:
+    """How tyro reads numbers: these two functions instead of Python's `int` and `float`."""
+    import tyro
+
+    registry = tyro.constructors.ConstructorRegistry()
+    for kind, reads in ((int, whole_number), (float, number)):
+
+        @registry.primitive_rule
+        def rule(info: Any, kind: Any = kind, reads: Callable[[str], Any] = reads) -> Any:
+            if info.type is not kind:
+                return None
+            return tyro.constructors.PrimitiveConstructorSpec(
+                nargs=1,
+                metavar=kind.__name__.upper(),
+                instance_from_str=lambda args: reads(args[0]),
+                is_instance=lambda x: type(x) is kind or (kind is float and type(x) is int),
+                str_from_instance=lambda x: [str(x)],
+            )
+
+    return registry
+
+
+def check_range(flag: str, value: float, low: float, high: float, what: str = "") -> None:
+    """`UsageError` for a flag's number outside `low` to `high`."""
+    if not low <= value <= high:
+        raise UsageError(f"{flag} is {value:.10g}; it must be {low:g} to {high:g}{f' {what}' if what else ''}")
+
+
+def check_seed(seed: int) -> None:
+    """`UsageError` for a seed that no generator takes."""
+    if not 0 <= seed <= MOST_SEED:
+        raise UsageError(f"--seed is {str(seed)[:40]}; it must be 0 or more and fit 64 bits")
 
 
 def call(command: Command | Mapping[str, Command], arguments: Sequence[str], *, prog: str, name: str) -> int:
@@ -101,10 +150,10 @@ def answer(name: str, work: Callable[[], int]) -> int:
     try:
         with contextlib.redirect_stdout(kept), _told_warnings(name):
             code = work()
-    except UsageError as error:
+    except (UsageError, FileError) as error:
         code = refuse(name, error)
     except OSError as error:
-        code = refuse(name, place(error), 1)
+        code = failed(name, error)
     except KeyboardInterrupt:
         code = refuse(name, "interrupted", 130)
     except SystemExit as stop:  # --help
@@ -146,27 +195,6 @@ def _told_warnings(name: str) -> Iterator[None]:
         warnings.formatwarning = before
 
 
-def write_answer(path: Path, text: str) -> None:
-    """Write what a command was asked for to a file, whole or not at all; a link there is replaced, not followed.
-
-    Raises `UsageError` for a name that a run folder has for its own, and for a folder, a pipe or a device; OSError.
-    """
-    for folder in path.absolute().parents:
-        if os.path.lexists(folder / "run.json") and os.path.isdir(folder / "manifest"):
-            inside = path.absolute().relative_to(folder)
-            if len(inside.parts) > 1 or inside.suffix in (".json", ".txt") or inside.name.startswith("."):
-                raise UsageError(f"{path}: is what the run folder {folder} may store there; write elsewhere")
-    if os.path.lexists(path) and not (path.is_file() or path.is_symlink()):
-        raise UsageError(f"{path}: is no plain file; give a file's name")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
 def place(error: OSError, otherwise: str = "") -> str:
     """Where an error of the operating system happened and what it is: Warp's kernel cache, a file, or `otherwise`."""
     why = error.strerror or str(error)
@@ -175,6 +203,15 @@ def place(error: OSError, otherwise: str = "") -> str:
         folder = f" {error.filename}" if error.filename else ""
         return f"kernel cache{folder}: {why}; free it, or set WARP_CACHE_PATH to a folder that can be written"
     return f"{error.filename or otherwise}: {why}" if error.filename or otherwise else why
+
+
+_SLIPS = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
+"""Errors of a path that cannot be, whatever state the disk is in."""
+
+
+def failed(name: str, error: OSError, otherwise: object = "") -> int:
+    """One line about an error of the operating system; 2 where a path was given that cannot be, else 1."""
+    return refuse(name, place(error, str(otherwise)), 2 if error.errno in _SLIPS else 1)
 
 
 class _Kept(io.StringIO):
@@ -322,6 +359,9 @@ def _aliases(parameter: inspect.Parameter) -> list[str]:
     return [name for m in metadata for name in getattr(m, "aliases", None) or ()]
 
 
+_NUMBERS = {"INT": "a whole number in decimal digits", "FLOAT": "a number in decimal digits"}
+
+
 def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     """tyro's box as one line; a misspelt flag or value with its nearest match."""
     for argument in arguments:
@@ -335,7 +375,11 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     message = itertools.takewhile(
         lambda i: worded[i], itertools.dropwhile(lambda i: not worded[i], range(start, len(lines)))
     )
-    text = " ".join(lines[i] for i in message).rstrip(" .")
+    text = " ".join(lines[i] for i in message).rstrip(" .").removeprefix("Error parsing ")
+    if found := re.search(r"no type matching (.*) could be instantiated from \['(.*)'\]", text):
+        choices = re.findall(r"\{(.*?)\}|(INT|FLOAT)", found[1])
+        kinds = [_NUMBERS.get(kind) or words.replace(",", ", ") for words, kind in choices if words != "None"]
+        text = f"{text[: found.start()]}{found[2]!r}; it must be {' or '.join(kinds)}"
     if found := re.search(r"invalid choice '([^']*)'.*Expected one of \((.*)\)", text):
         text += nearest(found[1], re.findall(r"'([^']*)'", found[2]))
     return text or "the command line was not understood; see --help"

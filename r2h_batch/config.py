@@ -2,7 +2,9 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, SupportsIndex
+
+from r2h_batch.checks import Rule, given, kind, many, number, one_of, text, whole
 
 HOME_Q = (-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483)
 """Start of every trial, rad: gripper straight down, TCP at (0.421, 0, 0.449) m [choice]."""
@@ -33,16 +35,17 @@ BORDERLINE_M = 1e-4
 """Half width of the band around a threshold in which float32 geometry is not trusted."""
 
 
-def _positive(owner: object, *names: str) -> None:
-    for name in names:
-        value = getattr(owner, name)
-        if not (isinstance(value, (int, float)) and math.isfinite(value) and value > 0):
-            raise ValueError(f"{type(owner).__name__}.{name} is {value!r}; it must be a finite number above 0")
+PAD_SQUEEZE_CAP_M = 0.01
+"""What two rubber pads can give in total, generously."""
 
 
-def _one_of(owner: object, name: str, allowed: tuple[str, ...]) -> None:
-    if getattr(owner, name) not in allowed:
-        raise ValueError(f"{type(owner).__name__}.{name} is {getattr(owner, name)!r}; allowed are {', '.join(allowed)}")
+def _hold(owner: object, **rules: Rule) -> None:
+    """Hold fields to rules; numbers of NumPy become Python's, which a run folder can store."""
+    for name, rule in rules.items():
+        object.__setattr__(owner, name, rule(f"{type(owner).__name__}.{name}", getattr(owner, name)))
+
+
+_ABOVE_0 = number(0, above=True)
 
 
 @dataclass(frozen=True)
@@ -57,11 +60,12 @@ class Thresholds:
     pad_squeeze_m: float = 0.001  # [choice] the rubber pads give this much in total: fingers that hold a region meet it
 
     def __post_init__(self) -> None:
-        _positive(self, "w_max_m", "reach_radius_m", "reach_offset_m")
-        if self.safe_margin_m < 0 or self.pad_squeeze_m < 0 or not 0 <= self.w_min_m < self.w_max_m:
-            raise ValueError(
-                "Thresholds.safe_margin_m, pad_squeeze_m and w_min_m must be 0 or more metres, w_min_m below w_max_m"
-            )
+        wide = number(0, OPEN_GAP_M, above=True, what=": the open gripper's pads are so far apart, in metres")
+        squeeze = number(0, PAD_SQUEEZE_CAP_M, what=" metres: rubber pads give no more")
+        _hold(self, w_max_m=wide, reach_radius_m=_ABOVE_0, reach_offset_m=_ABOVE_0, pad_squeeze_m=squeeze)
+        _hold(self, safe_margin_m=number(0, what=" metres"), w_min_m=number(0, what=" metres"))
+        if not self.w_min_m < self.w_max_m:
+            raise ValueError(f"Thresholds.w_min_m is {self.w_min_m:g}; it must be below w_max_m, {self.w_max_m:g}")
         if not self.safe_margin_m < CLEARANCE_CAP_M:  # nobody would keep a distance that is not measured
             raise ValueError(
                 f"Thresholds.safe_margin_m is {self.safe_margin_m:g}; the hand's distance is measured up to"
@@ -78,7 +82,7 @@ class IkConfig:
     )
 
     def __post_init__(self) -> None:
-        _one_of(self, "solver", ("fused", "pytorch-kinematics"))
+        _hold(self, solver=one_of("fused", "pytorch-kinematics"))
 
 
 @dataclass(frozen=True)
@@ -93,11 +97,14 @@ class Workplace:
         for name, count, low, high in (
             ("home_q", 6, -2 * math.pi, 2 * math.pi), ("table_center", 3, -10.0, 10.0), ("table_half", 3, 1e-3, 10.0),
         ):  # fmt: skip
-            value = tuple(float(x) for x in getattr(self, name))
+            words = f"it must be {count} numbers from {low:.4g} to {high:.4g}"
+            said = getattr(self, name)
+            try:
+                value = tuple(float(x) for x in said)
+            except (TypeError, ValueError, RuntimeError):
+                raise TypeError(f"Workplace.{name} is {given(said)}; {words}") from None
             if len(value) != count or not all(low <= x <= high for x in value):  # NaN is in no range
-                raise ValueError(
-                    f"Workplace.{name} is {value}; it must be {count} numbers from {low:.4g} to {high:.4g}"
-                )
+                raise ValueError(f"Workplace.{name} is {value}; {words}")
             object.__setattr__(self, name, value)
 
 
@@ -116,17 +123,11 @@ class PlanConfig:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        _one_of(self, "goals", ("set", "one"))
-        _one_of(self, "hand", ("true", "estimated"))
-        _one_of(self, "edge_check", ("exact", "moveit"))
-        _one_of(self, "object_collision", ("hull", "pieces"))
-        _positive(self, "range_rad")
-        if self.hand_clearance_m < 0:
-            raise ValueError(f"PlanConfig.hand_clearance_m is {self.hand_clearance_m}; it must be 0 or more metres")
-        if not self.rounds or any(n < 1 for n in self.rounds) or self.shortcuts < 0:
-            raise ValueError(
-                f"PlanConfig.rounds is {self.rounds}, shortcuts {self.shortcuts}; rounds must be 1 or more"
-            )
+        _hold(self, goals=one_of("set", "one"), hand=one_of("true", "estimated"))
+        _hold(self, edge_check=one_of("exact", "moveit"), object_collision=one_of("hull", "pieces"))
+        _hold(self, range_rad=_ABOVE_0, hand_clearance_m=number(0, what=" metres"), shortcuts=whole(0), seed=whole())
+        _hold(self, rounds=many(SupportsIndex, "iterations of each round"))
+        _hold(self, rounds=lambda name, rounds: tuple(whole(1)(f"{name}[{i}]", n) for i, n in enumerate(rounds)))
 
 
 @dataclass(frozen=True)
@@ -138,11 +139,8 @@ class EstimateConfig:
     seed: int = 0  # of the methods: they and the planner see the same hand
 
     def __post_init__(self) -> None:
-        _one_of(self, "errors", ("normal", "frames", "tails"))
-        if not (isinstance(self.factor, (int, float)) and math.isfinite(self.factor) and self.factor >= 0):
-            raise ValueError(
-                f"EstimateConfig.factor is {self.factor!r}; it must be 0 (the truth) or more, 1 is the default"
-            )
+        _hold(self, errors=one_of("normal", "frames", "tails"), seed=whole())
+        _hold(self, factor=number(0, what=": 0 is the truth, 1 the default"))
 
 
 @dataclass(frozen=True)
@@ -165,13 +163,11 @@ class ExecConfig:
     dwell_s: float = 0.5  # it is watched this long after its reference has ended, and must stay for half of that
 
     def __post_init__(self) -> None:
-        _one_of(self, "sim", ("auto", "none", "mujoco", "mjwarp"))
-        _one_of(self, "model", ("auto", "scene", "arm"))
-        _one_of(self, "payload", ("known", "unknown"))
-        _positive(self, "scale", "max_velocity_rad_s", "max_acceleration_rad_s2", "step_s", "record_steps")
-        _positive(self, "settle_position_m", "settle_rotation_rad", "settle_s", "dwell_s")
-        if int(self.record_steps) != self.record_steps:
-            raise ValueError(f"ExecConfig.record_steps is {self.record_steps}; it must be a whole number of steps")
+        _hold(self, sim=one_of("auto", "none", "mujoco", "mjwarp"), model=one_of("auto", "scene", "arm"))
+        _hold(self, payload=one_of("known", "unknown"), record_steps=whole(1, what=" of steps"))
+        lengths = ("settle_position_m", "settle_rotation_rad", "settle_s", "dwell_s")
+        for name in ("scale", "max_velocity_rad_s", "max_acceleration_rad_s2", "step_s", *lengths):
+            _hold(self, **{name: _ABOVE_0})
 
     def engine(self, device: str) -> Literal["none", "mujoco", "mjwarp"]:
         """The engine that `sim` means on a device."""
@@ -202,21 +198,17 @@ class EvalConfig:
     name: str = "default"
 
     def __post_init__(self) -> None:
-        _one_of(self, "receiver", ("hand", "body"))
-        _one_of(self, "candidates", ("filtered", "as-generated"))
-        _one_of(self, "width", ("pads", "whole"))
-        _one_of(self, "stability", ("geometric", "physics"))
-        if self.chunk < 1:
-            raise ValueError(f"EvalConfig.chunk is {self.chunk}; it must be 1 or more trials")
+        parts = {"thresholds": Thresholds, "ik": IkConfig, "plan": PlanConfig, "execute": ExecConfig}
+        for name, part in {**parts, "workplace": Workplace, "estimate": EstimateConfig}.items():
+            _hold(self, **{name: kind(part)})
+        _hold(self, receiver=one_of("hand", "body"), candidates=one_of("filtered", "as-generated"))
+        _hold(self, width=one_of("pads", "whole"), stability=one_of("geometric", "physics"))
+        _hold(self, chunk=whole(1, what=" of trials"), name=text)
 
     @staticmethod
     def preset(name: str) -> "EvalConfig":
         """`default` (to be right) or `paper` (to compare with the paper's figures)."""
-        if name == "default":
+        if one_of("default", "paper")("name", name) == "default":
             return EvalConfig()
-        if name == "paper":
-            plan = PlanConfig(goals="one", hand="estimated", edge_check="moveit", hand_clearance_m=0.0)
-            return EvalConfig(
-                plan=plan, estimate=EstimateConfig(errors="tails"), candidates="as-generated", name="paper"
-            )
-        raise ValueError(f"unknown preset {name!r}; allowed are default, paper")
+        plan = PlanConfig(goals="one", hand="estimated", edge_check="moveit", hand_clearance_m=0.0)
+        return EvalConfig(plan=plan, estimate=EstimateConfig(errors="tails"), candidates="as-generated", name="paper")

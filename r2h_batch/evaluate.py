@@ -15,6 +15,7 @@ from torch import Tensor
 from r2h_batch.benchmark import Benchmark, read_benchmark
 from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.checks import kind, optional
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.goal import judge_goals, safe_at, unless_proven
@@ -66,9 +67,8 @@ class Evaluator:
         hand_set: HandSet | None = None,
         threads: int | None = None,
     ) -> None:
-        if config is not None and not isinstance(config, EvalConfig):
-            hint = f"; a device goes by name: Evaluator(device={config!r})" if isinstance(config, str) else ""
-            raise TypeError(f"config is {config!r}; it must be an EvalConfig{hint}")
+        hint = f"; a device goes by name: Evaluator(device={config!r})" if isinstance(config, str) else ""
+        optional(kind(EvalConfig, f"EvalConfig() or EvalConfig.preset(NAME){hint}"))("config", config)
         self.config = config or EvalConfig()
         cpu_threads(threads)
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
@@ -93,6 +93,7 @@ class Evaluator:
         if isinstance(benchmark, (str, Path)):
             pieces = config is not None and config.plan.object_collision == "pieces"
             benchmark = read_benchmark(benchmark, pieces=pieces)
+        kind(Benchmark, "a file's path, or read_benchmark(FILE)")("benchmark", benchmark)
         mine = benchmark.config(config)
         return cls(mine, device=device, objects=benchmark.objects, hand_set=benchmark.hand_set, threads=threads)
 
@@ -206,6 +207,7 @@ class Evaluator:
 
         More than these in one call are judged in chunks; a call with fewer leaves a GPU without work.
         """
+        check_stages(stages)
         chunk, device = self.config.chunk, self.scene.device
         if stages == "pose":  # without paths a row needs a quarter of the memory
             return max(chunk, POSE_CHUNK_CUDA) if device != "cpu" else 4 * chunk

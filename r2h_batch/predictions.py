@@ -18,6 +18,9 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
+from r2h_batch.checks import kind, text
+from r2h_batch.checks import path as given_path
+from r2h_batch.checks.tensors import check_tensor
 from r2h_batch.files import DAMAGED_ARCHIVE, FileError, archive_members, open_archive, open_file, printable
 from r2h_batch.files.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.types import Predictions
@@ -60,7 +63,7 @@ def load_predictions(path: str | Path) -> Predictions:
     `method` and a list `predictions` of objects with the same names, poses as 16 numbers or 4 x 4.
     Poses are taken as they are: a row whose pose is not finite or not rigid is the evaluator's INVALID_INPUT.
     """
-    path = Path(path)
+    path = given_path("path", path)
     try:
         if path.suffix.lower() in (".csv", ".json"):
             method, values = _text(path)
@@ -91,7 +94,11 @@ def _same(array: np.ndarray) -> np.ndarray:
 
 def write_predictions(path: str | Path, predictions: Predictions) -> None:
     """Write a .npz or .safetensors file that `load_predictions` reads back equal; an existing file is replaced."""
-    path = Path(path)
+    path = given_path("path", path)
+    kind(Predictions, "r2h_batch.Predictions(trial_id, T_obj_ee, T_world_ee)")("predictions", predictions)
+    for name in ("trial_id", "T_obj_ee", "T_world_ee"):
+        check_tensor(f"predictions.{name}", getattr(predictions, name), "a torch tensor of N rows")
+    text("predictions.method", predictions.method)
     arrays = {
         "trial_id": predictions.trial_id,
         "T_obj_ee": predictions.T_obj_ee,

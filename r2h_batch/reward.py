@@ -7,6 +7,8 @@ import torch
 from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
+from r2h_batch.checks import given, kind, number, whole
+from r2h_batch.checks.tensors import check_tensor, takes_tensors
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.types import Outcome, Scores
 
@@ -15,30 +17,44 @@ __all__ = ["best_of_k", "first_failure", "margin_vector", "quality", "rank_of_k"
 NOT_JUDGED = -2
 NO_FAILURE = -1
 
+_scores = kind(Scores, "what Evaluator.score returns")
+_limit = number(0, above=True, what=" metres")
 
+
+def _value(name: str, value: object) -> object:
+    words = "a torch tensor (B,) of floats"
+    check_tensor(name, value, words)
+    assert isinstance(value, Tensor)
+    if value.ndim != 1 or not value.is_floating_point():
+        raise ValueError(f"{name} is {given(value)}; it must be {words}")
+    return value
+
+
+@takes_tensors(scores=_scores)
 def success(scores: Scores) -> Float32[Tensor, " b"]:
     """1 where the handover succeeds as far as it was judged, else 0."""
     return scores.success.float()
 
 
+@takes_tensors(scores=_scores, limit_m=_limit)
 def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, "b 5"]:
     """Margins in m, clipped to +-`limit_m`, never NaN: columns as CRITERIA.
 
     A criterion that was not evaluated cannot be what fails: it counts as `limit_m` (Affordance in S0), except in rows that
     were not judged at all, where all five count as `-limit_m`.
     """
-    if not limit_m > 0:
-        raise ValueError(f"limit_m is {limit_m}; it must be above 0 metres")
     margin = torch.where(scores.evaluated, scores.margin.nan_to_num(nan=0.0), limit_m).clamp(-limit_m, limit_m)
     return torch.where(_judged(scores)[:, None], margin, -limit_m)
 
 
+@takes_tensors(scores=_scores)
 def first_failure(scores: Scores) -> Int64[Tensor, " b"]:
     """Column of the first criterion that fails (index into CRITERIA), -1 for a success, -2 for rows that were not judged."""
     outcome = scores.outcome.long()
     return torch.where(_judged(scores), outcome - 1, NOT_JUDGED)
 
 
+@takes_tensors(scores=_scores, limit_m=_limit)
 def quality(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, " b"]:
     """One number to rank by: the smallest clipped margin (m), and `2 limit_m` more for a success.
 
@@ -48,6 +64,7 @@ def quality(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tens
     return margin + 2.0 * limit_m * scores.success.to(margin.dtype)
 
 
+@takes_tensors(value=_value, k=whole(1))
 def rank_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, "n k"]:
     """Rank of each candidate among the k of its trial, 0 for the largest value; ties by candidate number, NaN last."""
     order = _best_first(value, k)
@@ -55,13 +72,14 @@ def rank_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, "n k"]:
     return torch.empty_like(order).scatter_(1, order, places)
 
 
+@takes_tensors(value=_value, k=whole(1))
 def best_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, " n"]:
     """Number (0 to k - 1) of each trial's best candidate: the largest value, the first of equals; NaN never if avoidable."""
     return _best_first(value, k)[:, 0]
 
 
 def _best_first(value: Tensor, k: int) -> Tensor:
-    if k < 1 or value.shape[0] % k:
+    if value.shape[0] % k:
         raise ValueError(f"k is {k}; {value.shape[0]} rows can only be split by a divisor of their number")
     table = torch.where(value.isnan(), -torch.inf, value).view(value.shape[0] // k, k)
     # NaN behind -inf: sorted by both, the second one stably

@@ -12,6 +12,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from r2h_batch.checks import flag, given, number
+from r2h_batch.checks.tensors import check_tensor, takes_tensors
+
 __all__ = ["soft_success", "with_gradient"]
 
 _LOG_2 = 0.6931471805599453
@@ -20,6 +23,29 @@ LOWEST_M = -1e3
 """Stands for a margin of -inf (no path): its gradient is 0."""
 
 
+def _floats(name: str, value: object) -> object:
+    return _of(name, value, "a torch tensor (B, C) of floats", True)
+
+
+def _booleans(name: str, value: object) -> object:
+    return _of(name, value, "a torch tensor of booleans", False)
+
+
+def _of(name: str, value: object, words: str, floats: bool) -> object:
+    check_tensor(name, value, words)
+    assert isinstance(value, Tensor)
+    if value.is_floating_point() if not floats else not (value.is_floating_point() and value.ndim):
+        raise TypeError(f"{name} is {given(value)}; it must be {words}")
+    return value
+
+
+@takes_tensors(
+    margin=_floats,
+    evaluated=_booleans,
+    success=_booleans,
+    temperature_m=number(0, above=True, what=" metres"),
+    log=flag,
+)
 def soft_success(
     margin: Float[Tensor, "*b c"],
     evaluated: Bool[Tensor, "*b c"],
@@ -33,8 +59,9 @@ def soft_success(
     `log`: its logarithm, which far from success stays linear in the margins where the number itself underflows. Rows
     that were not evaluated get the smallest positive number; they and NaN margins have gradient 0.
     """
-    if not temperature_m > 0:
-        raise ValueError(f"temperature_m is {temperature_m}; it must be a number of metres above 0")
+    for name, value, shape in (("evaluated", evaluated, margin.shape), ("success", success, margin.shape[:-1])):
+        if value.shape != shape:
+            raise ValueError(f"{name} has shape {tuple(value.shape)}; with this margin it must be {tuple(shape)}")
     judged = evaluated.any(-1)
     m = torch.where(evaluated, margin, torch.full_like(margin, torch.inf)).clamp(min=LOWEST_M) / temperature_m
     failing = torch.zeros_like(m[..., 0])

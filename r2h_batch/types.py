@@ -1,6 +1,5 @@
 """The types that walk through the stages: trials in, predictions beside them, scores out."""
 
-import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self, SupportsIndex
@@ -13,6 +12,8 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from r2h_batch import shown
+from r2h_batch.checks import given, kind, many, whole
+from r2h_batch.checks.tensors import rows_of
 from r2h_batch.soft import soft_success
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Outcome, PlanReason
 
@@ -47,22 +48,19 @@ class _Rows:
         return len(getattr(self, fields(self)[0].name))
 
     def __getitem__(self, rows: SupportsIndex | slice | Sequence[int] | NDArray[Any] | Tensor) -> Self:
-        """The selected rows, always as rows: number 3 is one row, as 3:4; else a slice, indices or a mask."""
-        if isinstance(rows, (bool, tuple)) or rows is None or rows is Ellipsis:
-            raise TypeError(
-                f"rows is {rows!r}; it must be a row's number, a slice, indices or a mask of the {len(self)} rows"
-            )
-        if isinstance(rows, SupportsIndex) and not isinstance(rows, (Tensor, np.ndarray)):
-            row, n = operator.index(rows), len(self)
-            if not -n <= row < n:
-                raise IndexError(f"row {row} of {n} rows; allowed are {-n} to {n - 1}")
-            rows = slice(row % n, row % n + 1)
-        elif isinstance(rows, (Tensor, np.ndarray)) and rows.ndim == 0:
-            rows = rows[None]
-        return self._changed(lambda value: value[rows])
+        """The selected rows, always as rows: number 3 is one row, as 3:4; else a slice, indices or a mask.
+
+        TypeError for anything else, IndexError for rows that there are not.
+        """
+        found = rows_of(rows, len(self))
+        return self._changed(lambda value: value[found])
 
     def to(self, device: str | torch.device) -> Self:
         """The same rows on another device; from a GPU to the CPU in one copy, for which the host waits once."""
+        try:
+            device = torch.device(device)
+        except (RuntimeError, TypeError):
+            raise ValueError(f"device is {given(device)}; it must be cpu, cuda or cuda:N") from None
         every: list[Tensor] = []
 
         def seen(value: Tensor) -> Tensor:
@@ -71,7 +69,7 @@ class _Rows:
 
         self._changed(seen)  # in the order in which they are put back; what stands beside the rows goes along
         here = {value.device.type for value in every}
-        if torch.device(device).type == "cpu" and here - {"cpu"}:
+        if device.type == "cpu" and here - {"cpu"}:
             copied = iter(in_one_copy(every))
             return self._changed(lambda value: next(copied))
         return self._changed(lambda value: value.to(device))
@@ -118,6 +116,8 @@ class Trials(_Rows):
 
     def named(self, objects: Sequence[Any]) -> Self:
         """The same trials, which know what their objects are called: `objects` as indexed by `object_index`."""
+        if isinstance(objects, (str, bytes)) or not isinstance(objects, Sequence):
+            raise TypeError(f"objects is {given(objects)}; it must be a sequence of objects or names")
         return replace(self)._knowing(tuple(str(getattr(o, "name", o)) for o in objects))
 
     @property
@@ -229,7 +229,8 @@ class Scores(_Rows):
 
     def by_trial(self, k: int) -> Self:
         """The same rows as views (N, k, ...): k candidates for each of N trials, as they were scored."""
-        if k < 1 or len(self) % k:
+        k = k if torch.compiler.is_compiling() else whole(1)("k", k)
+        if len(self) % k:
             raise ValueError(f"k is {k}; {len(self)} rows can only be split by a divisor of their number")
         return replace(self, **{name: x.unflatten(0, (len(self) // k, k)) for name, x in self._tensors().items()})
 
@@ -247,6 +248,7 @@ class Scores(_Rows):
 
     def knowing(self, asked: Asked) -> Self:
         """The same scores, which know what they were asked about."""
+        kind(Asked)("asked", asked)
         same = object.__new__(type(self))
         same.__dict__.update(self.__dict__)
         return same._knowing(asked)
@@ -292,6 +294,7 @@ class Scores(_Rows):
     @staticmethod
     def concatenate(parts: list["Scores"]) -> "Scores":
         """One `Scores` with the rows of all parts, in order."""
+        many(Scores, "what Evaluator.score returns")("parts", parts)
         longest = max(p.motion.shape[1] for p in parts)
         states = max(p.failed_state.shape[1] for p in parts)
         parts = [

@@ -1,6 +1,7 @@
 """What somebody who had not written the commands broke: outputs over runs, links, pipes, stray files, Ctrl-C."""
 
 import os
+import re
 import sys
 import warnings
 
@@ -8,13 +9,16 @@ import numpy as np
 import pytest
 from made_runs import write
 
+from r2h_batch.__main__ import main
 from r2h_batch.benchmark.given import _objects_of  # no public way to a folder's files without building its meshes
-from r2h_batch.command_line import answer, telling, write_answer
+from r2h_batch.command_line import answer, telling
 from r2h_batch.files import FileError
+from r2h_batch.files.output import write_text
 from r2h_batch.files.plain_yaml import read_plain_yaml
 from r2h_batch.gallery.command import report_main as report
 from r2h_batch.predictions import load_predictions
 from r2h_batch.rescore.command import main as rescore
+from r2h_batch.sweep.options import parse
 from r2h_batch.view.command import view
 
 
@@ -37,7 +41,9 @@ def test_a_link_is_replaced_and_a_pipe_or_folder_refused(run, tmp_path, capsys):
     precious = tmp_path / "precious.npz"
     precious.write_text("kept")
     (tmp_path / "link.csv").symlink_to(precious)
-    assert report([str(run), "--format", "csv", "--out", str(tmp_path / "link.csv")]) == 0
+    line = [str(run), "--format", "csv", "--out", str(tmp_path / "link.csv")]
+    assert report(line) == 2 and (tmp_path / "link.csv").is_symlink()
+    assert report([*line, "--overwrite"]) == 0
     assert precious.read_text() == "kept" and not (tmp_path / "link.csv").is_symlink()
     os.mkfifo(tmp_path / "pipe.csv")
     for name in ("pipe.csv", "run"):
@@ -45,10 +51,108 @@ def test_a_link_is_replaced_and_a_pipe_or_folder_refused(run, tmp_path, capsys):
     assert not list(tmp_path.glob(".*.tmp"))
 
 
+WRITERS = {
+    "report": ["report", "RUN", "--format", "csv", "--out"],
+    "the report's page": ["report", "RUN", "--format", "html", "--out"],
+    "view": ["view", "RUN", "--trial", "0", "--html"],
+    "video": ["video", "RUN", "--trial", "0", "--out"],
+    "strips": ["strips", "--trial", "0", "--method", "random", "--out"],
+    "scene": ["scene", "--run", "RUN", "--trial", "0", "--out"],
+    "a scene's picture": ["scene", "--run", "RUN", "--trial", "0", "--out", "NEW", "--render"],
+    "trials": ["trials", "--trials", "1", "--out"],
+    "figures": ["figures", "RUN", "--out"],
+    "the paper's study": ["study", "paper", "--box"],
+    "ratings": ["study", "ratings", "RATINGS", "--box"],
+    "a hand": ["import", "hand", "--mano-right", "NEW", "--out"],
+    "hands": ["import", "hands", "--from", "built-in", "--out"],
+    "grasps": ["import", "grasps", "NEW", "--from", "own", "--out"],
+    "objects": ["import", "objects", "NEW", "--from", "oakink", "--out"],
+}
+ENDING = {"video": ".png", "a hand": ".npz", "hands": ".npz", "grasps": ".npz"}
+
+
+@pytest.mark.parametrize("who", WRITERS)
+def test_no_command_writes_over_what_is_there_unless_that_is_said(who, run, tmp_path, capsys):
+    """Before any work: the inputs of some are missing, and that is not what is said."""
+    (tmp_path / "ratings.csv").write_text("participant,method,dimension,rating\n1,a,comfort,3\n1,b,comfort,4\n")
+    mine = tmp_path / f"mine{ENDING.get(who, '.txt')}"
+    mine.write_text("precious")
+    if who == "figures":
+        mine = tmp_path / "folder"
+        mine.mkdir()
+        (mine / "methods.png").write_text("precious")
+    names = {"RUN": run, "NEW": tmp_path / "new", "RATINGS": tmp_path / "ratings.csv"}
+    line = [str(names.get(word, word)) for word in WRITERS[who]]
+    assert main([*line, str(mine)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.search(
+        r"is there already; give another name, or add --overwrite|is no folder; give a new or empty", error
+    )
+    kept = mine / "methods.png" if who == "figures" else mine
+    assert kept.read_text() == "precious"
+    long = tmp_path / f"{'a' * 300}{ENDING.get(who, '.txt')}"
+    assert main([*line, str(long)]) == 2  # not 1: no disk will ever have it
+    error = capsys.readouterr().err
+    assert "File name too long" in error and error.count("\n") == 1
+
+
+def test_overwrite_replaces_and_an_empty_file_is_nothing_to_lose(run, tmp_path):
+    line = ["report", str(run), "--format", "csv", "--out", str(tmp_path / "t.csv")]
+    (tmp_path / "t.csv").touch()
+    assert main(line) == 0 and main(line) == 2
+    (tmp_path / "t.csv").write_text("old")
+    assert main([*line, "--overwrite"]) == 0 and (tmp_path / "t.csv").read_text().startswith("split,")
+
+
+PLAIN = {
+    "sweep --method random --trials 1_0": "--trials: '1_0' is no whole number; write decimal digits",
+    "sweep --method random --trials ٣": "--trials: '٣' is no whole number",
+    "sweep --method random --ray-timeout inf": "--ray-timeout: 'inf' is no plain number",
+    "view x --port ８０": "--port: '８０' is no whole number",
+    "rescore x --reach-radius 1_0": "--reach-radius is '1_0'; it must be METRES, A,B,... or LOW:HIGH:STEP in plain decimal",
+    "rescore x --reach-radius ٠.١": "in plain decimal digits",
+    "import grasps x --from graspnet --object-id 0.5 --out o.npz": "--object-id: '0.5'; it must be a whole number in decimal",
+    "import hands --from h2o --frame ٣ --out o.npz x": "it must be aperture, first, middle, last or a whole number in decimal",
+    "compare baselines --seed -5": "--seed is -5; it must be 0 or more and fit 64 bits",
+    "results verify x --rejudge 3 --seed -1": "--seed is -1; it must be 0 or more",
+    "study plan --seed -1": "--seed is -1; it must be 0 or more",
+    "sweep --method random --out=~nobody-is-called-so/x": "nobody has this home",
+    "sweep --method random --no-poses --save-poses": "--no-poses stores no poses, --save-poses stores them; leave one",
+    "sweep --method random --no-poses --save-paths": "--no-poses stores no poses, --save-paths",
+    "report RUN --order ,": "the order ',' names no criterion; allowed are stability, plan",
+}
+
+
+@pytest.mark.parametrize("line", PLAIN)
+def test_numbers_and_choices_of_a_command_line_are_plain(line, run, capsys):
+    assert main([str(run) if word == "RUN" else word for word in line.split()]) == 2
+    error = capsys.readouterr().err
+    assert PLAIN[line] in error and error.count("\n") == 1, error
+
+
+def test_the_home_folder_is_meant_by_a_wave_in_every_argument_and_field(run, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert main(["report", "~/run", "--format", "csv", "--out=~/t.csv"]) == 0 and (tmp_path / "t.csv").is_file()
+    (tmp_path / "c.yaml").write_text("method: [random]\nout: ~/r\ngrasps: ['cup=~/g.npz']\n")
+    options = parse(["--config", str(tmp_path / "c.yaml"), "--object-mesh", "~/a.obj:S1"])
+    assert options.out == f"{tmp_path}/r" and options.grasps == (f"cup={tmp_path}/g.npz",)
+    assert options.object_mesh == (f"{tmp_path}/a.obj:S1",)
+
+
+def test_a_current_folder_that_is_gone_is_said(tmp_path, monkeypatch, capsys):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    for line in (["report", "x"], ["sweep", "--method", "random"], ["results", "digest", "x"]):
+        assert main(line) == 2
+        assert "the current folder is gone or closed" in capsys.readouterr().err
+
+
 def test_half_an_answer_is_none(tmp_path):
     (tmp_path / "page.html").write_text("old")
     with pytest.raises(UnicodeEncodeError):
-        write_answer(tmp_path / "page.html", "new \ud800")
+        write_text(tmp_path / "page.html", "new \ud800")
     assert (tmp_path / "page.html").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
 
 

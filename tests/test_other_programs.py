@@ -19,6 +19,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from r2h_batch import Evaluator, make_trials
 from r2h_batch.bodies.objects import load_objects
+from r2h_batch.config import Thresholds
 from r2h_batch.judge import inputs
 from r2h_batch.launch import thread_pool
 from r2h_batch.training.torch_op import score_op
@@ -203,10 +204,45 @@ WRONG = {
         "stages is 'x'; allowed are pose, all",
     ),
     "rows of a captured call": (lambda: default_evaluator().capture(1.5), "b is 1.5"),
+    "a gripper that opens wider than it can": (
+        lambda: Thresholds(w_max_m=0.3),
+        "w_max_m is 0.3; .* to 0.085: the open",
+    ),
+    "pads that give a metre": (lambda: Thresholds(pad_squeeze_m=1), "pad_squeeze_m is 1; .* from 0 to 0.01 metres"),
+    "a hand before the first": (
+        lambda: palm(torch.tensor([-1])),
+        "hand_index runs from -1 to -1; the scene has 0 to 399",
+    ),
+    "half a hand": (
+        lambda: palm(torch.tensor([1.5])),
+        "hand_index is a Tensor .* float32; it must be .* whole numbers",
+    ),
+    "a hand without its pose": (
+        lambda: palm(torch.tensor([1, 2])),
+        r"hand_index is .* it must be a torch tensor \(1,\)",
+    ),
+    "a hand by NumPy": (lambda: palm(np.int64(1)), "hand_index is np.int64\\(1\\); it must be a torch tensor"),
     "two indices": (lambda: make_trials(("S0",), 2)[0, 0], "rows is \\(0, 0\\); it must be"),
     "no index": (lambda: make_trials(("S0",), 2)[None], "rows is None; it must be"),
     "beyond": (lambda: make_trials(("S0",), 2)[2], "row 2 of 2 rows; allowed are -2 to 1"),
 }
+
+
+def palm(hand_index):
+    return default_evaluator().scene.palm(hand_index, torch.eye(4)[None])
+
+
+def test_torch_func_and_sparse_poses_are_refused_by_name():
+    batch = make_batch(default_evaluator().scene, 4)
+
+    def margin(T_obj_ee):
+        return default_evaluator().score(T_obj_ee, batch.T_world_ee, batch.trials, "pose").margin
+
+    for transform in (torch.func.vmap, torch.func.jacrev):
+        with pytest.raises(TypeError, match=r"T_obj_ee is inside torch\.func .*give all rows in one call"):
+            transform(margin)(batch.T_obj_ee[None])
+    with pytest.raises(TypeError, match=r"T_obj_ee is a tensor of layout sparse_coo; .* call \.to_dense"):
+        margin(batch.T_obj_ee.to_sparse())
 
 
 @pytest.mark.parametrize("case", WRONG)
@@ -222,6 +258,9 @@ def test_obvious_meanings():
     for one in (trials[3], trials[-3], trials[np.int64(3)], trials[torch.tensor(3)], trials[[3]]):
         assert one.trial_id.tolist() == [1] and one.T_world_hand.shape == (1, 4, 4)
     assert [t.trial_id.item() for t in trials] == trials.trial_id.tolist()
+    bytes_ = torch.tensor([0, 1, 1, 0, 0, 5], dtype=torch.uint8)  # to torch a mask
+    assert trials[bytes_].trial_id.tolist() == trials[bytes_.tolist()].trial_id.tolist() and not len(trials[[]])
+    assert default_evaluator().capture(np.int64(4), stages="pose").T_obj_ee.shape == (4, 4, 4)
 
 
 def test_ids_of_another_dtype_are_refused():

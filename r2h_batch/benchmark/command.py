@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from r2h_batch.command_line import call, refuse, tell
+from r2h_batch.command_line import call, failed, refuse, tell
 
 __all__ = ["check", "main", "show"]
 
@@ -57,7 +57,7 @@ def check(file: Path, /) -> int:
     except ValueError as error:
         return refuse("benchmark", error)
     except OSError as error:
-        return refuse("benchmark", f"{error.filename or file}: {error.strerror or error}", 1)
+        return failed("benchmark", error, file)
     sides = found.hand_set.side.tolist()
     print(f"{file}: protocol {found.protocol}, digest {own}{' (the built-in benchmark)' if same else ''}")
     for split in ("S0", "S1"):

@@ -17,6 +17,7 @@ from r2h_batch.benchmark.unbuilt import is_unbuilt, unbuilt
 from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.hand import make_hand_set
 from r2h_batch.bodies.objects import ObjectModel, call_of, object_from_argument
+from r2h_batch.command_line import nearest
 from r2h_batch.files import FileError, path_within, printable
 from r2h_batch.importers.any_file import GRASP_FILES, grasps_from, without_gripper
 
@@ -157,8 +158,9 @@ def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | P
     else:
         files = [(without_gripper(argument)[0].stem, argument)]
     if unknown := [n for n, _ in files if n not in names]:
-        known = f"the objects are {', '.join(names[:40])}"
+        known, said = f"the objects are {', '.join(names[:40])}", name if equals else unknown[0]
+        close = next((f", did you mean {n}?" for n in names if n.lower() == said.lower()), nearest(said, names))
         raise FileError(
-            f"--grasps {printable(argument)}: no object is called {printable(unknown[0])!r}; say NAME=FILE, {known}"
+            f"--grasps {printable(argument)}: no object is called {printable(said)!r}{close}; say NAME=FILE, {known}"
         )
     return files

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from r2h_batch.bodies.objects import ObjectModel, load_objects
+from r2h_batch.checks import given
 
 __all__ = ["checked_objects"]
 
@@ -12,13 +13,13 @@ def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel,
     if objects is None:
         return load_objects()
     if isinstance(objects, (str, ObjectModel)) or not isinstance(objects, Iterable):
-        what = objects.name if isinstance(objects, ObjectModel) else objects
-        raise TypeError(f"objects is {what!r}; it must be a sequence of ObjectModel, such as load_objects(['cup'])")
-    given = tuple(objects)
-    for i, o in enumerate(given):
+        what = repr(objects.name) if isinstance(objects, ObjectModel) else given(objects)
+        raise TypeError(f"objects is {what}; it must be a sequence of ObjectModel, such as load_objects(['cup'])")
+    found = tuple(objects)
+    for i, o in enumerate(found):
         if not isinstance(o, ObjectModel):
-            raise TypeError(f"objects[{i}] is {o!r}; it must be an ObjectModel, such as load_objects(['cup'])[0]")
-    names = [o.name for o in given]
+            raise TypeError(f"objects[{i}] is {given(o)}; it must be an ObjectModel, such as load_objects(['cup'])[0]")
+    names = [o.name for o in found]
     if twice := [n for n in names if names.count(n) > 1]:
         raise ValueError(f"two objects are called {twice[0]!r}; rows name their object, so give each its own name")
-    return given
+    return found

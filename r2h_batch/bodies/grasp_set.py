@@ -20,6 +20,7 @@ __all__ = ["ANY_PART", "GraspSet", "read_grasps"]
 ANY_PART = -1
 MAX_GRASPS = 100_000
 RIGID = 1e-3
+WIDEST_M = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,9 @@ def checked_grasps(found: Mapping[str, Any], where: str, gripper: str) -> GraspS
         kinds = "iu" if name == "part" else "fiu"
         if value.shape != (len(T),) or value.dtype.kind not in kinds or not np.isfinite(value).all():
             raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {len(T)} finite numbers")
+    if columns["width"].min() < 0 or columns["width"].max() > WIDEST_M:
+        row = int(((columns["width"] < 0) | (columns["width"] > WIDEST_M)).argmax())
+        raise FileError(f"{where}: width of grasp {row} is {columns['width'][row]:g}; 0 to {WIDEST_M:g} m are allowed")
     R = T[:, :3, :3].astype(np.float64)
     rigid = np.isfinite(T).all() and (np.abs(T[:, 3] - [0, 0, 0, 1]) < RIGID).all() and np.abs(T).max() < 100
     if not rigid or np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() > RIGID or (np.linalg.det(R) < 0).any():

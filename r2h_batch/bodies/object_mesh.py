@@ -188,7 +188,8 @@ def _check(vertices: NDArray[np.float64], faces: NDArray[np.int64], label: str) 
     if side > LARGEST_M:
         raise ObjectMeshError(
             f"{label}: the largest side is {side:.6g} m, allowed are {SMALLEST_M} to {LARGEST_M} m; "
-            "a mesh in millimetres needs scale=0.001 (or export it in metres)"
+            "a mesh in millimetres needs a scale of 0.001: `scale: 0.001` in a benchmark file, or in NAME.yaml beside NAME.obj in"
+            " a folder for --objects, scale=0.001 in Python; or export it in metres"
         )
     if side < SMALLEST_M:
         raise ObjectMeshError(

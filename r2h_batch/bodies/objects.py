@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -25,7 +26,7 @@ from r2h_batch.bodies.given.convex import convex_hull, convex_pieces
 from r2h_batch.bodies.given.kept_object import kept_with_warnings, key_of
 from r2h_batch.bodies.given.region import part_of_faces, receiver_region
 from r2h_batch.bodies.grasp_set import GraspSet
-from r2h_batch.bodies.mesh_file import labels_of
+from r2h_batch.bodies.mesh_file import SUFFIXES, labels_of
 from r2h_batch.bodies.object_mesh import ObjectMeshError, Repair, closed_mesh
 from r2h_batch.bodies.solid import sample_surface, solid_occupancy
 from r2h_batch.files import printable
@@ -332,9 +333,16 @@ def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
         raise ObjectMeshError(
             f"object mesh {printable(argument)[:200]!r}: an address; nothing is fetched: save the file and give its path"
         )
+    shown = printable(argument)[:200]
+    if any(c in argument for c in "\r\n\0"):
+        raise ObjectMeshError(f"object mesh {shown!r}: has a line end in its name; rename the file")
     match = re.fullmatch(r"(?P<file>.+?)(?::(?P<split>S\d+)(?::(?P<receiver>.+))?)?", argument)
-    if match is None:
-        raise ObjectMeshError(f"object mesh {argument!r}: expected FILE[:S0|S1[:RECEIVER]], e.g. saw.stl:S1:x<0.4")
+    said = re.fullmatch(rf"(.+?\.(?:{'|'.join(e[1:] for e in SUFFIXES)})):(.*)", argument, re.IGNORECASE)
+    if match is None or (said and match["file"] == argument and not os.path.lexists(argument)):
+        found = f" what stands behind {printable(said[1])[:200]} is {printable(said[2])[:40]!r};" if said else ""
+        raise ObjectMeshError(
+            f"object mesh {shown!r}:{found} expected FILE, FILE:S0, FILE:S1 or FILE:S1:RECEIVER, e.g. saw.stl:S1:x<0.4"
+        )
     return {
         "mesh": match["file"],
         "split": match["split"] or "S0",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from r2h_batch.command_line import call, refuse, tell
+from r2h_batch.command_line import call, check_seed, refuse, tell
 from r2h_batch.compare.shipped import BASELINES, FOLDERS, baselines_for
 
 if TYPE_CHECKING:
@@ -37,6 +37,7 @@ def run(
     from r2h_batch.statistics.common import common_trials
     from r2h_batch.statistics.paired import compare, pair_up
 
+    check_seed(seed)
     try:
         if not runs:
             raise ValueError("no run folder is given; one with several methods is enough")
@@ -47,7 +48,7 @@ def run(
         common = common_trials(stored, proven=FOLDERS)
         paired = pair_up(stored, common)
         comparisons = compare(paired, seed=seed)
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         return refuse("compare", error)
     header = stored[0].header
     origin = {

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import call, refuse
+from r2h_batch.command_line import call, failed, refuse
+from r2h_batch.files.output import check_file, check_folder
 
 
 def scene(
@@ -17,17 +18,22 @@ def scene(
     method: str = "",
     benchmark: BenchmarkFlags = BUILT_IN,
     render: Path | None = None,
+    overwrite: bool = False,
 ) -> int:
     """Write one stored trial as MJCF.
 
     Args:
         run: run folder of a sweep; what it does not store is computed again.
         trial: trial id.
-        out: folder to write.
+        out: folder to write, new or empty.
         method: needed where the run holds several: the sweep's word (fc) or the table's name.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
         render: also a picture, a .png: start, middle, goal; of a failed Plan what was asked.
+        overwrite: write into a folder that has something in it, and replace the picture.
     """
+    check_folder(out, overwrite=overwrite)
+    if render:
+        check_file(render, overwrite=overwrite, flag="--render")
     from r2h_batch.benchmark.given import Given
     from r2h_batch.export.drawing import render_strip
     from r2h_batch.export.stored import load_trial
@@ -45,7 +51,7 @@ def scene(
     except ValueError as error:  # ExportError, RunError, FileError, ObjectMeshError
         return refuse("scene", error)
     except OSError as error:
-        return refuse("scene", f"{error.filename or out}: {error.strerror or error}", 1)
+        return failed("scene", error, out)
     print(folder)
     return 0
 
@@ -73,6 +79,7 @@ def trials(
         return refuse("trials", f"--trials is {trials}; it must be 1 or more")
     if not splits:
         return refuse("trials", "--splits names no split; allowed are S0, S1")
+    check_folder(out, overwrite=None)
     from r2h_batch.benchmark.given import Given
     from r2h_batch.export.trial_files import write_trials
     from r2h_batch.verdicts import SPLITS
@@ -85,7 +92,7 @@ def trials(
     except (FileExistsError, ValueError) as error:
         return refuse("trials", error)
     except OSError as error:
-        return refuse("trials", f"{error.filename or out}: {error.strerror or error}", 1)
+        return failed("trials", error, out)
     print(f"{found.protocol}: {trials} trials each of {', '.join(chosen)} in {out}, digest {digest}")
     return 0
 

@@ -13,6 +13,7 @@ from r2h_batch.export.mjcf_parts import MARK
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.export.trial import spec_of, trajectory
 from r2h_batch.export.witness import Witness, nearest_pair, shortfall
+from r2h_batch.files.output import whole
 from r2h_batch.scene.model_parts import SHADOW_PIXELS
 from r2h_batch.scene.offscreen import RenderError, renderer
 
@@ -147,5 +148,5 @@ def save_picture(file: str | Path, image: Image) -> None:
         import imageio.v3 as imageio
     except ImportError:
         raise RenderError("pictures need imageio: pip install 'r2h_batch[view]'") from None
-    Path(file).parent.mkdir(parents=True, exist_ok=True)
-    imageio.imwrite(file, image)
+    with whole(Path(file)) as temporary:
+        imageio.imwrite(temporary, image)

@@ -21,6 +21,7 @@ __all__ = [
     "FileError",
     "archive_members",
     "csv_cell",
+    "kind_of",
     "open_archive",
     "open_file",
     "path_within",
@@ -40,7 +41,14 @@ _KINDS = {
     stat.S_IFCHR: "a device, which may never end",
     stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
+    stat.S_IFLNK: "a link",
+    stat.S_IFREG: "a file",
 }
+
+
+def kind_of(mode: int) -> str:
+    """What `os.lstat(...).st_mode` says: a file, a folder, a pipe, ..."""
+    return _KINDS.get(stat.S_IFMT(mode), "of an unknown kind").partition(",")[0]
 
 
 class FileError(ValueError):
@@ -122,6 +130,8 @@ def path_within(folder: str | Path, name: str) -> Path:
     Absolute names, names with `..`, with a drive or an address before them, and links that lead out are refused.
     """
     parts = PurePosixPath(name.replace("\\", "/"))
+    if ":" in name and "://" not in name and name[1:2] != ":":
+        raise FileError(f"{printable(name)!r}: has a colon, which no file beside another may have here; rename it")
     if not name or ".." in parts.parts or parts.is_absolute() or ":" in name or "\0" in name:
         raise FileError(f"{printable(name)!r}: points outside the folder; a plain name beside the file is allowed")
     base = Path(folder).resolve()

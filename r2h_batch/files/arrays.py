@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.files import FileError, archive_members, open_archive, printable, read_file
+from r2h_batch.files.output import whole
 
 __all__ = ["MAX_BYTES", "read_npy", "read_npz", "read_safetensors", "write_npz"]
 
@@ -117,11 +118,5 @@ def _array(data: bytes, where: str, objects: Objects | None) -> Any:
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Write the arrays; the name never stands for half a file, and its folder is made where it is missing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    try:
-        with partial.open("wb") as stream:
-            np.savez(stream, **arrays)  # type: ignore[arg-type]
-        partial.replace(path)
-    finally:
-        partial.unlink(missing_ok=True)
+    with whole(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, **arrays)  # type: ignore[arg-type]

@@ -7,10 +7,13 @@ from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import UsageError, call, refuse
+from r2h_batch.files.output import check_file, check_folder
 from r2h_batch.report import command as plain
 
 MOST = 20
 """Pictures of one method and outcome in a gallery."""
+FIGURES, ENDINGS = ("protocol", "methods", "failures"), ("pdf", "png")
+"""Files of `figures`."""
 
 
 def report(
@@ -25,6 +28,7 @@ def report(
     method: tuple[str, ...] = (),
     gallery: int = 0,
     out: Path | None = None,
+    overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
     """Print the table of a run folder, or write its page.
@@ -40,14 +44,19 @@ def report(
         gallery: html: pictures of so many successes and failures of each kind and method, each with the page of its trial in
             three dimensions in a folder beside --out.
         out: the file to write instead of printing.
+        overwrite: replace what is there under these names.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
     if not 0 <= gallery <= MOST:
         return refuse("report", f"--gallery is {gallery}; it must be 0 to {MOST}")
     if gallery and (format != "html" or out is None):
         return refuse("report", "--gallery needs --format html and --out FILE.html, for the pages of its trials")
+    if out is not None:
+        check_file(out, overwrite=overwrite)
     from r2h_batch.scene.offscreen import RenderError
 
+    if gallery and out is not None:
+        check_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
     pictures = None if not gallery or out is None else _gallery_of(run, method, gallery, out, benchmark)
     try:
         return plain.run(
@@ -56,8 +65,11 @@ def report(
         )  # fmt: skip
     except RenderError as error:
         return refuse("report", error, 1)
-    except OSError as error:
-        return refuse("report", f"{error.filename or out}: {error.strerror or error}", 1)
+
+
+def _pages(out: Path) -> Path:
+    """The folder of a gallery's pages."""
+    return out.parent / f"{out.stem}_trials"
 
 
 def _gallery_of(
@@ -70,10 +82,10 @@ def _gallery_of(
         from r2h_batch.scene.offscreen import ready
 
         ready()
-        if (out.parent / f"{out.stem}_trials").is_symlink():
+        if _pages(out).is_symlink():
             raise UsageError(f"{out.stem}_trials beside {out.name} is a link; its pages would be written elsewhere")
         reader = Reader(run, Given.of(benchmark))
-        return gallery(reader.run.only(method), reader, n, out.parent / f"{out.stem}_trials", out.parent)
+        return gallery(reader.run.only(method), reader, n, _pages(out), out.parent)
 
     return pictures
 
@@ -85,6 +97,7 @@ def figures(
     out: Path,
     method: tuple[str, ...] = (),
     trial: int | None = None,
+    overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
     """Draw the paper's figures of a run folder as PDF and PNG: protocol, methods over time, success and failures.
@@ -94,6 +107,7 @@ def figures(
         out: folder to write.
         method: only these methods; the first one shows the protocol.
         trial: trial id of the protocol and of the methods over time; chosen by the command unless given.
+        overwrite: replace figures that are there.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
     from r2h_batch.benchmark.given import Given
@@ -102,6 +116,9 @@ def figures(
     from r2h_batch.report.figures import needs_matplotlib
     from r2h_batch.scene.offscreen import RenderError, ready
 
+    for name in FIGURES:
+        for ending in ENDINGS:
+            check_file(out / f"{name}.{ending}", overwrite=overwrite)
     try:
         needs_matplotlib()
         reader = Reader(run, Given.of(benchmark))
@@ -112,19 +129,18 @@ def figures(
         from r2h_batch.gallery import paper
 
         shown = stored.named(method[0]) if method else stored.methods[0]
-        for name, (figure, said) in (
-            ("protocol", paper.protocol(stored, reader, shown, trial)),
-            ("methods", paper.methods_over_time(stored, reader, stored.methods, trial)),
-            ("failures", paper.failures(stored, reader, stored.methods)),
-        ):
+        drawn = (
+            paper.protocol(stored, reader, shown, trial),
+            paper.methods_over_time(stored, reader, stored.methods, trial),
+            paper.failures(stored, reader, stored.methods),
+        )
+        for name, (figure, said) in zip(FIGURES, drawn, strict=True):
             pdf, png = paper.write(figure, out, name)
             print(f"{pdf}, {png.name}: {said}")
     except RenderError as error:
         return refuse("figures", error, 1)
     except (UsageError, ExportError, ObjectMeshError, ValueError) as error:
         return refuse("figures", error)
-    except OSError as error:
-        return refuse("figures", f"{error.filename or out}: {error.strerror or error}", 1)
     return 0
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from r2h_batch.config import HOME_Q
 from r2h_batch.export.drawing import Stage
 from r2h_batch.export.stored import Reader, StoredTrial
+from r2h_batch.files.output import whole
 from r2h_batch.gallery.chosen import SHOWN, first_of_each_outcome, shared_trial
 from r2h_batch.gallery.pictures import still, verdict
 from r2h_batch.report.figures import style
@@ -134,10 +135,10 @@ def _grid(rows: Sequence[Sequence[Panel]], names: Sequence[str]) -> Any:
 
 def write(figure: Any, folder: Path, name: str) -> list[Path]:
     """The figure as PDF and PNG."""
-    folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"{name}.{ending}" for ending in ("pdf", "png")]
     with style(page=False):
         for path in paths:
             metadata = {"CreationDate": None} if path.suffix == ".pdf" else {"Software": None}
-            figure.savefig(path, dpi=DPI, bbox_inches="tight", pad_inches=0.02, metadata=metadata)
+            with whole(path) as temporary:
+                figure.savefig(temporary, dpi=DPI, bbox_inches="tight", pad_inches=0.02, metadata=metadata)
     return paths

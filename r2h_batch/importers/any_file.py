@@ -7,13 +7,14 @@ from pathlib import Path
 from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
 from r2h_batch.bodies.hand import HandModel
 from r2h_batch.bodies.hand_file import read_hand
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import nearest, tell
 from r2h_batch.files import FileError, printable
 from r2h_batch.importers.grasps.grippers import GRIPPERS
 
 __all__ = ["GRASP_FILES", "grasps_from", "hand_from", "without_gripper"]
 
-GRASP_FILES = (".npz", ".safetensors", ".h5", ".npy")
+HDF5 = (".h5", ".hdf5")
+GRASP_FILES = (".npz", ".safetensors", *HDF5, ".npy")
 """Grasps that need no further word: our own, ACRONYM's, GraspNet's (of one object, in its frame)."""
 YAML = (".yaml", ".yml")
 
@@ -21,8 +22,8 @@ YAML = (".yaml", ".yml")
 def grasps_from(argument: str | Path) -> GraspSet:
     """The grasps of FILE, or of FILE.yaml:GRIPPER for an isaac_grasp file; what had to be left out is told on stderr.
 
-    `.npz`, `.safetensors`: our own. `.h5`: ACRONYM's. `.npy`: GraspNet's, N x 17, of one object and in its frame. GRIPPER: one of
-    `grippers.GRIPPERS`. Raises `FileError`, one line.
+    `.npz`, `.safetensors`: our own. `.h5`, `.hdf5`: ACRONYM's. `.npy`: GraspNet's, N x 17, of one object and in its frame.
+    GRIPPER: one of `grippers.GRIPPERS`. Raises `FileError`, one line.
     """
     path, gripper = without_gripper(argument)
     where, ending = printable(path), path.suffix.lower()
@@ -36,7 +37,7 @@ def grasps_from(argument: str | Path) -> GraspSet:
                 f"{where}: does not say whose frame it is in; say FILE:GRIPPER, one of {', '.join(GRIPPERS)}"
             )
         found, left_out = isaac_grasp.read(path, gripper)
-    elif ending == ".h5":
+    elif ending in HDF5:
         from r2h_batch.importers.grasps import acronym
 
         found, left_out = acronym.read(path)
@@ -54,9 +55,16 @@ def grasps_from(argument: str | Path) -> GraspSet:
 
 
 def without_gripper(argument: str | Path) -> tuple[Path, str]:
-    """FILE and GRIPPER of FILE:GRIPPER; the gripper is empty where none is named."""
+    """FILE and GRIPPER of FILE:GRIPPER; the gripper is empty where none is named, a `FileError` where it is no gripper."""
     text, _, gripper = str(argument).rpartition(":")
-    return (Path(text), gripper) if text and gripper in GRIPPERS else (Path(argument), "")
+    if text and gripper in GRIPPERS:
+        return Path(text), gripper
+    if text.lower().endswith(YAML):
+        close = nearest(gripper.lower(), GRIPPERS)
+        raise FileError(
+            f"{printable(argument)}: {printable(gripper)!r} is no gripper{close}; allowed are {', '.join(GRIPPERS)}"
+        )
+    return Path(argument), ""
 
 
 def hand_from(path: Path) -> HandModel:

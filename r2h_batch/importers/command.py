@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from r2h_batch.command_line import Command, UsageError, call, refuse, tell
+from r2h_batch.command_line import Command, UsageError, call, failed, refuse, tell
 from r2h_batch.files import printable
+from r2h_batch.files.output import check_file, check_folder
 
 if TYPE_CHECKING:
     from r2h_batch.bodies.grasp_set import GraspSet
@@ -20,7 +21,12 @@ Frame = Literal["aperture", "first", "middle", "last"]
 
 
 def hand(
-    *, out: Path, mano_right: Path | None = None, mano_left: Path | None = None, negate_left_shape: bool = False
+    *,
+    out: Path,
+    mano_right: Path | None = None,
+    mano_left: Path | None = None,
+    negate_left_shape: bool = False,
+    overwrite: bool = False,
 ) -> int:
     """MANO's own files as one hand model.
 
@@ -29,13 +35,14 @@ def hand(
         mano_right: MANO_RIGHT.pkl, or the same arrays as .npz.
         mano_left: MANO_LEFT.pkl. Without it a left hand is the right one's mirror image, and the other way round.
         negate_left_shape: Change the sign of the left file's shapedirs[:, 0], as data fitted with that repair need.
+        overwrite: Replace a file that is there.
     """
 
     def run() -> None:
         from r2h_batch.files.arrays import write_npz
         from r2h_batch.importers.mano import hand_arrays
 
-        target = _npz(out)
+        target = _npz(out, overwrite)
         arrays = hand_arrays(mano_right, mano_left, negate_left_shape=negate_left_shape)
         write_npz(target, arrays)
         print(
@@ -58,6 +65,7 @@ def hands(
     mano_left: Path | None = None,
     negate_left_shape: bool = False,
     strict: bool = False,
+    overwrite: bool = False,
 ) -> int:
     """Receiving hands out of a data set's folder, one of every sequence and hand, and their motions beside them.
 
@@ -72,13 +80,15 @@ def hands(
         mano_left: MANO_LEFT.pkl.
         negate_left_shape: As for `hand`.
         strict: Refuse a data set with a file that cannot be read, instead of naming and skipping it.
+        overwrite: Replace files that are there.
     """
 
     def run() -> None:
         from r2h_batch.bodies.hand import load_hand_set
         from r2h_batch.importers import hand_sets
 
-        target = _npz(out)
+        target = _npz(out, overwrite)
+        check_file(hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in")
         if source == "built-in":
             hand_sets.write(target, hand_sets.built_in(), load_hand_set().pose[:, :3].numpy())
             print(f"{len(load_hand_set())} hands of r2h_batch in {target}; 0 files skipped")
@@ -105,6 +115,7 @@ def grasps(
     gripper: Literal["acronym-panda", "panda-hand", "2f-85-base", "ee"] | None = None,
     object_id: int | None = None,
     pose: Path | None = None,
+    overwrite: bool = False,
 ) -> int:
     """Grasps of one object as the file that a benchmark names: T_obj_ee, width, score, part in our own ee frame.
 
@@ -117,10 +128,11 @@ def grasps(
         gripper: Whose frame an isaac_grasp file is in; needed for those, see `r2h_batch.importers.grasps.grippers`.
         object_id: Which object's grasps of a graspnet file.
         pose: T_obj_source, .npy of 4 x 4, for a graspnet file: the frame that the network saw in the object's frame.
+        overwrite: Replace a file that is there.
     """
 
     def run() -> None:
-        target = _npz(out)
+        target = _npz(out, overwrite)
         found, left_out = _grasps(file, source, gripper, object_id, pose)
         write_npz(target, {**found.arrays(), "gripper": np.array(found.gripper)})
         print(f"{len(found)} grasps of the {found.gripper} in {target}; {left_out} left out")
@@ -152,8 +164,7 @@ def objects(
         from r2h_batch.importers.meshes.oakink_objects import OakObject, collect, write
         from r2h_batch.importers.reading import ImportRefused
 
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise UsageError(f"--out {out}: is there already; give a new or empty folder")
+        check_folder(out, overwrite=None)
         found, skipped = [], 0
         for name, made in collect(folder):
             if isinstance(made, OakObject):
@@ -220,11 +231,12 @@ def _guarded(run: Callable[[], None]) -> int:
     except (UsageError, FileError) as error:
         return refuse("import", error)
     except OSError as error:
-        return refuse("import", f"{error.filename or 'out'}: {error.strerror or error}", 1)
+        return failed("import", error, "--out")
     return 0
 
 
-def _npz(out: Path) -> Path:
+def _npz(out: Path, overwrite: bool) -> Path:
     if out.suffix != ".npz":
         raise UsageError(f"--out {out}: give a name that ends in .npz")
+    check_file(out, overwrite=overwrite)
     return out

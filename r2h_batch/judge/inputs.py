@@ -8,6 +8,9 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
+from r2h_batch.checks import kind, one_of
+from r2h_batch.checks.tensors import check_indices as in_range
+from r2h_batch.checks.tensors import check_tensor
 from r2h_batch.config import EvalConfig
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
@@ -25,8 +28,11 @@ def checked_inputs(
     """
     device = torch.device(scene.device)
     check_stages(stages)
-    if not isinstance(trials, Trials):
-        raise TypeError(f"trials is a {type(trials).__name__}; it must be r2h_batch.Trials")
+    kind(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
+    check_tensor("trials.trial_id", trials.trial_id, "a torch tensor (N,) of torch.int64")
+    if trials.trial_id.ndim != 1:
+        found = tuple(trials.trial_id.shape)
+        raise ValueError(f"trials.trial_id has shape {found}; it must be torch.int64 (N,)")
     n = len(trials)
     many = isinstance(T_obj_ee, Tensor) and T_obj_ee.ndim == 4
     k = T_obj_ee.shape[1] if many else 1
@@ -36,8 +42,7 @@ def checked_inputs(
         ("T_world_ee", T_world_ee, shape),
         ("trials.T_world_hand", trials.T_world_hand, (n, 4, 4)),
     ):
-        if not isinstance(value, Tensor):
-            raise TypeError(f"{name} is a {type(value).__name__}; it must be a torch tensor (B, 4, 4) or (N, K, 4, 4)")
+        check_tensor(name, value, "a torch tensor (B, 4, 4) or (N, K, 4, 4)")
         if value.dtype != torch.float32:
             raise TypeError(f"{name} is {value.dtype}; it must be torch.float32: call .float()")
         if value.shape != expected:
@@ -48,8 +53,7 @@ def checked_inputs(
     # an id is what the planner's random numbers are keyed by: in 32 bits it would be another one
     for name, dtype in (("trial_id", torch.int64), ("object_index", torch.int32), ("hand_index", torch.int32)):
         index = getattr(trials, name)
-        if not isinstance(index, Tensor):
-            raise TypeError(f"trials.{name} is a {type(index).__name__}; it must be a torch tensor ({n},) of {dtype}")
+        check_tensor(f"trials.{name}", index, f"a torch tensor ({n},) of {dtype}")
         if index.shape != (n,) or index.dtype != dtype or index.device.type != device.type:
             raise ValueError(
                 f"trials.{name} is {index.dtype} {tuple(index.shape)} on {index.device}; "
@@ -63,6 +67,8 @@ def checked_inputs(
 
 def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tensor]) -> None:
     """Raises ValueError where a body is asked about that trials do not have, or for a gradient that nobody knows."""
+    if trials.receiver is not None:
+        check_tensor("trials.receiver", trials.receiver, f"None or a torch tensor ({len(trials)}, 5, 4)")
     if trials.receiver is not None and (
         trials.receiver.shape != (len(trials), 5, 4)
         or trials.receiver.dtype != torch.float32
@@ -83,8 +89,7 @@ def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tens
 
 def check_stages(stages: object) -> None:
     """Raises ValueError for a word that names no stages."""
-    if stages not in get_args(Stages):
-        raise ValueError(f"stages is {stages!r}; allowed are {', '.join(get_args(Stages))}")
+    one_of(*get_args(Stages))("stages", stages)
 
 
 @cache
@@ -101,15 +106,11 @@ def check_indices(scene: Scene, trials: Trials) -> None:
 
     There rows with such an index become INVALID_INPUT.
     """
-    if torch.device(scene.device).type != "cpu" or not len(trials):
-        return
     for name, index, count in (
         ("object_index", trials.object_index, len(scene.objects)),
         ("hand_index", trials.hand_index, len(scene.hands.set)),
     ):
-        low, high = (int(x) for x in torch.aminmax(index))
-        if low < 0 or high >= count:
-            raise ValueError(f"trials.{name} runs from {low} to {high}; the scene has 0 to {count - 1}")
+        in_range(f"trials.{name}", index, len(trials), count, "the scene")
 
 
 def repeated(trials: Trials, k: int) -> Trials:

@@ -14,6 +14,7 @@ from typing import Any
 import torch
 import warp as wp
 
+from r2h_batch.checks import whole
 from r2h_batch.launch import repeated
 from r2h_batch.launch.arguments import bind
 
@@ -91,9 +92,7 @@ def _refuse_below(needed: int, cache: str) -> None:
 def cpu_threads(threads: int | None = None) -> int:
     """The number of worker threads: as asked, or one per core this process may use."""
     if threads is not None:
-        if isinstance(threads, bool) or not isinstance(threads, int) or threads < 1:
-            raise ValueError(f"threads is {threads!r}; it must be a whole number, 1 or more")
-        return threads
+        return whole(1)("threads", threads)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

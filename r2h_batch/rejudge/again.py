@@ -17,8 +17,10 @@ from pydantic import TypeAdapter, ValidationError
 from r2h_batch.benchmark.given import Given
 from r2h_batch.benchmark.of_run import benchmark_of_run
 from r2h_batch.benchmark.trials_file import LISTED
+from r2h_batch.checks import kind, optional, takes, text, whole
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.launch import cpu_threads
 from r2h_batch.results import provenance
 from r2h_batch.results.reading import TIMING, Run, RunError
 from r2h_batch.results.rows import LATER_COLUMNS, TRIAL_SCHEMA, TrialNames, score_rows
@@ -71,6 +73,9 @@ class Judge:
     """
 
     def __init__(self, run: Run, *, given: Given | None = None, device: str = "cpu", threads: int | None = None):
+        kind(Run, "what load_run(FOLDER) gives")("run", run)
+        optional(kind(Given, "flags of the benchmark"))("given", given)
+        cpu_threads(threads)
         header, where = run.header, run.folder
         if header["protocol"] not in (*PROTOCOLS, LISTED):
             known = ", ".join(PROTOCOLS)
@@ -127,6 +132,10 @@ def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
     return (*other, *([] if same else ["processor"]))
 
 
+@takes(
+    run=kind(Run, "what load_run(FOLDER) gives"), method=text, n=whole(0), judge=kind(Judge, "Judge(RUN)"),
+    seed=optional(whole(0)),
+)  # fmt: skip
 def rejudge(run: Run, method: str, n: int, judge: Judge, *, seed: int | None = None) -> Rejudged:
     """Score `n` of a method's stored rows again, drawn without replacement; all of them where there are fewer.
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import call, refuse
+from r2h_batch.command_line import call, check_seed, refuse
 from r2h_batch.results import command as stored
 from r2h_batch.results.command import digest
 
@@ -43,6 +43,8 @@ def verify(
     """
     if rejudge < 0:
         return refuse("results", f"--rejudge is {rejudge}; it must be 0 or more rows")
+    if seed is not None:
+        check_seed(seed)
     code = stored.verify(folder)
     if code > 1 or not rejudge:
         return code
@@ -51,7 +53,7 @@ def verify(
     try:
         given = Given.of(benchmark)
         return max(code, _again(folder, rejudge, method, seed, given, device))
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         return refuse("results", error)
 
 

@@ -5,7 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from r2h_batch.command_line import refuse, tell, write_answer
+from r2h_batch.command_line import refuse, tell
+from r2h_batch.files.output import write_text
 
 if TYPE_CHECKING:
     from r2h_batch.results.reading import Run
@@ -35,12 +36,12 @@ def run(
         if not stored.methods:
             raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
         text = _text(stored, format, by_object, columns, intervals, order, gallery)
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         return refuse("report", error)
     if out is None:
         sys.stdout.write(text)
     else:
-        write_answer(out, text)
+        write_text(out, text)
         print(out)
     for name in stored.unfinished:
         missing = sum(s.last - s.first for s in stored.missing(name))

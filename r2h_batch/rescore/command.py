@@ -7,13 +7,13 @@ Exact, trial by trial, for the poses that were scored (a method that asks the ev
 Not possible: the ball's offset, the pads' squeeze, hand clearance of the path: they change the geometry.
 """
 
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from r2h_batch.command_line import call, refuse
+from r2h_batch.files.plain import number
 from r2h_batch.verdicts import SPLITS, Outcome
 
 if TYPE_CHECKING:  # what is heavy is imported when there is work
@@ -26,16 +26,15 @@ def values(text: str, name: str) -> tuple[float, ...]:
     """Numbers of `.08`, `.08,.10` or `LOW:HIGH:STEP` (both ends included)."""
     try:
         if ":" in text:
-            low, high, step = map(float, text.split(":"))
+            low, high, step = map(number, text.split(":"))
             if not (step > 0 and high >= low and (high - low) / step < MAX_POINTS):
                 raise ValueError
             return tuple(round(low + i * step, 12) for i in range(int((high - low) / step + 1e-9) + 1))
-        numbers = tuple(float(part) for part in text.split(","))
-        if not all(map(math.isfinite, numbers)):
-            raise ValueError
-        return numbers
+        return tuple(number(part.strip()) for part in text.split(","))
     except ValueError:
-        raise ValueError(f"--{name} is {text!r}; it must be METRES, A,B,... or LOW:HIGH:STEP") from None
+        raise ValueError(
+            f"--{name} is {text!r}; it must be METRES, A,B,... or LOW:HIGH:STEP in plain decimal digits"
+        ) from None
 
 
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
@@ -100,7 +99,7 @@ def run(
         }
         stored = load_run(run).only(method)
         sys.stdout.write(render(rescore(stored, **grid), stored.methods))
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         return refuse("rescore", error)
     return 0
 

@@ -21,7 +21,7 @@ def verify(folder: Path, /) -> int:
         lines = mark_for_rerun(folder, read_header(folder))
         print("\n".join(lines or [f"{folder}: every stored shard is as it was written"]))
         run = load_run(folder, verify=False)
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         return _refuse(error)
     for name in run.unfinished:
         missing = [str(s.index) for s in run.missing(name)]
@@ -42,7 +42,7 @@ def digest(folder: Path, /) -> int:
         for name in (e["name"] for e in run.entries):
             left = len(run.missing(name))
             print(f"{run.digest(name)}  {name}" + (f" (without {left} shards)" if left else ""))
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         return _refuse(error)
     return 0
 

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from r2h_batch.checks import flag, many, path, takes, text
 from r2h_batch.files import printable
 from r2h_batch.results.manifest import (
     FORMAT,
@@ -56,6 +57,7 @@ class Run:
 
         The word is looked for in each method's stored source, not in titles: that names the function which answered.
         """
+        text("word", word)
         names = [e["name"] for e in self.entries]
         if word in names:
             return word
@@ -73,7 +75,7 @@ class Run:
 
     def only(self, words: Sequence[str]) -> "Run":
         """The same run with these methods alone (`named`), in their stored order; all of them where none is given."""
-        if not words:
+        if not many(str, "names of methods", least=0)("words", words):
             return self
         kept = {self.named(w) for w in words}
         return replace(self, entries=tuple(e for e in self.entries if e["name"] in kept))
@@ -90,6 +92,7 @@ class Run:
 
     def entry(self, method: str) -> dict[str, Any]:
         """What is known about a method: source, command, slug, and `receipts` by number of shard."""
+        text("method", method)
         for entry in self.entries:
             if entry["name"] == method:
                 return entry
@@ -214,9 +217,10 @@ def _plain(column: pa.Array) -> np.ndarray:
     return np.asarray(column.fill_null(False if pa.types.is_boolean(column.type) else 0))
 
 
+@takes(verify=flag)
 def load_run(folder: str | Path, *, verify: bool = True) -> Run:
     """The run stored in `folder`; with `verify`, every file is compared with its sha256 first."""
-    folder = Path(folder)
+    folder = path("folder", folder)
     header = read_header(folder)
     entries = []
     for entry in read_methods(folder):

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 from r2h_batch.files import FileError, printable, read_file
 from r2h_batch.files.rules import rule_of
 from r2h_batch.results.rows import OUTCOME_NAMES
+from r2h_batch.results.storage import in_the_way
 
 __all__ = ["KINDS", "MAX_SHARDS", "SLUG", "Header", "Method", "Receipt", "RunError", "checked", "read_json"]
 
@@ -201,8 +202,8 @@ def checked(model: type[_Record], data: Any, path: Path) -> dict[str, Any]:
 
 def read_json(path: Path) -> dict[str, Any]:
     """A JSON object from a regular file of the folder, no link; `RunError` names the file when it is none."""
-    if path.is_symlink():
-        raise RunError(f"{printable(path)}: a symbolic link; a run folder holds its own files")
+    if what := in_the_way(path):
+        raise RunError(what)
     try:
         data = json.loads(read_file(path, MAX_BYTES).decode("utf-8"))
     except FileError as error:

@@ -5,11 +5,15 @@ import fcntl
 import hashlib
 import json
 import os
+import re
+import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
+
+from r2h_batch.files import kind_of, printable
 
 
 def sha256_of(path: Path) -> str:
@@ -106,6 +110,37 @@ def open_own(path: Path, flags: int) -> int:
         if error.errno not in (errno.ELOOP, errno.ENXIO):
             raise
         raise OSError(error.errno, "no plain file but a link or a pipe; take it away", str(path)) from None
+
+
+def trouble_in(folder: Path, error: OSError) -> str:
+    """What an error while a run folder was written says: the folder, what in it (by its final name), what to do."""
+    for name in (error.filename2, error.filename):
+        place = Path(os.path.abspath(os.fsdecode(name))) if isinstance(name, (str, bytes, os.PathLike)) else None
+        if place is None or not place.is_relative_to(folder):
+            continue
+        place = place.with_name(re.sub(r"^\.(.+)\.[0-9a-f]{32}\.tmp$", r"\1", place.name))
+        inside = place.relative_to(folder).parts
+        for k in range(1, len(inside) + 1):
+            if what := in_the_way(folder.joinpath(*inside[:k]), folder=k < len(inside)):
+                return f"run folder {printable(folder)}: {what}"
+        why = error.strerror or error
+        return f"run folder {printable(folder)}: {printable(place.relative_to(folder))}: {why}; {GO_ON}"
+    return ""
+
+
+GO_ON = "shards that were complete are stored, run the same command to go on"
+
+
+def in_the_way(path: Path, *, folder: bool = False) -> str:
+    """What stands where a run has a file (or a folder) of its own and is none, and what to do; empty where nothing is wrong."""
+    try:
+        mode = path.lstat().st_mode
+    except OSError:
+        return ""
+    if (stat.S_ISDIR if folder else stat.S_ISREG)(mode):
+        return ""
+    what = f"is {kind_of(mode)}, where the run has a {'folder' if folder else 'file'} of its own"
+    return f"{printable(path)} {what}; move it away and run the same command again"
 
 
 @contextmanager

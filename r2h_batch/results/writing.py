@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from r2h_batch.files import printable
+from r2h_batch.files.output import run_folder_of
 from r2h_batch.results.consistent import inconsistent
 from r2h_batch.results.manifest import (
     FORMAT,
@@ -276,6 +277,8 @@ def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = Tru
     new["command"] = printable_words(new.get("command", []))
     new["hash"] = run_hash(new)
     checked_header(new, folder / "run.json")
+    if outer := run_folder_of(folder):
+        raise RunError(f"{folder}: lies in the run folder {outer}, which holds its own files alone; {OTHER}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not os.path.lexists(folder / "run.json"):

@@ -4,7 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, SupportsIndex
 
 import numpy as np
 import torch
@@ -18,6 +18,8 @@ from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.bodies.robot import Robot, load_robot
+from r2h_batch.checks import given, kind, many, optional, whole
+from r2h_batch.checks.tensors import check_indices, check_tensor
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.robot.place import place_bodies
@@ -46,8 +48,8 @@ class Scene:
         hand_set: HandSet | None = None,
     ) -> None:
         self.device = _checked_device(device)
-        if hand_set is not None and not isinstance(hand_set, HandSet):
-            raise TypeError(f"hand_set is {hand_set!r}; it must be a HandSet, such as load_hand_set(FILE)")
+        optional(kind(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
+        optional(kind(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
         init_warp()
         self.config = config or EvalConfig()
         self.robot: Robot = load_robot()
@@ -136,6 +138,9 @@ class Scene:
 
     def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> SceneModel:
         """The scene as one MuJoCo model, which takes any trial with one of these hands: what is simulated and rendered."""
+        hands = many(SupportsIndex, "numbers of hands")("hand_indices", tuple(_listed(hand_indices)))
+        hand_indices = [whole(0, len(self.hands.set) - 1)(f"hand_indices[{i}]", h) for i, h in enumerate(hands)]
+        optional(kind(ExecConfig))("execute", execute)
         execute = execute or self.config.execute
         return scene_model(
             self.robot, self.objects, self.hands, hand_indices, step_s=execute.step_s, full=execute.model != "arm",
@@ -255,7 +260,16 @@ class Scene:
         return self.hands.palm_point.to(self.device), self.hands.palm_normal.to(self.device)
 
     def palm(self, hand_index: Tensor, T_world_hand: Float32[Tensor, "n 4 4"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Palm point p_h, palm normal n_h and ball centre c_h (n, 3) in the world (paper: c_h = p_h + d_h n_h)."""
+        """Palm point p_h, palm normal n_h and ball centre c_h (n, 3) in the world (paper: c_h = p_h + d_h n_h).
+
+        TypeError or ValueError for indices that are no hands of the scene (their values are looked at on a CPU only).
+        """
+        check_tensor("T_world_hand", T_world_hand, "a torch tensor (n, 4, 4) of torch.float32")
+        if T_world_hand.ndim != 3 or T_world_hand.shape[1:] != (4, 4) or T_world_hand.dtype != torch.float32:
+            raise ValueError(
+                f"T_world_hand is {T_world_hand.dtype} {tuple(T_world_hand.shape)}; it must be torch.float32 (n, 4, 4)"
+            )
+        check_indices("hand_index", hand_index, len(T_world_hand), len(self.hands.set), "the scene")
         point, normal = self.palms
         i = hand_index.long()
         p = se3.apply(T_world_hand, point[i])
@@ -314,13 +328,19 @@ def _scene_of(
     return Scene(device, config=config, objects=named, hand_set=hand_set)
 
 
+def _listed(indices: object) -> Iterable[Any]:
+    if isinstance(indices, (str, bytes)) or not isinstance(indices, Iterable) or getattr(indices, "ndim", 1) != 1:
+        raise TypeError(f"hand_indices is {given(indices)}; it must be whole numbers, of the scene's hands")
+    return indices
+
+
 def _checked_device(device: str | torch.device) -> str:
     """The device as tensors on it call it (cuda:0); ValueError where it cannot be had."""
     allowed = "allowed are cpu, cuda, cuda:N"
     try:
         found = torch.device(device)
     except (RuntimeError, TypeError) as error:
-        raise ValueError(f"device is {device!r}; {allowed}") from error
+        raise ValueError(f"device is {given(device)}; {allowed}") from error
     if found.type not in ("cpu", "cuda"):
         raise ValueError(f"device is {str(found)!r}; {allowed}")
     if found.type == "cpu":

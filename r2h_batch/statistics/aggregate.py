@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
+from r2h_batch.checks import array, given, kind, many, number, one_of, optional, takes, whole
 from r2h_batch.results.columns import REQUIRED
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics.tally import SECONDS, Tally
@@ -64,6 +65,7 @@ class Row:
     """motions that met the receiver's arm or torso, of those past a receiver who has them"""
 
 
+@takes(passed=array("b", 2, "booleans (N, 5)"), evaluated=array("b", 2, "booleans (N, 5)"))
 def first_failure(passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = REQUIRED) -> np.ndarray:
     """Outcome codes (N,) int8: the first evaluated criterion that failed, in the order of `CRITERIA`.
 
@@ -83,6 +85,12 @@ def first_failure(passed: np.ndarray, evaluated: np.ndarray, required: np.ndarra
     return np.where(any_failed, codes[failed.argmax(axis=1)], np.int8(Outcome.SUCCESS)).astype(np.int8)
 
 
+_SHARE = number(0, 1)
+_NOT_NEGATIVE = array("biuf", None, "numbers, 0 or more", low=0)
+_COUNTS = array("biuf", 1, "numbers (K,), 0 or more", low=0)
+
+
+@takes(count=_NOT_NEGATIVE, total=_NOT_NEGATIVE, confidence=_SHARE)
 def wilson_interval(count: ArrayLike, total: ArrayLike, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper end of the Wilson score interval of count / total, as fractions in [0, 1]; NaN where total is 0.
 
@@ -100,6 +108,7 @@ def wilson_interval(count: ArrayLike, total: ArrayLike, confidence: float = 0.95
     return low, high
 
 
+@takes(success=array("b", 1, "booleans (N,)"), cluster=array("iuUST", 1, "numbers or names (N,)"), confidence=_SHARE)
 def clustered_interval(success: np.ndarray, cluster: np.ndarray, confidence: float = 0.95) -> Rate | None:
     """Success rate in percent with a t interval over clusters (objects): it speaks about new objects of this kind.
 
@@ -107,14 +116,20 @@ def clustered_interval(success: np.ndarray, cluster: np.ndarray, confidence: flo
     Never narrower than the Wilson interval (with few clusters the between-cluster variance can come out as 0).
     None with fewer than two clusters.
     """
-    success, cluster = np.asarray(success, bool), np.asarray(cluster)
+    if success.shape != cluster.shape:
+        raise ValueError(f"cluster is of {len(cluster)} trials, success of {len(success)}; give one for each trial")
     index = cluster if cluster.dtype.kind in "iu" else np.unique(cluster, return_inverse=True)[1]
     n = np.bincount(index)
     return clustered_rate(np.bincount(index[success], minlength=len(n)), n, confidence)
 
 
+@takes(success=_COUNTS, total=_COUNTS, confidence=_SHARE)
 def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0.95) -> Rate | None:
     """`clustered_interval` from what it needs of each cluster: (K,) successes and trials, 0 of those that are empty."""
+    if np.shape(success) != np.shape(total) or (np.asarray(success) > np.asarray(total)).any():
+        raise ValueError(
+            f"success is {given(success)} and total {given(total)}; they must be successes and trials of each cluster"
+        )
     n = np.asarray(total, np.float64)
     x = np.asarray(success)[n > 0]
     n = n[n > 0]
@@ -129,6 +144,7 @@ def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0
     return Rate(100 * p, 100 * low, 100 * high, int(x.sum()), int(n.sum()))
 
 
+@takes(rates=many(Rate))
 def mean_rate(rates: Sequence[Rate]) -> Rate:
     """Unweighted mean of independent rates; its interval is built from theirs (MOVER, Zou and Donner 2008)."""
     c = 1 / len(rates)
@@ -163,6 +179,7 @@ def _times(counted: Tally, split: int, code: int | None) -> dict[str, Mean]:
     }
 
 
+@takes(counted=kind(Tally, "what tally(RUN, METHOD) gives"), split=one_of(*SPLITS), code=optional(whole(0)))
 def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
     """The table line of a split, or of one object (`code`) of it; on split S0, F_afford is None (not evaluated)."""
     objects, splits, outcome, _ = counted.columns
@@ -203,6 +220,7 @@ def _added(place: np.ndarray, count: np.ndarray, length: int = 0) -> np.ndarray:
     return sums
 
 
+@takes(rows=many(Row, "lines of one method"))
 def average_row(rows: Sequence[Row]) -> Row:
     """The paper's Avg: mean of the splits with S0's F_afford taken as 0; None where a split has nothing to average."""
 
@@ -231,6 +249,7 @@ def average_row(rows: Sequence[Row]) -> Row:
     )
 
 
+@takes(methods=many(Tally, "what tally(RUN, METHOD) gives", least=0))
 def summarise(methods: Sequence[Tally]) -> tuple[Row, ...]:
     """Rows in Table I's order: every method on S0, then on S1, then Avg (only when both splits were planned)."""
     table: list[Row] = []

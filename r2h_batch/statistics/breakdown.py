@@ -61,6 +61,8 @@ def by_object(counted: Tally) -> tuple[tuple[str, Row], ...]:
 def parse_order(text: str) -> tuple[str, ...]:
     """An order of criteria from `plan,reach,...`; those left out follow in the paper's order."""
     first = [name.strip().lower() for name in text.split(",") if name.strip()]
+    if not first:
+        raise ValueError(f"the order {text!r} names no criterion; allowed are {', '.join(CRITERIA)}")
     if unknown := [n for n in first if n not in CRITERIA]:
         raise ValueError(f"unknown criterion {unknown[0]!r}; allowed are {', '.join(CRITERIA)}")
     if len(set(first)) != len(first):

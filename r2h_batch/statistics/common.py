@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from r2h_batch.checks import many, takes
 from r2h_batch.config import EvalConfig
 from r2h_batch.results.reading import Run
 from r2h_batch.turns import PROTOCOLS
@@ -24,6 +25,7 @@ class Common:
     notes: tuple[str, ...]
 
 
+@takes(runs=many(Run, "what load_run(FOLDER) gives"), proven=many(Path, "folders", least=0))
 def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Common:
     """What all runs were asked; `ValueError` where they were not asked, or not judged, the same.
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from r2h_batch.checks import array, kind, many, takes
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, FARTHEST_M
 from r2h_batch.results.columns import FAILED, PASSED, codes, pattern, pattern_outcomes, states
 from r2h_batch.results.reading import Run
@@ -41,6 +42,10 @@ class Point:
         return float(np.mean([100 * row[Outcome.SUCCESS] / row.sum() for row in planned]))
 
 
+_METRES = array("iuf", 1, "numbers in metres")
+
+
+@takes(run=kind(Run, "what load_run(FOLDER) gives"), reach_radius_m=_METRES, w_max_m=_METRES, safe_margin_m=_METRES)
 def rescore(
     run: Run,
     *,
@@ -52,9 +57,9 @@ def rescore(
     base = run.header["configuration"].get("thresholds")
     if base is None:
         raise ValueError(f"{run.folder}: run.json names no thresholds; it was not made by a sweep")
-    radii = tuple(reach_radius_m) or (base["reach_radius_m"],)
-    widths = tuple(w_max_m) or (base["w_max_m"],)
-    safe = tuple(safe_margin_m) or (base["safe_margin_m"],)
+    radii = tuple(map(float, reach_radius_m)) or (base["reach_radius_m"],)
+    widths = tuple(map(float, w_max_m)) or (base["w_max_m"],)
+    safe = tuple(map(float, safe_margin_m)) or (base["safe_margin_m"],)
     for name, given, low, high in (
         ("reach-radius", radii, 0.0, FARTHEST_M),
         ("w-max", widths, 0.0, base["w_max_m"]),
@@ -130,6 +135,7 @@ class _Margins:
         return counts.reshape(len(SPLITS), MISSING + 1), int(near.sum())
 
 
+@takes(points=many(Point, "what rescore(RUN) gives"), methods=many(str, "names of methods"))
 def rank_stability(points: Sequence[Point], methods: Sequence[str]) -> np.ndarray:
     """(M, M) share of the points at which method i has rank j + 1 by SR; ties share their ranks evenly."""
     return rank_probabilities(np.array([[p.rate(m) for m in methods] for p in points]))

@@ -4,36 +4,43 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from r2h_batch.command_line import Command, call, refuse
+from r2h_batch.command_line import Command, call, check_seed, failed, refuse
 from r2h_batch.files import csv_cell
+from r2h_batch.files.output import check_file, write_text
 from r2h_batch.verdicts import SPLITS
 
 MOST_TRIALS = 10**9
 
 
-def paper(*, box: Path | None = None) -> int:
+def paper(*, box: Path | None = None, overwrite: bool = False) -> int:
     """The paper's sim-to-real table and ratings.
 
     Args:
         box: also write the box plots of the ratings to this .svg file.
+        overwrite: replace a file that is there.
     """
+    if box is not None:
+        check_file(box, overwrite=overwrite, flag="--box")
     from r2h_batch.study import report
     from r2h_batch.study.stats import Summary
 
     sys.stdout.write(report.paper_report())
     if box is not None:
         counts = report.read_counts(report.paper_table("ratings"))
-        box.write_text(report.box_plot({k: Summary.of_counts(c) for k, c in counts.items()}), encoding="utf-8")
+        write_text(box, report.box_plot({k: Summary.of_counts(c) for k, c in counts.items()}))
     return 0
 
 
-def ratings(file: Path, /, *, box: Path | None = None) -> int:
+def ratings(file: Path, /, *, box: Path | None = None, overwrite: bool = False) -> int:
     """Your own ratings: a CSV with columns participant, method, dimension, rating (1 to 5).
 
     Args:
         file: one row for each rating; participants who did not rate every method are left out and counted.
         box: also write the box plots to this .svg file.
+        overwrite: replace a file that is there.
     """
+    if box is not None:
+        check_file(box, overwrite=overwrite, flag="--box")
     from r2h_batch.study import report
     from r2h_batch.study.stats import Summary
 
@@ -41,12 +48,12 @@ def ratings(file: Path, /, *, box: Path | None = None) -> int:
     if box is not None:
         tables = report.read_ratings(file)
         summaries = {(m, d): Summary.of(t[:, i]) for d, (t, names, _) in tables.items() for i, m in enumerate(names)}
-        box.write_text(report.box_plot(summaries), encoding="utf-8")
+        write_text(box, report.box_plot(summaries))
     return 0
 
 
 def real(run: Path, file: Path, /, *, trials: int) -> int:
-    """Your own robot against a run: a CSV with columns method, real_sr (percent), real_t_tot_s.
+    """Your own robot against a run: a CSV with columns method, real_sr (percent: 85 or 85%), real_t_tot_s.
 
     Args:
         run: a run folder with the same methods.
@@ -104,6 +111,7 @@ def plan(
     from r2h_batch.bodies.objects import load_objects
     from r2h_batch.study.plan import schedule
 
+    check_seed(seed)
     built_in = load_objects()
     objects = {split: [o.name for o in built_in if o.split == split] for split in SPLITS}
     rows = schedule(participants, methods, objects, {"S0": s0, "S1": s1}, seed=seed)
@@ -121,5 +129,7 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_b
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
         return call(COMMANDS, given or ["paper"], prog=prog, name="study")
-    except (ValueError, OSError) as error:
+    except ValueError as error:
         return refuse("study", error)
+    except OSError as error:
+        return failed("study", error)

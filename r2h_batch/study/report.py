@@ -17,7 +17,7 @@ from r2h_batch.study.table_file import LINE, Number, Text, read_table
 DIMENSIONS = ("comfort", "safety", "naturalness")
 REAL_COLUMNS: dict[str, Number | Text] = {
     "method": Text(),
-    "real_sr": Number(0, 100),
+    "real_sr": Number(0, 100, percent=True),
     "real_t_tot_s": Number(0, 1e5),
 }
 RATING_COLUMNS: dict[str, Number | Text] = {

@@ -30,16 +30,26 @@ class Number:
     low: float
     high: float
     whole: bool = False
+    percent: bool = False
+    """may have its sign, as spreadsheets write it; without one nobody can tell 0.85 for 85 % from 0.85 %"""
 
     @property
     def allowed(self) -> str:
+        if self.percent:
+            return (
+                f"percent from {self.low:g} to {self.high:g}, 85 or 85% and not 0.85; what is 1 % or less has its sign"
+            )
         return f"{'whole ' if self.whole else ''}numbers from {self.low:g} to {self.high:g}"
 
     def read(self, cell: str) -> float | int:
         """The number, or a ValueError."""
+        signed = self.percent and cell.endswith("%")
+        cell = cell.removesuffix("%").rstrip() if signed else cell
         if not _NUMBER.fullmatch(cell):
             raise ValueError
         value = int(cell) if self.whole else float(cell)
+        if self.percent and not signed and 0 < value <= 1:
+            raise ValueError
         if not self.low <= value <= self.high:
             raise ValueError
         return value

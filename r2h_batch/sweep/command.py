@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.command_line import answer, note, place, refuse, tell, telling
+from r2h_batch.command_line import answer, failed, note, refuse, tell, telling
 from r2h_batch.sweep.options import METHODS, Options, UsageError, parse
 
 if TYPE_CHECKING:  # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
@@ -34,7 +34,7 @@ def _main(arguments: Sequence[str], prog: str) -> int:
     except KeyboardInterrupt:
         return refuse("sweep", "interrupted; shards that were complete are stored, run the same command to go on", 130)
     except OSError as error:
-        return refuse("sweep", place(error, "writing the run folder"), 1)
+        return failed("sweep", error, "writing the run folder")
     except (RuntimeError, AssertionError) as error:
         from r2h_batch.sweep.devices import device_trouble
 
@@ -99,14 +99,26 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
             note(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")
     except (UsageError, ClusterError, ValueError, ImportError) as error:
         return refuse("sweep", error, 2)
+    except OSError as error:
+        return _failed(error, Path(options.out))
     try:
         return _score(options, setting, jobs, out, folder, stopping)
+    except OSError as error:
+        return _failed(error, folder.folder)
     except Stopped:
         raise KeyboardInterrupt from None
     except ClusterError as error:
         return refuse("sweep", error, 1)
     except RunError as error:  # somebody changed the folder meanwhile, or it came from somebody
         return refuse("sweep", error, 1)
+
+
+def _failed(error: OSError, folder: Path) -> int:
+    from r2h_batch.results.storage import trouble_in
+
+    if words := trouble_in(folder, error):
+        return refuse("sweep", words, 1)
+    return failed("sweep", error, "writing the run folder")
 
 
 def _score(

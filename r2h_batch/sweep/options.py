@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from r2h_batch.command_line import UsageError, nearest, read
 from r2h_batch.files import FileError
+from r2h_batch.files.plain import at_home
 from r2h_batch.sweep.variants import base_of
 
 __all__ = ["KINDS", "METHODS", "Options", "UsageError", "as_yaml", "check", "load_config", "parse"]
@@ -119,7 +120,7 @@ class Options:
     no_poses: bool = False
     """Do not store the two poses that were scored: 51 to 81 bytes a trial less, and nobody can judge the rows again."""
     save_poses: bool = False
-    """Store the poses, as is the default: for command lines from before it was."""
+    """Store the poses, as is the default: for command lines from before it was. Not with --no-poses."""
     save_paths: bool = False
     """Also store waypoints and times of every trial, its details and its poses: all that r2h_batch.scene needs."""
     quiet: bool = False
@@ -152,7 +153,7 @@ class Options:
     @property
     def stored(self) -> list[str]:
         """What is stored beside the trials; with paths everything, so that any trial can be opened elsewhere."""
-        asked = {"details": self.save_details, "poses": not self.no_poses or self.save_poses, "paths": self.save_paths}
+        asked = {"details": self.save_details, "poses": not self.no_poses, "paths": self.save_paths}
         return [kind for kind in KINDS if self.save_paths or asked[kind]]
 
     @property
@@ -182,6 +183,7 @@ def check(options: Options) -> Options:
             raise UsageError(f"--{name.replace('_', '-')} is {str(value)[:40]}; it must be {MOST} or less")
     if not -(1 << 63) <= options.seed < 1 << 63:
         raise UsageError(f"--seed is {str(options.seed)[:40]}; it must fit 64 bits")
+    _check_stored(options)
     for name in ("method", "splits", "predictions"):
         given = getattr(options, name)
         if twice := [g for g in given if given.count(g) > 1]:
@@ -221,6 +223,16 @@ def check(options: Options) -> Options:
     if options.engine == "local" and (options.workers or options.address or options.gpus_per_worker):
         raise UsageError("--workers, --address and --gpus-per-worker belong to --engine ray")
     return options
+
+
+def _check_stored(options: Options) -> None:
+    if options.no_poses and (options.save_poses or options.save_paths):
+        why = (
+            "--save-poses stores them"
+            if options.save_poses
+            else "--save-paths stores all that a trial can be opened by"
+        )
+        raise UsageError(f"--no-poses stores no poses, {why}; leave one of the two out")
 
 
 def _count(text: str) -> bool:
@@ -268,7 +280,19 @@ def load_config(path: Path) -> Options:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
         raise UsageError(f"{path}: {where} is {repr(first['input'])[:80]}; {rule_of(first)}") from None
-    return Options(**checked.model_dump())
+    return Options(**{name: _written_out(path, name, value) for name, value in checked.model_dump().items()})
+
+
+def _written_out(path: Path, name: str, value: Any) -> Any:
+    """A field's value with ~ written out, as in an argument."""
+    if isinstance(value, tuple):
+        return tuple(_written_out(path, name, v) for v in value)
+    if not isinstance(value, str):
+        return value
+    try:
+        return at_home(value)
+    except FileError as error:
+        raise UsageError(f"{path}: {name}: {error}") from None
 
 
 def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None]:

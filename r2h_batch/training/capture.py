@@ -6,6 +6,8 @@ from dataclasses import fields
 import torch
 from torch import Tensor
 
+from r2h_batch.checks import kind, whole
+from r2h_batch.checks.tensors import check_tensor
 from r2h_batch.types import Scores, Trials
 
 _WARM_UP = 3
@@ -23,8 +25,7 @@ class Captured:
 
     def __init__(self, score: Callable[[Tensor, Tensor, Trials], Scores], device: torch.device, b: int) -> None:
         """`score`: what is repeated, of poses (b, 4, 4) and b trials; on CUDA it may not wait for the device."""
-        if isinstance(b, bool) or not isinstance(b, int) or b < 1:
-            raise ValueError(f"b is {b!r}; a captured call needs a whole number of rows, 1 or more")
+        b = whole(1, what=" of rows")("b", b)
         self._score = score
         self.T_obj_ee = torch.eye(4, dtype=torch.float32, device=device).repeat(b, 1, 1)
         self.T_world_ee = self.T_obj_ee.clone()
@@ -57,6 +58,7 @@ class Captured:
                 if given is not None:
                     _copy(name, mine, given)
             if trials is not None:
+                kind(Trials)("trials", trials)
                 for f in fields(Trials):
                     if (mine := getattr(self.trials, f.name)) is not None:  # the receiver's body decides nothing
                         _copy(f"trials.{f.name}", mine, getattr(trials, f.name))
@@ -73,6 +75,7 @@ class Captured:
 
 
 def _copy(name: str, mine: Tensor, given: Tensor) -> None:
+    check_tensor(name, given, f"a torch tensor {tuple(mine.shape)} of {mine.dtype}")
     if given.shape != mine.shape or given.dtype != mine.dtype or given.device != mine.device:
         raise ValueError(
             f"{name} is {given.dtype} {tuple(given.shape)} on {given.device}; "

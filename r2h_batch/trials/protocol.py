@@ -8,11 +8,9 @@ a person who reaches for the object (receivers.py), in the same set.
 
 import hashlib
 import math
-import operator
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import SupportsIndex
 
 import numpy as np
 import torch
@@ -26,8 +24,10 @@ from r2h_batch.benchmark.trials_file import listed_with_ids
 from r2h_batch.bodies.bounds import capsule_of_primitive
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
-from r2h_batch.bodies.objects import ObjectModel, load_objects
+from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
+from r2h_batch.checks import kind, many, one_of, optional, whole
+from r2h_batch.checks.tensors import check_tensor
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.trials import receivers, recorded
 from r2h_batch.turns import PROTOCOL, PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids
@@ -38,6 +38,7 @@ __all__ = ["PROTOCOL", "PROTOCOLS", "SPLITS", "make_trials", "trials_digest", "t
 
 TRIALS = 500
 """Trials of a split in the benchmark; more are the same generator run further."""
+MOST_TRIALS = 10**9
 
 NEAREST_M, FARTHEST_M = 0.45, 0.80
 """Horizontal distance of the ball centre c_h from the axis of joint 1 [choice]."""
@@ -73,21 +74,22 @@ def make_trials(
     where `config` puts ball, table and home. `benchmark`, a file or one that was read, says all three instead. `protocol`:
     r2h-v0 (hands alone) or r2h-v1 (with `Trials.receiver`); by default the benchmark's.
     """
-    splits = [splits] if isinstance(splits, str) else list(splits)
-    if unknown := [s for s in splits if s not in SPLITS]:
-        raise ValueError(f"unknown split {unknown[0]!r}; allowed are {', '.join(SPLITS)}")
+    splits = many(str, f"of {', '.join(SPLITS)}")("splits", [splits] if isinstance(splits, str) else splits)
+    for split in splits:
+        one_of(*SPLITS)("splits", split)
     if len(set(splits)) != len(splits):
         raise ValueError(f"splits are {', '.join(splits)}; each may be given once")
-    if isinstance(trials, bool) or not isinstance(trials, SupportsIndex) or operator.index(trials) < 0:
-        raise ValueError(f"trials is {trials!r}; it must be a whole number, 0 or more")
+    trials = whole(0, MOST_TRIALS)("trials", trials)
+    optional(one_of(*PROTOCOLS))("protocol", protocol)
     if benchmark is not None:
+        kind((Benchmark, str, Path), "a file, or read_benchmark(FILE)")("benchmark", benchmark)
         if objects is not None or hand_set is not None or config is not None:
             raise ValueError("benchmark says objects, hands and limits; give it alone, or the others without it")
         found = read_benchmark(benchmark) if isinstance(benchmark, (str, Path)) else benchmark
         if found.listed is not None:
-            return _listed(found.listed, splits, operator.index(trials)).named(found.objects)
+            return _listed(found.listed, splits, trials).named(found.objects)
         objects, hand_set, config, protocol = found.objects, found.hand_set, found.config(), protocol or found.drawn
-    plan = dict.fromkeys(splits, operator.index(trials))
+    plan = dict.fromkeys(splits, trials)
     ids = trial_ids(plan, 0, sum(plan.values()))
     return trials_with_ids(
         torch.from_numpy(ids), objects=objects, hand_set=hand_set, config=config, protocol=protocol or PROTOCOL
@@ -102,6 +104,7 @@ def _listed(listed: Trials, splits: Sequence[str], trials: int) -> Trials:
 
 def trials_of(benchmark: Benchmark, trial_id: Int64[Tensor, " n"]) -> Trials:
     """The trials of these ids in a benchmark, in this order."""
+    kind(Benchmark, "read_benchmark(FILE)")("benchmark", benchmark)
     if benchmark.listed is not None:
         return listed_with_ids(benchmark.listed, trial_id).named(benchmark.objects)
     return trials_with_ids(
@@ -122,14 +125,17 @@ def trials_with_ids(
     protocol: str = PROTOCOL,
 ) -> Trials:
     """The trials of these ids (0 or more), in this order."""
-    if not isinstance(trial_id, Tensor) or trial_id.ndim != 1 or trial_id.dtype != torch.int64:
-        what = f"{trial_id.dtype} {tuple(trial_id.shape)}" if isinstance(trial_id, Tensor) else repr(trial_id)
-        raise TypeError(f"trial_id is {what}; it must be a torch tensor (N,) of torch.int64")
+    check_tensor("trial_id", trial_id, "a torch tensor (N,) of torch.int64")
+    if trial_id.ndim != 1 or trial_id.dtype != torch.int64:
+        raise TypeError(
+            f"trial_id is {trial_id.dtype} {tuple(trial_id.shape)}; it must be a torch tensor (N,) of torch.int64"
+        )
     ids = trial_id.cpu().numpy().copy()
     if len(ids) and ids.min() < 0:
         raise ValueError(f"trial id {ids.min()} is negative; ids are 2 i (S0) and 2 i + 1 (S1)")
-    if protocol not in PROTOCOLS:
-        raise ValueError(f"protocol is {protocol!r}; allowed are {', '.join(PROTOCOLS)}")
+    one_of(*PROTOCOLS)("protocol", protocol)
+    optional(kind(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
+    optional(kind(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
     with_body = protocol != PROTOCOLS[0]
     objects, config = checked_objects(objects), config or EvalConfig()
     hands = _hands(load_hand_set() if hand_set is None else hand_set)
@@ -164,7 +170,8 @@ def trials_digest(trials: Trials, *, objects: Sequence[ObjectModel] | None = Non
 
     `objects` is what `object_index` counts; by default the built-in ones, and a number for what comes after them.
     """
-    names = dict(enumerate(o.name for o in (load_objects() if objects is None else objects)))
+    kind(Trials, "make_trials(...)")("trials", trials)
+    names = dict(enumerate(o.name for o in checked_objects(objects)))
     digest = hashlib.sha256(f"{PROTOCOLS[0 if trials.receiver is None else 1]}\n".encode())
     digest.update(trials.trial_id.cpu().numpy().astype("<i8").tobytes())
     digest.update("\n".join(names.get(i, f"object {i}") for i in trials.object_index.tolist()).encode())

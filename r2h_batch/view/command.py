@@ -7,6 +7,7 @@ from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import UsageError, call, refuse, tell
+from r2h_batch.files.output import check_file
 
 
 def view(
@@ -17,6 +18,7 @@ def view(
     trial: int | None = None,
     html: Path | None = None,
     port: int = 8080,
+    overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
     """Look at the trials of a run folder in a browser: motion, what a failed plan was asked for, margins.
@@ -27,6 +29,7 @@ def view(
         trial: trial id to start with.
         html: write this trial as one page that opens without a server, and end; with two methods, one page of both.
         port: where the viewer listens, on this machine alone; 0: any free port.
+        overwrite: replace a page that is there.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
 
@@ -37,6 +40,8 @@ def view(
             raise UsageError(f"--port is {port}; it must be 0 (any free one) to 65535")
         if html is not None and trial is None:
             raise UsageError("--html needs --trial ID: which one to write")
+        if html is not None:
+            check_file(html, overwrite=overwrite, flag="--html")
         from r2h_batch.benchmark.given import Given
         from r2h_batch.export.stored import Reader
 
@@ -63,6 +68,7 @@ def video(
     method: tuple[str, ...] = (),
     size: tuple[int, int] = (960, 720),
     fps: int = 25,
+    overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
     """Film a stored trial (.mp4, .webm, .gif), or draw it as a strip (.png, .jpg); several methods beside each other.
@@ -74,6 +80,7 @@ def video(
         method: needed where the run holds several; the sweep's word (fc) or the table's name.
         size: width and height of a picture, pixels.
         fps: pictures a second.
+        overwrite: replace a film or picture that is there.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
 
@@ -83,6 +90,7 @@ def video(
         from r2h_batch.view.video import check_size, write_video
 
         check_size(out, size, fps)
+        check_file(out, overwrite=overwrite)
         reader = Reader(run, Given.of(benchmark))
         print(write_video([reader.trial(trial, m) for m in method or [None]], out, size=size, fps=fps))
         return 0
@@ -98,6 +106,7 @@ def strips(
     predictions: tuple[str, ...] = (),
     preset: Literal["default", "paper"] = "default",
     frames: int = 5,
+    overwrite: bool = False,
 ) -> int:
     """Draw what methods make of one trial: a row of pictures for each, along the motion that was executed.
 
@@ -108,6 +117,7 @@ def strips(
         predictions: predictions files, as in a sweep.
         preset: default or paper, as in a sweep.
         frames: pictures of each method.
+        overwrite: replace a picture that is there.
     """
 
     def work() -> int:
@@ -115,6 +125,7 @@ def strips(
             raise UsageError(f"--trial is {trial}; it must be 0 or more")
         if frames < 2:
             raise UsageError(f"--frames is {frames}; it must be 2 or more")
+        check_file(out, overwrite=overwrite)
         from r2h_batch.scene.offscreen import ready
 
         ready()

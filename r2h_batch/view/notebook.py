@@ -4,6 +4,7 @@ from dataclasses import asdict, replace
 from html import escape
 from types import SimpleNamespace
 
+from r2h_batch.checks import kind, whole
 from r2h_batch.export.drawing import Stage
 from r2h_batch.export.replay import difference, judge_again, names_of
 from r2h_batch.export.stored import StoredTrial, stored_trial
@@ -34,6 +35,8 @@ def show(scores: Scores, *, height: int = 640) -> Shown:
 
     ValueError where there is more than one row, where nobody kept what was asked, or where the answer was no pose.
     """
+    kind(Scores, "what Evaluator.score returns")("scores", scores)
+    height = whole(100, 10_000, " of pixels")("height", height)
     asked = scores.asked
     if len(scores) != 1 or scores.outcome.ndim != 1:
         raise ValueError(f"show takes one row, given are {tuple(scores.outcome.shape)}; say show(scores[0])")
@@ -54,7 +57,7 @@ def show(scores: Scores, *, height: int = 640) -> Shown:
     place = SimpleNamespace(
         objects=evaluator.scene.objects, hand_set=evaluator.scene.hands.set, workplace=evaluator.config.workplace
     )
-    whole = bool(scores.path_len[0] > 0)  # of stages="pose" nothing but the margins that need no path is the same
-    note = difference(row, again.row) if whole else ""
+    moved = bool(scores.path_len[0] > 0)  # of stages="pose" nothing but the margins that need no path is the same
+    note = difference(row, again.row) if moved else ""
     told = stored_trial(header, "shown", again.row, again.path, trial, answer, place)
     return Shown(replace(told, asked_q=again.asked_q, asked_clearance_m=again.asked_clearance_m, note=note), height)

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from r2h_batch.command_line import UsageError, write_answer
+from r2h_batch.command_line import UsageError
 from r2h_batch.export.drawing import Stage
 from r2h_batch.export.stored import StoredTrial
+from r2h_batch.files.output import write_text
 from r2h_batch.view.draw import Drawn, look_at, prepare
 from r2h_batch.view.words import as_html, title
 
@@ -30,7 +31,7 @@ def write_page(stored: StoredTrial | Sequence[StoredTrial], file: str | Path) ->
     """Writes a trial, or two side by side, as a page (about 2 MB) and returns its path; OSError where that is not possible."""
     path = Path(file)
     html = page_of([Stage(s) for s in ([stored] if isinstance(stored, StoredTrial) else stored)])
-    write_answer(path, html)
+    write_text(path, html)
     return path
 
 

@@ -13,6 +13,7 @@ import torch
 from r2h_batch.command_line import tell
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.export.pictures import Strip, strips
+from r2h_batch.files.output import whole
 from r2h_batch.scene.offscreen import RenderError
 from r2h_batch.sweep.jobs import load_files, make_jobs, prepare
 from r2h_batch.sweep.options import Options, UsageError, check
@@ -80,6 +81,6 @@ def draw(rows: Sequence[Strip], title: str, out: Path, *, frames: int) -> None:
                 axis.text(0.03, 0.05, f"{row.time_s[k]:.1f} s", transform=axis.transAxes, fontsize=7, color="#333333")
             elif k == 1:
                 axis.text(0.0, 0.5, "no motion", transform=axis.transAxes, fontsize=8, color="#777777")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out, metadata={"Software": None})
+    with whole(out) as temporary:
+        figure.savefig(temporary, metadata={"Software": None})
     plt.close(figure)

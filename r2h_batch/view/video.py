@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from r2h_batch.command_line import UsageError
 from r2h_batch.export.drawing import Stage, save_picture
 from r2h_batch.export.stored import StoredTrial
+from r2h_batch.files.output import whole
 from r2h_batch.scene.offscreen import RenderError
 
 Image = NDArray[np.uint8]
@@ -38,12 +39,11 @@ def write_video(
 ) -> Path:
     """Writes a film, or for a picture's ending a strip (a row for each method); returns the path. Raises `RenderError`."""
     path, stages = Path(out), [Stage(s) for s in stored]
-    path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() in PICTURES:
         save_picture(path, np.concatenate([np.concatenate(list(strip(s, size)), axis=1) for s in stages], axis=0))
         return path
     films = [film(s, size, fps) for s in stages]
-    with _writer(path, fps) as writer:
+    with whole(path) as temporary, _writer(temporary, fps) as writer:
         last: list[Image] = []
         for k in range(_frames(stages, fps)):
             last = [next(f, last[n] if k else np.zeros((size[1], size[0], 3), np.uint8)) for n, f in enumerate(films)]

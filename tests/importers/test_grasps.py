@@ -264,6 +264,7 @@ OWN = {
     "millimetres.npz": (bad_npz(T_obj_ee=poses(2) * 1.0 + np.eye(4, k=3) * 500), "rigid poses"),
     "short width.npz": (bad_npz(T_obj_ee=poses(2), width=np.ones(3)), "width is"),
     "nan score.npz": (bad_npz(T_obj_ee=poses(2), score=np.full(2, np.nan)), "score is"),
+    "negative width.npz": (bad_npz(T_obj_ee=poses(2), width=np.array([0.1, -1.0])), "width of grasp 1 is -1; 0 to 10 m"),
     "another array.npz": (bad_npz(T_obj_ee=poses(2), grip=np.ones(2)), "unknown array 'grip'"),
     "objects.npz": (bad_npz(T_obj_ee=np.array([{}], object)), "Python objects"),
     "huge.safetensors": (safetensors(pose_entry([10**9, 4, 4], [0, 64 * 10**9])), "does not fit"),
@@ -315,6 +316,7 @@ def test_acronym_of_another_gripper_or_without_success_is_refused(tmp_path):
     for name, held, gripper, message in (
         ("a", 1, b"barrett", "ACRONYM's is the panda"),
         ("b", 0, b"panda", "none of 4"),
+        ("list", 1, [b"panda"], "gripper/type is no word; ACRONYM's is 'panda'"),
     ):
         path = write_acronym(tmp_path / f"{name}.h5", poses(4), np.full(4, held), gripper)
         with pytest.raises(FileError, match=message):
@@ -327,7 +329,8 @@ def test_acronym_of_another_gripper_or_without_success_is_refused(tmp_path):
 @needs("h5py")
 def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path, capsys):
     T, held = poses(6), np.array([1, 1, 0, 1, 1, 1])
-    write_acronym(tmp_path / "mug.h5", T, held)
+    for ending in ("h5", "hdf5"):
+        write_acronym(tmp_path / f"mug.{ending}", T, held)
     write_isaac(tmp_path / "mug.yaml", T, np.ones(6))
     rows = np.column_stack(
         [np.ones((6, 3)) * 0.02, np.full(6, 0.03), T[:, :3, :3].reshape(6, 9), T[:, :3, 3], np.full(6, 5)]
@@ -335,16 +338,14 @@ def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path,
     np.save(tmp_path / "mug.npy", rows)
     for said, source, more in (
         ("mug.h5", "acronym", []),
+        ("mug.hdf5", "acronym", []),
         ("mug.npy", "graspnet", []),
         ("mug.yaml:panda-hand", "isaac", ["--gripper", "panda-hand"]),
     ):
         out = tmp_path / f"{source}.npz"
-        assert (
-            main(
-                ["import", "grasps", str(tmp_path / said.partition(":")[0]), "--from", source, "--out", str(out), *more]
-            )
-            == 0
-        )
+        file = tmp_path / said.partition(":")[0]
+        line = ["import", "grasps", str(file), "--from", source, "--overwrite", "--out", str(out), *more]
+        assert main(line) == 0
         capsys.readouterr()
         found = Given(grasps=(f"cup={tmp_path / said}",)).read()
         (cup,) = (o for o in found.objects if o.name == "cup")
@@ -355,9 +356,36 @@ def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path,
     assert cup.grasps.digest == isaac_grasp.read(tmp_path / "mug.yaml", "ee")[0].digest
 
 
+def test_a_name_of_another_case_is_told_the_nearest_object(tmp_path):
+    for said in ("Cup=cup.npz", "cups=cup.npz"):
+        with pytest.raises(FileError, match=f"no object is called '{said.partition('=')[0]}', did you mean cup\\?"):
+            Given(grasps=(said,)).read()
+
+
+def test_graspnet_rows_that_can_be_no_grasp_are_named(tmp_path):
+    rows = np.column_stack(
+        [np.ones((2, 3)) * 0.02, np.full(2, 0.03), np.tile(np.eye(3).ravel(), (2, 1)), np.zeros((2, 4))]
+    )
+    half, thin = rows.copy(), rows.copy()
+    half[1, 16], thin[1, 1] = 0.5, -1
+    for array, why in (
+        (rows[:0], "holds no grasp"),
+        (half, "object 0.5 of row 1; objects are whole numbers"),
+        (thin, "width of grasp 1 is -1; 0 to 10 m are allowed"),
+    ):
+        np.save(tmp_path / "cup.npy", array)
+        with pytest.raises(FileError, match=f"cup.npy: {why}"):
+            graspnet.read(tmp_path / "cup.npy")
+
+
 def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
     write_isaac(tmp_path / "cup.yaml", poses(2), np.ones(2))
-    for said, why in (("cup.yaml", "say FILE:GRIPPER, one of"), ("cup.npz:ee", "leave :ee out")):
+    for said, why in (
+        ("cup.yaml", "say FILE:GRIPPER, one of"),
+        ("cup.npz:ee", "leave :ee out"),
+        ("cup.yaml:EE", "'EE' is no gripper, did you mean ee\\?; allowed are acronym-panda"),
+        ("cup.yaml:", "'' is no gripper; allowed are"),
+    ):
         with pytest.raises(FileError, match=why):
             Given(grasps=(str(tmp_path / said),)).read()
 

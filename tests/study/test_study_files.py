@@ -94,8 +94,15 @@ def run(tmp_path_factory):
     [
         ("63.3,13", "-150", "--trials is -150; it must be 1 to"),
         ("63.3,13", "0", "--trials is 0; it must be 1 to"),
-        ("163.3,13", "150", "line 2, column 2: real_sr 163.3; allowed are numbers from 0 to 100"),
-        ("-1,13", "150", "line 2, column 2: real_sr -1; allowed are numbers from 0 to 100"),
+        ("163.3,13", "150", "line 2, column 2: real_sr 163.3; allowed are percent from 0 to 100"),
+        ("-1,13", "150", "line 2, column 2: real_sr -1; allowed are percent from 0 to 100"),
+        (
+            "0.85,13",
+            "150",
+            "line 2, column 2: real_sr 0.85; allowed are percent from 0 to 100, 85 or 85% and not 0.85;",
+        ),
+        ("1,13", "150", "line 2, column 2: real_sr 1; allowed are percent from 0 to 100, 85 or 85%"),
+        ("101%,13", "150", "line 2, column 2: real_sr 101%; allowed are percent"),
         ("63.3,-13", "150", "line 2, column 3: real_t_tot_s -13"),
         ("63.3,inf", "150", "line 2, column 3: real_t_tot_s inf"),
         ("63.3,13\nFC-Handover,60,13", "150", "line 3: FC-Handover is there twice"),
@@ -105,6 +112,20 @@ def test_real_rates_and_trials_beyond_their_bounds_are_refused(tmp_path, capsys,
     (tmp_path / "real.csv").write_text(f"method,real_sr,real_t_tot_s\nFC-Handover,{cells}\n")
     code, out, err = outcome(tmp_path / "real.csv", capsys, "real", "--trials", trials, run)
     assert code == 2 and out == "" and part in err and err.count("\n") == 1
+
+
+def test_a_percent_sign_is_read_and_what_nobody_can_tell_apart_has_one(tmp_path, capsys, run):
+    for cell, shown in (
+        ("85%", "85.0"),
+        ("85 %", "85.0"),
+        ("0.7%", "0.7"),
+        ("1%", "1.0"),
+        ("0", "0.0"),
+        ("1.1", "1.1"),
+    ):
+        (tmp_path / "real.csv").write_text(f"method,real_sr,real_t_tot_s\nFC-Handover,{cell},13\n")
+        code, out, _ = outcome(tmp_path / "real.csv", capsys, "real", "--trials", "150", run)
+        assert code == 0 and f" {shown} " in out, out
 
 
 def test_decimal_commas_of_a_semicolon_table_are_read(tmp_path, capsys, run):

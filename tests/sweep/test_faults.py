@@ -163,8 +163,61 @@ def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(
     os.mkfifo(mark)
     capsys.readouterr()
     assert sweep.main(line) == 1
-    assert f"sweep: {mark}: no plain file but a link or a pipe; take it away\n" in capsys.readouterr().err
+    assert f"{mark} is a pipe, where the run has a file of its own; move it away" in capsys.readouterr().err
     assert not (tmp_path / "elsewhere").exists() and not receipts(tmp_path / "run")
+
+
+PLACES = (
+    *("run.json", "progress.json", "methods/fake_bench_best.json", "manifest", "manifest/fake_bench_best"),
+    *(".claims", ".claims/fake_bench_best-000000", ".claims/fake_bench_best-000000.begun", "trials/fake_bench_best"),
+)
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("kind", ["folder", "pipe"])
+def test_what_stands_in_the_place_of_a_runs_own_file_is_named_with_the_run_folder_and_what_to_do(
+    place, kind, tmp_path, monkeypatch, capsys
+):
+    """A line before that was of an inner file: `.progress.json.198102dc09de.tmp: Is a directory`."""
+    monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
+    out = tmp_path / "run"
+    name = "fake_bench:best"
+    line = ["--method", name, "--trials", "6", "--out", str(out)]
+    assert sweep.main(line) == 0 and sweep.main([*line[:-1], str(tmp_path / "other")]) == 0
+    for path in out.rglob("*"):  # nothing is scored yet, and somebody put something there
+        if path.is_file() and path.name != "run.json":
+            path.unlink()
+    wrong = out / place
+    for path in sorted(wrong.rglob("*"), reverse=True) if wrong.is_dir() else ():
+        path.rmdir()
+    if wrong.exists():
+        wrong.rmdir() if wrong.is_dir() else wrong.unlink()
+    wrong.parent.mkdir(parents=True, exist_ok=True)
+    wrong.mkdir() if kind == "folder" else os.mkfifo(wrong)
+    capsys.readouterr()
+    code = sweep.main(line)
+    error = [x for x in capsys.readouterr().err.splitlines() if x.startswith("sweep: ")]
+    mine = (
+        "folder" if place in ("manifest", "manifest/fake_bench_best", ".claims", "trials/fake_bench_best") else "file"
+    )
+    if kind == mine or (kind, place) in ((("pipe", "progress.json"), ("pipe", ".claims/fake_bench_best-000000"))):
+        assert code == 0 and not error  # a pipe at these two is replaced, or a lock like any other
+        return
+    assert code in (1, 2) and len(error) == 1, error
+    assert f"{wrong} is a {kind}, where the run has a {mine} of its own; move it away and run the same" in error[0]
+    wrong.rmdir() if kind == "folder" else wrong.unlink()
+    if place != "run.json":
+        assert sweep.main(line) == 0 and load_run(out).digest(name) == load_run(tmp_path / "other").digest(name)
+
+
+def test_a_run_inside_a_run_folder_is_refused(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
+    line = ["--method", "fake_bench:best", "--trials", "6", "--out"]
+    assert sweep.main([*line, str(tmp_path / "run")]) == 0
+    for inside in ("inner", "trials/inner"):
+        assert sweep.main([*line, str(tmp_path / "run" / inside)]) == 2
+        assert f"lies in the run folder {tmp_path / 'run'}, which holds its own" in capsys.readouterr().err
+        assert not (tmp_path / "run" / inside).exists()
 
 
 def test_a_clock_that_is_set_back_between_two_sweeps_changes_nothing(tmp_path, undisturbed):

@@ -46,7 +46,9 @@ def read(path: Path) -> tuple[GraspSet, int]:
     except (OSError, RuntimeError, ValueError, KeyError, TypeError, OverflowError) as error:
         text = " ".join(printable(error).split())[:120]
         raise ImportRefused(f"{where}: not a readable HDF5 file ({text})") from None
-    name = kind.decode("utf-8", "replace") if isinstance(kind, bytes) else str(kind)
+    if not isinstance(kind, (bytes, str)):
+        raise ImportRefused(f"{where}: {KIND} is no word; ACRONYM's is 'panda'")
+    name = kind.decode("utf-8", "replace") if isinstance(kind, bytes) else kind
     if name != "panda":
         raise ImportRefused(f"{where}: gripper {printable(name[:40])!r}; ACRONYM's is the panda")
     good = held > 0

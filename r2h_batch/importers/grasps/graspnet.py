@@ -27,6 +27,11 @@ def read(
     """The grasps of one object, and how many are others'."""
     where = printable(path)
     rows = numbers(read_npy(path, most=MAX_GRASPS * 17 * 8 + 4096), (None, 17), where)
+    if not len(rows):
+        raise ImportRefused(f"{where}: holds no grasp (0 x 17)")
+    if (odd := rows[:, 16] != np.round(rows[:, 16])).any():
+        row = int(odd.argmax())
+        raise ImportRefused(f"{where}: object {rows[row, 16]:g} of row {row}; objects are whole numbers")
     mine = np.ones(len(rows), bool) if object_id is None else rows[:, 16] == object_id
     if not mine.any():
         ids = sorted({int(i) for i in rows[:, 16]})[:10]

@@ -1,0 +1,196 @@
+"""Every public function with every argument of the wrong kind: an error that names the argument, or its obvious meaning."""
+
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from made_runs import write_run
+from problems import default_evaluator, make_batch
+
+from r2h_batch import EvalConfig, Evaluator, Predictions, Scene, make_trials, reward, show
+from r2h_batch.config import EstimateConfig, ExecConfig, IkConfig, PlanConfig, Thresholds, Workplace
+from r2h_batch.predictions import load_predictions, write_predictions
+from r2h_batch.rejudge.again import Judge, rejudge
+from r2h_batch.results.reading import RunError, load_run
+from r2h_batch.soft import soft_success
+from r2h_batch.statistics import aggregate, paired
+from r2h_batch.statistics.common import common_trials
+from r2h_batch.statistics.thresholds import rank_stability, rescore
+from r2h_batch.trials.protocol import trials_digest, trials_of, trials_with_ids
+
+WRONG = {
+    "None": None, "text": "a", "bytes": b"a", "a float": 1.5, "infinity": float("inf"), "NaN": float("nan"), "minus one": -1,
+    "a number of NumPy": np.float32(2.5), "a whole number of NumPy": np.int64(2), "an empty list": [], "a list of words": ["a"],
+    "a list of nothing": [None], "an empty tensor": torch.empty(0), "a tensor": torch.ones(3, 2),
+    "a sparse tensor": torch.eye(4).to_sparse(), "an array": np.zeros((2, 2)), "an array of objects": np.array([None, "a"]),
+    "a dictionary": {"a": 1}, "a function": len, "an object": object(),
+}  # fmt: skip
+
+
+@cache
+def batch():
+    return make_batch(default_evaluator().scene, 4)
+
+
+@cache
+def scores():
+    b = batch()
+    return default_evaluator().score(b.T_obj_ee, b.T_world_ee, b.trials, "pose")
+
+
+@cache
+def captured():
+    return default_evaluator().capture(4, stages="pose")
+
+
+def scored() -> dict:
+    b = batch()
+    return {"T_obj_ee": b.T_obj_ee, "T_world_ee": b.T_world_ee, "trials": b.trials}
+
+
+CALLS = {
+    "make_trials": (make_trials, lambda _: {"splits": ("S0",), "trials": 2, **dict.fromkeys(
+        ("objects", "hand_set", "config", "benchmark", "protocol"))}),
+    "trials_with_ids": (trials_with_ids, lambda _: {"trial_id": torch.arange(2), "objects": None, "hand_set": None,
+        "config": None, "protocol": "r2h-v0"}),
+    "trials_of": (trials_of, lambda _: {"benchmark": _benchmark(), "trial_id": torch.arange(2)}),
+    "trials_digest": (trials_digest, lambda _: {"trials": batch().trials, "objects": None}),
+    "Evaluator": (Evaluator, lambda _: {"config": None, "device": "cpu", "objects": None, "hand_set": None, "threads": None}),
+    "Evaluator.from_benchmark": (Evaluator.from_benchmark, lambda _: {"benchmark": _benchmark(), "config": None,
+        "device": "cpu", "threads": None}),
+    "Evaluator.score": (lambda **k: default_evaluator().score(**k), lambda _: {**scored(), "stages": "pose"}),
+    "Evaluator.capture": (lambda **k: default_evaluator().capture(**k), lambda _: {"b": 2, "stages": "pose"}),
+    "Evaluator.rows_at_once": (lambda **k: default_evaluator().rows_at_once(**k), lambda _: {"stages": "pose"}),
+    "a captured call": (lambda **k: captured()(**k), lambda _: scored()),
+    "Scene": (Scene, lambda _: {"device": "cpu", "config": None, "objects": None, "hand_set": None}),
+    "Scene.palm": (lambda **k: default_evaluator().scene.palm(**k), lambda _: {
+        "hand_index": batch().trials.hand_index, "T_world_hand": batch().trials.T_world_hand}),
+    "Scene.model": (lambda **k: default_evaluator().scene.model(**k), lambda _: {"hand_indices": [0], "execute": None}),
+    "Trials[...]": (lambda rows: batch().trials[rows], lambda _: {"rows": 0}),
+    "Trials.to": (lambda device: batch().trials.to(device), lambda _: {"device": "cpu"}),
+    "Trials.named": (lambda objects: batch().trials.named(objects), lambda _: {"objects": default_evaluator().scene.objects}),
+    "Scores.by_trial": (lambda k: scores().by_trial(k), lambda _: {"k": 2}),
+    "Scores.soft": (lambda **k: scores().soft(**k), lambda _: {"temperature_m": 0.01, "log": False}),
+    "Scores.concatenate": (lambda parts: type(scores()).concatenate(parts), lambda _: {"parts": [scores()]}),
+    "show": (show, lambda _: {"scores": scores()[0], "height": 300}),
+    "reward.success": (reward.success, lambda _: {"scores": scores()}),
+    "reward.margin_vector": (reward.margin_vector, lambda _: {"scores": scores(), "limit_m": 0.05}),
+    "reward.first_failure": (reward.first_failure, lambda _: {"scores": scores()}),
+    "reward.quality": (reward.quality, lambda _: {"scores": scores(), "limit_m": 0.05}),
+    "reward.rank_of_k": (reward.rank_of_k, lambda _: {"value": torch.ones(4), "k": 2}),
+    "reward.best_of_k": (reward.best_of_k, lambda _: {"value": torch.ones(4), "k": 2}),
+    "soft_success": (soft_success, lambda _: {"margin": scores().margin, "evaluated": scores().evaluated,
+        "success": scores().success, "temperature_m": 0.01, "log": False}),
+    "load_predictions": (load_predictions, lambda tmp: {"path": _file(tmp)}),
+    "write_predictions": (write_predictions, lambda tmp: {"path": tmp / "p.npz", "predictions": _answers()}),
+    "load_run": (load_run, lambda tmp: {"folder": _run(tmp).folder, "verify": True}),
+    "Run.named": (lambda word, run: run.named(word), lambda tmp: {"word": "a", "run": _run(tmp)}),
+    "Run.only": (lambda methods, run: run.only(methods), lambda tmp: {"methods": ["a"], "run": _run(tmp)}),
+    "Run.entry": (lambda method, run: run.entry(method), lambda tmp: {"method": "a", "run": _run(tmp)}),
+    "Run.missing": (lambda method, run: run.missing(method), lambda tmp: {"method": "a", "run": _run(tmp)}),
+    "Run.digest": (lambda method, run: run.digest(method), lambda tmp: {"method": "a", "run": _run(tmp)}),
+    "common_trials": (common_trials, lambda tmp: {"runs": [_run(tmp)], "proven": ()}),
+    "pair_up": (paired.pair_up, lambda tmp: {"runs": [_run(tmp)], "common": None}),
+    "compare": (paired.compare, lambda tmp: {"paired": paired.pair_up([_run(tmp)]), "draws": 50, "seed": 0}),
+    "mcnemar": (paired.mcnemar, lambda _: {"only_a": 3, "only_b": 5}),
+    "holm": (paired.holm, lambda _: {"p": [0.1, 0.2]}),
+    "rank_probabilities": (paired.rank_probabilities, lambda _: {"rates": np.ones((3, 2))}),
+    "wilson_interval": (aggregate.wilson_interval, lambda _: {"count": 3, "total": 5, "confidence": 0.9}),
+    "clustered_interval": (aggregate.clustered_interval, lambda _: {"success": np.ones(4, bool),
+        "cluster": np.arange(4), "confidence": 0.9}),
+    "clustered_rate": (aggregate.clustered_rate, lambda _: {"success": np.ones(4, int), "total": np.ones(4, int),
+        "confidence": 0.9}),
+    "first_failure": (aggregate.first_failure, lambda _: {"passed": np.ones((2, 5), bool), "evaluated": np.ones((2, 5), bool)}),
+    "mean_rate": (aggregate.mean_rate, lambda _: {"rates": [aggregate.Rate(1.0, 0.0, 2.0)]}),
+    "summarise": (aggregate.summarise, lambda tmp: {"methods": [_tally(tmp)]}),
+    "average_row": (aggregate.average_row, lambda tmp: {"rows": aggregate.summarise([_tally(tmp)])[:2]}),
+    "group_row": (aggregate.group_row, lambda tmp: {"counted": _tally(tmp), "split": "S0", "code": None}),
+    "rescore": (rescore, lambda tmp: {"run": _run(tmp), "reach_radius_m": [0.1], "w_max_m": [0.08], "safe_margin_m": [0.0]}),
+    "rank_stability": (rank_stability, lambda tmp: {"points": rescore(_run(tmp), reach_radius_m=[0.1]), "methods": ["a"]}),
+    "Judge": (Judge, lambda tmp: {"run": _run(tmp), "given": None, "threads": None}),
+    "rejudge": (rejudge, lambda tmp: {"run": _run(tmp), "method": "a", "n": 2, "judge": _Judge(), "seed": 0}),
+    "EvalConfig.preset": (EvalConfig.preset, lambda _: {"name": "paper"}),
+    **{c.__name__: (c, lambda _, c=c: {f: getattr(c(), f) for f in c.__dataclass_fields__})
+       for c in (EvalConfig, Thresholds, IkConfig, PlanConfig, EstimateConfig, ExecConfig, Workplace)},
+}  # fmt: skip
+"""Public function -> what it is called with: `r2h_batch.__all__`, and what docs/reference/python.md lists."""
+
+LIMITS = {"reach_radius_m": 0.1, "w_max_m": 0.085, "safe_margin_m": 0.0}
+
+
+class Taken(Exception):
+    """The arguments were taken, and the work has begun."""
+
+
+class _Judge(Judge):
+    def __init__(self):
+        pass
+
+    def rows(self, *_):
+        raise Taken
+
+
+@cache
+def _run(tmp):
+    outcome = np.zeros(12, int)
+    methods = {"a": outcome, "b": np.where(np.arange(12) % 2, 3, 0)}
+    return write_run(
+        tmp / "run", methods, 6, 6, configuration={"name": "default", "thresholds": LIMITS}, stored=["poses"]
+    )
+
+
+@cache
+def _benchmark():
+    from r2h_batch.benchmark.benchmark import built_in
+
+    return built_in()
+
+
+def _answers():
+    b = batch()
+    return Predictions(b.trials.trial_id, b.T_obj_ee, b.T_world_ee, method="m")
+
+
+def _file(tmp) -> Path:
+    write_predictions(tmp / "given.npz", _answers())
+    return tmp / "given.npz"
+
+
+def _tally(tmp):
+    from r2h_batch.statistics.tally import tally
+
+    return tally(_run(tmp), "a", by_object=True)
+
+
+def raw(call, name, values, arguments) -> list[str]:
+    """What a wrong value of an argument comes to where it is neither taken nor refused by its name."""
+    found = []
+    for what, value in values.items():
+        try:
+            call(**{**arguments, name: value})
+        except Taken:
+            continue
+        except (TypeError, ValueError, IndexError, KeyError) as error:
+            said = str(error)
+            if isinstance(error, RunError) and name in ("given", "threads"):
+                continue  # what was given is right, and the run of another protocol
+            named = re.search(rf"\b{re.escape(name.removesuffix('s'))}s?\b", said) or said.startswith(
+                f"{value}: "
+            )  # a path
+            if not named or "\n" in said or isinstance(error, KeyError):
+                found.append(f"{name}={what}: {type(error).__name__}: {said[:150]}")
+        except Exception as error:
+            found.append(f"{name}={what}: {type(error).__name__}: {str(error)[:150]}")
+    return found
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_an_argument_of_the_wrong_kind_is_named(name, tmp_path):
+    call, make = CALLS[name]
+    arguments = make(tmp_path)
+    own = {"run", "judge"} if name.startswith("Run.") else set()
+    found = [x for argument in arguments if argument not in own for x in raw(call, argument, WRONG, arguments)]
+    assert found == [], "\n".join(found)
