@@ -142,6 +142,36 @@ def align(
     return torch.from_numpy(np.where(found, first[at], -1).astype(np.int64))
 
 
+LOOKS_RIGID, FAR_M = 1e-2, 10.0
+_PIECE = 65_536
+
+
+def doubts(predictions: Predictions) -> list[str]:
+    """What somebody would want to hear about the poses before they are scored: how many are none, or in other units."""
+    lines = []
+    for name, what in (("T_obj_ee", "grasps"), ("T_world_ee", "handover poses")):
+        T, n = getattr(predictions, name).numpy(), len(predictions)
+        pieces = [_odd(T[k : k + _PIECE]) for k in range(0, n, _PIECE)]
+        off, transposed, far = (np.concatenate([p[i] for p in pieces]) for i in range(3))
+        for odd, words in (
+            (off, "are no rigid pose and count as invalid" + (": transposed?" if (off & transposed).any() else "")),
+            (far, f"are more than {FAR_M:g} m away: lengths are in metres"),
+        ):
+            if odd.any():
+                first = int(predictions.trial_id[int(odd.argmax())])
+                lines.append(f"{int(odd.sum())} of {n} {what} ({name}; the first of trial {first}) {words}")
+    return lines
+
+
+def _odd(T: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n,) which are no rigid pose, which of these have their place in the last row, and which rigid ones are far away."""
+    with np.errstate(all="ignore"):
+        R = T[:, :3, :3].astype(np.float64)
+        off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2))
+        off = ~((off < LOOKS_RIGID) & (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) < LOOKS_RIGID) & (np.linalg.det(R) > 0))
+        return off, (T[:, :3, 3] == 0).all(1) & (T[:, 3, :3] != 0).any(1), ~off & (np.abs(T[:, :3, 3]).max(1) > FAR_M)
+
+
 def _refuse(source: str, what: str, ids: np.ndarray, how: str) -> None:
     if len(ids):
         listed = ", ".join(map(str, ids[:10].tolist())) + (", ..." if len(ids) > 10 else "")

@@ -175,7 +175,7 @@ def test_a_sidecar_that_is_about_no_mesh_is_refused(tmp_path):
     for name in ("brick.yml", "Brick.yaml", "cup.yaml"):
         (tmp_path / name).write_text("split: S1")
         with pytest.raises(FileError, match="is about no mesh of this folder"):
-            _objects_of(tmp_path, False)
+            _objects_of(tmp_path, False, None)
         (tmp_path / name).unlink()
 
 

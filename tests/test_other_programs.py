@@ -192,7 +192,7 @@ WRONG = {
     "device meta": (lambda: Evaluator(device="meta"), "device is 'meta'; allowed are cpu, cuda, cuda:N"),
     "device gpu": (lambda: Evaluator(device="gpu"), "device is 'gpu'; allowed are cpu, cuda, cuda:N"),
     "threads": (lambda: Evaluator(threads=1.5), "threads is 1.5; it must be a whole number"),
-    "half a trial": (lambda: make_trials(("S0",), 1.5), "trials is 1.5; it must be a whole number, 0 or more"),
+    "half a trial": (lambda: make_trials(("S0",), 1.5), "trials is 1.5; it must be a whole number from 0"),
     "fewer than no trials": (lambda: make_trials(("S0",), -1), "trials is -1; it must be a whole number"),
     "trials of objects of one name": (
         lambda: make_trials(("S0",), 1, objects=load_objects() * 2),
@@ -206,7 +206,7 @@ WRONG = {
     "rows of a captured call": (lambda: default_evaluator().capture(1.5), "b is 1.5"),
     "a gripper that opens wider than it can": (
         lambda: Thresholds(w_max_m=0.3),
-        "w_max_m is 0.3; .* to 0.085: the open",
+        "w_max_m is 0.3; .* above 0, at most 0.085: the open",
     ),
     "pads that give a metre": (lambda: Thresholds(pad_squeeze_m=1), "pad_squeeze_m is 1; .* from 0 to 0.01 metres"),
     "a hand before the first": (
@@ -215,7 +215,7 @@ WRONG = {
     ),
     "half a hand": (
         lambda: palm(torch.tensor([1.5])),
-        "hand_index is a Tensor .* float32; it must be .* whole numbers",
+        "hand_index is a Tensor .*float32; it must be .* whole numbers",
     ),
     "a hand without its pose": (
         lambda: palm(torch.tensor([1, 2])),

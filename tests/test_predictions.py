@@ -9,7 +9,7 @@ import torch
 from made_runs import make_predictions, make_trials
 from prediction_files import FORMATS, arrays, refused, store
 
-from r2h_batch.predictions import PredictionsError, align, load_predictions, write_predictions
+from r2h_batch.predictions import PredictionsError, align, doubts, load_predictions, write_predictions
 from r2h_batch.types import Predictions
 
 
@@ -176,3 +176,23 @@ def test_a_large_file_is_read_in_little_more_memory_than_it_needs(tmp_path):
         [sys.executable, "-c", code, str(tmp_path / "p.npz")], capture_output=True, text=True, check=True
     )
     assert int(done.stdout) * 1024 < 6 * n * 136
+
+
+def test_poses_in_millimetres_and_transposed_ones_are_said_before_they_are_scored():
+    """The table would be one of zeros, and the file would look as if it had been understood."""
+    T = torch.eye(4).repeat(5, 1, 1)
+    T[:, :3, 3] = torch.tensor([0.4, 0.1, 0.5])
+    ids = torch.tensor([7, 3, 0, 1, 2])
+    assert doubts(Predictions(ids, T, T)) == []
+    T_bad, far = T.clone(), T.clone()
+    T_bad[1:, :3, 3], T_bad[1:, 3, :3] = 0.0, T[1:, :3, 3]
+    far[2:, :3, 3] *= 1000
+    assert doubts(Predictions(ids, T_bad, far)) == [
+        "4 of 5 grasps (T_obj_ee; the first of trial 3) are no rigid pose and count as invalid: transposed?",
+        "3 of 5 handover poses (T_world_ee; the first of trial 0) are more than 10 m away: lengths are in metres",
+    ]
+    far[0, 0, 0] = torch.nan
+    assert (
+        "1 of 5 handover poses (T_world_ee; the first of trial 7) are no rigid pose"
+        in doubts(Predictions(ids, T, far))[0]
+    )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from r2h_batch.files import FileError, printable
 from r2h_batch.files.arrays import read_npz
 
-__all__ = ["check_postures", "read_hand", "read_hand_set"]
+__all__ = ["check_lengths", "check_postures", "in_body", "read_hand", "read_hand_set"]
 
 HAND: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "vertices": ("f", ("V", 3)),
@@ -71,6 +71,32 @@ def check_postures(pose: NDArray[Any], shape: NDArray[Any]) -> None:
         raise ValueError(f"shape of hand {odd} goes up to {size[odd].max():.4g}; at most {MOST_SHAPE:g} is allowed")
 
 
+SMALLEST_M, LARGEST_M, MOST_BEND_M = 0.05, 1.0, 0.1
+"""Of a hand's largest side, and how far one unit of a blend shape may move a vertex: else lengths are no metres."""
+
+
+def check_lengths(arrays: Mapping[str, Any]) -> None:
+    """ValueError where the arrays of a hand model are of no hand's size: in other units than metres and radians, mostly."""
+    for name in ("vertices", "left_vertices", "joints_rest", "left_joints_rest"):
+        if name not in arrays:
+            continue
+        side = float(np.ptp(np.asarray(arrays[name], np.float64), axis=0).max())
+        if not SMALLEST_M <= side <= LARGEST_M:
+            raise ValueError(
+                f"{name} span {side:.4g} m; a hand's span {SMALLEST_M} to {LARGEST_M} m. Lengths are in metres: from millimetres"
+                " multiply by 0.001"
+            )
+    for name in ("shape_basis", "joint_shape_basis", "pose_basis"):
+        for key in (name, f"left_{name}"):
+            most = float(np.abs(arrays[key]).max(initial=0.0)) if key in arrays else 0.0
+            if most > MOST_BEND_M:
+                raise ValueError(
+                    f"{key} moves a vertex by {most:.4g} m; at most {MOST_BEND_M} is allowed. It must be of the vertices' unit"
+                )
+    if "pose_mean" in arrays:
+        check_postures(np.asarray(arrays["pose_mean"]), np.zeros((1, 10)))
+
+
 def read_hand(path: str | Path) -> dict[str, np.ndarray]:
     """The arrays of a hand model as `HandModel.from_arrays` takes them. Raises `FileError`, one line."""
     where, arrays = printable(path), read_npz(Path(path))
@@ -90,6 +116,10 @@ def read_hand(path: str | Path) -> dict[str, np.ndarray]:
     weights = [arrays[k] for k in ("weights", "left_weights") if k in arrays]
     if any(w.min() < 0 or np.abs(w.sum(1) - 1).max() > 1e-3 for w in weights):
         raise FileError(f"{where}: weights must be 0 or more and sum to 1 for every vertex")
+    try:
+        check_lengths(arrays)
+    except ValueError as error:
+        raise FileError(f"{where}: {error}") from None
     return {k: v for k, v in arrays.items() if k in HAND or k in given}
 
 
@@ -106,10 +136,10 @@ def read_hand_set(path: str | Path) -> dict[str, np.ndarray]:
         check_postures(arrays["pose"], arrays["shape"])
     except ValueError as error:
         raise FileError(f"{where}: {error}") from None
-    return {**{k: arrays[k] for k in SET}, "in_body": _in_body(arrays, sizes["H"], where)}
+    return {**{k: arrays[k] for k in SET}, "in_body": in_body(arrays, sizes["H"], where)}
 
 
-def _in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:
+def in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:
     """Rotations (H, 3, 3) from body to hand: the body stands as `up` says and looks where `facing` does, level."""
     out = np.full((count, 3, 3), np.nan)
     if not all(name in arrays for name in BODY):

@@ -83,9 +83,10 @@ def whole(low: int | None = None, high: int | None = None, what: str = "") -> Ru
 
 def number(low: float = -math.inf, high: float = math.inf, *, above: bool = False, what: str = "") -> Rule:
     """A finite number from `low` (with `above`: above it) to `high`, NumPy's too."""
-    least = "" if low == -math.inf else f" above {low:g}" if above else f" from {low:g}"
-    most = "" if high == math.inf else f" to {high:g}" if least and not above else f" of at most {high:g}"
-    bounds = f"{least}{' or more' if least and not above and not most else ''}{' and' if above and most else ''}{most}"
+    if high == math.inf:
+        bounds = "" if low == -math.inf else f" above {low:g}" if above else f", {low:g} or more"
+    else:
+        bounds = f" above {low:g}, at most {high:g}" if above else f" from {low:g} to {high:g}"
 
     def rule(name: str, value: Any) -> float:
         if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):

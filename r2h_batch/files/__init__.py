@@ -41,7 +41,7 @@ _KINDS = {
     stat.S_IFCHR: "a device, which may never end",
     stat.S_IFBLK: "a device",
     stat.S_IFSOCK: "a socket",
-    stat.S_IFLNK: "a link",
+    stat.S_IFLNK: "a symbolic link",
     stat.S_IFREG: "a file",
 }
 

@@ -23,6 +23,7 @@ MAX_LINE = 10_000
 MAX_ROWS = 10_000_000
 
 MOST_DIGITS = 400
+WHOLE = "a whole number, 0 or more, of at most 18 digits"
 UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 """How a file in UTF-16 begins."""
 
@@ -114,7 +115,7 @@ def _add(
         raise FileError(f"{where}: line {line} has {len(row)} cells; the first line has {count}")
     cell = row[places[key][0]].strip()
     if not _WHOLE.fullmatch(cell):
-        raise FileError(f"{where}: line {line}: {key} is {printable(cell)[:40]!r}; it must be a whole number")
+        raise FileError(f"{where}: line {line}: {key} is {printable(cell)[:40]!r}; it must be {WHOLE}")
     ids.append(int(cell))
     for name, data in values.items():
         for place in places[name]:
@@ -164,13 +165,14 @@ def read_json_arrays(
             raise FileError(f"{at}: unknown field {printable(strange[0])[:60]!r}; allowed are {', '.join(widths)}")
         number = row.get(key)
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 1 << 63:
-            raise FileError(f"{at}.{key} is {printable(repr(number))[:40]}; it must be a whole number")
+            raise FileError(f"{at}.{key} is {printable(repr(number))[:40]}; it must be {WHOLE}")
         ids.append(number)
         for name, part in values.items():
             given = row.get(name)
             flat = [float("nan")] * widths[name] if given is None and name in optional else _flat(given)
-            if len(flat) != widths[name]:
-                raise FileError(f"{at}.{name} must be {widths[name]} number{'s' if widths[name] > 1 else ''}")
+            if flat is None or len(flat) != widths[name]:
+                told = _said(given) if flat is None else f"{len(flat)} numbers"
+                raise FileError(f"{at}.{name} is {told}; it must be {widths[name]} number{'s'[: widths[name] > 1]}")
             part.extend(flat)
     found: Arrays = {key: np.array(ids, np.int64)}
     for name, part in values.items():
@@ -198,10 +200,16 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _flat(given: Any) -> list[float]:
-    """The numbers of a number, a list or a list of lists; empty where there is something else in it."""
+def _said(given: Any) -> str:
+    """What stands where numbers should, in a few words."""
+    what = printable(json.dumps(given, default=str))
+    return what if len(what) <= 40 else f"{what[:40]}..."
+
+
+def _flat(given: Any) -> list[float] | None:
+    """The numbers of a number, a list or a list of lists; None where there is something else in it."""
     items = given if isinstance(given, list) else [given]
     items = [x for part in items for x in (part if isinstance(part, list) else [part])]
     if any(isinstance(x, bool) or not isinstance(x, (int, float)) or abs(x) > 1e300 for x in items if x == x):
-        return []
+        return None
     return [float(x) for x in items]

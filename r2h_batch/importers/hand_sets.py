@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import HandModel, load_hand_set
+from r2h_batch.bodies.hand_file import in_body
 from r2h_batch.command_line import tell
 from r2h_batch.files import FileError, printable
 from r2h_batch.files.arrays import write_npz
@@ -68,7 +69,7 @@ def collect(
     skipped: list[str] = []
     for path in _shown(paths, f"reading {source}"):
         try:
-            found += [(h, receiving_frame(h, rule, model)) for h in read(path, hand)]
+            found += [_with_frame(h, receiving_frame(h, rule, model)) for h in read(path, hand)]
         except (FileError, OSError, ValueError) as error:
             text = " ".join(printable(error).split())
             line = text if text.startswith(printable(path)) else f"{printable(path)}: {text}"
@@ -80,6 +81,15 @@ def collect(
         raise ImportRefused(f"{printable(folder)}: none of {len(paths)} files could be read; the first: {skipped[0]}")
     found.sort(key=lambda f: f[0].side)  # stable: in order of the files on each side
     return Collected([h for h, _ in found], [k for _, k in found], [source] * len(found), skipped)
+
+
+def _with_frame(hand: HandMotion, frame: int) -> tuple[HandMotion, int]:
+    """The hand, held to what a hand set may know of its body and place: what --hands would refuse is refused here."""
+    known = {"facing": hand.facing, "up": hand.up, "T_world_hand": hand.T_world_hand}
+    if all(v is not None for v in known.values()):
+        rows = {k: np.asarray(v)[frame if k != "up" else ...][None] for k, v in known.items()}
+        in_body(rows, 1, hand.source)
+    return hand, frame
 
 
 def _shown(paths: Sequence[Path], what: str) -> Iterator[Path]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.bodies import hand_pieces
 from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
+from r2h_batch.bodies.hand_file import check_lengths
 from r2h_batch.files.arrays import read_npz
 from r2h_batch.importers.reading import ImportRefused, read_pickle_file
 
@@ -83,6 +84,10 @@ def hand_arrays(
     except ValueError as error:
         raise ImportRefused(f"{right or left}: {error}") from None
     arrays |= _both_sides(raw.get(RIGHT), raw.get(LEFT))
+    try:
+        check_lengths(arrays)
+    except ValueError as error:
+        raise ImportRefused(f"{right or left}: {error}") from None
     return arrays
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
+from r2h_batch.command_line import tell
 from r2h_batch.files import printable
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.reading import ImportRefused
@@ -151,17 +151,22 @@ def files_below(folder: Path, pattern: str) -> list[Path]:
     if not base.is_dir():
         raise ImportRefused(f"{printable(folder)}: no such folder")
     found: list[Path] = []
-    for path in _inside(base.glob(pattern), base):
+    outside = 0
+    for path in base.glob(pattern):
+        if not path.resolve().is_relative_to(base):
+            outside += 1
+            continue
         found.append(path)
         if len(found) > MAX_FILES:
             raise ImportRefused(f"{printable(folder)}: more than {MAX_FILES} files {pattern}")
+    links = f"{outside} {pattern} {'is a link that leads' if outside == 1 else 'are links that lead'} out of the folder"
+    if not found and outside:
+        raise ImportRefused(f"{printable(folder)}: {links} (not followed); give the folder that holds the files")
     if not found:
         raise ImportRefused(f"{printable(folder)}: holds no {pattern}; is it the right folder?")
+    if outside:
+        tell(f"{printable(folder)}: {links}, left out")
     return sorted(found)
-
-
-def _inside(paths: Iterable[Path], base: Path) -> Iterable[Path]:
-    return (p for p in paths if p.resolve().is_relative_to(base))
 
 
 def side_name(side: int) -> str:

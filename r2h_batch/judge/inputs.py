@@ -8,7 +8,7 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from r2h_batch.checks import kind, one_of
+from r2h_batch.checks import given, kind, one_of
 from r2h_batch.checks.tensors import check_indices as in_range
 from r2h_batch.checks.tensors import check_tensor
 from r2h_batch.config import EvalConfig
@@ -31,8 +31,7 @@ def checked_inputs(
     kind(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
     check_tensor("trials.trial_id", trials.trial_id, "a torch tensor (N,) of torch.int64")
     if trials.trial_id.ndim != 1:
-        found = tuple(trials.trial_id.shape)
-        raise ValueError(f"trials.trial_id has shape {found}; it must be torch.int64 (N,)")
+        raise ValueError(f"trials.trial_id is {given(trials.trial_id)}; it must be torch.int64 (N,)")
     n = len(trials)
     many = isinstance(T_obj_ee, Tensor) and T_obj_ee.ndim == 4
     k = T_obj_ee.shape[1] if many else 1

@@ -28,6 +28,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from r2h_batch.bodies.hand import HandGeometry, HandModel
+from r2h_batch.bodies.hand_file import KINDS, check_postures
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.files import FileError, printable
 from r2h_batch.files.arrays import read_npz, read_safetensors
@@ -150,7 +151,9 @@ def _read(path: Path, allowed: Sequence[str]) -> tuple[Arrays, str]:
 def _need(where: str, arrays: Arrays, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[Any]:
     """The array of this name, of this shape (None: any) and kind."""
     value = arrays.get(name)
-    words = " x ".join("any" if n is None else str(n) for n in shape)
+    letters = iter("NMK")
+    size = " x ".join(next(letters) if n is None else str(n) for n in shape)
+    words = f"{size} {KINDS.get(kinds, 'numbers')}"
     if value is None:
         raise FileError(f"{where}: has no {name}; need {words}")
     fits = value.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, value.shape, strict=True))
@@ -206,8 +209,10 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
             raise FileError(f"{where}: {frame} of row {int(off.argmax())} is no rigid pose in metres")
         pose = _need(where, a, "pose", (n, 48), "f")
         shape = _need(where, a, "shape", (n, 10), "f") if "shape" in a else np.zeros((n, 10), np.float32)
-        if max(np.abs(pose).max(), np.abs(shape).max()) > 100:
-            raise FileError(f"{where}: pose and shape go beyond 100; turns are in radians")
+        try:
+            check_postures(pose, shape)
+        except ValueError as error:
+            raise FileError(f"{where}: {error}") from None
         return {"T": T, "pose": pose, "shape": shape}
     vertices = _need(where, a, "vertices", (n, None, 3), "f")
     if vertices.shape[1] != len(model.vertices):

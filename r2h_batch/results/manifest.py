@@ -78,12 +78,19 @@ def run_hash(header: Mapping[str, Any]) -> str:
 
 
 def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """Names of the identity's fields in which two headers differ."""
+    """Names of the identity's fields in which two headers differ, and of what differs in them."""
 
     def value(header: Mapping[str, Any], key: str) -> Any:
         return (header.get(key) or {}).get("kind") if key == "device" else header.get(key)
 
-    return [k for k in (*IDENTITY, "predictors") if value(old, k) != value(new, k)]
+    names = []
+    for key in (*IDENTITY, "predictors"):
+        mine, other = value(old, key), value(new, key)
+        if mine != other:
+            parts = isinstance(mine, Mapping) and isinstance(other, Mapping)
+            inner = sorted(k for k in {**mine, **other} if mine.get(k) != other.get(k)) if parts else []
+            names.append(f"{key} ({', '.join(inner)})" if inner else key)
+    return names
 
 
 def read_header(folder: Path) -> dict[str, Any]:

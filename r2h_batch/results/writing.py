@@ -291,7 +291,7 @@ def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = Tru
     old = read_header(folder)
     if fields := differing(old, new):
         raise RunError(
-            f"{folder}: a run with another {', '.join(fields)}; {OTHER}, or --force-new: a new folder beside this one"
+            f"{folder}: another run, which differs in {', '.join(fields)}; {OTHER}, or --force-new: a new folder beside this one"
         )
     if exact and asked and asked != old["shard_trials"]:
         raise RunError(f"{folder}: has shards of {old['shard_trials']} trials, asked were {asked}; {OTHER}")

@@ -138,7 +138,7 @@ class Scene:
 
     def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> SceneModel:
         """The scene as one MuJoCo model, which takes any trial with one of these hands: what is simulated and rendered."""
-        hands = many(SupportsIndex, "numbers of hands")("hand_indices", tuple(_listed(hand_indices)))
+        hands = many(SupportsIndex, "numbers of hands", least=0)("hand_indices", tuple(_listed(hand_indices)))
         hand_indices = [whole(0, len(self.hands.set) - 1)(f"hand_indices[{i}]", h) for i, h in enumerate(hands)]
         optional(kind(ExecConfig))("execute", execute)
         execute = execute or self.config.execute

@@ -16,7 +16,8 @@ import torch
 
 from r2h_batch.benchmark import Benchmark
 from r2h_batch.benchmark.given import Given
-from r2h_batch.predictions import align, load_predictions
+from r2h_batch.command_line import tell
+from r2h_batch.predictions import align, doubts, load_predictions
 from r2h_batch.results import provenance
 from r2h_batch.results.rows import TrialNames
 from r2h_batch.sweep.answers import answer_of
@@ -224,6 +225,8 @@ Files = list[tuple[str, str, Predictions]]
 def load_files(options: Options) -> Files:
     """(path, sha256, predictions) of every file: refused before anything slow starts."""
     loaded = [(path, load_predictions(path)) for path in options.predictions]
+    for line in (f"{path}: {words}" for path, predictions in loaded for words in doubts(predictions)):
+        tell(line)
     return [(path, provenance.file_digest([Path(path)]), predictions) for path, predictions in loaded]
 
 

@@ -87,7 +87,7 @@ def test_a_users_own_mesh_is_asked_for_and_comes_along(tmp_path, capsys):
     capsys.readouterr()
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
     trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().subdivide().export(file)
-    assert "objects" in refused([*command, "--object-mesh", file], capsys)
+    assert "objects" in refused([*command, "--overwrite", "--object-mesh", file], capsys)
 
 
 def test_a_run_of_another_benchmark_comes_with_its_hands_home_and_table(tmp_path, capsys):
@@ -116,7 +116,7 @@ def test_a_run_of_another_benchmark_comes_with_its_hands_home_and_table(tmp_path
     assert cKDTree(found).query(skin)[0].max() < 1e-6
     file.write_text("objects: [{built_in: bowl}]\n")
     capsys.readouterr()
-    assert "hand_set" in refused([*command, "--benchmark", file], capsys)
+    assert "hand_set" in refused([*command, "--overwrite", "--benchmark", file], capsys)
 
 
 def test_the_command_of_the_readme_works(run, tmp_path):

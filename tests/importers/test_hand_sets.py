@@ -212,13 +212,35 @@ def test_a_bad_file_is_named_and_skipped_or_refused(tmp_path, capsys):
     assert not (tmp_path / "strict.npz").exists()
 
 
+def test_a_sequence_of_zeros_is_refused_where_it_is_read_and_not_where_the_hands_are_used(tmp_path, capsys):
+    good = write_grab(tmp_path)
+    with np.load(good, allow_pickle=True) as data:
+        arrays = {k: data[k] for k in data.files}
+    for name in ("rhand", "lhand", "object", "body"):
+        params = arrays[name].item()["params"]
+        params.update({k: np.zeros_like(v) for k, v in params.items()})
+    np.savez(good, **arrays)
+    code, _, err = imported(capsys, tmp_path, "grab", tmp_path / "hands.npz")
+    assert code == 2 and "no rotation and two directions that differ" in err and not (tmp_path / "hands.npz").exists()
+
+
+def test_a_file_of_the_data_set_itself_is_not_written_over(tmp_path, capsys):
+    good = write_grab(tmp_path)
+    before = good.read_bytes()
+    code, _, err = imported(capsys, tmp_path, "grab", good)
+    assert code == 2 and "is there already" in err and good.read_bytes() == before
+
+
 def test_nothing_outside_the_folder_is_read(tmp_path, capsys, means, mano):
     outside = write_grab(tmp_path / "elsewhere")
     inside = tmp_path / "data" / "grab" / "s1"
     inside.mkdir(parents=True)
     (inside / "mug_pass_1.npz").symlink_to(outside)
     code, _, err = imported(capsys, tmp_path / "data", "grab", tmp_path / "hands.npz")
-    assert code == 2 and "is it the right folder" in err
+    assert code == 2 and "1 **/s*/*_*.npz is a link that leads out of the folder (not followed)" in err
+    write_grab(tmp_path / "data", "s1/cup_pass_1")
+    code, _, err = imported(capsys, tmp_path / "data", "grab", tmp_path / "linked.npz")
+    assert code == 0 and "is a link that leads out of the folder, left out" in err
     mean, components = means
     pose = write_dexycb(tmp_path / "ycb", components[0], mean[0])
     meta = pose.with_name("meta.yml")

@@ -238,6 +238,12 @@ def test_a_stored_hand_or_set_that_is_none_is_refused_in_one_line(files, tmp_pat
         (load_hand, {**arrays, "faces": arrays["faces"] + 5}, "faces names other vertices"),
         (load_hand, {**arrays, "piece_offsets": arrays["piece_offsets"][::-1]}, "do not divide"),
         (load_hand, {**arrays, "weights": arrays["weights"] / 2}, "sum to 1"),
+        (
+            load_hand,
+            {**arrays, "vertices": arrays["vertices"] * 1000},
+            "Lengths are in metres: from millimetres multiply",
+        ),
+        (load_hand, {**arrays, "shape_basis": arrays["shape_basis"] * 1000}, "shape_basis moves a vertex"),
         (load_hand, {k: v for k, v in arrays.items() if k != "joint_axes"}, "has no joint_axes"),
         (load_hand, {**arrays, "parents": arrays["parents"][::-1]}, "not MANO's"),
         (load_hand, {**arrays, "vertices": np.array([{}], object)}, "Python objects"),
@@ -265,6 +271,23 @@ BAD = {
     "not a number": (lambda a: {**a, "hands_mean": np.full(45, np.nan)}, "not finite"),
     "a left hand": (lambda a: mano_dictionary(1), "is a left hand"),
     "inside out": (lambda a: {**a, "f": a["f"][:, ::-1]}, "clockwise"),
+    "millimetres": (
+        lambda a: {**a, "v_template": a["v_template"] * 1000},
+        "vertices span 202.8 m; a hand's span 0.05 to 1.0 m",
+    ),
+    "a dot": (lambda a: {**a, "v_template": a["v_template"] * 1e-3}, "vertices span 0.0002028 m"),
+    "blend shapes in millimetres": (
+        lambda a: {**a, "shapedirs": a["shapedirs"] * 1000},
+        "shape_basis moves a vertex by 9.29.* m; at most 0.1 is allowed",
+    ),
+    "blend shapes of pose in millimetres": (
+        lambda a: {**a, "posedirs": a["posedirs"] + 5.0},
+        "pose_basis moves a vertex by 5 m",
+    ),
+    "a mean in degrees": (
+        lambda a: {**a, "hands_mean": a["hands_mean"] * 1000},
+        "turns joint .* multiply them by pi / 180",
+    ),
     "a list": (lambda a: [1, 2], "holds a list"),
 }
 

@@ -178,7 +178,7 @@ def test_files_that_are_no_predictions_are_refused_in_one_line(scene, asked, tmp
             "hands",
             broken(scene, asked, receiving_pose=nan),
         ),
-        "turns are in radians": ("hands", broken(scene, asked, receiving_pose=np.full((n, 48), 180.0))),
+        "turns joint 0 by 60.62 rad": ("hands", broken(scene, asked, receiving_pose=np.full((n, 48), 35.0))),
         "is no rigid pose": ("hands", broken(scene, asked, target_T_world_hand=np.ones((n, 4, 4)))),
         "is given more than once": ("hands", broken(scene, asked, trial_id=np.zeros(n, int))),
         "has no trial_id": ("hands", broken(scene, asked, trial_id=None)),

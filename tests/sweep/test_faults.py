@@ -245,7 +245,7 @@ def test_another_version_on_resume_is_refused_and_the_old_one_goes_on(tmp_path, 
     before = {p: p.read_bytes() for p in out.rglob("*") if p.is_file()}
     code, table, error = finish(start(tmp_path, out, SLOW, FAKE_VERSION="0.2.0"))
     assert code == 2 and table == "" and error.count("\n") == 1, error
-    assert "a run with another versions" in error and "choose another --out" in error
+    assert "another run, which differs in versions" in error and "choose another --out" in error
     assert {p: p.read_bytes() for p in out.rglob("*") if p.is_file()} == before
     code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
     assert code == 0, error
@@ -261,6 +261,6 @@ def test_of_two_configurations_started_at_the_same_moment_one_has_the_folder_and
         codes = [code for code, _, _ in ends]
         assert sorted(codes) == [0, 2], ends
         loser = ends[codes.index(2)][2]
-        assert "a run with another seed" in loser and "Traceback" not in loser
+        assert "another run, which differs in seed" in loser and "Traceback" not in loser
         run = load_run(out)
         assert run.header["seed"] == codes.index(0) and run.methods == (SLOW,)
