@@ -122,7 +122,7 @@ def _plain_numbers() -> Any:
 def check_range(flag: str, value: float, low: float, high: float, what: str = "") -> None:
     """`UsageError` for a flag's number outside `low` to `high`."""
     if not low <= value <= high:
-        raise UsageError(f"{flag} is {value:.10g}; it must be {low:g} to {high:g}{f' {what}' if what else ''}")
+        raise UsageError(f"{flag} is {value:.15g}; it must be {low:g} to {high:g}{what}")
 
 
 def check_seed(seed: int) -> None:

@@ -11,8 +11,10 @@ from made_runs import write
 
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark.given import _objects_of  # no public way to a folder's files without building its meshes
+from r2h_batch.bodies.objects import call_of
 from r2h_batch.command_line import answer, telling
-from r2h_batch.files import FileError
+from r2h_batch.export.drawing import save_picture
+from r2h_batch.files import FileError, path_within
 from r2h_batch.files.output import write_text
 from r2h_batch.files.plain_yaml import read_plain_yaml
 from r2h_batch.gallery.command import report_main as report
@@ -68,7 +70,11 @@ WRITERS = {
     "grasps": ["import", "grasps", "NEW", "--from", "own", "--out"],
     "objects": ["import", "objects", "NEW", "--from", "oakink", "--out"],
 }
-ENDING = {"video": ".png", "a hand": ".npz", "hands": ".npz", "grasps": ".npz"}
+ENDING = {
+    **dict.fromkeys(("video", "strips", "a scene's picture"), ".png"),
+    **dict.fromkeys(("the paper's study", "ratings"), ".svg"),
+    **dict.fromkeys(("a hand", "hands", "grasps"), ".npz"),
+}
 
 
 @pytest.mark.parametrize("who", WRITERS)
@@ -95,6 +101,30 @@ def test_no_command_writes_over_what_is_there_unless_that_is_said(who, run, tmp_
     assert main([*line, str(long)]) == 2  # not 1: no disk will ever have it
     error = capsys.readouterr().err
     assert "File name too long" in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("who", ["strips", "a scene's picture", "ratings", "video", "hands"])
+def test_an_ending_that_nobody_writes_is_refused_before_any_work(who, run, tmp_path, capsys):
+    names = {"RUN": run, "NEW": tmp_path / "new", "RATINGS": tmp_path / "ratings.csv"}
+    line = [str(names.get(word, word)) for word in WRITERS[who]]
+    assert main([*line, str(tmp_path / "s.txt")]) == 2
+    error = capsys.readouterr().err
+    assert re.search(r"s\.txt.*(ending must be|ends in) .*\.(png|svg|npz)", error) and error.count("\n") == 1
+
+
+def test_more_trials_than_memory_holds_are_refused(tmp_path, capsys):
+    assert main(["trials", "--trials", "1000000000000", "--out", str(tmp_path / "x")]) == 2
+    assert "--trials is 1000000000000; it must be 1 to 1e+06: all are held in memory" in capsys.readouterr().err
+
+
+def test_a_full_disk_under_a_picture_is_one_line_that_names_it(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
+    with pytest.raises(OSError, match="No space left") as stopped:
+        save_picture(tmp_path / "v.png", np.zeros((4, 4, 3), np.uint8))
+    assert stopped.value.filename == str(tmp_path / "v.png") and not list(tmp_path.iterdir())
 
 
 def test_overwrite_replaces_and_an_empty_file_is_nothing_to_lose(run, tmp_path):
@@ -221,3 +251,29 @@ def test_numbers_that_float32_does_not_hold_are_no_pose_and_no_threshold(run, tm
         for radius in ("1e308", "1e308:1e308:1"):
             assert rescore([str(tmp_path / "new"), "--reach-radius", radius]) == 2
             assert "--reach-radius 1e+308 cannot be rescored exactly; allowed is 0 to 1e+06" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("argument", "words"),
+    [
+        ("box.obj:", "what stands behind box.obj is ''; expected FILE, FILE:S0, FILE:S1 or FILE:S1:RECEIVER"),
+        ("box.obj:s1", "what stands behind box.obj is 's1'; expected FILE"),
+        ("box.obj:S1:", "what stands behind box.obj is 'S1:'; expected FILE"),
+        ("x\ny.obj", "has a line end in its name"),
+    ],
+)
+def test_what_stands_behind_a_mesh_is_named_when_it_is_wrong(argument, words):
+    with pytest.raises(ValueError, match=re.escape(words)):
+        call_of(argument)
+    assert call_of("box.obj:S1:x<0.4")["receiver"] == "x<0.4" and call_of("box.obj:S1")["split"] == "S1"
+
+
+def test_a_colon_in_a_name_is_told_apart_from_a_path_that_leads_out(tmp_path):
+    for name, words in (
+        ("con:colon.obj", "has a colon"),
+        ("C:x.obj", "outside"),
+        ("http://x/a.obj", "outside"),
+        ("../a", "outside"),
+    ):
+        with pytest.raises(FileError, match=words):
+            path_within(tmp_path, name)

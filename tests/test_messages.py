@@ -32,6 +32,22 @@ SAID = {
     "another word": (
         b"objects: [{file: a.obj, split: S3}]", "b.yaml", "benchmark check", "objects.0.split is 'S3'; allowed are 'S0' or 'S1'",
     ),
+    "centimetres": (
+        b"thresholds: {reach_radius_m: 8}", "b.yaml", "benchmark check",
+        "reach_radius_m is 8; it must be 2.0 or less",
+    ),
+    "nothing within reach": (
+        b"thresholds: {reach_radius_m: 1e-300}", "b.yaml", "benchmark check",
+        "it must be 0.001 or more",
+    ),
+    "a wide gripper": (
+        b"thresholds: {w_max_m: 8.5}", "b.yaml", "benchmark check",
+        "w_max_m is 8.5; .* above 0, at most 0.085",
+    ),
+    "pads of a metre": (
+        b"thresholds: {pad_squeeze_m: 1}", "b.yaml", "benchmark check",
+        "pad_squeeze_m is 1.0; .* to 0.01 m",
+    ),
     "two numbers": (
         b"table: {half: [1, 2]}", "b.yaml", "benchmark check", "table.half is .*; it must have 3 entries or more, it has 2",
     ),

@@ -28,7 +28,8 @@ Word = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-zA-Z0-9][
 Words = Annotated[list[Word], Field(min_length=1, max_length=64)]
 Sentence = Annotated[str, Field(min_length=1, max_length=300)]
 FilePath = Annotated[str, Field(min_length=1, max_length=400)]
-Metres = Annotated[float, Field(ge=0, le=10)]
+_BOUNDS = {"reach_radius_m": (1e-3, 2.0), "reach_offset_m": (1e-3, 1.0)}
+"""Of thresholds, m: beyond these a unit is meant that is none here. What no gripper has, `Thresholds` itself refuses."""
 
 
 def _verb(name: str) -> str:
@@ -65,7 +66,7 @@ class ObjectEntry(_Entry):
     name: Name | None = Field(default=None, description="its name; the file's unless given")
     split: Literal["S0", "S1"] | None = Field(default=None, description="S0 free handover, S1 functional")
     instruction: Sentence | None = Field(default=None, description="what the robot is told")
-    mass: Annotated[float, Field(gt=0, le=100)] | None = Field(default=None, description="kg")
+    mass: Annotated[float, Field(ge=1e-4, le=100)] | None = Field(default=None, description="kg")
     scale: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="0.001 for millimetres")
     receiver: FilePath | None = Field(
         default=None, description="the receiver's region (S1): a part's name, z<0.3, or a .npy beside this file"
@@ -91,11 +92,16 @@ class TableEntry(_Entry):
     half: Annotated[list[Annotated[float, Field(ge=1e-3, le=10)]], Field(min_length=3, max_length=3)] = list(TABLE_HALF)
 
 
+def _metres(name: str) -> Any:
+    low, high = _BOUNDS.get(name, (0.0, 10.0))
+    return Annotated[float, Field(ge=low, le=high, description="metres")]
+
+
 ThresholdsEntry: Any = create_model(
     "ThresholdsEntry",
     __config__=ConfigDict(strict=True, extra="forbid"),
     __doc__="Where a criterion turns from pass to fail, metres; the trials' hands stand by reach_offset_m too.",
-    **{f.name: (Metres, f.default) for f in fields(Thresholds)},  # type: ignore[call-overload]
+    **{f.name: (_metres(f.name), f.default) for f in fields(Thresholds)},  # type: ignore[call-overload]
 )
 
 

@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import call, failed, refuse
+from r2h_batch.command_line import call, check_range, failed, refuse
 from r2h_batch.files.output import check_file, check_folder
+
+MOST_TRIALS = 10**6
 
 
 def scene(
@@ -33,7 +35,7 @@ def scene(
     """
     check_folder(out, overwrite=overwrite)
     if render:
-        check_file(render, overwrite=overwrite, flag="--render")
+        check_file(render, overwrite=overwrite, flag="--render", endings=(".png", ".jpg"))
     from r2h_batch.benchmark.given import Given
     from r2h_batch.export.drawing import render_strip
     from r2h_batch.export.stored import load_trial
@@ -75,8 +77,7 @@ def trials(
         benchmark: your own, as in r2h-batch sweep; the built-in one unless given.
         open_formats: also as OBJ, PLY, CSV and JSON in OUT/open, for methods in any language.
     """
-    if trials < 1:
-        return refuse("trials", f"--trials is {trials}; it must be 1 or more")
+    check_range("--trials", trials, 1, MOST_TRIALS, ": all are held in memory")
     if not splits:
         return refuse("trials", "--splits names no split; allowed are S0, S1")
     check_folder(out, overwrite=None)

@@ -148,5 +148,6 @@ def save_picture(file: str | Path, image: Image) -> None:
         import imageio.v3 as imageio
     except ImportError:
         raise RenderError("pictures need imageio: pip install 'r2h_batch[view]'") from None
+    data = imageio.imwrite("<bytes>", image, extension=Path(file).suffix)  # a file that PIL cannot close is a traceback
     with whole(Path(file)) as temporary:
-        imageio.imwrite(temporary, image)
+        temporary.write_bytes(data)

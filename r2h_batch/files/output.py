@@ -6,7 +6,7 @@ uses `whole`. What a Python program writes by a function is replaced, as by `ope
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from uuid import uuid4
@@ -27,13 +27,15 @@ def run_folder_of(path: Path) -> Path | None:
     return None
 
 
-def check_file(path: Path, *, overwrite: bool = False, flag: str = "--out") -> None:
-    """`FileError` where a command may not write this file.
+def check_file(path: Path, *, overwrite: bool = False, flag: str = "--out", endings: Sequence[str] = ()) -> None:
+    """`FileError` where a command may not write this file, or its name has none of these `endings`.
 
     That is: a name that a run folder has for its own; a folder, a pipe, a device; a path that cannot be; and without
     `overwrite` anything that is there.
     """
     shown = f"{flag} {printable(path)}"
+    if endings and path.suffix.lower() not in endings:
+        raise FileError(f"{shown}: its ending must be {' or '.join(endings)}")
     _not_a_runs(path, shown)
     found = _found(path, shown)
     if found is None:

@@ -106,6 +106,27 @@ class Seen:
                     f"predicted {kind} of {part.source}: {len(missing)} planned trials are missing: {listed}"
                 )
 
+    def check_parts(self, trials: Trials, objects: Sequence[ObjectModel]) -> None:
+        """`FileError` where a trial's labels name parts that its object does not have."""
+        if self.parts is None or "label" not in self.parts.arrays:
+            return
+        count = np.array([len(o.part_names) for o in objects])[trials.object_index.cpu().numpy()]
+        for first in range(0, len(trials), _LOOKED_AT):
+            some = trials[first : first + _LOOKED_AT]
+            high = self.parts.of(some)["label"].amax(1).numpy()
+            if (odd := np.flatnonzero(high >= count[first : first + _LOOKED_AT])).size:
+                row = int(odd[0])
+                name, parts = objects[int(some.object_index[row])].name, int(count[first + row])
+                raise FileError(
+                    f"predicted parts of {self.parts.source}: label of trial {int(some.trial_id[row])} ({name})"
+                    f" goes to {high[row]}; it has {parts} part{'s'[: parts > 1]}, 0 to {parts - 1}"
+                )
+
+
+_LOOKED_AT = 4096
+ALIKE = 3.0
+"""How much larger or smaller a cloud of somebody's own may be than the object that it is of (a view shows one side)."""
+
 
 def read_seen(
     objects: Sequence[ObjectModel], hand: HandModel, *, hands: str = "", parts: str = "", contacts: str = ""
@@ -287,6 +308,15 @@ def _by_key(
     points = _need(where, arrays, "points", (k, None, 3), "f")
     if not 1 <= points.shape[1] <= MOST_POINTS:
         raise FileError(f"{where}: {points.shape[1]} points an object; 1 to {MOST_POINTS} are allowed")
+    for row, o in zip(rows, objects, strict=True):
+        low, high = points[row].min(0), points[row].max(0)
+        span, own_span = float((high - low).max()), float(np.ptp(o.points, axis=0).max())
+        off = float(np.abs((low + high) / 2 - (o.points.min(0) + o.points.max(0)) / 2).max())
+        if not own_span / ALIKE <= span <= own_span * ALIKE or off > own_span:
+            raise FileError(
+                f"{where}: points of {o.name} span {span:.3g} m about a middle {off:.3g} m off, the object spans"
+                f" {own_span:.3g} m; they must be on it, in its frame and in metres"
+            )
     near = np.stack([cKDTree(points[row]).query(o.points)[1] for row, o in zip(rows, objects, strict=True)])
     values = {n: _need(where, arrays, n, (k, points.shape[1]), "fiub")[rows] for n in names}
     return GivenPoints(source, None, {n: np.take_along_axis(v, near, 1).astype(dtype) for n, v in values.items()})

@@ -98,6 +98,8 @@ def run(
             "safe_margin_m": values(safe_margin, "safe-margin") if safe_margin else (),
         }
         stored = load_run(run).only(method)
+        if not stored.methods:
+            raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
         sys.stdout.write(render(rescore(stored, **grid), stored.methods))
     except ValueError as error:
         return refuse("rescore", error)

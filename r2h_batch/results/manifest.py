@@ -24,7 +24,7 @@ from r2h_batch.files import printable
 from r2h_batch.results.planned import stored_wrong
 from r2h_batch.results.records import SLUG, Header, Method, Receipt, RunError, bounded, checked, read_json
 from r2h_batch.results.rows import DETAIL_SCHEMA, FAILURE_SCHEMA, PATH_SCHEMA, POSE_SCHEMA, TRIAL_SCHEMA
-from r2h_batch.results.storage import sha256_of
+from r2h_batch.results.storage import in_the_way, sha256_of
 
 __all__ = [
     "FORMAT",
@@ -179,6 +179,9 @@ def stored_in(folder: Path, header: Mapping[str, Any], slug: str) -> list[Shard]
     except FileNotFoundError:
         return []
     except OSError as error:
+        for place in (folder / "manifest", folder / "manifest" / slug):
+            if what := in_the_way(place, folder=True):
+                raise RunError(what) from None
         raise RunError(f"{folder / 'manifest' / slug}: cannot be read ({error.strerror or error})") from None
     shards = (shard_at(header, int(number)) for number in sorted(found))
     return [s for s in shards if s is not None]

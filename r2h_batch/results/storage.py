@@ -121,7 +121,8 @@ def trouble_in(folder: Path, error: OSError) -> str:
         place = place.with_name(re.sub(r"^\.(.+)\.[0-9a-f]{32}\.tmp$", r"\1", place.name))
         inside = place.relative_to(folder).parts
         for k in range(1, len(inside) + 1):
-            if what := in_the_way(folder.joinpath(*inside[:k]), folder=k < len(inside)):
+            is_folder = k < len(inside) or error.errno in (errno.EEXIST, errno.ENOTDIR)
+            if what := in_the_way(folder.joinpath(*inside[:k]), folder=is_folder):
                 return f"run folder {printable(folder)}: {what}"
         why = error.strerror or error
         return f"run folder {printable(folder)}: {printable(place.relative_to(folder))}: {why}; {GO_ON}"

@@ -20,7 +20,7 @@ def paper(*, box: Path | None = None, overwrite: bool = False) -> int:
         overwrite: replace a file that is there.
     """
     if box is not None:
-        check_file(box, overwrite=overwrite, flag="--box")
+        check_file(box, overwrite=overwrite, flag="--box", endings=(".svg",))
     from r2h_batch.study import report
     from r2h_batch.study.stats import Summary
 
@@ -40,7 +40,7 @@ def ratings(file: Path, /, *, box: Path | None = None, overwrite: bool = False) 
         overwrite: replace a file that is there.
     """
     if box is not None:
-        check_file(box, overwrite=overwrite, flag="--box")
+        check_file(box, overwrite=overwrite, flag="--box", endings=(".svg",))
     from r2h_batch.study import report
     from r2h_batch.study.stats import Summary
 

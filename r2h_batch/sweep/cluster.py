@@ -320,5 +320,5 @@ def _came_up(pool: Pool, ref: Any, setting: Setting) -> None:
         return
     pool.deaths = 0
     if fields := differing(setting.header, {**header, "format": setting.header.get("format")}):
-        raise ClusterError(f"a Ray worker has another {', '.join(fields)}; install the same version on every node")
+        raise ClusterError(f"a Ray worker differs in {', '.join(fields)}; install the same version on every node")
     pool.idle.append(actor)

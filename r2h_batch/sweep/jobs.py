@@ -258,7 +258,10 @@ def _seen(options: Options, setting: Setting) -> "Seen | None":
 
     scene = setting.evaluator.scene
     seen = read_seen(scene.objects, scene.hands.model, **files)
-    seen.check_plan(setting.ids(0, setting.planned).numpy())
+    planned = setting.ids(0, setting.planned)
+    seen.check_plan(planned.numpy())
+    if seen.parts is not None:
+        seen.check_parts(setting.trials(planned), scene.objects)
     return seen
 
 

@@ -125,7 +125,7 @@ def strips(
             raise UsageError(f"--trial is {trial}; it must be 0 or more")
         if frames < 2:
             raise UsageError(f"--frames is {frames}; it must be 2 or more")
-        check_file(out, overwrite=overwrite)
+        check_file(out, overwrite=overwrite, endings=(".png", ".jpg", ".pdf", ".svg"))
         from r2h_batch.scene.offscreen import ready
 
         ready()

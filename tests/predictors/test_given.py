@@ -100,6 +100,16 @@ def test_parts_roles_and_contacts_by_object_by_trial_and_on_another_cloud(scene,
     target = {k: v for k, v in truth(scene, asked, predict_receiving).items() if "receiving" not in k}
     np.savez(tmp_path / "t.npz", **target)
     np.savez(tmp_path / "p.npz", trial_id=asked.trial_id.numpy(), label=parts.label.numpy(), usage=parts.usage.numpy())
+    read_seen(scene.objects, scene.hands.model, parts=str(tmp_path / "p.npz")).check_parts(asked, scene.objects)
+    most = max(len(o.part_names) for o in scene.objects) - 1  # some object has it, the bowl has not
+    np.savez(
+        tmp_path / "other.npz",
+        trial_id=asked.trial_id.numpy(),
+        label=parts.label.numpy() * 0 + most,
+        usage=parts.usage.numpy(),
+    )
+    with pytest.raises(FileError, match=rf"label of trial \d+ \(\w+\) goes to {most}; it has \d parts?, 0 to"):
+        read_seen(scene.objects, scene.hands.model, parts=str(tmp_path / "other.npz")).check_parts(asked, scene.objects)
     role = roles_of(scene.objects)
     by_object = [
         np.where(o.receiver_face[o.point_face], 1, 0) if o.split == "S1" else role[i, o.point_part]

@@ -269,7 +269,10 @@ def test_a_stored_method_from_another_source_is_refused(tmp_path):
 def test_another_configuration_is_refused_naming_what_differs_and_what_to_do(tmp_path, change):
     write(tmp_path / "run")
     before = (tmp_path / "run" / "run.json").read_bytes()
-    with pytest.raises(RunError, match=f"another {next(iter(change))}; choose another --out, or --force-new"):
+    with pytest.raises(
+        RunError,
+        match=rf"another run, which differs in {next(iter(change))}( \(\w+\))?; choose another --out, or --force-new",
+    ):
         open_run(tmp_path / "run", make_header(6, 6, **change))
     assert (tmp_path / "run" / "run.json").read_bytes() == before
 
