@@ -22,5 +22,5 @@ def is_free(
 ):
     row = first + wp.tid()
     q = load(q_in, row)
-    found = edge(world, bodies, row / per_trial, q, q, 0.0, 0.0, 0.0, 0.0, POSTURE, 0)
+    found = edge(world, bodies, row / per_trial, q, q, 0.0, 0.0, 0.0, 0.0, POSTURE)
     free_out[row] = found.status == FREE

@@ -97,7 +97,7 @@ def choose_goal(
     q = home
     running = bool(True)
     while running:
-        found = edge(world, bodies, trial, q, q, 0.0, 0.0, 0.0, 0.0, POSTURE, 0)
+        found = edge(world, bodies, trial, q, q, 0.0, 0.0, 0.0, 0.0, POSTURE)
         if slot < 0:
             if found.status != FREE:
                 reason = REASON_START_IN_COLLISION

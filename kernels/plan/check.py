@@ -81,9 +81,15 @@ def _bit(i: int):
 
 
 @wp.func
-def _target(query: Query, best: float, margin: float):
+def _tracked(query: Query, with_hand: bool):
+    """Whether the smallest clearance counts pairs of this kind."""
+    return query.track == 1 or (query.track == 2 and with_hand)
+
+
+@wp.func
+def _target(query: Query, best: float, margin: float, with_hand: bool):
     """What a pair has to keep: its margin, or what would improve on the smallest clearance so far."""
-    return wp.where(query.track == 1, best - query.tolerance, margin)
+    return wp.where(_tracked(query, with_hand), best - query.tolerance, margin)
 
 
 @wp.func
@@ -154,7 +160,8 @@ def examine(
     """What is known of the stretch after looking at its middle: FREE, BLOCKED by a pair, or OPEN; the masks say what is open.
 
     A pair has to keep `target`: its margin, or with `track` what would improve on the smallest clearance so far. BLOCKED:
-    it is nearer than that in the middle. Settled: it is farther than `target` plus what it may travel.
+    it is nearer than that in the middle; with `track` 2 nearer than its margin. Settled: it is farther than `target` plus
+    what it may travel.
     """
     out = Finding()
     out.status = FREE
@@ -200,7 +207,7 @@ def examine(
             c0 = R[k] * world.link_c0[link] + p[k]
             c1 = R[k] * world.link_c1[link] + p[k]
             if hand_on:
-                target = _target(query, out.best, query.hand_margin)
+                target = _target(query, out.best, query.hand_margin, True)
                 if link_clears_hand(
                     world,
                     query,
@@ -218,7 +225,7 @@ def examine(
                 ):
                     hand_on = False
                     masks[0] = masks[0] & ~bits
-            target = _target(query, out.best, query.other_margin)
+            target = _target(query, out.best, query.other_margin, False)
             if table_on:  # noqa: SIM102 (Warp's `and` evaluates both sides)
                 if link_clears_table(world, query, target, link, c0, c1, up, table_p):
                     table_on = False
@@ -248,7 +255,7 @@ def examine(
             # partners of this body that bounding volumes cannot settle
             found = Near()
             if do_hand:
-                target = _target(query, out.best, query.hand_margin)
+                target = _target(query, out.best, query.hand_margin, True)
                 is_open = wp.where((hand_open & bit) != wp.uint64(0), 1, 0)
                 found = pieces_near(
                     world, query, target, mover, hand, hand_center, hand_radius, moving, is_open, partner
@@ -256,7 +263,7 @@ def examine(
                 if found.open == 1:
                     hand_open = hand_open | bit
             n_hand = found.n
-            target = _target(query, out.best, query.other_margin)
+            target = _target(query, out.best, query.other_margin, False)
             if do_table:
                 found = table_near(world, bodies, trial, query, target, mover, up, table_p, moving, n_hand, partner)
                 if found.open == 1:
@@ -321,12 +328,13 @@ def examine(
                         second, third = bends(world.lever, b, k, query.d)
                 if link == OBJECT:
                     code = code + PAIR_OF_OBJECT
-                margin = _target(query, out.best, kept)
+                tracked = _tracked(query, i < n_hand)
+                margin = _target(query, out.best, kept, i < n_hand)
                 needed = margin + travel
-                if query.track == 1:
+                if tracked:
                     needed = wp.max(needed, out.best)  # a clearance that becomes the best must have converged
                 dist = gjk(mover.shape, pair_R, pair_p, world.points, shape, world.points, center, needed, gap)
-                if query.track == 1:
+                if tracked and (query.track == 1 or dist.lower >= kept):
                     if dist.lower < out.best:
                         # a core that is met has no clearance, only an overlap that GJK does not measure
                         out.best = wp.max(dist.lower, -1.0e-6)

@@ -46,7 +46,6 @@ def edge(
     best: float,
     tolerance: float,
     mode: int,  # CERTIFY, SAMPLES, CLEARANCE (below `best`) or POSTURE (a alone)
-    hand_only: int,
 ):
     """FREE or BLOCKED for the straight joint-space edge a-b; with CLEARANCE the smallest clearance along it.
 
@@ -54,7 +53,7 @@ def edge(
     stretch of 2^-14 of a part is still undecided. CLEARANCE: the same walk as branch and bound; a pair is settled when it
     cannot come nearer than `best` less `tolerance` on the stretch, `best` falls with every middle, and what is undecided at
     the end counts as settled. It stops where bodies meet. SAMPLES: postures at most MOVEIT_SEGMENT_RAD apart, b included, a
-    not. POSTURE: a alone. With `hand_only` = 1 pairs with the hand are all that is looked at.
+    not. POSTURE: a alone, and its smallest distance to the hand if that is below `best`.
 
     All modes share one call of `examine`: inlined, it is most of the code of a planning kernel.
     """
@@ -66,12 +65,11 @@ def edge(
     masks = wp.zeros(shape=3, dtype=wp.uint64)
     stack = wp.zeros(shape=48, dtype=wp.uint64)  # per level of the bisection: the masks that its stretches start from
     everything = ~wp.uint64(0)
-    others = wp.where(hand_only == 1, wp.uint64(0), everything)
     # base and shoulder stand on the table
-    tabled = others << wp.uint64(world.table_from)
+    tabled = everything << wp.uint64(world.table_from)
     stack[0] = everything
     stack[1] = tabled
-    stack[2] = others
+    stack[2] = everything
 
     result = Finding()
     result.status = FREE
@@ -80,7 +78,7 @@ def edge(
     query = Query()
     query.hand_margin = hand_margin
     query.other_margin = other_margin
-    query.track = wp.where(mode == CLEARANCE, 1, 0)
+    query.track = wp.where(mode == CLEARANCE, 1, wp.where(mode == POSTURE and best > 0.0, 2, 0))
     query.tolerance = tolerance
     delta = b - a
     length = float(0.0)
@@ -109,7 +107,7 @@ def edge(
             query.q = a + t * delta
             masks[0] = everything
             masks[1] = tabled
-            masks[2] = others
+            masks[2] = everything
         else:
             query.q = a + ((float(part) + middle(level, index)) * one) * delta
             query.d = (half_width(level) * one) * delta
@@ -128,6 +126,7 @@ def edge(
         if mode == CLEARANCE and result.best < 0.0:
             running = False  # bodies meet: how deep is not measured, and a long overlap would be halved without end
         elif not bisected:
+            result.best = found.best
             index += 1
             if found.status != FREE:
                 result.status = BLOCKED

@@ -35,16 +35,11 @@ def check_postures(
     if not active_in[row]:
         return
     q = load(q_in, row)
-    for step in range(2):
-        if step == 0 or clear_out[row]:
-            found = edge(
-                world, bodies, trial, q, q, 0.0, 0.0, CLEARANCE_CAP, 0.0, wp.where(step == 0, POSTURE, CLEARANCE), step
-            )
-            if step == 0:
-                clear_out[row] = found.status == FREE
-                pair_out[row] = found.pair
-            else:
-                hand_clearance_out[row] = found.best
+    found = edge(world, bodies, trial, q, q, 0.0, 0.0, CLEARANCE_CAP, 0.0, POSTURE)
+    clear_out[row] = found.status == FREE
+    pair_out[row] = found.pair
+    if found.status == FREE:
+        hand_clearance_out[row] = found.best
 
 
 @wp.kernel
@@ -68,7 +63,7 @@ def straight_lines(
     chosen_out[trial] = -1
     for g in range(n_goals_in[trial]):
         row = trial * BRANCHES + g
-        found = edge(world, bodies, trial, home, load(goals_in, row), goal_margin_in[row], 0.0, 0.0, 0.0, moveit, 0)
+        found = edge(world, bodies, trial, home, load(goals_in, row), goal_margin_in[row], 0.0, 0.0, 0.0, moveit)
         if found.status == FREE:
             chosen_out[trial] = g
             break
@@ -101,7 +96,7 @@ def path_clearance(
         i = n - 1 - k
         a = load_waypoint(path_in, trial, i)
         b = load_waypoint(path_in, trial, wp.min(i + 1, n - 1))
-        found = edge(world, bodies, trial, a, b, 0.0, 0.0, best, tolerance, CLEARANCE, 0)
+        found = edge(world, bodies, trial, a, b, 0.0, 0.0, best, tolerance, CLEARANCE)
         if found.best < best:
             best = found.best
             pair_out[trial] = found.pair

@@ -46,7 +46,7 @@ class Query:
     d: vec6  # half the stretch, rad (zero: the posture alone)
     hand_margin: float
     other_margin: float
-    track: int  # 1: look for the smallest clearance below `best` instead of a yes or no
+    track: int  # 1: look for the smallest clearance below `best` instead of a yes or no; 2: that of the hand, and both
     tolerance: float  # of that smallest clearance
 
 

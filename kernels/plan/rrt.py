@@ -184,7 +184,7 @@ def rrt_connect(
             q_origin = load(nodes_scratch, base + origin)  # all nodes of a line lie on it
             whole = wp.length(target - q_origin)
             q_new = q_origin + ((whole - dist + reach) / whole) * (target - q_origin)
-        found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, moveit, 0)
+        found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, moveit)
         if found.status == FREE:
             add_node(nodes_scratch, parents_scratch, base + n, q_new, origin, range_rad)
             if grow == 0:

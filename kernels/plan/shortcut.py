@@ -273,7 +273,7 @@ def shortcut(
         else:  # PULL_ON: the line from the moved waypoint
             a = moved
             b = load_waypoint(path_inout, trial, i + 1)
-        found = edge(world, bodies, trial, a, b, margin, 0.0, 0.0, 0.0, moveit, 0)
+        found = edge(world, bodies, trial, a, b, margin, 0.0, 0.0, 0.0, moveit)
         free = found.status == FREE
         if phase == SUBSET:
             known[i] = known[i] | (wp.uint32(1) << wp.uint32(j))
