@@ -3,7 +3,7 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
-from r2h_batch.kernels.judge.safe import posture_distance
+from r2h_batch.kernels.judge.hand_distance import posture_distance
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import (
     BRANCHES,

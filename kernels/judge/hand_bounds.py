@@ -1,0 +1,152 @@
+"""What bounds say of a robot body in motion and a part of the hand: all of it, a convex piece, a face of its mesh.
+
+The hand's convex pieces enclose the mesh: a body that keeps clear of a piece's hull keeps clear of its triangles, so hulls
+and bounding volumes settle most of it, and triangles (hand_distance.py) decide the rest. The inequalities are those of
+plan/edge.py, with what is known less the tolerance in place of the margin.
+"""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.body import Body, from_ball, support
+from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.primitives import TOUCH_M, signed_distance
+from r2h_batch.kernels.geometry.segments import from_point
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.plan.partners import Mover, least_rest, swept_mover
+from r2h_batch.kernels.robot.world import World, piece_body
+
+wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
+
+SLACK_M = wp.constant(0.03)
+HAND_SLACK_M = wp.constant(0.06)
+"""A ball about a piece rarely understates a distance by more: pairs that would need it wait for shorter stretches."""
+
+# What a bound says of a robot body and a part of the hand (all of it, a piece, a face) over a stretch of motion.
+SETTLED = wp.constant(0)  # the part comes no nearer than what is known, by more than the tolerance
+WAITS = wp.constant(1)  # it may, though not in the middle of the stretch: its halves will tell
+ASK = wp.constant(2)  # it may be nearer even in the middle: look closer
+MEETS = wp.constant(3)  # it meets the body in the middle: look how deep
+
+
+@wp.func
+def bound_of_hand(world: World, mover: Mover, hand: int, distance: float, tolerance: float):
+    """SETTLED, WAITS or ASK, from the ball around the whole hand and the body's bounding capsule."""
+    center = world.hand_center[hand]
+    toward = from_point(center, mover.c0, mover.c1)
+    far = wp.length(toward)
+    apart = far - world.hand_radius[hand] - mover.radius
+    if apart >= distance - tolerance + mover.travel:
+        return SETTLED
+    if apart > distance:
+        n_hat = toward / far
+        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
+        low = low - wp.dot(n_hat, center) - world.hand_radius[hand]
+        if low >= distance - tolerance:
+            return SETTLED
+        if low + HAND_SLACK_M < distance - tolerance:
+            return WAITS
+    return ASK
+
+
+# From the coarse to the fine, with D the distance known so far, tol the tolerance, travel what the levers allow:
+#
+# 1. the piece's ball against the body's ball, then against the body itself: farther than D - tol + travel, it is settled;
+# 2. not nearer than D in the middle: the swept bound along the way to the ball's centre. Enough: settled. Short by more than
+#    a ball understates a distance (SLACK_M): GJK would not settle it either, it waits for the stretch's halves;
+# 3. GJK of body and hull. They meet: the faces have to say how deep, unless the whole piece is clear of the body's core grown
+#    by what is known;
+# 4. along the plane that GJK found, over the whole stretch. What is left: the faces, or, if nothing is nearer in the middle
+#    and the plane could not have settled it (`least_rest`), the halves.
+@wp.func
+def bound_of_piece(
+    world: World,
+    mover: Mover,
+    core: Body,
+    hand: int,
+    i: int,
+    distance: float,
+    tolerance: float,
+    waits: int,
+):
+    """SETTLED, WAITS, ASK or MEETS, from the piece's ball, then from its hull, which holds all its faces.
+
+    With ASK also a direction n and how far along it the body stays over the whole stretch (n . x at least `beyond`): most
+    faces of a piece lie behind its hull, and are settled by that alone.
+    """
+    piece = hand * world.n_pieces + i
+    n = wp.vec3(0.0, 0.0, 0.0)
+    beyond = float(-1.0e30)
+    limit = distance - tolerance + mover.travel
+    center = world.piece_center[piece]
+    size = wp.length(mover.R * world.cap_axis[mover.body]) + mover.radius
+    if wp.length(center - mover.p) - world.piece_radius[piece] - size >= limit:
+        return SETTLED, n, beyond
+    at = wp.transpose(mover.R) * (center - mover.p)
+    toward = mover.R * from_ball(mover.shape, at)
+    far = wp.length(toward)
+    apart = far - world.piece_radius[piece]
+    if far == 0.0:  # the ball's centre is in the body: no point of the piece is deeper than this
+        deepest = signed_distance(mover.shape.kind, mover.shape.size, at) - world.piece_radius[piece] - TOUCH_M
+        apart = wp.where(deepest >= limit, deepest, -1.0e30)
+    if apart >= limit:
+        return SETTLED, n, beyond
+    if apart >= distance:
+        if waits == 1:
+            return WAITS, n, beyond
+        n_hat = toward / far
+        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
+        low = low - wp.dot(n_hat, center)
+        low = low - world.piece_radius[piece]
+        if low >= distance - tolerance:
+            return SETTLED, n, beyond
+        if low + SLACK_M < distance - tolerance:
+            return WAITS, n, beyond
+
+    hull = piece_body(world, piece)
+    h = gjk(mover.shape, mover.R, mover.p, world.points, hull, world.points, center, wp.max(limit, distance), 0.05)
+    if h.upper <= TOUCH_M:  # GJK's bound says nothing of how deep: the faces have to
+        if distance < 0.0:  # unless the whole piece is no deeper than what is known
+            deep = gjk(core, mover.R, mover.p, world.points, hull, world.points, center, limit, 0.05)
+            if deep.lower >= limit:
+                return SETTLED, n, beyond
+        return MEETS, n, beyond
+    if h.lower >= limit or (waits == 1 and h.lower >= distance):
+        return SETTLED, n, beyond
+    low = h.lower - mover.travel
+    rest = least_rest(mover.second, mover.third)
+    if h.lower > 0.0:
+        n = h.v / wp.length(h.v)
+        beyond = swept_mover(world, mover, n, mover.second, mover.third)
+        low = wp.max(low, beyond - wp.dot(n, support(hull, world.points, n)))
+    if low >= distance - tolerance and h.lower >= distance:
+        return SETTLED, n, beyond
+    if h.lower >= distance and h.lower < distance - tolerance + rest:
+        return WAITS, n, beyond  # too long a stretch to settle here, and nothing nearer in its middle
+    return ASK, n, beyond
+
+
+@wp.func
+def bound_of_face(world: World, mover: Mover, ball: wp.vec4, distance: float, tolerance: float, waits: int):
+    """SETTLED, WAITS or ASK, from the ball around a face."""
+    center = wp.vec3(ball[0], ball[1], ball[2])
+    at = wp.transpose(mover.R) * (center - mover.p)
+    toward = from_ball(mover.shape, at)  # in the body's frame
+    far = wp.length(toward)
+    apart = far - ball[3]
+    limit = distance - tolerance + mover.travel
+    if far == 0.0:  # a centre inside the body: no point of the face is deeper than this
+        deepest = signed_distance(mover.shape.kind, mover.shape.size, at) - ball[3] - TOUCH_M
+        apart = wp.where(deepest >= limit, deepest, -1.0e30)
+    if apart >= limit:
+        return SETTLED
+    if apart >= distance:
+        if waits == 1:
+            return WAITS
+        n_hat = mover.R * (toward / far)
+        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
+        low = low - wp.dot(n_hat, center) - ball[3]
+        if low >= distance - tolerance:
+            return SETTLED
+        if low + 2.0 * ball[3] < distance - tolerance:  # GJK cannot add more than that
+            return WAITS
+    return ASK

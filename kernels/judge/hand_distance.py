@@ -1,0 +1,253 @@
+"""Signed distance of the robot to the hand's exact mesh at a posture, and what may come nearer on a stretch around it."""
+
+import warp as wp
+
+from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
+from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, support
+from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
+from r2h_batch.kernels.geometry.primitives import TOUCH_M, rounded
+from r2h_batch.kernels.geometry.segments import from_point
+from r2h_batch.kernels.judge.hand_bounds import ASK, MEETS, WAITS, bound_of_face, bound_of_hand, bound_of_piece
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.plan.partners import Mover, swept_mover
+from r2h_batch.kernels.robot.world import (
+    CHANGES,
+    OBJECT,
+    TrialBodies,
+    World,
+    bends,
+    body_pose,
+    forward_kinematics,
+    link_frame,
+    motion,
+    robot_body,
+    twists,
+    vec6,
+)
+
+wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
+
+
+@wp.struct
+class HandDistance:
+    """Signed distance so far, the robot body it belongs to, and the hand's point nearest to that body (hand frame)."""
+
+    distance: float
+    body: int
+    point: wp.vec3
+    changed: int  # 1: this call found something nearer
+    open: int  # 1: something may come nearer within the stretch
+
+
+@wp.func
+def _robot_mover(
+    world: World, bodies: TrialBodies, trial: int, link: int, b: int, d: vec6,
+    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    """Body b of a link, its twist over the stretch, how far its levers let it travel, how its path bends."""
+    out = Mover()
+    out.link = link
+    out.body = b
+    out.shape = robot_body(world, b)
+    Rb, pb = body_pose(world, bodies, trial, R, p, b)
+    out.R = Rb
+    out.p = pb
+    axis = Rb * world.cap_axis[b]
+    out.c0 = pb - axis
+    out.c1 = pb + axis
+    out.radius = world.cap_radius[b]
+    out.travel = motion(world.lever, b, 0, d)
+    second, third = bends(world.lever, b, 0, d)
+    out.second = second
+    out.third = third
+    out.w = w[link_frame(link)]
+    out.v = v[link_frame(link)]
+    out.a = w[CHANGES + link_frame(link)]
+    out.b = v[CHANGES + link_frame(link)]
+    return out
+
+
+# For each face of the piece, with D the distance known so far and tol the tolerance:
+#
+# 1. the ball about the face: wholly behind the plane (n, beyond) that the body keeps to, by D - tol, or farther than D - tol
+#    along the whole stretch, it is settled; it may come nearer, but not in the middle: that is left to the stretch's halves
+#    (WAITS);
+# 2. GJK of body and triangle. It is asked no further than what decides: max(limit, D);
+# 3. a box or cylinder that meets the triangle is asked again as a core that is smaller by t all around and grown by t:
+#    GJK measures how far they are apart, so the core's distance less t is the overlap, while that is below t. Where an
+#    overlap is known already only deeper ones count, and the first question is left out;
+# 4. may the face come nearer within the stretch than D - tol? First as far as the levers allow, value - travel; then along
+#    the plane that GJK found (plan/edge.py), whose slack falls with the square of the stretch's length.
+@wp.func
+def nearest_to_mesh(
+    world: World,
+    mesh: HandMesh,
+    mover: Mover,
+    hand: int,
+    piece: int,
+    n: wp.vec3,
+    beyond: float,
+    best: float,
+    tolerance: float,
+    tri: wp.array(dtype=wp.vec3),
+):
+    """Signed distance of a body to the triangles of one piece when below `best`, and the hand's nearest point.
+
+    Separated: GJK's lower bound. A box or cylinder that a triangle meets is asked once more as its `rounded` core, grown
+    by t: the distance to the core less t measures how deep they meet, down to -t.
+    """
+    out = HandDistance()
+    out.distance = best
+    b = Body()
+    b.kind = HULL
+    b.start = 0
+    b.count = 3
+    shape = mover.shape
+    edged = shape.kind == BOX or shape.kind == CYLINDER
+    for face in range(mesh.piece_face[piece], mesh.piece_face[piece + 1]):
+        ball = mesh.face_ball[hand * mesh.n_faces + face]
+        if beyond - wp.dot(n, wp.vec3(ball[0], ball[1], ball[2])) - ball[3] >= out.distance - tolerance:
+            continue
+        bound = bound_of_face(world, mover, ball, out.distance, tolerance, out.open)
+        if bound == WAITS:
+            out.open = 1
+        if bound != ASK:
+            continue
+        center = wp.vec3(ball[0], ball[1], ball[2])
+        limit = out.distance - tolerance + mover.travel
+        triangle_points(mesh, hand, face, tri)
+        shape = mover.shape
+        for attempt in range(2):  # as it is, then as its core
+            if attempt == 0 and mover.travel == 0.0 and out.distance < 0.0 and edged:
+                shape = rounded(shape.kind, shape.size)  # only faces that meet it matter any more: at once how deep
+                continue
+            d = gjk(shape, mover.R, mover.p, world.points, b, tri, center, wp.max(limit, out.distance), 0.0)
+            value = wp.max(d.lower, -shape.radius)
+            if attempt == 0 and d.upper <= TOUCH_M and edged:
+                shape = rounded(shape.kind, shape.size)  # they meet: once more for how deep
+                continue
+            if attempt == 1 or d.upper <= TOUCH_M:
+                value = wp.min(value, -TOUCH_M)
+            if value < out.distance:
+                out.distance = value
+                out.point = d.point - d.v
+                if wp.dot(d.v, d.v) == 0.0:  # through the core: any point of the face is a witness
+                    out.point = (tri[0] + tri[1] + tri[2]) / 3.0
+                out.changed = 1
+            if out.open > 0:
+                break
+            # may the face come nearer within the stretch? As the levers allow, then along the plane GJK found
+            low = value - mover.travel
+            if value > 0.0 and low < out.distance - tolerance:
+                n_hat = d.v / wp.length(d.v)
+                low = swept_mover(world, mover, n_hat, mover.second, mover.third)
+                low = low - wp.dot(n_hat, support(b, tri, n_hat))
+            if low < out.distance - tolerance:
+                out.open = 1
+            break
+    return out
+
+
+# Shapes from the coarse to the fine, each asked only what the one before left open. D is the smallest distance so far:
+#
+#     link (capsule)  against the ball about the hand      D(link) - travel >= D - tol: all its bodies are settled
+#     body            against that ball                     `bound_of_hand`
+#     body            against each piece, ball then hull    `bound_of_piece`
+#     body            against each face, ball then triangle `nearest_to_mesh`
+#
+# A bound says SETTLED, WAITS (only within the stretch, not in its middle), ASK or MEETS. A body keeps its bit in `mask`
+# exactly when something of it waits: then the caller halves the stretch. Hulls enclose the mesh and are larger: a body in a
+# hull that is clear of all faces stands in a hollow of the hand, or wholly within it, which a ray decides (`inside_mesh`).
+@wp.func
+def posture_distance(
+    world: World,
+    mesh: HandMesh,
+    bodies: TrialBodies,
+    trial: int,
+    q: vec6,
+    d: vec6,
+    best: float,
+    tolerance: float,
+    mask: wp.array(dtype=wp.uint64),  # bit b: robot body b may come nearer within q +- d; cleared here
+    R: wp.array(dtype=wp.mat33),  # (7,) scratch: link frames
+    p: wp.array(dtype=wp.vec3),
+    w: wp.array(dtype=wp.vec3),  # (FIELDS,) scratch: link twists and how they change
+    v: wp.array(dtype=wp.vec3),
+    tri: wp.array(dtype=wp.vec3),  # (3,) scratch: a face
+):
+    """Improves the smallest distance with posture q; `mask` keeps the bodies that may come nearer within q +- d.
+
+    A link, then a body against the ball around the hand; a body against each piece, ball and hull; against each face of
+    the pieces that are left, ball and triangle. At every step the inequalities of plan/edge.py, with what is known less
+    the tolerance in place of the margin: D - travel >= known - tolerance settles a pair for the whole stretch.
+    """
+    out = HandDistance()
+    out.distance = best
+    out.body = -1
+    forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q, R, p)
+    twists(d, R, p, w, v)
+    hand = bodies.hand[trial]
+    for link in range(OBJECT):
+        lo = world.link_first[link]
+        hi = world.link_first[link + 1]
+        bits = ((wp.uint64(1) << wp.uint64(hi)) - wp.uint64(1)) & ~((wp.uint64(1) << wp.uint64(lo)) - wp.uint64(1))
+        if (mask[0] & bits) == wp.uint64(0):
+            continue
+        Rk = R[link_frame(link)]
+        pk = p[link_frame(link)]
+        toward = from_point(world.hand_center[hand], Rk * world.link_c0[link] + pk, Rk * world.link_c1[link] + pk)
+        apart = wp.length(toward) - world.hand_radius[hand] - world.link_radius[link]
+        if apart >= out.distance - tolerance + motion(world.link_lever, link, 0, d):
+            mask[0] = mask[0] & ~bits
+            continue
+        for b in range(lo, hi):
+            bit = wp.uint64(1) << wp.uint64(b)
+            if (mask[0] & bit) == wp.uint64(0):
+                continue
+            mover = _robot_mover(world, bodies, trial, link, b, d, R, p, w, v)
+            core = rounded(mover.shape.kind, mover.shape.size)
+            waits = int(0)
+            hulls_met = int(0)
+            bound = bound_of_hand(world, mover, hand, out.distance, tolerance)
+            if bound == WAITS:
+                waits = 1
+            if bound == ASK and -core.radius < out.distance - tolerance:  # it cannot be met deeper than that
+                # most pieces are settled all at once
+                left = balls_near(
+                    world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
+                    mover.c0, mover.c1, mover.radius, mover.travel,
+                    mover.w, mover.v, mover.a, mover.b, mover.second, mover.third,
+                    1, out.distance - tolerance, tolerance,
+                )  # fmt: skip
+                while left != wp.uint64(0):
+                    i = lowest_bit(left)
+                    left = left & (left - wp.uint64(1))
+                    bound, n, beyond = bound_of_piece(world, mover, core, hand, i, out.distance, tolerance, waits)
+                    if bound == WAITS:
+                        waits = 1
+                    if bound < ASK:
+                        continue
+                    near = nearest_to_mesh(world, mesh, mover, hand, i, n, beyond, out.distance, tolerance, tri)
+                    if near.changed == 1:
+                        out.distance = near.distance
+                        out.point = near.point
+                        out.body = b
+                        out.changed = 1
+                    if near.open > 0:
+                        waits = 1
+                    if bound == MEETS:
+                        hulls_met = 1
+            # in a hull but clear of all faces: in a hollow of the mesh, or wholly inside the hand
+            if hulls_met == 1 and out.distance > 0.0 and inside_mesh(mesh, hand, mover.p, tri):
+                out.distance = wp.min(-out.distance, -TOUCH_M)
+                if out.body != b:
+                    out.point = mover.p  # no face was nearer than what was already known: the body's own middle
+                out.body = b
+                out.changed = 1
+                waits = 1
+            if waits == 0:
+                mask[0] = mask[0] & ~bit
+    if mask[0] != wp.uint64(0):
+        out.open = 1
+    return out
