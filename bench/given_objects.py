@@ -1,28 +1,37 @@
 """Somebody's meshes through build, grasps and every method: `python bench/given_objects.py DIR [--json OUT]`.
 
-`--trials N` of each object (20), `--methods A,B` or none (all). Objects that OUT holds already are not measured again.
+`--synthetic`: a mug and a bottle of 20,000 faces (`_drawn.py`), without DIR or after it. `--trials N` of each object (20),
+`--methods A,B` or none (all). Objects that OUT holds already are not measured again; `--again` forgets them. `--docs` puts the
+table into docs/your_data.md. All of that page's figures, on an idle machine:
+`python bench/given_objects.py DIR --synthetic --again --json bench/results/given_objects.json --docs`.
 
 Measured: CPU seconds (all threads of the process, kernels compiled) of the build, of the convex decomposition, of the grasp
-candidates and of the receiving grasps, with nothing kept on disk; how far points of the surface stick out of the convex
-pieces and by how much these have more volume; what the repair changed; how many receiving grasps were found; and how many of N
-trials (S0, the built-in hands, the motion as planned) each method solves. Compared with nothing: the oracle is the bound.
+candidates and of the receiving grasps, with nothing kept on disk, and their sum, also for each face; how far points of the
+surface stick out of the convex pieces and by how much these have more volume; what the repair changed; how many receiving
+grasps were found; and how many of N trials (S0, the built-in hands, the motion as planned) each method solves. Compared with
+nothing: the oracle is the bound.
 """
 
 import json
 import os
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from _drawn import write
 from _report import made_by
 
 os.environ.setdefault("R2H_BATCH_CACHE", "off")
 
 METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
+MOST_S = 5.0
+"""What an object of 20,000 faces may take."""
+PAGE, HEAD, SUM = Path(__file__).resolve().parents[1] / "docs/your_data.md", "| object | faces |", "Within 5 s: "
 
 
 def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
@@ -63,6 +72,7 @@ def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
     row["receiving_cpu_s"] = round(time.process_time() - begin, 2)
     made = ("build_cpu_s", "pieces_cpu_s", "grasps_cpu_s", "receiving_cpu_s")
     row["all_cpu_s"] = round(sum(row[k] for k in made), 2)
+    row["cpu_ms_per_face"] = round(1e3 * row["all_cpu_s"] / row["faces"], 3)
     if not methods or not row["grasps"]:
         return row
     evaluator = Evaluator(objects=[model])
@@ -114,16 +124,28 @@ def warm() -> None:
 
 def table(rows: list[dict[str, Any]], trials: int) -> str:
     """The figures as Markdown."""
-    head = ["object", "faces", "build", "pieces", "grasps", "receiving", "in all", "volume", "surface moved", *METHODS]
+    head = [
+        "object",
+        "faces",
+        "build",
+        "pieces",
+        "grasps",
+        "receiving",
+        "in all",
+        "a face",
+        "volume",
+        "surface moved",
+        *METHODS,
+    ]
     lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
     for r in rows:
         if "refused" in r:
             lines.append(f"| {r['object']} | refused: {r['refused']} |")
             continue
         change = r.get("volume_change")
-        cells = [r["object"], r["faces"], f"{r['build_cpu_s']} s", f"{r['pieces_cpu_s']} s"]
+        cells = [r["object"].removeprefix("sh3d_"), r["faces"], f"{r['build_cpu_s']} s", f"{r['pieces_cpu_s']} s"]
         cells += [f"{r[k]} in {r[f'{k}_cpu_s']} s" for k in ("grasps", "receiving")]
-        cells.append(f"{r['all_cpu_s']} s")
+        cells += [f"{r['all_cpu_s']} s", f"{1e3 * r['all_cpu_s'] / r['faces']:.2f} ms"]
         cells.append("" if change is None else f"{100 * change:+.2f} %")
         cells += [
             f"{r['moved_mm']} mm" if "moved_mm" in r else "as given",
@@ -133,6 +155,25 @@ def table(rows: list[dict[str, Any]], trials: int) -> str:
     return "\n".join(lines)
 
 
+def summary(rows: list[dict[str, Any]]) -> str:
+    """How many objects take no more than they may, and what the others take."""
+    built = [r for r in rows if "all_cpu_s" in r]
+    over = sorted((r for r in built if r["all_cpu_s"] > MOST_S), key=lambda r: -r["all_cpu_s"])
+    others = ", ".join(f"{r['object'].removeprefix('sh3d_')} {r['all_cpu_s']} s" for r in over)
+    return f"{SUM}{len(built) - len(over)} of {len(built)} objects" + (f"; {others}." if others else ".")
+
+
+def write_docs(text: str, said: str) -> None:
+    """Puts table and summary in the place of those that the page has."""
+    lines = PAGE.read_text().splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith(HEAD))
+    last = first + next(i for i, line in enumerate([*lines[first:], ""]) if not line.startswith("|"))
+    after = lines[last:]
+    if after[1:2] and after[1].startswith(SUM):
+        after = after[2:]
+    PAGE.write_text("\n".join([*lines[:first], text, "", said, *after]) + "\n")
+
+
 def main(arguments: list[str]) -> int:
     """Exit code: 0 measured."""
     words = list(arguments)
@@ -140,20 +181,26 @@ def main(arguments: list[str]) -> int:
     trials = int(words.pop(words.index("--trials") + 1)) if "--trials" in words else 20
     chosen = words.pop(words.index("--methods") + 1) if "--methods" in words else ",".join(METHODS)
     methods = [m for m in chosen.split(",") if m != "none"]
-    (folder,) = [Path(w) for w in words if not w.startswith("--")]
     warnings.simplefilter("ignore")
-    stored: dict[str, Any] = json.loads(out.read_text()) if out is not None and out.exists() else {**made_by()}
+    keep = out is not None and out.exists() and "--again" not in words
+    stored: dict[str, Any] = json.loads(out.read_text()) if keep and out is not None else {**made_by()}
     rows: list[dict[str, Any]] = stored.get("objects", [])
     known = {row["object"] for row in rows}
-    warm()
-    for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES):
-        if path.stem in known:
-            continue
-        rows.append(measure(path, trials, methods))
-        print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
-        if out is not None:
-            out.write_text(json.dumps({**stored, "trials": trials, "objects": rows}, indent=1) + "\n")
-    print(table(rows, trials))
+    with tempfile.TemporaryDirectory() as drawn:
+        folders = [Path(w) for w in words if not w.startswith("--")]
+        paths = [p for folder in folders for p in sorted(folder.iterdir()) if p.suffix.lower() in SUFFIXES]
+        paths += write(Path(drawn)) if "--synthetic" in words else []
+        wanted = [p for p in paths if p.stem not in known]
+        if wanted:
+            warm()
+        for path in wanted:
+            rows.append(measure(path, trials, methods))
+            print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
+            if out is not None:
+                out.write_text(json.dumps({**stored, "trials": trials, "objects": rows}, indent=1) + "\n")
+    print(table(rows, trials), summary(rows), sep="\n\n")
+    if "--docs" in words:
+        write_docs(table(rows, trials), summary(rows))
     return 0
 
 

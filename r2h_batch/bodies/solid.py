@@ -9,7 +9,15 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-__all__ = ["Surface", "level_set_solid", "sample_surface", "signed_distance", "solid_occupancy", "winding_number"]
+__all__ = [
+    "Surface",
+    "level_set_solid",
+    "sample_surface",
+    "signed_distance",
+    "solid_occupancy",
+    "winding_number",
+    "winding_of_nodes",
+]
 
 Tick = Callable[[float], None] | None
 
@@ -93,11 +101,19 @@ def signed_distance(
 def winding_number(solid: trimesh.Trimesh, count: int) -> NDArray[np.int64]:
     """(n, n, n) winding number at the voxels' centres of :func:`solid_occupancy`'s grid."""
     origin, pitch = _grid(solid, count)
-    i, j, z, sign = _column_crossings(solid.triangles, origin, pitch, count)
+    return winding_of_nodes(solid.triangles, origin + pitch / 2, pitch, (count,) * 3)
+
+
+def winding_of_nodes(
+    triangles: NDArray[np.float64], low: NDArray[np.float64], pitch: float, shape: Sequence[int]
+) -> NDArray[np.int64]:
+    """Winding number of a closed surface (F, 3, 3) at the nodes `low` + `pitch` (i, j, k) of a grid of this shape."""
+    count = max(shape)
+    i, j, z, sign = _column_crossings(triangles, low - pitch / 2, pitch, count)
     above = np.zeros((count, count, count + 1), np.int64)
-    layer = np.ceil((z - origin[2]) / pitch - 0.5).astype(np.int64).clip(0, count)
+    layer = np.ceil((z - low[2]) / pitch).astype(np.int64).clip(0, count)
     np.add.at(above, (i, j, layer), sign)
-    return np.cumsum(above, axis=2)[:, :, :count]
+    return np.cumsum(above, axis=2)[: shape[0], : shape[1], : shape[2]]
 
 
 def _grid(solid: trimesh.Trimesh, count: int) -> tuple[NDArray[np.float64], float]:
@@ -155,23 +171,30 @@ def _surface_voxels(
     low = np.floor(corners.min(axis=1)).astype(np.int64).clip(0, count - 1)
     span = np.floor(corners.max(axis=1)).astype(np.int64).clip(0, count - 1) - low + 1
     cells = span.prod(axis=1)
-    for block in np.array_split(np.arange(len(triangles)), max(1, int(cells.sum() // 2_000_000))):
+    full[tuple(low[cells == 1].T)] = True
+    edges = np.roll(corners, -1, axis=1) - corners
+    normal = np.cross(edges[:, 0], edges[:, 1])
+    more = np.flatnonzero(cells > 1)
+    for block in np.array_split(more, max(1, int(cells[more].sum() // 2_000_000))):
         face = np.repeat(block, cells[block])
         rank = np.arange(len(face)) - np.repeat(np.cumsum(cells[block]) - cells[block], cells[block])
         width = span[face]
         cell = low[face] + np.stack(
             [rank // (width[:, 1] * width[:, 2]), rank // width[:, 2] % width[:, 1], rank % width[:, 2]], axis=1
         )
-        t = corners[face] - (cell + 0.5)[:, None, :]
-        edges = np.roll(t, -1, axis=1) - t
-        normal = np.cross(edges[:, 0], edges[:, 1])
-        touches = np.abs(np.einsum("ij,ij->i", normal, t[:, 0])) <= 0.5 * np.abs(normal).sum(axis=1)
-        for axis in range(3):
-            unit = np.eye(3)[axis]
+        n = normal[face]
+        height = np.einsum("ij,ij->i", n, corners[face, 0] - (cell + 0.5))
+        rows = np.flatnonzero(np.abs(height) <= 0.5 * np.abs(n).sum(axis=1))  # of the axes, the one that rules out most
+        rows = rows[~full[tuple(cell[rows].T)]]
+        face, cell = face[rows], cell[rows]
+        t, edge = corners[face] - (cell + 0.5)[:, None, :], edges[face]
+        touches = np.ones(len(face), bool)
+        for axis in range(3):  # with each edge: edge x unit vector = u e_v - v e_u
+            u, v = (axis + 1) % 3, (axis + 2) % 3
             for k in range(3):
-                direction = np.cross(edges[:, k], unit)
-                shadow = np.einsum("ij,ikj->ik", direction, t)
-                radius = 0.5 * np.abs(direction).sum(axis=1)
+                along, across = edge[:, k, v, None], edge[:, k, u, None]
+                shadow = along * t[:, :, u] - across * t[:, :, v]
+                radius = 0.5 * (np.abs(along) + np.abs(across))[:, 0]
                 touches &= (shadow.min(axis=1) <= radius) & (shadow.max(axis=1) >= -radius)
         hit = cell[touches]
         full[hit[:, 0], hit[:, 1], hit[:, 2]] = True

@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import HandModel
+from r2h_batch.bodies.solid import winding_of_nodes
 from r2h_batch.kernels.receiver import close_hand
 from r2h_batch.launch import launch_trials
 from r2h_batch.receiver.hand_contact import REGIONS, THUMB, ObjectSurface
+from r2h_batch.receiver.hand_skin import Skins
 
 __all__ = [
     "DEEPEST_M",
@@ -52,21 +54,22 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Families:
-    """What `ClosingHands` holds, and the same as numbers: shape (K, 10), turns (K, 16, 3) in degrees."""
+    """What `ClosingHands` holds, and the same as numbers: shape (K, 10), turns (K, 16, 3) in degrees, skins at rest."""
 
     tables: Any
     shape: F32
     turns: F64
+    skins: Skins
 
 
-def posture(hand: HandModel, turns: F64, flexion: F32) -> F32:
-    """(n, 48) axis-angle poses: a family's turns with the flexion that closing found."""
+def posture(hand: HandModel, turns: F64, flexion: F32) -> tuple[F32, F64]:
+    """(n, 48) axis-angle poses: a family's turns with the flexion that closing found; and these as matrices (n, 16, 3, 3)."""
     axes = hand.joint_axes.double().numpy()
     turns = turns.copy()
     turns[:, 1:, 0] = np.degrees(flexion.reshape(len(flexion), 15))
     local = Rotation.from_euler("XYZ", turns.reshape(-1, 3), degrees=True).as_matrix().reshape(-1, 16, 3, 3)
     turned = axes @ local @ axes.transpose(0, 2, 1)
-    return Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 48).astype(np.float32)
+    return Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 48).astype(np.float32), turned
 
 
 @lru_cache(maxsize=2)
@@ -93,7 +96,7 @@ def load_families(model: HandModel) -> Families:
         rate[k, 13:16] = [1.0, 0.4 + 0.8 * rng.random(), 0.2 + 0.8 * rng.random()]
     for f in range(5):
         limit[1 + 3 * f : 4 + 3 * f] = np.radians(LIMITS[int(f == THUMB)])
-    return Families(_tables(model, shape, turns, rate, limit), shape, turns)
+    return Families(_tables(model, shape, turns, rate, limit), shape, turns, Skins.of(model, shape))
 
 
 def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> Any:
@@ -105,7 +108,9 @@ def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> 
     rows = [c for of_segment in clusters for c in of_segment]
     skin = local[:, np.concatenate(rows)]
     root_turn = Rotation.from_euler("XYZ", (turns * [0, 1, 1]).reshape(-1, 3), degrees=True).as_matrix()
-    opened = model.pose(torch.from_numpy(posture(model, turns, np.radians(turns[:, 1:, 0]))), torch.from_numpy(shape))
+    opened = model.pose(
+        torch.from_numpy(posture(model, turns, np.radians(turns[:, 1:, 0]))[0]), torch.from_numpy(shape)
+    )
     open_skin = opened.vertices.numpy()[:, ::2]
     tables = close_hand.ClosingHands()
     tables.n_points, tables.n_open = skin.shape[1], open_skin.shape[1]
@@ -160,7 +165,10 @@ def distance_field(surface: ObjectSurface, threads: int | None = None) -> Any:
     nodes = np.ceil((np.ptp(surface.vertices, axis=0) + 2 * MARGIN_M) / PITCH_M).astype(int) + 1
     cell = STRIDE * PITCH_M
     coarse = np.stack(np.meshgrid(*(np.arange((n - 2) // STRIDE + 2) for n in nodes), indexing="ij"), -1)
-    value = surface.distance(low + cell * coarse.reshape(-1, 3), 1.0, threads)[0].reshape(coarse.shape[:3])
+    value = surface.distance(low + cell * coarse.reshape(-1, 3), 1.0, threads, quick=True)[0].reshape(coarse.shape[:3])
+    corners = surface.vertices[surface.faces].astype(np.float64)
+    inside = winding_of_nodes(corners, low.astype(np.float64), cell, coarse.shape[:3]) > 0
+    value = np.where(inside, -np.abs(value), np.abs(value))
     for axis, n in enumerate(nodes):
         first, share = np.divmod(np.arange(n, dtype=np.int64), STRIDE)
         above = np.take(value, np.minimum(first + 1, value.shape[axis] - 1), axis)

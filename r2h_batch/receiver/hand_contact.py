@@ -19,7 +19,7 @@ from r2h_batch.kernels.receiver.point_mesh import (
 )
 from r2h_batch.launch import launch_trials
 
-__all__ = ["REGIONS", "Contact", "ObjectSurface", "hand_depth", "measure_contact", "palmar_region"]
+__all__ = ["REACH_M", "REGIONS", "Contact", "ObjectSurface", "hand_depth", "measure_contact", "palmar_region"]
 
 REGIONS = ("index", "middle", "pinky", "ring", "thumb", "palm")
 """Where a hand touches: five digits (joints 1-3, 4-6, 7-9, 10-12, 13-15) and the palm."""
@@ -129,18 +129,21 @@ def measure_contact(
     hand: HandModel | None = None,
     threads: int | None = None,
     about: F32 | None = None,
+    asked: NDArray[np.bool_] | None = None,
 ) -> Contact:
     """Contacts of B hands with skins `vertices` (B, V, 3) in the object's frame; `hand`: whose skins (default: ours).
 
     `about` (B, V): what the skins' distances are about. Then only the points that are nearest by it are asked, quickly:
-    contacts to look at, not to vouch for.
+    contacts to look at, not to vouch for. `asked` (B, V): skin that is not is known to be 2 cm and more away.
     """
     n, count = vertices.shape[:2]
     region = palmar_region(hand or load_hand())
     rows = np.arange(n)[:, None]
     if about is None:
-        distance, normal, face = surface.distance(vertices, REACH_M, threads)
-        distance, normal, face = distance.reshape(n, count), normal.reshape(n, count, 3), face.reshape(n, count)
+        asked = np.ones((n, count), bool) if asked is None else asked
+        distance, face = np.full((n, count), REACH_M, np.float32), np.full((n, count), -1, np.int32)
+        normal = np.zeros((n, count, 3), np.float32)
+        distance[asked], normal[asked], face[asked] = surface.distance(vertices[asked], REACH_M, threads)
     else:
         distance = np.minimum(about, REACH_M)
     nearest = np.stack(

@@ -29,13 +29,15 @@ from r2h_batch.receiver.hand_closing import (
     mirrored,
     posture,
 )
-from r2h_batch.receiver.hand_contact import PALM, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
+from r2h_batch.receiver.hand_contact import PALM, REACH_M, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
 from r2h_batch.receiver.instructions import intents_of
 
 __all__ = ["PER_SIDE", "NoHoldError", "sample_receiving"]
 
 PER_SIDE = 32
 PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 600, 20, 160, 16
+HOPELESS = 6
+"""Rounds after which an object that nothing seemed to hold is given up: one of 3,600 proposals would be three of all."""
 STANDOFF_M = 0.25
 
 CONTACT_M = 0.004
@@ -103,11 +105,12 @@ def _holds(
         pool.append(_try(side, rng))
         held = np.concatenate([p["part"] for p in pool])
         enough = len(held) >= ENOUGH and all(np.isin(held, i.labels).sum() >= ENOUGH_OF_PART for i in intents_of(model))
-        if not enough and turn + 1 < ROUNDS:
+        last = turn + 1 == ROUNDS or (turn + 1 >= HOPELESS and not len(held))
+        if not (enough or last):
             continue
         every = {k: np.concatenate([p[k] for p in pool]) for k in pool[0]}
         chosen = _diverse(side, every, count, self_cut_m, known)
-        if len(chosen) == count:
+        if last or len(chosen) == count:
             break
     return _as_arrays(hand, every, chosen, flip)
 
@@ -132,9 +135,13 @@ class _Side:
         """What of the object is looked for in a hand."""
         return np.concatenate([self.model.points * self.flip, self.surface.vertices])
 
-    def holds(self, skin: F32) -> bool:
-        """Whether a hand with this skin (V, 3), which seems to hold, does so: measured on the exact meshes of both."""
-        contact = measure_contact(self.surface, skin[None], hand=self.hand, threads=self.threads)
+    def holds(self, skin: F32, about: F32) -> bool:
+        """Whether a hand with this skin (V, 3), which seems to hold, does so: measured on the exact meshes of both.
+
+        `about` (V,): the field's distances, which are the true ones or less."""
+        contact = measure_contact(
+            self.surface, skin[None], hand=self.hand, threads=self.threads, asked=about[None] < REACH_M
+        )
         if not _holds_well(self.model, contact)[0]:
             return False
         deep = hand_depth(self.points, skin[None], 0, hand=self.hand, threads=self.threads)
@@ -155,18 +162,18 @@ def _try(side: _Side, rng: Any) -> dict[str, NDArray[Any]]:
     held = ((gap[:, :THUMB] < CONTACT_M).sum(1) >= 1) & (gap.min(1) > -2 * DEEPEST_M)
     rows, flexion = rows[held], flexion[held]
     family, R, p = family[rows], R[rows], p[rows]
-    pose = posture(hand, families.turns[family], flexion)
-    posed = hand.pose(torch.from_numpy(pose), torch.from_numpy(families.shape[family]))
-    skin = (np.einsum("nij,nvj->nvi", R, posed.vertices.numpy()) + p[:, None]).astype(np.float32)
-    joints = np.einsum("nij,nvj->nvi", R, posed.joints.numpy()) + p[:, None]
+    pose, turn = posture(hand, families.turns[family], flexion)
+    own, own_joints = families.skins.posed(family, turn)
+    skin = own @ R.transpose(0, 2, 1) + p[:, None]
+    joints = own_joints @ R.transpose(0, 2, 1) + p[:, None]
     about = field_distance(side.field, skin.reshape(-1, 3), threads).reshape(skin.shape[:2])
     contact = measure_contact(side.surface, skin, hand=hand, threads=threads, about=about)
-    good = _holds_well(side.model, contact) & (_crossing(hand, joints, posed.vertices.numpy(), R, p) < CROSSING_M)
+    good = _holds_well(side.model, contact) & (_crossing(hand, joints, skin) < CROSSING_M)
     rows = np.flatnonzero(good)
     touching = contact.gap[rows] <= CONTACT_M
     return {
-        "family": family[rows], "R": R[rows], "p": p[rows], "pose": pose[rows], "joints": joints[rows].astype(np.float32),
-        "skin": skin[rows],
+        "family": family[rows], "R": R[rows], "p": p[rows], "pose": pose[rows], "joints": joints[rows],
+        "skin": skin[rows], "about": about[rows],
         "part": _parts(side.model, contact.face[rows], touching),
         "score": _score(side.model, side.flip, contact, rows, touching, R[rows]),
     }  # fmt: skip
@@ -244,10 +251,9 @@ def _parts(model: ObjectModel, face: NDArray[np.int32], touching: NDArray[np.boo
     return votes.argmax(1).astype(np.uint8)
 
 
-def _crossing(hand: HandModel, joints: F64, hand_vertices: F32, R: F32, p: F32) -> F64:
+def _crossing(hand: HandModel, joints: F32, skin: F32) -> F64:
     """(B,) how deep thumb and fingers, and fingers that are not joined, run into each other, as capsules."""
-    tips = hand.tip_vertices.numpy().astype(np.int64)
-    tip = np.einsum("nij,nvj->nvi", R, hand_vertices[:, tips]) + p[:, None]
+    tip = skin[:, hand.tip_vertices.numpy().astype(np.int64)]
     chain = [
         np.stack([joints[:, 1 + 3 * f], joints[:, 2 + 3 * f], joints[:, 3 + 3 * f], tip[:, f]], 1) for f in range(5)
     ]
@@ -262,7 +268,7 @@ def _crossing(hand: HandModel, joints: F64, hand_vertices: F32, R: F32, p: F32) 
     return worst
 
 
-def _segment_distance(a: F64, b: F64, c: F64, d: F64) -> F64:
+def _segment_distance(a: F32, b: F32, c: F32, d: F32) -> F64:
     """Distance of segments a b and c d, (n, 3) each, sampled at 9 points each."""
     t = np.linspace(0, 1, 9)[None, :, None]
     p, q = a[:, None] + t * (b - a)[:, None], c[:, None] + t * (d - c)[:, None]
@@ -302,7 +308,7 @@ def _diverse(
                     continue
                 # measured only of those that are wanted: 10 ms each, and 50 of how they cut into themselves
                 if i not in known:
-                    known[i] = side.holds(every["skin"][i]) and (
+                    known[i] = side.holds(every["skin"][i], every["about"][i]) and (
                         self_cut_m is None or _self_cut(side.hand, every["pose"][i], every["family"][i]) <= self_cut_m
                     )
                 usable[i] = known[i]

@@ -16,9 +16,19 @@ from r2h_batch.bodies.hand import load_hand, palm_frame
 from r2h_batch.bodies.hand_measure import hull_planes, sample_surface, winding_number
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.launch import init_warp
-from r2h_batch.receiver.hand_closing import DEEPEST_M, EXACT_M, PITCH_M, distance_field, field_distance, mirrored
+from r2h_batch.receiver.hand_closing import (
+    DEEPEST_M,
+    EXACT_M,
+    PITCH_M,
+    distance_field,
+    field_distance,
+    load_families,
+    mirrored,
+    posture,
+)
 from r2h_batch.receiver.hand_contact import (
     PALM,
+    REACH_M,
     REGIONS,
     THUMB,
     ObjectSurface,
@@ -221,6 +231,26 @@ def test_grasps_of_a_users_object_hold_by_the_exact_meshes() -> None:
     points = np.concatenate([stick.points, stick.vertices])
     for of in (0, 1):
         assert (hand_depth(points, skin[found["side"] == of], of) < PENETRATION_M).all()
+
+
+def test_skins_of_closing_hands_are_the_models() -> None:
+    hand = load_hand()
+    families, rng = load_families(hand), np.random.default_rng(3)
+    which = rng.integers(0, len(families.shape), 20)
+    pose, turn = posture(hand, families.turns[which], rng.random((20, 5, 3)).astype(np.float32))
+    skin, joints = families.skins.posed(which, turn)
+    exact = hand.pose(torch.from_numpy(pose), torch.from_numpy(families.shape[which]))
+    assert np.abs(skin - exact.vertices.numpy()).max() < 5e-7 and np.abs(joints - exact.joints.numpy()).max() < 5e-7
+
+
+def test_skin_that_is_known_to_be_away_need_not_be_asked(grasps) -> None:
+    init_warp()
+    model, skin = OBJECTS[0], grasps.vertices[grasps.rows_of(0, 0)[:2]].numpy()
+    surface = ObjectSurface(model.vertices, model.faces)
+    about = field_distance(distance_field(surface), skin.reshape(-1, 3), None).reshape(skin.shape[:2])
+    every, some = measure_contact(surface, skin), measure_contact(surface, skin, asked=about < REACH_M)
+    assert (about >= REACH_M).mean() > 0.2
+    assert all(np.array_equal(getattr(every, k), getattr(some, k)) for k in vars(every))
 
 
 def test_walls_thinner_than_the_fields_nodes_are_apart_stop_fingers() -> None:
