@@ -25,12 +25,20 @@ pytestmark = pytest.mark.check
 
 def test_every_flag_of_the_page_is_one(capsys):
     known = {f"--{f.name.replace('_', '-')}" for f in fields(Options)} | {"--rejudge", "--builtin"}
-    for line in (["import", "hand"], ["import", "hands"], ["import", "grasps"], ["trials"]):
+    for line in (["import", "hand"], ["import", "hands"], ["import", "grasps"], ["trials"], ["scene"]):
         with pytest.raises(SystemExit):
             main([*line, "--help"])
         known |= set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
     said = set(re.findall(r"--[a-z][a-z-]+", re.sub(r"`python bench/.*?`", "", PAGE)))
     assert len(said) > 20 and said <= known, said - known
+
+
+def test_the_region_is_said_in_the_help_as_on_the_page(capsys):
+    with pytest.raises(SystemExit):
+        main(["sweep", "--help"])
+    told = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for words in ("FILE[:S0|S1[:REGION]]", "a part's name", "a plane such as z<0.3", "an .npy of the file's faces"):
+        assert words in told
 
 
 def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_path):

@@ -49,6 +49,18 @@ def test_a_closed_mug_with_two_slivers_stays_what_it_is():
     assert np.abs(signed_distance(clean, found.mesh.vertices)[0]).max() < 1e-7
 
 
+def test_a_needle_of_three_points_in_a_line_is_a_sliver_and_no_reason_to_refuse_the_mesh():
+    """Two faces without area on an edge of the mug, sharing it with its own two."""
+    clean, n = mug(), len(mug().vertices)
+    along = clean.vertices[clean.edges[:, 1]] - clean.vertices[clean.edges[:, 0]]
+    upright = clean.edges[np.abs(along[:, 2]) > 0.08]
+    for a, b in upright[[1, 7, 19]]:  # rounding gives some a volume, and others none
+        point = 0.75 * clean.vertices[a] + 0.25 * clean.vertices[b]
+        found, said = closed(with_faces(clean, point, [[a, b, n], [b, a, n]]))
+        assert "dropped 1 slivers without volume (2 faces)" in said and "rebuilt" not in said
+    assert found.mesh.volume == pytest.approx(clean.volume, rel=1e-9) and found.repair.moved_m < 1e-3
+
+
 def test_needles_and_flaps_that_lie_on_the_surface_are_slivers_and_a_flag_on_it_becomes_a_plate():
     clean, n = mug(), len(mug().vertices)
     needle = [[0.06, 0, 0], [0.06, 0, 0.05], [0.06, 2e-6, 0.02]]

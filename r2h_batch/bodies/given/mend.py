@@ -81,7 +81,7 @@ def without_slivers(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> t
     """The mesh without bodies that enclose nothing and are too small, too thin or too near to others to be meant."""
     body = bodies_of(mesh)
     volumes = np.array(body_volumes(mesh))
-    flat = np.abs(volumes[:, 0]) <= FLAT_M * volumes[:, 1]
+    flat = np.abs(volumes[:, 0]) <= FLAT_M * volumes[:, 1] + FLAT_M**3  # a needle of three points in a line has no area
     rims = np.unique(body[open_faces(mesh)])
     flat[rims] &= volumes[rims, 1] < 1e-12  # an open sheet is one, unless there is nothing of it
     if not flat.any() or flat.all():
