@@ -107,7 +107,18 @@ def test_only_a_change_of_the_trials_own_object_hands_or_place_is_refused(run, m
     for file in meshes.iterdir():
         (own / file.name).write_bytes(file.read_bytes())
     trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().export(own / "brick.obj")
-    line = ["scene", "--run", str(run), "--method", "random", "--out", str(tmp_path / "x"), "--objects", str(own)]
+    line = [
+        "scene",
+        "--run",
+        str(run),
+        "--method",
+        "random",
+        "--objects",
+        str(own),
+        "--overwrite",
+        "--out",
+        str(tmp_path / "x"),
+    ]
     assert main([*line, "--trial", "2"]) == 0  # of plank
     capsys.readouterr()
     assert main([*line, "--trial", "0"]) == 2
