@@ -140,10 +140,17 @@ def measure_contact(
     region = palmar_region(hand or load_hand())
     rows = np.arange(n)[:, None]
     if about is None:
-        asked = np.ones((n, count), bool) if asked is None else asked
         distance, face = np.full((n, count), REACH_M, np.float32), np.full((n, count), -1, np.int32)
         normal = np.zeros((n, count, 3), np.float32)
-        distance[asked], normal[asked], face[asked] = surface.distance(vertices[asked], REACH_M, threads)
+        low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+        around = np.zeros((n, count), bool) if asked is None else ((vertices < low) | (vertices > high)).any(axis=2)
+        asked = np.ones((n, count), bool) if asked is None else asked
+        for mine, outside in (
+            (asked & ~around, False),
+            (asked & around, True),
+        ):  # outside nobody needs a winding number
+            d, normal[mine], face[mine] = surface.distance(vertices[mine], REACH_M, threads, quick=outside)
+            distance[mine] = np.abs(d) if outside else d
     else:
         distance = np.minimum(about, REACH_M)
     nearest = np.stack(
