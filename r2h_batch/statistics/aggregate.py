@@ -65,7 +65,7 @@ class Row:
     """motions that met the receiver's arm or torso, of those past a receiver who has them"""
 
 
-@takes(passed=array("b", 2, "booleans (N, 5)"), evaluated=array("b", 2, "booleans (N, 5)"))
+@takes(passed=array("biu", 2, "booleans (N, 5)"), evaluated=array("biu", 2, "booleans (N, 5)"))
 def first_failure(passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = REQUIRED) -> np.ndarray:
     """Outcome codes (N,) int8: the first evaluated criterion that failed, in the order of `CRITERIA`.
 
@@ -108,7 +108,7 @@ def wilson_interval(count: ArrayLike, total: ArrayLike, confidence: float = 0.95
     return low, high
 
 
-@takes(success=array("b", 1, "booleans (N,)"), cluster=array("iuUST", 1, "numbers or names (N,)"), confidence=_SHARE)
+@takes(success=array("biu", 1, "booleans (N,)"), cluster=array("iufUST", 1, "numbers or names (N,)"), confidence=_SHARE)
 def clustered_interval(success: np.ndarray, cluster: np.ndarray, confidence: float = 0.95) -> Rate | None:
     """Success rate in percent with a t interval over clusters (objects): it speaks about new objects of this kind.
 
@@ -116,6 +116,7 @@ def clustered_interval(success: np.ndarray, cluster: np.ndarray, confidence: flo
     Never narrower than the Wilson interval (with few clusters the between-cluster variance can come out as 0).
     None with fewer than two clusters.
     """
+    success = np.asarray(success, bool)
     if success.shape != cluster.shape:
         raise ValueError(f"cluster is of {len(cluster)} trials, success of {len(success)}; give one for each trial")
     index = cluster if cluster.dtype.kind in "iu" else np.unique(cluster, return_inverse=True)[1]
