@@ -87,7 +87,7 @@ def test_a_file_equal_to_the_built_in_one_gives_its_golden_digests(tmp_path):
 def test_every_number_of_a_file_makes_another_benchmark(tmp_path):
     digests = {built_in().digest}
     lines = [
-        *(f"thresholds: {{{k}: 0.0312}}" for k in Thresholds.__dataclass_fields__),
+        *(f"thresholds: {{{k}: 0.0092}}" for k in Thresholds.__dataclass_fields__),
         "table: {center: [-0.025, 0, -0.03]}",
         "table: {half: [0.475, 0.6, 0.02]}",
         "home: [-0.3, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483]",
