@@ -10,20 +10,32 @@ so-manieth warp is looked at.
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest import mock
 
 import numpy as np
 
-from r2h_batch.judge import waves
+from r2h_batch.judge import search, waves
 from r2h_batch.kernels.wave import queues
 from r2h_batch.launch import launch_trials
 
 WARP, COPIES, REPEATS = 32, 32, 3
-WARPS = 40
+PAIRS_A_LANE = 8
+"""Pairs that a lane takes one after the other, in the model: a full GPU's lanes have as many with some hundred thousand pairs."""
+WARPS = 64
 """Warps of one launch that are looked at, spread over all of it."""
+ONCE = ("enter_edges", "next_edges")
+"""Kernels that change what they read: all entries run in their order, REPEATS times from the same state."""
+CHANGE = 0.5
+"""What the change to another pair takes at least, in iterations of GJK: a fit of so little says nothing."""
 BY_STRETCH = ("stretch_frames", "halve", "clear_links")
+STAGES = (
+    (waves.Waves, "check", "check_postures"),
+    (waves.Waves, "straight", "straight_lines"),
+    (waves.Waves, "clearance", "path_clearance"),
+    (search, "connect_in_waves", "rrt_connect"),
+)
 BY_BODY = {"near_pieces": queues.HAND, "near_table": queues.TABLE, "near_bodies": queues.SELF}
 
 
@@ -31,14 +43,18 @@ class Waved:
     """Costs (us) of each kernel's entries (whole warps, one after the other), launch by launch; of GJK iterations."""
 
     def __init__(self) -> None:
-        self.costs: dict[str, list[np.ndarray]] = defaultdict(list)
-        self.pairs: list[tuple[np.ndarray, np.ndarray]] = []  # iterations, and whose edges
+        self.stage = ""
+        self.costs: dict[str, dict[str, list[np.ndarray]]] = defaultdict(lambda: defaultdict(list))
+        self.pairs: dict[str, list[tuple[np.ndarray, np.ndarray]]] = defaultdict(list)  # iterations, and whose edges
         self._timed: list[tuple[np.ndarray, np.ndarray]] = []
 
     def launch(
         self, kernel: Any, n: int, *, inputs: Mapping[str, Any], outputs: Mapping[str, Any], **ways: Any
     ) -> None:
         """As `launch_trials`; counts first, then runs."""
+        if kernel.key in ONCE:
+            self.costs[self.stage][kernel.key].append(_once(kernel, n, inputs, outputs))
+            return
         rows = _rows(kernel.key, inputs)
         if rows is not None and rows.entries:
             queue = _Copied(kernel, inputs, outputs, rows)
@@ -51,18 +67,79 @@ class Waved:
                 launch_trials(kernel, n, inputs=inputs, outputs=outputs, **ways)
                 (pairs,) = rows.tables
                 steps = pairs["steps"][: rows.entries].numpy().astype(float)
-                self.pairs.append((steps, _owners(inputs, pairs, rows.entries)))
+                self.pairs[self.stage].append((steps, _owners(inputs, pairs, rows.entries)))
                 self._timed.append((steps[some], us))
                 return
-            self.costs[kernel.key].append(np.array([queue.cost(i) for i in looked]))
+            self.costs[self.stage][kernel.key].append(np.array([queue.cost(i) for i in looked]))
             queue.restore()
         launch_trials(kernel, n, inputs=inputs, outputs=outputs, **ways)
+
+    def labelled(self, stage: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        """`call`, with what it launches counted as that stage's."""
+
+        def labelled(*args: Any, **kwargs: Any) -> Any:
+            before, self.stage = self.stage, stage
+            try:
+                return call(*args, **kwargs)
+            finally:
+                self.stage = before
+
+        return labelled
 
     def pair_costs(self) -> tuple[float, float]:
         """us of one iteration, and of the change to another pair (fitted)."""
         steps, us = (np.concatenate(x) for x in zip(*self._timed, strict=True))
         slope, rest = np.polyfit(steps, us, 1)
-        return float(slope), max(float(rest), 0.0)
+        return float(slope), max(float(rest), CHANGE * float(slope))
+
+    def stages(self) -> list[str]:
+        return list(self.costs)
+
+    def of_stage(self, stage: str) -> tuple[float, float]:
+        """Share of the lanes' time in which they work, in all kernels of a stage; its longest chain, us."""
+        step_us, change_us = self.pair_costs()
+        work = waited = chain = 0.0
+        for launches in self.costs[stage].values():
+            for cost in launches:
+                work += cost.sum()
+                waited += WARP * np.pad(cost, (0, -len(cost) % WARP)).reshape(-1, WARP).max(1).sum()
+                chain += cost.max(initial=0.0)
+        for steps, _ in self.pairs[stage]:
+            done, took, _ = persistent(steps, step_us, change_us, -(-len(steps) // (WARP * PAIRS_A_LANE)))
+            work, waited, chain = work + done, waited + took, chain + steps.max() * step_us + change_us
+        return work / waited, chain
+
+    def of_gjk(self) -> tuple[float, float, float]:
+        """The same share in GJK alone: as it is; with a thread for each pair; with a warp for the pairs of each problem."""
+        step_us, change_us = self.pair_costs()
+        shares = np.zeros((3, 2))
+        for steps, owner in (x for stage in self.pairs.values() for x in stage):
+            shares[0] += persistent(steps, step_us, change_us, -(-len(steps) // (WARP * PAIRS_A_LANE)))[:2]
+            alone = np.pad(steps, (0, -len(steps) % WARP)).reshape(-1, WARP)
+            shares[1] += steps.sum(), WARP * alone.max(1).sum()
+            for one in np.unique(owner):
+                shares[2] += persistent(steps[owner == one], step_us, change_us, 1)[:2]
+        whole, thread, warp = shares[:, 0] / shares[:, 1]
+        return float(whole), float(thread), float(warp)
+
+
+def _once(kernel: Any, n: int, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> np.ndarray:
+    """Costs of entries that run one after the other; what the call itself takes is the least of all."""
+    structs = (
+        [_tensors(x).values() for x in inputs.values() if hasattr(x, "_cls") and "tensors" in vars(x)] if n else []
+    )
+    written = [*outputs.values(), *(x for tensors in structs for x in tensors)]
+    before = [x.clone() for x in written]
+    cost = np.full(n, np.inf)
+    for _ in range(REPEATS):
+        for x, saved in zip(written, before, strict=True):
+            x.copy_(saved)
+        for i in range(n):
+            start = time.thread_time_ns()
+            launch_trials(kernel, 1, inputs=inputs, outputs=outputs, device="cpu", threads=1, first=i)
+            cost[i] = min(cost[i], (time.thread_time_ns() - start) / 1e3)
+    least: np.ndarray = cost - cost.min(initial=np.inf)
+    return least
 
 
 class _Rows:
@@ -166,5 +243,8 @@ def persistent(steps: np.ndarray, step_us: float, change_us: float, warps: int) 
 def counting() -> Iterator[Waved]:
     """Waves run inside are counted."""
     seen = Waved()
-    with mock.patch.object(waves, "launch_trials", seen.launch):
+    with ExitStack() as stack:
+        stack.enter_context(mock.patch.object(waves, "launch_trials", seen.launch))
+        for owner, name, stage in STAGES:
+            stack.enter_context(mock.patch.object(owner, name, seen.labelled(stage, getattr(owner, name))))
         yield seen

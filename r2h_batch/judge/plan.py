@@ -68,17 +68,7 @@ def plan_paths(
 
     # (b * 8, 6) free branches first, nearest to home first; what lies beyond n_goals of a trial is never looked at
     goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, home, config)
-    chosen = torch.full((b,), -1, dtype=torch.int32, device=device)
-    if run.waves is not None:
-        chosen = run.waves.straight(home, goals, n_goals, margin, moveit)
-    else:
-        run(
-            straight_lines,
-            b,
-            inputs={"moveit": moveit, "home": home, "goals": goals, "n_goals": n_goals, "goal_margin": margin.view(-1)},
-            outputs={"chosen": chosen},
-            chunk=8,
-        )
+    chosen = run.straight(home, goals, n_goals, margin, moveit)
     path = torch.zeros((b, WAYPOINTS, 6), dtype=torch.float32, device=device)
     length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
     path[:, 0] = home
@@ -90,6 +80,8 @@ def plan_paths(
     least, pair, body = _least_clearance(run, path, length)
     if moveit:  # sampled edges may pass through things
         _measure_overlaps(run, scene, path, length, least, pair, body)
+    elif run.waves is not None:
+        run.waves.refuse_if_full()
     reason = _reasons(active, start_clear, valid, n_goals, length)
     first_valid = valid.to(torch.int8).argmax(1)
     blocked_by = goal_pair[torch.arange(b, dtype=torch.int64, device=device), first_valid]
@@ -128,7 +120,8 @@ def _measure_overlaps(
     body: Int32[Tensor, " b"],
 ) -> None:
     """Writes how deep the bodies meet on paths whose clearance is below 0, and which they are."""
-    rows = torch.nonzero((length > 0) & (least < 0)).flatten().to(torch.int32)
+    meets = (length > 0) & (least < 0)
+    rows = torch.nonzero(meets).flatten().to(torch.int32) if run.waves is None else run.waves.rows_where(meets)
     run(
         path_overlap,
         len(rows),
@@ -197,6 +190,20 @@ class Planner:
             chunk=64,
         )
         return clear, pair, clearance
+
+    def straight(self, home: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, moveit: int) -> Tensor:
+        """Each row's first goal whose straight line from home is free, or -1."""
+        if self.waves is not None:
+            return self.waves.straight(home, goals, n_goals, margin, moveit)
+        chosen = torch.full_like(n_goals, -1)
+        self(
+            straight_lines,
+            len(n_goals),
+            inputs={"moveit": moveit, "home": home, "goals": goals, "n_goals": n_goals, "goal_margin": margin.view(-1)},
+            outputs={"chosen": chosen},
+            chunk=8,
+        )
+        return chosen
 
 
 def _sort_goals(

@@ -120,7 +120,8 @@ class Search:
         capacity = 4 * iterations + 16
         if self.run.waves is not None and self.config.edge_check != "moveit":
             problem = Problem(self.home, kept, n_kept, margin, self.key)
-            connect_in_waves(self.run.waves, rows, problem, self.config, iterations, seed, shorter, path, length)
+            room = _scratch_nodes(device)
+            connect_in_waves(self.run.waves, rows, problem, self.config, iterations, seed, shorter, path, length, room)
             return margin
         for part in rows.split(max(1, _scratch_nodes(device) // (2 * capacity))):
             nodes = torch.empty((len(part) * 2 * capacity, 7), dtype=torch.float32, device=device)

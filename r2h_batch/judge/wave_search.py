@@ -36,24 +36,32 @@ class Problem:
 
 def connect_in_waves(
     waves: Waves, rows: Int32[Tensor, " r"], problem: Problem, config: PlanConfig, iterations: int, seed: int, shorter: float,
-    path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
+    path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], nodes: int,
 ) -> None:  # fmt: skip
     """One search of those `rows` whose `length` is 0, as plan/rrt.py `rrt_connect` with certified edges; writes the paths found.
 
     `iterations` random postures a problem; which are drawn, and what follows from them, does not depend on the other rows.
+    `nodes`: of all trees at once.
     """
     lanes = min(max(iterations // 8, FEWEST), MOST)
-    for part in rows.split(LANES_AT_ONCE // lanes):
+    at_once = max(1, min(LANES_AT_ONCE // lanes, nodes // (2 * _capacity(iterations))))
+    for part in rows.split(at_once):
         _Search(waves, part, problem, config, iterations, lanes)(seed, shorter, path, length)
+
+
+def _capacity(iterations: int) -> int:
+    """Nodes of one tree, as search.py has it: a tree that is full ends the search."""
+    return 4 * iterations + 16
 
 
 class _Search:
     def __init__(
         self, waves: Waves, rows: Tensor, problem: Problem, config: PlanConfig, iterations: int, lanes: int
     ) -> None:
+        self._all = waves
         self._waves = Waves(**waves.scene, device=waves.device, rows=-(-len(rows) * lanes * ROOM // PER_ROW))
         self._rows, self._problem, self._config = rows, problem, config
-        self._iterations, self._lanes, self._capacity = iterations, lanes, 4 * iterations + 16
+        self._iterations, self._lanes, self._capacity = iterations, lanes, _capacity(iterations)
         device, n, all_lanes = rows.device, len(rows), len(rows) * lanes
 
         def new(*shape: int, dtype: torch.dtype = torch.int32) -> Tensor:
@@ -99,4 +107,4 @@ class _Search:
             waves.launch(next_edges, n * self._lanes, ask | {"parity": parity, "queue": waves.stretches[parity]})
             waves.wave(self._edges, parity, certify=1)
         waves.note_full()
-        waves.refuse_if_full()
+        self._all.full |= waves.full  # asked at the end of planning

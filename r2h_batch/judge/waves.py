@@ -39,6 +39,8 @@ NOBODY = 0x7FFFFFFF
 NONE = (NOBODY << 32) | NOBODY
 """Key of an edge that nothing blocks (kernels/wave/queues.py)."""
 
+TOO_SHORT = "cannot allocate a longer queue of stretches: fewer rows at once have more room each"
+
 _on_cpu = False
 
 
@@ -70,7 +72,10 @@ class Lines:
 
 
 class Waves:
-    """Waves over `rows` trials; `world` and `bodies` (`scene`) as the planning kernels take them."""
+    """Waves over `rows` trials; `world` and `bodies` (`scene`) as the planning kernels take them.
+
+    `full` is 1 once a queue was too short: then nothing that came out counts (`refuse_if_full`).
+    """
 
     def __init__(self, world: Any, bodies: Any, device: str, rows: int) -> None:
         self.scene = {"world": world, "bodies": bodies}
@@ -78,7 +83,7 @@ class Waves:
         least = LEAST if device == "cpu" else LEAST_CUDA
         self._room = max(PER_ROW * rows, least)
         self._tables = self.scene | self._queues(self._room)
-        self._full = torch.zeros(1, dtype=torch.int32, device=device)
+        self.full = torch.zeros(1, dtype=torch.int32, device=device)
 
     def _new(self, *shape: int, dtype: torch.dtype = torch.int32) -> Tensor:
         return torch.empty(shape, dtype=dtype, device=self.device)
@@ -120,7 +125,7 @@ class Waves:
             for i in range(0, len(q), room)
         ]
         clear, pair, least = (torch.cat(x) if len(parts) > 1 else x[0] for x in zip(*parts, strict=True))
-        self.refuse_if_full()
+        self._refuse_at_once()
         return clear, pair, least
 
     def _check(self, q: Tensor, active: Tensor, trial: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -151,7 +156,7 @@ class Waves:
         free = nearest & (self._blocked(lines, nearest.reshape(-1), mode).view(b, BRANCHES) == NONE)
         others = there & ~nearest & ~free[:, :1]
         free |= others & (self._blocked(lines, others.reshape(-1), mode).view(b, BRANCHES) == NONE)
-        self.refuse_if_full()
+        self._refuse_at_once()
         return torch.where(free, slot, BRANCHES).amin(1).where(free.any(1), -1).to(torch.int32)
 
     def clearance(
@@ -178,7 +183,7 @@ class Waves:
         )
         self._all_waves(edges, MAX_LEVEL, certify=0)
         least, pair, body = self._read(found)
-        self.refuse_if_full()
+        self._refuse_at_once()
         return torch.where(length > 0, least, -torch.inf), pair, body
 
     def ask(self, track: int, tolerance: float) -> None:
@@ -191,12 +196,24 @@ class Waves:
 
     def note_full(self) -> None:
         """Keeps in mind that a queue was too short."""
-        self._full |= self._counts[queues.FULL : queues.FULL + 1]
+        self.full |= self._counts[queues.FULL : queues.FULL + 1]
 
     def refuse_if_full(self) -> None:
-        """On a CPU, where asking costs nothing: raises MemoryError when a queue was too short."""
-        if self.device == "cpu" and int(self._full):
-            raise MemoryError("cannot allocate a longer queue of stretches: fewer rows at once have more room each")
+        """Raises MemoryError when a queue was too short since these waves were made; on a GPU the host waits for that."""
+        if int(self.full):
+            raise MemoryError(TOO_SHORT)
+
+    def rows_where(self, mask: Bool[Tensor, " b"]) -> Int32[Tensor, " r"]:
+        """Numbers of the rows that `mask` has, and `refuse_if_full`, for one wait."""
+        found = torch.nonzero(torch.cat([mask, self.full.bool().expand(len(mask) + 1)])).flatten()
+        if len(found) > len(mask):
+            raise MemoryError(TOO_SHORT)
+        return found.to(torch.int32)
+
+    def _refuse_at_once(self) -> None:
+        """On a CPU, where asking costs nothing; on a GPU planning asks at its end."""
+        if self.device == "cpu":
+            self.refuse_if_full()
 
     def _blocked(self, lines: Lines, used: Bool[Tensor, " e"], mode: int) -> Int64[Tensor, " e"]:
         """For each line of its own owner the key of the first pair that blocks it, NONE where it is free."""

@@ -171,6 +171,11 @@ def test_where_a_queue_is_too_short_fewer_rows_go_at_once_and_come_out_the_same(
         with mock.patch.object(waves, "LEAST", 256), mock.patch.object(waves, "PER_ROW", 1):
             with pytest.raises(MemoryError, match="cannot allocate"):
                 solve(scene, make_batch(scene, 96, random_share=0.0))
+            full = waves.Waves(scene.world, None, "cpu", 1)
+            assert full.rows_where(torch.tensor([False, True])).tolist() == [1]
+            full.full.fill_(1)  # as a GPU's queues say it: with the rows that are asked for anyway
+            with pytest.raises(MemoryError, match="fewer rows at once"):
+                full.rows_where(torch.tensor([False, True]))
             parts = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     assert torch.equal(whole.outcome, parts.outcome)
     assert torch.equal(whole.margin.nan_to_num(9.0), parts.margin.nan_to_num(9.0))
