@@ -256,7 +256,7 @@ def test_skin_that_is_known_to_be_away_need_not_be_asked(grasps) -> None:
 def test_walls_thinner_than_the_fields_nodes_are_apart_stop_fingers() -> None:
     from r2h_batch.bodies.objects import build_object
 
-    cup = trimesh.creation.annulus(0.0335, 0.034, 0.1)  # fingers closed through this one: no hold of 24,000 proposals
+    cup = trimesh.creation.annulus(0.0335, 0.034, 0.1)  # fingers closed through this one: no hold of 4,800 proposals
     model = build_object(cup, "sleeve", pieces=False)
     surface = ObjectSurface(model.vertices, model.faces)
     assert np.abs(surface.thickness(0.02) - 5e-4).max() < 1e-5
