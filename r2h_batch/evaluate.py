@@ -148,7 +148,8 @@ class Evaluator:
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
         check_indices(self.scene, trials)
         scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
-        return scores.knowing(Asked(T_obj_ee.detach(), T_world_ee.detach(), trials, self))
+        # Copies: an optimizer's step in place must not change what a picture of these scores shows.
+        return scores.knowing(Asked(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self))
 
     def __repr__(self) -> str:
         engine = self.config.execute.engine(torch.device(self.scene.device).type)

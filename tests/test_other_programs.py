@@ -263,6 +263,16 @@ def test_obvious_meanings():
     assert default_evaluator().capture(np.int64(4), stages="pose").T_obj_ee.shape == (4, 4, 4)
 
 
+def test_an_optimizers_step_in_place_does_not_change_what_scores_were_asked_about(evaluator, batch):
+    grasp, handover = batch.T_obj_ee.clone().requires_grad_(), batch.T_world_ee.clone()
+    scores = evaluator.score(grasp, handover, batch.trials, stages="pose")
+    with torch.no_grad():
+        grasp.add_(1.0)
+        handover.zero_()
+    assert torch.equal(scores.asked.T_obj_ee, batch.T_obj_ee)
+    assert torch.equal(scores.asked.T_world_ee, batch.T_world_ee)
+
+
 def test_ids_of_another_dtype_are_refused():
     T_obj_ee, T_world_ee, trials = batch_of([Staged()])
     for wrong in (trials.trial_id.int(), trials.trial_id.float(), trials.trial_id[:, None]):
