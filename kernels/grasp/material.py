@@ -23,7 +23,7 @@ from r2h_batch.kernels.geometry.lanes import (
 from r2h_batch.kernels.geometry.surface import Surfaces, line_hit
 from r2h_batch.kernels.grasp.crossings import solid_along_line
 from r2h_batch.kernels.grasp.prism import clip_edge, corner
-from r2h_batch.kernels.grasp.runs import COVERED_M, FAR, add_run, covered, outermost
+from r2h_batch.kernels.grasp.runs import COVERED_M, FAR, add_run, outermost
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -80,22 +80,20 @@ def _add_leaf(
         -half_x, half_x, z_low, z_high,
     )  # fmt: skip
     near = found & 255
-    if near != 0:
-        near = triangles_outside_runs(surfaces.triangle_lanes, row, near, ry, t[1], COVERED_M, run_low, run_high, runs)
-    while near != 0:
-        lane = first_lane(near)
-        near = near & (near - 1)
-        u = lane_point(surfaces.triangle_lanes, row, lane)
-        v = lane_point(surfaces.triangle_lanes, row + 3, lane)
-        w = lane_point(surfaces.triangle_lanes, row + 6, lane)
-        y0 = wp.dot(ry, u) + t[1]
-        y1 = wp.dot(ry, v) + t[1]
-        y2 = wp.dot(ry, w) + t[1]
-        low = wp.min(y0, wp.min(y1, y2))
-        high = wp.max(y0, wp.max(y1, y2))
-        if not covered(run_low, run_high, runs, low, high):
+    while near != 0:  # asked anew each time: the runs have grown
+        near = triangles_outside_runs(
+            surfaces.triangle_lanes, row, near, ry, t[1], COVERED_M, run_low, run_high, runs
+        )
+        if near != 0:
+            lane = first_lane(near)
+            near = near & (near - 1)
+            a = R * lane_point(surfaces.triangle_lanes, row, lane) + t
+            b = R * lane_point(surfaces.triangle_lanes, row + 3, lane) + t
+            c = R * lane_point(surfaces.triangle_lanes, row + 6, lane) + t
+            low = wp.min(a[1], wp.min(b[1], c[1]))
+            high = wp.max(a[1], wp.max(b[1], c[1]))
             if (found >> (8 + lane)) & 1 != 0:  # it sticks out: what is left of it inside
-                low, high = _triangle_in_prism(R * u + t, R * v + t, R * w + t, half_x, z_low, z_high)
+                low, high = _triangle_in_prism(a, b, c, half_x, z_low, z_high)
             if low <= high:
                 runs = add_run(run_low, run_high, runs, low, high)
     return runs

@@ -12,25 +12,6 @@ COVERED_M = wp.constant(1.0e-7)
 FAR = wp.constant(1.0e30)
 
 
-@wp.func_native("""
-    for (int i = 0; i < n; ++i)
-        if (a >= low.data[i] - slack && b <= high.data[i] + slack)
-            return true;
-    return false;
-""")
-def within_one(
-    low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, slack: float, a: float, b: float
-) -> bool:
-    """Whether [a, b] lies in one of the n intervals [low, high], give or take `slack`. In C++: asked of every triangle."""
-    ...
-
-
-@wp.func
-def covered(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a: float, b: float) -> bool:
-    """Whether [a, b] lies in one of the n runs [low, high]."""
-    return within_one(low, high, n, COVERED_M, a, b)
-
-
 @wp.func(inline=False)
 def add_run(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a: float, b: float) -> int:
     """Joins [a, b] to the runs it meets, in place; the new number of runs."""
