@@ -258,8 +258,11 @@ class Evaluator:
         ik, branches = self._branches(holding)
         goal = judge_goals(scene, holding.planned, holding.T_world_ee, ik, branches, active, threads=threads)
         safe, body, point = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
-        body_m, part = self._body(holding, trials, goal.q[:, None], active.to(torch.int32))
+        body_m, part = torch.full_like(goal.clearance_m, torch.nan), None
+        if trials.receiver is not None:
+            body_m, part = self._body(holding, trials, goal.q[:, None], active.to(torch.int32))
         if config.receiver == "body":
+            assert part is not None  # `inputs.check_receiver` has asked
             still = torch.zeros_like(body), torch.zeros_like(body_m)
             safe, touch = with_body(safe, Touch(body, *still, point), body_m, part, config.thresholds)
             body, point = touch.body, touch.point

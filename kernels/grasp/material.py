@@ -81,9 +81,7 @@ def _add_leaf(
     )  # fmt: skip
     near = found & 255
     while near != 0:  # asked anew each time: the runs have grown
-        near = triangles_outside_runs(
-            surfaces.triangle_lanes, row, near, ry, t[1], COVERED_M, run_low, run_high, runs
-        )
+        near = triangles_outside_runs(surfaces.triangle_lanes, row, near, ry, t[1], COVERED_M, run_low, run_high, runs)
         if near != 0:
             lane = first_lane(near)
             near = near & (near - 1)

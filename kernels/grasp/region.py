@@ -324,5 +324,5 @@ def primitives_clearance(
                 )
         group += 1
         node += LANES
-    clearance_out[trial] = best
+    clearance_out[trial] = wp.where(surfaces.surface_first[s] < end, best, wp.nan)
     witness_out[trial] = witness

@@ -61,14 +61,22 @@ def nearest_posture(
     first: int,
     ur: UrParameters,
     rotation_lever_m: wp.float64,
-    wanted_in: wp.array(dtype=wp.bool),
+    active_in: wp.array(dtype=wp.bool),
+    branches_in: wp.array2d(dtype=wp.bool),  # (B, 8) that reach the target
     T_world_ee_in: wp.array(dtype=wp.mat44),
     q_out: wp.array2d(dtype=wp.float32),
     residual_out: wp.array(dtype=wp.float32),
 ):
-    """The nearest posture of each wanted target, and its residual: metres, plus `rotation_lever_m` times radians."""
+    """The nearest posture of each target that no branch reaches, and its residual: metres, plus `rotation_lever_m` x radians.
+
+    Nothing is written where a branch does, or the trial is not active.
+    """
     trial = first + wp.tid()
-    if not wanted_in[trial]:
+    wanted = active_in[trial]
+    for k in range(branches_in.shape[1]):
+        if branches_in[trial, k]:
+            wanted = False
+    if not wanted:
         return
     T = T_world_ee_in[trial]
     y = wp.vec3d()

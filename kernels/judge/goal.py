@@ -62,10 +62,13 @@ def choose_goal(
     # tables
     world: World,
     bodies: TrialBodies,
+    singular: int,  # the status of such a pair (kernels/ik/step.py)
+    unproven: int,  # the reason in place of REASON_IK_IN_COLLISION where branches are points of a line of solutions
     home_in: wp.array2d(dtype=float),  # (1, 6)
     # trials
     active_in: wp.array(dtype=wp.bool),  # (B,)
     valid_in: wp.array2d(dtype=wp.bool),  # (B, 8)
+    status_in: wp.array2d(dtype=wp.uint8),  # (B, 4) of pairs of branches
     q_in: wp.array2d(dtype=float),  # (B * 8, 6)
     # out
     reason_out: wp.array(dtype=int),
@@ -117,6 +120,10 @@ def choose_goal(
             else:
                 tried = tried | (1 << slot)
                 q = load(q_in, trial * BRANCHES + slot)
+    if reason == REASON_IK_IN_COLLISION:
+        for k in range(status_in.shape[1]):
+            if int(status_in[trial, k]) == singular:
+                reason = unproven
     reason_out[trial] = reason
 
 

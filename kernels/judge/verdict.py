@@ -10,12 +10,24 @@ INVALID_INPUT = wp.constant(6)
 """As `r2h_batch.verdicts.Outcome`, of which a criterion's own number is its place + 1."""
 INVALID_SIM = wp.constant(7)
 
+RULE_BITS = wp.constant(3)
+"""A criterion's rule has so many bits of `rules`, the first criterion the lowest."""
+GIVEN = wp.constant(0)
+"""Margin, passed and evaluated are as they stand."""
+TOUCHING_PASSES = wp.constant(1)
+"""What is evaluated passes at a margin of 0 and above; `passed` says nothing. The margin is NaN where not evaluated."""
+APART_PASSES = wp.constant(2)
+"""The same, above 0."""
+NAN_IS_UNASKED = wp.constant(4)
+"""Besides: rows whose margin is NaN are not evaluated."""
+
 
 @wp.kernel
 def judge_rows(
     first: int,
     borderline_m: float,
     simulated: int,  # 0: `valid` says nothing
+    rules: int,  # how each criterion is to be read
     # the criteria, in the order of `r2h_batch.verdicts.CRITERIA`
     margin_0_in: wp.array(dtype=wp.float32),
     margin_1_in: wp.array(dtype=wp.float32),
@@ -53,6 +65,7 @@ def judge_rows(
 
     The columns are walked from the last to the first, so that the first criterion that was evaluated and failed is what stays:
 
+    0. `rules` says whether a criterion's columns are given or to be made from its margin (NaN passes nothing);
     1. a criterion counts where it was evaluated and the simulation did not fail; its margin is NaN where that did;
     2. what counts and did not pass is the outcome, its place + 1; if nothing is, the row is a success;
     3. what counts and is nearer to 0 than `borderline_m` makes the row borderline;
@@ -76,9 +89,18 @@ def judge_rows(
     near = bool(False)
     for i in range(5):
         k = 4 - i
-        asked = judged and evaluated[k] != 0
-        fine = judged and passed[k] != 0
+        rule = rules >> (RULE_BITS * k)
         m = margin[k]
+        asked = evaluated[k] != 0
+        fine = passed[k] != 0
+        if (rule & (TOUCHING_PASSES | APART_PASSES)) != 0:
+            if (rule & NAN_IS_UNASKED) != 0 and wp.isnan(m):
+                asked = False
+            fine = asked and (m > 0.0 or (m == 0.0 and (rule & TOUCHING_PASSES) != 0))
+            if not asked:
+                m = wp.nan
+        asked = judged and asked
+        fine = judged and fine
         if not judged:
             m = wp.nan
         if asked and not fine:

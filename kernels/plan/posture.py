@@ -18,6 +18,7 @@ gap grows by n . u, s* by n . u / rho(n), and the clearance by (r / rho(n)) n . 
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.beside import BESIDE, balls_beside
 from r2h_batch.kernels.geometry.body import BOX, Body, from_ball, support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, inner_radius
@@ -357,9 +358,18 @@ def posture_clearance(
             n_hand = wp.where(on_hand, world.n_pieces, 0)
             n_table = n_hand + wp.where(on_table, 1, 0)
             n_all = n_table + wp.where(self_with != 0, world.n_arm, 0)
+            left = int(0)  # of 32 pieces those that may be nearer than what is known
             for i in range(n_all):
                 if -body.inner >= out.clearance:
                     continue  # this body cannot meet anything deeper
+                if i < n_hand:
+                    if i % BESIDE == 0:
+                        left = balls_beside(
+                            world.piece_center, world.piece_radius, hand * world.n_pieces + i,
+                            wp.min(BESIDE, n_hand - i), body.c0, body.c1, body.radius, out.clearance,
+                        )  # fmt: skip
+                    if (left >> (i % BESIDE)) & 1 == 0:
+                        continue
                 partner = Partner()
                 if i < n_hand:
                     partner = _hand_piece(world, body, hand, i, out.clearance)

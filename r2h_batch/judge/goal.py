@@ -1,6 +1,6 @@
 """The goal posture of a handover pose, judged without a path: the branch the planner would go to, its clearance, Safe there."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -11,6 +11,7 @@ from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.judge.ik import IkResult, default_ur, home_posture
 from r2h_batch.judge.metrics import Criterion
 from r2h_batch.kernels.ik import nearest as ik_nearest
+from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import Placed, Scene
@@ -62,8 +63,9 @@ def judge_goals(
 ) -> Goal:
     """The goals of B handover poses whose IK is solved; `branches` are those that may be used (`goals="one"`: one)."""
     b, device = len(active), active.device
+    active = active.contiguous()
     goal = _unjudged(b, device)
-    residual = torch.zeros(b, dtype=torch.float32, device=device)
+    residual = torch.empty(b, dtype=torch.float32, device=device)
     branches = branches.contiguous()
     postures = {"valid": branches, "q": ik.q.view(-1, 6)}
     on: dict[str, Any] = {"device": scene.device, "threads": threads}
@@ -76,7 +78,10 @@ def judge_goals(
             "world": placed.tables(scene),
             "bodies": placed.bodies,
             "home": home_posture(str(device), scene.config.workplace.home_q),
-            "active": active.contiguous(),
+            "singular": int(STATUS_SINGULAR),
+            "unproven": int(PlanReason.NO_PATH_IN_BUDGET),
+            "active": active,
+            "status": ik.status,
             **postures,
         },
         outputs={"reason": goal.reason, "pair": goal.pair, "slot": goal.slot},
@@ -90,7 +95,8 @@ def judge_goals(
         inputs={
             "ur": default_ur(scene.config.workplace.home_q),
             "rotation_lever_m": ROTATION_LEVER_M,
-            "wanted": active & ~branches.any(1),
+            "active": active,
+            "branches": branches,
             "T_world_ee": T_world_ee.contiguous(),
         },
         outputs={"q": goal.q, "residual": residual},
@@ -98,7 +104,7 @@ def judge_goals(
         **on,
     )
     _measure(goal, scene, placed, postures, residual, on)
-    return replace(goal, reason=unless_proven(goal.reason, ik))
+    return goal
 
 
 def unless_proven(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[Tensor, " b"]:
@@ -112,10 +118,10 @@ def unless_proven(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[Tensor, " 
 
 def _unjudged(b: int, device: torch.device) -> Goal:
     """Room for B goals; what no kernel writes stays NaN (posture, clearance) or zero (push, point)."""
-    reason, pair, slot, nearest, body, other = (torch.empty(b, dtype=torch.int32, device=device) for _ in range(6))
+    reason, pair, slot, nearest, body, other = torch.empty((6, b), dtype=torch.int32, device=device).unbind(0)
     q = torch.full((b, 6), torch.nan, dtype=torch.float32, device=device)
     clearance = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
-    push, point = (torch.zeros((b, 3), dtype=torch.float32, device=device) for _ in range(2))
+    push, point = torch.zeros((2, b, 3), dtype=torch.float32, device=device).unbind(0)
     return Goal(reason, pair, slot, q, clearance, nearest, body, other, push, point)
 
 
@@ -171,6 +177,7 @@ def safe_at(
     Margin: distance of the hand's exact mesh to the robot's primitives, exact below 5 cm, an overlap bound below 0.
     """
     b, device = len(active), active.device
+    active = active.contiguous()
     distance = torch.empty(b, dtype=torch.float32, device=device)
     body = torch.empty(b, dtype=torch.int32, device=device)
     point = torch.full((b, 3), torch.nan, dtype=torch.float32, device=device)
@@ -182,7 +189,7 @@ def safe_at(
             "world": scene.world,
             "mesh": scene.hand_mesh,
             "bodies": placed.bodies,
-            "active": active.contiguous(),
+            "active": active,
             "q": q,
         },
         outputs={"distance": distance, "body": body, "point": point},

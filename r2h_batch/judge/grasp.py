@@ -57,20 +57,22 @@ def close_gripper(
     w_min: float = CLOSED_GAP_M,
     mode: Literal["pads", "whole"] = "pads",
     cut_cap_m: float = CUT_CAP_M,
+    known: bool = False,
     threads: int | None = None,
 ) -> Grasp:
     """Width, opening, shift and cut of each grasp `T_obj_ee` (ee in the object's frame) of object `object_index`.
 
     The Stability margin is the smallest of `w_max - w`, `w - w_min` and the open gripper's clearance to the object, which
     counts `cut_cap_m` at most; `-w_max` at least when nothing lies between the pads. 0 passes (touching).
+    `known`: the caller has looked at `object_index` (here and below).
     """
     if mode not in ("pads", "whole"):
         raise ValueError(f"mode is {mode!r}; allowed are 'pads' (what lies between the pads) and 'whole' (the object)")
-    width, opening, shift, empty = close_pads(tables, T_obj_ee, object_index, mode=mode, threads=threads)
+    width, opening, shift, empty = close_pads(tables, T_obj_ee, object_index, mode=mode, known=known, threads=threads)
     # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above it.
     # Lengths of different things are not added: the worst one decides, on the passing side too.
-    cut, cut_part = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, threads=threads)
-    material = torch.where(empty, torch.full_like(width, -w_max), torch.minimum(w_max - width, width - w_min))
+    cut, cut_part = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, known=True, threads=threads)
+    material = torch.where(empty, -w_max, torch.minimum(w_max - width, width - w_min))
     margin = torch.minimum(material, cut)
     return Grasp(width, opening, shift, empty, cut, margin, cut_part)
 
@@ -81,10 +83,11 @@ def close_pads(
     object_index: Int32[Tensor, " b"],
     *,
     mode: Literal["pads", "whole"] = "pads",
+    known: bool = False,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Float32[Tensor, " b"], Float32[Tensor, " b"], Bool[Tensor, " b"]]:
     """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open gripper cuts."""
-    n = _checked(tables, T_obj_ee, object_index)
+    n = _checked(tables, T_obj_ee, object_index, known)
     width, opening, shift = (torch.empty(n, dtype=torch.float32, device=tables.device) for _ in range(3))
     empty = torch.empty(n, dtype=torch.bool, device=tables.device)
     steps = torch.empty(n, dtype=torch.int32, device=tables.device)
@@ -119,11 +122,12 @@ def open_clearance(
     object_index: Int32[Tensor, " b"],
     *,
     cap_m: float,
+    known: bool = False,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Clearance of the open gripper to the object's solid (m, at most `cap_m`; negative: depth) and the primitive."""
     opening = torch.full((len(T_obj_ee),), OPEN_GAP_M, dtype=torch.float32, device=tables.device)
-    return _clearance(tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, threads)
+    return _clearance(tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, threads, known=known)
 
 
 def open_is_clear(
@@ -161,6 +165,7 @@ def region_distance(
     opening_m: Float32[Tensor, " b"],
     *,
     cap_m: float = 0.05,
+    known: bool = False,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Distance (m) of the fingers at `opening_m` to the receiver's region, and the primitive (as in `Robot.gripper`).
@@ -168,12 +173,10 @@ def region_distance(
     Exact below `cap_m`, `cap_m` beyond; negative: minus the depth of the region's deepest point in a finger. NaN and -1
     for an object without a region. `T_obj_ee` is the attachment (`attach`). All that moves counts, the palm does not.
     """
-    distance, part = _clearance(
-        tables, T_obj_ee, object_index, opening_m, tables.objects, tables.moving, False, cap_m, threads
-    )
     # In the table of surfaces the regions stand behind the objects, in their order: index + tables.objects
-    none = ~tables.has_region[object_index.long()]
-    return torch.where(none, torch.full_like(distance, torch.nan), distance), part
+    return _clearance(
+        tables, T_obj_ee, object_index, opening_m, tables.objects, tables.moving, False, cap_m, threads, known=known
+    )
 
 
 def _clearance(
@@ -187,8 +190,9 @@ def _clearance(
     cap_m: float,
     threads: int | None,
     enough_m: float = -1e30,
+    known: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    n = _checked(tables, T_obj_ee, object_index)
+    n = _checked(tables, T_obj_ee, object_index, known)
     count = tables.gripper.kind.shape[0]
     R, p = _empty_poses(n, count, tables.device)
     distance = torch.empty(n, dtype=torch.float32, device=tables.device)
@@ -238,8 +242,8 @@ def _empty_poses(n: int, count: int, device: str) -> tuple[Tensor, Tensor]:
     return R, torch.empty((n, count, 3), dtype=torch.float32, device=device)
 
 
-def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor) -> int:
-    """The batch size, after shape, dtype, device and index have been looked at."""
+def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known: bool) -> int:
+    """The batch size, after shape, dtype, device and (unless it is known) index have been looked at."""
     n = len(T_obj_ee)
     for name, value, shape, dtype in (
         ("T_obj_ee", T_obj_ee, (n, 4, 4), torch.float32),
@@ -252,7 +256,7 @@ def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor) -> int
                 f"expected contiguous {dtype} {shape} on {tables.device}"
             )
     # on CUDA looking at them would wait for the device: there the caller vouches for them
-    if n and tables.device == "cpu":
+    if n and not known and tables.device == "cpu":
         low, high = (int(x) for x in torch.aminmax(object_index))
         if low < 0 or high >= tables.objects:
             allowed = f"[0, {tables.objects - 1}]"

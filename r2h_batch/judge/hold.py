@@ -60,7 +60,7 @@ def hold(
     limits = config.thresholds
     grasp = close_gripper(
         scene.grasp_tables, T_obj_ee, objects,
-        w_max=limits.w_max_m, w_min=limits.w_min_m, mode=config.width, threads=threads,
+        w_max=limits.w_max_m, w_min=limits.w_min_m, mode=config.width, known=True, threads=threads,
     )  # fmt: skip
     attached, ball = torch.empty_like(T_obj_ee), torch.empty_like(T_obj_ee[:, 0, :3])
     point, normal = scene.palms

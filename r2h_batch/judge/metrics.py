@@ -13,29 +13,67 @@ from r2h_batch.judge.grasp_physics import DROPPED_M, close_in_physics
 from r2h_batch.judge.plan import Plan
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.judge import safe as safe_kernels
+from r2h_batch.kernels.judge import verdict as verdict_kernels
 from r2h_batch.kernels.judge.overlap import hand_overlap
 from r2h_batch.launch import launch_trials
 from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.scene import Placed, Scene
 
+GIVEN, TOUCHING_PASSES, APART_PASSES, NAN_IS_UNASKED = (
+    int(x)
+    for x in (
+        verdict_kernels.GIVEN,
+        verdict_kernels.TOUCHING_PASSES,
+        verdict_kernels.APART_PASSES,
+        verdict_kernels.NAN_IS_UNASKED,
+    )
+)
+"""How a criterion's numbers are to be read (kernels/judge/verdict.py)."""
+
 SAFE_TOLERANCE_M = 2e-5
 """How exactly the smallest distance over time is located."""
 
 
-@dataclass(frozen=True)
 class Criterion:
-    """Margin of one criterion (m, NaN where not evaluated), whether it passes, and where it is defined."""
+    """Margin of one criterion (m, NaN where not evaluated), whether it passes, and where it is defined.
 
-    margin: Float32[Tensor, " b"]
-    passed: Bool[Tensor, " b"]
-    evaluated: Bool[Tensor, " b"]
+    `of` keeps what it is given and says by which rule it is to be read: `judge_rows` does so for all criteria in one launch,
+    the properties for whoever asks sooner. A small batch paid for the tensors in between what a tenth of its geometry costs.
+    """
+
+    def __init__(
+        self,
+        margin: Float32[Tensor, " b"],
+        passed: Bool[Tensor, " b"] | None,
+        evaluated: Bool[Tensor, " b"],
+        rule: int = GIVEN,
+    ) -> None:
+        self.given, self.asked, self.rule = margin, evaluated, rule
+        self.given_passed = evaluated if passed is None else passed
 
     @staticmethod
-    def of(margin: Tensor, evaluated: Tensor, *, touching_passes: bool) -> "Criterion":
-        """Passes above 0, and at 0 where touching passes."""
+    def of(margin: Tensor, evaluated: Tensor, *, touching_passes: bool, nan_is_unasked: bool = False) -> "Criterion":
+        """Passes above 0, and at 0 where touching passes; `nan_is_unasked`: a row without a margin is not evaluated."""
+        rule = TOUCHING_PASSES if touching_passes else APART_PASSES
+        return Criterion(margin, None, evaluated, rule + (NAN_IS_UNASKED if nan_is_unasked else 0))
+
+    @property
+    def evaluated(self) -> Bool[Tensor, " b"]:
+        """Where the criterion is defined."""
+        return self.asked & ~torch.isnan(self.given) if self.rule & NAN_IS_UNASKED else self.asked
+
+    @property
+    def margin(self) -> Float32[Tensor, " b"]:
+        """m, NaN where not evaluated."""
+        return self.given if self.rule == GIVEN else torch.where(self.evaluated, self.given, torch.nan)
+
+    @property
+    def passed(self) -> Bool[Tensor, " b"]:
+        """False where not evaluated, and where the margin is NaN although it is."""
+        if self.rule == GIVEN:
+            return self.given_passed
         # NaN compares False both ways: a row whose margin was never computed cannot pass
-        passed = (margin >= 0) if touching_passes else (margin > 0)
-        return Criterion(torch.where(evaluated, margin, torch.nan), passed & evaluated, evaluated)
+        return ((self.given >= 0) if self.rule & TOUCHING_PASSES else (self.given > 0)) & self.evaluated
 
 
 def stability(grasp: Grasp, active: Bool[Tensor, " b"]) -> Criterion:
@@ -112,7 +150,7 @@ def reach(
             "mesh": scene.object_mesh_ids,
             "low": scene.grasp_tables.surfaces.low,
             "high": scene.grasp_tables.surfaces.high,
-            "object": object_index.to(torch.int32),
+            "object": object_index,
             "point": ball_center,
         },
         outputs={"distance": distance, "nearest": nearest},
@@ -141,9 +179,9 @@ def affordance(
     """
     opening = squeezed(grasp, thresholds)
     distance, _ = region_distance(
-        scene.grasp_tables, attached, object_index, opening, cap_m=CLEARANCE_CAP_M, threads=threads
+        scene.grasp_tables, attached, object_index, opening, cap_m=CLEARANCE_CAP_M, known=True, threads=threads
     )
-    return Criterion.of(distance, active & ~torch.isnan(distance), touching_passes=False)
+    return Criterion.of(distance, active, touching_passes=False, nan_is_unasked=True)
 
 
 def squeezed(grasp: Grasp, thresholds: Thresholds) -> Float32[Tensor, " b"]:

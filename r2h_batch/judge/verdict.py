@@ -38,8 +38,11 @@ def verdict(
     active, grasp = holding.active, holding.grasp
     b, device = len(active), active.device
     columns = {
-        f"{name}_{k}": getattr(c, name) for name in ("margin", "passed", "evaluated") for k, c in enumerate(criteria)
+        f"{name}_{k}": column
+        for k, c in enumerate(criteria)
+        for name, column in (("margin", c.given), ("passed", c.given_passed), ("evaluated", c.asked))
     }
+    rules = sum(c.rule << (int(verdict_kernels.RULE_BITS) * k) for k, c in enumerate(criteria))
     # (B,) and (B, 5), columns as CRITERIA
     success, borderline = (torch.empty_like(active) for _ in range(2))
     passed, evaluated = (torch.empty((b, len(criteria)), dtype=torch.bool, device=device) for _ in range(2))
@@ -61,6 +64,7 @@ def verdict(
         inputs={
             "borderline_m": BORDERLINE_M,
             "simulated": int(valid is not None),
+            "rules": rules,
             **columns,
             "active": active,
             "valid": active if valid is None else valid,
