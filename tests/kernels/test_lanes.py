@@ -1,0 +1,188 @@
+"""Bounds that are asked of eight boxes, points or triangles at a time: never too few of them, hardly ever too many."""
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from r2h_batch.kernels.geometry.beside import balls_beside
+from r2h_batch.kernels.geometry.lanes import (
+    LEAF_ROWS,
+    TRIANGLE_ROWS,
+    boxes_in_prism,
+    boxes_near,
+    boxes_outside_runs,
+    first_lane,
+    lane_point,
+    points_near,
+    triangles_in_prism,
+    triangles_near,
+    triangles_outside_runs,
+)
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.launch import launch_trials
+
+wp.set_module_options(OPTIONS)
+
+COUNT = 300
+PRISM = (0.011, 0.02)  # half_x, half_z about the origin
+REACH = 0.01
+
+
+@wp.kernel
+def _ask(
+    first: int, half_x: float, half_z: float, reach: float,
+    leaf_in: wp.array(dtype=float), triangle_in: wp.array(dtype=float), members_in: wp.array(dtype=int),
+    R_in: wp.array(dtype=wp.mat33), t_in: wp.array(dtype=wp.vec3),
+    low_in: wp.array(dtype=wp.vec3), high_in: wp.array(dtype=wp.vec3),
+    run_low_in: wp.array(dtype=float), run_high_in: wp.array(dtype=float),
+    center_in: wp.array(dtype=wp.vec3), radius_in: wp.array(dtype=float),
+    found_out: wp.array2d(dtype=int), near_out: wp.array3d(dtype=int),
+):  # fmt: skip
+    i = first + wp.tid()
+    R = R_in[i]
+    t = t_in[i]
+    n = members_in[i]
+    rx = wp.vec3(R[0, 0], R[0, 1], R[0, 2])
+    ry = wp.vec3(R[1, 0], R[1, 1], R[1, 2])
+    rz = wp.vec3(R[2, 0], R[2, 1], R[2, 2])
+    a = LEAF_ROWS * i
+    b = TRIANGLE_ROWS * i
+    near = wp.zeros(shape=8, dtype=int)
+    found_out[i, 0] = boxes_in_prism(leaf_in, a, n, rx, rz, t[0], t[2], 0.0, half_x, 0.0, half_z)
+    found_out[i, 1] = triangles_in_prism(
+        triangle_in, b, n, rx, rz, t[0], t[2], -half_x, half_x, -half_z, half_z
+    )  # fmt: skip
+    found_out[i, 2] = boxes_outside_runs(leaf_in, a, 255, ry, t[1], 0.0, run_low_in, run_high_in, run_low_in.shape[0])
+    found_out[i, 3] = triangles_outside_runs(
+        triangle_in, b, 255, ry, t[1], 0.0, run_low_in, run_high_in, run_low_in.shape[0]
+    )  # fmt: skip
+    found_out[i, 4] = boxes_near(leaf_in, a, n, R, t, reach, low_in, high_in, 5, near)
+    for k in range(8):
+        near_out[i, 0, k] = near[k]
+    found_out[i, 5] = points_near(leaf_in, a, n, R, t, reach, low_in, high_in, 5, near)
+    for k in range(8):
+        near_out[i, 1, k] = near[k]
+    found_out[i, 6] = triangles_near(triangle_in, b, n, R, t, high_in[2], reach)
+    found_out[i, 7] = balls_beside(
+        center_in, radius_in, 0, center_in.shape[0], low_in[0], high_in[0], t[1] * t[1], reach
+    )  # fmt: skip
+    p = lane_point(triangle_in, b + 3, first_lane(1 << (i % 8)))
+    found_out[i, 8] = int(p[2] == triangle_in[8 * (b + 5) + i % 8])
+
+
+def _bits(found: np.ndarray, n: int = 8) -> np.ndarray:
+    return (found[:, None] >> np.arange(n)) & 1 == 1
+
+
+def _apart(low: np.ndarray, high: np.ndarray, center: np.ndarray, half: np.ndarray) -> np.ndarray:
+    """Distance of boxes (middle, half sides) to the box [low, high], all along the same axes."""
+    return np.linalg.norm(np.maximum(np.maximum(low - center, center - high) - half, 0), axis=-1)
+
+
+def test_what_is_near_is_found_among_eight() -> None:
+    rng = np.random.default_rng(4)
+    triangles = rng.normal(0, 0.02, (COUNT, 8, 1, 3)) + rng.normal(0, 0.004, (COUNT, 8, 3, 3))
+    center = 0.5 * (triangles.min(2) + triangles.max(2))
+    half = 0.5 * (triangles.max(2) - triangles.min(2))
+    radius = np.linalg.norm(triangles - center[:, :, None], axis=-1).max(2)
+    leaf = np.concatenate([center, half, radius[..., None]], -1).transpose(0, 2, 1)
+    R, t = np.linalg.qr(rng.normal(size=(COUNT, 3, 3)))[0], rng.normal(0, 0.01, (COUNT, 3))
+    members = rng.integers(1, 9, COUNT)
+    low = np.array([[-0.03, -0.01, -0.01], [9, 9, 9], [-0.02, -0.02, -0.015]])
+    high = np.array([[-0.01, 0.01, 0.02], [9, 9, 9], [0.02, 0.02, 0.015]])
+    runs = np.array([[-0.02, -0.004], [0.001, 0.03]])
+    balls, ball = rng.normal(0, 0.02, (27, 3)), rng.uniform(0.001, 0.01, 27)
+
+    def tensor(x: np.ndarray, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(x)).to(dtype)
+
+    found, near = torch.empty((COUNT, 9), dtype=torch.int32), torch.empty((COUNT, 2, 8), dtype=torch.int32)
+    lanes = triangles.reshape(COUNT, 8, 9).transpose(0, 2, 1)
+    launch_trials(
+        _ask,
+        COUNT,
+        inputs={
+            "half_x": PRISM[0], "half_z": PRISM[1], "reach": REACH,
+            "leaf": tensor(leaf.ravel()), "triangle": tensor(lanes.ravel()), "members": tensor(members, torch.int32),
+            "R": tensor(R), "t": tensor(t), "low": tensor(low), "high": tensor(high),
+            "run_low": tensor(runs[:, 0]), "run_high": tensor(runs[:, 1]), "center": tensor(balls), "radius": tensor(ball),
+        },
+        outputs={"found": found, "near": near},
+        device="cpu",
+    )  # fmt: skip
+    got, of = found.numpy(), near.numpy()
+    member = np.arange(8) < members[:, None]
+
+    # the same in float64; within 1 um of the border either answer is right
+    at = np.einsum("nij,nkj->nki", R, center) + t[:, None]
+    turned = np.einsum("nij,nkj->nki", np.abs(R), half)
+    corner = np.einsum("nij,nkcj->nkci", R, triangles) + t[:, None, None]
+    least, most = corner.min(2), corner.max(2)
+    limit = np.array(PRISM)
+
+    def agree(mine: np.ndarray, slack: np.ndarray) -> None:
+        """`slack`: by how much (m) it is in, negative out."""
+        clear = np.abs(slack) > 1e-6
+        assert (mine == (slack > 0))[clear].all()
+        assert clear.mean() > 0.99 and 0.02 < mine.mean() < 0.98
+
+    xz = [0, 2]
+    agree(_bits(got[:, 0])[member], (limit - (np.abs(at[..., xz]) - turned[..., xz])).min(-1)[member])
+    touches = np.minimum(limit - least[..., xz], most[..., xz] + limit).min(-1)
+    agree(_bits(got[:, 1])[member], touches[member])
+    agree(_bits(got[:, 1] >> 8), np.maximum(-limit - least[..., xz], most[..., xz] - limit).max(-1))
+    for column, bottom, top in (
+        (2, at[..., 1] - turned[..., 1], at[..., 1] + turned[..., 1]),
+        (3, least[..., 1], most[..., 1]),
+    ):
+        agree(_bits(got[:, column]), -np.minimum(bottom[..., None] - runs[:, 0], runs[:, 1] - top[..., None]).max(-1))
+    boxed = np.stack([_apart(a, b, at, turned) for a, b in zip(low, high, strict=True)], -1)
+    balled = np.stack([_apart(a, b, at, np.zeros(3)) for a, b in zip(low, high, strict=True)], -1)
+    within = np.minimum(REACH - boxed, REACH + radius[..., None] - balled)
+    for i, bit in ((0, 1), (2, 4)):
+        agree((of[:, 0] & bit != 0), within[..., i])
+        agree((of[:, 1] & bit != 0), REACH - balled[..., i])
+    assert not (of & 2).any(), "a box that is not used"
+    assert (_bits(got[:, 4]) == ((of[:, 0] != 0) & member)).all()
+    assert (_bits(got[:, 5]) == ((of[:, 1] != 0) & member)).all()
+    apart = _apart(-high[2], high[2], 0.5 * (least + most), 0.5 * (most - least))
+    agree(_bits(got[:, 6])[member], (REACH - apart)[member])
+
+    u = high[0] - low[0]
+    s = np.clip((balls - low[0]) @ u / (u @ u), 0, 1)
+    beside = np.linalg.norm(low[0] + s[:, None] * u - balls, axis=1) - ball
+    keeps = _bits(got[:, 7], 27)
+    slack = REACH + t[:, 1:2] ** 2 - beside
+    assert keeps[slack > 0].all() and not keeps[slack < -4e-6].any()
+    assert got[:, 8].all()
+
+
+@pytest.mark.parametrize("count", [0, 1, 8, 9, 64, 65, 600])
+def test_lanes_hold_what_the_tables_hold(count: int) -> None:
+    from r2h_batch.scene.grasp_tables import surface_tables
+
+    triangles = np.random.default_rng(count).normal(size=(count, 3, 3)).astype(np.float32)
+    other = np.random.default_rng(1).normal(size=(70, 3, 3)).astype(np.float32)
+    tables = surface_tables([other, triangles], "cpu")
+    first, node_first, leaf_first = (
+        getattr(tables, name).numpy() for name in ("surface_first", "node_first", "leaf_first")
+    )
+    points = tables.points.numpy().reshape(-1, 9)
+    lanes = tables.triangle_lanes.numpy().reshape(-1, int(TRIANGLE_ROWS), 8)
+    leaves = tables.leaf_lanes.numpy().reshape(-1, int(LEAF_ROWS), 8)
+    nodes = tables.node_lanes.numpy().reshape(-1, 10, 8)
+    groups = tables.group_first.numpy()
+    for leaf in range(len(leaf_first) - 1):
+        rows = np.minimum(leaf_first[leaf] + np.arange(8), leaf_first[leaf + 1] - 1)
+        assert (points[rows] == lanes[leaf].T).all()
+    for node in range(len(node_first) - 1):
+        rows = np.minimum(node_first[node] + np.arange(8), node_first[node + 1] - 1)
+        assert (tables.leaf_sphere.numpy()[rows, :3] == leaves[node, :3].T).all()
+        assert (tables.leaf_half.numpy()[rows] == leaves[node, 3:6].T).all()
+    for s in range(2):
+        for k, group in enumerate(range(groups[s], groups[s + 1])):
+            rows = np.minimum(first[s] + 8 * k + np.arange(8), first[s + 1] - 1)
+            assert (tables.node_sphere.numpy()[rows, :3] == nodes[group, :3].T).all()
+            assert (nodes[group, 6] == tables.node_sphere.numpy()[rows, 3]).all()
+        assert groups[s + 1] - groups[s] == -(-(first[s + 1] - first[s]) // 8)
