@@ -37,12 +37,6 @@ def verdict(
     """
     active, grasp = holding.active, holding.grasp
     b, device = len(active), active.device
-    columns = {
-        f"{name}_{k}": column
-        for k, c in enumerate(criteria)
-        for name, column in (("margin", c.given), ("passed", c.given_passed), ("evaluated", c.asked))
-    }
-    rules = sum(c.rule << (int(verdict_kernels.RULE_BITS) * k) for k, c in enumerate(criteria))
     # (B,) and (B, 5), columns as CRITERIA
     success, borderline = (torch.empty_like(active) for _ in range(2))
     passed, evaluated = (torch.empty((b, len(criteria)), dtype=torch.bool, device=device) for _ in range(2))
@@ -64,8 +58,7 @@ def verdict(
         inputs={
             "borderline_m": BORDERLINE_M,
             "simulated": int(valid is not None),
-            "rules": rules,
-            **columns,
+            **_columns(criteria),
             "active": active,
             "valid": active if valid is None else valid,
             "width": grasp.width_m,
@@ -85,6 +78,17 @@ def verdict(
         "presented_distance_m": shown.distance_m,
     }
     return {"trial_id": trial_id, **out}
+
+
+def _columns(criteria: Sequence[Criterion]) -> dict[str, Tensor | int]:
+    """What `judge_rows` reads of the criteria: their numbers as they were given, and the rules to read them by."""
+    columns: dict[str, Tensor | int] = {
+        f"{name}_{k}": column
+        for k, c in enumerate(criteria)
+        for name, column in (("margin", c.given), ("passed", c.given_passed), ("evaluated", c.asked))
+    }
+    columns["rules"] = sum(c.rule << (int(verdict_kernels.RULE_BITS) * k) for k, c in enumerate(criteria))
+    return columns
 
 
 def motion_scores(
