@@ -2,6 +2,7 @@
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.lanes import over_lanes
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -9,9 +10,10 @@ wp.set_module_options(OPTIONS)
 BESIDE = wp.constant(32)
 
 
-# In C++ for the reason given at `farthest_in_blocks` (body.py): ball by ball it was a third of a posture's clearance.
+# In C++ for the reason given at `farthest_in_blocks` (body.py): ball by ball a posture asks it of each of its bodies.
 # 2 um are what all of it may round away.
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
     const float* center = &centers.data[first].c[0];
     const float* ball = &radii.data[first];
     float ux = c1.c[0] - c0.c[0], uy = c1.c[1] - c0.c[1], uz = c1.c[2] - c0.c[2];
@@ -39,6 +41,7 @@ BESIDE = wp.constant(32)
     }
     return (int)(count < 32 ? found & ((1u << count) - 1u) : found);
 """)
+)
 def balls_beside(
     centers: wp.array(dtype=wp.vec3), radii: wp.array(dtype=float), first: int, count: int,
     c0: wp.vec3, c1: wp.vec3, radius: float, reach: float,

@@ -13,11 +13,20 @@ they are loops over eight. Each product and sum is a statement of its own, so th
 the order of `wp.dot` and have its bits.
 """
 
+import re
+
 import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
+
+
+def over_lanes(code: str) -> str:
+    """C++ whose loops over lanes stay loops on CUDA: unrolled, a call is eight copies of itself, and takes as long to compile."""
+    rolled = "#if defined(__CUDA_ARCH__)\n#pragma unroll 1\n#endif\n"
+    return re.sub(r"^ *for \(int (k|c|axis|block) =", lambda loop: rolled + loop.group(0), code, flags=re.MULTILINE)
+
 
 LANES = wp.constant(8)
 NODE_ROWS = wp.constant(10)
@@ -30,19 +39,22 @@ BOX_M = wp.constant(1.0e-6)
 """Rounding of a box's place in another frame."""
 
 
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
 #if defined(__CUDA_ARCH__)
     return __ffs(bits) - 1;
 #else
     return __builtin_ctz(bits);
 #endif
 """)
+)
 def first_lane(bits: int) -> int:
     """The lowest bit that is set; `bits` is not 0."""
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
     const float* p = lanes.data + 8 * row;
     float ax = fabsf(rx.c[0]), ay = fabsf(rx.c[1]), az = fabsf(rx.c[2]);
     float bx = fabsf(rz.c[0]), by = fabsf(rz.c[1]), bz = fabsf(rz.c[2]);
@@ -73,6 +85,7 @@ def first_lane(bits: int) -> int:
         bits |= near[k] << k;
     return bits & ((1 << count) - 1);
 """)
+)
 def boxes_in_prism(
     lanes: wp.array(dtype=float), row: int, count: int, rx: wp.vec3, rz: wp.vec3, tx: float, tz: float,
     x: float, half_x: float, z: float, half_z: float,
@@ -84,7 +97,8 @@ def boxes_in_prism(
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
     const float* p = lanes.data + 8 * row;
     int near[8];
     int out[8];
@@ -116,6 +130,7 @@ def boxes_in_prism(
         sticking |= out[k] << k;
     return (bits & ((1 << count) - 1)) | (sticking << 8);
 """)
+)
 def triangles_in_prism(
     lanes: wp.array(dtype=float), row: int, count: int, rx: wp.vec3, rz: wp.vec3, tx: float, tz: float,
     x_low: float, x_high: float, z_low: float, z_high: float,
@@ -124,7 +139,8 @@ def triangles_in_prism(
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
     const float* p = lanes.data + 8 * row;
     float ax = fabsf(ry.c[0]), ay = fabsf(ry.c[1]), az = fabsf(ry.c[2]);
     float low[8];
@@ -152,6 +168,7 @@ def triangles_in_prism(
         bits |= within[k] << k;
     return near & ~bits;
 """)
+)
 def boxes_outside_runs(
     lanes: wp.array(dtype=float), row: int, near: int, ry: wp.vec3, ty: float, slack: float,
     run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
@@ -160,7 +177,8 @@ def boxes_outside_runs(
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
     const float* p = lanes.data + 8 * row;
     float low[8];
     float high[8];
@@ -189,6 +207,7 @@ def boxes_outside_runs(
         bits |= within[k] << k;
     return near & ~bits;
 """)
+)
 def triangles_outside_runs(
     lanes: wp.array(dtype=float), row: int, near: int, ry: wp.vec3, ty: float, slack: float,
     run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
@@ -197,10 +216,12 @@ def triangles_outside_runs(
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
     const float* p = lanes.data + 8 * row + lane;
     return wp::vec3(p[0], p[8], p[16]);
 """)
+)
 def lane_point(lanes: wp.array(dtype=float), row: int, lane: int) -> wp.vec3:
     """The point of one lane in rows row .. row + 2."""
     ...
@@ -209,7 +230,8 @@ def lane_point(lanes: wp.array(dtype=float), row: int, lane: int) -> wp.vec3:
 # What is near a primitive is first asked of the box about it along the axes of the ee frame, which needs no turning: with c the
 # middle of a box of surface and e its half sides there, no point of it is nearer to [low, high] along an axis than
 # max(low - c, c - high) - e; nor than the distance of c less the ball's radius.
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
     const float* p = lanes.data + 8 * row;
     float cx[8], cy[8], cz[8], ex[8], ey[8], ez[8], far2[8];
     for (int k = 0; k < 8; ++k) {
@@ -251,6 +273,7 @@ def lane_point(lanes: wp.array(dtype=float), row: int, lane: int) -> wp.vec3:
         any |= near.data[k] != 0 ? 1 << k : 0;
     return any;
 """)
+)
 def boxes_near(
     lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
     low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), used: int, near: wp.array(dtype=int),
@@ -263,7 +286,8 @@ def boxes_near(
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
     const float* p = lanes.data + 8 * row;
     float cx[8], cy[8], cz[8];
     for (int k = 0; k < 8; ++k) {
@@ -296,6 +320,7 @@ def boxes_near(
         any |= near.data[k] != 0 ? 1 << k : 0;
     return any;
 """)
+)
 def points_near(
     lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
     low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), used: int, near: wp.array(dtype=int),
@@ -304,7 +329,8 @@ def points_near(
     ...
 
 
-@wp.func_native("""
+@wp.func_native(
+    over_lanes("""
     const float* p = lanes.data + 8 * row;
     float reach2 = reach * reach;
     int of[8];
@@ -330,6 +356,7 @@ def points_near(
         bits |= of[k] << k;
     return bits & ((1 << count) - 1);
 """)
+)
 def triangles_near(
     lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, half: wp.vec3, reach: float
 ) -> int:
