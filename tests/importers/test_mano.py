@@ -105,7 +105,10 @@ def test_our_hand_in_manos_layout_gets_the_same_verdicts(benches, method, trials
     assert torch.equal(mine.outcome, other.outcome) and torch.equal(mine.passed, other.passed)
     assert torch.equal(mine.plan_reason, other.plan_reason)
     if trials == 500 and method != "oracle":
-        assert 50 < int(mine.success.sum()) < 450 and len(mine.outcome.unique()) >= 4
+        kinds = (
+            4 if method == "random" else 3
+        )  # whoever takes candidates and keeps off the hand fails Plan and Affordance only
+        assert 50 < int(mine.success.sum()) < 450 and len(mine.outcome.unique()) >= kinds
 
 
 def test_the_same_hand_from_a_file_is_shown_the_stored_receiving_grasps_and_another_is_not(imported, monkeypatch):
