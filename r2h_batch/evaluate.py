@@ -230,7 +230,7 @@ class Evaluator:
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         planned = replace(planned, reason=unless_proven(planned.reason, ik))
         motion = time_path(planned.path, planned.length, config.execute)
-        # sampled edges certify nothing, and paths against an estimated hand nothing of the true one, which may push
+        # sampled edges certify nothing, and paths against an estimated hand nothing of the true one
         certified = planned.clearance_m if (config.plan.edge_check, config.plan.hand) == ("exact", "true") else None
         executed = execute(
             scene, placed, planned.path, planned.length, motion, config.execute, clearance_m=certified, threads=threads
