@@ -122,7 +122,7 @@ def _plain_numbers() -> Any:
 def check_range(flag: str, value: float, low: float, high: float, what: str = "") -> None:
     """`UsageError` for a flag's number outside `low` to `high`."""
     if not low <= value <= high:
-        raise UsageError(f"{flag} is {value:.15g}; it must be {low:g} to {high:g}{what}")
+        raise UsageError(f"{flag} is {value:.15g}; it must be {low:.15g} to {high:.15g}{what}")
 
 
 def check_seed(seed: int) -> None:

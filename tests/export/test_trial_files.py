@@ -80,12 +80,12 @@ def test_a_predictions_file_made_from_the_written_files_is_accepted(written, tmp
     ("arguments", "told"),
     [
         (["--out", "x", "--trails", "3"], "did you mean --trials?"),
-        (["--out", "x", "--trials", "0"], "1 or more"),
+        (["--out", "x", "--trials", "0"], "1 to 1000000: all are held in memory"),
         (["--out", "x", "--trials", "ten"], "'ten'"),
         (["--out", "x", "--splits", "S3"], "invalid choice 'S3'"),
         (["--out", "x", "--protocol", "r2h-v9"], "invalid choice 'r2h-v9'"),
         (["--trials", "3"], "--out"),
-        (["--out", "{full}"], "not an empty folder"),
+        (["--out", "{full}"], "is not empty; give a new or empty folder"),
         (["--out", "x", "--object-mesh", "missing.obj"], "missing.obj"),
     ],
 )
