@@ -55,7 +55,11 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
             assert given == Given()
             self.run = load_run(folder)
 
+        def build_for(self, shown):
+            self.built = {(method, trial) for method, trials in shown.items() for trial in trials}
+
         def trial(self, trial, method):
+            assert (method, trial) in self.built  # objects are built together, before any picture
             rows = self.run.trials(method).to_pylist()
             return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial), moves=False)
 
