@@ -269,11 +269,13 @@ def test_configurations_that_mean_nothing_are_refused():
         {"sim": "bullet"},
         {"model": "hand"},
         {"step_s": 0.0},
-        {"record_steps": 2.5},
+        {"record_steps": 0},
         {"payload": "heavy"},
         {"dwell_s": -1.0},
     ):
         with pytest.raises(ValueError, match=next(iter(bad))):
             ExecConfig(**bad)
+    with pytest.raises(TypeError, match="record_steps is 2.5; it must be a whole number of steps"):
+        ExecConfig(record_steps=2.5)  # type: ignore[arg-type]
     assert ExecConfig().engine("cpu") == "mujoco" and ExecConfig().engine("cuda:0") == "mjwarp"
     assert ExecConfig(sim="none").engine("cuda") == "none"
