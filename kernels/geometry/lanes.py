@@ -13,8 +13,6 @@ they are loops over eight. Each product and sum is a statement of its own, so th
 the order of `wp.dot` and have its bits.
 """
 
-import re
-
 import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
@@ -25,7 +23,8 @@ wp.set_module_options(OPTIONS)
 def over_lanes(code: str) -> str:
     """C++ whose loops over lanes stay loops on CUDA: unrolled, a call is eight copies of itself, and takes as long to compile."""
     rolled = "#if defined(__CUDA_ARCH__)\n#pragma unroll 1\n#endif\n"
-    return re.sub(r"^ *for \(int (k|c|axis|block) =", lambda loop: rolled + loop.group(0), code, flags=re.MULTILINE)
+    loops = tuple(f"for (int {name} =" for name in ("k", "c", "axis", "block"))
+    return "\n".join(rolled + line if line.lstrip(" ").startswith(loops) else line for line in code.split("\n"))
 
 
 LANES = wp.constant(8)
