@@ -67,7 +67,7 @@ def _whole(value: object) -> int | None:
 
 def whole(low: int | None = None, high: int | None = None, what: str = "") -> Rule:
     """A whole number from `low` to `high`, NumPy's too."""
-    ends = [f"{end:,}" if end < 10**6 else f"{end:g}" for end in (low, high) if end is not None]
+    ends = [f"{end:,}" for end in (low, high) if end is not None]
     bounds = f", {ends[0]} or more" if high is None and ends else f" from {' to '.join(ends)}" if ends else ""
 
     def rule(name: str, value: Any) -> int:

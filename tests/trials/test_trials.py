@@ -227,7 +227,7 @@ FROZEN_WORDS = [3602869735, 3313465624, 2751513646, 3665985258, 2951970252, 2807
     [
         (lambda: make_trials(["S2"]), "allowed are S0, S1"),
         (lambda: make_trials(["S0", "S0"]), "once"),
-        (lambda: make_trials(trials=-1), "0 or more"),
+        (lambda: make_trials(trials=-1), "a whole number from 0 to 1,000,000,000"),
         (lambda: make_trials(["S1"], objects=load_objects(["cup"])), "no object belongs to split S1"),
         (lambda: trials_with_ids(torch.tensor([-2])), "negative"),
     ],
