@@ -114,7 +114,7 @@ def test_an_ending_that_nobody_writes_is_refused_before_any_work(who, run, tmp_p
 
 def test_more_trials_than_memory_holds_are_refused(tmp_path, capsys):
     assert main(["trials", "--trials", "1000000000000", "--out", str(tmp_path / "x")]) == 2
-    assert "--trials is 1000000000000; it must be 1 to 1e+06: all are held in memory" in capsys.readouterr().err
+    assert "--trials is 1000000000000; it must be 1 to 1000000: all are held in memory" in capsys.readouterr().err
 
 
 def test_a_full_disk_under_a_picture_is_one_line_that_names_it(tmp_path, monkeypatch):
