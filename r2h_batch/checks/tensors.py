@@ -11,7 +11,7 @@ from torch import Tensor
 
 from r2h_batch.checks import Rule, given, takes
 
-__all__ = ["check_indices", "check_tensor", "rows_of", "takes_tensors"]
+__all__ = ["check_indices", "check_tensor", "checked_device", "rows_of", "takes_tensors"]
 
 _INTEGERS = (torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8)
 
@@ -47,6 +47,25 @@ def check_tensor(name: str, value: Any, words: str) -> None:
             f"{name} is inside torch.func (vmap, grad, jvp), which cannot look into kernels; it must be {words}: "
             "give all rows in one call, and take gradients with torch.autograd"
         )
+
+
+def checked_device(device: str | torch.device) -> str:
+    """The device as tensors on it call it (cuda:0); ValueError where it cannot be had."""
+    allowed = "allowed are cpu, cuda, cuda:N"
+    try:
+        found = torch.device(device)
+    except (RuntimeError, TypeError) as error:
+        raise ValueError(f"device is {given(device)}; {allowed}") from error
+    if found.type not in ("cpu", "cuda"):
+        raise ValueError(f"device is {str(found)!r}; {allowed}")
+    if found.type == "cpu":
+        return "cpu"
+    if not torch.cuda.is_available():
+        raise ValueError(f"device is {str(found)!r}, torch sees no CUDA device; use device='cpu'")
+    number = torch.cuda.current_device() if found.index is None else found.index
+    if number >= torch.cuda.device_count():
+        raise ValueError(f"device is {str(found)!r}; torch sees cuda:0 to cuda:{torch.cuda.device_count() - 1}")
+    return f"cuda:{number}"
 
 
 def check_indices(name: str, index: Any, n: int | None, count: int, what: str) -> None:

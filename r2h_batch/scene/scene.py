@@ -19,7 +19,7 @@ from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.bodies.robot import Robot, load_robot
 from r2h_batch.checks import given, kind, many, optional, whole
-from r2h_batch.checks.tensors import check_indices, check_tensor
+from r2h_batch.checks.tensors import check_indices, check_tensor, checked_device
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.robot.place import place_bodies
@@ -47,7 +47,7 @@ class Scene:
         objects: Sequence[ObjectModel] | None = None,
         hand_set: HandSet | None = None,
     ) -> None:
-        self.device = _checked_device(device)
+        self.device = checked_device(device)
         optional(kind(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
         optional(kind(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
         init_warp()
@@ -332,25 +332,6 @@ def _listed(indices: object) -> Iterable[Any]:
     if isinstance(indices, (str, bytes)) or not isinstance(indices, Iterable) or getattr(indices, "ndim", 1) != 1:
         raise TypeError(f"hand_indices is {given(indices)}; it must be whole numbers, of the scene's hands")
     return indices
-
-
-def _checked_device(device: str | torch.device) -> str:
-    """The device as tensors on it call it (cuda:0); ValueError where it cannot be had."""
-    allowed = "allowed are cpu, cuda, cuda:N"
-    try:
-        found = torch.device(device)
-    except (RuntimeError, TypeError) as error:
-        raise ValueError(f"device is {given(device)}; {allowed}") from error
-    if found.type not in ("cpu", "cuda"):
-        raise ValueError(f"device is {str(found)!r}; {allowed}")
-    if found.type == "cpu":
-        return "cpu"
-    if not torch.cuda.is_available():
-        raise ValueError(f"device is {str(found)!r}, torch sees no CUDA device; use device='cpu'")
-    number = torch.cuda.current_device() if found.index is None else found.index
-    if number >= torch.cuda.device_count():
-        raise ValueError(f"device is {str(found)!r}; torch sees cuda:0 to cuda:{torch.cuda.device_count() - 1}")
-    return f"cuda:{number}"
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,7 @@ from r2h_batch.checks import kind, many, one_of, optional, whole
 from r2h_batch.checks.tensors import check_tensor
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.trials import receivers, recorded
+from r2h_batch.trials.distance import from_box, from_segment, from_segments
 from r2h_batch.turns import PROTOCOL, PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
@@ -300,10 +301,10 @@ def _arm_is_clear(people: receivers.Person, at: Workplace) -> NDArray[np.bool_]:
     for points, thick in receivers.limbs(people):
         for k in range(points.shape[1]):
             x = points[:, k]
-            clear &= _from_box(low, high, x) >= thick**2
-            clear &= _from_segment(tcp, tcp, x) >= TCP_ROOM_M**2
+            clear &= from_box(low, high, x) >= thick**2
+            clear &= from_segment(tcp, tcp, x) >= TCP_ROOM_M**2
             for (a, b), r in zip(ends, radius, strict=True):
-                clear &= _from_segment(a, b, x) >= (r + thick + ROBOT_ROOM_M) ** 2
+                clear &= from_segment(a, b, x) >= (r + thick + ROBOT_ROOM_M) ** 2
     return clear
 
 
@@ -347,7 +348,7 @@ def _hand_is_clear(
     low, high = (np.round(np.array(at.table_center) + sign * np.array(at.table_half), 6) for sign in (-1, 1))
     low, high = low - TABLE_ROOM_M, high + TABLE_ROOM_M
     segments = [(tcp, tcp), *ends]
-    bodies = [_from_box(low, high, center), *(_from_segment(a, b, center) for a, b in segments)]
+    bodies = [from_box(low, high, center), *(from_segment(a, b, center) for a, b in segments)]
     room = np.array([0.0, TCP_ROOM_M, *(radius + ROBOT_ROOM_M)])
     near = np.stack(bodies, 1) < (room + hands.radius[hand][:, None]) ** 2
     clear = np.ones(len(hand), bool)
@@ -363,7 +364,7 @@ def _hand_is_clear(
             else:
                 a, b = segments[k - 1]
                 back = R.transpose(0, 2, 1)
-                hit = _from_segments(se3.rotate(back, a - p), se3.rotate(back, b - p), local) < room[k] ** 2
+                hit = from_segments(se3.rotate(back, a - p), se3.rotate(back, b - p), local) < room[k] ** 2
             clear[part] = ~hit.any(1)
     return clear
 
@@ -380,27 +381,3 @@ def _home(home_q: tuple[float, ...]) -> tuple[Array, Array, Array]:
     axes = np.stack([t[:3, :3] @ c[0] for t, c in zip(T, capsules, strict=True)])
     ends = np.stack([T[:, :3, 3] - axes, T[:, :3, 3] + axes], 1)
     return np.round(ee_pose(robot, home_q)[:3, 3], 9), np.round(ends, 9), np.round([c[1] for c in capsules], 9)
-
-
-def _from_box(low: Array, high: Array, point: Array) -> Array:
-    """Squared distance of points (n, 3) to a box."""
-    d = np.maximum(np.maximum(low - point, point - high), 0.0)
-    return np.asarray(d[:, 0] ** 2 + d[:, 1] ** 2 + d[:, 2] ** 2)
-
-
-def _from_segment(a: Array, b: Array, point: Array) -> Array:
-    """Squared distance of points (n, 3) to the segment a b."""
-    n = len(point)
-    return _from_segments(np.tile(a, (n, 1)), np.tile(b, (n, 1)), point.T[:, :, None])[:, 0]
-
-
-def _from_segments(a: Array, b: Array, point: Array) -> Array:
-    """Squared distance of points (3, n, V) to one segment a b (n, 3) for each row."""
-    d = b - a
-    length = d[:, 0] ** 2 + d[:, 1] ** 2 + d[:, 2] ** 2
-    x, y, z = (point[i] - a[:, i, None] for i in range(3))
-    if length.any():
-        t = x * d[:, 0, None] + y * d[:, 1, None] + z * d[:, 2, None]
-        t = np.clip(t / np.where(length > 0, length, 1.0)[:, None], 0.0, 1.0)
-        x, y, z = (v - t * d[:, i, None] for i, v in enumerate((x, y, z)))
-    return np.asarray(x * x + y * y + z * z)

@@ -1,6 +1,7 @@
 """The planner in waves (a GPU's form) against one thread a trial (a CPU's): the same goals, lines and verdicts, on a CPU."""
 
 from functools import cache
+from types import ModuleType
 from unittest import mock
 
 import numpy as np
@@ -94,10 +95,12 @@ def test_waves_find_what_one_thread_finds_in_a_thousand_trials(scene: Scene, pla
 
 
 @pytest.mark.slow
-def test_a_problem_that_one_form_solves_the_other_solves_too(scene: Scene) -> None:
-    """Random answers, whose searches are the hardest; whoever finds no path spends all rounds."""
+@pytest.mark.parametrize("method", [random, oracle], ids=["random", "oracle"])
+def test_a_problem_that_one_form_solves_the_other_solves_too(scene: Scene, method: ModuleType) -> None:
+    """Random answers, whose searches are the hardest; an oracle's, which are the most crowded. Whoever finds no path spends
+    all rounds."""
     trials = trials_with_ids(torch.arange(2048), objects=scene.objects)
-    poses = random.predict(trials, scene, seed=0)
+    poses = method.predict(trials, scene, seed=0)
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=2048))
     here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     with waves.waves_on_cpu():
