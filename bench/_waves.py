@@ -25,7 +25,7 @@ PAIRS_A_LANE = 8
 """Pairs that a lane takes one after the other, in the model: a full GPU's lanes have as many with some hundred thousand pairs."""
 WARPS = 64
 """Warps of one launch that are looked at, spread over all of it."""
-ONCE = ("enter_edges", "next_edges")
+ONCE = ("enter_edges", "next_edges", "take_arcs", "draw_arcs")
 """Kernels that change what they read: all entries run in their order, REPEATS times from the same state."""
 CHANGE = 0.5
 """What the change to another pair takes at least, in iterations of GJK: a fit of so little says nothing."""
@@ -35,6 +35,7 @@ STAGES = (
     (waves.Waves, "straight", "straight_lines"),
     (waves.Waves, "clearance", "path_clearance"),
     (search, "connect_in_waves", "rrt_connect"),
+    (search, "shorten_in_waves", "shortcut"),
 )
 BY_BODY = {"near_pieces": queues.HAND, "near_table": queues.TABLE, "near_bodies": queues.SELF}
 

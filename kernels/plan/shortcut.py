@@ -37,7 +37,7 @@ PULL_ON = wp.constant(3)  # and the line from it
 
 
 @wp.func
-def _segment_time(a: vec6, b: vec6, speed: float, acceleration: float):
+def segment_time(a: vec6, b: vec6, speed: float, acceleration: float):
     """Time of a segment, stopping at both ends: the joint with the farthest to go sets the pace."""
     d = float(0.0)
     for j in range(6):
@@ -52,10 +52,10 @@ def _saved(
     """Time saved when a on segment i and b on segment j > i are joined by a straight line."""
     saved = float(0.0)
     for m in range(i, j + 1):
-        saved += _segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), speed, acceleration)
+        saved += segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), speed, acceleration)
     a0 = load_waypoint(path, trial, i)
-    saved -= _segment_time(a0, a, speed, acceleration) + _segment_time(a, b, speed, acceleration)
-    saved -= _segment_time(b, load_waypoint(path, trial, j + 1), speed, acceleration)
+    saved -= segment_time(a0, a, speed, acceleration) + segment_time(a, b, speed, acceleration)
+    saved -= segment_time(b, load_waypoint(path, trial, j + 1), speed, acceleration)
     return saved
 
 
@@ -79,11 +79,11 @@ def _splice(path: wp.array3d(dtype=float), trial: int, n: int, i: int, j: int, a
 
 
 @wp.func
-def _time_of(path: wp.array3d(dtype=float), trial: int, n: int, speed: float, acceleration: float):
+def time_of(path: wp.array3d(dtype=float), trial: int, n: int, speed: float, acceleration: float):
     """Time of a whole path."""
     time = float(0.0)
     for m in range(n - 1):
-        time += _segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), speed, acceleration)
+        time += segment_time(load_waypoint(path, trial, m), load_waypoint(path, trial, m + 1), speed, acceleration)
     return time
 
 
@@ -99,7 +99,7 @@ def _quickest(
         here = load_waypoint(path, trial, k)
         for i in range(k):
             if (blocked[i] >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(0):
-                t = cost[i] + _segment_time(load_waypoint(path, trial, i), here, speed, acceleration)
+                t = cost[i] + segment_time(load_waypoint(path, trial, i), here, speed, acceleration)
                 if t < cost[k]:
                     cost[k] = t
                     before[k] = i
@@ -179,7 +179,7 @@ def shortcut(
     share = wp.zeros(shape=32, dtype=float)  # by how much a waypoint is pulled next
     for i in range(n - 1):
         known[i] = wp.uint32(1) << wp.uint32(i + 1)
-    straight = _segment_time(
+    straight = segment_time(
         load_waypoint(path_inout, trial, 0), load_waypoint(path_inout, trial, n - 1), speed, acceleration
     )
     # the line from end to end is blocked, or there would have been no search
@@ -218,7 +218,7 @@ def shortcut(
                 phase = JOIN
                 for m in range(n):
                     share[m] = FIRST_SHARE
-                if passes == 2 or n == 2 or _time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
+                if passes == 2 or n == 2 or time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
                     running = False
                 continue
         elif phase != PULL_ON:
@@ -257,15 +257,15 @@ def shortcut(
                 a = load_waypoint(path_inout, trial, i - 1)
                 moved = load_waypoint(path_inout, trial, i)
                 b = load_waypoint(path_inout, trial, i + 1)
-                t0 = _segment_time(a, moved, speed, acceleration)
-                t1 = _segment_time(moved, b, speed, acceleration)
+                t0 = segment_time(a, moved, speed, acceleration)
+                t1 = segment_time(moved, b, speed, acceleration)
                 some = kind == 2
                 by = wp.where(some, wp.randf(rng), share[i])
                 for m in range(6):
                     on_line = a[m] + (t0 / (t0 + t1)) * (b[m] - a[m])
                     if not some or wp.randf(rng) < 0.5:
                         moved[m] = moved[m] + by * (on_line - moved[m])
-                now = _segment_time(a, moved, speed, acceleration) + _segment_time(moved, b, speed, acceleration)
+                now = segment_time(a, moved, speed, acceleration) + segment_time(moved, b, speed, acceleration)
                 if now >= t0 + t1 - LEAST_SAVED_S:
                     continue
                 b = moved
@@ -291,7 +291,7 @@ def shortcut(
             if free:
                 store_waypoint(path_inout, trial, i, moved)
                 changed = 1
-                if _time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
+                if time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
                     tried = tries
             elif kind != 2:
                 share[i] = 0.5 * share[i]

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from r2h_batch.config import ExecConfig, PlanConfig
 from r2h_batch.judge.wave_search import Problem, connect_in_waves
+from r2h_batch.judge.wave_shortcuts import Law, shorten_in_waves
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
@@ -154,6 +155,10 @@ class Search:
     ) -> None:  # fmt: skip
         """Shortcuts on the paths that `rows` have, as long as they save time under the arm's limits; in place."""
         speed, acceleration = limits(self.execute)
+        if self.run.waves is not None and self.config.edge_check != "moveit":
+            law = Law(ENOUGH, speed, acceleration)
+            shorten_in_waves(self.run.waves, rows, law, self.config.shortcuts, seed, self.key, margin, path, length)
+            return
         self.run(
             shortcut,
             len(rows),
