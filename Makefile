@@ -1,4 +1,4 @@
-# Two commands on a fresh clone: `make demo` and `make test`. They need python3 (3.11 or 3.12) and make. `make help`: the rest.
+# Two commands on a fresh clone: `make demo` and `make test`. They need python3 (3.11 to 3.13) and make. `make help`: the rest.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -38,7 +38,7 @@ tables: $(VENV)/.installed-test  ## Table I of both protocols and presets, what 
 	$(BIN)/python bench/findings.py --readme
 
 $(SETUP): pyproject.toml constraints.txt
-	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 12) else f"r2h_batch needs Python 3.11 or 3.12; $(PYTHON) is {v[0]}.{v[1]}. Try: make PYTHON=python3.12 demo")'
+	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else f"r2h_batch needs Python 3.11 to 3.13; $(PYTHON) is {v[0]}.{v[1]}. Try: make PYTHON=python3.12 demo")'
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install -q -c constraints.txt -e .
 	touch $@

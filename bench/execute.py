@@ -12,7 +12,6 @@ import copy
 import json
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, Literal
 from unittest import mock
 
@@ -20,9 +19,9 @@ import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
+from _moved import Mix, changed, same, steps_of, worst_margin
 from _report import Report, arguments
 
-import r2h_batch.evaluate as evaluate
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
@@ -32,74 +31,19 @@ from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.motion import sim_mjwarp, sim_mujoco, standing
-from r2h_batch.motion.execute import Executed, execute
+from r2h_batch.motion import sim_mjwarp, standing
 from r2h_batch.motion.time_law import servo_law
 from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.model import MESH_FIELDS
 from r2h_batch.trials.protocol import trials_with_ids
-from r2h_batch.types import Scores
 
-MIX = Path(__file__).with_name("mix.npz")
 ASK = (
     "speed", "queue", "worlds", "models", "auto", "parity", "tracking", "step", "edges", "payload", "batches", "closing",
 )  # fmt: skip
 CPU_WORLDS, CUDA_WORLDS = (1, 16, 64, 256), (256, 1024, 4096, 16384)
 GRASPS = 8  # candidates of each object that are closed in physics
 TIP_M = np.array([0.0, 0.0, 0.02, 1.0])  # fingertips in the ee frame
-
-
-class Mix:
-    """The frozen trials, scored under any execution."""
-
-    def __init__(self, n: int, device: str, threads: int | None) -> None:
-        self.device, self.threads, self.n = device, threads, n
-        with np.load(MIX, allow_pickle=False) as mix:
-            rows = torch.arange(n) % len(mix["trial_id"])
-            self.trials = trials_with_ids(torch.from_numpy(mix["trial_id"]))[rows].to(device)
-            self.g, self.h = (torch.from_numpy(mix[k])[rows].to(device) for k in ("T_obj_ee", "T_world_ee"))
-
-    def score(self, config: ExecConfig, plan: PlanConfig | None = None) -> tuple[Scores, Executed, dict[str, Any]]:
-        """Scores, the executed motion, what execute was given, process seconds under `seconds`, and under `rows` which
-        rows were simulated in the whole scene (True) and with the arm alone (False)."""
-        evaluator = Evaluator(
-            EvalConfig(execute=config, plan=plan or PlanConfig()), device=self.device, threads=self.threads
-        )
-        seen: dict[str, Any] = {}
-
-        def watched(scene: Any, placed: Any, path: Any, length: Any, motion: Any, c: Any, **k: Any) -> Executed:
-            start, wall = time.process_time(), time.perf_counter()
-            seen.update(placed=placed, path=path, length=length, motion=motion, scene=scene)
-            seen["executed"] = execute(scene, placed, path, length, motion, c, **k)
-            seen["execute_s"], seen["execute_wall_s"] = time.process_time() - start, time.perf_counter() - wall
-            return seen["executed"]
-
-        few = slice(0, 8)
-        evaluator.score(self.g[few], self.h[few], self.trials[few])
-        if config.sim != "none" and config.model != "arm":  # once in a process; docs/motion.md has how long it takes
-            start = time.process_time()
-            evaluator.scene.model(self.trials.hand_index.tolist())
-            seen["compile_s"] = time.process_time() - start
-        engine = {"mujoco": sim_mujoco, "mjwarp": sim_mjwarp}.get(config.sim, sim_mujoco)
-        simulate, rows = engine.simulate, seen.setdefault("rows", {True: set(), False: set()})
-
-        def counted(job: Any, **k: Any) -> Any:
-            rows[job.scene.full] |= set(job.rows.tolist())
-            return simulate(job, **k)
-
-        with mock.patch.object(evaluate, "execute", watched), mock.patch.object(engine, "simulate", counted):
-            start = time.process_time()
-            scores = evaluator.score(self.g, self.h, self.trials)
-            seen["seconds"] = time.process_time() - start
-        return scores, seen["executed"], seen
-
-
-def changed(a: Scores, b: Scores) -> tuple[int, int, list[int]]:
-    """Trials whose verdict differs, those of them outside the 0.1 mm band, and the ids of the latter."""
-    differ = a.outcome != b.outcome
-    outside = differ & ~(a.borderline | b.borderline)
-    return int(differ.sum()), int(outside.sum()), a.trial_id[outside].tolist()
 
 
 def speed(mix: Mix, report: Report) -> None:
@@ -127,11 +71,6 @@ def speed(mix: Mix, report: Report) -> None:
         report.add(f"{name}.moved_trials_per_core_s", moved / seen["execute_s"])
         report.add(f"{name}.steps_per_core_s", steps_of(executed) / seen["execute_s"])
         report.add(f"{name}.steps_per_s", steps_of(executed) / seen["execute_wall_s"])
-
-
-def steps_of(executed: Executed) -> int:
-    """Steps of all trials."""
-    return int((executed.length.clamp(min=1) - 1).sum()) * ExecConfig().record_steps
 
 
 def worlds(mix: Mix, report: Report) -> None:
@@ -261,11 +200,6 @@ def queue(mix: Mix, report: Report) -> None:
         report.add(f"execute.queue.{model}.models_built_for_4_chunks", built.call_count)
 
 
-def worst_margin(a: Scores, b: Scores) -> float:
-    """Largest difference of Safe's margins, m."""
-    return float(torch.nan_to_num(a.margin[:, 4] - b.margin[:, 4]).abs().max())
-
-
 def parity(mix: Mix, report: Report) -> None:
     a, ea, _ = mix.score(ExecConfig(sim="mujoco", model="scene"))
     b, eb, _ = mix.score(ExecConfig(sim="mjwarp", model="scene"))
@@ -299,13 +233,9 @@ def batches(mix: Mix, report: Report) -> None:
             differ = 0
             for rows in parts:
                 s = evaluator.score(mix.g[rows], mix.h[rows], mix.trials[rows])
-                same = (s.outcome == whole.outcome[rows]) & _same(s.margin, whole.margin[rows]).all(1)
-                differ += int((~(same & _same(s.t_exec_s, whole.t_exec_s[rows]))).sum())
+                alike = (s.outcome == whole.outcome[rows]) & same(s.margin, whole.margin[rows]).all(1)
+                differ += int((~(alike & same(s.t_exec_s, whole.t_exec_s[rows]))).sum())
             report.add(f"execute.batches.{engine}.{name}.rows_that_differ", differ)
-
-
-def _same(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-    return (a == b) | (a.isnan() & b.isnan())
 
 
 def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: str = "known_object") -> None:

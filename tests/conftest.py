@@ -14,7 +14,7 @@ from needs import is_here, reason
 with suppress(ImportError):
     import triton  # noqa: F401
 
-INTERPRETERS = ("3.11", "3.12")
+INTERPRETERS = ("3.11", "3.12", "3.13")
 LEFT_OUT = pytest.StashKey[Counter[str]]()
 
 
