@@ -34,8 +34,9 @@ from r2h_batch.judge.person import person_distance, with_body
 from r2h_batch.judge.plan import plan_paths
 from r2h_batch.judge.presented import presented
 from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
-from r2h_batch.launch import cpu_threads, one_torch_thread
+from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
+from r2h_batch.launch.torch_threads import one_torch_thread
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.scene import Scene
@@ -146,10 +147,11 @@ class Evaluator:
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
-        check_indices(self.scene, trials)
-        scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
-        # Copies: an optimizer's step in place must not change what a picture of these scores shows.
-        return scores.knowing(Asked(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self))
+        with one_torch_thread(self.scene.device):
+            check_indices(self.scene, trials)
+            scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
+            # Copies: an optimizer's step in place must not change what a picture of these scores shows.
+            return scores.knowing(Asked(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self))
 
     def __repr__(self) -> str:
         engine = self.config.execute.engine(torch.device(self.scene.device).type)
@@ -176,9 +178,10 @@ class Evaluator:
 
     def _score_checked(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages) -> Scores:
         """`score` of tensors whose shapes are known to fit."""
-        check_indices(self.scene, trials)
-        check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
-        return self._score(T_obj_ee, T_world_ee, trials, stages)
+        with one_torch_thread(self.scene.device):
+            check_indices(self.scene, trials)
+            check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
+            return self._score(T_obj_ee, T_world_ee, trials, stages)
 
     def _score(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, keep_motion: bool = False
@@ -188,20 +191,19 @@ class Evaluator:
         if stages == "all":  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
         judge = self._score_pose if stages == "pose" else partial(self._score_motion, keep_motion=keep_motion)
-        with one_torch_thread(self.scene.device):
-            order = None
-            if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
-                order = torch.argsort(trials.object_index, stable=True)
-                T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
+        order = None
+        if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
+            order = torch.argsort(trials.object_index, stable=True)
+            T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
 
-            def part(first: int, last: int) -> Scores:
-                if last - first == n:  # a small batch is all overhead
-                    return judge(T_obj_ee, T_world_ee, trials)
-                return judge(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
+        def part(first: int, last: int) -> Scores:
+            if last - first == n:  # a small batch is all overhead
+                return judge(T_obj_ee, T_world_ee, trials)
+            return judge(T_obj_ee[first:last], T_world_ee[first:last], trials[first:last])
 
-            parts = in_parts(n, self.rows_at_once(stages), part)
-            scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
-            return scores if order is None else scores[torch.argsort(order)]
+        parts = in_parts(n, self.rows_at_once(stages), part)
+        scores = parts[0] if len(parts) == 1 else Scores.concatenate(parts)
+        return scores if order is None else scores[torch.argsort(order)]
 
     def rows_at_once(self, stages: Stages = "all") -> int:
         """How many rows are judged together: `EvalConfig.chunk`, on CUDA more where there is memory for it.

@@ -15,6 +15,7 @@ from r2h_batch.kernels.judge.overlap import path_overlap
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
 from r2h_batch.launch import launch_trials
+from r2h_batch.launch.torch_threads import one_torch_thread
 from r2h_batch.scene.scene import Placed, Scene
 from r2h_batch.types import PlanReason
 
@@ -54,8 +55,23 @@ def plan_paths(
     `key` seeds a trial's random numbers. Reasons and margins as in benchmark.md; RRT-Connect (Kuffner and LaValle 2000)
     with certified edges. Rows that are not `active` get NOT_EVALUATED.
     """
+    with one_torch_thread(q.device):
+        return _paths(scene, placed, q, valid, active, key, config, execute or ExecConfig(), threads)
+
+
+def _paths(
+    scene: Scene,
+    placed: Placed,
+    q: Float32[Tensor, "b 8 6"],
+    valid: Bool[Tensor, "b 8"],
+    active: Bool[Tensor, " b"],
+    key: Int32[Tensor, " b"],
+    config: PlanConfig,
+    execute: ExecConfig,
+    threads: int | None,
+) -> Plan:
+    """`plan_paths`, stage by stage."""
     b, device = len(active), q.device
-    execute = execute or ExecConfig()
     run = Planner(scene, placed, threads)
     home = home_posture(str(device), scene.config.workplace.home_q)
     moveit = int(config.edge_check == "moveit")

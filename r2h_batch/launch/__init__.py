@@ -5,9 +5,9 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import cache, lru_cache
 from typing import Any
 
@@ -94,20 +94,6 @@ def cpu_threads(threads: int | None = None) -> int:
     if threads is not None:
         return whole(1)("threads", threads)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextmanager
-def one_torch_thread(device: str) -> Iterator[None]:
-    """On a CPU: torch works on one thread inside. Its tensors here are small, and its idle threads spin on our cores."""
-    threads = torch.get_num_threads()
-    if device != "cpu" or threads == 1:
-        yield
-        return
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 @lru_cache(maxsize=4)

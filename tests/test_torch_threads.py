@@ -1,0 +1,163 @@
+"""Torch's threads: one while a call of ours works on a CPU, as many as before after it, in every thread of a program."""
+
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import torch
+from problems import default_evaluator, make_batch, solve
+
+from r2h_batch import launch
+from r2h_batch.judge import goal, hold, plan
+from r2h_batch.judge.verdict import random_key
+from r2h_batch.launch import torch_threads
+from r2h_batch.launch.torch_threads import one_torch_thread
+from r2h_batch.methods.batches import answers
+
+TASKS = Path("/proc/self/task")
+
+
+@pytest.fixture(autouse=True)
+def two_threads():
+    """A program whose torch works on two threads, whatever this machine has."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.fixture(scope="module")
+def batch(scene):
+    return make_batch(scene, 64)
+
+
+@pytest.fixture
+def seen(monkeypatch) -> set[int]:
+    """How many threads torch had at each launch of the stages."""
+    found: set[int] = set()
+
+    def watched(*args, **kwargs):
+        found.add(torch.get_num_threads())
+        launch.launch_trials(*args, **kwargs)
+
+    for stage in (hold, goal, plan):
+        monkeypatch.setattr(stage, "launch_trials", watched)
+    return found
+
+
+@pytest.mark.parametrize("stages", ["pose", "all"])
+def test_a_call_works_on_one_thread_and_leaves_two(batch, seen, stages):
+    default_evaluator().score(batch.T_obj_ee, batch.T_world_ee, batch.trials, stages)
+    assert seen == {1} and torch.get_num_threads() == 2
+
+
+def test_so_does_a_captured_call(batch, seen):
+    default_evaluator().capture(64)(batch.T_obj_ee, batch.T_world_ee, batch.trials)
+    assert seen == {1} and torch.get_num_threads() == 2
+
+
+def test_so_does_a_call_with_gradients(batch, seen):
+    T = batch.T_world_ee.clone().requires_grad_()
+    scores = default_evaluator().score(batch.T_obj_ee, T, batch.trials, "pose")
+    assert torch.get_num_threads() == 2
+    scores.margin[scores.evaluated].sum().backward()
+    assert seen == {1} and torch.get_num_threads() == 2
+
+
+def test_so_does_the_planner_alone(scene, batch, monkeypatch):
+    found = []
+    honest = plan.Planner.__call__
+    monkeypatch.setattr(
+        plan.Planner, "__call__", lambda *a, **k: (found.append(torch.get_num_threads()), honest(*a, **k))[1]
+    )
+    solve(scene, batch)
+    assert set(found) == {1} and torch.get_num_threads() == 2
+
+
+def test_so_do_methods(scene, batch):
+    found = []
+
+    def choose(trials, rows):
+        found.append(torch.get_num_threads())
+        return batch.T_obj_ee[rows], batch.T_world_ee[rows]
+
+    answers(batch.trials, scene, "watched", choose, part=32)
+    assert found == [1, 1] and torch.get_num_threads() == 2
+
+
+def test_a_refused_call_leaves_two(batch, monkeypatch):
+    def refused(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(hold, "launch_trials", refused)
+    with pytest.raises(KeyboardInterrupt):
+        default_evaluator().score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
+    assert torch.get_num_threads() == 2
+
+
+def test_calls_within_calls_and_other_devices():
+    with one_torch_thread("cpu"):
+        with one_torch_thread(torch.device("cpu")):
+            assert torch.get_num_threads() == 1
+        assert torch.get_num_threads() == 1
+    assert torch.get_num_threads() == 2
+    with one_torch_thread("cuda:0"):  # the work is elsewhere
+        assert torch.get_num_threads() == 2
+
+
+def test_a_thread_that_begins_during_a_call_has_the_programs_number():
+    """torch.set_num_threads(1) would be what it starts with, and keeps: others of the program worked on one core then."""
+    with one_torch_thread("cpu"), ThreadPoolExecutor(1) as other:
+        assert torch.get_num_threads() == 1
+        assert other.submit(torch.get_num_threads).result() == 2
+
+
+def test_calls_at_once_do_not_mix_up_their_numbers(batch):
+    evaluator, together = default_evaluator(), threading.Barrier(3)
+
+    def call(own: int) -> list[int]:
+        torch.get_num_threads()  # torch gives a new thread the program's number at the first question, whatever was set
+        torch.set_num_threads(own)
+        found = []
+        for _ in range(5):
+            together.wait()
+            evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials, "pose")
+            found.append(torch.get_num_threads())
+        return found
+
+    with ThreadPoolExecutor(3) as pool:
+        found = [f.result() for f in [pool.submit(call, own) for own in (1, 2, 3)]]
+    assert found == [[own] * 5 for own in (1, 2, 3)]
+
+
+def test_without_openmp_torch_itself_is_asked(monkeypatch):
+    torch_threads._of_this_thread.cache_clear()
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(torch_threads.ctypes, "CDLL", lambda name: object())
+            with one_torch_thread("cpu"):
+                assert torch.get_num_threads() == 1
+            assert torch_threads._of_this_thread() is None
+    finally:
+        torch_threads._of_this_thread.cache_clear()
+    assert torch.get_num_threads() == 2
+
+
+def _own_time_s() -> dict[str, float]:
+    """Seconds that each thread of this process has worked."""
+    return {t.name: int((t / "schedstat").read_text().split()[0]) / 1e9 for t in TASKS.iterdir()}
+
+
+@pytest.mark.skipif(not (TASKS / str(threading.main_thread().native_id) / "schedstat").exists(), reason="needs /proc")
+def test_a_plan_on_one_thread_keeps_no_other_thread_busy(scene):
+    made = solve(scene, make_batch(scene, 300), threads=1)
+    active, key = torch.ones(300, dtype=torch.bool), random_key(made.batch.trials.trial_id)
+    torch.ones(1 << 20, dtype=torch.float32).exp()  # starts torch's own threads, which turn for a while
+    time.sleep(0.2)
+    before, me = _own_time_s(), str(threading.get_native_id())
+    plan.plan_paths(scene, made.placed, made.ik.q, made.ik.valid, active, key, scene.config.plan, threads=1)
+    spent = {name: s - before.get(name, 0.0) for name, s in _own_time_s().items()}
+    mine = spent.pop(me)
+    assert sum(spent.values()) < 0.1 * mine, (mine, spent)
