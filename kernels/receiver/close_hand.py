@@ -14,6 +14,9 @@ ROUNDS = wp.constant(64)
 STEPS = wp.constant(90)
 STEEPEST = wp.constant(1.7321)
 """How fast `distance` changes at most inside the grid: nodes by no more than one goes, between them along each axis."""
+STEEPEST_OUTSIDE = wp.constant(2.0001)
+"""The same where some of the way is outside: there the value at the border less the way there, at right angles to it."""
+STEP_AT_BORDER_M = wp.constant(1.0e-5)
 
 
 @wp.struct
@@ -43,7 +46,10 @@ class ClosingHands:
     n_clusters: wp.int32
     n_points: wp.int32
     open_skin: wp.array(dtype=wp.vec3)  # (K * n_open) the whole hand at the start
+    open_ball: wp.array(dtype=wp.vec4)  # (K * n_open_balls) about some of its points: centre, radius
+    open_first: wp.array(dtype=wp.int32)  # (n_open_balls + 1) these points
     n_open: wp.int32
+    n_open_balls: wp.int32
 
 
 @wp.func
@@ -105,12 +111,22 @@ def approach(
     base = hand_in[i] * hands.n_open
     R = R_in[i]
     travelled = float(0.0)
+    nearest = int(0)
     for _ in range(ROUNDS):
         origin = start_in[i] + travelled * direction_in[i]
         # sphere tracing (Hart 1996): no point can touch before it has moved by its distance
         least = float(farthest)
-        for k in range(hands.n_open):
-            least = wp.min(least, distance(field, R * hands.open_skin[base + k] + origin))
+        begin = nearest
+        for n in range(hands.n_open_balls):  # from the one that was the nearest on: it rules out most of the others
+            c = (begin + n) % hands.n_open_balls
+            ball = hands.open_ball[hand_in[i] * hands.n_open_balls + c]
+            middle = R * wp.vec3(ball[0], ball[1], ball[2]) + origin
+            if distance(field, middle) - STEEPEST_OUTSIDE * ball[3] - STEP_AT_BORDER_M < least:
+                for k in range(hands.open_first[c], hands.open_first[c + 1]):
+                    d = distance(field, R * hands.open_skin[base + k] + origin)
+                    if d < least:
+                        least = d
+                        nearest = c
         if least < 3.0e-4:
             break
         travelled += least

@@ -22,6 +22,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from r2h_batch.bodies.given.blas import one_blas_thread
 from r2h_batch.bodies.given.convex import convex_hull, convex_pieces
 from r2h_batch.bodies.given.kept_object import kept_with_warnings, key_of
 from r2h_batch.bodies.given.region import part_of_faces, receiver_region
@@ -210,8 +211,10 @@ def build_object(
     )  # fmt: skip
     key = key_of(mesh, options)
     if key is None:
-        return _built(mesh, **options)
-    return _from_arrays(kept_with_warnings(key, lambda: _as_arrays(_built(mesh, **options)), _from_arrays))
+        with one_blas_thread():
+            return _built(mesh, **options)
+    make = one_blas_thread()(lambda: _as_arrays(_built(mesh, **options)))
+    return _from_arrays(kept_with_warnings(key, make, _from_arrays))
 
 
 def _options(mesh: str | Path | trimesh.Trimesh, **given: Any) -> dict[str, Any]:

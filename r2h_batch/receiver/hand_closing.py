@@ -112,9 +112,12 @@ def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> 
         torch.from_numpy(posture(model, turns, np.radians(turns[:, 1:, 0]))[0]), torch.from_numpy(shape)
     )
     open_skin = opened.vertices.numpy()[:, ::2]
+    open_rows = _clusters(open_skin[0], np.arange(open_skin.shape[1]))
+    open_balls = np.stack([_ball(open_skin[:, c]) for c in open_rows], axis=1)
+    open_skin = open_skin[:, np.concatenate(open_rows)]
     tables = close_hand.ClosingHands()
     tables.n_points, tables.n_open = skin.shape[1], open_skin.shape[1]
-    tables.n_clusters = wp.int32(len(rows))
+    tables.n_clusters, tables.n_open_balls = wp.int32(len(rows)), wp.int32(len(open_rows))
     balls = np.stack([_ball(local[:, c]) for c in rows], axis=1)
     values = {
         "joints": (rest.joints.numpy().reshape(-1, 3), wp.vec3),
@@ -125,11 +128,16 @@ def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> 
         "limit": (limit, wp.float32),
         "skin": (skin.reshape(-1, 3), wp.vec3),
         "open_skin": (open_skin.reshape(-1, 3), wp.vec3),
+        "open_ball": (open_balls.reshape(-1, 4), wp.vec4),
         "cluster": (balls.reshape(-1, 4), wp.vec4),
     }
     for name, (value, dtype) in values.items():
         setattr(tables, name, wp.array(np.ascontiguousarray(value, np.float32), dtype=dtype, device="cpu"))
-    for name, counts in (("cluster_first", map(len, rows)), ("segment_first", map(len, clusters))):
+    for name, counts in (
+        ("cluster_first", map(len, rows)),
+        ("segment_first", map(len, clusters)),
+        ("open_first", map(len, open_rows)),
+    ):
         setattr(tables, name, wp.array(np.cumsum([0, *counts]).astype(np.int32), dtype=wp.int32, device="cpu"))
     return tables
 

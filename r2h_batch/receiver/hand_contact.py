@@ -12,6 +12,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.hand import HandModel, load_hand
+from r2h_batch.kernels.receiver.in_hand import may_be_in_hand
 from r2h_batch.kernels.receiver.point_mesh import (
     point_mesh_distance,
     point_mesh_distance_by_normal,
@@ -25,7 +26,7 @@ REGIONS = ("index", "middle", "pinky", "ring", "thumb", "palm")
 """Where a hand touches: five digits (joints 1-3, 4-6, 7-9, 10-12, 13-15) and the palm."""
 THUMB, PALM = 4, 5
 REACH_M = 0.02
-BOX_M = 1e-5
+BOX_M, DIRECTIONS = 1e-5, 40
 PALMAR_COSINE = 0.35
 """Palmar skin: its rest normal leans at least this much (70 degrees) towards the side that the joint flexes to."""
 
@@ -180,28 +181,57 @@ def hand_depth(
     *,
     hand: HandModel | None = None,
     threads: int | None = None,
+    least: float = 0.0,
 ) -> NDArray[np.float32]:
-    """(B,) how deep the deepest of the object's surface points (n, 3) is in each hand: what thin parts do to a hand."""
+    """(B,) how deep the deepest of the object's surface points (n, 3) is in each hand: what thin parts do to a hand.
+
+    `least`: what is less deep than this (m) may be said to be 0, which is quicker to find out.
+    """
     model = hand or load_hand()
     faces = model.faces_by_side.numpy()[int(side)]
     pieces = [p.numpy() for p in model.pieces]
     depth = np.zeros(len(vertices), np.float32)
     for i, skin in enumerate(vertices):
-        near = points[_in_boxes(points, skin, pieces)]
+        near = points[_may_be_inside(points, skin, pieces, least, threads)]
         if len(near):
             distance, _, _ = ObjectSurface(skin, faces).distance(near, 0.05, threads)
             depth[i] = max(0.0, -float(distance.min()))
     return depth
 
 
-def _in_boxes(points: F32, skin: F32, pieces: list[NDArray[np.int64]]) -> NDArray[np.bool_]:
-    """(n,) whether points lie in a box about one of the hand's convex pieces: these hold the skin, so no other is inside."""
-    found = np.zeros(len(points), bool)
-    rows = np.flatnonzero(((points > skin.min(0)) & (points < skin.max(0))).all(1))
-    for piece in pieces:
-        own = skin[piece].astype(np.float64)
-        center = own.mean(0)
-        axes = np.linalg.eigh((own - center).T @ (own - center))[1]
-        extent, at = (own - center) @ axes, (points[rows] - center) @ axes
-        found[rows] |= ((at > extent.min(0) - BOX_M) & (at < extent.max(0) + BOX_M)).all(1)
+def _may_be_inside(
+    points: F32, skin: F32, pieces: list[NDArray[np.int64]], least: float, threads: int | None
+) -> NDArray[np.bool_]:
+    """(n,) whether points may be in the hand and `least` deep: these convex pieces hold the skin, so no other is inside."""
+    direction = _directions()
+    along = skin[np.concatenate(pieces)].astype(np.float64) @ direction.T
+    first = np.cumsum([0, *map(len, pieces)])[:-1]
+    found = np.empty(len(points), bool)
+    launch_trials(
+        may_be_in_hand,
+        len(points),
+        inputs={
+            "direction": direction.astype(np.float32),
+            "low": (np.minimum.reduceat(along, first) - BOX_M).astype(np.float32),
+            "high": (np.maximum.reduceat(along, first) + BOX_M).astype(np.float32),
+            "box_low": wp.vec3(*(skin.min(0) - BOX_M).tolist()),
+            "box_high": wp.vec3(*(skin.max(0) + BOX_M).tolist()),
+            "skin": np.ascontiguousarray(skin),
+            "off_skin": max(0.0, least - BOX_M),
+            "point": np.ascontiguousarray(points),
+        },
+        outputs={"inside": found},
+        device="cpu",
+        threads=threads,
+        chunk=4096,
+    )
     return found
+
+
+@lru_cache(maxsize=1)
+def _directions() -> NDArray[np.float64]:
+    """(D, 3) unit vectors, well spread over half of the sphere: the axes, which rule out most, before the others."""
+    step = np.arange(DIRECTIONS) + 0.5
+    z, turn = 1 - step / DIRECTIONS, np.pi * (1 + 5**0.5) * step
+    ring = np.sqrt(1 - z**2)
+    return np.concatenate([np.eye(3), np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)])

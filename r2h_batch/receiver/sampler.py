@@ -14,10 +14,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from r2h_batch.bodies.given.blas import one_blas_thread
 from r2h_batch.bodies.hand import HandModel, load_hand
 from r2h_batch.bodies.hand_measure import hull_planes, self_cut
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.launch import init_warp
+from r2h_batch.launch.torch_threads import one_torch_thread
 from r2h_batch.receiver.hand_closing import (
     DEEPEST_M,
     FAMILIES,
@@ -29,7 +31,7 @@ from r2h_batch.receiver.hand_closing import (
     mirrored,
     posture,
 )
-from r2h_batch.receiver.hand_contact import PALM, REACH_M, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
+from r2h_batch.receiver.hand_contact import PALM, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
 from r2h_batch.receiver.instructions import intents_of
 
 __all__ = ["PER_SIDE", "NoHoldError", "sample_receiving"]
@@ -43,6 +45,8 @@ STANDOFF_M = 0.25
 CONTACT_M = 0.004
 DEPTH_M, BACK_DEPTH_M, THIN_DEPTH_M = 0.004, 0.001, 0.004
 """Stricter than the promise of 5 mm each: float32, and another measure, may disagree by a little."""
+LOOKED_AT_M = 0.006
+"""Skin that the field says is farther off than this touches nothing: 4 mm off a surface it overshoots by 0.2 mm at most."""
 DIGITS_RADIUS_M = 0.0075
 CROSSING_M = 0.003
 ON_REGION = 0.6
@@ -59,6 +63,8 @@ class NoHoldError(ValueError):
     """An object that neither hand can hold, as far as was found."""
 
 
+@one_blas_thread()
+@one_torch_thread("cpu")
 def sample_receiving(
     model: ObjectModel,
     *,
@@ -140,11 +146,11 @@ class _Side:
 
         `about` (V,): the field's distances, which are the true ones or less."""
         contact = measure_contact(
-            self.surface, skin[None], hand=self.hand, threads=self.threads, asked=about[None] < REACH_M
+            self.surface, skin[None], hand=self.hand, threads=self.threads, asked=about[None] < LOOKED_AT_M
         )
         if not _holds_well(self.model, contact)[0]:
             return False
-        deep = hand_depth(self.points, skin[None], 0, hand=self.hand, threads=self.threads)
+        deep = hand_depth(self.points, skin[None], 0, hand=self.hand, threads=self.threads, least=THIN_DEPTH_M)
         return bool(deep[0] <= THIN_DEPTH_M)
 
 
@@ -168,8 +174,8 @@ def _try(side: _Side, rng: Any) -> dict[str, NDArray[Any]]:
     joints = own_joints @ R.transpose(0, 2, 1) + p[:, None]
     about = field_distance(side.field, skin.reshape(-1, 3), threads).reshape(skin.shape[:2])
     contact = measure_contact(side.surface, skin, hand=hand, threads=threads, about=about)
-    good = _holds_well(side.model, contact) & (_crossing(hand, joints, skin) < CROSSING_M)
-    rows = np.flatnonzero(good)
+    rows = np.flatnonzero(_holds_well(side.model, contact))
+    rows = rows[_crossing(hand, joints[rows], skin[rows]) < CROSSING_M]
     touching = contact.gap[rows] <= CONTACT_M
     return {
         "family": family[rows], "R": R[rows], "p": p[rows], "pose": pose[rows], "joints": joints[rows],

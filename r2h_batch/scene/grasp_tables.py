@@ -152,18 +152,21 @@ def _split(centers: NDArray[np.float32], rows: NDArray[np.intp], most: int) -> l
     if len(rows) <= most:
         return [rows] if len(rows) else []
     at = centers[rows]
-    order = rows[np.argsort(at[:, np.argmax(np.ptp(at, axis=0))], kind="stable")]
+    longest = (at.max(axis=0) - at.min(axis=0)).argmax()
+    order = rows[at[:, longest].argsort(kind="stable")]
     half = -(-len(rows) // most // 2) * most if len(rows) > 2 * most else len(rows) // 2
     return _split(centers, order[:half], most) + _split(centers, order[half:], most)
 
 
 def _bounds(points: NDArray[np.float32], first: list[int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Spheres (x, y, z, radius) around each group's points, half sides of boxes about their centres; rounded up."""
-    spheres, halves = np.zeros((len(first) - 1, 4), np.float32), np.zeros((len(first) - 1, 3), np.float32)
-    for i, (a, b) in enumerate(pairwise(first)):
-        group = points[a:b].astype(np.float64)
-        center = ((group.min(axis=0) + group.max(axis=0)) / 2).astype(np.float32)
-        spheres[i, :3] = center
-        spheres[i, 3] = np.linalg.norm(group - center, axis=1).max() + 1e-6
-        halves[i] = np.abs(group - center).max(axis=0) + 1e-7
-    return spheres, halves
+    count = np.diff(first)
+    if not len(count):
+        return np.zeros((0, 4), np.float32), np.zeros((0, 3), np.float32)
+    exact, start = points.astype(np.float64), np.array(first[:-1])
+    center = (np.minimum.reduceat(exact, start) + np.maximum.reduceat(exact, start)) / 2
+    center = center.astype(np.float32)
+    away = exact - np.repeat(center, count, axis=0)
+    radius = np.maximum.reduceat(np.linalg.norm(away, axis=1), start) + 1e-6
+    half = np.maximum.reduceat(np.abs(away), start) + 1e-7
+    return np.concatenate([center, radius[:, None]], 1).astype(np.float32), half.astype(np.float32)

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from r2h_batch.bodies.given.blas import one_blas_thread
 from r2h_batch.bodies.given.rebuild import simplified_to
 
 __all__ = ["convex_hull", "convex_pieces"]
@@ -83,6 +84,7 @@ def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> 
     return _fine(solid) if fine else _quick(solid)
 
 
+@one_blas_thread()
 def _quick(solid: trimesh.Trimesh) -> list[Hull]:
     from r2h_batch.bodies.given.cut import cut_apart
     from r2h_batch.bodies.given.fewer import covering, fewer

@@ -6,10 +6,12 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.bodies.given.blas import one_blas_thread
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.launch import init_warp
+from r2h_batch.launch.torch_threads import one_torch_thread
 from r2h_batch.methods.box_grasps import three_boxes
 from r2h_batch.methods.grasps.antipodal import pad_height, proposals
 from r2h_batch.methods.grasps.candidate_set import OWN_GRIPPER, Candidates, NoGraspError, joined
@@ -42,12 +44,13 @@ def sample_grasps(
     mesh = device_mesh(model)
     key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
     pool: list[Candidates] = []
-    for turn in range(ROUNDS):
-        rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-        pool.append(graded(model, tables, mesh, proposals(model, mesh, rng, threads)[0], threads)[0])
-        found, off_region = sum(map(len, pool)), sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool)
-        if found >= enough and (model.split == "S0" or off_region >= enough // 4 or found >= 3 * enough):
-            break
+    with one_blas_thread(), one_torch_thread("cpu"):
+        for turn in range(ROUNDS):
+            rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
+            pool.append(graded(model, tables, mesh, proposals(model, mesh, rng, threads)[0], threads)[0])
+            found, off_region = sum(map(len, pool)), sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool)
+            if found >= enough and (model.split == "S0" or off_region >= enough // 4 or found >= 3 * enough):
+                break
     every = joined(pool)
     if len(every) == 0:
         stroke = f"{1e3 * OPEN_GAP_M:.0f} mm"
@@ -77,17 +80,18 @@ def generate_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | No
     mesh = device_mesh(model)
     key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
     pool: list[Candidates] = []
-    for turn in range(ROUNDS):
-        rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-        T, width = proposals(model, mesh, rng, threads)
-        contact, alignment, part = pad_contact(model, mesh, T, width, width, threads)
-        score, square = scored(model, T, width, contact, alignment)
-        rows = np.flatnonzero(square & (contact >= GENERATED_CONTACT))
-        rows = rows[_boxes_clear(model, T[rows])]
-        region = np.where(_on_region(model, T[rows], width[rows]), -1.0, 1.0).astype(np.float32)
-        pool.append(Candidates(T[rows], width[rows], score[rows], part[rows].astype(np.uint8), region))
-        if sum(map(len, pool)) >= ENOUGH:
-            break
+    with one_blas_thread(), one_torch_thread("cpu"):
+        for turn in range(ROUNDS):
+            rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
+            T, width = proposals(model, mesh, rng, threads)
+            contact, alignment, part = pad_contact(model, mesh, T, width, width, threads)
+            score, square = scored(model, T, width, contact, alignment)
+            rows = np.flatnonzero(square & (contact >= GENERATED_CONTACT))
+            rows = rows[_boxes_clear(model, T[rows])]
+            region = np.where(_on_region(model, T[rows], width[rows]), -1.0, 1.0).astype(np.float32)
+            pool.append(Candidates(T[rows], width[rows], score[rows], part[rows].astype(np.uint8), region))
+            if sum(map(len, pool)) >= ENOUGH:
+                break
     every = joined(pool)
     if len(every) == 0:
         raise NoGraspError(f"{model.name}: no antipodal pair that the {OWN_GRIPPER} fits about was found")
