@@ -17,11 +17,13 @@ BLOCKS = wp.constant(6)
 CELLS_PER_EDGE = wp.constant(6)
 """A CELLS body is a hull whose points are sorted by direction: 6 x 6 cells on each face of a cube around the origin. Its
 first 216 rows in `points` give, for each cell, where its points start (counted from the body's first row) and how many
-they are; only those can be farthest in a direction of that cell (r2h_batch.bodies.bounds.support_cells)."""
+they are; only those can be farthest in a direction of that cell (r2h_batch.bodies.bounds.support_cells). They are stored in
+blocks."""
 
 BLOCK_POINTS = wp.constant(16)
-"""A BLOCKS body is a hull whose points are stored 16 at a time, their 16 x, then their 16 y and 16 z, in 16 rows of `points`;
-the last block is filled up with a point that it has. A CPU looks at all of a block at once (bodies/bounds.py, point_blocks)."""
+"""Points in blocks are stored 16 at a time, their 16 x, then their 16 y and 16 z, in 16 rows of `points`; the last block is
+filled up with its last point. A CPU looks at all of a block at once (bodies/bounds.py, point_blocks). A BLOCKS body is a hull
+whose points are stored so."""
 
 ROUNDING_M = wp.constant(1.0e-6)
 
@@ -37,36 +39,37 @@ class Body:
     radius: float  # grown by this (capsules: theirs)
 
 
-@wp.func(inline=False)
-def direction_cell(d: wp.vec3):
-    """The cell of a CELLS body that a direction falls into."""
-    # the cube's face is that of d's largest coordinate; u, v: the other two, each cut into CELLS_PER_EDGE
-    a = wp.vec3(wp.abs(d[0]), wp.abs(d[1]), wp.abs(d[2]))
-    axis = int(0)
-    if a[1] > a[axis]:
-        axis = 1
-    if a[2] > a[axis]:
-        axis = 2
-    scale = 0.5 * float(CELLS_PER_EDGE) / wp.max(a[axis], 1.0e-30)
-    u = wp.clamp(int(0.5 * float(CELLS_PER_EDGE) + scale * d[(axis + 1) % 3]), 0, CELLS_PER_EDGE - 1)
-    v = wp.clamp(int(0.5 * float(CELLS_PER_EDGE) + scale * d[(axis + 2) % 3]), 0, CELLS_PER_EDGE - 1)
-    face = 2 * axis + wp.where(d[axis] < 0.0, 1, 0)
-    return (face * CELLS_PER_EDGE + u) * CELLS_PER_EDGE + v
-
-
 # The largest product of each of 16 lanes, then of all; of equal ones the first point, as a loop over the points would have it.
 # Written in C++ because Warp has no array that a compiler could keep in vector registers: as a loop over vec3 the same cost
-# five times as much, and it was a tenth of all of a trial. Each product and sum is a statement of its own, so that nothing is
-# contracted.
+# five times as much, and it was a tenth of all of a trial. On a CPU the lanes are clang's vectors (Warp compiles with nothing
+# else): of loops over arrays it makes vectors in the middle, but not where 16 lanes become one, which took twice as long as
+# all the products. CUDA takes few points one after the other. Each product and sum is a statement of its own, so that nothing
+# is contracted.
 @wp.func_native("""
     const float* rows = &points.data[start].c[0];
+    int blocks = (count + 15) / 16;
+#if defined(__CUDA_ARCH__)
     float best[16];
     int at[16];
     for (int k = 0; k < 16; ++k) {
         best[k] = -1.0e30f;
         at[k] = k;
     }
-    for (int block = 0; block < count; ++block) {
+    if (count <= 16) {
+        #pragma unroll 1
+        for (int k = 0; k < count; ++k) {
+            float tx = rows[k] * d.c[0];
+            float ty = rows[16 + k] * d.c[1];
+            float tz = rows[32 + k] * d.c[2];
+            float t = tx + ty;
+            t = t + tz;
+            int farther = t > best[0];
+            at[0] = farther ? k : at[0];
+            best[0] = farther ? t : best[0];
+        }
+        blocks = 0;
+    }
+    for (int block = 0; block < blocks; ++block) {
         const float* x = rows + 48 * block;
         for (int k = 0; k < 16; ++k) {
             float tx = x[k] * d.c[0];
@@ -85,11 +88,63 @@ def direction_cell(d: wp.vec3):
             at[k] = farther ? at[k + half] : at[k];
             best[k] = farther ? best[k + half] : best[k];
         }
-    const float* p = rows + 48 * (at[0] / 16) + at[0] % 16;
+    int first = at[0];
+#else
+    typedef float floats __attribute__((ext_vector_type(16)));
+    typedef int ints __attribute__((ext_vector_type(16)));
+    const ints lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+    floats best = (floats)(-1.0e30f);
+    ints at = lane;
+    for (int block = 0; block < blocks; ++block) {
+        floats x, y, z;
+        __builtin_memcpy(&x, rows + 48 * block, sizeof(x));
+        __builtin_memcpy(&y, rows + 48 * block + 16, sizeof(y));
+        __builtin_memcpy(&z, rows + 48 * block + 32, sizeof(z));
+        floats tx = x * d.c[0];
+        floats ty = y * d.c[1];
+        floats tz = z * d.c[2];
+        floats t = tx + ty;
+        t = t + tz;
+        ints farther = t > best;
+        at = farther ? lane + 16 * block : at;
+        best = farther ? t : best;
+    }
+    auto of8 = best.hi > best.lo ? best.hi : best.lo;
+    auto of4 = of8.hi > of8.lo ? of8.hi : of8.lo;
+    auto of2 = of4.hi > of4.lo ? of4.hi : of4.lo;
+    float most = of2.y > of2.x ? of2.y : of2.x;
+    int first = __builtin_reduce_min(best == most ? at : (ints)(1 << 30));
+#endif
+    const float* p = rows + 48 * (first / 16) + first % 16;
     return wp::vec3(p[0], p[16], p[32]);
 """)
 def farthest_in_blocks(points: wp.array(dtype=wp.vec3), start: int, count: int, d: wp.vec3) -> wp.vec3:
-    """The point of a BLOCKS body that is farthest along d."""
+    """Of `count` points in blocks of 16 from row `start` on the one that is farthest along d.
+
+    On a CPU what fills up the last block is looked at too: it repeats a point that comes before.
+    """
+    ...
+
+
+# The cell: the cube's face is that of d's largest coordinate; u, v: the other two, each cut into CELLS_PER_EDGE.
+@wp.func_native("""
+    float ax = fabsf(d.c[0]), ay = fabsf(d.c[1]), az = fabsf(d.c[2]);
+    int axis = ay > ax ? 1 : 0;
+    float most = ay > ax ? ay : ax;
+    axis = az > most ? 2 : axis;
+    most = az > most ? az : most;
+    float scale = 3.0f / (most > 1.0e-30f ? most : 1.0e-30f);
+    float to = axis == 0 ? d.c[0] : (axis == 1 ? d.c[1] : d.c[2]);
+    float along_u = scale * (axis == 0 ? d.c[1] : (axis == 1 ? d.c[2] : d.c[0]));
+    float along_v = scale * (axis == 0 ? d.c[2] : (axis == 1 ? d.c[0] : d.c[1]));
+    int u = (int)(3.0f + along_u), v = (int)(3.0f + along_v);
+    u = u < 0 ? 0 : (u > 5 ? 5 : u);
+    v = v < 0 ? 0 : (v > 5 ? 5 : v);
+    int face = 2 * axis + (to < 0.0f ? 1 : 0);
+    return (face * 6 + u) * 6 + v;
+""")
+def direction_cell(d: wp.vec3) -> int:
+    """The cell of a CELLS body that a direction falls into."""
     ...
 
 
@@ -97,24 +152,21 @@ def farthest_in_blocks(points: wp.array(dtype=wp.vec3), start: int, count: int, 
 def support(body: Body, points: wp.array(dtype=wp.vec3), d: wp.vec3):
     """The core's farthest point along d, in the body's frame."""
     p = wp.vec3(0.0, 0.0, 0.0)
-    if body.kind == HULL or body.kind == CELLS:
-        lo = body.start
-        count = body.count
-        if body.kind == CELLS:
-            # only this cell's points can be farthest along d
-            row = points[body.start + direction_cell(d)]
-            lo = body.start + int(row[0])
-            count = int(row[1])
+    if body.kind == CELLS:
+        # only this cell's points can be farthest along d
+        row = points[body.start + direction_cell(d)]
+        p = farthest_in_blocks(points, body.start + int(row[0]), int(row[1]), d)
+    elif body.kind == BLOCKS:
+        p = farthest_in_blocks(points, body.start, BLOCK_POINTS * body.count, d)
+    elif body.kind == HULL:
         best = float(-1.0e30)
-        at = int(lo)
-        for i in range(lo, lo + count):
+        at = int(body.start)
+        for i in range(body.start, body.start + body.count):
             t = wp.dot(points[i], d)
             if t > best:
                 best = t
                 at = i
         p = points[at]
-    elif body.kind == BLOCKS:
-        p = farthest_in_blocks(points, body.start, body.count, d)
     elif body.kind == BOX:
         p = wp.vec3(
             wp.where(d[0] < 0.0, -body.size[0], body.size[0]),

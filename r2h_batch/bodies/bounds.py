@@ -76,12 +76,22 @@ def inner_ball(points: Array) -> Array:
     return np.append(center, max(radius - 1e-6, 1e-6))
 
 
+BLOCK_POINTS = 16
+"""As in kernels/geometry/body.py (tests/kernels/test_codes.py)."""
+
+
+def point_blocks(points: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Rows (16 k, 3) of a hull for geometry/body.py, BLOCKS: 16 points at a time, their x, y and z one after the other."""
+    full = np.concatenate([points, np.repeat(points[-1:], -len(points) % BLOCK_POINTS, axis=0)])
+    return full.reshape(-1, BLOCK_POINTS, 3).transpose(0, 2, 1).reshape(-1, 3)
+
+
 CELLS_PER_EDGE = 6
 """As in kernels/geometry/body.py (tests/kernels/test_codes.py)."""
 
 
 def support_cells(points: Array) -> Array:
-    """Rows (216 + n, 3) of a hull for geometry/body.py: first row and number of points of each direction cell, then points.
+    """Rows (216 + n, 3) of a hull for geometry/body.py: first row and number of points of each direction cell, then blocks.
 
     A cell keeps every point that can be farthest along some direction of it: those that no other point beats in all four
     corner directions (a linear function that is smaller at the corners is smaller in between).
@@ -101,19 +111,9 @@ def support_cells(points: Array) -> Array:
                     beaten = np.any(np.all(height[:, None] < height[None, rivals] - 1e-9, axis=2), axis=1)
                     cell = points[~beaten]
                     header.append((total, len(cell), 0))
-                    kept.append(cell)
-                    total += len(cell)
+                    kept.append(point_blocks(cell))
+                    total += len(kept[-1])
     return np.concatenate([np.array(header, dtype=np.float64), *kept])
-
-
-BLOCK_POINTS = 16
-"""As in kernels/geometry/body.py (tests/kernels/test_codes.py)."""
-
-
-def point_blocks(points: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Rows (16 k, 3) of a hull for geometry/body.py, BLOCKS: 16 points at a time, their x, y and z one after the other."""
-    full = np.concatenate([points, np.repeat(points[-1:], -len(points) % BLOCK_POINTS, axis=0)])
-    return full.reshape(-1, BLOCK_POINTS, 3).transpose(0, 2, 1).reshape(-1, 3)
 
 
 def gripper_balls(robot: Robot) -> tuple[Array, Array]:

@@ -68,7 +68,11 @@ def test_cells_never_lose_the_farthest_point() -> None:
         )
         cell = ((2 * axis + (d[i, axis] < 0)) * n + u) * n + v
         first, count = rows[cell, 0].astype(int), rows[cell, 1].astype(int)
-        best = np.array([(rows[f : f + c] @ x).max() for f, c, x in zip(first, count, d, strict=True)])
+        k = bounds.BLOCK_POINTS
+        blocks = [rows[f : f + k * -(-c // k)].reshape(-1, 3, k) for f, c in zip(first, count, strict=True)]
+        kept = [b.transpose(0, 2, 1).reshape(-1, 3) for b in blocks]
+        assert all((x[c:] == x[c - 1]).all() for x, c in zip(kept, count, strict=True))
+        best = np.array([(x[:c] @ n).max() for x, c, n in zip(kept, count, d, strict=True)])
         np.testing.assert_allclose(best, (points @ d.T).max(0), atol=1e-9)
         assert count.mean() < 0.25 * len(points) or len(points) < 20
 
