@@ -24,18 +24,17 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, Literal
 from unittest import mock
 
 import numpy as np
 import torch
-import warp as wp
 from _report import Report, arguments
 
 from r2h_batch import launch, reward
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.launch.repeated import Repeated
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import CRITERIA, Outcome, PlanReason, Trials
 
@@ -151,11 +150,11 @@ def host(report: Report, mix: Candidates, device: str) -> None:
     """What a small call costs beside compiled kernels: tensor operations, checks, packing; one thread, the least of many."""
     config = EvalConfig(execute=ExecConfig(sim="none"))
     evaluator, inside = Evaluator(config, device=device, threads=1), [0.0]
-    honest = wp.Launch.launch
+    honest = Repeated.run
 
-    def timed(command: Any, *args: Any, **kw: Any) -> None:
+    def timed(packed: Repeated, *args: int) -> None:
         """A launch whose compiled function alone is on the clock."""
-        compiled = command.hooks.forward
+        compiled = packed.forward
 
         def forward(*pointers: Any) -> Any:
             start = time.thread_time()
@@ -164,18 +163,18 @@ def host(report: Report, mix: Candidates, device: str) -> None:
             finally:
                 inside[0] += time.thread_time() - start
 
-        hooks, command.hooks = command.hooks, SimpleNamespace(forward=forward)
+        packed.forward = forward
         try:
-            honest(command, *args, **kw)
+            honest(packed, *args)
         finally:
-            command.hooks = hooks
+            packed.forward = compiled
 
     stages: tuple[Literal["pose", "all"], ...] = ("pose", "all")
     for stage in stages:
         for b in (1, 64):
             c = repeated(mix, b)
             least = []
-            with mock.patch.object(wp.Launch, "launch", timed):
+            with mock.patch.object(Repeated, "run", timed):
                 for _ in range(400 if b == 1 else 60):
                     inside[0], start = 0.0, time.thread_time()
                     evaluator.score(*c, stages=stage)

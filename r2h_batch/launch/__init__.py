@@ -178,7 +178,7 @@ def _launch_on_cpu(
 
 def _share(packed: repeated.Repeated, n: int, workers: int, chunk: int, width: int, first: int) -> None:
     """Trials first..first+n-1 by chunks: whoever of the workers is free takes the next one."""
-    packed.prepare(workers, chunk, width)  # compiles the module, once
+    packed.prepare(workers)
     firsts = iter(range(first, first + n, chunk))  # next() is atomic
 
     def work(worker: int) -> None:

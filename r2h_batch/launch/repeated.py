@@ -6,9 +6,11 @@ are there. Whatever else differs (dimensions, kinds, names, a struct) is packed,
 """
 
 import copy
+import ctypes
 import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import warp as wp
@@ -20,8 +22,16 @@ MOST_KERNELS = 256
 """A thread that has launched more kernels (tests make their own) forgets those that it did not use last."""
 
 
+MOST_SIZES = 64
+"""Numbers of trials (with widths) whose bounds a kernel's launch remembers."""
+
+
 class Repeated:
-    """One kernel's launch, as one thread repeats it: a command for each worker, all on the same descriptors."""
+    """One kernel's launch, as one thread repeats it: all arguments in one structure, and a copy of it for each other worker.
+
+    The compiled function takes two pointers, to the launch's bounds and to its arguments side by side. `wp.Launch` puts them
+    side by side anew at each launch; here they stay, and an array's descriptor among them is written where it stands.
+    """
 
     def __init__(
         self, kernel: Any, packed: Sequence[Any], inputs: Mapping[str, Any], outputs: Mapping[str, Any]
@@ -30,21 +40,28 @@ class Repeated:
         self.kernel = kernel
         self.packed: wp.Launch = wp.launch(kernel, dim=1, inputs=list(packed), device="cpu", record_cmd=True)
         self.packed.fwd_args = None  # the tables of a scene that is gone are not kept for a launch that may never come
+        self.forward = self.packed.hooks.forward
+        labels = [a.label for a in kernel.adj.args]
+        packed = self.packed.params[1:]
+        self.arguments = _structure(tuple(labels), tuple(type(x) for x in packed))(*packed)
+        self.copies: list[ctypes.Structure] = [self.arguments]  # each worker's
+        self.bounds: dict[tuple[int, int], Any] = {}
         self.sizes = (len(inputs), len(outputs))
-        self.commands: list[wp.Launch] = []
-        self.rows: list[int] = []  # each command's trials
-        self.width = 1
         self.tensors: list[list[Any]] = []
+        self.structs: list[list[Any]] = []
         self.others: list[list[Any]] = []
-        for i, p in enumerate(parameters(kernel), start=1):
+        for p in parameters(kernel):
             value = (outputs if p.written else inputs)[p.name]
+            here = getattr(self.arguments, p.label)
             if p.array is not None and type(value) is Tensor:
-                self.tensors.append([p.name, p.written, p.array.torch, value.shape, packed[i]])
+                self.tensors.append([p.name, p.written, p.array.torch, value.shape, here])
+            elif _is_struct(p):
+                self.structs.append([p.name, p.written, p, _known(p, value)])
             else:
-                self.others.append([p.name, p.written, p, i, _known(p, value)])
+                self.others.append([p.name, p.written, p, _known(p, value)])
 
     def refill(self, inputs: Mapping[str, Any], outputs: Mapping[str, Any], rows: int) -> bool:
-        """Whether the commands now stand for these arguments; if not, they have to be packed anew (or refused)."""
+        """Whether the launch now stands for these arguments; if not, they have to be packed anew (or refused)."""
         if (len(inputs), len(outputs)) != self.sizes:
             return False
         for slot in self.tensors:
@@ -62,54 +79,68 @@ class Repeated:
             if written and given[0] < rows:
                 return False
             descriptor.data = value.data_ptr()
+        for slot in self.structs:
+            name, written, p, known = slot
+            value = (outputs if written else inputs).get(name)
+            if value is None:
+                return False
+            if known() is not value:
+                p.pack(p, value, _cpu(), rows)
+                slot[3] = _known(p, value)
+            setattr(self.arguments, p.label, value.__ctype__())  # its numbers may have changed
         for slot in self.others:
-            name, written, p, i, known = slot
+            name, written, p, known = slot
             value = (outputs if written else inputs).get(name)
             if value is None:
                 return False
             if known() is value:
                 continue
             packed = p.pack(p, value, _cpu(), rows)
-            if type(packed) is int or type(packed) is float:
-                self.packed.params[i + 1].value = packed  # shared by all commands
-            else:
-                for command in (self.packed, *self.commands):
-                    command.set_param_at_index(i, packed)
-            slot[4] = _known(p, value)
+            setattr(self.arguments, p.label, packed.__ctype__() if isinstance(packed, wp.array) else packed)
+            slot[3] = _known(p, value)
         return True
 
-    def prepare(self, workers: int, rows: int, width: int) -> None:
-        """Commands for so many workers."""
-        if width != self.width:
-            self.commands, self.rows, self.width = [], [], width
-        dim = (rows, width) if width > 1 else rows
-        while len(self.commands) < workers:
-            made = copy.copy(self.packed)
-            made.params = list(made.params)
-            made.set_param_at_index(0, 0)  # a number of its own: the others are shared
-            made.set_dim(dim)
-            self.commands.append(made)
-            self.rows.append(rows)
+    def prepare(self, workers: int) -> None:
+        """The arguments as they are now, for so many workers."""
+        while len(self.copies) < workers:
+            self.copies.append(type(self.arguments)())
+        for copied in self.copies[1:workers]:
+            ctypes.memmove(ctypes.addressof(copied), ctypes.addressof(self.arguments), ctypes.sizeof(copied))
 
     def run(self, worker: int, first: int, rows: int, width: int) -> None:
         """Runs trials first..first+rows-1 on the calling thread, which is `worker` for as long."""
-        if width != self.width or worker >= len(self.commands):
-            self.prepare(worker + 1, rows, width)
-        command = self.commands[worker]
-        if self.rows[worker] != rows:
-            self.rows[worker] = rows
-            command.set_dim((rows, width) if width > 1 else rows)
-        command.set_param_at_index_from_ctype(0, first)
-        command.launch()
+        arguments = self.copies[worker]
+        arguments.first = first
+        self.forward(self.bounds.get((rows, width)) or self._bounds(rows, width), ctypes.byref(arguments))
+
+    def _bounds(self, rows: int, width: int) -> Any:
+        """A pointer to the bounds of so many trials, which a launch only reads; several workers may ask at once."""
+        if len(self.bounds) >= MOST_SIZES:
+            self.bounds.clear()
+        made = copy.copy(self.packed)
+        made.params = list(made.params)
+        made.set_dim((rows, width) if width > 1 else rows)
+        pointer = self.bounds[rows, width] = ctypes.byref(made.bounds)
+        return pointer
+
+
+@cache
+def _structure(labels: tuple[str, ...], kinds: tuple[type, ...]) -> type[ctypes.Structure]:
+    """Arguments side by side, as the compiled function of a kernel with these parameters takes them."""
+    return type("Arguments", (ctypes.Structure,), {"_fields_": list(zip(labels, kinds, strict=True))})
 
 
 def _known(p: Parameter, value: Any) -> Callable[[], Any]:
     """What was packed, to be known again by identity; what owns memory is not kept alive for that."""
-    if isinstance(value, wp.array) or hasattr(p.type, "vars"):
+    if isinstance(value, wp.array) or _is_struct(p):
         return weakref.ref(value)  # its descriptor is the one that was packed, and its memory does not move
     if p.array is not None:
         return _nothing  # an array of NumPy, a tensor of a class of its own: what it says now may not hold later
     return lambda: value
+
+
+def _is_struct(p: Parameter) -> bool:
+    return p.array is None and hasattr(p.type, "vars")
 
 
 def _nothing() -> None:
