@@ -17,7 +17,8 @@ from unittest import mock
 import numpy as np
 
 from r2h_batch.judge import search, waves
-from r2h_batch.kernels.wave import queues
+from r2h_batch.judge.wave import safe
+from r2h_batch.kernels.wave import queues, safe_queues
 from r2h_batch.launch import launch_trials
 
 WARP, COPIES, REPEATS = 32, 32, 3
@@ -29,14 +30,40 @@ ONCE = ("enter_edges", "next_edges", "take_arcs", "draw_arcs")
 """Kernels that change what they read: all entries run in their order, REPEATS times from the same state."""
 CHANGE = 0.5
 """What the change to another pair takes at least, in iterations of GJK: a fit of so little says nothing."""
-BY_STRETCH = ("stretch_frames", "halve", "clear_links")
+BY_STRETCH = {"stretch_frames": 1, "halve": 1, "clear_links": 9, "safe_frames": 1, "safe_halves": 1, "safe_links": 8}
+"""Kernels with so many entries a stretch."""
 STAGES = (
     (waves.Waves, "check", "check_postures"),
     (waves.Waves, "straight", "straight_lines"),
     (waves.Waves, "clearance", "path_clearance"),
     (search, "connect_in_waves", "rrt_connect"),
     (search, "shorten_in_waves", "shortcut"),
+    (safe.SafeWaves, "__call__", "safe_distance"),
 )
+GJK = ("pair_distances", "hull_distances", "face_distances")
+BY_QUEUE = {
+    "settle_pairs": ("pairs", queues.PAIRS),
+    "pair_distances": ("pairs", queues.PAIRS),
+    "safe_first_points": ("queue_bodies", safe_queues.BODIES),
+    "safe_pieces": ("queue_bodies", safe_queues.BODIES),
+    "safe_insides": ("queue_bodies", safe_queues.BODIES),
+    "hull_distances": ("pieces", safe_queues.PIECES),
+    "safe_hulls": ("pieces", safe_queues.PIECES),
+    "safe_corners": ("sets", safe_queues.SETS),
+    "safe_faces": ("sets", safe_queues.SETS),
+    "face_distances": ("faces", safe_queues.FACES),
+    "settle_faces": ("faces", safe_queues.FACES),
+}
+"""Which queue a kernel's entries are of, and its place in the counts."""
+CHANGED = (
+    ("frames", "open"),
+    ("edges", "found"),
+    ("edges", "left"),
+    ("counts", "n"),
+    ("nearest", "distance"),
+    ("nearest", "place"),
+)
+"""What an entry changes outside of its own rows."""
 BY_BODY = {"near_pieces": queues.HAND, "near_table": queues.TABLE, "near_bodies": queues.SELF}
 
 
@@ -45,35 +72,50 @@ class Waved:
 
     def __init__(self) -> None:
         self.stage = ""
-        self.costs: dict[str, dict[str, list[np.ndarray]]] = defaultdict(lambda: defaultdict(list))
-        self.pairs: dict[str, list[tuple[np.ndarray, np.ndarray]]] = defaultdict(list)  # iterations, and whose edges
-        self._timed: list[tuple[np.ndarray, np.ndarray]] = []
+        # each launch counts by its entries, of which some are looked at
+        self.costs: dict[str, dict[str, list[tuple[float, np.ndarray]]]] = defaultdict(lambda: defaultdict(list))
+        self.pairs: dict[str, list[tuple[str, np.ndarray, np.ndarray]]] = defaultdict(list)  # iterations, and whose
+        self._timed: dict[str, list[tuple[np.ndarray, np.ndarray]]] = defaultdict(list)
+        self._queue: dict[str, Any] = {}
 
     def launch(
         self, kernel: Any, n: int, *, inputs: Mapping[str, Any], outputs: Mapping[str, Any], **ways: Any
     ) -> None:
         """As `launch_trials`; counts first, then runs."""
+        if "queue" in inputs:
+            self._queue = _tensors(inputs["queue"])
         if kernel.key in ONCE:
-            self.costs[self.stage][kernel.key].append(_once(kernel, n, inputs, outputs))
+            self.costs[self.stage][kernel.key].append((1.0, _once(kernel, n, inputs, outputs)))
             return
         rows = _rows(kernel.key, inputs)
         if rows is not None and rows.entries:
             queue = _Copied(kernel, inputs, outputs, rows)
             every = max(1, rows.entries // (WARP * WARPS))
             looked = [i for i in range(rows.entries) if i // WARP % every == 0]
-            if kernel.key == "pair_distances":
+            if kernel.key in GJK:
                 some = np.array(looked[:: max(1, len(looked) // 200)])
                 us = np.array([queue.cost(i) for i in some])
                 queue.restore()
                 launch_trials(kernel, n, inputs=inputs, outputs=outputs, **ways)
                 (pairs,) = rows.tables
                 steps = pairs["steps"][: rows.entries].numpy().astype(float)
-                self.pairs[self.stage].append((steps, _owners(inputs, pairs, rows.entries)))
-                self._timed.append((steps[some], us))
+                self.pairs[self.stage].append((kernel.key, steps, self._owners(inputs, pairs, rows.entries)))
+                self._timed[kernel.key].append((steps[some], us))
                 return
-            self.costs[self.stage][kernel.key].append(np.array([queue.cost(i) for i in looked]))
+            costs = np.array([queue.cost(i) for i in looked])
+            self.costs[self.stage][kernel.key].append((rows.entries / len(looked), costs))
             queue.restore()
         launch_trials(kernel, n, inputs=inputs, outputs=outputs, **ways)
+
+    def _owners(self, inputs: Mapping[str, Any], pairs: Mapping[str, Any], n: int) -> np.ndarray:
+        """Whose each pair is: the path's or the edge's, the trial's."""
+        if "of" in pairs:
+            stretch = _tensors(inputs["queue_bodies"])["stretch"][pairs["of"][:n].long()]
+            owner = self._queue["trial"][stretch.long()]
+        else:
+            owner = _tensors(inputs["edges"])["owner"][self._queue["edge"][pairs["stretch"][:n].long()].long()]
+        owners: np.ndarray = owner.numpy().copy()
+        return owners
 
     def labelled(self, stage: str, call: Callable[..., Any]) -> Callable[..., Any]:
         """`call`, with what it launches counted as that stage's."""
@@ -87,9 +129,9 @@ class Waved:
 
         return labelled
 
-    def pair_costs(self) -> tuple[float, float]:
+    def pair_costs(self, kernel: str) -> tuple[float, float]:
         """us of one iteration, and of the change to another pair (fitted)."""
-        steps, us = (np.concatenate(x) for x in zip(*self._timed, strict=True))
+        steps, us = (np.concatenate(x) for x in zip(*self._timed[kernel], strict=True))
         slope, rest = np.polyfit(steps, us, 1)
         return float(slope), max(float(rest), CHANGE * float(slope))
 
@@ -98,26 +140,26 @@ class Waved:
 
     def of_stage(self, stage: str) -> tuple[float, float]:
         """Share of the lanes' time in which they work, in all kernels of a stage; its longest chain, us."""
-        step_us, change_us = self.pair_costs()
         work = waited = chain = 0.0
         for launches in self.costs[stage].values():
-            for cost in launches:
-                work += cost.sum()
-                waited += WARP * np.pad(cost, (0, -len(cost) % WARP)).reshape(-1, WARP).max(1).sum()
+            for weight, cost in launches:
+                work += weight * cost.sum()
+                waited += weight * WARP * np.pad(cost, (0, -len(cost) % WARP)).reshape(-1, WARP).max(1).sum()
                 chain += cost.max(initial=0.0)
-        for steps, _ in self.pairs[stage]:
+        for kernel, steps, _ in self.pairs[stage]:
+            step_us, change_us = self.pair_costs(kernel)
             done, took, _ = persistent(steps, step_us, change_us, -(-len(steps) // (WARP * PAIRS_A_LANE)))
             work, waited, chain = work + done, waited + took, chain + steps.max() * step_us + change_us
         return work / waited, chain
 
     def of_gjk(self) -> tuple[float, float, float]:
         """The same share in GJK alone: as it is; with a thread for each pair; with a warp for the pairs of each problem."""
-        step_us, change_us = self.pair_costs()
         shares = np.zeros((3, 2))
-        for steps, owner in (x for stage in self.pairs.values() for x in stage):
+        for kernel, steps, owner in (x for stage in self.pairs.values() for x in stage):
+            step_us, change_us = self.pair_costs(kernel)
             shares[0] += persistent(steps, step_us, change_us, -(-len(steps) // (WARP * PAIRS_A_LANE)))[:2]
             alone = np.pad(steps, (0, -len(steps) % WARP)).reshape(-1, WARP)
-            shares[1] += steps.sum(), WARP * alone.max(1).sum()
+            shares[1] += step_us * steps.sum(), step_us * WARP * alone.max(1).sum()
             for one in np.unique(owner):
                 shares[2] += persistent(steps[owner == one], step_us, change_us, 1)[:2]
         whole, thread, warp = shares[:, 0] / shares[:, 1]
@@ -158,37 +200,29 @@ def _tensors(struct: Any) -> dict[str, Any]:
 
 
 def _rows(name: str, inputs: Mapping[str, Any]) -> _Rows | None:
-    if name not in (*BY_STRETCH, *BY_BODY, "pair_distances", "settle_pairs"):
+    if name not in (*BY_STRETCH, *BY_BODY, *BY_QUEUE):
         return None
     counts = _tensors(inputs["counts"])["n"]
     if name in BY_STRETCH:
-        per_row = 9 if name == "clear_links" else 1
-        which = queues.NOW + inputs["parity"]
-        return _Rows(
-            int(counts[which]) * per_row, [_tensors(inputs["queue"]), _tensors(inputs["frames"])], which, 0, per_row
-        )
+        which, per_row = queues.NOW + inputs["parity"], BY_STRETCH[name]
+        tables = [_tensors(inputs["queue"]), _tensors(inputs["frames"])]
+        return _Rows(int(counts[which]) * per_row, tables, which, 0, per_row)
     if name in BY_BODY:
         which = queues.BODIES + BY_BODY[name]
         table = _tensors(inputs["queue_bodies"])
         return _Rows(int(counts[which]), [table], which, BY_BODY[name] * (len(table["stretch"]) // 3))
-    return _Rows(int(counts[queues.PAIRS]), [_tensors(inputs["pairs"])], queues.PAIRS)
-
-
-def _owners(inputs: Mapping[str, Any], pairs: Mapping[str, Any], n: int) -> np.ndarray:
-    edge = _tensors(inputs["queue"])["edge"][pairs["stretch"][:n].long()]
-    owners: np.ndarray = _tensors(inputs["edges"])["owner"][edge.long()].numpy()
-    return owners.copy()
+    queue, which = BY_QUEUE[name]
+    return _Rows(int(counts[which]), [_tensors(inputs[queue])], which)
 
 
 class _Copied:
     """A launch whose queue begins with COPIES of one entry; `restore` puts everything back as it was."""
 
     def __init__(self, kernel: Any, inputs: Mapping[str, Any], outputs: Mapping[str, Any], rows: _Rows) -> None:
-        self._rows, self._stretch_open = rows, _tensors(inputs["frames"])["open"]
-        self._found = _tensors(inputs["edges"])["found"]
-        self._left = _tensors(inputs["edges"])["left"]
-        self._counts = _tensors(inputs["counts"])["n"]
-        self._before = [x.clone() for x in (self._stretch_open, self._found, self._left, self._counts)]
+        self._rows, self._counts = rows, _tensors(inputs["counts"])["n"]
+        self._counts_before = self._counts.clone()
+        self._changed = [_tensors(inputs[x])[name] for x, name in CHANGED if x in inputs]
+        self._before = [x.clone() for x in self._changed]
         self._arrays = [x.numpy() for table in rows.tables for x in table.values()]
         lo = rows.start
         self._saved = [x[lo : lo + COPIES].copy() for x in self._arrays]
@@ -199,7 +233,7 @@ class _Copied:
         self._empty = min(self._time(0, 0) for _ in range(20))
 
     def _time(self, first: int, copies: int) -> float:
-        self._counts.copy_(self._before[3])
+        self._counts.copy_(self._counts_before)
         self._counts[queues.TAKEN] = 0
         self._counts[self._rows.counter] = copies
         start = time.thread_time_ns()
@@ -217,7 +251,7 @@ class _Copied:
     def restore(self) -> None:
         for x, saved in zip(self._arrays, self._saved, strict=True):
             x[self._rows.start : self._rows.start + COPIES] = saved
-        for x, before in zip((self._stretch_open, self._found, self._left, self._counts), self._before, strict=True):
+        for x, before in zip(self._changed, self._before, strict=True):
             x.copy_(before)
 
 
@@ -245,7 +279,8 @@ def counting() -> Iterator[Waved]:
     """Waves run inside are counted."""
     seen = Waved()
     with ExitStack() as stack:
-        stack.enter_context(mock.patch.object(waves, "launch_trials", seen.launch))
+        for module in (waves, safe):
+            stack.enter_context(mock.patch.object(module, "launch_trials", seen.launch))
         for owner, name, stage in STAGES:
             stack.enter_context(mock.patch.object(owner, name, seen.labelled(stage, getattr(owner, name))))
         yield seen

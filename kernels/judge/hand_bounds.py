@@ -13,19 +13,27 @@ from r2h_batch.kernels.geometry.primitives import TOUCH_M, signed_distance
 from r2h_batch.kernels.geometry.segments import from_point
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.partners import Mover, least_rest, swept_mover
-from r2h_batch.kernels.robot.world import World, piece_body
+from r2h_batch.kernels.robot.world import World, motion, piece_body, vec6
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
 SLACK_M = wp.constant(0.03)
 HAND_SLACK_M = wp.constant(0.06)
 """A ball about a piece rarely understates a distance by more: pairs that would need it wait for shorter stretches."""
+HULL_GAP = wp.constant(0.05)
+"""GJK of a hull may stop so far short of the distance, of which it is a part: faces and shorter stretches ask again."""
 
 # What a bound says of a robot body and a part of the hand (all of it, a piece, a face) over a stretch of motion.
 SETTLED = wp.constant(0)  # the part comes no nearer than what is known, by more than the tolerance
 WAITS = wp.constant(1)  # it may, though not in the middle of the stretch: its halves will tell
 ASK = wp.constant(2)  # it may be nearer even in the middle: look closer
 MEETS = wp.constant(3)  # it meets the body in the middle: look how deep
+
+
+@wp.func
+def allowed_of(tolerance: float, distance: float):
+    """What the smallest distance may be off, m: `tolerance`, or 0.2 % of it; half of an overlap (judge/safe.py)."""
+    return wp.max(tolerance, wp.where(distance < 0.0, -0.5 * distance, 0.002 * distance))
 
 
 @wp.func
@@ -48,6 +56,16 @@ def bound_of_hand(world: World, mover: Mover, hand: int, distance: float, tolera
     return ASK
 
 
+@wp.func
+def link_is_clear(
+    world: World, hand: int, link: int, c0: wp.vec3, c1: wp.vec3, d: vec6, distance: float, tolerance: float
+):
+    """Whether a whole link, its capsule's ends at c0 and c1, keeps clear of the ball around the hand on the whole stretch."""
+    toward = from_point(world.hand_center[hand], c0, c1)
+    apart = wp.length(toward) - world.hand_radius[hand] - world.link_radius[link]
+    return apart >= distance - tolerance + motion(world.link_lever, link, 0, d)
+
+
 # From the coarse to the fine, with D the distance known so far, tol the tolerance, travel what the levers allow:
 #
 # 1. the piece's ball against the body's ball, then against the body itself: farther than D - tol + travel, it is settled;
@@ -57,6 +75,65 @@ def bound_of_hand(world: World, mover: Mover, hand: int, distance: float, tolera
 #    by what is known;
 # 4. along the plane that GJK found, over the whole stretch. What is left: the faces, or, if nothing is nearer in the middle
 #    and the plane could not have settled it (`least_rest`), the halves.
+#
+# `bound_of_ball` is 1 and 2, `bound_of_hull` 4. A CPU asks for all of it at once, the waves (kernels/wave/) one by one.
+@wp.func
+def bound_of_ball(world: World, mover: Mover, piece: int, distance: float, tolerance: float, waits: int):
+    """SETTLED, WAITS or ASK, from the ball around a piece (numbered over all hands)."""
+    limit = distance - tolerance + mover.travel
+    center = world.piece_center[piece]
+    size = wp.length(mover.R * world.cap_axis[mover.body]) + mover.radius
+    if wp.length(center - mover.p) - world.piece_radius[piece] - size >= limit:
+        return SETTLED
+    at = wp.transpose(mover.R) * (center - mover.p)
+    toward = mover.R * from_ball(mover.shape, at)
+    far = wp.length(toward)
+    apart = far - world.piece_radius[piece]
+    if far == 0.0:  # the ball's centre is in the body: no point of the piece is deeper than this
+        deepest = signed_distance(mover.shape.kind, mover.shape.size, at) - world.piece_radius[piece] - TOUCH_M
+        apart = wp.where(deepest >= limit, deepest, -1.0e30)
+    if apart >= limit:
+        return SETTLED
+    if apart >= distance:
+        if waits == 1:
+            return WAITS
+        n_hat = toward / far
+        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
+        low = low - wp.dot(n_hat, center)
+        low = low - world.piece_radius[piece]
+        if low >= distance - tolerance:
+            return SETTLED
+        if low + SLACK_M < distance - tolerance:
+            return WAITS
+    return ASK
+
+
+@wp.func
+def bound_of_hull(
+    world: World, mover: Mover, piece: int, apart: float, v: wp.vec3, distance: float, tolerance: float, waits: int
+):
+    """SETTLED, WAITS or ASK, from what GJK says of a piece's hull that the body does not meet: lower bound and v.
+
+    Also a direction n and how far along it the body stays over the whole stretch (n . x at least `beyond`): most faces of a
+    piece lie behind its hull, and are settled by that alone.
+    """
+    n = wp.vec3(0.0, 0.0, 0.0)
+    beyond = float(-1.0e30)
+    if apart >= distance - tolerance + mover.travel or (waits == 1 and apart >= distance):
+        return SETTLED, n, beyond
+    low = apart - mover.travel
+    rest = least_rest(mover.second, mover.third)
+    if apart > 0.0:
+        n = v / wp.length(v)
+        beyond = swept_mover(world, mover, n, mover.second, mover.third)
+        low = wp.max(low, beyond - wp.dot(n, support(piece_body(world, piece), world.points, n)))
+    if low >= distance - tolerance and apart >= distance:
+        return SETTLED, n, beyond
+    if apart >= distance and apart < distance - tolerance + rest:
+        return WAITS, n, beyond  # too long a stretch to settle here, and nothing nearer in its middle
+    return ASK, n, beyond
+
+
 @wp.func
 def bound_of_piece(
     world: World,
@@ -70,59 +147,26 @@ def bound_of_piece(
 ):
     """SETTLED, WAITS, ASK or MEETS, from the piece's ball, then from its hull, which holds all its faces.
 
-    With ASK also a direction n and how far along it the body stays over the whole stretch (n . x at least `beyond`): most
-    faces of a piece lie behind its hull, and are settled by that alone.
+    With ASK also n and `beyond` (`bound_of_hull`).
     """
     piece = hand * world.n_pieces + i
     n = wp.vec3(0.0, 0.0, 0.0)
     beyond = float(-1.0e30)
+    bound = bound_of_ball(world, mover, piece, distance, tolerance, waits)
+    if bound != ASK:
+        return bound, n, beyond
     limit = distance - tolerance + mover.travel
     center = world.piece_center[piece]
-    size = wp.length(mover.R * world.cap_axis[mover.body]) + mover.radius
-    if wp.length(center - mover.p) - world.piece_radius[piece] - size >= limit:
-        return SETTLED, n, beyond
-    at = wp.transpose(mover.R) * (center - mover.p)
-    toward = mover.R * from_ball(mover.shape, at)
-    far = wp.length(toward)
-    apart = far - world.piece_radius[piece]
-    if far == 0.0:  # the ball's centre is in the body: no point of the piece is deeper than this
-        deepest = signed_distance(mover.shape.kind, mover.shape.size, at) - world.piece_radius[piece] - TOUCH_M
-        apart = wp.where(deepest >= limit, deepest, -1.0e30)
-    if apart >= limit:
-        return SETTLED, n, beyond
-    if apart >= distance:
-        if waits == 1:
-            return WAITS, n, beyond
-        n_hat = toward / far
-        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
-        low = low - wp.dot(n_hat, center)
-        low = low - world.piece_radius[piece]
-        if low >= distance - tolerance:
-            return SETTLED, n, beyond
-        if low + SLACK_M < distance - tolerance:
-            return WAITS, n, beyond
-
     hull = piece_body(world, piece)
-    h = gjk(mover.shape, mover.R, mover.p, world.points, hull, world.points, center, wp.max(limit, distance), 0.05)
+    h = gjk(mover.shape, mover.R, mover.p, world.points, hull, world.points, center, wp.max(limit, distance), HULL_GAP)
     if h.upper <= TOUCH_M:  # GJK's bound says nothing of how deep: the faces have to
         if distance < 0.0:  # unless the whole piece is no deeper than what is known
-            deep = gjk(core, mover.R, mover.p, world.points, hull, world.points, center, limit, 0.05)
+            deep = gjk(core, mover.R, mover.p, world.points, hull, world.points, center, limit, HULL_GAP)
             if deep.lower >= limit:
                 return SETTLED, n, beyond
         return MEETS, n, beyond
-    if h.lower >= limit or (waits == 1 and h.lower >= distance):
-        return SETTLED, n, beyond
-    low = h.lower - mover.travel
-    rest = least_rest(mover.second, mover.third)
-    if h.lower > 0.0:
-        n = h.v / wp.length(h.v)
-        beyond = swept_mover(world, mover, n, mover.second, mover.third)
-        low = wp.max(low, beyond - wp.dot(n, support(hull, world.points, n)))
-    if low >= distance - tolerance and h.lower >= distance:
-        return SETTLED, n, beyond
-    if h.lower >= distance and h.lower < distance - tolerance + rest:
-        return WAITS, n, beyond  # too long a stretch to settle here, and nothing nearer in its middle
-    return ASK, n, beyond
+    bound, n, beyond = bound_of_hull(world, mover, piece, h.lower, h.v, distance, tolerance, waits)
+    return bound, n, beyond
 
 
 @wp.func

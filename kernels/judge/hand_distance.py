@@ -7,8 +7,15 @@ from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, rounded
-from r2h_batch.kernels.geometry.segments import from_point
-from r2h_batch.kernels.judge.hand_bounds import ASK, MEETS, WAITS, bound_of_face, bound_of_hand, bound_of_piece
+from r2h_batch.kernels.judge.hand_bounds import (
+    ASK,
+    MEETS,
+    WAITS,
+    bound_of_face,
+    bound_of_hand,
+    bound_of_piece,
+    link_is_clear,
+)
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.partners import Mover, swept_mover
 from r2h_batch.kernels.robot.world import (
@@ -68,6 +75,52 @@ def _robot_mover(
     return out
 
 
+@wp.func
+def triangle_body():
+    """A triangle whose corners are an array's first three."""
+    b = Body()
+    b.kind = HULL
+    b.count = 3
+    return b
+
+
+@wp.func
+def is_edged(shape: Body):
+    """Whether a primitive has edges, which its `rounded` core has not: a capsule or a ball is its own core."""
+    return shape.kind == BOX or shape.kind == CYLINDER
+
+
+@wp.func
+def face_distance(lower: float, upper: float, radius: float, rounded_core: int):
+    """Signed distance of a body to a face, from GJK's bounds; `radius` of the core that was asked, 1: of `rounded`."""
+    value = wp.max(lower, -radius)
+    if rounded_core == 1 or upper <= TOUCH_M:
+        value = wp.min(value, -TOUCH_M)
+    return value
+
+
+@wp.func
+def point_of_face(point: wp.vec3, v: wp.vec3, tri: wp.array(dtype=wp.vec3)):
+    """The face's point nearest to a body, from the body's own and GJK's v."""
+    x = point - v
+    if wp.dot(v, v) == 0.0:  # through the core: any point of the face is a witness
+        x = (tri[0] + tri[1] + tri[2]) / 3.0
+    return x
+
+
+@wp.func
+def face_may_come_nearer(
+    world: World, mover: Mover, tri: wp.array(dtype=wp.vec3), value: float, v: wp.vec3, distance: float, tolerance: float
+):  # fmt: skip
+    """1 where a face may come nearer within the stretch: neither the levers nor the plane GJK found rule it out; else 0."""
+    low = value - mover.travel
+    if value > 0.0 and low < distance - tolerance:
+        n_hat = v / wp.length(v)
+        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
+        low = low - wp.dot(n_hat, support(triangle_body(), tri, n_hat))
+    return wp.where(low < distance - tolerance, 1, 0)
+
+
 # For each face of the piece, with D the distance known so far and tol the tolerance:
 #
 # 1. the ball about the face: wholly behind the plane (n, beyond) that the body keeps to, by D - tol, or farther than D - tol
@@ -99,12 +152,9 @@ def nearest_to_mesh(
     """
     out = HandDistance()
     out.distance = best
-    b = Body()
-    b.kind = HULL
-    b.start = 0
-    b.count = 3
+    b = triangle_body()
     shape = mover.shape
-    edged = shape.kind == BOX or shape.kind == CYLINDER
+    edged = is_edged(shape)
     for face in range(mesh.piece_face[piece], mesh.piece_face[piece + 1]):
         ball = mesh.face_ball[hand * mesh.n_faces + face]
         if beyond - wp.dot(n, wp.vec3(ball[0], ball[1], ball[2])) - ball[3] >= out.distance - tolerance:
@@ -123,28 +173,16 @@ def nearest_to_mesh(
                 shape = rounded(shape.kind, shape.size)  # only faces that meet it matter any more: at once how deep
                 continue
             d = gjk(shape, mover.R, mover.p, world.points, b, tri, center, wp.max(limit, out.distance), 0.0)
-            value = wp.max(d.lower, -shape.radius)
             if attempt == 0 and d.upper <= TOUCH_M and edged:
                 shape = rounded(shape.kind, shape.size)  # they meet: once more for how deep
                 continue
-            if attempt == 1 or d.upper <= TOUCH_M:
-                value = wp.min(value, -TOUCH_M)
+            value = face_distance(d.lower, d.upper, shape.radius, attempt)
             if value < out.distance:
                 out.distance = value
-                out.point = d.point - d.v
-                if wp.dot(d.v, d.v) == 0.0:  # through the core: any point of the face is a witness
-                    out.point = (tri[0] + tri[1] + tri[2]) / 3.0
+                out.point = point_of_face(d.point, d.v, tri)
                 out.changed = 1
-            if out.open > 0:
-                break
-            # may the face come nearer within the stretch? As the levers allow, then along the plane GJK found
-            low = value - mover.travel
-            if value > 0.0 and low < out.distance - tolerance:
-                n_hat = d.v / wp.length(d.v)
-                low = swept_mover(world, mover, n_hat, mover.second, mover.third)
-                low = low - wp.dot(n_hat, support(b, tri, n_hat))
-            if low < out.distance - tolerance:
-                out.open = 1
+            if out.open == 0:
+                out.open = face_may_come_nearer(world, mover, tri, value, d.v, out.distance, tolerance)
             break
     return out
 
@@ -196,9 +234,9 @@ def posture_distance(
             continue
         Rk = R[link_frame(link)]
         pk = p[link_frame(link)]
-        toward = from_point(world.hand_center[hand], Rk * world.link_c0[link] + pk, Rk * world.link_c1[link] + pk)
-        apart = wp.length(toward) - world.hand_radius[hand] - world.link_radius[link]
-        if apart >= out.distance - tolerance + motion(world.link_lever, link, 0, d):
+        c0 = Rk * world.link_c0[link] + pk
+        c1 = Rk * world.link_c1[link] + pk
+        if link_is_clear(world, hand, link, c0, c1, d, out.distance, tolerance):
             mask[0] = mask[0] & ~bits
             continue
         for b in range(lo, hi):

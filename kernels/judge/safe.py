@@ -3,6 +3,7 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
+from r2h_batch.kernels.judge.hand_bounds import allowed_of
 from r2h_batch.kernels.judge.hand_distance import posture_distance
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_stretch
@@ -84,7 +85,7 @@ def safe_distance(
                 t = 1.0
                 d = 0.0 * delta
             mask[0] = stack[level]
-            allowed = wp.max(tolerance, wp.where(best < 0.0, -0.5 * best, 0.002 * best))
+            allowed = allowed_of(tolerance, best)
             found = posture_distance(world, mesh, bodies, trial, a + t * delta, d, best, allowed, mask, R, p, w, v, tri)
             if found.changed == 1:
                 best = found.distance

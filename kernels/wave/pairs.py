@@ -1,22 +1,16 @@
 """GJK of all queued pairs, an iteration at a time, so that no lane of a warp waits for another's pair.
 
-A lane takes the next pair as soon as its own is done. The iteration is that of geometry/gjk.py, which says why it is certified;
-the same numbers come out, bit for bit (tests/judge/test_waves.py).
+A lane takes the next pair as soon as its own is done.
 """
 
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import BOX, ROUNDING_M, Body, support
 from r2h_batch.kernels.geometry.gjk import MAX_ITERATIONS
-from r2h_batch.kernels.geometry.simplex import (
-    ALL_OF_IT,
-    nearest_on_edge,
-    nearest_on_face,
-    nearest_on_tetrahedron,
-)
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.posture import load
 from r2h_batch.kernels.robot.world import TrialBodies, World, object_body, piece_body, robot_body
+from r2h_batch.kernels.wave.iteration import first_direction, iterate
 from r2h_batch.kernels.wave.queues import (
     HAND,
     PAIRS,
@@ -83,8 +77,8 @@ def note_distance(
 # A lane's turn, so that all lanes of a warp iterate together:
 #
 # 1. a lane whose pair is done takes the next one: shapes, pose, GJK's first direction. It ends when there are no more;
-# 2. one iteration, as geometry/gjk.py explains it: support points, the bound from below, the simplex and its nearest point. Which
-#    points of the bodies are nearest nobody asks here, so only the difference's are kept;
+# 2. one iteration (iteration.py): support points, the bound from below, the simplex and its nearest point. It has changed the
+#    lane's state when it comes back, and says whether it was the last;
 # 3. was it the last, the distance is written, and the owner's key: its smallest clearance, or the first pair that blocks it.
 #
 # Keys are not read here: what GJK has to prove was written with the pair, so a distance does not depend on who came first.
@@ -136,9 +130,7 @@ def pair_distances(
             # GJK may stop 5 % short of the distance where a shorter stretch asks again
             d = load(frames.d, s)
             gap = wp.where(track == 0 and wp.dot(d, d) > 0.0, 0.05, 0.0)
-            v = p - center
-            if wp.dot(v, v) < 1.0e-12:
-                v = wp.vec3(1.0, 0.0, 0.0)
+            v = first_direction(p, center)
             best_v = v
             lower = -1.0e30
             upper = 1.0e30
@@ -147,49 +139,10 @@ def pair_distances(
         steps += 1
         w = R * support(a, world.points, wp.transpose(R) * (-v)) + p
         w = w - support(b, world.points, v)
-        lower = wp.max(lower, wp.dot(v, w) / wp.length(v))
-        fresh = lower - radii - ROUNDING_M >= needed or upper - lower <= gap * upper + 1.0e-6
-        # a support point that is already a corner: no progress is possible
-        fresh = fresh or (n >= 1 and w == s0) or (n >= 2 and w == s1) or (n >= 3 and w == s2)
-        if not fresh:
-            part = int(1)
-            nearest = w
-            if n == 0:
-                s0 = w
-            elif n == 1:
-                s1 = w
-                part, _weight, nearest = nearest_on_edge(s0, s1)
-            elif n == 2:
-                s2 = w
-                part, _weight, nearest = nearest_on_face(s0, s1, s2)
-            else:
-                part, _weight, nearest, face = nearest_on_tetrahedron(s0, s1, s2, w)
-                if face == 0:
-                    s0 = w
-                elif face == 1:
-                    s1 = w
-                elif face == 2:
-                    s2 = w
-            if part != ALL_OF_IT and part != 1:
-                if (part & 1) == 0:  # close the gaps
-                    s0 = wp.where((part & 2) != 0, s1, s2)
-                if part == 5 or part == 6:
-                    s1 = s2
-            n = (part & 1) + ((part >> 1) & 1) + ((part >> 2) & 1)
-            far = wp.length(nearest)
-            if part == ALL_OF_IT or wp.dot(nearest, nearest) < 1.0e-14:
-                fresh = True
-                # the origin is inside, unless a separating plane was already found: rounding has collapsed a thin simplex
-                if lower <= ROUNDING_M:
-                    upper = 0.0
-                    best_v = wp.vec3(0.0, 0.0, 0.0)
-            elif far >= upper:
-                fresh = True  # rounding: the estimate no longer falls
-            else:
-                upper = far
-                best_v = nearest
-                v = nearest
-                fresh = steps >= MAX_ITERATIONS
+        fresh, v, best_v, lower, upper, n, s0, s1, s2 = iterate(
+            w, radii, needed, gap, v, best_v, lower, upper, n, s0, s1, s2
+        )
+        fresh = fresh or steps >= MAX_ITERATIONS
         if fresh:
             low = lower - radii - ROUNDING_M
             high = upper - radii

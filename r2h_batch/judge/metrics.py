@@ -1,6 +1,7 @@
 """The five criteria of the paper (Sec. Evaluation Metrics): one function per equation, each a signed margin in metres."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +12,8 @@ from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, Thresholds
 from r2h_batch.judge.grasp import Grasp, region_distance
 from r2h_batch.judge.grasp_physics import DROPPED_M, close_in_physics
 from r2h_batch.judge.plan import Plan
+from r2h_batch.judge.wave.safe import SafeWaves
+from r2h_batch.judge.waves import in_waves
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.judge import safe as safe_kernels
 from r2h_batch.kernels.judge import verdict as verdict_kernels
@@ -216,46 +219,24 @@ def safe(
     samples. Defined where there is a motion. Touching fails.
     """
     b, device = len(active), active.device
-    distance = torch.zeros(b, dtype=torch.float32, device=device)
-    body, segment = (torch.full((b,), -1, dtype=torch.int32, device=device) for _ in range(2))
-    fraction = torch.zeros(b, dtype=torch.float32, device=device)
+    distance, fraction = torch.zeros((2, b), dtype=torch.float32, device=device).unbind(0)
+    body, segment = torch.full((2, b), -1, dtype=torch.int32, device=device).unbind(0)
     point = torch.zeros((b, 3), dtype=torch.float32, device=device)
-    launch_trials(
-        safe_kernels.safe_distance,
-        b,
-        inputs={
-            "cap": CLEARANCE_CAP_M,
-            "tolerance": SAFE_TOLERANCE_M,
-            "world": scene.world,
-            "mesh": scene.hand_mesh,
-            "bodies": placed.bodies,
-            "path": executed.path,
-            "length": executed.length,
-        },
-        outputs={"distance": distance, "body": body, "segment": segment, "fraction": fraction, "point": point},
-        device=scene.device,
-        threads=threads,
-        chunk=16,
-        uneven=True,
-    )
+    found = {"distance": distance, "body": body, "segment": segment, "fraction": fraction, "point": point}
+    tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": placed.bodies}
+    motion = {"path": executed.path, "length": executed.length}
+    moves = (executed.length > 0) & active
+    on: dict[str, Any] = {"device": scene.device, "threads": threads}
+    if in_waves(scene.device):
+        waves = SafeWaves(scene, placed, **motion, tolerance=SAFE_TOLERANCE_M)
+        waves(found)
+        meets = waves.rows_where(moves & (distance < 0))
+    else:
+        asked = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
+        launch_trials(safe_kernels.safe_distance, b, inputs=asked, outputs=found, chunk=16, uneven=True, **on)
+        meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
     # The search for the smallest distance stops asking how deep once bodies meet
-    meets = torch.nonzero((executed.length > 0) & active & (distance < 0)).flatten().to(torch.int32)
-    launch_trials(
-        hand_overlap,
-        len(meets),
-        inputs={
-            "world": scene.world,
-            "mesh": scene.hand_mesh,
-            "bodies": placed.bodies,
-            "row": meets,
-            "path": executed.path,
-            "length": executed.length,
-        },
-        outputs={"distance": distance, "body": body, "segment": segment, "fraction": fraction, "point": point},
-        device=scene.device,
-        threads=threads,
-        chunk=1,
-    )
+    launch_trials(hand_overlap, len(meets), inputs={**tables, "row": meets, **motion}, outputs=found, chunk=1, **on)
     # Between two samples the arm may be off the line by slack_m, so the distance along the lines is taken less that
     defined = active & (executed.length > 0)
     criterion = Criterion.of(distance - executed.slack_m - thresholds.safe_margin_m, defined, touching_passes=False)

@@ -205,10 +205,7 @@ class Waves:
 
     def rows_where(self, mask: Bool[Tensor, " b"]) -> Int32[Tensor, " r"]:
         """Numbers of the rows that `mask` has, and `refuse_if_full`, for one wait."""
-        found = torch.nonzero(torch.cat([mask, self.full.bool().expand(len(mask) + 1)])).flatten()
-        if len(found) > len(mask):
-            raise MemoryError(TOO_SHORT)
-        return found.to(torch.int32)
+        return rows_where(mask, self.full)
 
     def _refuse_at_once(self) -> None:
         """On a CPU, where asking costs nothing; on a GPU planning asks at its end."""
@@ -276,6 +273,14 @@ class Waves:
 
     def _arange(self, n: int) -> Int32[Tensor, " n"]:
         return torch.arange(n, dtype=torch.int32, device=self.device)
+
+
+def rows_where(mask: Bool[Tensor, " b"], full: Int32[Tensor, " 1"]) -> Int32[Tensor, " r"]:
+    """Numbers of the rows that `mask` has, for one wait; MemoryError when `full` says that a queue was too short."""
+    found = torch.nonzero(torch.cat([mask, full.bool().expand(len(mask) + 1)])).flatten()
+    if len(found) > len(mask):
+        raise MemoryError(TOO_SHORT)
+    return found.to(torch.int32)
 
 
 def cap_key(cap: float) -> int:

@@ -10,6 +10,7 @@ import torch
 from r2h_batch.bodies.robot import ee_pose, gripper_primitives_at
 from r2h_batch.judge.metrics import SAFE_TOLERANCE_M
 from r2h_batch.judge.plan import Planner
+from r2h_batch.judge.wave.safe import SafeWaves
 from r2h_batch.kernels.judge.safe import safe_distance
 from r2h_batch.kernels.plan.lines import path_clearance
 from r2h_batch.scene.scene import Scene
@@ -26,27 +27,29 @@ def with_hands_scaled(factor):
     return scene
 
 
-def safe_of(scene, stages, paths, threads=None):
-    """distance, body, segment, fraction, point of every path."""
+def safe_of(scene, stages, paths, threads=None, form="thread"):
+    """distance, body, segment, fraction, point of every path: one thread for each, as on a CPU, or in waves, as on a GPU."""
     n, width = len(paths), max(len(p) for p in paths)
     path = torch.zeros((n, width, 6))
     for k, p in enumerate(paths):
         path[k, : len(p)] = torch.tensor(p, dtype=torch.float32)
     length = torch.tensor([len(p) for p in paths], dtype=torch.int32)
-    distance, body, segment = (
-        torch.full((n,), -9.0),
-        torch.zeros(n, dtype=torch.int32),
-        torch.zeros(n, dtype=torch.int32),
-    )
-    fraction, point = torch.zeros(n), torch.zeros((n, 3))
-    Planner(scene, oracle.place(scene, stages), threads)(
-        safe_distance,
-        n,
-        inputs={"cap": CAP_M, "tolerance": SAFE_TOLERANCE_M, "mesh": scene.hand_mesh, "path": path, "length": length},
-        outputs={"distance": distance, "body": body, "segment": segment, "fraction": fraction, "point": point},
-        chunk=16,
-    )
-    return [x.numpy() for x in (distance, body, segment, fraction, point)]
+    body, segment = torch.zeros((2, n), dtype=torch.int32).unbind(0)
+    found = {"distance": torch.full((n,), -9.0), "body": body, "segment": segment}
+    found |= {"fraction": torch.zeros(n), "point": torch.zeros((n, 3))}
+    placed = oracle.place(scene, stages)
+    if form == "waves":
+        waves = SafeWaves(scene, placed, path, length, SAFE_TOLERANCE_M)
+        waves(found)
+        waves.rows_where(length == 0)
+    else:
+        motion = {"mesh": scene.hand_mesh, "path": path, "length": length}
+        asked = {"cap": CAP_M, "tolerance": SAFE_TOLERANCE_M, **motion}
+        Planner(scene, placed, threads)(safe_distance, n, inputs=asked, outputs=found, chunk=16)
+    return [x.numpy() for x in found.values()]
+
+
+FORMS = pytest.mark.parametrize("form", ["thread", "waves"])
 
 
 def is_free(scene, stages, q):
@@ -63,11 +66,12 @@ def stay(q):
     return np.stack([q, q])
 
 
+@FORMS
 @pytest.mark.parametrize("count", [60, pytest.param(240, marks=pytest.mark.slow)])
-def test_distances_at_postures_agree_with_the_exact_mesh_and_never_fall_below_the_hulls(scene, count):
+def test_distances_at_postures_agree_with_the_exact_mesh_and_never_fall_below_the_hulls(scene, count, form):
     rng = np.random.default_rng(1)
     stages, base = oracle.random_stages(scene, rng, count)
-    distance, *_ = safe_of(scene, stages, [stay(q) for q in base])
+    distance, *_ = safe_of(scene, stages, [stay(q) for q in base], form=form)
     off, touching = [], 0
     for k, staged in enumerate(stages):
         twin = oracle.mujoco_scene(scene, staged)
@@ -150,31 +154,34 @@ def gripper_body_center(scene, q):
     return (ee_pose(robot, q) @ gripper_primitives_at(robot, 0.05)[k])[:3, 3]
 
 
+@FORMS
 @pytest.mark.parametrize("hand", [0, 200], ids=["right", "left"])
-def test_a_hand_wholly_inside_the_gripper_is_a_collision(hand):
+def test_a_hand_wholly_inside_the_gripper_is_a_collision(hand, form):
     scene = with_hands_scaled(0.1)
     staged = inside_staged(scene, hand, gripper_body_center(scene, HOME))
     twin = oracle.mujoco_scene(scene, staged)
     assert twin.safe_at(oracle.hand_triangles(scene, staged), HOME) == -1.0  # no surface is met: one holds the other
     clear, pair, _ = is_free(scene, [staged], [HOME])
     assert not clear[0] and pair[0] == 1
-    distance, body, *_ = safe_of(scene, [staged], [stay(HOME)])
+    distance, body, *_ = safe_of(scene, [staged], [stay(HOME)], form=form)
     assert distance[0] < -0.005 and scene.part_names[body[0]] == "body_0"
 
 
+@FORMS
 @pytest.mark.parametrize("hand", [0, 200], ids=["right", "left"])
-def test_a_robot_wholly_inside_the_hand_is_a_collision(hand):
+def test_a_robot_wholly_inside_the_hand_is_a_collision(hand, form):
     scene = with_hands_scaled(100.0)
     staged = inside_staged(scene, hand, np.array([0.2, 0.0, 0.3]))
     twin = oracle.mujoco_scene(scene, staged)
     assert twin.safe_at(oracle.hand_triangles(scene, staged), HOME) == -1.0
     clear, pair, _ = is_free(scene, [staged], [HOME])
     assert not clear[0] and pair[0] == 1
-    distance, *_ = safe_of(scene, [staged], [stay(HOME)])
+    distance, *_ = safe_of(scene, [staged], [stay(HOME)], form=form)
     assert distance[0] < -0.005
 
 
-def test_margins_of_overlaps_grow_with_the_overlap(scene):
+@FORMS
+def test_margins_of_overlaps_grow_with_the_overlap(scene, form):
     """A hand is pushed into the gripper's flat side: the margin is minus the depth, and falls all the way."""
     start = gripper_body_center(scene, HOME)
     x = ee_pose(scene.robot, HOME)[:3, 0]
@@ -187,7 +194,7 @@ def test_margins_of_overlaps_grow_with_the_overlap(scene):
             T = np.eye(4)
             T[:3, 3] = start + (scene.robot.gripper.size[scene.robot.gripper.names.index("body_0")][0] - push) * x - tip
             stages.append(oracle.Staged(0, hand, np.eye(4), T.astype(np.float32).astype(np.float64), np.float32(0.05)))
-        distance, *_ = safe_of(scene, stages, [stay(HOME)] * len(stages))
+        distance, *_ = safe_of(scene, stages, [stay(HOME)] * len(stages), form=form)
         assert distance[0] > 0 > distance[-1]
         assert (np.diff(distance) < 1e-5).all(), (hand, distance)
         assert (

@@ -1,0 +1,1 @@
+"""Stages of judging in waves: a GPU's forms (docs/gpu.md)."""
