@@ -1,6 +1,8 @@
 """Verdicts on robot-to-human handovers, by the thousand: the R2HandoverSim benchmark as a batched evaluator."""
 
+import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +14,12 @@ if TYPE_CHECKING:
     from r2h_batch.trials.protocol import make_trials
     from r2h_batch.types import Predictions, Scores, Trials
     from r2h_batch.view.notebook import show
+
+if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
+    # MuJoCo loads OSMesa's LLVM; where triton (it comes with torch for CUDA) is loaded after that, the process ends
+    # with signal 11, as soon as somebody makes an optimizer. The other order works.
+    with suppress(ImportError):
+        import triton  # noqa: F401
 
 __version__ = "0.1.0"
 

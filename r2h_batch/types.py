@@ -58,6 +58,8 @@ class _Rows:
     def to(self, device: str | torch.device) -> Self:
         """The same rows on another device; from a GPU to the CPU in one copy, for which the host waits once."""
         try:
+            if not isinstance(device, (str, torch.device)):  # builds for CUDA take any whole number
+                raise TypeError
             device = torch.device(device)
         except (RuntimeError, TypeError):
             raise ValueError(f"device is {given(device)}; it must be cpu, cuda or cuda:N") from None

@@ -2,6 +2,7 @@
 
 import copy
 import multiprocessing
+import os
 import pickle
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from problems import assert_same, default_evaluator, make_batch
 from staging import Staged, batch_of, staged_evaluator
 from torch.utils.data import DataLoader, Dataset
 
+import r2h_batch
 from r2h_batch import Evaluator, make_trials
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.config import Thresholds
@@ -308,3 +310,14 @@ def test_second_derivatives_raise():
         assert b.any() and torch.equal(a, b)
         with pytest.raises(RuntimeError, match="first derivatives only"):
             torch.autograd.grad(a.square().sum(), moving, retain_graph=True, allow_unused=True)
+
+
+@pytest.mark.parametrize(("drawing", "loaded"), [("osmesa", "triton"), ("egl", "nothing")])
+def test_with_osmesa_triton_is_loaded_before_mujoco(tmp_path, drawing, loaded):
+    (tmp_path / "triton.py").write_text(
+        "import sys\nassert 'mujoco' not in sys.modules and 'OpenGL' not in sys.modules\n"
+    )
+    code = "import r2h_batch, sys; print('triton' if 'triton' in sys.modules else 'nothing')"
+    root = str(Path(r2h_batch.__file__).resolve().parents[1])
+    env = os.environ | {"MUJOCO_GL": drawing, "PYTHONPATH": os.pathsep.join([str(tmp_path), root])}
+    assert subprocess.check_output([sys.executable, "-c", code], env=env, text=True).split() == [loaded]
