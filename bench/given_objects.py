@@ -111,6 +111,7 @@ def held_by(pieces: Sequence[tuple[Any, Any]], model: Any) -> dict[str, Any]:
 
 def warm() -> None:
     """Compiles and loads every kernel that is measured, on a box."""
+    import numpy as np
     import trimesh
 
     from r2h_batch.bodies.objects import build_object
@@ -118,6 +119,9 @@ def warm() -> None:
     from r2h_batch.receiver.sampler import sample_receiving
 
     box = build_object(trimesh.creation.box((0.05, 0.06, 0.1)), "box")
+    opened = trimesh.creation.box((0.05, 0.06, 0.1))
+    opened.update_faces(np.arange(len(opened.faces)) > 0)
+    build_object(opened, "opened")  # its repair asks for distances
     sample_grasps(box, count=10, enough=10)
     sample_receiving(box, per_side=2)
 

@@ -233,6 +233,11 @@ def refuse(name: str, error: object, code: int = 2) -> int:
     return code
 
 
+def counted(number: int, things: str) -> str:
+    """A number and what it counts, a plural that ends with s: "1 hand", "2 hands"."""
+    return f"{number} {things[:-1] if number == 1 else things}"
+
+
 def tell(text: object) -> None:
     """Lines on stderr, at once, without the control characters that names in files may hold; nothing where it is full.
 

@@ -37,6 +37,10 @@ _FLOATS = ("float32", "float64")
 _SHAPES = {"T_obj_ee": (4, 4), "T_world_ee": (4, 4), "t_method_s": ()}
 _KEYS = "trial_id (N,) integer, T_obj_ee (N,4,4) and T_world_ee (N,4,4) float32; optional t_method_s (N,), method"
 _HOW = "write np.savez(FILE, trial_id=..., T_obj_ee=..., T_world_ee=...) or r2h_batch.predictions.write_predictions"
+_HOW_TEXT = {
+    ".csv": "write the columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), a line for each trial",
+    ".json": 'write {"predictions": [{"trial_id": ..., "T_obj_ee": 4 x 4, "T_world_ee": 4 x 4}, ...]}',
+}
 _SAFETENSORS_DTYPES = {
     **{f"{k}{b}": f"{n}{b}" for k, n in (("I", "int"), ("U", "uint")) for b in (8, 16, 32, 64)},
     **{"F32": "float32", "F64": "float64", "F16": "float16"},
@@ -72,7 +76,7 @@ def load_predictions(path: str | Path) -> Predictions:
         with _npz(path) if _kind(path) == "npz" else _safetensors(path) as (method, arrays):
             return _checked(path, arrays, path.stem if method is None else method)
     except FileError as error:
-        raise PredictionsError(f"{error}; {_HOW}") from error
+        raise PredictionsError(f"{error}; {_HOW_TEXT.get(path.suffix.lower(), _HOW)}") from error
 
 
 def _text(path: Path) -> tuple[str | None, dict[str, np.ndarray]]:

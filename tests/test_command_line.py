@@ -147,3 +147,9 @@ def test_what_the_sweep_calls_fc_every_command_takes_as_fc(run, capsys):
     assert "no method 'contcat'" in capsys.readouterr().err
     assert main(["scene", "--run", folder, "--trial", "0", "--method", "fc", "--out", folder + "x"]) == 2
     assert "run.json lacks objects" in capsys.readouterr().err  # it was found
+
+
+def test_one_thing_is_said_in_the_singular() -> None:
+    from r2h_batch.command_line import counted
+
+    assert [counted(n, "hands") for n in (0, 1, 2)] == ["0 hands", "1 hand", "2 hands"]

@@ -153,3 +153,15 @@ def test_hostile_text_is_refused_in_one_line_before_it_is_parsed(tmp_path):
         with pytest.raises(PredictionsError) as error:
             load_predictions(path)
         assert "\n" not in str(error.value) and len(str(error.value)) < 700
+
+
+def test_a_text_file_that_is_not_there_or_not_right_is_told_how_text_is_written(tmp_path) -> None:
+    for suffix, how in ((".csv", "T_obj_ee_0 to _15"), (".json", '{"predictions": [')):
+        path = tmp_path / f"mine{suffix}"
+        for content in (None, "nonsense"):
+            if content is not None:
+                path.write_text(content)
+            with pytest.raises(PredictionsError) as error:
+                load_predictions(path)
+            said = str(error.value)
+            assert how in said and "savez" not in said and "\n" not in said

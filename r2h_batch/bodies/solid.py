@@ -176,29 +176,69 @@ def _surface_voxels(
     normal = np.cross(edges[:, 0], edges[:, 1])
     more = np.flatnonzero(cells > 1)
     for block in np.array_split(more, max(1, int(cells[more].sum() // 2_000_000))):
-        face = np.repeat(block, cells[block])
-        rank = np.arange(len(face)) - np.repeat(np.cumsum(cells[block]) - cells[block], cells[block])
-        width = span[face]
-        cell = low[face] + np.stack(
-            [rank // (width[:, 1] * width[:, 2]), rank // width[:, 2] % width[:, 1], rank % width[:, 2]], axis=1
-        )
+        face, cell = _cells_at_planes(block, normal, corners, low, span)
         n = normal[face]
         height = np.einsum("ij,ij->i", n, corners[face, 0] - (cell + 0.5))
         rows = np.flatnonzero(np.abs(height) <= 0.5 * np.abs(n).sum(axis=1))  # of the axes, the one that rules out most
         rows = rows[~full[tuple(cell[rows].T)]]
         face, cell = face[rows], cell[rows]
         t, edge = corners[face] - (cell + 0.5)[:, None, :], edges[face]
-        touches = np.ones(len(face), bool)
         for axis in range(3):  # with each edge: edge x unit vector = u e_v - v e_u
             u, v = (axis + 1) % 3, (axis + 2) % 3
             for k in range(3):
-                along, across = edge[:, k, v, None], edge[:, k, u, None]
-                shadow = along * t[:, :, u] - across * t[:, :, v]
-                radius = 0.5 * (np.abs(along) + np.abs(across))[:, 0]
-                touches &= (shadow.min(axis=1) <= radius) & (shadow.max(axis=1) >= -radius)
-        hit = cell[touches]
+                along, across = edge[:, k, v], edge[:, k, u]
+                a, b, c = (along * t[:, i, u] - across * t[:, i, v] for i in range(3))
+                radius = 0.5 * (np.abs(along) + np.abs(across))
+                touches = np.minimum(np.minimum(a, b), c) <= radius
+                touches &= np.maximum(np.maximum(a, b), c) >= -radius
+                cell, t, edge = cell[touches], t[touches], edge[touches]
+        hit = cell
         full[hit[:, 0], hit[:, 1], hit[:, 2]] = True
     return full
+
+
+def _cells_at_planes(
+    block: NDArray[np.int64],
+    normal: NDArray[np.float64],
+    corners: NDArray[np.float64],
+    low: NDArray[np.int64],
+    span: NDArray[np.int64],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(n,) faces of `block` and (n, 3) cells of their bounding boxes: all that the faces meet, and some beside these.
+
+    Columns of cells stand along the axis that a plane is the most across. Left out are those that pass a face by, and of the
+    others all but the few cells in which they meet the face's plane.
+    """
+    axes = (np.abs(normal[block]).argmax(axis=1)[:, None] + np.arange(3)) % 3
+    n = np.take_along_axis(normal[block], axes, 1)
+    first, width = (np.take_along_axis(x[block], axes, 1) for x in (low, span))
+    flat = np.take_along_axis(corners[block], axes[:, None, 1:], 2)  # (faces, corner, 2) as the columns see them
+    edge = np.roll(flat, -1, axis=1) - flat
+    columns = width[:, 1] * width[:, 2]
+    row = np.repeat(np.arange(len(block)), columns)
+    rank = np.arange(len(row)) - np.repeat(np.cumsum(columns) - columns, columns)
+    at = (first[row, 1:] + np.stack([rank // width[row, 2], rank % width[row, 2]], axis=1)).astype(np.float64) + 0.5
+    for k in range(3):
+        along, across = edge[row, k, 1], edge[row, k, 0]
+        a, b, c = (along * (flat[row, i, 0] - at[:, 0]) - across * (flat[row, i, 1] - at[:, 1]) for i in range(3))
+        radius = 0.5 * (np.abs(along) + np.abs(across)) + 1e-6
+        meets = (np.minimum(np.minimum(a, b), c) <= radius) & (np.maximum(np.maximum(a, b), c) >= -radius)
+        row, at = row[meets], at[meets]
+    height = np.einsum("ij,ij->i", normal[block], corners[block, 0])
+    begin, end = first[row, 0], first[row, 0] + width[row, 0] - 1
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = 0.5 * np.abs(n).sum(axis=1) / np.abs(n[:, 0]) + 1e-3
+        middle = (height[row] - (n[row, 1:] * at).sum(axis=1)) / n[row, 0] - 0.5
+        sure = np.isfinite(middle) & np.isfinite(reach[row])  # a face without area is in no plane: all its cells
+        begin = np.where(sure, np.maximum(begin, np.floor(middle - reach[row])), begin)
+        end = np.where(sure, np.minimum(end, np.ceil(middle + reach[row])), end)
+    count = np.maximum(end - begin + 1, 0).astype(np.int64)
+    column = np.repeat(np.arange(len(row)), count)
+    along_column = begin[column] + np.arange(len(column)) - np.repeat(np.cumsum(count) - count, count)
+    cell = np.empty((len(column), 3), np.int64)
+    found = np.concatenate([along_column[:, None], at[column] - 0.5], axis=1)
+    np.put_along_axis(cell, axes[row[column]], np.round(found).astype(np.int64), 1)
+    return block[row[column]], cell
 
 
 def level_set_solid(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import call, check_range, failed, refuse
+from r2h_batch.command_line import call, check_range, counted, failed, refuse
 from r2h_batch.files.output import check_file, check_folder
 
 MOST_TRIALS = 10**6
@@ -94,7 +94,7 @@ def trials(
         return refuse("trials", error)
     except OSError as error:
         return failed("trials", error, out)
-    print(f"{found.protocol}: {trials} trials each of {', '.join(chosen)} in {out}, digest {digest}")
+    print(f"{found.protocol}: {counted(trials, 'trials')} each of {', '.join(chosen)} in {out}, digest {digest}")
     return 0
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from r2h_batch.command_line import Command, UsageError, call, failed, refuse, tell
+from r2h_batch.command_line import Command, UsageError, call, counted, failed, refuse, tell
 from r2h_batch.files import printable
 from r2h_batch.files.output import check_file, check_folder
 
@@ -91,7 +91,7 @@ def hands(
         check_file(hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in")
         if source == "built-in":
             hand_sets.write(target, hand_sets.built_in(), load_hand_set().pose[:, :3].numpy())
-            print(f"{len(load_hand_set())} hands of r2h_batch in {target}; 0 files skipped")
+            print(f"{counted(len(load_hand_set()), 'hands')} of r2h_batch in {target}; 0 files skipped")
             return
         if folder is None:
             raise UsageError(f"no folder; give that of {source}, as its owners give it")
@@ -99,9 +99,10 @@ def hands(
         found = hand_sets.collect(source, folder, _mano(mano_right, mano_left, negate_left_shape), rule, strict=strict)
         hand_sets.write(target, found)
         right = sum(h.side == 0 for h in found.hands)
+        skipped = counted(len(found.skipped), "files")
         print(
-            f"{len(found.hands)} hands of {source} ({right} right, {len(found.hands) - right} left) in {target}, motions in"
-            f" {hand_sets.motion_file(target)}; {len(found.skipped)} files skipped"
+            f"{counted(len(found.hands), 'hands')} of {source} ({right} right, {len(found.hands) - right} left) in {target},"
+            f" motions in {hand_sets.motion_file(target)}; {skipped} skipped"
         )
 
     return _guarded(run)
@@ -135,7 +136,7 @@ def grasps(
         target = _npz(out, overwrite)
         found, left_out = _grasps(file, source, gripper, object_id, pose)
         write_npz(target, {**found.arrays(), "gripper": np.array(found.gripper)})
-        print(f"{len(found)} grasps of the {found.gripper} in {target}; {left_out} left out")
+        print(f"{counted(len(found), 'grasps')} of the {found.gripper} in {target}; {left_out} left out")
 
     import numpy as np
 
@@ -178,7 +179,9 @@ def objects(
             raise ImportRefused(f"{printable(folder)}: none of {skipped} objects could be read")
         write(out, found)
         held = sum(bool(o.held) for o in found)
-        print(f"{len(found)} objects of {source} ({held} with a receiver's region) in {out}; {skipped} skipped")
+        print(
+            f"{counted(len(found), 'objects')} of {source} ({held} with a receiver's region) in {out}; {skipped} skipped"
+        )
 
     return _guarded(run)
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.command_line import answer, failed, note, refuse, tell, telling
+from r2h_batch.command_line import answer, counted, failed, note, refuse, tell, telling
 from r2h_batch.sweep.options import METHODS, Options, UsageError, parse
 
 if TYPE_CHECKING:  # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
@@ -88,7 +88,9 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
         sweep_jobs.resolve(options)
         start = time.perf_counter()
         setting = sweep_jobs.prepare(options)
-        note(f"ready in {time.perf_counter() - start:.1f} s: {setting.evaluator!r}, {setting.planned} trials")
+        note(
+            f"ready in {time.perf_counter() - start:.1f} s: {setting.evaluator!r}, {counted(setting.planned, 'trials')}"
+        )
         jobs = sweep_jobs.make_jobs(options, files, setting)
         for line in (line for job in jobs for line in job.cannot):
             tell(line)

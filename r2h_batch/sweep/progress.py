@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.command_line import is_quiet, tell
+from r2h_batch.command_line import counted, is_quiet, tell
 
 LOG_EVERY_S = 5.0
 
@@ -74,4 +74,4 @@ def progress(
 
         yield speak
     seconds = time.perf_counter() - start
-    tell(f"{name}: {total} trials in {seconds:.1f} s, {total / seconds:.1f} trials/s")
+    tell(f"{name}: {counted(total, 'trials')} in {seconds:.1f} s, {total / seconds:.1f} trials/s")

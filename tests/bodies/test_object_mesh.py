@@ -271,3 +271,23 @@ def test_without_manifold3d_the_hull_is_the_only_piece_and_rebuilding_is_refused
     half = trimesh.Trimesh(mesh.vertices, mesh.faces[mesh.triangles_center[:, 2] > 0], process=False)
     with pytest.raises(ObjectMeshError, match=r"manifold3d is needed to close its surface; .pip install"):
         build_object(half)
+
+
+def test_long_thin_faces_fill_the_voxels_that_they_pass_and_no_others() -> None:
+    from r2h_batch.bodies.solid import solid_occupancy
+
+    rng = np.random.default_rng(1)
+    for turn in range(3):
+        ring = trimesh.creation.cylinder(
+            0.05, 0.012, sections=90
+        )  # its caps are fans of needles, as many a drawn mesh has
+        ring.apply_transform(trimesh.transformations.random_rotation_matrix(rng.random(3)) if turn else np.eye(4))
+        full, origin, pitch = solid_occupancy(ring, 40)
+        share = rng.dirichlet((1, 1, 1), (len(ring.faces), 300))
+        on = np.einsum("fnk,fkj->fnj", share, ring.triangles).reshape(-1, 3)
+        assert full[tuple(np.floor((on - origin) / pitch).astype(int).T)].all()
+        center = origin + (np.argwhere(full) + 0.5) * pitch
+        along = ring.principal_inertia_vectors[np.argmax(ring.principal_inertia_components)]
+        z = center @ along
+        beside = np.maximum(np.linalg.norm(center - z[:, None] * along, axis=1) - 0.05, 0)
+        assert (np.hypot(beside, np.maximum(np.abs(z) - 0.006, 0)) <= pitch * 3**0.5 / 2 + 1e-9).all()

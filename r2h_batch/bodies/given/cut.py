@@ -78,20 +78,28 @@ class _Part:
                 continue
             for share in AT:
                 at = low + share * extent
-                if (left := self._both_hulls(along - at, edges)) < least:
+                if (left := self._both_hulls(along - at, edges, least)) < least:
                     least, best = left, (n, at)
         if not longest[0].any():
             return []
         n, at = best if self.hull - least > WORTH * self.excess else longest
         return [_Part(body) for side in self.solid.split_by_plane(n, at) for body in side.decompose()]
 
-    def _both_hulls(self, s: F64, edges: NDArray[np.int64]) -> float:
-        """Volume of the two sides' hulls after a cut at s (n,) = 0: of their corners, and where the plane meets edges."""
+    def _both_hulls(self, s: F64, edges: NDArray[np.int64], most: float) -> float:
+        """Volume of the two sides' hulls after a cut at s (n,) = 0: of their corners, and where the plane meets edges.
+
+        Of the larger one alone where that is `most` already, or more."""
         p, a, b = self.points, s[edges[:, 0]], s[edges[:, 1]]
         cross = (a > 0) != (b > 0)
         t = (a[cross] / (a[cross] - b[cross]))[:, None]
         rim = p[edges[cross, 0]] * (1 - t) + p[edges[cross, 1]] * t
-        return sum(Manifold.hull_points(np.concatenate([p[side], rim])).volume() for side in (s > 0, s <= 0))
+        above, below = s > 0, s <= 0
+        sides = (above, below) if 2 * np.count_nonzero(above) > len(s) else (below, above)
+        volume = [0.0, 0.0]
+        for k, side in enumerate(sides):
+            if volume[0] < most:
+                volume[k] = Manifold.hull_points(np.concatenate([p[side], rim])).volume()
+        return volume[0] + volume[1]
 
     def _directions(self) -> F64:
         """(6, 3) unit vectors: the principal directions of the surface, and the axes."""

@@ -27,11 +27,12 @@ def fewer(parts: Sequence[F64], most: int, spare: float = -np.inf) -> list[F64]:
     hulls = [hull for part in parts if (hull := Manifold.hull_points(part)).volume() > 0]  # what is flat holds nothing
     corners = [_corners(hull) for hull in hulls]
     volume = [float(hull.volume()) for hull in hulls]
+    boxes = [np.stack([_low(c), _high(c)]) for c in corners]
     alive = list(range(len(corners)))
     cost: dict[tuple[int, int], float] = {}
 
     def compare(k: int, others: list[int]) -> None:
-        for a in _nearest(corners, k, others):
+        for a in _nearest(boxes, k, others):
             pair = (min(a, k), max(a, k))
             if pair not in cost:
                 both = Manifold.hull_points(np.concatenate([corners[a], corners[k]]))
@@ -46,6 +47,7 @@ def fewer(parts: Sequence[F64], most: int, spare: float = -np.inf) -> list[F64]:
         hull = Manifold.hull_points(np.concatenate([corners[i], corners[j]]))
         corners.append(_corners(hull))
         volume.append(float(hull.volume()))
+        boxes.append(np.stack([_low(corners[-1]), _high(corners[-1])]))
         alive = [a for a in alive if a not in (i, j)]
         for pair in [p for p in cost if i in p or j in p]:
             del cost[pair]
@@ -113,13 +115,13 @@ def _outside(planes: F64, points: F64) -> F64:
     return of
 
 
-def _nearest(corners: Sequence[F64], k: int, others: list[int]) -> list[int]:
-    """Up to `NEIGHBOURS` of the others."""
+def _nearest(boxes: Sequence[F64], k: int, others: list[int]) -> list[int]:
+    """Up to `NEIGHBOURS` of the others, whose bounding boxes are (low, high) (2, 3)."""
     if len(others) <= NEIGHBOURS:
         return others
-    low, high = (np.array([f(corners[a]) for a in others]) for f in (_low, _high))
-    gap = np.maximum(np.maximum(low - _high(corners[k]), _low(corners[k]) - high), 0)
-    between = np.linalg.norm((low + high - _low(corners[k]) - _high(corners[k])) / 2, axis=1)
+    low, high = np.array([boxes[a] for a in others]).transpose(1, 0, 2)
+    gap = np.maximum(np.maximum(low - boxes[k][1], boxes[k][0] - high), 0)
+    between = np.linalg.norm((low + high - boxes[k][0] - boxes[k][1]) / 2, axis=1)
     order = np.argsort(np.linalg.norm(gap, axis=1) + 1e-3 * between, kind="stable")[:NEIGHBOURS]
     return [others[i] for i in order]
 

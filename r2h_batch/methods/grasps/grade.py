@@ -42,8 +42,9 @@ def graded(
     row = torch.nonzero(_clear(tables, T, threads))[:, 0]
     T = T[row].contiguous()
     edge = 1 / np.hypot(1, FRICTION)
+    pads = _Pads(tables, threads, len(proposals))
     for turn in range(3):  # the pads centre the object; what then lies between them may differ
-        width, opening, shift, empty = close_pads(tables, T, zeros(T), threads=threads)
+        width, opening, shift, empty = pads.close(T, row)
         held = ~empty & (width <= WIDEST_M)
         T, row = attach(T[held], shift[held]).contiguous(), row[held]
         if turn == 0:  # for most there is no hope: they hold by an edge, or at a slant
@@ -52,7 +53,7 @@ def graded(
             T, row = T[hopeful].contiguous(), row[hopeful]
     clear = _clear(tables, T, threads)
     T, row = T[clear].contiguous(), row[clear]
-    width, opening, shift, empty = close_pads(tables, T, zeros(T), threads=threads)
+    width, opening, shift, empty = pads.close(T, row)
     held = ~empty & (width <= WIDEST_M) & (shift.abs() <= CENTERED_M)
     behind, _ = closed_clearance(tables, T, zeros(T), opening, cap_m=CLEARANCE_M, threads=threads)
     held &= behind >= BEHIND_PADS_M
@@ -64,6 +65,26 @@ def graded(
     every = Candidates(T.numpy(), width.numpy(), score, part.astype(np.uint8), region)
     good = square & (contact >= LEAST_CONTACT)
     return every.rows(good), row.numpy()[good]
+
+
+class _Pads:
+    """`close_pads` of proposals by their number: those that stand as they did when it was asked before are not asked again."""
+
+    def __init__(self, tables: GraspTables, threads: int | None, count: int) -> None:
+        self.tables, self.threads = tables, threads
+        self.T = torch.full((count, 4, 4), torch.nan, dtype=torch.float32, device="cpu")
+        self.found = [torch.empty(count, dtype=torch.float32, device="cpu") for _ in range(3)]
+        self.empty = torch.empty(count, dtype=torch.bool, device="cpu")
+
+    def close(self, T: torch.Tensor, row: torch.Tensor) -> list[torch.Tensor]:
+        """Width, opening, shift, emptiness of proposals `row`, which stand at `T` now."""
+        moved = (self.T[row] != T).flatten(1).any(1)
+        asked, number = T[moved].contiguous(), row[moved]
+        every = [*self.found, self.empty]
+        for known, new in zip(every, close_pads(self.tables, asked, zeros(asked), threads=self.threads), strict=True):
+            known[number] = new
+        self.T[number] = asked
+        return [known[row] for known in every]
 
 
 def scored(
