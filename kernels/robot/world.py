@@ -182,16 +182,48 @@ def object_body(world: World, hull: int):
     return b
 
 
-@wp.func(inline=False)
-def motion(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
+# Both in C++ for the reason given at `farthest_in_blocks` (geometry/body.py): as loops from `first_joint` on they were a
+# twelfth of a path's clearance. Joints before it count as still, which adds zeros and moves no bit.
+@wp.func_native("""
+    const float* l = (const float*)((const char*)lever.data + (size_t)row * lever.strides[0]);
+    float m = 0.0f;
+#if defined(__CUDA_ARCH__)
+#pragma unroll
+#endif
+    for (int j = 0; j < 6; ++j) {
+        float turn = j < first_joint ? 0.0f : fabsf(d.c[j]);
+        float t = turn * l[j];
+        m = m + t;
+    }
+    return m;
+""")
+def motion(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> float:
     """How far a body's points can move when the joints from `first_joint` on turn by d (rad): sum of |d_j| lever_j."""
-    m = float(0.0)
-    for j in range(first_joint, 6):
-        m += wp.abs(d[j]) * lever[row, j]
-    return m
+    ...
 
 
-@wp.func(inline=False)
+@wp.func_native("""
+    const float* l = (const float*)((const char*)lever.data + (size_t)row * lever.strides[0]);
+    float second = 0.0f, third = 0.0f, inner = 0.0f;
+#if defined(__CUDA_ARCH__)
+#pragma unroll
+#endif
+    for (int j = 0; j < 6; ++j) {
+        float outer = inner + (j < first_joint ? 0.0f : fabsf(d.c[j]));
+        float outer2 = outer * outer, inner2 = inner * inner;
+        float outer3 = outer2 * outer, inner3 = inner2 * inner;
+        float of_pairs = outer2 - inner2, of_triples = outer3 - inner3;
+        float s = of_pairs * l[j], t = of_triples * l[j];
+        second = second + s;
+        third = third + t;
+        inner = outer;
+    }
+    return wp::vec2(second, third);
+""")
+def _bends(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> wp.vec2: ...
+
+
+@wp.func
 def bends(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
     """Bounds on the second and on the third derivative of a body's points along q + s d, joints from `first_joint` on.
 
@@ -199,15 +231,8 @@ def bends(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
     same holds for three joints. With S_j = |d_0| + .. + |d_j| the pairs whose outer joint is j weigh S_j^2 - S_(j-1)^2, the
     triples S_j^3 - S_(j-1)^3.
     """
-    second = float(0.0)
-    third = float(0.0)
-    inner = float(0.0)
-    for j in range(first_joint, 6):
-        outer = inner + wp.abs(d[j])
-        second += (outer * outer - inner * inner) * lever[row, j]
-        third += (outer * outer * outer - inner * inner * inner) * lever[row, j]
-        inner = outer
-    return second, third
+    found = _bends(lever, row, first_joint, d)
+    return found[0], found[1]
 
 
 @wp.func(inline=False)
