@@ -18,20 +18,26 @@ import numpy as np
 
 from r2h_batch.judge import search, waves
 from r2h_batch.judge.wave import safe
-from r2h_batch.kernels.wave import queues, safe_queues
+from r2h_batch.kernels.wave import queues, safe_queues, trees
 from r2h_batch.launch import launch_trials
 
 WARP, COPIES, REPEATS = 32, 32, 3
+REPEATS_ALONE = 12
+"""Of what runs alone, and so costs less than the call: the least of more."""
 PAIRS_A_LANE = 8
 """Pairs that a lane takes one after the other, in the model: a full GPU's lanes have as many with some hundred thousand pairs."""
 WARPS = 64
 """Warps of one launch that are looked at, spread over all of it."""
-ONCE = ("enter_edges", "next_edges", "take_arcs", "draw_arcs")
-"""Kernels that change what they read: all entries run in their order, REPEATS times from the same state."""
+ONCE = ("enter_edges", "take_arcs")
+"""Kernels that change what they read: all entries run in their order, from the same state each time."""
+BY_ASKER = {"draw_targets": 1, "nearest_nodes": int(trees.SLICES), "next_edges": 1, "draw_arcs": 1}
+"""Kernels with so many entries for each lane that asks for an edge."""
 CHANGE = 0.5
 """What the change to another pair takes at least, in iterations of GJK: a fit of so little says nothing."""
 BY_STRETCH = {"stretch_frames": 1, "halve": 1, "clear_links": 9, "safe_frames": 1, "safe_halves": 1, "safe_links": 8}
 """Kernels with so many entries a stretch."""
+PART_BY_PART = ("clear_links",)
+"""Of those the kernels whose queue has all stretches' first entries, then their second ones; else they are stretch by stretch."""
 STAGES = (
     (waves.Waves, "check", "check_postures"),
     (waves.Waves, "straight", "straight_lines"),
@@ -59,12 +65,19 @@ CHANGED = (
     ("frames", "open"),
     ("edges", "found"),
     ("edges", "left"),
+    *(("growers", x) for x in ("near", "origin", "nearest", "reached", "target")),
+    *(("arcs", x) for x in ("kind", "lo", "hi", "n", "time", "point")),
     ("counts", "n"),
     ("nearest", "distance"),
     ("nearest", "place"),
 )
 """What an entry changes outside of its own rows."""
-BY_BODY = {"near_pieces": queues.HAND, "near_table": queues.TABLE, "near_bodies": queues.SELF}
+BY_BODY = {
+    "near_hand": queues.HAND,
+    "near_pieces": queues.PIECES,
+    "near_table": queues.TABLE,
+    "near_bodies": queues.SELF,
+}
 
 
 class Waved:
@@ -174,7 +187,7 @@ def _once(kernel: Any, n: int, inputs: Mapping[str, Any], outputs: Mapping[str, 
     written = [*outputs.values(), *(x for tensors in structs for x in tensors)]
     before = [x.clone() for x in written]
     cost = np.full(n, np.inf)
-    for _ in range(REPEATS):
+    for _ in range(REPEATS_ALONE):
         for x, saved in zip(written, before, strict=True):
             x.copy_(saved)
         for i in range(n):
@@ -189,9 +202,11 @@ class _Rows:
     """Entries of a launch, and the tensors that have a row for each."""
 
     def __init__(
-        self, entries: int, tables: list[dict[str, Any]], counter: int, start: int = 0, per_row: int = 1
-    ) -> None:
+        self, entries: int, tables: list[dict[str, Any]], counter: int, start: int = 0, per_row: int = 1,
+        part_by_part: bool = False,
+    ) -> None:  # fmt: skip
         self.entries, self.tables, self.counter, self.start, self.per_row = entries, tables, counter, start, per_row
+        self.part_by_part = part_by_part
 
 
 def _tensors(struct: Any) -> dict[str, Any]:
@@ -200,17 +215,21 @@ def _tensors(struct: Any) -> dict[str, Any]:
 
 
 def _rows(name: str, inputs: Mapping[str, Any]) -> _Rows | None:
-    if name not in (*BY_STRETCH, *BY_BODY, *BY_QUEUE):
+    if name not in (*BY_STRETCH, *BY_BODY, *BY_QUEUE, *BY_ASKER):
         return None
     counts = _tensors(inputs["counts"])["n"]
+    if name in BY_ASKER:
+        asking = _tensors(inputs["arcs" if "arcs" in inputs else "growers"])["asking"]
+        per_row = BY_ASKER[name]
+        return _Rows(int(counts[queues.ASKED]) * per_row, [{"asking": asking}], queues.ASKED, 0, per_row)
     if name in BY_STRETCH:
         which, per_row = queues.NOW + inputs["parity"], BY_STRETCH[name]
         tables = [_tensors(inputs["queue"]), _tensors(inputs["frames"])]
-        return _Rows(int(counts[which]) * per_row, tables, which, 0, per_row)
+        return _Rows(int(counts[which]) * per_row, tables, which, 0, per_row, name in PART_BY_PART)
     if name in BY_BODY:
         which = queues.BODIES + BY_BODY[name]
         table = _tensors(inputs["queue_bodies"])
-        return _Rows(int(counts[which]), [table], which, BY_BODY[name] * (len(table["stretch"]) // 3))
+        return _Rows(int(counts[which]), [table], which, BY_BODY[name] * (len(table["stretch"]) // int(queues.KINDS)))
     queue, which = BY_QUEUE[name]
     return _Rows(int(counts[which]), [_tensors(inputs[queue])], which)
 
@@ -226,27 +245,30 @@ class _Copied:
         self._arrays = [x.numpy() for table in rows.tables for x in table.values()]
         lo = rows.start
         self._saved = [x[lo : lo + COPIES].copy() for x in self._arrays]
-        lanes = {"lanes": rows.per_row} if "lanes" in inputs else {}
-        self._launch: Callable[[int], None] = lambda first: launch_trials(
-            kernel, 1, inputs={**inputs, **lanes}, outputs=outputs, device="cpu", threads=1, first=first
+        # part by part one launch has COPIES threads that take one entry each, stretch by stretch one that takes a part of each
+        n = COPIES if rows.part_by_part else 1
+        lanes = {"lanes": n * rows.per_row} if "lanes" in inputs else {}
+        self._launch: Callable[[int], None] = lambda part: launch_trials(
+            kernel, n, inputs={**inputs, **lanes}, outputs=outputs, device="cpu", threads=1, first=n * part
         )
         self._empty = min(self._time(0, 0) for _ in range(20))
 
-    def _time(self, first: int, copies: int) -> float:
+    def _time(self, part: int, copies: int) -> float:
         self._counts.copy_(self._counts_before)
         self._counts[queues.TAKEN] = 0
         self._counts[self._rows.counter] = copies
         start = time.thread_time_ns()
-        self._launch(first)
+        self._launch(part)
         return (time.thread_time_ns() - start) / 1e3
 
     def cost(self, i: int) -> float:
         """us of entry i."""
-        row = self._rows.start + i // self._rows.per_row
-        at = i // self._rows.per_row
+        rows, each = self._rows.entries // self._rows.per_row, self._rows.per_row
+        part, at = (i // rows, i % rows) if self._rows.part_by_part else (i % each, i // each)
+        row = self._rows.start + at
         for x, saved in zip(self._arrays, self._saved, strict=True):
             x[self._rows.start : self._rows.start + COPIES] = saved[at] if at < COPIES else x[row]
-        return max(min(self._time(i % self._rows.per_row, COPIES) for _ in range(REPEATS)) - self._empty, 0.0) / COPIES
+        return max(min(self._time(part, COPIES) for _ in range(REPEATS)) - self._empty, 0.0) / COPIES
 
     def restore(self) -> None:
         for x, saved in zip(self._arrays, self._saved, strict=True):

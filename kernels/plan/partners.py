@@ -160,6 +160,27 @@ def links_in_reach(
     return found
 
 
+@wp.func
+def hand_near(query: Query, target: float, mover: Mover, center: wp.vec3, radius: float, moving: bool):
+    """Whether a body may come nearer than `target` to the ball around the whole hand; whether the stretch has to be halved."""
+    toward = from_point(center, mover.c0, mover.c1)
+    far = wp.length(toward)
+    near = far - radius - mover.radius < target + mover.travel
+    halved = bool(False)
+    if near and moving and far - radius - mover.radius > target + query.tolerance:
+        n_hat = toward / far
+        low = far - radius - mover.radius - least_rest(mover.second, mover.third)
+        if low + HAND_SLACK_M >= target:
+            low = _swept_capsule_of(query, mover, n_hat)
+            low = low - wp.dot(n_hat, center) - radius
+        if low >= target:
+            near = False
+        elif low + HAND_SLACK_M < target:
+            near = False
+            halved = True
+    return near, halved
+
+
 # The ball around the whole hand, then each piece, by three bounds of what is left between the two along the stretch:
 #
 # 1. as the levers allow: apart - travel >= target settles the pair;
@@ -177,22 +198,10 @@ def pieces_near(
     """Lists the hand's pieces that may come nearer than `target`."""
     out = Near()
     out.open = is_open
-    toward = from_point(center, mover.c0, mover.c1)
-    far = wp.length(toward)
-    # the ball around the whole hand
-    near = far - radius - mover.radius < target + mover.travel
+    near, halved = hand_near(query, target, mover, center, radius, moving)
+    if halved:
+        out.open = 1
     rest = least_rest(mover.second, mover.third)
-    if near and moving and far - radius - mover.radius > target + query.tolerance:
-        n_hat = toward / far
-        low = far - radius - mover.radius - rest
-        if low + HAND_SLACK_M >= target:
-            low = _swept_capsule_of(query, mover, n_hat)
-            low = low - wp.dot(n_hat, center) - radius
-        if low >= target:
-            near = False
-        elif low + HAND_SLACK_M < target:
-            near = False
-            out.open = 1
     if near:
         # piece by piece: its ball against the mover's capsule, then against its very shape (primitives)
         first = hand * world.n_pieces

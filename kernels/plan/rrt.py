@@ -46,15 +46,22 @@ def add_node(
 
 
 @wp.func
+def squared_distance(nodes: wp.array2d(dtype=float), row: int, q: vec6):
+    """Of a node from q (joint space, Euclidean)."""
+    d = float(0.0)
+    for j in range(6):
+        e = nodes[row, j] - q[j]
+        d += e * e
+    return d
+
+
+@wp.func
 def nearest_node(nodes: wp.array2d(dtype=float), base: int, n: int, q: vec6):
     """The node nearest to q (joint space, Euclidean) of the first n from `base` on; of equal ones the first."""
     best = float(1.0e30)
     at = int(0)
     for i in range(n):
-        d = float(0.0)
-        for j in range(6):
-            e = nodes[base + i, j] - q[j]
-            d += e * e
+        d = squared_distance(nodes, base + i, q)
         if d < best:
             best = d
             at = i

@@ -7,7 +7,7 @@ from r2h_batch.kernels.plan.codes import CERTIFY, WAYPOINTS
 from r2h_batch.kernels.plan.shortcut import FIRST_SHARE, LEAST_SAVED_S, segment_time
 from r2h_batch.kernels.robot.posture import load, load_waypoint
 from r2h_batch.kernels.robot.world import World, vec6
-from r2h_batch.kernels.wave.queues import NOTHING, Counts, Edges, Stretches
+from r2h_batch.kernels.wave.queues import ASKED, NOTHING, Counts, Edges, Stretches
 from r2h_batch.kernels.wave.stretches import add_edge
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
@@ -57,6 +57,7 @@ class Arcs:
     n: wp.array(dtype=int)  # points in between
     point: wp.array2d(dtype=float)  # (P * LANES * 2, 6)
     time: wp.array(dtype=float)  # from lo to hi, s
+    asking: wp.array(dtype=int)  # queue of lanes whose edges have to be made
 
 
 @wp.func
@@ -137,6 +138,7 @@ def _draw(
 @wp.kernel
 def draw_arcs(
     first: int,
+    lanes: int,
     parity: int,
     speed: float,
     acceleration: float,
@@ -152,38 +154,36 @@ def draw_arcs(
     length_in: wp.array(dtype=int),  # (B,)
 ):
     """The lines of what each lane proposes, queued; changes are drawn first, and have to save time."""
-    lane = first + wp.tid()
-    if edges.left[2 * lane] >= 0:
-        return
-    edges.left[2 * lane] = 0
-    problem = lane / LANES
-    trial = paths.trial[problem]
-    if arcs.kind[lane] == CHANGE:
-        n = length_in[trial]
-        turn = arcs.number[lane] / (n - 2)
-        share = float(FIRST_SHARE)
-        for _less in range(turn / 3):
-            share = LESS * share
-        rng = wp.rand_init(
-            wp.int32(wp.rand_init(seed + 1, key_in[trial])), paths.rounds[problem] * LANES + lane % LANES
-        )
-        arcs.kind[lane] = IDLE
-        for _draw_again in range(DRAWS):
-            if arcs.kind[lane] == IDLE:
-                saved, rng = _draw(arcs, lane, turn % 3, share, path_in, trial, n, rng, speed, acceleration)
-                if saved > LEAST_SAVED_S:
-                    arcs.kind[lane] = CHANGED
-    if arcs.kind[lane] == IDLE:
-        return
-    edges.found[lane] = (wp.int64(NOTHING) << wp.int64(32)) | wp.int64(NOTHING)
-    a = load_waypoint(path_in, trial, arcs.lo[lane])
-    b = load_waypoint(path_in, trial, arcs.hi[lane])
-    if arcs.kind[lane] == CHANGED:
-        x0 = load(arcs.point, 2 * lane)
-        if arcs.n[lane] == 1:
-            _write_edge(world, edges, queue, counts, parity, 2 * lane + 1, x0, b)
-            b = x0
-        else:
-            a = x0
-            b = load(arcs.point, 2 * lane + 1)
-    _write_edge(world, edges, queue, counts, parity, 2 * lane, a, b)
+    for i in range(first + wp.tid(), counts.n[ASKED], lanes):
+        lane = arcs.asking[i]
+        problem = lane / LANES
+        trial = paths.trial[problem]
+        if arcs.kind[lane] != LINE:
+            n = length_in[trial]
+            turn = arcs.number[lane] / (n - 2)
+            share = float(FIRST_SHARE)
+            for _less in range(turn / 3):
+                share = LESS * share
+            rng = wp.rand_init(
+                wp.int32(wp.rand_init(seed + 1, key_in[trial])), paths.rounds[problem] * LANES + lane % LANES
+            )
+            arcs.kind[lane] = IDLE
+            for _draw_again in range(DRAWS):
+                if arcs.kind[lane] == IDLE:
+                    saved, rng = _draw(arcs, lane, turn % 3, share, path_in, trial, n, rng, speed, acceleration)
+                    if saved > LEAST_SAVED_S:
+                        arcs.kind[lane] = CHANGED
+        if arcs.kind[lane] == IDLE:
+            continue
+        edges.found[lane] = (wp.int64(NOTHING) << wp.int64(32)) | wp.int64(NOTHING)
+        a = load_waypoint(path_in, trial, arcs.lo[lane])
+        b = load_waypoint(path_in, trial, arcs.hi[lane])
+        if arcs.kind[lane] == CHANGED:
+            x0 = load(arcs.point, 2 * lane)
+            if arcs.n[lane] == 1:
+                _write_edge(world, edges, queue, counts, parity, 2 * lane + 1, x0, b)
+                b = x0
+            else:
+                a = x0
+                b = load(arcs.point, 2 * lane + 1)
+        _write_edge(world, edges, queue, counts, parity, 2 * lane, a, b)

@@ -13,6 +13,7 @@ from r2h_batch.kernels.plan.partners import (
     Mover,
     Query,
     bodies_near,
+    hand_near,
     link_clears_hand,
     link_clears_table,
     links_in_reach,
@@ -35,8 +36,10 @@ from r2h_batch.kernels.robot.world import (
 from r2h_batch.kernels.wave.queues import (
     BODIES,
     HAND,
+    KINDS,
     NOW,
     PAIRS,
+    PIECES,
     SELF,
     TABLE,
     Bodies,
@@ -110,7 +113,7 @@ def query_of(edges: Edges, frames: Frames, s: int, edge: int, track: int, tolera
 @wp.func
 def put_body(queue: Bodies, counts: Counts, kind: int, s: int, b: int, links: int):
     """Queues a body for one kind of pair."""
-    capacity = queue.stretch.shape[0] / 3
+    capacity = queue.stretch.shape[0] / KINDS
     row = take(counts, BODIES + kind, capacity)
     if row >= 0:
         queue.stretch[kind * capacity + row] = s
@@ -144,10 +147,10 @@ def clear_links(
     """Each link as a whole against the ball about the hand, the table's top and other links; queues bodies of what is left."""
     if first + wp.tid() == 0:
         counts.n[NOW + 1 - parity] = 0
-    n = 9 * wp.min(counts.n[NOW + parity], queue.edge.shape[0])
-    for i in range(first + wp.tid(), n, lanes):
-        s = i / 9
-        link = i % 9
+    n = wp.min(counts.n[NOW + parity], queue.edge.shape[0])
+    for i in range(first + wp.tid(), 9 * n, lanes):  # link by link: lanes that lie side by side do the same
+        s = i % n
+        link = i / n
         edge = queue.edge[s]
         key = edges.found[edges.owner[edge]]
         if is_done(track, key):
@@ -226,6 +229,40 @@ def stays_open(frames: Frames, s: int, kind: int, bit: wp.int64):
 
 
 @wp.kernel
+def near_hand(
+    first: int,
+    lanes: int,
+    track: int,
+    tolerance: float,
+    world: World,
+    bodies: TrialBodies,
+    edges: Edges,
+    queue: Stretches,
+    frames: Frames,
+    queue_bodies: Bodies,
+    counts: Counts,
+):
+    """Whether each queued body may come near to the ball around the whole hand; queues it for the pieces, if so."""
+    capacity = queue_bodies.stretch.shape[0] / KINDS
+    for i in range(first + wp.tid(), wp.min(counts.n[BODIES + HAND], capacity), lanes):
+        s = queue_bodies.stretch[i]
+        b = queue_bodies.body[i]
+        edge = queue.edge[s]
+        trial = edges.trial[edge]
+        key = edges.found[edges.owner[edge]]
+        mover = mover_of(world, bodies, frames, s, trial, b)
+        query = query_of(edges, frames, s, edge, track, tolerance)
+        moving = wp.dot(query.d, query.d) > 0.0
+        target = target_of(track, tolerance, key, query.hand_margin)
+        hand = bodies.hand[trial]
+        near, halved = hand_near(query, target, mover, world.hand_center[hand], world.hand_radius[hand], moving)
+        if halved:
+            stays_open(frames, s, HAND, bit_of(world, b))
+        if near:
+            put_body(queue_bodies, counts, PIECES, s, b, 0)
+
+
+@wp.kernel
 def near_pieces(
     first: int,
     lanes: int,
@@ -240,11 +277,12 @@ def near_pieces(
     pairs: Pairs,
     counts: Counts,
 ):
-    """Pieces of the hand that each queued body may come near to."""
+    """Pieces of the hand that each body near to the hand may come near to."""
     partner = wp.zeros(shape=MAX_PARTNERS, dtype=int)
-    for i in range(first + wp.tid(), wp.min(counts.n[BODIES + HAND], queue_bodies.stretch.shape[0] / 3), lanes):
-        s = queue_bodies.stretch[i]
-        b = queue_bodies.body[i]
+    capacity = queue_bodies.stretch.shape[0] / KINDS
+    for i in range(first + wp.tid(), wp.min(counts.n[BODIES + PIECES], capacity), lanes):
+        s = queue_bodies.stretch[PIECES * capacity + i]
+        b = queue_bodies.body[PIECES * capacity + i]
         edge = queue.edge[s]
         trial = edges.trial[edge]
         key = edges.found[edges.owner[edge]]
@@ -283,7 +321,7 @@ def near_table(
 ):
     """Whether each queued body may come near to the table."""
     partner = wp.zeros(shape=MAX_PARTNERS, dtype=int)
-    capacity = queue_bodies.stretch.shape[0] / 3
+    capacity = queue_bodies.stretch.shape[0] / KINDS
     for i in range(first + wp.tid(), wp.min(counts.n[BODIES + TABLE], capacity), lanes):
         s = queue_bodies.stretch[TABLE * capacity + i]
         b = queue_bodies.body[TABLE * capacity + i]
@@ -323,7 +361,7 @@ def near_bodies(
 ):
     """The robot's own bodies that each queued body may come near to."""
     partner = wp.zeros(shape=MAX_PARTNERS, dtype=int)
-    capacity = queue_bodies.stretch.shape[0] / 3
+    capacity = queue_bodies.stretch.shape[0] / KINDS
     for i in range(first + wp.tid(), wp.min(counts.n[BODIES + SELF], capacity), lanes):
         s = queue_bodies.stretch[SELF * capacity + i]
         b = queue_bodies.body[SELF * capacity + i]

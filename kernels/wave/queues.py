@@ -20,14 +20,20 @@ HAND = wp.constant(0)
 TABLE = wp.constant(1)
 SELF = wp.constant(2)
 
+PIECES = wp.constant(3)  # of the hand, one by one: bodies that are near to the ball around the whole of it
+
+KINDS = wp.constant(4)
+"""Queues of bodies."""
+
 # Entries of `Counts.n`.
 NOW = wp.constant(0)  # stretches of this wave; the other parity is the next one's
-BODIES = wp.constant(2)  # + HAND, TABLE or SELF: bodies to be looked at
-PAIRS = wp.constant(5)
+BODIES = wp.constant(2)  # + HAND, TABLE, SELF or PIECES: bodies to be looked at
 TAKEN = wp.constant(6)  # pairs that a lane has taken
 FULL = wp.constant(7)  # 1: some queue was too short, and nothing counts
 EDGES = wp.constant(8)  # edges of paths
-COUNTS = wp.constant(9)
+PAIRS = wp.constant(9)
+ASKED = wp.constant(10)  # lanes that ask for an edge
+COUNTS = wp.constant(11)
 
 POSTURE_LEVEL = wp.constant(-1)
 """Level of a stretch that is one posture: number `index` + 1 of `part` steps of its edge."""
@@ -81,7 +87,7 @@ class Frames:
 
 @wp.struct
 class Bodies:
-    """Bodies to be looked at (3 M,), a third for each kind of pair."""
+    """Bodies to be looked at (KINDS M,), a part for each kind of pair, and one for those near to the hand."""
 
     stretch: wp.array(dtype=int)
     body: wp.array(dtype=int)

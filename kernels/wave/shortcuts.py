@@ -16,7 +16,7 @@ from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.kernels.plan.shortcut import LEAST_SAVED_S, segment_time, time_of
 from r2h_batch.kernels.robot.posture import load, load_waypoint, store_waypoint
 from r2h_batch.kernels.wave.arcs import CHANGE, IDLE, LANES, LINE, OVER, RUNNING, Arcs, Paths
-from r2h_batch.kernels.wave.queues import NOTHING, Edges
+from r2h_batch.kernels.wave.queues import ASKED, NOTHING, Counts, Edges, take
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -217,6 +217,7 @@ def take_arcs(
     edges: Edges,
     paths: Paths,
     arcs: Arcs,
+    counts: Counts,
     path_inout: wp.array3d(dtype=float),  # (B, W, 6)
     length_inout: wp.array(dtype=int),  # (B,)
 ):
@@ -249,5 +250,8 @@ def take_arcs(
         lane = problem * LANES + k
         arcs.kind[lane] = wp.where(changes == 1, CHANGE, IDLE)
         arcs.number[lane] = k - lines
-    for k in range(LANES):  # to be queued by `draw_arcs`
-        edges.left[2 * (problem * LANES + k)] = -1
+    for k in range(LANES):
+        if arcs.kind[problem * LANES + k] != IDLE:
+            row = take(counts, ASKED, arcs.asking.shape[0])
+            if row >= 0:
+                arcs.asking[row] = problem * LANES + k

@@ -9,12 +9,14 @@ from r2h_batch.kernels.plan.edge import MOVEIT_SEGMENT_RAD, PART_RAD
 from r2h_batch.kernels.robot.posture import load
 from r2h_batch.kernels.robot.world import TrialBodies, World, forward_kinematics, twists, vec6
 from r2h_batch.kernels.wave.queues import (
+    ASKED,
     BODIES,
     EDGES,
     HAND,
     NOTHING,
     NOW,
     PAIRS,
+    PIECES,
     POSTURE_LEVEL,
     SELF,
     TABLE,
@@ -146,8 +148,10 @@ def stretch_frames(
         counts.n[BODIES + HAND] = 0
         counts.n[BODIES + TABLE] = 0
         counts.n[BODIES + SELF] = 0
+        counts.n[BODIES + PIECES] = 0
         counts.n[PAIRS] = 0
         counts.n[TAKEN] = 0
+        counts.n[ASKED] = 0
     for s in range(first + wp.tid(), wp.min(counts.n[NOW + parity], queue.edge.shape[0]), lanes):
         for k in range(3):
             frames.open[s, k] = wp.int64(0)

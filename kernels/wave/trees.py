@@ -22,18 +22,20 @@ from r2h_batch.kernels.plan.rrt import (
     REACH,
     add_node,
     depth_of,
-    nearest_node,
+    squared_distance,
     write_branch,
 )
 from r2h_batch.kernels.robot.posture import load
 from r2h_batch.kernels.robot.world import World
-from r2h_batch.kernels.wave.queues import NOTHING, Counts, Edges, Stretches
+from r2h_batch.kernels.wave.queues import ASKED, NOTHING, Counts, Edges, Stretches, key_of, order_in, take
 from r2h_batch.kernels.wave.stretches import add_edge
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 IDLE = wp.constant(-1)
 """Phase of a lane without an edge."""
+SLICES = wp.constant(8)
+"""Threads that look for one nearest node."""
 
 # State of a problem.
 SEARCHING = wp.constant(0)
@@ -58,7 +60,8 @@ class Growers:
 
     phase: wp.array(dtype=int)
     grow: wp.array(dtype=int)  # the tree that grows
-    ask: wp.array(dtype=int)  # 1: its next edge has to be made
+    asking: wp.array(dtype=int)  # queue of lanes whose next edge has to be made
+    nearest: wp.array(dtype=wp.int64)  # key (distance, node) of the nearest node so far
     number: wp.array(dtype=int)  # of its random posture
     near: wp.array(dtype=int)  # the node that the edge begins at
     origin: wp.array(dtype=int)  # the node where the line to the target begins
@@ -98,7 +101,6 @@ def plant_trees(
     for k in range(lanes_each):
         e = problem * lanes_each + k
         growers.phase[e] = IDLE
-        growers.ask[e] = 0
         edges.trial[e] = trial
         edges.owner[e] = e
         edges.hand_margin[e] = margin_in[trial]
@@ -145,6 +147,7 @@ def enter_edges(
     edges: Edges,
     trees: Trees,
     growers: Growers,
+    counts: Counts,
     path_out: wp.array3d(dtype=float),  # (B, W, 6)
     length_out: wp.array(dtype=int),  # (B,)
 ):
@@ -196,19 +199,80 @@ def enter_edges(
             growers.grow[e] = wp.where(trees.size[problem, 0] <= trees.size[problem, 1], 0, 1)
         growers.phase[e] = next_phase
         if next_phase != IDLE:
-            growers.ask[e] = 1
             busy += 1
+            row = take(counts, ASKED, growers.asking.shape[0])
+            if row >= 0:
+                growers.asking[row] = e
     if busy == 0:
         trees.state[problem] = OVER
 
 
 @wp.kernel
+def draw_targets(
+    first: int,
+    lanes: int,
+    seed: int,
+    lanes_each: int,
+    world: World,
+    counts: Counts,
+    trees: Trees,
+    growers: Growers,
+    home_in: wp.array2d(dtype=float),  # (1, 6)
+    key_in: wp.array(dtype=int),  # (B,)
+):
+    """The random posture of each lane that asks for one, of a problem that is not over."""
+    for i in range(first + wp.tid(), counts.n[ASKED], lanes):
+        e = growers.asking[i]
+        problem = e / lanes_each
+        growers.nearest[e] = (wp.int64(NOTHING) << wp.int64(32)) | wp.int64(NOTHING)
+        if growers.phase[e] == EXTEND and trees.state[problem] != OVER:
+            number = growers.number[e]
+            rng = wp.rand_init(wp.int32(wp.rand_init(seed, key_in[trees.trial[problem]])), number)
+            # mostly within half a turn of home, where paths are short; every fourth time anywhere within the limits
+            around = wp.where(number % 4 == 0, FULL_TURN, HALF_TURN)
+            for j in range(6):
+                lo = wp.max(world.lower[j], home_in[0, j] - around)
+                hi = wp.min(world.upper[j], home_in[0, j] + around)
+                growers.target[e, j] = lo + (hi - lo) * wp.randf(rng)
+
+
+@wp.kernel
+def nearest_nodes(
+    first: int,
+    lanes: int,
+    capacity: int,
+    lanes_each: int,
+    counts: Counts,
+    trees: Trees,
+    growers: Growers,
+):
+    """The node of the growing tree that is nearest to each target (of equal ones the first), SLICES threads a lane."""
+    for i in range(first + wp.tid(), SLICES * counts.n[ASKED], lanes):
+        e = growers.asking[i / SLICES]
+        problem = e / lanes_each
+        if growers.phase[e] != CONNECT_ON and trees.state[problem] != OVER:
+            grow = growers.grow[e]
+            base = (2 * problem + grow) * capacity
+            target = load(growers.target, e)
+            n = trees.size[problem, grow]
+            least = float(1.0e30)
+            at = int(-1)
+            for node in range(i % SLICES, n, SLICES):
+                d = squared_distance(trees.nodes, base + node, target)
+                if d < least:
+                    least = d
+                    at = node
+            if at >= 0:
+                wp.atomic_min(growers.nearest, e, key_of(least, at))
+
+
+@wp.kernel
 def next_edges(
     first: int,
+    lanes: int,
     parity: int,
     capacity: int,
     range_rad: float,
-    seed: int,
     lanes_each: int,
     world: World,
     edges: Edges,
@@ -216,47 +280,33 @@ def next_edges(
     counts: Counts,
     trees: Trees,
     growers: Growers,
-    home_in: wp.array2d(dtype=float),  # (1, 6)
-    key_in: wp.array(dtype=int),  # (B,)
 ):
     """The edge that each lane asks for: one step from the nearest node towards its target; queued."""
-    e = first + wp.tid()
-    problem = e / lanes_each
-    if growers.ask[e] == 0 or trees.state[problem] == OVER:
-        return
-    growers.ask[e] = 0
-    phase = growers.phase[e]
-    number = growers.number[e]
-    target = load(growers.target, e)
-    if phase == EXTEND:
-        rng = wp.rand_init(wp.int32(wp.rand_init(seed, key_in[trees.trial[problem]])), number)
-        # mostly within half a turn of home, where paths are short; every fourth time anywhere within the limits
-        around = wp.where(number % 4 == 0, FULL_TURN, HALF_TURN)
+    for i in range(first + wp.tid(), counts.n[ASKED], lanes):
+        e = growers.asking[i]
+        problem = e / lanes_each
+        if trees.state[problem] == OVER:
+            continue
+        base = (2 * problem + growers.grow[e]) * capacity
+        if growers.phase[e] != CONNECT_ON:
+            nearest = order_in(growers.nearest[e])
+            growers.near[e] = nearest
+            growers.origin[e] = nearest
+        target = load(growers.target, e)
+        near = growers.near[e]
+        q_near = load(trees.nodes, base + near)
+        q_new = target
+        dist = wp.length(target - q_near)
+        reach = trees.nodes[base + near, REACH]
+        if growers.number[e] % FULL_REACH == 1:
+            reach = range_rad
+        growers.reached[e] = wp.where(dist <= reach, 1, 0)
+        if dist > reach:
+            q_origin = load(trees.nodes, base + growers.origin[e])  # all nodes of a line lie on it
+            whole = wp.length(target - q_origin)
+            q_new = q_origin + ((whole - dist + reach) / whole) * (target - q_origin)
         for j in range(6):
-            lo = wp.max(world.lower[j], home_in[0, j] - around)
-            hi = wp.min(world.upper[j], home_in[0, j] + around)
-            target[j] = lo + (hi - lo) * wp.randf(rng)
-            growers.target[e, j] = target[j]
-    grow = growers.grow[e]
-    base = (2 * problem + grow) * capacity
-    if phase != CONNECT_ON:
-        near = nearest_node(trees.nodes, base, trees.size[problem, grow], target)
-        growers.near[e] = near
-        growers.origin[e] = near
-    near = growers.near[e]
-    q_near = load(trees.nodes, base + near)
-    q_new = target
-    dist = wp.length(target - q_near)
-    reach = trees.nodes[base + near, REACH]
-    if number % FULL_REACH == 1:
-        reach = range_rad
-    growers.reached[e] = wp.where(dist <= reach, 1, 0)
-    if dist > reach:
-        q_origin = load(trees.nodes, base + growers.origin[e])  # all nodes of a line lie on it
-        whole = wp.length(target - q_origin)
-        q_new = q_origin + ((whole - dist + reach) / whole) * (target - q_origin)
-    for j in range(6):
-        edges.a[e, j] = q_near[j]
-        edges.b[e, j] = q_new[j]
-    edges.found[e] = (wp.int64(NOTHING) << wp.int64(32)) | wp.int64(NOTHING)
-    add_edge(world, edges, queue, counts, parity, e, CERTIFY, 0)
+            edges.a[e, j] = q_near[j]
+            edges.b[e, j] = q_new[j]
+        edges.found[e] = (wp.int64(NOTHING) << wp.int64(32)) | wp.int64(NOTHING)
+        add_edge(world, edges, queue, counts, parity, e, CERTIFY, 0)

@@ -10,7 +10,15 @@ from torch import Tensor
 from r2h_batch.config import PlanConfig
 from r2h_batch.judge.waves import PER_ROW, Waves
 from r2h_batch.kernels.wave.queues import Edges
-from r2h_batch.kernels.wave.trees import Growers, Trees, enter_edges, next_edges, plant_trees
+from r2h_batch.kernels.wave.trees import (
+    Growers,
+    Trees,
+    draw_targets,
+    enter_edges,
+    nearest_nodes,
+    next_edges,
+    plant_trees,
+)
 from r2h_batch.launch.arguments import struct_of
 
 FEWEST, MOST = 16, 128
@@ -73,9 +81,10 @@ class _Search:
             "trial": rows, "nodes": new(nodes, 7, dtype=torch.float32), "parents": new(nodes),
             "size": new(n, 2), "drawn": new(n), "state": self._state,
         }  # fmt: skip
-        names = ("phase", "grow", "ask", "number", "near", "origin", "node", "reached")
+        names = ("phase", "grow", "asking", "number", "near", "origin", "node", "reached")
         growers = {x: new(all_lanes) for x in names}
         growers |= {"reach": new(all_lanes, dtype=torch.float32), "target": new(all_lanes, 6, dtype=torch.float32)}
+        growers |= {"nearest": new(all_lanes, dtype=torch.int64)}
         edges = {x: new(all_lanes) for x in ("trial", "owner", "left")} | {
             "a": new(all_lanes, 6, dtype=torch.float32), "b": new(all_lanes, 6, dtype=torch.float32),
             "hand_margin": new(all_lanes, dtype=torch.float32), "found": new(all_lanes, dtype=torch.int64),
@@ -98,13 +107,17 @@ class _Search:
         waves.ask(0, 0.0)
         waves.launch(plant_trees, n, self._tables | sizes | ends | {"length": length})
         enter = self._tables | sizes | {"iterations": self._iterations, "shorter": shorter}
-        ask = self._tables | sizes | {"seed": seed, "home": p.home, "key": p.key}
+        grown = {"trees": self._tables["trees"], "growers": self._tables["growers"], "lanes_each": self._lanes}
+        draw = grown | {"seed": seed, "home": p.home, "key": p.key}
         for wave in range(WAVES_A_TURN * -(-self._iterations // self._lanes) + WAVES_MORE):
             parity = wave & 1
             waves.launch(enter_edges, n, enter, {"path": path, "length": length})
             if waves.device == "cpu" and bool((self._state != 0).all()):
                 break  # asking a GPU would wait for it; its empty waves take next to nothing
-            waves.launch(next_edges, n * self._lanes, ask | {"parity": parity, "queue": waves.stretches[parity]})
+            waves.launch_queued(draw_targets, draw)
+            waves.launch_queued(nearest_nodes, grown | {"capacity": self._capacity})
+            queue = {"parity": parity, "queue": waves.stretches[parity]}
+            waves.launch_queued(next_edges, self._tables | sizes | queue)
             waves.wave(self._edges, parity, certify=1)
         waves.note_full()
         self._all.full |= waves.full  # asked at the end of planning

@@ -60,7 +60,7 @@ class _Shortcuts:
             "trial": rows, "state": self._state, "rounds": new(n),
             "known": new(n, WAYPOINTS, dtype=torch.int64), "copy": new(n, WAYPOINTS, 6, dtype=torch.float32),
         }  # fmt: skip
-        arcs = {x: new(lanes) for x in ("kind", "number", "lo", "hi", "n")}
+        arcs = {x: new(lanes) for x in ("kind", "number", "lo", "hi", "n", "asking")}
         arcs |= {"point": new(2 * lanes, 6, dtype=torch.float32), "time": new(lanes, dtype=torch.float32)}
         edges = {x: new(2 * lanes) for x in ("trial", "owner", "left")} | {
             "a": new(2 * lanes, 6, dtype=torch.float32), "b": new(2 * lanes, 6, dtype=torch.float32),
@@ -87,7 +87,7 @@ class _Shortcuts:
             waves.launch(take_arcs, n, take, inout)
             if waves.device == "cpu" and bool((self._state != 0).all()):
                 break  # asking a GPU would wait for it; its empty waves take next to nothing
-            waves.launch(draw_arcs, n * LANES, draw | {"parity": parity, "queue": waves.stretches[parity]})
+            waves.launch_queued(draw_arcs, draw | {"parity": parity, "queue": waves.stretches[parity]})
             waves.wave(self._edges, parity, certify=1)
         waves.note_full()
         self._all.full |= waves.full  # asked at the end of planning

@@ -1,6 +1,6 @@
 """Postures, straight lines and clearances in waves: the planner's form for a GPU (docs/gpu.md). It runs on a CPU too.
 
-A wave is one level of the bisection of all edges at once, in eight launches (kernels/wave/). Nobody waits for the device
+A wave is one level of the bisection of all edges at once, in nine launches (kernels/wave/). Nobody waits for the device
 meanwhile: as many waves are launched as a bisection may have levels, and those of empty queues do nothing. What comes out is
 what the kernels of plan/lines.py find, one thread a trial: the same goals and lines, clearances within the tolerance of both.
 """
@@ -21,7 +21,7 @@ from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, PAIR_OF_OBJECT, POST
 from r2h_batch.kernels.plan.lines import CLEARANCE_CAP
 from r2h_batch.kernels.robot.world import FIELDS
 from r2h_batch.kernels.wave import queues
-from r2h_batch.kernels.wave.bodies import clear_links, near_bodies, near_pieces, near_table
+from r2h_batch.kernels.wave.bodies import clear_links, near_bodies, near_hand, near_pieces, near_table
 from r2h_batch.kernels.wave.pairs import pair_distances
 from r2h_batch.kernels.wave.settle import settle_pairs
 from r2h_batch.kernels.wave.stretches import halve, queue_edges, queue_paths, stretch_frames
@@ -85,6 +85,10 @@ class Waves:
         self._tables = self.scene | self._queues(self._room)
         self.full = torch.zeros(1, dtype=torch.int32, device=device)
 
+    @property
+    def _lanes(self) -> int:
+        return LANES if self.device == "cpu" else CUDA_LANES
+
     def _new(self, *shape: int, dtype: torch.dtype = torch.int32) -> Tensor:
         return torch.empty(shape, dtype=dtype, device=self.device)
 
@@ -110,7 +114,7 @@ class Waves:
         pairs |= {"R": new(p, 3, 3, dtype=real), "p": new(p, 3, dtype=real), "v": new(p, 3, dtype=real)}
         return {
             "frames": struct_of(queues.Frames, frames),
-            "queue_bodies": struct_of(queues.Bodies, {x: new(3 * m) for x in ("stretch", "body", "links")}),
+            "queue_bodies": struct_of(queues.Bodies, {x: new(queues.KINDS * m) for x in ("stretch", "body", "links")}),
             "pairs": struct_of(queues.Pairs, pairs),
             "counts": struct_of(queues.Counts, {"n": self._counts}),
         }
@@ -242,17 +246,20 @@ class Waves:
 
     def wave(self, edges: Any, parity: int, *, certify: int) -> None:
         """One level of all stretches that are queued in `stretches[parity]`."""
-        lanes = LANES if self.device == "cpu" else CUDA_LANES
         now, later = self.stretches[parity], self.stretches[1 - parity]
-        every = {"lanes": lanes, "queue": now, "edges": edges}
-        self.launch(stretch_frames, lanes, every | {"parity": parity})
-        self.launch(clear_links, lanes, every | {"parity": parity} | self._asked)
-        for kernel in (near_pieces, near_table, near_bodies):
-            self.launch(kernel, lanes, every | self._asked)
-        self.launch(pair_distances, lanes, {"queue": now, "edges": edges, "track": self._asked["track"]})
-        self.launch(settle_pairs, lanes, every | self._asked)
+        every = {"queue": now, "edges": edges}
+        self.launch_queued(stretch_frames, every | {"parity": parity})
+        self.launch_queued(clear_links, every | {"parity": parity} | self._asked)
+        for kernel in (near_hand, near_pieces, near_table, near_bodies):
+            self.launch_queued(kernel, every | self._asked)
+        self.launch(pair_distances, self._lanes, every | {"track": self._asked["track"]})
+        self.launch_queued(settle_pairs, every | self._asked)
         more = {"parity": parity, "certify": certify, "later": later, "track": self._asked["track"]}
-        self.launch(halve, lanes, every | more)
+        self.launch_queued(halve, every | more)
+
+    def launch_queued(self, kernel: Any, inputs: dict[str, Any]) -> None:
+        """`launch` with as many threads as there may be: each takes every so-manieth entry of the kernel's queue."""
+        self.launch(kernel, self._lanes, inputs | {"lanes": self._lanes})
 
     def launch(self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Any] | None = None) -> None:
         """With those of the tables and queues that the kernel takes; on a CPU one thread, as its additions are not atomic."""
