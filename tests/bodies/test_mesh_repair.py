@@ -1,11 +1,14 @@
 """Repairs do no harm: what is closed stays as it is, to the micrometre, whatever is wrong beside it."""
 
 import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 import trimesh
 from mesh_twins import winding_number
+from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.given import lattice
 from r2h_batch.bodies.given.edges import split_edges
@@ -14,6 +17,9 @@ from r2h_batch.bodies.mesh_bodies import body_volumes
 from r2h_batch.bodies.mesh_limits import ObjectMeshError
 from r2h_batch.bodies.object_mesh import closed_mesh
 from r2h_batch.bodies.solid import Surface, signed_distance
+from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.judge.grasp import gripper_poses, open_is_clear, region_distance
+from r2h_batch.scene.grasp_tables import grasp_tables
 
 
 def closed(mesh):
@@ -178,3 +184,33 @@ def test_a_library_that_always_ends_its_process_is_one_line(monkeypatch):
     monkeypatch.setattr(lattice, "CHILD", CRASH)
     with pytest.raises(ObjectMeshError, match="encloses nothing that can be rebuilt"):
         closed_mesh(sheet(), "object", 1.0)
+
+
+def test_a_gripper_beside_an_opening_is_clear_once_it_is_closed_though_a_ray_through_it_says_buried() -> None:
+    """An open surface has no inside: a ray from a finger beside it that leaves through the opening counts as buried."""
+    box = trimesh.creation.box((0.04, 0.05, 0.12)).subdivide()
+    opened = box.copy()
+    opened.update_faces(box.triangles_center[:, 2] < 0.0599)  # without its lid
+    opened.apply_transform(trimesh.transformations.euler_matrix(0.7, 0.5, 0.0))  # rays begin in the bounding box alone
+    with pytest.warns(UserWarning, match="closed 1 flat openings"):
+        repaired = closed_mesh(opened, "box", 1.0)
+    rng = np.random.default_rng(2)
+    T = np.tile(np.eye(4, dtype=np.float32), (3000, 1, 1))
+    T[:, :3, :3] = Rotation.from_quat(rng.normal(size=(len(T), 4))).as_matrix()
+    T[:, :3, 3] = rng.uniform(-0.08, 0.08, (len(T), 3))
+    poses, none = torch.from_numpy(T), torch.zeros(len(T), dtype=torch.int32)
+    clear, shell = [], []
+    for mesh in (repaired.mesh, repaired.given):
+        faces = np.asarray(mesh.faces, np.int32)
+        model = SimpleNamespace(
+            vertices=np.float32(mesh.vertices), faces=faces, receiver_face=np.ones(len(faces), bool)
+        )
+        tables = grasp_tables([model])
+        clear.append(open_is_clear(tables, poses, none, clearance_m=0.001).numpy())
+        shell.append(region_distance(tables, poses, none, torch.full((len(T),), OPEN_GAP_M))[0].numpy())
+    only_after = clear[0] & ~clear[1]
+    assert only_after.sum() > 10 and (shell[1][only_after] > 0.0009).all()  # fingers that touch neither
+    place = gripper_poses(torch.full((int(only_after.sum()),), OPEN_GAP_M))[1].numpy()
+    middles = np.einsum("nij,ngj->ngi", T[only_after][:, :3, :3], place) + T[only_after][:, None, :3, 3]
+    for mesh in (repaired.mesh, repaired.given):  # and are in neither, by solid angles in float64
+        assert winding_number(mesh, middles.reshape(-1, 3).astype(float)).max() < 0.5
