@@ -159,7 +159,7 @@ def reach(
         outputs={"distance": distance, "nearest": nearest},
         device=scene.device,
         threads=threads,
-        chunk=256,
+        chunk=64,
     )
     return Criterion.of(thresholds.reach_radius_m - distance, active, touching_passes=True)
 

@@ -59,6 +59,6 @@ def presented(scene: Scene, holding: Holding, thresholds: Thresholds, *, threads
         outputs={"presented": found.presented, "angle": found.angle_deg, "distance": found.distance_m},
         device=scene.device,
         threads=threads,
-        chunk=256,
+        chunk=64,
     )
     return found
