@@ -2,13 +2,15 @@
 
 from collections.abc import Iterator
 from dataclasses import fields, replace
+from unittest import mock
 
 import pytest
 import torch
 from pretend_cuda import OnCuda, Seen, pretending
 
-from r2h_batch.config import HOME_Q, EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge import waves
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.judge.waves import waves_on_cpu
 from r2h_batch.methods import oracle, random
@@ -42,7 +44,10 @@ def scored(gpu: tuple[Seen, Evaluator], poses: Predictions, trials: Trials, stag
     there = [x.to("cuda:0") for x in (poses.T_obj_ee, poses.T_world_ee, trials)]
     for list_ in (seen.waits, seen.arrays, seen.launches):
         list_.clear()
-    return evaluator.score(*there, stages)
+    with mock.patch.object(
+        waves, "CUDA_LANES", 256
+    ):  # a CPU runs them one after the other; rows do not depend on how many
+        return evaluator.score(*there, stages)
 
 
 def bits(scores: Scores) -> dict[str, bytes]:
@@ -105,6 +110,18 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
     with waves_on_cpu():
         here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     assert bits(copied) == bits(here)
+
+
+def test_a_receivers_body_is_walked_in_waves_for_one_wait_more(gpu: tuple[Seen, Evaluator], scene: Scene) -> None:
+    trials = make_trials(trials=16, protocol="r2h-v1")
+    poses = random.predict(trials, scene, seed=0)
+    there = scored(gpu, poses, trials, "all", receiver="body")
+    assert len(gpu[0].waits) <= 5, gpu[0].waits
+    assert "path_clearance" not in gpu[0].launches
+    copied = there.to("cpu")
+    with waves_on_cpu():
+        here = Evaluator(replace(KINEMATIC, receiver="body")).score(poses.T_obj_ee, poses.T_world_ee, trials)
+    assert bits(copied) == bits(here) and (here.body_m[here.path_len > 0] <= CLEARANCE_CAP_M).sum() >= 3
 
 
 def test_tables_that_were_made_while_pretending_do_not_outlive_it() -> None:

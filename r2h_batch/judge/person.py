@@ -1,18 +1,25 @@
 """How near the robot comes to the receiver's arm and torso: reported beside Safe, or part of it (`EvalConfig.receiver`)."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.judge.metrics import SAFE_TOLERANCE_M, Criterion, Touch
+from r2h_batch.judge.waves import Waves, in_waves
 from r2h_batch.kernels.judge.overlap import path_overlap
+from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.kernels.plan.lines import path_clearance
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import Placed, Scene
 
 __all__ = ["person_distance", "with_body"]
+
+MOVED = 3
+"""A motion recorded sample by sample has so many times the room of a path in the waves' queues."""
 
 
 def person_distance(
@@ -29,39 +36,40 @@ def person_distance(
     Metres, located to 0.02 mm, exact below 5 cm, a lower bound (5 cm, body -1) above; NaN and -1 without a path. Where they
     meet: minus the way out of the deepest overlap found, as a sampled path's margin of Plan is (kernels/judge/overlap.py).
     """
-    b, device = len(length), path.device
-    distance = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
-    body = torch.full((b,), -1, dtype=torch.int32, device=device)
-    pair = torch.zeros(b, dtype=torch.int32, device=device)
     alone = with_person(scene, placed, receiver, hand=False)
     tables = {"world": alone.tables(scene), "bodies": alone.bodies}
-    path, length = path.contiguous(), length.contiguous()
-    launch_trials(
-        path_clearance,
-        b,
-        inputs={
-            "cap": CLEARANCE_CAP_M,
-            "tolerance": SAFE_TOLERANCE_M,
-            **tables,
-            "path": path,
-            "length": length,
-        },
-        outputs={"clearance": distance, "pair": pair, "body": body},
-        device=scene.device,
-        threads=threads,
-        chunk=8,
-    )
-    meets = torch.nonzero((length > 0) & (distance < 0)).flatten().to(torch.int32)
+    motion = {"path": path.contiguous(), "length": length.contiguous()}
+    on: dict[str, Any] = {"device": scene.device, "threads": threads}
+    found, meets = _nearest(tables, motion, on)
     launch_trials(
         path_overlap,
         len(meets),
-        inputs={"hull_ball": scene.hull_balls, **tables, "row": meets, "path": path, "length": length},
-        outputs={"clearance": distance, "pair": pair, "body": body},
-        device=scene.device,
-        threads=threads,
+        inputs={"hull_ball": scene.hull_balls, **tables, "row": meets, **motion},
+        outputs=found,
         chunk=1,
+        **on,
     )
-    return distance, body
+    return found["clearance"], found["body"]
+
+
+def _nearest(
+    tables: dict[str, Any], motion: dict[str, Tensor], on: dict[str, Any]
+) -> tuple[dict[str, Tensor], Int32[Tensor, " m"]]:
+    """Clearance, pair and body of each path, as far as bodies are apart, and the rows where they meet."""
+    path, length = motion["path"], motion["length"]
+    b, device = len(length), path.device
+    if in_waves(on["device"]):
+        waves = Waves(**tables, device=on["device"], rows=b if path.shape[1] <= WAYPOINTS else MOVED * b)
+        distance, pair, body = waves.clearance(path, length, SAFE_TOLERANCE_M)
+        meets = waves.rows_where((length > 0) & (distance < 0))
+        distance = torch.where(length > 0, distance, torch.nan)
+        return {"clearance": distance, "pair": pair, "body": torch.where(length > 0, body, -1)}, meets
+    distance = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
+    body = torch.full((b,), -1, dtype=torch.int32, device=device)
+    found = {"clearance": distance, "pair": torch.zeros(b, dtype=torch.int32, device=device), "body": body}
+    asked = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
+    launch_trials(path_clearance, b, inputs=asked, outputs=found, chunk=8, **on)
+    return found, torch.nonzero((length > 0) & (distance < 0)).flatten().to(torch.int32)
 
 
 def with_body(

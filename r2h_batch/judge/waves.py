@@ -34,7 +34,7 @@ PER_ROW, LEAST, LEAST_CUDA = 16, 1 << 12, 1 << 16
 """Stretches that the queue has room for: so many a row of the batch, and so many at least. Where that is too little half the
 rows have twice as much each (r2h_batch.launch.memory)."""
 BODIES_PER_STRETCH, PAIRS_PER_STRETCH = 8, 6
-SEGMENTS_PER_ROW, LEAST_SEGMENTS = 4, 1 << 10
+SEGMENTS_PER_ROW, LEAST_SEGMENTS, SEGMENTS_AT_ONCE = 4, 1 << 10, 32
 NOBODY = 0x7FFFFFFF
 NONE = (NOBODY << 32) | NOBODY
 """Key of an edge that nothing blocks (kernels/wave/queues.py)."""
@@ -164,28 +164,31 @@ class Waves:
         return torch.where(free, slot, BRANCHES).amin(1).where(free.any(1), -1).to(torch.int32)
 
     def clearance(
-        self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]
+        self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], tolerance: float = CLEARANCE_TOLERANCE_M
     ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
         """As plan/lines.py `path_clearance`: -inf without a path; the pair, and the robot's body.
 
-        The goals' postures first: they are mostly the tightest, and leave little to be looked at.
+        The goals' postures first: they are mostly the tightest, and leave little to be looked at. Then the segments, of long
+        paths (motions, sample by sample) so many at a time from the end on.
         """
-        b = len(length)
+        b, segments = path.shape[0], path.shape[1] - 1
+        at_once = min(max(segments, 1), SEGMENTS_AT_ONCE)
         rows = self._arange(b)
         found = torch.full((b,), cap_key(CLEARANCE_CAP_M), dtype=torch.int64, device=self.device)
         goal = path[rows.long(), (length - 1).clamp(min=0).long()]
-        room = max(SEGMENTS_PER_ROW * b, LEAST_SEGMENTS)
+        room = max((SEGMENTS_PER_ROW if segments == at_once else at_once) * b, LEAST_SEGMENTS)
         lines = Lines(rows, rows, goal, goal, torch.zeros_like(goal[:, 0]))
         edges = self.edges(lines, found, more=room)
-        self.ask(1, CLEARANCE_TOLERANCE_M)
+        self.ask(1, tolerance)
         self._run(edges, length > 0, POSTURE)
-        self.clear()
-        self.launch(
-            queue_paths,
-            b,
-            {"parity": 0, "row": b, "edges": edges, "queue": self.stretches[0], "path": path, "length": length},
-        )
-        self._all_waves(edges, MAX_LEVEL, certify=0)
+        for first in reversed(range(0, segments, at_once)):
+            some = {"path": path, "length": length}
+            if segments > at_once:
+                part = path[:, first : first + at_once + 1].contiguous()
+                some = {"path": part, "length": (length - first).clamp(min=0, max=part.shape[1])}
+            self.clear()
+            self.launch(queue_paths, b, {"parity": 0, "row": b, "edges": edges, "queue": self.stretches[0], **some})
+            self._all_waves(edges, MAX_LEVEL, certify=0)
         least, pair, body = self._read(found)
         self._refuse_at_once()
         return torch.where(length > 0, least, -torch.inf), pair, body

@@ -3,15 +3,20 @@
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from unittest import mock
 
 import mujoco
 import numpy as np
 import pytest
 import torch
 
+from r2h_batch import evaluate
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.export.mjcf import TrialBodies, trial_spec
+from r2h_batch.judge.metrics import SAFE_TOLERANCE_M
+from r2h_batch.judge.person import person_distance
+from r2h_batch.judge.waves import waves_on_cpu
 from r2h_batch.methods import fc
 from r2h_batch.sweep import command as sweep
 from r2h_batch.trials.protocol import make_trials
@@ -99,6 +104,28 @@ def test_the_smallest_distance_along_a_path_is_that_of_mujoco_sampled_finely(ask
             assert -3e-5 < least - found < 2e-3, i
         else:
             assert least < 1e-3, i
+
+
+def test_waves_find_the_distances_of_one_thread(asked):
+    """A GPU's form, on a CPU: of the answers' own motions as planned, and of each as 150 samples."""
+    scene = evaluator("hand").scene
+    with mock.patch.object(evaluate, "person_distance", wraps=person_distance) as asked_of:
+        evaluator("hand").score(*asked)
+    _, placed, receiver, path, length = asked_of.call_args_list[0].args
+    ends = path[torch.arange(len(length)), (length - 1).clamp(min=0).long()]
+    sampled = path[:, :1] + torch.linspace(0, 1, 151)[None, :, None] * (ends[:, None] - path[:, :1])
+    for motion, n in ((path, length), (sampled, torch.where(length > 0, 151, 0).to(torch.int32))):
+        here, body = person_distance(scene, placed, receiver, motion, n)
+        with waves_on_cpu():
+            there, body_there = person_distance(scene, placed, receiver, motion, n)
+        assert torch.equal(torch.isnan(here), n == 0) and torch.equal(torch.isnan(there), n == 0)
+        found = n > 0
+        assert torch.equal(here[found] < 0, there[found] < 0) and (here[found] < 0).sum() >= 3
+        apart = found & (here > 0)
+        assert (here < CLEARANCE_CAP_M)[apart].sum() >= 3
+        assert (here - there)[apart].abs().max() <= SAFE_TOLERANCE_M + 1e-6
+        same = here == there
+        assert same.sum() >= 0.9 * found.sum() and torch.equal(body[same], body_there[same])
 
 
 def test_reported_only_nothing_else_of_a_row_changes(asked, as_paper):

@@ -251,6 +251,14 @@ def _from_torch(original: Callable[..., Any]) -> Callable[..., Any]:
     return from_torch
 
 
+def _to_torch(original: Callable[..., Any]) -> Callable[..., Any]:
+    def to_torch(array: wp.array, *args: Any, **kwargs: Any) -> torch.Tensor:
+        tensor: torch.Tensor = original(array, *args, **kwargs)
+        return OnCuda(tensor) if getattr(array, "on_cuda", False) else tensor
+
+    return to_torch
+
+
 def _device_from_torch(original: Callable[..., Any]) -> Callable[..., Any]:
     return lambda device: _Device() if _is_cuda(device) else original(device)
 
@@ -307,6 +315,7 @@ def pretending() -> Iterator[Seen]:
             stack.enter_context(mock.patch.object(torch.cuda, name, value))
         stack.enter_context(mock.patch.object(wp.array, "__init__", _array_init(wp.array.__init__)))
         stack.enter_context(mock.patch.object(wp, "from_torch", _from_torch(wp.from_torch)))
+        stack.enter_context(mock.patch.object(wp, "to_torch", _to_torch(wp.to_torch)))
         stack.enter_context(mock.patch.object(wp, "device_from_torch", _device_from_torch(wp.device_from_torch)))
         stack.enter_context(mock.patch.object(wp, "synchronize_device", lambda device: _waits("synchronize")))
         stack.enter_context(mock.patch.object(launch, "bind", _bind(launch.bind)))
