@@ -156,6 +156,16 @@ def test_a_repeated_call_takes_the_memory_rows_and_values_it_is_given():
             assert (outputs["calls"] == 1).all()
 
 
+def test_a_recording_of_the_cpu_is_refused_before_and_after_a_first_call():
+    wp.load_module(scaled.module, device="cpu")
+    for _ in range(2):
+        inputs, outputs = arguments()
+        with wp.ScopedCapture(device="cpu"):
+            refused("Warp records a graph on the CPU, and scaled would be missing", inputs, outputs, RuntimeError)
+        launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
+        torch.testing.assert_close(outputs["length"], expected(inputs))
+
+
 def test_a_struct_whose_numbers_change_and_another_one_are_both_seen():
     inputs, outputs = arguments()
     for factor in (2.0, 3.0):
