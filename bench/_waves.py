@@ -245,6 +245,7 @@ class _Copied:
         self._arrays = [x.numpy() for table in rows.tables for x in table.values()]
         lo = rows.start
         self._saved = [x[lo : lo + COPIES].copy() for x in self._arrays]
+        self._copies = min(len(x) for x in self._saved)  # a queue for fewer has no room for more
         # part by part one launch has COPIES threads that take one entry each, stretch by stretch one that takes a part of each
         n = COPIES if rows.part_by_part else 1
         lanes = {"lanes": n * rows.per_row} if "lanes" in inputs else {}
@@ -268,7 +269,7 @@ class _Copied:
         row = self._rows.start + at
         for x, saved in zip(self._arrays, self._saved, strict=True):
             x[self._rows.start : self._rows.start + COPIES] = saved[at] if at < COPIES else x[row]
-        return max(min(self._time(part, COPIES) for _ in range(REPEATS)) - self._empty, 0.0) / COPIES
+        return max(min(self._time(part, self._copies) for _ in range(REPEATS)) - self._empty, 0.0) / self._copies
 
     def restore(self) -> None:
         for x, saved in zip(self._arrays, self._saved, strict=True):

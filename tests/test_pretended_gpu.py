@@ -98,6 +98,8 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
     there = scored(gpu, poses, trials, "all", plan=plan)
     assert 1 <= len(seen.waits) <= 4, seen.waits
     assert ("rrt_connect" if plan.edge_check == "moveit" else "enter_edges") in seen.launches
+    if plan.edge_check != "moveit":  # on CUDA these two sample whatever is asked (plan/edge.py `mode_of_one_thread`)
+        assert {"take_arcs", "draw_arcs"} <= {*seen.launches} and not {"rrt_connect", "shortcut"} & {*seen.launches}
     assert {"pair_distances", "face_distances"} <= {*seen.launches}
     assert not {"straight_lines", "safe_distance"} & {*seen.launches}
     seen.waits.clear()

@@ -34,6 +34,22 @@ MOVEIT_SEGMENT_RAD = wp.constant(0.691)
 """MoveIt's longest valid segment: 0.01 of the space's extent (69.1 rad summed over the joints of a UR5e)."""
 
 
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    return 1;  // SAMPLES
+#else
+    return mode;
+#endif
+""")
+def mode_of_one_thread(mode: int) -> int:
+    """How a search of one thread checks its edges: as asked on a CPU, by samples on CUDA, whatever is asked.
+
+    There certified edges are searched in waves (kernels/wave/) and never here; a compiler that knows leaves out what moves
+    along an edge, two fifths of the code and half of the registers that do not fit.
+    """
+    ...
+
+
 @wp.func
 def edge(
     world: World,

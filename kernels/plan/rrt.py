@@ -12,7 +12,7 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import BRANCHES, FREE
-from r2h_batch.kernels.plan.edge import edge
+from r2h_batch.kernels.plan.edge import edge, mode_of_one_thread
 from r2h_batch.kernels.robot.posture import load, store_waypoint
 from r2h_batch.kernels.robot.world import TrialBodies, World, vec6
 
@@ -117,7 +117,7 @@ def rrt_connect(
     range_rad: float,
     shorter: float,  # what is left of a node's reach when a step from it is blocked; 1: all steps have one length
     seed: int,
-    moveit: int,  # how edges are checked: CERTIFY or SAMPLES
+    moveit: int,  # how edges are checked: CERTIFY or SAMPLES; on CUDA it is SAMPLES (`mode_of_one_thread`)
     # tables
     world: World,
     bodies: TrialBodies,
@@ -191,7 +191,7 @@ def rrt_connect(
             q_origin = load(nodes_scratch, base + origin)  # all nodes of a line lie on it
             whole = wp.length(target - q_origin)
             q_new = q_origin + ((whole - dist + reach) / whole) * (target - q_origin)
-        found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, moveit)
+        found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, mode_of_one_thread(moveit))
         if found.status == FREE:
             add_node(nodes_scratch, parents_scratch, base + n, q_new, origin, range_rad)
             if grow == 0:

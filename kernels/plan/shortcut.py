@@ -14,7 +14,7 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import FREE
-from r2h_batch.kernels.plan.edge import edge
+from r2h_batch.kernels.plan.edge import edge, mode_of_one_thread
 from r2h_batch.kernels.robot.posture import load_waypoint, store_waypoint
 from r2h_batch.kernels.robot.trapezoid import duration
 from r2h_batch.kernels.robot.world import TrialBodies, World, vec6
@@ -36,7 +36,7 @@ PULL = wp.constant(2)  # a waypoint nearer to the line between its neighbours: t
 PULL_ON = wp.constant(3)  # and the line from it
 
 
-@wp.func
+@wp.func(inline=False)
 def segment_time(a: vec6, b: vec6, speed: float, acceleration: float):
     """Time of a segment, stopping at both ends: the joint with the farthest to go sets the pace."""
     d = float(0.0)
@@ -45,7 +45,7 @@ def segment_time(a: vec6, b: vec6, speed: float, acceleration: float):
     return duration(d, speed, acceleration)
 
 
-@wp.func
+@wp.func(inline=False)
 def _saved(
     path: wp.array3d(dtype=float), trial: int, i: int, j: int, a: vec6, b: vec6, speed: float, acceleration: float
 ):
@@ -59,7 +59,7 @@ def _saved(
     return saved
 
 
-@wp.func
+@wp.func(inline=False)
 def _splice(path: wp.array3d(dtype=float), trial: int, n: int, i: int, j: int, a: vec6, b: vec6):
     """Waypoints i + 1 .. j give way to a and b. The new number of waypoints; n, and nothing done, if there is no room."""
     removed = j - i
@@ -78,7 +78,7 @@ def _splice(path: wp.array3d(dtype=float), trial: int, n: int, i: int, j: int, a
     return n - removed + 2
 
 
-@wp.func
+@wp.func(inline=False)
 def time_of(path: wp.array3d(dtype=float), trial: int, n: int, speed: float, acceleration: float):
     """Time of a whole path."""
     time = float(0.0)
@@ -87,7 +87,7 @@ def time_of(path: wp.array3d(dtype=float), trial: int, n: int, speed: float, acc
     return time
 
 
-@wp.func
+@wp.func(inline=False)
 def _quickest(
     path: wp.array3d(dtype=float), trial: int, n: int, speed: float, acceleration: float,
     blocked: wp.array(dtype=wp.uint32), cost: wp.array(dtype=float), before: wp.array(dtype=int),
@@ -105,7 +105,7 @@ def _quickest(
                     before[k] = i
 
 
-@wp.func
+@wp.func(inline=False)
 def _unknown(known: wp.array(dtype=wp.uint32), before: wp.array(dtype=int), n: int):
     """The last line of the quickest way that nobody has looked at: the waypoint at its end, 0 where all are known."""
     k = int(n - 1)
@@ -114,7 +114,7 @@ def _unknown(known: wp.array(dtype=wp.uint32), before: wp.array(dtype=int), n: i
     return k
 
 
-@wp.func
+@wp.func(inline=False)
 def _keep_quickest(path: wp.array3d(dtype=float), trial: int, n: int, before: wp.array(dtype=int)):
     """Leaves out all waypoints but those of the quickest way; the new number."""
     kept = wp.uint64(0)
@@ -148,7 +148,7 @@ def shortcut(
     speed: float,  # of the time law, rad/s and rad/s^2
     acceleration: float,
     seed: int,
-    moveit: int,  # how edges are checked: CERTIFY or SAMPLES
+    moveit: int,  # how edges are checked: CERTIFY or SAMPLES; on CUDA it is SAMPLES (`mode_of_one_thread`)
     # tables
     world: World,
     bodies: TrialBodies,
@@ -273,7 +273,7 @@ def shortcut(
         else:  # PULL_ON: the line from the moved waypoint
             a = moved
             b = load_waypoint(path_inout, trial, i + 1)
-        found = edge(world, bodies, trial, a, b, margin, 0.0, 0.0, 0.0, moveit)
+        found = edge(world, bodies, trial, a, b, margin, 0.0, 0.0, 0.0, mode_of_one_thread(moveit))
         free = found.status == FREE
         if phase == SUBSET:
             known[i] = known[i] | (wp.uint32(1) << wp.uint32(j))

@@ -154,7 +154,7 @@ def draw_arcs(
     length_in: wp.array(dtype=int),  # (B,)
 ):
     """The lines of what each lane proposes, queued; changes are drawn first, and have to save time."""
-    for i in range(first + wp.tid(), counts.n[ASKED], lanes):
+    for i in range(first + wp.tid(), wp.min(counts.n[ASKED], arcs.asking.shape[0]), lanes):
         lane = arcs.asking[i]
         problem = lane / LANES
         trial = paths.trial[problem]

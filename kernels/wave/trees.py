@@ -221,7 +221,7 @@ def draw_targets(
     key_in: wp.array(dtype=int),  # (B,)
 ):
     """The random posture of each lane that asks for one, of a problem that is not over."""
-    for i in range(first + wp.tid(), counts.n[ASKED], lanes):
+    for i in range(first + wp.tid(), wp.min(counts.n[ASKED], growers.asking.shape[0]), lanes):
         e = growers.asking[i]
         problem = e / lanes_each
         growers.nearest[e] = (wp.int64(NOTHING) << wp.int64(32)) | wp.int64(NOTHING)
@@ -247,7 +247,7 @@ def nearest_nodes(
     growers: Growers,
 ):
     """The node of the growing tree that is nearest to each target (of equal ones the first), SLICES threads a lane."""
-    for i in range(first + wp.tid(), SLICES * counts.n[ASKED], lanes):
+    for i in range(first + wp.tid(), SLICES * wp.min(counts.n[ASKED], growers.asking.shape[0]), lanes):
         e = growers.asking[i / SLICES]
         problem = e / lanes_each
         if growers.phase[e] != CONNECT_ON and trees.state[problem] != OVER:
@@ -282,7 +282,7 @@ def next_edges(
     growers: Growers,
 ):
     """The edge that each lane asks for: one step from the nearest node towards its target; queued."""
-    for i in range(first + wp.tid(), counts.n[ASKED], lanes):
+    for i in range(first + wp.tid(), wp.min(counts.n[ASKED], growers.asking.shape[0]), lanes):
         e = growers.asking[i]
         problem = e / lanes_each
         if trees.state[problem] == OVER:

@@ -97,3 +97,14 @@ def test_every_planning_kernel_is_counted_row_by_row(capsys: pytest.CaptureFixtu
 @pytest.mark.parametrize("name", MODULES)
 def test_a_module_compiles_for_sm_90(name: str, tmp_path: Path) -> None:
     assert compiled(name, tmp_path, ptx=False).stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_a_search_of_one_thread_has_nothing_on_cuda_that_moves_along_an_edge(tmp_path: Path) -> None:
+    """It only samples there; what certifies an edge would be two fifths of its code."""
+    text = {}
+    for name in ("lines", "rrt", "shortcut"):
+        (tmp_path / name).mkdir()
+        text[name] = compiled(f"plan.{name}", tmp_path / name, ptx=True).read_text(errors="ignore")
+        assert "gjk" in text[name]
+    assert "swept_support" in text["lines"] and "swept_support" not in text["rrt"] + text["shortcut"]
