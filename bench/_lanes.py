@@ -21,7 +21,7 @@ from _waves import counting
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import metrics, plan
-from r2h_batch.judge.waves import waves_on_cpu
+from r2h_batch.judge.wave.waves import waves_on_cpu
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import trials_with_ids

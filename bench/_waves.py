@@ -1,4 +1,4 @@
-"""Lanes and chains of the planner's waves (r2h_batch/judge/waves.py), counted on a CPU, entry by entry of every queue.
+"""Lanes and chains of the planner's waves (r2h_batch/judge/wave/waves.py), counted on a CPU, entry by entry of every queue.
 
 What an entry of a queue costs is the time that COPIES of it take together, less that of an empty launch, the least of REPEATS.
 A warp takes 32 entries that follow each other and is busy until its slowest ends, as in _lanes.py. In the kernel of GJK a lane
@@ -16,8 +16,8 @@ from unittest import mock
 
 import numpy as np
 
-from r2h_batch.judge import search, waves
-from r2h_batch.judge.wave import safe
+from r2h_batch.judge import search
+from r2h_batch.judge.wave import safe, waves
 from r2h_batch.kernels.wave import queues, safe_queues, trees
 from r2h_batch.launch import launch_trials
 

@@ -29,7 +29,7 @@ from _report import ROOT, Report, arguments
 from r2h_batch import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.waves import waves_on_cpu
+from r2h_batch.judge.wave.waves import waves_on_cpu
 from r2h_batch.launch.repeated import Repeated
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import trials_with_ids

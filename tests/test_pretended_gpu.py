@@ -10,9 +10,9 @@ from pretend_cuda import OnCuda, Seen, pretending
 
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge import waves
 from r2h_batch.judge.ik import home_posture
-from r2h_batch.judge.waves import waves_on_cpu
+from r2h_batch.judge.wave import waves
+from r2h_batch.judge.wave.waves import waves_on_cpu
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene

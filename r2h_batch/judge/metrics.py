@@ -13,7 +13,7 @@ from r2h_batch.judge.grasp import Grasp, region_distance
 from r2h_batch.judge.grasp_physics import DROPPED_M, close_in_physics
 from r2h_batch.judge.plan import Plan
 from r2h_batch.judge.wave.safe import SafeWaves
-from r2h_batch.judge.waves import in_waves
+from r2h_batch.judge.wave.waves import in_waves
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.judge import safe as safe_kernels
 from r2h_batch.kernels.judge import verdict as verdict_kernels

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.judge.metrics import SAFE_TOLERANCE_M, Criterion, Touch
-from r2h_batch.judge.waves import Waves, in_waves
+from r2h_batch.judge.wave.waves import Waves, in_waves
 from r2h_batch.kernels.judge.overlap import path_overlap
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.kernels.plan.lines import path_clearance

@@ -10,7 +10,7 @@ from torch import Tensor
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.judge.search import Search
-from r2h_batch.judge.waves import Waves, in_waves
+from r2h_batch.judge.wave.waves import Waves, in_waves
 from r2h_batch.kernels.judge.overlap import path_overlap
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import ExecConfig, PlanConfig
-from r2h_batch.judge.wave_search import Problem, connect_in_waves
-from r2h_batch.judge.wave_shortcuts import Law, shorten_in_waves
+from r2h_batch.judge.wave.search import Problem, connect_in_waves
+from r2h_batch.judge.wave.shortcuts import Law, shorten_in_waves
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut

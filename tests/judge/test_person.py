@@ -16,7 +16,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.export.mjcf import TrialBodies, trial_spec
 from r2h_batch.judge.metrics import SAFE_TOLERANCE_M
 from r2h_batch.judge.person import person_distance
-from r2h_batch.judge.waves import waves_on_cpu
+from r2h_batch.judge.wave.waves import waves_on_cpu
 from r2h_batch.methods import fc
 from r2h_batch.sweep import command as sweep
 from r2h_batch.trials.protocol import make_trials

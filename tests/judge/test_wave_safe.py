@@ -11,9 +11,10 @@ import torch
 
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge import metrics, waves
+from r2h_batch.judge import metrics
 from r2h_batch.judge.metrics import SAFE_TOLERANCE_M, Criterion, Touch
 from r2h_batch.judge.wave import safe as wave_safe
+from r2h_batch.judge.wave import waves
 from r2h_batch.methods import oracle, random
 from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.scene import Placed, Scene

@@ -13,8 +13,9 @@ from problems import make_batch, solve
 
 from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge import wave_shortcuts, waves
 from r2h_batch.judge.search import ENOUGH, Search
+from r2h_batch.judge.wave import shortcuts as wave_shortcuts
+from r2h_batch.judge.wave import waves
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY
 from r2h_batch.kernels.plan.lines import straight_lines
 from r2h_batch.launch import launch_trials

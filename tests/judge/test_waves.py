@@ -12,8 +12,8 @@ from problems import Problems, make_batch, solve
 
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge import waves
 from r2h_batch.judge.plan import Plan, Planner, _least_clearance  # of one thread, on paths that are given
+from r2h_batch.judge.wave import waves
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.world import TrialBodies, World

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M
-from r2h_batch.judge import waves
+from r2h_batch.judge.wave import waves
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.kernels.robot.world import FIELDS

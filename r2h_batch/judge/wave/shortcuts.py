@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float32, Int32
 from torch import Tensor
 
-from r2h_batch.judge.waves import PER_ROW, Waves
+from r2h_batch.judge.wave.waves import PER_ROW, Waves
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.kernels.wave.arcs import LANES, Arcs, Paths, draw_arcs
 from r2h_batch.kernels.wave.queues import Edges

@@ -8,7 +8,7 @@ from jaxtyping import Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import PlanConfig
-from r2h_batch.judge.waves import PER_ROW, Waves
+from r2h_batch.judge.wave.waves import PER_ROW, Waves
 from r2h_batch.kernels.wave.queues import Edges
 from r2h_batch.kernels.wave.trees import (
     Growers,
