@@ -57,6 +57,8 @@ def given(value: object) -> str:
 
 
 def _whole(value: object) -> int | None:
+    if type(value) is int:  # asked at each launch; what else may be a whole number takes ten times as long to see
+        return value
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, SupportsIndex):
         return None
     try:
