@@ -6,6 +6,7 @@ from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
 from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
+from r2h_batch.kernels.geometry.in_reach import balls_in_reach
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, rounded
 from r2h_batch.kernels.judge.hand_bounds import (
     ASK,
@@ -155,8 +156,24 @@ def nearest_to_mesh(
     b = triangle_body()
     shape = mover.shape
     edged = is_edged(shape)
-    for face in range(mesh.piece_face[piece], mesh.piece_face[piece + 1]):
-        ball = mesh.face_ball[hand * mesh.n_faces + face]
+    # 64 faces at a time: most are settled all at once
+    start = int(mesh.piece_face[piece])
+    after = mesh.piece_face[piece + 1]
+    left = wp.uint64(0)
+    face = int(start)
+    while start < after or left != wp.uint64(0):
+        if left == wp.uint64(0):
+            face = start
+            left = balls_in_reach(
+                mesh.face_ball, hand * mesh.n_faces + face, wp.min(64, after - face),
+                mover.shape.kind, mover.shape.size, mover.shape.radius, mover.R, mover.p,
+                out.distance - tolerance + mover.travel, n, beyond, out.distance - tolerance,
+            )  # fmt: skip
+            start += 64
+            continue
+        at = face + lowest_bit(left)
+        left = left & (left - wp.uint64(1))
+        ball = mesh.face_ball[hand * mesh.n_faces + at]
         if beyond - wp.dot(n, wp.vec3(ball[0], ball[1], ball[2])) - ball[3] >= out.distance - tolerance:
             continue
         bound = bound_of_face(world, mover, ball, out.distance, tolerance, out.open)
@@ -166,7 +183,7 @@ def nearest_to_mesh(
             continue
         center = wp.vec3(ball[0], ball[1], ball[2])
         limit = out.distance - tolerance + mover.travel
-        triangle_points(mesh, hand, face, tri)
+        triangle_points(mesh, hand, at, tri)
         shape = mover.shape
         for attempt in range(2):  # as it is, then as its core
             if attempt == 0 and mover.travel == 0.0 and out.distance < 0.0 and edged:

@@ -18,24 +18,31 @@ gap grows by n . u, s* by n . u / rho(n), and the clearance by (r / rho(n)) n . 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.beside import BESIDE, balls_beside
-from r2h_batch.kernels.geometry.body import BOX, Body, from_ball, support
+from r2h_batch.kernels.geometry.balls import lowest_bit
+from r2h_batch.kernels.geometry.beside import balls_beside, capsules_beside
+from r2h_batch.kernels.geometry.body import support
 from r2h_batch.kernels.geometry.gjk import gjk
-from r2h_batch.kernels.geometry.primitives import TOUCH_M, inner_radius
+from r2h_batch.kernels.geometry.primitives import TOUCH_M
 from r2h_batch.kernels.geometry.segments import from_point, from_segment
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.codes import PAIR_HAND, PAIR_OF_OBJECT, PAIR_SELF, PAIR_TABLE
+from r2h_batch.kernels.plan.beside_posture import (
+    BodyInPlace,
+    Partner,
+    arm_body,
+    bodies_below,
+    hand_piece,
+    in_place,
+    place_bodies,
+    place_links,
+    table_below,
+)
+from r2h_batch.kernels.plan.codes import MAX_PARTNERS, PAIR_HAND, PAIR_OF_OBJECT, PAIR_SELF, PAIR_TABLE
 from r2h_batch.kernels.robot.world import (
     GRIPPER,
     OBJECT,
     TrialBodies,
     World,
-    body_pose,
     forward_kinematics,
-    link_frame,
-    object_body,
-    piece_body,
-    robot_body,
     vec6,
 )
 
@@ -67,34 +74,6 @@ class PairClearance:
 
 
 @wp.struct
-class BodyInPlace:
-    """A body of the robot or a hull of the object, hand frame: pose, bounding capsule c0-c1, the ball that it holds."""
-
-    link: int
-    shape: Body
-    R: wp.mat33
-    p: wp.vec3
-    c0: wp.vec3
-    c1: wp.vec3
-    radius: float
-    middle: wp.vec3  # centre of that ball, in the body's frame
-    inner: float  # its radius
-
-
-@wp.struct
-class Partner:
-    """What a body may meet: a piece of the hand, the table, or a body of another link; its pose in the hand frame."""
-
-    near: int  # 0: bounding volumes keep it farther away than the smallest clearance so far
-    pair: int  # as if the robot itself met it
-    other: int
-    shape: Body
-    center: wp.vec3
-    R: wp.mat33
-    p: wp.vec3
-
-
-@wp.struct
 class Overlap:
     """Clearance of one pair when it is below what is known; push and point in the partner's frame."""
 
@@ -102,108 +81,6 @@ class Overlap:
     push: wp.vec3
     point: wp.vec3
     given_up: int  # as deep as `floor`: nothing else of this posture matters
-
-
-@wp.func
-def _in_place(
-    world: World,
-    hull_ball: wp.array(dtype=wp.vec4),
-    bodies: TrialBodies,
-    trial: int,
-    link: int,
-    b: int,
-    hull: int,
-    R: wp.array(dtype=wp.mat33),
-    p: wp.array(dtype=wp.vec3),
-):
-    """Body b of a link, or a hull of the object."""
-    out = BodyInPlace()
-    out.link = link
-    Rb, pb = body_pose(world, bodies, trial, R, p, b)
-    out.R = Rb
-    out.p = pb
-    out.shape = robot_body(world, wp.min(b, world.n_robot - 1))
-    out.inner = inner_radius(out.shape.kind, out.shape.size)
-    if link == OBJECT:
-        out.shape = object_body(world, hull)
-        ball = hull_ball[hull]
-        out.middle = wp.vec3(ball[0], ball[1], ball[2])
-        out.inner = ball[3]
-        out.c0 = Rb * world.hull_c0[hull] + pb
-        out.c1 = Rb * world.hull_c1[hull] + pb
-        out.radius = world.hull_radius[hull]
-    else:
-        axis = Rb * world.cap_axis[b]
-        out.c0 = pb - axis
-        out.c1 = pb + axis
-        out.radius = world.cap_radius[b]
-    return out
-
-
-@wp.func
-def _hand_piece(world: World, body: BodyInPlace, hand: int, i: int, known: float):
-    """Piece i of the hand, if it may be nearer than `known`: ball against capsule, then ball against primitive."""
-    out = Partner()
-    out.pair = PAIR_HAND
-    out.other = i
-    out.R = wp.identity(3, dtype=float)
-    piece = hand * world.n_pieces + i
-    out.center = world.piece_center[piece]
-    ball = world.piece_radius[piece]
-    if wp.length(from_point(out.center, body.c0, body.c1)) - ball - body.radius < known:
-        out.near = 1
-        if body.link < OBJECT:
-            toward = from_ball(body.shape, wp.transpose(body.R) * (out.center - body.p))
-            if wp.length(toward) - ball >= known:
-                out.near = 0
-    out.shape = piece_body(world, piece)
-    return out
-
-
-@wp.func
-def _table(
-    world: World, body: BodyInPlace, R_hand_world: wp.mat33, table_p: wp.vec3, up: wp.vec3, top: float, known: float
-):
-    """The table, if the body's lowest point may be nearer than `known` to the height of its top."""
-    out = Partner()
-    out.pair = PAIR_TABLE
-    out.other = -1
-    lowest = body.R * support(body.shape, world.points, -(wp.transpose(body.R) * up)) + body.p
-    if wp.dot(up, lowest) - body.shape.radius - top - TOUCH_M < known:
-        out.near = 1
-    out.shape.kind = BOX
-    out.shape.size = world.table_half
-    out.R = R_hand_world
-    out.p = table_p
-    return out
-
-
-@wp.func
-def _robot_body(
-    world: World,
-    bodies: TrialBodies,
-    trial: int,
-    body: BodyInPlace,
-    links: int,
-    other: int,
-    known: float,
-    R: wp.array(dtype=wp.mat33),
-    p: wp.array(dtype=wp.vec3),
-):
-    """The robot's body `other`, if it belongs to `links` and may be nearer than `known`: capsule against capsule."""
-    out = Partner()
-    out.pair = PAIR_SELF
-    out.other = other
-    if (links >> world.body_link[other]) & 1 == 1:
-        Ro, po = body_pose(world, bodies, trial, R, p, other)
-        axis = Ro * world.cap_axis[other]
-        apart = wp.length(from_segment(po - axis, po + axis, body.c0, body.c1)) - body.radius - world.cap_radius[other]
-        if apart < known:
-            out.near = 1
-        out.shape = robot_body(world, other)
-        out.R = Ro
-        out.p = po
-    return out
 
 
 # A state machine around one call of GJK (the head of this file says why growth is certified). `scale` is how large the body
@@ -286,8 +163,9 @@ def pair_clearance(world: World, body: BodyInPlace, partner: Partner, known: flo
 #
 # 1. gripper and object first, then the arm from the wrist down: the first are nearest mostly, and prune the rest;
 # 2. a link's capsule against the ball about the hand, the table's top, the capsules of links it may meet;
-# 3. a body's capsule against the ball about the hand; then its partners, numbered in one list: pieces of the hand, the
-#    table, bodies of the arm, so that all go through one call of `pair_clearance`;
+# 3. a body's capsule against the ball about the hand; then its partners, one after the other: pieces of the hand, the
+#    table, bodies of the arm, of which bounding volumes leave a bit for each that may be near (beside.py), so that all go
+#    through one call of `pair_clearance`;
 # 4. an overlap cannot be deeper than the radius r of the ball within the body: once a pair as deep as that is known, the
 #    body's other pairs are left out;
 # 5. at or below `floor` nobody asks how much: the caller keeps another branch. It returns at once.
@@ -322,6 +200,13 @@ def posture_clearance(
     top = wp.dot(up, table_p) + world.table_half[2]
     first_hull = world.hull_first[bodies.object[trial]]
     n_hulls = world.hull_first[bodies.object[trial] + 1] - first_hull
+    # bounding capsules of all links, and of the bodies of those links of the arm that something may meet
+    link_c0 = wp.zeros(shape=OBJECT, dtype=wp.vec3)
+    link_c1 = wp.zeros(shape=OBJECT, dtype=wp.vec3)
+    place_links(world, R, p, link_c0, link_c1)
+    arm_c0 = wp.zeros(shape=MAX_PARTNERS, dtype=wp.vec3)
+    arm_c1 = wp.zeros(shape=MAX_PARTNERS, dtype=wp.vec3)
+    placed = int(0)
 
     for back in range(9):  # gripper and object first: mostly they are nearest, and prune the rest
         link = wp.where(back < 2, GRIPPER + back, OBJECT - back)
@@ -333,50 +218,63 @@ def posture_clearance(
         if link < OBJECT:  # the link as a whole first
             lo = world.link_first[link]
             hi = world.link_first[link + 1]
-            Rk = R[link_frame(link)]
-            pk = p[link_frame(link)]
-            c0 = Rk * world.link_c0[link] + pk
-            c1 = Rk * world.link_c1[link] + pk
+            c0 = link_c0[link]
+            c1 = link_c1[link]
             rk = world.link_radius[link]
             near_hand = wp.length(from_point(hand_center, c0, c1)) - hand_radius - rk < out.clearance
             near_table = hi > world.table_from and wp.min(wp.dot(up, c0), wp.dot(up, c1)) - top - rk < out.clearance
-            for other in range(wp.min(link, GRIPPER)):
-                if (self_with >> other) & 1 == 1:
-                    o0 = R[other] * world.link_c0[other] + p[other]
-                    o1 = R[other] * world.link_c1[other] + p[other]
-                    if wp.length(from_segment(o0, o1, c0, c1)) - rk - world.link_radius[other] >= out.clearance:
-                        self_with = self_with & ~(1 << other)
+            if self_with != 0:
+                beside = capsules_beside(
+                    link_c0, link_c1, world.link_radius, wp.min(link, GRIPPER), c0, c1, rk, out.clearance
+                )
+                self_with = self_with & int(beside)
+                for other in range(wp.min(link, GRIPPER)):
+                    if (self_with >> other) & 1 == 1:
+                        toward = from_segment(link_c0[other], link_c1[other], c0, c1)
+                        if wp.length(toward) - rk - world.link_radius[other] >= out.clearance:
+                            self_with = self_with & ~(1 << other)
             if not (near_hand or near_table or self_with != 0):
                 continue
+        arm = wp.uint64(0)  # the bodies of the links in `self_with`
+        for other in range(GRIPPER):
+            if (self_with >> other) & 1 == 1:
+                arm = arm | (bodies_below(world.link_first[other + 1]) & ~bodies_below(world.link_first[other]))
+                if (placed >> other) & 1 == 0:
+                    place_bodies(world, other, R, p, arm_c0, arm_c1)
+                    placed = placed | (1 << other)
         for b in range(lo, hi):
-            body = _in_place(world, hull_ball, bodies, trial, link, b, first_hull + b - world.n_robot, R, p)
+            body = in_place(world, hull_ball, bodies, trial, link, b, first_hull + b - world.n_robot, R, p)
             on_table = near_table and b >= world.table_from
             ball = wp.length(from_point(hand_center, body.c0, body.c1)) - hand_radius - body.radius
             on_hand = near_hand and ball < out.clearance
 
-            # its partners: 0 .. n_hand pieces of the hand, .. n_table the table, .. n_all the arm's bodies
-            n_hand = wp.where(on_hand, world.n_pieces, 0)
-            n_table = n_hand + wp.where(on_table, 1, 0)
-            n_all = n_table + wp.where(self_with != 0, world.n_arm, 0)
-            left = int(0)  # of 32 pieces those that may be nearer than what is known
-            for i in range(n_all):
-                if -body.inner >= out.clearance:
-                    continue  # this body cannot meet anything deeper
-                if i < n_hand:
-                    if i % BESIDE == 0:
-                        left = balls_beside(
-                            world.piece_center, world.piece_radius, hand * world.n_pieces + i,
-                            wp.min(BESIDE, n_hand - i), body.c0, body.c1, body.radius, out.clearance,
-                        )  # fmt: skip
-                    if (left >> (i % BESIDE)) & 1 == 0:
-                        continue
+            # its partners: pieces of the hand, the table, the arm's bodies; `left`: who may be near and is still to come
+            kind = int(PAIR_HAND)
+            left = wp.uint64(0)
+            if on_hand:
+                left = balls_beside(
+                    world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
+                    body.c0, body.c1, body.radius, out.clearance,
+                )  # fmt: skip
+            while kind <= PAIR_SELF and -body.inner < out.clearance:  # else it cannot meet anything deeper
+                if left == wp.uint64(0):
+                    kind += 1
+                    if kind == PAIR_TABLE and on_table:
+                        left = wp.uint64(1)
+                    elif kind == PAIR_SELF and arm != wp.uint64(0):
+                        left = arm & capsules_beside(
+                            arm_c0, arm_c1, world.cap_radius, world.n_arm, body.c0, body.c1, body.radius, out.clearance
+                        )
+                    continue
+                i = lowest_bit(left)
+                left = left & (left - wp.uint64(1))
                 partner = Partner()
-                if i < n_hand:
-                    partner = _hand_piece(world, body, hand, i, out.clearance)
-                elif i < n_table:
-                    partner = _table(world, body, R_hand_world, table_p, up, top, out.clearance)
+                if kind == PAIR_HAND:
+                    partner = hand_piece(world, body, hand, i, out.clearance)
+                elif kind == PAIR_TABLE:
+                    partner = table_below(world, body, R_hand_world, table_p, up, top, out.clearance)
                 else:
-                    partner = _robot_body(world, bodies, trial, body, self_with, i - n_table, out.clearance, R, p)
+                    partner = arm_body(world, bodies, trial, body, i, out.clearance, R, p)
                 if partner.near == 0:
                     continue
                 found = pair_clearance(world, body, partner, out.clearance, floor)

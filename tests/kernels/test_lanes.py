@@ -64,9 +64,10 @@ def _ask(
     for k in range(8):
         near_out[i, 1, k] = near[k]
     found_out[i, 6] = triangles_near(triangle_in, b, n, R, t, high_in[2], reach)
-    found_out[i, 7] = balls_beside(
+    beside = balls_beside(
         center_in, radius_in, 0, center_in.shape[0], low_in[0], high_in[0], t[1] * t[1], reach
     )  # fmt: skip
+    found_out[i, 7] = int(beside)
     p = lane_point(triangle_in, b + 3, first_lane(1 << (i % 8)))
     found_out[i, 8] = int(p[2] == triangle_in[8 * (b + 5) + i % 8])
 
