@@ -3,6 +3,7 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
+from r2h_batch.kernels.geometry.beside import balls_beside
 from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
@@ -269,12 +270,19 @@ def posture_distance(
                 waits = 1
             if bound == ASK and -core.radius < out.distance - tolerance:  # it cannot be met deeper than that
                 # most pieces are settled all at once
-                left = balls_near(
-                    world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
-                    mover.c0, mover.c1, mover.radius, mover.travel,
-                    mover.w, mover.v, mover.a, mover.b, mover.second, mover.third,
-                    1, out.distance - tolerance, tolerance,
-                )  # fmt: skip
+                left = wp.uint64(0)
+                if mover.travel == 0.0:  # a posture alone
+                    left = balls_beside(
+                        world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
+                        mover.c0, mover.c1, mover.radius, out.distance - tolerance,
+                    )  # fmt: skip
+                else:
+                    left = balls_near(
+                        world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
+                        mover.c0, mover.c1, mover.radius, mover.travel,
+                        mover.w, mover.v, mover.a, mover.b, mover.second, mover.third,
+                        1, out.distance - tolerance, tolerance,
+                    )  # fmt: skip
                 while left != wp.uint64(0):
                     i = lowest_bit(left)
                     left = left & (left - wp.uint64(1))
