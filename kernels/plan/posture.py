@@ -36,7 +36,7 @@ from r2h_batch.kernels.plan.beside_posture import (
     place_links,
     table_below,
 )
-from r2h_batch.kernels.plan.codes import MAX_PARTNERS, PAIR_HAND, PAIR_OF_OBJECT, PAIR_SELF, PAIR_TABLE
+from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, PAIR_HAND, PAIR_OF_OBJECT, PAIR_SELF, PAIR_TABLE
 from r2h_batch.kernels.robot.world import (
     GRIPPER,
     OBJECT,
@@ -204,8 +204,8 @@ def posture_clearance(
     link_c0 = wp.zeros(shape=OBJECT, dtype=wp.vec3)
     link_c1 = wp.zeros(shape=OBJECT, dtype=wp.vec3)
     place_links(world, R, p, link_c0, link_c1)
-    arm_c0 = wp.zeros(shape=MAX_PARTNERS, dtype=wp.vec3)
-    arm_c1 = wp.zeros(shape=MAX_PARTNERS, dtype=wp.vec3)
+    arm_c0 = wp.zeros(shape=MAX_ARM_BODIES, dtype=wp.vec3)
+    arm_c1 = wp.zeros(shape=MAX_ARM_BODIES, dtype=wp.vec3)
     placed = int(0)
 
     for back in range(9):  # gripper and object first: mostly they are nearest, and prune the rest

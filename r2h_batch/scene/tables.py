@@ -20,7 +20,7 @@ from r2h_batch.bodies.hand import HandModel, HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Kind, Robot
 from r2h_batch.config import Workplace
-from r2h_batch.kernels.plan.codes import MAX_PARTNERS
+from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, MAX_PARTNERS
 from r2h_batch.kernels.robot.world import World
 
 MIDDLE_ROOT = 4
@@ -113,9 +113,10 @@ class WorldTables:
         size = np.concatenate([robot.arm.size[order], robot.gripper.size])
         link = np.concatenate([robot.arm.link[order], np.full(len(robot.gripper.names), 7)])
         n_arm, n_robot = len(order), len(kind)
-        if n_robot > 62 or len(self.hands.model.piece_names) + 1 + n_arm > MAX_PARTNERS:
+        pieces = len(self.hands.model.piece_names)
+        if n_robot > 62 or n_arm > MAX_ARM_BODIES or pieces + 1 + n_arm > MAX_PARTNERS:
             raise ValueError(
-                f"{n_robot} robot primitives and {len(self.hands.model.piece_names)} hand pieces: the kernels' masks hold fewer"
+                f"{n_robot} robot primitives, {n_arm} of them the arm's, {pieces} hand pieces: the kernels hold fewer"
             )
         caps = [bounds.capsule_of_primitive(int(k), s) for k, s in zip(kind, size, strict=True)]
         levers = bounds.robot_levers(robot)[np.concatenate([order, np.arange(n_arm, n_robot)])]
