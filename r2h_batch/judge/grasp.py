@@ -64,7 +64,7 @@ def close_gripper(
 
     The Stability margin is the smallest of `w_max - w`, `w - w_min` and the open gripper's clearance to the object, which
     counts `cut_cap_m` at most; `-w_max` at least when nothing lies between the pads. 0 passes (touching).
-    `known`: the caller has looked at `object_index` (here and below).
+    `known`: the caller has looked at both tensors (here and below).
     """
     if mode not in ("pads", "whole"):
         raise ValueError(f"mode is {mode!r}; allowed are 'pads' (what lies between the pads) and 'whole' (the object)")
@@ -243,8 +243,10 @@ def _empty_poses(n: int, count: int, device: str) -> tuple[Tensor, Tensor]:
 
 
 def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known: bool) -> int:
-    """The batch size, after shape, dtype, device and (unless it is known) index have been looked at."""
-    n = len(T_obj_ee)
+    """The batch size, after shape, dtype, device and index have been looked at; `known`: whoever calls has done that."""
+    n = T_obj_ee.shape[0]
+    if known:  # what does not fit its kernel is refused there too
+        return n
     for name, value, shape, dtype in (
         ("T_obj_ee", T_obj_ee, (n, 4, 4), torch.float32),
         ("object_index", object_index, (n,), torch.int32),
@@ -256,7 +258,7 @@ def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known:
                 f"expected contiguous {dtype} {shape} on {tables.device}"
             )
     # on CUDA looking at them would wait for the device: there the caller vouches for them
-    if n and not known and tables.device == "cpu":
+    if n and tables.device == "cpu":
         low, high = (int(x) for x in torch.aminmax(object_index))
         if low < 0 or high >= tables.objects:
             allowed = f"[0, {tables.objects - 1}]"

@@ -62,7 +62,8 @@ def hold(
         scene.grasp_tables, T_obj_ee, objects,
         w_max=limits.w_max_m, w_min=limits.w_min_m, mode=config.width, known=True, threads=threads,
     )  # fmt: skip
-    attached, ball = torch.empty_like(T_obj_ee), torch.empty_like(T_obj_ee[:, 0, :3])
+    attached = torch.empty_like(T_obj_ee)
+    ball = torch.empty((attached.shape[0], 3), dtype=attached.dtype, device=attached.device)
     point, normal = scene.palms
     launch_trials(
         row_kernels.close_rows,
@@ -109,7 +110,7 @@ def _usable(
 
     On a CPU bodies outside the scene were refused before any work; on CUDA looking at them would have waited.
     """
-    given = [T.detach().contiguous() for T in poses]
+    given = [(T.detach() if T.requires_grad else T).contiguous() for T in poses]
     b, device = len(given[0]), given[0].device
     clean = torch.empty((3, b, 4, 4), dtype=torch.float32, device=device)
     objects, hands = (torch.empty_like(x) for x in (trials.object_index, trials.hand_index))

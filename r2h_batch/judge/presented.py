@@ -34,8 +34,8 @@ def presented(scene: Scene, holding: Holding, thresholds: Thresholds, *, threads
     meshes, center = scene.regions
     point, _ = scene.palms
     found = Presented(
-        angle_deg=torch.empty_like(holding.ball[:, 0]),
-        distance_m=torch.empty_like(holding.ball[:, 0]),
+        angle_deg=torch.empty_like(holding.grasp.width_m),
+        distance_m=torch.empty_like(holding.grasp.width_m),
         presented=torch.empty_like(holding.active),
     )
     launch_trials(

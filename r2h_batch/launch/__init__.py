@@ -161,7 +161,7 @@ def _launch_on_cpu(
     first: int,
 ) -> None:
     """`launch_trials` on all cores, with what this thread packed for the kernel before (repeated.py)."""
-    if wp.get_device("cpu").is_capturing:
+    if repeated.cpu().is_capturing:
         raise RuntimeError(
             f"Warp records a graph on the CPU, and {kernel.key} would be missing in it: it runs on threads of its own; call "
             "it before or after the recording (Evaluator.capture records calls on a GPU)"

@@ -101,14 +101,15 @@ def bind(
 
 
 def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
-    """A `kind` (of wp.struct) whose arrays are these tensors' memory, which it keeps.
+    """A `kind` (of wp.struct) whose arrays are these tensors' memory, which it keeps. They lie on one device.
 
     Raises TypeError where a tensor is not what the struct declares, KeyError where one is missing.
     """
     made = kind()
-    for name, p in _fields(kind):
-        value = tensors[name]
-        setattr(made.__ctype__(), name, _pack_array(p, value, wp.device_from_torch(value.device), 0))
+    descriptors, fields = made.__ctype__(), _fields(kind)
+    place = wp.device_from_torch(tensors[fields[0][0]].device)
+    for name, p in fields:
+        setattr(descriptors, name, _pack_array(p, tensors[name], place, 0))
     vars(made)["tensors"] = tensors
     return made
 

@@ -85,7 +85,7 @@ class Repeated:
             if value is None:
                 return False
             if known() is not value:
-                p.pack(p, value, _cpu(), rows)
+                p.pack(p, value, cpu(), rows)
                 slot[3] = _known(p, value)
             setattr(self.arguments, p.label, value.__ctype__())  # its numbers may have changed
         for slot in self.others:
@@ -95,7 +95,7 @@ class Repeated:
                 return False
             if known() is value:
                 continue
-            packed = p.pack(p, value, _cpu(), rows)
+            packed = p.pack(p, value, cpu(), rows)
             setattr(self.arguments, p.label, packed.__ctype__() if isinstance(packed, wp.array) else packed)
             slot[3] = _known(p, value)
         return True
@@ -147,7 +147,9 @@ def _nothing() -> None:
     return None
 
 
-def _cpu() -> Any:
+@cache
+def cpu() -> Any:
+    """Warp's name for this machine's own cores."""
     return wp.get_device("cpu")
 
 
