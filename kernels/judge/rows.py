@@ -2,7 +2,8 @@
 
 These are a few dozen multiplications a row. As tensor operations a small batch paid for some two hundred of them what all
 its geometry costs twice over. Every product is rounded before it is added (`fuse_fp` off), as in `r2h_batch.se3`, which says
-the same row by row in torch; so the bits are the same on every processor.
+the same row by row in torch; so these bits are the same on every processor. Those of poses made orthonormal may not be:
+torch takes their square roots from MKL (docs/gpu.md, The same bits).
 """
 
 import warp as wp
