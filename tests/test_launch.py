@@ -12,7 +12,7 @@ import torch
 import trimesh
 import warp as wp
 
-from r2h_batch.launch import init_warp, launch, launch_trials
+from r2h_batch.launch import init_warp, launch, launch_trials, load
 from r2h_batch.launch.arguments import parameters, struct_of
 
 ROOT = Path(__file__).parents[1]
@@ -157,13 +157,23 @@ def test_a_repeated_call_takes_the_memory_rows_and_values_it_is_given():
 
 
 def test_a_recording_of_the_cpu_is_refused_before_and_after_a_first_call():
-    wp.load_module(scaled.module, device="cpu")
-    for _ in range(2):
-        inputs, outputs = arguments()
+    load(scaled, "cpu")
+    for inputs, outputs in (arguments(), arguments()):
         with wp.ScopedCapture(device="cpu"):
             refused("Warp records a graph on the CPU, and scaled would be missing", inputs, outputs, RuntimeError)
         launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
         torch.testing.assert_close(outputs["length"], expected(inputs))
+
+
+def test_a_kernel_is_loaded_before_its_first_row():
+    @wp.kernel(module="unique")
+    def later(first: int, x_out: wp.array(dtype=float)):
+        x_out[first + wp.tid()] = 1.0
+
+    load(later, "cpu")
+    assert (known := dict(later.module.execs))
+    launch_trials(later, 3, inputs={}, outputs={"x": torch.zeros(3)}, device="cpu")
+    assert later.module.execs == known
 
 
 def test_a_struct_whose_numbers_change_and_another_one_are_both_seen():

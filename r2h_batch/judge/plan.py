@@ -14,7 +14,12 @@ from r2h_batch.judge.wave.waves import Waves, in_waves
 from r2h_batch.kernels.judge.overlap import path_overlap
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
-from r2h_batch.launch import launch_trials
+from r2h_batch.kernels.plan.rrt import rrt_connect
+from r2h_batch.kernels.plan.shortcut import shortcut
+from r2h_batch.kernels.wave.arcs import draw_arcs
+from r2h_batch.kernels.wave.shortcuts import take_arcs
+from r2h_batch.kernels.wave.trees import enter_edges
+from r2h_batch.launch import launch_trials, load
 from r2h_batch.launch.torch_threads import one_torch_thread
 from r2h_batch.scene.scene import Placed, Scene
 from r2h_batch.types import PlanReason
@@ -57,6 +62,13 @@ def plan_paths(
     """
     with one_torch_thread(q.device):
         return _paths(scene, placed, q, valid, active, key, config, execute or ExecConfig(), threads)
+
+
+def load_searches(device: str) -> None:
+    """Compiles what only some trials need (searches, shortcuts, how deep bodies meet), or loads it from the kernel cache."""
+    one_thread, waves = (rrt_connect, shortcut), (enter_edges, draw_arcs, take_arcs)
+    for kernel in (*(waves if in_waves(device) else one_thread), path_overlap):
+        load(kernel, device)
 
 
 def _paths(

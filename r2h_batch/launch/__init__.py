@@ -196,6 +196,12 @@ def _share(packed: repeated.Repeated, n: int, workers: int, chunk: int, width: i
         future.result()
 
 
+def load(kernel: Any, device: str) -> None:
+    """Compiles the kernel's module for the device, or loads it, as `launch_trials` of uneven rows does at its first row."""
+    _room_for(kernel.module)
+    wp.load_module(kernel.module, device=device, block_dim=1 if device == "cpu" else UNEVEN_BLOCK_DIM)
+
+
 def launch(kernel: Any, dim: int, *, inputs: Mapping[str, Any], outputs: Mapping[str, Any], device: str) -> None:
     """Runs a kernel that has no parameter `first` once, on Warp's own stream; arguments as in `launch_trials`."""
     _room_for(kernel.module)

@@ -8,6 +8,7 @@ import pyarrow as pa
 import torch
 
 from r2h_batch.command_line import note, refuse, tell
+from r2h_batch.judge.plan import load_searches
 from r2h_batch.results.manifest import SHARD_TRIALS, Shard
 from r2h_batch.results.rows import detail_rows, failure_rows, missing_rows, path_rows, pose_rows, score_rows
 from r2h_batch.results.writing import TRIES, RunFolder, ShardWriter
@@ -157,6 +158,7 @@ def warm_up(job: Job, setting: Setting, trials: int = WARM_TRIALS) -> None:
         T_obj_ee = torch.eye(4, dtype=torch.float32, device=few.T_world_hand.device).repeat(len(few), 1, 1)
         T_world_ee = few.T_world_hand.clone()
     setting.evaluator.score(T_obj_ee, T_world_ee, few)
+    load_searches(setting.evaluator.scene.device)  # none of these few may have needed them
 
 
 def shard_size(setting: Setting, jobs: list[Job]) -> int:
