@@ -1,6 +1,8 @@
 """Kernel calls by name: every mistake is an error that names it before anything runs, and nobody passes a bare list."""
 
 import ast
+import subprocess
+import sys
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
@@ -174,6 +176,12 @@ def test_a_kernel_is_loaded_before_its_first_row():
     assert (known := dict(later.module.execs))
     launch_trials(later, 3, inputs={}, outputs={"x": torch.zeros(3)}, device="cpu")
     assert later.module.execs == known
+
+
+def test_loading_is_silent_where_it_is_what_starts_warp():
+    first = "from r2h_batch.judge.plan import load_searches; load_searches('cpu')"
+    process = subprocess.run([sys.executable, "-c", first], capture_output=True, text=True, timeout=300)
+    assert (process.returncode, process.stdout) == (0, ""), process.stderr
 
 
 def test_a_struct_whose_numbers_change_and_another_one_are_both_seen():

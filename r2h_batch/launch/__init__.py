@@ -198,6 +198,7 @@ def _share(packed: repeated.Repeated, n: int, workers: int, chunk: int, width: i
 
 def load(kernel: Any, device: str) -> None:
     """Compiles the kernel's module for the device, or loads it, as `launch_trials` of uneven rows does at its first row."""
+    init_warp()
     _room_for(kernel.module)
     wp.load_module(kernel.module, device=device, block_dim=1 if device == "cpu" else UNEVEN_BLOCK_DIM)
 
