@@ -4,15 +4,15 @@ python bench/training_loop.py [--device cpu|cuda:0] [--largest N] [--peer N] [--
 
 Candidates: the frozen mix of bench/throughput.py (bench/mix.npz: 1,024 trials of r2h-v0, half with the oracle's poses, half
 with random ones), repeated; `perturbed`: the oracle's half moved by 1 cm (grasp), 3 cm and 10 degrees (handover), normal
-distributions, as a generator in training proposes them. Figures of a size come from one call after another, the median of
-several; core_us is process time (other work on the machine counts little), its smallest, and candidates_per_2_core_s
-what two cores would do at that price with nothing else to do. kernel.*_us: process time inside
-each kernel's launch at B = 4,096, by occurrence; beyond_kernels_us is what a call takes beside them. host_us_per_call (CPU):
-the least thread time that a call took beside compiled code of our kernels, packing their arguments included, of stages
-"pose" and "all", on one thread. On CUDA there is one
-kind of time: wall, synchronised. training: one step of a small generator (three layers of 256, Adam) on 4,096 candidates,
-scored each step. The peer judges the same candidates one by one with MuJoCo C, trimesh, FCL and ur-analytic-ik
-(bench/_pose_peer.py; building its MuJoCo model is not counted). memory: resident kB (CUDA: allocated) around 1,000 calls.
+distributions, as a generator in training proposes them; `distinct`: 4,096 of the mix, each moved by 1 mm of its own.
+Figures of a size come from one call after another, the median of several; core_us is process time (other work on the machine
+counts little), its smallest, and candidates_per_2_core_s what two cores would do at that price with nothing else to do.
+kernel.*_us: process time inside each kernel's launch at B = 4,096, by occurrence; beyond_kernels_us is what a call takes
+beside them. host_us_per_call (CPU): the least thread time that a call took beside compiled code of our kernels, packing their
+arguments included, of stages "pose" and "all", on one thread. On CUDA there is one kind of time: wall, synchronised.
+training: one step of a small generator (three layers of 256, Adam) on 4,096 candidates, scored each step. The peer judges the
+same candidates one by one with MuJoCo C, trimesh, FCL and ur-analytic-ik (bench/_pose_peer.py; building its MuJoCo model is
+not counted). memory: resident kB (CUDA: allocated) around 1,000 calls.
 """
 
 import ctypes
@@ -95,6 +95,14 @@ def _skew(w: torch.Tensor) -> torch.Tensor:
 def repeated(c: Candidates, b: int) -> Candidates:
     rows = torch.arange(b, device=c[0].device) % len(c[2])
     return c[0][rows], c[1][rows], c[2][rows]
+
+
+def distinct(c: Candidates) -> Candidates:
+    """The same candidates, no two of them alike: repeated rows could be cheaper than what anybody asks for."""
+    T_obj_ee, T_world_ee, g = c[0].clone(), c[1].clone(), torch.Generator().manual_seed(0)
+    for T in (T_obj_ee, T_world_ee):
+        T[:, :3, 3] += 0.001 * torch.randn(len(T), 3, generator=g).to(T.device)
+    return T_obj_ee, T_world_ee, c[2]
 
 
 def sizes(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, largest: int) -> None:
@@ -341,10 +349,11 @@ def main() -> None:
     if not clock.cuda:
         host(report, mix, options.device)
     near = repeated(candidates(evaluator, "perturbed", options.device), 4096)
-    median, best, core = clock.of(lambda: evaluator.score(*near, stages="pose"), 5)
-    report.add("training_loop.perturbed.b4096.candidates_per_s", 4096 / median)
-    report.add("training_loop.perturbed.b4096.candidates_per_s_best", 4096 / best)
-    report.add("training_loop.perturbed.b4096.core_us_per_candidate", 1e6 * core / 4096)
+    for name, c in (("perturbed", near), ("distinct", distinct(repeated(mix, 4096)))):
+        median, best, core = clock.of(lambda c=c: evaluator.score(*c, stages="pose"), 5)  # type: ignore[misc]
+        report.add(f"training_loop.{name}.b4096.candidates_per_s", 4096 / median)
+        report.add(f"training_loop.{name}.b4096.candidates_per_s_best", 4096 / best)
+        report.add(f"training_loop.{name}.b4096.core_us_per_candidate", 1e6 * core / 4096)
     for name, c in (("mix", mix), ("perturbed", near)):
         s = evaluator.score(*c, stages="pose")
         report.add(f"training_loop.{name}.success", float(s.success.double().mean()))

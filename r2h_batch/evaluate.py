@@ -53,7 +53,8 @@ ROW_BYTES, MOVED_ROW_BYTES = 32 << 10, 192 << 10
 """Working memory of a row with a path, and of one whose motion is recorded; trees of the search not counted."""
 
 SORTED_ROWS = 256
-"""From here on the rows of a CPU batch are taken object by object: five to ten per cent faster, for the caches' sake."""
+"""From here on the rows of a CPU batch are taken object by object, and of each hand by hand: what rows near each other share
+is still in the caches, and they branch alike. Five to ten per cent faster, and another five where candidates share trials."""
 
 
 class Evaluator:
@@ -193,7 +194,8 @@ class Evaluator:
         judge = self._score_pose if stages == "pose" else partial(self._score_motion, keep_motion=keep_motion)
         order = None
         if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
-            order = torch.argsort(trials.object_index, stable=True)
+            bodies = trials.object_index.long() * len(self.scene.hands.set) + trials.hand_index
+            order = torch.argsort(bodies, stable=True)
             T_obj_ee, T_world_ee, trials = T_obj_ee[order], T_world_ee[order], trials[order]
 
         def part(first: int, last: int) -> Scores:

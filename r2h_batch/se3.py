@@ -112,10 +112,19 @@ def is_pose(T: Float[Tensor, "*b 4 4"]) -> Bool[Tensor, "*b"]:
 def orthonormalise(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
     """`T` with its z axis kept in direction and x, y made exactly orthonormal (Gram-Schmidt z, y, x; row by row)."""
     _, y, z, p = T[..., :3, :].unbind(-1)
-    z = z / z.square().sum(-1, keepdim=True).sqrt()
+    z = z / _length(z)
     y = y - z * (y * z).sum(-1, keepdim=True)
-    y = y / y.square().sum(-1, keepdim=True).sqrt()
+    y = y / _length(y)
     out = torch.zeros_like(T)
     out[..., :3, :] = torch.stack([torch.linalg.cross(y, z), y, z, p], -1)
     out[..., 3, 3] = 1.0
     return out
+
+
+def _length(v: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 1"]:
+    """Lengths; of float32 with the root that IEEE 754 asks for, on every processor.
+
+    torch's float32 root on a CPU is MKL's, which has another last bit for one number in six. A float64 root that is off by as
+    much still rounds to the right float32: no float32 has its root within four float64 of the middle between two float32.
+    """
+    return v.square().sum(-1, keepdim=True).double().sqrt().to(v.dtype)

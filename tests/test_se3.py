@@ -56,3 +56,15 @@ def test_orthonormalise_repairs_small_errors_and_keeps_the_approach_axis() -> No
     z = bent[:, :3, 2] / bent[:, :3, 2].norm(dim=1, keepdim=True)
     assert (fixed[:, :3, 2] - z).abs().max() < 1e-6
     assert (fixed - T).abs().max() < 2e-3
+
+
+def test_orthonormal_axes_have_the_quotients_and_roots_of_ieee_754() -> None:
+    T = poses(5000)
+    T[:, :3, :3] += 3e-4 * torch.randn(5000, 3, 3, generator=torch.Generator().manual_seed(1))
+    y, z = T[:, :3, 1].numpy().T, T[:, :3, 2].numpy().T
+    z = z / np.sqrt(z[0] * z[0] + z[1] * z[1] + z[2] * z[2])
+    y = y - z * (y[0] * z[0] + y[1] * z[1] + y[2] * z[2])
+    y = y / np.sqrt(y[0] * y[0] + y[1] * y[1] + y[2] * y[2])
+    assert y.dtype == z.dtype == np.float32
+    fixed = se3.orthonormalise(T).numpy()
+    assert np.array_equal(fixed[:, :3, 1].T, y) and np.array_equal(fixed[:, :3, 2].T, z)

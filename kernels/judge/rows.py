@@ -2,8 +2,7 @@
 
 These are a few dozen multiplications a row. As tensor operations a small batch paid for some two hundred of them what all
 its geometry costs twice over. Every product is rounded before it is added (`fuse_fp` off), as in `r2h_batch.se3`, which says
-the same row by row in torch; so these bits are the same on every processor. Those of poses made orthonormal may not be:
-torch takes their square roots from MKL (docs/gpu.md, The same bits).
+the same row by row in torch; quotients and square roots are those of IEEE 754: these bits are the same on every processor.
 """
 
 import warp as wp
@@ -70,6 +69,20 @@ def pose_of(x: wp.vec3, y: wp.vec3, z: wp.vec3, p: wp.vec3) -> wp.mat44:
     )  # fmt: skip
 
 
+@wp.func
+def orthonormal(T: wp.mat44) -> wp.mat44:
+    """As `r2h_batch.se3.orthonormalise`: z keeps its direction, y is taken off z, x is y x z (Gram-Schmidt)."""
+    y = column(T, 1)
+    z = column(T, 2)
+    length = wp.sqrt(sum3(z, z))
+    z = wp.vec3(z[0] / length, z[1] / length, z[2] / length)
+    along = sum3(y, z)
+    y = wp.vec3(y[0] - z[0] * along, y[1] - z[1] * along, y[2] - z[2] * along)
+    length = wp.sqrt(sum3(y, y))
+    y = wp.vec3(y[0] / length, y[1] / length, y[2] / length)
+    return pose_of(cross3(y, z), y, z, column(T, 3))
+
+
 @wp.kernel
 def usable_rows(
     first: int,
@@ -87,7 +100,7 @@ def usable_rows(
     object_out: wp.array(dtype=wp.int32),
     hand_out: wp.array(dtype=wp.int32),
 ):
-    """Rows whose three poses are poses, of bodies that there are, and these poses; the identity, 0 elsewhere."""
+    """Rows whose three poses are poses, of bodies that there are, and these poses orthonormal; the identity, 0 elsewhere."""
     row = first + wp.tid()
     o = object_in[row]
     h = hand_in[row]
@@ -101,9 +114,9 @@ def usable_rows(
         H = wp.identity(4, dtype=float)
         W = wp.identity(4, dtype=float)
     active_out[row] = active
-    T_obj_ee_out[row] = G
-    T_world_ee_out[row] = H
-    T_world_hand_out[row] = W
+    T_obj_ee_out[row] = orthonormal(G)
+    T_world_ee_out[row] = orthonormal(H)
+    T_world_hand_out[row] = orthonormal(W)
     object_out[row] = wp.where(known, o, 0)
     hand_out[row] = wp.where(known, h, 0)
 

@@ -137,14 +137,4 @@ def _usable(
         threads=threads,
         chunk=ROWS_CHUNK,
     )
-    return active, _orthonormal(clean).unbind(0), objects, hands
-
-
-def _orthonormal(clean: Float32[Tensor, "3 b 4 4"]) -> Float32[Tensor, "3 b 4 4"]:
-    """`se3.orthonormalise`, the same operations, in the memory of rigid transforms that nobody else has yet: a third less."""
-    x, y, z, _ = clean[..., :3, :].unbind(-1)
-    z /= z.square().sum(-1, keepdim=True).sqrt()
-    y -= z * (y * z).sum(-1, keepdim=True)
-    y /= y.square().sum(-1, keepdim=True).sqrt()
-    torch.linalg.cross(y, z, out=x)
-    return clean
+    return active, clean.unbind(0), objects, hands
