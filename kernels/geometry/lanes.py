@@ -27,6 +27,36 @@ def over_lanes(code: str) -> str:
     return "\n".join(rolled + line if line.lstrip(" ").startswith(loops) else line for line in code.split("\n"))
 
 
+def abreast(code: str, result: str) -> str:
+    """C++ that is written once: on a CPU of vectors of eight lanes, on CUDA of numbers, in a loop over eight.
+
+    `floats` and `ints` (what comparisons give) are types of either, `from(p, r)` and `into(p, r, x)` read and write row r of
+    a group at p, `bits_of(mask)` is the bits of the lanes it is asked in.
+    """
+    head = """
+#if defined(__CUDA_ARCH__)
+    typedef float floats;
+    typedef int ints;
+    #pragma unroll 1
+    for (int k = 0; k < 8; ++k) {
+    auto from = [&](const float* p, int r) { return p[8 * r + k]; };
+    auto into = [&](float* p, int r, floats x) { p[8 * r + k] = x; };
+    auto bits_of = [&](ints mask) { return mask << k; };
+#else
+    typedef float floats __attribute__((ext_vector_type(8)));
+    typedef int ints __attribute__((ext_vector_type(8)));
+    typedef bool bools __attribute__((ext_vector_type(8)));
+    {
+    auto from = [](const float* p, int r) { floats x; __builtin_memcpy(&x, p + 8 * r, sizeof(x)); return x; };
+    auto into = [](float* p, int r, floats x) { __builtin_memcpy(p + 8 * r, &x, sizeof(x)); };
+    auto bits_of = [](ints mask) {
+        return (int)__builtin_bit_cast(unsigned char, __builtin_convertvector(mask, bools));
+    };
+#endif
+"""
+    return "    int bits = 0;" + head + code.strip("\n") + "\n    }\n    " + result + "\n"
+
+
 LANES = wp.constant(8)
 NODE_ROWS = wp.constant(10)
 """Centre x, y, z; half sides of the box about it x, y, z; the ball's radius; a point of it x, y, z."""
@@ -53,37 +83,34 @@ def first_lane(bits: int) -> int:
 
 
 @wp.func_native(
-    over_lanes("""
+    abreast(
+        """
     const float* p = lanes.data + 8 * row;
-    float ax = fabsf(rx.c[0]), ay = fabsf(rx.c[1]), az = fabsf(rx.c[2]);
-    float bx = fabsf(rz.c[0]), by = fabsf(rz.c[1]), bz = fabsf(rz.c[2]);
-    int near[8];
-    for (int k = 0; k < 8; ++k) {
-        float u0 = rx.c[0] * p[k], u1 = rx.c[1] * p[8 + k], u2 = rx.c[2] * p[16 + k];
-        float u = u0 + u1;
-        u = u + u2;
-        u = u + tx;
-        u = fabsf(u - x);
-        float e0 = ax * p[24 + k], e1 = ay * p[32 + k], e2 = az * p[40 + k];
-        float e = e0 + e1;
-        e = e + e2;
-        e = e + half_x;
-        float w0 = rz.c[0] * p[k], w1 = rz.c[1] * p[8 + k], w2 = rz.c[2] * p[16 + k];
-        float w = w0 + w1;
-        w = w + w2;
-        w = w + tz;
-        w = fabsf(w - z);
-        float f0 = bx * p[24 + k], f1 = by * p[32 + k], f2 = bz * p[40 + k];
-        float f = f0 + f1;
-        f = f + f2;
-        f = f + half_z;
-        near[k] = (u <= e) & (w <= f);
-    }
-    int bits = 0;
-    for (int k = 0; k < 8; ++k)
-        bits |= near[k] << k;
-    return bits & ((1 << count) - 1);
-""")
+    floats cx = from(p, 0), cy = from(p, 1), cz = from(p, 2), hx = from(p, 3), hy = from(p, 4), hz = from(p, 5);
+    floats u0 = cx * rx.c[0], u1 = cy * rx.c[1], u2 = cz * rx.c[2];
+    floats u = u0 + u1;
+    u = u + u2;
+    u = u + tx;
+    u = u - x;
+    u = u < 0.0f ? -u : u;
+    floats e0 = hx * fabsf(rx.c[0]), e1 = hy * fabsf(rx.c[1]), e2 = hz * fabsf(rx.c[2]);
+    floats e = e0 + e1;
+    e = e + e2;
+    e = e + half_x;
+    floats w0 = cx * rz.c[0], w1 = cy * rz.c[1], w2 = cz * rz.c[2];
+    floats w = w0 + w1;
+    w = w + w2;
+    w = w + tz;
+    w = w - z;
+    w = w < 0.0f ? -w : w;
+    floats f0 = hx * fabsf(rz.c[0]), f1 = hy * fabsf(rz.c[1]), f2 = hz * fabsf(rz.c[2]);
+    floats f = f0 + f1;
+    f = f + f2;
+    f = f + half_z;
+    bits |= bits_of((u <= e) & (w <= f));
+""",
+        "return bits & ((1 << count) - 1);",
+    )
 )
 def boxes_in_prism(
     lanes: wp.array(dtype=float), row: int, count: int, rx: wp.vec3, rz: wp.vec3, tx: float, tz: float,
@@ -135,83 +162,6 @@ def triangles_in_prism(
     x_low: float, x_high: float, z_low: float, z_high: float,
 ) -> int:  # fmt: skip
     """Those of the first `count` triangles whose bounding rectangle in x and z meets the prism's; bits 8 ..: it sticks out."""
-    ...
-
-
-@wp.func_native(
-    over_lanes("""
-    const float* p = lanes.data + 8 * row;
-    float ax = fabsf(ry.c[0]), ay = fabsf(ry.c[1]), az = fabsf(ry.c[2]);
-    float low[8];
-    float high[8];
-    int within[8];
-    for (int k = 0; k < 8; ++k) {
-        float u0 = ry.c[0] * p[k], u1 = ry.c[1] * p[8 + k], u2 = ry.c[2] * p[16 + k];
-        float u = u0 + u1;
-        u = u + u2;
-        u = u + ty;
-        float e0 = ax * p[24 + k], e1 = ay * p[32 + k], e2 = az * p[40 + k];
-        float e = e0 + e1;
-        e = e + e2;
-        low[k] = u - e;
-        high[k] = u + e;
-        within[k] = 0;
-    }
-    for (int i = 0; i < n; ++i) {
-        float a = run_low.data[i] - slack, b = run_high.data[i] + slack;
-        for (int k = 0; k < 8; ++k)
-            within[k] |= (low[k] >= a) & (high[k] <= b);
-    }
-    int bits = 0;
-    for (int k = 0; k < 8; ++k)
-        bits |= within[k] << k;
-    return near & ~bits;
-""")
-)
-def boxes_outside_runs(
-    lanes: wp.array(dtype=float), row: int, near: int, ry: wp.vec3, ty: float, slack: float,
-    run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
-) -> int:  # fmt: skip
-    """Of the boxes in `near` those whose extent along y (ee frame) none of n intervals holds, give or take `slack`."""
-    ...
-
-
-@wp.func_native(
-    over_lanes("""
-    const float* p = lanes.data + 8 * row;
-    float low[8];
-    float high[8];
-    int within[8];
-    for (int k = 0; k < 8; ++k) {
-        low[k] = 1.0e30f;
-        high[k] = -1.0e30f;
-        within[k] = 0;
-        for (int c = 0; c < 3; ++c) {
-            const float* q = p + 24 * c;
-            float u0 = ry.c[0] * q[k], u1 = ry.c[1] * q[8 + k], u2 = ry.c[2] * q[16 + k];
-            float u = u0 + u1;
-            u = u + u2;
-            u = u + ty;
-            low[k] = u < low[k] ? u : low[k];
-            high[k] = u > high[k] ? u : high[k];
-        }
-    }
-    for (int i = 0; i < n; ++i) {
-        float a = run_low.data[i] - slack, b = run_high.data[i] + slack;
-        for (int k = 0; k < 8; ++k)
-            within[k] |= (low[k] >= a) & (high[k] <= b);
-    }
-    int bits = 0;
-    for (int k = 0; k < 8; ++k)
-        bits |= within[k] << k;
-    return near & ~bits;
-""")
-)
-def triangles_outside_runs(
-    lanes: wp.array(dtype=float), row: int, near: int, ry: wp.vec3, ty: float, slack: float,
-    run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
-) -> int:  # fmt: skip
-    """As `boxes_outside_runs`, of triangles."""
     ...
 
 

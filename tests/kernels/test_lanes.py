@@ -11,14 +11,13 @@ from r2h_batch.kernels.geometry.lanes import (
     TRIANGLE_ROWS,
     boxes_in_prism,
     boxes_near,
-    boxes_outside_runs,
     first_lane,
     lane_point,
     points_near,
     triangles_in_prism,
     triangles_near,
-    triangles_outside_runs,
 )
+from r2h_batch.kernels.grasp.leaf import boxes_along, cut_to_prism, leaf_in_prism, outside_runs
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.launch import launch_trials
 
@@ -37,7 +36,7 @@ def _ask(
     low_in: wp.array(dtype=wp.vec3), high_in: wp.array(dtype=wp.vec3),
     run_low_in: wp.array(dtype=float), run_high_in: wp.array(dtype=float),
     center_in: wp.array(dtype=wp.vec3), radius_in: wp.array(dtype=float),
-    found_out: wp.array2d(dtype=int), near_out: wp.array3d(dtype=int),
+    found_out: wp.array2d(dtype=int), near_out: wp.array3d(dtype=int), cut_out: wp.array2d(dtype=float),
 ):  # fmt: skip
     i = first + wp.tid()
     R = R_in[i]
@@ -49,14 +48,20 @@ def _ask(
     a = LEAF_ROWS * i
     b = TRIANGLE_ROWS * i
     near = wp.zeros(shape=8, dtype=int)
+    corners = wp.zeros(shape=72, dtype=float)
+    span = wp.zeros(shape=16, dtype=float)
+    cut = wp.zeros(shape=16, dtype=float)
     found_out[i, 0] = boxes_in_prism(leaf_in, a, n, rx, rz, t[0], t[2], 0.0, half_x, 0.0, half_z)
     found_out[i, 1] = triangles_in_prism(
         triangle_in, b, n, rx, rz, t[0], t[2], -half_x, half_x, -half_z, half_z
     )  # fmt: skip
-    found_out[i, 2] = boxes_outside_runs(leaf_in, a, 255, ry, t[1], 0.0, run_low_in, run_high_in, run_low_in.shape[0])
-    found_out[i, 3] = triangles_outside_runs(
-        triangle_in, b, 255, ry, t[1], 0.0, run_low_in, run_high_in, run_low_in.shape[0]
-    )  # fmt: skip
+    boxes_along(leaf_in, a, ry, t[1], span)
+    found_out[i, 2] = outside_runs(span, 255, 0.0, run_low_in, run_high_in, run_low_in.shape[0])
+    found_out[i, 9] = leaf_in_prism(triangle_in, b, n, R, t, half_x, -half_z, half_z, corners, span)
+    found_out[i, 3] = outside_runs(span, 255, 0.0, run_low_in, run_high_in, run_low_in.shape[0])
+    found_out[i, 10] = cut_to_prism(corners, 254, half_x, -half_z, half_z, cut)
+    for k in range(16):
+        cut_out[i, k] = cut[k]
     found_out[i, 4] = boxes_near(leaf_in, a, n, R, t, reach, low_in, high_in, 5, near)
     for k in range(8):
         near_out[i, 0, k] = near[k]
@@ -81,6 +86,20 @@ def _apart(low: np.ndarray, high: np.ndarray, center: np.ndarray, half: np.ndarr
     return np.linalg.norm(np.maximum(np.maximum(low - center, center - high) - half, 0), axis=-1)
 
 
+def _edges_in_prism(triangles: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Lowest and highest y of what triangles' edges (n, 3, 3) have in |x|, |z| <= limit; nan: none."""
+    p, q = triangles, np.roll(triangles, -1, axis=1)
+    d = q - p
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t = np.stack([(s * limit - p[..., ::2]) / d[..., ::2] for s in (-1, 1)])  # two bounds, of x and z
+    t0, t1 = np.maximum(t.min(0).max(-1), 0), np.minimum(t.max(0).min(-1), 1)
+    y = np.where(t0 <= t1, p[..., 1] + np.stack([t0, t1]) * d[..., 1], np.nan)
+    finite = np.isfinite(y).any((0, 2))
+    out = np.full((len(triangles), 2), np.nan)
+    out[finite] = np.stack([np.nanmin(y[:, finite], (0, 2)), np.nanmax(y[:, finite], (0, 2))], -1)
+    return out
+
+
 def test_what_is_near_is_found_among_eight() -> None:
     rng = np.random.default_rng(4)
     triangles = rng.normal(0, 0.02, (COUNT, 8, 1, 3)) + rng.normal(0, 0.004, (COUNT, 8, 3, 3))
@@ -98,7 +117,8 @@ def test_what_is_near_is_found_among_eight() -> None:
     def tensor(x: np.ndarray, dtype: torch.dtype = torch.float32) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(x)).to(dtype)
 
-    found, near = torch.empty((COUNT, 9), dtype=torch.int32), torch.empty((COUNT, 2, 8), dtype=torch.int32)
+    found, near = torch.empty((COUNT, 11), dtype=torch.int32), torch.empty((COUNT, 2, 8), dtype=torch.int32)
+    cut = torch.empty((COUNT, 16), dtype=torch.float32)
     lanes = triangles.reshape(COUNT, 8, 9).transpose(0, 2, 1)
     launch_trials(
         _ask,
@@ -109,7 +129,7 @@ def test_what_is_near_is_found_among_eight() -> None:
             "R": tensor(R), "t": tensor(t), "low": tensor(low), "high": tensor(high),
             "run_low": tensor(runs[:, 0]), "run_high": tensor(runs[:, 1]), "center": tensor(balls), "radius": tensor(ball),
         },
-        outputs={"found": found, "near": near},
+        outputs={"found": found, "near": near, "cut": cut},
         device="cpu",
     )  # fmt: skip
     got, of = found.numpy(), near.numpy()
@@ -122,17 +142,29 @@ def test_what_is_near_is_found_among_eight() -> None:
     least, most = corner.min(2), corner.max(2)
     limit = np.array(PRISM)
 
-    def agree(mine: np.ndarray, slack: np.ndarray) -> None:
-        """`slack`: by how much (m) it is in, negative out."""
+    def agree(mine: np.ndarray, slack: np.ndarray, share: float = 0.02) -> None:
+        """`slack`: by how much (m) it is in, negative out; `share`: how many are in, at least."""
         clear = np.abs(slack) > 1e-6
         assert (mine == (slack > 0))[clear].all()
-        assert clear.mean() > 0.99 and 0.02 < mine.mean() < 0.98
+        assert clear.mean() > 0.99 and share < mine.mean() < 0.98
 
     xz = [0, 2]
     agree(_bits(got[:, 0])[member], (limit - (np.abs(at[..., xz]) - turned[..., xz])).min(-1)[member])
     touches = np.minimum(limit - least[..., xz], most[..., xz] + limit).min(-1)
     agree(_bits(got[:, 1])[member], touches[member])
     agree(_bits(got[:, 1] >> 8), np.maximum(-limit - least[..., xz], most[..., xz] - limit).max(-1))
+    assert (got[:, 9] == got[:, 1]).all(), "all of a leaf at once: the same answers"
+    low_high = cut.numpy().reshape(-1, 2, 8).transpose(0, 2, 1).reshape(-1, 2)
+    expected = _edges_in_prism(corner.reshape(-1, 3, 3), limit)
+    some = low_high[:, 0] <= low_high[:, 1]
+    assert (some == np.isfinite(expected[:, 0])).mean() > 0.999 and 0.2 < some.mean() < 0.8
+    both = some & np.isfinite(expected[:, 0])
+    assert np.abs(low_high - expected)[both].max() < 1e-5
+    for i, (x, z) in enumerate(((-1, -1), (-1, 1), (1, -1), (1, 1))):
+        at_corner = np.array([x, z]) * limit
+        holds = np.minimum(at_corner - least[..., xz], most[..., xz] - at_corner).min(-1)
+        agree(_bits(got[:, 10] >> 8 * i)[:, 1:], holds[:, 1:], 0.005)
+        assert not (got[:, 10] >> 8 * i & 1).any(), "a lane that was not asked for"
     for column, bottom, top in (
         (2, at[..., 1] - turned[..., 1], at[..., 1] + turned[..., 1]),
         (3, least[..., 1], most[..., 1]),
