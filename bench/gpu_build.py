@@ -9,7 +9,8 @@ looked for in --ptxas, in the package nvidia-cuda-nvcc where it is installed (`p
 new as Warp's NVRTC or newer), then on PATH.
 
 stack_bytes: of one thread, calls included. spill_*_bytes: stores and loads of registers that did not fit, of the kernel and
-of all functions that its module keeps out of line. code_bytes: machine code of the kernel, without those functions.
+of all functions that its module keeps out of line, as they are compiled for this kernel (ptxas makes a copy for each).
+code_bytes: machine code of the kernel, without those functions.
 """
 
 import argparse
@@ -38,6 +39,7 @@ from r2h_batch.launch import init_warp
 
 ARCH = 90
 PACKAGE = "r2h_batch.kernels."
+FORWARD = "_cuda_kernel_forward"
 ENTRY = re.compile(r"Compiling entry function '(\w+?)_[0-9a-f]{8}_cuda_kernel_forward'")
 PROPERTIES = re.compile(
     r"Function properties for (\S+)\s+(\d+) bytes stack frame, (\d+) bytes spill stores, (\d+) bytes"
@@ -124,20 +126,25 @@ def children_s() -> float:
 def read_kernels(said: str, sizes: dict[str, int]) -> list[Kernel]:
     """The kernels in what `ptxas -v` printed; `sizes`: code bytes by symbol."""
     entries = list(ENTRY.finditer(said))
-    properties = {m[1]: (int(m[2]), int(m[3]), int(m[4])) for m in PROPERTIES.finditer(said)}
-    shared = [p for name, p in properties.items() if not name.endswith("_cuda_kernel_forward")]
+    before_all = spills(said[: entries[0].start()] if entries else said)
     found = []
     for at, entry in enumerate(entries):
         block = said[entry.end() : entries[at + 1].start() if at + 1 < len(entries) else len(said)]
-        symbol = next(name for name in properties if name.startswith(entry[1]) and name in block)
+        of_block = spills(block)
+        symbol = next(name for name in of_block if name.startswith(entry[1]) and name.endswith(FORWARD))
         used, with_calls = USED.search(block), WITH_CALLS.search(block)
         if used is None:
             raise RuntimeError(f"ptxas says nothing of the registers of {entry[1]}")
-        frame, *own = properties[symbol]
-        stores, loads = (own[i] + sum(p[1 + i] for p in shared) for i in (0, 1))
+        frame = of_block[symbol][0]
+        stores, loads = (sum(p[i] for p in (before_all | of_block).values()) for i in (1, 2))
         stack = int(with_calls[1]) if with_calls else frame
         found.append(Kernel(entry[1], int(used[1]), stack, stores, loads, sizes.get(symbol, 0)))
     return found
+
+
+def spills(said: str) -> dict[str, tuple[int, int, int]]:
+    """Stack frame, spill stores and spill loads (bytes) by symbol, as `ptxas -v` printed them."""
+    return {m[1]: (int(m[2]), int(m[3]), int(m[4])) for m in PROPERTIES.finditer(said)}
 
 
 def code_sizes(elf: bytes) -> dict[str, int]:

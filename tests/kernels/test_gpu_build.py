@@ -50,15 +50,18 @@ ptxas info    : Used 255 registers, used 0 barriers, 4000 bytes cumulative stack
 ptxas info    : Compiling entry function 'c_89abcdef_cuda_kernel_forward' for 'sm_90'
 ptxas info    : Function properties for c_89abcdef_cuda_kernel_forward
     0 bytes stack frame, 0 bytes spill stores, 0 bytes spill loads
+ptxas info    : Function properties for support_0
+    0 bytes stack frame, 16 bytes spill stores, 20 bytes spill loads
 ptxas info    : Used 32 registers, used 0 barriers
 """
 
 
 def test_what_ptxas_says_is_read_with_the_functions_that_stay_out_of_line() -> None:
+    """Each kernel has its own copy of them, with spills of its own."""
     sizes = {"a_b_0123abcd_cuda_kernel_forward": 512, "c_89abcdef_cuda_kernel_forward": 256}
     assert gpu_build.read_kernels(SAID, sizes) == [
         gpu_build.Kernel("a_b", 255, 4000, 1464, 1608, 512),
-        gpu_build.Kernel("c", 32, 0, 8, 12, 256),
+        gpu_build.Kernel("c", 32, 0, 24, 32, 256),
     ]
 
 
@@ -71,6 +74,21 @@ def test_functions_are_out_of_line_on_cuda_only() -> None:
     source = {device: builder.codegen(device) for device in ("cpu", "cuda")}
     assert all("WP_NOINLINE" in text for text in source.values())
     assert "#undef WP_NOINLINE\n#define WP_NOINLINE\n" in source["cpu"] and "#undef WP_NOINLINE" not in source["cuda"]
+
+
+def registers(code: bytes) -> int:
+    """The largest number of registers of a module's kernels: EIATTR_REGCOUNT in the section .nv.info of its machine code."""
+    at = code.index(b"\x04\x2f\x08\x00")  # a number follows, REGCOUNT, 8 bytes: symbol, registers
+    counts = []
+    while at >= 0:
+        counts.append(int.from_bytes(code[at + 8 : at + 12], "little"))
+        at = code.find(b"\x04\x2f\x08\x00", at + 12)
+    return max(counts)
+
+
+def test_what_an_if_leaves_behind_is_not_kept_in_registers_around_a_loop(tmp_path: Path) -> None:
+    """`where` is a branch on CUDA (kernels/options.py): as a select GJK of listed pairs had 239 registers."""
+    assert 100 < registers(compiled("wave.pairs", tmp_path, ptx=False).read_bytes()) < 200
 
 
 def test_lanes_are_useful_while_the_slowest_of_their_warp_works() -> None:
