@@ -271,7 +271,7 @@ class Evaluator:
             safe, touch = with_body(safe, Touch(body, *still, point), body_m, part, config.thresholds)
             body, point = touch.body, touch.point
         (steady, reach, affordance), slip = self._without_posture(holding)
-        plan = Criterion(torch.where(active, goal.clearance_m, torch.nan), goal.free, active)
+        plan = Criterion.of(goal.clearance_m, active, touching_passes=False)  # above 0 exactly where the goal is free
         shown = presented(scene, holding, config.thresholds, threads=threads)
         criteria = [steady, plan, reach, affordance, safe]
         shared = verdict(trials.trial_id, criteria, holding, slip, shown, threads=threads)

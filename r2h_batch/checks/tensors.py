@@ -11,7 +11,7 @@ from torch import Tensor
 
 from r2h_batch.checks import Rule, given, takes
 
-__all__ = ["check_indices", "check_tensor", "checked_device", "rows_of", "takes_tensors"]
+__all__ = ["check_indices", "check_range", "check_tensor", "checked_device", "rows_of", "takes_tensors"]
 
 _INTEGERS = (torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8)
 
@@ -77,7 +77,12 @@ def check_indices(name: str, index: Any, n: int | None, count: int, what: str) -
         raise TypeError(f"{name} is {given(index)}; it must be {words}")
     if index.ndim != 1 or (n is not None and len(index) != n):
         raise ValueError(f"{name} is {given(index)}; it must be {words}")
-    if index.device.type != "cpu" or not len(index) or torch.compiler.is_compiling():
+    check_range(name, index, count, what)
+
+
+def check_range(name: str, index: Tensor, count: int, what: str) -> None:
+    """ValueError where indices are not from 0 to count - 1. They are looked at on a CPU only: on a GPU the host would wait."""
+    if not index.is_cpu or not len(index) or torch.compiler.is_compiling():
         return
     low, high = (int(x) for x in torch.aminmax(index))
     if low < 0 or high >= count:

@@ -88,7 +88,7 @@ def close_pads(
 ) -> tuple[Float32[Tensor, " b"], Float32[Tensor, " b"], Float32[Tensor, " b"], Bool[Tensor, " b"]]:
     """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open gripper cuts."""
     n = _checked(tables, T_obj_ee, object_index, known)
-    width, opening, shift = (torch.empty(n, dtype=torch.float32, device=tables.device) for _ in range(3))
+    width, opening, shift = torch.empty((3, n), dtype=torch.float32, device=tables.device).unbind(0)
     empty = torch.empty(n, dtype=torch.bool, device=tables.device)
     steps = torch.empty(n, dtype=torch.int32, device=tables.device)
     launch_trials(

@@ -133,11 +133,12 @@ def solve_ik(
 
 def _unsolved(n: int, device: torch.device) -> IkResult:
     """Room for n targets, all of which the kernel writes."""
+    position, rotation = torch.empty((2, n, BRANCHES), dtype=torch.float32, device=device).unbind(0)
     return IkResult(
         q=torch.empty((n, BRANCHES, 6), dtype=torch.float32, device=device),
         valid=torch.empty((n, BRANCHES), dtype=torch.bool, device=device),
-        position_error_m=torch.empty((n, BRANCHES), dtype=torch.float32, device=device),
-        rotation_error_rad=torch.empty((n, BRANCHES), dtype=torch.float32, device=device),
+        position_error_m=position,
+        rotation_error_rad=rotation,
         status=torch.empty((n, 4), dtype=torch.uint8, device=device),
         steps=torch.empty((n, 4), dtype=torch.int32, device=device),
     )

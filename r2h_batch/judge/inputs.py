@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from r2h_batch.checks import given, kind, one_of
-from r2h_batch.checks.tensors import check_indices as in_range
-from r2h_batch.checks.tensors import check_tensor
+from r2h_batch.checks.tensors import check_range, check_tensor
 from r2h_batch.config import EvalConfig
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
@@ -109,7 +108,7 @@ def check_indices(scene: Scene, trials: Trials) -> None:
         ("object_index", trials.object_index, len(scene.objects)),
         ("hand_index", trials.hand_index, len(scene.hands.set)),
     ):
-        in_range(f"trials.{name}", index, len(trials), count, "the scene")
+        check_range(f"trials.{name}", index, count, "the scene")
 
 
 def repeated(trials: Trials, k: int) -> Trials:

@@ -33,11 +33,8 @@ def presented(scene: Scene, holding: Holding, thresholds: Thresholds, *, threads
     """Where each trial's receiver's region is when the object is handed over: facing, and within the ball's radius of c_h."""
     meshes, center = scene.regions
     point, _ = scene.palms
-    found = Presented(
-        angle_deg=torch.empty_like(holding.grasp.width_m),
-        distance_m=torch.empty_like(holding.grasp.width_m),
-        presented=torch.empty_like(holding.active),
-    )
+    angle, distance = torch.empty((2, len(holding.active)), dtype=torch.float32, device=holding.active.device).unbind(0)
+    found = Presented(angle, distance, torch.empty_like(holding.active))
     launch_trials(
         kernels.region_presented,
         len(holding.active),

@@ -16,7 +16,7 @@ from r2h_batch.kernels.judge import verdict as verdict_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.motion.execute import Executed, executed_time_at
 from r2h_batch.motion.time_law import Motion, time_at
-from r2h_batch.types import CollidingPair, PlanReason, Scores
+from r2h_batch.types import CRITERIA, CollidingPair, PlanReason, Scores
 
 __all__ = ["motion_scores", "pose_scores", "random_key", "verdict"]
 
@@ -38,9 +38,9 @@ def verdict(
     active, grasp = holding.active, holding.grasp
     b, device = len(active), active.device
     # (B,) and (B, 5), columns as CRITERIA
-    success, borderline = (torch.empty_like(active) for _ in range(2))
-    passed, evaluated = (torch.empty((b, len(criteria)), dtype=torch.bool, device=device) for _ in range(2))
-    width, opening, shift = (torch.empty_like(grasp.width_m) for _ in range(3))
+    success, borderline = torch.empty((2, b), dtype=torch.bool, device=device).unbind(0)
+    passed, evaluated = torch.empty((2, b, len(criteria)), dtype=torch.bool, device=device).unbind(0)
+    width, opening, shift = torch.empty((3, b), dtype=torch.float32, device=device).unbind(0)
     out = {
         "outcome": torch.empty(b, dtype=torch.int8, device=device),
         "success": success,
@@ -80,13 +80,14 @@ def verdict(
     return {"trial_id": trial_id, **out}
 
 
+_COLUMNS = tuple((f"margin_{k}", f"passed_{k}", f"evaluated_{k}") for k in range(len(CRITERIA)))
+
+
 def _columns(criteria: Sequence[Criterion]) -> dict[str, Tensor | int]:
     """What `judge_rows` reads of the criteria: their numbers as they were given, and the rules to read them by."""
-    columns: dict[str, Tensor | int] = {
-        f"{name}_{k}": column
-        for k, c in enumerate(criteria)
-        for name, column in (("margin", c.given), ("passed", c.given_passed), ("evaluated", c.asked))
-    }
+    columns: dict[str, Tensor | int] = {}
+    for (margin, passed, evaluated), c in zip(_COLUMNS, criteria, strict=True):
+        columns[margin], columns[passed], columns[evaluated] = c.given, c.given_passed, c.asked
     columns["rules"] = sum(c.rule << (int(verdict_kernels.RULE_BITS) * k) for k, c in enumerate(criteria))
     return columns
 
@@ -144,6 +145,7 @@ def pose_scores(
     """`Scores` of poses that were judged without a path; `shared` from `verdict`."""
     nan, zero = torch.full_like(goal.clearance_m, torch.nan), torch.zeros_like(goal.reason)
     none = torch.empty((len(nan), 0, 6), dtype=torch.float32, device=nan.device)
+    nothing = none[:, :, 0]
     return Scores(
         **shared,
         plan_reason=goal.reason.to(torch.int8),
@@ -155,11 +157,11 @@ def pose_scores(
         t_exec_s=nan,
         q_goal=goal.q,
         path=none,
-        path_time_s=none[:, :, 0],
+        path_time_s=nothing,
         path_len=zero,
         motion=none,
         motion_len=zero.clone(),
-        failed_state=none[:, :, 0].double(),
+        failed_state=nothing.double(),
         body_m=body_m,
     )
 

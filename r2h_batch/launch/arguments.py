@@ -11,8 +11,9 @@ Tensors and NumPy arrays are passed as they are: the kernel's own declaration sa
 descriptor is built here, at about half the time that `wp.from_torch` takes; no gradient goes along.
 """
 
+import ctypes
 import difflib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from math import prod
@@ -23,6 +24,8 @@ import torch
 import warp as wp
 from torch import Tensor
 from warp.types import types_equal
+
+from r2h_batch.launch.alike import alike
 
 _WRITTEN = ("_inout", "_out", "_scratch")
 
@@ -107,11 +110,23 @@ def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
     """
     made = kind()
     descriptors, fields = made.__ctype__(), _fields(kind)
-    place = wp.device_from_torch(tensors[fields[0][0]].device)
-    for name, p in fields:
-        setattr(descriptors, name, _pack_array(p, tensors[name], place, 0))
+    values = tuple(tensors[name] for name, _ in fields)
+    of_these, packed = _last_packed.get(kind, (None, b""))
+    if of_these is not None and of_these(values):  # only addresses differ
+        ctypes.memmove(ctypes.addressof(descriptors), packed, len(packed))
+        for (name, _), value in zip(fields, values, strict=True):
+            getattr(descriptors, name).data = value.data_ptr()
+    else:
+        place = wp.device_from_torch(values[0].device)
+        for (name, p), value in zip(fields, values, strict=True):
+            setattr(descriptors, name, _pack_array(p, value, place, 0))
+        _last_packed[kind] = alike(values), bytes(descriptors)
     vars(made)["tensors"] = tensors
     return made
+
+
+_last_packed: dict[Any, tuple[Callable[[Sequence[object]], bool], bytes]] = {}
+"""Of each struct what `struct_of` made last, and what knows tensors like those that it was made of."""
 
 
 @cache

@@ -7,15 +7,18 @@ are there. Whatever else differs (dimensions, kinds, names, a struct) is packed,
 
 import copy
 import ctypes
+import sys
 import threading
 import weakref
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from operator import itemgetter
 from typing import Any
 
 import warp as wp
 from torch import Tensor
 
+from r2h_batch.launch.alike import alike
 from r2h_batch.launch.arguments import Parameter, parameters
 
 MOST_KERNELS = 256
@@ -47,37 +50,45 @@ class Repeated:
         self.copies: list[ctypes.Structure] = [self.arguments]  # each worker's
         self.bounds: dict[tuple[int, int], Any] = {}
         self.sizes = (len(inputs), len(outputs))
-        self.tensors: list[list[Any]] = []
+        self.tensors: list[tuple[bool, Any, Any]] = []  # is written, data type, descriptor
         self.structs: list[list[Any]] = []
         self.others: list[list[Any]] = []
-        for p in parameters(kernel):
+        values: list[Tensor] = []
+        names: tuple[list[str], list[str]] = ([], [])
+        for p in sorted(parameters(kernel), key=lambda p: p.written):
             value = (outputs if p.written else inputs)[p.name]
             here = getattr(self.arguments, p.label)
             if p.array is not None and type(value) is Tensor:
-                self.tensors.append([p.name, p.written, p.array.torch, value.shape, here])
+                self.tensors.append((p.written, p.array.torch, here))
+                names[p.written].append(p.name)
+                values.append(value)
             elif _is_struct(p):
                 self.structs.append([p.name, p.written, p, _known(p, value)])
             else:
                 self.others.append([p.name, p.written, p, _known(p, value)])
+        self.of_inputs, self.of_outputs = (_values(n) for n in names)
+        self._keep(values)
+
+    def _keep(self, values: Sequence[Tensor]) -> None:
+        """These are what the descriptors stand for, but for their addresses."""
+        self.shapes = [x.shape for x in values]
+        self.alike = alike(values)
+        written = [x.shape[0] for x, (written, _, _) in zip(values, self.tensors, strict=True) if written]
+        self.rows = min(written, default=sys.maxsize)
 
     def refill(self, inputs: Mapping[str, Any], outputs: Mapping[str, Any], rows: int) -> bool:
         """Whether the launch now stands for these arguments; if not, they have to be packed anew (or refused)."""
         if (len(inputs), len(outputs)) != self.sizes:
             return False
-        for slot in self.tensors:
-            name, written, dtype, shape, descriptor = slot
-            value = (outputs if written else inputs).get(name)
-            # a kind of tensor of its own may say anything of itself: it is looked at with care
-            if type(value) is not Tensor or value.dtype is not dtype or not value.is_cpu or not value.is_contiguous():
-                return False
-            given = value.shape
-            if given != shape:
-                if given[1:] != shape[1:]:
-                    return False
-                slot[3] = given
-                descriptor.shape[0] = given[0]  # of contiguous memory no stride depends on it
-            if written and given[0] < rows:
-                return False
+        try:
+            values = self.of_inputs(inputs) + self.of_outputs(outputs)
+        except KeyError:
+            return False
+        if not self.alike(values) and not self._reshape(values):
+            return False
+        if rows > self.rows:
+            return False
+        for (_, _, descriptor), value in zip(self.tensors, values, strict=True):
             descriptor.data = value.data_ptr()
         for slot in self.structs:
             name, written, p, known = slot
@@ -98,6 +109,18 @@ class Repeated:
             packed = p.pack(p, value, cpu(), rows)
             setattr(self.arguments, p.label, packed.__ctype__() if isinstance(packed, wp.array) else packed)
             slot[3] = _known(p, value)
+        return True
+
+    def _reshape(self, values: Sequence[Any]) -> bool:
+        """Whether these differ in their numbers of rows alone; the descriptors have them then."""
+        for (_, dtype, descriptor), known, value in zip(self.tensors, self.shapes, values, strict=True):
+            # a kind of tensor of its own may say anything of itself: it is looked at with care
+            if type(value) is not Tensor or value.dtype is not dtype or not value.is_cpu or not value.is_contiguous():
+                return False
+            if value.shape[1:] != known[1:] or len(value.shape) != len(known):
+                return False
+            descriptor.shape[0] = value.shape[0]  # of contiguous memory no stride depends on it
+        self._keep(values)
         return True
 
     def prepare(self, workers: int) -> None:
@@ -128,6 +151,13 @@ class Repeated:
 def _structure(labels: tuple[str, ...], kinds: tuple[type, ...]) -> type[ctypes.Structure]:
     """Arguments side by side, as the compiled function of a kernel with these parameters takes them."""
     return type("Arguments", (ctypes.Structure,), {"_fields_": list(zip(labels, kinds, strict=True))})
+
+
+def _values(names: Sequence[str]) -> Callable[[Mapping[str, Any]], tuple[Any, ...]]:
+    """What takes these from a mapping; KeyError where one is missing."""
+    if len(names) > 1:
+        return itemgetter(*names)
+    return lambda mapping: tuple(mapping[name] for name in names)
 
 
 def _known(p: Parameter, value: Any) -> Callable[[], Any]:
