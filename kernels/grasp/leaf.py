@@ -153,3 +153,38 @@ def cut_to_prism(
     (`corner`), as bits 8 i ...
     """
     ...
+
+
+# What `add_run` does where there is one run and the range meets it, which is nearly always so: nothing but that run grows.
+@wp.func_native("""
+    float low = run_low.data[0], high = run_high.data[0];
+    while (n == 1 && near != 0) {
+#if defined(__CUDA_ARCH__)
+        int lane = __ffs(near) - 1;
+#else
+        int lane = __builtin_ctz(near);
+#endif
+        const float* y = ((sticking >> lane) & 1) ? cut.data : span.data;
+        float a = y[lane], b = y[8 + lane];
+        if (a <= b && !(a <= high + join && b >= low - join))
+            break;
+        near &= near - 1;
+        if (a <= b && !(span.data[lane] >= low - slack && span.data[8 + lane] <= high + slack)) {
+            low = a < low ? a : low;
+            high = b > high ? b : high;
+        }
+    }
+    run_low.data[0] = low;
+    run_high.data[0] = high;
+    return near;
+""")
+def grow_run(
+    near: int, sticking: int, span: wp.array(dtype=float), cut: wp.array(dtype=float), slack: float, join: float,
+    run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
+) -> int:  # fmt: skip
+    """Joins lanes to the one run there is (n = 1), lowest lane first, until one does not meet it; what is left of `near`.
+
+    A lane's range of y is its `cut` where it is in `sticking`, else its `span`. Lanes whose span lies in the run, give or take
+    `slack`, are passed over; ranges within `join` of the run meet it.
+    """
+    ...

@@ -19,9 +19,9 @@ from r2h_batch.kernels.geometry.lanes import (
 )
 from r2h_batch.kernels.geometry.surface import Surfaces, line_hit
 from r2h_batch.kernels.grasp.crossings import solid_along_line
-from r2h_batch.kernels.grasp.leaf import boxes_along, cut_to_prism, leaf_in_prism, outside_runs
+from r2h_batch.kernels.grasp.leaf import boxes_along, cut_to_prism, grow_run, leaf_in_prism, outside_runs
 from r2h_batch.kernels.grasp.prism import corner
-from r2h_batch.kernels.grasp.runs import COVERED_M, add_run, outermost
+from r2h_batch.kernels.grasp.runs import COVERED_M, JOIN_M, add_run, outermost
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -63,6 +63,7 @@ def _add_leaf(
         at = cut_to_prism(corners, sticking, half_x, z_low, z_high, cut)
         if at != 0:
             _add_corners(corners, at, half_x, z_low, z_high, cut)
+    near = grow_run(near, sticking, span, cut, COVERED_M, JOIN_M, run_low, run_high, runs)
     while near != 0:
         lane = first_lane(near)
         near = near & (near - 1)
@@ -74,6 +75,7 @@ def _add_leaf(
         if low <= high:
             runs = add_run(run_low, run_high, runs, low, high)
             near = outside_runs(span, near, COVERED_M, run_low, run_high, runs)  # asked anew: the runs have grown
+            near = grow_run(near, sticking, span, cut, COVERED_M, JOIN_M, run_low, run_high, runs)
     return runs
 
 
