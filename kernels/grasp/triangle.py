@@ -6,7 +6,7 @@ inside.
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BOX, CAPSULE, HULL, SPHERE, Body
+from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, HULL, SPHERE, Body
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.options import OPTIONS
@@ -40,6 +40,29 @@ def apart(kind: int, size: wp.vec3, low: wp.vec3, high: wp.vec3) -> float:
 
 
 @wp.func
+def _parted(b: Body, x: wp.vec3, u: wp.vec3, v: wp.vec3, w: wp.vec3, distance: float) -> bool:
+    """Whether a plane, square to the way from a primitive to the point x, keeps triangle uvw `distance` or more away from it.
+
+    With h(g) the primitive's support along g, no point of the triangle is nearer than (min g . (u, v, w) - h(g)) / |g|.
+    """
+    g = x
+    reach = float(0.0)
+    if b.kind == BOX:
+        g = x - wp.max(wp.min(x, b.size), -b.size)
+        reach = wp.abs(g[0]) * b.size[0] + wp.abs(g[1]) * b.size[1] + wp.abs(g[2]) * b.size[2]
+    elif b.kind == CAPSULE:
+        g = wp.vec3(x[0], x[1], x[2] - wp.clamp(x[2], -b.size[1], b.size[1]))
+        reach = wp.abs(g[2]) * b.size[1]
+    elif b.kind == CYLINDER:
+        r = wp.sqrt(x[0] * x[0] + x[1] * x[1])
+        f = wp.where(r > b.size[0], 1.0 - b.size[0] / r, 0.0)
+        g = wp.vec3(f * x[0], f * x[1], x[2] - wp.clamp(x[2], -b.size[1], b.size[1]))
+        reach = wp.sqrt(g[0] * g[0] + g[1] * g[1]) * b.size[0] + wp.abs(g[2]) * b.size[1]
+    n = wp.length(g)
+    return n > 0.0 and wp.min(wp.dot(g, u), wp.min(wp.dot(g, v), wp.dot(g, w))) - reach >= (distance + b.radius) * n
+
+
+@wp.func
 def triangle_clearance(
     points: wp.array(dtype=wp.vec3), tri: int, kind: int, size: wp.vec3, R: wp.mat33, p: wp.vec3, best: float
 ) -> float:
@@ -70,11 +93,14 @@ def triangle_clearance(
         high = wp.min(inner_radius(kind, size), -least)
         if probe > 0.0 and probe >= high:
             return clearance
+        b = eroded(kind, size, probe)
+        if _parted(b, middle, u, v, w, wp.max(clearance, 0.0) + GJK_M):
+            return clearance
         a = Body()
         a.kind = HULL
         a.start = 3 * tri
         a.count = 3
-        d = gjk(a, R, p, points, eroded(kind, size, probe), points, p - middle, wp.max(clearance, 0.0), 0.0)
+        d = gjk(a, R, p, points, b, points, p - middle, wp.max(clearance, 0.0), 0.0)
         if d.upper > TOUCH_M:
             if probe == 0.0:
                 clearance = wp.min(clearance, d.lower)
