@@ -305,5 +305,5 @@ class Evaluator:
                 scene, grasp, holding.attached, objects, active, threads=threads
             )
         reach = metrics.reach(scene, holding.ball, objects, active, limits, threads=threads)
-        affordance = metrics.affordance(scene, holding.attached, objects, grasp, active, limits, threads=threads)
+        affordance = metrics.affordance(scene, holding.attached, objects, holding.squeezed_m, active, threads=threads)
         return (steady, reach, affordance), slip

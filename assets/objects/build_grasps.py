@@ -19,7 +19,7 @@ from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import Thresholds
 from r2h_batch.judge.grasp import close_gripper
-from r2h_batch.judge.metrics import affordance, stability
+from r2h_batch.judge.metrics import affordance, squeezed, stability
 from r2h_batch.methods.candidates import STORED
 from r2h_batch.methods.grasps.candidate_set import Candidates
 from r2h_batch.methods.grasps.diverse import REGION_CLEARANCE_M
@@ -64,7 +64,7 @@ def _judged(model: ObjectModel, found: Candidates) -> dict[str, object]:
     T, index = torch.from_numpy(found.T_obj_ee), torch.zeros(len(found), dtype=torch.int32)
     held = close_gripper(scene.grasp_tables, T, index, w_max=limits.w_max_m, w_min=limits.w_min_m)
     active = torch.ones(len(found), dtype=torch.bool)
-    kind = affordance(scene, T, index, held, active, limits)
+    kind = affordance(scene, T, index, squeezed(held, limits), active)
     return {
         "pass_stability": int(stability(held, active).passed.sum()),
         "pass_affordance": None if model.split == "S0" else int(kind.passed.sum()),

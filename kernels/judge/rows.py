@@ -157,9 +157,28 @@ def product(a: wp.mat44, b: wp.mat44) -> wp.mat44:
     return pose_of(turned(a, column(b, 0)), turned(a, column(b, 1)), turned(a, column(b, 2)), moved(a, column(b, 3)))
 
 
+@wp.func
+def material_margin(empty: bool, width: float, w_max: float, w_min: float) -> float:
+    """How far what lies between the pads is from being too wide or too thin; nothing is as far below 0 as the widest is above."""
+    if empty:
+        return -w_max
+    return wp.min(w_max - width, width - w_min)
+
+
+@wp.func
+def squeezed(width: float, opening: float, w_max: float, pad_squeeze: float) -> float:
+    """As `r2h_batch.judge.metrics.squeezed`: the opening of fingers that hold; of a gripper that stayed open its own."""
+    if width <= w_max:
+        return wp.max(opening - pad_squeeze, 0.0)
+    return opening
+
+
 @wp.kernel
 def close_rows(
     first: int,
+    w_max: float,
+    w_min: float,
+    pad_squeeze: float,
     reach_offset: float,
     palm_point: wp.array(dtype=wp.vec3),
     palm_normal: wp.array(dtype=wp.vec3),
@@ -167,12 +186,21 @@ def close_rows(
     T_world_ee_in: wp.array(dtype=wp.mat44),
     T_world_hand_in: wp.array(dtype=wp.mat44),
     hand_in: wp.array(dtype=wp.int32),
+    width_in: wp.array(dtype=wp.float32),
+    opening_in: wp.array(dtype=wp.float32),
     shift_in: wp.array(dtype=wp.float32),
+    empty_in: wp.array(dtype=wp.bool),
+    cut_in: wp.array(dtype=wp.float32),
+    margin_out: wp.array(dtype=wp.float32),
+    squeezed_out: wp.array(dtype=wp.float32),
     attached_out: wp.array(dtype=wp.mat44),
     ball_out: wp.array(dtype=wp.vec3),
 ):
-    """The grasp once the pads have met the object, moved by `shift` along y; then the receiver's ball in its frame."""
+    """What closing leaves: Stability's margin, the fingers' opening, the grasp once the pads have met the object (moved by
+    `shift` along y), and the receiver's ball in that frame."""
     row = first + wp.tid()
+    margin_out[row] = wp.min(material_margin(empty_in[row], width_in[row], w_max, w_min), cut_in[row])
+    squeezed_out[row] = squeezed(width_in[row], opening_in[row], w_max, pad_squeeze)
     G = T_obj_ee_in[row]
     y = column(G, 1)
     p = column(G, 3)

@@ -1,6 +1,7 @@
 """The object in the closed gripper: which rows are poses at all, what closing does, and where every body then sits."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float32, Int32
@@ -8,7 +9,7 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.config import EvalConfig
-from r2h_batch.judge.grasp import Grasp, close_gripper
+from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, close_pads, open_clearance
 from r2h_batch.kernels.judge import rows as row_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.predictors.hands import estimated_hand
@@ -38,6 +39,7 @@ class Holding:
     hands: Int32[Tensor, " b"]
     objects: Int32[Tensor, " b"]
     grasp: Grasp
+    squeezed_m: Float32[Tensor, " b"]  # opening of the fingers that hold (`metrics.squeezed`)
     attached: Float32[Tensor, "b 4 4"]  # T_obj_ee once the pads have met the object
     ball: Float32[Tensor, "b 3"]  # centre of the receiver's ball in the object's frame
     placed: Placed
@@ -58,10 +60,10 @@ def hold(
         scene, (T_obj_ee, T_world_ee, trials.T_world_hand), trials, threads
     )
     limits = config.thresholds
-    grasp = close_gripper(
-        scene.grasp_tables, T_obj_ee, objects,
-        w_max=limits.w_max_m, w_min=limits.w_min_m, mode=config.width, known=True, threads=threads,
-    )  # fmt: skip
+    on: dict[str, Any] = {"known": True, "threads": threads}
+    width, opening, shift, empty = close_pads(scene.grasp_tables, T_obj_ee, objects, mode=config.width, **on)
+    cut, cut_part = open_clearance(scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M, **on)
+    margin, squeezed = torch.empty((2, len(active)), dtype=torch.float32, device=active.device).unbind(0)
     attached = torch.empty_like(T_obj_ee)
     ball = torch.empty((attached.shape[0], 3), dtype=attached.dtype, device=attached.device)
     point, normal = scene.palms
@@ -69,6 +71,9 @@ def hold(
         row_kernels.close_rows,
         len(active),
         inputs={
+            "w_max": limits.w_max_m,
+            "w_min": limits.w_min_m,
+            "pad_squeeze": limits.pad_squeeze_m,
             "reach_offset": limits.reach_offset_m,
             "palm_point": point,
             "palm_normal": normal,
@@ -76,22 +81,29 @@ def hold(
             "T_world_ee": T_world_ee,
             "T_world_hand": T_world_hand,
             "hand": hands,
-            "shift": grasp.shift_m,
+            "width": width,
+            "opening": opening,
+            "shift": shift,
+            "empty": empty,
+            "cut": cut,
         },
-        outputs={"attached": attached, "ball": ball},
+        outputs={"margin": margin, "squeezed": squeezed, "attached": attached, "ball": ball},
         device=scene.device,
         threads=threads,
         chunk=ROWS_CHUNK,
     )
-    placed = scene.place(objects, hands, attached, T_world_hand, grasp.opening_m, threads=threads)
+    grasp = Grasp(width, opening, shift, empty, cut, margin, cut_part)
+    placed = scene.place(objects, hands, attached, T_world_hand, opening, threads=threads)
     planned = placed
     if config.plan.hand == "estimated":
         T = _seen(scene, trials, hands, active, config)
-        planned = scene.place(objects, hands, attached, T, grasp.opening_m, threads=threads)
+        planned = scene.place(objects, hands, attached, T, opening, threads=threads)
     if config.receiver == "body":
         assert trials.receiver is not None  # `inputs.check_receiver` has asked
         planned = with_person(scene, planned, trials.receiver, hand=True)
-    return Holding(active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, attached, ball, placed, planned)
+    return Holding(
+        active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, squeezed, attached, ball, placed, planned
+    )
 
 
 def _seen(scene: Scene, trials: Trials, hands: Tensor, active: Tensor, config: EvalConfig) -> Float32[Tensor, "b 4 4"]:

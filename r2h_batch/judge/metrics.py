@@ -168,21 +168,19 @@ def affordance(
     scene: Scene,
     attached: Float32[Tensor, "b 4 4"],
     object_index: Int32[Tensor, " b"],
-    grasp: Grasp,
+    opening_m: Float32[Tensor, " b"],
     active: Bool[Tensor, " b"],
-    thresholds: Thresholds,
     *,
     threads: int | None = None,
 ) -> Criterion:
     """Affordance(g) <=> V_grip(g) does not meet G_O^H(g): margin is the fingers' distance to the region. S1 only.
 
-    The fingers are taken `pad_squeeze_m` tighter than the material between them, so that fingers which hold the region
-    itself meet it clearly and not within rounding. `attached`: `T_obj_ee` once the pads have met the object (`attach`): the
+    `opening_m`: of the fingers, `squeezed`, so that those which hold the region itself meet it clearly and not within
+    rounding. `attached`: `T_obj_ee` once the pads have met the object (`attach`): the
     region moves with the object, which they have shifted.
     """
-    opening = squeezed(grasp, thresholds)
     distance, _ = region_distance(
-        scene.grasp_tables, attached, object_index, opening, cap_m=CLEARANCE_CAP_M, known=True, threads=threads
+        scene.grasp_tables, attached, object_index, opening_m, cap_m=CLEARANCE_CAP_M, known=True, threads=threads
     )
     return Criterion.of(distance, active, touching_passes=False, nan_is_unasked=True)
 

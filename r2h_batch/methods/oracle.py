@@ -15,7 +15,7 @@ from r2h_batch import rng, se3
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper
-from r2h_batch.judge.metrics import affordance, stability
+from r2h_batch.judge.metrics import affordance, squeezed, stability
 from r2h_batch.methods.candidates import candidates_in, check_candidates, stacked
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CRITERIA, Outcome, Predictions, Scores, Trials
@@ -123,7 +123,8 @@ def _usable_grasps(evaluator: Evaluator) -> tuple[NDArray[np.float32], NDArray[n
         w_max=thresholds.w_max_m, w_min=thresholds.w_min_m, mode=evaluator.config.width, threads=evaluator.threads,
     )  # fmt: skip
     steady = stability(held, active)
-    kind = affordance(scene, attach(T, held.shift_m), index, held, active, thresholds, threads=evaluator.threads)
+    opening = squeezed(held, thresholds)
+    kind = affordance(scene, attach(T, held.shift_m), index, opening, active, threads=evaluator.threads)
     passes = (steady.passed & (kind.passed | ~kind.evaluated)).cpu().numpy()
     spare = torch.minimum(steady.margin, torch.where(kind.evaluated, kind.margin, torch.inf)).cpu().numpy()
     kept = []

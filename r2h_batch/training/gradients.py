@@ -18,7 +18,6 @@ from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.grasp import CUT_CAP_M
 from r2h_batch.judge.hold import Holding
 from r2h_batch.judge.ik import ur_parameters
-from r2h_batch.judge.metrics import squeezed
 from r2h_batch.scene.scene import Scene
 from r2h_batch.soft import with_gradient
 from r2h_batch.training import first_order, witnesses
@@ -120,7 +119,7 @@ class MarginChanges:
 
         near = self.evaluated[:, 3] & (margin[:, 3] < CLEARANCE_CAP_M)
         self.region = witnesses.fingers(
-            scene, held.attached, held.objects, squeezed(grasp, thresholds), margin[:, 3], near, region=True, **launch
+            scene, held.attached, held.objects, held.squeezed_m, margin[:, 3], near, region=True, **launch
         )
 
         # fingers that hold the region overlap it by their squeeze, wherever they go along it: the way to what is not region

@@ -211,7 +211,11 @@ def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
     assert (s.margin[holding, AFFORDANCE] < -1e-4).all()
     too_wide = Grasp(**{**grasp.__dict__, "width_m": torch.full((N,), 0.2), "opening_m": torch.full((N,), 0.085)})
     c = metrics.affordance(
-        scene, closed[0], batch.trials.object_index, too_wide, torch.ones(N, dtype=torch.bool), Thresholds()
+        scene,
+        closed[0],
+        batch.trials.object_index,
+        metrics.squeezed(too_wide, Thresholds()),
+        torch.ones(N, dtype=torch.bool),
     )
     open_, _ = region_distance(scene.grasp_tables, *closed, too_wide.opening_m, cap_m=CLEARANCE_CAP_M)
     assert torch.equal(c.margin[c.evaluated], open_[c.evaluated])
@@ -298,7 +302,7 @@ def test_inactive_rows_are_not_judged():
         metrics.stability(grasp, none),
         metrics.plan(problems.plan, as_planned(problems), none),
         metrics.reach(scene, ball, batch.trials.object_index, none, Thresholds()),
-        metrics.affordance(scene, problems.T_obj_ee_attached, batch.trials.object_index, grasp, none, Thresholds()),
+        metrics.affordance(scene, problems.T_obj_ee_attached, batch.trials.object_index, grasp.opening_m, none),
         metrics.safe(scene, problems.placed, as_planned(problems), none, Thresholds())[0],
     ):
         assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()

@@ -6,12 +6,12 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from problems import default_evaluator
+from problems import default_evaluator, make_batch
 
 from r2h_batch import se3
-from r2h_batch.judge.grasp import attach
+from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.hold import hold
-from r2h_batch.judge.metrics import Criterion
+from r2h_batch.judge.metrics import Criterion, squeezed
 from r2h_batch.judge.presented import Presented
 from r2h_batch.judge.verdict import verdict
 from r2h_batch.trials.protocol import trials_with_ids
@@ -63,6 +63,22 @@ def test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit(held)
     T_world_obj = se3.matmul(holding.T_world_ee, se3.inverse(attached))
     ball = se3.apply(se3.inverse(T_world_obj), center)
     assert torch.equal(holding.ball[active], ball[active])
+
+
+def test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit():
+    evaluator = default_evaluator()
+    batch, limits = make_batch(evaluator.scene, N), evaluator.config.thresholds
+    batch.T_obj_ee[::2, :3, 3] += 0.05 * torch.randn((N // 2, 3), generator=torch.Generator().manual_seed(0))
+    holding = hold(evaluator.scene, batch.T_obj_ee, batch.T_world_ee, batch.trials, evaluator.config)
+    grasp = close_gripper(
+        evaluator.scene.grasp_tables, holding.T_obj_ee, holding.objects, w_max=limits.w_max_m, w_min=limits.w_min_m
+    )
+    for name, value in vars(grasp).items():
+        assert torch.equal(torch.nan_to_num(value, 7.0), torch.nan_to_num(getattr(holding.grasp, name), 7.0)), name
+    assert torch.equal(holding.squeezed_m, squeezed(grasp, limits))
+    held = grasp.width_m <= limits.w_max_m
+    material = held & (grasp.margin_m < grasp.cut_m)
+    assert [5 < int(kind.sum()) < N - 5 for kind in (grasp.empty, held, material)] == [True] * 3
 
 
 @pytest.mark.parametrize("simulated", [False, True])
