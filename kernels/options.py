@@ -41,3 +41,17 @@ A CPU has no use for it.
 `fuse_fp` off: every product is rounded before it is added, on a CPU as on CUDA, and angles go through geometry/angles.py; so
 what decides verdicts has the same float32 bits on both (docs/gpu.md says what was shown of that, and where not). It costs
 nothing on a CPU. `methods/` and `receiver/` leave it on: what they find is judged like anybody's."""
+
+
+@wp.func_native("""
+#if defined(__CUDA_ARCH__)
+    asm volatile("" : "+r"(i));
+#endif
+    return i;
+""")
+def afresh(i: int) -> int:
+    """The same number, of which a compiler for CUDA knows nothing: addresses are worked out from it where it is asked for.
+
+    Addresses that do not change in a loop are otherwise kept in registers throughout it, where a long kernel has none to spare.
+    """
+    ...

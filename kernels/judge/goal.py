@@ -4,7 +4,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.judge.hand_distance import posture_distance
-from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.options import OPTIONS, afresh
 from r2h_batch.kernels.plan.codes import (
     BRANCHES,
     FREE,
@@ -127,6 +127,15 @@ def choose_goal(
     reason_out[trial] = reason
 
 
+@wp.func
+def _branch_or_home(q_in: wp.array2d(dtype=float), first: int, step: int, home_in: wp.array2d(dtype=float)):
+    """The branch that `first` and `step` say, home after the last."""
+    q = load(home_in, afresh(0))
+    if step < BRANCHES:
+        q = load(q_in, first + step)
+    return q
+
+
 @wp.kernel
 def goal_clearance(
     first: int,
@@ -177,31 +186,30 @@ def goal_clearance(
     best.other = -1
     settled = bool(False)
     for step in range(BRANCHES + 1):  # the last one is home, for starts in collision
+        here = afresh(trial)
         wanted = step == chosen
         if step < BRANCHES and chosen < 0:
-            wanted = valid_in[trial, step] and not settled
+            wanted = valid_in[here, step] and not settled
         floor = best.clearance + TIE_M
-        q = vec6()
         if step == BRANCHES:
             wanted = reason == REASON_START_IN_COLLISION
             floor = float(-1.0e30)
-            q = load(home_in, 0)
-        else:
-            q = load(q_in, trial * BRANCHES + step)
+        q = _branch_or_home(q_in, here * BRANCHES, step, home_in)
         # a first look for something deeper than the best branch's margin, then everything
         attempt = wp.where(floor > -1.0e29 and floor < 0.0, 0, 1)
         while wanted and attempt < 2:
             look = wp.where(attempt == 0, floor, cap)
-            found = posture_clearance(world, hull_ball, bodies, trial, q, look, floor, R, p)
+            found = posture_clearance(world, hull_ball, bodies, here, q, look, floor, R, p)
             wanted = found.clearance >= look or attempt == 1
             attempt += 1
             if wanted and attempt == 2 and (found.clearance > floor or step == BRANCHES):
                 best = found
                 if step < BRANCHES:
-                    slot_inout[trial] = step
+                    slot_inout[here] = step
                 # what rides on the wrist meets hand and table alike in every branch: none can be better
                 if best.clearance < 0.0 and best.pair % PAIR_SELF != 0 and best.body >= world.link_first[WRIST_3]:
                     settled = True
+    trial = afresh(trial)
     if slot_inout[trial] >= 0:
         for j in range(6):
             q_goal_inout[trial, j] = q_in[trial * BRANCHES + slot_inout[trial], j]

@@ -158,6 +158,23 @@ def pair_clearance(world: World, body: BodyInPlace, partner: Partner, known: flo
     return out
 
 
+@wp.func
+def _partner(
+    world: World, bodies: TrialBodies, trial: int, body: BodyInPlace, kind: int, i: int, hand: int,
+    R_hand_world: wp.mat33, table_p: wp.vec3, up: wp.vec3, top: float, known: float,
+    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    """Partner i of a kind, as far as it may be nearer than `known`."""
+    partner = Partner()
+    if kind == PAIR_HAND:
+        partner = hand_piece(world, body, hand, i, known)
+    elif kind == PAIR_TABLE:
+        partner = table_below(world, body, R_hand_world, table_p, up, top, known)
+    else:
+        partner = arm_body(world, bodies, trial, body, i, known, R, p)
+    return partner
+
+
 # Branch and bound over links, bodies and pairs. `out.clearance` starts at `cap` and falls with every nearer pair; nothing
 # whose bounding volumes are farther than that is looked at:
 #
@@ -268,13 +285,9 @@ def posture_clearance(
                     continue
                 i = lowest_bit(left)
                 left = left & (left - wp.uint64(1))
-                partner = Partner()
-                if kind == PAIR_HAND:
-                    partner = hand_piece(world, body, hand, i, out.clearance)
-                elif kind == PAIR_TABLE:
-                    partner = table_below(world, body, R_hand_world, table_p, up, top, out.clearance)
-                else:
-                    partner = arm_body(world, bodies, trial, body, i, out.clearance, R, p)
+                partner = _partner(
+                    world, bodies, trial, body, kind, i, hand, R_hand_world, table_p, up, top, out.clearance, R, p
+                )
                 if partner.near == 0:
                     continue
                 found = pair_clearance(world, body, partner, out.clearance, floor)

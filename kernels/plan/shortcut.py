@@ -35,6 +35,11 @@ JOIN = wp.constant(1)  # a line between points of two segments
 PULL = wp.constant(2)  # a waypoint nearer to the line between its neighbours: the line to it
 PULL_ON = wp.constant(3)  # and the line from it
 
+# Postures of what is tried.
+FROM = wp.constant(0)
+TO = wp.constant(1)
+MOVED = wp.constant(2)  # the waypoint that is pulled, where it would be then
+
 
 @wp.func(inline=False)
 def segment_time(a: vec6, b: vec6, speed: float, acceleration: float):
@@ -194,9 +199,7 @@ def shortcut(
     proposed = int(0)
     i = int(0)
     j = int(0)
-    a = vec6()
-    b = vec6()
-    moved = vec6()
+    line = wp.zeros(shape=3, dtype=vec6)  # in memory: as values they would be copied wherever branches meet
     running = bool(True)
     while running:
         if phase == SUBSET:
@@ -209,8 +212,8 @@ def shortcut(
                 _quickest(path_inout, trial, n, speed, acceleration, blocked, cost, before)
                 j = 0
             if j > 0:
-                a = load_waypoint(path_inout, trial, i)
-                b = load_waypoint(path_inout, trial, j)
+                line[FROM] = load_waypoint(path_inout, trial, i)
+                line[TO] = load_waypoint(path_inout, trial, j)
                 looked += 1
             else:
                 n = _keep_quickest(path_inout, trial, n, before)
@@ -252,6 +255,8 @@ def shortcut(
                 b = b0 + t * (load_waypoint(path_inout, trial, j + 1) - b0)
                 if _saved(path_inout, trial, i, j, a, b, speed, acceleration) <= LEAST_SAVED_S:
                     continue
+                line[FROM] = a
+                line[TO] = b
             else:
                 i = 1 + (proposed / 3) % (n - 2)
                 a = load_waypoint(path_inout, trial, i - 1)
@@ -268,12 +273,14 @@ def shortcut(
                 now = segment_time(a, moved, speed, acceleration) + segment_time(moved, b, speed, acceleration)
                 if now >= t0 + t1 - LEAST_SAVED_S:
                     continue
-                b = moved
+                line[FROM] = a
+                line[TO] = moved
+                line[MOVED] = moved
             tried += 1
         else:  # PULL_ON: the line from the moved waypoint
-            a = moved
-            b = load_waypoint(path_inout, trial, i + 1)
-        found = edge(world, bodies, trial, a, b, margin, 0.0, 0.0, 0.0, mode_of_one_thread(moveit))
+            line[FROM] = line[MOVED]
+            line[TO] = load_waypoint(path_inout, trial, i + 1)
+        found = edge(world, bodies, trial, line[FROM], line[TO], margin, 0.0, 0.0, 0.0, mode_of_one_thread(moveit))
         free = found.status == FREE
         if phase == SUBSET:
             known[i] = known[i] | (wp.uint32(1) << wp.uint32(j))
@@ -282,14 +289,14 @@ def shortcut(
         elif phase == JOIN:
             if free:
                 changed = 1
-                n = _splice(path_inout, trial, n, i, j, a, b)
+                n = _splice(path_inout, trial, n, i, j, line[FROM], line[TO])
                 for m in range(n):
                     share[m] = FIRST_SHARE
         elif phase == PULL and free:
             phase = PULL_ON
         else:
             if free:
-                store_waypoint(path_inout, trial, i, moved)
+                store_waypoint(path_inout, trial, i, line[MOVED])
                 changed = 1
                 if time_of(path_inout, trial, n, speed, acceleration) <= enough * straight:
                     tried = tries

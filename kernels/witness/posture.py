@@ -9,7 +9,8 @@ from r2h_batch.kernels.ik.jacobian import damped_gram, joint_rate, solve_spd
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import ee_and_axes
 from r2h_batch.kernels.robot.gripper import Gripper
-from r2h_batch.kernels.robot.world import TrialBodies, World, body_pose, forward_kinematics, vec6
+from r2h_batch.kernels.robot.posture import load
+from r2h_batch.kernels.robot.world import TrialBodies, World, body_pose, forward_kinematics
 from r2h_batch.kernels.witness.surface import SurfacePoint, finger_velocity, triangle_witness
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
@@ -76,10 +77,7 @@ def hand_witness(
     R = wp.zeros(shape=7, dtype=wp.mat33)
     p = wp.zeros(shape=7, dtype=wp.vec3)
     tri = wp.zeros(shape=3, dtype=wp.vec3)
-    q = vec6()
-    for j in range(6):
-        q[j] = q_in[trial, j]
-    forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q, R, p)
+    forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], load(q_in, trial), R, p)
     Rb, pb = body_pose(world, bodies, trial, R, p, body)
     Rt = wp.transpose(Rb)
     pt = -(Rt * pb)
@@ -88,20 +86,25 @@ def hand_witness(
     size = world.size[body]
     # SLACK_M: the face is found again by distance, and rounding must not lose it
     distance = distance_in[trial]
-    near = SurfacePoint()
-    near.distance = 1.0e30
-    sign = float(1.0)
-    if distance >= 0.0 or kind <= CAPSULE:
-        near = nearest_face(world, mesh, hand, kind, size, Rt, pt, distance + SLACK_M, tri)
-        near.distance = wp.where(wp.length_sq(near.n) > 0.0, near.distance, 1.0e30)
-    else:
+    sharp = distance >= 0.0 or kind <= CAPSULE
+    asked = size
+    below = distance + SLACK_M
+    if not sharp:
         core = rounded(kind, size)
-        near = nearest_face(world, mesh, hand, kind, core.size, Rt, pt, distance + core.radius + SLACK_M, tri)
-        if wp.length_sq(near.n) == 0.0 or near.distance < APART_M:
-            near.distance = 1.0e30
-    if near.distance >= 1.0e30:  # the core is met, or the body is wholly inside the hand
-        near = nearest_face(world, mesh, hand, kind, size, Rt, pt, 1.0e30, tri)
-        if near.distance > 0.0 and distance < 0.0:
+        asked = core.size
+        below = distance + core.radius + SLACK_M
+    near = SurfacePoint()
+    sign = float(1.0)
+    attempt = int(0)
+    while attempt < 2:  # around one call: inlined, it is most of the kernel
+        near = nearest_face(world, mesh, hand, kind, asked, Rt, pt, below, tri)
+        attempt += 1
+        if attempt == 1:
+            if wp.length_sq(near.n) > 0.0 and (sharp or near.distance >= APART_M):
+                attempt = 2
+            asked = size  # else the core is met, or the body is wholly inside the hand
+            below = 1.0e30
+        elif near.distance > 0.0 and distance < 0.0:
             sign = -1.0
     R_world_hand = wp.transpose(bodies.R_hand_world[trial])
     found_out[trial] = wp.length_sq(near.n) > 0.0

@@ -16,6 +16,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
 
 import _lanes
 import gpu_build
+from needs import needs
 
 PACKAGE = "r2h_batch.kernels."
 MODULES = gpu_build.kernel_modules()
@@ -126,3 +127,14 @@ def test_a_search_of_one_thread_has_nothing_on_cuda_that_moves_along_an_edge(tmp
         text[name] = compiled(f"plan.{name}", tmp_path / name, ptx=True).read_text(errors="ignore")
         assert "gjk" in text[name]
     assert "swept_support" in text["lines"] and "swept_support" not in text["rrt"] + text["shortcut"]
+
+
+@needs("ptxas")
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["plan.rrt", "plan.shortcut", "judge.goal"])
+def test_kernels_of_one_thread_a_trial_that_a_gpu_runs_spill_less_than_a_kilobyte(name: str) -> None:
+    ptxas = gpu_build.find_ptxas()
+    assert ptxas is not None
+    init_warp()
+    for kernel in gpu_build.build(import_module(PACKAGE + name), ptxas).kernels:
+        assert kernel.spill_store_bytes < 1024 and kernel.spill_load_bytes < 1024, kernel

@@ -82,6 +82,11 @@ WANTS = {
         _has_latex,
     ),
     "gpu": Want("a GPU", "a machine with an NVIDIA GPU and its driver, and `python -m pytest -m gpu`", _sees_a_gpu),
+    "ptxas": Want(
+        "NVIDIA's assembler",
+        "pip install --no-deps --target DIR nvidia-cuda-nvcc, and DIR/nvidia/cu13/bin on PATH",
+        lambda: shutil.which("ptxas") is not None,
+    ),
     "h5py": _module("h5py", "import"),
     "unshare": Want(
         "a way to cut the network off", "Linux with util-linux's unshare and user namespaces", _can_unshare
