@@ -7,10 +7,10 @@ groups of eight: row k of a group is one number of each of its members, what is 
     leaf_lanes      LEAF_ROWS rows for each node's leaves
     triangle_lanes  TRIANGLE_ROWS rows for each leaf's triangles
 
-Written in C++, as plain loops that a compiler turns into vector instructions: Warp's own vectors carry along what is to be
-done with NaN, its loops and arrays what is to be done with negative steps and indices, and took four times as long. On CUDA
-they are loops over eight. Each product and sum is a statement of its own, so that nothing is contracted; sums are taken in
-the order of `wp.dot` and have its bits.
+Written in C++, of vectors of eight (`abreast`) or as plain loops that a compiler turns into vector instructions
+(`over_lanes`): Warp's own vectors carry along what is to be done with NaN, its loops and arrays what is to be done with
+negative steps and indices, and took four times as long. On CUDA they are loops over eight. Each product and sum is a
+statement of its own, so that nothing is contracted; sums are taken in the order of `wp.dot` and have its bits.
 """
 
 import warp as wp
@@ -40,7 +40,7 @@ def abreast(code: str, result: str) -> str:
     #pragma unroll 1
     for (int k = 0; k < 8; ++k) {
     auto from = [&](const float* p, int r) { return p[8 * r + k]; };
-    auto into = [&](float* p, int r, floats x) { p[8 * r + k] = x; };
+    auto into = [&](auto* p, int r, auto x) { p[8 * r + k] = x; };
     auto bits_of = [&](ints mask) { return mask << k; };
 #else
     typedef float floats __attribute__((ext_vector_type(8)));
@@ -48,7 +48,7 @@ def abreast(code: str, result: str) -> str:
     typedef bool bools __attribute__((ext_vector_type(8)));
     {
     auto from = [](const float* p, int r) { floats x; __builtin_memcpy(&x, p + 8 * r, sizeof(x)); return x; };
-    auto into = [](float* p, int r, floats x) { __builtin_memcpy(p + 8 * r, &x, sizeof(x)); };
+    auto into = [](auto* p, int r, auto x) { __builtin_memcpy(p + 8 * r, &x, sizeof(x)); };
     auto bits_of = [](ints mask) {
         return (int)__builtin_bit_cast(unsigned char, __builtin_convertvector(mask, bools));
     };
@@ -180,48 +180,42 @@ def lane_point(lanes: wp.array(dtype=float), row: int, lane: int) -> wp.vec3:
 # middle of a box of surface and e its half sides there, no point of it is nearer to [low, high] along an axis than
 # max(low - c, c - high) - e; nor than the distance of c less the ball's radius.
 @wp.func_native(
-    over_lanes("""
+    abreast(
+        """
     const float* p = lanes.data + 8 * row;
-    float cx[8], cy[8], cz[8], ex[8], ey[8], ez[8], far2[8];
-    for (int k = 0; k < 8; ++k) {
-        float x = p[k], y = p[8 + k], z = p[16 + k];
-        float hx = p[24 + k], hy = p[32 + k], hz = p[40 + k];
-        cx[k] = R.data[0][0] * x + R.data[0][1] * y + R.data[0][2] * z + t.c[0];
-        cy[k] = R.data[1][0] * x + R.data[1][1] * y + R.data[1][2] * z + t.c[1];
-        cz[k] = R.data[2][0] * x + R.data[2][1] * y + R.data[2][2] * z + t.c[2];
-        ex[k] = fabsf(R.data[0][0]) * hx + fabsf(R.data[0][1]) * hy + fabsf(R.data[0][2]) * hz;
-        ey[k] = fabsf(R.data[1][0]) * hx + fabsf(R.data[1][1]) * hy + fabsf(R.data[1][2]) * hz;
-        ez[k] = fabsf(R.data[2][0]) * hx + fabsf(R.data[2][1]) * hy + fabsf(R.data[2][2]) * hz;
-        float far = reach + p[48 + k];
-        far2[k] = far * far;
-        near.data[k] = 0;
-    }
+    floats x = from(p, 0), y = from(p, 1), z = from(p, 2);
+    floats cx = x * R.data[0][0] + y * R.data[0][1] + z * R.data[0][2] + t.c[0];
+    floats cy = x * R.data[1][0] + y * R.data[1][1] + z * R.data[1][2] + t.c[1];
+    floats cz = x * R.data[2][0] + y * R.data[2][1] + z * R.data[2][2] + t.c[2];
+    floats hx = from(p, 3), hy = from(p, 4), hz = from(p, 5);
+    floats ex = hx * fabsf(R.data[0][0]) + hy * fabsf(R.data[0][1]) + hz * fabsf(R.data[0][2]);
+    floats ey = hx * fabsf(R.data[1][0]) + hy * fabsf(R.data[1][1]) + hz * fabsf(R.data[1][2]);
+    floats ez = hx * fabsf(R.data[2][0]) + hy * fabsf(R.data[2][1]) + hz * fabsf(R.data[2][2]);
+    floats far = from(p, 6) + reach;
+    floats far2 = far * far;
+    const floats zero = (floats)(0.0f);
     float reach2 = reach * reach;
-    int any = 0;
+    ints found = (ints)(0);
     for (int i = 0; used >> i != 0; ++i) {
         int bit = used & (1 << i);
         if (bit == 0)
             continue;
-        float lx = low.data[i].c[0], ly = low.data[i].c[1], lz = low.data[i].c[2];
-        float ux = high.data[i].c[0], uy = high.data[i].c[1], uz = high.data[i].c[2];
-        int of[8];
-        for (int k = 0; k < 8; ++k) {
-            float x1 = lx - cx[k], x2 = cx[k] - ux, y1 = ly - cy[k], y2 = cy[k] - uy, z1 = lz - cz[k], z2 = cz[k] - uz;
-            float x = x1 > x2 ? x1 : x2, y = y1 > y2 ? y1 : y2, z = z1 > z2 ? z1 : z2;
-            float a = x > 0.0f ? x : 0.0f, b = y > 0.0f ? y : 0.0f, c = z > 0.0f ? z : 0.0f;
-            float d2 = a * a + b * b + c * c;
-            x = x - ex[k], y = y - ey[k], z = z - ez[k];
-            a = x > 0.0f ? x : 0.0f, b = y > 0.0f ? y : 0.0f, c = z > 0.0f ? z : 0.0f;
-            float s2 = a * a + b * b + c * c;
-            of[k] = ((d2 <= far2[k]) & (s2 <= reach2)) ? bit : 0;
-        }
-        for (int k = 0; k < 8; ++k)
-            near.data[k] |= of[k];
+        floats x1 = low.data[i].c[0] - cx, x2 = cx - high.data[i].c[0];
+        floats y1 = low.data[i].c[1] - cy, y2 = cy - high.data[i].c[1];
+        floats z1 = low.data[i].c[2] - cz, z2 = cz - high.data[i].c[2];
+        x = x1 > x2 ? x1 : x2, y = y1 > y2 ? y1 : y2, z = z1 > z2 ? z1 : z2;
+        floats a = x > 0.0f ? x : zero, b = y > 0.0f ? y : zero, c = z > 0.0f ? z : zero;
+        floats d2 = a * a + b * b + c * c;
+        x = x - ex, y = y - ey, z = z - ez;
+        a = x > 0.0f ? x : zero, b = y > 0.0f ? y : zero, c = z > 0.0f ? z : zero;
+        floats s2 = a * a + b * b + c * c;
+        found = found | (((d2 <= far2) & (s2 <= reach2)) ? (ints)(bit) : (ints)(0));
     }
-    for (int k = 0; k < count; ++k)
-        any |= near.data[k] != 0 ? 1 << k : 0;
-    return any;
-""")
+    into(near.data, 0, found);
+    bits |= bits_of(found != 0);
+""",
+        "return bits & ((1 << count) - 1);",
+    )
 )
 def boxes_near(
     lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
@@ -236,39 +230,33 @@ def boxes_near(
 
 
 @wp.func_native(
-    over_lanes("""
+    abreast(
+        """
     const float* p = lanes.data + 8 * row;
-    float cx[8], cy[8], cz[8];
-    for (int k = 0; k < 8; ++k) {
-        float x = p[k], y = p[8 + k], z = p[16 + k];
-        cx[k] = R.data[0][0] * x + R.data[0][1] * y + R.data[0][2] * z + t.c[0];
-        cy[k] = R.data[1][0] * x + R.data[1][1] * y + R.data[1][2] * z + t.c[1];
-        cz[k] = R.data[2][0] * x + R.data[2][1] * y + R.data[2][2] * z + t.c[2];
-        near.data[k] = 0;
-    }
+    floats x = from(p, 0), y = from(p, 1), z = from(p, 2);
+    floats cx = x * R.data[0][0] + y * R.data[0][1] + z * R.data[0][2] + t.c[0];
+    floats cy = x * R.data[1][0] + y * R.data[1][1] + z * R.data[1][2] + t.c[1];
+    floats cz = x * R.data[2][0] + y * R.data[2][1] + z * R.data[2][2] + t.c[2];
+    const floats zero = (floats)(0.0f);
     float reach2 = reach * reach;
-    int any = 0;
+    ints found = (ints)(0);
     for (int i = 0; used >> i != 0; ++i) {
         int bit = used & (1 << i);
         if (bit == 0)
             continue;
-        float lx = low.data[i].c[0], ly = low.data[i].c[1], lz = low.data[i].c[2];
-        float ux = high.data[i].c[0], uy = high.data[i].c[1], uz = high.data[i].c[2];
-        int of[8];
-        for (int k = 0; k < 8; ++k) {
-            float x1 = lx - cx[k], x2 = cx[k] - ux, y1 = ly - cy[k], y2 = cy[k] - uy, z1 = lz - cz[k], z2 = cz[k] - uz;
-            float x = x1 > x2 ? x1 : x2, y = y1 > y2 ? y1 : y2, z = z1 > z2 ? z1 : z2;
-            float a = x > 0.0f ? x : 0.0f, b = y > 0.0f ? y : 0.0f, c = z > 0.0f ? z : 0.0f;
-            float d2 = a * a + b * b + c * c;
-            of[k] = (d2 <= reach2) ? bit : 0;
-        }
-        for (int k = 0; k < 8; ++k)
-            near.data[k] |= of[k];
+        floats x1 = low.data[i].c[0] - cx, x2 = cx - high.data[i].c[0];
+        floats y1 = low.data[i].c[1] - cy, y2 = cy - high.data[i].c[1];
+        floats z1 = low.data[i].c[2] - cz, z2 = cz - high.data[i].c[2];
+        x = x1 > x2 ? x1 : x2, y = y1 > y2 ? y1 : y2, z = z1 > z2 ? z1 : z2;
+        floats a = x > 0.0f ? x : zero, b = y > 0.0f ? y : zero, c = z > 0.0f ? z : zero;
+        floats d2 = a * a + b * b + c * c;
+        found = found | ((d2 <= reach2) ? (ints)(bit) : (ints)(0));
     }
-    for (int k = 0; k < count; ++k)
-        any |= near.data[k] != 0 ? 1 << k : 0;
-    return any;
-""")
+    into(near.data, 0, found);
+    bits |= bits_of(found != 0);
+""",
+        "return bits & ((1 << count) - 1);",
+    )
 )
 def points_near(
     lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
@@ -279,32 +267,27 @@ def points_near(
 
 
 @wp.func_native(
-    over_lanes("""
+    abreast(
+        """
     const float* p = lanes.data + 8 * row;
-    float reach2 = reach * reach;
-    int of[8];
-    for (int k = 0; k < 8; ++k) {
-        float d2 = 0.0f;
-        for (int axis = 0; axis < 3; ++axis) {
-            float low = 1.0e30f, high = -1.0e30f;
-            for (int c = 0; c < 3; ++c) {
-                const float* q = p + 24 * c;
-                float u = R.data[axis][0] * q[k] + R.data[axis][1] * q[8 + k] + R.data[axis][2] * q[16 + k] + t.c[axis];
-                low = u < low ? u : low;
-                high = u > high ? u : high;
-            }
-            float a = low - half.c[axis], b = -half.c[axis] - high;
-            float d = a > b ? a : b;
-            d = d > 0.0f ? d : 0.0f;
-            d2 = d2 + d * d;
+    floats d2 = (floats)(0.0f);
+    for (int axis = 0; axis < 3; ++axis) {
+        floats low, high;
+        for (int c = 0; c < 3; ++c) {
+            floats x = from(p, 3 * c), y = from(p, 3 * c + 1), z = from(p, 3 * c + 2);
+            floats u = x * R.data[axis][0] + y * R.data[axis][1] + z * R.data[axis][2] + t.c[axis];
+            low = c == 0 ? u : (u < low ? u : low);
+            high = c == 0 ? u : (u > high ? u : high);
         }
-        of[k] = d2 <= reach2;
+        floats a = low - half.c[axis], b = -half.c[axis] - high;
+        floats d = a > b ? a : b;
+        d = d > 0.0f ? d : (floats)(0.0f);
+        d2 = d2 + d * d;
     }
-    int bits = 0;
-    for (int k = 0; k < 8; ++k)
-        bits |= of[k] << k;
-    return bits & ((1 << count) - 1);
-""")
+    bits |= bits_of(d2 <= reach * reach);
+""",
+        "return bits & ((1 << count) - 1);",
+    )
 )
 def triangles_near(
     lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, half: wp.vec3, reach: float
