@@ -94,3 +94,78 @@ def balls_near(
 def lowest_bit(bits: wp.uint64) -> int:
     """The number of the lowest bit that is set; some bit is."""
     ...
+
+
+@wp.func_native("""
+    const float* center = &centers.data[first].c[0];
+    const float* ball = &radii.data[first];
+    float ux = c1.c[0] - c0.c[0], uy = c1.c[1] - c0.c[1], uz = c1.c[2] - c0.c[2];
+    float uu = ux * ux + uy * uy + uz * uz;
+    float inv = uu > 0.0f ? 1.0f / uu : 0.0f;
+    float least = 1.0e30f;
+    int at = 0;
+    for (int block = 0; block < count; block += 8) {
+        float gap[8];
+        for (int k = 0; k < 8; ++k) {
+            int i = block + k < count ? block + k : count - 1;
+            float x = center[3 * i] - c0.c[0], y = center[3 * i + 1] - c0.c[1], z = center[3 * i + 2] - c0.c[2];
+            float s = (x * ux + y * uy + z * uz) * inv;
+            s = s < 0.0f ? 0.0f : (s > 1.0f ? 1.0f : s);
+            x = x - s * ux;
+            y = y - s * uy;
+            z = z - s * uz;
+            gap[k] = sqrtf(x * x + y * y + z * z) - ball[i];
+        }
+        for (int k = 0; k < 8; ++k) {
+            at = gap[k] < least ? block + k : at;
+            least = gap[k] < least ? gap[k] : least;
+        }
+    }
+    return wp::vec2(least, (float)(at < count ? at : count - 1));
+""")
+def nearest_ball(
+    centers: wp.array(dtype=wp.vec3), radii: wp.array(dtype=float), first: int, count: int, c0: wp.vec3, c1: wp.vec3
+) -> wp.vec2:  # fmt: skip
+    """The least distance of `count` balls from the segment c0-c1 (m; negative where it enters one), and whose it is."""
+    ...
+
+
+@wp.func_native("""
+    const float* rows = &balls.data[first].c[0];
+    float sx = size.c[0], sy = size.c[1], sz = size.c[2];
+    float half = kind == 0 ? 0.0f : sy;
+    float least = 1.0e30f;
+    int at = 0;
+    for (int block = 0; block < count; block += 8) {
+        float far2[8];
+        for (int k = 0; k < 8; ++k) {
+            const float* q = rows + 4 * (block + k < count ? block + k : count - 1);
+            float cx = q[0] - p.c[0], cy = q[1] - p.c[1], cz = q[2] - p.c[2];
+            float x = fabsf(R.data[0][0] * cx + R.data[1][0] * cy + R.data[2][0] * cz);
+            float y = fabsf(R.data[0][1] * cx + R.data[1][1] * cy + R.data[2][1] * cz);
+            float z = fabsf(R.data[0][2] * cx + R.data[1][2] * cy + R.data[2][2] * cz);
+            float dx = x - sx, dy = y - sy, dz = z - sz;
+            if (kind != 3) {
+                dx = sqrtf(x * x + y * y);
+                dy = 0.0f;
+                dz = z - half;
+                if (kind == 2)
+                    dx = dx - sx;
+            }
+            dx = dx > 0.0f ? dx : 0.0f;
+            dy = dy > 0.0f ? dy : 0.0f;
+            dz = dz > 0.0f ? dz : 0.0f;
+            far2[k] = dx * dx + dy * dy + dz * dz;
+        }
+        for (int k = 0; k < 8; ++k) {
+            at = far2[k] < least ? block + k : at;
+            least = far2[k] < least ? far2[k] : least;
+        }
+    }
+    return at < count ? at : count - 1;
+""")
+def nearest_center(
+    balls: wp.array(dtype=wp.vec4), first: int, count: int, kind: int, size: wp.vec3, R: wp.mat33, p: wp.vec3
+) -> int:
+    """Which of `count` balls' centres is nearest to a primitive's core at R, p. kind, size: those of a Body but a hull."""
+    ...

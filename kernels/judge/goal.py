@@ -3,7 +3,9 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
-from r2h_batch.kernels.judge.hand_distance import posture_distance
+from r2h_batch.kernels.geometry.primitives import TOUCH_M
+from r2h_batch.kernels.judge.hand_distance import HandDistance, posture_distance
+from r2h_batch.kernels.judge.nearness import guessed_distance, guessing
 from r2h_batch.kernels.options import OPTIONS, afresh
 from r2h_batch.kernels.plan.codes import (
     BRANCHES,
@@ -20,7 +22,7 @@ from r2h_batch.kernels.plan.codes import (
 from r2h_batch.kernels.plan.edge import edge
 from r2h_batch.kernels.plan.posture import PairClearance, posture_clearance
 from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.world import FIELDS, WRIST_3, TrialBodies, World, vec6
+from r2h_batch.kernels.robot.world import FIELDS, WRIST_3, TrialBodies, World, forward_kinematics, vec6
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -230,6 +232,10 @@ def goal_clearance(
     point_out[trial] = R_world_hand * (best.point - bodies.p_hand_world[trial])
 
 
+# A guess (nearness.py) leaves few faces to be asked, where they would start from `cap`; it must not be told from what comes out.
+# What does not depend on where the search starts is every distance below it, and its witness. Three answers do, and are asked
+# for again from `cap`: nothing below the guess, which is rounding; a body wholly in the hand, which is as deep as what was known
+# before it is far; and bodies that only touch, whose witness is where GJK stopped.
 @wp.kernel
 def goal_safe_distance(
     first: int,
@@ -257,9 +263,21 @@ def goal_safe_distance(
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     mask = wp.zeros(shape=1, dtype=wp.uint64)
-    mask[0] = (wp.uint64(1) << wp.uint64(world.n_robot)) - wp.uint64(1)
-    found = posture_distance(world, mesh, bodies, trial, load(q_in, trial), vec6(), cap, 0.0, mask, R, p, w, v, tri)
-    distance_out[trial] = found.distance
+    q = load(q_in, trial)
+    best = float(cap)
+    if guessing() == 1:
+        forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q, R, p)
+        best = guessed_distance(world, mesh, bodies, trial, cap, R, p, tri)
+        if best > cap:
+            return
+    found = HandDistance()
+    looking = bool(True)
+    while looking:
+        mask[0] = (wp.uint64(1) << wp.uint64(world.n_robot)) - wp.uint64(1)
+        found = posture_distance(world, mesh, bodies, trial, q, vec6(), best, 0.0, mask, R, p, w, v, tri)
+        looking = best < cap and (found.body < 0 or found.inside == 1 or found.distance == -TOUCH_M)
+        best = cap
+    distance_out[trial] = wp.where(found.body >= 0, found.distance, cap)
     body_out[trial] = found.body
     if found.body >= 0:
         point_out[trial] = wp.transpose(bodies.R_hand_world[trial]) * (found.point - bodies.p_hand_world[trial])

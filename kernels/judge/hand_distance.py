@@ -46,6 +46,7 @@ class HandDistance:
     body: int
     point: wp.vec3
     changed: int  # 1: this call found something nearer
+    inside: int  # 1: a body lies wholly in the hand; how deep is then measured from the distance known before
     open: int  # 1: something may come nearer within the stretch
 
 
@@ -304,6 +305,7 @@ def posture_distance(
             # in a hull but clear of all faces: in a hollow of the mesh, or wholly inside the hand
             if hulls_met == 1 and out.distance > 0.0 and inside_mesh(mesh, hand, mover.p, tri):
                 out.distance = wp.min(-out.distance, -TOUCH_M)
+                out.inside = 1
                 if out.body != b:
                     out.point = mover.p  # no face was nearer than what was already known: the body's own middle
                 out.body = b
