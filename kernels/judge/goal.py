@@ -7,19 +7,22 @@ from r2h_batch.kernels.geometry.primitives import TOUCH_M
 from r2h_batch.kernels.judge.hand_distance import HandDistance, posture_distance
 from r2h_batch.kernels.judge.nearness import guessed_distance, guessing
 from r2h_batch.kernels.options import OPTIONS, afresh
+from r2h_batch.kernels.plan.check import examine
 from r2h_batch.kernels.plan.codes import (
     BRANCHES,
     FREE,
+    MAX_PARTNERS,
+    PAIR_HAND,
     PAIR_NONE,
+    PAIR_OF_OBJECT,
     PAIR_SELF,
-    POSTURE,
     REASON_IK_IN_COLLISION,
     REASON_IK_UNREACHABLE,
     REASON_NOT_EVALUATED,
     REASON_OK,
     REASON_START_IN_COLLISION,
 )
-from r2h_batch.kernels.plan.edge import edge
+from r2h_batch.kernels.plan.partners import Query
 from r2h_batch.kernels.plan.posture import PairClearance, posture_clearance
 from r2h_batch.kernels.robot.posture import load
 from r2h_batch.kernels.robot.world import FIELDS, WRIST_3, TrialBodies, World, forward_kinematics, vec6
@@ -51,13 +54,15 @@ def _nearest_untried(q_in: wp.array2d(dtype=float), trial: int, home: vec6, trie
 
 
 # The planner goes to the free branch that is nearest to home (joint space), and says what blocks the first valid one if
-# none is free. The same without a path, in one loop around one call of `edge` (inlined, it is most of the kernel):
+# none is free. The same without a path, in one loop around one call of `examine` (inlined, it is most of the kernel):
 #
 # 1. the posture asked for first is home itself (slot -1). If it is not free, no path starts: that reason stands, and the
 #    branches are still tried, as the goal's clearance is measured at whichever is free;
 # 2. then the valid branches by distance from home, until one is free;
 # 3. `tried` has a bit per branch that is done with: invalid ones from the start, others once they were asked. When no bit
-#    is left the reason stays what it was: unreachable without any valid branch, else in collision.
+#    is left the reason stays what it was: unreachable without any valid branch, else in collision;
+# 4. a branch is first asked for the one body and kind of pair that blocked the one before, which is quick: what rides on the
+#    wrist stands alike in all. Not the first valid one, as long as what blocks it is to be said: that is the first pair of all.
 @wp.kernel
 def choose_goal(
     first: int,
@@ -79,7 +84,7 @@ def choose_goal(
 ):
     """PlanReason as far as it is known without a path, the pair that blocks, and the free branch nearest to home (or -1).
 
-    Branches are tried in the planner's order until one is free; the test is the planner's own (edge, POSTURE).
+    Branches are tried in the planner's order until one is free; the test is the planner's own (check.py).
     """
     trial = first + wp.tid()
     slot_out[trial] = -1
@@ -98,11 +103,33 @@ def choose_goal(
     reason = int(REASON_IK_IN_COLLISION)
     if first_valid < 0:
         reason = REASON_IK_UNREACHABLE
+    R = wp.zeros(shape=7, dtype=wp.mat33)
+    p = wp.zeros(shape=7, dtype=wp.vec3)
+    w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
+    v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
+    partner = wp.zeros(shape=MAX_PARTNERS, dtype=int)
+    masks = wp.zeros(shape=3, dtype=wp.uint64)
+    query = Query()  # no motion, no margins
+    query.q = home
     slot = int(-1)  # home itself comes first
-    q = home
+    blocker = int(PAIR_NONE)  # what blocked the branch before: a pair, and the body's bit in the masks
+    blocking = wp.uint64(0)
     running = bool(True)
     while running:
-        found = edge(world, bodies, trial, q, q, 0.0, 0.0, 0.0, 0.0, POSTURE)
+        quick = blocker != PAIR_NONE and (slot != first_valid or reason != REASON_IK_IN_COLLISION)
+        masks[0] = ~wp.uint64(0)
+        masks[1] = ~wp.uint64(0) << wp.uint64(world.table_from)  # base and shoulder stand on the table
+        masks[2] = ~wp.uint64(0)
+        if quick:
+            for kind in range(3):
+                masks[kind] = wp.where(kind == (blocker - PAIR_HAND) % PAIR_OF_OBJECT, blocking, wp.uint64(0))
+        found = examine(world, bodies, trial, query, 0.0, masks, R, p, w, v, partner)
+        if quick and found.status == FREE:
+            blocker = PAIR_NONE
+            continue
+        if slot >= 0:
+            blocker = found.pair
+            blocking = wp.uint64(1) << wp.uint64(wp.max(wp.min(found.body, world.n_robot), 0))
         if slot < 0:
             if found.status != FREE:
                 reason = REASON_START_IN_COLLISION
@@ -121,7 +148,7 @@ def choose_goal(
                 running = False
             else:
                 tried = tried | (1 << slot)
-                q = load(q_in, trial * BRANCHES + slot)
+                query.q = load(q_in, trial * BRANCHES + slot)
     if reason == REASON_IK_IN_COLLISION:
         for k in range(status_in.shape[1]):
             if int(status_in[trial, k]) == singular:
