@@ -123,7 +123,7 @@ def choose_goal(
         if quick:
             for kind in range(3):
                 masks[kind] = wp.where(kind == (blocker - PAIR_HAND) % PAIR_OF_OBJECT, blocking, wp.uint64(0))
-        found = examine(world, bodies, trial, query, 0.0, masks, R, p, w, v, partner)
+        found = examine(world, bodies, trial, query, False, 0.0, masks, R, p, w, v, partner)
         if quick and found.status == FREE:
             blocker = PAIR_NONE
             continue

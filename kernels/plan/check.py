@@ -94,7 +94,7 @@ def _target(query: Query, best: float, margin: float, with_hand: bool):
 
 @wp.func
 def _mover(
-    world: World, bodies: TrialBodies, trial: int, query: Query, link: int, b: int, hull: int,
+    world: World, bodies: TrialBodies, trial: int, query: Query, moving: bool, link: int, b: int, hull: int,
     R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
     """Body b of a link, or a hull of the object."""
@@ -114,19 +114,21 @@ def _mover(
         out.c0 = Rb * world.hull_c0[hull] + pb
         out.c1 = Rb * world.hull_c1[hull] + pb
         out.radius = world.hull_radius[hull]
-        out.travel = motion(bodies.object_lever, trial, 0, query.d)
-        second, third = bends(bodies.object_lever, trial, 0, query.d)
-        out.second = second
-        out.third = third
+        if moving:
+            out.travel = motion(bodies.object_lever, trial, 0, query.d)
+            second, third = bends(bodies.object_lever, trial, 0, query.d)
+            out.second = second
+            out.third = third
     else:
         axis = Rb * world.cap_axis[b]
         out.c0 = pb - axis
         out.c1 = pb + axis
         out.radius = world.cap_radius[b]
-        out.travel = motion(world.lever, b, 0, query.d)
-        second, third = bends(world.lever, b, 0, query.d)
-        out.second = second
-        out.third = third
+        if moving:
+            out.travel = motion(world.lever, b, 0, query.d)
+            second, third = bends(world.lever, b, 0, query.d)
+            out.second = second
+            out.third = third
     return out
 
 
@@ -149,6 +151,7 @@ def examine(
     bodies: TrialBodies,
     trial: int,
     query: Query,
+    moving: bool,  # whether query.d is not zero: a caller that knows leaves out what moves
     best: float,
     masks: wp.array(dtype=wp.uint64),  # hand, table, self: bit = body still to be settled; cleared here
     R: wp.array(dtype=wp.mat33),  # (7,) scratch: link frames
@@ -171,7 +174,6 @@ def examine(
     R_hand_world = bodies.R_hand_world[trial]
     p_hand_world = bodies.p_hand_world[trial]
     forward_kinematics(world, R_hand_world, p_hand_world, query.q, R, p)
-    moving = wp.dot(query.d, query.d) > 0.0
     if moving:
         twists(query.d, R, p, w, v)
     hand = bodies.hand[trial]
@@ -227,7 +229,7 @@ def examine(
                     masks[0] = masks[0] & ~bits
             target = _target(query, out.best, query.other_margin, False)
             if table_on:  # noqa: SIM102 (Warp's `and` evaluates both sides)
-                if link_clears_table(world, query, target, link, c0, c1, up, table_p):
+                if link_clears_table(world, query, target, link, c0, c1, up, table_p, moving):
                     table_on = False
                     masks[1] = masks[1] & ~bits
             if self_on:
@@ -250,7 +252,7 @@ def examine(
             do_self = self_on and (masks[2] & bit) != wp.uint64(0)
             if not (do_hand or do_table or do_self):
                 continue
-            mover = _mover(world, bodies, trial, query, link, b, first_hull + b - world.n_robot, R, p, w, v)
+            mover = _mover(world, bodies, trial, query, moving, link, b, first_hull + b - world.n_robot, R, p, w, v)
 
             # partners of this body that bounding volumes cannot settle
             found = Near()
@@ -320,7 +322,9 @@ def examine(
                     Ro, po = body_pose(world, bodies, trial, R, p, other)
                     pair_R = wp.transpose(Ro) * mover.R
                     pair_p = wp.transpose(Ro) * (mover.p - po)
-                    if link == OBJECT:
+                    if not moving:
+                        travel = 0.0
+                    elif link == OBJECT:
                         travel = motion(bodies.object_lever, trial, k, query.d)
                         second, third = bends(bodies.object_lever, trial, k, query.d)
                     else:

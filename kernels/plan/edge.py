@@ -130,7 +130,8 @@ def edge(
             masks[0] = stack[3 * level]
             masks[1] = stack[3 * level + 1]
             masks[2] = stack[3 * level + 2]
-        found = examine(world, bodies, trial, query, result.best, masks, R, p, w, v, partner)
+        moving = wp.dot(query.d, query.d) > 0.0
+        found = examine(world, bodies, trial, query, moving, result.best, masks, R, p, w, v, partner)
         if mode == CLEARANCE:
             if found.best < result.best:
                 result.best = found.best

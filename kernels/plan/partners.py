@@ -108,7 +108,10 @@ def link_clears_hand(
     rk = world.link_radius[link]
     toward = from_point(center, c0, c1)
     far = wp.length(toward)
-    clear = far - radius - rk - motion(world.link_lever, link, 0, query.d) >= target
+    travel = float(0.0)
+    if moving:
+        travel = motion(world.link_lever, link, 0, query.d)
+    clear = far - radius - rk - travel >= target
     if moving and not clear and far - radius - rk > target:
         second, third = bends(world.link_lever, link, 0, query.d)
         if far - radius - rk - least_rest(second, third) >= target:
@@ -121,11 +124,15 @@ def link_clears_hand(
 
 @wp.func
 def link_clears_table(
-    world: World, query: Query, target: float, link: int, c0: wp.vec3, c1: wp.vec3, up: wp.vec3, table_p: wp.vec3
-):
+    world: World, query: Query, target: float, link: int, c0: wp.vec3, c1: wp.vec3, up: wp.vec3, table_p: wp.vec3,
+    moving: bool,
+):  # fmt: skip
     """Whether a whole link keeps `target` above the table's top."""
     low = wp.min(wp.dot(up, c0 - table_p), wp.dot(up, c1 - table_p)) - world.table_half[2]
-    return low - world.link_radius[link] >= target + motion(world.link_lever, link, 1, query.d)
+    travel = float(0.0)
+    if moving:
+        travel = motion(world.link_lever, link, 1, query.d)
+    return low - world.link_radius[link] >= target + travel
 
 
 @wp.func
@@ -143,7 +150,10 @@ def links_in_reach(
             toward = from_segment(o0, o1, c0, c1)
             far = wp.length(toward)
             reach = far - rk - world.link_radius[other]
-            clear = reach - motion(world.link_lever, link, other, query.d) >= target
+            travel = float(0.0)
+            if moving:
+                travel = motion(world.link_lever, link, other, query.d)
+            clear = reach - travel >= target
             if moving and not clear and reach > target:
                 second, third = bends(world.link_lever, link, other, query.d)
                 if reach - least_rest(second, third) >= target:
@@ -312,10 +322,10 @@ def bodies_near(
             travel = float(0.0)
             second = float(0.0)
             third = float(0.0)
-            if mover.link == OBJECT:
+            if moving and mover.link == OBJECT:
                 travel = motion(bodies.object_lever, trial, other, query.d)
                 second, third = bends(bodies.object_lever, trial, other, query.d)
-            else:
+            elif moving:
                 travel = motion(world.lever, mover.body, other, query.d)
                 second, third = bends(world.lever, mover.body, other, query.d)
             # motion relative to the other link: only the joints between the two turn them against each other
