@@ -37,7 +37,7 @@ REPEATS = 5
 MIX = Path(__file__).with_name("mix.npz")
 MIX_TRIALS = 1024
 STAGES: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
-    ("grasp", hold, ("close_gripper",)),
+    ("grasp", hold, ("close_pads", "open_clearance")),
     ("place", evaluate.Scene, ("place",)),
     ("ik", evaluate, ("solve_ik",)),
     ("plan", evaluate, ("plan_paths",)),

@@ -1,8 +1,6 @@
 """Kernel calls by name: every mistake is an error that names it before anything runs, and nobody passes a bare list."""
 
 import ast
-import subprocess
-import sys
 import weakref
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
@@ -15,7 +13,6 @@ import trimesh
 import warp as wp
 
 from r2h_batch.launch import init_warp, launch, launch_trials, load
-from r2h_batch.launch.alike import alike
 from r2h_batch.launch.arguments import parameters, struct_of
 
 ROOT = Path(__file__).parents[1]
@@ -159,39 +156,6 @@ def test_a_repeated_call_takes_the_memory_rows_and_values_it_is_given():
             assert (outputs["calls"] == 1).all()
 
 
-@pytest.mark.parametrize("guards", [True, False])
-def test_a_repeated_call_takes_tensors_that_are_given_twice_and_sees_them_change(monkeypatch, guards):
-    if not guards:  # a torch without them
-        monkeypatch.setattr("r2h_batch.launch.alike.GUARDS", None)
-
-    @wp.kernel(module="unique")
-    def added(first: int, a_in: wp.array(dtype=float), b_in: wp.array(dtype=float), sum_out: wp.array(dtype=float)):
-        i = first + wp.tid()
-        sum_out[i] = a_in[i] + b_in[i]
-
-    for n in (3, 3, 5, 5):
-        x, y, out = torch.rand(n), torch.rand(n), torch.empty(n)
-        for a, b in ((x, x), (x, y), (y, x), (y, y), (x, x)):
-            launch_trials(added, n, inputs={"a": a, "b": b}, outputs={"sum": out}, device="cpu")
-            assert torch.equal(out, a + b)
-    wrong = torch.rand(5, dtype=torch.float64)
-    for a, b in ((wrong, wrong), (x, wrong), (wrong, x)):
-        with pytest.raises(TypeError, match=r"is a tensor of float64 with shape \(5,\)"):
-            launch_trials(added, 5, inputs={"a": a, "b": b}, outputs={"sum": out}, device="cpu")
-    with pytest.raises(ValueError, match="has 5 rows; 6 trials write 6 or more"):
-        launch_trials(added, 6, inputs={"a": torch.rand(6), "b": torch.rand(6)}, outputs={"sum": out}, device="cpu")
-
-
-def test_tensors_are_alike_by_class_type_shape_and_strides():
-    x, y = torch.rand(3, 4), torch.rand(3, 4)
-    like = alike((x, y, x))
-    u, v = torch.rand(3, 4), torch.rand(3, 4)
-    assert like((x, y, x)) and like((u, v, u)) and not like((u, v, v)) and not like((u, v, torch.rand(3, 4)))
-    for other in (torch.rand(2, 4), torch.rand(3, 4).double(), torch.rand(4, 3).T, torch.rand(3, 4).requires_grad_()):
-        assert not like((u, other, u))
-        assert not like((u, torch.nn.Parameter(torch.rand(3, 4)), u))
-
-
 def test_a_recording_of_the_cpu_is_refused_before_and_after_a_first_call():
     load(scaled, "cpu")
     for inputs, outputs in (arguments(), arguments()):
@@ -199,23 +163,6 @@ def test_a_recording_of_the_cpu_is_refused_before_and_after_a_first_call():
             refused("Warp records a graph on the CPU, and scaled would be missing", inputs, outputs, RuntimeError)
         launch_trials(scaled, N, inputs=inputs, outputs=outputs, device="cpu")
         torch.testing.assert_close(outputs["length"], expected(inputs))
-
-
-def test_a_kernel_is_loaded_before_its_first_row():
-    @wp.kernel(module="unique")
-    def later(first: int, x_out: wp.array(dtype=float)):
-        x_out[first + wp.tid()] = 1.0
-
-    load(later, "cpu")
-    assert (known := dict(later.module.execs))
-    launch_trials(later, 3, inputs={}, outputs={"x": torch.zeros(3)}, device="cpu")
-    assert later.module.execs == known
-
-
-def test_loading_is_silent_where_it_is_what_starts_warp():
-    first = "from r2h_batch.judge.plan import load_searches; load_searches('cpu')"
-    process = subprocess.run([sys.executable, "-c", first], capture_output=True, text=True, timeout=300)
-    assert (process.returncode, process.stdout) == (0, ""), process.stderr
 
 
 def test_a_struct_whose_numbers_change_and_another_one_are_both_seen():

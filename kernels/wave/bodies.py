@@ -187,7 +187,7 @@ def clear_links(
                     frames.w[s, k], frames.v[s, k], frames.w[s, CHANGES + k], frames.v[s, CHANGES + k], moving,
                 )  # fmt: skip
             if on_table:
-                on_table = not link_clears_table(world, query, target, link, c0, c1, up, table_p)
+                on_table = not link_clears_table(world, query, target, link, c0, c1, up, table_p, moving)
             if on_self:
                 with_links = links_in_reach(
                     world, query, target, link, c0, c1, moving, frames.R[s], frames.p[s], frames.w[s], frames.v[s]

@@ -1,0 +1,61 @@
+"""A launch that is repeated: tensors that are like those of the call before, and loading before the first one."""
+
+import subprocess
+import sys
+
+import pytest
+import torch
+import warp as wp
+
+from r2h_batch.launch import launch_trials, load
+from r2h_batch.launch.alike import alike
+
+
+def test_a_kernel_is_loaded_before_its_first_row():
+    @wp.kernel(module="unique")
+    def later(first: int, x_out: wp.array(dtype=float)):
+        x_out[first + wp.tid()] = 1.0
+
+    load(later, "cpu")
+    assert (known := dict(later.module.execs))
+    launch_trials(later, 3, inputs={}, outputs={"x": torch.zeros(3)}, device="cpu")
+    assert later.module.execs == known
+
+
+def test_loading_is_silent_where_it_is_what_starts_warp():
+    first = "from r2h_batch.judge.plan import load_searches; load_searches('cpu')"
+    process = subprocess.run([sys.executable, "-c", first], capture_output=True, text=True, timeout=300)
+    assert (process.returncode, process.stdout) == (0, ""), process.stderr
+
+
+def test_tensors_are_alike_by_class_type_shape_and_strides():
+    x, y = torch.rand(3, 4), torch.rand(3, 4)
+    like = alike((x, y, x))
+    u, v = torch.rand(3, 4), torch.rand(3, 4)
+    assert like((x, y, x)) and like((u, v, u)) and not like((u, v, v)) and not like((u, v, torch.rand(3, 4)))
+    for other in (torch.rand(2, 4), torch.rand(3, 4).double(), torch.rand(4, 3).T, torch.rand(3, 4).requires_grad_()):
+        assert not like((u, other, u))
+        assert not like((u, torch.nn.Parameter(torch.rand(3, 4)), u))
+
+
+@pytest.mark.parametrize("guards", [True, False])
+def test_a_repeated_call_takes_tensors_that_are_given_twice_and_sees_them_change(monkeypatch, guards):
+    if not guards:  # a torch without them
+        monkeypatch.setattr("r2h_batch.launch.alike.GUARDS", None)
+
+    @wp.kernel(module="unique")
+    def added(first: int, a_in: wp.array(dtype=float), b_in: wp.array(dtype=float), sum_out: wp.array(dtype=float)):
+        i = first + wp.tid()
+        sum_out[i] = a_in[i] + b_in[i]
+
+    for n in (3, 3, 5, 5):
+        x, y, out = torch.rand(n), torch.rand(n), torch.empty(n)
+        for a, b in ((x, x), (x, y), (y, x), (y, y), (x, x)):
+            launch_trials(added, n, inputs={"a": a, "b": b}, outputs={"sum": out}, device="cpu")
+            assert torch.equal(out, a + b)
+    wrong = torch.rand(5, dtype=torch.float64)
+    for a, b in ((wrong, wrong), (x, wrong), (wrong, x)):
+        with pytest.raises(TypeError, match=r"is a tensor of float64 with shape \(5,\)"):
+            launch_trials(added, 5, inputs={"a": a, "b": b}, outputs={"sum": out}, device="cpu")
+    with pytest.raises(ValueError, match="has 5 rows; 6 trials write 6 or more"):
+        launch_trials(added, 6, inputs={"a": torch.rand(6), "b": torch.rand(6)}, outputs={"sum": out}, device="cpu")
