@@ -87,27 +87,20 @@ def first_lane(bits: int) -> int:
         """
     const float* p = lanes.data + 8 * row;
     floats cx = from(p, 0), cy = from(p, 1), cz = from(p, 2), hx = from(p, 3), hy = from(p, 4), hz = from(p, 5);
-    floats u0 = cx * rx.c[0], u1 = cy * rx.c[1], u2 = cz * rx.c[2];
-    floats u = u0 + u1;
-    u = u + u2;
-    u = u + tx;
-    u = u - x;
-    u = u < 0.0f ? -u : u;
-    floats e0 = hx * fabsf(rx.c[0]), e1 = hy * fabsf(rx.c[1]), e2 = hz * fabsf(rx.c[2]);
-    floats e = e0 + e1;
-    e = e + e2;
-    e = e + half_x;
-    floats w0 = cx * rz.c[0], w1 = cy * rz.c[1], w2 = cz * rz.c[2];
-    floats w = w0 + w1;
-    w = w + w2;
-    w = w + tz;
-    w = w - z;
-    w = w < 0.0f ? -w : w;
-    floats f0 = hx * fabsf(rz.c[0]), f1 = hy * fabsf(rz.c[1]), f2 = hz * fabsf(rz.c[2]);
-    floats f = f0 + f1;
-    f = f + f2;
-    f = f + half_z;
-    bits |= bits_of((u <= e) & (w <= f));
+    auto meets = [&](const wp::vec3& r, float t, float middle, float half) {
+        floats u0 = cx * r.c[0], u1 = cy * r.c[1], u2 = cz * r.c[2];
+        floats u = u0 + u1;
+        u = u + u2;
+        u = u + t;
+        u = u - middle;
+        u = u < 0.0f ? -u : u;
+        floats e0 = hx * fabsf(r.c[0]), e1 = hy * fabsf(r.c[1]), e2 = hz * fabsf(r.c[2]);
+        floats e = e0 + e1;
+        e = e + e2;
+        e = e + half;
+        return u <= e;
+    };
+    bits |= bits_of(meets(rx, tx, x, half_x) & meets(rz, tz, z, half_z));
 """,
         "return bits & ((1 << count) - 1);",
     )

@@ -43,15 +43,6 @@ def inverse_pose(T: wp.mat44):
     return R, -(R * wp.vec3(T[0, 3], T[1, 3], T[2, 3]))
 
 
-@wp.func
-def may_hit(surfaces: Surfaces, tri: int, rz: wp.vec3, z: float) -> bool:
-    """False when a triangle lies wholly above or below the height z along rz (object frame): a quick no for `line_hit`."""
-    z0 = wp.dot(rz, surfaces.points[3 * tri])
-    z1 = wp.dot(rz, surfaces.points[3 * tri + 1])
-    z2 = wp.dot(rz, surfaces.points[3 * tri + 2])
-    return wp.min(z0, wp.min(z1, z2)) <= z + 1.0e-6 and wp.max(z0, wp.max(z1, z2)) >= z - 1.0e-6
-
-
 @wp.func(inline=False)
 def line_hit(a: wp.vec3, b: wp.vec3, c: wp.vec3, x: float, z: float):
     """Signed crossings (-1, 0, 1) of triangle abc and the line (x, ., z) along y, and the y where it crosses.
