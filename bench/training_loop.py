@@ -7,9 +7,10 @@ with random ones), repeated; `perturbed`: the oracle's half moved by 1 cm (grasp
 distributions, as a generator in training proposes them; `distinct`: 4,096 of the mix, each moved by 1 mm of its own.
 Figures of a size come from one call after another, the median of several; core_us is process time (other work on the machine
 counts little), its smallest, and candidates_per_2_core_s what two cores would do at that price with nothing else to do.
-kernel.*_us: process time inside each kernel's launch at B = 4,096, by occurrence; beyond_kernels_us is what a call takes
-beside them. host_us_per_call (CPU): the least thread time that a call took beside compiled code of our kernels, packing their
-arguments included, of stages "pose" and "all", on one thread. On CUDA there is one kind of time: wall, synchronised.
+kernel.*_us: time inside each kernel at B = 4,096, of all threads together (CUDA: around each launch); beyond_kernels_us is
+what a call takes beside them. host_us_per_call (CPU): the least thread time that a call took beside compiled code of our
+kernels, of stages "pose" and "all", on one thread, where the call before had as many rows. On CUDA there is one kind of time:
+wall, synchronised.
 training: one step of a small generator (three layers of 256, Adam) on 4,096 candidates, scored each step. The peer judges the
 same candidates one by one with MuJoCo C, trimesh, FCL and ur-analytic-ik (bench/_pose_peer.py; building its MuJoCo model is
 not counted). memory: resident kB (CUDA: allocated) around 1,000 calls.
@@ -21,9 +22,10 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from threading import Lock
 from typing import Any, Literal
 from unittest import mock
 
@@ -122,28 +124,13 @@ def sizes(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, l
 
 
 def kernels(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, b: int) -> None:
-    """Core time inside each kernel's launch, and what is left of the call."""
+    """Core time inside each kernel, and what is left of the call."""
     c = repeated(mix, b)
     least: dict[str, float] = {}
     calls: list[tuple[float, float]] = []
     for _ in range(5):
-        seen: dict[str, int] = {}
         spent: dict[str, float] = {}
-
-        def timed(kernel: Any, *args: Any, seen: dict = seen, spent: dict = spent, **kw: Any) -> None:
-            start = clock.now()[1]
-            launch.launch_trials(kernel, *args, **kw)
-            n = seen[kernel.key] = seen.get(kernel.key, 0) + 1
-            # an odd launch of the clearance kernel is the open gripper's, an even one the fingers' at the region
-            name = (
-                f"{kernel.key}.{'open' if n % 2 else 'region'}" if kernel.key == "primitives_clearance" else kernel.key
-            )
-            spent[name] = spent.get(name, 0.0) + clock.now()[1] - start
-
-        with ExitStack() as stack:
-            for module in [m for n, m in sys.modules.items() if n.startswith("r2h_batch.")]:
-                if getattr(module, "launch_trials", None) is launch.launch_trials and module is not launch:
-                    stack.enter_context(mock.patch.object(module, "launch_trials", timed))
+        with launches_timed(clock, spent):
             start = clock.now()[1]
             evaluator.score(*c, stages="pose")
             calls.append((clock.now()[1] - start, sum(spent.values())))
@@ -152,6 +139,41 @@ def kernels(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock,
     for name, value in least.items() if b == 4096 else ():
         report.add(f"training_loop.kernel.{name}_us", 1e6 * value / b)
     report.add(f"training_loop.b{b}.beyond_kernels_us_per_call", 1e6 * min(a - k for a, k in calls))
+
+
+def named(kernel: Any, surface_offset: int | None) -> str:
+    """A kernel's name; the clearance kernel runs for the open gripper and for the fingers at the region."""
+    if surface_offset is None:
+        return str(kernel.key)
+    return f"{kernel.key}.{'region' if surface_offset else 'open'}"
+
+
+@contextmanager
+def launches_timed(clock: Clock, spent: dict[str, float]) -> Iterator[None]:
+    """Adds to `spent` what each kernel takes inside: on a CPU of every thread that runs it, on CUDA from launch to end."""
+    honest, lock = Repeated.run, Lock()
+
+    def run(packed: Repeated, *args: int) -> None:
+        start = time.thread_time()
+        honest(packed, *args)
+        took = time.thread_time() - start
+        name = named(packed.kernel, getattr(packed.arguments, "surface_offset", None))
+        with lock:
+            spent[name] = spent.get(name, 0.0) + took
+
+    def launch_on_cuda(kernel: Any, n: int, *, inputs: Any, **kw: Any) -> None:
+        start = clock.now()[1]
+        launch.launch_trials(kernel, n, inputs=inputs, **kw)
+        name = named(kernel, inputs.get("surface_offset"))
+        spent[name] = spent.get(name, 0.0) + clock.now()[1] - start
+
+    with ExitStack() as stack:
+        if not clock.cuda:
+            stack.enter_context(mock.patch.object(Repeated, "run", run))
+        for module in [m for n, m in sys.modules.items() if n.startswith("r2h_batch.")] if clock.cuda else ():
+            if getattr(module, "launch_trials", None) is launch.launch_trials and module is not launch:
+                stack.enter_context(mock.patch.object(module, "launch_trials", launch_on_cuda))
+        yield
 
 
 def host(report: Report, mix: Candidates, device: str) -> None:

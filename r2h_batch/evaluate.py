@@ -33,7 +33,7 @@ from r2h_batch.judge.metrics import Criterion, Touch
 from r2h_batch.judge.person import person_distance, with_body
 from r2h_batch.judge.plan import plan_paths
 from r2h_batch.judge.presented import presented
-from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
+from r2h_batch.judge.verdict import Posed, motion_scores, pose_scores, random_key, verdict
 from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
 from r2h_batch.launch.torch_threads import one_torch_thread
@@ -44,6 +44,7 @@ from r2h_batch.shown import html_table
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
+from r2h_batch.training.repeated_calls import RepeatedCalls
 from r2h_batch.types import Asked, Scores, Trials
 
 POSE_CHUNK_CUDA = 1 << 16
@@ -102,7 +103,7 @@ class Evaluator:
     def __getstate__(self) -> dict[str, Any]:
         """What copies and pickles hold: the configuration. Copies share the scene's tables, which nobody changes;
         another process builds its own (`Scene.__reduce__`), rows are bitwise equal."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("handle", "kinematic")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("handle", "kinematic", "_repeated")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -114,6 +115,11 @@ class Evaluator:
         twin = copy.copy(self)
         twin.config = replace(self.config, execute=replace(self.config.execute, sim="none"))
         return twin
+
+    @cached_property
+    def _repeated(self) -> RepeatedCalls:
+        """What is kept of calls that come back in one size; no copy and no other process has it."""
+        return RepeatedCalls()
 
     def score(
         self,
@@ -248,14 +254,26 @@ class Evaluator:
         (steady, reach, affordance), slip = self._without_posture(holding)
         criteria = [steady, metrics.plan(planned, executed, active), reach, affordance, safe]
         shown = presented(scene, holding, config.thresholds, threads=threads)
-        shared = verdict(trials.trial_id, criteria, holding, slip, shown, executed.valid, threads=threads)
+        shared = verdict(criteria, holding, slip, shown, executed.valid, threads=threads)
         return motion_scores(
-            shared, active, planned, motion, executed, touch, config.execute,
+            trials.trial_id, shared, active, planned, motion, executed, touch, config.execute,
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
         )  # fmt: skip
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         """As `_score_motion`, as far as it goes without a path."""
+        if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
+            holding, posed = self._judge_pose(T_obj_ee, T_world_ee, trials)
+            scores = pose_scores(trials.trial_id, posed)
+            return differentiable(
+                self.scene, self.config, self.threads, scores, (T_obj_ee, T_world_ee), holding, posed.goal
+            )
+        return self._repeated(
+            self._judge_pose, self.config, self.scene, T_obj_ee, T_world_ee, trials, threads=self.threads
+        )
+
+    def _judge_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> tuple[Holding, Posed]:
+        """What `pose_scores` needs; its launches are recorded where its size comes back (`training.repeated_calls`)."""
         scene, config, threads = self.scene, self.config, self.threads
         holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
         active, placed = holding.active, holding.placed
@@ -274,11 +292,8 @@ class Evaluator:
         plan = Criterion.of(goal.clearance_m, active, touching_passes=False)  # above 0 exactly where the goal is free
         shown = presented(scene, holding, config.thresholds, threads=threads)
         criteria = [steady, plan, reach, affordance, safe]
-        shared = verdict(trials.trial_id, criteria, holding, slip, shown, threads=threads)
-        scores = pose_scores(shared, goal, body, point, body_m)
-        if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
-            return differentiable(scene, config, threads, scores, (T_obj_ee, T_world_ee), holding, goal)
-        return scores
+        shared = verdict(criteria, holding, slip, shown, threads=threads)
+        return holding, Posed(shared, goal, body, point, body_m)
 
     def _body(self, holding: Holding, trials: Trials, path: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
         """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where there is none."""

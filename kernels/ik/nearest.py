@@ -69,7 +69,7 @@ def nearest_posture(
 ):
     """The nearest posture of each target that no branch reaches, and its residual: metres, plus `rotation_lever_m` x radians.
 
-    Nothing is written where a branch does, or the trial is not active.
+    NaN where a branch does, or the trial is not active.
     """
     trial = first + wp.tid()
     wanted = active_in[trial]
@@ -77,6 +77,9 @@ def nearest_posture(
         if branches_in[trial, k]:
             wanted = False
     if not wanted:
+        residual_out[trial] = wp.nan
+        for j in range(6):
+            q_out[trial, j] = wp.nan
         return
     T = T_world_ee_in[trial]
     y = wp.vec3d()

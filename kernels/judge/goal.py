@@ -204,7 +204,10 @@ def goal_clearance(
     body_out[trial] = -1
     other_out[trial] = -1
     nearest_out[trial] = PAIR_NONE
-    if reason == REASON_NOT_EVALUATED:
+    if reason == REASON_NOT_EVALUATED:  # its posture is NaN already
+        clearance_out[trial] = wp.nan
+        push_out[trial] = wp.vec3()
+        point_out[trial] = wp.vec3()
         return
     R = wp.zeros(shape=7, dtype=wp.mat33)
     p = wp.zeros(shape=7, dtype=wp.vec3)
@@ -282,6 +285,7 @@ def goal_safe_distance(
     trial = first + wp.tid()
     distance_out[trial] = cap
     body_out[trial] = -1
+    point_out[trial] = wp.vec3(wp.nan, wp.nan, wp.nan)
     if not active_in[trial]:
         return
     R = wp.zeros(shape=7, dtype=wp.mat33)

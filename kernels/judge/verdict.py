@@ -10,7 +10,7 @@ INVALID_INPUT = wp.constant(6)
 """As `r2h_batch.verdicts.Outcome`, of which a criterion's own number is its place + 1."""
 INVALID_SIM = wp.constant(7)
 
-RULE_BITS = wp.constant(3)
+RULE_BITS = wp.constant(4)
 """A criterion's rule has so many bits of `rules`, the first criterion the lowest."""
 GIVEN = wp.constant(0)
 """Margin, passed and evaluated are as they stand."""
@@ -20,6 +20,8 @@ APART_PASSES = wp.constant(2)
 """The same, above 0."""
 NAN_IS_UNASKED = wp.constant(4)
 """Besides: rows whose margin is NaN are not evaluated."""
+WITHIN = wp.constant(8)
+"""Besides: the margin is what is left from the number to its limit. Without: the number less its limit."""
 
 
 @wp.kernel
@@ -28,6 +30,11 @@ def judge_rows(
     borderline_m: float,
     simulated: int,  # 0: `valid` says nothing
     rules: int,  # how each criterion is to be read
+    limit_0: float,
+    limit_1: float,
+    limit_2: float,
+    limit_3: float,
+    limit_4: float,
     # the criteria, in the order of `r2h_batch.verdicts.CRITERIA`
     margin_0_in: wp.array(dtype=wp.float32),
     margin_1_in: wp.array(dtype=wp.float32),
@@ -65,7 +72,7 @@ def judge_rows(
 
     The columns are walked from the last to the first, so that the first criterion that was evaluated and failed is what stays:
 
-    0. `rules` says whether a criterion's columns are given or to be made from its margin (NaN passes nothing);
+    0. `rules` says whether a criterion's columns are given or to be made from its number and limit (NaN passes nothing);
     1. a criterion counts where it was evaluated and the simulation did not fail; its margin is NaN where that did;
     2. what counts and did not pass is the outcome, its place + 1; if nothing is, the row is a success;
     3. what counts and is nearer to 0 than `borderline_m` makes the row borderline;
@@ -77,6 +84,7 @@ def judge_rows(
     margin = wp.vector(
         margin_0_in[row], margin_1_in[row], margin_2_in[row], margin_3_in[row], margin_4_in[row], dtype=float
     )
+    limit = wp.vector(limit_0, limit_1, limit_2, limit_3, limit_4, dtype=float)
     passed = wp.vector(
         int(passed_0_in[row]), int(passed_1_in[row]), int(passed_2_in[row]), int(passed_3_in[row]),
         int(passed_4_in[row]), dtype=int,
@@ -90,7 +98,7 @@ def judge_rows(
     for i in range(5):
         k = 4 - i
         rule = rules >> (RULE_BITS * k)
-        m = margin[k]
+        m = wp.where((rule & WITHIN) != 0, limit[k] - margin[k], margin[k] - limit[k])
         asked = evaluated[k] != 0
         fine = passed[k] != 0
         if (rule & (TOUCHING_PASSES | APART_PASSES)) != 0:

@@ -121,11 +121,11 @@ def unless_proven(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[Tensor, " 
 
 
 def _unjudged(b: int, device: torch.device) -> Goal:
-    """Room for B goals; what no kernel writes stays NaN (posture, clearance) or zero (push, point)."""
+    """Room for B goals, all of which the kernels write: they may find there what a call before left."""
     reason, pair, slot, nearest, body, other = torch.empty((6, b), dtype=torch.int32, device=device).unbind(0)
-    q = torch.full((b, 6), torch.nan, dtype=torch.float32, device=device)
-    clearance = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
-    push, point = torch.zeros((2, b, 3), dtype=torch.float32, device=device).unbind(0)
+    q = torch.empty((b, 6), dtype=torch.float32, device=device)
+    clearance = torch.empty(b, dtype=torch.float32, device=device)
+    push, point = torch.empty((2, b, 3), dtype=torch.float32, device=device).unbind(0)
     return Goal(reason, pair, slot, q, clearance, nearest, body, other, push, point)
 
 
@@ -184,7 +184,7 @@ def safe_at(
     active = active.contiguous()
     distance = torch.empty(b, dtype=torch.float32, device=device)
     body = torch.empty(b, dtype=torch.int32, device=device)
-    point = torch.full((b, 3), torch.nan, dtype=torch.float32, device=device)
+    point = torch.empty((b, 3), dtype=torch.float32, device=device)
     launch_trials(
         goal_kernels.goal_safe_distance,
         b,
@@ -201,5 +201,5 @@ def safe_at(
         threads=threads,
         chunk=GOAL_CHUNK,
     )
-    criterion = Criterion.of(distance - thresholds.safe_margin_m, active, touching_passes=False)
+    criterion = Criterion.of(distance, active, touching_passes=False, beyond_m=thresholds.safe_margin_m)
     return criterion, body, point

@@ -22,13 +22,14 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.scene import Placed, Scene
 
-GIVEN, TOUCHING_PASSES, APART_PASSES, NAN_IS_UNASKED = (
+GIVEN, TOUCHING_PASSES, APART_PASSES, NAN_IS_UNASKED, WITHIN = (
     int(x)
     for x in (
         verdict_kernels.GIVEN,
         verdict_kernels.TOUCHING_PASSES,
         verdict_kernels.APART_PASSES,
         verdict_kernels.NAN_IS_UNASKED,
+        verdict_kernels.WITHIN,
     )
 )
 """How a criterion's numbers are to be read (kernels/judge/verdict.py)."""
@@ -50,15 +51,29 @@ class Criterion:
         passed: Bool[Tensor, " b"] | None,
         evaluated: Bool[Tensor, " b"],
         rule: int = GIVEN,
+        limit: float = 0.0,
     ) -> None:
-        self.given, self.asked, self.rule = margin, evaluated, rule
+        self.given, self.asked, self.rule, self.limit = margin, evaluated, rule, limit
         self.given_passed = evaluated if passed is None else passed
 
     @staticmethod
-    def of(margin: Tensor, evaluated: Tensor, *, touching_passes: bool, nan_is_unasked: bool = False) -> "Criterion":
-        """Passes above 0, and at 0 where touching passes; `nan_is_unasked`: a row without a margin is not evaluated."""
-        rule = TOUCHING_PASSES if touching_passes else APART_PASSES
-        return Criterion(margin, None, evaluated, rule + (NAN_IS_UNASKED if nan_is_unasked else 0))
+    def of(
+        number: Tensor,
+        evaluated: Tensor,
+        *,
+        touching_passes: bool,
+        nan_is_unasked: bool = False,
+        beyond_m: float = 0.0,
+        within_m: float | None = None,
+    ) -> "Criterion":
+        """Passes above 0, and at 0 where touching passes; `nan_is_unasked`: a row without a margin is not evaluated.
+
+        The margin is `number - beyond_m`, or `within_m - number` where that is given.
+        """
+        rule = (TOUCHING_PASSES if touching_passes else APART_PASSES) + (NAN_IS_UNASKED if nan_is_unasked else 0)
+        if within_m is not None:
+            return Criterion(number, None, evaluated, rule + WITHIN, within_m)
+        return Criterion(number, None, evaluated, rule, beyond_m)
 
     @property
     def evaluated(self) -> Bool[Tensor, " b"]:
@@ -68,7 +83,7 @@ class Criterion:
     @property
     def margin(self) -> Float32[Tensor, " b"]:
         """m, NaN where not evaluated."""
-        return self.given if self.rule == GIVEN else torch.where(self.evaluated, self.given, torch.nan)
+        return self.given if self.rule == GIVEN else torch.where(self.evaluated, self._number, torch.nan)
 
     @property
     def passed(self) -> Bool[Tensor, " b"]:
@@ -76,7 +91,12 @@ class Criterion:
         if self.rule == GIVEN:
             return self.given_passed
         # NaN compares False both ways: a row whose margin was never computed cannot pass
-        return ((self.given >= 0) if self.rule & TOUCHING_PASSES else (self.given > 0)) & self.evaluated
+        return ((self._number >= 0) if self.rule & TOUCHING_PASSES else (self._number > 0)) & self.evaluated
+
+    @property
+    def _number(self) -> Float32[Tensor, " b"]:
+        """The margin, also where nobody asks for it."""
+        return self.limit - self.given if self.rule & WITHIN else self.given - self.limit
 
 
 def stability(grasp: Grasp, active: Bool[Tensor, " b"]) -> Criterion:
@@ -161,7 +181,7 @@ def reach(
         threads=threads,
         chunk=64,
     )
-    return Criterion.of(thresholds.reach_radius_m - distance, active, touching_passes=True)
+    return Criterion.of(distance, active, touching_passes=True, within_m=thresholds.reach_radius_m)
 
 
 def affordance(
@@ -237,5 +257,7 @@ def safe(
     launch_trials(hand_overlap, len(meets), inputs={**tables, "row": meets, **motion}, outputs=found, chunk=1, **on)
     # Between two samples the arm may be off the line by slack_m, so the distance along the lines is taken less that
     defined = active & (executed.length > 0)
-    criterion = Criterion.of(distance - executed.slack_m - thresholds.safe_margin_m, defined, touching_passes=False)
+    criterion = Criterion.of(
+        distance - executed.slack_m, defined, touching_passes=False, beyond_m=thresholds.safe_margin_m
+    )
     return criterion, Touch(torch.where(defined, body, -1), segment, fraction, point)

@@ -1,6 +1,7 @@
 """From what the stages found to `Scores`: the criteria side by side, the first failure, the reasons and witnesses."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float32, Int32, Int64
@@ -18,11 +19,27 @@ from r2h_batch.motion.execute import Executed, executed_time_at
 from r2h_batch.motion.time_law import Motion, time_at
 from r2h_batch.types import CRITERIA, CollidingPair, PlanReason, Scores
 
-__all__ = ["motion_scores", "pose_scores", "random_key", "verdict"]
+__all__ = ["Posed", "motion_scores", "pose_scores", "random_key", "verdict"]
+
+
+@dataclass(frozen=True)
+class Posed:
+    """What B poses were found to be without a path; `shared` from `verdict`."""
+
+    shared: dict[str, Tensor]
+    goal: Goal
+    safe_body: Int32[Tensor, " b"]
+    safe_point: Float32[Tensor, "b 3"]
+    body_m: Float32[Tensor, " b"]
+
+    def clone(self) -> "Posed":
+        """The same in memory of its own, as far as `pose_scores` would hand it on as it is."""
+        goal = replace(self.goal, q=self.goal.q.clone())
+        shared = {name: x.clone() for name, x in self.shared.items()}
+        return Posed(shared, goal, self.safe_body, self.safe_point.clone(), self.body_m.clone())
 
 
 def verdict(
-    trial_id: Int64[Tensor, " b"],
     criteria: Sequence[Criterion],
     holding: Holding,
     slip_m: Float32[Tensor, " b"],
@@ -77,22 +94,23 @@ def verdict(
         "presented_angle_deg": shown.angle_deg,
         "presented_distance_m": shown.distance_m,
     }
-    return {"trial_id": trial_id, **out}
+    return out
 
 
-_COLUMNS = tuple((f"margin_{k}", f"passed_{k}", f"evaluated_{k}") for k in range(len(CRITERIA)))
+_COLUMNS = tuple((f"margin_{k}", f"passed_{k}", f"evaluated_{k}", f"limit_{k}") for k in range(len(CRITERIA)))
 
 
-def _columns(criteria: Sequence[Criterion]) -> dict[str, Tensor | int]:
+def _columns(criteria: Sequence[Criterion]) -> dict[str, Tensor | float]:
     """What `judge_rows` reads of the criteria: their numbers as they were given, and the rules to read them by."""
-    columns: dict[str, Tensor | int] = {}
-    for (margin, passed, evaluated), c in zip(_COLUMNS, criteria, strict=True):
-        columns[margin], columns[passed], columns[evaluated] = c.given, c.given_passed, c.asked
+    columns: dict[str, Tensor | float] = {}
+    for (margin, passed, evaluated, limit), c in zip(_COLUMNS, criteria, strict=True):
+        columns[margin], columns[passed], columns[evaluated], columns[limit] = c.given, c.given_passed, c.asked, c.limit
     columns["rules"] = sum(c.rule << (int(verdict_kernels.RULE_BITS) * k) for k, c in enumerate(criteria))
     return columns
 
 
 def motion_scores(
+    trial_id: Int64[Tensor, " b"],
     shared: dict[str, Tensor],
     active: Bool[Tensor, " b"],
     planned: Plan,
@@ -116,6 +134,7 @@ def motion_scores(
         time_s = executed_time_at(executed, touch.segment, touch.fraction)
     kept, kept_len, failed_state = _kept_motion(executed, keep_motion)
     return Scores(
+        trial_id=trial_id,
         **shared,
         plan_reason=torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(torch.int8),
         plan_pair=torch.where(active, planned.pair, int(CollidingPair.NONE)).to(torch.int8),
@@ -135,24 +154,20 @@ def motion_scores(
     )
 
 
-def pose_scores(
-    shared: dict[str, Tensor],
-    goal: Goal,
-    safe_body: Int32[Tensor, " b"],
-    safe_point: Float32[Tensor, "b 3"],
-    body_m: Float32[Tensor, " b"],
-) -> Scores:
-    """`Scores` of poses that were judged without a path; `shared` from `verdict`."""
+def pose_scores(trial_id: Int64[Tensor, " b"], posed: Posed) -> Scores:
+    """`Scores` of poses that were judged without a path."""
+    goal = posed.goal
     nan, zero = torch.full_like(goal.clearance_m, torch.nan), torch.zeros_like(goal.reason)
     none = torch.empty((len(nan), 0, 6), dtype=torch.float32, device=nan.device)
     nothing = none[:, :, 0]
     return Scores(
-        **shared,
+        trial_id=trial_id,
+        **posed.shared,
         plan_reason=goal.reason.to(torch.int8),
         plan_pair=goal.pair.to(torch.int8),
-        witness_part=torch.stack([goal.body, safe_body], 1),
+        witness_part=torch.stack([goal.body, posed.safe_body], 1),
         witness_time_s=nan,
-        witness_point=safe_point,
+        witness_point=posed.safe_point,
         t_plan_s=nan,
         t_exec_s=nan,
         q_goal=goal.q,
@@ -162,7 +177,7 @@ def pose_scores(
         motion=none,
         motion_len=zero.clone(),
         failed_state=nothing.double(),
-        body_m=body_m,
+        body_m=posed.body_m,
     )
 
 

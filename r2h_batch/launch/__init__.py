@@ -3,10 +3,8 @@
 import errno
 import os
 import shutil
-import sys
 import tempfile
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, lru_cache
 from typing import Any
@@ -14,9 +12,24 @@ from typing import Any
 import torch
 import warp as wp
 
-from r2h_batch.checks import whole
-from r2h_batch.launch import repeated
+from r2h_batch.launch import recorded, repeated
 from r2h_batch.launch.arguments import bind
+from r2h_batch.launch.workers import cpu_threads, share, thread_pool
+
+__all__ = [
+    "BLOCK_DIM",
+    "CACHE_BYTES",
+    "CHUNK",
+    "MODULE_BYTES",
+    "NO_DRIVER",
+    "UNEVEN_BLOCK_DIM",
+    "cpu_threads",
+    "init_warp",
+    "launch",
+    "launch_trials",
+    "load",
+    "thread_pool",
+]
 
 CACHE_BYTES, MODULE_BYTES = 64 << 20, 8 << 20
 BLOCK_DIM = 64
@@ -89,34 +102,6 @@ def _refuse_below(needed: int, cache: str) -> None:
         raise OSError(errno.ENOSPC, why, cache)
 
 
-def cpu_threads(threads: int | None = None) -> int:
-    """The number of worker threads: as asked, or one per core this process may use."""
-    if threads is not None:
-        return whole(1)("threads", threads)
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@lru_cache(maxsize=4)
-def thread_pool(threads: int) -> ThreadPoolExecutor:
-    """The process' worker threads."""
-    return ThreadPoolExecutor(threads, thread_name_prefix="r2h")
-
-
-def _after_fork() -> None:
-    """A child has the pools without their threads, and waits for ever for what it hands them: it starts its own.
-
-    Torch's (OpenMP) threads stay behind too, and the first larger operation waits for them: a child works on one.
-    """
-    thread_pool.cache_clear()
-    torch = sys.modules.get("torch")
-    if torch is not None and torch.get_num_threads() > 1:
-        torch.set_num_threads(1)
-
-
-if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
-    os.register_at_fork(after_in_child=_after_fork)
-
-
 def launch_trials(
     kernel: Any,
     n: int,
@@ -161,12 +146,9 @@ def _launch_on_cpu(
     first: int,
 ) -> None:
     """`launch_trials` on all cores, with what this thread packed for the kernel before (repeated.py)."""
-    if repeated.cpu().is_capturing:
-        raise RuntimeError(
-            f"Warp records a graph on the CPU, and {kernel.key} would be missing in it: it runs on threads of its own; call "
-            "it before or after the recording (Evaluator.capture records calls on a GPU)"
-        )
-    packed = repeated.taken(kernel)
+    repeated.refuse_graph(kernel.key)
+    recording = recorded.current()
+    packed = repeated.taken(kernel) if recording is None else None
     if packed is None or not packed.refill(inputs, outputs, first + n):
         args = [first, *bind(kernel, inputs, outputs, "cpu", trials=first + n)]
         if n == 0:
@@ -175,25 +157,14 @@ def _launch_on_cpu(
         packed = repeated.Repeated(kernel, args, inputs, outputs)
     workers = 1 if n <= chunk else min(cpu_threads(threads), -(-n // chunk))
     if workers > 1:
-        _share(packed, n, workers, chunk, width, first)
+        packed.prepare(workers)
+        share(lambda worker, start, rows: packed.run(worker, start, rows, width), first, n, workers, chunk)
     elif n:  # nothing to share
         packed.run(0, first, n, width)
-    repeated.kept(packed)
-
-
-def _share(packed: repeated.Repeated, n: int, workers: int, chunk: int, width: int, first: int) -> None:
-    """Trials first..first+n-1 by chunks: whoever of the workers is free takes the next one."""
-    packed.prepare(workers)
-    firsts = iter(range(first, first + n, chunk))  # next() is atomic
-
-    def work(worker: int) -> None:
-        for start in firsts:
-            packed.run(worker, start, min(chunk, first + n - start), width)
-
-    futures = [thread_pool(workers).submit(work, worker) for worker in range(1, workers)]
-    work(0)
-    for future in futures:
-        future.result()
+    if recording is None:
+        repeated.kept(packed)
+    else:
+        recording.add(packed, first, n, width, (inputs, outputs))
 
 
 def load(kernel: Any, device: str) -> None:

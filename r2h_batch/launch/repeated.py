@@ -183,6 +183,15 @@ def cpu() -> Any:
     return wp.get_device("cpu")
 
 
+def refuse_graph(name: str) -> None:
+    """RuntimeError while Warp records a graph on the CPU."""
+    if cpu().is_capturing:
+        raise RuntimeError(
+            f"Warp records a graph on the CPU, and {name} would be missing in it: it runs on threads of its own; call "
+            "it before or after the recording (Evaluator.capture records calls on a GPU)"
+        )
+
+
 _of_thread = threading.local()
 
 

@@ -93,7 +93,7 @@ def test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed(simula
     lengths = {k: torch.rand(N, generator=g) for k in ("width_m", "opening_m", "shift_m")}
     holding = SimpleNamespace(active=active, grasp=SimpleNamespace(**lengths))
     shown = Presented(lengths["width_m"], lengths["opening_m"], active)
-    found = verdict(torch.arange(N), criteria, holding, lengths["width_m"], shown, valid if simulated else None)  # type: ignore[arg-type]
+    found = verdict(criteria, holding, lengths["width_m"], shown, valid if simulated else None)  # type: ignore[arg-type]
     for i in range(N):
         judged = bool(valid[i]) or not simulated
         asked = [judged and bool(c.evaluated[i]) for c in criteria]
