@@ -36,6 +36,7 @@ from r2h_batch.judge.presented import presented
 from r2h_batch.judge.verdict import Posed, motion_scores, pose_scores, random_key, verdict
 from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
+from r2h_batch.launch.recorded import unrecorded
 from r2h_batch.launch.torch_threads import one_torch_thread
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
@@ -154,7 +155,7 @@ class Evaluator:
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
-        with one_torch_thread(self.scene.device):
+        with one_torch_thread(self.scene.device), unrecorded():
             check_indices(self.scene, trials)
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
             # Copies: an optimizer's step in place must not change what a picture of these scores shows.
@@ -185,7 +186,7 @@ class Evaluator:
 
     def _score_checked(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages) -> Scores:
         """`score` of tensors whose shapes are known to fit."""
-        with one_torch_thread(self.scene.device):
+        with one_torch_thread(self.scene.device), unrecorded():
             check_indices(self.scene, trials)
             check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
             return self._score(T_obj_ee, T_world_ee, trials, stages)

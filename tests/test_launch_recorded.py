@@ -1,10 +1,15 @@
 """Launches that were recorded: run again with other inputs, on any number of threads, and refused where they cannot be."""
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from unittest import mock
+
 import pytest
 import torch
 import warp as wp
 
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import launch_trials, workers
 from r2h_batch.launch.recorded import CHUNK, Recorded, current
 
 
@@ -77,3 +82,33 @@ def test_a_graph_that_warp_records_would_miss_it():
             recorded(x, x)
     finally:
         wp.capture_end(device="cpu")
+
+
+def test_nobody_is_at_work_once_an_interrupt_has_left_the_call():
+    """The caller frees its memory then: who still wrote there would end the process."""
+    started, at_work, chunks = threading.Event(), [], []
+
+    def run(worker: int, start: int, rows: int) -> None:
+        if worker == 0:
+            assert started.wait(10)
+            raise KeyboardInterrupt
+        at_work.append(start), chunks.append(start)
+        started.set()
+        time.sleep(0.1)
+        at_work.remove(start)
+
+    with pytest.raises(KeyboardInterrupt):
+        workers.share(run, 0, 100, 3, 1)
+    assert at_work == []
+    begun = len(chunks)
+    time.sleep(0.2)
+    assert len(chunks) == begun <= 4
+
+
+def test_a_program_that_is_going_down_works_on_the_calling_thread():
+    """No pool takes work then: what is scored at exit is scored all the same."""
+    pool, done = ThreadPoolExecutor(2), []
+    pool.shutdown()
+    with mock.patch.object(workers, "thread_pool", lambda _: pool):
+        workers.share(lambda worker, start, rows: done.append((worker, start, rows)), 3, 10, 3, 4)
+    assert done == [(0, 3, 4), (0, 7, 4), (0, 11, 2)]

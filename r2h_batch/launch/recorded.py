@@ -6,7 +6,8 @@ done once; a recorded call writes into the launches where its inputs lie now, an
 """
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, Generic, TypeVar
 
 import torch
@@ -91,6 +92,20 @@ def current() -> "Recorded[Any] | None":
     """What records this thread's launches just now."""
     recording: Recorded[Any] | None = getattr(_of_thread, "recording", None)
     return recording
+
+
+@contextmanager
+def unrecorded() -> Iterator[None]:
+    """Launches inside are their own: a signal's handler or a finaliser may score while its thread records another call."""
+    before = current()
+    if before is None:
+        yield
+        return
+    _of_thread.recording = None
+    try:
+        yield
+    finally:
+        _of_thread.recording = before
 
 
 _of_thread = threading.local()

@@ -2,7 +2,8 @@
 
 import os
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
@@ -40,15 +41,48 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
 def share(run: Callable[[int, int, int], None], first: int, n: int, workers: int, chunk: int) -> None:
     """`run(worker, start, rows)` of trials first..first+n-1 by chunks: whoever of the workers is free takes the next one.
 
-    The calling thread is worker 0. Compiled kernels let go of the interpreter's lock: they run at once.
+    The calling thread is worker 0. Compiled kernels let go of the interpreter's lock: they run at once. However this ends,
+    an interrupt of the calling thread included, nobody is at work any more: the caller may free the memory.
     """
     starts = iter(range(first, first + n, chunk))  # next() is atomic
+    busy: set[int] = set()
 
     def work(worker: int) -> None:
         for start in starts:
             run(worker, start, min(chunk, first + n - start))
 
-    futures = [thread_pool(workers).submit(work, worker) for worker in range(1, workers)]
-    work(0)
-    for future in futures:
-        future.result()
+    def help_out(worker: int) -> None:
+        busy.add(worker)  # before it takes a chunk
+        try:
+            work(worker)
+        finally:
+            busy.discard(worker)
+
+    futures = []
+    try:
+        for worker in range(1, workers):
+            try:
+                futures.append(thread_pool(workers).submit(help_out, worker))
+            except RuntimeError:  # the interpreter is going down, or has no thread left to give: this one does it all
+                break
+        work(0)
+        for future in futures:
+            future.result()
+    finally:
+        _call_back(starts, busy)
+
+
+def _call_back(starts: Iterator[int], busy: set[int]) -> None:
+    """Returns when no chunk is left and nobody works at one; an interrupt meanwhile is raised after that."""
+    interrupt = None
+    while True:
+        try:
+            for _ in starts:
+                pass
+            while busy:
+                time.sleep(1e-4)
+            break
+        except BaseException as e:
+            interrupt = e
+    if interrupt is not None:
+        raise interrupt

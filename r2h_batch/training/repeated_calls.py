@@ -16,8 +16,9 @@ from r2h_batch.types import Scores, Trials
 ROWS = 4096
 """Batches of up to so many rows are recorded. A third of the time at one row is left, half at 64; at 4,096 it saves 2 %."""
 
-KEPT_ROWS = 2 * ROWS
-"""An evaluator keeps recorded calls of so many rows together, those that were used last: 4.4 KB of working memory each."""
+KEPT_ROWS, KEPT_CALLS = 2 * ROWS, 128
+"""An evaluator keeps so many recorded calls, of so many rows together, those that were used last: 4.4 KB of working memory
+a row, 0.25 MB a call. Sizes that all differ meet the first bound, configurations that change with each call the second."""
 
 Judge = Callable[[Tensor, Tensor, Trials], tuple[Holding, Posed]]
 
@@ -77,7 +78,7 @@ class RepeatedCalls:
     def _returned(self, kept: _Kept) -> None:
         """For the next call; the oldest make room for it."""
         self._kept.append(kept)
-        while sum(k.rows for k in list(self._kept)) > KEPT_ROWS:
+        while len(self._kept) > KEPT_CALLS or sum(k.rows for k in list(self._kept)) > KEPT_ROWS:
             with suppress(IndexError):  # another thread was quicker
                 self._kept.pop(0)
 

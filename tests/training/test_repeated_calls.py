@@ -117,6 +117,56 @@ def test_a_size_is_recorded_when_it_comes_back_and_the_oldest_make_room():
     assert recorded_sizes(copy.copy(evaluator)) == [] and recorded_sizes(copy.deepcopy(evaluator)) == []
 
 
+def test_configurations_that_change_with_every_call_make_room_too():
+    evaluator, b = ready(), batches(1, 4)[0]
+    limits = evaluator.config.thresholds
+    score(evaluator, b)
+    for i in range(6):
+        changed = replace(limits, reach_radius_m=0.05 + 0.01 * i)
+        evaluator.config = replace(evaluator.config, thresholds=changed)
+        with mock.patch.object(repeated_calls, "KEPT_CALLS", 4):
+            score(evaluator, b)
+    assert recorded_sizes(evaluator) == [1] * 4
+    assert evaluator._repeated._kept[-1].config is evaluator.config
+
+
+@pytest.mark.parametrize("garbage", [torch.nan, 1e30, 0.0])
+def test_nothing_of_the_call_before_is_seen(garbage):
+    """Whatever the launches wrote is made garbage; what the next call does not write itself would come back as that."""
+    evaluator, rounds = ready(), batches(N, 5)
+    expected = [score(ready(), b) for b in rounds]
+    score(evaluator, rounds[0]), score(evaluator, rounds[0])
+    for b, same in zip(rounds, expected, strict=True):
+        (kept,) = evaluator._repeated._kept
+        for _, outputs in kept.posed._kept[:-1]:  # of each launch; the last one is inputs
+            written = {name: x for name, x in outputs.items() if name != "slip_m"}  # which `verdict` adds: a constant
+            for x in written.values():
+                x.fill_(garbage if x.is_floating_point() else 127)
+        assert_same(score(evaluator, b), same)
+
+
+@pytest.mark.parametrize("rows", [5, N])
+def test_a_call_from_within_a_recording_is_its_own(rows):
+    """As a signal's handler or a finaliser makes it: not refused for its size, and nothing that is run or written again."""
+    evaluator, (b, other, *_) = ready(), batches(N, 4)
+    inner = Batch(other.trials, other.T_obj_ee.clone(), other.T_world_ee.clone()).rows(slice(0, rows))
+    expected, expected_inner = score(ready(), b), score(ready(), inner)
+    found: list[Scores] = []
+    honest = Recorded.add
+
+    def add(recorded, *args):
+        honest(recorded, *args)
+        if not found:
+            found.append(score(ready(), inner))
+
+    score(evaluator, b)
+    with mock.patch.object(Recorded, "add", add):
+        assert_same(score(evaluator, b), expected)
+    inner.T_world_ee.fill_(torch.nan)
+    assert_same(score(evaluator, b), expected)
+    assert_same(found[0], expected_inner)
+
+
 def test_another_configuration_is_another_call():
     evaluator, b = ready(), batches(N, 4)[0]
     for _ in range(3):
