@@ -233,7 +233,7 @@ class Evaluator:
         active, placed = holding.active, holding.placed
 
         plan_start = time.perf_counter()
-        ik, branches = self._branches(holding)
+        ik, branches = self._branches(config, holding)
         key = random_key(trials.trial_id)
         planned = plan_paths(
             scene, holding.planned, ik.q, branches, active, key, config.plan, execute=config.execute, threads=threads
@@ -248,11 +248,11 @@ class Evaluator:
         )
 
         safe, touch = metrics.safe(scene, placed, executed, active, config.thresholds, threads=threads)
-        body_m, part = self._body(holding, trials, executed.path, executed.length)
+        body_m, part = self._body(scene, holding, trials, executed.path, executed.length)
         body_m = body_m - executed.slack_m
         if config.receiver == "body":
             safe, touch = with_body(safe, touch, body_m, part, config.thresholds)
-        (steady, reach, affordance), slip = self._without_posture(holding)
+        (steady, reach, affordance), slip = self._without_posture(scene, config, holding)
         criteria = [steady, metrics.plan(planned, executed, active), reach, affordance, safe]
         shown = presented(scene, holding, config.thresholds, threads=threads)
         shared = verdict(criteria, holding, slip, shown, executed.valid, threads=threads)
@@ -263,60 +263,63 @@ class Evaluator:
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         """As `_score_motion`, as far as it goes without a path."""
-        if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
-            holding, posed = self._judge_pose(T_obj_ee, T_world_ee, trials)
-            scores = pose_scores(trials.trial_id, posed)
-            return differentiable(
-                self.scene, self.config, self.threads, scores, (T_obj_ee, T_world_ee), holding, posed.goal
-            )
-        return self._repeated(
-            self._judge_pose, self.config, self.scene, T_obj_ee, T_world_ee, trials, threads=self.threads
-        )
-
-    def _judge_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> tuple[Holding, Posed]:
-        """What `pose_scores` needs; its launches are recorded where its size comes back (`training.repeated_calls`)."""
         scene, config, threads = self.scene, self.config, self.threads
+        if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
+            holding, posed = self._judge_pose(scene, config, T_obj_ee, T_world_ee, trials)
+            scores = pose_scores(trials.trial_id, posed)
+            return differentiable(scene, config, threads, scores, (T_obj_ee, T_world_ee), holding, posed.goal)
+        return self._repeated(self._judge_pose, scene, config, T_obj_ee, T_world_ee, trials, threads=threads)
+
+    def _judge_pose(
+        self, scene: Scene, config: EvalConfig, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials
+    ) -> tuple[Holding, Posed]:
+        """What `pose_scores` needs; its launches are recorded where its size comes back (`training.repeated_calls`)."""
+        threads = self.threads
         holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
         active, placed = holding.active, holding.placed
-        ik, branches = self._branches(holding)
+        ik, branches = self._branches(config, holding)
         goal = judge_goals(scene, holding.planned, holding.T_world_ee, ik, branches, active, threads=threads)
         safe, body, point = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
         body_m, part = torch.full_like(goal.clearance_m, torch.nan), None
         if trials.receiver is not None:
-            body_m, part = self._body(holding, trials, goal.q[:, None], active.to(torch.int32))
+            body_m, part = self._body(scene, holding, trials, goal.q[:, None], active.to(torch.int32))
         if config.receiver == "body":
             assert part is not None  # `inputs.check_receiver` has asked
             still = torch.zeros_like(body), torch.zeros_like(body_m)
             safe, touch = with_body(safe, Touch(body, *still, point), body_m, part, config.thresholds)
             body, point = touch.body, touch.point
-        (steady, reach, affordance), slip = self._without_posture(holding)
+        (steady, reach, affordance), slip = self._without_posture(scene, config, holding)
         plan = Criterion.of(goal.clearance_m, active, touching_passes=False)  # above 0 exactly where the goal is free
         shown = presented(scene, holding, config.thresholds, threads=threads)
         criteria = [steady, plan, reach, affordance, safe]
         shared = verdict(criteria, holding, slip, shown, threads=threads)
         return holding, Posed(shared, goal, body, point, body_m)
 
-    def _body(self, holding: Holding, trials: Trials, path: Tensor, length: Tensor) -> tuple[Tensor, Tensor]:
+    def _body(
+        self, scene: Scene, holding: Holding, trials: Trials, path: Tensor, length: Tensor
+    ) -> tuple[Tensor, Tensor]:
         """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where there is none."""
         if trials.receiver is not None:
-            return person_distance(self.scene, holding.placed, trials.receiver, path, length, threads=self.threads)
+            return person_distance(scene, holding.placed, trials.receiver, path, length, threads=self.threads)
         return torch.full_like(path[:, 0, 0], torch.nan), torch.full_like(length, -1)
 
-    def _branches(self, holding: Holding) -> tuple[IkResult, Tensor]:
+    def _branches(self, config: EvalConfig, holding: Holding) -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""
-        solve = ik_jacobian.solve_ik if self.config.ik.solver == "pytorch-kinematics" else solve_ik
-        home = self.config.workplace.home_q
+        solve = ik_jacobian.solve_ik if config.ik.solver == "pytorch-kinematics" else solve_ik
+        home = config.workplace.home_q
         ik = solve(holding.T_world_ee, active=holding.active, home=home, threads=self.threads)
-        if self.config.plan.goals == "set":
+        if config.plan.goals == "set":
             return ik, ik.valid
         return ik, one_branch(ik, holding.T_world_ee, home=home, threads=self.threads)
 
-    def _without_posture(self, holding: Holding) -> tuple[tuple[Criterion, Criterion, Criterion], Tensor]:
+    def _without_posture(
+        self, scene: Scene, config: EvalConfig, holding: Holding
+    ) -> tuple[tuple[Criterion, Criterion, Criterion], Tensor]:
         """Stability, Reach, Affordance: they need no joint angles; and how far the object slipped (NaN: not shaken)."""
-        scene, limits, threads, active = self.scene, self.config.thresholds, self.threads, holding.active
+        limits, threads, active = config.thresholds, self.threads, holding.active
         objects, grasp = holding.objects, holding.grasp
         steady, slip = metrics.stability(grasp, active), torch.full_like(grasp.width_m, torch.nan)
-        if self.config.stability == "physics":
+        if config.stability == "physics":
             steady, slip = metrics.stability_in_physics(
                 scene, grasp, holding.attached, objects, active, threads=threads
             )

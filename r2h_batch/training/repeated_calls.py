@@ -16,18 +16,29 @@ from r2h_batch.types import Scores, Trials
 ROWS = 4096
 """Batches of up to so many rows are recorded. A third of the time at one row is left, half at 64; at 4,096 it saves 2 %."""
 
-KEPT_ROWS, KEPT_CALLS = 2 * ROWS, 128
+KEPT_ROWS, KEPT_CALLS = 2 * ROWS, 32
 """An evaluator keeps so many recorded calls, of so many rows together, those that were used last: 4.4 KB of working memory
-a row, 0.25 MB a call. Sizes that all differ meet the first bound, configurations that change with each call the second."""
+a row, 0.25 MB a call."""
 
-Judge = Callable[[Tensor, Tensor, Trials], tuple[Holding, Posed]]
+Judge = Callable[[Scene, EvalConfig, Tensor, Tensor, Trials], tuple[Holding, Posed]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """What a call has in common with those that may run what it recorded."""
+
+    scene: Scene
+    config: EvalConfig
+    rows: int
+
+    def same(self, other: "_Asked") -> bool:
+        """By identity: a configuration that was replaced is another one."""
+        return self.rows == other.rows and self.config is other.config and self.scene is other.scene
 
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    config: EvalConfig
-    scene: Scene
-    rows: int
+    asked: _Asked
     posed: Recorded[Posed]
 
 
@@ -39,35 +50,36 @@ class RepeatedCalls:
 
     def __init__(self) -> None:
         self._kept: list[_Kept] = []  # that nobody is using; threads take and return with one operation of the list
-        self._last_rows = 0
+        self._last: _Asked | None = None
 
     def __call__(
         self,
         judge: Judge,
-        config: EvalConfig,
         scene: Scene,
+        config: EvalConfig,
         T_obj_ee: Tensor,
         T_world_ee: Tensor,
         trials: Trials,
         threads: int | None,
     ) -> Scores:
         """The scores of a batch, in memory that nobody writes again."""
-        rows, comes_back = len(trials), len(trials) == self._last_rows
-        self._last_rows = rows
-        if not (comes_back and 0 < rows <= ROWS and _is_kernels_alone(config, T_obj_ee, trials)):
-            return pose_scores(trials.trial_id, judge(T_obj_ee, T_world_ee, trials)[1])
+        asked, last = _Asked(scene, config, len(trials)), self._last
+        self._last = asked
+        comes_back = last is not None and last.same(asked)
+        if not (comes_back and 0 < asked.rows <= ROWS and _is_kernels_alone(config, T_obj_ee, trials)):
+            return pose_scores(trials.trial_id, judge(scene, config, T_obj_ee, T_world_ee, trials)[1])
         poses = T_obj_ee.detach(), T_world_ee.detach(), trials.T_world_hand.detach()
         tensors = [x.contiguous() for x in (*poses, trials.trial_id, trials.object_index, trials.hand_index)]
-        kept = self._taken(config, scene, rows) or _Kept(config, scene, rows, _recorded(judge, tensors))
+        kept = self._taken(asked) or _Kept(asked, _recorded(judge, asked, tensors))
         scores = pose_scores(trials.trial_id, kept.posed(*tensors, threads=threads).clone())
         # not after an interrupt: a thread may still be at work in that memory
         self._returned(kept)
         return scores
 
-    def _taken(self, config: EvalConfig, scene: Scene, rows: int) -> _Kept | None:
-        """What was recorded for as many rows: the caller's until it is returned."""
+    def _taken(self, asked: _Asked) -> _Kept | None:
+        """What was recorded of such a call: the caller's until it is returned."""
         for kept in list(self._kept):
-            if kept.rows == rows and kept.config is config and kept.scene is scene:
+            if kept.asked.same(asked):
                 try:
                     self._kept.remove(kept)
                 except ValueError:  # another thread was quicker
@@ -78,17 +90,18 @@ class RepeatedCalls:
     def _returned(self, kept: _Kept) -> None:
         """For the next call; the oldest make room for it."""
         self._kept.append(kept)
-        while len(self._kept) > KEPT_CALLS or sum(k.rows for k in list(self._kept)) > KEPT_ROWS:
+        while len(self._kept) > KEPT_CALLS or sum(k.asked.rows for k in list(self._kept)) > KEPT_ROWS:
             with suppress(IndexError):  # another thread was quicker
                 self._kept.pop(0)
 
 
-def _recorded(judge: Judge, tensors: list[Tensor]) -> Recorded[Posed]:
+def _recorded(judge: Judge, asked: _Asked, tensors: list[Tensor]) -> Recorded[Posed]:
     def function(T_obj_ee: Tensor, T_world_ee: Tensor, T_world_hand: Tensor, *indices: Tensor) -> Posed:
         trial_id, object_index, hand_index = indices
-        return judge(T_obj_ee, T_world_ee, Trials(trial_id, object_index, hand_index, T_world_hand))[1]
+        trials = Trials(trial_id, object_index, hand_index, T_world_hand)
+        return judge(asked.scene, asked.config, T_obj_ee, T_world_ee, trials)[1]
 
-    return Recorded(function, tensors, len(tensors[0]))
+    return Recorded(function, tensors, asked.rows)
 
 
 def _is_kernels_alone(config: EvalConfig, T: Tensor, trials: Trials) -> bool:

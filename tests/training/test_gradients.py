@@ -96,7 +96,7 @@ def changes_in_float64(rows: Any) -> tuple[MarginChanges, torch.Tensor, torch.Te
     scores = evaluator.score(rows.T_obj_ee, rows.T_world_ee, rows.trials, stages="pose")
     held = hold(evaluator.scene, rows.T_obj_ee, rows.T_world_ee, rows.trials, evaluator.config)
     # no public way to the IK branches that a verdict was made from
-    ik, branches = evaluator._branches(held)
+    ik, branches = evaluator._branches(evaluator.config, held)
     goal = judge_goals(evaluator.scene, held.placed, held.T_world_ee, ik, branches, held.active)
     changes = MarginChanges(evaluator.scene, evaluator.config.thresholds, None, scores, held, goal)
     for name, value in vars(changes).items():

@@ -43,8 +43,15 @@ def score(evaluator: Evaluator, b: Batch) -> Scores:
     return evaluator.score(b.T_obj_ee, b.T_world_ee, b.trials, "pose")
 
 
+def signed_late(x: torch.Tensor) -> torch.Tensor:
+    """The same numbers, whose memory holds the opposite ones: torch keeps the sign for later."""
+    late = torch.complex(torch.zeros_like(x), -x).conj().imag
+    assert late.is_neg() and torch.equal(late, x)
+    return late
+
+
 def recorded_sizes(evaluator: Evaluator) -> list[int]:
-    return [kept.rows for kept in evaluator._repeated._kept]
+    return [kept.asked.rows for kept in evaluator._repeated._kept]
 
 
 @pytest.mark.parametrize(("n", "threads"), [(1, None), (7, 1), (40, 1), (40, 3), (N, None), (300, 2)])
@@ -86,7 +93,8 @@ def test_what_is_recorded_is_launches_and_memory_and_nothing_else():
     with Watched(), mock.patch.object(Recorded, "add", add):
         t = b.trials
         given = [b.T_obj_ee, b.T_world_ee, t.T_world_hand, t.trial_id, t.object_index, t.hand_index]
-        repeated_calls._recorded(evaluator._judge_pose, given)
+        asked = repeated_calls._Asked(evaluator.scene, evaluator.config, N)
+        repeated_calls._recorded(evaluator._judge_pose, asked, given)
     copies, rest = operations[: len(given)], set(operations[len(given) :])
     assert copies == ["aten.clone"] * len(given)  # of the inputs
     assert rest <= {"aten.empty", "aten.empty_like", *FILL, *VIEW}, rest
@@ -117,17 +125,17 @@ def test_a_size_is_recorded_when_it_comes_back_and_the_oldest_make_room():
     assert recorded_sizes(copy.copy(evaluator)) == [] and recorded_sizes(copy.deepcopy(evaluator)) == []
 
 
-def test_configurations_that_change_with_every_call_make_room_too():
+@pytest.mark.parametrize(("calls", "kept"), [(1, 0), (2, 4)])
+def test_configurations_that_change_with_every_call_are_not_recorded_and_others_make_room(calls, kept):
     evaluator, b = ready(), batches(1, 4)[0]
     limits = evaluator.config.thresholds
-    score(evaluator, b)
     for i in range(6):
         changed = replace(limits, reach_radius_m=0.05 + 0.01 * i)
         evaluator.config = replace(evaluator.config, thresholds=changed)
         with mock.patch.object(repeated_calls, "KEPT_CALLS", 4):
-            score(evaluator, b)
-    assert recorded_sizes(evaluator) == [1] * 4
-    assert evaluator._repeated._kept[-1].config is evaluator.config
+            for _ in range(calls):
+                score(evaluator, b)
+    assert recorded_sizes(evaluator) == [1] * kept
 
 
 @pytest.mark.parametrize("garbage", [torch.nan, 1e30, 0.0])
@@ -174,9 +182,28 @@ def test_another_configuration_is_another_call():
     config = evaluator.config
     evaluator.config = replace(config, thresholds=replace(config.thresholds, reach_radius_m=0.02))
     tight = score(evaluator, b)
+    assert_same(score(evaluator, b), tight)
     assert recorded_sizes(evaluator) == [N, N] and int(tight.passed[:, 2].sum()) < int(plain.passed[:, 2].sum())
     evaluator.config = config
     assert_same(score(evaluator, b), plain)
+
+
+def test_a_configuration_that_changes_during_a_recording_is_not_what_is_recorded():
+    evaluator, b = ready(), batches(N, 4)[0]
+    config, expected = evaluator.config, score(ready(), b)
+    other = replace(config, thresholds=replace(config.thresholds, reach_radius_m=0.02, w_max_m=0.03))
+    honest = Recorded.add
+
+    def add(recorded, *args):
+        evaluator.config = other
+        honest(recorded, *args)
+
+    score(evaluator, b)
+    with mock.patch.object(Recorded, "add", add):
+        assert_same(score(evaluator, b), expected)
+    evaluator.config = config
+    for _ in range(2):
+        assert_same(score(evaluator, b), expected)
 
 
 @pytest.mark.parametrize(
@@ -214,6 +241,11 @@ def test_tensors_of_any_kind_that_the_plain_call_takes():
                 assert_same(score(evaluator, Batch(b.trials, wide[:, :, ::2], b.T_world_ee)), expected)
                 assert_same(score(evaluator, twice), expected_twice)
     assert recorded_sizes(evaluator) == [N]
+    late = Batch(
+        replace(b.trials, T_world_hand=signed_late(b.trials.T_world_hand)), signed_late(b.T_obj_ee), b.T_world_ee
+    )
+    for evaluator_ in (evaluator, ready()):
+        assert_same(score(evaluator_, late), expected)
     T = b.T_obj_ee.clone().requires_grad_()
     margin = score(evaluator, Batch(b.trials, T, b.T_world_ee)).margin
     assert margin.requires_grad and torch.equal(margin.detach().nan_to_num(7.0), expected.margin.nan_to_num(7.0))
