@@ -14,21 +14,24 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.motion import sim_mjwarp, sim_mujoco
 from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.trials.protocol import trials_with_ids
-from r2h_batch.types import Scores
+from r2h_batch.types import Scores, Trials
 
-__all__ = ["Mix", "changed", "same", "steps_of", "worst_margin"]
+__all__ = ["Mix", "changed", "in_order", "same", "steps_of", "worst_margin"]
 
 MIX = Path(__file__).with_name("mix.npz")
 
 
 class Mix:
-    """The frozen trials, scored under any execution."""
+    """The frozen trials, scored under any execution; in the order in which an evaluator takes them, so that rows of scores and
+    of what was executed are the same trials."""
 
     def __init__(self, n: int, device: str, threads: int | None) -> None:
         self.device, self.threads, self.n = device, threads, n
         with np.load(MIX, allow_pickle=False) as mix:
             rows = torch.arange(n) % len(mix["trial_id"])
-            self.trials = trials_with_ids(torch.from_numpy(mix["trial_id"]))[rows].to(device)
+            trials = trials_with_ids(torch.from_numpy(mix["trial_id"]))
+            rows = rows[in_order(trials[rows])]
+            self.trials = trials[rows].to(device)
             self.g, self.h = (torch.from_numpy(mix[k])[rows].to(device) for k in ("T_obj_ee", "T_world_ee"))
 
     def score(self, config: ExecConfig, plan: PlanConfig | None = None) -> tuple[Scores, Executed, dict[str, Any]]:
@@ -63,7 +66,14 @@ class Mix:
             start = time.process_time()
             scores = evaluator.score(self.g, self.h, self.trials)
             seen["seconds"] = time.process_time() - start
+        assert torch.equal(seen["length"], scores.path_len), "rows of scores and of motions are other trials"
         return scores, seen["executed"], seen
+
+
+def in_order(trials: Trials) -> torch.Tensor:
+    """The rows object by object, and of each hand by hand."""
+    hands = int(trials.hand_index.max()) + 1
+    return torch.argsort(trials.object_index.long() * hands + trials.hand_index, stable=True)
 
 
 def changed(a: Scores, b: Scores) -> tuple[int, int, list[int]]:

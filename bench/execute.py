@@ -19,7 +19,7 @@ import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
-from _moved import Mix, changed, same, steps_of, worst_margin
+from _moved import Mix, changed, in_order, same, steps_of, worst_margin
 from _report import Report, arguments
 
 from r2h_batch.bodies.objects import load_objects
@@ -79,7 +79,8 @@ def worlds(mix: Mix, report: Report) -> None:
     Two trials a world, at full speed (about 1 s each) on a CPU, as they are on CUDA.
     """
     cuda = mix.device != "cpu"
-    config = ExecConfig(sim="mjwarp") if cuda else ExecConfig(sim="mjwarp", scale=1.0, settle_s=0.01, dwell_s=0.1)
+    config = ExecConfig(sim="mjwarp", model="scene")
+    config = config if cuda else replace(config, scale=1.0, settle_s=0.01, dwell_s=0.1)
     used: dict[int, int] = {}
     honest = standing._fields
 
@@ -131,7 +132,8 @@ def auto(mix: Mix, report: Report) -> None:
 
     evaluator = Evaluator(EvalConfig(), device=mix.device, threads=mix.threads)
     mix = copy.copy(mix)
-    mix.trials = trials_with_ids(torch.arange(mix.n)).to(mix.device)
+    trials = trials_with_ids(torch.arange(mix.n))
+    mix.trials = trials[in_order(trials)].to(mix.device)
     answers = contact.predict(mix.trials, evaluator.scene, seed=0, evaluator=evaluator)
     mix.g, mix.h = answers.T_obj_ee.to(mix.device), answers.T_world_ee.to(mix.device)
     a, ea, sa = mix.score(ExecConfig(sim="mujoco", model="auto"))
@@ -239,7 +241,7 @@ def batches(mix: Mix, report: Report) -> None:
 
 
 def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: str = "known_object") -> None:
-    config = config or ExecConfig(sim="mujoco")
+    config = config or ExecConfig(sim="mujoco", model="scene")
     scores, executed, seen = mix.score(config)
     rows = torch.nonzero(executed.length > 0).flatten()
     assert executed.sample_s is not None, "engines record samples; only `none` does not"
@@ -302,7 +304,7 @@ def payload(mix: Mix, report: Report) -> None:
 
 def step(mix: Mix, report: Report) -> None:
     """The same motions at other time steps, sampled at the same times."""
-    base = ExecConfig(sim="mujoco", step_s=0.001, record_steps=8)
+    base = ExecConfig(sim="mujoco", model="scene", step_s=0.001, record_steps=8)
     a, ea, _ = mix.score(base)
     for step_s, record in ((0.002, 4), (0.004, 2)):
         b, eb, _ = mix.score(replace(base, step_s=step_s, record_steps=record))
@@ -323,7 +325,7 @@ def edges(mix: Mix, report: Report) -> None:
         ("moveit", PlanConfig(edge_check="moveit", hand_clearance_m=0.0)),
     ):
         for engine in ("none", "mujoco"):
-            s, _, _ = mix.score(ExecConfig(sim=engine), plan)
+            s, _, _ = mix.score(ExecConfig(sim=engine, model="scene"), plan)
             moved = s.evaluated[:, 4]
             name = f"execute.edges.{check}.{engine}"
             report.add(f"{name}.moved", int(moved.sum()))
