@@ -228,25 +228,32 @@ def read_receipt(folder: Path, header: Mapping[str, Any], entry: Mapping[str, An
 def problems(folder: Path, header: Mapping[str, Any]) -> Iterator[tuple[str, Shard | None, Path, str]]:
     """(method, shard, file, what is wrong) of everything stored that cannot be trusted; shard None: in no receipt."""
     for entry in read_methods(folder):
-        known = set()
+        known: set[Path] = set()
         for shard in stored_in(folder, header, entry["slug"]):
-            try:
-                files = read_receipt(folder, header, entry, shard)["files"]
-            except RunError as error:
-                path = receipt_path(folder, entry["slug"], shard)
-                yield entry["name"], shard, path, str(error).removeprefix(f"{path}: ")
-                continue
-            for stored in files.values():
-                file = folder / stored["path"]
+            for file, what in checked_shard(folder, header, entry, shard):
                 known.add(file)
-                kind = file.parent.parent.name
-                what = _damage(file, stored) or stored_wrong(header, shard.first, shard.last, kind, file)
-                if what:
+                if what is not None:
                     yield entry["name"], shard, file, what
         for kind in SCHEMAS:
             for file in sorted((folder / kind / entry["slug"]).glob("[!.]*.parquet")):
                 if file not in known:
                     yield entry["name"], None, file, "foreign: no receipt names it"
+
+
+def checked_shard(
+    folder: Path, header: Mapping[str, Any], entry: Mapping[str, Any], shard: Shard
+) -> Iterator[tuple[Path, str | None]]:
+    """Each file that the receipt of a stored shard names, or the receipt itself, and what is wrong with it (None: nothing)."""
+    path = receipt_path(folder, entry["slug"], shard)
+    try:
+        files = read_receipt(folder, header, entry, shard)["files"]
+    except RunError as error:
+        yield path, str(error).removeprefix(f"{path}: ")
+        return
+    for stored in files.values():
+        file = folder / stored["path"]
+        kind = file.parent.parent.name
+        yield file, _damage(file, stored) or stored_wrong(header, shard.first, shard.last, kind, file)
 
 
 def _damage(file: Path, stored: Mapping[str, Any]) -> str | None:

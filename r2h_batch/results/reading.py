@@ -2,6 +2,8 @@
 
 import difflib
 import hashlib
+import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,12 +20,14 @@ from r2h_batch.results.manifest import (
     SCHEMAS,
     RunError,
     Shard,
+    checked_shard,
     problems,
     quarantine_path,
     read_header,
     read_methods,
     read_receipt,
     receipt_path,
+    shard_at,
     shards_of,
     stored_in,
 )
@@ -235,15 +239,19 @@ def load_run(folder: str | Path, *, verify: bool = True) -> Run:
 def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
     """Take everything that cannot be trusted out of the run, keeping it as FILE.bad; one line for each."""
     lines = []
-    slugs = {e["name"]: e["slug"] for e in read_methods(folder)}
+    entries = {e["name"]: e for e in read_methods(folder)}
+    opened: set[tuple[str, int]] = set()  # shards whose receipt was set aside here
     for method, shard, file, what in list(problems(folder, header)):
-        number = int(file.stem.partition("-")[0]) if shard is None and file.stem[:6].isdigit() else -1
-        name = shard.name if shard is not None else f"{number:06d}"
-        with claim(folder / ".claims" / f"{slugs[method]}-{name}") as mine:
+        entry = entries[method]
+        number = shard.index if shard is not None else int(file.stem[:6]) if _NUMBERED.match(file.stem) else -1
+        with claim(folder / ".claims" / f"{entry['slug']}-{number:06d}") as mine:
             if not mine:  # another sweep is between a file and its receipt
                 continue
+            if (method, number) not in opened and not _still_wrong(folder, header, entry, number, shard, file):
+                continue
             if shard is not None:
-                receipt = receipt_path(folder, slugs[method], shard)
+                opened.add((method, number))
+                receipt = receipt_path(folder, entry["slug"], shard)
                 if receipt.exists():
                     receipt.replace(receipt.with_suffix(".json.bad"))
             if file.exists():
@@ -251,3 +259,21 @@ def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
         again = f"shard {shard.index} of {method!r} will be scored again" if shard else "set aside"
         lines.append(f"{printable(file)}: {what}; {again}")
     return lines
+
+
+_NUMBERED = re.compile(r"[0-9]{6}(-|$)", re.ASCII)
+
+
+def _still_wrong(
+    folder: Path, header: dict[str, Any], entry: dict[str, Any], number: int, shard: Shard | None, file: Path
+) -> bool:
+    """Whether a file is still what it was found to be, now that nobody else can change its shard.
+
+    Between the look and the claim another part of the sweep may have stored the shard whose file no receipt named yet, or
+    set aside and scored again the one that was damaged.
+    """
+    here = shard_at(header, number) if number >= 0 else None
+    now: dict[Path, str | None] = {}
+    if here is not None and os.path.lexists(receipt_path(folder, entry["slug"], here)):
+        now = dict(checked_shard(folder, header, entry, here))
+    return file not in now if shard is None else now.get(file) is not None

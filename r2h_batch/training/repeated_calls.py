@@ -72,7 +72,7 @@ class RepeatedCalls:
         tensors = [x.contiguous() for x in (*poses, trials.trial_id, trials.object_index, trials.hand_index)]
         kept = self._taken(asked) or _Kept(asked, _recorded(judge, asked, tensors))
         scores = pose_scores(trials.trial_id, kept.posed(*tensors, threads=threads).clone())
-        # not after an interrupt: a thread may still be at work in that memory
+        # not after an interrupt: what was half done is recorded anew
         self._returned(kept)
         return scores
 

@@ -17,7 +17,7 @@ from r2h_batch.gallery.command import report_main as report
 from r2h_batch.rejudge.command import main as results
 from r2h_batch.rescore.command import main as rescore
 from r2h_batch.results.consistent import inconsistent
-from r2h_batch.results.manifest import RunError, run_hash
+from r2h_batch.results.manifest import RunError, run_hash, shard_at
 from r2h_batch.results.reading import load_run, mark_for_rerun
 from r2h_batch.results.rows import score_rows
 from r2h_batch.results.storage import claim, sha256_of
@@ -193,6 +193,24 @@ def test_a_link_in_place_of_a_file_is_set_aside_and_its_target_stays(run, tmp_pa
     )
     assert "link" in line or "no regular file" in line
     assert target.read_bytes() == content and not path.exists()
+
+
+@pytest.mark.parametrize("seen", ["foreign: no receipt names it", "missing"])
+def test_what_another_part_has_stored_since_it_was_looked_at_stays(run, monkeypatch, seen):
+    """A part of a sweep starts while another one is between a file and its receipt: the look is old when the claim is free."""
+    header, (file,) = read_json(run / "run.json"), (run / "trials" / "m").iterdir()
+    shard = None if seen.startswith("foreign") else shard_at(header, 0)
+    before = sorted(run.rglob("*"))
+    with monkeypatch.context() as m:
+        m.setattr("r2h_batch.results.reading.problems", lambda *_: iter([("m", shard, file, seen)]))
+        assert mark_for_rerun(run, header) == []
+    assert sorted(p for p in run.rglob("*") if ".claims" not in p.parts) == [
+        p for p in before if ".claims" not in p.parts
+    ]
+    load_run(run)
+    (run / "manifest" / "m" / "000000.json").unlink()  # and a file that no receipt names is still set aside
+    (line,) = mark_for_rerun(run, header)
+    assert line.endswith("foreign: no receipt names it; set aside") and not file.exists()
 
 
 def test_a_claim_that_is_a_link_writes_nothing_where_it_leads(tmp_path):
