@@ -167,12 +167,14 @@ def launches_timed(clock: Clock, spent: dict[str, float]) -> Iterator[None]:
         name = named(kernel, inputs.get("surface_offset"))
         spent[name] = spent.get(name, 0.0) + clock.now()[1] - start
 
+    patches: list[Any] = [mock.patch.object(Repeated, "run", run)]
+    if clock.cuda:
+        modules = [m for name, m in sys.modules.items() if name.startswith("r2h_batch.") and m is not launch]
+        using = [m for m in modules if getattr(m, "launch_trials", None) is launch.launch_trials]
+        patches = [mock.patch.object(m, "launch_trials", launch_on_cuda) for m in using]
     with ExitStack() as stack:
-        if not clock.cuda:
-            stack.enter_context(mock.patch.object(Repeated, "run", run))
-        for module in [m for n, m in sys.modules.items() if n.startswith("r2h_batch.")] if clock.cuda else ():
-            if getattr(module, "launch_trials", None) is launch.launch_trials and module is not launch:
-                stack.enter_context(mock.patch.object(module, "launch_trials", launch_on_cuda))
+        for patch in patches:
+            stack.enter_context(patch)
         yield
 
 

@@ -1,13 +1,11 @@
 """Grasp files of ACRONYM, GraspNet, isaac_grasp and our own: small files in their formats, one grasp type out."""
 
-import json
-import os
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from grasp_files import poses, write_acronym, write_isaac
 from needs import needs
 from scipy.spatial.transform import Rotation
 
@@ -24,37 +22,6 @@ from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps.own import seat_grasps
 
 RNG = np.random.default_rng(4)
-
-
-def poses(count, seed=0):
-    rng = np.random.default_rng(seed)
-    T = np.tile(np.eye(4), (count, 1, 1))
-    T[:, :3, :3] = Rotation.random(count, rng=rng).as_matrix()
-    T[:, :3, 3] = rng.normal(0, 0.1, (count, 3))
-    return T
-
-
-def write_acronym(path, T, held, gripper=b"panda"):
-    import h5py
-
-    with h5py.File(path, "w") as f:
-        f["grasps/transforms"] = T
-        f["grasps/qualities/flex/object_in_gripper"] = held
-        f["object/file"], f["object/scale"], f["object/mass"] = b"meshes/Mug/abc.obj", 0.5, 0.2
-        f["gripper/type"], f["gripper/configuration"] = gripper, 0.04
-    return path
-
-
-def write_isaac(path, T, confidence):
-    lines = ["format: isaac_grasp", "format_version: 1.0", "object_frame_link: /World/mug", "gripper_frame_link: /World/g",
-             "grasps:"]  # fmt: skip
-    for i, (t, c) in enumerate(zip(T, confidence, strict=True)):
-        x, y, z, w = Rotation.from_matrix(t[:3, :3]).as_quat()
-        lines += [f"  grasp_{i}:", f"    confidence: {c:.6f}", f"    position: [{', '.join(f'{v:.9f}' for v in t[:3, 3])}]",
-                  f"    orientation: {{w: {w:.9f}, xyz: [{x:.9f}, {y:.9f}, {z:.9f}]}}",
-                  "    cspace_position:", "      finger_joint: 0.5", "    pregrasp_cspace_position: {}"]  # fmt: skip
-    path.write_text("\n".join(lines) + "\n")
-    return path
 
 
 def fingers(T_obj_ee, half_gap=0.02):
@@ -194,138 +161,6 @@ def test_the_command_writes_a_file_that_reads_back(tmp_path, capsys):
         assert message in err and len(err.splitlines()) == 1 and not (tmp_path / "x.npz").exists()
 
 
-def linked(tmp_path, kind):
-    import h5py
-
-    other = write_acronym(tmp_path / "other.h5", poses(3), np.ones(3, int))
-    path = write_acronym(tmp_path / "linked.h5", poses(3), np.ones(3, int))
-    with h5py.File(path, "a") as f:
-        if kind == "group":
-            del f["grasps"]
-            f["grasps"] = h5py.ExternalLink(str(other), "/grasps")
-            return path
-        del f["grasps/transforms"]
-        if kind == "external":
-            f["grasps/transforms"] = h5py.ExternalLink("other.h5", "/grasps/transforms")
-        elif kind == "soft":
-            f["there"] = h5py.ExternalLink("other.h5", "/")
-            f["grasps/transforms"] = h5py.SoftLink("/there/grasps/transforms")
-        elif kind == "raw":
-            (tmp_path / "raw.bin").write_bytes(b"\0" * 8 * 48)
-            f["grasps"].create_dataset(
-                "transforms", (3, 4, 4), np.float64, external=[(str(tmp_path / "raw.bin"), 0, 384)]
-            )
-        elif kind == "virtual":
-            layout = h5py.VirtualLayout((3, 4, 4), np.float64)
-            layout[:] = h5py.VirtualSource(str(other), "grasps/transforms", (3, 4, 4))
-            f["grasps"].create_virtual_dataset("transforms", layout)
-        elif kind == "huge":
-            f["grasps"].create_dataset("transforms", (10**12, 4, 4), np.float64, chunks=(1000, 4, 4))
-        elif kind == "group for a dataset":
-            f["grasps"].create_group("transforms")
-    return path
-
-
-@needs("h5py")
-@pytest.mark.parametrize("kind, message", [
-    ("external", "is a link"), ("soft", "is a link"), ("group", "is a link"), ("raw", "keeps its numbers elsewhere"),
-    ("virtual", "keeps its numbers elsewhere"), ("huge", "at most"), ("group for a dataset", "elsewhere"),
-])  # fmt: skip
-def test_hdf5_that_names_other_files_or_lies_about_its_size_is_refused(tmp_path, kind, message):
-    path = linked(tmp_path, kind)
-    with pytest.raises(FileError, match=message) as refused:
-        acronym.read(path)
-    assert str(refused.value).startswith(str(path)) and "\n" not in str(refused.value)
-
-
-def bad_npz(**arrays):
-    def write(path):
-        np.savez(path, **arrays)
-
-    return write
-
-
-def safetensors(header, body=b"\0" * 64):
-    def write(path):
-        raw = header if isinstance(header, bytes) else json.dumps(header).encode()
-        path.write_bytes(len(raw).to_bytes(8, "little") + raw + body)
-
-    return write
-
-
-def pose_entry(shape, offsets):
-    return {"T_obj_ee": {"dtype": "F32", "shape": shape, "data_offsets": offsets}}
-
-
-OWN = {
-    "no poses.npz": (bad_npz(width=np.ones(3)), "T_obj_ee is missing"),
-    "sheared.npz": (bad_npz(T_obj_ee=np.ones((2, 4, 4))), "rigid poses"),
-    "mirrored.npz": (bad_npz(T_obj_ee=np.diag([1.0, 1, -1, 1])[None]), "rigid poses"),
-    "millimetres.npz": (bad_npz(T_obj_ee=poses(2) * 1.0 + np.eye(4, k=3) * 500), "rigid poses"),
-    "short width.npz": (bad_npz(T_obj_ee=poses(2), width=np.ones(3)), "width is"),
-    "nan score.npz": (bad_npz(T_obj_ee=poses(2), score=np.full(2, np.nan)), "score is"),
-    "negative width.npz": (bad_npz(T_obj_ee=poses(2), width=np.array([0.1, -1.0])), "width of grasp 1 is -1; 0 to 10 m"),
-    "another array.npz": (bad_npz(T_obj_ee=poses(2), grip=np.ones(2)), "unknown array 'grip'"),
-    "objects.npz": (bad_npz(T_obj_ee=np.array([{}], object)), "Python objects"),
-    "huge.safetensors": (safetensors(pose_entry([10**9, 4, 4], [0, 64 * 10**9])), "does not fit"),
-    "negative.safetensors": (safetensors(pose_entry([-1, -4, 4], [0, 64])), "does not fit"),
-    "backwards.safetensors": (safetensors(pose_entry([1, 4, 4], [64, 0])), "does not fit"),
-    "into the header.safetensors": (safetensors(pose_entry([1, 4, 4], [-64, 0])), "does not fit"),
-    "a list.safetensors": (safetensors([1, 2]), "damaged safetensors header"),
-    "another type.safetensors": (safetensors({"T_obj_ee": {"dtype": "X9", "shape": [1], "data_offsets": [0, 1]}}), "damaged"),
-    "a long header.safetensors": (lambda p: p.write_bytes((2**60).to_bytes(8, "little") + b"{}"), "a header of"),
-    "grasps.txt": (lambda p: p.write_text("x"), "an .npz or .safetensors"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", OWN)
-def test_files_that_are_no_grasps_are_refused_in_one_line(tmp_path, name):
-    write, message = OWN[name]
-    path = tmp_path / name
-    write(path)
-    with pytest.raises(FileError, match=message) as refused:
-        read_grasps(path)
-    assert str(refused.value).startswith(str(path)) and "\n" not in str(refused.value)
-
-
-ISAAC = "format: isaac_grasp\nformat_version: 1.0\n"
-
-
-@pytest.mark.parametrize("text, message", [
-    (ISAAC + "grasps: &a\n  g: {position: [0, 0, 0]}\nmore: *a\n", "anchors and aliases"),
-    (ISAAC + "grasps: !!python/object/apply:os.system [ls]\n", "tag"),
-    ("format: other\n", "no isaac_grasp"),
-    (ISAAC + "grasps: {}\n", "needs 1 to"),
-    (ISAAC + "grasps:\n  g:\n    position: [0, 0, 0]\n", "no orientation"),
-    (ISAAC + "grasps:\n  g:\n    position: [0, 0]\n    orientation: {w: 1, xyz: [0, 0, 0]}\n",
-     "position is"),
-    (ISAAC + "grasps:\n  g:\n    position: [0, 0, 0]\n    orientation: {w: 3, xyz: [0, 0, 0]}\n",
-     "no rotation"),
-    ("a: " + "[" * 50 + "]" * 50, "nested too deeply"),
-])  # fmt: skip
-def test_yaml_that_is_no_grasp_file_is_refused_in_one_line(tmp_path, text, message):
-    path = tmp_path / "g.yaml"
-    path.write_text(text)
-    with pytest.raises(FileError, match=message) as refused:
-        isaac_grasp.read(path, "panda-hand")
-    assert "\n" not in str(refused.value)
-
-
-@needs("h5py")
-def test_acronym_of_another_gripper_or_without_success_is_refused(tmp_path):
-    for name, held, gripper, message in (
-        ("a", 1, b"barrett", "ACRONYM's is the panda"),
-        ("b", 0, b"panda", "none of 4"),
-        ("list", 1, [b"panda"], "gripper/type is no word; ACRONYM's is 'panda'"),
-    ):
-        path = write_acronym(tmp_path / f"{name}.h5", poses(4), np.full(4, held), gripper)
-        with pytest.raises(FileError, match=message):
-            acronym.read(path)
-    (tmp_path / "c.h5").write_bytes(os.urandom(4096))
-    with pytest.raises(FileError, match="not a readable HDF5 file"):
-        acronym.read(Path(tmp_path / "c.h5"))
-
-
 @needs("h5py")
 def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path, capsys):
     T, held = poses(6), np.array([1, 1, 0, 1, 1, 1])
@@ -360,47 +195,6 @@ def test_a_name_of_another_case_is_told_the_nearest_object(tmp_path):
     for said in ("Cup=cup.npz", "cups=cup.npz"):
         with pytest.raises(FileError, match=f"no object is called '{said.partition('=')[0]}', did you mean cup\\?"):
             Given(grasps=(said,)).read()
-
-
-def test_graspnet_rows_that_can_be_no_grasp_are_named(tmp_path):
-    rows = np.column_stack(
-        [np.ones((2, 3)) * 0.02, np.full(2, 0.03), np.tile(np.eye(3).ravel(), (2, 1)), np.zeros((2, 4))]
-    )
-    half, thin = rows.copy(), rows.copy()
-    half[1, 16], thin[1, 1] = 0.5, -1
-    for array, why in (
-        (rows[:0], "holds no grasp"),
-        (half, "object 0.5 of row 1; objects are whole numbers"),
-        (thin, "width of grasp 1 is -1; 0 to 10 m are allowed"),
-    ):
-        np.save(tmp_path / "cup.npy", array)
-        with pytest.raises(FileError, match=f"cup.npy: {why}"):
-            graspnet.read(tmp_path / "cup.npy")
-
-
-def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
-    write_isaac(tmp_path / "cup.yaml", poses(2), np.ones(2))
-    for said, why in (
-        ("cup.yaml", "say FILE:GRIPPER, one of"),
-        ("cup.npz:ee", "leave :ee out"),
-        ("cup.yaml:EE", "'EE' is no gripper, did you mean ee\\?; allowed are acronym-panda"),
-        ("cup.yaml:", "'' is no gripper; allowed are"),
-    ):
-        with pytest.raises(FileError, match=why):
-            Given(grasps=(str(tmp_path / said),)).read()
-
-
-@needs("h5py")
-def test_a_chunk_that_is_larger_than_what_it_holds_is_refused_before_it_is_unpacked(tmp_path):
-    import h5py
-
-    write_acronym(tmp_path / "mug.h5", poses(6), np.ones(6))
-    with h5py.File(tmp_path / "mug.h5", "a") as f:
-        T = f["grasps/transforms"][()]
-        del f["grasps/transforms"]
-        f.create_dataset("grasps/transforms", data=T, chunks=(200_000, 4, 4), maxshape=(None, 4, 4), compression="gzip")
-    with pytest.raises(FileError, match="lies in chunks of 3200000 numbers, more than it holds"):
-        acronym.read(tmp_path / "mug.h5")
 
 
 def test_one_object_takes_grasps_of_one_file(tmp_path):
