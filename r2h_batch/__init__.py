@@ -1,4 +1,5 @@
-"""Verdicts on robot-to-human handovers, by the thousand: the R2HandoverSim benchmark as a batched evaluator."""
+"""Verdicts on robot-to-human handovers, by the thousand: the R2HandoverSim benchmark as a batched
+evaluator."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -16,30 +17,47 @@ if TYPE_CHECKING:
     from r2h_batch.view.notebook import show
 
 if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
-    # MuJoCo loads OSMesa's LLVM; where triton (it comes with torch for CUDA) is loaded after that, the process ends
-    # with signal 11, as soon as somebody makes an optimizer. The other order works.
+    # MuJoCo loads OSMesa's LLVM; where triton (it comes with torch for CUDA) is loaded after that,
+    # the process ends with signal 11, as soon as somebody makes an optimizer. The other order
+    # works.
     with suppress(ImportError):
         import triton  # noqa: F401
 
 __version__ = "0.1.0"
 
-__all__ = ["EvalConfig", "Evaluator", "Predictions", "Scene", "Scores", "Trials", "make_trials", "show"]
+__all__ = [
+    "EvalConfig",
+    "Evaluator",
+    "Predictions",
+    "Scene",
+    "Scores",
+    "Trials",
+    "make_trials",
+    "show",
+]
 
 _root = Path(__file__).resolve().parent
-if not (_root / "kernels").exists():  # a checkout or an editable install: kernels/ and assets/ stand beside the package
+if not (
+    _root / "kernels"
+).exists():  # a checkout or an editable install: kernels/ and assets/ stand beside the package
     __path__.append(str(_root.parent))
 
 
-def lazy_names(package: str, home: Mapping[str, str]) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package that offers names of its modules: imported when first used.
+def lazy_names(
+    package: str, home: Mapping[str, str]
+) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package that offers names of its modules: imported when
+    first used.
 
-    `--help` must not wait for torch and Warp. `home`: public name -> module, relative to the package. Type checkers read
-    the imports that stand under TYPE_CHECKING in the same file.
+    `--help` must not wait for torch and Warp. `home`: public name -> module, relative to the
+    package. Type checkers read the imports that stand under TYPE_CHECKING in the same file.
     """
 
     def find(name: str) -> object:
         if name not in home:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}; it has {', '.join(sorted(home))}")
+            raise AttributeError(
+                f"module {package!r} has no attribute {name!r}; it has {', '.join(sorted(home))}"
+            )
         return getattr(import_module(f".{home[name]}", package), name)
 
     return find, lambda: sorted(home)

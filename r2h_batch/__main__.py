@@ -1,4 +1,5 @@
-"""The one command: `r2h-batch SUBCOMMAND ...`, or `python -m r2h_batch SUBCOMMAND ...`; `--version` names the version."""
+"""The one command: `r2h-batch SUBCOMMAND ...`, or `python -m r2h_batch SUBCOMMAND ...`; `--version`
+names the version."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -10,17 +11,35 @@ import r2h_batch
 from r2h_batch.command_line import Command, answer, failed, nearest, read, refuse
 
 COMMANDS = {
-    "sweep": ("r2h_batch.sweep.command", "Score methods or predictions files on the trials and print Table I."),
-    "trials": ("r2h_batch.export.command", "Write the trials and everything that a method may read."),
-    "scene": ("r2h_batch.export.command", "Write one stored trial as a folder that plain MuJoCo opens."),
-    "benchmark": ("r2h_batch.benchmark.command", "Show what a benchmark file may say, or check one."),
+    "sweep": (
+        "r2h_batch.sweep.command",
+        "Score methods or predictions files on the trials and print Table I.",
+    ),
+    "trials": (
+        "r2h_batch.export.command",
+        "Write the trials and everything that a method may read.",
+    ),
+    "scene": (
+        "r2h_batch.export.command",
+        "Write one stored trial as a folder that plain MuJoCo opens.",
+    ),
+    "benchmark": (
+        "r2h_batch.benchmark.command",
+        "Show what a benchmark file may say, or check one.",
+    ),
     "view": (
         "r2h_batch.view.command",
         "Look at the trials of a run folder in three dimensions, or write one as a page.",
     ),
     "video": ("r2h_batch.view.command", "Film a stored trial, or draw it as a strip of pictures."),
-    "strips": ("r2h_batch.view.command", "Draw what several methods make of one trial, without a run folder."),
-    "import": ("r2h_batch.importers.command", "Turn other people's hands and grasps into files that sweeps read."),
+    "strips": (
+        "r2h_batch.view.command",
+        "Draw what several methods make of one trial, without a run folder.",
+    ),
+    "import": (
+        "r2h_batch.importers.command",
+        "Turn other people's hands and grasps into files that sweeps read.",
+    ),
     "results": (
         "r2h_batch.rejudge.command",
         "Check a run folder, judge some of its rows again, or print their digest.",
@@ -32,9 +51,13 @@ COMMANDS = {
     ),
     "study": ("r2h_batch.study.command", "Simulation against people: the kit of the user study."),
     "compare": ("r2h_batch.compare.command", "Compare methods on the trials that they share."),
-    "rescore": ("r2h_batch.rescore.command", "Print the rates of a run folder at other thresholds."),
+    "rescore": (
+        "r2h_batch.rescore.command",
+        "Print the rates of a run folder at other thresholds.",
+    ),
 }
-"""Subcommand -> the module whose `main` (or `NAME_main`, where it holds several) it is, and what it does.
+"""Subcommand -> the module whose `main` (or `NAME_main`, where it holds several) it is, and what it
+does.
 
 A module is imported when its subcommand is chosen, not before.
 """
@@ -46,10 +69,15 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> 
     name = given[0] if given else "--help"
     if name in COMMANDS:
         if arguments is None:
-            sys.argv = [sys.argv[0], *given[1:]]  # run.json keeps the sweep's command line as the sweep would see it
+            sys.argv = [
+                sys.argv[0],
+                *given[1:],
+            ]  # run.json keeps the sweep's command line as the sweep would see it
         try:
             return main_of(name)(given[1:], prog=f"{prog} {name}")
-        except KeyboardInterrupt:  # while the subcommand is imported; what it does itself, `answer` hears
+        except (
+            KeyboardInterrupt
+        ):  # while the subcommand is imported; what it does itself, `answer` hears
             return refuse(name, "interrupted", 130)
     return answer(prog, lambda: _about(name, given, prog))
 
@@ -60,14 +88,22 @@ def _about(name: str, given: Sequence[str], prog: str) -> int:
         print(f"r2h_batch {r2h_batch.__version__}")
         return 0
     if name in ("-h", "--help"):
-        read({name: _described(text) for name, (_, text) in COMMANDS.items()}, ["--help"], prog=prog)
+        read(
+            {name: _described(text) for name, (_, text) in COMMANDS.items()}, ["--help"], prog=prog
+        )
     if name.startswith("--tyro-"):
         try:
             read(_completed(), given, prog=prog)
         except OSError as error:
             return failed(prog, error)
-    kind, allowed = ("flag", ["--help", "--version"]) if name.startswith("-") else ("subcommand", list(COMMANDS))
-    return refuse(prog, f"unknown {kind} {name!r}{nearest(name, allowed)}; allowed are {', '.join(allowed)}")
+    kind, allowed = (
+        ("flag", ["--help", "--version"])
+        if name.startswith("-")
+        else ("subcommand", list(COMMANDS))
+    )
+    return refuse(
+        prog, f"unknown {kind} {name!r}{nearest(name, allowed)}; allowed are {', '.join(allowed)}"
+    )
 
 
 def main_of(name: str) -> Callable[..., int]:
@@ -78,7 +114,8 @@ def main_of(name: str) -> Callable[..., int]:
 
 
 def _completed() -> dict[str, Command]:
-    """Subcommands with all their flags, for shell completion: here every command's module is imported."""
+    """Subcommands with all their flags, for shell completion: here every command's module is
+    imported."""
     from r2h_batch.compare import command as compare
     from r2h_batch.export import command as export
     from r2h_batch.gallery import command as gallery
@@ -86,11 +123,17 @@ def _completed() -> dict[str, Command]:
     from r2h_batch.sweep.options import Options
     from r2h_batch.view import command as view
 
-    def results(command: Literal["verify", "digest"], folder: Path, /, *, rejudge: int = 0) -> None: ...
+    def results(
+        command: Literal["verify", "digest"], folder: Path, /, *, rejudge: int = 0
+    ) -> None: ...
 
-    def study(command: Literal["paper", "ratings", "real", "plan"], files: tuple[Path, ...], /) -> None: ...
+    def study(
+        command: Literal["paper", "ratings", "real", "plan"], files: tuple[Path, ...], /
+    ) -> None: ...
 
-    def import_(command: Literal["hand", "hands", "grasps"], files: tuple[Path, ...], /) -> None: ...
+    def import_(
+        command: Literal["hand", "hands", "grasps"], files: tuple[Path, ...], /
+    ) -> None: ...
 
     def benchmark(command: Literal["show", "check"], files: tuple[Path, ...], /) -> None: ...
 

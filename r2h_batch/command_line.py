@@ -1,8 +1,9 @@
 """What all commands share: how a command line is read and refused. Imports nothing heavy.
 
-A command is a function with plain types (its docstring is the help), a dataclass of options, or a dict of functions
-(subcommands). What cannot be understood is one line: what was given, the nearest match, what is allowed; exit code 2.
-Numbers are plain decimal digits, and ~ is the home folder, in every argument of every command.
+A command is a function with plain types (its docstring is the help), a dataclass of options, or a
+dict of functions (subcommands). What cannot be understood is one line: what was given, the nearest
+match, what is allowed; exit code 2. Numbers are plain decimal digits, and ~ is the home folder, in
+every argument of every command.
 """
 
 import contextlib
@@ -40,7 +41,8 @@ class UsageError(Exception):
 
 
 def nearest(name: str, allowed: Sequence[str]) -> str:
-    """`, did you mean X?` for the allowed word nearest to a misspelt one; empty where none is near."""
+    """`, did you mean X?` for the allowed word nearest to a misspelt one; empty where none is
+    near."""
     near = difflib.get_close_matches(name, allowed, n=1)
     return f", did you mean {near[0]}?" if near else ""
 
@@ -53,9 +55,11 @@ def read(
     default: Any = None,
     more_flags: Sequence[str] = (),
 ) -> Any:
-    """The options of a dataclass, or a function's call that is still to be made; raises `UsageError`.
+    """The options of a dataclass, or a function's call that is still to be made; raises
+    `UsageError`.
 
-    `more_flags`: flags that were taken off the command line before. `--help` prints and leaves with SystemExit.
+    `more_flags`: flags that were taken off the command line before. `--help` prints and leaves with
+    SystemExit.
     """
     import tyro
 
@@ -93,7 +97,9 @@ def read(
     try:
         os.getcwd()
     except OSError as error:
-        raise UsageError(f"the current folder is gone or closed ({error.strerror}); cd to one that is there") from None
+        raise UsageError(
+            f"the current folder is gone or closed ({error.strerror}); cd to one that is there"
+        ) from None
     return found
 
 
@@ -131,16 +137,21 @@ def check_seed(seed: int) -> None:
         raise UsageError(f"--seed is {str(seed)[:40]}; it must be 0 or more and fit 64 bits")
 
 
-def call(command: Command | Mapping[str, Command], arguments: Sequence[str], *, prog: str, name: str) -> int:
-    """Exit code of a function or of one of several; 2 with one line on stderr where the command line is refused."""
+def call(
+    command: Command | Mapping[str, Command], arguments: Sequence[str], *, prog: str, name: str
+) -> int:
+    """Exit code of a function or of one of several; 2 with one line on stderr where the command
+    line is refused."""
     return answer(name, lambda: int(read(command, arguments, prog=prog)()))
 
 
 def answer(name: str, work: Callable[[], int]) -> int:
-    """Exit code of a command's work; 2 with one line where it raises `UsageError`, 1 where stdout does not take the answer.
+    """Exit code of a command's work; 2 with one line where it raises `UsageError`, 1 where stdout
+    does not take the answer.
 
-    What the work prints is kept until it ends: so a closed or full stdout, or one that only takes ASCII, is told from an
-    error of the work itself, and no control character of a name in a file reaches a terminal.
+    What the work prints is kept until it ends: so a closed or full stdout, or one that only takes
+    ASCII, is told from an error of the work itself, and no control character of a name in a file
+    reaches a terminal.
     """
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (as long as the process; print(file=None) would be stdout)
@@ -159,7 +170,9 @@ def answer(name: str, work: Callable[[], int]) -> int:
     except SystemExit as stop:  # --help
         stopped = stop
     try:
-        sys.stdout.write(printable(kept.getvalue(), keep="\n\t") if stopped is None else kept.getvalue())
+        sys.stdout.write(
+            printable(kept.getvalue(), keep="\n\t") if stopped is None else kept.getvalue()
+        )
         sys.stdout.flush()
     except UnicodeEncodeError as error:
         shown = error.object[error.start : error.start + 1].encode("unicode_escape").decode()
@@ -176,10 +189,15 @@ def answer(name: str, work: Callable[[], int]) -> int:
 
 @contextlib.contextmanager
 def _told_warnings(name: str) -> Iterator[None]:
-    """Warnings as one line each, without the source that Python shows; those of libraries only with --verbose, and in the log."""
+    """Warnings as one line each, without the source that Python shows; those of libraries only with
+    --verbose, and in the log."""
 
     def told(
-        message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        line: str | None = None,
     ) -> str:
         text = f"{name}: {printable(' '.join(str(message).split()))}"
         if issubclass(category, UserWarning):
@@ -196,7 +214,8 @@ def _told_warnings(name: str) -> Iterator[None]:
 
 
 def place(error: OSError, otherwise: str = "") -> str:
-    """Where an error of the operating system happened and what it is: Warp's kernel cache, a file, or `otherwise`."""
+    """Where an error of the operating system happened and what it is: Warp's kernel cache, a file,
+    or `otherwise`."""
     why = error.strerror or str(error)
     frames = traceback.walk_tb(error.__traceback__)
     if any(str(frame.f_globals.get("__name__")).partition(".")[0] == "warp" for frame, _ in frames):
@@ -210,12 +229,14 @@ _SLIPS = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.EISDIR, errno.ELOOP)
 
 
 def failed(name: str, error: OSError, otherwise: object = "") -> int:
-    """One line about an error of the operating system; 2 where a path was given that cannot be, else 1."""
+    """One line about an error of the operating system; 2 where a path was given that cannot be,
+    else 1."""
     return refuse(name, place(error, str(otherwise)), 2 if error.errno in _SLIPS else 1)
 
 
 class _Kept(io.StringIO):
-    """Text kept for a stream, which is asked what it is: colours and widths of --help are those of the stream."""
+    """Text kept for a stream, which is asked what it is: colours and widths of --help are those of
+    the stream."""
 
     def __init__(self, stream: TextIO) -> None:
         super().__init__()
@@ -239,7 +260,8 @@ def counted(number: int, things: str) -> str:
 
 
 def tell(text: object) -> None:
-    """Lines on stderr, at once, without the control characters that names in files may hold; nothing where it is full.
+    """Lines on stderr, at once, without the control characters that names in files may hold;
+    nothing where it is full.
 
     With --quiet they are kept for the log alone.
     """
@@ -270,7 +292,8 @@ _telling = _Telling()
 
 @contextlib.contextmanager
 def telling(*, quiet: bool = False, verbose: bool = False) -> Iterator[Callable[[Path], None]]:
-    """How much `tell` and `note` say inside; gives `log_to(FILE)`, which writes there what was said and what will be."""
+    """How much `tell` and `note` say inside; gives `log_to(FILE)`, which writes there what was said
+    and what will be."""
     global _telling
     kept, _telling = _telling, _Telling(quiet, verbose)
 
@@ -301,10 +324,13 @@ def _keep(text: object) -> None:
 
 
 def _append(line: str) -> None:
-    """One line at the log's end, whole whoever else writes there; a full disk is the sweep's trouble, not the log's."""
+    """One line at the log's end, whole whoever else writes there; a full disk is the sweep's
+    trouble, not the log's."""
     with contextlib.suppress(OSError):
         assert _telling.log is not None
-        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | getattr(os, "O_NOFOLLOW", 0)
+        flags = (
+            os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | getattr(os, "O_NOFOLLOW", 0)
+        )
         handle = os.open(_telling.log, flags, 0o666)
         try:
             if stat.S_ISREG(os.fstat(handle).st_mode):  # nobody may read a pipe that stands there
@@ -321,7 +347,8 @@ def _print(text: object) -> None:
 
 
 def _silence(stream: TextIO) -> None:
-    """What is left in a stream that takes no more goes nowhere: Python flushes once more when it ends, and would fail."""
+    """What is left in a stream that takes no more goes nowhere: Python flushes once more when it
+    ends, and would fail."""
     with contextlib.suppress(OSError, ValueError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
@@ -340,7 +367,9 @@ def _flags(command: Command) -> list[str]:
     if is_dataclass(command):
         names = [f.name for f in fields(command)]
     else:
-        keywords = [p for p in inspect.signature(command).parameters.values() if p.kind is p.KEYWORD_ONLY]
+        keywords = [
+            p for p in inspect.signature(command).parameters.values() if p.kind is p.KEYWORD_ONLY
+        ]
         names = [name for p in keywords for name in _names(p)]
     return ["--" + name.removeprefix("--").replace("_", "-") for name in names]
 
@@ -353,7 +382,8 @@ def _names(parameter: inspect.Parameter) -> list[str]:
 
 
 def _name(parameter: inspect.Parameter) -> str:
-    """A flag's name: the parameter's, or what `tyro.conf.arg(name=...)` says (--from cannot be a parameter)."""
+    """A flag's name: the parameter's, or what `tyro.conf.arg(name=...)` says (--from cannot be a
+    parameter)."""
     said = (getattr(m, "name", None) for m in getattr(parameter.annotation, "__metadata__", ()))
     return next((name for name in said if isinstance(name, str)), parameter.name)
 
@@ -371,19 +401,29 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     """tyro's box as one line; a misspelt flag or value with its nearest match."""
     for argument in arguments:
         name = argument.partition("=")[0].replace("_", "-")
-        if name.startswith("-") and name not in (*flags, "-h", "--help") and not name[1:].replace(".", "").isdigit():
+        if (
+            name.startswith("-")
+            and name not in (*flags, "-h", "--help")
+            and not name[1:].replace(".", "").isdigit()
+        ):
             allowed = f"allowed are {', '.join(flags)}" if flags else "it has none but --help"
             return f"unknown flag {name}{nearest(name, flags)}; {allowed}"
     lines = [line.strip("\u2502| \n") for line in box.splitlines()]
     worded = [any(c.isalnum() for c in line) for line in lines]
-    start = worded.index(True) + 1 if any(worded) else 0  # tyro prints a title, the message, a rule or blank, hints
+    start = (
+        worded.index(True) + 1 if any(worded) else 0
+    )  # tyro prints a title, the message, a rule or blank, hints
     message = itertools.takewhile(
         lambda i: worded[i], itertools.dropwhile(lambda i: not worded[i], range(start, len(lines)))
     )
     text = " ".join(lines[i] for i in message).rstrip(" .").removeprefix("Error parsing ")
     if found := re.search(r"no type matching (.*) could be instantiated from \['(.*)'\]", text):
         choices = re.findall(r"\{(.*?)\}|(INT|FLOAT)", found[1])
-        kinds = [_NUMBERS.get(kind) or words.replace(",", ", ") for words, kind in choices if words != "None"]
+        kinds = [
+            _NUMBERS.get(kind) or words.replace(",", ", ")
+            for words, kind in choices
+            if words != "None"
+        ]
         text = f"{text[: found.start()]}{found[2]!r}; it must be {' or '.join(kinds)}"
     if found := re.search(r"invalid choice '([^']*)'.*Expected one of \((.*)\)", text):
         text += nearest(found[1], re.findall(r"'([^']*)'", found[2]))

@@ -1,4 +1,5 @@
-"""The Evaluator: a batch of handovers in, verdicts with margins and reasons out. The stages in order, nothing else."""
+"""The Evaluator: a batch of handovers in, verdicts with margins and reasons out. The stages in
+order, nothing else."""
 
 import copy
 import time
@@ -52,15 +53,18 @@ POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
 
 ROW_BYTES, MOVED_ROW_BYTES = 32 << 10, 192 << 10
-"""Working memory of a row with a path, and of one whose motion is recorded; trees of the search not counted."""
+"""Working memory of a row with a path, and of one whose motion is recorded; trees of the search not
+counted."""
 
 SORTED_ROWS = 256
-"""From here on the rows of a CPU batch are taken object by object, and of each hand by hand: what rows near each other share
-is still in the caches, and they branch alike. Five to ten per cent faster, and another five where candidates share trials."""
+"""From here on the rows of a CPU batch are taken object by object, and of each hand by hand: what
+rows near each other share is still in the caches, and they branch alike. Five to ten per cent
+faster, and another five where candidates share trials."""
 
 
 class Evaluator:
-    """Judges predicted handovers on one device. Build it once: it holds the scene's tables and compiled kernels."""
+    """Judges predicted handovers on one device. Build it once: it holds the scene's tables and
+    compiled kernels."""
 
     def __init__(
         self,
@@ -71,8 +75,14 @@ class Evaluator:
         hand_set: HandSet | None = None,
         threads: int | None = None,
     ) -> None:
-        hint = f"; a device goes by name: Evaluator(device={config!r})" if isinstance(config, str) else ""
-        optional(kind(EvalConfig, f"EvalConfig() or EvalConfig.preset(NAME){hint}"))("config", config)
+        hint = (
+            f"; a device goes by name: Evaluator(device={config!r})"
+            if isinstance(config, str)
+            else ""
+        )
+        optional(kind(EvalConfig, f"EvalConfig() or EvalConfig.preset(NAME){hint}"))(
+            "config", config
+        )
         self.config = config or EvalConfig()
         cpu_threads(threads)
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
@@ -90,21 +100,32 @@ class Evaluator:
         device: str | torch.device = "cpu",
         threads: int | None = None,
     ) -> Self:
-        """The evaluator of a benchmark, a file or one that was read: its objects, hands, limits, table and home.
+        """The evaluator of a benchmark, a file or one that was read: its objects, hands, limits,
+        table and home.
 
-        `config` says the rest (planning, motion); limits of its own are refused. Raises ValueError (`FileError`), one line.
+        `config` says the rest (planning, motion); limits of its own are refused. Raises ValueError
+        (`FileError`), one line.
         """
         if isinstance(benchmark, (str, Path)):
             pieces = config is not None and config.plan.object_collision == "pieces"
             benchmark = read_benchmark(benchmark, pieces=pieces)
         kind(Benchmark, "a file's path, or read_benchmark(FILE)")("benchmark", benchmark)
         mine = benchmark.config(config)
-        return cls(mine, device=device, objects=benchmark.objects, hand_set=benchmark.hand_set, threads=threads)
+        return cls(
+            mine,
+            device=device,
+            objects=benchmark.objects,
+            hand_set=benchmark.hand_set,
+            threads=threads,
+        )
 
     def __getstate__(self) -> dict[str, Any]:
-        """What copies and pickles hold: the configuration. Copies share the scene's tables, which nobody changes;
-        another process builds its own (`Scene.__reduce__`), rows are bitwise equal."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("handle", "kinematic", "_repeated")}
+        """What copies and pickles hold: the configuration. Copies share the scene's tables, which
+        nobody changes; another process builds its own (`Scene.__reduce__`), rows are bitwise
+        equal."""
+        return {
+            k: v for k, v in self.__dict__.items() if k not in ("handle", "kinematic", "_repeated")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -112,7 +133,8 @@ class Evaluator:
 
     @cached_property
     def kinematic(self) -> "Evaluator":
-        """The same evaluator with the motion taken as planned (`sim="none"`): for methods that score while they search."""
+        """The same evaluator with the motion taken as planned (`sim="none"`): for methods that
+        score while they search."""
         twin = copy.copy(self)
         twin.config = replace(self.config, execute=replace(self.config.execute, sim="none"))
         return twin
@@ -131,35 +153,49 @@ class Evaluator:
         *,
         keep_motion: bool = False,
     ) -> Scores:
-        """Verdicts of B handovers: outcome, five criteria with margins (m), reasons, times, joint path.
+        """Verdicts of B handovers: outcome, five criteria with margins (m), reasons, times, joint
+        path.
 
-        `T_obj_ee`: grasp, ee in the object's frame. `T_world_ee`: handover, ee in the world. Metres; rotations off by at
-        most 1e-3 are re-orthonormalised, rows that are no pose come back as INVALID_INPUT and leave the others untouched.
-        Rows do not depend on their batch: same bits for any batch size, order, chunk and thread count on one device.
-        `keep_motion`: also return the executed joint angles (24 kB for 8 s of motion).
-        Raises ValueError, TypeError before any work when shape, dtype or device do not fit.
+        `T_obj_ee`: grasp, ee in the object's frame. `T_world_ee`: handover, ee in the world.
+        Metres; rotations off by at most 1e-3 are re-orthonormalised, rows that are no pose come
+        back as INVALID_INPUT and leave the others untouched. Rows do not depend on their batch:
+        same bits for any batch size, order, chunk and thread count on one device. `keep_motion`:
+        also return the executed joint angles (24 kB for 8 s of motion). Raises ValueError,
+        TypeError before any work when shape, dtype or device do not fit.
 
-        `stages="pose"` judges what needs no path, with the same kernels: Stability, Reach, Affordance (same bits), Plan and
-        Safe at the goal posture. A pose that fails here fails there. `passed[:, PLAN]`: home and some branch are free;
-        `plan_reason` differs from the full one only where that is NO_PATH_IN_BUDGET or NOT_SETTLED. `q_goal`,
-        `margin[:, PLAN]`: posture and clearance of `judge.goal.Goal`, always finite. `margin[:, SAFE]`: the hand's exact
-        mesh at `q_goal`, evaluated for every pose. No path: `path_len` 0, `path` of width 0, times NaN.
+        `stages="pose"` judges what needs no path, with the same kernels: Stability, Reach,
+        Affordance (same bits), Plan and Safe at the goal posture. A pose that fails here fails
+        there. `passed[:, PLAN]`: home and some branch are free; `plan_reason` differs from the full
+        one only where that is NO_PATH_IN_BUDGET or NOT_SETTLED. `q_goal`, `margin[:, PLAN]`:
+        posture and clearance of `judge.goal.Goal`, always finite. `margin[:, SAFE]`: the hand's
+        exact mesh at `q_goal`, evaluated for every pose. No path: `path_len` 0, `path` of width 0,
+        times NaN.
 
         With stages="pose", margins lead back to poses that require a gradient (docs/gradients.md).
 
-        K candidates for each of N trials: poses (N, K, 4, 4), rows of the result in that order (`Scores.by_trial`).
+        K candidates for each of N trials: poses (N, K, 4, 4), rows of the result in that order
+        (`Scores.by_trial`).
         """
-        T_obj_ee, T_world_ee, trials = checked_inputs(self.scene, T_obj_ee, T_world_ee, trials, stages)
+        T_obj_ee, T_world_ee, trials = checked_inputs(
+            self.scene, T_obj_ee, T_world_ee, trials, stages
+        )
         check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
-        if stages == "all" and torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
+        if (
+            stages == "all"
+            and torch.is_grad_enabled()
+            and (T_obj_ee.requires_grad or T_world_ee.requires_grad)
+        ):
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
         with one_torch_thread(self.scene.device), unrecorded():
             check_indices(self.scene, trials)
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
-            # Copies: an optimizer's step in place must not change what a picture of these scores shows.
-            return scores.knowing(Asked(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self))
+            # Copies: an optimizer's step in place must not change what a picture of these scores
+            # shows.
+            return scores.knowing(
+                Asked(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
+            )
 
     def __repr__(self) -> str:
         engine = self.config.execute.engine(torch.device(self.scene.device).type)
@@ -167,16 +203,23 @@ class Evaluator:
 
     def _repr_html_(self) -> str:
         limits = vars(self.config.thresholds).items()
-        return html_table(repr(self), ("limit", "value"), [(name, f"{value:g}") for name, value in limits])
+        return html_table(
+            repr(self), ("limit", "value"), [(name, f"{value:g}") for name, value in limits]
+        )
 
     def capture(self, b: int, *, stages: Stages = "pose") -> Captured:
-        """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on CUDA one graph."""
+        """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on
+        CUDA one graph."""
         check_stages(stages)
         device, stability = torch.device(self.scene.device), self.config.stability
         if device.type == "cuda" and self.config.ik.solver != "fused":
-            raise ValueError("ik.solver='pytorch-kinematics' waits for the device and cannot be captured; use 'fused'")
+            raise ValueError(
+                "ik.solver='pytorch-kinematics' waits for the device and cannot be captured; use 'fused'"
+            )
         if device.type == "cuda" and self.config.plan.hand == "estimated":
-            raise ValueError("plan.hand='estimated' is drawn on the host and cannot be captured; use 'true'")
+            raise ValueError(
+                "plan.hand='estimated' is drawn on the host and cannot be captured; use 'true'"
+            )
         if device.type == "cuda" and (stages != "pose" or stability == "physics"):
             raise ValueError(
                 f"stages is {stages!r}, stability {stability!r}: planning and physics wait for the "
@@ -184,7 +227,9 @@ class Evaluator:
             )
         return Captured(partial(self._score_checked, stages=stages), device, b)
 
-    def _score_checked(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages) -> Scores:
+    def _score_checked(
+        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages
+    ) -> Scores:
         """`score` of tensors whose shapes are known to fit."""
         with one_torch_thread(self.scene.device), unrecorded():
             check_indices(self.scene, trials)
@@ -192,13 +237,22 @@ class Evaluator:
             return self._score(T_obj_ee, T_world_ee, trials, stages)
 
     def _score(
-        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, keep_motion: bool = False
+        self,
+        T_obj_ee: Tensor,
+        T_world_ee: Tensor,
+        trials: Trials,
+        stages: Stages,
+        keep_motion: bool = False,
     ) -> Scores:
         """The batch in chunks that bound the memory; rows do not depend on where the cuts are."""
         n = len(trials)
         if stages == "all":  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
-        judge = self._score_pose if stages == "pose" else partial(self._score_motion, keep_motion=keep_motion)
+        judge = (
+            self._score_pose
+            if stages == "pose"
+            else partial(self._score_motion, keep_motion=keep_motion)
+        )
         order = None
         if n >= SORTED_ROWS and not T_obj_ee.is_cuda:
             bodies = trials.object_index.long() * len(self.scene.hands.set) + trials.hand_index
@@ -215,9 +269,11 @@ class Evaluator:
         return scores if order is None else scores[torch.argsort(order)]
 
     def rows_at_once(self, stages: Stages = "all") -> int:
-        """How many rows are judged together: `EvalConfig.chunk`, on CUDA more where there is memory for it.
+        """How many rows are judged together: `EvalConfig.chunk`, on CUDA more where there is memory
+        for it.
 
-        More than these in one call are judged in chunks; a call with fewer leaves a GPU without work.
+        More than these in one call are judged in chunks; a call with fewer leaves a GPU without
+        work.
         """
         check_stages(stages)
         chunk, device = self.config.chunk, self.scene.device
@@ -226,7 +282,9 @@ class Evaluator:
         moves = self.config.execute.engine(torch.device(device).type) != "none"
         return rows_at_once(device, chunk, MOVED_ROW_BYTES if moves else ROW_BYTES)
 
-    def _score_motion(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool) -> Scores:
+    def _score_motion(
+        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool
+    ) -> Scores:
         """Every stage: hold, IK, plan, move, judge."""
         scene, config, threads = self.scene, self.config, self.threads
         holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
@@ -236,18 +294,39 @@ class Evaluator:
         ik, branches = self._branches(config, holding)
         key = random_key(trials.trial_id)
         planned = plan_paths(
-            scene, holding.planned, ik.q, branches, active, key, config.plan, execute=config.execute, threads=threads
+            scene,
+            holding.planned,
+            ik.q,
+            branches,
+            active,
+            key,
+            config.plan,
+            execute=config.execute,
+            threads=threads,
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         planned = replace(planned, reason=unless_proven(planned.reason, ik))
         motion = time_path(planned.path, planned.length, config.execute)
         # sampled edges certify nothing, and paths against an estimated hand nothing of the true one
-        certified = planned.clearance_m if (config.plan.edge_check, config.plan.hand) == ("exact", "true") else None
+        certified = (
+            planned.clearance_m
+            if (config.plan.edge_check, config.plan.hand) == ("exact", "true")
+            else None
+        )
         executed = execute(
-            scene, placed, planned.path, planned.length, motion, config.execute, clearance_m=certified, threads=threads
+            scene,
+            placed,
+            planned.path,
+            planned.length,
+            motion,
+            config.execute,
+            clearance_m=certified,
+            threads=threads,
         )
 
-        safe, touch = metrics.safe(scene, placed, executed, active, config.thresholds, threads=threads)
+        safe, touch = metrics.safe(
+            scene, placed, executed, active, config.thresholds, threads=threads
+        )
         body_m, part = self._body(scene, holding, trials, executed.path, executed.length)
         body_m = body_m - executed.slack_m
         if config.receiver == "body":
@@ -267,29 +346,44 @@ class Evaluator:
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             holding, posed = self._judge_pose(scene, config, T_obj_ee, T_world_ee, trials)
             scores = pose_scores(trials.trial_id, posed)
-            return differentiable(scene, config, threads, scores, (T_obj_ee, T_world_ee), holding, posed.goal)
-        return self._repeated(self._judge_pose, scene, config, T_obj_ee, T_world_ee, trials, threads=threads)
+            return differentiable(
+                scene, config, threads, scores, (T_obj_ee, T_world_ee), holding, posed.goal
+            )
+        return self._repeated(
+            self._judge_pose, scene, config, T_obj_ee, T_world_ee, trials, threads=threads
+        )
 
     def _judge_pose(
         self, scene: Scene, config: EvalConfig, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials
     ) -> tuple[Holding, Posed]:
-        """What `pose_scores` needs; its launches are recorded where its size comes back (`training.repeated_calls`)."""
+        """What `pose_scores` needs; its launches are recorded where its size comes back
+        (`training.repeated_calls`)."""
         threads = self.threads
         holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
         active, placed = holding.active, holding.placed
         ik, branches = self._branches(config, holding)
-        goal = judge_goals(scene, holding.planned, holding.T_world_ee, ik, branches, active, threads=threads)
-        safe, body, point = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
+        goal = judge_goals(
+            scene, holding.planned, holding.T_world_ee, ik, branches, active, threads=threads
+        )
+        safe, body, point = safe_at(
+            scene, placed, goal.q, active, config.thresholds, threads=threads
+        )
         body_m, part = torch.full_like(goal.clearance_m, torch.nan), None
         if trials.receiver is not None:
-            body_m, part = self._body(scene, holding, trials, goal.q[:, None], active.to(torch.int32))
+            body_m, part = self._body(
+                scene, holding, trials, goal.q[:, None], active.to(torch.int32)
+            )
         if config.receiver == "body":
             assert part is not None  # `inputs.check_receiver` has asked
             still = torch.zeros_like(body), torch.zeros_like(body_m)
-            safe, touch = with_body(safe, Touch(body, *still, point), body_m, part, config.thresholds)
+            safe, touch = with_body(
+                safe, Touch(body, *still, point), body_m, part, config.thresholds
+            )
             body, point = touch.body, touch.point
         (steady, reach, affordance), slip = self._without_posture(scene, config, holding)
-        plan = Criterion.of(goal.clearance_m, active, touching_passes=False)  # above 0 exactly where the goal is free
+        plan = Criterion.of(
+            goal.clearance_m, active, touching_passes=False
+        )  # above 0 exactly where the goal is free
         shown = presented(scene, holding, config.thresholds, threads=threads)
         criteria = [steady, plan, reach, affordance, safe]
         shared = verdict(criteria, holding, slip, shown, threads=threads)
@@ -298,9 +392,12 @@ class Evaluator:
     def _body(
         self, scene: Scene, holding: Holding, trials: Trials, path: Tensor, length: Tensor
     ) -> tuple[Tensor, Tensor]:
-        """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where there is none."""
+        """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where
+        there is none."""
         if trials.receiver is not None:
-            return person_distance(scene, holding.placed, trials.receiver, path, length, threads=self.threads)
+            return person_distance(
+                scene, holding.placed, trials.receiver, path, length, threads=self.threads
+            )
         return torch.full_like(path[:, 0, 0], torch.nan), torch.full_like(length, -1)
 
     def _branches(self, config: EvalConfig, holding: Holding) -> tuple[IkResult, Tensor]:
@@ -315,7 +412,8 @@ class Evaluator:
     def _without_posture(
         self, scene: Scene, config: EvalConfig, holding: Holding
     ) -> tuple[tuple[Criterion, Criterion, Criterion], Tensor]:
-        """Stability, Reach, Affordance: they need no joint angles; and how far the object slipped (NaN: not shaken)."""
+        """Stability, Reach, Affordance: they need no joint angles; and how far the object slipped
+        (NaN: not shaken)."""
         limits, threads, active = config.thresholds, self.threads, holding.active
         objects, grasp = holding.objects, holding.grasp
         steady, slip = metrics.stability(grasp, active), torch.full_like(grasp.width_m, torch.nan)
@@ -324,5 +422,7 @@ class Evaluator:
                 scene, grasp, holding.attached, objects, active, threads=threads
             )
         reach = metrics.reach(scene, holding.ball, objects, active, limits, threads=threads)
-        affordance = metrics.affordance(scene, holding.attached, objects, holding.squeezed_m, active, threads=threads)
+        affordance = metrics.affordance(
+            scene, holding.attached, objects, holding.squeezed_m, active, threads=threads
+        )
         return (steady, reach, affordance), slip

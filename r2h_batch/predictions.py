@@ -1,4 +1,5 @@
-"""A method's answers as a file: read with every check before any array is allocated, aligned to trials, written."""
+"""A method's answers as a file: read with every check before any array is allocated, aligned to
+trials, written."""
 
 import json
 import os
@@ -21,7 +22,14 @@ from safetensors.numpy import save_file
 from r2h_batch.checks import kind, text
 from r2h_batch.checks import path as given_path
 from r2h_batch.checks.tensors import check_tensor
-from r2h_batch.files import DAMAGED_ARCHIVE, FileError, archive_members, open_archive, open_file, printable
+from r2h_batch.files import (
+    DAMAGED_ARCHIVE,
+    FileError,
+    archive_members,
+    open_archive,
+    open_file,
+    printable,
+)
 from r2h_batch.files.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.types import Predictions
 from r2h_batch.verdicts import MOST_SECONDS
@@ -48,7 +56,8 @@ _SAFETENSORS_DTYPES = {
 
 
 class PredictionsError(ValueError):
-    """A predictions file that cannot be scored: the message names the file, what was found and what is allowed."""
+    """A predictions file that cannot be scored: the message names the file, what was found and what
+    is allowed."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +70,13 @@ class _Array:
 
 
 def load_predictions(path: str | Path) -> Predictions:
-    """Predictions of a .npz, .safetensors, .csv or .json file, rows as in the file; the method's name defaults to the stem.
+    """Predictions of a .npz, .safetensors, .csv or .json file, rows as in the file; the method's
+    name defaults to the stem.
 
-    CSV: columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), optional t_method_s. JSON: an object with
-    `method` and a list `predictions` of objects with the same names, poses as 16 numbers or 4 x 4.
-    Poses are taken as they are: a row whose pose is not finite or not rigid is the evaluator's INVALID_INPUT.
+    CSV: columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), optional
+    t_method_s. JSON: an object with `method` and a list `predictions` of objects with the same
+    names, poses as 16 numbers or 4 x 4. Poses are taken as they are: a row whose pose is not finite
+    or not rigid is the evaluator's INVALID_INPUT.
     """
     path = given_path("path", path)
     try:
@@ -81,7 +92,10 @@ def load_predictions(path: str | Path) -> Predictions:
 
 def _text(path: Path) -> tuple[str | None, dict[str, np.ndarray]]:
     """The arrays that a CSV or JSON file says, and the method's name."""
-    widths, optional = {"trial_id": 1, "T_obj_ee": 16, "T_world_ee": 16, "t_method_s": 1}, ("t_method_s",)
+    widths, optional = (
+        {"trial_id": 1, "T_obj_ee": 16, "T_world_ee": 16, "t_method_s": 1},
+        ("t_method_s",),
+    )
     said: dict[str, str] = {}
     if path.suffix.lower() == ".csv":
         values = read_csv_arrays(path, widths, optional)
@@ -97,9 +111,12 @@ def _same(array: np.ndarray) -> np.ndarray:
 
 
 def write_predictions(path: str | Path, predictions: Predictions) -> None:
-    """Write a .npz or .safetensors file that `load_predictions` reads back equal; an existing file is replaced."""
+    """Write a .npz or .safetensors file that `load_predictions` reads back equal; an existing file
+    is replaced."""
     path = given_path("path", path)
-    kind(Predictions, "r2h_batch.Predictions(trial_id, T_obj_ee, T_world_ee)")("predictions", predictions)
+    kind(Predictions, "r2h_batch.Predictions(trial_id, T_obj_ee, T_world_ee)")(
+        "predictions", predictions
+    )
     for name in ("trial_id", "T_obj_ee", "T_world_ee"):
         check_tensor(f"predictions.{name}", getattr(predictions, name), "a torch tensor of N rows")
     text("predictions.method", predictions.method)
@@ -109,7 +126,11 @@ def write_predictions(path: str | Path, predictions: Predictions) -> None:
         "T_world_ee": predictions.T_world_ee,
         "t_method_s": predictions.t_method_s,
     }
-    data = {k: np.ascontiguousarray(v.detach().cpu().numpy()) for k, v in arrays.items() if v is not None}
+    data = {
+        k: np.ascontiguousarray(v.detach().cpu().numpy())
+        for k, v in arrays.items()
+        if v is not None
+    }
     temporary = path.with_name(f".{path.name}.{uuid4().hex}.tmp")
     try:
         if path.suffix == ".npz":
@@ -118,7 +139,9 @@ def write_predictions(path: str | Path, predictions: Predictions) -> None:
         elif path.suffix == ".safetensors":
             save_file(data, temporary, metadata={"method": predictions.method})
         else:
-            raise PredictionsError(f"{path}: predictions are written as .npz or .safetensors, not {path.suffix!r}")
+            raise PredictionsError(
+                f"{path}: predictions are written as .npz or .safetensors, not {path.suffix!r}"
+            )
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -127,9 +150,11 @@ def write_predictions(path: str | Path, predictions: Predictions) -> None:
 def align(
     predictions: Predictions, trial_id: torch.Tensor, *, source: str, allow_missing: bool = False
 ) -> torch.Tensor:
-    """Row of `predictions` that answers each planned trial (N,) int64, -1 where there is none (only if allowed).
+    """Row of `predictions` that answers each planned trial (N,) int64, -1 where there is none (only
+    if allowed).
 
-    Duplicate, unknown or missing ids are refused with the first ten listed; the order of the rows does not matter.
+    Duplicate, unknown or missing ids are refused with the first ten listed; the order of the rows
+    does not matter.
     """
     given, planned = predictions.trial_id.cpu().numpy(), trial_id.cpu().numpy()
     ids, first, copies = np.unique(given, return_index=True, return_counts=True)
@@ -151,29 +176,45 @@ _PIECE = 65_536
 
 
 def doubts(predictions: Predictions) -> list[str]:
-    """What somebody would want to hear about the poses before they are scored: how many are none, or in other units."""
+    """What somebody would want to hear about the poses before they are scored: how many are none,
+    or in other units."""
     lines = []
     for name, what in (("T_obj_ee", "grasps"), ("T_world_ee", "handover poses")):
         T, n = getattr(predictions, name).numpy(), len(predictions)
         pieces = [_odd(T[k : k + _PIECE]) for k in range(0, n, _PIECE)]
         off, transposed, far = (np.concatenate([p[i] for p in pieces]) for i in range(3))
         for odd, words in (
-            (off, "are no rigid pose and count as invalid" + (": transposed?" if (off & transposed).any() else "")),
+            (
+                off,
+                "are no rigid pose and count as invalid"
+                + (": transposed?" if (off & transposed).any() else ""),
+            ),
             (far, f"are more than {FAR_M:g} m away: lengths are in metres"),
         ):
             if odd.any():
                 first = int(predictions.trial_id[int(odd.argmax())])
-                lines.append(f"{int(odd.sum())} of {n} {what} ({name}; the first of trial {first}) {words}")
+                lines.append(
+                    f"{int(odd.sum())} of {n} {what} ({name}; the first of trial {first}) {words}"
+                )
     return lines
 
 
 def _odd(T: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(n,) which are no rigid pose, which of these have their place in the last row, and which rigid ones are far away."""
+    """(n,) which are no rigid pose, which of these have their place in the last row, and which
+    rigid ones are far away."""
     with np.errstate(all="ignore"):
         R = T[:, :3, :3].astype(np.float64)
         off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2))
-        off = ~((off < LOOKS_RIGID) & (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) < LOOKS_RIGID) & (np.linalg.det(R) > 0))
-        return off, (T[:, :3, 3] == 0).all(1) & (T[:, 3, :3] != 0).any(1), ~off & (np.abs(T[:, :3, 3]).max(1) > FAR_M)
+        off = ~(
+            (off < LOOKS_RIGID)
+            & (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) < LOOKS_RIGID)
+            & (np.linalg.det(R) > 0)
+        )
+        return (
+            off,
+            (T[:, :3, 3] == 0).all(1) & (T[:, 3, :3] != 0).any(1),
+            ~off & (np.abs(T[:, :3, 3]).max(1) > FAR_M),
+        )
 
 
 def _refuse(source: str, what: str, ids: np.ndarray, how: str) -> None:
@@ -193,7 +234,9 @@ def _kind(path: Path) -> str:
             f"{path}: a pickle, which can run code when read, is refused; load it yourself and {_HOW}"
         )
     if magic.startswith(b"\x93NUMPY"):
-        raise PredictionsError(f"{path}: a single .npy array; predictions need several named ones: {_HOW}")
+        raise PredictionsError(
+            f"{path}: a single .npy array; predictions need several named ones: {_HOW}"
+        )
     if magic.startswith(b"PK"):
         return "npz"
     if path.suffix == ".safetensors" or magic[8:9] == b"{":
@@ -205,13 +248,20 @@ def _kind(path: Path) -> str:
 def _npz(path: Path) -> Iterator[tuple[str | None, dict[str, _Array]]]:
     with open_archive(path, MAX_BYTES) as archive:
         names = [m.orig_filename for m in archive.infolist()]
-        if any(PurePosixPath(n).name == "data.pkl" or n.endswith((".pkl", ".pickle", ".pt")) for n in names):
+        if any(
+            PurePosixPath(n).name == "data.pkl" or n.endswith((".pkl", ".pickle", ".pt"))
+            for n in names
+        ):
             raise PredictionsError(
                 f"{path}: a torch or pickle archive, which can run code when read, is refused; {_HOW}"
             )
         members = archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)
-        if unknown := [n for n in names if n not in [f"{k}.npy" for k in ("trial_id", "method", *_SHAPES)]]:
-            raise PredictionsError(f"{path}: unknown member {unknown[0]!r}; allowed keys are {_KEYS}")
+        if unknown := [
+            n for n in names if n not in [f"{k}.npy" for k in ("trial_id", "method", *_SHAPES)]
+        ]:
+            raise PredictionsError(
+                f"{path}: unknown member {unknown[0]!r}; allowed keys are {_KEYS}"
+            )
         arrays = {m.filename.removesuffix(".npy"): _npy(path, archive, m) for m in members}
         method = None
         if (name := arrays.pop("method", None)) is not None:
@@ -220,10 +270,18 @@ def _npz(path: Path) -> Iterator[tuple[str | None, dict[str, _Array]]]:
                     f"{path}: 'method' is {name.dtype} {name.shape}; it must be one string: np.array('NAME')"
                 )
             if np.dtype(name.dtype).itemsize > 4 * MAX_METHOD_CHARS:
-                raise PredictionsError(f"{path}: 'method' is longer than {MAX_METHOD_CHARS} characters")
+                raise PredictionsError(
+                    f"{path}: 'method' is longer than {MAX_METHOD_CHARS} characters"
+                )
             try:
-                # numpy makes a str of any four bytes, and Python ends with a SystemError on those that are none
-                method = _read(path, "method", name).tobytes().decode(f"utf-32-{sys.byteorder[0]}e").rstrip("\0")
+                # numpy makes a str of any four bytes, and Python ends with a SystemError on those
+                # that are none
+                method = (
+                    _read(path, "method", name)
+                    .tobytes()
+                    .decode(f"utf-32-{sys.byteorder[0]}e")
+                    .rstrip("\0")
+                )
             except ValueError as error:  # four bytes that are no character
                 raise PredictionsError(f"{path}: 'method' is no text ({error})") from error
         yield method, arrays
@@ -238,16 +296,24 @@ def _npy(path: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> _Arra
             version = np.lib.format.read_magic(file)
             if version not in ((1, 0), (2, 0)):
                 raise ValueError(f"format version {version}")
-            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            read = (
+                np.lib.format.read_array_header_1_0
+                if version == (1, 0)
+                else np.lib.format.read_array_header_2_0
+            )
             shape, fortran, dtype = read(file)
             header = file.tell()
     except DAMAGED_ARCHIVE:
         raise
     except Exception as error:  # the header is Python text: its parser raises whatever it meets
         why = printable(str(error).partition("\n")[0])  # numpy goes on to recommend allow_pickle
-        raise PredictionsError(f"{path}: {key!r} is not a plain array ({why[:200]}); {_HOW}") from error
+        raise PredictionsError(
+            f"{path}: {key!r} is not a plain array ({why[:200]}); {_HOW}"
+        ) from error
     if dtype.hasobject:
-        raise PredictionsError(f"{path}: {key!r} has dtype object, which is a pickle and is refused; {_HOW}")
+        raise PredictionsError(
+            f"{path}: {key!r} has dtype object, which is a pickle and is refused; {_HOW}"
+        )
     size = header + int(np.prod([int(s) for s in shape], dtype=object)) * dtype.itemsize
     if size != member.file_size:
         raise PredictionsError(
@@ -278,11 +344,14 @@ def _safetensors(path: Path) -> Iterator[tuple[str | None, dict[str, _Array]]]:
             yield (file.metadata() or {}).get("method"), arrays
     except (SafetensorError, OSError) as error:
         why = printable(error)
-        raise PredictionsError(f"{path}: truncated or damaged safetensors ({why}); write or copy it again") from error
+        raise PredictionsError(
+            f"{path}: truncated or damaged safetensors ({why}); write or copy it again"
+        ) from error
 
 
 def _check_safetensors_header(path: Path) -> None:
-    """Refuse a header that is longer than it can honestly be, or that names more than a predictions file holds."""
+    """Refuse a header that is longer than it can honestly be, or that names more than a predictions
+    file holds."""
     with open_file(path, MAX_BYTES) as file:
         length = int.from_bytes(file.read(8), "little")
         if length > MAX_HEADER_BYTES:
@@ -295,9 +364,13 @@ def _check_safetensors_header(path: Path) -> None:
         names = header.keys() - {"__metadata__"}
     except (ValueError, RecursionError, AttributeError) as error:
         why = printable(error)[:200]
-        raise PredictionsError(f"{path}: damaged safetensors ({why}); write or copy it again") from error
+        raise PredictionsError(
+            f"{path}: damaged safetensors ({why}); write or copy it again"
+        ) from error
     if len(names) > MAX_MEMBERS:
-        raise PredictionsError(f"{path}: {len(names)} arrays; at most {MAX_MEMBERS} are allowed ({_KEYS})")
+        raise PredictionsError(
+            f"{path}: {len(names)} arrays; at most {MAX_MEMBERS} are allowed ({_KEYS})"
+        )
     _check_keys(path, names)
 
 
@@ -312,22 +385,31 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _checked(path: Path, arrays: Mapping[str, _Array], method: str) -> Predictions:
     _check_keys(path, arrays.keys())
     if not method.strip() or len(method) > MAX_METHOD_CHARS or not method.isprintable():
-        raise PredictionsError(f"{path}: method {method[:120]!r} must be 1 to {MAX_METHOD_CHARS} printable characters")
+        raise PredictionsError(
+            f"{path}: method {method[:120]!r} must be 1 to {MAX_METHOD_CHARS} printable characters"
+        )
     ids = arrays["trial_id"]
     if len(ids.shape) != 1 or not ids.dtype.startswith(("int", "uint")):
-        raise PredictionsError(f"{path}: 'trial_id' is {ids.dtype} {ids.shape}; it must be (N,) of an integer type")
+        raise PredictionsError(
+            f"{path}: 'trial_id' is {ids.dtype} {ids.shape}; it must be (N,) of an integer type"
+        )
     n = ids.shape[0]
     if n == 0:
         raise PredictionsError(f"{path}: no rows; give one row for each planned trial")
     for key, tail in _SHAPES.items():
         if key in arrays and (arrays[key].shape != (n, *tail) or arrays[key].dtype not in _FLOATS):
             found, allowed = f"{arrays[key].dtype} {arrays[key].shape}", (n, *tail)
-            raise PredictionsError(f"{path}: {key!r} is {found}; it must be {' or '.join(_FLOATS)} {allowed}")
+            raise PredictionsError(
+                f"{path}: {key!r} is {found}; it must be {' or '.join(_FLOATS)} {allowed}"
+            )
     trial_id = _read(path, "trial_id", ids)
     if trial_id.dtype == np.uint64 and trial_id.max() > np.iinfo(np.int64).max:
         raise PredictionsError(f"{path}: 'trial_id' {trial_id.max()} does not fit int64")
     given = {k: _read(path, k, arrays[k]) for k in _SHAPES if k in arrays}
-    if "t_method_s" in given and (odd := (given["t_method_s"] < 0) | (given["t_method_s"] > MOST_SECONDS)).any():
+    if (
+        "t_method_s" in given
+        and (odd := (given["t_method_s"] < 0) | (given["t_method_s"] > MOST_SECONDS)).any()
+    ):
         seconds = given["t_method_s"][int(odd.argmax())]
         raise PredictionsError(
             f"{path}: 't_method_s' of row {int(odd.argmax())} is {seconds:g}; 0 to {MOST_SECONDS:g} seconds are allowed,"

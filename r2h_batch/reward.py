@@ -1,6 +1,8 @@
-"""Rewards from scores, for loops that learn or sample: elementwise on the scores' device, no synchronisation, ties settled.
+"""Rewards from scores, for loops that learn or sample: elementwise on the scores' device, no
+synchronisation, ties settled.
 
-Where a function takes `k`, rows are K candidates for each of N trials, as `Evaluator.score` returns them for (N, K) poses.
+Where a function takes `k`, rows are K candidates for each of N trials, as `Evaluator.score` returns
+them for (N, K) poses.
 """
 
 import torch
@@ -40,16 +42,19 @@ def success(scores: Scores) -> Float32[Tensor, " b"]:
 def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, "b 5"]:
     """Margins in m, clipped to +-`limit_m`, never NaN: columns as CRITERIA.
 
-    A criterion that was not evaluated cannot be what fails: it counts as `limit_m` (Affordance in S0), except in rows that
-    were not judged at all, where all five count as `-limit_m`.
+    A criterion that was not evaluated cannot be what fails: it counts as `limit_m` (Affordance in
+    S0), except in rows that were not judged at all, where all five count as `-limit_m`.
     """
-    margin = torch.where(scores.evaluated, scores.margin.nan_to_num(nan=0.0), limit_m).clamp(-limit_m, limit_m)
+    margin = torch.where(scores.evaluated, scores.margin.nan_to_num(nan=0.0), limit_m).clamp(
+        -limit_m, limit_m
+    )
     return torch.where(_judged(scores)[:, None], margin, -limit_m)
 
 
 @takes_tensors(scores=_scores)
 def first_failure(scores: Scores) -> Int64[Tensor, " b"]:
-    """Column of the first criterion that fails (index into CRITERIA), -1 for a success, -2 for rows that were not judged."""
+    """Column of the first criterion that fails (index into CRITERIA), -1 for a success, -2 for rows
+    that were not judged."""
     outcome = scores.outcome.long()
     return torch.where(_judged(scores), outcome - 1, NOT_JUDGED)
 
@@ -58,7 +63,8 @@ def first_failure(scores: Scores) -> Int64[Tensor, " b"]:
 def quality(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, " b"]:
     """One number to rank by: the smallest clipped margin (m), and `2 limit_m` more for a success.
 
-    Any success ranks above any failure; among equals the one farther from its nearest threshold is better.
+    Any success ranks above any failure; among equals the one farther from its nearest threshold is
+    better.
     """
     margin = margin_vector(scores, limit_m=limit_m).amin(1)
     return margin + 2.0 * limit_m * scores.success.to(margin.dtype)
@@ -66,7 +72,8 @@ def quality(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tens
 
 @takes_tensors(value=_value, k=whole(1))
 def rank_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, "n k"]:
-    """Rank of each candidate among the k of its trial, 0 for the largest value; ties by candidate number, NaN last."""
+    """Rank of each candidate among the k of its trial, 0 for the largest value; ties by candidate
+    number, NaN last."""
     order = _best_first(value, k)
     places = torch.arange(k, dtype=torch.int64, device=value.device).expand_as(order)
     return torch.empty_like(order).scatter_(1, order, places)
@@ -74,13 +81,16 @@ def rank_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, "n k"]:
 
 @takes_tensors(value=_value, k=whole(1))
 def best_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, " n"]:
-    """Number (0 to k - 1) of each trial's best candidate: the largest value, the first of equals; NaN never if avoidable."""
+    """Number (0 to k - 1) of each trial's best candidate: the largest value, the first of equals;
+    NaN never if avoidable."""
     return _best_first(value, k)[:, 0]
 
 
 def _best_first(value: Tensor, k: int) -> Tensor:
     if value.shape[0] % k:
-        raise ValueError(f"k is {k}; {value.shape[0]} rows can only be split by a divisor of their number")
+        raise ValueError(
+            f"k is {k}; {value.shape[0]} rows can only be split by a divisor of their number"
+        )
     table = torch.where(value.isnan(), -torch.inf, value).view(value.shape[0] // k, k)
     # NaN behind -inf: sorted by both, the second one stably
     order = value.isnan().view_as(table).to(torch.int8).argsort(dim=1, stable=True)

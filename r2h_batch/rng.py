@@ -1,7 +1,8 @@
-"""Counter-based random numbers: Philox4x32-10 (Salmon et al. 2011) in NumPy, and uniform draws built on it.
+"""Counter-based random numbers: Philox4x32-10 (Salmon et al. 2011) in NumPy, and uniform draws
+built on it.
 
-A draw is a function of (key, id, attempt, purpose) and nothing else. Only +, -, *, /, sqrt and comparisons follow, no
-libm and no reductions: the same bits on every machine and in every batch.
+A draw is a function of (key, id, attempt, purpose) and nothing else. Only +, -, *, /, sqrt and
+comparisons follow, no libm and no reductions: the same bits on every machine and in every batch.
 """
 
 import hashlib
@@ -17,7 +18,8 @@ Array = NDArray[np.float64]
 
 MAX_ATTEMPTS = 100_000
 LOOK_AFTER, HOPELESS = 200, 30_000
-"""After so many attempts without any row accepted so many proposals are looked at; where none fits, no more are tried."""
+"""After so many attempts without any row accepted so many proposals are looked at; where none fits,
+no more are tried."""
 
 
 class NothingFits(RuntimeError):
@@ -38,7 +40,8 @@ def key_of(name: str) -> tuple[int, int]:
 
 
 def philox4x32(counter: NDArray[np.uint64], key: tuple[int, int]) -> NDArray[np.uint64]:
-    """Ten rounds on counters (4, ...) of 32-bit words (held in uint64): 4 random words per counter, same shape."""
+    """Ten rounds on counters (4, ...) of 32-bit words (held in uint64): 4 random words per counter,
+    same shape."""
     c0, c1, c2, c3 = counter
     for i in range(10):
         k0, k1 = (np.uint64((k + i * w) & 0xFFFFFFFF) for k, w in zip(key, _WEYL, strict=True))
@@ -48,13 +51,23 @@ def philox4x32(counter: NDArray[np.uint64], key: tuple[int, int]) -> NDArray[np.
 
 
 def uniforms(
-    key: tuple[int, int], ids: NDArray[np.int64], count: int, *, purpose: int, attempt: int | NDArray[np.int64] = 0
+    key: tuple[int, int],
+    ids: NDArray[np.int64],
+    count: int,
+    *,
+    purpose: int,
+    attempt: int | NDArray[np.int64] = 0,
 ) -> Array:
-    """(count, n) numbers in (0, 1), the midpoints of 2^32 cells; counter = id (64 bits), attempt, purpose and block."""
+    """(count, n) numbers in (0, 1), the midpoints of 2^32 cells; counter = id (64 bits), attempt,
+    purpose and block."""
     n, blocks = len(ids), -(-count // 4)
     words = ids.astype(np.uint64)
     counter = np.empty((4, blocks, n), np.uint64)
-    counter[0], counter[1], counter[2] = words & _LOW, words >> _HALF, np.asarray(attempt, np.uint64)
+    counter[0], counter[1], counter[2] = (
+        words & _LOW,
+        words >> _HALF,
+        np.asarray(attempt, np.uint64),
+    )
     counter[3] = (np.uint64(purpose << 16) + np.arange(blocks, dtype=np.uint64))[:, None]
     random = philox4x32(counter, key).transpose(1, 0, 2).reshape(4 * blocks, n)[:count]
     return (random.astype(np.float64) + 0.5) * 2.0**-32
@@ -66,26 +79,42 @@ def choice(u: Array, count: int | NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def rotation(u: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Rotation matrices (n, 3, 3) uniform on SO(3) from u (4, n), where accepted (62 %): Marsaglia (1972)."""
+    """Rotation matrices (n, 3, 3) uniform on SO(3) from u (4, n), where accepted (62 %): Marsaglia
+    (1972)."""
     a, b, c, d = 2.0 * u - 1.0
     s, t = a * a + b * b, c * c + d * d
     inside = (s < 1.0) & (t < 1.0)
     scale = np.sqrt(np.where(inside, 1.0 - s, 0.0) / t)
     w, x, y, z = a, b, c * scale, d * scale
     R = np.empty((len(a), 3, 3))
-    R[:, 0, 0], R[:, 0, 1], R[:, 0, 2] = 1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)
-    R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = 2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)
-    R[:, 2, 0], R[:, 2, 1], R[:, 2, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    R[:, 0, 0], R[:, 0, 1], R[:, 0, 2] = (
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+    )
+    R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = (
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+    )
+    R[:, 2, 0], R[:, 2, 1], R[:, 2, 2] = (
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
+    )
     return inside, R
 
 
 def accepted(
-    n: int, propose: Callable[[NDArray[np.int64], Any], tuple[NDArray[np.bool_], Any]], *outputs: NDArray[Any]
+    n: int,
+    propose: Callable[[NDArray[np.int64], Any], tuple[NDArray[np.bool_], Any]],
+    *outputs: NDArray[Any],
 ) -> None:
-    """Rejection sampling of n rows at once: fills `outputs` (n, ...) with each row's first accepted proposal.
+    """Rejection sampling of n rows at once: fills `outputs` (n, ...) with each row's first accepted
+    proposal.
 
-    `propose(rows, attempt)` returns which of these rows it accepts and, for the accepted ones, a tuple of values; `attempt` is
-    one number or one for each row. Raises `NothingFits`.
+    `propose(rows, attempt)` returns which of these rows it accepts and, for the accepted ones, a
+    tuple of values; `attempt` is one number or one for each row. Raises `NothingFits`.
     """
     todo = np.arange(n)
     for attempt in range(MAX_ATTEMPTS):
@@ -96,7 +125,8 @@ def accepted(
             output[todo[fits]] = value
         todo = todo[~fits]
         if len(todo) == n and attempt == LOOK_AFTER:
-            # many attempts at once: of a share of 1e-3 that fits, one is among so many but for one case in 10^13
+            # many attempts at once: of a share of 1e-3 that fits, one is among so many but for one
+            # case in 10^13
             turns = max(1, HOPELESS // n)
             if not propose(np.tile(todo, turns), np.repeat(np.arange(turns), n))[0].any():
                 break

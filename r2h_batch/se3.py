@@ -1,6 +1,8 @@
-"""Homogeneous transforms as (..., 4, 4) tensors, and vectors beside them: checks, inverse, construction, products.
+"""Homogeneous transforms as (..., 4, 4) tensors, and vectors beside them: checks, inverse,
+construction, products.
 
-Sums over an axis of length 3 or 4 are written out term by term: a row has the same bits at any batch size.
+Sums over an axis of length 3 or 4 are written out term by term: a row has the same bits at any
+batch size.
 """
 
 from typing import TypeVar
@@ -42,7 +44,8 @@ def rotate(R: Array, v: Array) -> Array:
 
 
 def matmul(a: Float[Tensor, "*#b n n"], b: Float[Tensor, "*#b n n"]) -> Float[Tensor, "*b n n"]:
-    """`a @ b` row by row: a torch matmul may round a row differently at another batch size, this cannot."""
+    """`a @ b` row by row: a torch matmul may round a row differently at another batch size, this
+    cannot."""
     total = a[..., :, 0, None] * b[..., None, 0, :]
     for k in range(1, a.shape[-1]):
         total = total + a[..., :, k, None] * b[..., None, k, :]
@@ -65,7 +68,11 @@ def inverse(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
     R_t = T[..., :3, :3].transpose(-1, -2)
     t = T[..., :3, 3]
     out[..., :3, :3] = R_t
-    out[..., :3, 3] = -(R_t[..., 0] * t[..., 0, None] + R_t[..., 1] * t[..., 1, None] + R_t[..., 2] * t[..., 2, None])
+    out[..., :3, 3] = -(
+        R_t[..., 0] * t[..., 0, None]
+        + R_t[..., 1] * t[..., 1, None]
+        + R_t[..., 2] * t[..., 2, None]
+    )
     out[..., 3, 3] = 1.0
     return out
 
@@ -85,7 +92,8 @@ def from_rotation(R: Float[Tensor, "*b 3 3"], p: Float[Tensor, "*b 3"]) -> Float
 
 
 def is_pose(T: Float[Tensor, "*b 4 4"]) -> Bool[Tensor, "*b"]:
-    """True for finite rigid transforms: R R^T = I within 1e-3, det R > 0, bottom row (0, 0, 0, 1)."""
+    """True for finite rigid transforms: R R^T = I within 1e-3, det R > 0, bottom row (0, 0, 0,
+    1)."""
     finite = torch.isfinite(T).all(-1).all(-1)
     safe = torch.where(finite[..., None, None], T, torch.zeros_like(T))
     x, y, z = safe[..., :3, 0], safe[..., :3, 1], safe[..., :3, 2]
@@ -110,7 +118,8 @@ def is_pose(T: Float[Tensor, "*b 4 4"]) -> Bool[Tensor, "*b"]:
 
 
 def orthonormalise(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
-    """`T` with its z axis kept in direction and x, y made exactly orthonormal (Gram-Schmidt z, y, x; row by row)."""
+    """`T` with its z axis kept in direction and x, y made exactly orthonormal (Gram-Schmidt z, y,
+    x; row by row)."""
     _, y, z, p = T[..., :3, :].unbind(-1)
     z = z / _length(z)
     y = y - z * (y * z).sum(-1, keepdim=True)
@@ -124,7 +133,8 @@ def orthonormalise(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 4 4"]:
 def _length(v: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 1"]:
     """Lengths; of float32 with the root that IEEE 754 asks for, on every processor.
 
-    torch's float32 root on a CPU is MKL's, which has another last bit for one number in six. A float64 root that is off by as
-    much still rounds to the right float32: no float32 has its root within four float64 of the middle between two float32.
+    torch's float32 root on a CPU is MKL's, which has another last bit for one number in six. A
+    float64 root that is off by as much still rounds to the right float32: no float32 has its root
+    within four float64 of the middle between two float32.
     """
     return v.square().sum(-1, keepdim=True).double().sqrt().to(v.dtype)

@@ -1,4 +1,5 @@
-"""What batches look like: one line for a terminal, a small table for a notebook, numbers for a logger. No torch, no pandas."""
+"""What batches look like: one line for a terminal, a small table for a notebook, numbers for a
+logger. No torch, no pandas."""
 
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
@@ -9,7 +10,15 @@ from numpy.typing import NDArray
 
 from r2h_batch.verdicts import CRITERIA, Outcome, PlanReason
 
-__all__ = ["counted", "frame_of", "html_table", "scalars_of", "scores_line", "scores_table", "share"]
+__all__ = [
+    "counted",
+    "frame_of",
+    "html_table",
+    "scalars_of",
+    "scores_line",
+    "scores_table",
+    "share",
+]
 
 Array = NDArray[Any]
 
@@ -27,7 +36,9 @@ def share(part: int, whole: int) -> str:
 def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table as notebooks show it; everything is escaped."""
     top = "".join(f"<th>{escape(word)}</th>" for word in head)
-    body = "".join("<tr>" + "".join(f"<td>{escape(word)}</td>" for word in row) + "</tr>" for row in rows)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(word)}</td>" for word in row) + "</tr>" for row in rows
+    )
     thead = f"<thead><tr>{top}</tr></thead>" if head else ""
     return f"<p><b>{escape(title)}</b></p><table>{thead}<tbody>{body}</tbody></table>"
 
@@ -46,24 +57,40 @@ def scores_line(shape: Sequence[int], device: str, outcome: Array) -> str:
     return f"Scores({size} row{'' if n == 1 else 's'} on {device}{': ' + parts if parts else ''})"
 
 
-def scores_table(passed: Array, evaluated: Array, margin: Array) -> list[tuple[str, str, str, str, str]]:
-    """(criterion, evaluated, passes, median margin, 5 % margin) of each criterion, margins in mm."""
+def scores_table(
+    passed: Array, evaluated: Array, margin: Array
+) -> list[tuple[str, str, str, str, str]]:
+    """(criterion, evaluated, passes, median margin, 5 % margin) of each criterion, margins in
+    mm."""
     p, e, m = (np.reshape(x, (-1, len(CRITERIA))) for x in (passed, evaluated, margin))
     rows = []
     for k, name in enumerate(CRITERIA):
         mine = e[:, k]
         finite = m[mine & np.isfinite(m[:, k]), k]
-        low, middle = (f"{1e3 * float(np.quantile(finite, q)):.1f}" if len(finite) else "none" for q in (0.05, 0.5))
-        rows.append((name, f"{int(mine.sum()):,}", share(int(p[mine, k].sum()), int(mine.sum())), middle, low))
+        low, middle = (
+            f"{1e3 * float(np.quantile(finite, q)):.1f}" if len(finite) else "none"
+            for q in (0.05, 0.5)
+        )
+        rows.append(
+            (
+                name,
+                f"{int(mine.sum()):,}",
+                share(int(p[mine, k].sum()), int(mine.sum())),
+                middle,
+                low,
+            )
+        )
     return rows
 
 
 def scalars_of(
     passed: Array, evaluated: Array, margin: Array, outcome: Array, times: Mapping[str, Array]
 ) -> dict[str, float]:
-    """Numbers for a logger: `success`, `outcome/NAME`, `passed/NAME` and `margin_m/NAME` of criteria, means of times.
+    """Numbers for a logger: `success`, `outcome/NAME`, `passed/NAME` and `margin_m/NAME` of
+    criteria, means of times.
 
-    Rates are of all rows (outcomes) or of those evaluated (criteria); what no row has is left out, so nothing is NaN.
+    Rates are of all rows (outcomes) or of those evaluated (criteria); what no row has is left out,
+    so nothing is NaN.
     """
     codes = outcome.reshape(-1).astype(int)
     n = len(codes)
@@ -96,7 +123,8 @@ def frame_of(columns: Mapping[str, Any]) -> Any:
 
 
 def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
-    """The columns of a frame of scores; `names(field)` gives a field of `Scores` as an array of B rows."""
+    """The columns of a frame of scores; `names(field)` gives a field of `Scores` as an array of B
+    rows."""
     passed, evaluated, margin = names("passed"), names("evaluated"), names("margin")
     columns: dict[str, Any] = {
         "trial_id": names("trial_id"),
@@ -106,7 +134,9 @@ def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
         "borderline": names("borderline"),
     }
     for k, name in enumerate(CRITERIA):
-        columns[f"passed_{name}"] = [bool(p) if e else None for p, e in zip(passed[:, k], evaluated[:, k])]
+        columns[f"passed_{name}"] = [
+            bool(p) if e else None for p, e in zip(passed[:, k], evaluated[:, k])
+        ]
         columns[f"margin_{name}_m"] = margin[:, k]
     times = ("t_plan_s", "t_exec_s", "width_m", "opening_m", "grasp_shift_m")
     return columns | {name: names(name) for name in times}

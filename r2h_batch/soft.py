@@ -2,10 +2,13 @@
 
 With t = temperature_m and m_i the evaluated margins,
 
-    some m_i fails   f = 1/2 prod_i 2 sigmoid(min(m_i, 0) / t)      at most 1/2, every failing criterion pulls
-    all pass         f = 1/2 + 1/2 prod_i tanh(max(m_i, 0) / 2 t)   at least 1/2, the smallest margins pull most
+    some m_i fails   f = 1/2 prod_i 2 sigmoid(min(m_i, 0) / t)      at most 1/2, every failing
+    criterion pulls
+    all pass         f = 1/2 + 1/2 prod_i tanh(max(m_i, 0) / 2 t)   at least 1/2, the smallest
+    margins pull most
 
-The two meet at 1/2 where the smallest margin is 0, so f is continuous; its kinks are those of the margins and m_i = 0.
+The two meet at 1/2 where the smallest margin is 0, so f is continuous; its kinks are those of the
+margins and m_i = 0.
 """
 
 import torch
@@ -54,28 +57,42 @@ def soft_success(
     temperature_m: float,
     log: bool = False,
 ) -> Float[Tensor, "*b"]:
-    """Smooth success of margins in metres; `success` is the verdict (criteria differ in whether touching passes).
+    """Smooth success of margins in metres; `success` is the verdict (criteria differ in whether
+    touching passes).
 
-    `log`: its logarithm, which far from success stays linear in the margins where the number itself underflows. Rows
-    that were not evaluated get the smallest positive number; they and NaN margins have gradient 0.
+    `log`: its logarithm, which far from success stays linear in the margins where the number itself
+    underflows. Rows that were not evaluated get the smallest positive number; they and NaN margins
+    have gradient 0.
     """
-    for name, value, shape in (("evaluated", evaluated, margin.shape), ("success", success, margin.shape[:-1])):
+    for name, value, shape in (
+        ("evaluated", evaluated, margin.shape),
+        ("success", success, margin.shape[:-1]),
+    ):
         if value.shape != shape:
-            raise ValueError(f"{name} has shape {tuple(value.shape)}; with this margin it must be {tuple(shape)}")
+            raise ValueError(
+                f"{name} has shape {tuple(value.shape)}; with this margin it must be {tuple(shape)}"
+            )
     judged = evaluated.any(-1)
-    m = torch.where(evaluated, margin, torch.full_like(margin, torch.inf)).clamp(min=LOWEST_M) / temperature_m
+    m = (
+        torch.where(evaluated, margin, torch.full_like(margin, torch.inf)).clamp(min=LOWEST_M)
+        / temperature_m
+    )
     failing = torch.zeros_like(m[..., 0])
     passing = torch.ones_like(failing)
     for i in range(m.shape[-1]):  # in a fixed order: the same bits at any batch size
         finite = torch.isfinite(m[..., i])
         x = torch.where(finite, m[..., i], torch.ones_like(failing))
-        failing = failing + torch.where(finite & (x <= 0), _LOG_2 + torch.nn.functional.logsigmoid(x), 0.0)
+        failing = failing + torch.where(
+            finite & (x <= 0), _LOG_2 + torch.nn.functional.logsigmoid(x), 0.0
+        )
         passing = passing * torch.where(finite & (x >= 0), torch.tanh(0.5 * x), 1.0)
     half = torch.full_like(failing, 0.5)
     least, above = torch.finfo(margin.dtype).tiny, torch.nextafter(half, torch.ones_like(half))
     change = torch.where(success, 0.5 + 0.5 * passing, 0.5 * torch.exp(failing))
     value = torch.where(
-        success, torch.clamp(change, above, torch.nextafter(torch.ones_like(half), half)), change.clamp(least, 0.5)
+        success,
+        torch.clamp(change, above, torch.nextafter(torch.ones_like(half), half)),
+        change.clamp(least, 0.5),
     )
     value = torch.where(judged, value, torch.full_like(value, least))
     if log:

@@ -1,7 +1,9 @@
-"""Whose turn it is: which trial stands where in a plan, with which object and which hand. Numbers alone, no torch.
+"""Whose turn it is: which trial stands where in a plan, with which object and which hand. Numbers
+alone, no torch.
 
-Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. A plan goes through its splits one after the other. Objects of a split
-take turns, and each round of them starts with the other hand, so that an object meets both.
+Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. A plan goes through its splits one after the
+other. Objects of a split take turns, and each round of them starts with the other hand, so that an
+object meets both.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,18 +33,25 @@ def trial_ids(plan: Mapping[str, int], first: int, last: int) -> NDArray[np.int6
     return np.concatenate(parts)
 
 
-def objects_in_turn(ids: NDArray[np.int64], splits: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Index of the object and side of the hand (0 right, 1 left) of trials; `splits`: of each object."""
+def objects_in_turn(
+    ids: NDArray[np.int64], splits: Sequence[str]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Index of the object and side of the hand (0 right, 1 left) of trials; `splits`: of each
+    object."""
     object_index, side = np.zeros_like(ids), np.zeros_like(ids)
     for k, split in enumerate(SPLITS):
         mine = (ids & 1) == k
         members = np.array([i for i, s in enumerate(splits) if s == split], np.int64)
         if mine.any() and not len(members):
-            raise ValueError(f"no object belongs to split {split}; give at least one, or leave the split out")
+            raise ValueError(
+                f"no object belongs to split {split}; give at least one, or leave the split out"
+            )
         if mine.any():
             rows = slice(None) if mine.all() else mine  # most shards are of one split
             half = ids[rows] >> 1
-            turn = half // len(members)  # and not divmod: numpy divides by one number faster than it takes remainders
+            turn = half // len(
+                members
+            )  # and not divmod: numpy divides by one number faster than it takes remainders
             place = half - turn * len(members)
             object_index[rows] = members[place]
             side[rows] = (turn + place) & 1
@@ -50,9 +59,13 @@ def objects_in_turn(ids: NDArray[np.int64], splits: Sequence[str]) -> tuple[NDAr
 
 
 def hands_in_turn(
-    ids: NDArray[np.int64], side: NDArray[np.int64], sides: NDArray[np.int64], protocol: str = PROTOCOL
+    ids: NDArray[np.int64],
+    side: NDArray[np.int64],
+    sides: NDArray[np.int64],
+    protocol: str = PROTOCOL,
 ) -> NDArray[np.int64]:
-    """(N,) hand of each trial: one of its side (N,), all equally likely; of a set with one side only (OakInk's) any.
+    """(N,) hand of each trial: one of its side (N,), all equally likely; of a set with one side
+    only (OakInk's) any.
 
     `sides` (H,): of each hand of the set, 0 right, 1 left.
     """

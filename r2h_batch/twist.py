@@ -1,7 +1,8 @@
 """Twists (v, w): six numbers that move a pose along SE(3), so that optimisers never leave it.
 
-A twist is a motion in the pose's own frame: `retract(T, xi) = T exp(xi)`, v in metres along T's axes, w in radians about
-them. All functions are differentiable, in float32 and float64, at zero too.
+A twist is a motion in the pose's own frame: `retract(T, xi) = T exp(xi)`, v in metres along T's
+axes, w in radians about them. All functions are differentiable, in float32 and float64, at zero
+too.
 """
 
 import torch
@@ -23,12 +24,17 @@ def exp(twist: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
     W, eye = _hat(w), _eye(twist)
     W2 = _matmul3(W, W)
     R = eye + a[..., None, None] * W + b[..., None, None] * W2
-    p = v + b[..., None] * torch.linalg.cross(w, v) + c[..., None] * torch.linalg.cross(w, torch.linalg.cross(w, v))
+    p = (
+        v
+        + b[..., None] * torch.linalg.cross(w, v)
+        + c[..., None] * torch.linalg.cross(w, torch.linalg.cross(w, v))
+    )
     return se3.from_rotation(R, p)
 
 
 def log(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 6"]:
-    """The twist of a rigid motion, angle below pi; within 1e-3 rad of a half turn the axis is ill-conditioned."""
+    """The twist of a rigid motion, angle below pi; within 1e-3 rad of a half turn the axis is
+    ill-conditioned."""
     w = _rotation_vector(T[..., :3, :3])
     v = T[..., :3, 3]
     square = (w * w).sum(-1)
@@ -48,11 +54,14 @@ def retract(T: Float[Tensor, "*b 4 4"], twist: Float[Tensor, "*b 6"]) -> Float[T
 
 
 def tangent(T: Float[Tensor, "*b 4 4"], gradient: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 6"]:
-    """Gradient with respect to a twist at 0 in `retract(T, twist)`, from the gradient with respect to T's entries."""
+    """Gradient with respect to a twist at 0 in `retract(T, twist)`, from the gradient with respect
+    to T's entries."""
     R, G = T[..., :3, :3], gradient[..., :3, :3]
     v = (R * gradient[..., :3, 3, None]).sum(-2)
     A = _matmul3(R.transpose(-1, -2), G)
-    w = torch.stack([A[..., 2, 1] - A[..., 1, 2], A[..., 0, 2] - A[..., 2, 0], A[..., 1, 0] - A[..., 0, 1]], -1)
+    w = torch.stack(
+        [A[..., 2, 1] - A[..., 1, 2], A[..., 0, 2] - A[..., 2, 0], A[..., 1, 0] - A[..., 0, 1]], -1
+    )
     return torch.cat([v, w], -1)
 
 
@@ -65,22 +74,48 @@ def _coefficients(square: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     s = square
     return (
         torch.where(large, torch.sin(t) / t, 1 - s / 6 + s**2 / 120 - s**3 / 5040 + s**4 / 362880),
-        torch.where(large, 2 * half * half / t2, 0.5 - s / 24 + s**2 / 720 - s**3 / 40320 + s**4 / 3628800),
         torch.where(
-            large, (t - torch.sin(t)) / (t2 * t), 1 / 6 - s / 120 + s**2 / 5040 - s**3 / 362880 + s**4 / 39916800
+            large, 2 * half * half / t2, 0.5 - s / 24 + s**2 / 720 - s**3 / 40320 + s**4 / 3628800
+        ),
+        torch.where(
+            large,
+            (t - torch.sin(t)) / (t2 * t),
+            1 / 6 - s / 120 + s**2 / 5040 - s**3 / 362880 + s**4 / 39916800,
         ),
     )
 
 
 def _rotation_vector(R: Tensor) -> Tensor:
-    """Axis times angle. Through the unit quaternion of the largest diagonal element: exact up to half a turn."""
+    """Axis times angle. Through the unit quaternion of the largest diagonal element: exact up to
+    half a turn."""
     d = [R[..., i, i] for i in range(3)]
-    # 4 q q^T in terms of R; its row with the largest diagonal element is a quaternion (w, x, y, z) up to scale
+    # 4 q q^T in terms of R; its row with the largest diagonal element is a quaternion (w, x, y, z)
+    # up to scale
     rows = [
-        [1 + d[0] + d[1] + d[2], R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
-        [R[..., 2, 1] - R[..., 1, 2], 1 + d[0] - d[1] - d[2], R[..., 0, 1] + R[..., 1, 0], R[..., 0, 2] + R[..., 2, 0]],
-        [R[..., 0, 2] - R[..., 2, 0], R[..., 0, 1] + R[..., 1, 0], 1 - d[0] + d[1] - d[2], R[..., 1, 2] + R[..., 2, 1]],
-        [R[..., 1, 0] - R[..., 0, 1], R[..., 0, 2] + R[..., 2, 0], R[..., 1, 2] + R[..., 2, 1], 1 - d[0] - d[1] + d[2]],
+        [
+            1 + d[0] + d[1] + d[2],
+            R[..., 2, 1] - R[..., 1, 2],
+            R[..., 0, 2] - R[..., 2, 0],
+            R[..., 1, 0] - R[..., 0, 1],
+        ],
+        [
+            R[..., 2, 1] - R[..., 1, 2],
+            1 + d[0] - d[1] - d[2],
+            R[..., 0, 1] + R[..., 1, 0],
+            R[..., 0, 2] + R[..., 2, 0],
+        ],
+        [
+            R[..., 0, 2] - R[..., 2, 0],
+            R[..., 0, 1] + R[..., 1, 0],
+            1 - d[0] + d[1] - d[2],
+            R[..., 1, 2] + R[..., 2, 1],
+        ],
+        [
+            R[..., 1, 0] - R[..., 0, 1],
+            R[..., 0, 2] + R[..., 2, 0],
+            R[..., 1, 2] + R[..., 2, 1],
+            1 - d[0] - d[1] + d[2],
+        ],
     ]
     Q = torch.stack([torch.stack(r, -1) for r in rows], -2)
     best = torch.stack([rows[i][i] for i in range(4)], -1).argmax(-1)
@@ -90,7 +125,9 @@ def _rotation_vector(R: Tensor) -> Tensor:
     square = (x * x).sum(-1)
     tiny = square <= 1e-8 * w * w
     s = torch.where(tiny, torch.ones_like(square), square).sqrt()
-    ratio = torch.where(tiny, 2 / torch.where(tiny, w, torch.ones_like(w)), 2 * torch.atan2(s, w) / s)
+    ratio = torch.where(
+        tiny, 2 / torch.where(tiny, w, torch.ones_like(w)), 2 * torch.atan2(s, w) / s
+    )
     third = square / torch.where(tiny, w, torch.ones_like(w)) ** 2 / 3
     return x * torch.where(tiny, ratio * (1 - third), ratio)[..., None]
 

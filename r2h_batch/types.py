@@ -32,11 +32,16 @@ __all__ = [
 
 
 def in_one_copy(tensors: Sequence[Tensor]) -> list[Tensor]:
-    """The tensors on the CPU: packed as bytes where they are, copied once, and views of that copy here; no gradients."""
-    by_size = sorted(range(len(tensors)), key=lambda i: -tensors[i].element_size())  # views need aligned offsets
+    """The tensors on the CPU: packed as bytes where they are, copied once, and views of that copy
+    here; no gradients."""
+    by_size = sorted(
+        range(len(tensors)), key=lambda i: -tensors[i].element_size()
+    )  # views need aligned offsets
     flat = [tensors[i].detach().contiguous().view(-1).view(torch.uint8) for i in by_size]
     parts = torch.cat(flat).cpu().split([len(f) for f in flat])
-    copied = [p.view(tensors[i].dtype).view(tensors[i].shape) for i, p in zip(by_size, parts, strict=True)]
+    copied = [
+        p.view(tensors[i].dtype).view(tensors[i].shape) for i, p in zip(by_size, parts, strict=True)
+    ]
     return [copied[by_size.index(i)] for i in range(len(tensors))]
 
 
@@ -47,8 +52,11 @@ class _Rows:
     def __len__(self) -> int:
         return len(getattr(self, fields(self)[0].name))
 
-    def __getitem__(self, rows: SupportsIndex | slice | Sequence[int] | NDArray[Any] | Tensor) -> Self:
-        """The selected rows, always as rows: number 3 is one row, as 3:4; else a slice, indices or a mask.
+    def __getitem__(
+        self, rows: SupportsIndex | slice | Sequence[int] | NDArray[Any] | Tensor
+    ) -> Self:
+        """The selected rows, always as rows: number 3 is one row, as 3:4; else a slice, indices or
+        a mask.
 
         TypeError for anything else, IndexError for rows that there are not.
         """
@@ -56,7 +64,8 @@ class _Rows:
         return self._changed(lambda value: value[found])
 
     def to(self, device: str | torch.device) -> Self:
-        """The same rows on another device; from a GPU to the CPU in one copy, for which the host waits once."""
+        """The same rows on another device; from a GPU to the CPU in one copy, for which the host
+        waits once."""
         try:
             if not isinstance(device, (str, torch.device)):  # builds for CUDA take any whole number
                 raise TypeError
@@ -69,7 +78,9 @@ class _Rows:
             every.append(value)
             return value
 
-        self._changed(seen)  # in the order in which they are put back; what stands beside the rows goes along
+        self._changed(
+            seen
+        )  # in the order in which they are put back; what stands beside the rows goes along
         here = {value.device.type for value in every}
         if device.type == "cpu" and here - {"cpu"}:
             copied = iter(in_one_copy(every))
@@ -77,10 +88,12 @@ class _Rows:
         return self._changed(lambda value: value.to(device))
 
     def clone(self) -> Self:
-        """The same rows in memory of their own, without history: whoever gets them may write there."""
+        """The same rows in memory of their own, without history: whoever gets them may write
+        there."""
         return self._changed(lambda value: value.detach().clone())
 
-    _beside = None  # what is known beside the tensors: not a field, and not asked for by anything that judges
+    # what is known beside the tensors: not a field, and not asked for by anything that judges
+    _beside = None
 
     def _changed(self, change: Callable[[Tensor], Tensor]) -> Self:
         """The same with each tensor changed; what is known beside them goes along, its rows too."""
@@ -103,11 +116,13 @@ class _Rows:
 
 @dataclass(frozen=True)
 class Trials(_Rows):
-    """N trials: which object is handed to which hand, and where that hand stands (world frame, metres).
+    """N trials: which object is handed to which hand, and where that hand stands (world frame,
+    metres).
 
-    `receiver`, where the protocol gives hands a body: rows (x, y, z, w) of the shoulder with the upper arm's radius w, the
-    elbow with the forearm's, the wrist, the torso box's middle, its half sizes along its facing, sideways and up; w of the
-    last two are x and y of the unit vector it faces. No verdict depends on it but with `EvalConfig.receiver = "body"`.
+    `receiver`, where the protocol gives hands a body: rows (x, y, z, w) of the shoulder with the
+    upper arm's radius w, the elbow with the forearm's, the wrist, the torso box's middle, its half
+    sizes along its facing, sideways and up; w of the last two are x and y of the unit vector it
+    faces. No verdict depends on it but with `EvalConfig.receiver = "body"`.
     """
 
     trial_id: Int64[Tensor, " n"]
@@ -117,16 +132,22 @@ class Trials(_Rows):
     receiver: Float32[Tensor, "n 5 4"] | None = None
 
     def named(self, objects: Sequence[Any]) -> Self:
-        """The same trials, which know what their objects are called: `objects` as indexed by `object_index`."""
+        """The same trials, which know what their objects are called: `objects` as indexed by
+        `object_index`."""
         if isinstance(objects, (str, bytes)) or not isinstance(objects, Sequence):
-            raise TypeError(f"objects is {given(objects)}; it must be a sequence of objects or names")
+            raise TypeError(
+                f"objects is {given(objects)}; it must be a sequence of objects or names"
+            )
         return replace(self)._knowing(tuple(str(getattr(o, "name", o)) for o in objects))
 
     @property
     def object_names(self) -> list[str]:
-        """(N,) names of the objects; ValueError for trials that were not told (`make_trials` tells them)."""
+        """(N,) names of the objects; ValueError for trials that were not told (`make_trials` tells
+        them)."""
         if self._beside is None:
-            raise ValueError("these trials do not know their objects' names; say trials.named(scene.objects)")
+            raise ValueError(
+                "these trials do not know their objects' names; say trials.named(scene.objects)"
+            )
         return [self._beside[i] for i in self.object_index.tolist()]
 
     @property
@@ -137,16 +158,23 @@ class Trials(_Rows):
     def __repr__(self) -> str:
         counts = ", ".join(f"{n:,} of {s}" for s in SPLITS if (n := self.splits.count(s)))
         kinds = [
-            shown.counted(len(x.unique()), w) for x, w in ((self.object_index, "object"), (self.hand_index, "hand"))
+            shown.counted(len(x.unique()), w)
+            for x, w in ((self.object_index, "object"), (self.hand_index, "hand"))
         ]
         return f"Trials({len(self):,} on {self.trial_id.device}: {counts or 'none'}; {', '.join(kinds)})"
 
     def _repr_html_(self) -> str:
-        names = self.object_names if self._beside is not None else [f"object {i}" for i in self.object_index.tolist()]
+        names = (
+            self.object_names
+            if self._beside is not None
+            else [f"object {i}" for i in self.object_index.tolist()]
+        )
         ids, hands = self.trial_id.tolist(), self.hand_index.tolist()
         rows = [(str(t), s, o, str(h)) for t, s, o, h in zip(ids, self.splits, names, hands)]
         more = [("...", "", "", "")] if len(rows) > SHOWN_ROWS else []
-        return shown.html_table(repr(self), ("trial", "split", "object", "hand"), rows[:SHOWN_ROWS] + more)
+        return shown.html_table(
+            repr(self), ("trial", "split", "object", "hand"), rows[:SHOWN_ROWS] + more
+        )
 
 
 SHOWN_ROWS = 10
@@ -155,7 +183,8 @@ SHOWN_ROWS = 10
 
 @dataclass(frozen=True)
 class Asked(_Rows):
-    """What scores were asked about: B trials with their poses, and who judged. `r2h_batch.show` draws from it."""
+    """What scores were asked about: B trials with their poses, and who judged. `r2h_batch.show`
+    draws from it."""
 
     T_obj_ee: Float32[Tensor, "b 4 4"]
     T_world_ee: Float32[Tensor, "b 4 4"]
@@ -173,7 +202,8 @@ class Asked(_Rows):
 
 @dataclass(frozen=True)
 class Predictions(_Rows):
-    """A method's answer for N trials: grasp pose in the object frame and handover pose in the world (metres)."""
+    """A method's answer for N trials: grasp pose in the object frame and handover pose in the world
+    (metres)."""
 
     trial_id: Int64[Tensor, " n"]
     T_obj_ee: Float32[Tensor, "n 4 4"]
@@ -184,19 +214,23 @@ class Predictions(_Rows):
 
 @dataclass(frozen=True)
 class Scores(_Rows):
-    """Verdicts of B trials. (B, 5) columns follow `CRITERIA`; what was not evaluated is a mask, its margin NaN.
+    """Verdicts of B trials. (B, 5) columns follow `CRITERIA`; what was not evaluated is a mask, its
+    margin NaN.
 
     `margin` is in metres, positive when the criterion passes. `witness_part` names the robot part
-    (`Scene.part_names`) of Plan's and Safe's smallest clearance, `witness_time_s` and `witness_point` (world frame)
-    when and where Safe's occurs. `borderline` marks trials with a margin within 0.1 mm of the verdict changing.
-    `presented`: the receiver's region faces the palm and lies where the hand reaches (no part of the outcome), by its angle
-    seen from the TCP and its distance from c_h; False and NaN where the object has no region.
-    `body_m`: how near the robot comes to the receiver's arm and torso (m, negative: they meet; NaN where the protocol gives no
-    body, or there is no motion), exact below 5 cm; no verdict depends on it unless `EvalConfig.receiver` is "body".
-    `slip_m`: how far the object slipped in the shake (NaN unless `stability = "physics"` shook it). `motion`: the executed
-    joint angles, one row every `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the trials
-    whose simulation failed, up to the failure, and of all that moved where `score(keep_motion=True)` asked for it.
-    `failed_state`: qpos and qvel of the simulator when it failed (width 0 where none did, NaN in the other rows).
+    (`Scene.part_names`) of Plan's and Safe's smallest clearance, `witness_time_s` and
+    `witness_point` (world frame) when and where Safe's occurs. `borderline` marks trials with a
+    margin within 0.1 mm of the verdict changing. `presented`: the receiver's region faces the palm
+    and lies where the hand reaches (no part of the outcome), by its angle seen from the TCP and its
+    distance from c_h; False and NaN where the object has no region. `body_m`: how near the robot
+    comes to the receiver's arm and torso (m, negative: they meet; NaN where the protocol gives no
+    body, or there is no motion), exact below 5 cm; no verdict depends on it unless
+    `EvalConfig.receiver` is "body". `slip_m`: how far the object slipped in the shake (NaN unless
+    `stability = "physics"` shook it). `motion`: the executed joint angles, one row every
+    `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the trials whose
+    simulation failed, up to the failure, and of all that moved where `score(keep_motion=True)`
+    asked for it. `failed_state`: qpos and qvel of the simulator when it failed (width 0 where none
+    did, NaN in the other rows).
     """
 
     trial_id: Int64[Tensor, " b"]
@@ -230,22 +264,33 @@ class Scores(_Rows):
     body_m: Float32[Tensor, " b"]
 
     def by_trial(self, k: int) -> Self:
-        """The same rows as views (N, k, ...): k candidates for each of N trials, as they were scored."""
+        """The same rows as views (N, k, ...): k candidates for each of N trials, as they were
+        scored."""
         k = k if torch.compiler.is_compiling() else whole(1)("k", k)
         if len(self) % k:
-            raise ValueError(f"k is {k}; {len(self)} rows can only be split by a divisor of their number")
-        return replace(self, **{name: x.unflatten(0, (len(self) // k, k)) for name, x in self._tensors().items()})
+            raise ValueError(
+                f"k is {k}; {len(self)} rows can only be split by a divisor of their number"
+            )
+        return replace(
+            self,
+            **{name: x.unflatten(0, (len(self) // k, k)) for name, x in self._tensors().items()},
+        )
 
     def soft(self, *, temperature_m: float, log: bool = False) -> Float32[Tensor, " b"]:
-        """Smooth success in (0, 1), above 0.5 exactly where `success`; its logarithm with `log` (r2h_batch.soft).
+        """Smooth success in (0, 1), above 0.5 exactly where `success`; its logarithm with `log`
+        (r2h_batch.soft).
 
-        Differentiable where `margin` is: scored with stages="pose" from poses that require a gradient.
+        Differentiable where `margin` is: scored with stages="pose" from poses that require a
+        gradient.
         """
-        return soft_success(self.margin, self.evaluated, self.success, temperature_m=temperature_m, log=log)
+        return soft_success(
+            self.margin, self.evaluated, self.success, temperature_m=temperature_m, log=log
+        )
 
     @property
     def asked(self) -> Asked | None:
-        """What these rows were asked about; None where nobody kept it (captured and compiled calls, rows of two calls)."""
+        """What these rows were asked about; None where nobody kept it (captured and compiled calls,
+        rows of two calls)."""
         return self._beside
 
     def knowing(self, asked: Asked) -> Self:
@@ -260,7 +305,9 @@ class Scores(_Rows):
         return {k: v for k, v in self.__dict__.items() if k != "_beside"}
 
     def __repr__(self) -> str:
-        return shown.scores_line(self.outcome.shape, str(self.outcome.device), self._array("outcome"))
+        return shown.scores_line(
+            self.outcome.shape, str(self.outcome.device), self._array("outcome")
+        )
 
     def _repr_html_(self) -> str:
         head = ("criterion", "evaluated", "pass", "median margin, mm", "5 % margin, mm")
@@ -269,17 +316,24 @@ class Scores(_Rows):
     def summary(self) -> str:
         """A few lines: outcomes, and each criterion with its pass rate and margins."""
         lines = [repr(self), f"{'':12}{'evaluated':>10}{'pass':>9}{'median mm':>11}{'5 % mm':>9}"]
-        lines += [f"{name:12}{n:>10}{rate:>9}{middle:>11}{low:>9}" for name, n, rate, middle, low in self._table()]
+        lines += [
+            f"{name:12}{n:>10}{rate:>9}{middle:>11}{low:>9}"
+            for name, n, rate, middle, low in self._table()
+        ]
         return "\n".join(lines)
 
     def scalars(self) -> dict[str, float]:
-        """Plain numbers for any logger: rates of outcomes and criteria, mean margins (m) and times (s); none is NaN."""
-        passed, evaluated, margin, outcome = (self._array(k) for k in ("passed", "evaluated", "margin", "outcome"))
+        """Plain numbers for any logger: rates of outcomes and criteria, mean margins (m) and times
+        (s); none is NaN."""
+        passed, evaluated, margin, outcome = (
+            self._array(k) for k in ("passed", "evaluated", "margin", "outcome")
+        )
         times = {name: self._array(name) for name in ("t_plan_s", "t_exec_s")}
         return shown.scalars_of(passed, evaluated, margin, outcome, times)
 
     def to_pandas(self) -> Any:
-        """A pandas DataFrame, a row for each of B (or N x K) rows, the columns of a run folder's trials (extra `pandas`)."""
+        """A pandas DataFrame, a row for each of B (or N x K) rows, the columns of a run folder's
+        trials (extra `pandas`)."""
         flat = (
             self
             if self.outcome.ndim == 1
@@ -288,7 +342,9 @@ class Scores(_Rows):
         return shown.frame_of(shown.score_columns(flat._array))
 
     def _table(self) -> list[tuple[str, str, str, str, str]]:
-        return shown.scores_table(self._array("passed"), self._array("evaluated"), self._array("margin"))
+        return shown.scores_table(
+            self._array("passed"), self._array("evaluated"), self._array("margin")
+        )
 
     def _array(self, name: str) -> NDArray[Any]:
         return np.asarray(getattr(self, name).detach().cpu())
@@ -303,8 +359,12 @@ class Scores(_Rows):
             replace(
                 p,
                 motion=pad(p.motion, (0, 0, 0, longest - p.motion.shape[1])),
-                failed_state=pad(p.failed_state, (0, states - p.failed_state.shape[1]), value=torch.nan),
+                failed_state=pad(
+                    p.failed_state, (0, states - p.failed_state.shape[1]), value=torch.nan
+                ),
             )
             for p in parts
         ]
-        return Scores(**{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Scores)})
+        return Scores(
+            **{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Scores)}
+        )

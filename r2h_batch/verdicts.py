@@ -32,11 +32,12 @@ class Outcome(IntEnum):
 
 
 class PlanReason(IntEnum):
-    """Why Plan passed or failed; `IK_*` are proven, `NO_PATH_IN_BUDGET` is not; `NOT_SETTLED`: the motion did not come to rest.
+    """Why Plan passed or failed; `IK_*` are proven, `NO_PATH_IN_BUDGET` is not; `NOT_SETTLED`: the
+    motion did not come to rest.
 
-    With `PlanConfig.goals = "one"` only one branch is looked at: `IK_IN_COLLISION` then says nothing about the others. Where
-    the wrist is singular (sin q5 = 0) solutions are a line, of which points are tried: if all collide, that is no proof and
-    the reason is `NO_PATH_IN_BUDGET`.
+    With `PlanConfig.goals = "one"` only one branch is looked at: `IK_IN_COLLISION` then says
+    nothing about the others. Where the wrist is singular (sin q5 = 0) solutions are a line, of
+    which points are tried: if all collide, that is no proof and the reason is `NO_PATH_IN_BUDGET`.
     """
 
     OK = 0
@@ -49,7 +50,8 @@ class PlanReason(IntEnum):
 
 
 class CollidingPair(IntEnum):
-    """Which two bodies met, or are nearest along a path (`Scores.plan_pair`); HAND, TABLE, SELF: with the robot itself."""
+    """Which two bodies met, or are nearest along a path (`Scores.plan_pair`); HAND, TABLE, SELF:
+    with the robot itself."""
 
     NONE = 0
     HAND = 1

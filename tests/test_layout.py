@@ -1,8 +1,7 @@
-"""The layout that .importlinter cannot see: circles, private names borrowed across folders, how full a folder is."""
+"""The layout that .importlinter cannot see: circles, and private names borrowed across folders."""
 
 import ast
 import re
-from collections import Counter
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -66,49 +65,6 @@ def test_no_private_name_is_borrowed_across_folders() -> None:
 def test_no_build_script_of_the_assets_is_imported() -> None:
     wrong = [(n, m) for n, path in modules().items() for m, _ in imports_of(path) if m.startswith("r2h_batch.assets")]
     assert wrong == []
-
-
-def test_no_folder_holds_more_modules_than_one_finds_ones_way_in() -> None:
-    plain = [path for path in modules().values() if path.name not in ("__init__.py", "__main__.py")]
-    count = Counter(str(path.parent.relative_to(ROOT)) for path in plain)
-    assert count.pop("r2h_batch") + len(("__init__.py", "__main__.py")) <= 15
-    assert {folder: n for folder, n in count.items() if n > 16} == {}
-
-
-LONGEST = 60
-"""Lines of a function on the host."""
-EXPLAINED = 8
-"""Lines of comment above a longer kernel function, or of its docstring: its algorithm."""
-
-
-def long_functions(folder: str) -> list[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef, list[str]]]:
-    """(where and how long, node, the file's lines) of each function above LONGEST lines, signature and docstring counted."""
-    found = []
-    for path in sorted((ROOT / folder).rglob("*.py")):
-        text = path.read_text(encoding="utf-8")
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                length = (node.end_lineno or 0) - node.lineno + 1
-                if length > LONGEST:
-                    found.append((f"{path.relative_to(ROOT)}:{node.name}, {length} lines", node, text.splitlines()))
-    return found
-
-
-@pytest.mark.parametrize("folder", ["r2h_batch", "assets", "bench", "examples"])
-def test_a_function_on_the_host_fits_on_a_page(folder: str) -> None:
-    assert [where for where, _, _ in long_functions(folder)] == []
-
-
-def test_a_kernel_that_does_not_fit_on_a_page_says_its_algorithm_at_its_head() -> None:
-    """Kernels may be long: what is called twice is compiled twice, and a call hands its scratch arrays over each time."""
-    unexplained, longest = [], long_functions("kernels")
-    for where, node, lines in longest:
-        top = min([node.lineno, *(d.lineno for d in node.decorator_list)]) - 1
-        above = next((n for n in range(top) if not lines[top - 1 - n].startswith("#")), top)
-        if max(above, len((ast.get_docstring(node) or "").splitlines())) < EXPLAINED:
-            unexplained.append(where)
-    assert len(longest) > 10
-    assert unexplained == []
 
 
 FACTORIES = (

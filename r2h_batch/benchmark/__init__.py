@@ -1,4 +1,5 @@
-"""A benchmark as one file: objects, hands, grasps, thresholds, table and home. `r2h-batch benchmark --help`."""
+"""A benchmark as one file: objects, hands, grasps, thresholds, table and home. `r2h-batch benchmark
+--help`."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,5 @@
-"""What makes a benchmark, in memory: two with one digest ask the same of a method and judge it alike."""
+"""What makes a benchmark, in memory: two with one digest ask the same of a method and judge it
+alike."""
 
 from __future__ import annotations
 
@@ -26,10 +27,20 @@ WITH_BODIES = PROTOCOLS[1]
 """The protocol whose trials have receivers with a body."""
 
 DECIDES = (
-    *("name", "split", "instruction", "vertices", "faces", "face_part", "part_names", "receiver_face"),
+    *(
+        "name",
+        "split",
+        "instruction",
+        "vertices",
+        "faces",
+        "face_part",
+        "part_names",
+        "receiver_face",
+    ),
     *("mass", "com", "inertia"),
 )
-"""Of an object: what the rest of it is made of. The convex pieces are not here: a sweep makes them only where it needs them."""
+"""Of an object: what the rest of it is made of. The convex pieces are not here: a sweep makes them
+only where it needs them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,19 +68,26 @@ class Benchmark:
         if not self.objects:
             raise ValueError("a benchmark needs at least one object")
         if self.drawn not in PROTOCOLS:
-            raise ValueError(f"Benchmark.drawn is {self.drawn!r}; allowed are {', '.join(PROTOCOLS)}")
+            raise ValueError(
+                f"Benchmark.drawn is {self.drawn!r}; allowed are {', '.join(PROTOCOLS)}"
+            )
         if self.receiver not in ("hand", "body"):
             raise ValueError(f"Benchmark.receiver is {self.receiver!r}; allowed are hand, body")
         if self.receiver == "body" and self.protocol != WITH_BODIES:
-            raise ValueError(f"receiver is body, trials of {self.protocol} have none; take protocol {WITH_BODIES}")
+            raise ValueError(
+                f"receiver is body, trials of {self.protocol} have none; take protocol {WITH_BODIES}"
+            )
 
     @cached_property
     def digest(self) -> str:
-        """sha256 (hex) over everything that decides what is asked and how it is judged, whatever file said it."""
+        """sha256 (hex) over everything that decides what is asked and how it is judged, whatever
+        file said it."""
         digest = self._without_objects()
         for o in self.objects:
             if is_unbuilt(o):
-                raise ValueError(f"{o.name}: was not built, so this benchmark has no digest; read it whole")
+                raise ValueError(
+                    f"{o.name}: was not built, so this benchmark has no digest; read it whole"
+                )
             for name in DECIDES:
                 value = np.ascontiguousarray(getattr(o, name))
                 digest.update(f"{name}:{value.dtype.str}:{value.shape}:".encode() + value.tobytes())
@@ -84,7 +102,8 @@ class Benchmark:
 
     @cached_property
     def apart_from_objects(self) -> str:
-        """sha256 (hex) as `digest`, over everything but the objects; of listed trials their objects' places are in it."""
+        """sha256 (hex) as `digest`, over everything but the objects; of listed trials their
+        objects' places are in it."""
         digest = self._without_objects()
         self._add_listed(digest)
         return digest.hexdigest()
@@ -108,17 +127,23 @@ class Benchmark:
                 digest.update(getattr(self.listed, name).contiguous().numpy().tobytes())
 
     def config(self, base: EvalConfig | None = None) -> EvalConfig:
-        """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home, and what it sees of the receiver.
+        """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home, and what it
+        sees of the receiver.
 
-        Raises ValueError where `base` has other limits or another place of its own: nobody could tell which were meant.
+        Raises ValueError where `base` has other limits or another place of its own: nobody could
+        tell which were meant.
         """
         optional(kind(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", base)
         base = base or EvalConfig()
         for name, own in (("thresholds", self.thresholds), ("workplace", self.workplace)):
             given = getattr(base, name)
             if given not in (type(own)(), own):
-                raise ValueError(f"config.{name} is {given}, the benchmark has {own}; say it in one place")
-        seen: Literal["hand", "body"] = "body" if "body" in (base.receiver, self.receiver) else "hand"
+                raise ValueError(
+                    f"config.{name} is {given}, the benchmark has {own}; say it in one place"
+                )
+        seen: Literal["hand", "body"] = (
+            "body" if "body" in (base.receiver, self.receiver) else "hand"
+        )
         return replace(base, thresholds=self.thresholds, workplace=self.workplace, receiver=seen)
 
 

@@ -1,4 +1,5 @@
-"""The command `benchmark`: what a benchmark file may say, the built-in one as such a file, and a check of one's own."""
+"""The command `benchmark`: what a benchmark file may say, the built-in one as such a file, and a
+check of one's own."""
 
 import sys
 from collections.abc import Sequence
@@ -43,7 +44,9 @@ def check(file: Path, /) -> int:
         if file.is_dir():
             inside = file / "benchmark.yaml"
             how = (
-                f"give {inside}" if inside.is_file() else "give a benchmark.yaml; meshes alone: sweep --objects FOLDER"
+                f"give {inside}"
+                if inside.is_file()
+                else "give a benchmark.yaml; meshes alone: sweep --objects FOLDER"
             )
             return refuse("benchmark", f"{file}: is a folder; {how}")
         with warnings.catch_warnings(record=True) as told:
@@ -59,10 +62,16 @@ def check(file: Path, /) -> int:
     except OSError as error:
         return failed("benchmark", error, file)
     sides = found.hand_set.side.tolist()
-    print(f"{file}: protocol {found.protocol}, digest {own}{' (the built-in benchmark)' if same else ''}")
+    print(
+        f"{file}: protocol {found.protocol}, digest {own}{' (the built-in benchmark)' if same else ''}"
+    )
     for split in ("S0", "S1"):
-        print(f"{split}: {', '.join(o.name for o in found.objects if o.split == split) or 'no object'}")
-    print(f"hands: {sides.count(0)} right, {sides.count(1)} left, {len(found.hand_set.model.vertices)} vertices")
+        print(
+            f"{split}: {', '.join(o.name for o in found.objects if o.split == split) or 'no object'}"
+        )
+    print(
+        f"hands: {sides.count(0)} right, {sides.count(1)} left, {len(found.hand_set.model.vertices)} vertices"
+    )
     grasps = [f"{o.name} {len(o.grasps)}" for o in found.objects if o.grasps is not None]
     print(f"grasps of its own: {', '.join(grasps) or 'none'}")
     return 0

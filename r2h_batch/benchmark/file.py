@@ -1,4 +1,5 @@
-"""What a benchmark file may say: every field with its type and bounds. `r2h-batch benchmark show` prints it as a schema."""
+"""What a benchmark file may say: every field with its type and bounds. `r2h-batch benchmark show`
+prints it as a schema."""
 
 from __future__ import annotations
 
@@ -17,7 +18,14 @@ from r2h_batch.files import FileError, printable
 from r2h_batch.files.plain_yaml import read_plain_yaml
 from r2h_batch.files.rules import rule_of
 
-__all__ = ["BUILT_IN", "BenchmarkFile", "ObjectEntry", "WordsEntry", "read_entry", "read_file_model"]
+__all__ = [
+    "BUILT_IN",
+    "BenchmarkFile",
+    "ObjectEntry",
+    "WordsEntry",
+    "read_entry",
+    "read_file_model",
+]
 
 BUILT_IN = "built-in"
 DEEPEST = 6
@@ -29,7 +37,8 @@ Words = Annotated[list[Word], Field(min_length=1, max_length=64)]
 Sentence = Annotated[str, Field(min_length=1, max_length=300)]
 FilePath = Annotated[str, Field(min_length=1, max_length=400)]
 _BOUNDS = {"reach_radius_m": (1e-3, 2.0), "reach_offset_m": (1e-3, 1.0)}
-"""Of thresholds, m: beyond these a unit is meant that is none here. What no gripper has, `Thresholds` itself refuses."""
+"""Of thresholds, m: beyond these a unit is meant that is none here. What no gripper has,
+`Thresholds` itself refuses."""
 
 
 def _verb(name: str) -> str:
@@ -54,22 +63,33 @@ class WordsEntry(_Entry):
     parts: dict[Word, Words] = Field(
         description="a part as people call it -> the object's part labels that belong to it"
     )
-    verbs: dict[Verb, Word] = Field(default={}, description="purpose -> the part (as people call it) to take for it")
+    verbs: dict[Verb, Word] = Field(
+        default={}, description="purpose -> the part (as people call it) to take for it"
+    )
     part_words: dict[Word, Words] = Field(default={}, description="part -> other words for it")
 
 
 class ObjectEntry(_Entry):
     """One object: a built-in one by name, or a mesh file with what is to be known of it."""
 
-    built_in: Literal[OBJECT_NAMES] | None = Field(default=None, description="name of a built-in object")  # type: ignore[valid-type]
-    file: FilePath | None = Field(default=None, description="a mesh beside this file: OBJ, STL, PLY, OFF, GLB")
+    built_in: Literal[OBJECT_NAMES] | None = Field(  # type: ignore[valid-type]
+        default=None, description="name of a built-in object"
+    )
+    file: FilePath | None = Field(
+        default=None, description="a mesh beside this file: OBJ, STL, PLY, OFF, GLB"
+    )
     name: Name | None = Field(default=None, description="its name; the file's unless given")
-    split: Literal["S0", "S1"] | None = Field(default=None, description="S0 free handover, S1 functional")
+    split: Literal["S0", "S1"] | None = Field(
+        default=None, description="S0 free handover, S1 functional"
+    )
     instruction: Sentence | None = Field(default=None, description="what the robot is told")
     mass: Annotated[float, Field(ge=1e-4, le=100)] | None = Field(default=None, description="kg")
-    scale: Annotated[float, Field(gt=0, le=1000)] | None = Field(default=None, description="0.001 for millimetres")
+    scale: Annotated[float, Field(gt=0, le=1000)] | None = Field(
+        default=None, description="0.001 for millimetres"
+    )
     receiver: FilePath | None = Field(
-        default=None, description="the receiver's region (S1): a part's name, z<0.3, or a .npy beside this file"
+        default=None,
+        description="the receiver's region (S1): a part's name, z<0.3, or a .npy beside this file",
     )
     parts: FilePath | None = Field(
         default=None,
@@ -77,19 +97,24 @@ class ObjectEntry(_Entry):
     )
     part_names: Annotated[list[Name], Field(min_length=1, max_length=64)] | None = None
     roles: dict[Name, Literal["function", "grasp", "wrap"]] | None = Field(
-        default=None, description="part -> what it is for; else grasp in the receiver's region, function elsewhere"
+        default=None,
+        description="part -> what it is for; else grasp in the receiver's region, function elsewhere",
     )
     words: WordsEntry | None = None
-    grasps: FilePath | None = Field(default=None, description="candidates, .npz or .safetensors beside this file")
+    grasps: FilePath | None = Field(
+        default=None, description="candidates, .npz or .safetensors beside this file"
+    )
 
 
 class TableEntry(_Entry):
     """The table as a box along the world's axes, metres."""
 
-    center: Annotated[list[Annotated[float, Field(ge=-10, le=10)]], Field(min_length=3, max_length=3)] = list(
-        TABLE_CENTER
-    )
-    half: Annotated[list[Annotated[float, Field(ge=1e-3, le=10)]], Field(min_length=3, max_length=3)] = list(TABLE_HALF)
+    center: Annotated[
+        list[Annotated[float, Field(ge=-10, le=10)]], Field(min_length=3, max_length=3)
+    ] = list(TABLE_CENTER)
+    half: Annotated[
+        list[Annotated[float, Field(ge=1e-3, le=10)]], Field(min_length=3, max_length=3)
+    ] = list(TABLE_HALF)
 
 
 def _metres(name: str) -> Any:
@@ -106,40 +131,54 @@ ThresholdsEntry: Any = create_model(
 
 
 class BenchmarkFile(_Entry):
-    """A benchmark; what is left out is as in the built-in one. Files are named relative to this one, beside or below it."""
+    """A benchmark; what is left out is as in the built-in one. Files are named relative to this
+    one, beside or below it."""
 
     format: Literal[1] = 1
-    protocol: Literal["r2h-v0", "r2h-v1"] = Field(default="r2h-v0", description="the rule that draws the trials")
-    receiver: Literal["hand", "body"] = Field(
-        default="hand", description="what planning and Safe see of the person: the hand, or arm and torso too (r2h-v1)"
+    protocol: Literal["r2h-v0", "r2h-v1"] = Field(
+        default="r2h-v0", description="the rule that draws the trials"
     )
-    hand_model: FilePath = Field(default=BUILT_IN, description="built-in, or a hand.npz (r2h-batch import hand)")
-    hand_set: FilePath = Field(default=BUILT_IN, description="built-in, or a hands.npz (r2h-batch import hands)")
+    receiver: Literal["hand", "body"] = Field(
+        default="hand",
+        description="what planning and Safe see of the person: the hand, or arm and torso too (r2h-v1)",
+    )
+    hand_model: FilePath = Field(
+        default=BUILT_IN, description="built-in, or a hand.npz (r2h-batch import hand)"
+    )
+    hand_set: FilePath = Field(
+        default=BUILT_IN, description="built-in, or a hands.npz (r2h-batch import hands)"
+    )
     objects: Annotated[list[ObjectEntry], Field(min_length=1, max_length=MAX_OBJECTS)] = Field(
-        default=[ObjectEntry(built_in=name) for name in OBJECT_NAMES], description="in this order: object_index"
+        default=[ObjectEntry(built_in=name) for name in OBJECT_NAMES],
+        description="in this order: object_index",
     )
     trials: FilePath | None = Field(
-        default=None, description="trials of your own, .npz or .parquet; else the protocol draws them"
+        default=None,
+        description="trials of your own, .npz or .parquet; else the protocol draws them",
     )
     thresholds: ThresholdsEntry = Field(default=ThresholdsEntry())
     table: TableEntry = Field(default=TableEntry())
-    home: Annotated[list[Annotated[float, Field(ge=-6.2832, le=6.2832)]], Field(min_length=6, max_length=6)] = Field(
-        default=list(HOME_Q), description="the arm's posture at the start, rad"
-    )
+    home: Annotated[
+        list[Annotated[float, Field(ge=-6.2832, le=6.2832)]], Field(min_length=6, max_length=6)
+    ] = Field(default=list(HOME_Q), description="the arm's posture at the start, rad")
 
 
 def read_file_model(path: Path) -> BenchmarkFile:
-    """The fields of a benchmark file, each within its bounds. Raises `FileError`, one line that names the field."""
+    """The fields of a benchmark file, each within its bounds. Raises `FileError`, one line that
+    names the field."""
     data, shown = read_plain_yaml(path, deepest=DEEPEST), printable(path)
     return _checked(BenchmarkFile, data, shown, "")
 
 
 def read_entry(path: Path, mesh: str) -> ObjectEntry:
-    """What a file beside a mesh says of it: the fields of a benchmark's object but for `file` and `built_in`."""
+    """What a file beside a mesh says of it: the fields of a benchmark's object but for `file` and
+    `built_in`."""
     data, shown = read_plain_yaml(path, deepest=DEEPEST), printable(path)
     for name in ("file", "built_in"):
         if name in data:
-            raise FileError(f"{shown}: {name} has no place here: this file is about {printable(mesh)} beside it")
+            raise FileError(
+                f"{shown}: {name} has no place here: this file is about {printable(mesh)} beside it"
+            )
     return _checked(ObjectEntry, {**data, "file": mesh}, shown, "objects")
 
 
@@ -163,9 +202,15 @@ def _checked(model: type[Kind], data: dict[str, Any], shown: str, top: str) -> K
             hint = nearest(str(first["loc"][-1]), allowed)
             listed = f"; allowed are {', '.join(allowed)}" if allowed else ""
             raise FileError(f"{shown}: unknown field {where}{hint}{listed}") from None
-        what = "is missing" if first["type"] == "missing" else f"is {printable(repr(first['input']))[:80]}"
+        what = (
+            "is missing"
+            if first["type"] == "missing"
+            else f"is {printable(repr(first['input']))[:80]}"
+        )
         said = _said_of((top, *first["loc"]))
-        raise FileError(f"{shown}: {where} {what}; {rule_of(first)}{f': {said}' if said else ''}") from None
+        raise FileError(
+            f"{shown}: {where} {what}; {rule_of(first)}{f': {said}' if said else ''}"
+        ) from None
 
 
 def _said_of(place: tuple[int | str, ...]) -> str:

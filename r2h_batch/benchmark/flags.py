@@ -27,7 +27,11 @@ class BenchmarkFlags:
     def flags(self) -> list[str]:
         """The flags that are given, as one would type them again."""
         said = asdict(self).items()
-        return [f"--{k.replace('_', '-')} {v if isinstance(v, str) else ' '.join(v)}" for k, v in said if v]
+        return [
+            f"--{k.replace('_', '-')} {v if isinstance(v, str) else ' '.join(v)}"
+            for k, v in said
+            if v
+        ]
 
 
 BUILT_IN = BenchmarkFlags()

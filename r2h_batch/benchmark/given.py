@@ -40,9 +40,14 @@ class Given(BenchmarkFlags):
         return cls(**asdict(flags), protocol=protocol)
 
     def read(self, *, pieces: bool = False, only: Only = None) -> Benchmark:
-        """The benchmark. `pieces`: meshes get their convex decomposition. `only`: names of the meshes that are built; of the
-        others name and split are known (`benchmark.unbuilt`). Raises ValueError (`FileError`), one line."""
-        base = read_benchmark(self.benchmark, pieces=pieces, only=only) if self.benchmark else built_in()
+        """The benchmark. `pieces`: meshes get their convex decomposition. `only`: names of the
+        meshes that are built; of the others name and split are known (`benchmark.unbuilt`). Raises
+        ValueError (`FileError`), one line."""
+        base = (
+            read_benchmark(self.benchmark, pieces=pieces, only=only)
+            if self.benchmark
+            else built_in()
+        )
         objects = _objects_of(Path(self.objects), pieces, only) if self.objects else base.objects
         objects = (*objects, *_own_meshes(self.object_mesh, pieces, only))
         objects = _with_grasps(objects, self.grasps)
@@ -63,14 +68,20 @@ class Given(BenchmarkFlags):
                 f"{printable(self.benchmark)}: lists trials of its own objects and hands; give --trials-file too"
             )
         if self.protocol and listed is not None:
-            raise FileError(f"--protocol {self.protocol} draws trials, and these are listed; give one of the two")
+            raise FileError(
+                f"--protocol {self.protocol} draws trials, and these are listed; give one of the two"
+            )
         drawn, seen = self.protocol or base.drawn, self.receiver or base.receiver
         if seen == "body" and (listed is not None or drawn != WITH_BODIES):
             named = "listed trials" if listed is not None else f"trials of {drawn}"
-            raise FileError(f"--receiver body: {named} have no body; take --protocol {WITH_BODIES}, or --receiver hand")
+            raise FileError(
+                f"--receiver body: {named} have no body; take --protocol {WITH_BODIES}, or --receiver hand"
+            )
         if not other and listed is base.listed and (drawn, seen) == (base.drawn, base.receiver):
             return base
-        return replace(base, objects=objects, hand_set=hand_set, listed=listed, drawn=drawn, receiver=seen)
+        return replace(
+            base, objects=objects, hand_set=hand_set, listed=listed, drawn=drawn, receiver=seen
+        )
 
 
 def _own_meshes(arguments: Sequence[str], pieces: bool, only: Only) -> list[ObjectModel]:
@@ -86,13 +97,16 @@ def _own_meshes(arguments: Sequence[str], pieces: bool, only: Only) -> list[Obje
 
 
 def _objects_of(path: Path, pieces: bool, only: Only) -> tuple[ObjectModel, ...]:
-    """Objects of a benchmark file, or of a folder: its benchmark.yaml, else every mesh in it, by name."""
+    """Objects of a benchmark file, or of a folder: its benchmark.yaml, else every mesh in it, by
+    name."""
     if path.is_dir():
         if (path / "benchmark.yaml").exists():
             return read_benchmark(path / "benchmark.yaml", pieces=pieces, only=only).objects
         files = _files(path, MESHES)
         if not files:
-            raise FileError(f"{printable(path)}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml in this folder")
+            raise FileError(
+                f"{printable(path)}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml in this folder"
+            )
         _no_stray_words(path, files)
         return objects_of([_entry(file) for file in files], path, pieces, only)
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -103,7 +117,8 @@ def _objects_of(path: Path, pieces: bool, only: Only) -> tuple[ObjectModel, ...]
 
 
 def _no_stray_words(folder: Path, meshes: Sequence[Path]) -> None:
-    """A file of words that is about no mesh is a slip: what it says would be passed over without a word."""
+    """A file of words that is about no mesh is a slip: what it says would be passed over without a
+    word."""
     about = {mesh.with_suffix(".yaml").name for mesh in meshes}
     for name in sorted(os.listdir(folder)):
         if name.lower().endswith((".yaml", ".yml")) and name not in about:
@@ -113,7 +128,8 @@ def _no_stray_words(folder: Path, meshes: Sequence[Path]) -> None:
 
 
 def _entry(file: Path) -> ObjectEntry:
-    """What a folder says of a mesh in it: NAME.yaml beside it holds the fields of a benchmark's object, if it is there."""
+    """What a folder says of a mesh in it: NAME.yaml beside it holds the fields of a benchmark's
+    object, if it is there."""
     beside = file.with_suffix(".yaml")
     if not os.path.lexists(beside):
         return ObjectEntry(file=file.name)
@@ -122,14 +138,21 @@ def _entry(file: Path) -> ObjectEntry:
 
 def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
     """Files of these kinds in a folder, by name; links are left alone."""
-    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in endings and p.is_file() and not p.is_symlink())
+    found = sorted(
+        p
+        for p in folder.iterdir()
+        if p.suffix.lower() in endings and p.is_file() and not p.is_symlink()
+    )
     if len(found) > MAX_FILES:
         raise FileError(f"{printable(folder)}: {len(found)} files; at most {MAX_FILES} are allowed")
     return found
 
 
-def _with_grasps(objects: Sequence[ObjectModel], arguments: Sequence[str]) -> tuple[ObjectModel, ...]:
-    """The objects, with the candidates of the files that are given for them: one file for an object."""
+def _with_grasps(
+    objects: Sequence[ObjectModel], arguments: Sequence[str]
+) -> tuple[ObjectModel, ...]:
+    """The objects, with the candidates of the files that are given for them: one file for an
+    object."""
     files: dict[str, str | Path] = {}
     for argument in arguments:
         for name, file in _grasp_files([o.name for o in objects], argument):
@@ -139,7 +162,10 @@ def _with_grasps(objects: Sequence[ObjectModel], arguments: Sequence[str]) -> tu
                 )
             files[name] = file
     return tuple(
-        replace(o, grasps=grasps_from(files[o.name])) if o.name in files and not is_unbuilt(o) else o for o in objects
+        replace(o, grasps=grasps_from(files[o.name]))
+        if o.name in files and not is_unbuilt(o)
+        else o
+        for o in objects
     )
 
 
@@ -154,12 +180,17 @@ def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | P
     elif path.is_dir():
         files = [(f.stem, f) for f in _files(path, GRASP_FILES)]
         if not files:
-            raise FileError(f"{printable(path)}: no grasps ({', '.join(GRASP_FILES)}) in this folder")
+            raise FileError(
+                f"{printable(path)}: no grasps ({', '.join(GRASP_FILES)}) in this folder"
+            )
     else:
         files = [(without_gripper(argument)[0].stem, argument)]
     if unknown := [n for n, _ in files if n not in names]:
         known, said = f"the objects are {', '.join(names[:40])}", name if equals else unknown[0]
-        close = next((f", did you mean {n}?" for n in names if n.lower() == said.lower()), nearest(said, names))
+        close = next(
+            (f", did you mean {n}?" for n in names if n.lower() == said.lower()),
+            nearest(said, names),
+        )
         raise FileError(
             f"--grasps {printable(argument)}: no object is called {printable(said)!r}{close}; say NAME=FILE, {known}"
         )

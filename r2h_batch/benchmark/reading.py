@@ -1,4 +1,5 @@
-"""A benchmark file with all files that it names, as a `Benchmark`. Nothing outside the file's own folder is opened."""
+"""A benchmark file with all files that it names, as a `Benchmark`. Nothing outside the file's own
+folder is opened."""
 
 from __future__ import annotations
 
@@ -38,10 +39,12 @@ Only = frozenset[str] | None
 
 
 def read_benchmark(path: str | Path, *, pieces: bool = False, only: Only = None) -> Benchmark:
-    """The benchmark of a file. `pieces`: its meshes get their convex decomposition (up to a minute each). `only`: names of the
-    meshes that are built; of the others name and split are known (`benchmark.unbuilt`).
+    """The benchmark of a file. `pieces`: its meshes get their convex decomposition (up to a minute
+    each). `only`: names of the meshes that are built; of the others name and split are known
+    (`benchmark.unbuilt`).
 
-    Read once as long as neither it nor a file that it names changes. Raises `FileError` and `ObjectMeshError`, one line.
+    Read once as long as neither it nor a file that it names changes. Raises `FileError` and
+    `ObjectMeshError`, one line.
     """
     path = Path(path)
     file = read_file_model(path)
@@ -50,7 +53,9 @@ def read_benchmark(path: str | Path, *, pieces: bool = False, only: Only = None)
         try:
             if "\\" in name and ":" not in name:
                 raise FileError(f"{printable(name)!r}: has a backslash; write / between folders")
-            digest.update(hashlib.sha256(read_file(path_within(path.parent, name), MAX_FILE_BYTES)).digest())
+            digest.update(
+                hashlib.sha256(read_file(path_within(path.parent, name), MAX_FILE_BYTES)).digest()
+            )
         except FileError as error:
             raise FileError(f"{printable(path)}: {field}: {error}") from None
     return _read(str(path.resolve()), digest.hexdigest(), pieces, only)
@@ -63,12 +68,16 @@ def _read(path: str, _: str, pieces: bool, only: Only) -> Benchmark:
         objects = objects_of(file.objects, folder, pieces, only)
         names = [o.name for o in objects]
         if twice := [n for n in names if names.count(n) > 1]:
-            raise FileError(f"{printable(path)}: two objects are called {twice[0]!r}; give one of them another name")
+            raise FileError(
+                f"{printable(path)}: two objects are called {twice[0]!r}; give one of them another name"
+            )
         hand_set, listed = _hands(file, folder), None
         if file.trials is not None:
             listed, hand_set = read_trials_file(path_within(folder, file.trials), objects, hand_set)
         limits = Thresholds(**file.thresholds.model_dump())
-        return Benchmark(objects, hand_set, limits, _workplace(file, path), listed, file.protocol, file.receiver)
+        return Benchmark(
+            objects, hand_set, limits, _workplace(file, path), listed, file.protocol, file.receiver
+        )
     except FileError:
         raise
     except ValueError as error:
@@ -119,7 +128,8 @@ def _hands(file: BenchmarkFile, folder: Path) -> HandSet:
 
 
 def hand_of(path: Path) -> HandModel:
-    """The hand model of a file (`hand.npz`, or one of MANO's own); the same one as long as the file does not change."""
+    """The hand model of a file (`hand.npz`, or one of MANO's own); the same one as long as the file
+    does not change."""
     return _hand(str(path), hashlib.sha256(read_file(path, MAX_FILE_BYTES)).hexdigest())
 
 
@@ -140,7 +150,9 @@ def hand_set_of(path: Path | None, model: HandModel | None) -> HandSet:
 def _hand_set(path: str, _: str, model: HandModel) -> HandSet:
     a = read_hand_set(path)
     try:
-        return make_hand_set(model, a["pose"], a["shape"], a["side"], a["posture"].tolist(), a["in_body"])
+        return make_hand_set(
+            model, a["pose"], a["shape"], a["side"], a["posture"].tolist(), a["in_body"]
+        )
     except ValueError as error:
         raise FileError(f"{printable(path)}: {printable(error)}") from None
 
@@ -148,12 +160,21 @@ def _hand_set(path: str, _: str, model: HandModel) -> HandSet:
 def objects_of(
     entries: Sequence[ObjectEntry], folder: Path, pieces: bool, only: Only = None
 ) -> tuple[ObjectModel, ...]:
-    """The objects of entries whose files lie in the folder or below; several meshes are built at a time, `only` those of these
-    names unless None."""
+    """The objects of entries whose files lie in the folder or below; several meshes are built at a
+    time, `only` those of these names unless None."""
     meshes = [e.file is not None and e.built_in is None for e in entries]
     names = [printable(e.name or Path(str(e.file)).stem) for e in entries]
-    left = [mesh and only is not None and name not in only for mesh, name in zip(meshes, names, strict=True)]
-    build_ahead([_own_call(e, folder, pieces) for e, mesh, out in zip(entries, meshes, left) if mesh and not out])
+    left = [
+        mesh and only is not None and name not in only
+        for mesh, name in zip(meshes, names, strict=True)
+    ]
+    build_ahead(
+        [
+            _own_call(e, folder, pieces)
+            for e, mesh, out in zip(entries, meshes, left)
+            if mesh and not out
+        ]
+    )
     return tuple(
         unbuilt(name, e.split or "S0") if out else _object(e, folder, pieces)
         for e, name, out in zip(entries, names, left, strict=True)
@@ -162,8 +183,14 @@ def objects_of(
 
 def _object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
     if (entry.built_in is None) == (entry.file is None):
-        raise FileError(f"object {entry.name or entry.file or entry.built_in!r}: give either built_in or file")
-    model = build_object(**_own_call(entry, folder, pieces)) if entry.built_in is None else _built_in_object(entry)
+        raise FileError(
+            f"object {entry.name or entry.file or entry.built_in!r}: give either built_in or file"
+        )
+    model = (
+        build_object(**_own_call(entry, folder, pieces))
+        if entry.built_in is None
+        else _built_in_object(entry)
+    )
     more: dict[str, Any] = {}
     if entry.grasps is not None:
         more["grasps"] = _grasps(folder, entry.grasps)
@@ -188,7 +215,9 @@ def _tuples(value: Any) -> Any:
 
 def _check_names(model: ObjectModel, field: str, given: Any, allowed: Any) -> None:
     if unknown := [n for n in given if n not in allowed]:
-        raise FileError(f"object {model.name}: {field} name {unknown[0]!r}; it has {', '.join(allowed)}")
+        raise FileError(
+            f"object {model.name}: {field} name {unknown[0]!r}; it has {', '.join(allowed)}"
+        )
 
 
 def _check_words(model: ObjectModel, words: Thing) -> None:
@@ -201,7 +230,11 @@ def _check_words(model: ObjectModel, words: Thing) -> None:
 def _built_in_object(entry: ObjectEntry) -> ObjectModel:
     """A built-in object with what the entry says otherwise."""
     (model,) = load_objects([str(entry.built_in)])
-    fixed: Mapping[str, Any] = {"name": model.name, "scale": 1.0, "part_names": list(model.part_names)}
+    fixed: Mapping[str, Any] = {
+        "name": model.name,
+        "scale": 1.0,
+        "part_names": list(model.part_names),
+    }
     for name, own in fixed.items():
         if getattr(entry, name) not in (None, own):
             raise FileError(
@@ -214,7 +247,9 @@ def _built_in_object(entry: ObjectEntry) -> ObjectModel:
     more: dict[str, Any] = {}
     if entry.split is not None and entry.split != model.split:
         if entry.split == "S1":
-            raise FileError(f"object {model.name}: has no receiver's region for S1; give its mesh as a file with one")
+            raise FileError(
+                f"object {model.name}: has no receiver's region for S1; give its mesh as a file with one"
+            )
         more |= {"split": "S0", "receiver_face": _frozen(np.zeros_like(model.receiver_face))}
     if entry.mass is not None and entry.mass != model.mass:
         more |= {"mass": entry.mass, "inertia": _frozen(model.inertia * (entry.mass / model.mass))}
@@ -240,7 +275,12 @@ def _own_call(entry: ObjectEntry, folder: Path, pieces: bool) -> dict[str, Any]:
     if entry.parts is not None:
         labels = read_npy(path_within(folder, entry.parts), most=MAX_LABELS_BYTES)
         count = len(entry.part_names or ())
-        if not isinstance(labels, np.ndarray) or labels.ndim != 1 or labels.dtype.kind not in "iu" or not len(labels):
+        if (
+            not isinstance(labels, np.ndarray)
+            or labels.ndim != 1
+            or labels.dtype.kind not in "iu"
+            or not len(labels)
+        ):
             raise FileError(f"{printable(entry.parts)}: need one whole number for each face")
         if labels.min() < 0 or labels.max() >= count:
             raise FileError(

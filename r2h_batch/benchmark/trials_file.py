@@ -1,11 +1,14 @@
-"""Trials of somebody's own: which object meets which hand, and where that hand stands. `--trials-file FILE.npz|.parquet`.
+"""Trials of somebody's own: which object meets which hand, and where that hand stands.
+`--trials-file FILE.npz|.parquet`.
 
 | name | npz | Parquet | meaning |
 |---|---|---|---|
 | `object` | (N,) text | text | the object's name |
-| `T_world_hand` | (N, 4, 4) float | list of 16 float, row by row | the hand's frame in the world, metres |
+| `T_world_hand` | (N, 4, 4) float | list of 16 float, row by row | the hand's frame in the world,
+metres |
 | `hand` | (N,) whole numbers | int | row of the hand set, right hands first |
-| `pose`, `shape`, `side` | (N, 48), (N, 10), (N,) | lists of 48 and 10, int | instead of `hand`; side 0 right, 1 left |
+| `pose`, `shape`, `side` | (N, 48), (N, 10), (N,) | lists of 48 and 10, int | instead of `hand`;
+side 0 right, 1 left |
 """
 
 from __future__ import annotations
@@ -44,8 +47,11 @@ KNOWN = ("object", "T_world_hand", "hand", *POSTURE)
 Columns = dict[str, NDArray[Any]]
 
 
-def read_trials_file(path: Path, objects: Sequence[ObjectModel], hand_set: HandSet) -> tuple[Trials, HandSet]:
-    """The trials, S0 before S1, each split in the file's order (its i-th has the id 2 i or 2 i + 1), and their hands.
+def read_trials_file(
+    path: Path, objects: Sequence[ObjectModel], hand_set: HandSet
+) -> tuple[Trials, HandSet]:
+    """The trials, S0 before S1, each split in the file's order (its i-th has the id 2 i or 2 i +
+    1), and their hands.
 
     Raises `FileError`, one line, for anything that is not as the table above says.
     """
@@ -83,14 +89,18 @@ def listed_with_ids(listed: Trials, trial_id: torch.Tensor) -> Trials:
     wanted = trial_id.to(ids.device)
     at = torch.searchsorted(ids, wanted).clamp(max=len(ids) - 1)
     if bool((ids[at] != wanted).any()):
-        raise ValueError(f"trial id {int(wanted[ids[at] != wanted][0])} is not in the list of {len(ids)} trials")
+        raise ValueError(
+            f"trial id {int(wanted[ids[at] != wanted][0])} is not in the list of {len(ids)} trials"
+        )
     return listed[order[at]]
 
 
 def _check_columns(columns: Columns, where: str) -> None:
     """Names, kinds and shapes; all of one length."""
     if unknown := sorted(set(columns) - set(KNOWN)):
-        raise FileError(f"{where}: unknown column {printable(unknown[0])!r}; allowed are {', '.join(KNOWN)}")
+        raise FileError(
+            f"{where}: unknown column {printable(unknown[0])!r}; allowed are {', '.join(KNOWN)}"
+        )
     hands = [n for n in POSTURE if n in columns]
     if ("hand" in columns) == bool(hands):
         raise FileError(f"{where}: give either hand (rows of the hand set) or pose, shape and side")
@@ -102,14 +112,25 @@ def _check_columns(columns: Columns, where: str) -> None:
         raise FileError(
             f"{where}: object has the shape {columns['object'].shape}; need one name for 1 to {MAX_TRIALS} trials"
         )
-    shapes = {"object": (n,), "T_world_hand": (n, 4, 4), "hand": (n,), "pose": (n, 48), "shape": (n, 10), "side": (n,)}
+    shapes = {
+        "object": (n,),
+        "T_world_hand": (n, 4, 4),
+        "hand": (n,),
+        "pose": (n, 48),
+        "shape": (n, 10),
+        "side": (n,),
+    }
     kinds = {"object": "U", "hand": "iu", "side": "iu"}
     for name, value in columns.items():
         if value.shape != shapes[name] or value.dtype.kind not in kinds.get(name, "f"):
             need = {"U": "text", "iu": "whole numbers"}.get(kinds.get(name, ""), "floats")
-            raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {shapes[name]} {need}")
+            raise FileError(
+                f"{where}: {name} is {value.shape} {value.dtype}; need {shapes[name]} {need}"
+            )
         if value.dtype.kind == "f" and not np.isfinite(value).all():
-            raise FileError(f"{where}: {name} of trial {int(np.argwhere(~np.isfinite(value))[0][0])} is not finite")
+            raise FileError(
+                f"{where}: {name} of trial {int(np.argwhere(~np.isfinite(value))[0][0])} is not finite"
+            )
 
 
 def _poses(T: NDArray[Any], where: str) -> NDArray[np.float32]:
@@ -131,7 +152,9 @@ def _objects(given: NDArray[Any], objects: Sequence[ObjectModel], where: str) ->
     names, at = np.unique(given, return_inverse=True)
     for name in names:
         if str(name) not in known:
-            raise FileError(f"{where}: no object is called {printable(name)[:80]!r}; there are {', '.join(known)}")
+            raise FileError(
+                f"{where}: no object is called {printable(name)[:80]!r}; there are {', '.join(known)}"
+            )
     return np.array([known[str(n)] for n in names], np.int64)[at.reshape(-1)]
 
 
@@ -146,7 +169,11 @@ def _own_hands(columns: Columns, base: HandSet, where: str) -> tuple[HandSet, ND
     try:
         check_postures(columns["pose"], columns["shape"])
         own = make_hand_set(
-            base.model, unique[:, 1:49], unique[:, 49:], unique[:, 0].astype(np.int8), ["listed"] * len(unique)
+            base.model,
+            unique[:, 1:49],
+            unique[:, 49:],
+            unique[:, 0].astype(np.int8),
+            ["listed"] * len(unique),
         )
     except ValueError as error:
         raise FileError(f"{where}: {printable(error).replace('of hand', 'of trial', 1)}") from None
@@ -154,7 +181,8 @@ def _own_hands(columns: Columns, base: HandSet, where: str) -> tuple[HandSet, ND
 
 
 def _parquet(path: Path) -> Columns:
-    """The columns of a Parquet file; what it says of its sizes is compared with what may be before anything is read."""
+    """The columns of a Parquet file; what it says of its sizes is compared with what may be before
+    anything is read."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -163,9 +191,13 @@ def _parquet(path: Path) -> Columns:
         try:
             with pq.ParquetFile(stream, read_dictionary=["object"]) as file:
                 _check_parquet(file, where)
-                table = file.read(columns=[n for n in KNOWN if n in file.schema_arrow.names]).unify_dictionaries()
+                table = file.read(
+                    columns=[n for n in KNOWN if n in file.schema_arrow.names]
+                ).unify_dictionaries()
         except (OSError, pa.ArrowException) as error:
-            raise FileError(f"{where}: no readable Parquet file ({printable(error)[:200]})") from None
+            raise FileError(
+                f"{where}: no readable Parquet file ({printable(error)[:200]})"
+            ) from None
     columns: Columns = {}
     for name in table.column_names:
         column = table[name].combine_chunks()
@@ -180,7 +212,9 @@ def _parquet(path: Path) -> Columns:
                 or len(values) != len(table) * WIDTH[name]
                 or bool((_lengths(column) != WIDTH[name]).any())
             ):
-                raise FileError(f"{where}: {name} must be a list of {WIDTH[name]} numbers in every row")
+                raise FileError(
+                    f"{where}: {name} must be a list of {WIDTH[name]} numbers in every row"
+                )
             shape = (-1, 4, 4) if name == "T_world_hand" else (-1, WIDTH[name])
             columns[name] = values.to_numpy(zero_copy_only=False).reshape(shape)
         else:
@@ -189,7 +223,8 @@ def _parquet(path: Path) -> Columns:
 
 
 def _words(column: Any, where: str) -> NDArray[Any]:
-    """Names by their codes: a long one that many rows point to is refused before it is written out for each."""
+    """Names by their codes: a long one that many rows point to is refused before it is written out
+    for each."""
     import pyarrow as pa
 
     if not pa.types.is_dictionary(column.type):
@@ -215,21 +250,31 @@ def _check_parquet(file: Any, where: str) -> None:
         raise FileError(f"{where}: {meta.num_rows} rows; 1 to {MAX_TRIALS} are allowed")
     for field in schema:
         kind = field.type
-        is_list = pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind)
+        is_list = (
+            pa.types.is_list(kind)
+            or pa.types.is_fixed_size_list(kind)
+            or pa.types.is_large_list(kind)
+        )
         fits = {
             **{n: is_list and pa.types.is_floating(kind.value_type) for n in WIDTH},
             **{n: pa.types.is_integer(kind) for n in ("hand", "side")},
             "object": pa.types.is_string(kind) or pa.types.is_dictionary(kind),
         }
         if not fits.get(field.name, True):
-            raise FileError(f"{where}: {field.name} is {printable(kind)[:60]}; see docs/your_data.md, Trials")
+            raise FileError(
+                f"{where}: {field.name} is {printable(kind)[:60]}; see docs/your_data.md, Trials"
+            )
         if field.name not in KNOWN:
-            raise FileError(f"{where}: unknown column {printable(field.name)!r}; allowed are {', '.join(KNOWN)}")
+            raise FileError(
+                f"{where}: unknown column {printable(field.name)!r}; allowed are {', '.join(KNOWN)}"
+            )
     size = 0
     for g in range(meta.num_row_groups):
         for c in range(meta.num_columns):
             chunk = meta.row_group(g).column(c)
-            most = meta.num_rows * max([1, *(w for n, w in WIDTH.items() if chunk.path_in_schema.startswith(n))])
+            most = meta.num_rows * max(
+                [1, *(w for n, w in WIDTH.items() if chunk.path_in_schema.startswith(n))]
+            )
             if chunk.num_values > most:
                 raise FileError(
                     f"{where}: {printable(chunk.path_in_schema)} has {chunk.num_values} values in {meta.num_rows} rows"

@@ -1,4 +1,5 @@
-"""Objects that nobody needs the shape of: a name and a split, for their place in the order that trials go by."""
+"""Objects that nobody needs the shape of: a name and a split, for their place in the order that
+trials go by."""
 
 from functools import lru_cache
 from typing import Any

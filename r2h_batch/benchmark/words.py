@@ -1,4 +1,5 @@
-"""The words for objects, their parts and purposes. Names in one tuple mean the same; the first is what phrases use."""
+"""The words for objects, their parts and purposes. Names in one tuple mean the same; the first is
+what phrases use."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ __all__ = ["PART_WORDS", "S0_ROLES", "THINGS", "VERB_WORDS", "Thing"]
 
 @dataclass(frozen=True)
 class Thing:
-    """An object in words: its names; its parts as people call them, with the mesh's labels; purposes and their part."""
+    """An object in words: its names; its parts as people call them, with the mesh's labels;
+    purposes and their part."""
 
     names: tuple[str, ...]
     parts: Mapping[str, tuple[str, ...]]
@@ -26,7 +28,8 @@ S0_ROLES: dict[str, dict[str, str]] = {
     "cup": {"wall": "wrap", "rim": "wrap", "base": "wrap"},
     "wineglass": {"stem": "grasp", "foot": "grasp"},
 }
-"""S0 has no receiver's region: the parts that people take these objects by (AffNet labels bowls and cups wrap-grasp)."""
+"""S0 has no receiver's region: the parts that people take these objects by (AffNet labels bowls and
+cups wrap-grasp)."""
 
 PART_WORDS: dict[str, tuple[str, ...]] = {
     "handle": ("grip", "hilt", "haft", "hold"),
@@ -105,7 +108,11 @@ THINGS: dict[str, Thing] = {
         {"drink": "stem", "use": "stem", "clean": "bowl"},
         {"bowl": ("cup", "body", "rim"), "stem": ("foot", "base")},
     ),
-    "hammer": Thing(("hammer", "claw hammer", "mallet"), {"handle": ("grip",)}, {"hammer": "handle", "use": "handle"}),
+    "hammer": Thing(
+        ("hammer", "claw hammer", "mallet"),
+        {"handle": ("grip",)},
+        {"hammer": "handle", "use": "handle"},
+    ),
     "pliers": Thing(
         ("pliers", "plier", "pincers", "tongs", "needle nose pliers"),
         {"handles": ("handle",)},
@@ -117,13 +124,19 @@ THINGS: dict[str, Thing] = {
         {"cut": "handle", "use": "handle"},
     ),
     "toothbrush": Thing(
-        ("toothbrush", "tooth brush"), {"handle": ("handle", "grip")}, {"brush": "handle", "use": "handle"}
+        ("toothbrush", "tooth brush"),
+        {"handle": ("handle", "grip")},
+        {"brush": "handle", "use": "handle"},
     ),
     "screwdriver": Thing(
-        ("screwdriver", "screw driver", "driver"), {"handle": ("handle",)}, {"screw": "handle", "use": "handle"}
+        ("screwdriver", "screw driver", "driver"),
+        {"handle": ("handle",)},
+        {"screw": "handle", "use": "handle"},
     ),
     "scissors": Thing(
-        ("scissors", "scissor", "shears", "pair of scissors"), {"loops": ("loop",)}, {"cut": "loops", "use": "loops"}
+        ("scissors", "scissor", "shears", "pair of scissors"),
+        {"loops": ("loop",)},
+        {"cut": "loops", "use": "loops"},
     ),
     "power_drill": Thing(
         ("power drill", "drill", "electric drill", "drilling machine", "cordless drill"),
@@ -144,7 +157,15 @@ THINGS: dict[str, Thing] = {
         {"body": ("base", "bottom", "lower half", "lower part")},
     ),
     "trigger_sprayer": Thing(
-        ("trigger sprayer", "sprayer", "spray bottle", "spray", "spray gun", "plant sprayer", "mister"),
+        (
+            "trigger sprayer",
+            "sprayer",
+            "spray bottle",
+            "spray",
+            "spray gun",
+            "plant sprayer",
+            "mister",
+        ),
         {"grip": ("neck", "collar", "head", "trigger")},
         {"spray": "grip", "clean": "grip", "use": "grip"},
         {"grip": ("neck", "collar", "head", "trigger", "top")},

@@ -27,7 +27,9 @@ def built_in_text() -> str:
     """YAML that `read_benchmark` reads as the built-in benchmark."""
     file = BenchmarkFile(objects=[_entry(o) for o in load_objects()])
     data = file.model_dump(exclude_none=True)
-    return ABOUT + yaml.dump(data, Dumper=_Plain, sort_keys=False, default_flow_style=None, width=118)
+    return ABOUT + yaml.dump(
+        data, Dumper=_Plain, sort_keys=False, default_flow_style=None, width=118
+    )
 
 
 def _entry(model: ObjectModel) -> ObjectEntry:
@@ -41,5 +43,11 @@ def _entry(model: ObjectModel) -> ObjectEntry:
     own = {k: getattr(model, k) for k in ("split", "instruction", "mass")}
     roles = S0_ROLES.get(model.name)
     return ObjectEntry.model_validate(
-        {"built_in": model.name, **own, "part_names": list(model.part_names), "roles": roles, "words": words}
+        {
+            "built_in": model.name,
+            **own,
+            "part_names": list(model.part_names),
+            "roles": roles,
+            "words": words,
+        }
     )

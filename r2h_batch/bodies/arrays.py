@@ -14,7 +14,8 @@ __all__ = ["arrays_digest", "asset", "read_arrays", "stored_arrays"]
 
 
 def arrays_digest(arrays: Mapping[str, NDArray[Any]]) -> str:
-    """sha256 over names, types, shapes and bytes, sorted by name; the container's time stamps do not matter."""
+    """sha256 over names, types, shapes and bytes, sorted by name; the container's time stamps do
+    not matter."""
     digest = hashlib.sha256()
     for name in sorted(arrays):
         value = np.ascontiguousarray(arrays[name])
@@ -38,6 +39,7 @@ def read_arrays(file: str | Path | Traversable) -> dict[str, NDArray[Any]]:
 
 
 def stored_arrays(folder: str, name: str) -> dict[str, NDArray[Any]]:
-    """The arrays of an asset, none where it has not been built yet (its own build script imports its reader)."""
+    """The arrays of an asset, none where it has not been built yet (its own build script imports
+    its reader)."""
     file = asset(folder, name)
     return read_arrays(file) if file.is_file() else {}

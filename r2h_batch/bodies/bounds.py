@@ -1,11 +1,18 @@
-"""Bounding capsules and lever arms for the collision kernels (float64 NumPy, on loading a scene)."""
+"""Bounding capsules and lever arms for the collision kernels (float64 NumPy, on loading a
+scene)."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
-from r2h_batch.bodies.robot import Kind, Robot, gripper_primitives_at, lever_bound_for_sphere, lever_bounds
+from r2h_batch.bodies.robot import (
+    Kind,
+    Robot,
+    gripper_primitives_at,
+    lever_bound_for_sphere,
+    lever_bounds,
+)
 
 Array = NDArray[np.float64]
 
@@ -27,10 +34,13 @@ def capsule_of_primitive(kind: int, size: Array) -> tuple[Array, float]:
 
 
 def capsule_of_balls(centers: Array, radii: Array) -> tuple[Array, Array, float]:
-    """End points and radius of a small capsule that holds all balls (N, 3), (N,); exact containment, greedy axis."""
+    """End points and radius of a small capsule that holds all balls (N, 3), (N,); exact
+    containment, greedy axis."""
     candidates = [
         *np.eye(3),
-        np.linalg.svd(centers - centers.mean(0), full_matrices=False)[2][0] if len(centers) > 1 else np.eye(3)[0],
+        np.linalg.svd(centers - centers.mean(0), full_matrices=False)[2][0]
+        if len(centers) > 1
+        else np.eye(3)[0],
     ]
     best: tuple[float, Array, Array, float] | None = None
     for axis in candidates:
@@ -38,7 +48,9 @@ def capsule_of_balls(centers: Array, radii: Array) -> tuple[Array, Array, float]
         across = centers - along[:, None] * axis
         middle = (across.min(0) + across.max(0)) / 2
         middle = middle - (middle @ axis) * axis  # of a slanted axis' box it is not across
-        for _ in range(50):  # a few steps towards the smallest enclosing circle (Badoiu and Clarkson 2003)
+        for _ in range(
+            50
+        ):  # a few steps towards the smallest enclosing circle (Badoiu and Clarkson 2003)
             far = np.argmax(np.linalg.norm(across - middle, axis=1) + radii)
             middle = middle + (across[far] - middle) * 0.05
         off = np.linalg.norm(across - middle, axis=1)
@@ -60,7 +72,8 @@ def capsule_of_points(points: Array) -> tuple[Array, Array, float]:
 
 
 def inner_ball(points: Array) -> Array:
-    """Centre and radius (4,) of the largest ball inside the points' hull (of equals the most central), a little less."""
+    """Centre and radius (4,) of the largest ball inside the points' hull (of equals the most
+    central), a little less."""
     faces = ConvexHull(points).equations  # unit normals: n . x + d + r <= 0
     n, d = faces[:, :3], faces[:, 3]
     one = np.ones((len(n), 1))
@@ -71,7 +84,9 @@ def inner_ball(points: Array) -> Array:
     radius = 0.999 * largest.x[3]
     middle, eye = (points.min(0) + points.max(0)) / 2, np.eye(3)
     A = np.vstack([np.hstack([n, 0 * n]), np.hstack([eye, -eye]), np.hstack([-eye, -eye])])
-    central = linprog([0, 0, 0, 1, 1, 1], A_ub=A, b_ub=np.r_[-d - radius, middle, -middle], bounds=[*free, *free])
+    central = linprog(
+        [0, 0, 0, 1, 1, 1], A_ub=A, b_ub=np.r_[-d - radius, middle, -middle], bounds=[*free, *free]
+    )
     center = central.x[:3] if central.success else largest.x[:3]
     return np.append(center, max(radius - 1e-6, 1e-6))
 
@@ -81,7 +96,8 @@ BLOCK_POINTS = 16
 
 
 def point_blocks(points: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Rows (16 k, 3) of a hull for geometry/body.py, BLOCKS: 16 points at a time, their x, y and z one after the other."""
+    """Rows (16 k, 3) of a hull for geometry/body.py, BLOCKS: 16 points at a time, their x, y and z
+    one after the other."""
     full = np.concatenate([points, np.repeat(points[-1:], -len(points) % BLOCK_POINTS, axis=0)])
     return full.reshape(-1, BLOCK_POINTS, 3).transpose(0, 2, 1).reshape(-1, 3)
 
@@ -91,10 +107,12 @@ CELLS_PER_EDGE = 6
 
 
 def support_cells(points: Array) -> Array:
-    """Rows (216 + n, 3) of a hull for geometry/body.py: first row and number of points of each direction cell, then blocks.
+    """Rows (216 + n, 3) of a hull for geometry/body.py: first row and number of points of each
+    direction cell, then blocks.
 
-    A cell keeps every point that can be farthest along some direction of it: those that no other point beats in all four
-    corner directions (a linear function that is smaller at the corners is smaller in between).
+    A cell keeps every point that can be farthest along some direction of it: those that no other
+    point beats in all four corner directions (a linear function that is smaller at the corners is
+    smaller in between).
     """
     edges = np.linspace(-1.0, 1.0, CELLS_PER_EDGE + 1)
     header, kept, total = [], [], 6 * CELLS_PER_EDGE**2
@@ -108,7 +126,9 @@ def support_cells(points: Array) -> Array:
                     corner[:, (axis + 2) % 3] = edges[[v, v, v + 1, v + 1]]
                     height = points @ corner.T
                     rivals = np.unique(np.append(height.argmax(0), np.argsort(height.sum(1))[-8:]))
-                    beaten = np.any(np.all(height[:, None] < height[None, rivals] - 1e-9, axis=2), axis=1)
+                    beaten = np.any(
+                        np.all(height[:, None] < height[None, rivals] - 1e-9, axis=2), axis=1
+                    )
                     cell = points[~beaten]
                     header.append((total, len(cell), 0))
                     kept.append(point_blocks(cell))
@@ -117,7 +137,8 @@ def support_cells(points: Array) -> Array:
 
 
 def gripper_balls(robot: Robot) -> tuple[Array, Array]:
-    """Ends of the gripper primitives' capsules at every opening, (G, n, 3) in the wrist_3 frame, and radii (G,)."""
+    """Ends of the gripper primitives' capsules at every opening, (G, n, 3) in the wrist_3 frame,
+    and radii (G,)."""
     T_wrist_ee = robot.T_wrist3_flange @ robot.T_flange_ee
     T = np.einsum("ij,ngjk->gnik", T_wrist_ee, gripper_primitives_at(robot, OPENINGS_M))
     ends, radii = [], []
@@ -130,7 +151,8 @@ def gripper_balls(robot: Robot) -> tuple[Array, Array]:
 
 
 def robot_levers(robot: Robot) -> Array:
-    """(N, 6) bounds for arm and gripper primitives: largest distance of any point from each joint's axis, any posture."""
+    """(N, 6) bounds for arm and gripper primitives: largest distance of any point from each joint's
+    axis, any posture."""
     ends, radii = gripper_balls(robot)
     gripper = [
         np.max(

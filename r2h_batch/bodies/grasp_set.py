@@ -28,7 +28,8 @@ class GraspSet:
     """N grasps of an object."""
 
     T_obj_ee: NDArray[np.float32]
-    """(N, 4, 4) ee in the object's frame: between the finger pads at half stroke, z out of the gripper, y closing"""
+    """(N, 4, 4) ee in the object's frame: between the finger pads at half stroke, z out of the
+    gripper, y closing"""
     width: NDArray[np.float32]
     """(N,) m, what the source calls the grasp's width"""
     score: NDArray[np.float32]
@@ -48,7 +49,12 @@ class GraspSet:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """What the file holds."""
-        return {"T_obj_ee": self.T_obj_ee, "width": self.width, "score": self.score, "part": self.part}
+        return {
+            "T_obj_ee": self.T_obj_ee,
+            "width": self.width,
+            "score": self.score,
+            "part": self.part,
+        }
 
     def rows(self, rows: Any) -> GraspSet:
         """The selected grasps."""
@@ -56,7 +62,8 @@ class GraspSet:
 
 
 def read_grasps(path: str | Path) -> GraspSet:
-    """An .npz or .safetensors file with T_obj_ee (N, 4, 4), and width, score, part (N,) where they are known.
+    """An .npz or .safetensors file with T_obj_ee (N, 4, 4), and width, score, part (N,) where they
+    are known.
 
     Missing ones are 0, 1 and -1. An .npz may name its `gripper`. Raises `FileError`, one line.
     """
@@ -75,23 +82,52 @@ def read_grasps(path: str | Path) -> GraspSet:
 def checked_grasps(found: Mapping[str, Any], where: str, gripper: str) -> GraspSet:
     """The set of these arrays; `FileError` where they are no grasps."""
     T = found.get("T_obj_ee")
-    if not isinstance(T, np.ndarray) or T.dtype.kind != "f" or T.shape[1:] != (4, 4) or not 1 <= len(T) <= MAX_GRASPS:
+    if (
+        not isinstance(T, np.ndarray)
+        or T.dtype.kind != "f"
+        or T.shape[1:] != (4, 4)
+        or not 1 <= len(T) <= MAX_GRASPS
+    ):
         have = f"{T.shape} {T.dtype}" if isinstance(T, np.ndarray) else "missing"
-        raise FileError(f"{where}: T_obj_ee is {have}; need N x 4 x 4 floats, N from 1 to {MAX_GRASPS}")
+        raise FileError(
+            f"{where}: T_obj_ee is {have}; need N x 4 x 4 floats, N from 1 to {MAX_GRASPS}"
+        )
     if unknown := sorted(set(found) - {"T_obj_ee", "width", "score", "part"}):
-        raise FileError(f"{where}: unknown array {printable(unknown[0])!r}; allowed are T_obj_ee, width, score, part")
-    defaults = {"width": np.zeros(len(T)), "score": np.ones(len(T)), "part": np.full(len(T), ANY_PART)}
+        raise FileError(
+            f"{where}: unknown array {printable(unknown[0])!r}; allowed are T_obj_ee, width, score, part"
+        )
+    defaults = {
+        "width": np.zeros(len(T)),
+        "score": np.ones(len(T)),
+        "part": np.full(len(T), ANY_PART),
+    }
     columns = {k: found.get(k, v) for k, v in defaults.items()}
     for name, value in columns.items():
         kinds = "iu" if name == "part" else "fiu"
-        if value.shape != (len(T),) or value.dtype.kind not in kinds or not np.isfinite(value).all():
-            raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {len(T)} finite numbers")
+        if (
+            value.shape != (len(T),)
+            or value.dtype.kind not in kinds
+            or not np.isfinite(value).all()
+        ):
+            raise FileError(
+                f"{where}: {name} is {value.shape} {value.dtype}; need {len(T)} finite numbers"
+            )
     if columns["width"].min() < 0 or columns["width"].max() > WIDEST_M:
         row = int(((columns["width"] < 0) | (columns["width"] > WIDEST_M)).argmax())
-        raise FileError(f"{where}: width of grasp {row} is {columns['width'][row]:g}; 0 to {WIDEST_M:g} m are allowed")
+        raise FileError(
+            f"{where}: width of grasp {row} is {columns['width'][row]:g}; 0 to {WIDEST_M:g} m are allowed"
+        )
     R = T[:, :3, :3].astype(np.float64)
-    rigid = np.isfinite(T).all() and (np.abs(T[:, 3] - [0, 0, 0, 1]) < RIGID).all() and np.abs(T).max() < 100
-    if not rigid or np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() > RIGID or (np.linalg.det(R) < 0).any():
+    rigid = (
+        np.isfinite(T).all()
+        and (np.abs(T[:, 3] - [0, 0, 0, 1]) < RIGID).all()
+        and np.abs(T).max() < 100
+    )
+    if (
+        not rigid
+        or np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() > RIGID
+        or (np.linalg.det(R) < 0).any()
+    ):
         raise FileError(f"{where}: T_obj_ee holds something else than rigid poses in metres")
     if columns["part"].min() < ANY_PART or columns["part"].max() > 255:
         raise FileError(f"{where}: part is an index into the object's parts, or -1")

@@ -1,10 +1,11 @@
 """Receiver hands: MANO's joint tree and parameters on the project's own mesh, posed in batches.
 
-The hand frame is MANO's: the wrist joint at the origin; a flat right hand points along -x with its palm towards -y
-and its thumb towards +z. A left hand is the mirror image x -> -x, its pose the mirrored turns (x, -y, -z).
+The hand frame is MANO's: the wrist joint at the origin; a flat right hand points along -x with its
+palm towards -y and its thumb towards +z. A left hand is the mirror image x -> -x, its pose the
+mirrored turns (x, -y, -z).
 
-Every row is computed by element-wise float64 arithmetic (+, -, *, /, sqrt, floor: no reduction, no matrix product, no
-libm), so a row has the same bits in any batch.
+Every row is computed by element-wise float64 arithmetic (+, -, *, /, sqrt, floor: no reduction, no
+matrix product, no libm), so a row has the same bits in any batch.
 """
 
 from __future__ import annotations
@@ -56,7 +57,8 @@ class HandGeometry:
 
 @dataclass(frozen=True, eq=False)
 class HandModel:
-    """A skinned hand: the right template and what moves it. V vertices, F faces, NP convex pieces; metres."""
+    """A skinned hand: the right template and what moves it. V vertices, F faces, NP convex pieces;
+    metres."""
 
     vertices: Float32[Tensor, "V 3"]
     faces: Int[Tensor, "F 3"]
@@ -68,16 +70,19 @@ class HandModel:
     joint_axes: Float32[Tensor, "16 3 3"]
     """columns: flexion, abduction and bone axis of every joint in the rest pose, right hand"""
     piece_vertices: Int[Tensor, " M"]
-    """vertex ids of all pieces; piece k has ``piece_vertices[piece_offsets[k]:piece_offsets[k + 1]]``"""
+    """vertex ids of all pieces; piece k has ``piece_vertices[piece_offsets[k]:piece_offsets[k +
+    1]]``"""
     piece_offsets: Int[Tensor, " NP1"]
     piece_names: tuple[str, ...]
     tip_vertices: Int[Tensor, " 5"]
     """fingertips of index, middle, pinky, ring, thumb"""
     shape_names: tuple[str, ...] = ()
     pose_basis: Float32[Tensor, "V 3 135"] | None = None
-    """displacement for each entry of R - 1 of joints 1 to 15, row by row (MANO's pose blend shapes)"""
+    """displacement for each entry of R - 1 of joints 1 to 15, row by row (MANO's pose blend
+    shapes)"""
     pose_mean: Float32[Tensor, "2 45"] | None = None
-    """the mean posture of right and left hands, joints 1 to 15, that data without a flat mean are relative to"""
+    """the mean posture of right and left hands, joints 1 to 15, that data without a flat mean are
+    relative to"""
     pose_components: Float32[Tensor, "2 45 45"] | None = None
     """principal components of right and left hands' postures, one a row"""
     left: HandModel | None = None
@@ -85,13 +90,18 @@ class HandModel:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> HandModel:
-        """The model from arrays named as in ``hand.npz``; those of a left hand of its own start with ``left_``."""
+        """The model from arrays named as in ``hand.npz``; those of a left hand of its own start
+        with ``left_``."""
 
         def tensor(name: str) -> Tensor:
             return torch.from_numpy(np.array(arrays[name], order="C"))
 
         mine = {k.removeprefix("left_"): v for k, v in arrays.items() if k.startswith("left_")}
-        left = {**{k: v for k, v in arrays.items() if not k.startswith("left_")}, **mine} if mine else None
+        left = (
+            {**{k: v for k, v in arrays.items() if not k.startswith("left_")}, **mine}
+            if mine
+            else None
+        )
 
         return cls(
             vertices=tensor("vertices"),
@@ -120,14 +130,24 @@ class HandModel:
 
     @property
     def pieces(self) -> tuple[Int[Tensor, " M_k"], ...]:
-        """Vertex ids of every convex piece: the hull of these vertices, in any pose, holds the piece's faces."""
+        """Vertex ids of every convex piece: the hull of these vertices, in any pose, holds the
+        piece's faces."""
         offsets = self.piece_offsets.tolist()
         return tuple(self.piece_vertices[a:b] for a, b in pairwise(offsets))
 
     @cached_property
     def digest(self) -> str:
-        """sha256 over what moves and covers the hand: two models with one digest give the same meshes and pieces."""
-        names = ("vertices", "faces", "weights", "joints_rest", "shape_basis", "joint_shape_basis", "pose_basis")
+        """sha256 over what moves and covers the hand: two models with one digest give the same
+        meshes and pieces."""
+        names = (
+            "vertices",
+            "faces",
+            "weights",
+            "joints_rest",
+            "shape_basis",
+            "joint_shape_basis",
+            "pose_basis",
+        )
         values = {k: getattr(self, k) for k in (*names, "piece_vertices", "piece_offsets")}
         arrays = {k: v.numpy() for k, v in values.items() if v is not None}
         left = {} if self.left is None else {"left": np.array(self.left.digest)}
@@ -136,12 +156,16 @@ class HandModel:
     def full_pose(
         self, coefficients: Float[Tensor, "B n"], side: Int[Tensor, " B"], *, flat_hand_mean: bool
     ) -> Float32[Tensor, "B 45"]:
-        """Axis-angle turns of joints 1 to 15 from principal components (n < 45, or MANO's 45) of each hand's side.
+        """Axis-angle turns of joints 1 to 15 from principal components (n < 45, or MANO's 45) of
+        each hand's side.
 
-        `flat_hand_mean`: whether 0 is the flat hand (OakInk, GRAB) or the model's mean posture (smplx's default).
+        `flat_hand_mean`: whether 0 is the flat hand (OakInk, GRAB) or the model's mean posture
+        (smplx's default).
         """
         if self.pose_components is None or self.pose_mean is None:
-            raise ValueError("this hand model has no principal components: give full poses, or a MANO file")
+            raise ValueError(
+                "this hand model has no principal components: give full poses, or a MANO file"
+            )
         rows = side.long()
         basis = self.pose_components.double()[rows, : coefficients.shape[1]]  # (B, n, 45)
         full = (coefficients.double()[:, :, None] * basis).sum(1)
@@ -153,9 +177,11 @@ class HandModel:
         shape: Float[Tensor, "B 10"] | None = None,
         side: Int[Tensor, " B"] | None = None,
     ) -> HandGeometry:
-        """Linear blend skinning: posed meshes and joints in the hand frame; side 0 is right (default), 1 left.
+        """Linear blend skinning: posed meshes and joints in the hand frame; side 0 is right
+        (default), 1 left.
 
-        ``pose`` holds 16 axis-angle turns in MANO's joint order, the first about the wrist; ``shape`` defaults to 0.
+        ``pose`` holds 16 axis-angle turns in MANO's joint order, the first about the wrist;
+        ``shape`` defaults to 0.
         """
         rows = pose.shape[0]
         shape = pose.new_zeros((rows, SHAPE_SIZE)) if shape is None else shape
@@ -166,8 +192,12 @@ class HandModel:
                     f"{name} has shape {tuple(value.shape)} and type {value.dtype}; need ({rows}, {width}) floats"
                 )
         if side.shape != (rows,):
-            raise ValueError(f"side has shape {tuple(side.shape)}; need ({rows},), 0 for right and 1 for left hands")
-        vertices = torch.empty((rows, *self.vertices.shape), dtype=torch.float32, device=pose.device)
+            raise ValueError(
+                f"side has shape {tuple(side.shape)}; need ({rows},), 0 for right and 1 for left hands"
+            )
+        vertices = torch.empty(
+            (rows, *self.vertices.shape), dtype=torch.float32, device=pose.device
+        )
         joints = torch.empty((rows, JOINTS, 3), dtype=torch.float32, device=pose.device)
         for start in range(0, rows, _CHUNK):
             part = slice(start, start + _CHUNK)
@@ -179,7 +209,9 @@ class HandModel:
     def _pose_sides(self, pose: Tensor, shape: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
         if self.left is None:
             return self._pose_rows(pose, shape, left)
-        vertices = torch.empty((len(pose), *self.vertices.shape), dtype=torch.float32, device=pose.device)
+        vertices = torch.empty(
+            (len(pose), *self.vertices.shape), dtype=torch.float32, device=pose.device
+        )
         joints = torch.empty((len(pose), JOINTS, 3), dtype=torch.float32, device=pose.device)
         for model, mine in ((self, ~left), (self.left, left)):
             vertices[mine], joints[mine] = model._pose_rows(pose[mine], shape[mine], left[mine])
@@ -192,25 +224,39 @@ class HandModel:
         turns = torch.stack([turns[..., 0], turns[..., 1] * mirror, turns[..., 2] * mirror], dim=-1)
         rotation = rotation_from_axis_angle(turns)
         rest = self.joints_rest.to(device).double() + torch.zeros_like(turns)
-        skin = self.vertices.to(device).double() + torch.zeros((len(pose), 1, 1), dtype=torch.float64, device=device)
+        skin = self.vertices.to(device).double() + torch.zeros(
+            (len(pose), 1, 1), dtype=torch.float64, device=device
+        )
         for i in range(SHAPE_SIZE):
             amount = shape[:, i, None, None]
             rest = rest + amount * self.joint_shape_basis[..., i].to(device).double()
             skin = skin + amount * self.shape_basis[..., i].to(device).double()
         if self.pose_basis is not None:
-            feature = (rotation[:, 1:] - torch.eye(3, dtype=torch.float64, device=device)).flatten(1)  # (B, 135)
+            feature = (rotation[:, 1:] - torch.eye(3, dtype=torch.float64, device=device)).flatten(
+                1
+            )  # (B, 135)
             for i in range(feature.shape[1]):
-                skin = skin + feature[:, i, None, None] * self.pose_basis[..., i].to(device).double()
+                skin = (
+                    skin + feature[:, i, None, None] * self.pose_basis[..., i].to(device).double()
+                )
         world_rotation, world_joint = [rotation[:, 0]], [rest[:, 0]]
         for j in range(1, JOINTS):
             p = self.parents[j]
             world_rotation.append(_compose(world_rotation[p], rotation[:, j]))
-            world_joint.append(se3.rotate(world_rotation[p], rest[:, j] - rest[:, p]) + world_joint[p])
-        blended = torch.zeros((len(pose), len(self.vertices), 12), dtype=torch.float64, device=device)
+            world_joint.append(
+                se3.rotate(world_rotation[p], rest[:, j] - rest[:, p]) + world_joint[p]
+            )
+        blended = torch.zeros(
+            (len(pose), len(self.vertices), 12), dtype=torch.float64, device=device
+        )
         for k in range(self._influences[0].shape[1]):
             bone, weight = (a.to(device)[:, k] for a in self._influences)
-            shift = [world_joint[j] - se3.rotate(world_rotation[j], rest[:, j]) for j in range(JOINTS)]
-            matrix = torch.cat([torch.stack(world_rotation, 1).flatten(2), torch.stack(shift, 1)], dim=2)
+            shift = [
+                world_joint[j] - se3.rotate(world_rotation[j], rest[:, j]) for j in range(JOINTS)
+            ]
+            matrix = torch.cat(
+                [torch.stack(world_rotation, 1).flatten(2), torch.stack(shift, 1)], dim=2
+            )
             blended = blended + weight[:, None] * matrix[:, bone]
         posed = se3.rotate(blended[..., :9].unflatten(-1, (3, 3)), skin) + blended[..., 9:]
         joints = torch.stack(world_joint, dim=1)
@@ -219,7 +265,8 @@ class HandModel:
 
     @cached_property
     def _influences(self) -> tuple[Tensor, Tensor]:
-        """Bone ids and float64 weights of the most bones that any vertex follows, (V,K) each, heaviest first."""
+        """Bone ids and float64 weights of the most bones that any vertex follows, (V,K) each,
+        heaviest first."""
         most = int((self.weights > 0).sum(dim=1).max())
         weights, bones = torch.sort(self.weights.double(), dim=1, descending=True, stable=True)
         weights = weights[:, :most]
@@ -230,9 +277,11 @@ class HandModel:
 
 
 def rotation_from_axis_angle(turns: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
-    """Rotation matrices (float64) of axis-angle vectors; exact at 0, the same bits in any batch and on any device.
+    """Rotation matrices (float64) of axis-angle vectors; exact at 0, the same bits in any batch and
+    on any device.
 
-    A Taylor quaternion of a sixteenth of the turn, doubled three times: libm's sine differs between vector lanes.
+    A Taylor quaternion of a sixteenth of the turn, doubled three times: libm's sine differs between
+    vector lanes.
     """
     x, y, z = turns.double().unbind(-1)
     angle = torch.sqrt(x * x + y * y + z * z)
@@ -265,7 +314,8 @@ def _compose(a: Tensor, b: Tensor) -> Tensor:
 def palm_frame(
     joints: Float[Tensor, "B 16 3"], side: Int[Tensor, " B"]
 ) -> tuple[Float[Tensor, "B 3"], Float[Tensor, "B 3"]]:
-    """Palm point ``p_h`` and the unit normal ``n_h`` out of the palm, in the frame of ``joints`` (benchmark.md)."""
+    """Palm point ``p_h`` and the unit normal ``n_h`` out of the palm, in the frame of ``joints``
+    (benchmark.md)."""
     wrist = joints[:, 0]
     total = wrist
     for j in FINGER_ROOTS:
@@ -279,7 +329,9 @@ def palm_frame(
         ],
         dim=1,
     )
-    norm = torch.sqrt(cross[:, 0] * cross[:, 0] + cross[:, 1] * cross[:, 1] + cross[:, 2] * cross[:, 2])
+    norm = torch.sqrt(
+        cross[:, 0] * cross[:, 0] + cross[:, 1] * cross[:, 1] + cross[:, 2] * cross[:, 2]
+    )
     sign = torch.where(side == LEFT, -1.0, 1.0).to(cross)
     return total / (1 + len(FINGER_ROOTS)), cross * (sign / norm)[:, None]
 
@@ -307,14 +359,16 @@ class HandSet:
     model: HandModel
     """the hand that takes these postures"""
     in_body: Float64[Tensor, "H 3 3"] | None = None
-    """how each was turned in the frame of its body (x where the chest faces, z up), NaN where nobody knows; None: of none"""
+    """how each was turned in the frame of its body (x where the chest faces, z up), NaN where
+    nobody knows; None: of none"""
 
     def __len__(self) -> int:
         return len(self.posture)
 
 
 def load_hand(path: str | Path | None = None) -> HandModel:
-    """The default hand (one object, however many others are loaded), or one stored in the format of ``hand.npz``."""
+    """The default hand (one object, however many others are loaded), or one stored in the format of
+    ``hand.npz``."""
     return _default_hand() if path is None else _stored_hand(path)
 
 
@@ -331,16 +385,21 @@ def _stored_hand(path: str | Path) -> HandModel:
 def load_hand_set(path: str | Path | None = None, model: HandModel | None = None) -> HandSet:
     """The 400 receiving postures, or those of a file, on a hand (default: :func:`load_hand`).
 
-    ``digest`` is sha256 over the arrays' bytes and, for another than the default hand, over the hand.
+    ``digest`` is sha256 over the arrays' bytes and, for another than the default hand, over the
+    hand.
     """
     hand = load_hand() if model is None else model
-    return _default_hand_set() if path is None and hand is load_hand() else _other_hand_set(path, hand)
+    return (
+        _default_hand_set() if path is None and hand is load_hand() else _other_hand_set(path, hand)
+    )
 
 
 @lru_cache(maxsize=4)
 def _other_hand_set(path: str | Path | None, hand: HandModel) -> HandSet:
     a = read_arrays(asset("hand", "handset.npz")) if path is None else read_hand_set(path)
-    return make_hand_set(hand, a["pose"], a["shape"], a["side"], a["posture"].tolist(), a.get("in_body"))
+    return make_hand_set(
+        hand, a["pose"], a["shape"], a["side"], a["posture"].tolist(), a.get("in_body")
+    )
 
 
 @lru_cache(maxsize=1)
@@ -366,7 +425,8 @@ def make_hand_set(
     posture: Sequence[str],
     in_body: np.ndarray | None = None,
 ) -> HandSet:
-    """Postures (H, 48), shapes (H, 10) and sides (H,) on a hand, right ones first; every piece's hull is built and checked."""
+    """Postures (H, 48), shapes (H, 10) and sides (H,) on a hand, right ones first; every piece's
+    hull is built and checked."""
     from r2h_batch.bodies.hand_pieces import hulls_of
 
     check_postures(pose, shape)
@@ -375,7 +435,9 @@ def make_hand_set(
         "pose": np.asarray(pose, np.float32)[order],
         "shape": np.asarray(shape, np.float32)[order],
         "side": np.asarray(side, np.int8)[order],
-        "posture": np.array([str(posture[i]) for i in order], dtype=f"<U{max(16, *map(len, posture))}"),
+        "posture": np.array(
+            [str(posture[i]) for i in order], dtype=f"<U{max(16, *map(len, posture))}"
+        ),
     }
     tensors = {k: torch.from_numpy(arrays[k]) for k in ("pose", "shape", "side")}
     vertices = model.pose(**tensors).vertices.double().numpy()
@@ -388,5 +450,7 @@ def make_hand_set(
         hull_offsets=torch.from_numpy(offsets),
         digest=arrays_digest({**arrays, "hull_vertex_ids": ids, "hull_offsets": offsets, **hand}),
         model=model,
-        in_body=None if in_body is None or not np.isfinite(in_body).any() else torch.from_numpy(in_body[order]),
+        in_body=None
+        if in_body is None or not np.isfinite(in_body).any()
+        else torch.from_numpy(in_body[order]),
     )

@@ -56,8 +56,8 @@ MOST_SHAPE = 100.0
 
 
 def check_postures(pose: NDArray[Any], shape: NDArray[Any]) -> None:
-    """ValueError that names the hand and the joint where an axis-angle turn of (H, 48) is more than a whole turn, or one of
-    (H, 10) shape numbers is no hand's: degrees, mostly."""
+    """ValueError that names the hand and the joint where an axis-angle turn of (H, 48) is more than
+    a whole turn, or one of (H, 10) shape numbers is no hand's: degrees, mostly."""
     turn = np.linalg.norm(np.asarray(pose, np.float64).reshape(len(pose), -1, 3), axis=2)
     if turn.size and not turn.max() <= MOST_TURN_RAD:
         hand, joint = np.unravel_index(int(np.argmax(~(turn <= MOST_TURN_RAD))), turn.shape)
@@ -68,15 +68,19 @@ def check_postures(pose: NDArray[Any], shape: NDArray[Any]) -> None:
     size = np.abs(np.asarray(shape, np.float64))
     if size.size and not size.max() <= MOST_SHAPE:
         odd = int(np.argmax(~(size <= MOST_SHAPE).all(1)))
-        raise ValueError(f"shape of hand {odd} goes up to {size[odd].max():.4g}; at most {MOST_SHAPE:g} is allowed")
+        raise ValueError(
+            f"shape of hand {odd} goes up to {size[odd].max():.4g}; at most {MOST_SHAPE:g} is allowed"
+        )
 
 
 SMALLEST_M, LARGEST_M, MOST_BEND_M = 0.05, 1.0, 0.1
-"""Of a hand's largest side, and how far one unit of a blend shape may move a vertex: else lengths are no metres."""
+"""Of a hand's largest side, and how far one unit of a blend shape may move a vertex: else lengths
+are no metres."""
 
 
 def check_lengths(arrays: Mapping[str, Any]) -> None:
-    """ValueError where the arrays of a hand model are of no hand's size: in other units than metres and radians, mostly."""
+    """ValueError where the arrays of a hand model are of no hand's size: in other units than metres
+    and radians, mostly."""
     for name in ("vertices", "left_vertices", "joints_rest", "left_joints_rest"):
         if name not in arrays:
             continue
@@ -98,7 +102,8 @@ def check_lengths(arrays: Mapping[str, Any]) -> None:
 
 
 def read_hand(path: str | Path) -> dict[str, np.ndarray]:
-    """The arrays of a hand model as `HandModel.from_arrays` takes them. Raises `FileError`, one line."""
+    """The arrays of a hand model as `HandModel.from_arrays` takes them. Raises `FileError`, one
+    line."""
     where, arrays = printable(path), read_npz(Path(path))
     left = {f"left_{k}": v for k, v in {**HAND, **OPTIONAL}.items()}
     given = {k: v for k, v in {**OPTIONAL, **left}.items() if k in arrays}
@@ -108,8 +113,15 @@ def read_hand(path: str | Path) -> dict[str, np.ndarray]:
     if tuple(arrays["parents"].tolist()) != PARENTS:
         raise FileError(f"{where}: parents are not MANO's, {PARENTS}")
     offsets = arrays["piece_offsets"].astype(np.int64)
-    if len(offsets) != sizes["P"] + 1 or offsets[0] != 0 or offsets[-1] != sizes["M"] or (np.diff(offsets) < 4).any():
-        raise FileError(f"{where}: piece_offsets do not divide piece_vertices into {sizes['P']} pieces of 4 or more")
+    if (
+        len(offsets) != sizes["P"] + 1
+        or offsets[0] != 0
+        or offsets[-1] != sizes["M"]
+        or (np.diff(offsets) < 4).any()
+    ):
+        raise FileError(
+            f"{where}: piece_offsets do not divide piece_vertices into {sizes['P']} pieces of 4 or more"
+        )
     for name in ("faces", "piece_vertices", "tip_vertices"):
         if arrays[name].min(initial=0) < 0 or arrays[name].max(initial=0) >= sizes["V"]:
             raise FileError(f"{where}: {name} names other vertices than the {sizes['V']} there are")
@@ -124,8 +136,9 @@ def read_hand(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def read_hand_set(path: str | Path) -> dict[str, np.ndarray]:
-    """pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set, and in_body (H, 3, 3) float64: how each was turned
-    to its body (`HandSet.in_body`), NaN where the file does not know. Raises `FileError`, one line."""
+    """pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set, and in_body (H, 3, 3)
+    float64: how each was turned to its body (`HandSet.in_body`), NaN where the file does not know.
+    Raises `FileError`, one line."""
     where, arrays = printable(path), read_npz(Path(path))
     sizes = _check(arrays, SET, where)
     if not 1 <= sizes["H"] <= MAX_HANDS:
@@ -140,7 +153,8 @@ def read_hand_set(path: str | Path) -> dict[str, np.ndarray]:
 
 
 def in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:
-    """Rotations (H, 3, 3) from body to hand: the body stands as `up` says and looks where `facing` does, level."""
+    """Rotations (H, 3, 3) from body to hand: the body stands as `up` says and looks where `facing`
+    does, level."""
     out = np.full((count, 3, 3), np.nan)
     if not all(name in arrays for name in BODY):
         return out
@@ -148,7 +162,9 @@ def in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:
         value = arrays[name]
         if value.shape != (count, *shape) or value.dtype.kind != "f":
             need = " x ".join(map(str, (count, *shape)))
-            raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {need}, NaN where unknown")
+            raise FileError(
+                f"{where}: {name} is {value.shape} {value.dtype}; need {need}, NaN where unknown"
+            )
     facing, up, T = (arrays[name].astype(np.float64) for name in BODY)
     known = np.isfinite(facing).all(1) & np.isfinite(up).all(1) & np.isfinite(T).all((1, 2))
     facing, up, R = facing[known], up[known], T[known, :3, :3]
@@ -178,11 +194,15 @@ def _check(
             raise FileError(f"{where}: has no {name}; needed are {', '.join(wanted)}")
         value = arrays[name]
         expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in shape)
-        fits = value.ndim == len(shape) and all(isinstance(n, str) or n == m for n, m in zip(expected, value.shape))
+        fits = value.ndim == len(shape) and all(
+            isinstance(n, str) or n == m for n, m in zip(expected, value.shape)
+        )
         if value.dtype.kind not in kind:
             raise FileError(f"{where}: {name} is of type {value.dtype}; it must be {KINDS[kind]}")
         if not fits:
-            raise FileError(f"{where}: {name} is {value.shape}; its shape must be {' x '.join(map(str, expected))}")
+            raise FileError(
+                f"{where}: {name} is {value.shape}; its shape must be {' x '.join(map(str, expected))}"
+            )
         sizes |= {n: m for n, m in zip(shape, value.shape) if isinstance(n, str)}
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             raise FileError(f"{where}: {name} holds numbers that are not finite")

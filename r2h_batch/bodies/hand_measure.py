@@ -1,4 +1,5 @@
-"""Measures on posed hands: how far the pieces' hulls stand out of the mesh, how deep the mesh cuts into itself."""
+"""Measures on posed hands: how far the pieces' hulls stand out of the mesh, how deep the mesh cuts
+into itself."""
 
 from __future__ import annotations
 
@@ -17,14 +18,17 @@ def hull_planes(points: np.ndarray) -> np.ndarray:
 
 
 def winding_number(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(N,) how often the closed mesh winds around every point: 0 outside, 1 inside, 2 where it overlaps itself."""
+    """(N,) how often the closed mesh winds around every point: 0 outside, 1 inside, 2 where it
+    overlaps itself."""
     total = np.zeros(len(points))
     for chunk in np.array_split(np.arange(len(points)), max(1, len(points) // 512)):
         a, b, c = (vertices[faces[:, k]][None] - points[chunk][:, None] for k in range(3))
         la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
         volume = np.einsum("nfc,nfc->nf", a, np.cross(b, c))
         dot = [np.einsum("nfc,nfc->nf", x, y) for x, y in ((a, b), (b, c), (c, a))]
-        total[chunk] = np.arctan2(volume, la * lb * lc + dot[0] * lc + dot[1] * la + dot[2] * lb).sum(1) / (2 * np.pi)
+        total[chunk] = np.arctan2(
+            volume, la * lb * lc + dot[0] * lc + dot[1] * la + dot[2] * lb
+        ).sum(1) / (2 * np.pi)
     return total
 
 
@@ -51,8 +55,11 @@ def sample_inside(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int
     return found[:count]
 
 
-def piece_report(vertices: np.ndarray, faces: np.ndarray, pieces: Sequence[np.ndarray], names: Sequence[str]) -> dict:
-    """Figures in mm: how far the union of the pieces' hulls stands out of the mesh, per piece and over all."""
+def piece_report(
+    vertices: np.ndarray, faces: np.ndarray, pieces: Sequence[np.ndarray], names: Sequence[str]
+) -> dict:
+    """Figures in mm: how far the union of the pieces' hulls stands out of the mesh, per piece and
+    over all."""
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     hulls = [ConvexHull(vertices[ids]) for ids in pieces]
     planes = [hull_planes(vertices[ids]) for ids in pieces]
@@ -62,7 +69,9 @@ def piece_report(vertices: np.ndarray, faces: np.ndarray, pieces: Sequence[np.nd
         outer = np.ones(len(points), bool)
         for other in range(len(hulls)):
             if other != k:
-                outer &= np.any(points @ planes[other][:, :3].T + planes[other][:, 3] > 1e-9, axis=1)
+                outer &= np.any(
+                    points @ planes[other][:, :3].T + planes[other][:, 3] > 1e-9, axis=1
+                )
         points = points[outer]  # what the outside world can touch
         _, distance, _ = trimesh.proximity.closest_point(mesh, points)
         distance = np.where(winding_number(vertices, faces, points) > 0.5, 0.0, distance)
@@ -114,19 +123,26 @@ def distance_to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarr
         for u, v in ((a, b), (b, c), (c, a)):
             line = v - u
             within &= np.einsum("tc,tc->t", np.cross(line, foot - u), normal) >= 0
-            t = np.clip(np.einsum("tc,tc->t", p - u, line) / np.einsum("tc,tc->t", line, line), 0, 1)
+            t = np.clip(
+                np.einsum("tc,tc->t", p - u, line) / np.einsum("tc,tc->t", line, line), 0, 1
+            )
             edge = np.minimum(edge, np.linalg.norm(u + t[:, None] * line - p, axis=1))
         best[i] = np.where(within, np.abs(height), edge).min()
     return best
 
 
 def self_cut(
-    vertices: np.ndarray, faces: np.ndarray, planes: Sequence[np.ndarray], pieces: Sequence[np.ndarray]
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    planes: Sequence[np.ndarray],
+    pieces: Sequence[np.ndarray],
 ) -> float:
-    """How deep (m) the mesh's own vertices lie inside it, creases of bent joints included; 0 when it is clean.
+    """How deep (m) the mesh's own vertices lie inside it, creases of bent joints included; 0 when
+    it is clean.
 
-    A vertex is inside when the mesh winds around it once even just outside its own skin. Its depth is the distance to
-    the nearest face that has no such vertex. Only vertices inside the hull of a piece that is not their own can be.
+    A vertex is inside when the mesh winds around it once even just outside its own skin. Its depth
+    is the distance to the nearest face that has no such vertex. Only vertices inside the hull of a
+    piece that is not their own can be.
     """
     suspect = np.zeros(len(vertices), bool)
     for k, own in enumerate(pieces):
@@ -145,15 +161,20 @@ def self_cut(
 
 
 def separate_pairs(pieces: Sequence[np.ndarray]) -> list[tuple[int, int]]:
-    """Pairs of pieces without a common mesh vertex: those that can collide instead of being joined by skin."""
+    """Pairs of pieces without a common mesh vertex: those that can collide instead of being joined
+    by skin."""
     sets = [set(p.tolist()) for p in pieces]
     return [(a, b) for a in range(len(sets)) for b in range(a) if not sets[a] & sets[b]]
 
 
-def hull_overlap(vertices: np.ndarray, hulls: Sequence[np.ndarray], pairs: Sequence[tuple[int, int]]) -> float:
-    """Largest penetration depth (m) over pairs of convex hulls; hulls[k] holds the vertex ids on hull k.
+def hull_overlap(
+    vertices: np.ndarray, hulls: Sequence[np.ndarray], pairs: Sequence[tuple[int, int]]
+) -> float:
+    """Largest penetration depth (m) over pairs of convex hulls; hulls[k] holds the vertex ids on
+    hull k.
 
-    Depth is the distance from the origin to the boundary of the Minkowski difference: exact up to rounding.
+    Depth is the distance from the origin to the boundary of the Minkowski difference: exact up to
+    rounding.
     """
     points = [vertices[h] for h in hulls]
     low, high = np.array([p.min(axis=0) for p in points]), np.array([p.max(axis=0) for p in points])

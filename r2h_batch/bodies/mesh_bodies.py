@@ -1,4 +1,5 @@
-"""The connected bodies of a mesh: which they are, whether they are bodies at all, and which hang together."""
+"""The connected bodies of a mesh: which they are, whether they are bodies at all, and which hang
+together."""
 
 from __future__ import annotations
 
@@ -15,7 +16,9 @@ __all__ = ["bodies_apart", "bodies_of", "body_volumes", "check_bodies", "listed"
 
 def bodies_of(mesh: trimesh.Trimesh) -> NDArray[np.int64]:
     """(F,) the connected body of each face."""
-    return np.asarray(trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces)))
+    return np.asarray(
+        trimesh.graph.connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
+    )
 
 
 def body_volumes(mesh: trimesh.Trimesh) -> list[tuple[float, float]]:
@@ -23,11 +26,18 @@ def body_volumes(mesh: trimesh.Trimesh) -> list[tuple[float, float]]:
     body = bodies_of(mesh)
     t = mesh.triangles - mesh.bounds.mean(axis=0)
     part = np.einsum("ij,ij->i", t[:, 0], np.cross(t[:, 1], t[:, 2])) / 6
-    return list(zip(np.bincount(body, part).tolist(), np.bincount(body, mesh.area_faces).tolist(), strict=True))
+    return list(
+        zip(
+            np.bincount(body, part).tolist(),
+            np.bincount(body, mesh.area_faces).tolist(),
+            strict=True,
+        )
+    )
 
 
 def check_bodies(mesh: trimesh.Trimesh, label: str) -> None:
-    """Refuse a cloud of triangles, and objects of nothing but closed sheets thinner than distances can be trusted."""
+    """Refuse a cloud of triangles, and objects of nothing but closed sheets thinner than distances
+    can be trusted."""
     volumes = body_volumes(mesh)
     if len(volumes) > MOST_BODIES:
         raise ObjectMeshError(
@@ -51,7 +61,8 @@ def thickness(volume: float, area: float) -> float:
 
 
 def bodies_apart(mesh: trimesh.Trimesh, budget: Budget) -> list[float]:
-    """Largest sides (m) of the bodies that touch no other, the largest first; [] where all hang together."""
+    """Largest sides (m) of the bodies that touch no other, the largest first; [] where all hang
+    together."""
     body = bodies_of(mesh)
     solids = [
         trimesh.Trimesh(mesh.vertices, mesh.faces[body == k], process=False)
@@ -69,12 +80,17 @@ def bodies_apart(mesh: trimesh.Trimesh, budget: Budget) -> list[float]:
     for n, (i, j) in enumerate(pairs):
         budget.spend("measuring the gaps between its bodies", n / len(pairs))
         if not touching[i, j]:
-            distance, _ = signed_distance(solids[i], np.concatenate([solids[j].vertices, solids[j].triangles_center]))
+            distance, _ = signed_distance(
+                solids[i], np.concatenate([solids[j].vertices, solids[j].triangles_center])
+            )
             touching[i, j] = touching[j, i] = distance.min() < THINNEST_M
     count, group = connected_components(touching, False)
     if count < 2:
         return []
-    sides = [(bounds[group == g, 1].max(axis=0) - bounds[group == g, 0].min(axis=0)).max() for g in range(count)]
+    sides = [
+        (bounds[group == g, 1].max(axis=0) - bounds[group == g, 0].min(axis=0)).max()
+        for g in range(count)
+    ]
     return sorted(map(float, sides), reverse=True)
 
 

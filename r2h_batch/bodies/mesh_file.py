@@ -1,7 +1,9 @@
-"""A mesh file read as triangles, in a process of its own: readers of other people's files may take any time and memory.
+"""A mesh file read as triangles, in a process of its own: readers of other people's files may take
+any time and memory.
 
-The child gets the opened file as its stdin and answers with two arrays. Materials and textures are never loaded;
-buffers that a glTF names are, from the file's own folder. `python -m r2h_batch.bodies.mesh_file` is the child.
+The child gets the opened file as its stdin and answers with two arrays. Materials and textures are
+never loaded; buffers that a glTF names are, from the file's own folder. `python -m
+r2h_batch.bodies.mesh_file` is the child.
 """
 
 from __future__ import annotations
@@ -32,17 +34,23 @@ MOST_WAITS = 10
 """The child may wait this many times longer than it may work: for a busy machine, not for ever."""
 MEMORY_BYTES = 8 << 30
 MEMORY_PER_BYTE = 40
-"""The child's address space: some for the libraries, and some for each byte of the file (text takes most)."""
+"""The child's address space: some for the libraries, and some for each byte of the file (text takes
+most)."""
 
 
 def load_mesh_file(path: str | Path, label: str) -> trimesh.Trimesh:
-    """The triangles of a mesh file as it stands; whatever is wrong with it is one `ObjectMeshError`."""
+    """The triangles of a mesh file as it stands; whatever is wrong with it is one
+    `ObjectMeshError`."""
     path, label = Path(path), printable(label)
     shown = printable(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise ObjectMeshError(f"{label}: {shown} is not one of {', '.join(SUFFIXES)}; convert it to one of them")
+        raise ObjectMeshError(
+            f"{label}: {shown} is not one of {', '.join(SUFFIXES)}; convert it to one of them"
+        )
     if not os.path.exists(path):  # also of a name that is too long
-        raise ObjectMeshError(f"{label}: no file {shown}; give the path of a mesh ({', '.join(SUFFIXES)})")
+        raise ObjectMeshError(
+            f"{label}: no file {shown}; give the path of a mesh ({', '.join(SUFFIXES)})"
+        )
     try:
         with open_file(path, MOST_BYTES) as file, tempfile.TemporaryFile() as answer:
             size = os.fstat(file.fileno()).st_size
@@ -56,7 +64,9 @@ def load_mesh_file(path: str | Path, label: str) -> trimesh.Trimesh:
     except FileError as error:
         raise ObjectMeshError(f"{label}: {error}") from None
     if len(faces) == 0:
-        raise ObjectMeshError(f"{label}: {shown} is empty: no triangles in it; export a triangle mesh")
+        raise ObjectMeshError(
+            f"{label}: {shown} is empty: no triangles in it; export a triangle mesh"
+        )
     mesh = trimesh.Trimesh(vertices, faces, process=False)
     if len(names) > 1:
         mesh.metadata[LABELS] = (part, tuple(str(n) for n in names))
@@ -64,7 +74,8 @@ def load_mesh_file(path: str | Path, label: str) -> trimesh.Trimesh:
 
 
 def labels_of(mesh: trimesh.Trimesh) -> tuple[NDArray[np.int64], tuple[str, ...]] | None:
-    """(F,) part of each face and the parts' names, as the named groups of its file said; None where they said none."""
+    """(F,) part of each face and the parts' names, as the named groups of its file said; None where
+    they said none."""
     return mesh.metadata.get(LABELS)
 
 
@@ -76,7 +87,8 @@ def _read_in_child(file: BinaryIO, answer: BinaryIO, path: Path, size: int, labe
         "bytes": size,
         "seconds": MOST_SECONDS,
     }
-    # modules from where this process has them, and from nowhere else: the folder may be the mesh's, with a numpy.py in it
+    # modules from where this process has them, and from nowhere else: the folder may be the mesh's,
+    # with a numpy.py in it
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
     child = subprocess.Popen(
         [sys.executable, "-P", "-m", "r2h_batch.bodies.mesh_file", json.dumps(options)],
@@ -109,7 +121,9 @@ def _read_in_child(file: BinaryIO, answer: BinaryIO, path: Path, size: int, labe
             f"takes more than {MOST_SECONDS:g} s of CPU time to read, or ends its reader ({-child.returncode}); "
             "export it as a plain STL or OBJ"
         )
-    return "cannot be read as a mesh: its reader ended with an error; export it as a plain STL or OBJ"
+    return (
+        "cannot be read as a mesh: its reader ended with an error; export it as a plain STL or OBJ"
+    )
 
 
 LABELS = "r2h_batch part labels"
@@ -148,11 +162,16 @@ def _limit(size: int, seconds: int) -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
     memory = MEMORY_BYTES + MEMORY_PER_BYTE * size
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (memory if hard == resource.RLIM_INFINITY else min(memory, hard), hard))
+    resource.setrlimit(
+        resource.RLIMIT_AS, (memory if hard == resource.RLIM_INFINITY else min(memory, hard), hard)
+    )
 
 
-def _read_grouped(data: io.BytesIO, kind: str, resolver: _Beside) -> tuple[Any, NDArray[np.int64], list[str]]:
-    """The mesh, (F,) the named group of each face, the groups' names (none where there are fewer than two)."""
+def _read_grouped(
+    data: io.BytesIO, kind: str, resolver: _Beside
+) -> tuple[Any, NDArray[np.int64], list[str]]:
+    """The mesh, (F,) the named group of each face, the groups' names (none where there are fewer
+    than two)."""
     options: dict[str, Any] = {"process": False, "maintain_order": True, "skip_materials": True}
     none: tuple[NDArray[np.int64], list[str]] = (np.zeros(0, np.int64), [])
     if kind == "obj" and (found := _obj_groups(data.getvalue())) is not None:
@@ -182,8 +201,9 @@ def _read_grouped(data: io.BytesIO, kind: str, resolver: _Beside) -> tuple[Any, 
 
 
 def _obj_groups(text: bytes) -> tuple[Any, NDArray[np.int64], list[str]] | None:
-    """An OBJ's triangles by its `g` or `o` lines; None where these name fewer than two groups of faces, or too many, and
-    trimesh reads it as well (it counts indices from the end through vertices that come later)."""
+    """An OBJ's triangles by its `g` or `o` lines; None where these name fewer than two groups of
+    faces, or too many, and trimesh reads it as well (it counts indices from the end through
+    vertices that come later)."""
     lines = text.decode("utf-8", "replace").splitlines()
     for kind in ("g", "o"):
         names = {line.strip() for line in lines if line.startswith((f"{kind} ", f"{kind}\t"))}
@@ -220,7 +240,9 @@ def _obj_triangles(lines: list[str], kind: str) -> tuple[Any, NDArray[np.int64],
                 raise ValueError(f"a face names vertex {min(index)}")
             faces += [(index[0], index[k], index[k + 1]) for k in range(1, len(index) - 1)]
             part += [now] * (len(index) - 2)
-    mesh = trimesh.Trimesh(np.array(corners).reshape(-1, 3), np.array(faces).reshape(-1, 3), process=False)
+    mesh = trimesh.Trimesh(
+        np.array(corners).reshape(-1, 3), np.array(faces).reshape(-1, 3), process=False
+    )
     return mesh, *_numbered(np.array(part, np.int64), seen)
 
 
@@ -237,7 +259,8 @@ def _word(name: str) -> str:
 
 
 def child(options: str) -> int:
-    """Exit code of the child: 0 with the vertices and faces on stdout, or `REFUSED` with one line on stderr."""
+    """Exit code of the child: 0 with the vertices and faces on stdout, or `REFUSED` with one line
+    on stderr."""
     given = json.loads(options)
     _limit(given["bytes"], int(given["seconds"]))
     data = io.BytesIO(sys.stdin.buffer.read())
@@ -254,7 +277,9 @@ def child(options: str) -> int:
             answer.flush()
             return 0
     except MemoryError:
-        said = "asks for more memory than any mesh of its size needs; export it as a plain STL or OBJ"
+        said = (
+            "asks for more memory than any mesh of its size needs; export it as a plain STL or OBJ"
+        )
     except Exception as error:  # trimesh's readers raise whatever their parser meets
         said = f"cannot be read as a mesh: {type(error).__name__}: {printable(error)[:300]}"
     sys.stderr.write(f"\n{said}")

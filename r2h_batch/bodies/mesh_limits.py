@@ -1,4 +1,5 @@
-"""What a user's mesh may cost: its sizes, its time, and the one line that says so when it is too much."""
+"""What a user's mesh may cost: its sizes, its time, and the one line that says so when it is too
+much."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ MOST_SECONDS = 60.0
 """CPU seconds for reading a file, and again for repairing what was in it."""
 SILENT_SECONDS = 5.0
 THINNEST_M = 1e-4
-"""Mean thickness below which a closed body is a sheet: no nearer than this are float32 distances trusted
-(`config.BORDERLINE_M`)."""
+"""Mean thickness below which a closed body is a sheet: no nearer than this are float32 distances
+trusted (`config.BORDERLINE_M`)."""
 
 
 class ObjectMeshError(ValueError):
@@ -28,15 +29,16 @@ class ObjectMeshError(ValueError):
 
 
 class Budget:
-    """CPU time of this thread for one mesh. `spend` between pieces of work: a line on stderr after 5 s and every 5 s
-    from then on, an `ObjectMeshError` once the time is used up."""
+    """CPU time of this thread for one mesh. `spend` between pieces of work: a line on stderr after
+    5 s and every 5 s from then on, an `ObjectMeshError` once the time is used up."""
 
     def __init__(self, label: str, seconds: float = MOST_SECONDS) -> None:
         self.label, self.seconds = label, seconds
         self._start, self._said = time.thread_time(), time.monotonic()
 
     def spend(self, doing: str, share: float | None = None) -> None:
-        """Say what is being done, and `share` (0 to 1) of it that is; refuse to go on when there is no time left."""
+        """Say what is being done, and `share` (0 to 1) of it that is; refuse to go on when there is
+        no time left."""
         used, now = time.thread_time() - self._start, time.monotonic()
         part = "" if share is None else f" ({100 * share:.0f} %)"
         if used > self.seconds:

@@ -1,9 +1,9 @@
 """A user's mesh file made into one closed, outward-wound surface, or a clear error.
 
-Every repair is named in a warning, with what it did to volume and surface. Order: merge duplicate vertices, drop
-degenerate and repeated faces, take edges of more than two faces apart, drop slivers, weld, fix winding, fill holes and
-flat openings; what is then still open is rebuilt from its distance field, bodies that are closed stay as they are; unite
-overlapping bodies, decimate.
+Every repair is named in a warning, with what it did to volume and surface. Order: merge duplicate
+vertices, drop degenerate and repeated faces, take edges of more than two faces apart, drop slivers,
+weld, fix winding, fill holes and flat openings; what is then still open is rebuilt from its
+distance field, bodies that are closed stay as they are; unite overlapping bodies, decimate.
 """
 
 from __future__ import annotations
@@ -16,9 +16,24 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.given.mend import FLAT_M, apart, mended, merged, open_faces, outwards, without_slivers
+from r2h_batch.bodies.given.mend import (
+    FLAT_M,
+    apart,
+    mended,
+    merged,
+    open_faces,
+    outwards,
+    without_slivers,
+)
 from r2h_batch.bodies.given.rebuild import MOST_FACES, decimated, joined, rebuilt, united
-from r2h_batch.bodies.mesh_bodies import bodies_apart, bodies_of, body_volumes, check_bodies, listed, thickness
+from r2h_batch.bodies.mesh_bodies import (
+    bodies_apart,
+    bodies_of,
+    body_volumes,
+    check_bodies,
+    listed,
+    thickness,
+)
 from r2h_batch.bodies.mesh_file import load_mesh_file
 from r2h_batch.bodies.mesh_limits import MOST_GIVEN_FACES, THINNEST_M, Budget, ObjectMeshError
 from r2h_batch.bodies.solid import Surface, sample_surface
@@ -39,7 +54,8 @@ class Repair:
     """of the given bodies, where they overlap counted twice; None: the given surface is open"""
     volume_m3: float
     moved_m: float
-    """the farthest that the new surface is from the given one, or that one outside it, over 5,000 samples of each"""
+    """the farthest that the new surface is from the given one, or that one outside it, over 5,000
+    samples of each"""
 
     @property
     def text(self) -> str:
@@ -47,8 +63,14 @@ class Repair:
         given, made = self.volume_given_m3, f"{1e6 * self.volume_m3:.4g} cm3"
         change = made
         if given is not None:
-            percent = round(100 * (self.volume_m3 / given - 1), 2) + 0.0 if given > 1e-3 * self.volume_m3 else None
-            share = "" if percent is None else f" ({percent:+.2f} %)"  # + 0.0: no minus before nothing
+            percent = (
+                round(100 * (self.volume_m3 / given - 1), 2) + 0.0
+                if given > 1e-3 * self.volume_m3
+                else None
+            )
+            share = (
+                "" if percent is None else f" ({percent:+.2f} %)"
+            )  # + 0.0: no minus before nothing
             change = f"{1e6 * given:.4g} -> {made}{share}"
         return f"{'; '.join(self.steps)}. Volume {change}, surface changed by up to {1e3 * self.moved_m:.2f} mm"
 
@@ -70,7 +92,9 @@ class Closed:
 def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) -> Closed:
     """The closed outward-wound surface; repairs and bodies apart are warned of."""
     if not (np.isfinite(scale) and scale > 0):
-        raise ObjectMeshError(f"{label}: scale is {scale}; it must be a positive number (0.001 for millimetres)")
+        raise ObjectMeshError(
+            f"{label}: scale is {scale}; it must be a positive number (0.001 for millimetres)"
+        )
     mesh = load_mesh_file(source, label) if isinstance(source, (str, Path)) else source.copy()
     budget = Budget(label)
     source = mesh
@@ -108,7 +132,8 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
 
 
 def _whole(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
-    """The mesh repaired where faces suffice, and what is still open rebuilt beside what is closed."""
+    """The mesh repaired where faces suffice, and what is still open rebuilt beside what is
+    closed."""
     mesh = without_slivers(apart(mesh, budget, done), budget, done)
     if not _closed(mesh):
         mesh = mended(mesh, budget, done)
@@ -131,13 +156,21 @@ def _whole(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Tr
     return united(joined([kept, new]), budget, done, sure=True)[0]
 
 
-def _change(given: trimesh.Trimesh, mesh: trimesh.Trimesh, steps: tuple[str, ...], same: bool) -> Repair:
+def _change(
+    given: trimesh.Trimesh, mesh: trimesh.Trimesh, steps: tuple[str, ...], same: bool
+) -> Repair:
     """The figures of a repair."""
-    rims = np.unique(np.sort(merged(given.vertices, given.faces, []).edges_sorted, axis=1), axis=0, return_counts=True)[
-        1
-    ]
+    rims = np.unique(
+        np.sort(merged(given.vertices, given.faces, []).edges_sorted, axis=1),
+        axis=0,
+        return_counts=True,
+    )[1]
     t = given.triangles - given.bounds.mean(axis=0)
-    volume = float(np.einsum("ij,ij->i", t[:, 0], np.cross(t[:, 1], t[:, 2])).sum() / 6) if (rims > 1).all() else None
+    volume = (
+        float(np.einsum("ij,ij->i", t[:, 0], np.cross(t[:, 1], t[:, 2])).sum() / 6)
+        if (rims > 1).all()
+        else None
+    )
     if same:
         return Repair(steps, volume, float(mesh.volume), 0.0)
 
@@ -153,17 +186,22 @@ def _change(given: trimesh.Trimesh, mesh: trimesh.Trimesh, steps: tuple[str, ...
 
 
 def _closed(mesh: trimesh.Trimesh) -> bool:
-    """Closed, consistently wound, and every body encloses something (a double-sided sheet does not)."""
-    if len(mesh.faces) == 0 or not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0):
+    """Closed, consistently wound, and every body encloses something (a double-sided sheet does
+    not)."""
+    if len(mesh.faces) == 0 or not (
+        mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0
+    ):
         return False
     volumes = body_volumes(mesh)
     thin = [thickness(volume, area) < THINNEST_M for volume, area in volumes]
-    return all(thin) == any(thin) and all(abs(volume) > FLAT_M * area for volume, area in volumes[1:])
+    return all(thin) == any(thin) and all(
+        abs(volume) > FLAT_M * area for volume, area in volumes[1:]
+    )
 
 
 def _open_bodies(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
-    """(F,) the faces of bodies that have a rim, enclose nothing, or are closed sheets thinner than distances can be
-    trusted beside bodies that are not."""
+    """(F,) the faces of bodies that have a rim, enclose nothing, or are closed sheets thinner than
+    distances can be trusted beside bodies that are not."""
     body = bodies_of(mesh)
     volumes = body_volumes(mesh)
     thin = [k for k, (volume, area) in enumerate(volumes) if abs(volume) <= FLAT_M * area]
@@ -174,15 +212,23 @@ def _open_bodies(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
 
 def _check(vertices: NDArray[np.float64], faces: NDArray[np.int64], label: str) -> None:
     if len(faces) == 0 or len(vertices) == 0:
-        raise ObjectMeshError(f"{label}: the mesh is empty ({len(vertices)} vertices, {len(faces)} faces)")
+        raise ObjectMeshError(
+            f"{label}: the mesh is empty ({len(vertices)} vertices, {len(faces)} faces)"
+        )
     if faces.min() < 0 or faces.max() >= len(vertices):
-        raise ObjectMeshError(f"{label}: a face names vertex {faces.max()}, but there are {len(vertices)} vertices")
+        raise ObjectMeshError(
+            f"{label}: a face names vertex {faces.max()}, but there are {len(vertices)} vertices"
+        )
     if len(faces) > MOST_GIVEN_FACES:
-        raise ObjectMeshError(f"{label}: {len(faces)} faces; at most {MOST_GIVEN_FACES} can be read: decimate it first")
+        raise ObjectMeshError(
+            f"{label}: {len(faces)} faces; at most {MOST_GIVEN_FACES} can be read: decimate it first"
+        )
     used = vertices[np.unique(faces)]
     bad = ~np.isfinite(used).all(axis=1)
     if bad.any():
-        raise ObjectMeshError(f"{label}: {int(bad.sum())} vertices are not finite (NaN or inf); export the mesh again")
+        raise ObjectMeshError(
+            f"{label}: {int(bad.sum())} vertices are not finite (NaN or inf); export the mesh again"
+        )
     low, high = used.min(axis=0), used.max(axis=0)
     side = float((high - low).max())
     if side > LARGEST_M:

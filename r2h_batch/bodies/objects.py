@@ -1,7 +1,8 @@
 """The objects of the benchmark, and a user's own mesh through the same build.
 
-Every object lives in its own frame ``obj``, in metres. For the 16 built-in objects the origin is the centre of the
-bounding box; a user's mesh keeps the frame of its file, so that grasps predicted in that frame stay valid.
+Every object lives in its own frame ``obj``, in metres. For the 16 built-in objects the origin is
+the centre of the bounding box; a user's mesh keeps the frame of its file, so that grasps predicted
+in that frame stay valid.
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ DEFAULT_DENSITY = 600.0  # kg/m^3 for a user's mesh without a mass: between wood
 
 @dataclass(frozen=True, eq=False)
 class ObjectModel:
-    """One rigid object in its frame ``obj``; lengths in metres, arrays read-only. V vertices, F faces, P pieces."""
+    """One rigid object in its frame ``obj``; lengths in metres, arrays read-only. V vertices, F
+    faces, P pieces."""
 
     name: str
     split: str
@@ -82,10 +84,12 @@ class ObjectModel:
     receiver_face: NDArray[np.bool_]
     """(F,) the faces of the receiver's region G_O^H"""
     hull_vertices: NDArray[np.float32]
-    """the convex hull; where that has more than 256 vertices, a convex body of about 256 that encloses it closely"""
+    """the convex hull; where that has more than 256 vertices, a convex body of about 256 that
+    encloses it closely"""
     hull_faces: NDArray[np.int32]
     piece_vertices: NDArray[np.float32]
-    """vertices of all convex pieces; piece k has rows ``piece_vertex_offsets[k]:piece_vertex_offsets[k + 1]``"""
+    """vertices of all convex pieces; piece k has rows
+    ``piece_vertex_offsets[k]:piece_vertex_offsets[k + 1]``"""
     piece_faces: NDArray[np.int32]
     """triangles of all pieces, indices local to the piece"""
     piece_vertex_offsets: NDArray[np.int32]
@@ -99,7 +103,8 @@ class ObjectModel:
     voxels: NDArray[np.uint8]
     """packed bits of the (64, 64, 64) occupancy, C order; see :attr:`occupancy`"""
     voxel_origin: NDArray[np.float64]
-    """(3,) the grid's lowest corner; the centre of voxel (i, j, k) is ``voxel_origin + (ijk + 0.5) * voxel_pitch``"""
+    """(3,) the grid's lowest corner; the centre of voxel (i, j, k) is ``voxel_origin + (ijk + 0.5)
+    * voxel_pitch``"""
     voxel_pitch: float
     mass: float
     com: NDArray[np.float64]
@@ -116,14 +121,20 @@ class ObjectModel:
 
     @property
     def occupancy(self) -> NDArray[np.bool_]:
-        """(64, 64, 64) bool: a voxel is full when its centre is inside the solid or the surface passes through it."""
-        return np.unpackbits(self.voxels, count=VOXELS**3).astype(bool).reshape(VOXELS, VOXELS, VOXELS)
+        """(64, 64, 64) bool: a voxel is full when its centre is inside the solid or the surface
+        passes through it."""
+        return (
+            np.unpackbits(self.voxels, count=VOXELS**3).astype(bool).reshape(VOXELS, VOXELS, VOXELS)
+        )
 
     @property
     def pieces(self) -> list[tuple[NDArray[np.float32], NDArray[np.int32]]]:
         """(vertices, faces) of every convex piece."""
         v, f = self.piece_vertex_offsets, self.piece_face_offsets
-        return [(self.piece_vertices[v[k] : v[k + 1]], self.piece_faces[f[k] : f[k + 1]]) for k in range(len(v) - 1)]
+        return [
+            (self.piece_vertices[v[k] : v[k + 1]], self.piece_faces[f[k] : f[k + 1]])
+            for k in range(len(v) - 1)
+        ]
 
     @property
     def mesh(self) -> trimesh.Trimesh:
@@ -132,16 +143,20 @@ class ObjectModel:
 
 
 def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
-    """The built-in objects: all 16 in benchmark order (their position is ``object_index``), or those named."""
+    """The built-in objects: all 16 in benchmark order (their position is ``object_index``), or
+    those named."""
     wanted = OBJECT_NAMES if names is None else tuple(names)
     unknown = [n for n in wanted if n not in OBJECT_NAMES]
     if unknown:
-        raise ValueError(f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(OBJECT_NAMES)}")
+        raise ValueError(
+            f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(OBJECT_NAMES)}"
+        )
     return tuple(_load(n) for n in wanted)
 
 
 def is_built_in(model: ObjectModel) -> bool:
-    """Whether this is the built-in object of its name, and not a user's file that is called the same."""
+    """Whether this is the built-in object of its name, and not a user's file that is called the
+    same."""
     if model.name not in OBJECT_NAMES:
         return False
     (own,) = load_objects([model.name])
@@ -150,7 +165,8 @@ def is_built_in(model: ObjectModel) -> bool:
 
 
 def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
-    """sha256 (hex) over names, dtypes, shapes and bytes of every field, in order: same geometry, same digest."""
+    """sha256 (hex) over names, dtypes, shapes and bytes of every field, in order: same geometry,
+    same digest."""
     digest = hashlib.sha256()
     for model in [objects] if isinstance(objects, ObjectModel) else objects:
         for f in fields(model):
@@ -190,19 +206,23 @@ def build_object(
     part_names: Sequence[str] = ("body",),
     pieces: bool | Literal["fine"] = True,
 ) -> ObjectModel:
-    """An :class:`ObjectModel` from a file (OBJ, STL, PLY, OFF, GLB ...) or a trimesh in metres, in the file's frame.
+    """An :class:`ObjectModel` from a file (OBJ, STL, PLY, OFF, GLB ...) or a trimesh in metres, in
+    the file's frame.
 
-    A mesh that is not a closed solid is repaired, and a warning says what was done; what cannot be repaired raises
-    :class:`ObjectMeshError`. ``scale`` multiplies the coordinates (0.001 for millimetres). Without ``mass``
-    (kg) the density is 600 kg/m^3. ``face_part`` (one index into ``part_names`` for each face of the file) labels the faces;
-    without it the named groups of an OBJ or GLB do. An S1 object needs its receiver's region: ``receiver`` is the name of
-    a part (``"handle"``, ``"handle,guard"``), ``"z<0.3"`` (axis, comparison, fraction of the bounding box from its low
-    side), or one bool per face of the file or indices of its faces (array, or ``.npy`` file); without it, S1 takes the
-    lighter half of the longest axis, with a warning. Labels and faces are carried over to a repaired mesh.
-    ``pieces=False`` skips the convex decomposition (half a second): the hull is then the only piece. ``"fine"`` is CoACD's, as
-    of the built-in objects: a minute and more.
+    A mesh that is not a closed solid is repaired, and a warning says what was done; what cannot be
+    repaired raises :class:`ObjectMeshError`. ``scale`` multiplies the coordinates (0.001 for
+    millimetres). Without ``mass`` (kg) the density is 600 kg/m^3. ``face_part`` (one index into
+    ``part_names`` for each face of the file) labels the faces; without it the named groups of an
+    OBJ or GLB do. An S1 object needs its receiver's region: ``receiver`` is the name of a part
+    (``"handle"``, ``"handle,guard"``), ``"z<0.3"`` (axis, comparison, fraction of the bounding box
+    from its low side), or one bool per face of the file or indices of its faces (array, or ``.npy``
+    file); without it, S1 takes the lighter half of the longest axis, with a warning. Labels and
+    faces are carried over to a repaired mesh. ``pieces=False`` skips the convex decomposition (half
+    a second): the hull is then the only piece. ``"fine"`` is CoACD's, as of the built-in objects: a
+    minute and more.
 
-    What is built of a file is kept on disk (`files.kept`), named by the file's content, the options and the code.
+    What is built of a file is kept on disk (`files.kept`), named by the file's content, the options
+    and the code.
     """
     _check_build(split, receiver is not None, mass)
     options = _options(
@@ -219,7 +239,9 @@ def build_object(
 
 def _options(mesh: str | Path | trimesh.Trimesh, **given: Any) -> dict[str, Any]:
     """All options of a build, the defaults of `build_object` for those that are not given."""
-    defaults = {k: p.default for k, p in inspect.signature(build_object).parameters.items() if k != "mesh"}
+    defaults = {
+        k: p.default for k, p in inspect.signature(build_object).parameters.items() if k != "mesh"
+    }
     options = {**defaults, **given}
     label = options["name"] or (Path(mesh).stem if isinstance(mesh, (str, Path)) else "object")
     labels = options["face_part"]
@@ -290,8 +312,15 @@ def _built(
 
 def _as_arrays(model: ObjectModel) -> dict[str, Any]:
     """What is kept of a built object."""
-    arrays = {f.name: np.asarray(getattr(model, f.name)) for f in fields(ObjectModel) if f.name not in SAID}
-    return {**arrays, "repair": np.array(json.dumps(asdict(model.repair) if model.repair else None))}
+    arrays = {
+        f.name: np.asarray(getattr(model, f.name))
+        for f in fields(ObjectModel)
+        if f.name not in SAID
+    }
+    return {
+        **arrays,
+        "repair": np.array(json.dumps(asdict(model.repair) if model.repair else None)),
+    }
 
 
 def _packed(convex: Sequence[tuple[NDArray[np.float32], NDArray[np.int32]]]) -> dict[str, Any]:
@@ -318,15 +347,20 @@ def _inertial(solid: trimesh.Trimesh, mass: float | None) -> dict[str, Any]:
 def _check_build(split: str, with_receiver: bool, mass: float | None) -> None:
     """Raises ValueError for arguments of `build_object` that do not go together."""
     if split not in ("S0", "S1"):
-        raise ValueError(f"split is {split!r}; it must be 'S0' (free) or 'S1' (functional, with a receiver's region)")
+        raise ValueError(
+            f"split is {split!r}; it must be 'S0' (free) or 'S1' (functional, with a receiver's region)"
+        )
     if split == "S0" and with_receiver:
-        raise ValueError("a receiver region was given for an S0 object; use split='S1', or leave the region out")
+        raise ValueError(
+            "a receiver region was given for an S0 object; use split='S1', or leave the region out"
+        )
     if mass is not None and not (np.isfinite(mass) and mass > 0):
         raise ValueError(f"mass is {mass}; it must be a positive number of kilograms")
 
 
 def object_from_argument(argument: str, *, pieces: bool = True) -> ObjectModel:
-    """The object of the command line's ``FILE[:S0|S1[:RECEIVER]]``, e.g. ``mug.obj``, ``saw.stl:S1:x<0.4``."""
+    """The object of the command line's ``FILE[:S0|S1[:RECEIVER]]``, e.g. ``mug.obj``,
+    ``saw.stl:S1:x<0.4``."""
     return build_object(**call_of(argument, pieces=pieces))
 
 
@@ -340,9 +374,15 @@ def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
     if any(c in argument for c in "\r\n\0"):
         raise ObjectMeshError(f"object mesh {shown!r}: has a line end in its name; rename the file")
     match = re.fullmatch(r"(?P<file>.+?)(?::(?P<split>S\d+)(?::(?P<receiver>.+))?)?", argument)
-    said = re.fullmatch(rf"(.+?\.(?:{'|'.join(e[1:] for e in SUFFIXES)})):(.*)", argument, re.IGNORECASE)
+    said = re.fullmatch(
+        rf"(.+?\.(?:{'|'.join(e[1:] for e in SUFFIXES)})):(.*)", argument, re.IGNORECASE
+    )
     if match is None or (said and match["file"] == argument and not os.path.lexists(argument)):
-        found = f" what stands behind {printable(said[1])[:200]} is {printable(said[2])[:40]!r};" if said else ""
+        found = (
+            f" what stands behind {printable(said[1])[:200]} is {printable(said[2])[:40]!r};"
+            if said
+            else ""
+        )
         raise ObjectMeshError(
             f"object mesh {shown!r}:{found} expected FILE, FILE:S0, FILE:S1 or FILE:S1:RECEIVER, e.g. saw.stl:S1:x<0.4"
         )
@@ -362,7 +402,9 @@ def _load(name: str) -> ObjectModel:
 def read_object(path: str) -> ObjectModel:
     """The object stored in one ``.npz`` of assets/objects' format."""
     with np.load(path, allow_pickle=False) as data:
-        return _from_arrays({f.name: data[f.name] for f in fields(ObjectModel) if f.name not in SAID})
+        return _from_arrays(
+            {f.name: data[f.name] for f in fields(ObjectModel) if f.name not in SAID}
+        )
 
 
 def _from_arrays(arrays: Mapping[str, NDArray[Any]]) -> ObjectModel:

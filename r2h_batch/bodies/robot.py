@@ -1,4 +1,5 @@
-"""The UR5e with its 2F-85 as numbers: joint frames, primitives, finger linkage, lever bounds (float64 NumPy)."""
+"""The UR5e with its 2F-85 as numbers: joint frames, primitives, finger linkage, lever bounds
+(float64 NumPy)."""
 
 import hashlib
 import json
@@ -18,7 +19,8 @@ JOINT_KEYS = ("T_parent_joint", "lower", "upper", "max_velocity", "max_torque")
 
 
 class Kind(IntEnum):
-    """Shape codes of the kernels. Sizes as in MuJoCo, along local z: [radius, half length], box half sides."""
+    """Shape codes of the kernels. Sizes as in MuJoCo, along local z: [radius, half length], box
+    half sides."""
 
     SPHERE = 0
     CAPSULE = 1
@@ -29,7 +31,8 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class Primitives:
-    """N shapes in their carriers' frames: the arm's links, or the gripper frame with the fingers at drive angle 0."""
+    """N shapes in their carriers' frames: the arm's links, or the gripper frame with the fingers at
+    drive angle 0."""
 
     names: tuple[str, ...]
     link: NDArray[np.int32]
@@ -40,7 +43,8 @@ class Primitives:
 
 @dataclass(frozen=True)
 class Linkage:
-    """The right (+y) finger's pivots in the gripper frame's (y, z) plane at drive angle 0; the left is its mirror."""
+    """The right (+y) finger's pivots in the gripper frame's (y, z) plane at drive angle 0; the left
+    is its mirror."""
 
     driver_pivot_yz: Array
     pin_from_driver_yz: Array
@@ -60,7 +64,8 @@ class Linkage:
 class Robot:
     """Everything in robot.json.
 
-    T_world_link[i + 1] = T_world_link[i] @ T_parent_joint[i] @ Rz(q_i): the axis of joint i is z of link i + 1.
+    T_world_link[i + 1] = T_world_link[i] @ T_parent_joint[i] @ Rz(q_i): the axis of joint i is z of
+    link i + 1.
     """
 
     links: tuple[str, ...]
@@ -90,30 +95,41 @@ def load_robot() -> Robot:
     raw = (files("r2h_batch.assets") / "robot" / "robot.json").read_bytes()
     data: dict[str, Any] = json.loads(raw)
     if data["format"] != 1:
-        raise ValueError(f"robot.json has format {data['format']}, this version reads format 1: rebuild it")
+        raise ValueError(
+            f"robot.json has format {data['format']}, this version reads format 1: rebuild it"
+        )
     links = tuple(data["links"])
     joints, gripper = data["joints"], data["gripper_primitives"]
-    linkage: dict[str, Any] = {k: _frozen(v) if isinstance(v, list) else float(v) for k, v in data["linkage"].items()}
+    linkage: dict[str, Any] = {
+        k: _frozen(v) if isinstance(v, list) else float(v) for k, v in data["linkage"].items()
+    }
     gripper_link = links.index("gripper")
     return Robot(
         links=links,
         joints=tuple(j["name"] for j in joints),
         **{k: _frozen([j[k] for j in joints]) for k in JOINT_KEYS},
         **{k: _frozen(data[k]) for k in ("T_wrist3_flange", "T_flange_ee", "T_flange_gripper")},
-        arm=_primitives(data["arm_primitives"], [links.index(p["link"]) for p in data["arm_primitives"]]),
+        arm=_primitives(
+            data["arm_primitives"], [links.index(p["link"]) for p in data["arm_primitives"]]
+        ),
         gripper=_primitives(gripper, [gripper_link] * len(gripper)),
         gripper_part=tuple(p["part"] for p in gripper),
         gripper_motion=tuple(p["motion"] for p in gripper),
-        gripper_side=_frozen([{"left": -1, "none": 0, "right": 1}[p["side"]] for p in gripper], np.int32),
+        gripper_side=_frozen(
+            [{"left": -1, "none": 0, "right": 1}[p["side"]] for p in gripper], np.int32
+        ),
         linkage=Linkage(**linkage),
-        self_pairs=_frozen([[links.index(a), links.index(b)] for a, b in data["self_pairs"]], np.int32),
+        self_pairs=_frozen(
+            [[links.index(a), links.index(b)] for a, b in data["self_pairs"]], np.int32
+        ),
         object_pairs=_frozen([links.index(a) for a in data["object_pairs"]], np.int32),
         digest=hashlib.sha256(raw).hexdigest(),
     )
 
 
 def forward_kinematics(robot: Robot, q: ArrayLike) -> Array:
-    """T_world_link (..., 8, 4, 4) in the order of `robot.links`; the last is the gripper frame. q (..., 6) in rad."""
+    """T_world_link (..., 8, 4, 4) in the order of `robot.links`; the last is the gripper frame. q
+    (..., 6) in rad."""
     q = np.asarray(q, dtype=np.float64)
     if q.shape[-1:] != (JOINTS,):
         raise ValueError(f"q has shape {q.shape}, allowed is (..., {JOINTS})")
@@ -139,18 +155,23 @@ def gap_from_drive(drive: ArrayLike) -> Array:
 
 
 def drive_from_gap(gap_m: ArrayLike) -> Array:
-    """Drive angle in rad for a gap in m; gaps outside the linkage's range (1.5 to 86.0 mm) give its nearest end."""
+    """Drive angle in rad for a gap in m; gaps outside the linkage's range (1.5 to 86.0 mm) give its
+    nearest end."""
     link = load_robot().linkage
     a, b = link.pin_from_driver_yz
     cosine = (np.asarray(gap_m, dtype=np.float64) / 2.0 - link.gap_offset_m) / np.hypot(a, b)
-    return np.clip(np.arccos(np.clip(cosine, -1.0, 1.0)) - np.arctan2(b, a), link.drive_lower, link.drive_upper)
+    return np.clip(
+        np.arccos(np.clip(cosine, -1.0, 1.0)) - np.arctan2(b, a), link.drive_lower, link.drive_upper
+    )
 
 
 def pad_center_z(drive: ArrayLike) -> Array:
     """z of the pads' centres in the gripper frame, m."""
     link, q = load_robot().linkage, np.asarray(drive, dtype=np.float64)
     a, b = link.pin_from_driver_yz
-    return np.asarray(link.driver_pivot_yz[1] + link.pad_from_pin_yz[1] + b * np.cos(q) + a * np.sin(q))
+    return np.asarray(
+        link.driver_pivot_yz[1] + link.pad_from_pin_yz[1] + b * np.cos(q) + a * np.sin(q)
+    )
 
 
 def gripper_primitives_at(robot: Robot, gap_m: ArrayLike) -> Array:
@@ -159,12 +180,17 @@ def gripper_primitives_at(robot: Robot, gap_m: ArrayLike) -> Array:
     T_ee_gripper = np.linalg.inv(robot.T_flange_ee) @ robot.T_flange_gripper
     T = np.empty((*drive.shape, len(robot.gripper.names), 4, 4))
     for n, (motion, side) in enumerate(zip(robot.gripper_motion, robot.gripper_side, strict=True)):
-        T[..., n, :, :] = T_ee_gripper @ finger_motion(robot, motion, int(side), drive) @ robot.gripper.T_link_prim[n]
+        T[..., n, :, :] = (
+            T_ee_gripper
+            @ finger_motion(robot, motion, int(side), drive)
+            @ robot.gripper.T_link_prim[n]
+        )
     return T
 
 
 def finger_motion(robot: Robot, motion: str, side: int, drive: ArrayLike) -> Array:
-    """How a finger part has moved from drive angle 0, in the gripper frame (..., 4, 4). side: -1 left, +1 right."""
+    """How a finger part has moved from drive angle 0, in the gripper frame (..., 4, 4). side: -1
+    left, +1 right."""
     link, q = robot.linkage, np.asarray(drive, dtype=np.float64)
     if motion == "fixed":
         return np.broadcast_to(np.eye(4), (*q.shape, 4, 4)).copy()
@@ -174,7 +200,9 @@ def finger_motion(robot: Robot, motion: str, side: int, drive: ArrayLike) -> Arr
     T = _rotation(0, side * q)
     point = np.array([0.0, side * pivot[0], pivot[1]])
     T[..., :3, 3] = point - T[..., :3, :3] @ point
-    if motion == "pin":  # the parallelogram carries inner finger and pad along the pin's arc without turning them
+    if (
+        motion == "pin"
+    ):  # the parallelogram carries inner finger and pad along the pin's arc without turning them
         pin = point + np.array([0.0, side * link.pin_from_driver_yz[0], link.pin_from_driver_yz[1]])
         T[..., :3, 3] += T[..., :3, :3] @ pin - pin
         T[..., :3, :3] = np.eye(3)
@@ -182,7 +210,8 @@ def finger_motion(robot: Robot, motion: str, side: int, drive: ArrayLike) -> Arr
 
 
 def lever_bounds(robot: Robot) -> Array:
-    """Upper bounds (6, N) in m on the distance from joint axis j to any point of arm primitive n, at any q."""
+    """Upper bounds (6, N) in m on the distance from joint axis j to any point of arm primitive n,
+    at any q."""
     arm = robot.arm
     columns = [
         _lever_column(robot, int(link), *_sweep_of_primitive(Kind(kind), T, size))
@@ -192,7 +221,8 @@ def lever_bounds(robot: Robot) -> Array:
 
 
 def lever_bound_for_sphere(robot: Robot, link: int, center: ArrayLike, radius: float) -> Array:
-    """The same bounds (6,) for a ball fixed to a link (its index; 6 = wrist_3), `center` in that link's frame."""
+    """The same bounds (6,) for a ball fixed to a link (its index; 6 = wrist_3), `center` in that
+    link's frame."""
     if not 0 <= link <= JOINTS:
         raise ValueError(f"link is {link}, allowed are 0 (base) to {JOINTS} (wrist_3)")
     x, y, z = np.asarray(center, dtype=np.float64)
@@ -200,10 +230,12 @@ def lever_bound_for_sphere(robot: Robot, link: int, center: ArrayLike, radius: f
 
 
 def _lever_column(robot: Robot, link: int, radius: float, low: float, high: float) -> Array:
-    """Bounds (6,) for a body inside the cylinder (radius, low <= z <= high) about the axis of the link's own joint.
+    """Bounds (6,) for a body inside the cylinder (radius, low <= z <= high) about the axis of the
+    link's own joint.
 
-    Turning that joint keeps the body in the cylinder; the cylinder, seen from the joint before, fits into one about
-    that joint's axis, and so on to the base. A ball about the joint's origin is carried along and cuts what it can.
+    Turning that joint keeps the body in the cylinder; the cylinder, seen from the joint before,
+    fits into one about that joint's axis, and so on to the base. A ball about the joint's origin is
+    carried along and cuts what it can.
     """
     rho = np.zeros(JOINTS)
     ball = float(np.hypot(radius, max(abs(low), abs(high))))
@@ -236,8 +268,11 @@ def _sweep_of_primitive(kind: Kind, T: Array, size: Array) -> tuple[float, float
     return radius + margin, float(ends[:, 2].min()) - margin, float(ends[:, 2].max()) + margin
 
 
-def _sweep_of_cylinder(center: Array, axis: Array, half: float, radius: float) -> tuple[float, float, float]:
-    """The cylinder about z that holds a given cylinder: exact for axes parallel or perpendicular to z, else a bound."""
+def _sweep_of_cylinder(
+    center: Array, axis: Array, half: float, radius: float
+) -> tuple[float, float, float]:
+    """The cylinder about z that holds a given cylinder: exact for axes parallel or perpendicular to
+    z, else a bound."""
     tilt = float(np.hypot(axis[0], axis[1]))  # sine of the angle between the axes
     reach_z = half * abs(float(axis[2])) + radius * tilt
     along = axis[:2] / tilt if tilt > 1e-9 else np.array([1.0, 0.0])
@@ -272,7 +307,9 @@ def _primitives(rows: list[dict[str, Any]], link: list[int]) -> Primitives:
         ]
         T[n, :3, 3] = row["pos"]
     kind = _frozen([Kind[row["kind"].upper()] for row in rows], np.int32)
-    return Primitives(tuple(row["name"] for row in rows), _frozen(link, np.int32), kind, _frozen(T), _frozen(size))
+    return Primitives(
+        tuple(row["name"] for row in rows), _frozen(link, np.int32), kind, _frozen(T), _frozen(size)
+    )
 
 
 def _frozen(value: Any, dtype: Any = np.float64) -> Any:

@@ -34,7 +34,9 @@ def origin(element: ElementTree.Element) -> Array:
     node = element.find("origin")
     T = np.eye(4)
     if node is not None:
-        T[:3, :3] = Rotation.from_euler("xyz", [float(v) for v in node.get("rpy", "0 0 0").split()]).as_matrix()
+        T[:3, :3] = Rotation.from_euler(
+            "xyz", [float(v) for v in node.get("rpy", "0 0 0").split()]
+        ).as_matrix()
         T[:3, 3] = [float(v) for v in node.get("xyz", "0 0 0").split()]
     return T
 
@@ -51,17 +53,29 @@ def exact(T: Array) -> list[list[float]]:
 def joint_rows() -> tuple[list[dict[str, Any]], Array]:
     """The six joints for robot.json, and T_wrist3_flange."""
     joints = named(urdf(ARM_URDF), "joint")
-    names = [f"{j}_joint" for j in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")]
+    names = [
+        f"{j}_joint"
+        for j in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    ]
     T_before = origin(joints["base_link-base_link_inertia"])
     rows = []
     for name in names:
         limit = joints[name].find("limit")
         axis = joints[name].find("axis")
         if limit is None or axis is None or axis.get("xyz") != "0 0 1":
-            raise ValueError(f"{name} in {ARM_URDF.name} has no limit or does not turn about its z axis")
-        keys = {"lower": "lower", "upper": "upper", "max_velocity": "velocity", "max_torque": "effort"}
+            raise ValueError(
+                f"{name} in {ARM_URDF.name} has no limit or does not turn about its z axis"
+            )
+        keys = {
+            "lower": "lower",
+            "upper": "upper",
+            "max_velocity": "velocity",
+            "max_torque": "effort",
+        }
         numbers = {k: float(limit.attrib[v]) for k, v in keys.items()}
-        rows.append({"name": name, "T_parent_joint": exact(T_before @ origin(joints[name])), **numbers})
+        rows.append(
+            {"name": name, "T_parent_joint": exact(T_before @ origin(joints[name])), **numbers}
+        )
         T_before = np.eye(4)
     return rows, origin(joints["wrist_3-flange"]) @ origin(joints["flange-tool0"])
 
@@ -72,8 +86,12 @@ def linkage() -> dict[str, Any]:
     limit = joints["finger_joint"].find("limit")
     box = named(urdf(GRIPPER_URDF), "link")["right_inner_finger_pad"].find("visual/geometry/box")
     if limit is None or box is None:
-        raise ValueError(f"{GRIPPER_URDF.name} lacks the limit of finger_joint or the box of right_inner_finger_pad")
-    yz = {n: origin(joints[f"right_{n}_joint"])[1:3, 3] for n in (*FINGER_PARTS, "inner_finger_pad")}
+        raise ValueError(
+            f"{GRIPPER_URDF.name} lacks the limit of finger_joint or the box of right_inner_finger_pad"
+        )
+    yz = {
+        n: origin(joints[f"right_{n}_joint"])[1:3, 3] for n in (*FINGER_PARTS, "inner_finger_pad")
+    }
     return {
         "driver_pivot_yz": np.round(yz["outer_knuckle"], 9).tolist(),
         "pin_from_driver_yz": np.round(yz["outer_finger"] + yz["inner_finger"], 9).tolist(),
@@ -86,7 +104,8 @@ def linkage() -> dict[str, Any]:
 
 
 def part_origin(part: str) -> Array:
-    """Origin of a right finger part's frame in the gripper frame at drive angle 0 (the frames are not turned)."""
+    """Origin of a right finger part's frame in the gripper frame at drive angle 0 (the frames are
+    not turned)."""
     joints = named(urdf(GRIPPER_URDF), "joint")
     chain = {
         "outer_knuckle": ["outer_knuckle"],
@@ -99,7 +118,8 @@ def part_origin(part: str) -> Array:
 
 
 def visual_triangles(name: str) -> Array:
-    """Faces (F, 3, 3) of an arm link in its frame, of `body` in the gripper frame, of a finger part in its own."""
+    """Faces (F, 3, 3) of an arm link in its frame, of `body` in the gripper frame, of a finger part
+    in its own."""
     if name in ARM_LINKS:
         link_name = "base_link_inertia" if name == "base" else f"{name}_link"
         visual = named(urdf(ARM_URDF), "link")[link_name].find("visual")
@@ -107,7 +127,9 @@ def visual_triangles(name: str) -> Array:
         if visual is None or mesh is None:
             raise ValueError(f"{link_name} in {ARM_URDF.name} has no visual mesh")
         T, path = origin(visual), ARM_URDF.parent / mesh.attrib["filename"]
-        if name == "base":  # named in the URDF with cable and labels: the same mesh without them, seen from base_link
+        if (
+            name == "base"
+        ):  # named in the URDF with cable and labels: the same mesh without them, seen from base_link
             T = origin(named(urdf(ARM_URDF), "joint")["base_link-base_link_inertia"]) @ T
             path = path.with_name("base.obj")
         return _triangles(path, T)
@@ -115,8 +137,12 @@ def visual_triangles(name: str) -> Array:
         millimetres = np.diag([1e-3, 1e-3, 1e-3, 1.0])
         millimetres[2, 3] = -GRIPPER_OFFSET_M - COUPLING_LOW_M
         coupling = _triangles(GRIPPER_MESHES / "robotiq_gripper_coupling.obj", millimetres)
-        return np.concatenate([_triangles(GRIPPER_MESHES / "robotiq_arg2f_85_base_link.obj", np.eye(4)), coupling])
-    return _triangles(GRIPPER_MESHES / f"robotiq_arg2f_85_{name}.obj", np.diag([1e-3, 1e-3, 1e-3, 1.0]))
+        return np.concatenate(
+            [_triangles(GRIPPER_MESHES / "robotiq_arg2f_85_base_link.obj", np.eye(4)), coupling]
+        )
+    return _triangles(
+        GRIPPER_MESHES / f"robotiq_arg2f_85_{name}.obj", np.diag([1e-3, 1e-3, 1e-3, 1.0])
+    )
 
 
 def _triangles(path: Path, T: Array) -> Array:

@@ -1,10 +1,12 @@
-"""What public functions may be given: an error at the call names the argument, what was given and what is allowed.
+"""What public functions may be given: an error at the call names the argument, what was given and
+what is allowed.
 
     @takes(runs=many(Run, "load_run(FOLDER)"), draws=whole(1, 10**7))
     def compare(runs, *, draws=10_000): ...
 
-A rule takes an argument's name and value and returns the value as the function works with it: numbers of NumPy become
-Python's, an array stays an array. What a rule refuses is a TypeError (another kind of thing) or a ValueError (out of range).
+A rule takes an argument's name and value and returns the value as the function works with it:
+numbers of NumPy become Python's, an array stays an array. What a rule refuses is a TypeError
+(another kind of thing) or a ValueError (out of range).
 """
 
 import inspect
@@ -28,7 +30,8 @@ R = TypeVar("R")
 
 
 def takes(**rules: Rule) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Hold a function's arguments to these rules, those that were given and those that have a rule."""
+    """Hold a function's arguments to these rules, those that were given and those that have a
+    rule."""
 
     def held(function: Callable[P, R]) -> Callable[P, R]:
         signature = inspect.signature(function)
@@ -57,7 +60,9 @@ def given(value: object) -> str:
 
 
 def _whole(value: object) -> int | None:
-    if type(value) is int:  # asked at each launch; what else may be a whole number takes ten times as long to see
+    if (
+        type(value) is int
+    ):  # asked at each launch; what else may be a whole number takes ten times as long to see
         return value
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, SupportsIndex):
         return None
@@ -70,7 +75,13 @@ def _whole(value: object) -> int | None:
 def whole(low: int | None = None, high: int | None = None, what: str = "") -> Rule:
     """A whole number from `low` to `high`, NumPy's too."""
     ends = [f"{end:,}" for end in (low, high) if end is not None]
-    bounds = f", {ends[0]} or more" if high is None and ends else f" from {' to '.join(ends)}" if ends else ""
+    bounds = (
+        f", {ends[0]} or more"
+        if high is None and ends
+        else f" from {' to '.join(ends)}"
+        if ends
+        else ""
+    )
 
     def rule(name: str, value: Any) -> int:
         found = _whole(value)
@@ -83,7 +94,9 @@ def whole(low: int | None = None, high: int | None = None, what: str = "") -> Ru
     return rule
 
 
-def number(low: float = -math.inf, high: float = math.inf, *, above: bool = False, what: str = "") -> Rule:
+def number(
+    low: float = -math.inf, high: float = math.inf, *, above: bool = False, what: str = ""
+) -> Rule:
     """A finite number from `low` (with `above`: above it) to `high`, NumPy's too."""
     if high == math.inf:
         bounds = "" if low == -math.inf else f" above {low:g}" if above else f", {low:g} or more"
@@ -91,12 +104,16 @@ def number(low: float = -math.inf, high: float = math.inf, *, above: bool = Fals
         bounds = f" above {low:g}, at most {high:g}" if above else f" from {low:g} to {high:g}"
 
     def rule(name: str, value: Any) -> float:
-        if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, float, np.integer, np.floating)):
+        if isinstance(value, (bool, np.bool_)) or not isinstance(
+            value, (int, float, np.integer, np.floating)
+        ):
             raise TypeError(f"{name} is {given(value)}; it must be a finite number{bounds}{what}")
         found = float(value)
         if not math.isfinite(found) or not (found > low if above else found >= low) or found > high:
             raise ValueError(f"{name} is {given(value)}; it must be a finite number{bounds}{what}")
-        return value if isinstance(value, int) else found  # a whole number stays one, also in a file
+        return (
+            value if isinstance(value, int) else found
+        )  # a whole number stays one, also in a file
 
     return rule
 
@@ -120,7 +137,9 @@ def kind(type_: type | tuple[type, ...], how: str = "") -> Rule:
 
     def rule(name: str, value: Any) -> Any:
         if not isinstance(value, type_):
-            raise TypeError(f"{name} is {given(value)}; it must be {_article(names)}{f': {how}' if how else ''}")
+            raise TypeError(
+                f"{name} is {given(value)}; it must be {_article(names)}{f': {how}' if how else ''}"
+            )
         return value
 
     return rule
@@ -148,9 +167,15 @@ def many(type_: type, how: str = "", *, least: int = 1) -> Rule:
 
 
 def array(
-    kinds: str, ndim: int | None = None, words: str = "", *, low: float = -math.inf, high: float = math.inf
+    kinds: str,
+    ndim: int | None = None,
+    words: str = "",
+    *,
+    low: float = -math.inf,
+    high: float = math.inf,
 ) -> Rule:
-    """Values of NumPy's `kinds` (b i u f, U: words) with so many dimensions, as an array; lists too."""
+    """Values of NumPy's `kinds` (b i u f, U: words) with so many dimensions, as an array; lists
+    too."""
 
     def rule(name: str, value: Any) -> Any:
         allowed = f"it must be {words or 'numbers'}"

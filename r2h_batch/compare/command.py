@@ -1,4 +1,5 @@
-"""The command `compare`: methods of run folders, paired on the trials that they share. Light until there is work."""
+"""The command `compare`: methods of run folders, paired on the trials that they share. Light until
+there is work."""
 
 import contextlib
 import sys
@@ -26,8 +27,10 @@ def run(
     """Compare all methods of run folders on the trials that they share.
 
     Args:
-        runs: run folders, as `python -m r2h_batch.sweep --out` writes them; one with several methods is enough. baselines: the
-            built-in methods' rows, which ship with the package. Runs of different size are compared where they overlap.
+        runs: run folders, as `python -m r2h_batch.sweep --out` writes them; one with several
+        methods is enough. baselines: the
+            built-in methods' rows, which ship with the package. Runs of different size are compared
+            where they overlap.
         seed: of the bootstrap.
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
@@ -59,7 +62,9 @@ def run(
     }
     for note in paired.notes if format in ("csv", "json") else ():
         tell(f"compare: {note}")
-    sys.stdout.write(render(comparisons, format, origin=origin, notes=(*common.notes, *paired.notes)))
+    sys.stdout.write(
+        render(comparisons, format, origin=origin, notes=(*common.notes, *paired.notes))
+    )
     return 0
 
 
@@ -87,6 +92,8 @@ def _chosen(runs: "list[Run]", words: Sequence[str]) -> "list[Run]":
     return kept
 
 
-def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.compare") -> int:
+def main(
+    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.compare"
+) -> int:
     """Exit code: 0 compared, 2 refused with one line."""
     return call(run, sys.argv[1:] if arguments is None else arguments, prog=prog, name="compare")

@@ -1,6 +1,8 @@
-"""The stored rows of all built-in methods, which ship with the package: `compare runs/mine baselines` needs no rerun.
+"""The stored rows of all built-in methods, which ship with the package: `compare runs/mine
+baselines` needs no rerun.
 
-`make baselines` scores them again: 500 trials of each split, as simulated (with poses) and as planned.
+`make baselines` scores them again: 500 trials of each split, as simulated (with poses) and as
+planned.
 """
 
 from collections.abc import Mapping
@@ -18,6 +20,7 @@ FOLDERS = (_HERE / "baselines", _HERE / "baselines_as_planned")
 
 
 def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
-    """The shipped run that was moved by the same engine as the run of a run.json; as simulated unless given."""
+    """The shipped run that was moved by the same engine as the run of a run.json; as simulated
+    unless given."""
     execute = (header or {}).get("configuration", {}).get("execute") or {}
     return FOLDERS[execute.get("sim") == "none"]

@@ -1,4 +1,5 @@
-"""The commands `scene` (one stored trial as MJCF) and `trials` (what a method may read). Light until there is work."""
+"""The commands `scene` (one stored trial as MJCF) and `trials` (what a method may read). Light
+until there is work."""
 
 import sys
 from collections.abc import Sequence
@@ -71,11 +72,10 @@ def trials(
 
     Args:
         out: a new or empty folder.
-        protocol: r2h-v0 (hands alone) or r2h-v1 (with the receivers' bodies); the benchmark's unless given.
-        trials: of each split, 1 or more.
-        splits: S0 free handover, S1 functional.
-        benchmark: your own, as in r2h-batch sweep; the built-in one unless given.
-        open_formats: also as OBJ, PLY, CSV and JSON in OUT/open, for methods in any language.
+        protocol: r2h-v0 (hands alone) or r2h-v1 (with the receivers' bodies); the benchmark's
+        unless given. trials: of each split, 1 or more. splits: S0 free handover, S1 functional.
+        benchmark: your own, as in r2h-batch sweep; the built-in one unless given. open_formats:
+        also as OBJ, PLY, CSV and JSON in OUT/open, for methods in any language.
     """
     check_range("--trials", trials, 1, MOST_TRIALS, ": all are held in memory")
     if not splits:
@@ -89,20 +89,28 @@ def trials(
         chosen = [s for s in SPLITS if s in splits]
         given = Given.of(benchmark, protocol=protocol)
         found = given.read()
-        digest = write_trials(out, chosen, trials, benchmark=found, open_formats=open_formats, flags=given.flags())
+        digest = write_trials(
+            out, chosen, trials, benchmark=found, open_formats=open_formats, flags=given.flags()
+        )
     except (FileExistsError, ValueError) as error:
         return refuse("trials", error)
     except OSError as error:
         return failed("trials", error, out)
-    print(f"{found.protocol}: {counted(trials, 'trials')} each of {', '.join(chosen)} in {out}, digest {digest}")
+    print(
+        f"{found.protocol}: {counted(trials, 'trials')} each of {', '.join(chosen)} in {out}, digest {digest}"
+    )
     return 0
 
 
-def scene_main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.scene") -> int:
+def scene_main(
+    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.scene"
+) -> int:
     """Exit code: 0 written, 1 could not write, 2 refused with one line."""
     return call(scene, sys.argv[1:] if arguments is None else arguments, prog=prog, name="scene")
 
 
-def trials_main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.trials") -> int:
+def trials_main(
+    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.trials"
+) -> int:
     """Exit code: 0 written, 1 could not write, 2 refused with one line."""
     return call(trials, sys.argv[1:] if arguments is None else arguments, prog=prog, name="trials")

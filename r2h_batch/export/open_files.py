@@ -1,12 +1,13 @@
-"""The same trials in formats that any language reads: OBJ and PLY meshes, CSV and JSON tables, frames in words and numbers.
+"""The same trials in formats that any language reads: OBJ and PLY meshes, CSV and JSON tables,
+frames in words and numbers.
 
 open/README.md                      frames, files, how to answer
 open/frames.json                    robot, table, limits: every fixed pose as 4x4, metres
 open/trials.csv, trials.json        one row a trial
-open/objects/NAME.obj               the closed mesh, a group for each part; NAME_region.obj what the receiver wants (S1)
-open/objects/NAME_points.csv        the point cloud: position, normal, part, region
-open/objects/NAME_grasps.csv        grasp candidates, best first
-open/objects.json, hands.json       what is not a mesh: mass, parts, words to say; side, pose, joints
+open/objects/NAME.obj               the closed mesh, a group for each part; NAME_region.obj what the
+receiver wants (S1) open/objects/NAME_points.csv        the point cloud: position, normal, part,
+region open/objects/NAME_grasps.csv        grasp candidates, best first open/objects.json,
+hands.json       what is not a mesh: mass, parts, words to say; side, pose, joints
 open/hands/HAND.ply                 each hand that a trial needs, hand frame (ASCII)
 """
 
@@ -39,7 +40,8 @@ MATRIX = tuple(range(16))
 
 
 def write_open(folder: Path, benchmark: Benchmark, trials: Trials, answer: str) -> None:
-    """Write `folder` (new): everything above of these trials. `answer`: the command that scores a file of answers."""
+    """Write `folder` (new): everything above of these trials. `answer`: the command that scores a
+    file of answers."""
     used = sorted(set(trials.object_index.tolist()))
     for name in ("objects", "hands"):
         (folder / name).mkdir(parents=True)
@@ -48,14 +50,19 @@ def write_open(folder: Path, benchmark: Benchmark, trials: Trials, answer: str) 
         _write_object(folder / "objects", benchmark.objects[i], candidates[i])
     _write_json(folder / "objects.json", [_about(i, benchmark.objects[i]) for i in used])
     _write_json(
-        folder / "hands.json", _write_hands(folder / "hands", benchmark, sorted(set(trials.hand_index.tolist())))
+        folder / "hands.json",
+        _write_hands(folder / "hands", benchmark, sorted(set(trials.hand_index.tolist()))),
     )
     rows = _trial_rows(benchmark, trials)
     _write_json(folder / "trials.json", rows)
-    _write_csv(folder / "trials.csv", _columns(rows[0]) if rows else [], (_cells(row) for row in rows))
+    _write_csv(
+        folder / "trials.csv", _columns(rows[0]) if rows else [], (_cells(row) for row in rows)
+    )
     _write_json(folder / "frames.json", _frames(benchmark))
     offset = f"{benchmark.thresholds.reach_offset_m:g}"
-    (folder / "README.md").write_text(README.replace("OFFSET", offset).replace("ANSWER", answer), encoding="utf-8")
+    (folder / "README.md").write_text(
+        README.replace("OFFSET", offset).replace("ANSWER", answer), encoding="utf-8"
+    )
 
 
 def _write_json(path: Path, data: Any) -> None:
@@ -71,14 +78,25 @@ def _write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[Any]]) 
 
 def _number(x: Any) -> Any:
     """Float32 in nine digits reads back as it was; float64 as Python writes it."""
-    return f"{x:.9g}" if isinstance(x, np.float32) else repr(float(x)) if isinstance(x, np.float64) else x
+    return (
+        f"{x:.9g}"
+        if isinstance(x, np.float32)
+        else repr(float(x))
+        if isinstance(x, np.float64)
+        else x
+    )
 
 
 def _write_object(folder: Path, o: ObjectModel, grasps: Candidates) -> None:
     groups = [(name, o.faces[o.face_part == k]) for k, name in enumerate(o.part_names)]
     _write_obj(folder / f"{o.name}.obj", o.name, o.vertices, groups)
     if o.receiver_face.any():
-        _write_obj(folder / f"{o.name}_region.obj", o.name, o.vertices, [("region", o.faces[o.receiver_face])])
+        _write_obj(
+            folder / f"{o.name}_region.obj",
+            o.name,
+            o.vertices,
+            [("region", o.faces[o.receiver_face])],
+        )
     region = o.receiver_face[o.point_face]
     _write_csv(
         folder / f"{o.name}_points.csv", ["x", "y", "z", "nx", "ny", "nz", "part", "region"],
@@ -173,7 +191,9 @@ def _columns(row: dict[str, Any]) -> list[str]:
 
 def _cells(row: dict[str, Any]) -> list[Any]:
     return [
-        np.float32(x) if isinstance(v, list) else x for v in row.values() for x in (v if isinstance(v, list) else [v])
+        np.float32(x) if isinstance(v, list) else x
+        for v in row.values()
+        for x in (v if isinstance(v, list) else [v])
     ]
 
 
@@ -189,7 +209,10 @@ def _frames(benchmark: Benchmark) -> dict[str, Any]:
         "T_world_ee_at_home": np.asarray(ee_pose(robot, home)).tolist(),
         "T_flange_ee": np.asarray(robot.T_flange_ee).tolist(),
         "T_flange_gripper": np.asarray(robot.T_flange_gripper).tolist(),
-        "table_m": {"center": list(benchmark.workplace.table_center), "half": list(benchmark.workplace.table_half)},
+        "table_m": {
+            "center": list(benchmark.workplace.table_center),
+            "half": list(benchmark.workplace.table_half),
+        },
         "thresholds": asdict(benchmark.thresholds),
     }
 

@@ -18,7 +18,15 @@ from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.model import COLLISION, SceneModel, TrialScene, build_scene_model
 from r2h_batch.scene.offscreen import renderer
-from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
+from r2h_batch.types import (
+    CRITERIA,
+    CollidingPair,
+    Outcome,
+    PlanReason,
+    Predictions,
+    Scores,
+    Trials,
+)
 
 AZIMUTH_DEG, ELEVATION_DEG = 125.0, -18.0
 PADDING_M = 0.09
@@ -27,7 +35,8 @@ PADDING_M = 0.09
 
 @dataclass(frozen=True)
 class Strip:
-    """One handover: what came of it, and pictures at some times of its motion (one alone where there was none)."""
+    """One handover: what came of it, and pictures at some times of its motion (one alone where
+    there was none)."""
 
     method: str
     outcome: Outcome
@@ -44,12 +53,15 @@ def strips(
     frames: int = 5,
     size: tuple[int, int] = (480, 400),
 ) -> list[Strip]:
-    """A strip for each method's answer to one trial, from one direction; a failed Safe shows the touch.
+    """A strip for each method's answer to one trial, from one direction; a failed Safe shows the
+    touch.
 
     `trial` and each of `predictions` have one row. `size` is width and height in pixels.
     """
     if evaluator.config.execute.sim == "none":
-        raise ValueError("strips show an executed motion; ExecConfig.sim is 'none', allowed are auto, mujoco, mjwarp")
+        raise ValueError(
+            "strips show an executed motion; ExecConfig.sim is 'none', allowed are auto, mujoco, mjwarp"
+        )
     if len(trial) != 1 or any(len(p) != 1 for p in predictions):
         raise ValueError(
             f"strips show one trial; {len(trial)} trials and {[len(p) for p in predictions]} predictions given"
@@ -66,16 +78,25 @@ def strips(
         for p, (scores, executed, bodies), at in zip(predictions, told, chosen, strict=True):
             postures = _postures(executed, at, scene.config.workplace.home_q)
             camera = _camera(model, bodies, postures, size)
-            touch = scores.witness_point[0].numpy() if int(scores.outcome[0]) == Outcome.SAFE else None
+            touch = (
+                scores.witness_point[0].numpy() if int(scores.outcome[0]) == Outcome.SAFE else None
+            )
             touch_s = float(scores.witness_time_s[0])
             images = [
                 _picture(
-                    drawer, model, bodies, q, camera, touch if touch is not None and abs(t - touch_s) < 0.01 else None
+                    drawer,
+                    model,
+                    bodies,
+                    q,
+                    camera,
+                    touch if touch is not None and abs(t - touch_s) < 0.01 else None,
                 )
                 for t, q in zip(at, postures, strict=True)
             ]
             outcome = Outcome(int(scores.outcome[0]))
-            out.append(Strip(p.method, outcome, verdict(scores, scene.part_names), at, np.stack(images)))
+            out.append(
+                Strip(p.method, outcome, verdict(scores, scene.part_names), at, np.stack(images))
+            )
     return out
 
 
@@ -89,7 +110,9 @@ def verdict(scores: Scores, parts: Sequence[str], row: int = 0) -> str:
     name = f"{CRITERIA[outcome - 1].capitalize()} fails"
     if outcome == Outcome.PLAN:
         pair = CollidingPair(int(scores.plan_pair[row]))
-        with_what = f" ({pair.name.lower().replace('_', ', ')})" if pair != CollidingPair.NONE else ""
+        with_what = (
+            f" ({pair.name.lower().replace('_', ', ')})" if pair != CollidingPair.NONE else ""
+        )
         return f"{name}: {PlanReason(int(scores.plan_reason[row])).name.lower().replace('_', ' ')}{with_what}"
     if outcome == Outcome.SAFE:
         body = int(scores.witness_part[row, 1])
@@ -98,7 +121,9 @@ def verdict(scores: Scores, parts: Sequence[str], row: int = 0) -> str:
     return f"{name} by {-1e3 * float(scores.margin[row, outcome - 1]):.1f} mm"
 
 
-def _replayed(evaluator: Evaluator, trial: Trials, p: Predictions) -> tuple[Scores, Executed, TrialScene]:
+def _replayed(
+    evaluator: Evaluator, trial: Trials, p: Predictions
+) -> tuple[Scores, Executed, TrialScene]:
     """Verdict, executed motion and bodies of one prediction: the same bits as in a batch."""
     scene, config, device = evaluator.scene, evaluator.config, evaluator.scene.device
     trial = trial.to(device)
@@ -106,9 +131,19 @@ def _replayed(evaluator: Evaluator, trial: Trials, p: Predictions) -> tuple[Scor
     scores = evaluator.score(T_obj_ee, T_world_ee, trial)
     attached = attach(se3.orthonormalise(T_obj_ee), scores.grasp_shift_m)
     T_world_hand = se3.orthonormalise(trial.T_world_hand)
-    placed = scene.place(trial.object_index, trial.hand_index, attached, T_world_hand, scores.opening_m)
+    placed = scene.place(
+        trial.object_index, trial.hand_index, attached, T_world_hand, scores.opening_m
+    )
     motion = time_path(scores.path, scores.path_len, config.execute)
-    executed = execute(scene, placed, scores.path, scores.path_len, motion, config.execute, threads=evaluator.threads)
+    executed = execute(
+        scene,
+        placed,
+        scores.path,
+        scores.path_len,
+        motion,
+        config.execute,
+        threads=evaluator.threads,
+    )
     robot, model = scene.robot, scene.objects[int(trial.object_index[0])]
     T_gripper_ee = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee
     T_gripper_obj = T_gripper_ee @ np.linalg.inv(attached[0].double().cpu().numpy())
@@ -116,7 +151,9 @@ def _replayed(evaluator: Evaluator, trial: Trials, p: Predictions) -> tuple[Scor
         Payload.of(model, T_gripper_obj), 0, int(trial.hand_index[0]), T_world_hand[0].double().cpu().numpy(),
         float(scores.opening_m[0]),
     )  # fmt: skip
-    on_cpu: dict[str, Any] = {k: v.cpu() for k, v in vars(executed).items() if isinstance(v, torch.Tensor)}
+    on_cpu: dict[str, Any] = {
+        k: v.cpu() for k, v in vars(executed).items() if isinstance(v, torch.Tensor)
+    }
     return scores.to("cpu"), replace(executed, **on_cpu), bodies
 
 
@@ -128,12 +165,16 @@ def _times(scores: Scores, executed: Executed, frames: int) -> NDArray[np.float6
     assert executed.sample_s is not None
     end = float(executed.t_exec_s[0]) if bool(executed.settled[0]) else (n - 1) * executed.sample_s
     at = np.linspace(0.0, end, frames)
-    if int(scores.outcome[0]) == Outcome.SAFE and np.isfinite(touch := float(scores.witness_time_s[0])):
+    if int(scores.outcome[0]) == Outcome.SAFE and np.isfinite(
+        touch := float(scores.witness_time_s[0])
+    ):
         at[np.abs(at - touch).argmin()] = touch
     return at
 
 
-def _postures(executed: Executed, time_s: NDArray[np.float64], home: Sequence[float]) -> NDArray[np.float64]:
+def _postures(
+    executed: Executed, time_s: NDArray[np.float64], home: Sequence[float]
+) -> NDArray[np.float64]:
     n = int(executed.length[0])
     if n == 0:
         return np.array([home])
@@ -156,7 +197,9 @@ def _camera(
     for q in postures:
         data.qpos[:] = model.start(bodies, q)
         mujoco.mj_kinematics(own, data)
-        points += [p + s * PADDING_M * e for p in data.geom_xpos[near] for e in np.eye(3) for s in (-1, 1)]
+        points += [
+            p + s * PADDING_M * e for p in data.geom_xpos[near] for e in np.eye(3) for s in (-1, 1)
+        ]
         points += [
             p + s * 0.7 * r * e
             for p, r in zip(data.geom_xpos[round_], own.geom_rbound[round_])
@@ -165,7 +208,11 @@ def _camera(
         ]
     a, e = np.radians([AZIMUTH_DEG, ELEVATION_DEG])
     axes = np.array(
-        [[np.sin(a), -np.cos(a), 0.0], [0, 0, 0], [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)]]
+        [
+            [np.sin(a), -np.cos(a), 0.0],
+            [0, 0, 0],
+            [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)],
+        ]
     )
     axes[1] = np.cross(axes[0], axes[2])  # right, up, forward
     at = np.array(points) @ axes.T
@@ -175,7 +222,9 @@ def _camera(
     camera = mujoco.MjvCamera()
     camera.lookat[:] = middle @ axes
     camera.azimuth, camera.elevation = AZIMUTH_DEG, ELEVATION_DEG
-    camera.distance = float(max((right / (half * size[0] / size[1]) - forward).max(), (up / half - forward).max()))
+    camera.distance = float(
+        max((right / (half * size[0] / size[1]) - forward).max(), (up / half - forward).max())
+    )
     return camera
 
 

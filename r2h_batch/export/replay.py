@@ -1,7 +1,9 @@
-"""What a run folder does not hold is computed again: the answer from method and seed, verdict and motion from the answer.
+"""What a run folder does not hold is computed again: the answer from method and seed, verdict and
+motion from the answer.
 
-The built-in methods and the evaluator count instead of drawing from a stream, so one trial alone gives the bits of its
-batch; `Again.note` says where a computed verdict is not the stored one (another machine, another version).
+The built-in methods and the evaluator count instead of drawing from a stream, so one trial alone
+gives the bits of its batch; `Again.note` says where a computed verdict is not the stored one
+(another machine, another version).
 """
 
 import json
@@ -33,25 +35,36 @@ class ReplayError(ValueError):
 
 @dataclass(frozen=True)
 class Again:
-    """One trial judged again: its rows as a run folder has them, and the posture that its target asks for."""
+    """One trial judged again: its rows as a run folder has them, and the posture that its target
+    asks for."""
 
     row: dict[str, Any]  # of trials and details
     path: dict[str, Any] | None  # of paths; None: no path
     asked_q: np.ndarray  # (6,) rad: the goal, or the posture nearest to it where there is no path
-    asked_clearance_m: float  # of that posture; negative: bodies overlap, or how far it stays from the target
+    asked_clearance_m: (
+        float  # of that posture; negative: bodies overlap, or how far it stays from the target
+    )
     scores: Scores
 
 
 def evaluator_of(header: dict[str, Any], benchmark: Benchmark, where: str) -> Evaluator:
     """An evaluator on the CPU with the configuration of a run folder's header."""
     try:
-        config = TypeAdapter(EvalConfig).validate_json(json.dumps(header["configuration"]), strict=True)
-        engine = config.execute.sim if config.execute.sim != "mjwarp" or header["device"]["kind"] == "cpu" else "mujoco"
+        config = TypeAdapter(EvalConfig).validate_json(
+            json.dumps(header["configuration"]), strict=True
+        )
+        engine = (
+            config.execute.sim
+            if config.execute.sim != "mjwarp" or header["device"]["kind"] == "cpu"
+            else "mujoco"
+        )
         config = replace(config, execute=replace(config.execute, sim=engine))
         return Evaluator.from_benchmark(benchmark, config)
     except (ValidationError, ValueError) as error:
         what = " ".join(str(error).split())[:200]
-        raise ReplayError(f"{where}: its configuration cannot be judged by this version ({what})") from None
+        raise ReplayError(
+            f"{where}: its configuration cannot be judged by this version ({what})"
+        ) from None
 
 
 def names_of(evaluator: Evaluator) -> TrialNames:
@@ -65,8 +78,11 @@ def names_of(evaluator: Evaluator) -> TrialNames:
     )
 
 
-def answer_again(header: dict[str, Any], entry: dict[str, Any], trial: Trials, evaluator: Evaluator) -> Predictions:
-    """What a built-in method of a run folder (`entry`: its stored source) answers to one trial, as it did in the sweep.
+def answer_again(
+    header: dict[str, Any], entry: dict[str, Any], trial: Trials, evaluator: Evaluator
+) -> Predictions:
+    """What a built-in method of a run folder (`entry`: its stored source) answers to one trial, as
+    it did in the sweep.
 
     A folder may come from anybody: modules and files that it names are not opened.
     """
@@ -74,7 +90,8 @@ def answer_again(header: dict[str, Any], entry: dict[str, Any], trial: Trials, e
     word = module.rpartition(".")[2].replace("_", "-")
     predictors = header.get("predictors", {})
     built_in = (
-        entry["source"].get("function") == f"r2h_batch.methods.{word.replace('-', '_')}:predict" and word in METHODS
+        entry["source"].get("function") == f"r2h_batch.methods.{word.replace('-', '_')}:predict"
+        and word in METHODS
     )
     files = [k for k, v in predictors.items() if isinstance(v, dict) and "file" in v]
     if not built_in or files:
@@ -93,11 +110,14 @@ def answer_again(header: dict[str, Any], entry: dict[str, Any], trial: Trials, e
         )
         return make_jobs(options, [], setting)[0].predict(trial, None)
     except (UsageError, AnswerError) as error:
-        raise ReplayError(f"{name!r} cannot answer again ({error}); sweep without --no-poses") from error
+        raise ReplayError(
+            f"{name!r} cannot answer again ({error}); sweep without --no-poses"
+        ) from error
 
 
 def _errors_of(predictors: dict[str, Any]) -> Errors:
-    """The error model of the target hand that a run.json names; runs from before there were several had normal errors."""
+    """The error model of the target hand that a run.json names; runs from before there were several
+    had normal errors."""
     noise = predictors.get("noise")
     named = noise.get("target_errors", "normal") if isinstance(noise, dict) else "normal"
     if named not in get_args(Errors):
@@ -108,23 +128,36 @@ def _errors_of(predictors: dict[str, Any]) -> Errors:
 
 
 def judge_again(evaluator: Evaluator, trial: Trials, answer: Predictions) -> Again:
-    """The verdict of one answer with the motion that led to it, and where there is no path the posture asked for."""
+    """The verdict of one answer with the motion that led to it, and where there is no path the
+    posture asked for."""
     names = names_of(evaluator)
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, keep_motion=True)
-    row = score_rows(trial, scores, names).to_pylist()[0] | detail_rows(trial, scores, names).to_pylist()[0]
+    row = (
+        score_rows(trial, scores, names).to_pylist()[0]
+        | detail_rows(trial, scores, names).to_pylist()[0]
+    )
     path = path_rows(scores).to_pylist()
     if path:
-        q, clearance = np.array(path[0]["q"][-1], np.float64), float(scores.margin[0, CRITERIA.index("plan")])
+        q, clearance = (
+            np.array(path[0]["q"][-1], np.float64),
+            float(scores.margin[0, CRITERIA.index("plan")]),
+        )
     else:
         posed = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, stages="pose")
-        q, clearance = posed.q_goal[0].double().cpu().numpy(), float(posed.margin[0, CRITERIA.index("plan")])
+        q, clearance = (
+            posed.q_goal[0].double().cpu().numpy(),
+            float(posed.margin[0, CRITERIA.index("plan")]),
+        )
     return Again(row, path[0] if path else None, q, clearance, scores)
 
 
 def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:
-    """What differs between a stored verdict and the one computed here, in one line; empty where nothing does."""
+    """What differs between a stored verdict and the one computed here, in one line; empty where
+    nothing does."""
     if stored["outcome"] != again["outcome"]:
-        return f"computed again here the outcome is {again['outcome']}, stored is {stored['outcome']}"
+        return (
+            f"computed again here the outcome is {again['outcome']}, stored is {stored['outcome']}"
+        )
     for name in CRITERIA:
         a, b = (row[f"margin_{name}_m"] for row in (stored, again))
         if (a is None) != (b is None) or (a is not None and a != b and abs(a - b) > SAME_M):

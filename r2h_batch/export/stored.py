@@ -1,4 +1,5 @@
-"""One trial of a run folder, whole: what is stored, and what is not, computed again from the method and its seed."""
+"""One trial of a run folder, whole: what is stored, and what is not, computed again from the method
+and its seed."""
 
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -38,7 +39,8 @@ class ExportError(ValueError):
 
 @dataclass(frozen=True)
 class StoredTrial:
-    """One trial of one method as it was judged: what a run folder says, and the trial itself made from its protocol."""
+    """One trial of one method as it was judged: what a run folder says, and the trial itself made
+    from its protocol."""
 
     header: dict[str, Any]
     method: str
@@ -70,7 +72,8 @@ class StoredTrial:
 
 
 class _Bench:
-    """A run's benchmark as far as its objects are built: trials are drawn from all of it, judged on what is built."""
+    """A run's benchmark as far as its objects are built: trials are drawn from all of it, judged on
+    what is built."""
 
     def __init__(self, header: dict[str, Any], benchmark: Benchmark, where: str) -> None:
         self.header, self.where, self.whole, self.benchmark = header, where, benchmark, benchmark
@@ -78,7 +81,9 @@ class _Bench:
         self._place = torch.full((len(benchmark.objects),), -1, dtype=torch.int32, device="cpu")
         self._place[built] = torch.arange(len(built), dtype=torch.int32, device="cpu")
         if len(built) < len(benchmark.objects):
-            self.benchmark = replace(benchmark, objects=tuple(benchmark.objects[i] for i in built), listed=None)
+            self.benchmark = replace(
+                benchmark, objects=tuple(benchmark.objects[i] for i in built), listed=None
+            )
 
     @cached_property
     def evaluator(self) -> Evaluator:
@@ -93,8 +98,8 @@ class _Bench:
 
 
 class Reader:
-    """Trials of one run folder, one after the other. Of the user's meshes only those are built that a trial needs, each
-    once."""
+    """Trials of one run folder, one after the other. Of the user's meshes only those are built that
+    a trial needs, each once."""
 
     def __init__(self, run: str | Path, given: Given | None = None) -> None:
         self.where = str(run)
@@ -109,26 +114,39 @@ class Reader:
         header = self.run.header
         parts = {"plan", "execute"} <= header["configuration"].keys()
         if not {"objects", "motion", "seed"} <= header.keys() or not parts:
-            raise ExportError(f"{self.where}: run.json lacks objects or configuration; it was not made by a sweep")
+            raise ExportError(
+                f"{self.where}: run.json lacks objects or configuration; it was not made by a sweep"
+            )
         return frozenset(o["name"] for o in header["objects"] if not o["built_in"])
 
     def build_for(self, trials: Mapping[str, Sequence[int]]) -> None:
-        """Builds the objects of these trials (by method) together, on all cores, before they are asked for one by one."""
+        """Builds the objects of these trials (by method) together, on all cores, before they are
+        asked for one by one."""
         names: set[str] = set()
         for method, ids in trials.items():
             table = self.rows(self.method(method))
-            names |= set(table.filter(pc.is_in(table["trial_id"], pa.array(ids, pa.int64())))["object"].to_pylist())
+            names |= set(
+                table.filter(pc.is_in(table["trial_id"], pa.array(ids, pa.int64())))[
+                    "object"
+                ].to_pylist()
+            )
         if wanted := names & self._own - self._benches.keys():
             self._know(wanted)
 
     def _bench_of(self, name: str) -> _Bench:
-        """The run's benchmark with at least this object and those that are built in. Raises `ExportError`."""
+        """The run's benchmark with at least this object and those that are built in. Raises
+        `ExportError`."""
         return self._benches.get(name) or self._know(self._own & {name})
 
     def _know(self, own: AbstractSet[str]) -> _Bench:
-        """The run's benchmark, compared with its digests, with these of the user's objects: kept for all that are built."""
+        """The run's benchmark, compared with its digests, with these of the user's objects: kept
+        for all that are built."""
         header = self.run.header
-        only = frozenset({o["name"] for o in header["objects"]} - self._own | own) if self._own else None
+        only = (
+            frozenset({o["name"] for o in header["objects"]} - self._own | own)
+            if self._own
+            else None
+        )
         try:
             benchmark = benchmark_of_run(header, self.given, self.where, only)
         except FileError as error:
@@ -173,28 +191,44 @@ class Reader:
         bench: _Bench,
     ) -> StoredTrial:  # fmt: skip
         T_obj_ee, T_world_ee = (
-            torch.tensor(poses[k], dtype=torch.float32, device="cpu").reshape(1, 4, 4) for k in _POSES
+            torch.tensor(poses[k], dtype=torch.float32, device="cpu").reshape(1, 4, 4)
+            for k in _POSES
         )
         answer = Predictions(trial.trial_id, T_obj_ee, T_world_ee, method=name)
         return stored_trial(self.run.header, name, row, path, trial, answer, bench.benchmark)
 
     def _again(
-        self, name: str, row: dict[str, Any], trial: Trials, poses: list[dict[str, Any]], bench: _Bench
+        self,
+        name: str,
+        row: dict[str, Any],
+        trial: Trials,
+        poses: list[dict[str, Any]],
+        bench: _Bench,
     ) -> StoredTrial:
-        """What is not stored, from the poses or from the method; the stored row stands where it says something."""
+        """What is not stored, from the poses or from the method; the stored row stands where it
+        says something."""
         try:
             evaluator = bench.evaluator
             if poses:
-                T = {k: torch.tensor(poses[0][k], dtype=torch.float32, device="cpu").reshape(1, 4, 4) for k in _POSES}
+                T = {
+                    k: torch.tensor(poses[0][k], dtype=torch.float32, device="cpu").reshape(1, 4, 4)
+                    for k in _POSES
+                }
                 answer = Predictions(trial.trial_id, **T, method=name)
             else:
-                answer = replay.answer_again(self.run.header, self.run.entry(name), trial, evaluator)
+                answer = replay.answer_again(
+                    self.run.header, self.run.entry(name), trial, evaluator
+                )
             again = replay.judge_again(evaluator, trial, answer)
         except replay.ReplayError as error:
             raise ExportError(f"{self.where}: {error}") from error
         note = replay.difference(row, again.row)
-        shown = stored_trial(self.run.header, name, again.row | row, again.path, trial, answer, bench.benchmark)
-        return replace(shown, asked_q=again.asked_q, asked_clearance_m=again.asked_clearance_m, note=note)
+        shown = stored_trial(
+            self.run.header, name, again.row | row, again.path, trial, answer, bench.benchmark
+        )
+        return replace(
+            shown, asked_q=again.asked_q, asked_clearance_m=again.asked_clearance_m, note=note
+        )
 
 
 _POSES = ("T_obj_ee", "T_world_ee")
@@ -203,7 +237,8 @@ _POSES = ("T_obj_ee", "T_world_ee")
 def load_trial(
     run: str | Path, trial_id: int, *, method: str | None = None, given: Given | None = None
 ) -> StoredTrial:  # fmt: skip
-    """The trial as it was scored; `given`: what the sweep's flags said of the benchmark. Raises `ExportError`, `RunError`."""
+    """The trial as it was scored; `given`: what the sweep's flags said of the benchmark. Raises
+    `ExportError`, `RunError`."""
     return Reader(run, given).trial(trial_id, method)
 
 
@@ -211,8 +246,11 @@ def stored_trial(
     header: dict[str, Any], method: str, row: dict[str, Any], path: dict[str, Any] | None, trial: Trials,
     answer: Predictions, benchmark: Any,
 ) -> StoredTrial:  # fmt: skip
-    """A trial from its rows, one row of trials and the answer that was scored; of the benchmark objects, hand_set, workplace."""
-    T_obj_ee, T_world_ee = (_orthonormal(T[0].cpu().numpy()) for T in (answer.T_obj_ee, answer.T_world_ee))
+    """A trial from its rows, one row of trials and the answer that was scored; of the benchmark
+    objects, hand_set, workplace."""
+    T_obj_ee, T_world_ee = (
+        _orthonormal(T[0].cpu().numpy()) for T in (answer.T_obj_ee, answer.T_world_ee)
+    )
     attached = T_obj_ee.copy()
     attached[:3, 3] += T_obj_ee[:3, 1] * np.float32(row["grasp_shift_m"])
     q = np.array(path["q"], np.float64) if path else np.array([benchmark.workplace.home_q])
@@ -238,7 +276,9 @@ def _method(stored: Any, method: str | None) -> str:
     except ValueError as error:
         raise ExportError(str(error)) from None
     if name not in names:
-        raise ExportError(f"{stored.folder}: {name!r} is not complete; run its sweep again to go on")
+        raise ExportError(
+            f"{stored.folder}: {name!r} is not complete; run its sweep again to go on"
+        )
     return name
 
 
@@ -259,7 +299,9 @@ def _row(table: Any, trial_id: int, where: str) -> dict[str, Any]:
 def _check_trials(header: dict[str, Any], benchmark: Benchmark, run: str) -> None:
     """The run's trials, as far as that is cheap, made again and checked against their digest."""
     counts = header["trials"]
-    if sum(counts.values()) <= CHECKED_TRIALS and (benchmark.listed is not None or len(set(counts.values())) == 1):
+    if sum(counts.values()) <= CHECKED_TRIALS and (
+        benchmark.listed is not None or len(set(counts.values())) == 1
+    ):
         trials = make_trials(list(counts), max(counts.values()), benchmark=benchmark)
         if trials_digest(trials, objects=benchmark.objects) != header["digests"]["trials"]:
             raise ExportError(
@@ -268,12 +310,16 @@ def _check_trials(header: dict[str, Any], benchmark: Benchmark, run: str) -> Non
             )
 
 
-def _trial_again(header: dict[str, Any], row: dict[str, Any], benchmark: Benchmark, run: str) -> Trials:
+def _trial_again(
+    header: dict[str, Any], row: dict[str, Any], benchmark: Benchmark, run: str
+) -> Trials:
     """This row's trial, made from the protocol."""
     trial = trials_of(benchmark, torch.tensor([row["trial_id"]], dtype=torch.int64, device="cpu"))
     other_hand = int(trial.hand_index[0]) != row.get("hand_index", int(trial.hand_index[0]))
     if benchmark.objects[int(trial.object_index[0])].name != row["object"] or other_hand:
-        raise ExportError(f"{run}: trial {row['trial_id']} is not the one of {header['protocol']!r}")
+        raise ExportError(
+            f"{run}: trial {row['trial_id']} is not the one of {header['protocol']!r}"
+        )
     return trial
 
 

@@ -1,11 +1,15 @@
-"""One stored trial as a folder that plain MuJoCo opens: `r2h-batch scene --run DIR --trial ID --out DIR2`.
+"""One stored trial as a folder that plain MuJoCo opens: `r2h-batch scene --run DIR --trial ID --out
+DIR2`.
 
-scene.xml, meshes/   robot, gripper at its opening, object, hand, table; the ghost at the target, palm, ball, region, fingers
-                     as they hold and as they come; key frames `home`, `target` and, where there is a path, `goal`
+scene.xml, meshes/   robot, gripper at its opening, object, hand, table; the ghost at the target,
+palm, ball, region, fingers
+                     as they hold and as they come; key frames `home`, `target` and, where there is
+                     a path, `goal`
 play.py              plays the trajectory with nothing but mujoco and numpy
-trajectory.csv       time_s and the six joints (rad): the planned motion (the servos' reference) at 100 Hz and all waypoints
-executed.csv         the same of the motion that the simulator made of it, every sample; only where one was run
-trial.json           poses, verdict, margins, witness, reasons, digests
+trajectory.csv       time_s and the six joints (rad): the planned motion (the servos' reference) at
+100 Hz and all waypoints executed.csv         the same of the motion that the simulator made of it,
+every sample; only where one was run trial.json           poses, verdict, margins, witness, reasons,
+digests
 """
 
 import json
@@ -33,7 +37,8 @@ RATE_HZ = 100.0
 
 
 def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
-    """The trial's model with its key frames: `home`, `target` (the posture asked for), and `goal` where a path leads there."""
+    """The trial's model with its key frames: `home`, `target` (the posture asked for), and `goal`
+    where a path leads there."""
     configuration = stored.header["configuration"]
     bodies = TrialBodies(
         stored.object_model, configuration["plan"]["object_collision"], stored.row["hand_index"],
@@ -54,11 +59,14 @@ def _posed(hand_set: HandSet) -> Hands:
 
 
 def export_trial(stored: StoredTrial, out: str | Path) -> Path:
-    """Writes scene.xml, play.py, trajectory.csv, executed.csv and trial.json; returns the folder. Such files are replaced."""
+    """Writes scene.xml, play.py, trajectory.csv, executed.csv and trial.json; returns the folder.
+    Such files are replaced."""
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     write_scene(folder, spec_of(stored))
-    (folder / "play.py").write_text(files("r2h_batch.export").joinpath("play.py").read_text(), encoding="utf-8")
+    (folder / "play.py").write_text(
+        files("r2h_batch.export").joinpath("play.py").read_text(), encoding="utf-8"
+    )
     robot = load_robot()
     _write_csv(folder / "trajectory.csv", robot.joints, *trajectory(stored))
     executed = folder / "executed.csv"
@@ -66,8 +74,12 @@ def export_trial(stored: StoredTrial, out: str | Path) -> Path:
         executed.unlink(missing_ok=True)  # of an earlier export
     else:
         sample_s = stored.header["motion"]["sample_s"]
-        _write_csv(executed, robot.joints, sample_s * np.arange(len(stored.executed_q)), stored.executed_q)
-    (folder / "trial.json").write_text(json.dumps(describe(stored), indent=1, allow_nan=False) + "\n")
+        _write_csv(
+            executed, robot.joints, sample_s * np.arange(len(stored.executed_q)), stored.executed_q
+        )
+    (folder / "trial.json").write_text(
+        json.dumps(describe(stored), indent=1, allow_nan=False) + "\n"
+    )
     return folder
 
 
@@ -77,9 +89,12 @@ def _write_csv(path: Path, joints: Sequence[str], time_s: Array, q: Array) -> No
 
 
 def trajectory(stored: StoredTrial, rate_hz: float = RATE_HZ) -> tuple[Array, Array]:
-    """Times (N,) and postures (N, 6) of the planned motion: `rate_hz` samples and every waypoint, in order."""
+    """Times (N,) and postures (N, 6) of the planned motion: `rate_hz` samples and every waypoint,
+    in order."""
     execute = stored.header["configuration"]["execute"]
-    speed, gain = (execute["scale"] * execute[k] for k in ("max_velocity_rad_s", "max_acceleration_rad_s2"))
+    speed, gain = (
+        execute["scale"] * execute[k] for k in ("max_velocity_rad_s", "max_acceleration_rad_s2")
+    )
     times, postures, start = [0.0], [stored.q[0]], 0.0
     for a, b in zip(stored.q[:-1], stored.q[1:], strict=True):
         far = float(np.abs(b - a).max())
@@ -105,7 +120,8 @@ def _travelled(t: float, far: float, duration: float, speed: float, gain: float)
 
 
 def describe(stored: StoredTrial) -> dict[str, Any]:
-    """The contents of trial.json. Poses are row-major 4x4, metres; T_a_b takes coordinates in b to a."""
+    """The contents of trial.json. Poses are row-major 4x4, metres; T_a_b takes coordinates in b to
+    a."""
     row, header = stored.row, stored.header
     T_world_obj = stored.T_world_ee @ np.linalg.inv(stored.T_obj_ee_attached)
     return {

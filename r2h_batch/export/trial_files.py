@@ -1,4 +1,5 @@
-"""What a method needs to make predictions, as a folder of .npz files with a manifest: `python -m r2h_batch.trials`."""
+"""What a method needs to make predictions, as a folder of .npz files with a manifest: `python -m
+r2h_batch.trials`."""
 
 import json
 from collections.abc import Sequence
@@ -38,17 +39,21 @@ def write_trials(
     open_formats: bool = False,
     flags: Sequence[str] = (),
 ) -> str:
-    """Write the planned trials of a benchmark (default: the built-in one) with all that a method may read; their digest.
+    """Write the planned trials of a benchmark (default: the built-in one) with all that a method
+    may read; their digest.
 
-    `folder` is new or empty. `open_formats`: the same also as meshes and tables (`open_files.py`). `flags`: what a sweep
-    needs to score on this benchmark. A benchmark with trials of its own has all of them written.
+    `folder` is new or empty. `open_formats`: the same also as meshes and tables (`open_files.py`).
+    `flags`: what a sweep needs to score on this benchmark. A benchmark with trials of its own has
+    all of them written.
     """
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise FileExistsError(f"{folder} is not an empty folder; give a new one")
     benchmark = built_in() if benchmark is None else benchmark
     objects, hand_set = benchmark.objects, benchmark.hand_set
-    planned = make_trials(splits, trials if benchmark.listed is None else len(benchmark.listed), benchmark=benchmark)
+    planned = make_trials(
+        splits, trials if benchmark.listed is None else len(benchmark.listed), benchmark=benchmark
+    )
     chosen = [i for i, o in enumerate(objects) if o.split in splits]
     hands = _hand_arrays(hand_set)
     files = {"trials.npz": _trial_arrays(planned, benchmark, hands), "hands.npz": hands}
@@ -60,7 +65,11 @@ def write_trials(
     (folder / "objects").mkdir(parents=True)
     for name, arrays in files.items():
         np.savez_compressed(folder / name, **{k: v for k, (v, _) in arrays.items()})  # type: ignore[arg-type]
-    described = {name: _described(arrays) for name, arrays in files.items() if not name.startswith("objects/")}
+    described = {
+        name: _described(arrays)
+        for name, arrays in files.items()
+        if not name.startswith("objects/")
+    }
     described["objects/NAME.npz"] = _described(
         next(a for n, a in files.items() if n.startswith("objects/")), rows=False
     )
@@ -70,7 +79,9 @@ def write_trials(
     sweep = " ".join(["--splits", *(s for s in SPLITS if s in splits), *sizes, *flags])
     (folder / "README.md").write_text(_readme(manifest, sweep))
     if open_formats:
-        write_open(folder / "open", benchmark, planned, f"r2h-batch sweep --predictions mine.csv {sweep}")
+        write_open(
+            folder / "open", benchmark, planned, f"r2h-batch sweep --predictions mine.csv {sweep}"
+        )
     return digest
 
 
@@ -81,7 +92,9 @@ def _header(
     return {
         "format": 1,
         "protocol": benchmark.protocol,
-        "trials": {s: int((planned.trial_id % 2 == SPLITS.index(s)).sum()) for s in SPLITS if s in splits},
+        "trials": {
+            s: int((planned.trial_id % 2 == SPLITS.index(s)).sum()) for s in SPLITS if s in splits
+        },
         "digests": {
             "trials": digest,
             "benchmark": benchmark.digest,
@@ -121,7 +134,10 @@ def _hand_arrays(hands: HandSet) -> Arrays:
             model.tip_vertices.numpy().astype(np.int32),
             "vertex at the tip of index, middle, pinky, ring, thumb",
         ),
-        "pose": (hands.pose.numpy(), "MANO-style pose: 16 axis-angle turns, rad; the first is the wrist's"),
+        "pose": (
+            hands.pose.numpy(),
+            "MANO-style pose: 16 axis-angle turns, rad; the first is the wrist's",
+        ),
         "shape": (hands.shape.numpy(), "MANO-style shape: 10 numbers"),
         "side": (hands.side.numpy(), side),
         "posture": (np.array(hands.posture), "name of the posture"),
@@ -131,23 +147,41 @@ def _hand_arrays(hands: HandSet) -> Arrays:
 
 
 def _trial_arrays(trials: Trials, benchmark: Benchmark, hands: Arrays) -> Arrays:
-    hand, model = trials.hand_index.long(), [benchmark.objects[i] for i in trials.object_index.tolist()]
+    hand, model = (
+        trials.hand_index.long(),
+        [benchmark.objects[i] for i in trials.object_index.tolist()],
+    )
     offset_m = benchmark.thresholds.reach_offset_m
-    local = {k: torch.from_numpy(np.asarray(hands[k][0]))[hand] for k in ("joints", "palm_point", "palm_normal")}
+    local = {
+        k: torch.from_numpy(np.asarray(hands[k][0]))[hand]
+        for k in ("joints", "palm_point", "palm_normal")
+    }
     turn = trials.T_world_hand.clone()
     turn[:, :3, 3] = 0.0
-    point, normal = se3.apply(trials.T_world_hand, local["palm_point"]), se3.apply(turn, local["palm_normal"])
+    point, normal = (
+        se3.apply(trials.T_world_hand, local["palm_point"]),
+        se3.apply(turn, local["palm_normal"]),
+    )
     row = hand.numpy()
     return {
-        "trial_id": (trials.trial_id.numpy(), "2 i for trial i of S0, 2 i + 1 of S1; predictions name it"),
+        "trial_id": (
+            trials.trial_id.numpy(),
+            "2 i for trial i of S0, 2 i + 1 of S1; predictions name it",
+        ),
         "split": (np.array([o.split for o in model], "<U2"), "S0 free handover, S1 functional"),
         "object_index": (trials.object_index.numpy(), "index of the object, as in manifest.json"),
         "object_name": (np.array([o.name for o in model], "<U"), "its file is objects/NAME.npz"),
         "instruction": (np.array([o.instruction for o in model], "<U"), "what the robot is told"),
         "hand_index": (trials.hand_index.numpy(), "row of hands.npz"),
         "side": (hands["side"][0][row], "0 right, 1 left"),
-        "T_world_hand": (trials.T_world_hand.numpy(), "hand frame (MANO's, origin at the wrist) in the world, m"),
-        "pose": (hands["pose"][0][row], "MANO-style pose in the hand frame: 16 axis-angle turns, rad"),
+        "T_world_hand": (
+            trials.T_world_hand.numpy(),
+            "hand frame (MANO's, origin at the wrist) in the world, m",
+        ),
+        "pose": (
+            hands["pose"][0][row],
+            "MANO-style pose in the hand frame: 16 axis-angle turns, rad",
+        ),
         "shape": (hands["shape"][0][row], "MANO-style shape: 10 numbers"),
         "joints": (
             se3.apply(trials.T_world_hand[:, None], local["joints"]).numpy(),
@@ -155,8 +189,15 @@ def _trial_arrays(trials: Trials, benchmark: Benchmark, hands: Arrays) -> Arrays
         ),
         "palm_point": (point.numpy(), "p_h, m, world"),
         "palm_normal": (normal.numpy(), "n_h, unit vector out of the palm, world"),
-        "ball_center": ((point + offset_m * normal).numpy(), f"c_h = p_h + {offset_m:g} n_h, m, world"),
-        **({} if trials.receiver is None else {"receiver": (trials.receiver.numpy(), RECEIVER_ROWS)}),
+        "ball_center": (
+            (point + offset_m * normal).numpy(),
+            f"c_h = p_h + {offset_m:g} n_h, m, world",
+        ),
+        **(
+            {}
+            if trials.receiver is None
+            else {"receiver": (trials.receiver.numpy(), RECEIVER_ROWS)}
+        ),
     }
 
 
@@ -170,10 +211,19 @@ def _object_arrays(o: ObjectModel, grasps: Candidates) -> Arrays:
         "points": (o.points, "points on the surface, m, obj frame"),
         "normals": (o.normals, "their outward unit normals, obj frame"),
         "point_part": (o.point_part, "their part labels"),
-        "point_receiver": (o.receiver_face[o.point_face], "whether they lie in the receiver's region"),
-        "occupancy": (o.occupancy, "voxels that the solid fills or its surface crosses; axes x, y, z of obj"),
+        "point_receiver": (
+            o.receiver_face[o.point_face],
+            "whether they lie in the receiver's region",
+        ),
+        "occupancy": (
+            o.occupancy,
+            "voxels that the solid fills or its surface crosses; axes x, y, z of obj",
+        ),
         "voxel_origin": (o.voxel_origin, "lowest corner of the grid, m, obj frame"),
-        "voxel_pitch": (np.array(o.voxel_pitch), "side of a voxel, m; centre of (i, j, k): origin + (ijk + 0.5) pitch"),
+        "voxel_pitch": (
+            np.array(o.voxel_pitch),
+            "side of a voxel, m; centre of (i, j, k): origin + (ijk + 0.5) pitch",
+        ),
         "mass": (np.array(o.mass), "mass, kg"),
         "com": (o.com, "centre of mass, m, obj frame"),
         "inertia": (o.inertia, "about the centre of mass, kg m^2, axes of obj"),
@@ -187,11 +237,22 @@ def _object_arrays(o: ObjectModel, grasps: Candidates) -> Arrays:
 
 
 def _described(arrays: Arrays, *, rows: bool = True) -> dict[str, dict[str, object]]:
-    fixed = ("points", "normals", "point_part", "point_receiver", "occupancy", "voxel_origin", "com", "inertia")
+    fixed = (
+        "points",
+        "normals",
+        "point_part",
+        "point_receiver",
+        "occupancy",
+        "voxel_origin",
+        "com",
+        "inertia",
+    )
     return {
         name: {
             "dtype": "str" if value.dtype.kind == "U" else value.dtype.name,
-            "shape": list(value.shape) if rows or name in fixed else [None, *value.shape[1:]][: value.ndim],
+            "shape": list(value.shape)
+            if rows or name in fixed
+            else [None, *value.shape[1:]][: value.ndim],
             "meaning": meaning,
         }
         for name, (value, meaning) in arrays.items()
@@ -218,6 +279,14 @@ def _readme(manifest: dict, sweep: str) -> str:
         "All arrays load with `np.load(FILE)`; `None` in a shape depends on the object.",
     ]
     for file, arrays in manifest["arrays"].items():
-        lines += ["", f"## {file}", "", "| array | type | shape | meaning |", "| --- | --- | --- | --- |"]
-        lines += [f"| {k} | {a['dtype']} | {a['shape']} | {a['meaning']} |" for k, a in arrays.items()]
+        lines += [
+            "",
+            f"## {file}",
+            "",
+            "| array | type | shape | meaning |",
+            "| --- | --- | --- | --- |",
+        ]
+        lines += [
+            f"| {k} | {a['dtype']} | {a['shape']} | {a['meaning']} |" for k, a in arrays.items()
+        ]
     return "\n".join(lines) + "\n"

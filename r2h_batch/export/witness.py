@@ -1,4 +1,5 @@
-"""Which bodies are nearest to each other at a posture, where, and by how much: MuJoCo C on the exported geoms."""
+"""Which bodies are nearest to each other at a posture, where, and by how much: MuJoCo C on the
+exported geoms."""
 
 import re
 from collections.abc import Sequence
@@ -18,9 +19,9 @@ FARTHEST_M = 0.5
 
 @dataclass(frozen=True)
 class Witness:
-    """The nearest pair of collision geoms: their names, what kind of pair it is, the signed distance (m; negative: they
-    overlap by that), and the points that attain it (world, m).
-    Kind `unreachable`: no geoms, the line from the gripper to its target."""
+    """The nearest pair of collision geoms: their names, what kind of pair it is, the signed
+    distance (m; negative: they overlap by that), and the points that attain it (world, m). Kind
+    `unreachable`: no geoms, the line from the gripper to its target."""
 
     geoms: tuple[str, ...]
     kind: str
@@ -47,9 +48,11 @@ def shortfall(model: mujoco.MjModel, q: Array) -> Witness:
     return Witness((), "unreachable", -float(np.linalg.norm(line[1] - line[0])), line)
 
 
-def nearest_pair(model: mujoco.MjModel, robot: Robot, q: Array, kinds: Sequence[str] = ()) -> Witness | None:
-    """The pair with the smallest distance at posture q, of the pairs that planning checks or of these kinds of them; None
-    where all are farther apart than FARTHEST_M."""
+def nearest_pair(
+    model: mujoco.MjModel, robot: Robot, q: Array, kinds: Sequence[str] = ()
+) -> Witness | None:
+    """The pair with the smallest distance at posture q, of the pairs that planning checks or of
+    these kinds of them; None where all are farther apart than FARTHEST_M."""
     data = mujoco.MjData(model)
     data.qpos[:] = q
     mujoco.mj_kinematics(model, data)
@@ -72,7 +75,12 @@ def nearest_pair(model: mujoco.MjModel, robot: Robot, q: Array, kinds: Sequence[
                     best, least, line, found = (a, b), distance, ends, kind
     if best is None:
         return None
-    return Witness((model.geom(best[0]).name, model.geom(best[1]).name), found, float(least), line.reshape(2, 3))
+    return Witness(
+        (model.geom(best[0]).name, model.geom(best[1]).name),
+        found,
+        float(least),
+        line.reshape(2, 3),
+    )
 
 
 def _spoken(geom: str) -> str:
@@ -80,5 +88,7 @@ def _spoken(geom: str) -> str:
     owner, _, part = geom.partition("/")
     if owner in ("object", "table"):
         return owner
-    part = re.sub(r"_\d+$", "", part) if owner == "robot" else re.sub(r"(?<=[a-z])(?=\d)", " ", part)
+    part = (
+        re.sub(r"_\d+$", "", part) if owner == "robot" else re.sub(r"(?<=[a-z])(?=\d)", " ", part)
+    )
     return f"{'' if owner == 'robot' else owner + ' '}{part.replace('_', ' ')}"

@@ -1,4 +1,5 @@
-"""Arrays out of somebody's .npy, .npz and .safetensors, sizes first: nothing is allocated that only a header claims."""
+"""Arrays out of somebody's .npy, .npz and .safetensors, sizes first: nothing is allocated that only
+a header claims."""
 
 from __future__ import annotations
 
@@ -42,11 +43,17 @@ def read_npy(path: Path, *, objects: Objects | None = None, most: int = MAX_BYTE
 
 
 def read_npz(
-    path: Path, *, objects: Objects | None = None, only: Collection[str] | None = None, most: int = MAX_BYTES
+    path: Path,
+    *,
+    objects: Objects | None = None,
+    only: Collection[str] | None = None,
+    most: int = MAX_BYTES,
 ) -> dict[str, Any]:
-    """The arrays of an .npz file that unpacks to at most `most` bytes, by name. Raises `FileError`, one line.
+    """The arrays of an .npz file that unpacks to at most `most` bytes, by name. Raises `FileError`,
+    one line.
 
-    `only`: names of the arrays to read, at most `MAX_BYTES` each; others count for `most` but are left alone.
+    `only`: names of the arrays to read, at most `MAX_BYTES` each; others count for `most` but are
+    left alone.
     """
     with open_archive(path, most) as archive:
         found = {}
@@ -57,21 +64,28 @@ def read_npz(
             if only is not None and name.removesuffix(".npy") not in only:
                 continue
             if member.file_size > MAX_BYTES:
-                raise FileError(f"{printable(path)}: {name!r} has {member.file_size} bytes; {MAX_BYTES} are allowed")
+                raise FileError(
+                    f"{printable(path)}: {name!r} has {member.file_size} bytes; {MAX_BYTES} are allowed"
+                )
             with archive.open(member) as stream:
                 data = stream.read(member.file_size + 1)
             if len(data) != member.file_size:
-                raise FileError(f"{printable(path)}: member {name!r} is longer or shorter than the archive says")
+                raise FileError(
+                    f"{printable(path)}: member {name!r} is longer or shorter than the archive says"
+                )
             found[name.removesuffix(".npy")] = _array(data, f"{printable(path)}: {name}", objects)
     return found
 
 
 def read_safetensors(path: Path, *, most: int = MAX_BYTES) -> dict[str, Any]:
-    """The arrays of a .safetensors file of at most `most` bytes, by name. Raises `FileError`, one line."""
+    """The arrays of a .safetensors file of at most `most` bytes, by name. Raises `FileError`, one
+    line."""
     data, where = read_file(path, most), printable(path)
     length = int.from_bytes(data[:8], "little")
     if len(data) < 8 or length > min(len(data) - 8, 1 << 20):
-        raise FileError(f"{where}: damaged safetensors: a header of {length} bytes in a file of {len(data)}")
+        raise FileError(
+            f"{where}: damaged safetensors: a header of {length} bytes in a file of {len(data)}"
+        )
     try:
         header = json.loads(data[8 : 8 + length])
         entries = {k: v for k, v in header.items() if k != "__metadata__"}
@@ -80,10 +94,23 @@ def read_safetensors(path: Path, *, most: int = MAX_BYTES) -> dict[str, Any]:
             dtype, shape = _SAFETENSORS[entry["dtype"]], [int(n) for n in entry["shape"]]
             first, last = (8 + length + int(n) for n in entry["data_offsets"])
             size = math.prod(shape) * dtype.itemsize
-            if min([0, *shape]) < 0 or not 8 + length <= first <= last <= len(data) or last - first != size:
-                raise FileError(f"{where}: {printable(name)!r} of shape {shape} does not fit into its bytes")
+            if (
+                min([0, *shape]) < 0
+                or not 8 + length <= first <= last <= len(data)
+                or last - first != size
+            ):
+                raise FileError(
+                    f"{where}: {printable(name)!r} of shape {shape} does not fit into its bytes"
+                )
             found[name] = np.frombuffer(data[first:last], dtype).reshape(shape)
-    except (KeyError, TypeError, AttributeError, RecursionError, json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (
+        KeyError,
+        TypeError,
+        AttributeError,
+        RecursionError,
+        json.JSONDecodeError,
+        UnicodeDecodeError,
+    ) as error:
         raise FileError(f"{where}: damaged safetensors header ({type(error).__name__})") from None
     if len(found) > MAX_MEMBERS:
         raise FileError(f"{where}: {len(found)} arrays; at most {MAX_MEMBERS} are allowed")
@@ -97,10 +124,14 @@ def _array(data: bytes, where: str, objects: Objects | None) -> Any:
             warnings.simplefilter("ignore")  # of a header that Python takes with a frown
             version = np.lib.format.read_magic(stream)
             one = version == (1, 0)
-            read = np.lib.format.read_array_header_1_0 if one else np.lib.format.read_array_header_2_0
+            read = (
+                np.lib.format.read_array_header_1_0 if one else np.lib.format.read_array_header_2_0
+            )
             shape, fortran, dtype = read(stream)
     except Exception as error:  # the header is Python text: its parser raises whatever it meets
-        raise FileError(f"{where}: no readable .npy header ({' '.join(printable(error).split())[:80]})") from None
+        raise FileError(
+            f"{where}: no readable .npy header ({' '.join(printable(error).split())[:80]})"
+        ) from None
     rest = data[stream.tell() :]
     if dtype.hasobject:
         if objects is None or dtype != np.dtype(object):
@@ -110,13 +141,16 @@ def _array(data: bytes, where: str, objects: Objects | None) -> Any:
         return value.item() if whole else value
     size = math.prod(int(n) for n in shape) * dtype.itemsize
     if dtype.kind not in "biufUS" or size != len(rest):
-        raise FileError(f"{where}: {len(rest)} bytes of {dtype} for an array of shape {tuple(shape)}")
+        raise FileError(
+            f"{where}: {len(rest)} bytes of {dtype} for an array of shape {tuple(shape)}"
+        )
     array: NDArray[Any] = np.frombuffer(rest, dtype)
     array = array.reshape(shape, order="F" if fortran else "C")
     return array.astype(dtype.newbyteorder("="), copy=False)
 
 
 def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write the arrays; the name never stands for half a file, and its folder is made where it is missing."""
+    """Write the arrays; the name never stands for half a file, and its folder is made where it is
+    missing."""
     with whole(path) as temporary, temporary.open("wb") as stream:
         np.savez(stream, **arrays)  # type: ignore[arg-type]

@@ -1,10 +1,13 @@
-"""What takes long to make, kept on disk under a name that says what it was made of. Safe with several processes.
+"""What takes long to make, kept on disk under a name that says what it was made of. Safe with
+several processes.
 
-`R2H_BATCH_CACHE` names the folder (default: `$XDG_CACHE_HOME/r2h_batch`, else `~/.cache/r2h_batch`); `off` keeps nothing.
-Files may be deleted at any time. A folder that cannot be written costs the time again, nothing else.
+`R2H_BATCH_CACHE` names the folder (default: `$XDG_CACHE_HOME/r2h_batch`, else
+`~/.cache/r2h_batch`); `off` keeps nothing. Files may be deleted at any time. A folder that cannot
+be written costs the time again, nothing else.
 
-An entry says which key it was made for, with a sha256 over its arrays; it is taken for what it says only if both agree
-with what is asked for and the arrays are of the form that its readers count on. Everything else is made again.
+An entry says which key it was made for, with a sha256 over its arrays; it is taken for what it says
+only if both agree with what is asked for and the arrays are of the form that its readers count on.
+Everything else is made again.
 """
 
 import contextlib
@@ -58,11 +61,14 @@ def fits(arrays: Mapping[str, NDArray[Any]], form: Mapping[str, Column]) -> bool
     length: dict[str, int] = {}
     for name, column in form.items():
         a = arrays[name]
-        if a.ndim != len(column.shape) or (a.dtype.kind if column.dtype == "text" else a.dtype.name) != (
-            "U" if column.dtype == "text" else column.dtype
-        ):
+        if a.ndim != len(column.shape) or (
+            a.dtype.kind if column.dtype == "text" else a.dtype.name
+        ) != ("U" if column.dtype == "text" else column.dtype):
             return False
-        if any(n != (length.setdefault(k, n) if isinstance(k, str) else k) for n, k in zip(a.shape, column.shape)):
+        if any(
+            n != (length.setdefault(k, n) if isinstance(k, str) else k)
+            for n, k in zip(a.shape, column.shape)
+        ):
             return False
     return all(_within(arrays[name], column, length) for name, column in form.items())
 
@@ -70,7 +76,11 @@ def fits(arrays: Mapping[str, NDArray[Any]], form: Mapping[str, Column]) -> bool
 def _within(a: NDArray[Any], column: Column, length: Mapping[str, int]) -> bool:
     if a.dtype.kind == "f":
         return not (np.isinf(a).any() if column.gaps else not np.isfinite(a).all())
-    return not column.below or not a.size or (int(a.min()) >= 0 and int(a.max()) < length[column.below])
+    return (
+        not column.below
+        or not a.size
+        or (int(a.min()) >= 0 and int(a.max()) < length[column.below])
+    )
 
 
 def cache_folder() -> Path | None:
@@ -103,11 +113,12 @@ def kept(
     *,
     reads: Callable[[Arrays], object] | None = None,
 ) -> Arrays:
-    """The arrays of a kind and a key (hex), made where they are not there yet: by one process, others wait for it.
+    """The arrays of a kind and a key (hex), made where they are not there yet: by one process,
+    others wait for it.
 
-    `key` must name everything that the arrays depend on, the code that makes them included. What is there is read as any
-    file of somebody's is; what cannot be read, was made for another key, was changed since, is not of this `form` or makes
-    `reads` raise is made again.
+    `key` must name everything that the arrays depend on, the code that makes them included. What is
+    there is read as any file of somebody's is; what cannot be read, was made for another key, was
+    changed since, is not of this `form` or makes `reads` raise is made again.
     """
     folder = cache_folder()
     if folder is None:
@@ -127,7 +138,8 @@ def kept(
 
 @lru_cache(maxsize=8)
 def code_of(packages: Sequence[str], distributions: Sequence[str]) -> str:
-    """sha256 (hex) of the modules in these packages (not those below) and the versions of what they compute with."""
+    """sha256 (hex) of the modules in these packages (not those below) and the versions of what they
+    compute with."""
     digest = hashlib.sha256()
     for package in packages:
         for file in sorted(resources.files(package).iterdir(), key=lambda f: f.name):
@@ -148,7 +160,9 @@ def _sha256(arrays: Mapping[str, NDArray[Any]]) -> str:
     return digest.hexdigest()
 
 
-def _read(path: Path, seal: str, form: Mapping[str, Column], reads: Callable[[Arrays], object] | None) -> Arrays | None:
+def _read(
+    path: Path, seal: str, form: Mapping[str, Column], reads: Callable[[Arrays], object] | None
+) -> Arrays | None:
     try:
         arrays = read_npz(path)
         if str(arrays.pop(SEAL, "")) != f"{seal} {_sha256(arrays)}" or not fits(arrays, form):
@@ -177,8 +191,8 @@ def _write(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
 def _alone(path: Path, folder: Path) -> Iterator[None]:
     """One process at a time, where the system can lock a file; the lock falls with its process.
 
-    What stands in the lock's place and is no plain file (a link, a pipe) is neither followed nor waited for: then there is
-    no lock, and two processes may make the same.
+    What stands in the lock's place and is no plain file (a link, a pipe) is neither followed nor
+    waited for: then there is no lock, and two processes may make the same.
     """
     try:
         import fcntl
@@ -213,7 +227,9 @@ def _lock(path: Path, take: Callable[[], None]) -> None:
             return None
         if waited > SAID_AFTER_S and not said:
             said = True
-            tell(f"{path}: another process is making this; waiting up to {ALONE_AFTER_S / 60:.0f} minutes for it")
+            tell(
+                f"{path}: another process is making this; waiting up to {ALONE_AFTER_S / 60:.0f} minutes for it"
+            )
         time.sleep(LOOK_EVERY_S)
 
 

@@ -1,7 +1,9 @@
-"""What a command was asked to write: whole or not at all, never over what is there unless that is said, never over a run.
+"""What a command was asked to write: whole or not at all, never over what is there unless that is
+said, never over a run.
 
-A command asks `check_file` (or `check_folder`) before its work starts, so that nothing is lost at the end; whoever writes
-uses `whole`. What a Python program writes by a function is replaced, as by `open(..., "w")`.
+A command asks `check_file` (or `check_folder`) before its work starts, so that nothing is lost at
+the end; whoever writes uses `whole`. What a Python program writes by a function is replaced, as by
+`open(..., "w")`.
 """
 
 import os
@@ -27,11 +29,13 @@ def run_folder_of(path: Path) -> Path | None:
     return None
 
 
-def check_file(path: Path, *, overwrite: bool = False, flag: str = "--out", endings: Sequence[str] = ()) -> None:
+def check_file(
+    path: Path, *, overwrite: bool = False, flag: str = "--out", endings: Sequence[str] = ()
+) -> None:
     """`FileError` where a command may not write this file, or its name has none of these `endings`.
 
-    That is: a name that a run folder has for its own; a folder, a pipe, a device; a path that cannot be; and without
-    `overwrite` anything that is there.
+    That is: a name that a run folder has for its own; a folder, a pipe, a device; a path that
+    cannot be; and without `overwrite` anything that is there.
     """
     shown = f"{flag} {printable(path)}"
     if endings and path.suffix.lower() not in endings:
@@ -42,12 +46,17 @@ def check_file(path: Path, *, overwrite: bool = False, flag: str = "--out", endi
         return
     if not (stat.S_ISREG(found.st_mode) or stat.S_ISLNK(found.st_mode)):
         raise FileError(f"{shown}: is no plain file; give a file's name")
-    if not overwrite and (found.st_size or not stat.S_ISREG(found.st_mode)):  # an empty file loses nothing
-        raise FileError(f"{shown}: is there already; give another name, or add --overwrite to replace it")
+    if not overwrite and (
+        found.st_size or not stat.S_ISREG(found.st_mode)
+    ):  # an empty file loses nothing
+        raise FileError(
+            f"{shown}: is there already; give another name, or add --overwrite to replace it"
+        )
 
 
 def check_folder(path: Path, *, overwrite: bool | None = False, flag: str = "--out") -> None:
-    """`FileError` where a command may not write into this folder: it is none, or without `overwrite` not empty.
+    """`FileError` where a command may not write into this folder: it is none, or without
+    `overwrite` not empty.
 
     None: a command that writes into new or empty folders only.
     """
@@ -70,7 +79,9 @@ def _not_a_runs(path: Path, shown: str) -> None:
     inside = Path(os.path.abspath(path)).relative_to(folder)
     mine = inside.parts[0] in OWN or inside.parts[0].startswith(".")
     if mine or (len(inside.parts) == 1 and inside.suffix in (".json", ".txt")):
-        raise FileError(f"{shown}: is what the run folder {printable(folder)} may store there; write elsewhere")
+        raise FileError(
+            f"{shown}: is what the run folder {printable(folder)} may store there; write elsewhere"
+        )
 
 
 def _found(path: Path, shown: str) -> os.stat_result | None:
@@ -80,12 +91,15 @@ def _found(path: Path, shown: str) -> os.stat_result | None:
     except FileNotFoundError:
         return None
     except OSError as error:
-        raise FileError(f"{shown}: no path that can be written ({error.strerror or error})") from None
+        raise FileError(
+            f"{shown}: no path that can be written ({error.strerror or error})"
+        ) from None
 
 
 @contextmanager
 def whole(path: Path) -> Iterator[Path]:
-    """A name to write to, which becomes `path` when the block ends well; a link there is replaced, not followed.
+    """A name to write to, which becomes `path` when the block ends well; a link there is replaced,
+    not followed.
 
     Its folder is made where it is missing. An `OSError` from inside names the file.
     """

@@ -18,19 +18,24 @@ def number(text: str) -> float:
     Python itself also reads 1_0 as ten, other scripts' digits, nan and infinity.
     """
     if not _DECIMAL.fullmatch(text) or not math.isfinite(float(text)):
-        raise ValueError(f"{printable(text)[:40]!r} is no plain number; write decimal digits, such as 0.1")
+        raise ValueError(
+            f"{printable(text)[:40]!r} is no plain number; write decimal digits, such as 0.1"
+        )
     return float(text)
 
 
 def whole_number(text: str) -> int:
     """The whole number that plain decimal digits say; else a ValueError."""
     if not _WHOLE.fullmatch(text):
-        raise ValueError(f"{printable(text)[:40]!r} is no whole number; write decimal digits, such as 10")
+        raise ValueError(
+            f"{printable(text)[:40]!r} is no whole number; write decimal digits, such as 10"
+        )
     return int(text)
 
 
 def at_home(text: str) -> str:
-    """The text with ~ or ~USER written out where a path begins: at its beginning, and behind the = of --flag= and NAME=.
+    """The text with ~ or ~USER written out where a path begins: at its beginning, and behind the =
+    of --flag= and NAME=.
 
     A shell does the former alone. Raises `FileError` where nobody is called so.
     """
@@ -42,5 +47,7 @@ def _written_out(path: str) -> str:
         return path
     written = os.path.expanduser(path)
     if written.startswith("~"):
-        raise FileError(f"{printable(path)}: nobody has this home; write the path out, or ./~ for a folder called so")
+        raise FileError(
+            f"{printable(path)}: nobody has this home; write the path out, or ./~ for a folder called so"
+        )
     return written

@@ -1,4 +1,5 @@
-"""The plainest YAML: words, lists of words, numbers in decimal digits. What a configuration or a stranger's file may hold."""
+"""The plainest YAML: words, lists of words, numbers in decimal digits. What a configuration or a
+stranger's file may hold."""
 
 import math
 import re
@@ -14,12 +15,15 @@ __all__ = ["read_plain_yaml"]
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 4
 KINDS = ("str", "int", "float", "bool", "null")
-NUMBER = re.compile(r"[-+]?(0|[1-9][0-9]{0,17})(\.[0-9]{0,30})?([eE][-+]?[0-9]{1,3})?|[-+]?\.[0-9]{1,30}")
+NUMBER = re.compile(
+    r"[-+]?(0|[1-9][0-9]{0,17})(\.[0-9]{0,30})?([eE][-+]?[0-9]{1,3})?|[-+]?\.[0-9]{1,30}"
+)
 
 
 class _Loader(yaml.SafeLoader):
-    """Plain data only: no tags, no anchors (a small file could grow without end), no key twice, words as keys, numbers
-    as they are written in decimal digits (YAML 1.1 reads 1:30 as 90 and 017 as 15), nothing nested deeply."""
+    """Plain data only: no tags, no anchors (a small file could grow without end), no key twice,
+    words as keys, numbers as they are written in decimal digits (YAML 1.1 reads 1:30 as 90 and 017
+    as 15), nothing nested deeply."""
 
     depth, deepest = 0, MAX_DEPTH
 
@@ -51,7 +55,9 @@ class _Loader(yaml.SafeLoader):
 
 # YAML 1.1 takes 1e-3 for a word; everybody else for a number
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+\Z"), list("-+0123456789")
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+\Z"),
+    list("-+0123456789"),
 )
 
 
@@ -64,8 +70,12 @@ def _check_value(field: str, node: Any) -> None:
         if kind == "timestamp":
             node.tag = "tag:yaml.org,2002:str"  # a folder's name
         elif kind not in KINDS:
-            raise _refused(node, f"{field} is {text[:40]!r}, to YAML a {kind}; put quotes around a word")
-        elif kind in ("int", "float") and not (NUMBER.fullmatch(text) and math.isfinite(float(text))):
+            raise _refused(
+                node, f"{field} is {text[:40]!r}, to YAML a {kind}; put quotes around a word"
+            )
+        elif kind in ("int", "float") and not (
+            NUMBER.fullmatch(text) and math.isfinite(float(text))
+        ):
             raise _refused(node, f"{field} is {text[:40]!r}, no plain number; write decimal digits")
 
 
@@ -73,7 +83,9 @@ def _refused(where: Any, problem: str) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(problem=problem, problem_mark=where.start_mark)
 
 
-def read_plain_yaml(path: Path, *, most: int = MAX_BYTES, deepest: int = MAX_DEPTH) -> dict[str, Any]:
+def read_plain_yaml(
+    path: Path, *, most: int = MAX_BYTES, deepest: int = MAX_DEPTH
+) -> dict[str, Any]:
     """The fields of a file of at most `most` bytes, or a `FileError` that names the line."""
     loader = type("_Loader", (_Loader,), {"deepest": deepest})
     try:
@@ -86,6 +98,10 @@ def read_plain_yaml(path: Path, *, most: int = MAX_BYTES, deepest: int = MAX_DEP
         problem = printable(getattr(error, "problem", None) or error or "nested too deeply")
         raise FileError(f"{printable(path)}:{where} {problem[:300]}") from None
     if not isinstance(data, dict):
-        found = "it is empty" if data is None else f"not {'a list' if isinstance(data, list) else 'one word or number'}"
+        found = (
+            "it is empty"
+            if data is None
+            else f"not {'a list' if isinstance(data, list) else 'one word or number'}"
+        )
         raise FileError(f"{printable(path)}: must hold fields, one `name: value` a line; {found}")
     return data

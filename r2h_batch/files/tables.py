@@ -1,4 +1,5 @@
-"""Numbers out of somebody's CSV or JSON, row by row, each checked before it is stored: no line of a table is trusted."""
+"""Numbers out of somebody's CSV or JSON, row by row, each checked before it is stored: no line of a
+table is trusted."""
 
 import csv
 import io
@@ -28,7 +29,8 @@ UTF_16 = (b"\xff\xfe", b"\xfe\xff")
 """How a file in UTF-16 begins."""
 
 _NUMBER = re.compile(
-    r"[-+]?([0-9]{1,30}(\.[0-9]{0,30})?|\.[0-9]{1,30})([eE][-+]?[0-9]{1,3})?|[-+]?(nan|inf)", re.I | re.A
+    r"[-+]?([0-9]{1,30}(\.[0-9]{0,30})?|\.[0-9]{1,30})([eE][-+]?[0-9]{1,3})?|[-+]?(nan|inf)",
+    re.I | re.A,
 )
 _WHOLE = re.compile(r"[0-9]{1,18}", re.A)
 
@@ -37,10 +39,12 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def read_csv_arrays(path: Path, widths: Widths, optional: tuple[str, ...] = ()) -> Arrays:
-    """Arrays (N,) or (N, width) by name; the first of `widths` is a whole number, int64, the others float64.
+    """Arrays (N,) or (N, width) by name; the first of `widths` is a whole number, int64, the others
+    float64.
 
-    The first line names the columns, in any order: NAME, or NAME_0 to NAME_(width - 1). An empty cell of an `optional` column
-    is NaN. Raises `FileError`: file, line, column, what was found and what is allowed.
+    The first line names the columns, in any order: NAME, or NAME_0 to NAME_(width - 1). An empty
+    cell of an `optional` column is NaN. Raises `FileError`: file, line, column, what was found and
+    what is allowed.
     """
     where, key = printable(path), next(iter(widths))
     with open_file(path, MAX_CSV_BYTES) as stream:
@@ -62,10 +66,14 @@ def read_csv_arrays(path: Path, widths: Widths, optional: tuple[str, ...] = ()) 
                 if len(ids) > MAX_ROWS:
                     raise FileError(f"{where}: more than {MAX_ROWS} rows")
         except (csv.Error, UnicodeDecodeError) as error:
-            raise FileError(f"{where}: no readable CSV in UTF-8 ({printable(error)[:200]})") from None
+            raise FileError(
+                f"{where}: no readable CSV in UTF-8 ({printable(error)[:200]})"
+            ) from None
     found: Arrays = {key: np.array(ids, np.int64)}
     for name, data in values.items():
-        found[name] = np.array(data, np.float64).reshape((-1, widths[name]) if widths[name] > 1 else -1)
+        found[name] = np.array(data, np.float64).reshape(
+            (-1, widths[name]) if widths[name] > 1 else -1
+        )
     return found
 
 
@@ -79,9 +87,13 @@ def _bounded(text: Any, where: str) -> Any:
         yield line
 
 
-def _places(names: list[str], widths: Widths, optional: tuple[str, ...], where: str) -> dict[str, list[int]]:
+def _places(
+    names: list[str], widths: Widths, optional: tuple[str, ...], where: str
+) -> dict[str, list[int]]:
     """Column numbers of each array."""
-    wanted = {name: [name] if w == 1 else [f"{name}_{i}" for i in range(w)] for name, w in widths.items()}
+    wanted = {
+        name: [name] if w == 1 else [f"{name}_{i}" for i in range(w)] for name, w in widths.items()
+    }
     known = [c for columns in wanted.values() for c in columns]
     stripped = [n.strip() for n in names]
     if len(names) == 1 and any(c in names[0] for c in ";\t"):
@@ -115,7 +127,9 @@ def _add(
         raise FileError(f"{where}: line {line} has {len(row)} cells; the first line has {count}")
     cell = row[places[key][0]].strip()
     if not _WHOLE.fullmatch(cell):
-        raise FileError(f"{where}: line {line}: {key} is {printable(cell)[:40]!r}; it must be {WHOLE}")
+        raise FileError(
+            f"{where}: line {line}: {key} is {printable(cell)[:40]!r}; it must be {WHOLE}"
+        )
     ids.append(int(cell))
     for name, data in values.items():
         for place in places[name]:
@@ -125,7 +139,9 @@ def _add(
             elif _NUMBER.fullmatch(cell):
                 data.append(float(cell))
             else:
-                raise FileError(f"{where}: line {line}: {name} has {printable(cell)[:40]!r}; it must be a number")
+                raise FileError(
+                    f"{where}: line {line}: {name} has {printable(cell)[:40]!r}; it must be a number"
+                )
 
 
 def read_json_arrays(
@@ -138,7 +154,8 @@ def read_json_arrays(
 ) -> tuple[Arrays, dict[str, str]]:
     """The same of `{WORD: text, rows: [{NAME: number or list, ...}, ...]}`, and the texts.
 
-    A list may be flat or nested row by row. Raises `FileError`: file, row, name, what was found and what is allowed.
+    A list may be flat or nested row by row. Raises `FileError`: file, row, name, what was found and
+    what is allowed.
     """
     where, key = printable(path), next(iter(widths))
     try:
@@ -162,21 +179,31 @@ def read_json_arrays(
         if not isinstance(row, dict):
             raise FileError(f"{at} must be an object of {', '.join(widths)}")
         if strange := [k for k in row if k not in widths]:
-            raise FileError(f"{at}: unknown field {printable(strange[0])[:60]!r}; allowed are {', '.join(widths)}")
+            raise FileError(
+                f"{at}: unknown field {printable(strange[0])[:60]!r}; allowed are {', '.join(widths)}"
+            )
         number = row.get(key)
         if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 1 << 63:
             raise FileError(f"{at}.{key} is {printable(repr(number))[:40]}; it must be {WHOLE}")
         ids.append(number)
         for name, part in values.items():
             given = row.get(name)
-            flat = [float("nan")] * widths[name] if given is None and name in optional else _flat(given)
+            flat = (
+                [float("nan")] * widths[name]
+                if given is None and name in optional
+                else _flat(given)
+            )
             if flat is None or len(flat) != widths[name]:
                 told = _said(given) if flat is None else f"{len(flat)} numbers"
-                raise FileError(f"{at}.{name} is {told}; it must be {widths[name]} number{'s'[: widths[name] > 1]}")
+                raise FileError(
+                    f"{at}.{name} is {told}; it must be {widths[name]} number{'s'[: widths[name] > 1]}"
+                )
             part.extend(flat)
     found: Arrays = {key: np.array(ids, np.int64)}
     for name, part in values.items():
-        found[name] = np.array(part, np.float64).reshape((-1, widths[name]) if widths[name] > 1 else -1)
+        found[name] = np.array(part, np.float64).reshape(
+            (-1, widths[name]) if widths[name] > 1 else -1
+        )
     return found, {k: data[k] for k in words if k in data}
 
 
@@ -207,9 +234,14 @@ def _said(given: Any) -> str:
 
 
 def _flat(given: Any) -> list[float] | None:
-    """The numbers of a number, a list or a list of lists; None where there is something else in it."""
+    """The numbers of a number, a list or a list of lists; None where there is something else in
+    it."""
     items = given if isinstance(given, list) else [given]
     items = [x for part in items for x in (part if isinstance(part, list) else [part])]
-    if any(isinstance(x, bool) or not isinstance(x, (int, float)) or abs(x) > 1e300 for x in items if x == x):
+    if any(
+        isinstance(x, bool) or not isinstance(x, (int, float)) or abs(x) > 1e300
+        for x in items
+        if x == x
+    ):
         return None
     return [float(x) for x in items]

@@ -1,4 +1,5 @@
-"""Which trials of a run stand for the others in pictures. Reads stored rows, shard by shard; draws nothing."""
+"""Which trials of a run stand for the others in pictures. Reads stored rows, shard by shard; draws
+nothing."""
 
 from collections.abc import Sequence
 
@@ -22,7 +23,9 @@ def first_of_each_outcome(run: Run, method: str, n: int) -> dict[str, list[int]]
     seen = 0
     for table in run.shards("trials", method, ["trial_id", "object", "outcome"]):
         ids = table["trial_id"].to_pylist()
-        for trial, name, outcome in zip(ids, table["object"].to_pylist(), table["outcome"].to_pylist(), strict=True):
+        for trial, name, outcome in zip(
+            ids, table["object"].to_pylist(), table["outcome"].to_pylist(), strict=True
+        ):
             if outcome in found and len(found[outcome].setdefault(name, [])) < n:
                 found[outcome][name].append(trial)
         seen += len(ids)
@@ -38,7 +41,8 @@ def _in_turn(lists: Sequence[Sequence[int]], n: int) -> list[int]:
 
 
 def shared_trial(run: Run, methods: Sequence[str]) -> int:
-    """The first trial in which as many methods as possible move and not all come to the same end."""
+    """The first trial in which as many methods as possible move and not all come to the same
+    end."""
     ids, outcomes, count = None, [], None
     for method in methods:
         table = next(iter(run.shards("trials", method, ["trial_id", "outcome", "t_exec_s"])))

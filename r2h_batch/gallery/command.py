@@ -1,4 +1,5 @@
-"""The commands `report` (table, page, gallery) and `figures` (the paper's). Light until there is work."""
+"""The commands `report` (table, page, gallery) and `figures` (the paper's). Light until there is
+work."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -35,13 +36,14 @@ def report(
 
     Args:
         run: a run folder, as `r2h-batch sweep --out` writes it.
-        format: md, latex, csv or json; html: one page with figures and a search over trials, no network needed.
-        by_object: each object's rates instead of Table I; in md also the criteria that fail together. The html page has both.
-        columns: latex: all of Table I over both columns of a page (2), or each split's SR in one (1).
-        intervals: latex: 95 % intervals below the rates; the other formats have them anyway.
-        order: look for the first failure in another order, such as reach,plan (the others follow).
-        method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
-        gallery: html: pictures of so many successes and failures of each kind and method, each with the page of its trial in
+        format: md, latex, csv or json; html: one page with figures and a search over trials, no
+        network needed. by_object: each object's rates instead of Table I; in md also the criteria
+        that fail together. The html page has both. columns: latex: all of Table I over both columns
+        of a page (2), or each split's SR in one (1). intervals: latex: 95 % intervals below the
+        rates; the other formats have them anyway. order: look for the first failure in another
+        order, such as reach,plan (the others follow). method: only these methods, by the sweep's
+        word (fc) or the table's name; all unless given. gallery: html: pictures of so many
+        successes and failures of each kind and method, each with the page of its trial in
             three dimensions in a folder beside --out.
         out: the file to write instead of printing.
         overwrite: replace what is there under these names.
@@ -50,14 +52,19 @@ def report(
     if not 0 <= gallery <= MOST:
         return refuse("report", f"--gallery is {gallery}; it must be 0 to {MOST}")
     if gallery and (format != "html" or out is None):
-        return refuse("report", "--gallery needs --format html and --out FILE.html, for the pages of its trials")
+        return refuse(
+            "report",
+            "--gallery needs --format html and --out FILE.html, for the pages of its trials",
+        )
     if out is not None:
         check_file(out, overwrite=overwrite)
     from r2h_batch.scene.offscreen import RenderError
 
     if gallery and out is not None:
         check_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
-    pictures = None if not gallery or out is None else _gallery_of(run, method, gallery, out, benchmark)
+    pictures = (
+        None if not gallery or out is None else _gallery_of(run, method, gallery, out, benchmark)
+    )
     try:
         return plain.run(
             run, format=format, by_object=by_object, columns=columns, intervals=intervals, order=order, method=method,
@@ -83,7 +90,9 @@ def _gallery_of(
 
         ready()
         if _pages(out).is_symlink():
-            raise UsageError(f"{out.stem}_trials beside {out.name} is a link; its pages would be written elsewhere")
+            raise UsageError(
+                f"{out.stem}_trials beside {out.name} is a link; its pages would be written elsewhere"
+            )
         reader = Reader(run, Given.of(benchmark))
         return gallery(reader.run.only(method), reader, n, _pages(out), out.parent)
 
@@ -100,15 +109,15 @@ def figures(
     overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
-    """Draw the paper's figures of a run folder as PDF and PNG: protocol, methods over time, success and failures.
+    """Draw the paper's figures of a run folder as PDF and PNG: protocol, methods over time, success
+    and failures.
 
     Args:
-        run: a run folder, as `r2h-batch sweep --out` writes it; what it does not store is computed again.
-        out: folder to write.
-        method: only these methods; the first one shows the protocol.
-        trial: trial id of the protocol and of the methods over time; chosen by the command unless given.
-        overwrite: replace figures that are there.
-        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
+        run: a run folder, as `r2h-batch sweep --out` writes it; what it does not store is computed
+        again. out: folder to write. method: only these methods; the first one shows the protocol.
+        trial: trial id of the protocol and of the methods over time; chosen by the command unless
+        given. overwrite: replace figures that are there. benchmark: as the sweep had them; none of
+        these where it had the built-in benchmark.
     """
     from r2h_batch.benchmark.given import Given
     from r2h_batch.bodies.object_mesh import ObjectMeshError
@@ -144,11 +153,16 @@ def figures(
     return 0
 
 
-def report_main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.report") -> int:
-    """Exit code: 0 printed, 1 a method is not complete or nothing draws here, 2 refused with one line."""
+def report_main(
+    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.report"
+) -> int:
+    """Exit code: 0 printed, 1 a method is not complete or nothing draws here, 2 refused with one
+    line."""
     return call(report, sys.argv[1:] if arguments is None else arguments, prog=prog, name="report")
 
 
 def figures_main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch figures") -> int:
     """Exit code: 0 written, 1 could not draw or write, 2 refused with one line."""
-    return call(figures, sys.argv[1:] if arguments is None else arguments, prog=prog, name="figures")
+    return call(
+        figures, sys.argv[1:] if arguments is None else arguments, prog=prog, name="figures"
+    )

@@ -1,4 +1,5 @@
-"""The paper's figures of a run: the protocol (2), the methods over time (4), success and failures (5). PDF and PNG."""
+"""The paper's figures of a run: the protocol (2), the methods over time (4), success and failures
+(5). PDF and PNG."""
 
 import textwrap
 from collections.abc import Sequence
@@ -29,15 +30,20 @@ Panel = tuple[np.ndarray | None, str]
 
 
 def protocol(run: Run, reader: Reader, method: str, trial: int | None) -> tuple[Any, str]:
-    """Six moments of one success, and which trial it is: start, target, approach, arrival, from near."""
+    """Six moments of one success, and which trial it is: start, target, approach, arrival, from
+    near."""
     if trial is None:
         found = first_of_each_outcome(run, method, 1).get(OUTCOME_NAMES[0])
         if not found:
-            raise ValueError(f"{method!r} has no success to show; choose another --method, or a --trial")
+            raise ValueError(
+                f"{method!r} has no success to show; choose another --method, or a --trial"
+            )
         trial = found[0]
     stored = reader.trial(trial, method)
     if not stored.moves:
-        raise ValueError(f"trial {trial} of {method!r} does not move ({verdict(stored)}); choose another --trial")
+        raise ValueError(
+            f"trial {trial} of {method!r} does not move ({verdict(stored)}); choose another --trial"
+        )
     stage = Stage(stored)
     times, q = stage.motion()
     at = [q[np.abs(times - f * times[-1]).argmin()] for f in (0.33, 0.66, 1.0)]
@@ -49,11 +55,20 @@ def protocol(run: Run, reader: Reader, method: str, trial: int | None) -> tuple[
     images += stage.pictures(at, width=width, height=height)
     images += stage.pictures(at[-1:], width=width, height=height, close=True)
     moments = [f"{f * times[-1]:.1f} s" for f in (0.33, 0.66, 1.0)]
-    titles = ["start", "target", f"approach, {moments[0]}", moments[1], f"handover, {moments[2]}", "what is judged"]
+    titles = [
+        "start",
+        "target",
+        f"approach, {moments[0]}",
+        moments[1],
+        f"handover, {moments[2]}",
+        "what is judged",
+    ]
     return _grid([list(zip(images, titles, strict=True))], []), f"trial {trial} of {method}"
 
 
-def methods_over_time(run: Run, reader: Reader, methods: Sequence[str], trial: int | None) -> tuple[Any, str]:
+def methods_over_time(
+    run: Run, reader: Reader, methods: Sequence[str], trial: int | None
+) -> tuple[Any, str]:
     """A row a method: the same trial along each one's motion, and what came of it."""
     trial = shared_trial(run, methods) if trial is None else trial
     short = short_names(methods)
@@ -118,7 +133,9 @@ def _grid(rows: Sequence[Sequence[Panel]], names: Sequence[str]) -> Any:
     wide = 1.45
     with style(page=False):
         layout = ConstrainedLayoutEngine(w_pad=0.01, h_pad=0.01, wspace=0.01, hspace=0.02)
-        figure = Figure(figsize=(wide * columns, (wide * SIZE[1] / SIZE[0] + 0.2) * len(rows)), layout=layout)
+        figure = Figure(
+            figsize=(wide * columns, (wide * SIZE[1] / SIZE[0] + 0.2) * len(rows)), layout=layout
+        )
         axes = figure.subplots(len(rows), columns, squeeze=False)
         for r, row in enumerate(rows):
             for place, (image, words) in zip(axes[r], row, strict=True):
@@ -140,5 +157,7 @@ def write(figure: Any, folder: Path, name: str) -> list[Path]:
         for path in paths:
             metadata = {"CreationDate": None} if path.suffix == ".pdf" else {"Software": None}
             with whole(path) as temporary:
-                figure.savefig(temporary, dpi=DPI, bbox_inches="tight", pad_inches=0.02, metadata=metadata)
+                figure.savefig(
+                    temporary, dpi=DPI, bbox_inches="tight", pad_inches=0.02, metadata=metadata
+                )
     return paths

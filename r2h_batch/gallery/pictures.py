@@ -25,11 +25,16 @@ QUALITY = 82
 """Of a thumbnail's JPEG: about 10 kB."""
 
 
-def gallery(run: Run, reader: Reader, n: int, pages: Path, base: Path) -> dict[str, list[dict[str, str]]]:
-    """Method -> pictures of at most `n` trials of each outcome; their pages are written into `pages`, linked from `base`."""
+def gallery(
+    run: Run, reader: Reader, n: int, pages: Path, base: Path
+) -> dict[str, list[dict[str, str]]]:
+    """Method -> pictures of at most `n` trials of each outcome; their pages are written into
+    `pages`, linked from `base`."""
     found: dict[str, list[dict[str, str]]] = {}
     shown = {method: first_of_each_outcome(run, method, n) for method in run.methods}
-    reader.build_for({m: [k for ids in trials.values() for k in ids] for m, trials in shown.items()})
+    reader.build_for(
+        {m: [k for ids in trials.values() for k in ids] for m, trials in shown.items()}
+    )
     for method in run.methods:
         found[method] = []
         for outcome, trials in shown[method].items():
@@ -51,11 +56,14 @@ def gallery(run: Run, reader: Reader, n: int, pages: Path, base: Path) -> dict[s
 
 
 def still(stored: StoredTrial, size: tuple[int, int]) -> np.ndarray:
-    """(height, width, 3) where the motion ends; without one, what was asked: the ghost, and what collides in red."""
+    """(height, width, 3) where the motion ends; without one, what was asked: the ghost, and what
+    collides in red."""
     stage = Stage(stored)
     posture = stage.motion()[1][-1] if stored.moves else stored.target_q
     near = stored.row["outcome"] in NEAR
-    return next(stage.pictures([posture], width=size[0], height=size[1], asked=not stored.moves, close=near))
+    return next(
+        stage.pictures([posture], width=size[0], height=size[1], asked=not stored.moves, close=near)
+    )
 
 
 def verdict(stored: StoredTrial) -> str:

@@ -1,1 +1,2 @@
-"""Other people's data, one file per source. Nothing imports it but the command and the reading of a benchmark."""
+"""Other people's data, one file per source. Nothing imports it but the command and the reading of a
+benchmark."""

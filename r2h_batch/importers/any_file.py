@@ -1,4 +1,5 @@
-"""Somebody's hand or grasps straight from their file: what `r2h-batch import` would make of it, told apart by the file's name."""
+"""Somebody's hand or grasps straight from their file: what `r2h-batch import` would make of it,
+told apart by the file's name."""
 
 from __future__ import annotations
 
@@ -15,15 +16,17 @@ __all__ = ["GRASP_FILES", "grasps_from", "hand_from", "without_gripper"]
 
 HDF5 = (".h5", ".hdf5")
 GRASP_FILES = (".npz", ".safetensors", *HDF5, ".npy")
-"""Grasps that need no further word: our own, ACRONYM's, GraspNet's (of one object, in its frame)."""
+"""Grasps that need no further word: our own, ACRONYM's, GraspNet's (of one object, in its
+frame)."""
 YAML = (".yaml", ".yml")
 
 
 def grasps_from(argument: str | Path) -> GraspSet:
-    """The grasps of FILE, or of FILE.yaml:GRIPPER for an isaac_grasp file; what had to be left out is told on stderr.
+    """The grasps of FILE, or of FILE.yaml:GRIPPER for an isaac_grasp file; what had to be left out
+    is told on stderr.
 
-    `.npz`, `.safetensors`: our own. `.h5`, `.hdf5`: ACRONYM's. `.npy`: GraspNet's, N x 17, of one object and in its frame.
-    GRIPPER: one of `grippers.GRIPPERS`. Raises `FileError`, one line.
+    `.npz`, `.safetensors`: our own. `.h5`, `.hdf5`: ACRONYM's. `.npy`: GraspNet's, N x 17, of one
+    object and in its frame. GRIPPER: one of `grippers.GRIPPERS`. Raises `FileError`, one line.
     """
     path, gripper = without_gripper(argument)
     where, ending = printable(path), path.suffix.lower()
@@ -55,7 +58,8 @@ def grasps_from(argument: str | Path) -> GraspSet:
 
 
 def without_gripper(argument: str | Path) -> tuple[Path, str]:
-    """FILE and GRIPPER of FILE:GRIPPER; the gripper is empty where none is named, a `FileError` where it is no gripper."""
+    """FILE and GRIPPER of FILE:GRIPPER; the gripper is empty where none is named, a `FileError`
+    where it is no gripper."""
     text, _, gripper = str(argument).rpartition(":")
     if text and gripper in GRIPPERS:
         return Path(text), gripper
@@ -68,7 +72,8 @@ def without_gripper(argument: str | Path) -> tuple[Path, str]:
 
 
 def hand_from(path: Path) -> HandModel:
-    """The hand of a `hand.npz`, or of one of MANO's own pickles: a left one where its name says so, mirrored for the other side.
+    """The hand of a `hand.npz`, or of one of MANO's own pickles: a left one where its name says so,
+    mirrored for the other side.
 
     Raises `FileError`, one line.
     """

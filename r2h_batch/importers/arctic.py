@@ -1,7 +1,9 @@
-"""ARCTIC (Fan et al. 2023): raw_seqs/sXX/OBJECT_ACTION_N.mano.npy, with .object.npy and .smplx.npy beside it, 30 Hz.
+"""ARCTIC (Fan et al. 2023): raw_seqs/sXX/OBJECT_ACTION_N.mano.npy, with .object.npy and .smplx.npy
+beside it, 30 Hz.
 
-As its own tools read it: postures about MANO's mean hand (flat_hand_mean=False), object rows of [articulation rad,
-axis-angle, millimetres]. The body's facing is that of its SMPL-X root where .smplx.npy is there.
+As its own tools read it: postures about MANO's mean hand (flat_hand_mean=False), object rows of
+[articulation rad, axis-angle, millimetres]. The body's facing is that of its SMPL-X root where
+.smplx.npy is there.
 """
 
 from __future__ import annotations
@@ -46,12 +48,15 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
         if not isinstance(part, Mapping):
             raise ImportRefused(f"{where}: has no {key} hand")
         turn, place, postures = (
-            numbers(part.get(k), (None, n), f"{where} {key} {k}") for k, n in (("rot", 3), ("trans", 3), ("pose", 45))
+            numbers(part.get(k), (None, n), f"{where} {key} {k}")
+            for k, n in (("rot", 3), ("trans", 3), ("pose", 45))
         )
         if len({len(turn), len(place), len(postures), len(rows)}) != 1:
             raise ImportRefused(f"{where}: hand and object have different numbers of frames")
         shape = numbers(part.get("shape"), (10,), f"{where} {key} shape")
-        given = ManoParameters(turn, place, postures, shape, side, flat_hand_mean=False, components=False)
+        given = ManoParameters(
+            turn, place, postures, shape, side, flat_hand_mean=False, components=False
+        )
         instruction = f"{action.partition('_')[0] or 'use'} the {name}"
         hands.append(
             motion(where, hand, given, rate_hz=RATE_HZ, instruction=instruction, object_name=name,
@@ -65,7 +70,11 @@ def _body(path: Path, frames: int, where: str) -> tuple[np.ndarray | None, np.nd
     if not path.is_file():
         return None, None
     found = read_npy(path)
-    turn = numbers(found.get("global_orient") if isinstance(found, Mapping) else None, (None, 3), f"{where} body")
+    turn = numbers(
+        found.get("global_orient") if isinstance(found, Mapping) else None,
+        (None, 3),
+        f"{where} body",
+    )
     if len(turn) != frames:
         raise ImportRefused(f"{where}: body and object have different numbers of frames")
     R = Rotation.from_rotvec(turn).as_matrix()

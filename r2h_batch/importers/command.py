@@ -1,4 +1,5 @@
-"""Other people's hands, hand sets, grasps and objects as files that this package reads: `r2h-batch import ...`."""
+"""Other people's hands, hand sets, grasps and objects as files that this package reads: `r2h-batch
+import ...`."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -33,9 +34,9 @@ def hand(
     Args:
         out: The hand model to write, .npz. It holds MANO's data: its licence forbids to pass it on.
         mano_right: MANO_RIGHT.pkl, or the same arrays as .npz.
-        mano_left: MANO_LEFT.pkl. Without it a left hand is the right one's mirror image, and the other way round.
-        negate_left_shape: Change the sign of the left file's shapedirs[:, 0], as data fitted with that repair need.
-        overwrite: Replace a file that is there.
+        mano_left: MANO_LEFT.pkl. Without it a left hand is the right one's mirror image, and the
+        other way round. negate_left_shape: Change the sign of the left file's shapedirs[:, 0], as
+        data fitted with that repair need. overwrite: Replace a file that is there.
     """
 
     def run() -> None:
@@ -57,7 +58,8 @@ def hands(
     folder: Annotated[Path | None, tyro.conf.Positional] = None,
     *,
     source: Annotated[
-        Literal["grab", "arctic", "h2o", "oakink", "dexycb", "built-in"], tyro.conf.arg(name="from", metavar="SOURCE")
+        Literal["grab", "arctic", "h2o", "oakink", "dexycb", "built-in"],
+        tyro.conf.arg(name="from", metavar="SOURCE"),
     ],
     out: Path,
     frame: Frame | int = "aperture",
@@ -67,20 +69,24 @@ def hands(
     strict: bool = False,
     overwrite: bool = False,
 ) -> int:
-    """Receiving hands out of a data set's folder, one of every sequence and hand, and their motions beside them.
+    """Receiving hands out of a data set's folder, one of every sequence and hand, and their motions
+    beside them.
 
     Args:
         folder: The data set as its owners give it.
-        source: Whose it is: grab, arctic, h2o, oakink, dexycb; built-in: this project's own postures in the same form.
-        out: The hand set to write, .npz; the motions go beside it as NAME_motion.npz.
-        frame: Which frame of a sequence: aperture (the widest grip of the last second before the object moves), first,
-            middle, last, or a number (-1: the last). Of oakink, aperture takes the receivers' hands, others take all.
-        mano_right: MANO_RIGHT.pkl, for data relative to MANO's mean hand or in its components (arctic, dexycb), and for
+        source: Whose it is: grab, arctic, h2o, oakink, dexycb; built-in: this project's own
+        postures in the same form. out: The hand set to write, .npz; the motions go beside it as
+        NAME_motion.npz. frame: Which frame of a sequence: aperture (the widest grip of the last
+        second before the object moves), first,
+            middle, last, or a number (-1: the last). Of oakink, aperture takes the receivers'
+            hands, others take all.
+        mano_right: MANO_RIGHT.pkl, for data relative to MANO's mean hand or in its components
+        (arctic, dexycb), and for
             the wrist's exact place.
         mano_left: MANO_LEFT.pkl.
         negate_left_shape: As for `hand`.
-        strict: Refuse a data set with a file that cannot be read, instead of naming and skipping it.
-        overwrite: Replace files that are there.
+        strict: Refuse a data set with a file that cannot be read, instead of naming and skipping
+        it. overwrite: Replace files that are there.
     """
 
     def run() -> None:
@@ -88,15 +94,21 @@ def hands(
         from r2h_batch.importers import hand_sets
 
         target = _npz(out, overwrite)
-        check_file(hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in")
+        check_file(
+            hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in"
+        )
         if source == "built-in":
             hand_sets.write(target, hand_sets.built_in(), load_hand_set().pose[:, :3].numpy())
-            print(f"{counted(len(load_hand_set()), 'hands')} of r2h_batch in {target}; 0 files skipped")
+            print(
+                f"{counted(len(load_hand_set()), 'hands')} of r2h_batch in {target}; 0 files skipped"
+            )
             return
         if folder is None:
             raise UsageError(f"no folder; give that of {source}, as its owners give it")
         rule = int(frame) if isinstance(frame, int) or str(frame).lstrip("-").isdigit() else frame
-        found = hand_sets.collect(source, folder, _mano(mano_right, mano_left, negate_left_shape), rule, strict=strict)
+        found = hand_sets.collect(
+            source, folder, _mano(mano_right, mano_left, negate_left_shape), rule, strict=strict
+        )
         hand_sets.write(target, found)
         right = sum(h.side == 0 for h in found.hands)
         skipped = counted(len(found.skipped), "files")
@@ -111,32 +123,37 @@ def hands(
 def grasps(
     file: Annotated[Path, tyro.conf.Positional],
     *,
-    source: Annotated[Literal["acronym", "graspnet", "isaac", "own"], tyro.conf.arg(name="from", metavar="SOURCE")],
+    source: Annotated[
+        Literal["acronym", "graspnet", "isaac", "own"], tyro.conf.arg(name="from", metavar="SOURCE")
+    ],
     out: Path,
     gripper: Literal["acronym-panda", "panda-hand", "2f-85-base", "ee"] | None = None,
     object_id: int | None = None,
     pose: Path | None = None,
     overwrite: bool = False,
 ) -> int:
-    """Grasps of one object as the file that a benchmark names: T_obj_ee, width, score, part in our own ee frame.
+    """Grasps of one object as the file that a benchmark names: T_obj_ee, width, score, part in our
+    own ee frame.
 
-    Grasps of another gripper are seated anew on the object, or dropped, where they are used; both are counted there.
+    Grasps of another gripper are seated anew on the object, or dropped, where they are used; both
+    are counted there.
 
     Args:
-        file: ACRONYM's .h5, graspnetAPI's .npy (N x 17), an isaac_grasp .yaml, or our own .npz or .safetensors to check.
-        source: Whose it is: acronym, graspnet, isaac (also GraspGen), own.
-        out: The grasps to write, .npz.
-        gripper: Whose frame an isaac_grasp file is in; needed for those, see `r2h_batch.importers.grasps.grippers`.
-        object_id: Which object's grasps of a graspnet file.
-        pose: T_obj_source, .npy of 4 x 4, for a graspnet file: the frame that the network saw in the object's frame.
-        overwrite: Replace a file that is there.
+        file: ACRONYM's .h5, graspnetAPI's .npy (N x 17), an isaac_grasp .yaml, or our own .npz or
+        .safetensors to check. source: Whose it is: acronym, graspnet, isaac (also GraspGen), own.
+        out: The grasps to write, .npz. gripper: Whose frame an isaac_grasp file is in; needed for
+        those, see `r2h_batch.importers.grasps.grippers`. object_id: Which object's grasps of a
+        graspnet file. pose: T_obj_source, .npy of 4 x 4, for a graspnet file: the frame that the
+        network saw in the object's frame. overwrite: Replace a file that is there.
     """
 
     def run() -> None:
         target = _npz(out, overwrite)
         found, left_out = _grasps(file, source, gripper, object_id, pose)
         write_npz(target, {**found.arrays(), "gripper": np.array(found.gripper)})
-        print(f"{counted(len(found), 'grasps')} of the {found.gripper} in {target}; {left_out} left out")
+        print(
+            f"{counted(len(found), 'grasps')} of the {found.gripper} in {target}; {left_out} left out"
+        )
 
     import numpy as np
 
@@ -152,13 +169,14 @@ def objects(
     out: Path,
     strict: bool = False,
 ) -> int:
-    """A data set's objects as a folder for --objects: meshes in the frame of its hands, part labels, benchmark.yaml.
+    """A data set's objects as a folder for --objects: meshes in the frame of its hands, part
+    labels, benchmark.yaml.
 
     Args:
-        folder: The data set as its owners give it: OakInk's with shape/metaV2; OakBase's parts anywhere below it.
-        source: Whose it is: oakink.
-        out: A new or empty folder. It holds the data set's meshes: its licence says who may have them.
-        strict: Refuse a data set with an object that cannot be read, instead of naming and skipping it.
+        folder: The data set as its owners give it: OakInk's with shape/metaV2; OakBase's parts
+        anywhere below it. source: Whose it is: oakink. out: A new or empty folder. It holds the
+        data set's meshes: its licence says who may have them. strict: Refuse a data set with an
+        object that cannot be read, instead of naming and skipping it.
     """
 
     def run() -> None:
@@ -206,13 +224,17 @@ def _grasps(
     if source == "own":
         return read_grasps(file), 0
     if gripper is None:
-        raise UsageError("--gripper is needed: an isaac_grasp file does not say whose frame it is in")
+        raise UsageError(
+            "--gripper is needed: an isaac_grasp file does not say whose frame it is in"
+        )
     return isaac_grasp.read(file, gripper)
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch import") -> int:
     """Exit code: 0 written, 1 could not write, 2 refused, with one line on stderr."""
-    return call(COMMANDS, list(sys.argv[1:] if arguments is None else arguments), prog=prog, name="import")
+    return call(
+        COMMANDS, list(sys.argv[1:] if arguments is None else arguments), prog=prog, name="import"
+    )
 
 
 COMMANDS: dict[str, Command] = {"hand": hand, "hands": hands, "grasps": grasps, "objects": objects}
@@ -222,7 +244,11 @@ import_main = main
 def _mano(right: Path | None, left: Path | None, negate_left_shape: bool) -> "ManoHand | None":
     from r2h_batch.importers.mano import load_mano
 
-    return None if right is None and left is None else load_mano(right, left, negate_left_shape=negate_left_shape)
+    return (
+        None
+        if right is None and left is None
+        else load_mano(right, left, negate_left_shape=negate_left_shape)
+    )
 
 
 def _guarded(run: Callable[[], None]) -> int:

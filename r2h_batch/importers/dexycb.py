@@ -1,7 +1,9 @@
-"""DexYCB (Chao et al. 2021): DATE-subject-XX/TIME/{meta.yml,pose.npz}, betas in calibration/mano_*/mano.yml, 30 Hz.
+"""DexYCB (Chao et al. 2021): DATE-subject-XX/TIME/{meta.yml,pose.npz}, betas in
+calibration/mano_*/mano.yml, 30 Hz.
 
-As its own toolkit reads it: `pose_m` rows of 3 turn + 45 principal components about MANO's mean hand + 3 translation
-(all 0: no hand), `pose_y` rows of a quaternion (xyzw) and a place for every object, in the master camera's frame.
+As its own toolkit reads it: `pose_m` rows of 3 turn + 45 principal components about MANO's mean
+hand + 3 translation (all 0: no hand), `pose_y` rows of a quaternion (xyzw) and a place for every
+object, in the master camera's frame.
 """
 
 from __future__ import annotations
@@ -35,7 +37,11 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     meta = read_plain_yaml(path.parent / "meta.yml")
     sides, calibration = (meta.get(k) for k in ("mano_sides", "mano_calib"))
     grasped, objects = meta.get("ycb_grasp_ind"), meta.get("ycb_ids")
-    if sides not in (["right"], ["left"]) or not isinstance(calibration, list) or len(calibration) != 1:
+    if (
+        sides not in (["right"], ["left"])
+        or not isinstance(calibration, list)
+        or len(calibration) != 1
+    ):
         raise ImportRefused(f"{where}: meta.yml names no single hand with its mano_calib")
     if not isinstance(objects, list) or type(grasped) is not int or not 0 <= grasped < len(objects):
         raise ImportRefused(f"{where}: meta.yml does not say which of ycb_ids is grasped")
@@ -44,7 +50,9 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     shape = numbers(betas.get("betas"), (10,), f"{where} betas")
     found = read_npz(path)
     hands = numbers(found.get("pose_m"), (None, 1, 51), f"{where} pose_m")[:, 0]
-    places = numbers(found.get("pose_y"), (len(hands), len(objects), 7), f"{where} pose_y")[:, grasped]
+    places = numbers(found.get("pose_y"), (len(hands), len(objects), 7), f"{where} pose_y")[
+        :, grasped
+    ]
     seen = np.flatnonzero((hands != 0).any(1))
     if not len(seen):
         raise ImportRefused(f"{where}: no frame has a hand")
@@ -54,6 +62,8 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     T = np.tile(np.eye(4), (len(seen), 1, 1))
     T[:, :3, :3] = Rotation.from_quat(places[:, :4]).as_matrix()
     T[:, :3, 3] = places[:, 4:]
-    given = ManoParameters(mine[:, :3], mine[:, 48:], mine[:, 3:48], shape, side, flat_hand_mean=False, components=True)
+    given = ManoParameters(
+        mine[:, :3], mine[:, 48:], mine[:, 3:48], shape, side, flat_hand_mean=False, components=True
+    )
     name = f"ycb {objects[grasped]}"
     return [motion(where, hand, given, rate_hz=RATE_HZ, object_name=name, T_world_object=T)]

@@ -1,8 +1,9 @@
 """GRAB (Taheri et al. 2020): grab/s*/OBJECT_ACTION_N.npz, 120 Hz, both hands of a whole body.
 
-As its own tools read it: full postures about the flat hand (`fullpose`), a hand shape that is a mesh of the subject
-(here: shape 0), the object's turn applied as `vertices @ R + t`, so that T_world_object has R transposed. The world's z
-points up. SMPL-X' chest points along z of its root's frame, which gives the facing direction.
+As its own tools read it: full postures about the flat hand (`fullpose`), a hand shape that is a
+mesh of the subject (here: shape 0), the object's turn applied as `vertices @ R + t`, so that
+T_world_object has R transposed. The world's z points up. SMPL-X' chest points along z of its root's
+frame, which gives the facing direction.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ __all__ = ["find", "read"]
 
 NEEDED = ("rhand", "lhand", "object", "body", "obj_name", "motion_intent", "framerate")
 MOST = 2 << 30
-"""Members that are not needed (contact labels of every vertex) count too, though nothing of them is read."""
+"""Members that are not needed (contact labels of every vertex) count too, though nothing of them is
+read."""
 
 
 def find(folder: Path) -> list[Path]:
@@ -40,11 +42,15 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
         raise ImportRefused(f"{where}: has no {missing[0]}; it is no sequence of GRAB")
     name, intent = str(found["obj_name"]), str(found["motion_intent"])
     rate = float(numbers(found["framerate"], (), f"{where} framerate"))
-    turn, place = (_parameter(found["object"], k, 3, f"{where} object") for k in ("global_orient", "transl"))
+    turn, place = (
+        _parameter(found["object"], k, 3, f"{where} object") for k in ("global_orient", "transl")
+    )
     T = np.tile(np.eye(4), (len(turn), 1, 1))
     T[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix().transpose(0, 2, 1)
     T[:, :3, 3] = place
-    body = Rotation.from_rotvec(_parameter(found["body"], "global_orient", 3, f"{where} body")).as_matrix()
+    body = Rotation.from_rotvec(
+        _parameter(found["body"], "global_orient", 3, f"{where} body")
+    ).as_matrix()
     hands = []
     for key, side in (("rhand", RIGHT), ("lhand", LEFT)):
         columns = {k: _parameter(found[key], k, n, f"{where} {key}") for k, n in

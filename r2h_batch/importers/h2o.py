@@ -1,8 +1,10 @@
-"""H2O, the two-hands data set (Kwon et al. 2021): SUBJECT/PLACE/NUMBER/cam4/hand_pose_MANO/*.txt, 30 Hz.
+"""H2O, the two-hands data set (Kwon et al. 2021): SUBJECT/PLACE/NUMBER/cam4/hand_pose_MANO/*.txt,
+30 Hz.
 
-One text file a frame: per hand 1 (annotated or not) + 3 translation + 48 pose + 10 shape, left then right, camera frame,
-postures about the flat hand (as Text2HOI reads it). obj_pose_rt: 1 + 16, cam_pose: 16, camera to world. The human-human
-data set that the paper cites under this name has no released format.
+One text file a frame: per hand 1 (annotated or not) + 3 translation + 48 pose + 10 shape, left then
+right, camera frame, postures about the flat hand (as Text2HOI reads it). obj_pose_rt: 1 + 16,
+cam_pose: 16, camera to world. The human-human data set that the paper cites under this name has no
+released format.
 """
 
 from __future__ import annotations
@@ -33,7 +35,8 @@ def find(folder: Path) -> list[Path]:
 
 
 def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
-    """Right and left hand of one sequence, the frames in which each is annotated; `path` is its hand_pose_MANO folder."""
+    """Right and left hand of one sequence, the frames in which each is annotated; `path` is its
+    hand_pose_MANO folder."""
     sequence = path.parent
     where = "h2o:" + "/".join(sequence.parts[-4:])
     files = sorted(path.glob("*.txt"))[:MAX_FRAMES]
@@ -51,7 +54,13 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
         mine = columns[seen]
         R = camera[seen, :3, :3] @ Rotation.from_rotvec(mine[:, 4:7]).as_matrix()
         given = ManoParameters(
-            mine[:, 4:7], mine[:, 1:4], mine[:, 7:52], mine[:, 52:].mean(0), side, flat_hand_mean=True, components=False
+            mine[:, 4:7],
+            mine[:, 1:4],
+            mine[:, 7:52],
+            mine[:, 52:].mean(0),
+            side,
+            flat_hand_mean=True,
+            components=False,
         )
         in_camera = motion(where, hand, given)
         T = camera[seen] @ in_camera.T_world_hand

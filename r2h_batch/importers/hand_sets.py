@@ -1,18 +1,21 @@
 """A hand set out of a data set: one receiving frame of every sequence, the whole motions beside it.
 
-hands.npz holds H hands, right ones first, as `bodies.hand.load_hand_set(path)` reads them, and what is known of each:
+hands.npz holds H hands, right ones first, as `bodies.hand.load_hand_set(path)` reads them, and what
+is known of each:
 
-    pose (H, 48)           full turns about the flat hand; the wrist's own turn is 0: trials turn the whole hand
+    pose (H, 48)           full turns about the flat hand; the wrist's own turn is 0: trials turn
+    the whole hand
     shape (H, 10)  side (H,) 0 right, 1 left      posture (H,) the source's name
     source, instruction, object (H,)              text; source finds the sequence again
     frame, frames (H,)     which frame it is, of how many; rate_hz (H,) 0 where unknown
-    T_world_hand, T_world_object (H, 4, 4)        in the source's world at that frame; NaN where unknown
+    T_world_hand, T_world_object (H, 4, 4)        in the source's world at that frame; NaN where
+    unknown
     facing, up (H, 3)      the body's chest, and against gravity, in that world; NaN where unknown
 
 NAME_motion.npz beside it holds N frames, hand h's from first[h] to first[h + 1]:
 
-    first (H + 1,)   hand (N, 6) wrist's turn (axis-angle) and place in the source's world   object (N, 6) the same
-    fingers (N, 45) float16: turns to 1e-3 rad
+    first (H + 1,)   hand (N, 6) wrist's turn (axis-angle) and place in the source's world   object
+    (N, 6) the same fingers (N, 45) float16: turns to 1e-3 rad
 """
 
 from __future__ import annotations
@@ -50,7 +53,8 @@ SOURCES: dict[str, tuple[Callable[[Path], list[Path]], Reader]] = {
 
 @dataclass(frozen=True, eq=False)
 class Collected:
-    """The hands that were read, right ones first, and their frames; names and reasons of files that were not."""
+    """The hands that were read, right ones first, and their frames; names and reasons of files that
+    were not."""
 
     hands: list[HandMotion]
     frames: list[int]
@@ -59,11 +63,21 @@ class Collected:
 
 
 def collect(
-    source: str, folder: Path, hand: ManoHand | None, rule: str | int = "aperture", *, strict: bool = False
+    source: str,
+    folder: Path,
+    hand: ManoHand | None,
+    rule: str | int = "aperture",
+    *,
+    strict: bool = False,
 ) -> Collected:
-    """All hands of a data set's folder. A file that cannot be read is named on stderr and left out; `strict`: raises."""
+    """All hands of a data set's folder. A file that cannot be read is named on stderr and left out;
+    `strict`: raises."""
     find, read = SOURCES[source]
-    paths = oakink.find(folder, every=True) if source == "oakink" and rule != "aperture" else find(folder)
+    paths = (
+        oakink.find(folder, every=True)
+        if source == "oakink" and rule != "aperture"
+        else find(folder)
+    )
     model: HandModel | None = hand.model if hand else None
     found: list[tuple[HandMotion, int]] = []
     skipped: list[str] = []
@@ -78,13 +92,16 @@ def collect(
             skipped.append(line)
             tell(f"skipped: {line}")
     if not found:
-        raise ImportRefused(f"{printable(folder)}: none of {len(paths)} files could be read; the first: {skipped[0]}")
+        raise ImportRefused(
+            f"{printable(folder)}: none of {len(paths)} files could be read; the first: {skipped[0]}"
+        )
     found.sort(key=lambda f: f[0].side)  # stable: in order of the files on each side
     return Collected([h for h, _ in found], [k for _, k in found], [source] * len(found), skipped)
 
 
 def _with_frame(hand: HandMotion, frame: int) -> tuple[HandMotion, int]:
-    """The hand, held to what a hand set may know of its body and place: what --hands would refuse is refused here."""
+    """The hand, held to what a hand set may know of its body and place: what --hands would refuse
+    is refused here."""
     known = {"facing": hand.facing, "up": hand.up, "T_world_hand": hand.T_world_hand}
     if all(v is not None for v in known.values()):
         rows = {k: np.asarray(v)[frame if k != "up" else ...][None] for k, v in known.items()}
@@ -102,10 +119,17 @@ def _shown(paths: Sequence[Path], what: str) -> Iterator[Path]:
 
 
 def built_in() -> Collected:
-    """The project's own 400 postures in the same form: motions of one frame, world and body unknown."""
+    """The project's own 400 postures in the same form: motions of one frame, world and body
+    unknown."""
     own = load_hand_set()
     hands = [
-        HandMotion(f"r2h_batch:{i}", side, np.full((1, 4, 4), np.nan), pose[None, 3:].astype(np.float64), shape)
+        HandMotion(
+            f"r2h_batch:{i}",
+            side,
+            np.full((1, 4, 4), np.nan),
+            pose[None, 3:].astype(np.float64),
+            shape,
+        )
         for i, (side, pose, shape) in enumerate(
             zip(own.side.tolist(), own.pose.numpy(), own.shape.double().numpy(), strict=True)
         )
@@ -139,7 +163,9 @@ def write(out: Path, found: Collected, wrist: NDArray[np.float32] | None = None)
         "T_world_hand": _at([h.T_world_hand for h in found.hands], found.frames, (4, 4)),
         "T_world_object": _at([h.T_world_object for h in found.hands], found.frames, (4, 4)),
         "facing": _at([h.facing for h in found.hands], found.frames, (3,)),
-        "up": np.array([np.full(3, np.nan) if h.up is None else h.up for h in found.hands], np.float32),
+        "up": np.array(
+            [np.full(3, np.nan) if h.up is None else h.up for h in found.hands], np.float32
+        ),
     }
     motions = {
         "first": np.cumsum([0] + [len(h.fingers) for h in found.hands]).astype(np.int64),

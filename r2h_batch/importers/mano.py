@@ -1,10 +1,12 @@
-"""MANO's hand model from the files its owner has: MANO_RIGHT.pkl and MANO_LEFT.pkl, or the same arrays as .npz.
+"""MANO's hand model from the files its owner has: MANO_RIGHT.pkl and MANO_LEFT.pkl, or the same
+arrays as .npz.
 
-Romero, Tzionas, Black: Embodied Hands (2017). MANO's licence forbids to pass its files on, and what is made of them:
-nothing of MANO is in this package, and a hand.npz made here stays with whoever made it.
+Romero, Tzionas, Black: Embodied Hands (2017). MANO's licence forbids to pass its files on, and what
+is made of them: nothing of MANO is in this package, and a hand.npz made here stays with whoever
+made it.
 
-The hand frame is MANO's with the wrist joint at the origin, whatever the shape: where MANO's own parameters say
-`transl`, the wrist stands at `transl + J_0(shape)` (`ManoHand.wrist`).
+The hand frame is MANO's with the wrist joint at the origin, whatever the shape: where MANO's own
+parameters say `transl`, the wrist stands at `transl + J_0(shape)` (`ManoHand.wrist`).
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ AXIAL = np.array([1.0, -1.0, -1.0])
 
 @dataclass(frozen=True, eq=False)
 class ManoHand:
-    """A hand model and what turns MANO's own parameters into its frame: J_0 and its change with shape, right and left."""
+    """A hand model and what turns MANO's own parameters into its frame: J_0 and its change with
+    shape, right and left."""
 
     model: HandModel
     wrist_rest: F64
@@ -48,16 +51,22 @@ class ManoHand:
 
     def wrist(self, transl: F64, shape: F64, side: NDArray[np.integer[Any]]) -> F64:
         """(n, 3) where the wrist joint stands for MANO's `transl` (n, 3) and `shape` (n, 10)."""
-        return np.asarray(transl + self.wrist_rest[side] + np.einsum("nci,ni->nc", self.wrist_shape[side], shape))
+        return np.asarray(
+            transl + self.wrist_rest[side] + np.einsum("nci,ni->nc", self.wrist_shape[side], shape)
+        )
 
 
 def load_mano(
-    right: str | Path | None = None, left: str | Path | None = None, *, negate_left_shape: bool = False
+    right: str | Path | None = None,
+    left: str | Path | None = None,
+    *,
+    negate_left_shape: bool = False,
 ) -> ManoHand:
     """The hand of these files; with one of them the other side is its mirror image.
 
-    `negate_left_shape`: the left file's `shapedirs[:, 0]` change sign. MANO 1.2's left hand has them as of the right
-    one; some data sets were fitted with that repaired (as smplx's users do), others were not: do what the data did.
+    `negate_left_shape`: the left file's `shapedirs[:, 0]` change sign. MANO 1.2's left hand has
+    them as of the right one; some data sets were fitted with that repaired (as smplx's users do),
+    others were not: do what the data did.
     """
     arrays = hand_arrays(right, left, negate_left_shape=negate_left_shape)
     sides = [arrays["wrist_rest"], arrays["wrist_shape"]]
@@ -65,12 +74,20 @@ def load_mano(
 
 
 def hand_arrays(
-    right: str | Path | None = None, left: str | Path | None = None, *, negate_left_shape: bool = False
+    right: str | Path | None = None,
+    left: str | Path | None = None,
+    *,
+    negate_left_shape: bool = False,
 ) -> dict[str, NDArray[Any]]:
-    """Arrays in the format of `hand.npz`, which `bodies.hand.load_hand(path)` reads, with `wrist_rest`, `wrist_shape`."""
+    """Arrays in the format of `hand.npz`, which `bodies.hand.load_hand(path)` reads, with
+    `wrist_rest`, `wrist_shape`."""
     if right is None and left is None:
         raise ImportRefused("no hand model: give MANO_RIGHT.pkl, MANO_LEFT.pkl or both")
-    raw = {s: _checked(_read(Path(p)), str(p), s) for s, p in ((RIGHT, right), (LEFT, left)) if p is not None}
+    raw = {
+        s: _checked(_read(Path(p)), str(p), s)
+        for s, p in ((RIGHT, right), (LEFT, left))
+        if p is not None
+    }
     if negate_left_shape and LEFT in raw:
         raw[LEFT] = replace(raw[LEFT], shape_basis=raw[LEFT].shape_basis * MIRROR[:, None])
     first = RIGHT if RIGHT in raw else LEFT
@@ -79,7 +96,15 @@ def hand_arrays(
         if len(raw) == 2:
             _check_alike(raw[RIGHT], raw[LEFT], str(left))
             other = _side_arrays(raw[LEFT], raw[RIGHT].faces)
-            own = ("vertices", "weights", "joints_rest", "shape_basis", "joint_shape_basis", "joint_axes", "pose_basis")
+            own = (
+                "vertices",
+                "weights",
+                "joints_rest",
+                "shape_basis",
+                "joint_shape_basis",
+                "joint_axes",
+                "pose_basis",
+            )
             arrays |= {f"left_{k}": other[k] for k in own}
     except ValueError as error:
         raise ImportRefused(f"{right or left}: {error}") from None
@@ -93,7 +118,8 @@ def hand_arrays(
 
 @dataclass(frozen=True, eq=False)
 class _Raw:
-    """One file's arrays, float64, a left hand mirrored to a right one; `mean`, `components` as they are."""
+    """One file's arrays, float64, a left hand mirrored to a right one; `mean`, `components` as they
+    are."""
 
     vertices: F64
     faces: NDArray[np.int32]
@@ -108,7 +134,9 @@ class _Raw:
 def _read(path: Path) -> Mapping[str, Any]:
     found = read_npz(path) if path.suffix == ".npz" else read_pickle_file(path)
     if not isinstance(found, dict):
-        raise ImportRefused(f"{path}: holds a {type(found).__name__}; a MANO file holds a dictionary of arrays")
+        raise ImportRefused(
+            f"{path}: holds a {type(found).__name__}; a MANO file holds a dictionary of arrays"
+        )
     return found
 
 
@@ -116,7 +144,9 @@ def _checked(found: Mapping[str, Any], where: str, side: int) -> _Raw:
     v = _numbers(found, "v_template", (None, 3), where)
     count = len(v)
     if not 100 <= count <= MAX_VERTICES:
-        raise ImportRefused(f"{where}: v_template has {count} vertices; a hand has 100 to {MAX_VERTICES}")
+        raise ImportRefused(
+            f"{where}: v_template has {count} vertices; a hand has 100 to {MAX_VERTICES}"
+        )
     faces = _numbers(found, "f", (None, 3), where)
     if (faces != np.round(faces)).any() or faces.min() < 0 or faces.max() >= count:
         raise ImportRefused(f"{where}: f names other vertices than the {count} there are")
@@ -165,7 +195,9 @@ def _numbers(found: Mapping[str, Any], name: str, shape: tuple[int | None, ...],
 
 def _check_alike(right: _Raw, left: _Raw, where: str) -> None:
     if right.vertices.shape != left.vertices.shape:
-        raise ImportRefused(f"{where}: {len(left.vertices)} vertices; the right hand has {len(right.vertices)}")
+        raise ImportRefused(
+            f"{where}: {len(left.vertices)} vertices; the right hand has {len(right.vertices)}"
+        )
     apart = np.abs((right.vertices - right.regressor[0] @ right.vertices)
                    - (left.vertices - left.regressor[0] @ left.vertices)).max()  # fmt: skip
     if apart > ALIKE_M:
@@ -191,7 +223,11 @@ def _side_arrays(raw: _Raw, faces: NDArray[np.int32]) -> dict[str, NDArray[Any]]
     like = load_hand()
     like_vertices, like_joints = like.vertices.double().numpy(), like.joints_rest.double().numpy()
     axes = hand_pieces.joint_axes(
-        rest, vertices[tips], like.joint_axes.double().numpy(), like_joints, like_vertices[like.tip_vertices.numpy()]
+        rest,
+        vertices[tips],
+        like.joint_axes.double().numpy(),
+        like_joints,
+        like_vertices[like.tip_vertices.numpy()],
     )
     arrays: dict[str, NDArray[Any]] = {
         "vertices": vertices, "weights": raw.weights, "joints_rest": rest, "joint_axes": axes,
@@ -210,11 +246,15 @@ def _side_arrays(raw: _Raw, faces: NDArray[np.int32]) -> dict[str, NDArray[Any]]
 
 
 def _both_sides(right: _Raw | None, left: _Raw | None) -> dict[str, NDArray[Any]]:
-    """Mean, components and wrist of right and left hands; a missing one is the other's mirror image."""
+    """Mean, components and wrist of right and left hands; a missing one is the other's mirror
+    image."""
 
     def wrist(raw: _Raw, mirror: bool) -> tuple[F64, F64]:
         sign = MIRROR if mirror else np.ones(3)
-        rest, moves = raw.regressor[0] @ raw.vertices, np.einsum("v,vci->ci", raw.regressor[0], raw.shape_basis)
+        rest, moves = (
+            raw.regressor[0] @ raw.vertices,
+            np.einsum("v,vci->ci", raw.regressor[0], raw.shape_basis),
+        )
         return rest * sign, moves * sign[:, None]
 
     def postures(raw: _Raw, mirror: bool) -> tuple[F64, F64]:
@@ -224,7 +264,9 @@ def _both_sides(right: _Raw | None, left: _Raw | None) -> dict[str, NDArray[Any]
     there = right if right is not None else left
     assert there is not None
     mine = [right or there, left or there]
-    wrists = [wrist(mine[s], s == LEFT) for s in (RIGHT, LEFT)]  # raw arrays are mirrored to right hands
+    wrists = [
+        wrist(mine[s], s == LEFT) for s in (RIGHT, LEFT)
+    ]  # raw arrays are mirrored to right hands
     means = [postures(mine[s], (s == LEFT) != (mine[s] is left)) for s in (RIGHT, LEFT)]
     return {
         "wrist_rest": np.stack([w[0] for w in wrists]).astype(np.float32),

@@ -1,9 +1,11 @@
-"""OakInk-Shape (Yang et al. 2022): oakink_shape_v2/CATEGORY/OBJECT/TAG[/VIRTUAL]/hand_param.pkl, right hands only.
+"""OakInk-Shape (Yang et al. 2022): oakink_shape_v2/CATEGORY/OBJECT/TAG[/VIRTUAL]/hand_param.pkl,
+right hands only.
 
-As its own tools read it: `pose` 16 quaternions (wxyz) about the flat hand, `shape` 10, `tsl` the wrist joint, all in the
-object's frame. source.txt beside the tag names STAGE/OBJECT_ACTION_SUBJECTS/TIME. Action 0004 is a handover, its
-subjects giver_receiver; a source with `_alt` is the receiver's hand. Those hands are the receiving ones: the only data
-set here that has hands which receive. Where there are none (`--frame` given), every grasp can be taken.
+As its own tools read it: `pose` 16 quaternions (wxyz) about the flat hand, `shape` 10, `tsl` the
+wrist joint, all in the object's frame. source.txt beside the tag names
+STAGE/OBJECT_ACTION_SUBJECTS/TIME. Action 0004 is a handover, its subjects giver_receiver; a source
+with `_alt` is the receiver's hand. Those hands are the receiving ones: the only data set here that
+has hands which receive. Where there are none (`--frame` given), every grasp can be taken.
 """
 
 from __future__ import annotations
@@ -69,12 +71,16 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
 
 
 def _source(path: Path) -> tuple[str, re.Match[str]]:
-    beside = [p / "source.txt" for p in (path.parent, path.parent.parent)]  # a virtual object's grasp is one deeper
+    beside = [
+        p / "source.txt" for p in (path.parent, path.parent.parent)
+    ]  # a virtual object's grasp is one deeper
     file = next((p for p in beside if p.is_file()), beside[0])
     text = read_file(file, 4096).decode("utf-8", "replace").strip()
     match = SOURCE.search(text)
     if match is None:
-        raise ImportRefused(f"{printable(file)}: says {printable(text[:80])!r}; need STAGE/OBJECT_ACTION_SUBJECTS/TIME")
+        raise ImportRefused(
+            f"{printable(file)}: says {printable(text[:80])!r}; need STAGE/OBJECT_ACTION_SUBJECTS/TIME"
+        )
     return text, match
 
 

@@ -1,4 +1,5 @@
-"""The stack machine of a pickle's program, for data only: what it would call is written down, never looked up."""
+"""The stack machine of a pickle's program, for data only: what it would call is written down, never
+looked up."""
 
 from __future__ import annotations
 
@@ -15,7 +16,9 @@ MAX_OPCODES = 4_000_000
 
 _CHUMPY = {"chumpy.ch": ("Ch",), "chumpy.reordering": ("Select",), "chumpy": ("Ch", "Select")}
 _ALLOWED = {
-    **dict.fromkeys(("numpy", "numpy.core.multiarray", "numpy._core.multiarray"), ("_reconstruct", "scalar")),
+    **dict.fromkeys(
+        ("numpy", "numpy.core.multiarray", "numpy._core.multiarray"), ("_reconstruct", "scalar")
+    ),
     **dict.fromkeys(("numpy.core.numeric", "numpy._core.numeric"), ("_frombuffer",)),
     **dict.fromkeys(("scipy.sparse.csc", "scipy.sparse._csc", "scipy.sparse"), ("csc_matrix",)),
     **dict.fromkeys(("scipy.sparse.csr", "scipy.sparse._csr"), ("csr_matrix",)),
@@ -53,7 +56,8 @@ _CODES = {o.code: o for o in pickletools.opcodes}
 
 
 def short(value: object) -> str:
-    """A few words for a message; of containers the type only: one that repeats itself can be 2^40 characters long."""
+    """A few words for a message; of containers the type only: one that repeats itself can be 2^40
+    characters long."""
     if not isinstance(value, (str, int, float, BaseException)):
         return type(value).__name__
     return " ".join(str(value).split())[:120]
@@ -75,7 +79,9 @@ class Machine:
                 raise UnsafePickle("ends before its end mark")
             opcode = _CODES.get(code.decode("latin-1"))
             if opcode is None:
-                raise UnsafePickle(f"byte {code!r} at {self.stream.tell() - 1} is no pickle instruction")
+                raise UnsafePickle(
+                    f"byte {code!r} at {self.stream.tell() - 1} is no pickle instruction"
+                )
             if opcode.name == "STOP":
                 if len(self.stack) != 1:
                     raise UnsafePickle(f"leaves {len(self.stack)} values; a pickle holds one")
@@ -123,8 +129,14 @@ class Machine:
         return tuple(reversed([self.pop() for _ in range(count)]))
 
     def name(self, module: Any, name: Any) -> None:
-        if not isinstance(module, str) or not isinstance(name, str) or name not in _ALLOWED.get(module, ()):
-            raise UnsafePickle(f"asks for {short(module)}.{short(name)}; only arrays are read, nothing is called")
+        if (
+            not isinstance(module, str)
+            or not isinstance(name, str)
+            or name not in _ALLOWED.get(module, ())
+        ):
+            raise UnsafePickle(
+                f"asks for {short(module)}.{short(name)}; only arrays are read, nothing is called"
+            )
         kind = "chumpy." + name if module in _CHUMPY else name
         self.stack.append(Name(kind))
 

@@ -1,4 +1,5 @@
-"""Other people's files with Python objects in them: pickles, and arrays of dictionaries; only data comes out."""
+"""Other people's files with Python objects in them: pickles, and arrays of dictionaries; only data
+comes out."""
 
 from __future__ import annotations
 

@@ -1,9 +1,11 @@
-"""Data out of a stranger's pickle, without Python's unpickler: no import, no call, no object of a foreign class.
+"""Data out of a stranger's pickle, without Python's unpickler: no import, no call, no object of a
+foreign class.
 
-A pickle is a program for a small stack machine. Here that machine only knows data: containers, numbers, text, bytes,
-and descriptions of a few classes that the hand data sets use: numpy's arrays, dtypes and scalars, scipy's csc and csr
-matrices, chumpy's `Ch` (an array in `x`) and `Select` (`a.ravel()[idxs].reshape(preferred_shape)`), OrderedDict. Arrays
-are views of bytes that are in the file, so nothing is allocated for a size that the file only claims.
+A pickle is a program for a small stack machine. Here that machine only knows data: containers,
+numbers, text, bytes, and descriptions of a few classes that the hand data sets use: numpy's arrays,
+dtypes and scalars, scipy's csc and csr matrices, chumpy's `Ch` (an array in `x`) and `Select`
+(`a.ravel()[idxs].reshape(preferred_shape)`), OrderedDict. Arrays are views of bytes that are in the
+file, so nothing is allocated for a size that the file only claims.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ MAX_BYTES = 256 << 20
 """MANO's own files have 3.8 MB, a sequence of ARCTIC 1 MB."""
 MAX_DEPTH = 32
 MAX_DENSE = 1 << 24
-"""Numbers that a sparse matrix may unfold to, and that all results together may hold beyond the file's own bytes."""
+"""Numbers that a sparse matrix may unfold to, and that all results together may hold beyond the
+file's own bytes."""
 
 _KINDS = "biufcSU"
 
@@ -32,9 +35,11 @@ STARTS = (b"\x80", b"(", b"c", b"}", b"]", b")")
 
 
 def read_pickle(data: bytes, *, where: str = "pickle", max_bytes: int = MAX_BYTES) -> Any:
-    """The data of one pickle: dicts, lists, tuples, str, bytes, numbers, and dense arrays for all array-like classes.
+    """The data of one pickle: dicts, lists, tuples, str, bytes, numbers, and dense arrays for all
+    array-like classes.
 
-    Strings of Python 2 are read as latin-1. Raises `UnsafePickle`, one line that starts with `where`.
+    Strings of Python 2 are read as latin-1. Raises `UnsafePickle`, one line that starts with
+    `where`.
     """
     if len(data) > max_bytes:
         raise UnsafePickle(f"{where}: {len(data)} bytes; a pickle may have {max_bytes}")
@@ -55,11 +60,14 @@ def read_pickle(data: bytes, *, where: str = "pickle", max_bytes: int = MAX_BYTE
         EOFError,
         RecursionError,
     ) as error:
-        raise UnsafePickle(f"{where}: not a readable pickle ({type(error).__name__}: {short(error)})") from None
+        raise UnsafePickle(
+            f"{where}: not a readable pickle ({type(error).__name__}: {short(error)})"
+        ) from None
 
 
 class _Unfold:
-    """Plain data from what the machine left: every object once, no circles, no depth beyond `MAX_DEPTH`."""
+    """Plain data from what the machine left: every object once, no circles, no depth beyond
+    `MAX_DEPTH`."""
 
     def __init__(self) -> None:
         self.done: dict[int, Any] = {}
@@ -111,7 +119,9 @@ class _Unfold:
     def _objects(self, shape: Any, items: Any, depth: int) -> NDArray[Any]:
         shape = _shape(shape)
         if not isinstance(items, list) or math.prod(shape) != len(items):
-            raise UnsafePickle(f"has an array of shape {shape} with other than {math.prod(shape)} items")
+            raise UnsafePickle(
+                f"has an array of shape {shape} with other than {math.prod(shape)} items"
+            )
         result = np.empty(len(items), object)
         for i, item in enumerate(items):
             result[i] = self.of(item, depth)
@@ -149,7 +159,11 @@ class _Unfold:
     def _select(self, made: Made, depth: int) -> NDArray[Any]:
         state = self._state(made, depth)
         source, index = state.get("a"), state.get("idxs")
-        if not isinstance(source, np.ndarray) or not isinstance(index, np.ndarray) or index.dtype.kind not in "iu":
+        if (
+            not isinstance(source, np.ndarray)
+            or not isinstance(index, np.ndarray)
+            or index.dtype.kind not in "iu"
+        ):
             raise UnsafePickle("has a chumpy selection without its numbers")
         if index.size and (index.min() < 0 or index.max() >= source.size):
             raise UnsafePickle("has a chumpy selection that points outside its array")
@@ -165,15 +179,29 @@ class _Unfold:
         major, minor = (columns, rows) if made.name == "csc_matrix" else (rows, columns)
         self._spend(rows * columns)
         numbers = data.ndim == index.ndim == start.ndim == 1 and data.dtype.kind in "biuf"
-        if not numbers or index.dtype.kind not in "iu" or start.dtype.kind not in "iu" or len(data) != len(index):
+        if (
+            not numbers
+            or index.dtype.kind not in "iu"
+            or start.dtype.kind not in "iu"
+            or len(data) != len(index)
+        ):
             raise UnsafePickle("has a sparse matrix without its numbers")
         start = start.astype(np.int64)
-        if len(start) != major + 1 or start[0] != 0 or start[-1] != len(index) or (np.diff(start) < 0).any():
-            raise UnsafePickle(f"has a sparse matrix of {rows} x {columns} with other rows and columns than it says")
+        if (
+            len(start) != major + 1
+            or start[0] != 0
+            or start[-1] != len(index)
+            or (np.diff(start) < 0).any()
+        ):
+            raise UnsafePickle(
+                f"has a sparse matrix of {rows} x {columns} with other rows and columns than it says"
+            )
         if len(index) and (index.min() < 0 or index.max() >= minor):
             raise UnsafePickle("has a sparse matrix that points outside itself")
         dense = np.zeros((major, minor), data.dtype)
-        np.add.at(dense, (np.repeat(np.arange(major), np.diff(start)), index.astype(np.int64)), data)
+        np.add.at(
+            dense, (np.repeat(np.arange(major), np.diff(start)), index.astype(np.int64)), data
+        )
         return dense.T if made.name == "csc_matrix" else dense
 
     def _ordered(self, made: Made, depth: int) -> dict[Any, Any]:
@@ -211,10 +239,16 @@ def _type_code(made: Made) -> Any:
 def _dtype(made: Any) -> np.dtype[Any]:
     """Plain numbers and text of either byte order; no objects, no fields."""
     code = _type_code(made) if isinstance(made, Made) else None
-    if not isinstance(code, str) or code[:1] not in _KINDS or not (code[1:].isascii() and code[1:].isdigit()):
+    if (
+        not isinstance(code, str)
+        or code[:1] not in _KINDS
+        or not (code[1:].isascii() and code[1:].isdigit())
+    ):
         raise UnsafePickle(f"has an array of type {short(code)}; only numbers and text are read")
     state = made.state
-    if state is not None and (not isinstance(state, tuple) or len(state) < 8 or any(s is not None for s in state[2:5])):
+    if state is not None and (
+        not isinstance(state, tuple) or len(state) < 8 or any(s is not None for s in state[2:5])
+    ):
         raise UnsafePickle("has an array with fields; only numbers and text are read")
     dtype = np.dtype(code)
     return dtype.newbyteorder(">") if state is not None and state[1] == ">" else dtype

@@ -1,4 +1,5 @@
-"""A hand's motion as every source gives it once it is read, and which of its frames is the receiving one."""
+"""A hand's motion as every source gives it once it is read, and which of its frames is the
+receiving one."""
 
 from __future__ import annotations
 
@@ -17,7 +18,15 @@ from r2h_batch.files import printable
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.reading import ImportRefused
 
-__all__ = ["FRAME_RULES", "HandMotion", "ManoParameters", "files_below", "motion", "numbers", "receiving_frame"]
+__all__ = [
+    "FRAME_RULES",
+    "HandMotion",
+    "ManoParameters",
+    "files_below",
+    "motion",
+    "numbers",
+    "receiving_frame",
+]
 
 F64 = NDArray[np.float64]
 
@@ -32,7 +41,8 @@ MAX_FILES = 200_000
 
 @dataclass(frozen=True, eq=False)
 class HandMotion:
-    """One hand through F frames, metres, in the source's world frame; fingers as full turns about the flat hand."""
+    """One hand through F frames, metres, in the source's world frame; fingers as full turns about
+    the flat hand."""
 
     source: str
     """which sequence of which data set: enough to find it again"""
@@ -58,7 +68,8 @@ class HandMotion:
 
 @dataclass(frozen=True, eq=False)
 class ManoParameters:
-    """MANO's parameters as files hold them: turn (F, 3), place (F, 3), postures (F, n) or (F, 45), shape (10,)."""
+    """MANO's parameters as files hold them: turn (F, 3), place (F, 3), postures (F, n) or (F, 45),
+    shape (10,)."""
 
     turn: F64
     transl: F64
@@ -73,7 +84,8 @@ class ManoParameters:
 
 
 def motion(source: str, hand: ManoHand | None, given: ManoParameters, **more: Any) -> HandMotion:
-    """The motion in our frames. Components, and postures about MANO's mean, need MANO's own file (`hand`)."""
+    """The motion in our frames. Components, and postures about MANO's mean, need MANO's own file
+    (`hand`)."""
     side = np.full(len(given.turn), given.side)
     fingers = given.postures
     if given.components or not given.flat_hand_mean:
@@ -85,28 +97,37 @@ def motion(source: str, hand: ManoHand | None, given: ManoParameters, **more: An
         model, sides = hand.model, torch.from_numpy(side)
         if given.components:
             flat = given.flat_hand_mean
-            fingers = model.full_pose(torch.from_numpy(given.postures), sides, flat_hand_mean=flat).double().numpy()
+            fingers = (
+                model.full_pose(torch.from_numpy(given.postures), sides, flat_hand_mean=flat)
+                .double()
+                .numpy()
+            )
         else:
             assert model.pose_mean is not None
             fingers = given.postures + model.pose_mean.double().numpy()[given.side]
     T = np.tile(np.eye(4), (len(given.turn), 1, 1))
     T[:, :3, :3] = Rotation.from_rotvec(given.turn).as_matrix()
     shape = np.tile(given.shape, (len(side), 1))
-    T[:, :3, 3] = given.transl if given.wrist or hand is None else hand.wrist(given.transl, shape, side)
+    T[:, :3, 3] = (
+        given.transl if given.wrist or hand is None else hand.wrist(given.transl, shape, side)
+    )
     return HandMotion(source, given.side, T, fingers, given.shape, **more)
 
 
 def receiving_frame(hand: HandMotion, rule: str | int, model: HandModel | None = None) -> int:
     """The frame in which this hand receives. `rule`: a frame's number, or one of `FRAME_RULES`.
 
-    `aperture`, the default: of the last second before the object first moves by 5 mm or 5 degrees (of all frames where
-    it never does, or where nothing is known of it), the one with the widest grip, thumb's last joint to index's. A hand
-    that reaches for a thing opens widest shortly before it closes on it (Jeannerod 1984): the posture to receive with.
+    `aperture`, the default: of the last second before the object first moves by 5 mm or 5 degrees
+    (of all frames where it never does, or where nothing is known of it), the one with the widest
+    grip, thumb's last joint to index's. A hand that reaches for a thing opens widest shortly before
+    it closes on it (Jeannerod 1984): the posture to receive with.
     """
     count = len(hand.fingers)
     if isinstance(rule, int):
         if not -count <= rule < count:
-            raise ImportRefused(f"{hand.source}: has {count} frames; frame {rule} is not one of them")
+            raise ImportRefused(
+                f"{hand.source}: has {count} frames; frame {rule} is not one of them"
+            )
         return rule % count
     if rule != "aperture":
         return {"first": 0, "middle": count // 2, "last": count - 1}[rule]
@@ -118,7 +139,9 @@ def receiving_frame(hand: HandMotion, rule: str | int, model: HandModel | None =
     grip[:, 3:] = hand.fingers[first:end]
     side = torch.full((len(grip),), hand.side, dtype=torch.int8, device="cpu")
     shape = torch.from_numpy(np.tile(hand.shape, (len(grip), 1)))
-    joints = (model or load_hand()).pose(torch.from_numpy(grip), shape, side).joints.double().numpy()
+    joints = (
+        (model or load_hand()).pose(torch.from_numpy(grip), shape, side).joints.double().numpy()
+    )
     return first + int(np.linalg.norm(joints[:, THUMB_TIP] - joints[:, INDEX_TIP], axis=1).argmax())
 
 
@@ -126,27 +149,40 @@ def _starts_to_move(T_world_object: F64 | None) -> int | None:
     if T_world_object is None:
         return None
     far = np.linalg.norm(T_world_object[:, :3, 3] - T_world_object[0, :3, 3], axis=1) > MOVED_M
-    turned = Rotation.from_matrix(T_world_object[:, :3, :3] @ T_world_object[0, :3, :3].T).magnitude() > TURNED_RAD
+    turned = (
+        Rotation.from_matrix(T_world_object[:, :3, :3] @ T_world_object[0, :3, :3].T).magnitude()
+        > TURNED_RAD
+    )
     moved = np.flatnonzero(far | turned)
     return int(moved[0]) if len(moved) else None
 
 
 def numbers(value: Any, shape: tuple[int | None, ...], what: str) -> F64:
-    """The array as float64 if it has this shape (None: any length, at most 200,000) and finite numbers."""
+    """The array as float64 if it has this shape (None: any length, at most 200,000) and finite
+    numbers."""
     value = np.asarray(value) if isinstance(value, (list, np.ndarray, np.generic)) else None
     fits = value is not None and value.dtype.kind in "biuf" and value.ndim == len(shape)
-    if value is None or not fits or any(n is not None and n != m for n, m in zip(shape, value.shape)):
+    if (
+        value is None
+        or not fits
+        or any(n is not None and n != m for n, m in zip(shape, value.shape))
+    ):
         have = "missing or no numbers" if value is None else f"{value.shape} of {value.dtype}"
-        raise ImportRefused(f"{what} is {have}; need {' x '.join('any' if n is None else str(n) for n in shape)}")
+        raise ImportRefused(
+            f"{what} is {have}; need {' x '.join('any' if n is None else str(n) for n in shape)}"
+        )
     if value.size and (
-        (value.ndim and len(value) > MAX_FRAMES) or not np.isfinite(value).all() or np.abs(value).max() > 1e6
+        (value.ndim and len(value) > MAX_FRAMES)
+        or not np.isfinite(value).all()
+        or np.abs(value).max() > 1e6
     ):
         raise ImportRefused(f"{what} has too many frames or numbers that are not finite")
     return value.astype(np.float64)
 
 
 def files_below(folder: Path, pattern: str) -> list[Path]:
-    """Files of the pattern below the folder, sorted; links that lead out of it are left out. Raises if there is none."""
+    """Files of the pattern below the folder, sorted; links that lead out of it are left out. Raises
+    if there is none."""
     base = folder.resolve()
     if not base.is_dir():
         raise ImportRefused(f"{printable(folder)}: no such folder")
@@ -161,7 +197,9 @@ def files_below(folder: Path, pattern: str) -> list[Path]:
             raise ImportRefused(f"{printable(folder)}: more than {MAX_FILES} files {pattern}")
     links = f"{outside} {pattern} {'is a link that leads' if outside == 1 else 'are links that lead'} out of the folder"
     if not found and outside:
-        raise ImportRefused(f"{printable(folder)}: {links} (not followed); give the folder that holds the files")
+        raise ImportRefused(
+            f"{printable(folder)}: {links} (not followed); give the folder that holds the files"
+        )
     if not found:
         raise ImportRefused(f"{printable(folder)}: holds no {pattern}; is it the right folder?")
     if outside:

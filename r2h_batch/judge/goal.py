@@ -1,4 +1,5 @@
-"""The goal posture of a handover pose, judged without a path: the branch the planner would go to, its clearance, Safe there."""
+"""The goal posture of a handover pose, judged without a path: the branch the planner would go to,
+its clearance, Safe there."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -18,24 +19,28 @@ from r2h_batch.scene.scene import Placed, Scene
 from r2h_batch.types import PlanReason
 
 ROTATION_LEVER_M = 0.1
-"""How many metres a radian counts in the residual of an unreachable target [choice]: about the fingers' length."""
+"""How many metres a radian counts in the residual of an unreachable target [choice]: about the
+fingers' length."""
 
 
 GOAL_CHUNK = 32
-"""Rows a thread takes at a time where a row costs about 10 us: more would leave the other cores idle at the end."""
+"""Rows a thread takes at a time where a row costs about 10 us: more would leave the other cores
+idle at the end."""
 
 
 @dataclass(frozen=True)
 class Goal:
     """Where B handover poses would end, and how clear that is.
 
-    `reason`, `pair`: as in `Plan`, as far as they are known without a path. `q` is the free branch that the planner tries
-    first; else the valid branch with the largest clearance; else, for an unreachable target, the posture that comes
-    nearest to it with the hand turned as asked; NaN for inactive rows. `clearance_m` is above 0 exactly where `reason` is
-    OK: the smallest over all pairs, exact below 5 cm and a lower bound above; where bodies meet, minus a lower bound of
-    the overlap (kernels/plan/posture.py); minus the residual where unreachable; that of home where the start collides.
-    `push`: when the two bodies move rigidly, the clearance changes by push . (motion of `body` - motion of `other`) at
-    `point` (world frame; zero where there is no pair below the cap).
+    `reason`, `pair`: as in `Plan`, as far as they are known without a path. `q` is the free branch
+    that the planner tries first; else the valid branch with the largest clearance; else, for an
+    unreachable target, the posture that comes nearest to it with the hand turned as asked; NaN for
+    inactive rows. `clearance_m` is above 0 exactly where `reason` is OK: the smallest over all
+    pairs, exact below 5 cm and a lower bound above; where bodies meet, minus a lower bound of the
+    overlap (kernels/plan/posture.py); minus the residual where unreachable; that of home where the
+    start collides. `push`: when the two bodies move rigidly, the clearance changes by push .
+    (motion of `body` - motion of `other`) at `point` (world frame; zero where there is no pair
+    below the cap).
     """
 
     reason: Int32[Tensor, " b"]
@@ -65,7 +70,8 @@ def judge_goals(
     *,
     threads: int | None = None,
 ) -> Goal:
-    """The goals of B handover poses whose IK is solved; `branches` are those that may be used (`goals="one"`: one)."""
+    """The goals of B handover poses whose IK is solved; `branches` are those that may be used
+    (`goals="one"`: one)."""
     b, device = len(active), active.device
     active = active.contiguous()
     goal = _unjudged(b, device)
@@ -74,7 +80,8 @@ def judge_goals(
     postures = {"valid": branches, "q": ik.q.view(-1, 6)}
     on: dict[str, Any] = {"device": scene.device, "threads": threads}
 
-    # Each launch goes on from what the one before wrote into `goal`: the free branch, or why there is none ...
+    # Each launch goes on from what the one before wrote into `goal`: the free branch, or why there
+    # is none ...
     launch_trials(
         goal_kernels.choose_goal,
         b,
@@ -112,17 +119,22 @@ def judge_goals(
 
 
 def unless_proven(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[Tensor, " b"]:
-    """`reason` (PlanReason) with NO_PATH_IN_BUDGET for IK_IN_COLLISION where branches are not all solutions.
+    """`reason` (PlanReason) with NO_PATH_IN_BUDGET for IK_IN_COLLISION where branches are not all
+    solutions.
 
-    At sin q5 = 0 they are points of a line of solutions (`IkResult.singular`): that these collide proves nothing of the others.
+    At sin q5 = 0 they are points of a line of solutions (`IkResult.singular`): that these collide
+    proves nothing of the others.
     """
     open_ = ik.singular & (reason == int(PlanReason.IK_IN_COLLISION))
     return torch.where(open_, int(PlanReason.NO_PATH_IN_BUDGET), reason)
 
 
 def _unjudged(b: int, device: torch.device) -> Goal:
-    """Room for B goals, all of which the kernels write: they may find there what a call before left."""
-    reason, pair, slot, nearest, body, other = torch.empty((6, b), dtype=torch.int32, device=device).unbind(0)
+    """Room for B goals, all of which the kernels write: they may find there what a call before
+    left."""
+    reason, pair, slot, nearest, body, other = torch.empty(
+        (6, b), dtype=torch.int32, device=device
+    ).unbind(0)
     q = torch.empty((b, 6), dtype=torch.float32, device=device)
     clearance = torch.empty(b, dtype=torch.float32, device=device)
     push, point = torch.empty((2, b, 3), dtype=torch.float32, device=device).unbind(0)
@@ -137,7 +149,8 @@ def _measure(
     residual: Float32[Tensor, " b"],
     on: dict[str, Any],
 ) -> None:
-    """Writes the clearance of each goal and what it is attained by; where no branch is free also the posture itself."""
+    """Writes the clearance of each goal and what it is attained by; where no branch is free also
+    the posture itself."""
     launch_trials(
         goal_kernels.goal_clearance,
         len(residual),
@@ -176,9 +189,11 @@ def safe_at(
     *,
     threads: int | None = None,
 ) -> tuple[Criterion, Int32[Tensor, " b"], Float32[Tensor, "b 3"]]:
-    """Safe of the posture `q` alone, the robot body nearest to the hand (-1: beyond 5 cm), the hand's nearest point (world).
+    """Safe of the posture `q` alone, the robot body nearest to the hand (-1: beyond 5 cm), the
+    hand's nearest point (world).
 
-    Margin: distance of the hand's exact mesh to the robot's primitives, exact below 5 cm, an overlap bound below 0.
+    Margin: distance of the hand's exact mesh to the robot's primitives, exact below 5 cm, an
+    overlap bound below 0.
     """
     b, device = len(active), active.device
     active = active.contiguous()
@@ -201,5 +216,7 @@ def safe_at(
         threads=threads,
         chunk=GOAL_CHUNK,
     )
-    criterion = Criterion.of(distance, active, touching_passes=False, beyond_m=thresholds.safe_margin_m)
+    criterion = Criterion.of(
+        distance, active, touching_passes=False, beyond_m=thresholds.safe_margin_m
+    )
     return criterion, body, point

@@ -1,4 +1,5 @@
-"""Closing the gripper: material between the pads, the opening that results, cuts, and the fingers' volume."""
+"""Closing the gripper: material between the pads, the opening that results, cuts, and the fingers'
+volume."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -28,14 +29,17 @@ __all__ = [
 ]
 
 CUT_CAP_M = 0.01
-"""Clearances of the open gripper are exact below this and a lower bound above it: so are Stability's margins."""
+"""Clearances of the open gripper are exact below this and a lower bound above it: so are
+Stability's margins."""
 
 
 @dataclass(frozen=True)
 class Grasp:
-    """What closing does to B trials, in metres. `cut_m` is the open gripper's clearance, at most `cut_cap_m`.
+    """What closing does to B trials, in metres. `cut_m` is the open gripper's clearance, at most
+    `cut_cap_m`.
 
-    Nothing between the pads (`empty`): width NaN. Empty or too wide for the gripper: it stays open, shift 0.
+    Nothing between the pads (`empty`): width NaN. Empty or too wide for the gripper: it stays open,
+    shift 0.
     """
 
     width_m: Float32[Tensor, " b"]
@@ -60,18 +64,26 @@ def close_gripper(
     known: bool = False,
     threads: int | None = None,
 ) -> Grasp:
-    """Width, opening, shift and cut of each grasp `T_obj_ee` (ee in the object's frame) of object `object_index`.
+    """Width, opening, shift and cut of each grasp `T_obj_ee` (ee in the object's frame) of object
+    `object_index`.
 
-    The Stability margin is the smallest of `w_max - w`, `w - w_min` and the open gripper's clearance to the object, which
-    counts `cut_cap_m` at most; `-w_max` at least when nothing lies between the pads. 0 passes (touching).
-    `known`: the caller has looked at both tensors (here and below).
+    The Stability margin is the smallest of `w_max - w`, `w - w_min` and the open gripper's
+    clearance to the object, which counts `cut_cap_m` at most; `-w_max` at least when nothing lies
+    between the pads. 0 passes (touching). `known`: the caller has looked at both tensors (here and
+    below).
     """
     if mode not in ("pads", "whole"):
-        raise ValueError(f"mode is {mode!r}; allowed are 'pads' (what lies between the pads) and 'whole' (the object)")
-    width, opening, shift, empty = close_pads(tables, T_obj_ee, object_index, mode=mode, known=known, threads=threads)
-    # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above it.
-    # Lengths of different things are not added: the worst one decides, on the passing side too.
-    cut, cut_part = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, known=True, threads=threads)
+        raise ValueError(
+            f"mode is {mode!r}; allowed are 'pads' (what lies between the pads) and 'whole' (the object)"
+        )
+    width, opening, shift, empty = close_pads(
+        tables, T_obj_ee, object_index, mode=mode, known=known, threads=threads
+    )
+    # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above
+    # it. Lengths of different things are not added: the worst one decides, on the passing side too.
+    cut, cut_part = open_clearance(
+        tables, T_obj_ee, object_index, cap_m=cut_cap_m, known=True, threads=threads
+    )
     material = torch.where(empty, -w_max, torch.minimum(w_max - width, width - w_min))
     margin = torch.minimum(material, cut)
     return Grasp(width, opening, shift, empty, cut, margin, cut_part)
@@ -86,7 +98,8 @@ def close_pads(
     known: bool = False,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Float32[Tensor, " b"], Float32[Tensor, " b"], Bool[Tensor, " b"]]:
-    """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open gripper cuts."""
+    """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open
+    gripper cuts."""
     n = _checked(tables, T_obj_ee, object_index, known)
     width, opening, shift = torch.empty((3, n), dtype=torch.float32, device=tables.device).unbind(0)
     empty = torch.empty(n, dtype=torch.bool, device=tables.device)
@@ -102,15 +115,24 @@ def close_pads(
             "T_obj_ee": T_obj_ee,
             "object_index": object_index,
         },
-        outputs={"width": width, "opening": opening, "shift": shift, "empty": empty, "steps": steps},
+        outputs={
+            "width": width,
+            "opening": opening,
+            "shift": shift,
+            "empty": empty,
+            "steps": steps,
+        },
         device=tables.device,
         threads=threads,
     )
     return width, opening, shift, empty
 
 
-def attach(T_obj_ee: Float32[Tensor, "b 4 4"], shift_m: Float32[Tensor, " b"]) -> Float32[Tensor, "b 4 4"]:
-    """`T_obj_ee` after the pads have met the object: it has moved by -shift along the closing axis."""
+def attach(
+    T_obj_ee: Float32[Tensor, "b 4 4"], shift_m: Float32[Tensor, " b"]
+) -> Float32[Tensor, "b 4 4"]:
+    """`T_obj_ee` after the pads have met the object: it has moved by -shift along the closing
+    axis."""
     T = T_obj_ee.clone()
     T[:, :3, 3] += T_obj_ee[:, :3, 1] * shift_m[:, None]
     return T
@@ -125,9 +147,12 @@ def open_clearance(
     known: bool = False,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
-    """Clearance of the open gripper to the object's solid (m, at most `cap_m`; negative: depth) and the primitive."""
+    """Clearance of the open gripper to the object's solid (m, at most `cap_m`; negative: depth) and
+    the primitive."""
     opening = torch.full((len(T_obj_ee),), OPEN_GAP_M, dtype=torch.float32, device=tables.device)
-    return _clearance(tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, threads, known=known)
+    return _clearance(
+        tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, threads, known=known
+    )
 
 
 def open_is_clear(
@@ -138,10 +163,13 @@ def open_is_clear(
     clearance_m: float,
     threads: int | None = None,
 ) -> Bool[Tensor, " b"]:
-    """Whether `open_clearance` is `clearance_m` or more, without measuring how deep it cuts where it is not."""
+    """Whether `open_clearance` is `clearance_m` or more, without measuring how deep it cuts where
+    it is not."""
     opening = torch.full((len(T_obj_ee),), OPEN_GAP_M, dtype=torch.float32, device=tables.device)
     cap, used = 1.5 * clearance_m, tables.every
-    found = _clearance(tables, T_obj_ee, object_index, opening, 0, used, True, cap, threads, clearance_m)[0]
+    found = _clearance(
+        tables, T_obj_ee, object_index, opening, 0, used, True, cap, threads, clearance_m
+    )[0]
     return found >= clearance_m
 
 
@@ -155,7 +183,9 @@ def closed_clearance(
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """As `open_clearance`, of what is behind the pads of a gripper that stands at `opening_m`."""
-    return _clearance(tables, T_obj_ee, object_index, opening_m, 0, tables.behind_pads, True, cap_m, threads)
+    return _clearance(
+        tables, T_obj_ee, object_index, opening_m, 0, tables.behind_pads, True, cap_m, threads
+    )
 
 
 def region_distance(
@@ -168,14 +198,26 @@ def region_distance(
     known: bool = False,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
-    """Distance (m) of the fingers at `opening_m` to the receiver's region, and the primitive (as in `Robot.gripper`).
+    """Distance (m) of the fingers at `opening_m` to the receiver's region, and the primitive (as in
+    `Robot.gripper`).
 
-    Exact below `cap_m`, `cap_m` beyond; negative: minus the depth of the region's deepest point in a finger. NaN and -1
-    for an object without a region. `T_obj_ee` is the attachment (`attach`). All that moves counts, the palm does not.
+    Exact below `cap_m`, `cap_m` beyond; negative: minus the depth of the region's deepest point in
+    a finger. NaN and -1 for an object without a region. `T_obj_ee` is the attachment (`attach`).
+    All that moves counts, the palm does not.
     """
-    # In the table of surfaces the regions stand behind the objects, in their order: index + tables.objects
+    # In the table of surfaces the regions stand behind the objects, in their order: index +
+    # tables.objects
     return _clearance(
-        tables, T_obj_ee, object_index, opening_m, tables.objects, tables.moving, False, cap_m, threads, known=known
+        tables,
+        T_obj_ee,
+        object_index,
+        opening_m,
+        tables.objects,
+        tables.moving,
+        False,
+        cap_m,
+        threads,
+        known=known,
     )
 
 
@@ -222,7 +264,8 @@ def _clearance(
 def gripper_poses(
     opening_m: Float32[Tensor, " b"], *, threads: int | None = None
 ) -> tuple[Float32[Tensor, "b g 3 3"], Float32[Tensor, "b g 3"]]:
-    """R, p of the G gripper primitives (order of `Robot.gripper`) in the ee frame at each opening (m)."""
+    """R, p of the G gripper primitives (order of `Robot.gripper`) in the ee frame at each opening
+    (m)."""
     device = str(opening_m.device)
     g = gripper_tables(device)
     R, p = _empty_poses(len(opening_m), g.kind.shape[0], device)
@@ -243,7 +286,8 @@ def _empty_poses(n: int, count: int, device: str) -> tuple[Tensor, Tensor]:
 
 
 def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known: bool) -> int:
-    """The batch size, after shape, dtype, device and index have been looked at; `known`: whoever calls has done that."""
+    """The batch size, after shape, dtype, device and index have been looked at; `known`: whoever
+    calls has done that."""
     n = T_obj_ee.shape[0]
     if known:  # what does not fit its kernel is refused there too
         return n
@@ -251,7 +295,11 @@ def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known:
         ("T_obj_ee", T_obj_ee, (n, 4, 4), torch.float32),
         ("object_index", object_index, (n,), torch.int32),
     ):
-        right = tuple(value.shape) == shape and value.dtype == dtype and str(value.device) == tables.device
+        right = (
+            tuple(value.shape) == shape
+            and value.dtype == dtype
+            and str(value.device) == tables.device
+        )
         if not (right and value.is_contiguous()):
             raise ValueError(
                 f"{name} is {value.dtype} {tuple(value.shape)} on {value.device}; "
@@ -262,5 +310,7 @@ def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known:
         low, high = (int(x) for x in torch.aminmax(object_index))
         if low < 0 or high >= tables.objects:
             allowed = f"[0, {tables.objects - 1}]"
-            raise ValueError(f"object_index lies in [{low}, {high}]; allowed is {allowed}: the tables' objects")
+            raise ValueError(
+                f"object_index lies in [{low}, {high}]; allowed is {allowed}: the tables' objects"
+            )
     return n

@@ -1,7 +1,8 @@
-"""Closing and shaking in physics: the 2F-85's linkage closes on the object until it stops; then the grasp is tried.
+"""Closing and shaking in physics: the 2F-85's linkage closes on the object until it stops; then the
+grasp is tried.
 
-A check of the geometric width (grasp.py), and a friction grasp where one is asked for. Everything stands in the gripper
-frame: weight and shaking are accelerations of that frame.
+A check of the geometric width (grasp.py), and a friction grasp where one is asked for. Everything
+stands in the gripper frame: weight and shaking are accelerations of that frame.
 """
 
 from collections.abc import Sequence
@@ -26,7 +27,8 @@ STEP_S = 0.0005
 CLOSING_M_S = 0.15
 """Speed at which the gap closes: the 2F-85's largest."""
 TORQUE_NM = 1.5
-"""At the drivers: about 30 N between the pads, a light grasp of a hand that may squeeze with 235 N."""
+"""At the drivers: about 30 N between the pads, a light grasp of a hand that may squeeze with 235
+N."""
 SETTLE_S = 0.35
 FRICTION = 0.8
 """Rubber pads on plastic or metal [choice]."""
@@ -39,7 +41,8 @@ DROPPED_M = 0.02
 
 @dataclass(frozen=True)
 class Closed:
-    """How B grasps ended: gap at rest (m), how far the object moved while closing and, if shaken, slipped after (m)."""
+    """How B grasps ended: gap at rest (m), how far the object moved while closing and, if shaken,
+    slipped after (m)."""
 
     opening_m: Float[Array, " b"]
     moved_m: Float[Array, " b"]
@@ -56,17 +59,21 @@ def close_in_physics(
     down_ee: Float[Array, " 3"] | None = None,
     threads: int | None = None,
 ) -> Closed:
-    """Closes the gripper on each object, standing as `T_obj_ee` says and free to move, until the fingers rest.
+    """Closes the gripper on each object, standing as `T_obj_ee` says and free to move, until the
+    fingers rest.
 
-    With `shake`: then its weight (along `down_ee`, default: out of the gripper, as at home) and a shake along three axes;
-    `held` is whether it slipped by less than 2 cm.
+    With `shake`: then its weight (along `down_ee`, default: out of the gripper, as at home) and a
+    shake along three axes; `held` is whether it slipped by less than 2 cm.
     """
     robot = load_robot()
     down = np.array([0.0, 0.0, 1.0]) if down_ee is None else np.asarray(down_ee, np.float64)
 
     def one(i: int) -> tuple[float, float, float]:
         return _close(
-            robot, objects[int(object_index[i])], np.asarray(T_obj_ee[i], np.float64), down if shake else None
+            robot,
+            objects[int(object_index[i])],
+            np.asarray(T_obj_ee[i], np.float64),
+            down if shake else None,
         )
 
     with warnings_unwritten():
@@ -76,7 +83,8 @@ def close_in_physics(
 
 
 def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.MjSpec:
-    """The fingers as parallelograms of their four-bars, pads as boxes, and the object's convex pieces as a free body."""
+    """The fingers as parallelograms of their four-bars, pads as boxes, and the object's convex
+    pieces as a free body."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
     spec.option.timestep, spec.option.gravity = STEP_S, [0, 0, 0]
@@ -94,13 +102,17 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
             name=name, type=HINGE, axis=frames.axis, armature=1e-3, range=[-0.05, robot.linkage.drive_upper + 0.05],
             limited=True, actfrcrange=[-TORQUE_NM, TORQUE_NM], actfrclimited=True,
         )  # fmt: skip
-        finger = body.add_body(name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3)
+        finger = body.add_body(
+            name=f"{name}_pad", pos=frames.pin, explicitinertial=True, mass=0.05, inertia=[1e-5] * 3
+        )
         finger.add_joint(name=f"{name}_pad", type=HINGE, axis=frames.axis, armature=1e-4)
         finger.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=robot.linkage.pad_half_size, pos=frames.pad,
             contype=1, conaffinity=2, friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
         )  # fmt: skip
-        tie(spec, f"{name}_pad", name, -1.0, solref=stiff)  # the four-bar is a parallelogram: the pad keeps upright
+        tie(
+            spec, f"{name}_pad", name, -1.0, solref=stiff
+        )  # the four-bar is a parallelogram: the pad keeps upright
         spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
             biastype=mujoco.mjtBias.mjBIAS_AFFINE, gainprm=[100, *[0] * 9], biasprm=[0, -100, -2, *[0] * 7],
@@ -122,7 +134,9 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
     return spec
 
 
-def _close(robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None) -> tuple[float, float, float]:
+def _close(
+    robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None
+) -> tuple[float, float, float]:
     m = gripper_spec(robot, model, T_obj_ee).compile()
     m.dof_damping[-6:] = [model.mass * 50] * 3 + [
         float(np.trace(model.inertia)) * 50
@@ -135,12 +149,17 @@ def _close(robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None
         data.ctrl[:] = drive_from_gap(max(OPEN_GAP_M - CLOSING_M_S * k * every * STEP_S, 0.0))
         mujoco.mj_step(m, data, every)
     pads = data.geom("right").xpos - data.geom("left").xpos
-    opening, moved = float(pads[1] - 2 * robot.linkage.pad_half_size[1]), float(np.linalg.norm(data.qpos[4:7] - start))
+    opening, moved = (
+        float(pads[1] - 2 * robot.linkage.pad_half_size[1]),
+        float(np.linalg.norm(data.qpos[4:7] - start)),
+    )
     if down is None or not np.isfinite(data.qpos).all():
         return opening, moved, float("nan")
     m.dof_damping[-6:] = 0.0
     at = data.qpos[4:7].copy()
-    for t in np.arange(0.0, 0.3 + 3 * SHAKE_S, every * STEP_S):  # weight alone first, then along x, y, z
+    for t in np.arange(
+        0.0, 0.3 + 3 * SHAKE_S, every * STEP_S
+    ):  # weight alone first, then along x, y, z
         shake = np.zeros(3)
         if t >= 0.3:
             axis = min(int((t - 0.3) / SHAKE_S), 2)

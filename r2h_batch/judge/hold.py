@@ -1,4 +1,5 @@
-"""The object in the closed gripper: which rows are poses at all, what closing does, and where every body then sits."""
+"""The object in the closed gripper: which rows are poses at all, what closing does, and where every
+body then sits."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -43,7 +44,8 @@ class Holding:
     attached: Float32[Tensor, "b 4 4"]  # T_obj_ee once the pads have met the object
     ball: Float32[Tensor, "b 3"]  # centre of the receiver's ball in the object's frame
     placed: Placed
-    planned: Placed  # the same as the planner sees it: `placed` unless the hand is estimated, or the body there too
+    # the same as the planner sees it: `placed` unless the hand is estimated, or the body there too
+    planned: Placed
 
 
 def hold(
@@ -55,15 +57,20 @@ def hold(
     *,
     threads: int | None = None,
 ) -> Holding:
-    """B trials with the gripper closed on the object; rows with a pose that is none, or an unknown body, are not active."""
+    """B trials with the gripper closed on the object; rows with a pose that is none, or an unknown
+    body, are not active."""
     active, (T_obj_ee, T_world_ee, T_world_hand), objects, hands = _usable(
         scene, (T_obj_ee, T_world_ee, trials.T_world_hand), trials, threads
     )
     limits = config.thresholds
     on: dict[str, Any] = {"known": True, "threads": threads}
-    width, opening, shift, empty = close_pads(scene.grasp_tables, T_obj_ee, objects, mode=config.width, **on)
+    width, opening, shift, empty = close_pads(
+        scene.grasp_tables, T_obj_ee, objects, mode=config.width, **on
+    )
     cut, cut_part = open_clearance(scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M, **on)
-    margin, squeezed = torch.empty((2, len(active)), dtype=torch.float32, device=active.device).unbind(0)
+    margin, squeezed = torch.empty(
+        (2, len(active)), dtype=torch.float32, device=active.device
+    ).unbind(0)
     attached = torch.empty_like(T_obj_ee)
     ball = torch.empty((attached.shape[0], 3), dtype=attached.dtype, device=attached.device)
     point, normal = scene.palms
@@ -102,15 +109,30 @@ def hold(
         assert trials.receiver is not None  # `inputs.check_receiver` has asked
         planned = with_person(scene, planned, trials.receiver, hand=True)
     return Holding(
-        active, T_obj_ee, T_world_ee, T_world_hand, hands, objects, grasp, squeezed, attached, ball, placed, planned
+        active,
+        T_obj_ee,
+        T_world_ee,
+        T_world_hand,
+        hands,
+        objects,
+        grasp,
+        squeezed,
+        attached,
+        ball,
+        placed,
+        planned,
     )
 
 
-def _seen(scene: Scene, trials: Trials, hands: Tensor, active: Tensor, config: EvalConfig) -> Float32[Tensor, "b 4 4"]:
+def _seen(
+    scene: Scene, trials: Trials, hands: Tensor, active: Tensor, config: EvalConfig
+) -> Float32[Tensor, "b 4 4"]:
     """Where the planner sees the hands stand, the identity where a row is not active."""
     seen, noise = config.estimate, PredictorNoise(target_errors=config.estimate.errors)
     given = trials.T_world_hand.detach()
-    T = estimated_hand(scene, trials.trial_id, hands, given, seed=seen.seed, noise=noise.scaled(seen.factor))
+    T = estimated_hand(
+        scene, trials.trial_id, hands, given, seed=seen.seed, noise=noise.scaled(seen.factor)
+    )
     eye = torch.eye(4, dtype=T.dtype, device=T.device)
     return se3.orthonormalise(torch.where(active[:, None, None], T, eye)).contiguous()
 
@@ -118,9 +140,11 @@ def _seen(scene: Scene, trials: Trials, hands: Tensor, active: Tensor, config: E
 def _usable(
     scene: Scene, poses: tuple[Tensor, Tensor, Tensor], trials: Trials, threads: int | None
 ) -> tuple[Tensor, tuple[Tensor, ...], Tensor, Tensor]:
-    """Which rows are active; the poses orthonormal, the identity elsewhere; objects and hands, 0 where there are none such.
+    """Which rows are active; the poses orthonormal, the identity elsewhere; objects and hands, 0
+    where there are none such.
 
-    On a CPU bodies outside the scene were refused before any work; on CUDA looking at them would have waited.
+    On a CPU bodies outside the scene were refused before any work; on CUDA looking at them would
+    have waited.
     """
     given = [(T.detach() if T.requires_grad else T).contiguous() for T in poses]
     b, device = len(given[0]), given[0].device

@@ -1,4 +1,5 @@
-"""Joint angles that bring the ee frame to a pose: all branches of the UR5e, residuals, a proof where there is none."""
+"""Joint angles that bring the ee frame to a pose: all branches of the UR5e, residuals, a proof
+where there is none."""
 
 import re
 from collections.abc import Sequence
@@ -28,15 +29,17 @@ ITERATIONS = 20
 POSITION_TOLERANCE_M = 1e-5
 ROTATION_TOLERANCE_RAD = 1e-5
 CHUNK = 128
-"""Targets a thread takes at a time: at about 3 us each the launch costs next to nothing, and no core waits long at the end."""
+"""Targets a thread takes at a time: at about 3 us each the launch costs next to nothing, and no
+core waits long at the end."""
 
 
 @dataclass(frozen=True)
 class IkResult:
     """Up to 8 branches for each of B targets.
 
-    Slot 4 s + 2 e + w holds the branch with s = 1 where the wrist centre lies behind the shoulder (seen along the arm's
-    plane), e = 1 where sin q3 < 0, w = 1 where sin q5 < 0. Each joint stands at the turn nearest to home within limits.
+    Slot 4 s + 2 e + w holds the branch with s = 1 where the wrist centre lies behind the shoulder
+    (seen along the arm's plane), e = 1 where sin q3 < 0, w = 1 where sin q5 < 0. Each joint stands
+    at the turn nearest to home within limits.
     """
 
     q: Float[Tensor, "b 8 6"]
@@ -44,7 +47,8 @@ class IkResult:
     valid: Bool[Tensor, "b 8"]
     """The slot holds a solution: both errors below tolerance for the float32 angles in `q`."""
     position_error_m: Float[Tensor, "b 8"]
-    """Distance between the targets' and the reached ee origin, float64 inside; inf where there is no branch."""
+    """Distance between the targets' and the reached ee origin, float64 inside; inf where there is
+    no branch."""
     rotation_error_rad: Float[Tensor, "b 8"]
     """Angle between the targets' and the reached ee axes; inf where there is no branch."""
     status: UInt8[Tensor, "b 4"]
@@ -59,17 +63,20 @@ class IkResult:
 
     @property
     def unreachable_proven(self) -> Bool[Tensor, "b"]:
-        """The closed form has no solution, for no pose within about 1 um and 1 urad either. False for inactive rows."""
+        """The closed form has no solution, for no pose within about 1 um and 1 urad either. False
+        for inactive rows."""
         return (self.status == int(ik_step.STATUS_UNREACHABLE)).all(1)
 
     @property
     def singular(self) -> Bool[Tensor, "b"]:
-        """Some pair has sin q5 = 0 (< 1e-6): its slots hold points of a line of solutions (q6 = home if on it)."""
+        """Some pair has sin q5 = 0 (< 1e-6): its slots hold points of a line of solutions (q6 =
+        home if on it)."""
         return (self.status == int(ik_step.STATUS_SINGULAR)).any(1)
 
     @property
     def rescued(self) -> Bool[Tensor, "b 4"]:
-        """Pairs of branches that exist but that no seed converged to: the closed form's own solution stands in."""
+        """Pairs of branches that exist but that no seed converged to: the closed form's own
+        solution stands in."""
         return self.status == int(ik_step.STATUS_RESCUED)
 
 
@@ -83,10 +90,12 @@ def solve_ik(
     iterations: int = ITERATIONS,
     threads: int | None = None,
 ) -> IkResult:
-    """All branches for every target, on the device of `T_world_ee`; a row depends on nothing but its own target.
+    """All branches for every target, on the device of `T_world_ee`; a row depends on nothing but
+    its own target.
 
-    Rows with `active` False, NaN or no rigid transform have no valid branch and are not proven unreachable.
-    `seeds`: joint angles to start from, joint 1 relative to the wrist centre's azimuth (default: the committed set).
+    Rows with `active` False, NaN or no rigid transform have no valid branch and are not proven
+    unreachable. `seeds`: joint angles to start from, joint 1 relative to the wrist centre's azimuth
+    (default: the committed set).
     """
     robot = load_robot() if robot is None else robot
     device = T_world_ee.device
@@ -145,22 +154,35 @@ def _unsolved(n: int, device: torch.device) -> IkResult:
 
 
 def _check(
-    T_world_ee: Tensor, active: Tensor, robot: Robot, home: Sequence[float], seeds: np.ndarray, iterations: int
+    T_world_ee: Tensor,
+    active: Tensor,
+    robot: Robot,
+    home: Sequence[float],
+    seeds: np.ndarray,
+    iterations: int,
 ) -> None:
     """Raises ValueError for what `solve_ik` cannot be asked."""
     if T_world_ee.ndim != 3 or T_world_ee.shape[1:] != (4, 4) or T_world_ee.dtype != torch.float32:
-        raise ValueError(f"T_world_ee is {T_world_ee.dtype} {tuple(T_world_ee.shape)}; it must be float32 (B, 4, 4)")
+        raise ValueError(
+            f"T_world_ee is {T_world_ee.dtype} {tuple(T_world_ee.shape)}; it must be float32 (B, 4, 4)"
+        )
     n, device = len(T_world_ee), T_world_ee.device
     if active.shape != (n,) or active.dtype != torch.bool or active.device != device:
         raise ValueError(
             f"active is {active.dtype} {tuple(active.shape)} on {active.device}; it must be bool ({n},) on {device}"
         )
     if not (robot is load_robot() and _is_home(tuple(home))) and not _within_limits(robot, home):
-        raise ValueError(f"home is {tuple(home)}; it must be 6 joint angles in rad within the robot's limits")
+        raise ValueError(
+            f"home is {tuple(home)}; it must be 6 joint angles in rad within the robot's limits"
+        )
     if iterations < 1:
         raise ValueError(f"iterations is {iterations}; it must be 1 or more")
-    if seeds is not ik_seeds() and (seeds.ndim != 2 or seeds.shape[1] != 6 or not np.isfinite(seeds).all()):
-        raise ValueError(f"seeds have shape {seeds.shape}; they must be finite joint angles (S, 6) in rad")
+    if seeds is not ik_seeds() and (
+        seeds.ndim != 2 or seeds.shape[1] != 6 or not np.isfinite(seeds).all()
+    ):
+        raise ValueError(
+            f"seeds have shape {seeds.shape}; they must be finite joint angles (S, 6) in rad"
+        )
 
 
 def _within_limits(robot: Robot, home: Sequence[float]) -> bool:
@@ -178,12 +200,18 @@ JACOBIAN_STEPS = 100
 
 
 def one_branch(
-    ik: IkResult, T_world_ee: Float[Tensor, "b 4 4"], *, home: Sequence[float] = HOME_Q, threads: int | None = None
+    ik: IkResult,
+    T_world_ee: Float[Tensor, "b 4 4"],
+    *,
+    home: Sequence[float] = HOME_Q,
+    threads: int | None = None,
 ) -> Bool[Tensor, "b 8"]:
-    """`ik.valid` with one branch left for each target: the one that a numerical Jacobian solver started at home reaches.
+    """`ik.valid` with one branch left for each target: the one that a numerical Jacobian solver
+    started at home reaches.
 
-    As MoveIt's default solver: damped least squares on the whole arm, joints clamped to their limits; where it sticks it
-    starts again, here from the committed seeds in order. If that fails too, the first valid branch stands in.
+    As MoveIt's default solver: damped least squares on the whole arm, joints clamped to their
+    limits; where it sticks it starts again, here from the committed seeds in order. If that fails
+    too, the first valid branch stands in.
     """
     n, device = len(T_world_ee), T_world_ee.device
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
@@ -203,14 +231,16 @@ def one_branch(
         threads=threads,
         chunk=64,
     )
-    # argmax of 0 and 1 is the first 1: the first valid branch (slot 0 where there is none; `& ik.valid` drops it)
+    # argmax of 0 and 1 is the first 1: the first valid branch (slot 0 where there is none; `&
+    # ik.valid` drops it)
     slot = torch.where(slot >= 0, slot.long(), ik.valid.to(torch.int8).argmax(1))
     return ik.valid & (torch.arange(BRANCHES, dtype=torch.int64, device=device) == slot[:, None])
 
 
 @lru_cache(maxsize=64)
 def _jacobian_tables(home: tuple[float, ...], device: str) -> dict[str, wp.array]:
-    """Joint frames (the last: the ee in wrist_3), limits and starts for `first_branch`, on a device."""
+    """Joint frames (the last: the ee in wrist_3), limits and starts for `first_branch`, on a
+    device."""
     robot = load_robot()
     T = np.stack([*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee])
     starts = np.concatenate([np.array(home)[None], ik_seeds()])
@@ -229,7 +259,8 @@ def _seed_states(device: str) -> wp.array:
 
 
 def build_tables(device: str, home: tuple[float, ...]) -> None:
-    """What the solvers read, on a CUDA device before this returns: see `Scene`, whose tables are there at once too."""
+    """What the solvers read, on a CUDA device before this returns: see `Scene`, whose tables are
+    there at once too."""
     home_posture(device, home), _seed_states(device), _jacobian_tables(home, device)
     wp.synchronize_device(device)
 
@@ -248,7 +279,8 @@ def default_ur(home: tuple[float, ...] = HOME_Q) -> UrParameters:
 
 @cache
 def ik_seeds() -> np.ndarray:
-    """The committed seeds (S, 6) in rad, in the order they are tried (made by assets/robot/build_ik_seeds.py)."""
+    """The committed seeds (S, 6) in rad, in the order they are tried (made by
+    assets/robot/build_ik_seeds.py)."""
     with (files("r2h_batch.assets") / "robot" / "ik_seeds.npy").open("rb") as file:
         seeds: np.ndarray = np.load(file)
     seeds.setflags(write=False)
@@ -256,15 +288,20 @@ def ik_seeds() -> np.ndarray:
 
 
 def ur_parameters(robot: Robot, home: Sequence[float] = HOME_Q) -> UrParameters:
-    """The link lengths, limits and home that the kernels need; refuses a robot without a UR's structure."""
+    """The link lengths, limits and home that the kernels need; refuses a robot without a UR's
+    structure."""
     T = [*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee]
     ur = UrParameters()
-    # T[i] takes joint i's frame to the one before. A UR's six lengths stand in known entries (d and a of Denavit and
-    # Hartenberg 1955); what else the frames hold must be quarter turns, or the closed form is that of another arm.
+    # T[i] takes joint i's frame to the one before. A UR's six lengths stand in known entries (d and
+    # a of Denavit and Hartenberg 1955); what else the frames hold must be quarter turns, or the
+    # closed form is that of another arm.
     ur.d1, ur.a2, ur.a3 = T[0][2, 3], -T[2][0, 3], -T[3][0, 3]
     ur.d4, ur.d5, ur.tool = T[3][2, 3], -T[4][1, 3], T[5][1, 3] + T[6][2, 3]
     straight, half = np.eye(3), np.diag([-1.0, -1.0, 1.0])
-    up, down = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    up, down = (
+        np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    )
     rotations = [half, up, straight, straight, up, down, straight]
     d6 = float(T[5][1, 3])
     origins = [
@@ -280,7 +317,8 @@ def ur_parameters(robot: Robot, home: Sequence[float] = HOME_Q) -> UrParameters:
 
 
 def reference_chain(**to: Any) -> Any:
-    """pytorch-kinematics' chain base_link -> ee from airo-models' URDF: reference for FK, Jacobian and its own IK.
+    """pytorch-kinematics' chain base_link -> ee from airo-models' URDF: reference for FK, Jacobian
+    and its own IK.
 
     Keyword arguments go to `chain.to` (dtype, device).
     """
@@ -293,14 +331,18 @@ def reference_chain(**to: Any) -> Any:
         '<link name="ee"/><joint name="tool0-ee" type="fixed"><parent link="tool0"/><child link="ee"/>'
         f'<origin rpy="0 0 0" xyz="{x} {y} {z}"/></joint></robot>'
     )
-    text = re.sub(r'\sdrake:\w+="[^"]*"', "", text).replace("</robot>", ee)  # lxml refuses the undeclared prefix
+    text = re.sub(r'\sdrake:\w+="[^"]*"', "", text).replace(
+        "</robot>", ee
+    )  # lxml refuses the undeclared prefix
     chain = pytorch_kinematics.build_serial_chain_from_urdf(text.encode(), "ee", "base_link")
     return chain.to(**to) if to else chain
 
 
 def _cos_sin(q: np.ndarray) -> np.ndarray:
-    """The kernels' state (S, 12) of joint angles: (cos, sin) of q1, q2, q2 + q3, q2 + q3 + q4, q5, q6."""
-    # Joints 2 to 4 are parallel: with their sums in the state the arm's plane needs no product of angles
+    """The kernels' state (S, 12) of joint angles: (cos, sin) of q1, q2, q2 + q3, q2 + q3 + q4, q5,
+    q6."""
+    # Joints 2 to 4 are parallel: with their sums in the state the arm's plane needs no product of
+    # angles
     psi2 = q[:, 1] + q[:, 2]
     angles = np.stack([q[:, 0], q[:, 1], psi2, psi2 + q[:, 3], q[:, 4], q[:, 5]], 1)
     return np.stack([np.cos(angles), np.sin(angles)], -1).reshape(len(q), 12)

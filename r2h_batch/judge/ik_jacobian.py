@@ -1,7 +1,9 @@
-"""The same branches as judge/ik.py, found by pytorch-kinematics: its chain, forward kinematics and batched Jacobian.
+"""The same branches as judge/ik.py, found by pytorch-kinematics: its chain, forward kinematics and
+batched Jacobian.
 
-Which branches exist is the closed form's word in both solvers (that is what makes "unreachable" a proof); the joint angles
-are this file's: damped least squares on all six joints in float64, from the committed seeds moved into the asked branch.
+Which branches exist is the closed form's word in both solvers (that is what makes "unreachable" a
+proof); the joint angles are this file's: damped least squares on all six joints in float64, from
+the committed seeds moved into the asked branch.
 """
 
 from collections.abc import Sequence
@@ -25,7 +27,8 @@ ITERATIONS = 20
 """Damped least squares steps per seed, as in the fused kernel."""
 
 ROWS = 512
-"""Branches iterated at once. Always as many: what is short is filled up, so that a row never meets another shape."""
+"""Branches iterated at once. Always as many: what is short is filled up, so that a row never meets
+another shape."""
 
 TOLERANCE = 1e-9
 """Metres and radians at which a branch counts as found, as in kernels/ik/step.py."""
@@ -44,22 +47,33 @@ def solve_ik(
     iterations: int = ITERATIONS,
     threads: int | None = None,
 ) -> fused.IkResult:
-    """What `judge.ik.solve_ik` gives, with joint angles from pytorch-kinematics on the device of `T_world_ee`.
+    """What `judge.ik.solve_ik` gives, with joint angles from pytorch-kinematics on the device of
+    `T_world_ee`.
 
-    Slots, statuses and residuals mean the same. A pair of branches is CONVERGED where both of its elbows were found, RESCUED
-    where the closed form's solution stands in for one. Same bits for any batch size and order (tests/judge/test_ik_jacobian.py).
-    Raises ValueError as `judge.ik.solve_ik` does.
+    Slots, statuses and residuals mean the same. A pair of branches is CONVERGED where both of its
+    elbows were found, RESCUED where the closed form's solution stands in for one. Same bits for any
+    batch size and order (tests/judge/test_ik_jacobian.py). Raises ValueError as `judge.ik.solve_ik`
+    does.
     """
     start = fused.ik_seeds() if seeds is None else np.asarray(seeds, np.float64)
     exact = fused.solve_ik(
-        T_world_ee, active=active, home=home, seeds=start[:0], iterations=iterations, threads=threads
+        T_world_ee,
+        active=active,
+        home=home,
+        seeds=start[:0],
+        iterations=iterations,
+        threads=threads,
     )
     if start.ndim != 2 or start.shape[1] != 6 or not np.isfinite(start).all():
-        raise ValueError(f"seeds have shape {start.shape}; they must be finite joint angles (S, 6) in rad")
+        raise ValueError(
+            f"seeds have shape {start.shape}; they must be finite joint angles (S, 6) in rad"
+        )
     device = T_world_ee.device
     slot = torch.arange(BRANCHES, dtype=torch.int64, device=device)
     pair = 2 * (slot // 4) + slot % 2
-    asked = (exact.status == int(ik_step.STATUS_RESCUED))[:, pair]  # (b, 8): it exists and is a point, not a line
+    asked = (exact.status == int(ik_step.STATUS_RESCUED))[
+        :, pair
+    ]  # (b, 8): it exists and is a point, not a line
     row, column = asked.nonzero(as_tuple=True)
     targets = se3.orthonormalise(T_world_ee.double())[row]
     signs = torch.stack(
@@ -73,10 +87,15 @@ def _filled(
     exact: fused.IkResult, row: Tensor, column: Tensor, pair: Tensor, targets: Tensor, q: Tensor, found: Tensor,
     steps: Tensor, home: Sequence[float],
 ) -> fused.IkResult:  # fmt: skip
-    """The closed form's result with the branches that were found put in: turns nearest home, residuals, statuses."""
+    """The closed form's result with the branches that were found put in: turns nearest home,
+    residuals, statuses."""
     q32 = _nearest_turns(q, home)
     position, rotation = _residuals(q32, targets)
-    found = found & (position <= fused.POSITION_TOLERANCE_M) & (rotation <= fused.ROTATION_TOLERANCE_RAD)
+    found = (
+        found
+        & (position <= fused.POSITION_TOLERANCE_M)
+        & (rotation <= fused.ROTATION_TOLERANCE_RAD)
+    )
     at = (row[found], column[found])
     result = replace(
         exact,
@@ -87,19 +106,27 @@ def _filled(
         steps=exact.steps.index_put((row, pair[column]), steps.int(), accumulate=True),
     )
     missing = torch.zeros_like(exact.valid).index_put((row, column), ~found)
-    both = (exact.status == int(ik_step.STATUS_RESCUED)) & ~(missing.reshape(-1, 2, 2, 2).any(2).reshape(-1, 4))
+    both = (exact.status == int(ik_step.STATUS_RESCUED)) & ~(
+        missing.reshape(-1, 2, 2, 2).any(2).reshape(-1, 4)
+    )
     return replace(result, status=torch.where(both, int(ik_step.STATUS_CONVERGED), result.status))
 
 
 def _search(
-    targets: Float[Tensor, "m 4 4"], signs: Float[Tensor, "m 3"], seeds: Float[Tensor, "s 6"], iterations: int
+    targets: Float[Tensor, "m 4 4"],
+    signs: Float[Tensor, "m 3"],
+    seeds: Float[Tensor, "s 6"],
+    iterations: int,
 ) -> tuple[Float[Tensor, "m 6"], Bool[Tensor, "m"], Int[Tensor, "m"]]:
-    """Joint angles, whether a seed led to them, and all steps taken; `signs`: shoulder, elbow, wrist of the asked branch."""
+    """Joint angles, whether a seed led to them, and all steps taken; `signs`: shoulder, elbow,
+    wrist of the asked branch."""
     m = len(targets)
     q = torch.zeros((m, 6), dtype=torch.float64, device=targets.device)
     found = torch.zeros(m, dtype=torch.bool, device=targets.device)
     steps = torch.zeros(m, dtype=torch.int64, device=targets.device)
-    for seed in seeds:  # one after the other: the first that converges counts, whoever shares the chunk
+    for (
+        seed
+    ) in seeds:  # one after the other: the first that converges counts, whoever shares the chunk
         left = (~found).nonzero(as_tuple=True)[0]
         for i in range(0, len(left), ROWS):
             some = left[i : i + ROWS]
@@ -111,12 +138,16 @@ def _search(
 
 
 def _descend(
-    T: Float[Tensor, "n 4 4"], signs: Float[Tensor, "n 3"], seed: Float[Tensor, "6"], iterations: int
+    T: Float[Tensor, "n 4 4"],
+    signs: Float[Tensor, "n 3"],
+    seed: Float[Tensor, "6"],
+    iterations: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Damped least squares from one seed: the last joint angles, whether they are the asked branch, the steps taken.
+    """Damped least squares from one seed: the last joint angles, whether they are the asked branch,
+    the steps taken.
 
-    d = (J^T J + lambda 1)^-1 J^T e with pytorch-kinematics' geometric Jacobian; each joint turns by 2 atan(d / 2), so that no
-    step is above half a turn. Rows that have arrived stand still.
+    d = (J^T J + lambda 1)^-1 J^T e with pytorch-kinematics' geometric Jacobian; each joint turns by
+    2 atan(d / 2), so that no step is above half a turn. Rows that have arrived stand still.
     """
     chain = _chain(str(T.device))
     tool = _tool(str(T.device))
@@ -142,7 +173,8 @@ def _descend(
 
 
 def _error(now: Tensor, T: Tensor) -> tuple[Float[Tensor, "n 6"], Float[Tensor, "n"]]:
-    """Position (m) and rotation vector (length 2 tan(angle / 2)) that take the pose `now` to T; the rotation's trace."""
+    """Position (m) and rotation vector (length 2 tan(angle / 2)) that take the pose `now` to T; the
+    rotation's trace."""
     axes, goal = now[:, :3, :3].transpose(1, 2), T[:, :3, :3].transpose(1, 2)
     vee = torch.linalg.cross(axes, goal).sum(1)
     trace = (axes * goal).sum((1, 2))
@@ -150,21 +182,28 @@ def _error(now: Tensor, T: Tensor) -> tuple[Float[Tensor, "n 6"], Float[Tensor, 
     return torch.cat([T[:, :3, 3] - now[:, :3, 3], turn], 1), trace
 
 
-def _seeded(seed: Float[Tensor, "6"], p5: Float[Tensor, "n 3"], signs: Float[Tensor, "n 3"]) -> Float[Tensor, "n 6"]:
-    """A committed seed, turned to the wrist centres' azimuth, mirrored in the arm's plane for the other shoulder side."""
+def _seeded(
+    seed: Float[Tensor, "6"], p5: Float[Tensor, "n 3"], signs: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n 6"]:
+    """A committed seed, turned to the wrist centres' azimuth, mirrored in the arm's plane for the
+    other shoulder side."""
     shoulder = signs[:, 0]
     q1 = seed[0] + torch.atan2(shoulder * p5[:, 1], shoulder * p5[:, 0])
     psi1, psi2, psi3 = torch.cumsum(seed[1:4], 0)
     behind = shoulder < 0
     psi1, psi2 = (torch.where(behind, torch.pi - psi, psi) for psi in (psi1, psi2))
-    return torch.stack([q1, psi1, psi2 - psi1, psi3 - psi2, seed[4].expand_as(q1), seed[5].expand_as(q1)], 1)
+    return torch.stack(
+        [q1, psi1, psi2 - psi1, psi3 - psi2, seed[4].expand_as(q1), seed[5].expand_as(q1)], 1
+    )
 
 
 def _in_branch(q: Float[Tensor, "n 6"], signs: Float[Tensor, "n 3"]) -> Float[Tensor, "n 6"]:
-    """The same ee poses with the asked signs of sin q3 and sin q5: the elbow mirrored, the wrist flipped where they are not."""
+    """The same ee poses with the asked signs of sin q3 and sin q5: the elbow mirrored, the wrist
+    flipped where they are not."""
     a2, a3 = _links()
     q1, q2, q3, q4, q5, q6 = q.unbind(1)
-    # the links' end seen from the shoulder has the angle phi: mirrored at that line, psi becomes 2 phi - psi
+    # the links' end seen from the shoulder has the angle phi: mirrored at that line, psi becomes 2
+    # phi - psi
     phi = q2 + torch.atan2(a3 * torch.sin(q3), a2 + a3 * torch.cos(q3))
     wrong = torch.sin(q3) * signs[:, 1] < 0
     psi3 = q2 + q3 + q4
@@ -175,10 +214,12 @@ def _in_branch(q: Float[Tensor, "n 6"], signs: Float[Tensor, "n 3"]) -> Float[Te
 
 
 def _nearest_turns(q: Float[Tensor, "m 6"], home: Sequence[float]) -> Float[Tensor, "m 6"]:
-    """float32 angles moved by whole turns: as near to home as the limits allow, and within them after rounding."""
+    """float32 angles moved by whole turns: as near to home as the limits allow, and within them
+    after rounding."""
     robot, two_pi = load_robot(), 2 * torch.pi
     lower, upper, at = (
-        torch.tensor(np.asarray(x), dtype=torch.float64, device=q.device) for x in (robot.lower, robot.upper, home)
+        torch.tensor(np.asarray(x), dtype=torch.float64, device=q.device)
+        for x in (robot.lower, robot.upper, home)
     )
     q = q - two_pi * torch.floor((q - at) / two_pi + 0.5)
     q = torch.where(q > upper, q - two_pi, q)
@@ -189,7 +230,8 @@ def _nearest_turns(q: Float[Tensor, "m 6"], home: Sequence[float]) -> Float[Tens
 
 
 def _residuals(q: Float[Tensor, "m 6"], T: Float[Tensor, "m 4 4"]) -> tuple[Tensor, Tensor]:
-    """Position (m) and angle (rad) between the poses of float32 joint angles and T, by pytorch-kinematics in float64."""
+    """Position (m) and angle (rad) between the poses of float32 joint angles and T, by
+    pytorch-kinematics in float64."""
     if len(q) == 0:
         return T.new_zeros(0), T.new_zeros(0)
     chain = _chain(str(T.device))

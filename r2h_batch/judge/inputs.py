@@ -1,4 +1,5 @@
-"""What `Evaluator.score` accepts: one row per candidate, from (B, 4, 4) or (N, K, 4, 4); everything else is refused by name."""
+"""What `Evaluator.score` accepts: one row per candidate, from (B, 4, 4) or (N, K, 4, 4); everything
+else is refused by name."""
 
 import warnings
 from dataclasses import replace
@@ -30,11 +31,15 @@ def checked_inputs(
     kind(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
     check_tensor("trials.trial_id", trials.trial_id, "a torch tensor (N,) of torch.int64")
     if trials.trial_id.ndim != 1:
-        raise ValueError(f"trials.trial_id is {given(trials.trial_id)}; it must be torch.int64 (N,)")
+        raise ValueError(
+            f"trials.trial_id is {given(trials.trial_id)}; it must be torch.int64 (N,)"
+        )
     n = len(trials)
     many = isinstance(T_obj_ee, Tensor) and T_obj_ee.ndim == 4
     k = T_obj_ee.shape[1] if many else 1
-    shape, words = ((n, k, 4, 4), f"({n}, K, 4, 4)") if many else ((n, 4, 4), f"({n}, 4, 4) or ({n}, K, 4, 4)")
+    shape, words = (
+        ((n, k, 4, 4), f"({n}, K, 4, 4)") if many else ((n, 4, 4), f"({n}, 4, 4) or ({n}, K, 4, 4)")
+    )
     for name, value, expected in (
         ("T_obj_ee", T_obj_ee, shape),
         ("T_world_ee", T_world_ee, shape),
@@ -45,11 +50,19 @@ def checked_inputs(
             raise TypeError(f"{name} is {value.dtype}; it must be torch.float32: call .float()")
         if value.shape != expected:
             allowed = words if name == "T_obj_ee" else str(tuple(expected))
-            raise ValueError(f"{name} has shape {tuple(value.shape)}; with {n} trials it must be {allowed}")
+            raise ValueError(
+                f"{name} has shape {tuple(value.shape)}; with {n} trials it must be {allowed}"
+            )
         if value.device.type != device.type:
-            raise ValueError(f"{name} is on {value.device}, the evaluator on {device}: move one of them")
+            raise ValueError(
+                f"{name} is on {value.device}, the evaluator on {device}: move one of them"
+            )
     # an id is what the planner's random numbers are keyed by: in 32 bits it would be another one
-    for name, dtype in (("trial_id", torch.int64), ("object_index", torch.int32), ("hand_index", torch.int32)):
+    for name, dtype in (
+        ("trial_id", torch.int64),
+        ("object_index", torch.int32),
+        ("hand_index", torch.int32),
+    ):
         index = getattr(trials, name)
         check_tensor(f"trials.{name}", index, f"a torch tensor ({n},) of {dtype}")
         if index.shape != (n,) or index.dtype != dtype or index.device.type != device.type:
@@ -64,9 +77,12 @@ def checked_inputs(
 
 
 def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tensor]) -> None:
-    """Raises ValueError where a body is asked about that trials do not have, or for a gradient that nobody knows."""
+    """Raises ValueError where a body is asked about that trials do not have, or for a gradient that
+    nobody knows."""
     if trials.receiver is not None:
-        check_tensor("trials.receiver", trials.receiver, f"None or a torch tensor ({len(trials)}, 5, 4)")
+        check_tensor(
+            "trials.receiver", trials.receiver, f"None or a torch tensor ({len(trials)}, 5, 4)"
+        )
     if trials.receiver is not None and (
         trials.receiver.shape != (len(trials), 5, 4)
         or trials.receiver.dtype != torch.float32
@@ -80,9 +96,13 @@ def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tens
     if config.receiver != "body":
         return
     if trials.receiver is None:
-        raise ValueError("receiver is 'body', these trials have none; take protocol r2h-v1, or receiver='hand'")
+        raise ValueError(
+            "receiver is 'body', these trials have none; take protocol r2h-v1, or receiver='hand'"
+        )
     if torch.is_grad_enabled() and any(T.requires_grad for T in poses):
-        raise ValueError("receiver is 'body': its margins have no gradient; score with receiver='hand' for training")
+        raise ValueError(
+            "receiver is 'body': its margins have no gradient; score with receiver='hand' for training"
+        )
 
 
 def check_stages(stages: object) -> None:
@@ -100,7 +120,8 @@ def warn_of_no_gradient() -> None:
 
 
 def check_indices(scene: Scene, trials: Trials) -> None:
-    """Raises ValueError for an object or hand outside the scene; on CUDA looking at them would wait for the device.
+    """Raises ValueError for an object or hand outside the scene; on CUDA looking at them would wait
+    for the device.
 
     There rows with such an index become INVALID_INPUT.
     """
@@ -114,6 +135,7 @@ def check_indices(scene: Scene, trials: Trials) -> None:
 def repeated(trials: Trials, k: int) -> Trials:
     """Each trial k times in turn: the rows of (N, k) candidates."""
     rows = {
-        name: x[:, None].expand(-1, k, *x.shape[1:]).reshape(-1, *x.shape[1:]) for name, x in trials._tensors().items()
+        name: x[:, None].expand(-1, k, *x.shape[1:]).reshape(-1, *x.shape[1:])
+        for name, x in trials._tensors().items()
     }
     return replace(trials, **rows)

@@ -1,4 +1,5 @@
-"""The five criteria of the paper (Sec. Evaluation Metrics): one function per equation, each a signed margin in metres."""
+"""The five criteria of the paper (Sec. Evaluation Metrics): one function per equation, each a
+signed margin in metres."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -39,10 +40,12 @@ SAFE_TOLERANCE_M = 2e-5
 
 
 class Criterion:
-    """Margin of one criterion (m, NaN where not evaluated), whether it passes, and where it is defined.
+    """Margin of one criterion (m, NaN where not evaluated), whether it passes, and where it is
+    defined.
 
-    `of` keeps what it is given and says by which rule it is to be read: `judge_rows` does so for all criteria in one launch,
-    the properties for whoever asks sooner. A small batch paid for the tensors in between what a tenth of its geometry costs.
+    `of` keeps what it is given and says by which rule it is to be read: `judge_rows` does so for
+    all criteria in one launch, the properties for whoever asks sooner. A small batch paid for the
+    tensors in between what a tenth of its geometry costs.
     """
 
     def __init__(
@@ -66,11 +69,14 @@ class Criterion:
         beyond_m: float = 0.0,
         within_m: float | None = None,
     ) -> "Criterion":
-        """Passes above 0, and at 0 where touching passes; `nan_is_unasked`: a row without a margin is not evaluated.
+        """Passes above 0, and at 0 where touching passes; `nan_is_unasked`: a row without a margin
+        is not evaluated.
 
         The margin is `number - beyond_m`, or `within_m - number` where that is given.
         """
-        rule = (TOUCHING_PASSES if touching_passes else APART_PASSES) + (NAN_IS_UNASKED if nan_is_unasked else 0)
+        rule = (TOUCHING_PASSES if touching_passes else APART_PASSES) + (
+            NAN_IS_UNASKED if nan_is_unasked else 0
+        )
         if within_m is not None:
             return Criterion(number, None, evaluated, rule + WITHIN, within_m)
         return Criterion(number, None, evaluated, rule, beyond_m)
@@ -83,7 +89,11 @@ class Criterion:
     @property
     def margin(self) -> Float32[Tensor, " b"]:
         """m, NaN where not evaluated."""
-        return self.given if self.rule == GIVEN else torch.where(self.evaluated, self._number, torch.nan)
+        return (
+            self.given
+            if self.rule == GIVEN
+            else torch.where(self.evaluated, self._number, torch.nan)
+        )
 
     @property
     def passed(self) -> Bool[Tensor, " b"]:
@@ -91,7 +101,9 @@ class Criterion:
         if self.rule == GIVEN:
             return self.given_passed
         # NaN compares False both ways: a row whose margin was never computed cannot pass
-        return ((self._number >= 0) if self.rule & TOUCHING_PASSES else (self._number > 0)) & self.evaluated
+        return (
+            (self._number >= 0) if self.rule & TOUCHING_PASSES else (self._number > 0)
+        ) & self.evaluated
 
     @property
     def _number(self) -> Float32[Tensor, " b"]:
@@ -100,9 +112,11 @@ class Criterion:
 
 
 def stability(grasp: Grasp, active: Bool[Tensor, " b"]) -> Criterion:
-    """Stability(g) <=> w_O(g) <= w_max, and something is held that the open gripper does not cut into.
+    """Stability(g) <=> w_O(g) <= w_max, and something is held that the open gripper does not cut
+    into.
 
-    Margin: the smallest of w_max - w, w - w_min and the open gripper's clearance to the object, which counts 1 cm at most.
+    Margin: the smallest of w_max - w, w - w_min and the open gripper's clearance to the object,
+    which counts 1 cm at most.
     """
     return Criterion.of(grasp.margin_m, active, touching_passes=True)
 
@@ -116,10 +130,11 @@ def stability_in_physics(
     *,
     threads: int | None = None,
 ) -> tuple[Criterion, Float32[Tensor, " b"]]:
-    """Stability(g) as above, and the friction grasp holds the object through its weight and a shake along three axes.
+    """Stability(g) as above, and the friction grasp holds the object through its weight and a shake
+    along three axes.
 
-    Margin: the smaller of the above and 2 cm - slip. Second: the slip, m; NaN where nothing was shaken.
-    `T_obj_ee` after closing. The shake is simulated on the CPU.
+    Margin: the smaller of the above and 2 cm - slip. Second: the slip, m; NaN where nothing was
+    shaken. `T_obj_ee` after closing. The shake is simulated on the CPU.
     """
     geometric = stability(grasp, active)
     rows = torch.nonzero(geometric.passed).flatten()
@@ -146,7 +161,9 @@ def plan(planned: Plan, executed: Executed, active: Bool[Tensor, " b"]) -> Crite
     """
     # A clear path that the arm did not follow to its end is no plan: the pose was never presented
     found = (planned.length > 0) & executed.settled
-    criterion = Criterion.of(torch.where(found, planned.clearance_m, -torch.inf), active, touching_passes=False)
+    criterion = Criterion.of(
+        torch.where(found, planned.clearance_m, -torch.inf), active, touching_passes=False
+    )
     return Criterion(criterion.margin, found & active, active)
 
 
@@ -159,9 +176,11 @@ def reach(
     *,
     threads: int | None = None,
 ) -> Criterion:
-    """Reach(g, h) <=> V_O(g, h) meets the ball B_h: margin r_h - dist(c_h, object solid). Touching passes.
+    """Reach(g, h) <=> V_O(g, h) meets the ball B_h: margin r_h - dist(c_h, object solid). Touching
+    passes.
 
-    `ball_center`: c_h in the object's frame, where the mesh's tree stands: the ball moves, not the object.
+    `ball_center`: c_h in the object's frame, where the mesh's tree stands: the ball moves, not the
+    object.
     """
     distance = torch.empty_like(ball_center[:, 0])
     nearest = torch.empty_like(ball_center)
@@ -193,27 +212,38 @@ def affordance(
     *,
     threads: int | None = None,
 ) -> Criterion:
-    """Affordance(g) <=> V_grip(g) does not meet G_O^H(g): margin is the fingers' distance to the region. S1 only.
+    """Affordance(g) <=> V_grip(g) does not meet G_O^H(g): margin is the fingers' distance to the
+    region. S1 only.
 
-    `opening_m`: of the fingers, `squeezed`, so that those which hold the region itself meet it clearly and not within
-    rounding. `attached`: `T_obj_ee` once the pads have met the object (`attach`): the
-    region moves with the object, which they have shifted.
+    `opening_m`: of the fingers, `squeezed`, so that those which hold the region itself meet it
+    clearly and not within rounding. `attached`: `T_obj_ee` once the pads have met the object
+    (`attach`): the region moves with the object, which they have shifted.
     """
     distance, _ = region_distance(
-        scene.grasp_tables, attached, object_index, opening_m, cap_m=CLEARANCE_CAP_M, known=True, threads=threads
+        scene.grasp_tables,
+        attached,
+        object_index,
+        opening_m,
+        cap_m=CLEARANCE_CAP_M,
+        known=True,
+        threads=threads,
     )
     return Criterion.of(distance, active, touching_passes=False, nan_is_unasked=True)
 
 
 def squeezed(grasp: Grasp, thresholds: Thresholds) -> Float32[Tensor, " b"]:
-    """The opening (m) of fingers that hold: `pad_squeeze_m` tighter than the material between them."""
+    """The opening (m) of fingers that hold: `pad_squeeze_m` tighter than the material between
+    them."""
     held = grasp.width_m <= thresholds.w_max_m
-    return torch.where(held, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m).clamp(min=0.0)
+    return torch.where(held, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m).clamp(
+        min=0.0
+    )
 
 
 @dataclass(frozen=True)
 class Touch:
-    """Where the robot is nearest to the hand: robot body (Scene.part_names), path segment and fraction, hand point (world)."""
+    """Where the robot is nearest to the hand: robot body (Scene.part_names), path segment and
+    fraction, hand point (world)."""
 
     body: Int32[Tensor, " b"]
     segment: Int32[Tensor, " b"]
@@ -230,17 +260,25 @@ def safe(
     *,
     threads: int | None = None,
 ) -> tuple[Criterion, Touch]:
-    """Safe(g, h) <=> M_hand does not meet M_robot(g, h) over the motion: margin is the smallest distance over time.
+    """Safe(g, h) <=> M_hand does not meet M_robot(g, h) over the motion: margin is the smallest
+    distance over time.
 
-    Exact hand mesh against the robot's primitives, without the object; exact below 5 cm, a lower bound above, below 0 minus
-    the depth of the hand's deepest point in a primitive. All less what the motion may have been off the lines between its
-    samples. Defined where there is a motion. Touching fails.
+    Exact hand mesh against the robot's primitives, without the object; exact below 5 cm, a lower
+    bound above, below 0 minus the depth of the hand's deepest point in a primitive. All less what
+    the motion may have been off the lines between its samples. Defined where there is a motion.
+    Touching fails.
     """
     b, device = len(active), active.device
     distance, fraction = torch.zeros((2, b), dtype=torch.float32, device=device).unbind(0)
     body, segment = torch.full((2, b), -1, dtype=torch.int32, device=device).unbind(0)
     point = torch.zeros((b, 3), dtype=torch.float32, device=device)
-    found = {"distance": distance, "body": body, "segment": segment, "fraction": fraction, "point": point}
+    found = {
+        "distance": distance,
+        "body": body,
+        "segment": segment,
+        "fraction": fraction,
+        "point": point,
+    }
     tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": placed.bodies}
     motion = {"path": executed.path, "length": executed.length}
     moves = (executed.length > 0) & active
@@ -251,13 +289,26 @@ def safe(
         meets = waves.rows_where(moves & (distance < 0))
     else:
         asked = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
-        launch_trials(safe_kernels.safe_distance, b, inputs=asked, outputs=found, chunk=16, uneven=True, **on)
+        launch_trials(
+            safe_kernels.safe_distance, b, inputs=asked, outputs=found, chunk=16, uneven=True, **on
+        )
         meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
     # The search for the smallest distance stops asking how deep once bodies meet
-    launch_trials(hand_overlap, len(meets), inputs={**tables, "row": meets, **motion}, outputs=found, chunk=1, **on)
-    # Between two samples the arm may be off the line by slack_m, so the distance along the lines is taken less that
+    launch_trials(
+        hand_overlap,
+        len(meets),
+        inputs={**tables, "row": meets, **motion},
+        outputs=found,
+        chunk=1,
+        **on,
+    )
+    # Between two samples the arm may be off the line by slack_m, so the distance along the lines is
+    # taken less that
     defined = active & (executed.length > 0)
     criterion = Criterion.of(
-        distance - executed.slack_m, defined, touching_passes=False, beyond_m=thresholds.safe_margin_m
+        distance - executed.slack_m,
+        defined,
+        touching_passes=False,
+        beyond_m=thresholds.safe_margin_m,
     )
     return criterion, Touch(torch.where(defined, body, -1), segment, fraction, point)

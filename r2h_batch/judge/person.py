@@ -1,4 +1,5 @@
-"""How near the robot comes to the receiver's arm and torso: reported beside Safe, or part of it (`EvalConfig.receiver`)."""
+"""How near the robot comes to the receiver's arm and torso: reported beside Safe, or part of it
+(`EvalConfig.receiver`)."""
 
 from typing import Any
 
@@ -31,10 +32,12 @@ def person_distance(
     *,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
-    """Smallest distance of the robot (without the object) from forearm, upper arm and torso along each path; the robot's body.
+    """Smallest distance of the robot (without the object) from forearm, upper arm and torso along
+    each path; the robot's body.
 
-    Metres, located to 0.02 mm, exact below 5 cm, a lower bound (5 cm, body -1) above; NaN and -1 without a path. Where they
-    meet: minus the way out of the deepest overlap found, as a sampled path's margin of Plan is (kernels/judge/overlap.py).
+    Metres, located to 0.02 mm, exact below 5 cm, a lower bound (5 cm, body -1) above; NaN and -1
+    without a path. Where they meet: minus the way out of the deepest overlap found, as a sampled
+    path's margin of Plan is (kernels/judge/overlap.py).
     """
     alone = with_person(scene, placed, receiver, hand=False)
     tables = {"world": alone.tables(scene), "bodies": alone.bodies}
@@ -55,18 +58,29 @@ def person_distance(
 def _nearest(
     tables: dict[str, Any], motion: dict[str, Tensor], on: dict[str, Any]
 ) -> tuple[dict[str, Tensor], Int32[Tensor, " m"]]:
-    """Clearance, pair and body of each path, as far as bodies are apart, and the rows where they meet."""
+    """Clearance, pair and body of each path, as far as bodies are apart, and the rows where they
+    meet."""
     path, length = motion["path"], motion["length"]
     b, device = len(length), path.device
     if in_waves(on["device"]):
-        waves = Waves(**tables, device=on["device"], rows=b if path.shape[1] <= WAYPOINTS else MOVED * b)
+        waves = Waves(
+            **tables, device=on["device"], rows=b if path.shape[1] <= WAYPOINTS else MOVED * b
+        )
         distance, pair, body = waves.clearance(path, length, SAFE_TOLERANCE_M)
         meets = waves.rows_where((length > 0) & (distance < 0))
         distance = torch.where(length > 0, distance, torch.nan)
-        return {"clearance": distance, "pair": pair, "body": torch.where(length > 0, body, -1)}, meets
+        return {
+            "clearance": distance,
+            "pair": pair,
+            "body": torch.where(length > 0, body, -1),
+        }, meets
     distance = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
     body = torch.full((b,), -1, dtype=torch.int32, device=device)
-    found = {"clearance": distance, "pair": torch.zeros(b, dtype=torch.int32, device=device), "body": body}
+    found = {
+        "clearance": distance,
+        "pair": torch.zeros(b, dtype=torch.int32, device=device),
+        "body": body,
+    }
     asked = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
     launch_trials(path_clearance, b, inputs=asked, outputs=found, chunk=8, **on)
     return found, torch.nonzero((length > 0) & (distance < 0)).flatten().to(torch.int32)
@@ -79,11 +93,15 @@ def with_body(
     body: Int32[Tensor, " b"],
     thresholds: Thresholds,
 ) -> tuple[Criterion, Touch]:
-    """Safe of hand and body: the smaller margin. Where the body is nearer the witness is the robot's part alone.
+    """Safe of hand and body: the smaller margin. Where the body is nearer the witness is the
+    robot's part alone.
 
-    `distance` as `Scores.body_m`: less what the motion may have been off the lines between its samples.
+    `distance` as `Scores.body_m`: less what the motion may have been off the lines between its
+    samples.
     """
-    own = Criterion.of(distance, safe.evaluated, touching_passes=False, beyond_m=thresholds.safe_margin_m)
+    own = Criterion.of(
+        distance, safe.evaluated, touching_passes=False, beyond_m=thresholds.safe_margin_m
+    )
     nearer: Bool[Tensor, " b"] = own.margin < safe.margin
     margin = torch.where(nearer, own.margin, safe.margin)
     point = torch.where(nearer[:, None], torch.nan, touch.point)

@@ -1,4 +1,5 @@
-"""From joint branches to a collision-free path: which goals are free, straight lines, RRT-Connect, shortcuts, clearance."""
+"""From joint branches to a collision-free path: which goals are free, straight lines, RRT-Connect,
+shortcuts, clearance."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -25,18 +26,24 @@ from r2h_batch.scene.scene import Placed, Scene
 from r2h_batch.types import PlanReason
 
 GOAL_ROOM_M = 2e-4
-"""A path may come this much nearer to the hand than its goal does: the stretch next to the goal must be certifiable."""
+"""A path may come this much nearer to the hand than its goal does: the stretch next to the goal
+must be certifiable."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What planning found for B trials. `path` rows beyond `length` are meaningless; `length` 0 means no path."""
+    """What planning found for B trials. `path` rows beyond `length` are meaningless; `length` 0
+    means no path."""
 
     reason: Int32[Tensor, " b"]  # PlanReason
-    pair: Int32[Tensor, " b"]  # CollidingPair that ruled a start or goal out, or that is nearest along the path
-    body: Int32[Tensor, " b"]  # robot body of the nearest pair (Scene.part_names), -1: none below the cap
-    # smallest along the path over all pairs, exact below 5 cm; of a sampled path that passes through something, minus the way
-    # out of the deepest overlap found; -inf without a path
+    pair: Int32[
+        Tensor, " b"
+    ]  # CollidingPair that ruled a start or goal out, or that is nearest along the path
+    body: Int32[
+        Tensor, " b"
+    ]  # robot body of the nearest pair (Scene.part_names), -1: none below the cap
+    # smallest along the path over all pairs, exact below 5 cm; of a sampled path that passes
+    # through something, minus the way out of the deepest overlap found; -inf without a path
     clearance_m: Float32[Tensor, " b"]
     straight: Bool[Tensor, " b"]  # the path is one straight joint-space line
     path: Float32[Tensor, "b w 6"]
@@ -57,15 +64,18 @@ def plan_paths(
 ) -> Plan:
     """Paths from home to the free branches `q` (rad), and why there is none where there is none.
 
-    `key` seeds a trial's random numbers. Reasons and margins as in benchmark.md; RRT-Connect (Kuffner and LaValle 2000)
-    with certified edges. Rows that are not `active` get NOT_EVALUATED.
+    `key` seeds a trial's random numbers. Reasons and margins as in benchmark.md; RRT-Connect
+    (Kuffner and LaValle 2000) with certified edges. Rows that are not `active` get NOT_EVALUATED.
     """
     with one_torch_thread(q.device):
-        return _paths(scene, placed, q, valid, active, key, config, execute or ExecConfig(), threads)
+        return _paths(
+            scene, placed, q, valid, active, key, config, execute or ExecConfig(), threads
+        )
 
 
 def load_searches(device: str) -> None:
-    """Compiles what only some trials need (searches, shortcuts, how deep bodies meet), or loads it from the kernel cache."""
+    """Compiles what only some trials need (searches, shortcuts, how deep bodies meet), or loads it
+    from the kernel cache."""
     one_thread, waves = (rrt_connect, shortcut), (enter_edges, draw_arcs, take_arcs)
     for kernel in (*(waves if in_waves(device) else one_thread), path_overlap):
         load(kernel, device)
@@ -92,15 +102,20 @@ def _paths(
     goal_clear, goal_pair, clearance = run.check(
         q.reshape(-1, 6), (valid & active[:, None] & start_clear[:, None]).reshape(-1), BRANCHES
     )
-    goal_clear, goal_pair, clearance = (x.view(b, BRANCHES) for x in (goal_clear, goal_pair, clearance))
+    goal_clear, goal_pair, clearance = (
+        x.view(b, BRANCHES) for x in (goal_clear, goal_pair, clearance)
+    )
 
-    # (b * 8, 6) free branches first, nearest to home first; what lies beyond n_goals of a trial is never looked at
+    # (b * 8, 6) free branches first, nearest to home first; what lies beyond n_goals of a trial is
+    # never looked at
     goals, n_goals, margin = _sort_goals(q, goal_clear, clearance, home, config)
     chosen = run.straight(home, goals, n_goals, margin, moveit)
     path = torch.zeros((b, WAYPOINTS, 6), dtype=torch.float32, device=device)
     length = torch.where(chosen >= 0, 2, 0).to(torch.int32)
     path[:, 0] = home
-    nearest = goals.view(b, BRANCHES, 6)[torch.arange(b, dtype=torch.int64, device=device), chosen.clamp(min=0).long()]
+    nearest = goals.view(b, BRANCHES, 6)[
+        torch.arange(b, dtype=torch.int64, device=device), chosen.clamp(min=0).long()
+    ]
     path[:, 1] = torch.where((chosen >= 0)[:, None], nearest, 0.0)
 
     Search(run, home, goals, n_goals, margin, key, config, execute)(path, length)
@@ -121,7 +136,8 @@ def _paths(
 def _least_clearance(
     run: "Planner", path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
-    """Smallest clearance along each path over all pairs (-inf without one), its pair and the robot's body."""
+    """Smallest clearance along each path over all pairs (-inf without one), its pair and the
+    robot's body."""
     if run.waves is not None:
         return run.waves.clearance(path, length)
     b, device = len(path), path.device
@@ -131,7 +147,12 @@ def _least_clearance(
     run(
         path_clearance,
         b,
-        inputs={"cap": CLEARANCE_CAP_M, "tolerance": CLEARANCE_TOLERANCE_M, "path": path, "length": length},
+        inputs={
+            "cap": CLEARANCE_CAP_M,
+            "tolerance": CLEARANCE_TOLERANCE_M,
+            "path": path,
+            "length": length,
+        },
         outputs={"clearance": least, "pair": pair, "body": body},
         chunk=8,
     )
@@ -149,7 +170,11 @@ def _measure_overlaps(
 ) -> None:
     """Writes how deep the bodies meet on paths whose clearance is below 0, and which they are."""
     meets = (length > 0) & (least < 0)
-    rows = torch.nonzero(meets).flatten().to(torch.int32) if run.waves is None else run.waves.rows_where(meets)
+    rows = (
+        torch.nonzero(meets).flatten().to(torch.int32)
+        if run.waves is None
+        else run.waves.rows_where(meets)
+    )
     run(
         path_overlap,
         len(rows),
@@ -177,7 +202,8 @@ def _reasons(
 
 
 class Planner:
-    """Runs planning kernels, which all take the scene's world and the trials' bodies; on a GPU what can goes in `waves`."""
+    """Runs planning kernels, which all take the scene's world and the trials' bodies; on a GPU what
+    can goes in `waves`."""
 
     def __init__(self, scene: Scene, placed: Placed, threads: int | None) -> None:
         self._tables = {"world": placed.tables(scene), "bodies": placed.bodies}
@@ -189,7 +215,9 @@ class Planner:
             else None
         )
 
-    def __call__(self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int) -> None:
+    def __call__(
+        self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int
+    ) -> None:
         inputs = {**self._tables, **inputs}
         launch_trials(
             kernel,
@@ -203,7 +231,8 @@ class Planner:
         )
 
     def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Free or not, the pair that collides, the hand clearance up to 6.5 mm; one row per posture."""
+        """Free or not, the pair that collides, the hand clearance up to 6.5 mm; one row per
+        posture."""
         if self.waves is not None:
             return self.waves.check(q.contiguous(), active, per_trial)
         n = len(q)
@@ -219,7 +248,9 @@ class Planner:
         )
         return clear, pair, clearance
 
-    def straight(self, home: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, moveit: int) -> Tensor:
+    def straight(
+        self, home: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, moveit: int
+    ) -> Tensor:
         """Each row's first goal whose straight line from home is free, or -1."""
         if self.waves is not None:
             return self.waves.straight(home, goals, n_goals, margin, moveit)
@@ -227,7 +258,13 @@ class Planner:
         self(
             straight_lines,
             len(n_goals),
-            inputs={"moveit": moveit, "home": home, "goals": goals, "n_goals": n_goals, "goal_margin": margin.view(-1)},
+            inputs={
+                "moveit": moveit,
+                "home": home,
+                "goals": goals,
+                "n_goals": n_goals,
+                "goal_margin": margin.view(-1),
+            },
             outputs={"chosen": chosen},
             chunk=8,
         )
@@ -237,7 +274,8 @@ class Planner:
 def _sort_goals(
     q: Tensor, clear: Tensor, clearance: Tensor, home: Tensor, config: PlanConfig
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Free goals, nearest to home first: (b * 8, 6), their number (b,), the hand clearance a path to each must keep (b, 8)."""
+    """Free goals, nearest to home first: (b * 8, 6), their number (b,), the hand clearance a path
+    to each must keep (b, 8)."""
     b = len(q)
     distance = torch.zeros(q.shape[:2], dtype=torch.float64, device=q.device)
     for j in range(6):  # summed in a fixed order: the same bits at any batch size
@@ -246,8 +284,8 @@ def _sort_goals(
     rows = torch.arange(b, dtype=torch.int64, device=q.device)[:, None]
     goals = q[rows, order].contiguous().view(-1, 6)
     room = clearance[rows, order]
-    # A goal at `room` from the hand cannot be entered on a path that keeps more: a little less than the goal has, at
-    # least half of it, and never more than the margin asked for everywhere
+    # A goal at `room` from the hand cannot be entered on a path that keeps more: a little less than
+    # the goal has, at least half of it, and never more than the margin asked for everywhere
     keep = torch.maximum(room - GOAL_ROOM_M, 0.5 * room).clamp(max=config.hand_clearance_m)
     n_goals = clear.sum(1).to(torch.int32)
     return goals, n_goals, keep.contiguous()

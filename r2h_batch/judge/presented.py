@@ -1,4 +1,5 @@
-"""Presented: does the receiver's region face the palm, and lie where the hand reaches? No part of the verdict."""
+"""Presented: does the receiver's region face the palm, and lie where the hand reaches? No part of
+the verdict."""
 
 from dataclasses import dataclass
 
@@ -29,11 +30,16 @@ class Presented:
     presented: Bool[Tensor, " b"]
 
 
-def presented(scene: Scene, holding: Holding, thresholds: Thresholds, *, threads: int | None = None) -> Presented:
-    """Where each trial's receiver's region is when the object is handed over: facing, and within the ball's radius of c_h."""
+def presented(
+    scene: Scene, holding: Holding, thresholds: Thresholds, *, threads: int | None = None
+) -> Presented:
+    """Where each trial's receiver's region is when the object is handed over: facing, and within
+    the ball's radius of c_h."""
     meshes, center = scene.regions
     point, _ = scene.palms
-    angle, distance = torch.empty((2, len(holding.active)), dtype=torch.float32, device=holding.active.device).unbind(0)
+    angle, distance = torch.empty(
+        (2, len(holding.active)), dtype=torch.float32, device=holding.active.device
+    ).unbind(0)
     found = Presented(angle, distance, torch.empty_like(holding.active))
     launch_trials(
         kernels.region_presented,
@@ -53,7 +59,11 @@ def presented(scene: Scene, holding: Holding, thresholds: Thresholds, *, threads
             "T_world_hand": holding.T_world_hand,
             "ball": holding.ball,
         },
-        outputs={"presented": found.presented, "angle": found.angle_deg, "distance": found.distance_m},
+        outputs={
+            "presented": found.presented,
+            "angle": found.angle_deg,
+            "distance": found.distance_m,
+        },
         device=scene.device,
         threads=threads,
         chunk=64,

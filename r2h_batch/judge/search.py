@@ -1,4 +1,5 @@
-"""Paths where no straight line is free: rounds of RRT-Connect, shortcuts, and other searches where the first path is long."""
+"""Paths where no straight line is free: rounds of RRT-Connect, shortcuts, and other searches where
+the first path is long."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -24,9 +25,11 @@ _SCRATCH_NODES, _NODE_BYTES = 4_000_000, 32  # of all trees of one launch: 128 M
 SHORTER = 0.9
 """What is left of a node's reach when a step from it is blocked, in all rounds but the last."""
 ENOUGH = 1.1
-"""A path that takes at most this times the straight line between its ends is not shortened further."""
+"""A path that takes at most this times the straight line between its ends is not shortened
+further."""
 TOO_LONG = 2.0
-"""A path that takes more than this times the straight line to the goal nearest in time is looked for again ..."""
+"""A path that takes more than this times the straight line to the goal nearest in time is looked
+for again ..."""
 AGAIN = 2
 """... this many times, with other random numbers and a budget of ..."""
 AGAIN_ITERATIONS = 500
@@ -34,7 +37,8 @@ AGAIN_ITERATIONS = 500
 
 @dataclass(frozen=True)
 class Search:
-    """What searches of B trials share: the goals of each, (b * 8, 6), the first `n_goals` of them free, and their margins."""
+    """What searches of B trials share: the goals of each, (b * 8, 6), the first `n_goals` of them
+    free, and their margins."""
 
     run: "Planner"
     home: Float32[Tensor, "1 6"]
@@ -46,12 +50,14 @@ class Search:
     execute: ExecConfig
 
     def __call__(self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]) -> None:
-        """RRT-Connect and shortcuts where `length` is 0 and there is a goal; writes `path` and `length`.
+        """RRT-Connect and shortcuts where `length` is 0 and there is a goal; writes `path` and
+        `length`.
 
-        Budgets grow from round to round: most searches end within 50 iterations, and a launch is as large as its budget's
-        trees. Where the path found then is a long detour the quickest of a few searches counts. The host asks twice which
-        rows are left, before the first round and after it, and no more: asking waits for a GPU. A problem that has its path
-        already costs later rounds nothing.
+        Budgets grow from round to round: most searches end within 50 iterations, and a launch is as
+        large as its budget's trees. Where the path found then is a long detour the quickest of a
+        few searches counts. The host asks twice which rows are left, before the first round and
+        after it, and no more: asking waits for a GPU. A problem that has its path already costs
+        later rounds nothing.
         """
         rows = torch.nonzero((self.n_goals > 0) & (length == 0)).flatten().to(torch.int32)
         with_margin = self._round(rows, 0, path, length)
@@ -85,9 +91,11 @@ class Search:
         self, rows: Int32[Tensor, " r"], detour: Bool[Tensor, " b"], seed: int,
         path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
     ) -> None:  # fmt: skip
-        """One more search of those `rows` that are a `detour`; what it finds counts where it is quicker.
+        """One more search of those `rows` that are a `detour`; what it finds counts where it is
+        quicker.
 
-        Some of these are straight lines themselves: to a goal far away, as the line to a nearer one is blocked.
+        Some of these are straight lines themselves: to a goal far away, as the line to a nearer one
+        is blocked.
         """
         other, n = path.clone(), torch.where(detour, 0, 1).to(torch.int32)
         margin = self._connect(rows, AGAIN_ITERATIONS, seed, SHORTER, other, n, everything=False)
@@ -98,14 +106,21 @@ class Search:
         length.copy_(torch.where(quicker, n, length))
 
     def _round(
-        self, rows: Int32[Tensor, " r"], i: int, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"]
+        self,
+        rows: Int32[Tensor, " r"],
+        i: int,
+        path: Float32[Tensor, "b w 6"],
+        length: Int32[Tensor, " b"],
     ) -> Float32[Tensor, " b"]:
-        """Round i of the configured ones. The last takes all goals, and steps of one length: plain RRT-Connect."""
+        """Round i of the configured ones. The last takes all goals, and steps of one length: plain
+        RRT-Connect."""
         last = i == len(self.config.rounds) - 1
         # other numbers in each round: what begins as the round before would end as it did
         seed = self.config.seed + (0 if last else 10 * i)
         shorter = 1.0 if last else SHORTER
-        return self._connect(rows, self.config.rounds[i], seed, shorter, path, length, everything=last)
+        return self._connect(
+            rows, self.config.rounds[i], seed, shorter, path, length, everything=last
+        )
 
     def _connect(
         self, rows: Int32[Tensor, " r"], iterations: int, seed: int, shorter: float,
@@ -116,13 +131,25 @@ class Search:
         kept, n_kept, margin = goals_for_search(
             self.goals.view(b, BRANCHES, 6), self.n_goals, self.margin, everything=everything
         )
-        # An iteration adds one node to one tree and then as many to the other as it takes to meet or to be blocked;
-        # how many is not bounded, so a tree that is full ends the search (`rrt_connect`)
+        # An iteration adds one node to one tree and then as many to the other as it takes to meet
+        # or to be blocked; how many is not bounded, so a tree that is full ends the search
+        # (`rrt_connect`)
         capacity = 4 * iterations + 16
         if self.run.waves is not None and self.config.edge_check != "moveit":
             problem = Problem(self.home, kept, n_kept, margin, self.key)
             room = _scratch_nodes(device)
-            connect_in_waves(self.run.waves, rows, problem, self.config, iterations, seed, shorter, path, length, room)
+            connect_in_waves(
+                self.run.waves,
+                rows,
+                problem,
+                self.config,
+                iterations,
+                seed,
+                shorter,
+                path,
+                length,
+                room,
+            )
             return margin
         for part in rows.split(max(1, _scratch_nodes(device) // (2 * capacity))):
             nodes = torch.empty((len(part) * 2 * capacity, 7), dtype=torch.float32, device=device)
@@ -153,11 +180,22 @@ class Search:
         self, rows: Int32[Tensor, " r"], seed: int, margin: Float32[Tensor, " b"],
         path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
     ) -> None:  # fmt: skip
-        """Shortcuts on the paths that `rows` have, as long as they save time under the arm's limits; in place."""
+        """Shortcuts on the paths that `rows` have, as long as they save time under the arm's
+        limits; in place."""
         speed, acceleration = limits(self.execute)
         if self.run.waves is not None and self.config.edge_check != "moveit":
             law = Law(ENOUGH, speed, acceleration)
-            shorten_in_waves(self.run.waves, rows, law, self.config.shortcuts, seed, self.key, margin, path, length)
+            shorten_in_waves(
+                self.run.waves,
+                rows,
+                law,
+                self.config.shortcuts,
+                seed,
+                self.key,
+                margin,
+                path,
+                length,
+            )
             return
         self.run(
             shortcut,
@@ -186,9 +224,13 @@ class Search:
 
 
 def straight_time(
-    home: Float32[Tensor, "1 6"], goals: Float32[Tensor, "g 6"], n_goals: Int32[Tensor, " b"], execute: ExecConfig
+    home: Float32[Tensor, "1 6"],
+    goals: Float32[Tensor, "g 6"],
+    n_goals: Int32[Tensor, " b"],
+    execute: ExecConfig,
 ) -> Tensor:
-    """Time of the straight line from home to that free goal which it reaches soonest, s; infinite without one."""
+    """Time of the straight line from home to that free goal which it reaches soonest, s; infinite
+    without one."""
     lines = torch.stack([home.expand_as(goals), goals], 1)
     two = torch.full((len(lines),), 2, dtype=torch.int32, device=home.device)
     time = path_time(lines, two, execute).view(-1, BRANCHES)
@@ -209,13 +251,17 @@ def goals_for_search(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The goals that one search may end at, and the hand clearance that all of it keeps.
 
-    A tree has one margin. First only goals that allow (nearly) the widest one; in the last round all of them.
+    A tree has one margin. First only goals that allow (nearly) the widest one; in the last round
+    all of them.
     """
     slot = torch.arange(BRANCHES, dtype=torch.int64, device=goals.device)[None]
     there = slot < n_goals[:, None]
     widest = torch.where(there, margin, 0.0).amax(1, keepdim=True)
-    # One near goal would lower the margin of the whole tree, and with it that of paths to goals with more room
-    use = there & ((margin >= 0.9 * widest) | torch.tensor(everything, dtype=torch.bool, device=goals.device))
+    # One near goal would lower the margin of the whole tree, and with it that of paths to goals
+    # with more room
+    use = there & (
+        (margin >= 0.9 * widest) | torch.tensor(everything, dtype=torch.bool, device=goals.device)
+    )
     order = torch.where(use, slot, BRANCHES + slot).argsort(dim=1)
     rows = torch.arange(len(goals), dtype=torch.int64, device=goals.device)[:, None]
     kept_margin = torch.where(use, margin, torch.inf).amin(1)

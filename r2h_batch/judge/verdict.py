@@ -1,4 +1,5 @@
-"""From what the stages found to `Scores`: the criteria side by side, the first failure, the reasons and witnesses."""
+"""From what the stages found to `Scores`: the criteria side by side, the first failure, the reasons
+and witnesses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -48,15 +49,19 @@ def verdict(
     *,
     threads: int | None = None,
 ) -> dict[str, Tensor]:
-    """The fields of `Scores` that need neither path nor posture; `criteria` in the order of `CRITERIA`.
+    """The fields of `Scores` that need neither path nor posture; `criteria` in the order of
+    `CRITERIA`.
 
-    `valid`: False where the simulator failed. Such a row is judged by nothing, and comes back as INVALID_SIM.
+    `valid`: False where the simulator failed. Such a row is judged by nothing, and comes back as
+    INVALID_SIM.
     """
     active, grasp = holding.active, holding.grasp
     b, device = len(active), active.device
     # (B,) and (B, 5), columns as CRITERIA
     success, borderline = torch.empty((2, b), dtype=torch.bool, device=device).unbind(0)
-    passed, evaluated = torch.empty((2, b, len(criteria)), dtype=torch.bool, device=device).unbind(0)
+    passed, evaluated = torch.empty((2, b, len(criteria)), dtype=torch.bool, device=device).unbind(
+        0
+    )
     width, opening, shift = torch.empty((3, b), dtype=torch.float32, device=device).unbind(0)
     out = {
         "outcome": torch.empty(b, dtype=torch.int8, device=device),
@@ -97,15 +102,25 @@ def verdict(
     return out
 
 
-_COLUMNS = tuple((f"margin_{k}", f"passed_{k}", f"evaluated_{k}", f"limit_{k}") for k in range(len(CRITERIA)))
+_COLUMNS = tuple(
+    (f"margin_{k}", f"passed_{k}", f"evaluated_{k}", f"limit_{k}") for k in range(len(CRITERIA))
+)
 
 
 def _columns(criteria: Sequence[Criterion]) -> dict[str, Tensor | float]:
-    """What `judge_rows` reads of the criteria: their numbers as they were given, and the rules to read them by."""
+    """What `judge_rows` reads of the criteria: their numbers as they were given, and the rules to
+    read them by."""
     columns: dict[str, Tensor | float] = {}
     for (margin, passed, evaluated, limit), c in zip(_COLUMNS, criteria, strict=True):
-        columns[margin], columns[passed], columns[evaluated], columns[limit] = c.given, c.given_passed, c.asked, c.limit
-    columns["rules"] = sum(c.rule << (int(verdict_kernels.RULE_BITS) * k) for k, c in enumerate(criteria))
+        columns[margin], columns[passed], columns[evaluated], columns[limit] = (
+            c.given,
+            c.given_passed,
+            c.asked,
+            c.limit,
+        )
+    columns["rules"] = sum(
+        c.rule << (int(verdict_kernels.RULE_BITS) * k) for k, c in enumerate(criteria)
+    )
     return columns
 
 
@@ -129,14 +144,18 @@ def motion_scores(
     last = (planned.length - 1).clamp(min=0).long()
     goal = planned.path[torch.arange(len(active), dtype=torch.int64, device=active.device), last]
     if executed.sample_s is None:
-        time_s = time_at(planned.path, planned.length, motion, touch.segment, touch.fraction, config)
+        time_s = time_at(
+            planned.path, planned.length, motion, touch.segment, touch.fraction, config
+        )
     else:
         time_s = executed_time_at(executed, touch.segment, touch.fraction)
     kept, kept_len, failed_state = _kept_motion(executed, keep_motion)
     return Scores(
         trial_id=trial_id,
         **shared,
-        plan_reason=torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(torch.int8),
+        plan_reason=torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(
+            torch.int8
+        ),
         plan_pair=torch.where(active, planned.pair, int(CollidingPair.NONE)).to(torch.int8),
         witness_part=torch.stack([torch.where(found, planned.body, -1), touch.body], 1),
         witness_time_s=torch.where(witnessed, time_s, torch.nan),
@@ -182,7 +201,8 @@ def pose_scores(trial_id: Int64[Tensor, " b"], posed: Posed) -> Scores:
 
 
 def random_key(trial_id: Int64[Tensor, " b"]) -> Int32[Tensor, " b"]:
-    """31 well-mixed bits of each trial id (the finaliser of splitmix64's predecessor, on 32 bits)."""
+    """31 well-mixed bits of each trial id (the finaliser of splitmix64's predecessor, on 32
+    bits)."""
     x = (trial_id ^ (trial_id >> 32)) & 0xFFFFFFFF
     for shift, factor in ((16, 0x45D9F3B), (16, 0x45D9F3B), (16, 1)):
         x = ((x ^ (x >> shift)) * factor) & 0xFFFFFFFF
@@ -190,10 +210,13 @@ def random_key(trial_id: Int64[Tensor, " b"]) -> Int32[Tensor, " b"]:
 
 
 def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
-    """Recorded samples and their number, of all that moved or only of those whose simulation failed; and their state then."""
+    """Recorded samples and their number, of all that moved or only of those whose simulation
+    failed; and their state then."""
     length = executed.recorded if keep else torch.where(executed.valid, 0, executed.recorded)
     state = executed.failed_state
-    if executed.sample_s is None:  # nothing was recorded, and looking at lengths would wait for a GPU
+    if (
+        executed.sample_s is None
+    ):  # nothing was recorded, and looking at lengths would wait for a GPU
         empty = torch.empty((len(length), 0), dtype=torch.float64, device=length.device)
         return executed.path[:, :0].clone(), length, empty
     if state is None or executed.valid.all():

@@ -1,4 +1,5 @@
-"""Launches a kernel over trials: all CPU cores on a CPU, one launch on a GPU; arguments by name (arguments.py)."""
+"""Launches a kernel over trials: all CPU cores on a CPU, one launch on a GPU; arguments by name
+(arguments.py)."""
 
 import errno
 import os
@@ -33,12 +34,15 @@ __all__ = [
 
 CACHE_BYTES, MODULE_BYTES = 64 << 20, 8 << 20
 BLOCK_DIM = 64
-"""Threads of a block on CUDA (a CPU has one). Warp's 256 would leave most of a GPU without a block (bench/gpu.py varies it)."""
+"""Threads of a block on CUDA (a CPU has one). Warp's 256 would leave most of a GPU without a block
+(bench/gpu.py varies it)."""
 UNEVEN_BLOCK_DIM = 32
-"""The same of kernels whose trials differ a hundredfold: a block keeps its registers until its last thread ends."""
+"""The same of kernels whose trials differ a hundredfold: a block keeps its registers until its last
+thread ends."""
 
 CHUNK = 32
-"""Trials a thread takes at a time: small enough that one hard trial does not leave the other core idle."""
+"""Trials a thread takes at a time: small enough that one hard trial does not leave the other core
+idle."""
 
 
 def init_warp() -> None:
@@ -49,12 +53,14 @@ def init_warp() -> None:
 
 
 NO_DRIVER = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver"
-"""What Warp's library writes to the process' stderr on a machine without a GPU: no news to whoever uses a CPU."""
+"""What Warp's library writes to the process' stderr on a machine without a GPU: no news to whoever
+uses a CPU."""
 
 
 @lru_cache(maxsize=1)
 def _start() -> None:
-    """Starts Warp once; of what its library writes to stderr meanwhile, all but NO_DRIVER is passed on."""
+    """Starts Warp once; of what its library writes to stderr meanwhile, all but NO_DRIVER is passed
+    on."""
     if torch.cuda.is_available():
         wp.init()
         return
@@ -78,19 +84,26 @@ def _start() -> None:
 
 @lru_cache(maxsize=1)
 def _room_to_compile(cache: str) -> None:
-    """Refuse an empty kernel cache on a full disk at once: LLVM ends the whole process when it cannot write."""
-    if not os.path.isdir(cache) or any(name.startswith("wp_r2h_batch") for name in os.listdir(cache)):
+    """Refuse an empty kernel cache on a full disk at once: LLVM ends the whole process when it
+    cannot write."""
+    if not os.path.isdir(cache) or any(
+        name.startswith("wp_r2h_batch") for name in os.listdir(cache)
+    ):
         return
     _refuse_below(CACHE_BYTES, cache)
 
 
 @cache
 def _room_for(module: Any) -> None:
-    """The same for one module that is not compiled yet, asked before its first launch: the disk may have filled since."""
+    """The same for one module that is not compiled yet, asked before its first launch: the disk may
+    have filled since."""
     folder = wp.config.kernel_cache_dir or ""
     if not os.path.isdir(folder) or shutil.disk_usage(folder).free >= MODULE_BYTES:
         return
-    known = [module.get_module_identifier(block_dim) for block_dim in (1, BLOCK_DIM, UNEVEN_BLOCK_DIM, None)]
+    known = [
+        module.get_module_identifier(block_dim)
+        for block_dim in (1, BLOCK_DIM, UNEVEN_BLOCK_DIM, None)
+    ]
     if not any(os.path.isdir(os.path.join(folder, name)) for name in known):
         _refuse_below(MODULE_BYTES, folder)
 
@@ -115,13 +128,14 @@ def launch_trials(
     first: int = 0,
     uneven: bool = False,
 ) -> None:
-    """Runs `kernel` for trials first..first+n-1; they are wp.tid() + its parameter `first`; `width` > 1: of a second index.
+    """Runs `kernel` for trials first..first+n-1; they are wp.tid() + its parameter `first`; `width`
+    > 1: of a second index.
 
-    `inputs`, `outputs`: by the kernel's parameter names without `_in`, `_out`; tensors and NumPy arrays as they are. Every
-    name and kind is checked against the kernel before anything runs (`r2h_batch.launch.arguments.bind`).
-    `uneven`: some trials take a hundred times as long as others.
-    Warp runs a CPU kernel as one serial loop but releases the interpreter lock, so threads over chunks use all cores.
-    Chunks only say who computes a trial: results do not depend on them.
+    `inputs`, `outputs`: by the kernel's parameter names without `_in`, `_out`; tensors and NumPy
+    arrays as they are. Every name and kind is checked against the kernel before anything runs
+    (`r2h_batch.launch.arguments.bind`). `uneven`: some trials take a hundred times as long as
+    others. Warp runs a CPU kernel as one serial loop but releases the interpreter lock, so threads
+    over chunks use all cores. Chunks only say who computes a trial: results do not depend on them.
     """
     if device == "cpu":
         _launch_on_cpu(kernel, n, inputs, outputs, threads, chunk, width, first)
@@ -145,7 +159,8 @@ def _launch_on_cpu(
     width: int,
     first: int,
 ) -> None:
-    """`launch_trials` on all cores, with what this thread packed for the kernel before (repeated.py)."""
+    """`launch_trials` on all cores, with what this thread packed for the kernel before
+    (repeated.py)."""
     repeated.refuse_graph(kernel.key)
     recording = recorded.current()
     packed = repeated.taken(kernel) if recording is None else None
@@ -158,7 +173,13 @@ def _launch_on_cpu(
     workers = 1 if n <= chunk else min(cpu_threads(threads), -(-n // chunk))
     if workers > 1:
         packed.prepare(workers)
-        share(lambda worker, start, rows: packed.run(worker, start, rows, width), first, n, workers, chunk)
+        share(
+            lambda worker, start, rows: packed.run(worker, start, rows, width),
+            first,
+            n,
+            workers,
+            chunk,
+        )
     elif n:  # nothing to share
         packed.run(0, first, n, width)
     if recording is None:
@@ -168,21 +189,29 @@ def _launch_on_cpu(
 
 
 def load(kernel: Any, device: str) -> None:
-    """Compiles the kernel's module for the device, or loads it, as `launch_trials` of uneven rows does at its first row."""
+    """Compiles the kernel's module for the device, or loads it, as `launch_trials` of uneven rows
+    does at its first row."""
     init_warp()
     _room_for(kernel.module)
-    wp.load_module(kernel.module, device=device, block_dim=1 if device == "cpu" else UNEVEN_BLOCK_DIM)
+    wp.load_module(
+        kernel.module, device=device, block_dim=1 if device == "cpu" else UNEVEN_BLOCK_DIM
+    )
 
 
-def launch(kernel: Any, dim: int, *, inputs: Mapping[str, Any], outputs: Mapping[str, Any], device: str) -> None:
-    """Runs a kernel that has no parameter `first` once, on Warp's own stream; arguments as in `launch_trials`."""
+def launch(
+    kernel: Any, dim: int, *, inputs: Mapping[str, Any], outputs: Mapping[str, Any], device: str
+) -> None:
+    """Runs a kernel that has no parameter `first` once, on Warp's own stream; arguments as in
+    `launch_trials`."""
     _room_for(kernel.module)
     wp.launch(kernel, dim=dim, inputs=bind(kernel, inputs, outputs, device), device=device)
 
 
 def _stream(device: str) -> wp.Stream:
-    """Torch's stream: what torch wrote before is there, what it reads after has been written, nobody waits on the host.
+    """Torch's stream: what torch wrote before is there, what it reads after has been written,
+    nobody waits on the host.
 
-    Given to the launch itself: ScopedStream would make it wait for Warp's own stream, which no graph can capture.
+    Given to the launch itself: ScopedStream would make it wait for Warp's own stream, which no
+    graph can capture.
     """
     return wp.stream_from_torch(torch.cuda.current_stream(torch.device(device)))

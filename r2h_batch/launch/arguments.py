@@ -1,14 +1,19 @@
-"""Binds a kernel's arguments by name: what a caller gives is checked against what the kernel declares, then packed.
+"""Binds a kernel's arguments by name: what a caller gives is checked against what the kernel
+declares, then packed.
 
-A Warp launch takes a list, and two arrays of one kind that change places run without a word. Here a caller names them:
+A Warp launch takes a list, and two arrays of one kind that change places run without a word. Here a
+caller names them:
 
-    launch_trials(kernel, n, inputs={"world": ..., "q": ...}, outputs={"distance": ...}, device="cpu")
+    launch_trials(kernel, n, inputs={"world": ..., "q": ...}, outputs={"distance": ...},
+    device="cpu")
 
-`q` fills the parameter `q_in`, `distance` the parameter `distance_out`. What a kernel writes ends in `_out`, `_inout` (it is
-read too) or `_scratch` (nobody reads it afterwards) and goes to `outputs`; all else, structs and tables included, to `inputs`.
+`q` fills the parameter `q_in`, `distance` the parameter `distance_out`. What a kernel writes ends
+in `_out`, `_inout` (it is read too) or `_scratch` (nobody reads it afterwards) and goes to
+`outputs`; all else, structs and tables included, to `inputs`.
 
-Tensors and NumPy arrays are passed as they are: the kernel's own declaration says that (b, 4, 4) float32 means `mat44`. The
-descriptor is built here, at about half the time that `wp.from_torch` takes; no gradient goes along.
+Tensors and NumPy arrays are passed as they are: the kernel's own declaration says that (b, 4, 4)
+float32 means `mat44`. The descriptor is built here, at about half the time that `wp.from_torch`
+takes; no gradient goes along.
 """
 
 import ctypes
@@ -82,12 +87,19 @@ class Signature(NamedTuple):
 
 
 def bind(
-    kernel: Any, inputs: Mapping[str, Any], outputs: Mapping[str, Any], device: str, *, trials: int | None = None
+    kernel: Any,
+    inputs: Mapping[str, Any],
+    outputs: Mapping[str, Any],
+    device: str,
+    *,
+    trials: int | None = None,
 ) -> list[Any]:
-    """The arguments in the kernel's order, packed; without its leading `first`, which a kernel over `trials` must have.
+    """The arguments in the kernel's order, packed; without its leading `first`, which a kernel over
+    `trials` must have.
 
-    Raises TypeError for names (missing, unknown, on the wrong side) and kinds (data type, dimensions, contiguity, device,
-    struct), ValueError for an output with fewer rows than trials; each names kernel, argument, what was given and declared.
+    Raises TypeError for names (missing, unknown, on the wrong side) and kinds (data type,
+    dimensions, contiguity, device, struct), ValueError for an output with fewer rows than trials;
+    each names kernel, argument, what was given and declared.
     """
     signature = _signature(kernel, trials is not None)
     if len(inputs) != signature.inputs or len(outputs) != signature.outputs:
@@ -95,16 +107,19 @@ def bind(
     place = wp.get_device(device)
     rows = trials or 0
     try:
-        # both sides have as many names as the kernel: if all of its names are found, there is no other
+        # both sides have as many names as the kernel: if all of its names are found, there is no
+        # other
         return [
-            p.pack(p, (outputs if written else inputs)[name], place, rows) for name, written, p in signature.parameters
+            p.pack(p, (outputs if written else inputs)[name], place, rows)
+            for name, written, p in signature.parameters
         ]
     except KeyError:
         raise _wrong_names(signature, inputs, outputs) from None
 
 
 def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
-    """A `kind` (of wp.struct) whose arrays are these tensors' memory, which it keeps. They lie on one device.
+    """A `kind` (of wp.struct) whose arrays are these tensors' memory, which it keeps. They lie on
+    one device.
 
     Raises TypeError where a tensor is not what the struct declares, KeyError where one is missing.
     """
@@ -126,18 +141,23 @@ def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
 
 
 _last_packed: dict[Any, tuple[Callable[[Sequence[object]], bool], bytes]] = {}
-"""Of each struct what `struct_of` made last, and what knows tensors like those that it was made of."""
+"""Of each struct what `struct_of` made last, and what knows tensors like those that it was made
+of."""
 
 
 @cache
 def _fields(kind: Any) -> tuple[tuple[str, "Parameter"], ...]:
     """The arrays of a struct."""
-    return tuple((name, _parameter(kind.key, name, declared.type)) for name, declared in kind.vars.items())
+    return tuple(
+        (name, _parameter(kind.key, name, declared.type)) for name, declared in kind.vars.items()
+    )
 
 
 def parameters(kernel: Any) -> tuple[Parameter, ...]:
     """What the kernel declares, in its order, without `first`."""
-    return tuple(p for _, _, p in _signature(kernel, kernel.adj.args[0].label == "first").parameters)
+    return tuple(
+        p for _, _, p in _signature(kernel, kernel.adj.args[0].label == "first").parameters
+    )
 
 
 @cache
@@ -150,7 +170,9 @@ def _signature(kernel: Any, over_trials: bool) -> Signature:
         )
     found = [_parameter(kernel.key, a.label, a.type) for a in kernel.adj.args[over_trials:]]
     written = sum(p.written for p in found)
-    return Signature(kernel.key, tuple((p.name, p.written, p) for p in found), len(found) - written, written)
+    return Signature(
+        kernel.key, tuple((p.name, p.written, p) for p in found), len(found) - written, written
+    )
 
 
 def _name(label: str) -> str:
@@ -175,18 +197,25 @@ def _layout(declared: Any) -> Layout:
     number = _NUMPY[scalar]
     item = getattr(declared.dtype, "_shape_", ())
     return Layout(
-        declared.ndim, tuple(item), number, getattr(torch, number.name), number.itemsize * prod(item), _descriptor()
+        declared.ndim,
+        tuple(item),
+        number,
+        getattr(torch, number.name),
+        number.itemsize * prod(item),
+        _descriptor(),
     )
 
 
 @cache
 def _descriptor() -> Any:
-    """The type that `wp.from_torch(..., return_ctype=True)` returns; Warp exports it under no name."""
+    """The type that `wp.from_torch(..., return_ctype=True)` returns; Warp exports it under no
+    name."""
     return type(wp.empty(0, dtype=wp.float32, device="cpu").__ctype__())
 
 
 def _pack_array(p: Parameter, value: Any, place: Any, rows: int) -> Any:
-    """The array, or a descriptor of the tensor's memory (`array_t`, which Warp passes on as it is)."""
+    """The array, or a descriptor of the tensor's memory (`array_t`, which Warp passes on as it
+    is)."""
     layout = p.array
     assert layout is not None
     if isinstance(value, wp.array):
@@ -214,12 +243,15 @@ def _pack_array(p: Parameter, value: Any, place: Any, rows: int) -> Any:
         shape = shape[: layout.ndim]
         packed = layout.descriptor(pointer, 0, layout.ndim, shape, _strides(shape, layout.bytes))
     if p.written and shape[0] < rows:
-        raise ValueError(f"kernel {p.kernel}: {_which(p)} has {shape[0]} rows; {rows} trials write {rows} or more")
+        raise ValueError(
+            f"kernel {p.kernel}: {_which(p)} has {shape[0]} rows; {rows} trials write {rows} or more"
+        )
     return packed
 
 
 def _strides(shape: tuple[int, ...], step: int) -> tuple[int, ...]:
-    """Of contiguous memory, bytes. Torch may give other ones to empty tensors and to dimensions of 1."""
+    """Of contiguous memory, bytes. Torch may give other ones to empty tensors and to dimensions of
+    1."""
     if len(shape) == 1:
         return (step,)
     strides = [step]
@@ -254,7 +286,9 @@ def _pack_float(p: Parameter, value: Any, place: Any, rows: int) -> Any:
 
 
 def _wrong_kind(p: Parameter, value: Any, place: Any) -> TypeError:
-    return TypeError(f"kernel {p.kernel}: {_which(p)} is {_given(value)}; the kernel declares {_declared(p, place)}")
+    return TypeError(
+        f"kernel {p.kernel}: {_which(p)} is {_given(value)}; the kernel declares {_declared(p, place)}"
+    )
 
 
 def _which(p: Parameter) -> str:
@@ -290,8 +324,13 @@ def _type_name(kind: Any) -> str:
     return str(getattr(kind, "key", None) or getattr(kind, "__name__", kind)).rsplit(".", 1)[-1]
 
 
-def _wrong_names(signature: Signature, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> TypeError:
-    wanted = {side: [n for n, written, _ in signature.parameters if written is side] for side in (False, True)}
+def _wrong_names(
+    signature: Signature, inputs: Mapping[str, Any], outputs: Mapping[str, Any]
+) -> TypeError:
+    wanted = {
+        side: [n for n, written, _ in signature.parameters if written is side]
+        for side in (False, True)
+    }
     faults: list[str] = []
     for side, given in ((False, inputs), (True, outputs)):
         word, other = ("output", "input") if side else ("input", "output")
@@ -302,10 +341,14 @@ def _wrong_names(signature: Signature, inputs: Mapping[str, Any], outputs: Mappi
             if name in wanted[not side]:
                 faults.append(f"`{name}` is given as {word}, the kernel declares it as {other}")
             else:
-                faults.append(f"{word} `{name}` is unknown{_nearest(name, missing or wanted[side])}")
+                faults.append(
+                    f"{word} `{name}` is unknown{_nearest(name, missing or wanted[side])}"
+                )
         if missing:
             faults.append(f"{word} {', '.join(f'`{n}`' for n in missing)} missing")
-    declared = f"inputs {', '.join(wanted[False]) or 'none'}; outputs {', '.join(wanted[True]) or 'none'}"
+    declared = (
+        f"inputs {', '.join(wanted[False]) or 'none'}; outputs {', '.join(wanted[True]) or 'none'}"
+    )
     return TypeError(f"kernel {signature.kernel}: {'; '.join(faults)}. It declares {declared}")
 
 

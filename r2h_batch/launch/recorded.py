@@ -1,8 +1,10 @@
-"""Launches over the rows of a batch, kept with the memory they had: the next call of that size runs them again.
+"""Launches over the rows of a batch, kept with the memory they had: the next call of that size runs
+them again.
 
-What a small call costs beside its kernels is the way from one to the next: memory asked for, tensors wrapped, arguments
-bound, by code that the kernels have driven out of the caches meanwhile. None of that depends on what the rows hold. So it is
-done once; a recorded call writes into the launches where its inputs lie now, and walks through them.
+What a small call costs beside its kernels is the way from one to the next: memory asked for,
+tensors wrapped, arguments bound, by code that the kernels have driven out of the caches meanwhile.
+None of that depends on what the rows hold. So it is done once; a recorded call writes into the
+launches where its inputs lie now, and walks through them.
 """
 
 import threading
@@ -18,17 +20,20 @@ from r2h_batch.launch.repeated import Repeated, refuse_graph
 from r2h_batch.launch.workers import cpu_threads, share
 
 CHUNK, TURNS = 16, 16
-"""A thread takes so many rows at a time through all kernels at least, and in a large batch comes so many times for more."""
+"""A thread takes so many rows at a time through all kernels at least, and in a large batch comes so
+many times for more."""
 
 R = TypeVar("R")
 
 
 class Recorded(Generic[R]):
-    """`recorded(*tensors)` is `function(*tensors)`, whose result lies in memory that the next call writes again.
+    """`recorded(*tensors)` is `function(*tensors)`, whose result lies in memory that the next call
+    writes again.
 
-    `function` may launch kernels over all `rows`, and ask for memory that they fill or that nobody writes: what else torch
-    did in it would not be done again. A row may depend on its own inputs alone: the threads share the rows once, and each
-    takes its own through all kernels. One call at a time.
+    `function` may launch kernels over all `rows`, and ask for memory that they fill or that nobody
+    writes: what else torch did in it would not be done again. A row may depend on its own inputs
+    alone: the threads share the rows once, and each takes its own through all kernels. One call at
+    a time.
     """
 
     def __init__(self, function: Callable[..., R], tensors: Sequence[Tensor], rows: int) -> None:
@@ -46,10 +51,22 @@ class Recorded(Generic[R]):
                 _of_thread.recording = before
         self._kept.append(inputs)
         which = {x.data_ptr(): i for i, x in enumerate(inputs)}
-        arrays = [(k, p.label) for k, _ in self._launches for p in parameters(k.kernel) if p.array is not None]
-        found = [(packed, label, which.get(getattr(packed.arguments, label).data)) for packed, label in arrays]
-        self._inputs = [(packed, label, i) for packed, label, i in found if i is not None]  # who reads which
-        self._read: list[list[tuple[Any, int]]] = []  # the same of each worker: descriptors among its arguments
+        arrays = [
+            (k, p.label)
+            for k, _ in self._launches
+            for p in parameters(k.kernel)
+            if p.array is not None
+        ]
+        found = [
+            (packed, label, which.get(getattr(packed.arguments, label).data))
+            for packed, label in arrays
+        ]
+        self._inputs = [
+            (packed, label, i) for packed, label, i in found if i is not None
+        ]  # who reads which
+        self._read: list[
+            list[tuple[Any, int]]
+        ] = []  # the same of each worker: descriptors among its arguments
 
     def add(self, packed: Repeated, first: int, n: int, width: int, kept: Any) -> None:
         """Takes what has just run; ValueError where that was not over all rows."""
@@ -62,7 +79,8 @@ class Recorded(Generic[R]):
         self._kept.append(kept)
 
     def __call__(self, *tensors: Tensor, threads: int | None = None) -> R:
-        """What `function` returned, the same object each time, with the numbers of these tensors."""
+        """What `function` returned, the same object each time, with the numbers of these
+        tensors."""
         refuse_graph("a recorded call")
         workers = 1 if self.rows <= CHUNK else min(cpu_threads(threads), -(-self.rows // CHUNK))
         while len(self._read) < workers:
@@ -96,7 +114,8 @@ def current() -> "Recorded[Any] | None":
 
 @contextmanager
 def unrecorded() -> Iterator[None]:
-    """Launches inside are their own: a signal's handler or a finaliser may score while its thread records another call."""
+    """Launches inside are their own: a signal's handler or a finaliser may score while its thread
+    records another call."""
     before = current()
     if before is None:
         yield

@@ -1,8 +1,10 @@
-"""Launches that are repeated on a CPU: a thread keeps what it packed for a kernel, and fills in the next call's memory.
+"""Launches that are repeated on a CPU: a thread keeps what it packed for a kernel, and fills in the
+next call's memory.
 
-Packing a kernel's arguments anew costs more than a small batch's arithmetic: some 30 microseconds a launch. The second
-call of a kernel mostly differs in addresses, and in how many rows there are; these are written into the descriptors that
-are there. Whatever else differs (dimensions, kinds, names, a struct) is packed, and refused, as the first time.
+Packing a kernel's arguments anew costs more than a small batch's arithmetic: some 30 microseconds a
+launch. The second call of a kernel mostly differs in addresses, and in how many rows there are;
+these are written into the descriptors that are there. Whatever else differs (dimensions, kinds,
+names, a struct) is packed, and refused, as the first time.
 """
 
 import copy
@@ -22,7 +24,8 @@ from r2h_batch.launch.alike import alike
 from r2h_batch.launch.arguments import Parameter, parameters
 
 MOST_KERNELS = 256
-"""A thread that has launched more kernels (tests make their own) forgets those that it did not use last."""
+"""A thread that has launched more kernels (tests make their own) forgets those that it did not use
+last."""
 
 
 MOST_SIZES = 64
@@ -30,19 +33,30 @@ MOST_SIZES = 64
 
 
 class Repeated:
-    """One kernel's launch, as one thread repeats it: all arguments in one structure, and a copy of it for each other worker.
+    """One kernel's launch, as one thread repeats it: all arguments in one structure, and a copy of
+    it for each other worker.
 
-    The compiled function takes two pointers, to the launch's bounds and to its arguments side by side. `wp.Launch` puts them
-    side by side anew at each launch; here they stay, and an array's descriptor among them is written where it stands.
+    The compiled function takes two pointers, to the launch's bounds and to its arguments side by
+    side. `wp.Launch` puts them side by side anew at each launch; here they stay, and an array's
+    descriptor among them is written where it stands.
     """
 
     def __init__(
-        self, kernel: Any, packed: Sequence[Any], inputs: Mapping[str, Any], outputs: Mapping[str, Any]
+        self,
+        kernel: Any,
+        packed: Sequence[Any],
+        inputs: Mapping[str, Any],
+        outputs: Mapping[str, Any],
     ) -> None:
-        """`packed`: all arguments in the kernel's order, as `bind` packs them, `first` before them."""
+        """`packed`: all arguments in the kernel's order, as `bind` packs them, `first` before
+        them."""
         self.kernel = kernel
-        self.packed: wp.Launch = wp.launch(kernel, dim=1, inputs=list(packed), device="cpu", record_cmd=True)
-        self.packed.fwd_args = None  # the tables of a scene that is gone are not kept for a launch that may never come
+        self.packed: wp.Launch = wp.launch(
+            kernel, dim=1, inputs=list(packed), device="cpu", record_cmd=True
+        )
+        self.packed.fwd_args = (
+            None  # the tables of a scene that is gone are not kept for a launch that may never come
+        )
         self.forward = self.packed.hooks.forward
         labels = [a.label for a in kernel.adj.args]
         packed = self.packed.params[1:]
@@ -73,11 +87,14 @@ class Repeated:
         """These are what the descriptors stand for, but for their addresses."""
         self.shapes = [x.shape for x in values]
         self.alike = alike(values)
-        written = [x.shape[0] for x, (written, _, _) in zip(values, self.tensors, strict=True) if written]
+        written = [
+            x.shape[0] for x, (written, _, _) in zip(values, self.tensors, strict=True) if written
+        ]
         self.rows = min(written, default=sys.maxsize)
 
     def refill(self, inputs: Mapping[str, Any], outputs: Mapping[str, Any], rows: int) -> bool:
-        """Whether the launch now stands for these arguments; if not, they have to be packed anew (or refused)."""
+        """Whether the launch now stands for these arguments; if not, they have to be packed anew
+        (or refused)."""
         if (len(inputs), len(outputs)) != self.sizes:
             return False
         try:
@@ -107,15 +124,26 @@ class Repeated:
             if known() is value:
                 continue
             packed = p.pack(p, value, cpu(), rows)
-            setattr(self.arguments, p.label, packed.__ctype__() if isinstance(packed, wp.array) else packed)
+            setattr(
+                self.arguments,
+                p.label,
+                packed.__ctype__() if isinstance(packed, wp.array) else packed,
+            )
             slot[3] = _known(p, value)
         return True
 
     def _reshape(self, values: Sequence[Any]) -> bool:
         """Whether these differ in their numbers of rows alone; the descriptors have them then."""
-        for (_, dtype, descriptor), known, value in zip(self.tensors, self.shapes, values, strict=True):
+        for (_, dtype, descriptor), known, value in zip(
+            self.tensors, self.shapes, values, strict=True
+        ):
             # a kind of tensor of its own may say anything of itself: it is looked at with care
-            if type(value) is not Tensor or value.dtype is not dtype or not value.is_cpu or not value.is_contiguous():
+            if (
+                type(value) is not Tensor
+                or value.dtype is not dtype
+                or not value.is_cpu
+                or not value.is_contiguous()
+            ):
                 return False
             if value.shape[1:] != known[1:] or len(value.shape) != len(known):
                 return False
@@ -128,16 +156,21 @@ class Repeated:
         while len(self.copies) < workers:
             self.copies.append(type(self.arguments)())
         for copied in self.copies[1:workers]:
-            ctypes.memmove(ctypes.addressof(copied), ctypes.addressof(self.arguments), ctypes.sizeof(copied))
+            ctypes.memmove(
+                ctypes.addressof(copied), ctypes.addressof(self.arguments), ctypes.sizeof(copied)
+            )
 
     def run(self, worker: int, first: int, rows: int, width: int) -> None:
         """Runs trials first..first+rows-1 on the calling thread, which is `worker` for as long."""
         arguments = self.copies[worker]
         arguments.first = first
-        self.forward(self.bounds.get((rows, width)) or self._bounds(rows, width), ctypes.byref(arguments))
+        self.forward(
+            self.bounds.get((rows, width)) or self._bounds(rows, width), ctypes.byref(arguments)
+        )
 
     def _bounds(self, rows: int, width: int) -> Any:
-        """A pointer to the bounds of so many trials, which a launch only reads; several workers may ask at once."""
+        """A pointer to the bounds of so many trials, which a launch only reads; several workers may
+        ask at once."""
         if len(self.bounds) >= MOST_SIZES:
             self.bounds.clear()
         made = copy.copy(self.packed)
@@ -149,8 +182,11 @@ class Repeated:
 
 @cache
 def _structure(labels: tuple[str, ...], kinds: tuple[type, ...]) -> type[ctypes.Structure]:
-    """Arguments side by side, as the compiled function of a kernel with these parameters takes them."""
-    return type("Arguments", (ctypes.Structure,), {"_fields_": list(zip(labels, kinds, strict=True))})
+    """Arguments side by side, as the compiled function of a kernel with these parameters takes
+    them."""
+    return type(
+        "Arguments", (ctypes.Structure,), {"_fields_": list(zip(labels, kinds, strict=True))}
+    )
 
 
 def _values(names: Sequence[str]) -> Callable[[Mapping[str, Any]], tuple[Any, ...]]:
@@ -161,11 +197,15 @@ def _values(names: Sequence[str]) -> Callable[[Mapping[str, Any]], tuple[Any, ..
 
 
 def _known(p: Parameter, value: Any) -> Callable[[], Any]:
-    """What was packed, to be known again by identity; what owns memory is not kept alive for that."""
+    """What was packed, to be known again by identity; what owns memory is not kept alive for
+    that."""
     if isinstance(value, wp.array) or _is_struct(p):
-        return weakref.ref(value)  # its descriptor is the one that was packed, and its memory does not move
+        return weakref.ref(
+            value
+        )  # its descriptor is the one that was packed, and its memory does not move
     if p.array is not None:
-        return _nothing  # an array of NumPy, a tensor of a class of its own: what it says now may not hold later
+        # an array of NumPy, a tensor of a class of its own: what it says now may not hold later
+        return _nothing
     return lambda: value
 
 
@@ -196,7 +236,8 @@ _of_thread = threading.local()
 
 
 def taken(kernel: Any) -> Repeated | None:
-    """What this thread has packed for a kernel, if anything; its own until `kept`, so that an interrupt loses it only."""
+    """What this thread has packed for a kernel, if anything; its own until `kept`, so that an
+    interrupt loses it only."""
     found: Repeated | None = _kernels().pop(kernel, None)
     return found
 

@@ -24,9 +24,11 @@ def thread_pool(threads: int) -> ThreadPoolExecutor:
 
 
 def _after_fork() -> None:
-    """A child has the pools without their threads, and waits for ever for what it hands them: it starts its own.
+    """A child has the pools without their threads, and waits for ever for what it hands them: it
+    starts its own.
 
-    Torch's (OpenMP) threads stay behind too, and the first larger operation waits for them: a child works on one.
+    Torch's (OpenMP) threads stay behind too, and the first larger operation waits for them: a child
+    works on one.
     """
     thread_pool.cache_clear()
     torch = sys.modules.get("torch")
@@ -38,11 +40,15 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
     os.register_at_fork(after_in_child=_after_fork)
 
 
-def share(run: Callable[[int, int, int], None], first: int, n: int, workers: int, chunk: int) -> None:
-    """`run(worker, start, rows)` of trials first..first+n-1 by chunks: whoever of the workers is free takes the next one.
+def share(
+    run: Callable[[int, int, int], None], first: int, n: int, workers: int, chunk: int
+) -> None:
+    """`run(worker, start, rows)` of trials first..first+n-1 by chunks: whoever of the workers is
+    free takes the next one.
 
-    The calling thread is worker 0. Compiled kernels let go of the interpreter's lock: they run at once. However this ends,
-    an interrupt of the calling thread included, nobody is at work any more: the caller may free the memory.
+    The calling thread is worker 0. Compiled kernels let go of the interpreter's lock: they run at
+    once. However this ends, an interrupt of the calling thread included, nobody is at work any
+    more: the caller may free the memory.
     """
     starts = iter(range(first, first + n, chunk))  # next() is atomic
     busy: set[int] = set()
@@ -63,7 +69,9 @@ def share(run: Callable[[int, int, int], None], first: int, n: int, workers: int
         for worker in range(1, workers):
             try:
                 futures.append(thread_pool(workers).submit(help_out, worker))
-            except RuntimeError:  # the interpreter is going down, or has no thread left to give: this one does it all
+            except (
+                RuntimeError
+            ):  # the interpreter is going down, or has no thread left to give: this one does it all
                 break
         work(0)
         for future in futures:
@@ -73,7 +81,8 @@ def share(run: Callable[[int, int, int], None], first: int, n: int, workers: int
 
 
 def _call_back(starts: Iterator[int], busy: set[int]) -> None:
-    """Returns when no chunk is left and nobody works at one; an interrupt meanwhile is raised after that."""
+    """Returns when no chunk is left and nobody works at one; an interrupt meanwhile is raised after
+    that."""
     interrupt = None
     while True:
         try:

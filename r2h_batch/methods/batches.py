@@ -1,4 +1,5 @@
-"""A method's answers for any number of trials: a part at a time, on the scene's device, with the time they took."""
+"""A method's answers for any number of trials: a part at a time, on the scene's device, with the
+time they took."""
 
 import time
 from collections.abc import Callable
@@ -13,7 +14,8 @@ from r2h_batch.types import Predictions, Trials
 __all__ = ["answers"]
 
 PART = 512
-"""Trials held in memory at once: a posed hand is 20 kB, the orientations of a trial as much again."""
+"""Trials held in memory at once: a posed hand is 20 kB, the orientations of a trial as much
+again."""
 
 
 def answers(
@@ -24,7 +26,8 @@ def answers(
     *,
     part: int = PART,
 ) -> Predictions:
-    """`choose(some trials, their rows) -> T_obj_ee, T_world_ee` (n, 4, 4) for all; t_method_s: wall time over their number."""
+    """`choose(some trials, their rows) -> T_obj_ee, T_world_ee` (n, 4, 4) for all; t_method_s: wall
+    time over their number."""
     start = time.perf_counter()
     home, there = trials.trial_id.device, trials.to(scene.device)
     grasps = [torch.empty((0, 4, 4), dtype=torch.float32, device=scene.device)]

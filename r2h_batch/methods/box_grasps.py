@@ -1,4 +1,5 @@
-"""Handover-VA's own grasps: top-down on the functional part, a gripper of three boxes, points inside are collisions."""
+"""Handover-VA's own grasps: top-down on the functional part, a gripper of three boxes, points
+inside are collisions."""
 
 import math
 from collections.abc import Sequence
@@ -32,7 +33,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BoxGrasps:
-    """Own grasps of B trials, S seeds each: pose, score (m, summed finger room; -1 where not feasible)."""
+    """Own grasps of B trials, S seeds each: pose, score (m, summed finger room; -1 where not
+    feasible)."""
 
     T_obj_ee: Float32[Tensor, "b s 4 4"]
     score: Float32[Tensor, "b s"]
@@ -42,12 +44,17 @@ class BoxGrasps:
 
 @lru_cache(maxsize=1)
 def three_boxes() -> tuple[Array, Array, Array, Array]:
-    """Low and high corner (3,) of the finger at +y and of the rest, m, frame ee, gripper open at 85 mm.
+    """Low and high corner (3,) of the finger at +y and of the rest, m, frame ee, gripper open at 85
+    mm.
 
-    The finger's inner face is the pad's; where its root would reach into the rest, the rest ends it.
+    The finger's inner face is the pad's; where its root would reach into the rest, the rest ends
+    it.
     """
     robot = load_robot()
-    R, p = (x[0].double().numpy() for x in gripper_poses(torch.tensor([OPEN_GAP_M], dtype=torch.float32, device="cpu")))
+    R, p = (
+        x[0].double().numpy()
+        for x in gripper_poses(torch.tensor([OPEN_GAP_M], dtype=torch.float32, device="cpu"))
+    )
     half = np.where(
         (robot.gripper.kind == Kind.BOX)[:, None], robot.gripper.size,
         np.stack([robot.gripper.size[:, 0], robot.gripper.size[:, 0], robot.gripper.size[:, 1]], 1),
@@ -77,7 +84,8 @@ def box_grasps(
     crop_m: float,
     threads: int | None = None,
 ) -> BoxGrasps:
-    """Grasps seeded at the voxel means of the points whose role is not GRASP; every point of the cloud is an obstacle.
+    """Grasps seeded at the voxel means of the points whose role is not GRASP; every point of the
+    cloud is an obstacle.
 
     `azimuth_step` in rad; azimuths cover half a turn, the gripper being symmetric.
     """
@@ -184,7 +192,8 @@ class _Clouds:
 
 @lru_cache(maxsize=4)
 def _clouds(scene: Scene, voxel_m: float) -> _Clouds:
-    """The objects' clouds and which points share a voxel of a grid from half a voxel below the cloud's lowest corner."""
+    """The objects' clouds and which points share a voxel of a grid from half a voxel below the
+    cloud's lowest corner."""
     orders, starts = [], []
     for model in scene.objects:
         cells = _cells(model, voxel_m)

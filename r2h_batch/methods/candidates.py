@@ -1,4 +1,5 @@
-"""The 100 grasp candidates that a method may choose from: stored for the built-in objects, sampled for a user's."""
+"""The 100 grasp candidates that a method may choose from: stored for the built-in objects, sampled
+for a user's."""
 
 import hashlib
 import warnings
@@ -34,13 +35,17 @@ __all__ = [
 ]
 
 Kind = Literal["filtered", "as-generated"]
-"""As `EvalConfig.candidates` says it: what this evaluator's own gripper can hold, or whatever is proposed."""
+"""As `EvalConfig.candidates` says it: what this evaluator's own gripper can hold, or whatever is
+proposed."""
 
 STORED: dict[Kind, str] = {"filtered": "grasps.npz", "as-generated": "grasps_as_generated.npz"}
 
-CODE = ("r2h_batch.methods", "r2h_batch.methods.grasps", "r2h_batch.judge", "r2h_batch.scene") + tuple(
-    f"r2h_batch.kernels.{k}" for k in ("methods", "grasp", "robot", "geometry")
-)
+CODE = (
+    "r2h_batch.methods",
+    "r2h_batch.methods.grasps",
+    "r2h_batch.judge",
+    "r2h_batch.scene",
+) + tuple(f"r2h_batch.kernels.{k}" for k in ("methods", "grasp", "robot", "geometry"))
 VERSIONS = ("numpy", "scipy", "torch", "warp-lang")
 """What candidates are made by."""
 
@@ -65,17 +70,23 @@ def candidates_in(scene: Scene) -> tuple[Candidates, ...]:
 
 
 @lru_cache(maxsize=8)
-def candidates_of(objects: tuple[ObjectModel, ...], kind: Kind = "filtered") -> tuple[Candidates, ...]:
-    """Candidates of each object, in the objects' order; those that are not stored are sampled once (seconds each) and kept
-    on disk. An object that the gripper cannot hold has none, with a warning.
+def candidates_of(
+    objects: tuple[ObjectModel, ...], kind: Kind = "filtered"
+) -> tuple[Candidates, ...]:
+    """Candidates of each object, in the objects' order; those that are not stored are sampled once
+    (seconds each) and kept on disk. An object that the gripper cannot hold has none, with a
+    warning.
 
     `region_m` is not stored: NaN for the built-in objects.
     """
     return tuple(_candidates(o, kind) for o in objects)
 
 
-def stacked(candidates: Sequence[Candidates]) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
-    """T_obj_ee of all candidates (K, 4, 4), and of each object the first row and the number of rows."""
+def stacked(
+    candidates: Sequence[Candidates],
+) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+    """T_obj_ee of all candidates (K, 4, 4), and of each object the first row and the number of
+    rows."""
     count = np.array([len(c) for c in candidates], np.int64)
     return np.concatenate([c.T_obj_ee for c in candidates]), np.cumsum(count) - count, count
 
@@ -96,7 +107,8 @@ def check_candidates(scene: Scene, object_index: torch.Tensor) -> None:
 
 @dataclass(frozen=True, eq=False)
 class CandidateTable:
-    """All candidates of a scene's O objects, M rows on its device; those of object o are first[o] .. first[o] + count[o]."""
+    """All candidates of a scene's O objects, M rows on its device; those of object o are first[o]
+    .. first[o] + count[o]."""
 
     T_obj_ee: Float32[Tensor, "m 4 4"]
     opening_m: Float32[Tensor, " m"]
@@ -117,8 +129,11 @@ class CandidateTable:
         """K, the largest number of candidates that an object has."""
         return int(self.count.max())
 
-    def rows(self, object_index: Int32[Tensor, " b"]) -> tuple[Int64[Tensor, "b k"], Bool[Tensor, "b k"]]:
-        """Rows of the K candidates of each trial's object, and which of them exist (the others repeat the first).
+    def rows(
+        self, object_index: Int32[Tensor, " b"]
+    ) -> tuple[Int64[Tensor, "b k"], Bool[Tensor, "b k"]]:
+        """Rows of the K candidates of each trial's object, and which of them exist (the others
+        repeat the first).
 
         Raises `NoGraspError` where an object has none.
         """
@@ -132,13 +147,19 @@ class CandidateTable:
 
 @lru_cache(maxsize=4)
 def candidate_table(scene: Scene) -> CandidateTable:
-    """The candidates of a scene's objects with the opening that each closes to; made once per scene."""
+    """The candidates of a scene's objects with the opening that each closes to; made once per
+    scene."""
     every = candidates_in(scene)
     T, first, count = stacked(every)
     index = np.repeat(np.arange(len(count)), count).astype(np.int32)
     if not len(T):
-        raise NoGraspError("no object of the scene has a grasp candidate: the gripper can hold none of them")
-    T_obj_ee, object_index = torch.from_numpy(T).to(scene.device), torch.from_numpy(index).to(scene.device)
+        raise NoGraspError(
+            "no object of the scene has a grasp candidate: the gripper can hold none of them"
+        )
+    T_obj_ee, object_index = (
+        torch.from_numpy(T).to(scene.device),
+        torch.from_numpy(index).to(scene.device),
+    )
     held = close_gripper(scene.grasp_tables, T_obj_ee, object_index, w_max=OPEN_GAP_M)
     values = (np.concatenate([getattr(c, name) for c in every]) for name in ("width", "score"))
     width, score = (torch.from_numpy(v).to(scene.device) for v in values)
@@ -158,12 +179,16 @@ def _candidates(model: ObjectModel, kind: Kind) -> Candidates:
 
     def make() -> dict[str, NDArray[Any]]:
         try:
-            return _arrays(sample_grasps(model, enough=ENOUGH) if filtered else generate_grasps(model))
+            return _arrays(
+                sample_grasps(model, enough=ENOUGH) if filtered else generate_grasps(model)
+            )
         except NoGraspError:
             return {k: v[:0] for k, v in _arrays(_candidates(load_objects()[0], kind)).items()}
 
     key = hashlib.sha256(f"{object_digest(model)} {code_of(CODE, VERSIONS)}".encode()).hexdigest()
-    found = Candidates(**kept("candidates" if filtered else "candidates-as-generated", key, make, FORM))
+    found = Candidates(
+        **kept("candidates" if filtered else "candidates-as-generated", key, make, FORM)
+    )
     if not len(found):
         warnings.warn(f"{model.name}: {NOTHING_FITS}", stacklevel=2)
     return found

@@ -1,8 +1,10 @@
-"""Contact-Handover (Wang et al. 2024): the grasp that leaves the predicted human contact free; docs/baselines.md.
+"""Contact-Handover (Wang et al. 2024): the grasp that leaves the predicted human contact free;
+docs/baselines.md.
 
-Grasp: DBSCAN over an object's candidates drops outliers; of the others whose gripper is clear of the hand on the object,
-the one that blocks least of the contact map (probabilities of 0.4 and more). Pose: 15 cm above the estimated palm, in
-the orientation of least collision cost with the estimated hand; whether the arm reaches it is not asked (`gate`).
+Grasp: DBSCAN over an object's candidates drops outliers; of the others whose gripper is clear of
+the hand on the object, the one that blocks least of the contact map (probabilities of 0.4 and
+more). Pose: 15 cm above the estimated palm, in the orientation of least collision cost with the
+estimated hand; whether the arm reaches it is not asked (`gate`).
 """
 
 from functools import lru_cache
@@ -19,7 +21,13 @@ from r2h_batch.kernels.methods import blocked as blocked_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
-from r2h_batch.methods.least_cost_pose import DIRECTIONS, HAND_POINTS, ROLLS, ZONE_M, least_cost_pose
+from r2h_batch.methods.least_cost_pose import (
+    DIRECTIONS,
+    HAND_POINTS,
+    ROLLS,
+    ZONE_M,
+    least_cost_pose,
+)
 from r2h_batch.methods.palm_pose import least
 from r2h_batch.methods.placing import Anchor, candidates_clear_of, check_choice, taken
 from r2h_batch.predictors import (
@@ -47,20 +55,25 @@ HEIGHT_M = 0.15
 """The gripper's TCP above the estimated palm centre (published)."""
 
 BLOCKED_M = 0.02
-"""A contact point this near to the gripper is blocked: a fingertip is 14-20 mm thick and cannot get between."""
+"""A contact point this near to the gripper is blocked: a fingertip is 14-20 mm thick and cannot get
+between."""
 
 EPS_M = 0.022
-"""DBSCAN: grasp points nearer than the pads' width of 22 mm are neighbours: pads there overlap, it is one place."""
+"""DBSCAN: grasp points nearer than the pads' width of 22 mm are neighbours: pads there overlap, it
+is one place."""
 
 MIN_SAMPLES = 3
-"""DBSCAN: a grasp with fewer neighbours (itself counted) may be an outlier: two alike can be chance, three are a place."""
+"""DBSCAN: a grasp with fewer neighbours (itself counted) may be an outlier: two alike can be
+chance, three are a place."""
 
 CLEARANCE_M = 0.0
-"""What gripper and hand on the object must keep: the paper filters collisions, it asks for no room."""
+"""What gripper and hand on the object must keep: the paper filters collisions, it asks for no
+room."""
 
 
 Contacts = Literal["left-out", "all"]
-"""Which weights answer for a built-in object: those that never saw it, or those trained on all objects."""
+"""Which weights answer for a built-in object: those that never saw it, or those trained on all
+objects."""
 
 
 def predict(
@@ -88,9 +101,10 @@ def predict(
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
-    `predictor`: what gives the contact map (`r2h_batch.predictors.load_predictor`); None: the built-in VoxNet, of built-in
-    objects with the weights that never saw the object (`contacts="all"`: trained on all of them). `gate="ik"`: only
-    orientations that the arm reaches. `at`: what stands `height_m` above the palm.
+    `predictor`: what gives the contact map (`r2h_batch.predictors.load_predictor`); None: the
+    built-in VoxNet, of built-in objects with the weights that never saw the object
+    (`contacts="all"`: trained on all of them). `gate="ik"`: only orientations that the arm reaches.
+    `at`: what stands `height_m` above the palm.
     """
     check_choice("contacts", contacts, Contacts)
     threads = evaluator.threads if evaluator else None
@@ -101,9 +115,13 @@ def predict(
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
         taking = predict_receiving(part, scene, seed=seed, noise=noise, seen=seen)
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
-        contact = predict_contacts(part, scene, predictor=predictor, seen=seen, left_out=contacts == "left-out")
+        contact = predict_contacts(
+            part, scene, predictor=predictor, seen=seen, left_out=contacts == "left-out"
+        )
         rows, exists = table.rows(part.object_index)
-        clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)
+        clear = candidates_clear_of(
+            scene, table, part.object_index, taking.vertices, clearance_m, threads=threads
+        )
         blocked = blocked_contact(
             near, contact, table.first[part.object_index.long()], table.count[part.object_index.long()], table.most,
             threshold=threshold, threads=threads,
@@ -125,7 +143,8 @@ def least_blocked(
     clustered: Bool[Tensor, "b k"],
     exists: Bool[Tensor, "b k"],
 ) -> Tensor:
-    """Index of the least blocked contact among the clear, clustered candidates; of equals the best antipodal score.
+    """Index of the least blocked contact among the clear, clustered candidates; of equals the best
+    antipodal score.
 
     Where none is both: among the clear ones, where none is clear: among all.
     """
@@ -137,7 +156,8 @@ def least_blocked(
 
 @lru_cache(maxsize=8)
 def in_clusters(scene: Scene, eps_m: float, min_samples: int) -> Bool[Tensor, " m"]:
-    """For every row of the candidate table: whether DBSCAN over its object's grasp points puts it in a cluster."""
+    """For every row of the candidate table: whether DBSCAN over its object's grasp points puts it
+    in a cluster."""
     table = candidate_table(scene)
     kept = np.zeros(len(table.T_obj_ee), bool)
     points = table.T_obj_ee[:, :3, 3].cpu().numpy().astype(np.float64)
@@ -151,10 +171,13 @@ def in_clusters(scene: Scene, eps_m: float, min_samples: int) -> Bool[Tensor, " 
 
 @lru_cache(maxsize=8)
 def points_near_gripper(scene: Scene, radius_m: float) -> UInt8[Tensor, "m p"]:
-    """Which points of its object's cloud each candidate's closed gripper is nearer to than `radius_m`."""
+    """Which points of its object's cloud each candidate's closed gripper is nearer to than
+    `radius_m`."""
     table = candidate_table(scene)
     points = torch.from_numpy(np.stack([o.points for o in scene.objects])).to(scene.device)
-    near = torch.zeros((len(table.T_obj_ee), points.shape[1]), dtype=torch.uint8, device=scene.device)
+    near = torch.zeros(
+        (len(table.T_obj_ee), points.shape[1]), dtype=torch.uint8, device=scene.device
+    )
     launch_trials(
         blocked_kernels.points_near_gripper,
         len(near),
@@ -184,7 +207,8 @@ def blocked_contact(
     threshold: float,
     threads: int | None = None,
 ) -> Float32[Tensor, "b k"]:
-    """Sum of the contact probabilities (those of `threshold` and more) that candidate k of each trial blocks."""
+    """Sum of the contact probabilities (those of `threshold` and more) that candidate k of each
+    trial blocks."""
     device = str(near.device)
     out = torch.zeros((len(contact), width), dtype=torch.float32, device=near.device)
     launch_trials(

@@ -1,8 +1,9 @@
-"""FC-Handover (Meng et al. 2022): the grasp opposite to the predicted receiving hand, nothing else; docs/baselines.md.
+"""FC-Handover (Meng et al. 2022): the grasp opposite to the predicted receiving hand, nothing else;
+docs/baselines.md.
 
-Grasp: of the candidates whose gripper is clear of the hand on the object, the one whose approach axis is most opposed
-to the direction from that hand's wrist to its middle finger tip. Pose: the gripper opposed to the target hand's
-direction, the object's centre at the ball centre c_h.
+Grasp: of the candidates whose gripper is clear of the hand on the object, the one whose approach
+axis is most opposed to the direction from that hand's wrist to its middle finger tip. Pose: the
+gripper opposed to the target hand's direction, the object's centre at the ball centre c_h.
 """
 
 import torch
@@ -14,7 +15,15 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.palm_pose import approach_frames, least, roll_angles, rolled, unit
-from r2h_batch.methods.placing import Gate, candidates_clear_of, centers_at, first_fit, home_x, object_centers, taken
+from r2h_batch.methods.placing import (
+    Gate,
+    candidates_clear_of,
+    centers_at,
+    first_fit,
+    home_x,
+    object_centers,
+    taken,
+)
 from r2h_batch.predictors import PredictorNoise, Seen, predict_receiving, predict_target
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
@@ -29,7 +38,8 @@ ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
 
 CLEARANCE_M = 0.0
-"""What gripper and hand must keep: the paper drops candidates "that collide", it asks for no room."""
+"""What gripper and hand must keep: the paper drops candidates "that collide", it asks for no
+room."""
 
 
 def predict(
@@ -57,15 +67,26 @@ def predict(
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         rows, exists = table.rows(part.object_index)
         score = opposition(table.T_obj_ee[rows][..., :3, 2], taking.wrist_to_middle)
-        clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m, threads=threads)
+        clear = candidates_clear_of(
+            scene, table, part.object_index, taking.vertices, clearance_m, threads=threads
+        )
         row = taken(rows, least(score, clear, exists))
         T_obj_ee = table.T_obj_ee[row]
         frames = approach_frames(-target.wrist_to_middle, home_x(scene))
         T_world_ee = centers_at(
-            rolled(frames, roll_angles(rolls)), T_obj_ee, center[part.object_index.long()], target.ball_center
+            rolled(frames, roll_angles(rolls)),
+            T_obj_ee,
+            center[part.object_index.long()],
+            target.ball_center,
         )
         return T_obj_ee, first_fit(
-            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, gate=gate, threads=threads
+            scene,
+            T_world_ee,
+            table.opening_m[row],
+            target.vertices,
+            clearance_m,
+            gate=gate,
+            threads=threads,
         )
 
     return answers(trials, scene, "fc", choose)

@@ -1,4 +1,5 @@
-"""Which gripper poses keep clear of a hand: candidates against a hand on the object, rolls against a hand in the world."""
+"""Which gripper poses keep clear of a hand: candidates against a hand on the object, rolls against
+a hand in the world."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -64,9 +65,11 @@ def gripper_clearance(
     cap_m: float,
     threads: int | None = None,
 ) -> Float32[Tensor, "b k"]:
-    """Distance (m) of gripper k < `width` of every hand: at most `cap_m`, 0 where they meet or k >= count.
+    """Distance (m) of gripper k < `width` of every hand: at most `cap_m`, 0 where they meet or k >=
+    count.
 
-    Gripper k of hand i stands at row[i] + k of `T_hand_ee` (ee in the frame of the hand's vertices) and `opening_m`.
+    Gripper k of hand i stands at row[i] + k of `T_hand_ee` (ee in the frame of the hand's vertices)
+    and `opening_m`.
     """
     n = len(hand)
     out = torch.zeros((n, width), dtype=torch.float32, device=hand.device)

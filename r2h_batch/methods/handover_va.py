@@ -1,9 +1,11 @@
-"""Handover-VA (Lehotsky et al. 2023): grasp the part that works, present the handle; docs/baselines.md.
+"""Handover-VA (Lehotsky et al. 2023): grasp the part that works, present the handle;
+docs/baselines.md.
 
-Grasps: the method's own top-down grasps of the functional part (`box_grasps.py`), most summed finger room first.
-Poses: ICP of a handle-function template gives the utility axis (`utility_axis.py`), which points at the palm. Each grasp is
-tried at five distances in front of the palm and in seven turns, added up as the original's program adds them; the first
-pose that the arm reaches is taken. Nothing else is checked, no collision: as published.
+Grasps: the method's own top-down grasps of the functional part (`box_grasps.py`), most summed
+finger room first. Poses: ICP of a handle-function template gives the utility axis
+(`utility_axis.py`), which points at the palm. Each grasp is tried at five distances in front of the
+palm and in seven turns, added up as the original's program adds them; the first pose that the arm
+reaches is taken. Nothing else is checked, no collision: as published.
 """
 
 import math
@@ -23,7 +25,14 @@ from r2h_batch.methods.palm_pose import approach_frames, first_true, least, reac
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP, roles_of
 from r2h_batch.methods.placing import check_choice, taken
 from r2h_batch.methods.utility_axis import LABEL_M, Alignment, align_templates
-from r2h_batch.predictors import PredictorNoise, Seen, SeenParts, TargetHand, predict_parts, predict_target
+from r2h_batch.predictors import (
+    PredictorNoise,
+    Seen,
+    SeenParts,
+    TargetHand,
+    predict_parts,
+    predict_target,
+)
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
@@ -52,12 +61,12 @@ DISTANCES, DISTANCE_STEP_M = 5, 0.08
 """Places along the line between the two, the nearest to the receiver first (published)."""
 
 Loops = Literal["original", "one"]
-"""original: grasps by score x five distances x seven turns that add up, about the axis of the object's class. one: the
-best grasp, one distance, seven even turns about the handle."""
+"""original: grasps by score x five distances x seven turns that add up, about the axis of the
+object's class. one: the best grasp, one distance, seven even turns about the handle."""
 
 Placed = Literal["gripper", "object", "handle"]
-"""What stands on the palm's normal: the gripper's TCP; the aligned template's origin; the handle's centre (all of the object's,
-where nothing is a handle)."""
+"""What stands on the palm's normal: the gripper's TCP; the aligned template's origin; the handle's
+centre (all of the object's, where nothing is a handle)."""
 
 
 def predict(
@@ -77,7 +86,8 @@ def predict(
     distances: int = DISTANCES,
     label_m: float = LABEL_M,
 ) -> Predictions:
-    """One grasp and handover pose a trial; labels and target hand predicted with `noise`, drawn by (seed, trial id).
+    """One grasp and handover pose a trial; labels and target hand predicted with `noise`, drawn by
+    (seed, trial id).
 
     `loops`: what is tried, in which order. `at`: what is put opposite the palm.
     """
@@ -121,20 +131,29 @@ def even_turns(count: int) -> list[float]:
 
 
 def added_turns(count: int) -> list[float]:
-    """The turns that the original's loop comes by, in its order and each once, rad: it turns on from where the last one
-    ended, by 0, 1, 2, ... parts of a whole turn. Of seven it sees 0, 1, 3 and 6 parts; the rest repeat these."""
+    """The turns that the original's loop comes by, in its order and each once, rad: it turns on
+    from where the last one ended, by 0, 1, 2, ... parts of a whole turn. Of seven it sees 0, 1, 3
+    and 6 parts; the rest repeat these."""
     seen = dict.fromkeys(total % count for total in accumulate(range(count)))
     return [2 * math.pi * k / count for k in seen]
 
 
 def in_front_of(target: TargetHand, count: int) -> Float[Tensor, "b d 3"]:
-    """`count` points on each palm's normal, c_h first, each 8 cm farther from the palm than the one before (world)."""
-    away = DISTANCE_STEP_M * torch.arange(count, dtype=torch.float64, device=target.palm_normal.device)
-    return target.ball_center.double()[:, None] + away[:, None] * target.palm_normal.double()[:, None]
+    """`count` points on each palm's normal, c_h first, each 8 cm farther from the palm than the one
+    before (world)."""
+    away = DISTANCE_STEP_M * torch.arange(
+        count, dtype=torch.float64, device=target.palm_normal.device
+    )
+    return (
+        target.ball_center.double()[:, None] + away[:, None] * target.palm_normal.double()[:, None]
+    )
 
 
-def by_score(own: BoxGrasps, spare: Float32[Tensor, "b 4 4"]) -> tuple[Float32[Tensor, "b s 4 4"], Bool[Tensor, "b s"]]:
-    """Each trial's feasible own grasps, best score first, and which of the rows those are; `spare` where it has none."""
+def by_score(
+    own: BoxGrasps, spare: Float32[Tensor, "b 4 4"]
+) -> tuple[Float32[Tensor, "b s 4 4"], Bool[Tensor, "b s"]]:
+    """Each trial's feasible own grasps, best score first, and which of the rows those are; `spare`
+    where it has none."""
     score, order = torch.sort(own.score, dim=1, descending=True, stable=True)
     T = own.T_obj_ee.gather(1, order[:, :, None, None].expand(-1, -1, 4, 4))
     feasible = score > 0
@@ -154,7 +173,8 @@ def first_reached(
     *,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, "b 4 4"], Float32[Tensor, "b 4 4"]]:
-    """Grasp and pose: the first that the arm reaches, grasps outermost, then places, then turns; none: the first of all."""
+    """Grasp and pose: the first that the arm reaches, grasps outermost, then places, then turns;
+    none: the first of all."""
     d, r = places.shape[1], R_world_obj.shape[1]
     R, place = R_world_obj.repeat(1, d, 1, 1), places.repeat_interleave(r, 1)
     T_obj_ee, T_world_ee = grasps[:, 0].clone(), torch.empty_like(grasps[:, 0])
@@ -174,21 +194,28 @@ def first_reached(
     return T_obj_ee, T_world_ee
 
 
-def _point(axis: Alignment, at: Placed, T_obj_ee: Float32[Tensor, "b 4 4"], rows: Tensor) -> Float[Tensor, "b 3"]:
+def _point(
+    axis: Alignment, at: Placed, T_obj_ee: Float32[Tensor, "b 4 4"], rows: Tensor
+) -> Float[Tensor, "b 3"]:
     """The object's point (frame obj) that is put at a place."""
     if at == "gripper":
         return T_obj_ee[:, :3, 3].double()
     return (axis.p_obj_template if at == "object" else axis.handle)[rows].double()
 
 
-def point_roles(scene: Scene, object_index: Int32[Tensor, " b"], seen: SeenParts) -> UInt8[Tensor, "b p"]:
-    """The role of every cloud point: GRASP in the receiver's region as seen (S1), else by its part as seen; by its part
-    wherever the benchmark says the parts' roles; what a network says, where it says roles itself."""
+def point_roles(
+    scene: Scene, object_index: Int32[Tensor, " b"], seen: SeenParts
+) -> UInt8[Tensor, "b p"]:
+    """The role of every cloud point: GRASP in the receiver's region as seen (S1), else by its part
+    as seen; by its part wherever the benchmark says the parts' roles; what a network says, where it
+    says roles itself."""
     if seen.role is not None:
         return seen.role.to(scene.device)
     table = torch.from_numpy(roles_of(scene.objects)).to(scene.device)
     functional = torch.tensor(
-        [o.split == "S1" and o.roles is None for o in scene.objects], dtype=torch.bool, device=scene.device
+        [o.split == "S1" and o.roles is None for o in scene.objects],
+        dtype=torch.bool,
+        device=scene.device,
     )[object_index.long()]
     by_part = table[object_index.long()[:, None], seen.label.to(scene.device).long()]
     by_region = torch.where(seen.usage.to(scene.device), GRASP, FUNCTION).to(torch.uint8)
@@ -201,16 +228,20 @@ def presented(
     angles: list[float],
     about_z: Bool[Tensor, " b"] | None = None,
 ) -> Float[Tensor, "b r 3 3"]:
-    """R_world_obj with the template's x axis (the handle) along -n_h and its z axis upwards, turned by `angles` about x, or
-    about z where `about_z`."""
+    """R_world_obj with the template's x axis (the handle) along -n_h and its z axis upwards, turned
+    by `angles` about x, or about z where `about_z`."""
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64, device=palm_normal.device)
     frame = approach_frames(-palm_normal, up)  # columns: up, across, handle
     R_world_template = torch.stack([frame[..., 2], -frame[..., 1], frame[..., 0]], -1)
     turned = rolled(R_world_template, angles, axis=0)
     if about_z is not None:
-        turned = torch.where(about_z[:, None, None, None], rolled(R_world_template, angles, axis=2), turned)
+        turned = torch.where(
+            about_z[:, None, None, None], rolled(R_world_template, angles, axis=2), turned
+        )
     back = R_obj_template.double().transpose(1, 2)[:, None]
-    return torch.stack([se3.rotate(turned, back[..., k].expand(turned.shape[:3])) for k in range(3)], -1)
+    return torch.stack(
+        [se3.rotate(turned, back[..., k].expand(turned.shape[:3])) for k in range(3)], -1
+    )
 
 
 def carried(
@@ -219,9 +250,13 @@ def carried(
     target: Float[Tensor, "b r 3"],
     T_obj_ee: Float[Tensor, "b 4 4"],
 ) -> Float[Tensor, "b r 4 4"]:
-    """T_world_ee that carries the object turned so, with its point `point_obj` (frame obj) at `target` (world)."""
+    """T_world_ee that carries the object turned so, with its point `point_obj` (frame obj) at
+    `target` (world)."""
     R_obj_ee = T_obj_ee[:, :3, :3].double()[:, None]
-    R = torch.stack([se3.rotate(R_world_obj, R_obj_ee[..., k].expand(R_world_obj.shape[:3])) for k in range(3)], -1)
+    R = torch.stack(
+        [se3.rotate(R_world_obj, R_obj_ee[..., k].expand(R_world_obj.shape[:3])) for k in range(3)],
+        -1,
+    )
     offset = (T_obj_ee[:, :3, 3].double() - point_obj.double())[:, None]
     p = target.double() + se3.rotate(R_world_obj, offset.expand(R_world_obj.shape[:3]))
     T = torch.zeros((*R.shape[:2], 4, 4), dtype=torch.float32, device=R.device)

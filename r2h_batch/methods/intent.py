@@ -1,10 +1,12 @@
-"""Intent-Handover (Zhang et al. 2026): the grasp opposed to and near the hand that the instruction asks for; docs/baselines.md.
+"""Intent-Handover (Zhang et al. 2026): the grasp opposed to and near the hand that the instruction
+asks for; docs/baselines.md.
 
-Grasp: of the candidates that fit the gripper and whose approach axis does not first meet the region named by the
-instruction, the least A(g) = cos(v_g, v_h) - |p_g - p_h|, as published (metres; the hand is the one retrieved for the
-instruction, on the object). Pose: 15 cm above the target palm; hand, object and gripper are turned as one, so that the
-retrieved hand lies as the target hand turned 15 degrees inward in its palm plane (`orientation="transform"`), or the
-gripper alone is opposed to that direction ("axis").
+Grasp: of the candidates that fit the gripper and whose approach axis does not first meet the region
+named by the instruction, the least A(g) = cos(v_g, v_h) - |p_g - p_h|, as published (metres; the
+hand is the one retrieved for the instruction, on the object). Pose: 15 cm above the target palm;
+hand, object and gripper are turned as one, so that the retrieved hand lies as the target hand
+turned 15 degrees inward in its palm plane (`orientation="transform"`), or the gripper alone is
+opposed to that direction ("axis").
 """
 
 from collections.abc import Sequence
@@ -24,7 +26,15 @@ from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
 from r2h_batch.methods.palm_pose import approach_frames, least, roll_angles, rolled, turned_inward
-from r2h_batch.methods.placing import Anchor, Gate, check_choice, first_fit, home_x, placed_above_palm, taken
+from r2h_batch.methods.placing import (
+    Anchor,
+    Gate,
+    check_choice,
+    first_fit,
+    home_x,
+    placed_above_palm,
+    taken,
+)
 from r2h_batch.predictors import (
     PredictorNoise,
     ReceivingHand,
@@ -47,21 +57,25 @@ ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
 
 HEIGHT_M = 0.15
-"""The gripper's TCP above the palm (published for Contact-Handover, whose position rule this is)."""
+"""The gripper's TCP above the palm (published for Contact-Handover, whose position rule this
+is)."""
 
 INWARD_DEG = 15.0
 """Published. Inward is towards the thumb here: the paper does not say which way."""
 
 CLEARANCE_M = 0.0
-"""What the gripper and the target hand must keep when rolls are tried: touching is a collision, no room is asked for."""
+"""What the gripper and the target hand must keep when rolls are tried: touching is a collision, no
+room is asked for."""
 
 BACK_OFF_M = 0.10
-"""The approach ray starts this far behind the TCP: inside the gripper's body, where a candidate has no material."""
+"""The approach ray starts this far behind the TCP: inside the gripper's body, where a candidate has
+no material."""
 
 
 Orientation = Literal["transform", "axis"]
-"""transform: the predicted hand and the gripper keep their places on the object (the original's fixed hand-to-gripper
-transform). axis: the gripper's approach axis against the hand's direction, its roll searched."""
+"""transform: the predicted hand and the gripper keep their places on the object (the original's
+fixed hand-to-gripper transform). axis: the gripper's approach axis against the hand's direction,
+its roll searched."""
 
 
 def predict(
@@ -84,14 +98,17 @@ def predict(
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
-    `instructions`: one sentence a trial; None: each object's own. `orientation`: what is turned (`Orientation`). With "axis"
-    the roll about it is searched: `rolls`, `gate`, `clearance_m`. `at`: what stands `height_m` above the palm.
+    `instructions`: one sentence a trial; None: each object's own. `orientation`: what is turned
+    (`Orientation`). With "axis" the roll about it is searched: `rolls`, `gate`, `clearance_m`.
+    `at`: what stands `height_m` above the palm.
     """
     check_choice("orientation", orientation, Orientation)
     threads = evaluator.threads if evaluator else None
     table, w_max = candidate_table(scene), scene.config.thresholds.w_max_m
     if instructions is not None and len(instructions) != len(trials):
-        raise ValueError(f"{len(instructions)} instructions for {len(trials)} trials; give one for each, or None")
+        raise ValueError(
+            f"{len(instructions)} instructions for {len(trials)} trials; give one for each, or None"
+        )
     named = named_parts(scene, trials, instructions).to(scene.device)
     hit_part, hit_region = approach_hits(scene, back_off_m)
 
@@ -100,7 +117,8 @@ def predict(
         taking = retrieve_receiving(part, scene, said, seed=seed, noise=noise, seen=seen)
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         rows, exists = table.rows(part.object_index)
-        # The receiver's grasp is what the instruction names: a robot grasp whose approach axis enters that part there is out
+        # The receiver's grasp is what the instruction names: a robot grasp whose approach axis
+        # enters that part there is out
         in_region = hit_region[rows] & named[here].gather(1, hit_part[rows])
         fits = (table.width_m[rows] <= w_max) & ~in_region
         score = affordance_score(table.T_obj_ee[rows], taking.wrist_to_middle, taking.palm_point)
@@ -108,14 +126,24 @@ def predict(
         T_obj_ee = table.T_obj_ee[row]
         if orientation == "transform":
             R = moved_with_the_hand(taking, target, T_obj_ee, inward_deg)[:, None]
-        else:  # the gripper comes against the hand's own direction, turned towards the thumb; home's x is the roll's zero
-            approach = turned_inward(-target.wrist_to_middle, target.palm_normal, target.side, inward_deg)
+        # the gripper comes against the hand's own direction, turned towards the thumb; home's x is
+        # the roll's zero
+        else:
+            approach = turned_inward(
+                -target.wrist_to_middle, target.palm_normal, target.side, inward_deg
+            )
             R = rolled(approach_frames(approach, home_x(scene)), roll_angles(rolls))
         T_world_ee = placed_above_palm(scene, R, T_obj_ee, part.object_index, target, height_m, at)
         if orientation == "transform":
             return T_obj_ee, T_world_ee[:, 0].contiguous()
         return T_obj_ee, first_fit(
-            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, gate=gate, threads=threads
+            scene,
+            T_world_ee,
+            table.opening_m[row],
+            target.vertices,
+            clearance_m,
+            gate=gate,
+            threads=threads,
         )
 
     return answers(trials, scene, "intent", choose)
@@ -124,26 +152,34 @@ def predict(
 def moved_with_the_hand(
     taking: ReceivingHand, target: TargetHand, T_obj_ee: Float32[Tensor, "b 4 4"], inward_deg: float
 ) -> Float[Tensor, "b 3 3"]:
-    """R_world_ee that keeps hand and gripper as they are on the object, when the hand on the object is turned to lie as the
-    target hand (palm normal and fingers' direction), `inward_deg` towards the thumb about its palm normal."""
+    """R_world_ee that keeps hand and gripper as they are on the object, when the hand on the object
+    is turned to lie as the target hand (palm normal and fingers' direction), `inward_deg` towards
+    the thumb about its palm normal."""
     fingers = turned_inward(target.wrist_to_middle, target.palm_normal, target.side, inward_deg)
-    R_world_palm = approach_frames(target.palm_normal, fingers)  # z out of the palm, x along the fingers
+    R_world_palm = approach_frames(
+        target.palm_normal, fingers
+    )  # z out of the palm, x along the fingers
     R_obj_palm = approach_frames(taking.palm_normal, taking.wrist_to_middle)
     return se3.matmul(R_world_palm, se3.matmul(R_obj_palm.mT, T_obj_ee[:, :3, :3].double()))
 
 
 def affordance_score(
-    T_obj_ee: Float[Tensor, "b k 4 4"], direction: Float[Tensor, "b 3"], palm_point: Float[Tensor, "b 3"]
+    T_obj_ee: Float[Tensor, "b k 4 4"],
+    direction: Float[Tensor, "b 3"],
+    palm_point: Float[Tensor, "b 3"],
 ) -> Float[Tensor, "b k"]:
-    """A(g) = cos(v_g, v_h) - |p_g - p_h| in metres: the chosen grasp has the least (opposed to the hand, and far from it)."""
+    """A(g) = cos(v_g, v_h) - |p_g - p_h| in metres: the chosen grasp has the least (opposed to the
+    hand, and far from it)."""
     apart = T_obj_ee[..., :3, 3].double() - palm_point.double()[:, None]
     return opposition(T_obj_ee[..., :3, 2], direction) - se3.dot(apart, apart).sqrt()
 
 
 @lru_cache(maxsize=4)
-def approach_hits(scene: Scene, back_off_m: float = BACK_OFF_M) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
-    """For every row of the candidate table: the part that its approach axis meets first, and whether a receiver may take
-    it there (False too where the axis meets nothing)."""
+def approach_hits(
+    scene: Scene, back_off_m: float = BACK_OFF_M
+) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
+    """For every row of the candidate table: the part that its approach axis meets first, and
+    whether a receiver may take it there (False too where the axis meets nothing)."""
     table = candidate_table(scene)
     face = torch.empty(len(table.T_obj_ee), dtype=torch.int32, device=scene.device)
     launch_trials(
@@ -169,23 +205,32 @@ def approach_hits(scene: Scene, back_off_m: float = BACK_OFF_M) -> tuple[Int64[T
     return torch.from_numpy(part).to(scene.device), torch.from_numpy(region).to(scene.device)
 
 
-def named_parts(scene: Scene, trials: Trials, instructions: Sequence[str] | None) -> Bool[Tensor, "n p"]:
-    """The part labels of the region R_o that each trial's instruction names; none where it names the object alone."""
+def named_parts(
+    scene: Scene, trials: Trials, instructions: Sequence[str] | None
+) -> Bool[Tensor, "n p"]:
+    """The part labels of the region R_o that each trial's instruction names; none where it names
+    the object alone."""
     index = trials.object_index.cpu().long()
     if instructions is None:
-        return torch.stack([_region(scene, i, o.instruction) for i, o in enumerate(scene.objects)])[index]
+        return torch.stack([_region(scene, i, o.instruction) for i, o in enumerate(scene.objects)])[
+            index
+        ]
     pairs = list(zip(index.tolist(), instructions, strict=True))
-    # Each sentence is understood once however many trials ask it: (object, sentence) -> row of `regions`
+    # Each sentence is understood once however many trials ask it: (object, sentence) -> row of
+    # `regions`
     number = {pair: k for k, pair in enumerate(dict.fromkeys(pairs))}
     regions = torch.stack(
-        [_region(scene, *pair) for pair in number] or [_region(scene, 0, scene.objects[0].instruction)]
+        [_region(scene, *pair) for pair in number]
+        or [_region(scene, 0, scene.objects[0].instruction)]
     )
     return regions[torch.tensor([number[pair] for pair in pairs], dtype=torch.int64, device="cpu")]
 
 
 @lru_cache(maxsize=65536)
 def _region(scene: Scene, object_index: int, instruction: str) -> Bool[Tensor, " p"]:
-    region = torch.zeros(max(len(o.part_names) for o in scene.objects), dtype=torch.bool, device="cpu")
+    region = torch.zeros(
+        max(len(o.part_names) for o in scene.objects), dtype=torch.bool, device="cpu"
+    )
     understood = understand(instruction, scene.objects, object_index=object_index)
     intent = intents_of(scene.objects[object_index])[understood.intent]
     if intent.part != ANYWHERE:

@@ -1,4 +1,5 @@
-"""Contact-Handover's orientation: of a fan of handover poses above a palm, the one of least collision cost with the hand."""
+"""Contact-Handover's orientation: of a fan of handover poses above a palm, the one of least
+collision cost with the hand."""
 
 from functools import lru_cache
 from typing import Any, Literal
@@ -25,13 +26,15 @@ from r2h_batch.scene.scene import Scene
 __all__ = ["approach_fan", "collision_cost", "gripper_capsule", "hand_sample", "least_cost_pose"]
 
 DIRECTIONS = 32
-"""Approach directions that are tried, spread over the half sphere that faces the palm: neighbours 25 degrees apart."""
+"""Approach directions that are tried, spread over the half sphere that faces the palm: neighbours
+25 degrees apart."""
 
 ROLLS = 8
 """Turns about each approach direction."""
 
 ZONE_M = 0.03
-"""Hand points nearer than this to gripper or object cost: about twice the estimate's error of 12 mm an axis."""
+"""Hand points nearer than this to gripper or object cost: about twice the estimate's error of 12 mm
+an axis."""
 
 HAND_POINTS = 128
 """Points of the hand's skin that are looked at, spread evenly: about 1 cm apart."""
@@ -53,8 +56,8 @@ def least_cost_pose(
     at: Anchor = "gripper",
     threads: int | None = None,
 ) -> Float32[Tensor, "b 4 4"]:
-    """T_world_ee with `at` `height_m` above each palm and the least cost; `gate="ik"`: of those that the arm reaches (of all,
-    if it reaches none).
+    """T_world_ee with `at` `height_m` above each palm and the least cost; `gate="ik"`: of those
+    that the arm reaches (of all, if it reaches none).
 
     Of equal costs the approach nearest to straight into the palm, then the roll nearest to home.
     """
@@ -62,17 +65,22 @@ def least_cost_pose(
     R = approach_fan(target.palm_normal, directions, rolls, home_x(scene))
     T_world_ee = placed_above_palm(scene, R, T_obj_ee, object_index, target, height_m, at)
     points = target.vertices[:, hand_sample(scene, hand_points)].contiguous()
-    cost = collision_cost(scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m, threads=threads)
+    cost = collision_cost(
+        scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m, threads=threads
+    )
     every = torch.ones_like(cost, dtype=torch.bool)
     best = least(cost, reachable(T_world_ee, threads=threads) if gate == "ik" else every, every)
     return T_world_ee[torch.arange(len(best), dtype=torch.int64, device=best.device), best]
 
 
 def approach_fan(
-    palm_normal: Float[Tensor, "b 3"], directions: int, rolls: int, home: Float32[Tensor, "3"] | None = None
+    palm_normal: Float[Tensor, "b 3"],
+    directions: int,
+    rolls: int,
+    home: Float32[Tensor, "3"] | None = None,
 ) -> Float[Tensor, "b r 3 3"]:
-    """Frames whose z axes spread over the half sphere about -n_h, nearest to it first, each in `rolls` rolls from `home`
-    (the gripper's x axis there)."""
+    """Frames whose z axes spread over the half sphere about -n_h, nearest to it first, each in
+    `rolls` rolls from `home` (the gripper's x axis there)."""
     k = np.arange(directions) + 0.5
     z = 1.0 - k / directions
     turn, ring = np.pi * (3.0 - np.sqrt(5.0)) * k, np.sqrt(1.0 - z * z)
@@ -98,10 +106,13 @@ def collision_cost(
     zone_m: float = ZONE_M,
     threads: int | None = None,
 ) -> Float32[Tensor, "b r"]:
-    """Mean over the hand's points (world) of max(0, zone - signed distance to gripper and held object), m."""
+    """Mean over the hand's points (world) of max(0, zone - signed distance to gripper and held
+    object), m."""
     b, r = T_world_ee.shape[:2]
     if hand_points.shape[1] > kernels.MOST_POINTS:
-        raise ValueError(f"{hand_points.shape[1]} hand points; the kernel takes {kernels.MOST_POINTS} at most")
+        raise ValueError(
+            f"{hand_points.shape[1]} hand points; the kernel takes {kernels.MOST_POINTS} at most"
+        )
     out = torch.zeros((b, r), dtype=torch.float32, device=scene.device)
     if b == 0:
         return out
@@ -136,7 +147,8 @@ def collision_cost(
 
 @lru_cache(maxsize=4)
 def hand_sample(scene: Scene, count: int) -> Int64[Tensor, " h"]:
-    """Vertices spread over the hand's skin: each the farthest from those before (flat hand), the first at the wrist."""
+    """Vertices spread over the hand's skin: each the farthest from those before (flat hand), the
+    first at the wrist."""
     skin: NDArray[np.float64] = scene.hands.model.vertices.double().numpy()
     taken = [int(np.argmin((skin**2).sum(1)))]
     apart = ((skin - skin[taken[0]]) ** 2).sum(1)
@@ -148,24 +160,38 @@ def hand_sample(scene: Scene, count: int) -> Int64[Tensor, " h"]:
 
 @lru_cache(maxsize=1)
 def gripper_capsule() -> tuple[float, float, float]:
-    """Low and high end on ee's z axis, and radius, of a capsule that holds the gripper at any opening (m)."""
+    """Low and high end on ee's z axis, and radius, of a capsule that holds the gripper at any
+    opening (m)."""
     robot, slack = load_robot(), 1e-3  # what parts move between two of the openings looked at
     R, p = (
         x.double().numpy()
-        for x in gripper_poses(torch.linspace(0.0, OPEN_GAP_M, 61, dtype=torch.float32, device="cpu"))
+        for x in gripper_poses(
+            torch.linspace(0.0, OPEN_GAP_M, 61, dtype=torch.float32, device="cpu")
+        )
     )
     size = robot.gripper.size
-    half = np.where((robot.gripper.kind == Kind.BOX)[:, None], size, np.stack([size[:, 0], size[:, 0], size[:, 1]], 1))
-    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T  # of the boxes that hold the primitives
-    points = (p[:, :, None] + np.einsum("ngij,cgj->ngci", R, corners[:, None] * half)).reshape(-1, 3)
+    half = np.where(
+        (robot.gripper.kind == Kind.BOX)[:, None],
+        size,
+        np.stack([size[:, 0], size[:, 0], size[:, 1]], 1),
+    )
+    corners = (
+        np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+    )  # of the boxes that hold the primitives
+    points = (p[:, :, None] + np.einsum("ngij,cgj->ngci", R, corners[:, None] * half)).reshape(
+        -1, 3
+    )
     radius = float(np.hypot(points[:, 0], points[:, 1]).max()) + slack
     return float(points[:, 2].min()) - slack, float(points[:, 2].max()) + slack, radius
 
 
 @lru_cache(maxsize=4)
 def _boxes(scene: Scene) -> tuple[Any, Any]:
-    corners = np.stack([(o.vertices.min(0), o.vertices.max(0)) for o in scene.objects]).astype(np.float32)
+    corners = np.stack([(o.vertices.min(0), o.vertices.max(0)) for o in scene.objects]).astype(
+        np.float32
+    )
     arrays: list[Any] = [
-        wp.array(np.ascontiguousarray(corners[:, i]), dtype=wp.vec3, device=scene.device) for i in (0, 1)
+        wp.array(np.ascontiguousarray(corners[:, i]), dtype=wp.vec3, device=scene.device)
+        for i in (0, 1)
     ]
     return arrays[0], arrays[1]

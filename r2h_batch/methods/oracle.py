@@ -1,8 +1,9 @@
-"""The upper bound: candidates x a fan of handover poses, judged by the evaluator itself (spec: baselines.md).
+"""The upper bound: candidates x a fan of handover poses, judged by the evaluator itself (spec:
+baselines.md).
 
-In rounds: every trial that is still unsolved proposes one grasp and one pose, the evaluator scores them all at once
-(the motion as planned, without the simulator), and what succeeds is kept. Where nothing succeeds, the proposal that
-failed last in the paper's order stays.
+In rounds: every trial that is still unsolved proposes one grasp and one pose, the evaluator scores
+them all at once (the motion as planned, without the simulator), and what succeeds is kept. Where
+nothing succeeds, the proposal that failed last in the paper's order stays.
 """
 
 from functools import lru_cache
@@ -26,7 +27,8 @@ ROUNDS = 64
 """Proposals a trial gets at most."""
 
 MARGIN_M = 0.001
-"""What a candidate's Stability and Affordance must have to spare, where an object has such candidates."""
+"""What a candidate's Stability and Affordance must have to spare, where an object has such
+candidates."""
 
 TILT_DEG = 60.0
 """How far the approach may lean away from the line to the palm, or to the receiver."""
@@ -39,18 +41,28 @@ Array = NDArray[np.float64]
 
 
 def predict(
-    trials: Trials, scene: Scene, *, seed: int = 0, evaluator: Evaluator | None = None, rounds: int = ROUNDS
+    trials: Trials,
+    scene: Scene,
+    *,
+    seed: int = 0,
+    evaluator: Evaluator | None = None,
+    rounds: int = ROUNDS,
 ) -> Predictions:
-    """For each trial the first proposal that succeeds, else the one that got farthest; drawn by (seed, trial id)."""
+    """For each trial the first proposal that succeeds, else the one that got farthest; drawn by
+    (seed, trial id)."""
     if evaluator is None:
-        evaluator = Evaluator(scene.config, device=scene.device, objects=scene.objects, hand_set=scene.hands.set)
+        evaluator = Evaluator(
+            scene.config, device=scene.device, objects=scene.objects, hand_set=scene.hands.set
+        )
     check_candidates(scene, trials.object_index)
     evaluator = evaluator.kinematic
     n, home = len(trials), trials.trial_id.device
     trials = trials.to(scene.device)
     fan = _Fan(trials, evaluator, seed)
     farthest = torch.full((n,), -torch.inf, dtype=torch.float64, device=scene.device)
-    T_obj_ee, T_world_ee = (torch.eye(4, dtype=torch.float32, device=scene.device).repeat(n, 1, 1) for _ in range(2))
+    T_obj_ee, T_world_ee = (
+        torch.eye(4, dtype=torch.float32, device=scene.device).repeat(n, 1, 1) for _ in range(2)
+    )
     todo = torch.arange(n, dtype=torch.int64, device=scene.device)
     for turn in range(rounds):
         if not len(todo):
@@ -60,29 +72,42 @@ def predict(
         reached = _how_far(scores)
         better = reached > farthest[todo]
         rows = todo[better]
-        farthest[rows], T_obj_ee[rows], T_world_ee[rows] = reached[better], grasp[better], pose[better]
+        farthest[rows], T_obj_ee[rows], T_world_ee[rows] = (
+            reached[better],
+            grasp[better],
+            pose[better],
+        )
         todo = todo[~scores.success]
     return Predictions(trials.trial_id, T_obj_ee, T_world_ee, method="oracle").to(home)
 
 
 def _how_far(scores: Scores) -> torch.Tensor:
-    """How far a proposal got: the number of the criterion that failed first (success: 6), then that one's margin."""
+    """How far a proposal got: the number of the criterion that failed first (success: 6), then that
+    one's margin."""
     outcome = scores.outcome.long()
     failed = (outcome - 1).clamp(0, len(CRITERIA) - 1)
-    margin = scores.margin[torch.arange(len(outcome), dtype=torch.int64, device=outcome.device), failed].double()
+    margin = scores.margin[
+        torch.arange(len(outcome), dtype=torch.int64, device=outcome.device), failed
+    ].double()
     step = torch.where(outcome == int(Outcome.SUCCESS), 1 + len(CRITERIA), outcome)
     judged = outcome <= len(CRITERIA)
-    return torch.where(judged, step + 0.5 * torch.nan_to_num(margin, nan=-1.0, neginf=-1.0).clamp(-1.0, 0.0), -1.0)
+    return torch.where(
+        judged, step + 0.5 * torch.nan_to_num(margin, nan=-1.0, neginf=-1.0).clamp(-1.0, 0.0), -1.0
+    )
 
 
 class _Fan:
-    """Proposals of a batch of trials: Kronecker sequences, each trial's started at a random point of its own."""
+    """Proposals of a batch of trials: Kronecker sequences, each trial's started at a random point
+    of its own."""
 
     def __init__(self, trials: Trials, evaluator: Evaluator, seed: int) -> None:
         self._object = trials.object_index.cpu().numpy().astype(np.int64)
         self._grasps, self._first, self._count, self._free = _usable_grasps(evaluator)
         _, normal, center = evaluator.scene.palm(trials.hand_index, trials.T_world_hand)
-        self._normal, self._center = normal.cpu().numpy().astype(np.float64), center.cpu().numpy().astype(np.float64)
+        self._normal, self._center = (
+            normal.cpu().numpy().astype(np.float64),
+            center.cpu().numpy().astype(np.float64),
+        )
         out = self._center * [1.0, 1.0, 0.0]
         self._outwards = out / np.sqrt(out[:, 0] ** 2 + out[:, 1] ** 2)[:, None]
         key = rng.key_of(f"oracle {seed}")
@@ -93,30 +118,42 @@ class _Fan:
         u = self._start[:, rows] + turn * _STEPS[:, None]
         which, mix, tilt, roll, far = u - np.floor(u)
         objects, normal = self._object[rows], self._normal[rows]
-        T_obj_ee = self._grasps[self._first[objects] + rng.choice(which, self._count[objects])].astype(np.float64)
+        T_obj_ee = self._grasps[
+            self._first[objects] + rng.choice(which, self._count[objects])
+        ].astype(np.float64)
         approach = mix[:, None] * self._outwards[rows] - (1.0 - mix)[:, None] * normal
         frame = _basis(se3.rotate(_basis(approach), _TILTS[rng.choice(tilt, TILTS)]))
         x, z = se3.rotate(frame, _ROLLS[rng.choice(roll, ROLLS)]), frame[:, :, 2]
         R = np.stack([x, np.cross(z, x), z], 2)
-        free = se3.rotate(T_obj_ee[:, :3, :3].transpose(0, 2, 1), self._free[objects] - T_obj_ee[:, :3, 3])  # in ee
+        free = se3.rotate(
+            T_obj_ee[:, :3, :3].transpose(0, 2, 1), self._free[objects] - T_obj_ee[:, :3, 3]
+        )  # in ee
         target = self._center[rows] + (NEARER_M + (FARTHER_M - NEARER_M) * far)[:, None] * normal
         T_world_ee = np.zeros((len(rows), 4, 4))
         T_world_ee[:, :3, :3] = R
         T_world_ee[:, :3, 3] = target - se3.rotate(R, free)
         T_world_ee[:, 3, 3] = 1.0
-        return torch.from_numpy(T_obj_ee.astype(np.float32)), torch.from_numpy(T_world_ee.astype(np.float32))
+        return torch.from_numpy(T_obj_ee.astype(np.float32)), torch.from_numpy(
+            T_world_ee.astype(np.float32)
+        )
 
 
 @lru_cache(maxsize=1)
-def _usable_grasps(evaluator: Evaluator) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64], Array]:
-    """Candidates that pass Stability and Affordance with a margin: all (K, 4, 4), each object's first row and number.
+def _usable_grasps(
+    evaluator: Evaluator,
+) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64], Array]:
+    """Candidates that pass Stability and Affordance with a margin: all (K, 4, 4), each object's
+    first row and number.
 
-    Without such candidates, those that pass; without those, all. Last: each object's free point (frame obj).
+    Without such candidates, those that pass; without those, all. Last: each object's free point
+    (frame obj).
     """
     scene, thresholds = evaluator.scene, evaluator.config.thresholds
     grasps, first, count = stacked(candidates_in(scene))
     T = torch.from_numpy(grasps).to(scene.device)
-    index = torch.from_numpy(np.repeat(np.arange(len(count)), count).astype(np.int32)).to(scene.device)
+    index = torch.from_numpy(np.repeat(np.arange(len(count)), count).astype(np.int32)).to(
+        scene.device
+    )
     active = torch.ones(len(T), dtype=torch.bool, device=scene.device)
     held = close_gripper(
         scene.grasp_tables, T, index,
@@ -124,9 +161,15 @@ def _usable_grasps(evaluator: Evaluator) -> tuple[NDArray[np.float32], NDArray[n
     )  # fmt: skip
     steady = stability(held, active)
     opening = squeezed(held, thresholds)
-    kind = affordance(scene, attach(T, held.shift_m), index, opening, active, threads=evaluator.threads)
+    kind = affordance(
+        scene, attach(T, held.shift_m), index, opening, active, threads=evaluator.threads
+    )
     passes = (steady.passed & (kind.passed | ~kind.evaluated)).cpu().numpy()
-    spare = torch.minimum(steady.margin, torch.where(kind.evaluated, kind.margin, torch.inf)).cpu().numpy()
+    spare = (
+        torch.minimum(steady.margin, torch.where(kind.evaluated, kind.margin, torch.inf))
+        .cpu()
+        .numpy()
+    )
     kept = []
     for i in range(len(count)):
         rows = np.arange(first[i], first[i] + count[i])
@@ -138,13 +181,19 @@ def _usable_grasps(evaluator: Evaluator) -> tuple[NDArray[np.float32], NDArray[n
 
 
 def _free_point(model: ObjectModel) -> Array:
-    """Centre of the receiver's region, or of the whole surface (frame obj): what is held out to the hand."""
-    points = model.points[model.receiver_face[model.point_face]] if model.receiver_face.any() else model.points
+    """Centre of the receiver's region, or of the whole surface (frame obj): what is held out to the
+    hand."""
+    points = (
+        model.points[model.receiver_face[model.point_face]]
+        if model.receiver_face.any()
+        else model.points
+    )
     return points.astype(np.float64).mean(0)
 
 
 def _basis(z: Array) -> Array:
-    """(n, 3, 3) right-handed frames with these z axes (need not be unit vectors); columns x, y, z."""
+    """(n, 3, 3) right-handed frames with these z axes (need not be unit vectors); columns x, y,
+    z."""
     z = z / np.sqrt(z[:, 0] ** 2 + z[:, 1] ** 2 + z[:, 2] ** 2)[:, None]
     sign = np.where(z[:, 2] >= 0, 1.0, -1.0)  # Duff et al. 2017
     a = -1.0 / (sign + z[:, 2])
@@ -155,7 +204,8 @@ def _basis(z: Array) -> Array:
 
 
 def _kronecker_steps(dimensions: int) -> Array:
-    """Steps of an additive low-discrepancy sequence: powers of 1/g, where g^(d+1) = g + 1 (Roberts 2018)."""
+    """Steps of an additive low-discrepancy sequence: powers of 1/g, where g^(d+1) = g + 1 (Roberts
+    2018)."""
     g = 2.0
     for _ in range(64):
         g = (1.0 + g) ** (1.0 / (dimensions + 1))

@@ -1,4 +1,5 @@
-"""Handover poses from a hand: directions, frames about an approach axis, rolls, and which of them the arm can take.
+"""Handover poses from a hand: directions, frames about an approach axis, rolls, and which of them
+the arm can take.
 
 Term by term in float64 with sqrt only: a row has the same bits in any batch.
 """
@@ -34,7 +35,9 @@ def unit(v: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3"]:
     return v / torch.where(length > 0, length, 1.0)[..., None]
 
 
-def approach_frames(z: Float[Tensor, "*b 3"], toward: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b 3 3"]:
+def approach_frames(
+    z: Float[Tensor, "*b 3"], toward: Float[Tensor, "*#b 3"]
+) -> Float[Tensor, "*b 3 3"]:
     """Rotations (columns x, y, z) with these z axes, and x as near to `toward` as that allows.
 
     Where z is (nearly) along `toward`, the world axis that is farthest from z stands in for it.
@@ -54,7 +57,9 @@ def roll_angles(count: int) -> tuple[float, ...]:
     return tuple(step * ((k + 1) // 2) * (1 if k % 2 else -1) for k in range(count))
 
 
-def rolled(R: Float[Tensor, "b 3 3"], angles: Sequence[float], *, axis: int = 2) -> Float[Tensor, "b r 3 3"]:
+def rolled(
+    R: Float[Tensor, "b 3 3"], angles: Sequence[float], *, axis: int = 2
+) -> Float[Tensor, "b r 3 3"]:
     """The frames turned about one of their own axes (default z) by each angle (rad)."""
     u, v = R[..., (axis + 1) % 3], R[..., (axis + 2) % 3]
     turned = []
@@ -67,16 +72,24 @@ def rolled(R: Float[Tensor, "b 3 3"], angles: Sequence[float], *, axis: int = 2)
 
 
 def turned_inward(
-    direction: Float[Tensor, "b 3"], palm_normal: Float[Tensor, "b 3"], side: Int[Tensor, " b"], angle_deg: float
+    direction: Float[Tensor, "b 3"],
+    palm_normal: Float[Tensor, "b 3"],
+    side: Int[Tensor, " b"],
+    angle_deg: float,
 ) -> Float[Tensor, "b 3"]:
-    """`direction` laid into the palm plane and turned in it towards the thumb's side of the hand; unit vectors.
+    """`direction` laid into the palm plane and turned in it towards the thumb's side of the hand;
+    unit vectors.
 
-    n x fingers points to the little finger's side of a right hand, and to the thumb's side of a left hand.
+    n x fingers points to the little finger's side of a right hand, and to the thumb's side of a
+    left hand.
     """
     n = unit(palm_normal.double())
     flat = direction.double()
     flat = unit(flat - se3.dot(flat, n)[..., None] * n)
-    c, s = round(math.cos(math.radians(angle_deg)), 15), round(math.sin(math.radians(angle_deg)), 15)
+    c, s = (
+        round(math.cos(math.radians(angle_deg)), 15),
+        round(math.sin(math.radians(angle_deg)), 15),
+    )
     sign = torch.where(side.to(flat.device) == LEFT, 1.0, -1.0).double()
     return c * flat + (s * sign)[..., None] * se3.cross(n, flat)
 
@@ -87,7 +100,9 @@ def poses_at(R: Float[Tensor, "b r 3 3"], p: Float[Tensor, "*#b 3"]) -> Float[Te
     return se3.from_rotation(R.double(), p.double().expand(*R.shape[:2], 3)).float().contiguous()
 
 
-def reachable(T_world_ee: Float[Tensor, "b r 4 4"], *, threads: int | None = None) -> Bool[Tensor, "b r"]:
+def reachable(
+    T_world_ee: Float[Tensor, "b r 4 4"], *, threads: int | None = None
+) -> Bool[Tensor, "b r"]:
     """Whether the arm has any joint solution for each pose (no collision is looked at)."""
     flat = T_world_ee.reshape(-1, 4, 4).contiguous()
     return solve_ik(flat, threads=threads).reachable.reshape(T_world_ee.shape[:2])
@@ -98,8 +113,11 @@ def first_true(passes: Bool[Tensor, "b r"]) -> Int[Tensor, " b"]:
     return passes.to(torch.int8).argmax(1)
 
 
-def least(score: Float[Tensor, "b k"], allowed: Bool[Tensor, "b k"], usable: Bool[Tensor, "b k"]) -> Int[Tensor, " b"]:
-    """Index of each row's smallest score among the allowed, else among the usable; the first of equals."""
+def least(
+    score: Float[Tensor, "b k"], allowed: Bool[Tensor, "b k"], usable: Bool[Tensor, "b k"]
+) -> Int[Tensor, " b"]:
+    """Index of each row's smallest score among the allowed, else among the usable; the first of
+    equals."""
     pool = torch.where(allowed.any(1, keepdim=True), allowed & usable, usable)
     score = torch.where(pool, score.double(), torch.inf)
     low = score.amin(1, keepdim=True)

@@ -1,4 +1,5 @@
-"""From a chosen grasp to a handover pose: the first of several poses that passes what a method checks."""
+"""From a chosen grasp to a handover pose: the first of several poses that passes what a method
+checks."""
 
 from typing import Any, Literal, get_args
 
@@ -33,10 +34,12 @@ __all__ = [
 ]
 
 Gate = Literal["hand", "ik", "none"]
-"""What a roll must pass: the arm reaches it with the gripper clear of the estimated hand; the arm reaches it; nothing."""
+"""What a roll must pass: the arm reaches it with the gripper clear of the estimated hand; the arm
+reaches it; nothing."""
 
 Anchor = Literal["gripper", "object"]
-"""What stands on the palm's normal: the gripper's TCP, or the middle of the object's bounding box."""
+"""What stands on the palm's normal: the gripper's TCP, or the middle of the object's bounding
+box."""
 
 
 HOME_X = (-1.0, 0.0, 0.0)
@@ -44,7 +47,8 @@ HOME_X = (-1.0, 0.0, 0.0)
 
 
 def home_x(scene: Scene) -> Float32[Tensor, "3"]:
-    """The gripper's x axis at home (world): the first roll that is tried turns the wrist least from there."""
+    """The gripper's x axis at home (world): the first roll that is tried turns the wrist least from
+    there."""
     home = scene.config.workplace.home_q
     axis = HOME_X if home == HOME_Q else ee_pose(scene.robot, home)[:3, 0].tolist()
     return torch.tensor(axis, dtype=torch.float32, device=scene.device)
@@ -59,7 +63,8 @@ def candidates_clear_of(
     *,
     threads: int | None = None,
 ) -> Tensor:
-    """(b, k) whether a candidate's closed gripper keeps more than `clearance_m` from a hand on the object (frame obj)."""
+    """(b, k) whether a candidate's closed gripper keeps more than `clearance_m` from a hand on the
+    object (frame obj)."""
     hand = posed_hand(scene.hands.model, hand_vertices, scene.device, threads=threads)
     o = object_index.long()
     distance = gripper_clearance(
@@ -79,9 +84,11 @@ def first_fit(
     gate: Gate = "hand",
     threads: int | None = None,
 ) -> Float32[Tensor, "b 4 4"]:
-    """Each row's first pose that the arm reaches with the gripper clear of the hand (world frame; None: any will do).
+    """Each row's first pose that the arm reaches with the gripper clear of the hand (world frame;
+    None: any will do).
 
-    Where none passes: the first that the arm reaches, else the first. `gate`: what is asked for at all.
+    Where none passes: the first that the arm reaches, else the first. `gate`: what is asked for at
+    all.
     """
     check_choice("gate", gate, Gate)
     b, r = T_world_ee.shape[:2]
@@ -108,7 +115,8 @@ def check_choice(name: str, given: str, allowed: Any) -> None:
 
 
 def above_palm(target: TargetHand, height_m: float) -> Float[Tensor, "b 3"]:
-    """The points `height_m` above the target hands' palm centres, along their normals (world, float64)."""
+    """The points `height_m` above the target hands' palm centres, along their normals (world,
+    float64)."""
     return target.palm_point.double() + height_m * target.palm_normal.double()
 
 
@@ -142,10 +150,13 @@ def centers_at(
     center_obj: Float[Tensor, "b 3"],
     target: Float[Tensor, "b 3"],
 ) -> Float32[Tensor, "b r 4 4"]:
-    """T_world_ee with these rotations that put the object's point `center_obj` (frame obj) at `target` (world)."""
+    """T_world_ee with these rotations that put the object's point `center_obj` (frame obj) at
+    `target` (world)."""
     R_ee_obj = T_obj_ee[:, :3, :3].double().transpose(1, 2)
     center_ee = se3.rotate(R_ee_obj, center_obj.double() - T_obj_ee[:, :3, 3].double())
-    return poses_at(R_world_ee, target.double()[:, None] - se3.rotate(R_world_ee, center_ee[:, None]))
+    return poses_at(
+        R_world_ee, target.double()[:, None] - se3.rotate(R_world_ee, center_ee[:, None])
+    )
 
 
 def taken(rows: Int64[Tensor, "b k"], chosen: Int64[Tensor, " b"]) -> Int64[Tensor, " b"]:

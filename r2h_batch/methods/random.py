@@ -1,4 +1,5 @@
-"""The lower bound: a random candidate, the TCP anywhere near the palm's ball, any orientation (spec: baselines.md)."""
+"""The lower bound: a random candidate, the TCP anywhere near the palm's ball, any orientation
+(spec: baselines.md)."""
 
 import numpy as np
 import torch
@@ -18,7 +19,8 @@ _CANDIDATE, _POSE = 0, 1  # purposes of the random counters
 
 
 def predict(trials: Trials, scene: Scene, *, seed: int = 0) -> Predictions:
-    """A grasp from the object's candidates, a TCP pose uniform in ball and orientation; drawn by (seed, trial id)."""
+    """A grasp from the object's candidates, a TCP pose uniform in ball and orientation; drawn by
+    (seed, trial id)."""
     check_candidates(scene, trials.object_index)
     key = rng.key_of(f"random {seed}")
     ids = trials.trial_id.cpu().numpy()
@@ -27,7 +29,9 @@ def predict(trials: Trials, scene: Scene, *, seed: int = 0) -> Predictions:
     (u,) = rng.uniforms(key, ids, 1, purpose=_CANDIDATE)
     T_obj_ee = grasps[first[object_index] + rng.choice(u, count[object_index])]
 
-    def propose(rows: NDArray[np.int64], attempt: int) -> tuple[NDArray[np.bool_], tuple[NDArray[np.float64], ...]]:
+    def propose(
+        rows: NDArray[np.int64], attempt: int
+    ) -> tuple[NDArray[np.bool_], tuple[NDArray[np.float64], ...]]:
         u = rng.uniforms(key, ids[rows], 7, purpose=_POSE, attempt=attempt)
         x, y, z = 2.0 * u[:3] - 1.0
         turned, R = rng.rotation(u[3:])

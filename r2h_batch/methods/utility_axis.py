@@ -1,4 +1,5 @@
-"""Handover-VA's utility axis: ICP of a handle-function template onto the labelled cloud; the template's x is the handle."""
+"""Handover-VA's utility axis: ICP of a handle-function template onto the labelled cloud; the
+template's x is the handle."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,12 +20,14 @@ from r2h_batch.scene.scene import Scene
 __all__ = ["Alignment", "align_templates", "handle_template", "wrap_template"]
 
 LABEL_M = 1.0
-"""Distance between two labels: more than any object is long, so labels are matched first, as with colours to 255."""
+"""Distance between two labels: more than any object is long, so labels are matched first, as with
+colours to 255."""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """The scaled template in the object's frame, mean distance (m, labels included), ICP steps; the handle's centre."""
+    """The scaled template in the object's frame, mean distance (m, labels included), ICP steps; the
+    handle's centre."""
 
     R_obj_template: Float64[Tensor, "b 3 3"]
     p_obj_template: Float64[Tensor, "b 3"]
@@ -35,15 +38,19 @@ class Alignment:
 
 
 def handle_template() -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Points (80, 3) and roles: 15 handle sections from x = 0.5 in steps of -0.02, 5 of the function from x = -0.2."""
+    """Points (80, 3) and roles: 15 handle sections from x = 0.5 in steps of -0.02, 5 of the
+    function from x = -0.2."""
     corners = [(h, d) for h in (0.02, -0.02) for d in (0.02, -0.02)]
     handle = [(0.5 - 0.02 * i, h, d) for i in range(15) for h, d in corners]
     function = [(-0.2 - 0.02 * j, h, d) for j in range(5) for h, d in corners]
-    return np.array(handle + function), np.array([GRASP] * len(handle) + [FUNCTION] * len(function), np.uint8)
+    return np.array(handle + function), np.array(
+        [GRASP] * len(handle) + [FUNCTION] * len(function), np.uint8
+    )
 
 
 def wrap_template() -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """Points (240, 3) and roles: 15 rings of 16 points about x, from x = -0.4 in steps of 0.05, radii 0.08 + 0.01 i."""
+    """Points (240, 3) and roles: 15 rings of 16 points about x, from x = -0.4 in steps of 0.05,
+    radii 0.08 + 0.01 i."""
     angle = np.pi * np.arange(16) / 8
     rings = [
         np.stack([np.full(16, -0.4 + 0.05 * i), r * np.sin(angle), r * np.cos(angle)], 1)
@@ -62,9 +69,11 @@ def align_templates(
     label_m: float = LABEL_M,
     threads: int | None = None,
 ) -> Alignment:
-    """ICP of the template onto each trial's labelled cloud; a cloud with any WRAP point gets the rings.
+    """ICP of the template onto each trial's labelled cloud; a cloud with any WRAP point gets the
+    rings.
 
-    From the identity at the cloud's mean, the template scaled by the largest extents; points match in xyz + label.
+    From the identity at the cloud's mean, the template scaled by the largest extents; points match
+    in xyz + label.
     """
     device, b = scene.device, len(object_index)
     o = object_index.contiguous()
@@ -73,7 +82,9 @@ def align_templates(
     which = (role == WRAP).any(1).to(torch.int32)
     scale = (extent[o.long()] / templates.extent[which.long()]).float()
     R = torch.zeros((b, 3, 3), dtype=torch.float64, device=device)
-    p, handle = (torch.zeros((b, 3), dtype=kind, device=device) for kind in (torch.float64, torch.float32))
+    p, handle = (
+        torch.zeros((b, 3), dtype=kind, device=device) for kind in (torch.float64, torch.float32)
+    )
     error = torch.zeros(b, dtype=torch.float64, device=device)
     steps, count = (torch.zeros(b, dtype=torch.int32, device=device) for _ in range(2))
     result = Alignment(R, p, error, steps, scale, handle)
@@ -116,7 +127,8 @@ def align_templates(
 
 @dataclass(frozen=True)
 class _Templates:
-    """Both templates in one table: template t has rows first[t] .. first[t + 1] of `points` (m) and `role`."""
+    """Both templates in one table: template t has rows first[t] .. first[t + 1] of `points` (m) and
+    `role`."""
 
     points: wp.array
     role: wp.array
@@ -134,7 +146,9 @@ def _templates(device: str) -> _Templates:
         wp.array(np.concatenate(shapes).astype(np.float32), dtype=wp.vec3, device=device),
         wp.array(np.concatenate(roles), dtype=wp.uint8, device=device),
         wp.array(first, dtype=wp.int32, device=device),
-        torch.tensor([float(np.ptp(t, axis=0).max()) for t in shapes], dtype=torch.float64, device=device),
+        torch.tensor(
+            [float(np.ptp(t, axis=0).max()) for t in shapes], dtype=torch.float64, device=device
+        ),
     )
 
 

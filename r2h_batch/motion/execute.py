@@ -25,15 +25,17 @@ from r2h_batch.scene.scene import Placed, Scene
 
 @dataclass(frozen=True)
 class Executed:
-    """The motion that happened, as joint lines between samples `sample_s` apart (kinematic: the planned path itself).
+    """The motion that happened, as joint lines between samples `sample_s` apart (kinematic: the
+    planned path itself).
 
-    `t_exec_s`: when the arm came to rest at its goal, NaN where it did not or there is no path. `valid`: False where the
-    simulator failed: such a row has no length, but `path` still holds its `recorded` samples. `slack_m`: how far any point
-    of the robot may have been off the lines between two samples, fingers that gave way included; `slack_with_object_m`:
-    any point of robot and object. `deviation_m`: a bound on
-    how far any point of robot or object ever was from where the planned path has it at that time; below the path's clearance
-    it certifies that the motion touched nothing of what planning checks. `failed_state`: qpos and qvel as the simulator had
-    them before it failed.
+    `t_exec_s`: when the arm came to rest at its goal, NaN where it did not or there is no path.
+    `valid`: False where the simulator failed: such a row has no length, but `path` still holds its
+    `recorded` samples. `slack_m`: how far any point of the robot may have been off the lines
+    between two samples, fingers that gave way included; `slack_with_object_m`: any point of robot
+    and object. `deviation_m`: a bound on how far any point of robot or object ever was from where
+    the planned path has it at that time; below the path's clearance it certifies that the motion
+    touched nothing of what planning checks. `failed_state`: qpos and qvel as the simulator had them
+    before it failed.
     """
 
     path: Float32[Tensor, "b w 6"]
@@ -62,24 +64,37 @@ def execute(
 ) -> Executed:
     """Moves the arm along B paths in the engine of `config`; rows without a path are left out.
 
-    Each trial runs until its reference has ended and `dwell_s` more; what has not come to rest by then runs again, for
-    `settle_s` longer. How long the reference takes decides nothing. Rows do not depend on each other.
+    Each trial runs until its reference has ended and `dwell_s` more; what has not come to rest by
+    then runs again, for `settle_s` longer. How long the reference takes decides nothing. Rows do
+    not depend on each other.
 
-    `clearance_m`: certified smallest distance of all pairs along each planned path (`Plan.clearance_m`). With
-    `model="auto"` the arm alone moves first; where no body can have come as near to another as to touch it, the contacts
-    of the whole scene cannot have pushed and the motion stands: known from the clearance, if it is given and large
-    enough, else from a walk along the motion (`nothing_pushes`). The other rows are moved in the whole scene.
+    `clearance_m`: certified smallest distance of all pairs along each planned path
+    (`Plan.clearance_m`). With `model="auto"` the arm alone moves first; where no body can have come
+    as near to another as to touch it, the contacts of the whole scene cannot have pushed and the
+    motion stands: known from the clearance, if it is given and large enough, else from a walk along
+    the motion (`nothing_pushes`). The other rows are moved in the whole scene.
     """
     engine = config.engine(scene.device)
     if engine == "none":
         true = torch.ones_like(length, dtype=torch.bool)
         zero = torch.zeros_like(motion.t_exec_s)
         return Executed(
-            path, length, motion.t_exec_s, length > 0, true, zero, zero, zero, torch.zeros_like(length), None
+            path,
+            length,
+            motion.t_exec_s,
+            length > 0,
+            true,
+            zero,
+            zero,
+            zero,
+            torch.zeros_like(length),
+            None,
         )
 
     def move(model: Literal["scene", "arm"], rows: Bool[Tensor, " b"]) -> Executed:
-        run = _Runner(scene, placed, path, length, motion, replace(config, model=model), engine, threads)
+        run = _Runner(
+            scene, placed, path, length, motion, replace(config, model=model), engine, threads
+        )
         return _until_at_rest(run, rows)
 
     found = length > 0
@@ -88,19 +103,23 @@ def execute(
     alone = _with_fingers(move("arm", found), found)
     free = torch.zeros_like(found)
     if clearance_m is not None:
-        # Two bodies may each be off by the deviation, towards each other; the clearance is located to a tolerance.
+        # Two bodies may each be off by the deviation, towards each other; the clearance is located
+        # to a tolerance.
         free = alone.valid & (2.0 * alone.deviation_m < clearance_m - CLEARANCE_TOLERANCE_M)
     asked = found & alone.valid & ~free
     if bool(asked.any()):
         recorded = torch.where(asked, alone.length, 0)
-        free = free | nothing_pushes(scene, placed, alone.path, recorded, alone.slack_with_object_m, threads=threads)
+        free = free | nothing_pushes(
+            scene, placed, alone.path, recorded, alone.slack_with_object_m, threads=threads
+        )
     if bool((free | ~found).all()):
         return alone
     return _merged(alone, move("scene", found & ~free), torch.nonzero(found & ~free).flatten())
 
 
 def _until_at_rest(run: "_Runner", rows: Bool[Tensor, " b"]) -> Executed:
-    """The motion of `rows`: to the end of the reference, and `settle_s` more where the arm is not at rest by then."""
+    """The motion of `rows`: to the end of the reference, and `settle_s` more where the arm is not
+    at rest by then."""
     config = run.config
     found = torch.nonzero(rows).flatten().cpu().numpy()
     done = run(found, run.reference_s[found] + config.dwell_s)
@@ -112,9 +131,13 @@ def _until_at_rest(run: "_Runner", rows: Bool[Tensor, " b"]) -> Executed:
 
 
 def _with_fingers(alone: Executed, found: Bool[Tensor, " b"]) -> Executed:
-    """The arm's own motion with what the fingers of the whole scene would have given way at most."""
+    """The arm's own motion with what the fingers of the whole scene would have given way at
+    most."""
     give = FINGER_GIVE_M * found.to(alone.slack_m.dtype)
-    more = {name: getattr(alone, name) + give for name in ("slack_m", "slack_with_object_m", "deviation_m")}
+    more = {
+        name: getattr(alone, name) + give
+        for name in ("slack_m", "slack_with_object_m", "deviation_m")
+    }
     return replace(alone, **more)
 
 
@@ -157,7 +180,10 @@ class _Runner:
         self.tables = (path_in, time_in, length_in)
         T_wrist_gripper = scene.robot.T_wrist3_flange @ scene.robot.T_flange_gripper
         T_wrist_obj = np.tile(np.eye(4), (len(length), 1, 1))
-        T_wrist_obj[:, :3, :3], T_wrist_obj[:, :3, 3] = placed.R_wrist_obj.cpu(), placed.p_wrist_obj.cpu()
+        T_wrist_obj[:, :3, :3], T_wrist_obj[:, :3, 3] = (
+            placed.R_wrist_obj.cpu(),
+            placed.p_wrist_obj.cpu(),
+        )
         self.trials = TrialScenes(
             scene.objects, np.linalg.inv(T_wrist_gripper) @ T_wrist_obj, placed.object_index.long().cpu().numpy(),
             placed.hand_index.long().cpu().numpy(), placed.T_world_hand.double().cpu().numpy(),
@@ -190,7 +216,8 @@ class _Runner:
         first = self._at_rest(path, length)
         at = first.float() * sample_s
         still = length - 1 - first >= round(0.5 * config.dwell_s / sample_s)
-        # relative to the reference: its length is the planner's, and a longer path is no worse at coming to rest
+        # relative to the reference: its length is the planner's, and a longer path is no worse at
+        # coming to rest
         reference_s = torch.from_numpy(self.reference_s).to(device)
         settled = (length > 0) & still & (at <= reference_s + config.settle_s)
         lever = self.scene.levers.to(device)
@@ -199,10 +226,13 @@ class _Runner:
         slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
         slack[rows] += torch.from_numpy(np.nan_to_num(answer.sway_m)).to(device)
         t_exec = torch.where(settled, at.float(), torch.nan)
-        state = torch.full((b, answer.failed_state.shape[1]), torch.nan, dtype=torch.float64, device=device)
+        state = torch.full(
+            (b, answer.failed_state.shape[1]), torch.nan, dtype=torch.float64, device=device
+        )
         state[rows] = torch.from_numpy(answer.failed_state).to(device)
         both = torch.maximum(
-            slack, (acceleration[:, 0] * self.placed.object_lever.to(device)).sum(-1) * sample_s**2 / 8
+            slack,
+            (acceleration[:, 0] * self.placed.object_lever.to(device)).sum(-1) * sample_s**2 / 8,
         )
         deviation = torch.where(length > 0, self._deviation(path, length, sample_s) + both, 0.0)
         return Executed(
@@ -222,9 +252,9 @@ class _Runner:
     def _at_rest(self, path: Tensor, length: Tensor) -> Int32[Tensor, " b"]:
         """The sample from which each motion stays at its goal."""
         b, device, config = len(length), path.device, self.config
-        goal = self.path[torch.arange(b, dtype=torch.int64, device=device), (self.length - 1).clamp(min=0).long()][
-            :, None
-        ].contiguous()
+        goal = self.path[
+            torch.arange(b, dtype=torch.int64, device=device), (self.length - 1).clamp(min=0).long()
+        ][:, None].contiguous()
         first = torch.zeros(b, dtype=torch.int32, device=device)
         launch_trials(
             settle_sample,
@@ -245,7 +275,8 @@ class _Runner:
         return first
 
     def _deviation(self, motion: Tensor, length: Tensor, sample_s: float) -> Tensor:
-        """Of the lines between samples from the planned path: at the samples, and what the path curves between two in time."""
+        """Of the lines between samples from the planned path: at the samples, and what the path
+        curves between two in time."""
         law = servo_law(self.config, lead_s=0.0, step_s=sample_s)
         lever = self.scene.levers.float().to(motion.device).contiguous()
         held = self.placed.object_lever
@@ -270,7 +301,8 @@ class _Runner:
             chunk=16,
         )
         reach = torch.maximum(lever.double().sum(1).amax(), held.double().sum(1))
-        # between two samples dt apart a joint curves off its chord by at most a dt^2 / 8, and a point by that times its lever
+        # between two samples dt apart a joint curves off its chord by at most a dt^2 / 8, and a
+        # point by that times its lever
         return deviation.double() + limits(self.config)[1] * sample_s**2 / 8 * reach
 
 

@@ -25,7 +25,8 @@ Simulator = tuple[mujoco.MjModel, mujoco.MjData]
 
 
 def simulate(job: Job, *, threads: int | None = None) -> Samples:
-    """Recorded motion of the job's trials; each stops at its own end, so that nobody waits for the slowest."""
+    """Recorded motion of the job's trials; each stops at its own end, so that nobody waits for the
+    slowest."""
     out = Samples.empty(job)
     workers = min(cpu_threads(threads), max(len(job.rows), 1))
     simulators: SimpleQueue[Simulator] = SimpleQueue()
@@ -37,14 +38,22 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
             rows = range(first, min(first + CHUNK, len(job.rows)))
             steps = job.samples[rows.start : rows.stop].astype(np.int64) * job.record_steps
             command = torch.empty(
-                (len(rows), int(steps.max(initial=0)), job.scene.model.nu), dtype=torch.float64, device="cpu"
+                (len(rows), int(steps.max(initial=0)), job.scene.model.nu),
+                dtype=torch.float64,
+                device="cpu",
             )
             index = torch.from_numpy(job.rows[rows.start : rows.stop].astype(np.int32))
             path, time, length = job.tables
             launch_trials(
                 servo_commands,
                 len(rows),
-                inputs={"law": job.law, "trial": index, "path": path, "time": time, "length": length},
+                inputs={
+                    "law": job.law,
+                    "trial": index,
+                    "path": path,
+                    "time": time,
+                    "length": length,
+                },
                 outputs={"command": command},
                 device="cpu",
                 threads=threads,
@@ -90,7 +99,8 @@ def _run(
     out.q[i, len(kept) :] = kept[-1]
     out.acceleration[i] = np.abs(np.diff(qd[:, :6], axis=0)).max(0) / model.opt.timestep
     out.sway_m[i] = scene.sway(trial, q)
-    # after a warning (bad position, velocity, acceleration) rollout repeats the last state: time stands still
+    # after a warning (bad position, velocity, acceleration) rollout repeats the last state: time
+    # stands still
     on_time = abs(time[-1, 0] - len(command) * model.opt.timestep) < 0.5 * model.opt.timestep
     finite = np.isfinite(q).all(1) & np.isfinite(qd).all(1)
     out.valid[i] = on_time and bool(finite.all())

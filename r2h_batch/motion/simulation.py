@@ -15,11 +15,14 @@ from r2h_batch.scene.model import SceneModel, TrialScenes
 
 @dataclass(frozen=True)
 class Job:
-    """n motions to simulate, longest first: row of the batch, trial, start, and how many samples each takes."""
+    """n motions to simulate, longest first: row of the batch, trial, start, and how many samples
+    each takes."""
 
     scene: SceneModel
     law: Any  # Law of r2h_batch.kernels.motion.time_law
-    tables: tuple[Any, Any, Any]  # path (B, W, 6), times (B, W), lengths (B,): Warp arrays on the engine's device
+    tables: tuple[
+        Any, Any, Any
+    ]  # path (B, W, 6), times (B, W), lengths (B,): Warp arrays on the engine's device
     rows: NDArray[np.int64]
     trials: TrialScenes
     start: NDArray[np.float64]  # (n, 6) rad, at rest
@@ -30,7 +33,8 @@ class Job:
 
 @dataclass(frozen=True)
 class Samples:
-    """n recorded motions, the start first; rows repeat their last sample. `valid` is False where the simulator failed."""
+    """n recorded motions, the start first; rows repeat their last sample. `valid` is False where
+    the simulator failed."""
 
     q: NDArray[np.float32]  # (n, W, 6) rad
     acceleration: NDArray[np.float64]  # (n, 6) largest change of speed per step, rad/s^2
@@ -57,7 +61,8 @@ _before: Any = None
 
 @contextmanager
 def warnings_unwritten() -> Iterator[None]:
-    """While it lasts, MuJoCo writes no MUJOCO_LOG.TXT into the working directory: what it warns of is in the states.
+    """While it lasts, MuJoCo writes no MUJOCO_LOG.TXT into the working directory: what it warns of
+    is in the states.
 
     A handler that the user has set stays in charge.
     """

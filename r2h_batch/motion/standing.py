@@ -1,4 +1,5 @@
-"""Worlds of MuJoCo-Warp that stand from one batch to the next: model, data, room for a queue, and the captured graph.
+"""Worlds of MuJoCo-Warp that stand from one batch to the next: model, data, room for a queue, and
+the captured graph.
 
 A graph holds addresses, so a batch is written into the arrays that are
 there; a queue that they have no room for gets longer ones, and a new graph.
@@ -47,7 +48,8 @@ POLL = 32
 """Graph launches between two looks at how many trials are left."""
 
 KEPT = 6
-"""Sets of worlds that a process holds, 30 kB a world: arm and scene, and the smaller ones in which few trials run again."""
+"""Sets of worlds that a process holds, 30 kB a world: arm and scene, and the smaller ones in which
+few trials run again."""
 
 _kept: "OrderedDict[tuple[Any, ...], StandingWorlds]" = OrderedDict()
 
@@ -71,7 +73,9 @@ def standing_worlds(job: Job, nworld: int, njmax: int, naconmax: int) -> "Standi
     if worlds is None:
         while len(_kept) >= KEPT:
             _kept.popitem(last=False)
-        worlds = _kept[key] = StandingWorlds(job.scene, job.law, job.record_steps, job.device, nworld, njmax, naconmax)
+        worlds = _kept[key] = StandingWorlds(
+            job.scene, job.law, job.record_steps, job.device, nworld, njmax, naconmax
+        )
     _kept.move_to_end(key)
     return worlds
 
@@ -85,25 +89,45 @@ class StandingWorlds:
     """`nworld` worlds of one model."""
 
     def __init__(
-        self, scene: SceneModel, law: Law, record_steps: int, device: str, nworld: int, njmax: int, naconmax: int
+        self,
+        scene: SceneModel,
+        law: Law,
+        record_steps: int,
+        device: str,
+        nworld: int,
+        njmax: int,
+        naconmax: int,
     ) -> None:
-        self.scene, self.law, self.record_steps, self.device, self.nworld = scene, law, record_steps, device, nworld
+        self.scene, self.law, self.record_steps, self.device, self.nworld = (
+            scene,
+            law,
+            record_steps,
+            device,
+            nworld,
+        )
         host = _for_warp(scene.model)
         with wp.ScopedDevice(device):
             batched = (*BATCHED, *MESH_FIELDS) if scene.full else BATCHED
             self.model = mjw.put_model(host, batch_sizes=dict.fromkeys(batched, nworld))
             self.data = mjw.make_data(host, nworld=nworld, njmax=njmax, naconmax=naconmax)
             self.model.opt.warn_overflow = 0  # it prints to stdout; the bits are read below
-            self.fields, self.shapes, self.fingers = _fields(self.model, self.data), _shapes(scene), _fingers(scene)
+            self.fields, self.shapes, self.fingers = (
+                _fields(self.model, self.data),
+                _shapes(scene),
+                _fingers(scene),
+            )
             self.worlds = _worlds(host, nworld)
             self.room = (0, 0, 0)
             self.graph: Any = None
             for kernel in (command_worlds, finish_step, start_worlds):
                 wp.load_module(kernel.module, device=device)
-            mjw.step(self.model, self.data)  # compiles what the graph needs; the worlds start afterwards
+            mjw.step(
+                self.model, self.data
+            )  # compiles what the graph needs; the worlds start afterwards
 
     def run(self, job: Job, todo: np.ndarray) -> Run:
-        """What the trials at places `todo` of the job do, and what went wrong (OVERFLOW, NOT_FINITE)."""
+        """What the trials at places `todo` of the job do, and what went wrong (OVERFLOW,
+        NOT_FINITE)."""
         n = len(todo)
         wp.synchronize_device(self.device)  # the job's tables were written on torch's stream
         table = queue_table(job, todo)
@@ -128,29 +152,43 @@ class StandingWorlds:
                 for _ in range(POLL):
                     wp.capture_launch(self.graph)
             flat = self.record.q[: int((last + 1).sum())].numpy()
-            kept = {k: getattr(self.record, k)[:n].numpy() for k in ("acceleration", "sway", "failed", "state")}
+            kept = {
+                k: getattr(self.record, k)[:n].numpy()
+                for k in ("acceleration", "sway", "failed", "state")
+            }
         # a trial that ended early stays where it was
         place = table["sample"][:, None] + np.minimum(np.arange(int(last.max()) + 1), last[:, None])
         return Run(flat[place], **{k: v.copy() for k, v in kept.items()})
 
     @property
     def _written(self) -> dict[str, Any]:
-        """What every kernel of a run writes: where the worlds stand in the queue, their state, what is kept of it."""
+        """What every kernel of a run writes: where the worlds stand in the queue, their state, what
+        is kept of it."""
         return {"worlds": self.worlds, "fields": self.fields, "record": self.record}
 
     def _make_room(self, n: int, samples: int, waypoints: int) -> None:
         """Arrays for n trials, and the graph that works on them, unless there are such."""
-        if self.graph is not None and n <= self.room[0] and samples <= self.room[1] and waypoints == self.room[2]:
+        if (
+            self.graph is not None
+            and n <= self.room[0]
+            and samples <= self.room[1]
+            and waypoints == self.room[2]
+        ):
             return
         # a little more than asked, so that a sweep's chunks find room after the first few
-        self.room = (_rounded(max(n, self.room[0])), _rounded(max(samples, self.room[1])), waypoints)
+        self.room = (
+            _rounded(max(n, self.room[0])),
+            _rounded(max(samples, self.room[1])),
+            waypoints,
+        )
         self.graph = None
         self.queue = _empty_queue(self.scene, self.room[0], waypoints)
         self.record = _empty_record(self.scene.model, *self.room[:2])
         self.graph = self._captured_steps()
 
     def _captured_steps(self) -> wp.Graph:
-        """The steps between two recorded samples, as one graph: command, step, and record or refill."""
+        """The steps between two recorded samples, as one graph: command, step, and record or
+        refill."""
 
         def step() -> None:
             launch(
@@ -182,7 +220,8 @@ class StandingWorlds:
 
 
 def queue_table(job: Job, todo: np.ndarray) -> dict[str, np.ndarray]:
-    """The `Queue` of the trials at places `todo` of the job, on the host: all at once, nothing trial by trial."""
+    """The `Queue` of the trials at places `todo` of the job, on the host: all at once, nothing
+    trial by trial."""
     scene, trials, rows = job.scene, job.trials.rows(todo), job.rows[todo]
     model = scene.loaded(trials)
     path, time, length = (table.numpy()[rows] for table in job.tables)
@@ -196,7 +235,10 @@ def queue_table(job: Job, todo: np.ndarray) -> dict[str, np.ndarray]:
         "sample": np.cumsum(samples + 1) - (samples + 1),
         "start": scene.start(trials, job.start[todo]),
         "hold": scene.hold(trials),
-        **{name: model[f"body_{name}"] for name in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "subtreemass")},
+        **{
+            name: model[f"body_{name}"]
+            for name in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "subtreemass")
+        },
         "dof_invweight": model["dof_invweight0"],
         "body_invweight": model["body_invweight0"],
     }
@@ -262,9 +304,11 @@ def _rounded(n: int) -> int:
 
 def _for_warp(model: mujoco.MjModel) -> mujoco.MjModel:
     model = copy.copy(model)
-    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # it never resets, and refuses the flag
-    # boxes as in MuJoCo C, by their faces: the general routine makes one contact of four, and a gripper that meets the
-    # table bounces off
+    model.opt.disableflags &= ~int(
+        mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    )  # it never resets, and refuses the flag
+    # boxes as in MuJoCo C, by their faces: the general routine makes one contact of four, and a
+    # gripper that meets the table bounces off
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
     return model
 
@@ -273,8 +317,15 @@ def _shapes(scene: SceneModel) -> Shapes:
     shapes = Shapes()
     shapes.geom = wp.array(scene.varied.astype(np.int32), dtype=wp.int32)
     if scene.full:
-        for name, dtype in (("size", wp.vec3), ("rbound", wp.float32), ("pos", wp.vec3), ("quat", wp.quat)):
-            setattr(shapes, name, wp.array(scene.shapes[f"geom_{name}"].astype(np.float32), dtype=dtype))
+        for name, dtype in (
+            ("size", wp.vec3),
+            ("rbound", wp.float32),
+            ("pos", wp.vec3),
+            ("quat", wp.quat),
+        ):
+            setattr(
+                shapes, name, wp.array(scene.shapes[f"geom_{name}"].astype(np.float32), dtype=dtype)
+            )
         aabb = scene.shapes["geom_aabb"].astype(np.float32).reshape(-1, 2, 3)
         shapes.aabb = wp.array(aabb, dtype=wp.vec3)
     return shapes

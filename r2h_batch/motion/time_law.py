@@ -1,8 +1,9 @@
 """The time law of a planned path: a trapezoid of speed per segment, stopping at every waypoint.
 
-Each joint-space segment is timed by the joint that has farthest to go, d rad: it speeds up at a, holds v, slows down at
-a. It reaches v only if d >= v^2 / a, and takes d / v + v / a then; a shorter one is a triangle and takes 2 sqrt(d / a)
-(Biagiotti and Melchiorri, Trajectory Planning for Automatic Machines and Robots, 2008, Sec. 3.2).
+Each joint-space segment is timed by the joint that has farthest to go, d rad: it speeds up at a,
+holds v, slows down at a. It reaches v only if d >= v^2 / a, and takes d / v + v / a then; a shorter
+one is a triangle and takes 2 sqrt(d / a) (Biagiotti and Melchiorri, Trajectory Planning for
+Automatic Machines and Robots, 2008, Sec. 3.2).
 """
 
 from dataclasses import dataclass
@@ -20,17 +21,21 @@ __all__ = ["Motion", "limits", "path_time", "servo_law", "time_at", "time_path"]
 
 @dataclass(frozen=True)
 class Motion:
-    """When each waypoint is reached (s, rows beyond the path repeat the end), and T_exec (NaN without a path)."""
+    """When each waypoint is reached (s, rows beyond the path repeat the end), and T_exec (NaN
+    without a path)."""
 
     time_s: Float32[Tensor, "b w"]
     t_exec_s: Float32[Tensor, " b"]
 
 
-def time_path(path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], config: ExecConfig) -> Motion:
+def time_path(
+    path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], config: ExecConfig
+) -> Motion:
     """A trapezoid of speed per segment, all joints together, stopping at every waypoint.
 
-    The joint with the farthest to go sets the pace at `scale` times the limits; the path itself is not left. For two
-    waypoints this is the time of the paper's T_exec: 8.4-9.0 s at MoveIt 2's default scale of 0.1.
+    The joint with the farthest to go sets the pace at `scale` times the limits; the path itself is
+    not left. For two waypoints this is the time of the paper's T_exec: 8.4-9.0 s at MoveIt 2's
+    default scale of 0.1.
     """
     duration = _duration(_segment_lengths(path, length), config)
     time = torch.zeros(path.shape[:2], dtype=torch.float64, device=path.device)
@@ -40,8 +45,11 @@ def time_path(path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], confi
     return Motion(time.float(), t_exec.float())
 
 
-def path_time(path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], config: ExecConfig) -> Float64[Tensor, " b"]:
-    """Seconds that `time_path` gives each path, 0 without one, in fewer steps: for comparisons of paths."""
+def path_time(
+    path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], config: ExecConfig
+) -> Float64[Tensor, " b"]:
+    """Seconds that `time_path` gives each path, 0 without one, in fewer steps: for comparisons of
+    paths."""
     return _duration(_segment_lengths(path, length), config).sum(1)
 
 
@@ -60,7 +68,9 @@ def time_at(
     total = _duration(whole, config)
     v, a = limits(config)
     s = fraction.double() * whole
-    near = torch.minimum(s, whole - s).clamp(min=0)  # the trapezoid is symmetric: count from the nearer end
+    near = torch.minimum(s, whole - s).clamp(
+        min=0
+    )  # the trapezoid is symmetric: count from the nearer end
     ramp = torch.minimum(torch.full_like(whole, v * v / (2 * a)), whole / 2)
     t = torch.where(near <= ramp, (2 * near / a).sqrt(), (2 * ramp / a).sqrt() + (near - ramp) / v)
     t = torch.where(s <= whole / 2, t, total - t)
@@ -76,7 +86,8 @@ def limits(config: ExecConfig) -> tuple[float, float]:
 
 
 def servo_law(config: ExecConfig, *, lead_s: float, step_s: float) -> Law:
-    """The law as kernels read it: one command every `step_s`, ahead of the plan by `lead_s` (what the servos lag)."""
+    """The law as kernels read it: one command every `step_s`, ahead of the plan by `lead_s` (what
+    the servos lag)."""
     law = Law()
     law.speed, law.acceleration = (wp.float64(limit) for limit in limits(config))
     law.lead, law.step = wp.float64(lead_s), wp.float64(step_s)

@@ -1,4 +1,5 @@
-"""What methods see: estimated hands, parts and contacts. `PredictorNoise().scaled(0)` shows them the truth."""
+"""What methods see: estimated hands, parts and contacts. `PredictorNoise().scaled(0)` shows them
+the truth."""
 
 from r2h_batch.predictors.contacts import predict_contacts
 from r2h_batch.predictors.files import load_predictor

@@ -20,24 +20,32 @@ FULL = 0.95
 
 @lru_cache(maxsize=64)
 def touched_points(model: ObjectModel) -> NDArray[np.bool_]:
-    """(G, P): whether the skin of each of the object's receiving grasps is within 5 mm of each cloud point."""
+    """(G, P): whether the skin of each of the object's receiving grasps is within 5 mm of each
+    cloud point."""
     init_warp()
     grasps = load_receiving([model])
     faces = grasps.hand.faces_by_side.numpy()
     touched = np.zeros((len(grasps), len(model.points)), bool)
-    for i, (skin, side) in enumerate(zip(grasps.vertices.numpy(), grasps.side.tolist(), strict=True)):
-        near = ((model.points > skin.min(0) - CONTACT_M) & (model.points < skin.max(0) + CONTACT_M)).all(1)
+    for i, (skin, side) in enumerate(
+        zip(grasps.vertices.numpy(), grasps.side.tolist(), strict=True)
+    ):
+        near = (
+            (model.points > skin.min(0) - CONTACT_M) & (model.points < skin.max(0) + CONTACT_M)
+        ).all(1)
         if near.any():
-            distance, _, _ = ObjectSurface(skin, faces[side]).distance(model.points[near], 2 * CONTACT_M)
+            distance, _, _ = ObjectSurface(skin, faces[side]).distance(
+                model.points[near], 2 * CONTACT_M
+            )
             touched[i, near] = distance <= CONTACT_M
     return touched
 
 
 def contact_map(model: ObjectModel) -> NDArray[np.float32]:
-    """(P,) in [0, 1]: how often each cloud point is touched, both hands' grasps together, relative to the most touched.
+    """(P,) in [0, 1]: how often each cloud point is touched, both hands' grasps together, relative
+    to the most touched.
 
-    Relative, as the thermal maps of ContactDB are scaled for each object: with many ways to hold an object, no point is
-    touched in 40 % of them, yet people do have a place where they hold it.
+    Relative, as the thermal maps of ContactDB are scaled for each object: with many ways to hold an
+    object, no point is touched in 40 % of them, yet people do have a place where they hold it.
     """
     touched = touched_points(model)
     if not touched.any():

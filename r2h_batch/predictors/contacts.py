@@ -1,4 +1,5 @@
-"""Where a person would touch an object: a network's probability on its voxel grid, read at the cloud's points.
+"""Where a person would touch an object: a network's probability on its voxel grid, read at the
+cloud's points.
 
 What such a network takes and returns: `r2h_batch.predictors.grid`.
 """
@@ -34,10 +35,12 @@ def predict_contacts(
     seen: Seen | None = None,
     left_out: bool = True,
 ) -> Float32[Tensor, "n p"]:
-    """Probability that a person touches each cloud point (`ObjectModel.points`); default: the built-in VoxNet.
+    """Probability that a person touches each cloud point (`ObjectModel.points`); default: the
+    built-in VoxNet.
 
-    The network runs once for each object and predictor; trials only look up. `seen`: a network's answers instead.
-    `left_out`: a built-in object is shown to the weights that never saw it; else, as any other object, to those of all.
+    The network runs once for each object and predictor; trials only look up. `seen`: a network's
+    answers instead. `left_out`: a built-in object is shown to the weights that never saw it; else,
+    as any other object, to those of all.
     """
     if seen is not None and seen.contacts is not None:
         return seen.contacts.of(trials)["probability"].to(trials.trial_id.device)
@@ -53,10 +56,14 @@ def _of_objects(
         if len(_cached) >= 8:
             _cached.clear()
         networks = (
-            load_voxnet(o.name if left_out and is_built_in(o) else "") if predictor is None else predictor
+            load_voxnet(o.name if left_out and is_built_in(o) else "")
+            if predictor is None
+            else predictor
             for o in objects
         )
-        _cached[key] = torch.stack([_of_object(o, n) for o, n in zip(objects, networks, strict=True)])
+        _cached[key] = torch.stack(
+            [_of_object(o, n) for o, n in zip(objects, networks, strict=True)]
+        )
     return _cached[key]
 
 
@@ -66,7 +73,11 @@ def _of_object(model: ObjectModel, predictor: ContactPredictor) -> Float32[Tenso
         found = predictor(contact_grids([model]))
     name = getattr(predictor, "__name__", type(predictor).__name__)
     if not isinstance(found, Tensor) or found.shape != (1, VOXELS, VOXELS, VOXELS):
-        what = f"shape {tuple(found.shape)}" if isinstance(found, Tensor) else f"a {type(found).__name__}"
+        what = (
+            f"shape {tuple(found.shape)}"
+            if isinstance(found, Tensor)
+            else f"a {type(found).__name__}"
+        )
         raise ValueError(
             f"contact predictor {name} returned {what} for a grid (1, 5, 64, 64, 64); need a tensor (1, 64, 64, 64)"
         )

@@ -1,4 +1,5 @@
-"""A user's own contact predictor: a TorchScript file, weights of the built-in VoxNet, or a Python function."""
+"""A user's own contact predictor: a TorchScript file, weights of the built-in VoxNet, or a Python
+function."""
 
 from __future__ import annotations
 
@@ -21,9 +22,11 @@ _HOW = "give a TorchScript file (torch.jit.save), VoxNet weights as .safetensors
 
 
 def load_predictor(spec: str) -> ContactPredictor:
-    """The contact predictor of a TorchScript file, of a .safetensors file (VoxNet's), or ``package.module:function``.
+    """The contact predictor of a TorchScript file, of a .safetensors file (VoxNet's), or
+    ``package.module:function``.
 
-    What it takes and returns: `r2h_batch.predictors.grid`. Pickles (torch.save, .pkl) are refused: they run code.
+    What it takes and returns: `r2h_batch.predictors.grid`. Pickles (torch.save, .pkl) are refused:
+    they run code.
     """
     path = Path(spec)
     if not path.exists() and ":" in spec and not path.suffix:
@@ -45,17 +48,27 @@ def _torchscript(path: Path) -> ContactPredictor:
     data = read_file(path, MAX_BYTES)
     if not zipfile.is_zipfile(io.BytesIO(data)):
         magic = data[:2]
-        kind = "a pickle, which runs code when read" if magic[:1] == b"\x80" else "neither TorchScript nor safetensors"
+        kind = (
+            "a pickle, which runs code when read"
+            if magic[:1] == b"\x80"
+            else "neither TorchScript nor safetensors"
+        )
         raise PredictorError(f"predictor {path}: {kind}; {_HOW}")
     with open_archive(path, MAX_BYTES) as archive:
-        names = [m.filename for m in archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)]
+        names = [
+            m.filename for m in archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)
+        ]
     if not any(n.endswith("constants.pkl") for n in names) or not any("/code/" in n for n in names):
-        raise PredictorError(f"predictor {path}: a torch.save file (a pickle, which runs code when read); {_HOW}")
+        raise PredictorError(
+            f"predictor {path}: a torch.save file (a pickle, which runs code when read); {_HOW}"
+        )
     try:
         return torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
     except (RuntimeError, ValueError) as error:
         why = printable(str(error).strip().partition("\n")[0])[:200]
-        raise PredictorError(f"predictor {path}: not a readable TorchScript file ({why}); {_HOW}") from error
+        raise PredictorError(
+            f"predictor {path}: not a readable TorchScript file ({why}); {_HOW}"
+        ) from error
 
 
 def _function(spec: str) -> ContactPredictor:

@@ -1,14 +1,19 @@
-"""What somebody's own networks saw, as files: instead of the built-in error model (`--predicted-hands, -parts, -contacts`).
+"""What somebody's own networks saw, as files: instead of the built-in error model
+(`--predicted-hands, -parts, -contacts`).
 
-Arrays of an .npz or .safetensors file; N rows by `trial_id` (N,), or, of parts and contacts, K rows by `object` (K,) names
-(.npz) or `object_index` (K,). P points are the object's own cloud (`ObjectModel.points`), or `points` (K, P, 3) in its frame:
-then each point of the own cloud takes what the nearest of these has. `source`: the network's name for the table (.npz).
+Arrays of an .npz or .safetensors file; N rows by `trial_id` (N,), or, of parts and contacts, K rows
+by `object` (K,) names (.npz) or `object_index` (K,). P points are the object's own cloud
+(`ObjectModel.points`), or `points` (K, P, 3) in its frame: then each point of the own cloud takes
+what the nearest of these has. `source`: the network's name for the table (.npz).
 
-hands      on the object, frame obj: `receiving_T_obj_hand` (N, 4, 4), `receiving_pose` (N, 48), `receiving_shape` (N, 10; 0),
-           or `receiving_joints` (N, 16 | 21, 3) and `receiving_vertices` (N, V, 3). In the world the same with `target_` and
-           `target_T_world_hand`. One of the two or both. 16 joints are MANO's; 21 are OpenPose's (wrist, thumb to little
-           finger, each from its root to its tip). The side is the trial's.
-parts      `label` (., P) index into the object's `part_names`, with `usage` (., P) whether the receiver takes it there (S1);
+hands      on the object, frame obj: `receiving_T_obj_hand` (N, 4, 4), `receiving_pose` (N, 48),
+`receiving_shape` (N, 10; 0),
+           or `receiving_joints` (N, 16 | 21, 3) and `receiving_vertices` (N, V, 3). In the world
+           the same with `target_` and `target_T_world_hand`. One of the two or both. 16 joints are
+           MANO's; 21 are OpenPose's (wrist, thumb to little finger, each from its root to its tip).
+           The side is the trial's.
+parts      `label` (., P) index into the object's `part_names`, with `usage` (., P) whether the
+receiver takes it there (S1);
            or `role` (., P): 0 works, 1 grasp, 2 wrap-grasp, as AffNet's affordances say it.
 contacts   `probability` (., P) in [0, 1] that a person touches the point.
 """
@@ -48,14 +53,17 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class GivenHands:
-    """Predicted hands by trial id, sorted: MANO's numbers and a frame, or joints and skin. Metres."""
+    """Predicted hands by trial id, sorted: MANO's numbers and a frame, or joints and skin.
+    Metres."""
 
     source: str
     trial_id: NDArray[np.int64]
     arrays: Mapping[str, NDArray[np.float32]]
     """T, pose, shape; or joints (N, 16, 3), vertices (N, V, 3)"""
 
-    def hands(self, trials: Trials, model: HandModel, side: Tensor) -> tuple[HandGeometry, Float32[Tensor, "n 4 4"]]:
+    def hands(
+        self, trials: Trials, model: HandModel, side: Tensor
+    ) -> tuple[HandGeometry, Float32[Tensor, "n 4 4"]]:
         """Posed hands of these trials, one a row, and where each stands; on the CPU."""
         rows = rows_of(self.trial_id, trials.trial_id.cpu().numpy())
         a = {k: torch.from_numpy(v[rows]) for k, v in self.arrays.items()}
@@ -101,7 +109,9 @@ class Seen:
         for kind, part in vars(self).items():
             ids = None if part is None else part.trial_id
             if ids is not None and len(missing := np.setdiff1d(trial_id, ids)):
-                listed = ", ".join(map(str, missing[:10].tolist())) + (", ..." if len(missing) > 10 else "")
+                listed = ", ".join(map(str, missing[:10].tolist())) + (
+                    ", ..." if len(missing) > 10 else ""
+                )
                 raise FileError(
                     f"predicted {kind} of {part.source}: {len(missing)} planned trials are missing: {listed}"
                 )
@@ -125,13 +135,20 @@ class Seen:
 
 _LOOKED_AT = 4096
 ALIKE = 3.0
-"""How much larger or smaller a cloud of somebody's own may be than the object that it is of (a view shows one side)."""
+"""How much larger or smaller a cloud of somebody's own may be than the object that it is of (a view
+shows one side)."""
 
 
 def read_seen(
-    objects: Sequence[ObjectModel], hand: HandModel, *, hands: str = "", parts: str = "", contacts: str = ""
+    objects: Sequence[ObjectModel],
+    hand: HandModel,
+    *,
+    hands: str = "",
+    parts: str = "",
+    contacts: str = "",
 ) -> Seen:
-    """What the files say, for these objects and this hand; every number checked. Raises `FileError`, one line."""
+    """What the files say, for these objects and this hand; every number checked. Raises
+    `FileError`, one line."""
     found: dict[str, Any] = {}
     if hands:
         found |= _hands(Path(hands), hand)
@@ -161,7 +178,9 @@ def _read(path: Path, allowed: Sequence[str]) -> tuple[Arrays, str]:
     if not name.strip() or len(name) > 60 or not name.isprintable():
         raise FileError(f"{where}: source is no name; give 1 to 60 printable characters")
     if unknown := sorted(set(arrays) - set(allowed)):
-        raise FileError(f"{where}: unknown array {printable(unknown[0])!r}; allowed are {', '.join(allowed)}, source")
+        raise FileError(
+            f"{where}: unknown array {printable(unknown[0])!r}; allowed are {', '.join(allowed)}, source"
+        )
     for key, value in arrays.items():
         if value.dtype.kind == "f" and not np.isfinite(value).all():
             row = int(np.argwhere(~np.isfinite(value))[0][0])
@@ -169,7 +188,9 @@ def _read(path: Path, allowed: Sequence[str]) -> tuple[Arrays, str]:
     return arrays, name
 
 
-def _need(where: str, arrays: Arrays, name: str, shape: tuple[int | None, ...], kinds: str) -> NDArray[Any]:
+def _need(
+    where: str, arrays: Arrays, name: str, shape: tuple[int | None, ...], kinds: str
+) -> NDArray[Any]:
     """The array of this name, of this shape (None: any) and kind."""
     value = arrays.get(name)
     letters = iter("NMK")
@@ -177,7 +198,9 @@ def _need(where: str, arrays: Arrays, name: str, shape: tuple[int | None, ...], 
     words = f"{size} {KINDS.get(kinds, 'numbers')}"
     if value is None:
         raise FileError(f"{where}: has no {name}; need {words}")
-    fits = value.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, value.shape, strict=True))
+    fits = value.ndim == len(shape) and all(
+        n in (None, m) for n, m in zip(shape, value.shape, strict=True)
+    )
     if not fits or value.dtype.kind not in kinds:
         raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {words}")
     return value
@@ -189,7 +212,9 @@ def _trial_ids(where: str, arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[n
     if not len(ids):
         raise FileError(f"{where}: no rows; give one for each planned trial")
     if ids.min() < 0 or int(ids.max()) > np.iinfo(np.int64).max:
-        raise FileError(f"{where}: trial_id goes from {ids.min()} to {ids.max()}; ids are 0 or more")
+        raise FileError(
+            f"{where}: trial_id goes from {ids.min()} to {ids.max()}; ids are 0 or more"
+        )
     order = np.argsort(ids, kind="stable")
     sorted_ids = ids[order].astype(np.int64)
     if (twice := np.flatnonzero(np.diff(sorted_ids) == 0)).size:
@@ -199,17 +224,23 @@ def _trial_ids(where: str, arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[n
 
 def _hands(path: Path, model: HandModel) -> dict[str, GivenHands]:
     frames = {"receiving": "T_obj_hand", "target": "T_world_hand"}
-    names = [f"{k}_{n}" for k, T in frames.items() for n in (T, "pose", "shape", "joints", "vertices")]
+    names = [
+        f"{k}_{n}" for k, T in frames.items() for n in (T, "pose", "shape", "joints", "vertices")
+    ]
     arrays, source = _read(path, ("trial_id", *names))
     where = printable(path)
     ids, order = _trial_ids(where, arrays)
     found = {}
     for kind, T in frames.items():
-        mine = {k.removeprefix(f"{kind}_"): v for k, v in arrays.items() if k.startswith(f"{kind}_")}
+        mine = {
+            k.removeprefix(f"{kind}_"): v for k, v in arrays.items() if k.startswith(f"{kind}_")
+        }
         if mine:
             values = _one_hand(f"{where}: {kind} hands", mine, T, len(ids), model)
             found[kind] = GivenHands(
-                source, ids, {k: np.ascontiguousarray(v[order], np.float32) for k, v in values.items()}
+                source,
+                ids,
+                {k: np.ascontiguousarray(v[order], np.float32) for k, v in values.items()},
             )
     if not found:
         raise FileError(f"{where}: holds no hands; allowed are {', '.join(names)}")
@@ -220,16 +251,28 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
     """T, pose, shape; or joints in MANO's order and vertices."""
     posed = "pose" in a or frame in a
     if posed == ("vertices" in a or "joints" in a):
-        raise FileError(f"{where}: give either {frame} with pose (and shape), or joints with vertices")
+        raise FileError(
+            f"{where}: give either {frame} with pose (and shape), or joints with vertices"
+        )
     if posed:
         T = _need(where, a, frame, (n, 4, 4), "f")
         R = T[:, :3, :3].astype(np.float64)
-        off = (np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > RIGID) | (np.linalg.det(R) < 0)
-        off |= (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) > RIGID) | (np.abs(T[:, :3, 3]).max(1) > FARTHEST_M)
+        off = (np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > RIGID) | (
+            np.linalg.det(R) < 0
+        )
+        off |= (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) > RIGID) | (
+            np.abs(T[:, :3, 3]).max(1) > FARTHEST_M
+        )
         if off.any():
-            raise FileError(f"{where}: {frame} of row {int(off.argmax())} is no rigid pose in metres")
+            raise FileError(
+                f"{where}: {frame} of row {int(off.argmax())} is no rigid pose in metres"
+            )
         pose = _need(where, a, "pose", (n, 48), "f")
-        shape = _need(where, a, "shape", (n, 10), "f") if "shape" in a else np.zeros((n, 10), np.float32)
+        shape = (
+            _need(where, a, "shape", (n, 10), "f")
+            if "shape" in a
+            else np.zeros((n, 10), np.float32)
+        )
         try:
             check_postures(pose, shape)
         except ValueError as error:
@@ -245,7 +288,9 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
     wrong = (side < HAND_M[0]) | (side > HAND_M[1]) | (np.abs(vertices).max((1, 2)) > FARTHEST_M)
     if wrong.any():
         row = int(wrong.argmax())
-        raise FileError(f"{where}: the hand of row {row} is {side[row]:.3g} m large; lengths are in metres")
+        raise FileError(
+            f"{where}: the hand of row {row} is {side[row]:.3g} m large; lengths are in metres"
+        )
     joints = _need(where, a, "joints", (n, None, 3), "f")
     if joints.shape[1] not in (16, 21):
         raise FileError(f"{where}: {joints.shape[1]} joints; need MANO's 16 or OpenPose's 21")
@@ -259,7 +304,9 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
 
 
 def _parts(path: Path, objects: Sequence[ObjectModel]) -> GivenPoints:
-    arrays, source = _read(path, ("trial_id", "object", "object_index", "points", "label", "usage", "role"))
+    arrays, source = _read(
+        path, ("trial_id", "object", "object_index", "points", "label", "usage", "role")
+    )
     where = printable(path)
     if ("role" in arrays) == ("label" in arrays):
         raise FileError(f"{where}: give either role, or label (with usage)")
@@ -271,7 +318,9 @@ def _parts(path: Path, objects: Sequence[ObjectModel]) -> GivenPoints:
         high = 1 if name == "usage" else most
         value = _need(where, arrays, name, (None, None), "iub")
         if value.size and not 0 <= int(value.min()) <= int(value.max()) <= high:
-            raise FileError(f"{where}: {name} goes from {value.min()} to {value.max()}; allowed are 0 to {high}")
+            raise FileError(
+                f"{where}: {name} goes from {value.min()} to {value.max()}; allowed are 0 to {high}"
+            )
     return _by_key(where, arrays, source, names, np.uint8, objects)
 
 
@@ -287,18 +336,29 @@ def _contacts(path: Path, objects: Sequence[ObjectModel]) -> GivenPoints:
 
 
 def _by_key(
-    where: str, arrays: Arrays, source: str, names: Sequence[str], dtype: Any, objects: Sequence[ObjectModel]
+    where: str,
+    arrays: Arrays,
+    source: str,
+    names: Sequence[str],
+    dtype: Any,
+    objects: Sequence[ObjectModel],
 ) -> GivenPoints:
     """Rows by trial or by object, on the objects' own clouds."""
     own = len(objects[0].points)
     keys = [k for k in ("trial_id", "object", "object_index") if k in arrays]
     if len(keys) != 1:
-        raise FileError(f"{where}: rows go by one of trial_id, object, object_index; found {', '.join(keys) or 'none'}")
+        raise FileError(
+            f"{where}: rows go by one of trial_id, object, object_index; found {', '.join(keys) or 'none'}"
+        )
     if keys == ["trial_id"]:
         ids, order = _trial_ids(where, arrays)
         if "points" in arrays:
-            raise FileError(f"{where}: points go with rows by object; rows by trial are on the objects' own clouds")
-        values = {k: _need(where, arrays, k, (len(ids), own), "fiub")[order].astype(dtype) for k in names}
+            raise FileError(
+                f"{where}: points go with rows by object; rows by trial are on the objects' own clouds"
+            )
+        values = {
+            k: _need(where, arrays, k, (len(ids), own), "fiub")[order].astype(dtype) for k in names
+        }
         return GivenPoints(source, ids, values)
     rows = _object_rows(where, arrays, objects)
     k = len(arrays[keys[0]])
@@ -307,7 +367,9 @@ def _by_key(
         return GivenPoints(source, None, values)
     points = _need(where, arrays, "points", (k, None, 3), "f")
     if not 1 <= points.shape[1] <= MOST_POINTS:
-        raise FileError(f"{where}: {points.shape[1]} points an object; 1 to {MOST_POINTS} are allowed")
+        raise FileError(
+            f"{where}: {points.shape[1]} points an object; 1 to {MOST_POINTS} are allowed"
+        )
     for row, o in zip(rows, objects, strict=True):
         low, high = points[row].min(0), points[row].max(0)
         span, own_span = float((high - low).max()), float(np.ptp(o.points, axis=0).max())
@@ -317,9 +379,13 @@ def _by_key(
                 f"{where}: points of {o.name} span {span:.3g} m about a middle {off:.3g} m off, the object spans"
                 f" {own_span:.3g} m; they must be on it, in its frame and in metres"
             )
-    near = np.stack([cKDTree(points[row]).query(o.points)[1] for row, o in zip(rows, objects, strict=True)])
+    near = np.stack(
+        [cKDTree(points[row]).query(o.points)[1] for row, o in zip(rows, objects, strict=True)]
+    )
     values = {n: _need(where, arrays, n, (k, points.shape[1]), "fiub")[rows] for n in names}
-    return GivenPoints(source, None, {n: np.take_along_axis(v, near, 1).astype(dtype) for n, v in values.items()})
+    return GivenPoints(
+        source, None, {n: np.take_along_axis(v, near, 1).astype(dtype) for n, v in values.items()}
+    )
 
 
 def _object_rows(where: str, arrays: Arrays, objects: Sequence[ObjectModel]) -> NDArray[np.int64]:

@@ -1,8 +1,10 @@
-"""What a contact predictor takes and returns: an object's voxel grid in, a probability of contact per voxel out.
+"""What a contact predictor takes and returns: an object's voxel grid in, a probability of contact
+per voxel out.
 
-A contact predictor is a callable: grid (K, 5, 64, 64, 64) float32 in, contact probability (K, 64, 64, 64) in [0, 1] out.
-The grid's axes are the object's x, y, z; its channels are occupancy, the voxel centre's x, y, z in the box of the grid
-from -1 to 1, and the object's scale (half the grid's side, in metres) in every voxel.
+A contact predictor is a callable: grid (K, 5, 64, 64, 64) float32 in, contact probability (K, 64,
+64, 64) in [0, 1] out. The grid's axes are the object's x, y, z; its channels are occupancy, the
+voxel centre's x, y, z in the box of the grid from -1 to 1, and the object's scale (half the grid's
+side, in metres) in every voxel.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ def contact_grids(objects: Sequence[ObjectModel]) -> Float32[Tensor, "o 5 64 64 
     """The network's input for each object."""
     axis = (torch.arange(VOXELS, dtype=torch.float32, device="cpu") + 0.5) * (2.0 / VOXELS) - 1.0
     place = torch.stack(torch.meshgrid(axis, axis, axis, indexing="ij"))
-    grids = torch.empty((len(objects), CHANNELS, VOXELS, VOXELS, VOXELS), dtype=torch.float32, device="cpu")
+    grids = torch.empty(
+        (len(objects), CHANNELS, VOXELS, VOXELS, VOXELS), dtype=torch.float32, device="cpu"
+    )
     for i, model in enumerate(objects):
         grids[i, 0] = torch.from_numpy(model.occupancy)
         grids[i, 1:4] = place

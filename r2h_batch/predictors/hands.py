@@ -1,4 +1,5 @@
-"""Hands as a method sees them: the receiver's hand on the object, and the target hand in the world."""
+"""Hands as a method sees them: the receiver's hand on the object, and the target hand in the
+world."""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ _GRASP, _RECEIVING, _TARGET, _FRAME = 0, 1, 2, 3  # purposes of the random count
 
 @dataclass(frozen=True, eq=False)
 class _SeenHand:
-    """N hands: row of a bank of posed hands, and where each stands in a frame (obj or world), metres."""
+    """N hands: row of a bank of posed hands, and where each stands in a frame (obj or world),
+    metres."""
 
     bank: HandGeometry
     row: Int64[Tensor, " n"]
@@ -85,7 +87,8 @@ class ReceivingHand(_SeenHand):
     """The receiver's hand on the object as predicted, frame obj."""
 
     grasp: Int64[Tensor, " n"]
-    """row of `load_receiving(scene.objects, scene.hands.model)` that was drawn; -1: a network's own"""
+    """row of `load_receiving(scene.objects, scene.hands.model)` that was drawn; -1: a network's
+    own"""
 
     @property
     def T_obj_hand(self) -> Float32[Tensor, "n 4 4"]:
@@ -119,10 +122,11 @@ def predict_receiving(
     part: Int32[Tensor, " n"] | None = None,
     seen: Seen | None = None,
 ) -> ReceivingHand:
-    """A receiving grasp of each trial's object and hand side, with the error model; drawn by (seed, trial id).
+    """A receiving grasp of each trial's object and hand side, with the error model; drawn by (seed,
+    trial id).
 
-    `part`: label that the hand should hold, -1 for any; where no grasp holds it, any is drawn. `seen`: a network's answers
-    instead, where it has some.
+    `part`: label that the hand should hold, -1 for any; where no grasp holds it, any is drawn.
+    `seen`: a network's answers instead, where it has some.
     """
     if seen is not None and seen.receiving is not None:
         return _given(trials, scene, seen.receiving)
@@ -130,9 +134,13 @@ def predict_receiving(
     labels = torch.full((n,), -1, dtype=torch.int32, device="cpu") if part is None else part.cpu()
     names = max(len(o.part_names) for o in scene.objects)
     if n and not (int(labels.min()) >= -1 and int(labels.max()) < names):
-        raise ValueError(f"part is {int(labels.min())} to {int(labels.max())}; it must be -1 (any) to {names - 1}")
+        raise ValueError(
+            f"part is {int(labels.min())} to {int(labels.max())}; it must be -1 (any) to {names - 1}"
+        )
     grasps = load_receiving(scene.objects, scene.hands.model)
-    fits = torch.ones((count, names + 1, len(grasps)), dtype=torch.bool, device="cpu")  # label -1 stands last
+    fits = torch.ones(
+        (count, names + 1, len(grasps)), dtype=torch.bool, device="cpu"
+    )  # label -1 stands last
     for k in range(names):
         fits[:, k] = grasps.part == k
     return _drawn(trials, scene, grasps, fits, labels.long() % (names + 1), seed, noise)
@@ -147,29 +155,41 @@ def retrieve_receiving(
     noise: PredictorNoise | None = None,
     seen: Seen | None = None,
 ) -> ReceivingHand:
-    """A receiving grasp that answers each trial's instruction (None: the object's own), with the error model.
+    """A receiving grasp that answers each trial's instruction (None: the object's own), with the
+    error model.
 
-    Instructions are understood for object, part and purpose (`instructions.understand`); a sentence about another
-    object, or about a part that nobody takes, raises `InstructionError`. `seen`: a network's answers instead.
+    Instructions are understood for object, part and purpose (`instructions.understand`); a sentence
+    about another object, or about a part that nobody takes, raises `InstructionError`. `seen`: a
+    network's answers instead.
     """
     if seen is not None and seen.receiving is not None:
         return _given(trials, scene, seen.receiving)
     object_index = trials.object_index.cpu().tolist()
-    said = [scene.objects[i].instruction for i in object_index] if instructions is None else list(instructions)
+    said = (
+        [scene.objects[i].instruction for i in object_index]
+        if instructions is None
+        else list(instructions)
+    )
     if len(said) != len(trials):
-        raise InstructionError(f"{len(said)} instructions for {len(trials)} trials; give one for each, or None")
+        raise InstructionError(
+            f"{len(said)} instructions for {len(trials)} trials; give one for each, or None"
+        )
     grasps = load_receiving(scene.objects, scene.hands.model)
     most = max(len(intents_of(o)) for o in scene.objects)
     fits = torch.zeros((len(scene.objects), most, len(grasps)), dtype=torch.bool, device="cpu")
     for i, model in enumerate(scene.objects):
         for k, intent in enumerate(intents_of(model)):
-            fits[i, k] = torch.isin(grasps.part, torch.tensor(intent.labels, dtype=torch.uint8, device="cpu"))
+            fits[i, k] = torch.isin(
+                grasps.part, torch.tensor(intent.labels, dtype=torch.uint8, device="cpu")
+            )
     answer = {
         pair: understand(pair[1], scene.objects, object_index=pair[0]).intent
         for pair in dict.fromkeys(zip(object_index, said, strict=True))
     }
     wanted = torch.tensor(
-        [answer[pair] for pair in zip(object_index, said, strict=True)], dtype=torch.int64, device="cpu"
+        [answer[pair] for pair in zip(object_index, said, strict=True)],
+        dtype=torch.int64,
+        device="cpu",
     )
     return _drawn(trials, scene, grasps, fits, wanted, seed, noise)
 
@@ -183,7 +203,8 @@ def _drawn(
     seed: int,
     noise: PredictorNoise | None,
 ) -> ReceivingHand:
-    """Grasps of the object and side with `fits[object, wanted]`, all equally likely, then the error."""
+    """Grasps of the object and side with `fits[object, wanted]`, all equally likely, then the
+    error."""
     noise = PredictorNoise() if noise is None else noise
     ids, device = trial_ids(trials.trial_id), trials.trial_id.device
     key = rng.key_of(f"receiving hand {seed}")
@@ -193,10 +214,13 @@ def _drawn(
     if not bool((number[at] > 0).all()):
         i = int(torch.nonzero(number[at] == 0)[0, 0])
         name = scene.objects[int(trials.object_index[i])].name
-        raise NoHoldError(f"{name}: no receiving grasp of a {SIDES[int(side[i])]} hand was found; leave its trials out")
+        raise NoHoldError(
+            f"{name}: no receiving grasp of a {SIDES[int(side[i])]} hand was found; leave its trials out"
+        )
     (u,) = rng.uniforms(key, ids, 1, purpose=_GRASP)
     grasp = table[at][
-        torch.arange(len(ids), dtype=torch.int64, device="cpu"), torch.from_numpy(rng.choice(u, number[at].numpy()))
+        torch.arange(len(ids), dtype=torch.int64, device="cpu"),
+        torch.from_numpy(rng.choice(u, number[at].numpy())),
     ]
     point, _ = palm_frame(grasps.posed.joints, grasps.side)
     T = perturbed(
@@ -214,7 +238,8 @@ def _drawn(
 
 
 def _rows(grasps: ReceivingGrasps, fits: Tensor) -> tuple[Tensor, Tensor]:
-    """Rows of `grasps` for (object, side, choice), padded (O, 2, C, L), and how many; where nothing fits, all do."""
+    """Rows of `grasps` for (object, side, choice), padded (O, 2, C, L), and how many; where nothing
+    fits, all do."""
     mine = torch.stack([grasps.object_index == i for i in range(len(fits))])[:, None] & torch.stack(
         [grasps.side == s for s in (0, 1)]
     )
@@ -232,7 +257,9 @@ def _given(trials: Trials, scene: Scene, hands: GivenHands) -> ReceivingHand:
     bank, T = hands.hands(trials, scene.hands.model, side)
     row = torch.arange(len(trials), dtype=torch.int64, device=device)
     on = HandGeometry(bank.vertices.to(device), bank.joints.to(device))
-    return ReceivingHand(on, row, side.to(device), T.to(device), scene.hands.model, torch.full_like(row, -1))
+    return ReceivingHand(
+        on, row, side.to(device), T.to(device), scene.hands.model, torch.full_like(row, -1)
+    )
 
 
 def predict_target(
@@ -243,7 +270,8 @@ def predict_target(
     noise: PredictorNoise | None = None,
     seen: Seen | None = None,
 ) -> TargetHand:
-    """Each trial's real hand as an estimator sees it, with the error model; drawn by (seed, trial id).
+    """Each trial's real hand as an estimator sees it, with the error model; drawn by (seed, trial
+    id).
 
     `seen`: a network's answers instead, where it has some.
     """
@@ -251,9 +279,13 @@ def predict_target(
     hands, device = scene.hands, trials.trial_id.device
     if seen is not None and seen.target is not None:
         it = _given(trials, scene, seen.target)
-        return TargetHand(it.bank, it.row, it.side, it.T, it.model, scene.config.thresholds.reach_offset_m)
+        return TargetHand(
+            it.bank, it.row, it.side, it.T, it.model, scene.config.thresholds.reach_offset_m
+        )
     row = trials.hand_index.long()
-    T = estimated_hand(scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=seed, noise=noise)
+    T = estimated_hand(
+        scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=seed, noise=noise
+    )
     bank = HandGeometry(hands.vertices.to(device), hands.joints.to(device))
     side = hands.set.side.to(device, torch.int8)[row]
     return TargetHand(bank, row, side, T, hands.model, scene.config.thresholds.reach_offset_m)
@@ -268,9 +300,14 @@ def estimated_hand(
     seed: int,
     noise: PredictorNoise,
 ) -> Float32[Tensor, "n 4 4"]:
-    """Where an estimator sees the hands stand (world), with the error model; drawn by (seed, trial id)."""
+    """Where an estimator sees the hands stand (world), with the error model; drawn by (seed, trial
+    id)."""
     hands, row = scene.hands, hand_index.long()
-    ids, key, pivot = trial_ids(trial_id), rng.key_of(f"target hand {seed}"), hands.palm_point.to(row.device)[row]
+    ids, key, pivot = (
+        trial_ids(trial_id),
+        rng.key_of(f"target hand {seed}"),
+        hands.palm_point.to(row.device)[row],
+    )
     T = T_world_hand
     if noise.target_errors != "frames":
         T = perturbed(

@@ -19,8 +19,9 @@ from r2h_batch.bodies.hand import rotation_from_axis_angle
 __all__ = ["Errors", "PredictorNoise", "as_in_a_frame", "normals", "perturbed"]
 
 Errors = Literal["normal", "frames", "tails"]
-"""Of the target hand. normal: the deviations below. frames: what published estimators were off by in single frames, with their
-outliers and flipped hands (assets/receiving/build_hand_errors.py). tails: both, one after the other."""
+"""Of the target hand. normal: the deviations below. frames: what published estimators were off by
+in single frames, with their outliers and flipped hands (assets/receiving/build_hand_errors.py).
+tails: both, one after the other."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,9 @@ class PredictorNoise:
 
     def __post_init__(self) -> None:
         if self.target_errors not in get_args(Errors):
-            raise ValueError(f"target_errors is {self.target_errors!r}; allowed are {', '.join(get_args(Errors))}")
+            raise ValueError(
+                f"target_errors is {self.target_errors!r}; allowed are {', '.join(get_args(Errors))}"
+            )
         for name, value in self._numbers().items():
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} is {value}; it must be a number, 0 (exact) or more")
@@ -58,8 +61,11 @@ class PredictorNoise:
         return replace(self, **{name: factor * value for name, value in self._numbers().items()})  # type: ignore[arg-type]
 
 
-def normals(key: tuple[int, int], ids: NDArray[np.int64], count: int, *, purpose: int) -> NDArray[np.float64]:
-    """(count, n) nearly normal numbers: sums of 12 uniform ones, less 6; the same bits in any batch, on any machine."""
+def normals(
+    key: tuple[int, int], ids: NDArray[np.int64], count: int, *, purpose: int
+) -> NDArray[np.float64]:
+    """(count, n) nearly normal numbers: sums of 12 uniform ones, less 6; the same bits in any
+    batch, on any machine."""
     u = rng.uniforms(key, ids, 12 * count, purpose=purpose).reshape(12, count, len(ids))
     total = u[0] - 6.0
     for k in range(1, 12):
@@ -77,7 +83,8 @@ def perturbed(
     rotation_deg: float,
     translation_m: float,
 ) -> Float32[Tensor, "n 4 4"]:
-    """T with a hand's error in its own frame: a turn about `pivot` (hand frame), then a shift. Exact for no deviation."""
+    """T with a hand's error in its own frame: a turn about `pivot` (hand frame), then a shift.
+    Exact for no deviation."""
     if rotation_deg == 0 and translation_m == 0:
         return T.clone()
     z = torch.from_numpy(normals(key, ids, 6, purpose=purpose)).to(T.device)
@@ -85,7 +92,9 @@ def perturbed(
     about = pivot.double()
     E = se3.from_rotation(R, about)
     E[:, :3, 3] = (
-        E[:, :3, 3] - se3.apply(se3.from_rotation(R, torch.zeros_like(about)), about) + translation_m * z[3:].T
+        E[:, :3, 3]
+        - se3.apply(se3.from_rotation(R, torch.zeros_like(about)), about)
+        + translation_m * z[3:].T
     )
     return se3.matmul(T.double(), E).float()
 
@@ -100,10 +109,11 @@ def as_in_a_frame(
     purpose: int,
     factor: float,
 ) -> Float32[Tensor, "n 4 4"]:
-    """T with the error of one frame of a published estimator, all frames equally likely: a turn about `pivot`, then a shift.
+    """T with the error of one frame of a published estimator, all frames equally likely: a turn
+    about `pivot`, then a shift.
 
-    `directions`: columns along the hand, out of its palm, to its thumb (hand frame; a left hand's are a mirrored frame, and
-    the error is mirrored with it). Exact for factor 0.
+    `directions`: columns along the hand, out of its palm, to its thumb (hand frame; a left hand's
+    are a mirrored frame, and the error is mirrored with it). Exact for factor 0.
     """
     if factor == 0:
         return T.clone()
@@ -123,7 +133,8 @@ def as_in_a_frame(
 
 @lru_cache(maxsize=1)
 def _frames() -> tuple[Tensor, Tensor]:
-    """Rotation vectors (rad) and shifts (m) of single frames, (F, 3) each, in a hand's directions, float64."""
+    """Rotation vectors (rad) and shifts (m) of single frames, (F, 3) each, in a hand's directions,
+    float64."""
     stored = stored_arrays("receiving", "hand_errors.npz")
     turn, shift = (torch.from_numpy(stored[k].astype(np.float64)) for k in ("turn_rad", "shift_m"))
     return turn, shift

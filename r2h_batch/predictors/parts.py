@@ -1,4 +1,5 @@
-"""Part labels of an object's point cloud as a segmentation network sees them: right, but for where parts meet."""
+"""Part labels of an object's point cloud as a segmentation network sees them: right, but for where
+parts meet."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ __all__ = ["SeenParts", "predict_parts"]
 
 WAVES = 12
 WAVELENGTH_M = (0.03, 0.12)
-"""Between a finger's width and a handle's length: a border is misplaced as a whole more than point by point."""
+"""Between a finger's width and a handle's length: a border is misplaced as a whole more than point
+by point."""
 _PARTS = 0
 _CHUNK = 4096  # 32 MB an array
 
@@ -37,7 +39,8 @@ class SeenParts:
     usage: Bool[Tensor, "n p"]
     """in the receiver's region; all False for S0 objects"""
     role: UInt8[Tensor, "n p"] | None = None
-    """0 works, 1 grasp, 2 wrap-grasp, where a network says so itself; None: it follows from label and usage"""
+    """0 works, 1 grasp, 2 wrap-grasp, where a network says so itself; None: it follows from label
+    and usage"""
 
 
 def predict_parts(
@@ -48,10 +51,12 @@ def predict_parts(
     noise: PredictorNoise | None = None,
     seen: Seen | None = None,
 ) -> SeenParts:
-    """Part label and region of every cloud point, borders shifted along the surface; drawn by (seed, trial id).
+    """Part label and region of every cloud point, borders shifted along the surface; drawn by
+    (seed, trial id).
 
-    Where two parts meet, the border moves by a smooth random field of deviation `border_m`: points on the side that
-    shrinks get the other part's label. The region's border is one of them. `seen`: a network's answers instead.
+    Where two parts meet, the border moves by a smooth random field of deviation `border_m`: points
+    on the side that shrinks get the other part's label. The region's border is one of them. `seen`:
+    a network's answers instead.
     """
     noise = PredictorNoise() if noise is None else noise
     device = trials.trial_id.device
@@ -65,12 +70,16 @@ def predict_parts(
     if noise.border_m == 0:
         return _split(clouds.label[at], device)
     z = torch.from_numpy(
-        normals(rng.key_of(f"parts {seed}"), trial_ids(trials.trial_id), WAVES, purpose=_PARTS).astype(np.float32)
+        normals(
+            rng.key_of(f"parts {seed}"), trial_ids(trials.trial_id), WAVES, purpose=_PARTS
+        ).astype(np.float32)
     )
     found = torch.empty((len(at), clouds.label.shape[1]), dtype=torch.uint8, device="cpu")
     for first in range(0, len(at), _CHUNK):
         rows = slice(first, first + _CHUNK)
-        found[rows] = _shifted(clouds, at[rows], z[:, rows] * (noise.border_m * (2.0 / WAVES) ** 0.5))
+        found[rows] = _shifted(
+            clouds, at[rows], z[:, rows] * (noise.border_m * (2.0 / WAVES) ** 0.5)
+        )
     return _split(found, device)
 
 
@@ -79,7 +88,9 @@ def _shifted(clouds: _Clouds, at: Tensor, z: Tensor) -> Tensor:
     shift = torch.zeros((len(at), clouds.label.shape[1]), dtype=torch.float32, device="cpu")
     for k in range(WAVES):
         shift = shift + z[k][:, None] * clouds.wave[:, k][at]
-    return torch.where(clouds.offset[at] + clouds.sign[at] * shift < 0, clouds.other[at], clouds.label[at])
+    return torch.where(
+        clouds.offset[at] + clouds.sign[at] * shift < 0, clouds.other[at], clouds.label[at]
+    )
 
 
 def _split(label: Tensor, device: torch.device) -> SeenParts:
@@ -97,7 +108,8 @@ class _Clouds:
     offset: Float32[Tensor, "o p"]
     """distance to the border with it"""
     sign: Float32[Tensor, "o p"]
-    """+1 on the side of the lower label: a shift makes one side of a border larger and the other smaller"""
+    """+1 on the side of the lower label: a shift makes one side of a border larger and the other
+    smaller"""
     wave: Float32[Tensor, "o k p"]
     """smooth random functions on the cloud, mean square 1/2"""
 
@@ -124,8 +136,11 @@ def _cloud(model: ObjectModel) -> tuple[NDArray[np.generic], ...]:
     return label, other, offset, sign, wave
 
 
-def _other(points: NDArray[np.float64], label: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Nearest other label of each point, and the distance to the border: half a point's spacing before that label's."""
+def _other(
+    points: NDArray[np.float64], label: NDArray[np.uint8]
+) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Nearest other label of each point, and the distance to the border: half a point's spacing
+    before that label's."""
     other, offset = label.copy(), np.full(len(points), np.inf, np.float32)
     spacing = float(cKDTree(points).query(points, 2)[0][:, 1].mean())
     for part in np.unique(label):

@@ -1,8 +1,10 @@
-"""Trains the built-in contact networks: ``python -m r2h_batch.predictors.train_voxnet``. Some twenty CPU minutes.
+"""Trains the built-in contact networks: ``python -m r2h_batch.predictors.train_voxnet``. Some
+twenty CPU minutes.
 
-Once with all objects, for objects of users (voxnet.safetensors). And without each object in turn, for that object: what a
-method is shown of a built-in object comes from a network that never saw it (voxnet_left_out.safetensors, float16).
-voxnet.json says how well both predict. Same kind of machine and versions, same weights.
+Once with all objects, for objects of users (voxnet.safetensors). And without each object in turn,
+for that object: what a method is shown of a built-in object comes from a network that never saw it
+(voxnet_left_out.safetensors, float16). voxnet.json says how well both predict. Same kind of machine
+and versions, same weights.
 """
 
 from __future__ import annotations
@@ -40,10 +42,12 @@ __all__ = ["main", "train"]
 STEPS, LEFT_OUT_STEPS, BATCH, RATE = 900, 350, 4, 4e-3
 TILT_DEG, ZOOM = 12.0, (0.75, 1.0)
 ANY_ORIENTATION_SHARE = 0.1
-"""Share of examples in any of the 48 orientations along the axes; the others are only mirrored in y: the built-in
-objects' frames follow one convention (tools along x, vessels upright), and most of what is to be known needs it."""
+"""Share of examples in any of the 48 orientations along the axes; the others are only mirrored in
+y: the built-in objects' frames follow one convention (tools along x, vessels upright), and most of
+what is to be known needs it."""
 SIZE = (0.8, 1.25)
-"""Objects are also taken as larger or smaller than they are: a person holds them at the same places."""
+"""Objects are also taken as larger or smaller than they are: a person holds them at the same
+places."""
 OUT = Path(__file__).resolve().parents[2] / "assets" / "receiving"
 
 
@@ -66,20 +70,28 @@ def examples(objects: Sequence[ObjectModel]) -> Examples:
 
 
 def train(data: Examples, steps: int, seed: int, *, report: str = "") -> tuple[VoxNet, list[float]]:
-    """A network after `steps` batches, and the loss of each: cross entropy of contact at the cloud's points."""
+    """A network after `steps` batches, and the loss of each: cross entropy of contact at the
+    cloud's points."""
     torch.manual_seed(seed)
     generator = torch.Generator(device="cpu").manual_seed(seed)
     net = VoxNet()
     torch.nn.init.constant_(net.out.bias, float(torch.logit(data.contact.mean())))  # type: ignore[arg-type]
     optimizer = torch.optim.AdamW(net.parameters(), lr=RATE, weight_decay=1e-3)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=steps, pct_start=0.15)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimizer, RATE, total_steps=steps, pct_start=0.15
+    )
     order = torch.zeros(0, dtype=torch.int64, device="cpu")
     losses: list[float] = []
     begin = time.perf_counter()
     for step in range(steps):
         if len(order) < BATCH:
             order = torch.cat(
-                [order, torch.randperm(len(data.grid), generator=generator, dtype=torch.int64, device="cpu")]
+                [
+                    order,
+                    torch.randperm(
+                        len(data.grid), generator=generator, dtype=torch.int64, device="cpu"
+                    ),
+                ]
             )
         rows, order = order[:BATCH], order[BATCH:]
         grid, voxel, inside = zip(*(augmented(data, int(i), generator) for i in rows), strict=True)
@@ -94,12 +106,15 @@ def train(data: Examples, steps: int, seed: int, *, report: str = "") -> tuple[V
         losses.append(float(loss.detach()))
         if report and (step + 1) % 50 == 0:
             rate = (time.perf_counter() - begin) / (step + 1)
-            tell(f"{report}: step {step + 1}, loss {np.mean(losses[-50:]):.4f}, {rate:.2f} s a step")
+            tell(
+                f"{report}: step {step + 1}, loss {np.mean(losses[-50:]):.4f}, {rate:.2f} s a step"
+            )
     return net.eval(), losses
 
 
 def augmented(data: Examples, i: int, generator: torch.Generator) -> tuple[Tensor, Tensor, Tensor]:
-    """One example turned or mirrored along the axes, tilted, zoomed and resized: grid, points in it, which are inside.
+    """One example turned or mirrored along the axes, tilted, zoomed and resized: grid, points in
+    it, which are inside.
 
     The points are given by their voxels (P, 3).
     """
@@ -108,7 +123,9 @@ def augmented(data: Examples, i: int, generator: torch.Generator) -> tuple[Tenso
     if u[6] < ANY_ORIENTATION_SHARE:
         mirrored = torch.rand(3, generator=generator, dtype=torch.float32, device="cpu") < 0.5
         flip = 1.0 - 2.0 * mirrored.float()
-        frame = torch.diag(flip)[torch.randperm(3, generator=generator, dtype=torch.int64, device="cpu")]
+        frame = torch.diag(flip)[
+            torch.randperm(3, generator=generator, dtype=torch.int64, device="cpu")
+        ]
     elif u[7] < 0.5:
         frame[1, 1] = -1.0
     turn = torch.nn.functional.normalize(u[:3] - 0.5, dim=0) * np.radians(TILT_DEG) * (2 * u[3] - 1)
@@ -120,8 +137,12 @@ def augmented(data: Examples, i: int, generator: torch.Generator) -> tuple[Tenso
     # grid_sample's x is the last axis
     theta = torch.zeros(1, 3, 4, dtype=torch.float32, device="cpu")
     theta[0, :, :3] = back.flip(0).flip(1)
-    where = torch.nn.functional.affine_grid(theta, [1, 1, VOXELS, VOXELS, VOXELS], align_corners=False)
-    occupancy = torch.nn.functional.grid_sample(data.grid[i : i + 1, :1], where, align_corners=False)[0, 0]
+    where = torch.nn.functional.affine_grid(
+        theta, [1, 1, VOXELS, VOXELS, VOXELS], align_corners=False
+    )
+    occupancy = torch.nn.functional.grid_sample(
+        data.grid[i : i + 1, :1], where, align_corners=False
+    )[0, 0]
     grid = data.grid[i].clone()
     grid[0] = (occupancy > 0.4).float()
     grid[4] = grid[4] * (SIZE[0] + (SIZE[1] - SIZE[0]) * u[5]) / zoom
@@ -130,7 +151,8 @@ def augmented(data: Examples, i: int, generator: torch.Generator) -> tuple[Tenso
 
 
 def figures(net: VoxNet, data: Examples, i: int) -> dict[str, float]:
-    """IoU of contact at the threshold, area under the ROC curve, mean absolute error, on the object as it is."""
+    """IoU of contact at the threshold, area under the ROC curve, mean absolute error, on the object
+    as it is."""
     with torch.no_grad():
         field = net(data.grid[i : i + 1])[0]
     x, y, z = data.voxel[i].T
@@ -154,7 +176,9 @@ def _auc(score: Any, positive: Any) -> float:
 
 def _skew(v: Tensor) -> Tensor:
     x, y, z = v.tolist()
-    return torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float32, device="cpu")
+    return torch.tensor(
+        [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float32, device="cpu"
+    )
 
 
 @dataclass(frozen=True)
@@ -167,17 +191,22 @@ class Run:
 
 
 def trained(run: Run) -> tuple[dict[str, Tensor], list[float], dict[str, dict[str, float]]]:
-    """Weights, losses, and figures of the objects left out, or of all; on one thread: the same however many run."""
+    """Weights, losses, and figures of the objects left out, or of all; on one thread: the same
+    however many run."""
     torch.set_num_threads(1)
     torch.use_deterministic_algorithms(True)
     objects = load_objects()
     data = examples(objects)
-    kept = torch.tensor([i for i in range(len(objects)) if i not in run.left_out], dtype=torch.int64, device="cpu")
+    kept = torch.tensor(
+        [i for i in range(len(objects)) if i not in run.left_out], dtype=torch.int64, device="cpu"
+    )
     part = Examples(data.grid[kept], data.voxel[kept], data.contact[kept])
     name = ", ".join(objects[i].name for i in run.left_out) or "none"
     net, losses = train(part, run.steps, run.seed, report=f"left out {name}")
     if run.left_out:
-        net.load_state_dict({k: v.float() for k, v in halved(net.state_dict()).items()})  # judged as it is stored
+        net.load_state_dict(
+            {k: v.float() for k, v in halved(net.state_dict()).items()}
+        )  # judged as it is stored
     judged = run.left_out or range(len(objects))
     return dict(net.state_dict()), losses, {objects[i].name: figures(net, data, i) for i in judged}
 
@@ -189,10 +218,15 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument("--steps", type=int, default=STEPS)
     parser.add_argument("--left-out-steps", type=int, default=LEFT_OUT_STEPS)
     parser.add_argument(
-        "--left-out-only", action="store_true", help="keep the weights of all objects, train the others again"
+        "--left-out-only",
+        action="store_true",
+        help="keep the weights of all objects, train the others again",
     )
     parser.add_argument(
-        "--jobs", type=int, default=2, help="trainings at a time, one thread each; the result is the same"
+        "--jobs",
+        type=int,
+        default=2,
+        help="trainings at a time, one thread each; the result is the same",
     )
     parser.add_argument("--out", type=Path, default=OUT)
     args = parser.parse_args(argv)
@@ -209,20 +243,32 @@ def main(argv: Sequence[str] | None = None) -> None:
         "machine": platform.machine(),
     }
     log_file = args.out / "voxnet.json"
-    log = json.loads(log_file.read_text()) if args.left_out_only else _stored(args, *results.pop(0), cost)
+    log = (
+        json.loads(log_file.read_text())
+        if args.left_out_only
+        else _stored(args, *results.pop(0), cost)
+    )
     log |= _left_out(args, results, cost)
     log_file.write_text(json.dumps(log, indent=1) + "\n")
     for name in OBJECT_NAMES:
         left, stored = (json.dumps(log[k][name]) for k in ("left_out_figures", "stored_weights"))
         print(f"{name:16s} left out {left}  stored weights {stored}")
-    print(json.dumps({k: log[k] for k in ("left_out_mean", "stored_weights_mean", "cost", "left_out_cost")}))
+    print(
+        json.dumps(
+            {k: log[k] for k in ("left_out_mean", "stored_weights_mean", "cost", "left_out_cost")}
+        )
+    )
 
 
 Figures = dict[str, dict[str, float]]
 
 
 def _stored(
-    args: argparse.Namespace, weights: dict[str, Tensor], losses: list[float], fitted: Figures, cost: dict[str, Any]
+    args: argparse.Namespace,
+    weights: dict[str, Tensor],
+    losses: list[float],
+    fitted: Figures,
+    cost: dict[str, Any],
 ) -> dict[str, Any]:
     """Writes the weights of all objects; what the log says of them."""
     return {

@@ -1,4 +1,5 @@
-"""The built-in contact predictor: a small VoxNet with a decoder, trained on the built-in receiving grasps."""
+"""The built-in contact predictor: a small VoxNet with a decoder, trained on the built-in receiving
+grasps."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ _PLAIN: dict[str, Any] = {"dtype": torch.float32, "device": "cpu"}
 
 
 class VoxNet(nn.Module):
-    """Contact probability of every voxel; 64^3 goes down to 8^3 and back up, with what each size saw beside it."""
+    """Contact probability of every voxel; 64^3 goes down to 8^3 and back up, with what each size
+    saw beside it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -39,7 +41,9 @@ class VoxNet(nn.Module):
         self.down3 = _block(b, c, stride=2)
         self.deep = _block(c, c)
         self.up2 = _block(c + b, b)
-        self.up1 = nn.Sequential(nn.Conv3d(b + a, 2 * a, kernel_size=1, **_PLAIN), nn.LeakyReLU(0.1))
+        self.up1 = nn.Sequential(
+            nn.Conv3d(b + a, 2 * a, kernel_size=1, **_PLAIN), nn.LeakyReLU(0.1)
+        )
         self.out = nn.Conv3d(2 * a + CHANNELS, 1, kernel_size=1, **_PLAIN)
         for layer in self.modules():
             if isinstance(layer, nn.Conv3d) and layer is not self.out:
@@ -58,11 +62,16 @@ class VoxNet(nn.Module):
         """Log odds of contact."""
         return self.out(torch.cat([_doubled(self.features(grid)), _centred(grid)], 1))[:, 0]
 
-    def logits_at(self, grid: Float32[Tensor, "k 5 64 64 64"], voxel: Int64[Tensor, "k p 3"]) -> Float32[Tensor, "k p"]:
+    def logits_at(
+        self, grid: Float32[Tensor, "k 5 64 64 64"], voxel: Int64[Tensor, "k p 3"]
+    ) -> Float32[Tensor, "k p"]:
         """The same at some voxels only: for training, where most of a grid is empty."""
         at = (2 * voxel + 1).float() / grid.shape[-1] - 1  # voxel centres, from -1 to 1
         seen = nn.functional.grid_sample(
-            self.features(grid), at.flip(-1)[:, :, None, None], padding_mode="border", align_corners=False
+            self.features(grid),
+            at.flip(-1)[:, :, None, None],
+            padding_mode="border",
+            align_corners=False,
         )
         i, j, k = voxel.unbind(-1)
         row = torch.arange(len(grid), dtype=torch.int64, device=grid.device)[:, None]
@@ -85,7 +94,8 @@ def _block(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
 
 
 def _centred(grid: Tensor) -> Tensor:
-    """The grid with the objects' scale (metres) brought to about -1 to 1, like the other channels."""
+    """The grid with the objects' scale (metres) brought to about -1 to 1, like the other
+    channels."""
     return torch.cat([grid[:, :4], (grid[:, 4:] - MIDDLE_M) / SPREAD_M], 1)
 
 
@@ -94,7 +104,8 @@ def _doubled(x: Tensor) -> Tensor:
 
 
 STORED_FILE, LEFT_OUT_FILE = "voxnet.safetensors", "voxnet_left_out.safetensors"
-"""Weights trained on all built-in objects; and on all but one, for each of them (OBJECT/WEIGHT, float16)."""
+"""Weights trained on all built-in objects; and on all but one, for each of them (OBJECT/WEIGHT,
+float16)."""
 
 
 def halved(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -104,7 +115,8 @@ def halved(weights: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 @lru_cache(maxsize=32)
 def load_voxnet(left_out: str = "") -> VoxNet:
-    """The network trained on all built-in objects; or, by the name of one, the network that never saw that object.
+    """The network trained on all built-in objects; or, by the name of one, the network that never
+    saw that object.
 
     How they were made: `r2h_batch.predictors.train_voxnet`.
     """
@@ -138,7 +150,9 @@ def read_voxnet(path: str | Path) -> VoxNet:
     try:
         found = load(read_file(path, MAX_BYTES))
     except SafetensorError as error:
-        raise PredictorError(f"predictor {path}: not a readable .safetensors file ({printable(error)})") from error
+        raise PredictorError(
+            f"predictor {path}: not a readable .safetensors file ({printable(error)})"
+        ) from error
     wanted = net.state_dict()
     wrong = [k for k in wanted if k not in found or found[k].shape != wanted[k].shape]
     extra = [k for k in found if k not in wanted]

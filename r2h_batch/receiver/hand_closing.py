@@ -1,4 +1,5 @@
-"""Hands that close on an object: sixty-four to begin with, coming down and bending their fingers in its distance field."""
+"""Hands that close on an object: sixty-four to begin with, coming down and bending their fingers in
+its distance field."""
 
 from __future__ import annotations
 
@@ -39,11 +40,12 @@ DEEPEST_M = 0.0005
 PITCH_M, MARGIN_M = 0.0015, 0.02
 EXACT_M, STRIDE = 0.009, 4
 SEEN_M = PITCH_M + 2 * DEEPEST_M
-"""Between two nodes that lie a wall's two sides the distance reaches half a pitch less half the wall's thickness: at this
-thickness -`DEEPEST_M`, at which fingers stop."""
+"""Between two nodes that lie a wall's two sides the distance reaches half a pitch less half the
+wall's thickness: at this thickness -`DEEPEST_M`, at which fingers stop."""
 CLUSTER = 10
 
-# Degrees. What a finger opens to, then its limits; the thumb's place is drawn, its limits are anatomical.
+# Degrees. What a finger opens to, then its limits; the thumb's place is drawn, its limits are
+# anatomical.
 OPEN = (((-12, 12), (4, 26), (2, 14)), ((-14, 4), (-8, 4), (-8, 8)))
 LIMITS = ((88.0, 105.0, 72.0), (44.0, 58.0, 78.0))
 FAN = (1.0, 0.2, -1.2, -0.6)
@@ -54,7 +56,8 @@ F64 = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Families:
-    """What `ClosingHands` holds, and the same as numbers: shape (K, 10), turns (K, 16, 3) in degrees, skins at rest."""
+    """What `ClosingHands` holds, and the same as numbers: shape (K, 10), turns (K, 16, 3) in
+    degrees, skins at rest."""
 
     tables: Any
     shape: F32
@@ -63,13 +66,20 @@ class Families:
 
 
 def posture(hand: HandModel, turns: F64, flexion: F32) -> tuple[F32, F64]:
-    """(n, 48) axis-angle poses: a family's turns with the flexion that closing found; and these as matrices (n, 16, 3, 3)."""
+    """(n, 48) axis-angle poses: a family's turns with the flexion that closing found; and these as
+    matrices (n, 16, 3, 3)."""
     axes = hand.joint_axes.double().numpy()
     turns = turns.copy()
     turns[:, 1:, 0] = np.degrees(flexion.reshape(len(flexion), 15))
-    local = Rotation.from_euler("XYZ", turns.reshape(-1, 3), degrees=True).as_matrix().reshape(-1, 16, 3, 3)
+    local = (
+        Rotation.from_euler("XYZ", turns.reshape(-1, 3), degrees=True)
+        .as_matrix()
+        .reshape(-1, 16, 3, 3)
+    )
     turned = axes @ local @ axes.transpose(0, 2, 1)
-    return Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 48).astype(np.float32), turned
+    return Rotation.from_matrix(turned.reshape(-1, 3, 3)).as_rotvec().reshape(-1, 48).astype(
+        np.float32
+    ), turned
 
 
 @lru_cache(maxsize=2)
@@ -86,7 +96,9 @@ def load_families(model: HandModel) -> Families:
         for f in range(4):
             for j in range(3):
                 low, high = OPEN[0][j]
-                turns[k, 1 + 3 * f + j, 0] = low + (high - low) * (0.7 * common[j] + 0.3 * rng.random())
+                turns[k, 1 + 3 * f + j, 0] = low + (high - low) * (
+                    0.7 * common[j] + 0.3 * rng.random()
+                )
                 rate[k, 1 + 3 * f + j] = share[j]
             turns[k, 1 + 3 * f, 1] = FAN[f] * spread
         for j in range(3):
@@ -101,15 +113,22 @@ def load_families(model: HandModel) -> Families:
 
 def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> Any:
     """The `ClosingHands` of these families."""
-    rest = model.pose(torch.zeros((FAMILIES, 48), dtype=torch.float32, device="cpu"), torch.from_numpy(shape))
+    rest = model.pose(
+        torch.zeros((FAMILIES, 48), dtype=torch.float32, device="cpu"), torch.from_numpy(shape)
+    )
     segment = model.weights.argmax(1).numpy()
     local = rest.vertices.numpy() - rest.joints.numpy()[:, segment]
-    clusters = [_clusters(local[0], np.flatnonzero(segment == j)) if j else [] for j in range(16)]  # without the palm
+    clusters = [
+        _clusters(local[0], np.flatnonzero(segment == j)) if j else [] for j in range(16)
+    ]  # without the palm
     rows = [c for of_segment in clusters for c in of_segment]
     skin = local[:, np.concatenate(rows)]
-    root_turn = Rotation.from_euler("XYZ", (turns * [0, 1, 1]).reshape(-1, 3), degrees=True).as_matrix()
+    root_turn = Rotation.from_euler(
+        "XYZ", (turns * [0, 1, 1]).reshape(-1, 3), degrees=True
+    ).as_matrix()
     opened = model.pose(
-        torch.from_numpy(posture(model, turns, np.radians(turns[:, 1:, 0]))[0]), torch.from_numpy(shape)
+        torch.from_numpy(posture(model, turns, np.radians(turns[:, 1:, 0]))[0]),
+        torch.from_numpy(shape),
     )
     open_skin = opened.vertices.numpy()[:, ::2]
     open_rows = _clusters(open_skin[0], np.arange(open_skin.shape[1]))
@@ -132,18 +151,27 @@ def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> 
         "cluster": (balls.reshape(-1, 4), wp.vec4),
     }
     for name, (value, dtype) in values.items():
-        setattr(tables, name, wp.array(np.ascontiguousarray(value, np.float32), dtype=dtype, device="cpu"))
+        setattr(
+            tables,
+            name,
+            wp.array(np.ascontiguousarray(value, np.float32), dtype=dtype, device="cpu"),
+        )
     for name, counts in (
         ("cluster_first", map(len, rows)),
         ("segment_first", map(len, clusters)),
         ("open_first", map(len, open_rows)),
     ):
-        setattr(tables, name, wp.array(np.cumsum([0, *counts]).astype(np.int32), dtype=wp.int32, device="cpu"))
+        setattr(
+            tables,
+            name,
+            wp.array(np.cumsum([0, *counts]).astype(np.int32), dtype=wp.int32, device="cpu"),
+        )
     return tables
 
 
 def _clusters(points: F32, rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """The rows in groups of `CLUSTER` at most, near each other: halves along the longest side, again and again."""
+    """The rows in groups of `CLUSTER` at most, near each other: halves along the longest side,
+    again and again."""
     if len(rows) <= CLUSTER:
         return [rows]
     axis = int(np.argmax(np.ptp(points[rows], axis=0)))
@@ -159,33 +187,45 @@ def _ball(points: F32) -> F64:
 
 
 def distance_field(surface: ObjectSurface, threads: int | None = None) -> Any:
-    """The object's signed distance at grid nodes: exact to `EXACT_M` from the surface, farther off a lower bound that is 1.5 mm
-    short or less.
+    """The object's signed distance at grid nodes: exact to `EXACT_M` from the surface, farther off
+    a lower bound that is 1.5 mm short or less.
 
-    Most nodes are far from the surface: they take what a grid of `STRIDE` times the pitch says, which is at most half a cell's
-    diagonal off the distance; only those that may be near are asked. Second derivatives of a distance d are at most 1 / d, so
-    that linear interpolation overshoots it by 3 h^2 / 8 d at most.
+    Most nodes are far from the surface: they take what a grid of `STRIDE` times the pitch says,
+    which is at most half a cell's diagonal off the distance; only those that may be near are asked.
+    Second derivatives of a distance d are at most 1 / d, so that linear interpolation overshoots it
+    by 3 h^2 / 8 d at most.
 
-    A wall that is thinner than the grid's nodes are apart would be inside at none of them, and fingers would close through it:
-    the field is that of a solid whose walls are as thick as is seen, `SEEN_M`.
+    A wall that is thinner than the grid's nodes are apart would be inside at none of them, and
+    fingers would close through it: the field is that of a solid whose walls are as thick as is
+    seen, `SEEN_M`.
     """
     low = surface.vertices.min(0) - MARGIN_M
     nodes = np.ceil((np.ptp(surface.vertices, axis=0) + 2 * MARGIN_M) / PITCH_M).astype(int) + 1
     cell = STRIDE * PITCH_M
-    coarse = np.stack(np.meshgrid(*(np.arange((n - 2) // STRIDE + 2) for n in nodes), indexing="ij"), -1)
-    value = surface.distance(low + cell * coarse.reshape(-1, 3), 1.0, threads, quick=True)[0].reshape(coarse.shape[:3])
+    coarse = np.stack(
+        np.meshgrid(*(np.arange((n - 2) // STRIDE + 2) for n in nodes), indexing="ij"), -1
+    )
+    value = surface.distance(low + cell * coarse.reshape(-1, 3), 1.0, threads, quick=True)[
+        0
+    ].reshape(coarse.shape[:3])
     corners = surface.vertices[surface.faces].astype(np.float64)
     inside = winding_of_nodes(corners, low.astype(np.float64), cell, coarse.shape[:3]) > 0
     value = np.where(inside, -np.abs(value), np.abs(value))
     for axis, n in enumerate(nodes):
         first, share = np.divmod(np.arange(n, dtype=np.int64), STRIDE)
         above = np.take(value, np.minimum(first + 1, value.shape[axis] - 1), axis)
-        weight = (share / np.float32(STRIDE)).astype(np.float32).reshape([-1 if k == axis else 1 for k in range(3)])
+        weight = (
+            (share / np.float32(STRIDE))
+            .astype(np.float32)
+            .reshape([-1 if k == axis else 1 for k in range(3)])
+        )
         value = np.take(value, first, axis) * (1 - weight) + above * weight
     near = np.argwhere(np.abs(value) <= EXACT_M + cell * 3**0.5 / 2)
     exact, _, face = surface.distance(low + PITCH_M * near, EXACT_M, threads, quick=True)
     short = value - np.float32(3 * cell**2 / (8 * EXACT_M))
-    value = np.where(value > 0, np.maximum(short, np.float32(EXACT_M)), np.minimum(value, -np.float32(EXACT_M)))
+    value = np.where(
+        value > 0, np.maximum(short, np.float32(EXACT_M)), np.minimum(value, -np.float32(EXACT_M))
+    )
     asked = tuple(near[face >= 0].T)
     thinner = np.maximum(SEEN_M - surface.thickness(SEEN_M, threads), 0.0) / 2
     value[asked] = exact[face >= 0] - thinner[face[face >= 0]]
@@ -194,7 +234,11 @@ def distance_field(surface: ObjectSurface, threads: int | None = None) -> Any:
 
 def _field(value: F32, low: F32, nodes: NDArray[np.int64]) -> Any:
     field = close_hand.Field()
-    field.origin, field.pitch, field.nodes = wp.vec3(*low.tolist()), wp.float32(PITCH_M), wp.vec3i(*nodes.tolist())
+    field.origin, field.pitch, field.nodes = (
+        wp.vec3(*low.tolist()),
+        wp.float32(PITCH_M),
+        wp.vec3i(*nodes.tolist()),
+    )
     field.value = wp.array(value, dtype=wp.float32, device="cpu")
     return field
 
@@ -204,7 +248,9 @@ def mirrored(field: Any) -> Any:
     nodes = np.array(list(field.nodes))
     low = np.array(list(field.origin))
     low[0] = -(low[0] + PITCH_M * (nodes[0] - 1))
-    return _field(np.ascontiguousarray(field.value.numpy().reshape(nodes)[::-1]).reshape(-1), low, nodes)
+    return _field(
+        np.ascontiguousarray(field.value.numpy().reshape(nodes)[::-1]).reshape(-1), low, nodes
+    )
 
 
 def come_down(
@@ -218,7 +264,8 @@ def come_down(
     farthest: float,
     threads: int | None,
 ) -> F32:
-    """How far each open hand moves from `start` along `direction` until it touches; `farthest` if it never does."""
+    """How far each open hand moves from `start` along `direction` until it touches; `farthest` if
+    it never does."""
     travel = np.empty(len(family), np.float32)
     launch_trials(
         close_hand.approach,
@@ -242,7 +289,8 @@ def come_down(
 def close(
     field: Any, families: Families, family: Any, R: F32, p: F32, reach: float, threads: int | None
 ) -> tuple[NDArray[np.int64], F32, F32]:
-    """The rows whose thumb comes nearer than `reach`; of these flexion (n, 5, 3) in rad, and each digit's distance (n, 5)."""
+    """The rows whose thumb comes nearer than `reach`; of these flexion (n, 5, 3) in rad, and each
+    digit's distance (n, 5)."""
     flexion, gap = np.empty((len(family), 5, 3), np.float32), np.empty((len(family), 5), np.float32)
     rows = np.arange(len(family))
     for wanted in (1 << THUMB, (1 << THUMB) - 1):

@@ -1,4 +1,5 @@
-"""What a posed hand touches of an object and how deep it cuts in, measured on the exact meshes of both."""
+"""What a posed hand touches of an object and how deep it cuts in, measured on the exact meshes of
+both."""
 
 from __future__ import annotations
 
@@ -20,7 +21,15 @@ from r2h_batch.kernels.receiver.point_mesh import (
 )
 from r2h_batch.launch import launch_trials
 
-__all__ = ["REACH_M", "REGIONS", "Contact", "ObjectSurface", "hand_depth", "measure_contact", "palmar_region"]
+__all__ = [
+    "REACH_M",
+    "REGIONS",
+    "Contact",
+    "ObjectSurface",
+    "hand_depth",
+    "measure_contact",
+    "palmar_region",
+]
 
 REGIONS = ("index", "middle", "pinky", "ring", "thumb", "palm")
 """Where a hand touches: five digits (joints 1-3, 4-6, 7-9, 10-12, 13-15) and the palm."""
@@ -28,7 +37,8 @@ THUMB, PALM = 4, 5
 REACH_M = 0.02
 BOX_M, DIRECTIONS = 1e-5, 40
 PALMAR_COSINE = 0.35
-"""Palmar skin: its rest normal leans at least this much (70 degrees) towards the side that the joint flexes to."""
+"""Palmar skin: its rest normal leans at least this much (70 degrees) towards the side that the
+joint flexes to."""
 
 F32 = NDArray[np.float32]
 
@@ -38,7 +48,8 @@ class Contact:
     """B hands on one object, metres; columns follow `REGIONS`."""
 
     gap: F32
-    """(B, 6) least distance of the region's palmar skin to the surface, negative inside; 2 cm: nothing is that near"""
+    """(B, 6) least distance of the region's palmar skin to the surface, negative inside; 2 cm:
+    nothing is that near"""
     normal: F32
     """(B, 6, 3) the object's outward normal at the nearest point"""
     point: F32
@@ -57,7 +68,10 @@ class ObjectSurface:
     """An object's mesh, ready for distance queries on a CPU (frame obj)."""
 
     def __init__(self, vertices: F32, faces: NDArray[np.int32]) -> None:
-        self.vertices, self.faces = np.ascontiguousarray(vertices, np.float32), np.ascontiguousarray(faces, np.int32)
+        self.vertices, self.faces = (
+            np.ascontiguousarray(vertices, np.float32),
+            np.ascontiguousarray(faces, np.int32),
+        )
         self.mesh = wp.Mesh(
             wp.array(self.vertices, dtype=wp.vec3, device="cpu"),
             wp.array(self.faces.reshape(-1), dtype=wp.int32, device="cpu"),
@@ -67,7 +81,8 @@ class ObjectSurface:
     def distance(
         self, points: NDArray[Any], reach: float, threads: int | None = None, *, quick: bool = False
     ) -> tuple[F32, F32, NDArray[np.int32]]:
-        """Signed distance (n,), outward normal (n, 3) and nearest face (n,) of points (n, 3); see `point_mesh_distance`.
+        """Signed distance (n,), outward normal (n, 3) and nearest face (n,) of points (n, 3); see
+        `point_mesh_distance`.
 
         `quick`: the sign by the nearest face's normal, not by the winding number.
         """
@@ -86,7 +101,8 @@ class ObjectSurface:
         return distance, normal, face
 
     def thickness(self, most: float, threads: int | None = None) -> F32:
-        """(F,) how thick (m) the solid is behind each face, or a face that shares a corner with it; `most` where it is more."""
+        """(F,) how thick (m) the solid is behind each face, or a face that shares a corner with it;
+        `most` where it is more."""
         behind = np.empty(len(self.faces), np.float32)
         launch_trials(
             wall_thickness,
@@ -114,7 +130,8 @@ def palmar_region(model: HandModel | None = None) -> NDArray[np.int64]:
     for k in range(3):
         np.add.at(normal, faces[:, k], cross)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    # A vertex belongs to the joint that carries most of it; that joint's second axis points to the back of the hand
+    # A vertex belongs to the joint that carries most of it; that joint's second axis points to the
+    # back of the hand
     joint = model.weights.argmax(1).numpy()
     dorsal = model.joint_axes.double().numpy()[joint, :, 1]
     region = np.where(joint > 0, (joint - 1) // 3, PALM)
@@ -132,10 +149,12 @@ def measure_contact(
     about: F32 | None = None,
     asked: NDArray[np.bool_] | None = None,
 ) -> Contact:
-    """Contacts of B hands with skins `vertices` (B, V, 3) in the object's frame; `hand`: whose skins (default: ours).
+    """Contacts of B hands with skins `vertices` (B, V, 3) in the object's frame; `hand`: whose
+    skins (default: ours).
 
-    `about` (B, V): what the skins' distances are about. Then only the points that are nearest by it are asked, quickly:
-    contacts to look at, not to vouch for. `asked` (B, V): skin that is not is known to be 2 cm and more away.
+    `about` (B, V): what the skins' distances are about. Then only the points that are nearest by it
+    are asked, quickly: contacts to look at, not to vouch for. `asked` (B, V): skin that is not is
+    known to be 2 cm and more away.
     """
     n, count = vertices.shape[:2]
     region = palmar_region(hand or load_hand())
@@ -144,18 +163,28 @@ def measure_contact(
         distance, face = np.full((n, count), REACH_M, np.float32), np.full((n, count), -1, np.int32)
         normal = np.zeros((n, count, 3), np.float32)
         low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
-        around = np.zeros((n, count), bool) if asked is None else ((vertices < low) | (vertices > high)).any(axis=2)
+        around = (
+            np.zeros((n, count), bool)
+            if asked is None
+            else ((vertices < low) | (vertices > high)).any(axis=2)
+        )
         asked = np.ones((n, count), bool) if asked is None else asked
         for mine, outside in (
             (asked & ~around, False),
             (asked & around, True),
         ):  # outside nobody needs a winding number
-            d, normal[mine], face[mine] = surface.distance(vertices[mine], REACH_M, threads, quick=outside)
+            d, normal[mine], face[mine] = surface.distance(
+                vertices[mine], REACH_M, threads, quick=outside
+            )
             distance[mine] = np.abs(d) if outside else d
     else:
         distance = np.minimum(about, REACH_M)
     nearest = np.stack(
-        [np.flatnonzero(region == r)[distance[:, region == r].argmin(1)] for r in range(len(REGIONS))], axis=1
+        [
+            np.flatnonzero(region == r)[distance[:, region == r].argmin(1)]
+            for r in range(len(REGIONS))
+        ],
+        axis=1,
     )
     if about is None:
         gap, normal, face = distance[rows, nearest], normal[rows, nearest], face[rows, nearest]
@@ -183,7 +212,8 @@ def hand_depth(
     threads: int | None = None,
     least: float = 0.0,
 ) -> NDArray[np.float32]:
-    """(B,) how deep the deepest of the object's surface points (n, 3) is in each hand: what thin parts do to a hand.
+    """(B,) how deep the deepest of the object's surface points (n, 3) is in each hand: what thin
+    parts do to a hand.
 
     `least`: what is less deep than this (m) may be said to be 0, which is quicker to find out.
     """
@@ -202,7 +232,8 @@ def hand_depth(
 def _may_be_inside(
     points: F32, skin: F32, pieces: list[NDArray[np.int64]], least: float, threads: int | None
 ) -> NDArray[np.bool_]:
-    """(n,) whether points may be in the hand and `least` deep: these convex pieces hold the skin, so no other is inside."""
+    """(n,) whether points may be in the hand and `least` deep: these convex pieces hold the skin,
+    so no other is inside."""
     direction = _directions()
     along = skin[np.concatenate(pieces)].astype(np.float64) @ direction.T
     first = np.cumsum([0, *map(len, pieces)])[:-1]
@@ -230,8 +261,11 @@ def _may_be_inside(
 
 @lru_cache(maxsize=1)
 def _directions() -> NDArray[np.float64]:
-    """(D, 3) unit vectors, well spread over half of the sphere: the axes, which rule out most, before the others."""
+    """(D, 3) unit vectors, well spread over half of the sphere: the axes, which rule out most,
+    before the others."""
     step = np.arange(DIRECTIONS) + 0.5
     z, turn = 1 - step / DIRECTIONS, np.pi * (1 + 5**0.5) * step
     ring = np.sqrt(1 - z**2)
-    return np.concatenate([np.eye(3), np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)])
+    return np.concatenate(
+        [np.eye(3), np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)]
+    )

@@ -1,7 +1,9 @@
-"""What a person may say to be handed an object, and what is understood of it: object, part and purpose.
+"""What a person may say to be handed an object, and what is understood of it: object, part and
+purpose.
 
-An intent is a part that the receiver wants to take and what for. Understanding looks for known words, whatever the
-sentence around them: names of objects, of their parts, and of purposes, in any case, singular or plural.
+An intent is a part that the receiver wants to take and what for. Understanding looks for known
+words, whatever the sentence around them: names of objects, of their parts, and of purposes, in any
+case, singular or plural.
 """
 
 from __future__ import annotations
@@ -15,7 +17,14 @@ from functools import lru_cache
 from r2h_batch.benchmark.words import PART_WORDS, THINGS, VERB_WORDS, Thing
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 
-__all__ = ["InstructionError", "Intent", "Understood", "instructions_of", "intents_of", "understand"]
+__all__ = [
+    "InstructionError",
+    "Intent",
+    "Understood",
+    "instructions_of",
+    "intents_of",
+    "understand",
+]
 
 TAKE = "take"
 ANYWHERE = "object"
@@ -27,7 +36,8 @@ class InstructionError(ValueError):
 
 @dataclass(frozen=True)
 class Intent:
-    """A part to take (as people call it), the labels of the mesh that belong to it, a purpose, ways to say it."""
+    """A part to take (as people call it), the labels of the mesh that belong to it, a purpose, ways
+    to say it."""
 
     part: str
     labels: tuple[int, ...]
@@ -49,7 +59,8 @@ class Understood:
 
 @lru_cache(maxsize=256)
 def intents_of(model: ObjectModel) -> tuple[Intent, ...]:
-    """An object's intents, its own instruction's first, "anywhere" last: every part that may be taken is in one."""
+    """An object's intents, its own instruction's first, "anywhere" last: every part that may be
+    taken is in one."""
     thing = _thing(model)
     name = model.name.replace("_", " ")
     allowed = _takeable(model)
@@ -77,7 +88,12 @@ def intents_of(model: ObjectModel) -> tuple[Intent, ...]:
                         f"hand over the {name} so that I can {phrase}",
                     ))
                 )  # fmt: skip
-    phrases = (f"hand over the {name} to human", f"pass me the {name}", f"{name} please", f"I want the {name}")
+    phrases = (
+        f"hand over the {name} to human",
+        f"pass me the {name}",
+        f"{name} please",
+        f"I want the {name}",
+    )
     intents.append(Intent(ANYWHERE, tuple(sorted(allowed)), TAKE, phrases))
     return tuple(intents)
 
@@ -91,17 +107,20 @@ def instructions_of(model: ObjectModel) -> tuple[str, ...]:
 def understand(
     text: str, objects: Sequence[ObjectModel] | None = None, *, object_index: int | None = None
 ) -> Understood:
-    """The object, part and purpose that a sentence names, among these objects (default: the 16 built-in ones).
+    """The object, part and purpose that a sentence names, among these objects (default: the 16
+    built-in ones).
 
-    `object_index` is what the sentence is about where it names no object ("the handle, please"); a sentence that names
-    another object is refused. Without a part, the purpose decides; without a purpose, the receiver's region (S1) or
-    any part (S0).
+    `object_index` is what the sentence is about where it names no object ("the handle, please"); a
+    sentence that names another object is refused. Without a part, the purpose decides; without a
+    purpose, the receiver's region (S1) or any part (S0).
     """
     return _understand(text, tuple(load_objects() if objects is None else objects), object_index)
 
 
 @lru_cache(maxsize=65536)
-def _understand(text: str, objects: tuple[ObjectModel, ...], object_index: int | None) -> Understood:
+def _understand(
+    text: str, objects: tuple[ObjectModel, ...], object_index: int | None
+) -> Understood:
     words = re.findall(r"[a-z0-9]+", text.lower().replace("'s", ""))
     which = _object(text, words, objects, object_index)
     model = objects[which]
@@ -117,11 +136,17 @@ def _understand(text: str, objects: tuple[ObjectModel, ...], object_index: int |
     return Understood(which, model.name, part, verb, best[0])
 
 
-def _object(text: str, words: list[str], objects: tuple[ObjectModel, ...], given: int | None) -> int:
+def _object(
+    text: str, words: list[str], objects: tuple[ObjectModel, ...], given: int | None
+) -> int:
     found = _find(words, {o.name: _thing(o).names for o in objects})
     index = {o.name: i for i, o in enumerate(objects)}
     # "the cup of the headphones" names one object: its part is called like another one
-    kept = [n for n in found if not any(_is_part(objects[index[m]], n, objects) for m in found if m != n)]
+    kept = [
+        n
+        for n in found
+        if not any(_is_part(objects[index[m]], n, objects) for m in found if m != n)
+    ]
     if given is not None:
         if kept and objects[given].name not in kept:
             raise InstructionError(
@@ -137,7 +162,9 @@ def _object(text: str, words: list[str], objects: tuple[ObjectModel, ...], given
     if len(able) == 1:
         return index[able[0]]
     if able:
-        raise InstructionError(f"{text!r} names no object; {_listed(able)} would do: name one of them")
+        raise InstructionError(
+            f"{text!r} names no object; {_listed(able)} would do: name one of them"
+        )
     names = [n for o in objects for n in _thing(o).names]
     near = [n for w in words if len(w) > 3 for n in difflib.get_close_matches(w, names, 1, 0.75)]
     hint = f"did you mean {near[0]!r}? " if near else ""
@@ -147,7 +174,8 @@ def _object(text: str, words: list[str], objects: tuple[ObjectModel, ...], given
 
 
 def _only_of(text: str, model: ObjectModel, parts: list[str]) -> str | None:
-    """The part that was named first and may be taken; a sentence that names only other parts is refused."""
+    """The part that was named first and may be taken; a sentence that names only other parts is
+    refused."""
     takeable = [i.part for i in intents_of(model)]
     for part in parts:
         if part in takeable:
@@ -181,13 +209,18 @@ def _is_part(model: ObjectModel, other: str, objects: tuple[ObjectModel, ...]) -
     return any(n in words for n in _thing(other_model).names)
 
 
-def _find(words: Sequence[str], names: Mapping[str, Sequence[str]], *, inflected: bool = False) -> list[str]:
+def _find(
+    words: Sequence[str], names: Mapping[str, Sequence[str]], *, inflected: bool = False
+) -> list[str]:
     """Keys whose words occur, in the order of the sentence."""
     return list(dict.fromkeys(key for _, _, key in _spans(words, names, inflected)))
 
 
-def _spans(words: Sequence[str], names: Mapping[str, Sequence[str]], inflected: bool) -> list[tuple[int, int, str]]:
-    """(first word, number of words, key) of every name said; longer names take their words first, exact before stemmed."""
+def _spans(
+    words: Sequence[str], names: Mapping[str, Sequence[str]], inflected: bool
+) -> list[tuple[int, int, str]]:
+    """(first word, number of words, key) of every name said; longer names take their words first,
+    exact before stemmed."""
     exact = {tuple(n.split()): key for key, said in reversed(list(names.items())) for n in said}
     stems = {tuple(_stem(w, inflected) for w in n): key for n, key in exact.items()}
     spans: list[tuple[int, int, str]] = []
@@ -204,7 +237,8 @@ def _spans(words: Sequence[str], names: Mapping[str, Sequence[str]], inflected: 
 
 
 def _without(words: list[str], names: tuple[str, ...]) -> list[str]:
-    """The sentence with a full stop where it first names the object: "the hammer to hammer with" keeps one hammer."""
+    """The sentence with a full stop where it first names the object: "the hammer to hammer with"
+    keeps one hammer."""
     spans = _spans(words, {"object": names}, False)
     return words if not spans else [*words[: spans[0][0]], ".", *words[spans[0][0] + spans[0][1] :]]
 
@@ -232,7 +266,9 @@ def _thing(model: ObjectModel) -> Thing:
     """What is known of an object; a user's object has the words of its name and of its parts."""
     if model.words is not None:
         return model.words
-    if model.name in THINGS and any(set(p) & set(model.part_names) for p in THINGS[model.name].parts.values()):
+    if model.name in THINGS and any(
+        set(p) & set(model.part_names) for p in THINGS[model.name].parts.values()
+    ):
         return THINGS[model.name]
     allowed = _takeable(model)
     parts: dict[str, tuple[str, ...]] = {
@@ -241,8 +277,13 @@ def _thing(model: ObjectModel) -> Thing:
     if model.split == "S1":
         first = re.search(r"hand over the .*?(\w+) to human", model.instruction)
         if first and first[1] not in parts and first[1] not in model.name:
-            parts = {first[1]: tuple(n for i, n in enumerate(model.part_names) if i in allowed), **parts}
-    return Thing(names=(model.name.replace("_", " "),), parts=parts, verbs={"use": next(iter(parts))})
+            parts = {
+                first[1]: tuple(n for i, n in enumerate(model.part_names) if i in allowed),
+                **parts,
+            }
+    return Thing(
+        names=(model.name.replace("_", " "),), parts=parts, verbs={"use": next(iter(parts))}
+    )
 
 
 def _takeable(model: ObjectModel) -> frozenset[int]:

@@ -1,4 +1,5 @@
-"""How a receiver's hand may hold each object: frozen receiving grasps, the ground truth that predictors estimate."""
+"""How a receiver's hand may hold each object: frozen receiving grasps, the ground truth that
+predictors estimate."""
 
 from __future__ import annotations
 
@@ -24,7 +25,14 @@ from r2h_batch.receiver.instructions import intents_of
 from r2h_batch.receiver.sampler import PER_SIDE, NoHoldError, sample_receiving
 from r2h_batch.verdicts import SIDES
 
-__all__ = ["CONTACT_M", "PENETRATION_M", "ReceivingGrasps", "load_receiving", "receiving_digest", "without_receiving"]
+__all__ = [
+    "CONTACT_M",
+    "PENETRATION_M",
+    "ReceivingGrasps",
+    "load_receiving",
+    "receiving_digest",
+    "without_receiving",
+]
 
 CONTACT_M = 0.005
 """A digit or the palm is in contact when a point of its palmar skin is this near to the surface."""
@@ -32,7 +40,8 @@ PENETRATION_M = 0.005
 """No point of the hand is deeper in the object, and no point of the object deeper in the hand."""
 
 SAME_M, SAME_POSED = 1e-6, 16
-"""By how much a skin may be off the built-in hand's to be the same hand, and in how many random postures it is asked."""
+"""By how much a skin may be off the built-in hand's to be the same hand, and in how many random
+postures it is asked."""
 
 CODE = ("r2h_batch.receiver", "r2h_batch.kernels.receiver", "r2h_batch.kernels.geometry")
 VERSIONS = ("numpy", "scipy", "torch", "trimesh", "warp-lang")
@@ -50,7 +59,8 @@ FIELDS = tuple(FORM)
 
 @dataclass(frozen=True, eq=False)
 class ReceivingGrasps:
-    """M receiving grasps, object by object, right hands before left ones; hands as in `hand.py`, metres."""
+    """M receiving grasps, object by object, right hands before left ones; hands as in `hand.py`,
+    metres."""
 
     object_index: Int32[Tensor, " m"]
     side: Int8[Tensor, " m"]
@@ -71,7 +81,8 @@ class ReceivingGrasps:
     def __getitem__(self, rows: slice | Tensor) -> ReceivingGrasps:
         """The selected rows; `rows` is a slice, an index tensor or a mask."""
         return ReceivingGrasps(
-            **{k: getattr(self, k)[rows] for k in ("object_index", *FIELDS, "instruction")}, hand=self.hand
+            **{k: getattr(self, k)[rows] for k in ("object_index", *FIELDS, "instruction")},
+            hand=self.hand,
         )
 
     @cached_property
@@ -89,7 +100,9 @@ class ReceivingGrasps:
         """Skins in the object's frame."""
         return se3.apply(self.T_obj_hand[:, None], self.posed.vertices)
 
-    def rows_of(self, object_index: int, side: int | None = None, part: int | None = None) -> Tensor:
+    def rows_of(
+        self, object_index: int, side: int | None = None, part: int | None = None
+    ) -> Tensor:
         """Row numbers of an object's grasps, optionally of one side and one part."""
         kept = self.object_index == object_index
         if side is not None:
@@ -106,23 +119,35 @@ def _load(objects: tuple[ObjectModel, ...], hand: HandModel) -> ReceivingGrasps:
     columns = {k: torch.from_numpy(np.concatenate([e[k] for e in every])) for k in FIELDS}
     intent = [_intents(o, e["part"]) for o, e in zip(objects, every, strict=True)]
     return ReceivingGrasps(
-        torch.from_numpy(index), **columns, instruction=torch.from_numpy(np.concatenate(intent)), hand=hand
+        torch.from_numpy(index),
+        **columns,
+        instruction=torch.from_numpy(np.concatenate(intent)),
+        hand=hand,
     )
 
 
 def _intents(model: ObjectModel, part: NDArray[np.uint8]) -> NDArray[np.int32]:
     """The first intent that wants the part each grasp holds."""
-    first = {label: k for k, intent in reversed(list(enumerate(intents_of(model)))) for label in intent.labels}
+    first = {
+        label: k
+        for k, intent in reversed(list(enumerate(intents_of(model))))
+        for label in intent.labels
+    }
     return np.array([first.get(int(p), len(intents_of(model)) - 1) for p in part], np.int32)
 
 
-def load_receiving(objects: Sequence[ObjectModel] | None = None, hand: HandModel | None = None) -> ReceivingGrasps:
-    """Receiving grasps of these objects (default: the 16 built-in ones), `object_index` counting them in order.
+def load_receiving(
+    objects: Sequence[ObjectModel] | None = None, hand: HandModel | None = None
+) -> ReceivingGrasps:
+    """Receiving grasps of these objects (default: the 16 built-in ones), `object_index` counting
+    them in order.
 
-    Those of the built-in hand and objects are stored, whatever file the same hand comes from; for a user's hand or object they
-    are sampled once (seconds an object) and kept on disk (`files.kept`).
+    Those of the built-in hand and objects are stored, whatever file the same hand comes from; for a
+    user's hand or object they are sampled once (seconds an object) and kept on disk (`files.kept`).
     """
-    return _load(tuple(load_objects() if objects is None else objects), load_hand() if hand is None else hand)
+    return _load(
+        tuple(load_objects() if objects is None else objects), load_hand() if hand is None else hand
+    )
 
 
 def without_receiving(objects: Sequence[ObjectModel], hand: HandModel) -> list[tuple[int, int]]:
@@ -144,17 +169,23 @@ def receiving_digest(grasps: ReceivingGrasps | None = None) -> str:
 
 @lru_cache(maxsize=16)
 def _like_own(hand: HandModel) -> bool:
-    """Whether a hand has the built-in one's skin, to `SAME_M` in `SAME_POSED` postures and shapes: the same hand from a file of
-    another layout must not be shown other receiving grasps, which other digits of its numbers would make of it."""
+    """Whether a hand has the built-in one's skin, to `SAME_M` in `SAME_POSED` postures and shapes:
+    the same hand from a file of another layout must not be shown other receiving grasps, which
+    other digits of its numbers would make of it."""
     own = load_hand()
     if hand is own:
         return True
     if not torch.equal(hand.faces, own.faces) or hand.vertices.shape != own.vertices.shape:
         return False
     rng = np.random.Generator(np.random.Philox(key=13))
-    pose, shape = (torch.from_numpy(rng.normal(0, s, (SAME_POSED, n))) for s, n in ((0.5, 48), (1.0, 10)))
+    pose, shape = (
+        torch.from_numpy(rng.normal(0, s, (SAME_POSED, n))) for s, n in ((0.5, 48), (1.0, 10))
+    )
     side = torch.arange(SAME_POSED, dtype=torch.int8, device="cpu") % 2
-    return bool((hand.pose(pose, shape, side).vertices - own.pose(pose, shape, side).vertices).abs().max() < SAME_M)
+    return bool(
+        (hand.pose(pose, shape, side).vertices - own.pose(pose, shape, side).vertices).abs().max()
+        < SAME_M
+    )
 
 
 @lru_cache(maxsize=64)
@@ -187,8 +218,11 @@ def _stored_of(model: ObjectModel) -> dict[str, NDArray[Any]]:
 
 
 def _made_of(model: ObjectModel, hand: HandModel) -> str:
-    """sha256 (hex) over all that an object's receiving grasps come from: object, hand, the code, what it is built on."""
-    digest = hashlib.sha256(f"{object_digest(model)} {hand.digest} {code_of(CODE, VERSIONS)}".encode())
+    """sha256 (hex) over all that an object's receiving grasps come from: object, hand, the code,
+    what it is built on."""
+    digest = hashlib.sha256(
+        f"{object_digest(model)} {hand.digest} {code_of(CODE, VERSIONS)}".encode()
+    )
     return digest.hexdigest()
 
 

@@ -1,4 +1,5 @@
-"""Receiving grasps of an object: an open hand comes down on it, its fingers close, and the exact meshes say what holds.
+"""Receiving grasps of an object: an open hand comes down on it, its fingers close, and the exact
+meshes say what holds.
 
 A left hand is sampled as a right hand on the mirrored object: nothing about it is assumed.
 """
@@ -31,7 +32,14 @@ from r2h_batch.receiver.hand_closing import (
     mirrored,
     posture,
 )
-from r2h_batch.receiver.hand_contact import PALM, THUMB, Contact, ObjectSurface, hand_depth, measure_contact
+from r2h_batch.receiver.hand_contact import (
+    PALM,
+    THUMB,
+    Contact,
+    ObjectSurface,
+    hand_depth,
+    measure_contact,
+)
 from r2h_batch.receiver.instructions import intents_of
 
 __all__ = ["PER_SIDE", "NoHoldError", "sample_receiving"]
@@ -39,14 +47,17 @@ __all__ = ["PER_SIDE", "NoHoldError", "sample_receiving"]
 PER_SIDE = 32
 PROPOSALS, ROUNDS, ENOUGH, ENOUGH_OF_PART = 600, 20, 160, 16
 HOPELESS = 6
-"""Rounds after which an object that nothing seemed to hold is given up: one of 3,600 proposals would be three of all."""
+"""Rounds after which an object that nothing seemed to hold is given up: one of 3,600 proposals
+would be three of all."""
 STANDOFF_M = 0.25
 
 CONTACT_M = 0.004
 DEPTH_M, BACK_DEPTH_M, THIN_DEPTH_M = 0.004, 0.001, 0.004
-"""Stricter than the promise of 5 mm each: float32, and another measure, may disagree by a little."""
+"""Stricter than the promise of 5 mm each: float32, and another measure, may disagree by a
+little."""
 LOOKED_AT_M = 0.006
-"""Skin that the field says is farther off than this touches nothing: 4 mm off a surface it overshoots by 0.2 mm at most."""
+"""Skin that the field says is farther off than this touches nothing: 4 mm off a surface it
+overshoots by 0.2 mm at most."""
 DIGITS_RADIUS_M = 0.0075
 CROSSING_M = 0.003
 ON_REGION = 0.6
@@ -73,16 +84,20 @@ def sample_receiving(
     self_cut_m: float | None = None,
     threads: int | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Arrays as in `receiving.FIELDS`: up to `per_side` right-hand and left-hand holds; the same object, the same holds.
+    """Arrays as in `receiving.FIELDS`: up to `per_side` right-hand and left-hand holds; the same
+    object, the same holds.
 
-    Each holds with thumb and a finger from opposite sides and with three regions of the hand or more. `self_cut_m`: how
-    deep a hand may cut into itself where digits press on each other; None: not asked. Raises `NoHoldError` where an object
-    has none at all.
+    Each holds with thumb and a finger from opposite sides and with three regions of the hand or
+    more. `self_cut_m`: how deep a hand may cut into itself where digits press on each other; None:
+    not asked. Raises `NoHoldError` where an object has none at all.
     """
     init_warp()
     hand = load_hand() if hand is None else hand
     field = distance_field(ObjectSurface(model.vertices, model.faces), threads)
-    right, left = (_holds(model, hand, mirror, field, per_side, self_cut_m, threads) for mirror in (False, True))
+    right, left = (
+        _holds(model, hand, mirror, field, per_side, self_cut_m, threads)
+        for mirror in (False, True)
+    )
     if not len(right["side"]) + len(left["side"]):
         raise NoHoldError(
             f"{model.name}: 0 right receiving grasps found, {per_side} wanted, 0 left; "
@@ -104,13 +119,17 @@ def _holds(
     side = _Side(model, hand, flip, mirrored(field) if mirror else field, threads)
     pool: list[dict[str, NDArray[Any]]] = []
     known: dict[int, bool] = {}
-    digest = hashlib.sha256(f"receiving {model.name} {'left' if mirror else 'right'}".encode()).digest()
+    digest = hashlib.sha256(
+        f"receiving {model.name} {'left' if mirror else 'right'}".encode()
+    ).digest()
     key = int.from_bytes(digest[:8], "little")
     for turn in range(ROUNDS):
         rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
         pool.append(_try(side, rng))
         held = np.concatenate([p["part"] for p in pool])
-        enough = len(held) >= ENOUGH and all(np.isin(held, i.labels).sum() >= ENOUGH_OF_PART for i in intents_of(model))
+        enough = len(held) >= ENOUGH and all(
+            np.isin(held, i.labels).sum() >= ENOUGH_OF_PART for i in intents_of(model)
+        )
         last = turn + 1 == ROUNDS or (turn + 1 >= HOPELESS and not len(held))
         if not (enough or last):
             continue
@@ -123,7 +142,8 @@ def _holds(
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """One side's hands on an object: a left hand is a right hand on the object mirrored by `flip`."""
+    """One side's hands on an object: a left hand is a right hand on the object mirrored by
+    `flip`."""
 
     model: ObjectModel
     hand: HandModel
@@ -142,15 +162,22 @@ class _Side:
         return np.concatenate([self.model.points * self.flip, self.surface.vertices])
 
     def holds(self, skin: F32, about: F32) -> bool:
-        """Whether a hand with this skin (V, 3), which seems to hold, does so: measured on the exact meshes of both.
+        """Whether a hand with this skin (V, 3), which seems to hold, does so: measured on the exact
+        meshes of both.
 
         `about` (V,): the field's distances, which are the true ones or less."""
         contact = measure_contact(
-            self.surface, skin[None], hand=self.hand, threads=self.threads, asked=about[None] < LOOKED_AT_M
+            self.surface,
+            skin[None],
+            hand=self.hand,
+            threads=self.threads,
+            asked=about[None] < LOOKED_AT_M,
         )
         if not _holds_well(self.model, contact)[0]:
             return False
-        deep = hand_depth(self.points, skin[None], 0, hand=self.hand, threads=self.threads, least=THIN_DEPTH_M)
+        deep = hand_depth(
+            self.points, skin[None], 0, hand=self.hand, threads=self.threads, least=THIN_DEPTH_M
+        )
         return bool(deep[0] <= THIN_DEPTH_M)
 
 
@@ -159,7 +186,9 @@ def _try(side: _Side, rng: Any) -> dict[str, NDArray[Any]]:
     hand, threads = side.hand, side.threads
     families = load_families(hand)
     family, R, start, direction, retreat = _proposals(side.model, side.flip, rng)
-    travel = come_down(side.field, families, family, R, start, direction, farthest=2 * STANDOFF_M, threads=threads)
+    travel = come_down(
+        side.field, families, family, R, start, direction, farthest=2 * STANDOFF_M, threads=threads
+    )
     near = travel < 2 * STANDOFF_M - 0.01
     family, R, start, direction = family[near], R[near], start[near], direction[near]
     travel, retreat = travel[near], retreat[near]
@@ -185,11 +214,14 @@ def _try(side: _Side, rng: Any) -> dict[str, NDArray[Any]]:
     }  # fmt: skip
 
 
-def _proposals(model: ObjectModel, flip: F32, rng: Any) -> tuple[NDArray[np.int32], F32, F32, F32, F32]:
-    """family (n,), R_obj_hand (n, 3, 3), start (n, 3), direction (n, 3), retreat (n,): over surface points, any turn.
+def _proposals(
+    model: ObjectModel, flip: F32, rng: Any
+) -> tuple[NDArray[np.int32], F32, F32, F32, F32]:
+    """family (n,), R_obj_hand (n, 3, 3), start (n, 3), direction (n, 3), retreat (n,): over surface
+    points, any turn.
 
-    A spot of the hand, between palm and fingertips, is led along a direction between the palm's and the fingers' to a
-    surface point, against its normal or up to 40 degrees beside it.
+    A spot of the hand, between palm and fingertips, is led along a direction between the palm's and
+    the fingers' to a surface point, against its normal or up to 40 degrees beside it.
     """
     n = PROPOSALS
     wanted = model.receiver_face if model.receiver_face.any() else np.ones(len(model.faces), bool)
@@ -198,7 +230,9 @@ def _proposals(model: ObjectModel, flip: F32, rng: Any) -> tuple[NDArray[np.int3
     area = np.linalg.norm(cross, axis=1) * wanted
     area /= area.sum()
     named = [area * np.isin(model.face_part, i.labels) for i in intents_of(model)]
-    area = area + np.sum([a / a.sum() for a in named], 0) / len(named)  # small parts get their share of proposals
+    area = area + np.sum([a / a.sum() for a in named], 0) / len(
+        named
+    )  # small parts get their share of proposals
     share = np.cumsum(area) / area.sum()
     face = np.minimum(np.searchsorted(share, (np.arange(n) + rng.random(n)) / n), len(share) - 1)
     target = corner[face].mean(1)
@@ -217,7 +251,8 @@ def _proposals(model: ObjectModel, flip: F32, rng: Any) -> tuple[NDArray[np.int3
 
 
 def _holds_well(model: ObjectModel, contact: Contact) -> NDArray[np.bool_]:
-    """Thumb against a finger or more, three regions in all, not too deep, nothing behind; S1: on the region."""
+    """Thumb against a finger or more, three regions in all, not too deep, nothing behind; S1: on
+    the region."""
     touching = contact.gap <= CONTACT_M
     facing = np.einsum("nk,nfk->nf", contact.normal[:, THUMB], contact.normal[:, :THUMB])
     opposed = (touching[:, :THUMB] & (facing < 0)).any(1)
@@ -230,19 +265,32 @@ def _holds_well(model: ObjectModel, contact: Contact) -> NDArray[np.bool_]:
 
 
 def _score(
-    model: ObjectModel, flip: F32, contact: Contact, rows: NDArray[np.int64], touching: NDArray[np.bool_], R: F32
+    model: ObjectModel,
+    flip: F32,
+    contact: Contact,
+    rows: NDArray[np.int64],
+    touching: NDArray[np.bool_],
+    R: F32,
 ) -> F64:
-    """More regions, more skin, thumb and fingers squarely opposed, thumb's side towards the working end."""
+    """More regions, more skin, thumb and fingers squarely opposed, thumb's side towards the working
+    end."""
     facing = np.einsum("nk,nfk->nf", contact.normal[rows, THUMB], contact.normal[rows, :THUMB])
     opposed = np.where(touching[:, :THUMB], -facing, -1.0).max(1)
     digits = touching[:, :PALM].sum(1) / 5 + 0.25 * touching[:, PALM]
     skin = np.minimum(contact.touch[rows] / 0.35, 1.0)
     end = _working_direction(model) * flip
-    return digits + skin + 0.5 * opposed + 0.6 * np.clip(R[:, :, 2] @ end, -1, 0.7) - 40 * contact.depth[rows]
+    return (
+        digits
+        + skin
+        + 0.5 * opposed
+        + 0.6 * np.clip(R[:, :, 2] @ end, -1, 0.7)
+        - 40 * contact.depth[rows]
+    )
 
 
 def _working_direction(model: ObjectModel) -> F64:
-    """Unit vector from the receiver's region to the part that works; zero where an object has none."""
+    """Unit vector from the receiver's region to the part that works; zero where an object has
+    none."""
     if not model.receiver_face.any():
         return np.zeros(3)
     on = model.receiver_face[model.point_face]
@@ -250,7 +298,9 @@ def _working_direction(model: ObjectModel) -> F64:
     return away / np.linalg.norm(away)
 
 
-def _parts(model: ObjectModel, face: NDArray[np.int32], touching: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _parts(
+    model: ObjectModel, face: NDArray[np.int32], touching: NDArray[np.bool_]
+) -> NDArray[np.uint8]:
     """The part with the most contacts of each hold."""
     part = model.face_part[np.maximum(face, 0)]
     votes = np.stack([((part == k) & touching).sum(1) for k in range(len(model.part_names))], 1)
@@ -258,10 +308,12 @@ def _parts(model: ObjectModel, face: NDArray[np.int32], touching: NDArray[np.boo
 
 
 def _crossing(hand: HandModel, joints: F32, skin: F32) -> F64:
-    """(B,) how deep thumb and fingers, and fingers that are not joined, run into each other, as capsules."""
+    """(B,) how deep thumb and fingers, and fingers that are not joined, run into each other, as
+    capsules."""
     tip = skin[:, hand.tip_vertices.numpy().astype(np.int64)]
     chain = [
-        np.stack([joints[:, 1 + 3 * f], joints[:, 2 + 3 * f], joints[:, 3 + 3 * f], tip[:, f]], 1) for f in range(5)
+        np.stack([joints[:, 1 + 3 * f], joints[:, 2 + 3 * f], joints[:, 3 + 3 * f], tip[:, f]], 1)
+        for f in range(5)
     ]
     worst = np.full(len(joints), -1.0)
     for f, g in ((4, 0), (4, 1), (4, 2), (4, 3), (0, 1), (1, 3), (3, 2), (0, 3), (1, 2)):
@@ -269,7 +321,9 @@ def _crossing(hand: HandModel, joints: F32, skin: F32) -> F64:
             for j in range(3):
                 if (f, i) == (4, 0) or (f != 4 and i + j == 0):
                     continue  # joined by skin
-                gap = _segment_distance(chain[f][:, i], chain[f][:, i + 1], chain[g][:, j], chain[g][:, j + 1])
+                gap = _segment_distance(
+                    chain[f][:, i], chain[f][:, i + 1], chain[g][:, j], chain[g][:, j + 1]
+                )
                 worst = np.maximum(worst, 2 * DIGITS_RADIUS_M - gap)
     return worst
 
@@ -282,16 +336,25 @@ def _segment_distance(a: F32, b: F32, c: F32, d: F32) -> F64:
 
 
 def _diverse(
-    side: _Side, every: dict[str, NDArray[Any]], count: int, self_cut_m: float | None, known: dict[int, bool]
+    side: _Side,
+    every: dict[str, NDArray[Any]],
+    count: int,
+    self_cut_m: float | None,
+    known: dict[int, bool],
 ) -> NDArray[np.int64]:
-    """Rows of the best scores that hold, none too like one already taken; that bar falls until `count` are found.
+    """Rows of the best scores that hold, none too like one already taken; that bar falls until
+    `count` are found.
 
-    Every part that instructions name gets its share first, as far as it can be held. `known`: what was measured of rows.
+    Every part that instructions name gets its share first, as far as it can be held. `known`: what
+    was measured of rows.
     """
     palm = every["joints"][:, [0, 1, 4, 7, 10]].mean(1)
     order = np.argsort(-every["score"], kind="stable")
     wanted = {i.part: i.labels for i in intents_of(side.model)}
-    stages = [(np.isin(every["part"], labels), min(count // 4, count // len(wanted))) for labels in wanted.values()]
+    stages = [
+        (np.isin(every["part"], labels), min(count // 4, count // len(wanted)))
+        for labels in wanted.values()
+    ]
     stages.append((np.ones(len(order), bool), count))
     taken: list[int] = []
     usable = np.ones(len(order), bool)
@@ -309,13 +372,17 @@ def _diverse(
                 if i in taken or not usable[i]:
                     continue
                 apart = np.linalg.norm(palm[taken] - palm[i], axis=1) / 0.04
-                turn = 1 - np.einsum("mij,ij->m", every["R"][taken], every["R"][i]) / 3  # 0 alike, 4/3 opposite
+                turn = (
+                    1 - np.einsum("mij,ij->m", every["R"][taken], every["R"][i]) / 3
+                )  # 0 alike, 4/3 opposite
                 if taken and (apart + 2 * turn).min() < scale:
                     continue
-                # measured only of those that are wanted: 10 ms each, and 50 of how they cut into themselves
+                # measured only of those that are wanted: 10 ms each, and 50 of how they cut into
+                # themselves
                 if i not in known:
                     known[i] = side.holds(every["skin"][i], every["about"][i]) and (
-                        self_cut_m is None or _self_cut(side.hand, every["pose"][i], every["family"][i]) <= self_cut_m
+                        self_cut_m is None
+                        or _self_cut(side.hand, every["pose"][i], every["family"][i]) <= self_cut_m
                     )
                 usable[i] = known[i]
                 if usable[i]:
@@ -327,7 +394,12 @@ def _diverse(
 def _self_cut(hand: HandModel, pose: F32, family: int) -> float:
     """How deep (m) a right hand's skin cuts into itself."""
     shape = load_families(hand).shape[family]
-    skin = hand.pose(torch.from_numpy(pose)[None], torch.from_numpy(shape)[None]).vertices[0].double().numpy()
+    skin = (
+        hand.pose(torch.from_numpy(pose)[None], torch.from_numpy(shape)[None])
+        .vertices[0]
+        .double()
+        .numpy()
+    )
     pieces = [p.numpy() for p in hand.pieces]
     return self_cut(skin, hand.faces.numpy(), [hull_planes(skin[p]) for p in pieces], pieces)
 

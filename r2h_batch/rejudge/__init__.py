@@ -1,4 +1,5 @@
-"""Stored rows judged again from their stored poses: `r2h-batch results verify RUN --rejudge 200`."""
+"""Stored rows judged again from their stored poses: `r2h-batch results verify RUN --rejudge
+200`."""
 
 from typing import TYPE_CHECKING
 

@@ -1,7 +1,9 @@
-"""Score a random sample of stored rows again, from the poses stored beside them, and list every difference.
+"""Score a random sample of stored rows again, from the poses stored beside them, and list every
+difference.
 
-sha256 and receipts say that a file is as it was written; whoever writes a row can write those too. What cannot be made up
-is the verdict: trials follow from their ids, poses are stored, so the evaluator can be asked again.
+sha256 and receipts say that a file is as it was written; whoever writes a row can write those too.
+What cannot be made up is the verdict: trials follow from their ids, poses are stored, so the
+evaluator can be asked again.
 """
 
 import json
@@ -36,12 +38,14 @@ LATER_OPTIONS = ("receiver", "estimate", "candidates")
 
 MARGIN_TOLERANCE_M = BORDERLINE_M
 TIME_TOLERANCE_S = 0.05  # and for degrees
-"""What stored numbers may differ by on another kind of machine or with other versions; on the same, by nothing."""
+"""What stored numbers may differ by on another kind of machine or with other versions; on the same,
+by nothing."""
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A stored value that the evaluator does not give again; `borderline`: float32 does not decide that trial's verdict."""
+    """A stored value that the evaluator does not give again; `borderline`: float32 does not decide
+    that trial's verdict."""
 
     trial_id: int
     column: str
@@ -50,14 +54,18 @@ class Difference:
     borderline: bool
 
     def __str__(self) -> str:
-        words = [f"{v:.6g}" if isinstance(v, float) else "none" if v is None else v for v in (self.stored, self.again)]
+        words = [
+            f"{v:.6g}" if isinstance(v, float) else "none" if v is None else v
+            for v in (self.stored, self.again)
+        ]
         mark = " (borderline: float32 does not decide this trial)" if self.borderline else ""
         return f"trial {self.trial_id}: {self.column} is stored as {words[0]}, scored again it is {words[1]}{mark}"
 
 
 @dataclass(frozen=True)
 class Rejudged:
-    """Of one method: how many rows are stored and were scored again, how many are equal bit for bit, what differs."""
+    """Of one method: how many rows are stored and were scored again, how many are equal bit for
+    bit, what differs."""
 
     method: str
     stored: int
@@ -67,29 +75,48 @@ class Rejudged:
 
 
 class Judge:
-    """The evaluator that a run folder describes, with its objects and hands checked against the run's digests.
+    """The evaluator that a run folder describes, with its objects and hands checked against the
+    run's digests.
 
-    `other`: what is not as it was when the rows were scored (code, versions, processor); empty: rows must come out bit for bit.
+    `other`: what is not as it was when the rows were scored (code, versions, processor); empty:
+    rows must come out bit for bit.
     """
 
-    def __init__(self, run: Run, *, given: Given | None = None, device: str = "cpu", threads: int | None = None):
+    def __init__(
+        self,
+        run: Run,
+        *,
+        given: Given | None = None,
+        device: str = "cpu",
+        threads: int | None = None,
+    ):
         kind(Run, "what load_run(FOLDER) gives")("run", run)
         optional(kind(Given, "flags of the benchmark"))("given", given)
         cpu_threads(threads)
         header, where = run.header, run.folder
         if header["protocol"] not in (*PROTOCOLS, LISTED):
             known = ", ".join(PROTOCOLS)
-            raise RunError(f"{where}: protocol {header['protocol']!r}; this version makes the trials of {known}")
+            raise RunError(
+                f"{where}: protocol {header['protocol']!r}; this version makes the trials of {known}"
+            )
         config = configuration(header["configuration"], str(where))
         self.benchmark = benchmark_of_run(header, given or Given(), str(where))
-        self.evaluator = Evaluator.from_benchmark(self.benchmark, config, device=device, threads=threads)
+        self.evaluator = Evaluator.from_benchmark(
+            self.benchmark, config, device=device, threads=threads
+        )
         self.other = _other(header, device)
 
     def rows(self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any) -> pa.Table:
-        """`TRIAL_SCHEMA` rows of (N,) trials answered with (N, 4, 4) poses: as the sweep stores them."""
+        """`TRIAL_SCHEMA` rows of (N,) trials answered with (N, 4, 4) poses: as the sweep stores
+        them."""
         scene = self.evaluator.scene
-        trials = trials_of(self.benchmark, torch.from_numpy(np.asarray(trial_id, np.int64))).to(scene.device)
-        grasp, handover = (torch.from_numpy(np.array(T, np.float32)).to(scene.device) for T in (T_obj_ee, T_world_ee))
+        trials = trials_of(self.benchmark, torch.from_numpy(np.asarray(trial_id, np.int64))).to(
+            scene.device
+        )
+        grasp, handover = (
+            torch.from_numpy(np.array(T, np.float32)).to(scene.device)
+            for T in (T_obj_ee, T_world_ee)
+        )
         names = TrialNames(
             objects=[o.name for o in scene.objects],
             object_splits=[o.split for o in scene.objects],
@@ -99,12 +126,15 @@ class Judge:
 
 
 def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
-    """The `EvalConfig` of a run.json; `RunError` where this version has other fields, or one is out of bounds."""
+    """The `EvalConfig` of a run.json; `RunError` where this version has other fields, or one is out
+    of bounds."""
     try:
         config = TypeAdapter(EvalConfig).validate_json(json.dumps(data), strict=True)
     except (ValidationError, ValueError) as error:
         what = " ".join(str(error).split())[:200]
-        raise RunError(f"{where}: its configuration cannot be judged by this version ({what})") from None
+        raise RunError(
+            f"{where}: its configuration cannot be judged by this version ({what})"
+        ) from None
     again = json.loads(TypeAdapter(EvalConfig).dump_json(config))
     data = _with_later(json.loads(json.dumps(data)))
     if again != data:
@@ -114,7 +144,8 @@ def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
 
 
 def _with_later(data: dict[str, Any]) -> dict[str, Any]:
-    """A run.json's configuration with the options that came later, at the value that says what there was before."""
+    """A run.json's configuration with the options that came later, at the value that says what
+    there was before."""
     now = json.loads(TypeAdapter(EvalConfig).dump_json(EvalConfig()))
     plan = data.get("plan")
     if isinstance(plan, dict):
@@ -128,7 +159,9 @@ def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
     mine = provenance.versions()
     other += [k for k, v in header["versions"].items() if k != "python" and mine.get(k) != v]
     here = provenance.device_name(device)
-    same = here.rpartition(",")[0] == str(header["device"]["name"]).rpartition(",")[0]  # "cpu: MODEL, N cores"
+    same = (
+        here.rpartition(",")[0] == str(header["device"]["name"]).rpartition(",")[0]
+    )  # "cpu: MODEL, N cores"
     return (*other, *([] if same else ["processor"]))
 
 
@@ -137,12 +170,15 @@ def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
     seed=optional(whole(0)),
 )  # fmt: skip
 def rejudge(run: Run, method: str, n: int, judge: Judge, *, seed: int | None = None) -> Rejudged:
-    """Score `n` of a method's stored rows again, drawn without replacement; all of them where there are fewer.
+    """Score `n` of a method's stored rows again, drawn without replacement; all of them where there
+    are fewer.
 
     One shard at a time is in memory. `RunError` where the run holds no poses.
     """
     if "poses" not in run.header["stored"]:
-        raise RunError(f"{run.folder}: stored without poses; sweep again without --no-poses into another --out")
+        raise RunError(
+            f"{run.folder}: stored without poses; sweep again without --no-poses into another --out"
+        )
     receipts = run.entry(method)["receipts"]
     sizes = {index: r["last"] - r["first"] for index, r in sorted(receipts.items())}
     ends = np.cumsum([0, *sizes.values()])
@@ -169,19 +205,27 @@ def _shard_again(stored: pa.Table, poses: pa.Table, judge: Judge) -> tuple[int, 
     if answered.any():
         kept = poses.take(pa.array([r for r in rows if r >= 0]))
         T = [_matrices(kept[k]) for k in ("T_obj_ee", "T_world_ee")]
-        again = {row["trial_id"]: row for row in judge.rows(ids[answered], *T).select(COMPARED).to_pylist()}
+        again = {
+            row["trial_id"]: row
+            for row in judge.rows(ids[answered], *T).select(COMPARED).to_pylist()
+        }
     # an older run lacks some columns, which are read as empty: they say nothing that could be wrong
     silent = [k for k in LATER_COLUMNS if stored[k].null_count == len(stored)]
     equal, found = 0, []
     for row in stored.select(COMPARED).to_pylist():
         other = again.get(row["trial_id"])
         if other is None:  # no pose is stored: nobody answered, and the row must say so
-            other = dict.fromkeys(COMPARED) | {k: row[k] for k in ("trial_id", "object", "split", "side")}
+            other = dict.fromkeys(COMPARED) | {
+                k: row[k] for k in ("trial_id", "object", "split", "side")
+            }
             other["outcome"] = "missing"
         differing = [k for k in COMPARED if row[k] != other[k] and k not in silent]
         equal += not differing
         told = [k for k in differing if not judge.other or not _close(k, row[k], other[k])]
-        found += [Difference(row["trial_id"], k, row[k], other[k], bool(other["borderline"])) for k in told]
+        found += [
+            Difference(row["trial_id"], k, row[k], other[k], bool(other["borderline"]))
+            for k in told
+        ]
     return equal, found
 
 

@@ -1,4 +1,5 @@
-"""The command `results`: `verify RUN [--rejudge N]` finds damaged, foreign and made-up rows, `digest RUN` names the rows."""
+"""The command `results`: `verify RUN [--rejudge N]` finds damaged, foreign and made-up rows,
+`digest RUN` names the rows."""
 
 import sys
 from collections.abc import Sequence
@@ -28,18 +29,19 @@ def verify(
     benchmark: BenchmarkFlags = BUILT_IN,
     device: str = "cpu",
 ) -> int:
-    """Find truncated, flipped and foreign shards and mark them for rerun; with --rejudge, judge a sample of rows again.
+    """Find truncated, flipped and foreign shards and mark them for rerun; with --rejudge, judge a
+    sample of rows again.
 
-    Exit code 0: every stored shard is as it was written, and every row that was judged again came out the same; 1: some are
-    to be scored again by the same sweep, or a row differs.
+    Exit code 0: every stored shard is as it was written, and every row that was judged again came
+    out the same; 1: some are to be scored again by the same sweep, or a row differs.
 
     Args:
         folder: a run folder, as `python -m r2h_batch.sweep --out` writes it.
-        rejudge: rows of each method to judge again from their stored poses, drawn at random; 0: none.
-        method: judge only these methods again, by the sweep's word (fc) or the table's name; all unless given.
-        seed: of the draw; another one each time unless given.
-        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
-        device: cpu, cuda or cuda:N.
+        rejudge: rows of each method to judge again from their stored poses, drawn at random; 0:
+        none. method: judge only these methods again, by the sweep's word (fc) or the table's name;
+        all unless given. seed: of the draw; another one each time unless given. benchmark: as the
+        sweep had them; none of these where it had the built-in benchmark. device: cpu, cuda or
+        cuda:N.
     """
     if rejudge < 0:
         return refuse("results", f"--rejudge is {rejudge}; it must be 0 or more rows")
@@ -57,7 +59,9 @@ def verify(
         return refuse("results", error)
 
 
-def _again(folder: Path, n: int, method: Sequence[str], seed: int | None, given: "Given", device: str) -> int:
+def _again(
+    folder: Path, n: int, method: Sequence[str], seed: int | None, given: "Given", device: str
+) -> int:
     """Print what the evaluator says to a sample of each method's rows; 1 where a row differs."""
     import numpy as np
 
@@ -69,7 +73,9 @@ def _again(folder: Path, n: int, method: Sequence[str], seed: int | None, given:
     if not names:
         raise RunError(f"{folder}: no shard of any method is stored")
     if "poses" not in run.header["stored"]:
-        raise RunError(f"{folder}: stored without poses; sweep again without --no-poses into another --out")
+        raise RunError(
+            f"{folder}: stored without poses; sweep again without --no-poses into another --out"
+        )
     draw = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
     judge = Judge(run, given=given, device=device)
     if judge.other:
@@ -96,7 +102,9 @@ def _lines(found: "Rejudged", draw: int) -> list[str]:
     return lines
 
 
-def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.results") -> int:
+def main(
+    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.results"
+) -> int:
     """Exit code of the chosen subcommand; 2 refused with one line."""
     given = sys.argv[1:] if arguments is None else arguments
     return call({"verify": verify, "digest": digest}, given, prog=prog, name="results")

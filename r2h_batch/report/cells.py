@@ -1,4 +1,5 @@
-"""What stands in Table I: its columns, one cell, the best ones, and the notes below. Every writer of the table uses these."""
+"""What stands in Table I: its columns, one cell, the best ones, and the notes below. Every writer
+of the table uses these."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,7 +8,16 @@ from math import floor, log10
 from r2h_batch.report.text import NA
 from r2h_batch.statistics.aggregate import RATES, TIMES, Mean, Rate, Row
 
-__all__ = ["BEST_NOTE", "FOOTNOTES", "HEADINGS", "Table", "best_cells", "cell", "interval", "invalid"]
+__all__ = [
+    "BEST_NOTE",
+    "FOOTNOTES",
+    "HEADINGS",
+    "Table",
+    "best_cells",
+    "cell",
+    "interval",
+    "invalid",
+]
 
 HEADINGS = {
     "sr": "SR",
@@ -44,7 +54,8 @@ BEST_NOTE = (
 
 @dataclass(frozen=True)
 class Table:
-    """What a report shows: rows in order, and where they come from (protocol, digest, preset, device, ...).
+    """What a report shows: rows in order, and where they come from (protocol, digest, preset,
+    device, ...).
 
     `folder`: of the run, for the commands that are named below the table; empty: none are.
     """
@@ -55,7 +66,8 @@ class Table:
 
 
 def cell(row: Row, column: str) -> str:
-    """One cell of Table I: rates with one decimal, seconds with two or more, `n/a` where nothing is defined."""
+    """One cell of Table I: rates with one decimal, seconds with two or more, `n/a` where nothing is
+    defined."""
     if column in TIMES:
         return _seconds(row.times[column])
     rate = row.rates[column]
@@ -63,7 +75,8 @@ def cell(row: Row, column: str) -> str:
 
 
 def _seconds(mean: Mean) -> str:
-    """Two decimals, or two digits below 0.1 s (amortised planning takes less than a millisecond)."""
+    """Two decimals, or two digits below 0.1 s (amortised planning takes less than a
+    millisecond)."""
     if mean.value is None:
         return NA
     return f"{mean.value:.2f}" if mean.value >= 0.1 or mean.value == 0 else _two_digits(mean.value)
@@ -84,16 +97,22 @@ def interval(rate: Rate | None) -> str:
 
 
 def best_cells(table: Table) -> set[tuple[str, str, str]]:
-    """(split, method, column) of the best printed rate of each split, ties included; none where all are equal.
+    """(split, method, column) of the best printed rate of each split, ties included; none where all
+    are equal.
 
-    Rates alone: all methods were asked the same trials. T_plan depends on the machine, T_exec is over the trials that moved.
+    Rates alone: all methods were asked the same trials. T_plan depends on the machine, T_exec is
+    over the trials that moved.
     """
     best = set()
     for split in dict.fromkeys(row.split for row in table.rows):
         rows = [row for row in table.rows if row.split == split]
         for column in (c for c in HEADINGS if c in RATES):
-            values = {row.method: float(cell(row, column)) for row in rows if cell(row, column) != NA}
+            values = {
+                row.method: float(cell(row, column)) for row in rows if cell(row, column) != NA
+            }
             if len(set(values.values())) > 1:
                 top = (max if column == "sr" else min)(values.values())
-                best |= {(split, method, column) for method, value in values.items() if value == top}
+                best |= {
+                    (split, method, column) for method, value in values.items() if value == top
+                }
     return best

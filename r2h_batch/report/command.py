@@ -1,4 +1,5 @@
-"""What the command `report` does with stored rows alone; r2h_batch.gallery.command is the command, with pictures of trials."""
+"""What the command `report` does with stored rows alone; r2h_batch.gallery.command is the command,
+with pictures of trials."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +29,8 @@ def run(
     out: Path | None = None,
     gallery: Gallery | None = None,
 ) -> int:
-    """Print the table of a run folder or write it to `out`; exit code 0, 1 a method is not complete, 2 refused."""
+    """Print the table of a run folder or write it to `out`; exit code 0, 1 a method is not
+    complete, 2 refused."""
     from r2h_batch.results.reading import load_run
 
     try:
@@ -50,7 +52,13 @@ def run(
 
 
 def _text(
-    stored: "Run", fmt: str, by_object: bool, columns: int, intervals: bool, order: str, gallery: Gallery | None
+    stored: "Run",
+    fmt: str,
+    by_object: bool,
+    columns: int,
+    intervals: bool,
+    order: str,
+    gallery: Gallery | None,
 ) -> str:
     if fmt == "html":
         from r2h_batch.report.page import page

@@ -1,4 +1,5 @@
-"""Figures of counted rows, drawn by matplotlib: as SVG for a page that may be light or dark, or as PDF and PNG for print."""
+"""Figures of counted rows, drawn by matplotlib: as SVG for a page that may be light or dark, or as
+PDF and PNG for print."""
 
 import io
 import re
@@ -39,7 +40,8 @@ COLORS = {
     "invalid_sim": "#5a5a5a",
     "missing": "#c8c8c8",
 }
-"""Okabe and Ito's palette, told apart by the colour-blind too: one colour an outcome wherever it appears."""
+"""Okabe and Ito's palette, told apart by the colour-blind too: one colour an outcome wherever it
+appears."""
 
 WORDS = {name: name.replace("_", " ") for name in OUTCOME_NAMES}
 
@@ -59,7 +61,8 @@ def needs_matplotlib() -> None:
 
 @contextmanager
 def style(*, page: bool) -> Iterator[None]:
-    """matplotlib's settings for figures of a page, or of a paper; names from files are never read as mathematics."""
+    """matplotlib's settings for figures of a page, or of a paper; names from files are never read
+    as mathematics."""
     import matplotlib
 
     ink, faint = (INK, FAINT) if page else ("#000000", "#cccccc")
@@ -94,19 +97,32 @@ def _figure(width: float, height: float) -> "Figure":
 
 
 def svg(figure: "Figure", title: str) -> str:
-    """The figure as one <svg> element in the page's colours, as wide as its place; `title`: for who does not see it."""
+    """The figure as one <svg> element in the page's colours, as wide as its place; `title`: for who
+    does not see it."""
     from html import escape
 
     text = io.StringIO()
-    figure.savefig(text, format="svg", transparent=True, bbox_inches="tight", pad_inches=0.03, metadata={"Date": None})
+    figure.savefig(
+        text,
+        format="svg",
+        transparent=True,
+        bbox_inches="tight",
+        pad_inches=0.03,
+        metadata={"Date": None},
+    )
     found = text.getvalue()
     body = found[found.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
     body = re.sub(r'<g id="[^"]*"', "<g", body)  # several figures of one page would share them
-    body = body.replace(INK, "currentColor").replace(FAINT, "var(--rule)").replace(RIDGE, "var(--bar)")
+    body = (
+        body.replace(INK, "currentColor").replace(FAINT, "var(--rule)").replace(RIDGE, "var(--bar)")
+    )
     label = f'role="img" aria-label="{escape(title, quote=True)}"'
     return re.sub(
-        r'<svg[^>]*?(viewBox="[^"]*")[^>]*>', rf'<svg xmlns="http://www.w3.org/2000/svg" \1 {label}>', body, count=1
+        r'<svg[^>]*?(viewBox="[^"]*")[^>]*>',
+        rf'<svg xmlns="http://www.w3.org/2000/svg" \1 {label}>',
+        body,
+        count=1,
     )
 
 
@@ -117,10 +133,25 @@ def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> list[s
     left = np.zeros(len(bars))
     for outcome in used:
         share = 100 * np.array([counts[outcome] for _, counts in bars]) / totals
-        axes.barh(range(len(bars)), share, left=left, height=0.7, color=COLORS[outcome], label=WORDS[outcome])
+        axes.barh(
+            range(len(bars)),
+            share,
+            left=left,
+            height=0.7,
+            color=COLORS[outcome],
+            label=WORDS[outcome],
+        )
         for row, (x, width) in enumerate(zip(left, share, strict=True)):
             if width >= 9:
-                axes.text(x + width / 2, row, f"{width:.0f}", ha="center", va="center", color="#ffffff", fontsize=8)
+                axes.text(
+                    x + width / 2,
+                    row,
+                    f"{width:.0f}",
+                    ha="center",
+                    va="center",
+                    color="#ffffff",
+                    fontsize=8,
+                )
         left += share
     axes.set_yticks(range(len(bars)), [label for label, _ in bars])
     axes.set_ylim(len(bars) - 0.5, -0.5)
@@ -132,14 +163,16 @@ def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> list[s
 
 
 def failure_bars(title: str, bars: Sequence[tuple[str, Mapping[str, int]]]) -> str:
-    """One small multiple: a method's outcomes by split, as SVG; the legend belongs to all of them."""
+    """One small multiple: a method's outcomes by split, as SVG; the legend belongs to all of
+    them."""
     with style(page=True):
         figure = _figure(3.4, 0.55 + 0.24 * len(bars))
         axes = figure.add_subplot()
         _bars(axes, bars)
         axes.set_title(title)
         words = "; ".join(
-            f"{label}: " + ", ".join(f"{WORDS[o]} {n}" for o, n in counts.items() if n) for label, counts in bars
+            f"{label}: " + ", ".join(f"{WORDS[o]} {n}" for o, n in counts.items() if n)
+            for label, counts in bars
         )
         return svg(figure, f"{title}. {words}")
 
@@ -148,7 +181,9 @@ def failure_figure(methods: Mapping[str, Sequence[tuple[str, Mapping[str, int]]]
     """All small multiples with their one legend, for print."""
     columns = min(3, len(methods))
     rows = -(-len(methods) // columns)
-    figure = _figure(2.35 * columns, 0.5 + rows * (0.6 + 0.22 * max(len(b) for b in methods.values())))
+    figure = _figure(
+        2.35 * columns, 0.5 + rows * (0.6 + 0.22 * max(len(b) for b in methods.values()))
+    )
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
     used: list[str] = []
     for place, (name, bars) in zip(axes, methods.items(), strict=False):
@@ -160,12 +195,17 @@ def failure_figure(methods: Mapping[str, Sequence[tuple[str, Mapping[str, int]]]
     from matplotlib.patches import Patch
 
     patches = [Patch(color=COLORS[o], label=WORDS[o]) for o in shown]
-    figure.legend(handles=patches, loc="outside lower center", ncols=min(len(shown), 6), frameon=False)
+    figure.legend(
+        handles=patches, loc="outside lower center", ncols=min(len(shown), 6), frameon=False
+    )
     return figure
 
 
-def ridges(title: str, series: Mapping[str, Histogram], *, scale: float, unit: str, zero: bool = False) -> str:
-    """One ridge a method over one axis, each scaled to its own highest bin, as SVG; `zero` marks 0."""
+def ridges(
+    title: str, series: Mapping[str, Histogram], *, scale: float, unit: str, zero: bool = False
+) -> str:
+    """One ridge a method over one axis, each scaled to its own highest bin, as SVG; `zero` marks
+    0."""
     known = {name: h for name, h in series.items() if h.counts.sum()}
     if not known:
         return ""
@@ -175,7 +215,9 @@ def ridges(title: str, series: Mapping[str, Histogram], *, scale: float, unit: s
         for row, (_, h) in enumerate(known.items()):
             x = scale * (h.edges[:-1] + h.edges[1:]) / 2
             height = 0.85 * h.counts / h.counts.max()
-            axes.fill_between(x, row, row - height, step="mid", color=RIDGE, alpha=0.75, linewidth=0)
+            axes.fill_between(
+                x, row, row - height, step="mid", color=RIDGE, alpha=0.75, linewidth=0
+            )
             axes.axhline(row, color=FAINT, linewidth=0.6, zorder=0)
         if zero:
             axes.axvline(0, color=INK, linewidth=0.8, linestyle=(0, (3, 3)))
@@ -207,7 +249,8 @@ class Box(Protocol):
 
 
 def box_plots(groups: Mapping[str, Mapping[str, Box]]) -> str:
-    """Boxes of ratings from 1 to 5 as an SVG file: one group a method, one colour a dimension, dotted at the midpoint 3."""
+    """Boxes of ratings from 1 to 5 as an SVG file: one group a method, one colour a dimension,
+    dotted at the midpoint 3."""
     from matplotlib.patches import Patch
 
     names = list(dict.fromkeys(d for boxes in groups.values() for d in boxes))
@@ -221,7 +264,13 @@ def box_plots(groups: Mapping[str, Mapping[str, Box]]) -> str:
                 if name not in boxes:
                     continue
                 box, color = boxes[name], LINES[k % len(LINES)]
-                stats = {"med": box.median, "q1": box.q1, "q3": box.q3, "whislo": box.min, "whishi": box.max}
+                stats = {
+                    "med": box.median,
+                    "q1": box.q1,
+                    "q3": box.q3,
+                    "whislo": box.min,
+                    "whishi": box.max,
+                }
                 drawn = axes.bxp(
                     [{**stats, "mean": box.mean, "fliers": []}],
                     positions=[g * (len(names) + 1) + k],
@@ -230,7 +279,12 @@ def box_plots(groups: Mapping[str, Mapping[str, Box]]) -> str:
                     patch_artist=True,
                     boxprops={"facecolor": color + "33", "edgecolor": color},
                     medianprops={"color": color, "linewidth": 2},
-                    meanprops={"marker": "D", "markerfacecolor": "white", "markeredgecolor": color, "markersize": 5},
+                    meanprops={
+                        "marker": "D",
+                        "markerfacecolor": "white",
+                        "markeredgecolor": color,
+                        "markersize": 5,
+                    },
                     whiskerprops={"color": color},
                     capprops={"color": color},
                 )
@@ -240,6 +294,8 @@ def box_plots(groups: Mapping[str, Mapping[str, Box]]) -> str:
         axes.set_ylim(0.8, 5.2)
         axes.set_yticks(range(1, 6))
         patches = [Patch(color=LINES[k % len(LINES)], label=name) for k, name in enumerate(names)]
-        figure.legend(handles=patches, loc="outside lower center", ncols=max(len(names), 1), frameon=False)
+        figure.legend(
+            handles=patches, loc="outside lower center", ncols=max(len(names), 1), frameon=False
+        )
         figure.savefig(text, format="svg", metadata={"Date": None})
     return text.getvalue()

@@ -1,7 +1,8 @@
-"""Tables for print: booktabs and siunitx, one column of a page or both, where they come from as comments.
+"""Tables for print: booktabs and siunitx, one column of a page or both, where they come from as
+comments.
 
-A tabular alone: caption, label and table environment are the paper's. The widths are those of an IEEE page (252 pt a column,
-516 pt the text), which tests/report/test_latex.py compiles.
+A tabular alone: caption, label and table environment are the paper's. The widths are those of an
+IEEE page (252 pt a column, 516 pt the text), which tests/report/test_latex.py compiles.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,11 +14,16 @@ __all__ = ["PACKAGES", "cell", "comments", "escaped", "number", "table", "text_c
 PACKAGES = r"\usepackage{booktabs,siunitx}"
 
 _TEX = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
-_TEX |= {c: "\\" + c for c in "&%$#_{}"} | {"<": r"\textless{}", ">": r"\textgreater{}", "|": r"\textbar{}"}
+_TEX |= {c: "\\" + c for c in "&%$#_{}"} | {
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+}
 
 
 def escaped(text: str) -> str:
-    """Text as LaTeX prints it, whatever characters it holds; those beyond ASCII need an engine or font that has them."""
+    """Text as LaTeX prints it, whatever characters it holds; those beyond ASCII need an engine or
+    font that has them."""
     return "".join(_TEX.get(c, c) for c in text)
 
 
@@ -44,9 +50,13 @@ def cell(text: str, *, bold: bool = False) -> str:
 
 
 def table(
-    columns: Sequence[str], head: Sequence[str], groups: Sequence[Sequence[str]], top: Sequence[str] = ()
+    columns: Sequence[str],
+    head: Sequence[str],
+    groups: Sequence[Sequence[str]],
+    top: Sequence[str] = (),
 ) -> list[str]:
-    """Lines of a tabular: `top` above the headings, groups of rows with a rule between them; rows are LaTeX already."""
+    """Lines of a tabular: `top` above the headings, groups of rows with a rule between them; rows
+    are LaTeX already."""
     spec = "@{}" + "".join(columns) + "@{}"
     lines = [rf"\begin{{tabular}}{{{spec}}}", r"\toprule", *top, " & ".join(head) + r" \\"]
     for rows in groups:

@@ -13,7 +13,8 @@ COLUMNS = (1, 2)
 
 
 def main_table(table: Table, *, columns: int, intervals: bool) -> str:
-    """All of Table I over both columns of a page, or each split's SR in one; with 95 % intervals below the rates."""
+    """All of Table I over both columns of a page, or each split's SR in one; with 95 % intervals
+    below the rates."""
     if columns not in COLUMNS:
         raise ValueError(f"--columns is {columns}; a page has 1 or 2")
     short = short_names([row.method for row in table.rows])
@@ -44,19 +45,29 @@ def _wide(table: Table, short: dict[str, str], intervals: bool) -> list[str]:
     groups: dict[str, list[str]] = {}
     for row in table.rows:
         lines = groups.setdefault(row.split, [])
-        values = [latex.cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in HEADINGS]
-        lines.append(" & ".join([row.split if not lines else "", latex.escaped(short[row.method]), *values]) + r" \\")
+        values = [
+            latex.cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in HEADINGS
+        ]
+        lines.append(
+            " & ".join([row.split if not lines else "", latex.escaped(short[row.method]), *values])
+            + r" \\"
+        )
         if intervals:
             lines.append(" & ".join(["", "", *(_ends(row, c) for c in HEADINGS)]) + r" \\[2pt]")
     longest = max([len(cell(r, "t_plan_s").partition(".")[2]) for r in table.rows], default=2)
     spec = [latex.text_column()] * 2
-    spec += [latex.number(*((3, 1) if c in RATES else (2, longest if c == "t_plan_s" else 2))) for c in HEADINGS]
+    spec += [
+        latex.number(*((3, 1) if c in RATES else (2, longest if c == "t_plan_s" else 2)))
+        for c in HEADINGS
+    ]
     top = [
         r" & & {SR} & \multicolumn{3}{c}{Time (s)} & \multicolumn{5}{c}{First failure (\%)} \\",
         r"\cmidrule(lr){4-6}\cmidrule(l){7-11}",
     ]
     names = {c: h.partition("_")[2] or h for c, h in HEADINGS.items()} | {"sr": r"(\%)"}
-    return latex.table(spec, ["", "Method", *(f"{{{n}}}" for n in names.values())], list(groups.values()), top)
+    return latex.table(
+        spec, ["", "Method", *(f"{{{n}}}" for n in names.values())], list(groups.values()), top
+    )
 
 
 def _narrow(table: Table, short: dict[str, str], intervals: bool) -> list[str]:
@@ -67,14 +78,22 @@ def _narrow(table: Table, short: dict[str, str], intervals: bool) -> list[str]:
     for method, name in short.items():
         mine = [rows.get((method, s)) for s in splits]
         values = [
-            latex.cell(NA if r is None else cell(r, "sr"), bold=r is not None and (r.split, method, "sr") in best)
+            latex.cell(
+                NA if r is None else cell(r, "sr"),
+                bold=r is not None and (r.split, method, "sr") in best,
+            )
             for r in mine
         ]
         lines.append(" & ".join([latex.escaped(name), *values]) + r" \\")
         if intervals:
-            lines.append(" & ".join(["", *("" if r is None else _ends(r, "sr") for r in mine)]) + r" \\[2pt]")
+            lines.append(
+                " & ".join(["", *("" if r is None else _ends(r, "sr") for r in mine)]) + r" \\[2pt]"
+            )
     spec = [latex.text_column(), *[latex.number(3, 1)] * len(splits)]
-    top = [rf" & \multicolumn{{{len(splits)}}}{{c}}{{Success (\%)}} \\", rf"\cmidrule(l){{2-{len(splits) + 1}}}"]
+    top = [
+        rf" & \multicolumn{{{len(splits)}}}{{c}}{{Success (\%)}} \\",
+        rf"\cmidrule(l){{2-{len(splits) + 1}}}",
+    ]
     return latex.table(spec, ["Method", *(f"{{{s}}}" for s in splits)], [lines], top)
 
 
@@ -91,6 +110,20 @@ def object_table(table: Table, lines: Sequence[tuple[str, Row]]) -> str:
         first = [split if not of_split else "", latex.escaped(name.replace("_", " ")), str(n)]
         of_split.append(" & ".join([*first, *values]) + r" \\")
     spec = ["l", "l", "r", *[latex.number(3, 1)] * len(methods)]
-    head = ["", "Object", "$N$", *(rf"{{\rotatebox{{60}}{{{latex.escaped(m)}}}}}" for m in methods.values())]
-    notes = [r"and \usepackage{graphicx}", "SR in percent of N trials of each object", *legend(methods)]
-    return "\n".join([*latex.comments(table.origin, notes), *latex.table(spec, head, list(groups.values()))]) + "\n"
+    head = [
+        "",
+        "Object",
+        "$N$",
+        *(rf"{{\rotatebox{{60}}{{{latex.escaped(m)}}}}}" for m in methods.values()),
+    ]
+    notes = [
+        r"and \usepackage{graphicx}",
+        "SR in percent of N trials of each object",
+        *legend(methods),
+    ]
+    return (
+        "\n".join(
+            [*latex.comments(table.origin, notes), *latex.table(spec, head, list(groups.values()))]
+        )
+        + "\n"
+    )

@@ -19,7 +19,8 @@ Lines = list[tuple[str, Row]]
 
 
 def object_lines(run: Run, fmt: str = "md") -> str:
-    """Every method's rates for every object, as md, latex, csv or json; md also says which criteria fail together."""
+    """Every method's rates for every object, as md, latex, csv or json; md also says which criteria
+    fail together."""
     counted = [tally(run, method, by_object=True) for method in run.methods]
     table = table_of(run, counted=counted)
     lines = [line for t in counted for line in breakdown.by_object(t)]
@@ -48,14 +49,24 @@ def _md(counted: list[Tally], lines: Lines) -> str:
         ]
         for name, row in lines
     ]
-    parts = [aligned(["Split", "Object", "Method", "N", *(HEADINGS[c] for c in shown), "SR 95 %"], rows, 3)]
+    parts = [
+        aligned(
+            ["Split", "Object", "Method", "N", *(HEADINGS[c] for c in shown), "SR 95 %"], rows, 3
+        )
+    ]
     if told := legend(short):
         parts.append("\n".join(wrapped(plain(line)) for line in told))
     for t in counted:
         for split in t.splits:
             counts = breakdown.co_failures(t, split)
             pairs = [
-                [c, *(f"{f}/{e}" if e else NA for f, e in zip(counts.failed[i], counts.evaluated[i]))]
+                [
+                    c,
+                    *(
+                        f"{f}/{e}" if e else NA
+                        for f, e in zip(counts.failed[i], counts.evaluated[i])
+                    ),
+                ]
                 for i, c in enumerate(CRITERIA)
             ]
             parts += [
@@ -77,10 +88,16 @@ def _csv(lines: Lines) -> str:
     if records:
         writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
         writer.writeheader()
-        writer.writerows({k: NA if v is None else csv_cell(v) for k, v in r.items()} for r in records)
+        writer.writerows(
+            {k: NA if v is None else csv_cell(v) for k, v in r.items()} for r in records
+        )
     return text.getvalue()
 
 
 def _json(table: Table, lines: Lines) -> str:
-    data = {"format": 1, "origin": dict(table.origin), "rows": [{"object": n} | record(row) for n, row in lines]}
+    data = {
+        "format": 1,
+        "origin": dict(table.origin),
+        "rows": [{"object": n} | record(row) for n, row in lines],
+    }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"

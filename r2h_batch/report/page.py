@@ -1,6 +1,8 @@
-"""A run as one HTML page that needs no network: who is better, on which objects, why not, and every trial to search.
+"""A run as one HTML page that needs no network: who is better, on which objects, why not, and every
+trial to search.
 
-jinja2 writes the page (page.html, escaping whatever comes from files), matplotlib draws (figures.py).
+jinja2 writes the page (page.html, escaping whatever comes from files), matplotlib draws
+(figures.py).
 """
 
 import json
@@ -22,14 +24,22 @@ from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA
 
 TRIALS_SHOWN = 20_000
-"""Trials of all methods together that a page carries; above, the first of each outcome stand for the others."""
+"""Trials of all methods together that a page carries; above, the first of each outcome stand for
+the others."""
 
-MARKS = {"better": "\u25b2", "better here": "\u25b3", "tied": "=", "worse here": "\u25bd", "worse": "\u25bc"}
+MARKS = {
+    "better": "\u25b2",
+    "better here": "\u25b3",
+    "tied": "=",
+    "worse here": "\u25bd",
+    "worse": "\u25bc",
+}
 """A verdict of `compare` as one sign."""
 
 
 def page(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = None) -> str:
-    """The page as text; `gallery`: method -> pictures with `src`, `alt`, `caption` and perhaps `href`."""
+    """The page as text; `gallery`: method -> pictures with `src`, `alt`, `caption` and perhaps
+    `href`."""
     import jinja2
 
     figures.needs_matplotlib()
@@ -38,7 +48,9 @@ def page(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = N
     short = short_names(run.methods)
     compared = compare(pair_up([run])) if len(run.methods) > 1 else ()
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("r2h_batch.report", "."), autoescape=True, undefined=jinja2.StrictUndefined
+        loader=jinja2.PackageLoader("r2h_batch.report", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
     )
     return environment.get_template("page.html").render(
         title=run.folder.resolve().name,
@@ -88,7 +100,8 @@ def _rate(row: Row | None, column: str, best: bool = False) -> dict[str, Any]:
 
 
 def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, Any]]:
-    """A line a method: SR of each split with its interval, the rank among new objects, the last split's failures."""
+    """A line a method: SR of each split with its interval, the rank among new objects, the last
+    split's failures."""
     best = best_cells(table)
     lines = []
     for method in dict.fromkeys(row.method for row in table.rows):
@@ -100,28 +113,43 @@ def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, An
                 "sr": [_rate(r, "sr", (r.split, method, "sr") in best) for r in rows],
                 "rank": _rank(compared[-1], method) if compared else None,
                 "failures": [_rate(last, c) for c in RATES if c.startswith("f_")],
-                "t_exec": {"text": cell(last, "t_exec_s"), "value": last.times["t_exec_s"].value or -1},
+                "t_exec": {
+                    "text": cell(last, "t_exec_s"),
+                    "value": last.times["t_exec_s"].value or -1,
+                },
             }
         )
     return lines
 
 
 def _rank(c: Comparison, method: str) -> dict[str, Any]:
-    """The mean rank over objects drawn again, and the ranks that hold at least one draw in twenty."""
+    """The mean rank over objects drawn again, and the ranks that hold at least one draw in
+    twenty."""
     share = None if c.rank is None else c.rank[c.names.index(method)]
     if share is None:
         return {"text": NA, "value": len(c.names)}
     likely = [i + 1 for i in np.flatnonzero(share >= 0.05).tolist()]
-    text = str(likely[0]) if len(likely) == 1 else f"{likely[0]}\u2013{likely[-1]}" if likely else NA
+    text = (
+        str(likely[0]) if len(likely) == 1 else f"{likely[0]}\u2013{likely[-1]}" if likely else NA
+    )
     return {"text": text, "value": round(float((share * np.arange(1, len(share) + 1)).sum()), 4)}
 
 
 def _matrix(c: Comparison) -> dict[str, Any]:
     """Who is better than whom: a sign and words for each ordered pair of methods."""
-    turned = {"better": "worse", "better here": "worse here", "worse": "better", "worse here": "better here"}
+    turned = {
+        "better": "worse",
+        "better here": "worse here",
+        "worse": "better",
+        "worse here": "better here",
+    }
     words = {}
     for p in c.pairs:
-        ends = "" if p.low is None or p.high is None else f", 95 % for new objects {p.low:+.1f} to {p.high:+.1f}"
+        ends = (
+            ""
+            if p.low is None or p.high is None
+            else f", 95 % for new objects {p.low:+.1f} to {p.high:+.1f}"
+        )
         said = f"{p.difference:+.1f} points{ends}; only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p.p_holm:.2g}"
         words[p.a, p.b] = (MARKS[p.verdict], f"{p.a} is {p.verdict}: {said}")
         words[p.b, p.a] = (MARKS[turned.get(p.verdict, "tied")], f"{p.a} is {p.verdict}: {said}")
@@ -131,7 +159,9 @@ def _matrix(c: Comparison) -> dict[str, Any]:
 
 def _heat(counted: Sequence[Tally], methods: Sequence[str]) -> list[dict[str, Any]]:
     """SR of each object (lines) and method."""
-    cells = {(row.split, name, row.method): row for t in counted for name, row in breakdown.by_object(t)}
+    cells = {
+        (row.split, name, row.method): row for t in counted for name, row in breakdown.by_object(t)
+    }
     places = dict.fromkeys((split, name) for split, name, _ in cells)
     return [
         {
@@ -147,7 +177,13 @@ def _heat(counted: Sequence[Tally], methods: Sequence[str]) -> list[dict[str, An
 def _margins(run: Run, short: Mapping[str, str]) -> list[str]:
     found = {m: breakdown.margin_histograms(run, m) for m in run.methods}
     drawn = (
-        figures.ridges(c.capitalize(), {short[m]: h[c] for m, h in found.items()}, scale=1000, unit="mm", zero=True)
+        figures.ridges(
+            c.capitalize(),
+            {short[m]: h[c] for m, h in found.items()},
+            scale=1000,
+            unit="mm",
+            zero=True,
+        )
         for c in CRITERIA
     )
     return [figure for figure in drawn if figure]
@@ -155,11 +191,16 @@ def _margins(run: Run, short: Mapping[str, str]) -> list[str]:
 
 def _times(run: Run, short: Mapping[str, str]) -> str:
     found = breakdown.time_histograms(run, "t_exec_s")
-    return figures.ridges("T_exec", {short[m]: h for m, h in found.items()}, scale=1.0, unit="s") if found else ""
+    return (
+        figures.ridges("T_exec", {short[m]: h for m, h in found.items()}, scale=1.0, unit="s")
+        if found
+        else ""
+    )
 
 
 def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dict[str, Any]]:
-    """The pairs of criteria that some trial of a method fails together, and nothing where there is none."""
+    """The pairs of criteria that some trial of a method fails together, and nothing where there is
+    none."""
     lines = []
     for t in counted:
         found = breakdown.co_failures(t)
@@ -183,7 +224,12 @@ def _table(table: Table) -> list[dict[str, Any]]:
             else:
                 value = row.times[column].value
                 cells.append(
-                    {"text": cell(row, column), "value": -1 if value is None else value, "low": "", "best": False}
+                    {
+                        "text": cell(row, column),
+                        "value": -1 if value is None else value,
+                        "low": "",
+                        "best": False,
+                    }
                 )
         new = row.sr_new_objects
         more = {
@@ -198,7 +244,8 @@ def _table(table: Table) -> list[dict[str, Any]]:
 
 
 def _trials(run: Run) -> dict[str, Any]:
-    """The trials as columns of one JSON block, which the page's script filters; `notes` say which methods are cut."""
+    """The trials as columns of one JSON block, which the page's script filters; `notes` say which
+    methods are cut."""
     each = max(1, TRIALS_SHOWN // len(run.methods))
     data: dict[str, Any] = {"columns": list(breakdown.SHOWN), "methods": {}}
     notes = []
@@ -219,7 +266,17 @@ def _column(values: list[Any]) -> list[Any]:
 
 
 SAID = (
-    *("protocol", "trials", "seed", "configuration", "digests", "objects", "versions", "device", "platform"),
+    *(
+        "protocol",
+        "trials",
+        "seed",
+        "configuration",
+        "digests",
+        "objects",
+        "versions",
+        "device",
+        "platform",
+    ),
     *("git_commit", "command", "created", "stored", "shard_trials", "hash"),
 )
 """Fields of run.json in the order in which a page shows them."""

@@ -1,4 +1,5 @@
-"""Table I as text: Markdown, LaTeX, CSV or JSON from the rows of `aggregate.summarise`. Formatting only."""
+"""Table I as text: Markdown, LaTeX, CSV or JSON from the rows of `aggregate.summarise`. Formatting
+only."""
 
 import csv
 import io
@@ -20,7 +21,9 @@ from r2h_batch.verdicts import CRITERIA
 FORMATS = ("md", "latex", "csv", "json")
 
 
-def table_of(run: Run, order: Sequence[str] = CRITERIA, counted: Sequence[Tally] | None = None) -> Table:
+def table_of(
+    run: Run, order: Sequence[str] = CRITERIA, counted: Sequence[Tally] | None = None
+) -> Table:
     """The table of every complete method of a run folder, first failures looked for in `order`.
 
     `counted`: these methods' trials, where they were counted already.
@@ -38,7 +41,9 @@ def table_of(run: Run, order: Sequence[str] = CRITERIA, counted: Sequence[Tally]
         "r2h_batch": str(header["versions"]["r2h_batch"]),
     }
     if flags := (header.get("benchmark") or {}).get("flags"):
-        origin["benchmark"] = f"{' '.join(flags)}, digest {header['digests'].get('benchmark', 'unknown')}"
+        origin["benchmark"] = (
+            f"{' '.join(flags)}, digest {header['digests'].get('benchmark', 'unknown')}"
+        )
     if "motion" in header:
         origin["motion"] = str(header["motion"]["engine"]).replace("none", "as planned")
     if "predictors" in header:
@@ -57,7 +62,8 @@ def table_of(run: Run, order: Sequence[str] = CRITERIA, counted: Sequence[Tally]
 def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False) -> str:
     """The table as text that ends in a newline; `fmt` is one of `FORMATS`.
 
-    LaTeX for 1 or 2 `columns` of a page, with 95 % `intervals` where they are asked for; the other formats have them anyway.
+    LaTeX for 1 or 2 `columns` of a page, with 95 % `intervals` where they are asked for; the other
+    formats have them anyway.
     """
     if fmt == "latex":
         return main_table(table, columns=columns, intervals=intervals)
@@ -106,7 +112,10 @@ def _md(table: Table) -> str:
         "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial.",
         aligned(["Split", "Method", *others], counts, 2),
         *(
-            ["Presented (not in SR).", aligned(["Split", "Method", "Presented", "95 %", "of"], shown, 2)]
+            [
+                "Presented (not in SR).",
+                aligned(["Split", "Method", "Presented", "95 %", "of"], shown, 2),
+            ]
             if shown
             else []
         ),
@@ -133,15 +142,26 @@ def next_commands(table: Table) -> str:
         ("results verify", " --rejudge 200", "whether the rows are what the evaluator says"),
     ]
     folder = shlex.quote(table.folder)
-    return "Next:\n\n" + "\n".join(f"    r2h-batch {c} {folder}{more}  # {what}" for c, more, what in lines)
+    return "Next:\n\n" + "\n".join(
+        f"    r2h-batch {c} {folder}{more}  # {what}" for c, more, what in lines
+    )
 
 
 def record(row: Row) -> dict[str, Any]:
     """One flat row: every number of the table under its own name, None where nothing is defined."""
-    fields: dict[str, Any] = {"split": row.split, "method": row.method, "n": row.n, "n_objects": row.n_objects}
+    fields: dict[str, Any] = {
+        "split": row.split,
+        "method": row.method,
+        "n": row.n,
+        "n_objects": row.n_objects,
+    }
     for name in RATES:
         rate = row.rates[name]
-        fields |= {name: rate and rate.percent, f"{name}_low": rate and rate.low, f"{name}_high": rate and rate.high}
+        fields |= {
+            name: rate and rate.percent,
+            f"{name}_low": rate and rate.low,
+            f"{name}_high": rate and rate.high,
+        }
     new = row.sr_new_objects
     fields |= {"sr_new_objects_low": new and new.low, "sr_new_objects_high": new and new.high}
     shown = row.presented
@@ -151,7 +171,11 @@ def record(row: Row) -> dict[str, Any]:
         "presented_high": shown and shown.high,
     }
     met = row.body_met
-    fields |= {"body_met": met and met.percent, "body_met_low": met and met.low, "body_met_high": met and met.high}
+    fields |= {
+        "body_met": met and met.percent,
+        "body_met_low": met and met.low,
+        "body_met_high": met and met.high,
+    }
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}
@@ -159,14 +183,24 @@ def record(row: Row) -> dict[str, Any]:
 
 def _csv(table: Table) -> str:
     text = io.StringIO()
-    records = [record(row) | {k.replace(" ", "_"): v for k, v in table.origin.items()} for row in table.rows]
+    records = [
+        record(row) | {k.replace(" ", "_"): v for k, v in table.origin.items()}
+        for row in table.rows
+    ]
     if records:
         writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
         writer.writeheader()
-        writer.writerows({k: NA if v is None else csv_cell(v) for k, v in r.items()} for r in records)
+        writer.writerows(
+            {k: NA if v is None else csv_cell(v) for k, v in r.items()} for r in records
+        )
     return text.getvalue()
 
 
 def _json(table: Table) -> str:
-    data = {"format": 1, "origin": dict(table.origin), "rows": list(map(record, table.rows)), "notes": FOOTNOTES}
+    data = {
+        "format": 1,
+        "origin": dict(table.origin),
+        "rows": list(map(record, table.rows)),
+        "notes": FOOTNOTES,
+    }
     return json.dumps(data, indent=1, allow_nan=False) + "\n"

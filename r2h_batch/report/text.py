@@ -6,7 +6,8 @@ NA = "n/a"
 """A cell in which nothing is defined."""
 
 TERMINAL = 100
-"""Characters in a line: a wider table loses its outer pipes, then the spaces around the inner ones."""
+"""Characters in a line: a wider table loses its outer pipes, then the spaces around the inner
+ones."""
 
 SHORT = 16
 """Characters of a method's short name: `Contact-Handover` has as many."""
@@ -15,7 +16,8 @@ SHORT = 16
 def short_names(methods: Sequence[str]) -> dict[str, str]:
     """Method -> a name of at most `SHORT` characters for tables; all differ.
 
-    What a name says in brackets goes (the stand-in of a network, the noise), then its middle, then it gets a number.
+    What a name says in brackets goes (the stand-in of a network, the noise), then its middle, then
+    it gets a number.
     """
     names: dict[str, str] = {}
     for method in dict.fromkeys(methods):
@@ -35,19 +37,30 @@ def legend(names: Mapping[str, str]) -> list[str]:
 
 
 def aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) -> str:
-    """A Markdown table that also reads well as plain text; the first `left` columns are left-aligned.
+    """A Markdown table that also reads well as plain text; the first `left` columns are
+    left-aligned.
 
-    Pipes at the edges and spaces around the others go where the table would otherwise be wider than a terminal.
+    Pipes at the edges and spaces around the others go where the table would otherwise be wider than
+    a terminal.
     """
     widths = [max(3, *(len(line[i]) for line in (headings, *lines))) for i in range(len(headings))]
 
     def text(cells: Sequence[str], between: str) -> str:
-        return between.join(c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(cells, widths)))
+        return between.join(
+            c.ljust(w) if i < left else c.rjust(w) for i, (c, w) in enumerate(zip(cells, widths))
+        )
 
     def rule(space: int) -> str:
-        return "|".join("-" * (w + space) if i < left else "-" * (w + space - 1) + ":" for i, w in enumerate(widths))
+        return "|".join(
+            "-" * (w + space) if i < left else "-" * (w + space - 1) + ":"
+            for i, w in enumerate(widths)
+        )
 
-    wide = [f"| {text(headings, ' | ')} |", f"|{rule(2)}|", *(f"| {text(line, ' | ')} |" for line in lines)]
+    wide = [
+        f"| {text(headings, ' | ')} |",
+        f"|{rule(2)}|",
+        *(f"| {text(line, ' | ')} |" for line in lines),
+    ]
     if len(wide[0]) - 4 <= TERMINAL:
         return "\n".join(wide if len(wide[0]) <= TERMINAL else [line[2:-2] for line in wide])
     return "\n".join([text(headings, "|"), rule(0), *(text(line, "|") for line in lines)])

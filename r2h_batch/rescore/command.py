@@ -1,10 +1,14 @@
-"""Other thresholds without simulating again: `python -m r2h_batch.rescore RUN --reach-radius .08:.12:.01`
+"""Other thresholds without simulating again: `python -m r2h_batch.rescore RUN --reach-radius
+.08:.12:.01`
 
-Exact, trial by trial, for the poses that were scored (a method that asks the evaluator might choose others):
+Exact, trial by trial, for the poses that were scored (a method that asks the evaluator might choose
+others):
 - reach radius: any value, the margin is r_h - distance;
-- w_max: up to the run's own. A wider aperture is another gripper: what it would hold was not measured;
+- w_max: up to the run's own. A wider aperture is another gripper: what it would hold was not
+  measured;
 - safe margin: from 0 to 4.99 cm, beyond which clearances are only a lower bound.
-Not possible: the ball's offset, the pads' squeeze, hand clearance of the path: they change the geometry.
+Not possible: the ball's offset, the pads' squeeze, hand clearance of the path: they change the
+geometry.
 """
 
 import sys
@@ -29,7 +33,9 @@ def values(text: str, name: str) -> tuple[float, ...]:
             low, high, step = map(number, text.split(":"))
             if not (step > 0 and high >= low and (high - low) / step < MAX_POINTS):
                 raise ValueError
-            return tuple(round(low + i * step, 12) for i in range(int((high - low) / step + 1e-9) + 1))
+            return tuple(
+                round(low + i * step, 12) for i in range(int((high - low) / step + 1e-9) + 1)
+            )
         return tuple(number(part.strip()) for part in text.split(","))
     except ValueError:
         raise ValueError(
@@ -43,7 +49,12 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     from r2h_batch.statistics.thresholds import ROUNDING_M, rank_stability
 
     # the words of the report's table for the outcomes of a rescored row
-    shown = {"SR": Outcome.SUCCESS, "F_plan": Outcome.PLAN, "F_reach": Outcome.REACH, "F_safe": Outcome.SAFE}
+    shown = {
+        "SR": Outcome.SUCCESS,
+        "F_plan": Outcome.PLAN,
+        "F_reach": Outcome.REACH,
+        "F_safe": Outcome.SAFE,
+    }
     shown |= {"F_stab": Outcome.STABILITY, "F_afford": Outcome.AFFORDANCE}
     short = {method: plain(name) for method, name in short_names(methods).items()}
     lines = []
@@ -52,16 +63,24 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
             for k, counts in enumerate(point.counts[method]):
                 if n := counts.sum():
                     skipped = (Outcome.AFFORDANCE,) if SPLITS[k] == "S0" else ()
-                    rates = [NA if c in skipped else f"{100 * counts[c] / n:.1f}" for c in shown.values()]
-                    key = [f"{v:.4g}" for v in (point.reach_radius_m, point.w_max_m, point.safe_margin_m)]
-                    lines.append([short[method], SPLITS[k], *key, *rates, str(point.undecided[method])])
+                    rates = [
+                        NA if c in skipped else f"{100 * counts[c] / n:.1f}" for c in shown.values()
+                    ]
+                    key = [
+                        f"{v:.4g}"
+                        for v in (point.reach_radius_m, point.w_max_m, point.safe_margin_m)
+                    ]
+                    lines.append(
+                        [short[method], SPLITS[k], *key, *rates, str(point.undecided[method])]
+                    )
     parts = [
         "Rates in percent of all planned trials, thresholds in metres, rescored from stored margins.",
         aligned(["Method", "Split", "r_h", "w_max", "safe", *shown, "undecided"], lines, 2),
     ]
     if len(methods) > 1:
         ranks = [
-            [short[m], *(f"{100 * p:.0f} %" for p in row)] for m, row in zip(methods, rank_stability(points, methods))
+            [short[m], *(f"{100 * p:.0f} %" for p in row)]
+            for m, row in zip(methods, rank_stability(points, methods))
         ]
         parts += [
             f"Share of the {len(points)} settings at which a method has a rank, #1 the best (mean SR of the splits).",
@@ -77,7 +96,13 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
 
 
 def run(
-    run: Path, /, *, reach_radius: str = "", w_max: str = "", safe_margin: str = "", method: tuple[str, ...] = ()
+    run: Path,
+    /,
+    *,
+    reach_radius: str = "",
+    w_max: str = "",
+    safe_margin: str = "",
+    method: tuple[str, ...] = (),
 ) -> int:
     """Print the rates of a run folder at other thresholds, and how stable the ranks are.
 
@@ -106,6 +131,8 @@ def run(
     return 0
 
 
-def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.rescore") -> int:
+def main(
+    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.rescore"
+) -> int:
     """Exit code: 0 printed, 2 refused with one line."""
     return call(run, sys.argv[1:] if arguments is None else arguments, prog=prog, name="rescore")

@@ -14,11 +14,13 @@ REQUIRED = np.array([c != "affordance" for c in CRITERIA])
 """(5,) criteria that every success must have been looked at for."""
 
 PATTERNS = np.array(np.unravel_index(np.arange(3 ** len(CRITERIA)), (3,) * len(CRITERIA))).T
-"""(243, 5) the criteria's words of every pattern; a trial's pattern is the row, invalid and missing trials have row 0."""
+"""(243, 5) the criteria's words of every pattern; a trial's pattern is the row, invalid and missing
+trials have row 0."""
 
 
 def codes(table: pa.Table, name: str, order: Sequence[str], *, grow: bool = False) -> np.ndarray:
-    """(N,) int64 places in `order` of a column's words; new words extend `order` (a list) if it may `grow`."""
+    """(N,) int64 places in `order` of a column's words; new words extend `order` (a list) if it may
+    `grow`."""
     column = table[name].combine_chunks()
     words = column.dictionary.to_pylist()
     place = {w: i for i, w in enumerate(order)}
@@ -28,11 +30,14 @@ def codes(table: pa.Table, name: str, order: Sequence[str], *, grow: bool = Fals
         order.extend(new)
     if unknown := [w for w in words if w not in place]:
         raise ValueError(f"{name} holds {unknown[0]!r}; known are {', '.join(order)}")
-    return np.array([place[w] for w in words], np.int64)[column.indices.to_numpy(zero_copy_only=False)]
+    return np.array([place[w] for w in words], np.int64)[
+        column.indices.to_numpy(zero_copy_only=False)
+    ]
 
 
 def verdicts(table: pa.Table) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Criterion -> (N,) bool: evaluated, and passed (False where it was not evaluated), from the columns `passed_*`."""
+    """Criterion -> (N,) bool: evaluated, and passed (False where it was not evaluated), from the
+    columns `passed_*`."""
     found = {}
     for c in CRITERIA:
         column = table[f"passed_{c}"].combine_chunks()
@@ -45,17 +50,23 @@ def _bits(buffer: pa.Buffer | None, column: pa.BooleanArray) -> np.ndarray:
     """(N,) bool of a bitmap; no bitmap: all of them."""
     if buffer is None:
         return np.ones(len(column), bool)
-    whole = np.unpackbits(np.frombuffer(buffer, np.uint8), count=column.offset + len(column), bitorder="little")
+    whole = np.unpackbits(
+        np.frombuffer(buffer, np.uint8), count=column.offset + len(column), bitorder="little"
+    )
     return whole[column.offset :].view(bool)
 
 
 def states(table: pa.Table) -> dict[str, np.ndarray]:
     """Criterion -> (N,) uint8 `UNEVALUATED`, `FAILED` or `PASSED`, from the columns `passed_*`."""
-    return {c: given.view(np.uint8) + passed.view(np.uint8) for c, (given, passed) in verdicts(table).items()}
+    return {
+        c: given.view(np.uint8) + passed.view(np.uint8)
+        for c, (given, passed) in verdicts(table).items()
+    }
 
 
 def pattern(state: dict[str, np.ndarray]) -> np.ndarray:
-    """(N,) uint8 the five states as one number, base 3 in the order of `CRITERIA`: a row of `PATTERNS`."""
+    """(N,) uint8 the five states as one number, base 3 in the order of `CRITERIA`: a row of
+    `PATTERNS`."""
     number = np.zeros(len(state[CRITERIA[0]]), np.uint8)
     for c in CRITERIA:
         number = np.uint8(3) * number + state[c].astype(np.uint8, copy=False)
@@ -63,13 +74,18 @@ def pattern(state: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def pattern_outcomes(order: Sequence[str] = CRITERIA) -> np.ndarray:
-    """(2, 243) outcome of every pattern on S0 and on S1 for an order of the criteria; -1: a needed one was not looked at."""
+    """(2, 243) outcome of every pattern on S0 and on S1 for an order of the criteria; -1: a needed
+    one was not looked at."""
     if sorted(order) != sorted(CRITERIA):
-        raise ValueError(f"an order of criteria is {', '.join(order)}; it must hold each of {', '.join(CRITERIA)} once")
+        raise ValueError(
+            f"an order of criteria is {', '.join(order)}; it must hold each of {', '.join(CRITERIA)} once"
+        )
     columns = [CRITERIA.index(c) for c in order]
     failed = PATTERNS[:, columns] == FAILED
     codes_ = np.array([Outcome[c.upper()] for c in order], np.int8)
-    first = np.where(failed.any(1), codes_[failed.argmax(1)], np.int8(Outcome.SUCCESS)).astype(np.int8)
+    first = np.where(failed.any(1), codes_[failed.argmax(1)], np.int8(Outcome.SUCCESS)).astype(
+        np.int8
+    )
     table = np.tile(first, (2, 1))
     for k, required in enumerate((REQUIRED, np.ones(len(CRITERIA), bool))):
         unseen = ((PATTERNS == UNEVALUATED) & required).any(1)

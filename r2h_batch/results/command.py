@@ -1,4 +1,5 @@
-"""Two answers of the command `results` (r2h_batch.rejudge.command): which shards are damaged, and the digest of the rows."""
+"""Two answers of the command `results` (r2h_batch.rejudge.command): which shards are damaged, and
+the digest of the rows."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +10,8 @@ from r2h_batch.command_line import refuse
 def verify(folder: Path, /) -> int:
     """Find truncated, flipped and foreign shards and mark them for rerun.
 
-    Exit code 0: every stored shard is as it was written; 1: some are to be scored again by the same sweep.
+    Exit code 0: every stored shard is as it was written; 1: some are to be scored again by the same
+    sweep.
 
     Args:
         folder: a run folder, as `python -m r2h_batch.sweep --out` writes it.
@@ -25,12 +27,15 @@ def verify(folder: Path, /) -> int:
         return _refuse(error)
     for name in run.unfinished:
         missing = [str(s.index) for s in run.missing(name)]
-        print(f"{name}: {len(missing)} of {len(shards_of(run.header))} shards to be scored: {_first(missing)}")
+        print(
+            f"{name}: {len(missing)} of {len(shards_of(run.header))} shards to be scored: {_first(missing)}"
+        )
     return 1 if lines else 0
 
 
 def digest(folder: Path, /) -> int:
-    """Print the digest of each method's rows: equal digests, equal verdicts, whatever the machine, shards or order.
+    """Print the digest of each method's rows: equal digests, equal verdicts, whatever the machine,
+    shards or order.
 
     Args:
         folder: a run folder, as `python -m r2h_batch.sweep --out` writes it.

@@ -1,6 +1,8 @@
-"""Whether a stored row can be a verdict at all: outcome, criteria, margins and times agree, whoever wrote them.
+"""Whether a stored row can be a verdict at all: outcome, criteria, margins and times agree, whoever
+wrote them.
 
-What a forged row can still say is another verdict with the margins that go with it: `results verify --rejudge` finds that.
+What a forged row can still say is another verdict with the margins that go with it: `results verify
+--rejudge` finds that.
 """
 
 from collections.abc import Mapping
@@ -29,11 +31,13 @@ TOUCHING = ("stability", "reach")
 ENDLESS = ("stability", "plan")
 """Criteria whose failure may have no size, -inf: nothing that the shake left, no path."""
 MOST_PASSED_M = 1.0
-"""No margin of a pass is larger, but Reach's, which is the ball's radius at most: clearances count 5 cm, Stability 1 cm."""
+"""No margin of a pass is larger, but Reach's, which is the ball's radius at most: clearances count
+5 cm, Stability 1 cm."""
 
 
 def inconsistent(header: Mapping[str, Any], table: pa.Table) -> str | None:
-    """What is wrong with a row of the trials (`CHECKED`) that can be no verdict; None if all can."""
+    """What is wrong with a row of the trials (`CHECKED`) that can be no verdict; None if all
+    can."""
     for name in CHECKED:
         if table.schema.field(name).type != TRIAL_SCHEMA.field(name).type:
             return f"column {name!r} is of another type than the format says"
@@ -41,17 +45,26 @@ def inconsistent(header: Mapping[str, Any], table: pa.Table) -> str | None:
     if not len(ids):
         return None
     try:
-        outcome, split = (codes(table, *c).astype(np.int16) for c in (("outcome", OUTCOME_NAMES), ("split", SPLITS)))
+        outcome, split = (
+            codes(table, *c).astype(np.int16)
+            for c in (("outcome", OUTCOME_NAMES), ("split", SPLITS))
+        )
     except (ValueError, IndexError) as error:
         return printable(error)[:200]
     judged = verdicts(table)
-    number = pattern({c: given.view(np.uint8) + passed.view(np.uint8) for c, (given, passed) in judged.items()})
+    number = pattern(
+        {c: given.view(np.uint8) + passed.view(np.uint8) for c, (given, passed) in judged.items()}
+    )
     allowed = _outcomes()
     fits = allowed.reshape(-1)[(outcome * len(SPLITS) + split) * allowed.shape[2] + number]
     if not fits.all():
         row = int(fits.argmin())
         said = [OUTCOME_NAMES[k] for k in np.flatnonzero(allowed[:, split[row], number[row]])]
-        means = f"its criteria say {' or '.join(said)}" if said else "its criteria say nothing that can be"
+        means = (
+            f"its criteria say {' or '.join(said)}"
+            if said
+            else "its criteria say nothing that can be"
+        )
         return f"trial {ids[row]}: outcome is {OUTCOME_NAMES[outcome[row]]!r}, {means}"
     for criterion, (given, passed) in judged.items():
         margin = table[f"margin_{criterion}_m"].to_numpy()
@@ -69,7 +82,8 @@ def inconsistent(header: Mapping[str, Any], table: pa.Table) -> str | None:
 
 @lru_cache(maxsize=1)
 def _outcomes() -> np.ndarray:
-    """(9, 2, 243) whether an outcome goes with a split and a pattern: the first failure, or nothing evaluated."""
+    """(9, 2, 243) whether an outcome goes with a split and a pattern: the first failure, or nothing
+    evaluated."""
     found = np.zeros((len(OUTCOME_NAMES), len(SPLITS), len(PATTERNS)), bool)
     for k in range(len(OUTCOME_NAMES)):
         if k < Outcome.INVALID_INPUT:
@@ -80,15 +94,22 @@ def _outcomes() -> np.ndarray:
 
 
 def _first_odd(
-    header: Mapping[str, Any], criterion: str, given: np.ndarray, passed: np.ndarray, margin: np.ndarray
+    header: Mapping[str, Any],
+    criterion: str,
+    given: np.ndarray,
+    passed: np.ndarray,
+    margin: np.ndarray,
 ) -> int | None:
     """The first row whose margin has not the sign or size of its verdict; NaN is none."""
     configuration = header["configuration"]
     most, least = MOST_PASSED_M, -1.01 * FARTHEST_M
     if criterion == "reach":
-        most = (configuration.get("thresholds") or {}).get("reach_radius_m", FARTHEST_M) + BORDERLINE_M
+        most = (configuration.get("thresholds") or {}).get(
+            "reach_radius_m", FARTHEST_M
+        ) + BORDERLINE_M
     if criterion == "plan":
-        # planned paths are clear to within the tolerance that clearances are located with; between samples anything is
+        # planned paths are clear to within the tolerance that clearances are located with; between
+        # samples anything is
         sampled = (configuration.get("plan") or {}).get("edge_check") == "moveit"
         good = margin > np.float32(-MOST_PASSED_M if sampled else -BORDERLINE_M)
     else:

@@ -1,4 +1,5 @@
-"""What a figure was made with: versions, digest of the code and its data, commit, device. For run.json and bench."""
+"""What a figure was made with: versions, digest of the code and its data, commit, device. For
+run.json and bench."""
 
 import hashlib
 import io
@@ -30,7 +31,8 @@ PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Name -> version of this package, of Python and of `PACKAGES` (`not installed` where it is not)."""
+    """Name -> version of this package, of Python and of `PACKAGES` (`not installed` where it is
+    not)."""
     found = {"r2h_batch": r2h_batch.__version__, "python": platform.python_version()}
     for name in PACKAGES:
         try:
@@ -52,17 +54,20 @@ ONLY_READ_ROWS = (
     "command_line.py",
     "__main__.py",
 )
-"""Folders and modules of the package that look at rows or at command lines: no row depends on them."""
+"""Folders and modules of the package that look at rows or at command lines: no row depends on
+them."""
 
 DATA = (".json", ".npy", ".npz", ".safetensors")
 
 
 @lru_cache(maxsize=1)
 def code_digest() -> str:
-    """sha256 over what decides rows: the judging modules, the kernels, the committed data, wherever they are installed.
+    """sha256 over what decides rows: the judging modules, the kernels, the committed data, wherever
+    they are installed.
 
-    Not over what only reads rows (`ONLY_READ_ROWS`), nor over the scripts that build the data: a comment in a chart must
-    not make two runs incomparable, or a sweep that is half done impossible to go on with.
+    Not over what only reads rows (`ONLY_READ_ROWS`), nor over the scripts that build the data: a
+    comment in a chart must not make two runs incomparable, or a sweep that is half done impossible
+    to go on with.
     """
     folders = [Path(p) for p in r2h_batch.__path__]
     files = {p.relative_to(folders[0]): p for p in _sources(folders[0], (".py", *DATA))}
@@ -72,7 +77,9 @@ def code_digest() -> str:
         files = {key: p for key, p in files.items() if key.parts[0] != name}
         if folder is not None:
             files |= {p.relative_to(folder): p for p in _sources(folder / name, kinds)}
-    judging = [key for key in files if key.parts[0] not in ONLY_READ_ROWS and key.name != "__main__.py"]
+    judging = [
+        key for key in files if key.parts[0] not in ONLY_READ_ROWS and key.name != "__main__.py"
+    ]
     return file_digest(files[key] for key in sorted(judging))
 
 
@@ -89,19 +96,33 @@ def file_digest(paths: Iterable[Path]) -> str:
     for path in paths:
         with open_file(path, MAX_BYTES) as file:  # a user may name a pipe
             digest.update(
-                path.name.encode() + b"\0" + hashlib.file_digest(cast(io.BufferedReader, file), "sha256").digest()
+                path.name.encode()
+                + b"\0"
+                + hashlib.file_digest(cast(io.BufferedReader, file), "sha256").digest()
             )
     return digest.hexdigest()
 
 
 def git_commit() -> str | None:
-    """Commit of the checkout that this package runs from, `-dirty` where files differ; None outside a checkout."""
+    """Commit of the checkout that this package runs from, `-dirty` where files differ; None outside
+    a checkout."""
     root = Path(r2h_batch.__file__).resolve().parent.parent
     if not (root / ".git").exists():
         return None
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    command = [
+        "git",
+        "-C",
+        str(root),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=40",
+        "--exclude=*",
+    ]
     try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=10, check=True
+        ).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None
 

@@ -1,4 +1,5 @@
-"""Read a run folder back, checked. `python -m r2h_batch.results verify DIR` finds damaged and foreign shards."""
+"""Read a run folder back, checked. `python -m r2h_batch.results verify DIR` finds damaged and
+foreign shards."""
 
 import difflib
 import hashlib
@@ -40,7 +41,8 @@ TIMING = ("t_plan_s", "t_method_s")
 
 @dataclass(frozen=True)
 class Run:
-    """A stored run: `header` is run.json, `entries` its methods with their receipts, tables are read on demand."""
+    """A stored run: `header` is run.json, `entries` its methods with their receipts, tables are
+    read on demand."""
 
     folder: Path
     header: dict[str, Any]
@@ -57,9 +59,11 @@ class Run:
         return tuple(e["name"] for e in self.entries if self.missing(e["name"]))
 
     def named(self, word: str) -> str:
-        """The full name of a method, from that or from the word that the sweep was given for it (fc).
+        """The full name of a method, from that or from the word that the sweep was given for it
+        (fc).
 
-        The word is looked for in each method's stored source, not in titles: that names the function which answered.
+        The word is looked for in each method's stored source, not in titles: that names the
+        function which answered.
         """
         text("word", word)
         names = [e["name"] for e in self.entries]
@@ -75,10 +79,13 @@ class Run:
             )
         close = difflib.get_close_matches(word, names, n=1)
         hint = f", did you mean {close[0]}?" if close else ""
-        raise RunError(f"{self.folder}: no method {word!r}{hint}; it has {', '.join(names) or 'none'}")
+        raise RunError(
+            f"{self.folder}: no method {word!r}{hint}; it has {', '.join(names) or 'none'}"
+        )
 
     def only(self, words: Sequence[str]) -> "Run":
-        """The same run with these methods alone (`named`), in their stored order; all of them where none is given."""
+        """The same run with these methods alone (`named`), in their stored order; all of them where
+        none is given."""
         if not many(str, "names of methods", least=0)("words", words):
             return self
         kept = {self.named(w) for w in words}
@@ -95,7 +102,8 @@ class Run:
         return [s for s in self.missing(method) if quarantine_path(self.folder, slug, s).exists()]
 
     def entry(self, method: str) -> dict[str, Any]:
-        """What is known about a method: source, command, slug, and `receipts` by number of shard."""
+        """What is known about a method: source, command, slug, and `receipts` by number of
+        shard."""
         text("method", method)
         for entry in self.entries:
             if entry["name"] == method:
@@ -120,16 +128,21 @@ class Run:
         return self._read("paths", method, None)
 
     def failures(self, method: str) -> pa.Table:
-        """The trials whose simulation failed, with what is needed to run them again, `rows.FAILURE_SCHEMA`."""
+        """The trials whose simulation failed, with what is needed to run them again,
+        `rows.FAILURE_SCHEMA`."""
         receipts = [r for r in self.entry(method)["receipts"].values() if "failures" in r["files"]]
         tables = [self._stored("failures", r, None) for r in receipts]
         return pa.concat_tables([SCHEMAS["failures"].empty_table(), *tables]).unify_dictionaries()
 
-    def shards(self, kind: str, method: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
+    def shards(
+        self, kind: str, method: str, columns: Sequence[str] | None = None
+    ) -> Iterator[pa.Table]:
         """The stored tables of a kind, shard by shard: what does not fit into memory at once."""
         for receipt in self.entry(method)["receipts"].values():
             if kind not in receipt["files"]:
-                raise RunError(f"{self.folder}: method {method!r} has no {kind}; sweep again with --save-{kind}")
+                raise RunError(
+                    f"{self.folder}: method {method!r} has no {kind}; sweep again with --save-{kind}"
+                )
             yield self._stored(kind, receipt, columns)
 
     def shard(self, kind: str, method: str, index: int) -> pa.Table:
@@ -148,13 +161,16 @@ class Run:
                 )
 
     def digest(self, method: str) -> str:
-        """sha256 (hex) over all rows of a method without `TIMING`: the same for any shards, chunks and workers."""
+        """sha256 (hex) over all rows of a method without `TIMING`: the same for any shards, chunks
+        and workers."""
         columns = [c for c in SCHEMAS["trials"].names if c not in TIMING]
         hashes = {(c, part): hashlib.sha256() for c in columns for part in ("given", "value")}
         for table in self.shards("trials", method, columns):
             for name in columns:
                 column = table[name].combine_chunks()
-                hashes[name, "given"].update(column.is_valid().to_numpy(zero_copy_only=False).tobytes())
+                hashes[name, "given"].update(
+                    column.is_valid().to_numpy(zero_copy_only=False).tobytes()
+                )
                 hashes[name, "value"].update(_plain(column).tobytes())
         return hashlib.sha256(b"".join(h.digest() for h in hashes.values())).hexdigest()
 
@@ -165,12 +181,15 @@ class Run:
             return pa.schema([SCHEMAS[kind].field(n) for n in names]).empty_table()
         return pa.concat_tables(tables).unify_dictionaries()
 
-    def _stored(self, kind: str, receipt: dict[str, Any], columns: Sequence[str] | None) -> pa.Table:
+    def _stored(
+        self, kind: str, receipt: dict[str, Any], columns: Sequence[str] | None
+    ) -> pa.Table:
         path = self.folder / receipt["files"][kind]["path"]
         return self._table(kind, path, columns, receipt["last"] - receipt["first"])
 
     def _table(self, kind: str, path: Path, columns: Sequence[str] | None, trials: int) -> pa.Table:
-        """Columns of a stored file that holds at most the `trials` of its shard: the size is known before it is read."""
+        """Columns of a stored file that holds at most the `trials` of its shard: the size is known
+        before it is read."""
         schema = SCHEMAS[kind]
         names = schema.names if columns is None else list(columns)
         try:
@@ -181,10 +200,14 @@ class Run:
                 there = [n for n in names if n in file.schema_arrow.names]
                 for name in names:
                     if name not in there and name not in LATER_COLUMNS:
-                        raise RunError(f"{path}: column {name!r} is missing; format {FORMAT} has it")
+                        raise RunError(
+                            f"{path}: column {name!r} is missing; format {FORMAT} has it"
+                        )
                 table = file.read(columns=there)
             for name in (n for n in names if n not in there):  # of LATER_COLUMNS: an older run
-                table = table.append_column(schema.field(name), pa.nulls(rows, schema.field(name).type))
+                table = table.append_column(
+                    schema.field(name), pa.nulls(rows, schema.field(name).type)
+                )
             table = table.select(names)
         except (OSError, pa.ArrowException) as error:
             raise RunError(f"{path}: cannot be read ({printable(error)[:300]})") from error
@@ -200,20 +223,27 @@ def _check_columns(table: pa.Table, fields: Sequence[pa.Field], path: Path) -> N
     for field in fields:
         column = table[field.name]
         if column.type != field.type:
-            raise RunError(f"{path}: column {field.name!r} is missing or of another type than format {FORMAT} says")
+            raise RunError(
+                f"{path}: column {field.name!r} is missing or of another type than format {FORMAT} says"
+            )
         if not field.nullable and column.null_count:
-            raise RunError(f"{path}: column {field.name!r} has {column.null_count} empty rows; it must have none")
+            raise RunError(
+                f"{path}: column {field.name!r} has {column.null_count} empty rows; it must have none"
+            )
         if pa.types.is_dictionary(field.type):
             for chunk in column.chunks:
                 words = chunk.dictionary
                 if len(words) > MAX_WORDS or not all(
                     w and len(w) <= 200 and w.isprintable() for w in words.to_pylist()
                 ):
-                    raise RunError(f"{path}: column {field.name!r} holds what is no name; sweep again")
+                    raise RunError(
+                        f"{path}: column {field.name!r} holds what is no name; sweep again"
+                    )
 
 
 def _plain(column: pa.Array) -> np.ndarray:
-    """Values as numbers of fixed size: words by their hash, empty ones as 0, so that equal rows give equal bytes."""
+    """Values as numbers of fixed size: words by their hash, empty ones as 0, so that equal rows
+    give equal bytes."""
     if pa.types.is_dictionary(column.type):
         words = [hashlib.sha256(w.encode()).digest()[:8] for w in column.dictionary.to_pylist()]
         codes = np.frombuffer(b"".join([*words, bytes(8)]), "<u8")
@@ -229,7 +259,9 @@ def load_run(folder: str | Path, *, verify: bool = True) -> Run:
     entries = []
     for entry in read_methods(folder):
         here = stored_in(folder, header, entry["slug"])
-        entries.append({**entry, "receipts": {s.index: read_receipt(folder, header, entry, s) for s in here}})
+        entries.append(
+            {**entry, "receipts": {s.index: read_receipt(folder, header, entry, s) for s in here}}
+        )
     run = Run(folder, header, tuple(entries))
     if verify:
         run.verify()
@@ -237,17 +269,26 @@ def load_run(folder: str | Path, *, verify: bool = True) -> Run:
 
 
 def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
-    """Take everything that cannot be trusted out of the run, keeping it as FILE.bad; one line for each."""
+    """Take everything that cannot be trusted out of the run, keeping it as FILE.bad; one line for
+    each."""
     lines = []
     entries = {e["name"]: e for e in read_methods(folder)}
     opened: set[tuple[str, int]] = set()  # shards whose receipt was set aside here
     for method, shard, file, what in list(problems(folder, header)):
         entry = entries[method]
-        number = shard.index if shard is not None else int(file.stem[:6]) if _NUMBERED.match(file.stem) else -1
+        number = (
+            shard.index
+            if shard is not None
+            else int(file.stem[:6])
+            if _NUMBERED.match(file.stem)
+            else -1
+        )
         with claim(folder / ".claims" / f"{entry['slug']}-{number:06d}") as mine:
             if not mine:  # another sweep is between a file and its receipt
                 continue
-            if (method, number) not in opened and not _still_wrong(folder, header, entry, number, shard, file):
+            if (method, number) not in opened and not _still_wrong(
+                folder, header, entry, number, shard, file
+            ):
                 continue
             if shard is not None:
                 opened.add((method, number))
@@ -265,12 +306,17 @@ _NUMBERED = re.compile(r"[0-9]{6}(-|$)", re.ASCII)
 
 
 def _still_wrong(
-    folder: Path, header: dict[str, Any], entry: dict[str, Any], number: int, shard: Shard | None, file: Path
+    folder: Path,
+    header: dict[str, Any],
+    entry: dict[str, Any],
+    number: int,
+    shard: Shard | None,
+    file: Path,
 ) -> bool:
     """Whether a file is still what it was found to be, now that nobody else can change its shard.
 
-    Between the look and the claim another part of the sweep may have stored the shard whose file no receipt named yet, or
-    set aside and scored again the one that was damaged.
+    Between the look and the claim another part of the sweep may have stored the shard whose file no
+    receipt named yet, or set aside and scored again the one that was damaged.
     """
     here = shard_at(header, number) if number >= 0 else None
     now: dict[Path, str | None] = {}

@@ -1,7 +1,9 @@
-"""What the JSON files of a run folder may say: every field with its type and bounds, whoever wrote the file.
+"""What the JSON files of a run folder may say: every field with its type and bounds, whoever wrote
+the file.
 
-A folder may come from anybody. A file is read with a size limit, its words must be printable, its numbers finite; then
-its fields go through a model. Fields that no model names are dropped, so nothing unchecked is ever used.
+A folder may come from anybody. A file is read with a size limit, its words must be printable, its
+numbers finite; then its fields go through a model. Fields that no model names are dropped, so
+nothing unchecked is ever used.
 """
 
 import json
@@ -18,7 +20,17 @@ from r2h_batch.files.rules import rule_of
 from r2h_batch.results.rows import OUTCOME_NAMES
 from r2h_batch.results.storage import in_the_way
 
-__all__ = ["KINDS", "MAX_SHARDS", "SLUG", "Header", "Method", "Receipt", "RunError", "checked", "read_json"]
+__all__ = [
+    "KINDS",
+    "MAX_SHARDS",
+    "SLUG",
+    "Header",
+    "Method",
+    "Receipt",
+    "RunError",
+    "checked",
+    "read_json",
+]
 
 MAX_BYTES = 32 << 20
 """Of a JSON file: a run.json with 100,000 objects of one's own still fits."""
@@ -185,7 +197,8 @@ class Receipt(_Record):
 
 
 def checked(model: type[_Record], data: Any, path: Path) -> dict[str, Any]:
-    """The fields of a JSON object that the model names, unchanged; `RunError` names file, field, value and rule."""
+    """The fields of a JSON object that the model names, unchanged; `RunError` names file, field,
+    value and rule."""
     _check_words(data, path)
     try:
         model.model_validate(data)
@@ -201,7 +214,8 @@ def checked(model: type[_Record], data: Any, path: Path) -> dict[str, Any]:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """A JSON object from a regular file of the folder, no link; `RunError` names the file when it is none."""
+    """A JSON object from a regular file of the folder, no link; `RunError` names the file when it
+    is none."""
     if what := in_the_way(path):
         raise RunError(what)
     try:
@@ -217,7 +231,8 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def _check_words(data: Any, path: Path) -> None:
-    """Refuse what no terminal and no table should meet: control characters, endless words, NaN, numbers beyond 64 bits."""
+    """Refuse what no terminal and no table should meet: control characters, endless words, NaN,
+    numbers beyond 64 bits."""
     left = [data]
     while left:
         value = left.pop()
@@ -230,13 +245,21 @@ def _check_words(data: Any, path: Path) -> None:
                 raise RunError(
                     f"{printable(path)}: holds {printable(value)[:60]!r}; at most {MAX_WORD} printable characters are allowed"
                 )
-        elif isinstance(value, (int, float)) and not (math.isfinite(value) and abs(value) < 1 << 64):
-            raise RunError(f"{printable(path)}: a field is missing, of another type or no number ({str(value)[:40]})")
+        elif isinstance(value, (int, float)) and not (
+            math.isfinite(value) and abs(value) < 1 << 64
+        ):
+            raise RunError(
+                f"{printable(path)}: a field is missing, of another type or no number ({str(value)[:40]})"
+            )
 
 
 def printable_words(command: Any) -> Any:
     """A command line as it may be stored."""
-    return [printable(c)[:MAX_WORD] for c in command] if isinstance(command, (list, tuple)) else command
+    return (
+        [printable(c)[:MAX_WORD] for c in command]
+        if isinstance(command, (list, tuple))
+        else command
+    )
 
 
 def bounded(header: Mapping[str, Any], path: Path) -> None:

@@ -1,4 +1,5 @@
-"""Scores as table rows: the documented Parquet schemas of a run folder and the way from tensors to them."""
+"""Scores as table rows: the documented Parquet schemas of a run folder and the way from tensors to
+them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +14,8 @@ if TYPE_CHECKING:  # whoever reads rows needs no torch
     from r2h_batch.types import Predictions, Scores, Trials
 
 MISSING = max(Outcome) + 1
-"""Outcome code of a planned trial for which the method gave no prediction: it counts as a failure of its own kind."""
+"""Outcome code of a planned trial for which the method gave no prediction: it counts as a failure
+of its own kind."""
 
 OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing")
 """Name of every outcome code, in order."""
@@ -29,22 +31,39 @@ TRIAL_SCHEMA = pa.schema(
         pa.field("side", _NAME, nullable=False),  # of the receiving hand: right, left
         pa.field("outcome", _NAME, nullable=False),  # OUTCOME_NAMES
         *(pa.field(f"passed_{c}", pa.bool_()) for c in CRITERIA),  # null: not evaluated
-        *(pa.field(f"margin_{c}_m", pa.float32()) for c in CRITERIA),  # positive: passes; null: none is defined
+        *(
+            pa.field(f"margin_{c}_m", pa.float32()) for c in CRITERIA
+        ),  # positive: passes; null: none is defined
         pa.field("plan_reason", _NAME),  # verdicts.PlanReason
-        pa.field("plan_pair", _NAME),  # what met where Plan failed: verdicts.CollidingPair, null: none
-        pa.field("nearest_pair", _NAME),  # what is nearest along a path: verdicts.CollidingPair, null: none below 5 cm
+        pa.field(
+            "plan_pair", _NAME
+        ),  # what met where Plan failed: verdicts.CollidingPair, null: none
+        pa.field(
+            "nearest_pair", _NAME
+        ),  # what is nearest along a path: verdicts.CollidingPair, null: none below 5 cm
         pa.field("width_m", pa.float32()),  # of the material between the pads; null: nothing there
         pa.field("borderline", pa.bool_()),
         pa.field("presented", pa.bool_()),  # null: the object has no receiver's region
         pa.field("presented_angle_deg", pa.float32()),
         pa.field("presented_distance_m", pa.float32()),
-        pa.field("t_plan_s", pa.float32()),  # amortised: batch wall time / B; null: planning did not run
+        pa.field(
+            "t_plan_s", pa.float32()
+        ),  # amortised: batch wall time / B; null: planning did not run
         pa.field("t_exec_s", pa.float32()),  # null: no path
         pa.field("t_method_s", pa.float32()),  # null: not measured
-        pa.field("body_m", pa.float32()),  # robot to the receiver's arm and torso; null: no body, or no motion
+        pa.field(
+            "body_m", pa.float32()
+        ),  # robot to the receiver's arm and torso; null: no body, or no motion
     ]
 )
-LATER_COLUMNS = ("nearest_pair", "width_m", "presented", "presented_angle_deg", "presented_distance_m", "body_m")
+LATER_COLUMNS = (
+    "nearest_pair",
+    "width_m",
+    "presented",
+    "presented_angle_deg",
+    "presented_distance_m",
+    "body_m",
+)
 """Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""
 
 DETAIL_SCHEMA = pa.schema(
@@ -56,7 +75,9 @@ DETAIL_SCHEMA = pa.schema(
         pa.field("grasp_shift_m", pa.float32()),
         pa.field("slip_m", pa.float32()),  # in the shake; null: not shaken
         pa.field("q_goal", pa.list_(pa.float32(), 6)),  # rad, UR order; null: no goal
-        pa.field("witness_plan_part", _NAME),  # robot part of Plan's and of Safe's smallest clearance
+        pa.field(
+            "witness_plan_part", _NAME
+        ),  # robot part of Plan's and of Safe's smallest clearance
         pa.field("witness_safe_part", _NAME),
         pa.field("witness_time_s", pa.float32()),  # of Safe's
         pa.field("witness_point_m", pa.list_(pa.float32(), 3)),  # of Safe's, world frame
@@ -91,9 +112,15 @@ FAILURE_SCHEMA = pa.schema(
         pa.field("T_world_ee", _POSE, nullable=False),
         pa.field("opening_m", pa.float32()),
         pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
-        pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad: the reference
-        pa.field("executed_q", pa.list_(pa.list_(pa.float32(), 6))),  # what the simulator made of it, NaN and all
-        pa.field("failed_state", pa.list_(pa.float64())),  # qpos and qvel of the model before it failed
+        pa.field(
+            "q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False
+        ),  # W x 6 rad: the reference
+        pa.field(
+            "executed_q", pa.list_(pa.list_(pa.float32(), 6))
+        ),  # what the simulator made of it, NaN and all
+        pa.field(
+            "failed_state", pa.list_(pa.float64())
+        ),  # qpos and qvel of the model before it failed
     ]
 )
 """Everything needed to run a trial again whose simulation failed, and how far it came."""
@@ -101,7 +128,8 @@ FAILURE_SCHEMA = pa.schema(
 
 @dataclass(frozen=True)
 class TrialNames:
-    """Names behind the indices of `Trials` and `Scores`: objects with their splits, sides of hands, robot parts."""
+    """Names behind the indices of `Trials` and `Scores`: objects with their splits, sides of hands,
+    robot parts."""
 
     objects: Sequence[str]
     object_splits: Sequence[str]
@@ -117,7 +145,9 @@ def _named(codes: Any, names: Sequence[str]) -> pa.DictionaryArray:
     """Dictionary column; a code outside the names is null."""
     codes = _array(codes).astype(np.int32)
     outside = (codes < 0) | (codes >= len(names))
-    return pa.DictionaryArray.from_arrays(pa.array(codes, mask=outside), pa.array(list(names), pa.string()))
+    return pa.DictionaryArray.from_arrays(
+        pa.array(codes, mask=outside), pa.array(list(names), pa.string())
+    )
 
 
 def _floats(values: Any) -> pa.Array:
@@ -145,26 +175,38 @@ def _trial_columns(trials: "Trials", names: TrialNames) -> dict[str, Any]:
     }
 
 
-def score_rows(trials: "Trials", scores: "Scores", names: TrialNames, t_method_s: Any = None) -> pa.Table:
-    """Rows of `TRIAL_SCHEMA` for B scored trials; `t_method_s` (B,) or None where it was not measured."""
+def score_rows(
+    trials: "Trials", scores: "Scores", names: TrialNames, t_method_s: Any = None
+) -> pa.Table:
+    """Rows of `TRIAL_SCHEMA` for B scored trials; `t_method_s` (B,) or None where it was not
+    measured."""
     ids = _array(scores.trial_id)
     if not np.array_equal(ids, _array(trials.trial_id)):
         raise ValueError("scores and trials must have the same trial_id in the same order")
-    passed, evaluated, margin = _array(scores.passed), _array(scores.evaluated), _array(scores.margin)
+    passed, evaluated, margin = (
+        _array(scores.passed),
+        _array(scores.evaluated),
+        _array(scores.margin),
+    )
     pair, has_path = _array(scores.plan_pair).astype(np.int32), _array(scores.path_len) > 0
     pairs = [p.name.lower() for p in CollidingPair]
     seconds = np.full(len(ids), np.nan, np.float32) if t_method_s is None else t_method_s
     columns = {
         **_trial_columns(trials, names),
         "outcome": _named(scores.outcome, OUTCOME_NAMES),
-        **{f"passed_{c}": pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i]) for i, c in enumerate(CRITERIA)},
+        **{
+            f"passed_{c}": pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
+            for i, c in enumerate(CRITERIA)
+        },
         **{f"margin_{c}_m": _floats(margin[:, i]) for i, c in enumerate(CRITERIA)},
         "plan_reason": _named(scores.plan_reason, [r.name.lower() for r in PlanReason]),
         "plan_pair": _named(np.where(has_path | (pair == CollidingPair.NONE), -1, pair), pairs),
         "nearest_pair": _named(np.where(has_path & (pair != CollidingPair.NONE), pair, -1), pairs),
         "width_m": _floats(scores.width_m),
         "borderline": pa.array(_array(scores.borderline), pa.bool_()),
-        "presented": pa.array(_array(scores.presented), pa.bool_(), mask=np.isnan(_array(scores.presented_angle_deg))),
+        "presented": pa.array(
+            _array(scores.presented), pa.bool_(), mask=np.isnan(_array(scores.presented_angle_deg))
+        ),
         "presented_angle_deg": _floats(scores.presented_angle_deg),
         "presented_distance_m": _floats(scores.presented_distance_m),
         "t_plan_s": _floats(scores.t_plan_s),
@@ -196,7 +238,10 @@ def detail_rows(trials: "Trials", scores: "Scores", names: TrialNames) -> pa.Tab
 def missing_rows(trials: "Trials", names: TrialNames) -> pa.Table:
     """Rows of `TRIAL_SCHEMA` for trials without a prediction: outcome `missing`, nothing else."""
     n = len(trials)
-    columns = {**_trial_columns(trials, names), "outcome": _named(np.full(n, MISSING), OUTCOME_NAMES)}
+    columns = {
+        **_trial_columns(trials, names),
+        "outcome": _named(np.full(n, MISSING), OUTCOME_NAMES),
+    }
     arrays = [columns[f.name] if f.name in columns else pa.nulls(n, f.type) for f in TRIAL_SCHEMA]
     return pa.table(arrays, schema=TRIAL_SCHEMA)
 
@@ -204,24 +249,34 @@ def missing_rows(trials: "Trials", names: TrialNames) -> pa.Table:
 def pose_rows(predictions: "Predictions") -> pa.Table:
     """Rows of `POSE_SCHEMA`, bit for bit what was scored."""
     arrays = [_poses(p) for p in (predictions.T_obj_ee, predictions.T_world_ee)]
-    return pa.table([pa.array(_array(predictions.trial_id), pa.int64()), *arrays], schema=POSE_SCHEMA)
+    return pa.table(
+        [pa.array(_array(predictions.trial_id), pa.int64()), *arrays], schema=POSE_SCHEMA
+    )
 
 
 def path_rows(scores: "Scores") -> pa.Table:
     """Rows of `PATH_SCHEMA` for the trials that have a path."""
     rows = np.flatnonzero(_array(scores.path_len) > 0)
-    first = [pa.array(_array(scores.trial_id)[rows], pa.int64()), _vectors(_array(scores.q_goal)[rows])]
+    first = [
+        pa.array(_array(scores.trial_id)[rows], pa.int64()),
+        _vectors(_array(scores.q_goal)[rows]),
+    ]
     return pa.table([*first, *_motion_columns(scores, rows)], schema=PATH_SCHEMA)
 
 
-def failure_rows(trials: "Trials", predictions: "Predictions", scores: "Scores", names: TrialNames) -> pa.Table:
+def failure_rows(
+    trials: "Trials", predictions: "Predictions", scores: "Scores", names: TrialNames
+) -> pa.Table:
     """Rows of `FAILURE_SCHEMA` for the trials whose simulation failed."""
     rows = np.flatnonzero(_array(scores.outcome) == Outcome.INVALID_SIM)
     arrays = [
         pa.array(_array(trials.trial_id)[rows], pa.int64()),
         _named(_array(trials.object_index)[rows], names.objects),
         pa.array(_array(trials.hand_index)[rows], pa.int32()),
-        *(_poses(_array(p)[rows]) for p in (trials.T_world_hand, predictions.T_obj_ee, predictions.T_world_ee)),
+        *(
+            _poses(_array(p)[rows])
+            for p in (trials.T_world_hand, predictions.T_obj_ee, predictions.T_world_ee)
+        ),
         _floats(_array(scores.opening_m)[rows]),
         *_motion_columns(scores, rows),
         pa.array(list(_array(scores.failed_state)[rows]), pa.list_(pa.float64())),
@@ -243,12 +298,17 @@ def _motion_columns(scores: "Scores", rows: np.ndarray) -> list[pa.ListArray]:
 
 
 def _poses(T: Any) -> pa.Array:
-    return pa.FixedSizeListArray.from_arrays(pa.array(_array(T).astype(np.float32).reshape(-1), pa.float32()), 16)
+    return pa.FixedSizeListArray.from_arrays(
+        pa.array(_array(T).astype(np.float32).reshape(-1), pa.float32()), 16
+    )
 
 
 def _postures(q: np.ndarray, length: np.ndarray, mask: pa.Array | None = None) -> pa.ListArray:
-    """Column of lists of joint angles: of each row (W, 6) the first `length`; masked rows are null."""
+    """Column of lists of joint angles: of each row (W, 6) the first `length`; masked rows are
+    null."""
     kept = np.arange(q.shape[1]) < length[:, None]
     offsets = pa.array(np.concatenate([[0], np.cumsum(length)]), pa.int32())
-    flat = pa.FixedSizeListArray.from_arrays(pa.array(q[kept].astype(np.float32).reshape(-1), pa.float32()), 6)
+    flat = pa.FixedSizeListArray.from_arrays(
+        pa.array(q[kept].astype(np.float32).reshape(-1), pa.float32()), 6
+    )
     return pa.ListArray.from_arrays(offsets, flat, mask=mask)

@@ -1,4 +1,5 @@
-"""Files that appear whole or not at all: unique temporary name, fsync, link (the first writer wins), fsync of the folder."""
+"""Files that appear whole or not at all: unique temporary name, fsync, link (the first writer
+wins), fsync of the folder."""
 
 import errno
 import fcntl
@@ -23,12 +24,14 @@ def sha256_of(path: Path) -> str:
 
 
 def temporary_name(path: Path) -> Path:
-    """A unique hidden name beside `path` that no reader of `*.parquet` or `*.json` takes for a finished file."""
+    """A unique hidden name beside `path` that no reader of `*.parquet` or `*.json` takes for a
+    finished file."""
     return path.with_name(f".{path.name}.{uuid4().hex}.tmp")
 
 
 def sync_file(path: Path) -> None:
-    """The file's bytes are on the disk when this returns; an error of a full disk or a quota comes out here at last."""
+    """The file's bytes are on the disk when this returns; an error of a full disk or a quota comes
+    out here at last."""
     with path.open("rb") as file:
         os.fsync(file.fileno())
 
@@ -43,7 +46,8 @@ def sync_folder(folder: Path) -> None:
 
 
 def link_once(temporary: Path, final: Path) -> bool:
-    """Give a finished temporary file its name; False if the name is taken: the first writer wins."""
+    """Give a finished temporary file its name; False if the name is taken: the first writer
+    wins."""
     try:
         os.link(temporary, final)
     except FileExistsError:
@@ -51,7 +55,9 @@ def link_once(temporary: Path, final: Path) -> bool:
     except OSError as error:
         if error.errno in (errno.EPERM, errno.ENOTSUP, errno.EMLINK):
             raise OSError(
-                error.errno, "this file system has no hard links; put the run folder on one that has", str(final)
+                error.errno,
+                "this file system has no hard links; put the run folder on one that has",
+                str(final),
             ) from error
         raise
     sync_folder(final.parent)
@@ -68,7 +74,8 @@ def write_json_once(path: Path, data: Mapping[str, Any]) -> bool:
 
 
 def drop_second_names(folder: Path) -> None:
-    """Remove temporary names of files that have their final name as well: their writer was killed between the two."""
+    """Remove temporary names of files that have their final name as well: their writer was killed
+    between the two."""
     for temporary in folder.glob(".*.tmp") if folder.is_dir() else ():
         try:
             if temporary.lstat().st_nlink > 1:
@@ -78,7 +85,8 @@ def drop_second_names(folder: Path) -> None:
 
 
 def replace_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write a JSON file in place of the one that may be there; readers see the old or the new one."""
+    """Write a JSON file in place of the one that may be there; readers see the old or the new
+    one."""
     temporary = _json_file(path, data)
     try:
         os.replace(temporary, path)
@@ -102,20 +110,30 @@ def _json_file(path: Path, data: Mapping[str, Any]) -> Path:
 
 
 def open_own(path: Path, flags: int) -> int:
-    """A descriptor of a plain file of the folder, made where there is none; links and pipes are refused in one line."""
+    """A descriptor of a plain file of the folder, made where there is none; links and pipes are
+    refused in one line."""
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        return os.open(path, flags | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+        return os.open(
+            path, flags | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666
+        )
     except OSError as error:
         if error.errno not in (errno.ELOOP, errno.ENXIO):
             raise
-        raise OSError(error.errno, "no plain file but a link or a pipe; take it away", str(path)) from None
+        raise OSError(
+            error.errno, "no plain file but a link or a pipe; take it away", str(path)
+        ) from None
 
 
 def trouble_in(folder: Path, error: OSError) -> str:
-    """What an error while a run folder was written says: the folder, what in it (by its final name), what to do."""
+    """What an error while a run folder was written says: the folder, what in it (by its final
+    name), what to do."""
     for name in (error.filename2, error.filename):
-        place = Path(os.path.abspath(os.fsdecode(name))) if isinstance(name, (str, bytes, os.PathLike)) else None
+        place = (
+            Path(os.path.abspath(os.fsdecode(name)))
+            if isinstance(name, (str, bytes, os.PathLike))
+            else None
+        )
         if place is None or not place.is_relative_to(folder):
             continue
         place = place.with_name(re.sub(r"^\.(.+)\.[0-9a-f]{32}\.tmp$", r"\1", place.name))
@@ -133,7 +151,8 @@ GO_ON = "shards that were complete are stored, run the same command to go on"
 
 
 def in_the_way(path: Path, *, folder: bool = False) -> str:
-    """What stands where a run has a file (or a folder) of its own and is none, and what to do; empty where nothing is wrong."""
+    """What stands where a run has a file (or a folder) of its own and is none, and what to do;
+    empty where nothing is wrong."""
     try:
         mode = path.lstat().st_mode
     except OSError:
@@ -146,9 +165,11 @@ def in_the_way(path: Path, *, folder: bool = False) -> str:
 
 @contextmanager
 def claim(path: Path) -> Iterator[bool]:
-    """Whether this process alone works on what `path` stands for, until the block ends or the process dies.
+    """Whether this process alone works on what `path` stands for, until the block ends or the
+    process dies.
 
-    A claim only saves double work; `link_once` decides who wins. So a file system without locks says yes to everybody.
+    A claim only saves double work; `link_once` decides who wins. So a file system without locks
+    says yes to everybody.
     """
     with open(open_own(path, os.O_RDWR), "w") as lock:
         try:

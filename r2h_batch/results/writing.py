@@ -57,7 +57,10 @@ TRIES = 3
 """Deaths or errors of a shard after which it is quarantined."""
 
 _FLOATS = {k: [f.name for f in s if f.type == pa.float32()] for k, s in SCHEMAS.items()}
-_AMORTISED = ("t_plan_s", "t_method_s")  # one value a chunk: a dictionary takes less than a bit a trial
+_AMORTISED = (
+    "t_plan_s",
+    "t_method_s",
+)  # one value a chunk: a dictionary takes less than a bit a trial
 
 
 class ShardWriter:
@@ -67,16 +70,21 @@ class ShardWriter:
         self.tables: dict[str, list[pa.Table]] = {kind: [] for kind in SCHEMAS}
 
     def append(self, **tables: pa.Table) -> None:
-        """Add rows: `trials`, `details`, `poses` and `paths` where they are stored, `failures` where there are any."""
+        """Add rows: `trials`, `details`, `poses` and `paths` where they are stored, `failures`
+        where there are any."""
         for kind, table in tables.items():
             for field in SCHEMAS[kind]:
                 if not field.nullable and table[field.name].null_count:
-                    raise ValueError(f"{kind}: column {field.name!r} has {table[field.name].null_count} empty rows")
+                    raise ValueError(
+                        f"{kind}: column {field.name!r} has {table[field.name].null_count} empty rows"
+                    )
             self.tables[kind].append(table)
 
     def table(self, kind: str) -> pa.Table:
         """All rows of a kind so far."""
-        return pa.concat_tables([SCHEMAS[kind].empty_table(), *self.tables[kind]]).unify_dictionaries()
+        return pa.concat_tables(
+            [SCHEMAS[kind].empty_table(), *self.tables[kind]]
+        ).unify_dictionaries()
 
 
 class RunFolder:
@@ -94,7 +102,12 @@ class RunFolder:
         taken = {e["slug"].lower(): e for e in read_methods(self.folder)}
         for slug in (readable, f"{readable}-{hashlib.sha256(method.encode()).hexdigest()[:8]}"):
             path = self.folder / "methods" / f"{slug}.json"
-            entry = {"name": method, "source": dict(source), "command": self.command, "order": len(taken)}
+            entry = {
+                "name": method,
+                "source": dict(source),
+                "command": self.command,
+                "order": len(taken),
+            }
             checked(Method, entry, path)
             stored = taken.get(slug.lower())
             if stored is None and write_json_once(path, entry):
@@ -102,7 +115,9 @@ class RunFolder:
             stored = stored or next(e for e in read_methods(self.folder) if e["slug"] == slug)
             if stored["name"] == method:
                 if stored["source"] != dict(source):
-                    raise RunError(f"{self.folder}: already holds {method!r} from another source; {OTHER}")
+                    raise RunError(
+                        f"{self.folder}: already holds {method!r} from another source; {OTHER}"
+                    )
                 self.slugs[method] = slug
                 return
         raise RunError(f"{self.folder}: no free file name for method {method!r}; {OTHER}")
@@ -119,7 +134,8 @@ class RunFolder:
 
     @contextmanager
     def claim(self, method: str, shard: Shard) -> Iterator[bool]:
-        """Whether this process alone works on the shard now; what a killed one left of it is removed first."""
+        """Whether this process alone works on the shard now; what a killed one left of it is
+        removed first."""
         slug = self.slugs[method]
         with claim(self.folder / ".claims" / f"{slug}-{shard.name}") as mine:
             if mine:
@@ -129,7 +145,8 @@ class RunFolder:
             yield mine
 
     def deaths(self, method: str, shard: Shard) -> int:
-        """How many processes ended while they were at the shard, killed or crashed, since it was last tried without."""
+        """How many processes ended while they were at the shard, killed or crashed, since it was
+        last tried without."""
         try:
             found = self._begun(method, shard).lstat()
         except FileNotFoundError:
@@ -138,7 +155,8 @@ class RunFolder:
 
     @contextmanager
     def attempt(self, method: str, shard: Shard) -> Iterator[None]:
-        """Around the scoring of a claimed shard: a process that dies inside leaves a mark, whatever killed it."""
+        """Around the scoring of a claimed shard: a process that dies inside leaves a mark, whatever
+        killed it."""
         path, before = self._begun(method, shard), self.deaths(method, shard)
         handle = open_own(path, os.O_WRONLY | os.O_APPEND)
         try:
@@ -166,24 +184,33 @@ class RunFolder:
 
     @contextmanager
     def write(self, method: str, shard: Shard) -> Iterator[ShardWriter]:
-        """A writer for a shard's rows; when the block ends well they appear at once, else nothing does."""
+        """A writer for a shard's rows; when the block ends well they appear at once, else nothing
+        does."""
         start = time.perf_counter()
         writer = ShardWriter()
         yield writer
         self.commit(method, shard, writer, time.perf_counter() - start)
 
     def commit(self, method: str, shard: Shard, writer: ShardWriter, seconds: float) -> bool:
-        """Store a whole shard; False, and nothing written, if another process has stored it first."""
+        """Store a whole shard; False, and nothing written, if another process has stored it
+        first."""
         slug = self.slugs[method]
         outcomes = _outcomes(writer.table("trials"))
-        planned, found = planned_in(self.header, shard), {s: sum(c.values()) for s, c in outcomes.items()}
+        planned, found = (
+            planned_in(self.header, shard),
+            {s: sum(c.values()) for s, c in outcomes.items()},
+        )
         if found != planned:
-            raise RunError(f"{self.folder}: shard {shard.index} of {method!r} has {found} rows, planned were {planned}")
+            raise RunError(
+                f"{self.folder}: shard {shard.index} of {method!r} has {found} rows, planned were {planned}"
+            )
         for kind in SCHEMAS:
             rows, every = writer.table(kind), kind == "trials"
             what = not_as_planned(self.header, shard.first, shard.last, rows, every=every)
             if what := what or (inconsistent(self.header, rows) if every else None):
-                raise RunError(f"{self.folder}: shard {shard.index} of {method!r}, {kind}: {what}; nothing was stored")
+                raise RunError(
+                    f"{self.folder}: shard {shard.index} of {method!r}, {kind}: {what}; nothing was stored"
+                )
         mine: list[Path] = []
         try:
             files = {}
@@ -192,7 +219,11 @@ class RunFolder:
                 base = self.folder / kind / slug / shard.name
                 path, sha256, size = self._file(kind, base, writer.table(kind), method)
                 mine.append(path)
-                files[kind] = {"path": str(path.relative_to(self.folder)), "sha256": sha256, "bytes": size}
+                files[kind] = {
+                    "path": str(path.relative_to(self.folder)),
+                    "sha256": sha256,
+                    "bytes": size,
+                }
             receipt = {
                 "run": self.header["hash"],
                 "method": method,
@@ -210,23 +241,39 @@ class RunFolder:
             raise
         if not won:
             kept = read_json(receipt_path(self.folder, slug, shard))["files"]
-            _remove([p for p in mine if str(p.relative_to(self.folder)) not in {f["path"] for f in kept.values()}])
+            _remove(
+                [
+                    p
+                    for p in mine
+                    if str(p.relative_to(self.folder)) not in {f["path"] for f in kept.values()}
+                ]
+            )
         for path in (quarantine_path(self.folder, slug, shard), self._begun(method, shard)):
             path.unlink(missing_ok=True)
         return won
 
     def quarantine(self, method: str, shard: Shard, errors: Sequence[str]) -> None:
         """Note that a shard failed for good; the next run of the same command tries it again."""
-        data = {"method": method, "first": shard.first, "last": shard.last, "errors": [printable(e) for e in errors]}
+        data = {
+            "method": method,
+            "first": shard.first,
+            "last": shard.last,
+            "errors": [printable(e) for e in errors],
+        }
         replace_json(quarantine_path(self.folder, self.slugs[method], shard), data)
 
     def _file(self, kind: str, base: Path, table: pa.Table, method: str) -> tuple[Path, str, int]:
-        """Write a table under a name that holds its sha256 (two writers of one shard never meet in one file).
+        """Write a table under a name that holds its sha256 (two writers of one shard never meet in
+        one file).
 
         Its path, sha256 and size."""
         base.parent.mkdir(parents=True, exist_ok=True)
         temporary = temporary_name(base)
-        metadata = {"r2h_batch.format": str(FORMAT), "r2h_batch.method": method, "r2h_batch.run": self.header["hash"]}
+        metadata = {
+            "r2h_batch.format": str(FORMAT),
+            "r2h_batch.method": method,
+            "r2h_batch.run": self.header["hash"],
+        }
         floats = [c for c in _FLOATS[kind] if c not in _AMORTISED]
         words = [f.name for f in SCHEMAS[kind] if pa.types.is_dictionary(f.type)]
         try:
@@ -266,9 +313,11 @@ def _outcomes(table: pa.Table) -> dict[str, dict[str, int]]:
 
 
 def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = True) -> RunFolder:
-    """The folder, ready to take shards: new, or of the same configuration; anything else is refused.
+    """The folder, ready to take shards: new, or of the same configuration; anything else is
+    refused.
 
-    `header["shard_trials"]` 0: as the folder has it, `SHARD_TRIALS` in a new one; not `exact`: only for a new one.
+    `header["shard_trials"]` 0: as the folder has it, `SHARD_TRIALS` in a new one; not `exact`: only
+    for a new one.
     """
     folder = Path(folder)
     new = {"stored": [], **json.loads(json.dumps(header, allow_nan=False)), "format": FORMAT}
@@ -278,21 +327,33 @@ def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = Tru
     new["hash"] = run_hash(new)
     checked_header(new, folder / "run.json")
     if outer := run_folder_of(folder):
-        raise RunError(f"{folder}: lies in the run folder {outer}, which holds its own files alone; {OTHER}")
+        raise RunError(
+            f"{folder}: lies in the run folder {outer}, which holds its own files alone; {OTHER}"
+        )
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not os.path.lexists(folder / "run.json"):
-            foreign = [p.name for p in folder.iterdir() if not p.name.startswith(".") and p.name != "run.json"]
+            foreign = [
+                p.name
+                for p in folder.iterdir()
+                if not p.name.startswith(".") and p.name != "run.json"
+            ]
             if foreign and not os.path.lexists(folder / "run.json"):
-                raise RunError(f"{folder}: not empty and not a run folder (it has {min(foreign)!r}); {OTHER}")
+                raise RunError(
+                    f"{folder}: not empty and not a run folder (it has {min(foreign)!r}); {OTHER}"
+                )
             write_json_once(folder / "run.json", new)
     except OSError as error:
-        raise RunError(f"{folder}: cannot be written ({error.strerror or error}); {OTHER}") from error
+        raise RunError(
+            f"{folder}: cannot be written ({error.strerror or error}); {OTHER}"
+        ) from error
     old = read_header(folder)
     if fields := differing(old, new):
         raise RunError(
             f"{folder}: another run, which differs in {', '.join(fields)}; {OTHER}, or --force-new: a new folder beside this one"
         )
     if exact and asked and asked != old["shard_trials"]:
-        raise RunError(f"{folder}: has shards of {old['shard_trials']} trials, asked were {asked}; {OTHER}")
+        raise RunError(
+            f"{folder}: has shards of {old['shard_trials']} trials, asked were {asked}; {OTHER}"
+        )
     return RunFolder(folder, old, header.get("command", ()))

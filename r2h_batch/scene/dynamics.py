@@ -13,13 +13,16 @@ from r2h_batch.scene.payloads import principal
 
 Array = NDArray[np.float64]
 
-# UniversalRobots/Universal_Robots_ROS2_Description, config/ur5e/physical_parameters.yaml: shoulder to wrist_3.
+# UniversalRobots/Universal_Robots_ROS2_Description, config/ur5e/physical_parameters.yaml: shoulder
+# to wrist_3.
 LINK_MASS_KG = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)
 LINK_COM_M = (
     (0.0, -0.00193, -0.02561), (-0.2125, 0.0, 0.11336), (-0.2422, 0.0, 0.0265),
     (0.0, -0.01634, -0.0018), (0.0, 0.01634, -0.0018), (0.0, 0.0, -0.001159),
 )  # fmt: skip
-LINK_INERTIA = (  # xx, xy, xz, yy, yz, zz (kg m^2) about the centre of mass, axes turned by LINK_ROLL about the link's x
+# xx, xy, xz, yy, yz, zz (kg m^2) about the centre of mass, axes turned by LINK_ROLL about the
+# link's x
+LINK_INERTIA = (
     (0.00700210, 0.00000073, -0.00001053, 0.00648091, 0.00049994, 0.00657286),
     (0.01505885, -0.00005400, 0.00000563, 0.33388086, -0.00000181, 0.33247207),
     (0.00399632, -0.00001365, 0.00137272, 0.07879254, -0.00000660, 0.07848510),
@@ -33,7 +36,12 @@ GRIPPER_MASS_KG = 1.05  # 2F-85 with its coupling
 GRIPPER_COM_M = (0.0, 0.0, 0.055)  # [choice] a box of the gripper's size, gripper frame
 GRIPPER_BOX_M = (0.075, 0.15, 0.14)
 
-FINGER_MASS_KG = {"outer_knuckle": 0.00853, "outer_finger": 0.02261, "inner_finger": 0.0104, "inner_knuckle": 0.02712}
+FINGER_MASS_KG = {
+    "outer_knuckle": 0.00853,
+    "outer_finger": 0.02261,
+    "inner_finger": 0.0104,
+    "inner_knuckle": 0.02712,
+}
 """airo-models, robotiq_2f_85.urdf; a pad is part of its inner finger."""
 
 ARMATURE = 0.1
@@ -41,13 +49,15 @@ ARMATURE = 0.1
 
 KP = (10000.0, 10000.0, 10000.0, 2000.0, 2000.0, 2000.0)
 SERVO_RATE = 100.0 / 3.0
-"""Stiffness N m/rad and kp / kv in 1/s [choice]: the same rate for all joints, so that what lag there is leaves a straight
-joint line straight. 10 kN m/rad on the large joints is what keeps an industrial arm within 0.1 mm while it moves."""
+"""Stiffness N m/rad and kp / kv in 1/s [choice]: the same rate for all joints, so that what lag
+there is leaves a straight joint line straight. 10 kN m/rad on the large joints is what keeps an
+industrial arm within 0.1 mm while it moves."""
 
 
 @dataclass(frozen=True)
 class Payload:
-    """A rigid object held by the gripper: its frame and its mass properties (kg, m, kg m^2 about the centre of mass)."""
+    """A rigid object held by the gripper: its frame and its mass properties (kg, m, kg m^2 about
+    the centre of mass)."""
 
     T_gripper_obj: Array
     mass: float
@@ -58,11 +68,17 @@ class Payload:
     def of(model: ObjectModel, T_gripper_obj: ArrayLike) -> "Payload":
         """The payload that an object of the scene is."""
         T = np.asarray(T_gripper_obj, np.float64)
-        return Payload(T, float(model.mass), np.asarray(model.com, np.float64), np.asarray(model.inertia, np.float64))
+        return Payload(
+            T,
+            float(model.mass),
+            np.asarray(model.com, np.float64),
+            np.asarray(model.inertia, np.float64),
+        )
 
 
 def arm_model(robot: Robot, *, step_s: float, payload_known: bool = True) -> mujoco.MjModel:
-    """The UR5e with gripper and a placeholder object, as position servos: no geoms, the gripper rigid.
+    """The UR5e with gripper and a placeholder object, as position servos: no geoms, the gripper
+    rigid.
 
     scene_model.py builds the whole scene around the same arm.
     """
@@ -74,7 +90,8 @@ def arm_model(robot: Robot, *, step_s: float, payload_known: bool = True) -> muj
 
 
 def new_spec(step_s: float) -> mujoco.MjSpec:
-    """An empty model with the project's integrator. NaN is left where it appears (no automatic reset)."""
+    """An empty model with the project's integrator. NaN is left where it appears (no automatic
+    reset)."""
     spec = mujoco.MjSpec()
     spec.compiler.autolimits, spec.compiler.degree = True, False
     spec.compiler.boundmass, spec.compiler.boundinertia = 1e-9, 1e-12
@@ -87,14 +104,20 @@ def new_spec(step_s: float) -> mujoco.MjSpec:
 def add_arm(spec: mujoco.MjSpec, robot: Robot, parent: mujoco.MjsBody) -> list[mujoco.MjsBody]:
     """The arm's bodies, base to wrist_3, each with its mass, joint and servo.
 
-    force = kp (ctrl - q) - kv qd: with ctrl = q_ref + qd_ref kv / kp that is a position and velocity servo. Weight is
-    compensated, as the real controller does, and counts against the torque limits.
+    force = kp (ctrl - q) - kv qd: with ctrl = q_ref + qd_ref kv / kp that is a position and
+    velocity servo. Weight is compensated, as the real controller does, and counts against the
+    torque limits.
     """
     bodies = [parent.add_body(name=robot.links[0])]
     for i in range(JOINTS):
         inertia = _rolled(LINK_INERTIA[i], LINK_ROLL[i])
         body = add_body(
-            bodies[-1], robot.links[i + 1], robot.T_parent_joint[i], LINK_MASS_KG[i], LINK_COM_M[i], inertia
+            bodies[-1],
+            robot.links[i + 1],
+            robot.T_parent_joint[i],
+            LINK_MASS_KG[i],
+            LINK_COM_M[i],
+            inertia,
         )
         torque = float(robot.max_torque[i])
         body.add_joint(
@@ -122,10 +145,14 @@ def add_gripper(wrist: mujoco.MjsBody, robot: Robot, mass: float) -> mujoco.MjsB
 
 
 def add_object(gripper: mujoco.MjsBody, *, payload_known: bool) -> mujoco.MjsBody:
-    """The object's body with placeholders that `load` replaces; its weight is compensated where the controller knows it."""
-    # turned and shifted inertia: with a plain one the compiler would mark the frames as equal, for all payloads
+    """The object's body with placeholders that `load` replaces; its weight is compensated where the
+    controller knows it."""
+    # turned and shifted inertia: with a plain one the compiler would mark the frames as equal, for
+    # all payloads
     tilted = _rolled((1.0, 0.1, 0.2, 2.0, 0.3, 2.5), 0.3) * 1e-4
-    body = add_body(gripper, "object", _transform((0.1, 0.2, 0.3), 0.4), 0.1, (0.01, 0.02, 0.03), tilted)
+    body = add_body(
+        gripper, "object", _transform((0.1, 0.2, 0.3), 0.4), 0.1, (0.01, 0.02, 0.03), tilted
+    )
     body.gravcomp = float(payload_known)
     return body
 
@@ -138,7 +165,8 @@ def loaded_model(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -
 
 
 def load(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> None:
-    """Puts a payload into the model itself (its last body), whatever it held before; `data` is scratch."""
+    """Puts a payload into the model itself (its last body), whatever it held before; `data` is
+    scratch."""
     i = model.nbody - 1
     inertia, axes = principal(payload.inertia)
     model.body_pos[i] = payload.T_gripper_obj[:3, 3]

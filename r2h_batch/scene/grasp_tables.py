@@ -1,4 +1,5 @@
-"""What closing the gripper reads: every object's surface and receiver region, and the gripper, as tables on a device."""
+"""What closing the gripper reads: every object's surface and receiver region, and the gripper, as
+tables on a device."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -47,7 +48,9 @@ def grasp_tables(objects: Sequence[ObjectModel], device: str = "cpu") -> GraspTa
     regions = [t[o.receiver_face] for t, o in zip(triangles, objects, strict=True)]
     robot = load_robot()
     if len(robot.gripper_part) > 31:
-        raise ValueError(f"the gripper has {len(robot.gripper_part)} primitives; the kernels' bit masks hold 31")
+        raise ValueError(
+            f"the gripper has {len(robot.gripper_part)} primitives; the kernels' bit masks hold 31"
+        )
     return GraspTables(
         surfaces=surface_tables(triangles + regions, device),
         gripper=gripper_tables(device),
@@ -62,7 +65,8 @@ def grasp_tables(objects: Sequence[ObjectModel], device: str = "cpu") -> GraspTa
 
 @lru_cache(maxsize=4)
 def gripper_tables(device: str = "cpu") -> Gripper:
-    """The gripper of robot.json for the kernels: linkage, and the primitives at drive angle 0 in the ee frame."""
+    """The gripper of robot.json for the kernels: linkage, and the primitives at drive angle 0 in
+    the ee frame."""
     init_warp()
     robot = load_robot()
     link, prims = robot.linkage, robot.gripper
@@ -87,7 +91,8 @@ def gripper_tables(device: str = "cpu") -> Gripper:
 
 
 def surface_tables(surfaces: Sequence[NDArray[np.float32]], device: str) -> Surfaces:
-    """Surfaces, each a (T, 3, 3) array of triangles, sorted into nodes of 64 and leaves of 8 with bounding spheres."""
+    """Surfaces, each a (T, 3, 3) array of triangles, sorted into nodes of 64 and leaves of 8 with
+    bounding spheres."""
     points: list[NDArray[np.float32]] = []
     leaf_first, node_first, surface_first = [0], [0], [0]
     for triangles in surfaces:
@@ -102,8 +107,13 @@ def surface_tables(surfaces: Sequence[NDArray[np.float32]], device: str) -> Surf
     leaf_points = [3 * i for i in leaf_first]
     node_points = [leaf_points[i] for i in node_first]
     corners = [t.reshape(-1, 3) if len(t) else np.zeros((1, 3), np.float32) for t in surfaces]
-    (node_sphere, node_half), (leaf_sphere, leaf_half) = _bounds(flat, node_points), _bounds(flat, leaf_points)
-    of_node = np.concatenate([node_sphere[:, :3], node_half, node_sphere[:, 3:], flat[node_points[:-1]]], 1)
+    (node_sphere, node_half), (leaf_sphere, leaf_half) = (
+        _bounds(flat, node_points),
+        _bounds(flat, leaf_points),
+    )
+    of_node = np.concatenate(
+        [node_sphere[:, :3], node_half, node_sphere[:, 3:], flat[node_points[:-1]]], 1
+    )
     of_leaf = np.concatenate([leaf_sphere[:, :3], leaf_half, leaf_sphere[:, 3:]], 1)
     group_first, group_nodes = _groups(surface_first)
     assert of_node.shape[1] == int(NODE_ROWS) and of_leaf.shape[1] == int(LEAF_ROWS)
@@ -129,7 +139,8 @@ def surface_tables(surfaces: Sequence[NDArray[np.float32]], device: str) -> Surf
 
 
 def _groups(first: list[int]) -> tuple[list[int], list[int]]:
-    """Which groups each surface has, and which nodes each group: up to eight, never of two surfaces."""
+    """Which groups each surface has, and which nodes each group: up to eight, never of two
+    surfaces."""
     of_surface, of_group = [0], [0]
     for a, b in pairwise(first):
         of_group += [*range(a + LANES, b, LANES), b] if b > a else []
@@ -138,16 +149,21 @@ def _groups(first: list[int]) -> tuple[list[int], list[int]]:
 
 
 def _lanes(rows: NDArray[np.float32], first: list[int]) -> NDArray[np.float32]:
-    """Rows first[i] .. first[i + 1] - 1 side by side, flat (groups, columns, 8): the last row repeated up to eight."""
+    """Rows first[i] .. first[i + 1] - 1 side by side, flat (groups, columns, 8): the last row
+    repeated up to eight."""
     most = np.maximum(np.array(first[1:], np.int64) - 1, 0)
     index = np.minimum(np.array(first[:-1], np.int64)[:, None] + np.arange(LANES), most[:, None])
     if len(index) and int(np.diff(first).max()) > LANES:
-        raise ValueError(f"a group has {int(np.diff(first).max())} rows; {LANES} is all that it can hold")
+        raise ValueError(
+            f"a group has {int(np.diff(first).max())} rows; {LANES} is all that it can hold"
+        )
     lanes = rows[index].transpose(0, 2, 1).ravel() if len(rows) else np.zeros(0)
     return np.ascontiguousarray(lanes, dtype=np.float32)
 
 
-def _split(centers: NDArray[np.float32], rows: NDArray[np.intp], most: int) -> list[NDArray[np.intp]]:
+def _split(
+    centers: NDArray[np.float32], rows: NDArray[np.intp], most: int
+) -> list[NDArray[np.intp]]:
     """Groups of at most `most` rows: halves along the longest side, again and again."""
     if len(rows) <= most:
         return [rows] if len(rows) else []
@@ -158,8 +174,11 @@ def _split(centers: NDArray[np.float32], rows: NDArray[np.intp], most: int) -> l
     return _split(centers, order[:half], most) + _split(centers, order[half:], most)
 
 
-def _bounds(points: NDArray[np.float32], first: list[int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Spheres (x, y, z, radius) around each group's points, half sides of boxes about their centres; rounded up."""
+def _bounds(
+    points: NDArray[np.float32], first: list[int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Spheres (x, y, z, radius) around each group's points, half sides of boxes about their
+    centres; rounded up."""
     count = np.diff(first)
     if not len(count):
         return np.zeros((0, 4), np.float32), np.zeros((0, 3), np.float32)

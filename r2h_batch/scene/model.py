@@ -1,4 +1,5 @@
-"""The whole scene as one MuJoCo model: what is simulated is what is rendered, and it takes any trial without recompiling."""
+"""The whole scene as one MuJoCo model: what is simulated is what is rendered, and it takes any
+trial without recompiling."""
 
 import threading
 from collections import OrderedDict
@@ -14,7 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import JOINTS, Robot, drive_from_gap
 from r2h_batch.config import Workplace
-from r2h_batch.scene.dynamics import Payload, add_arm, add_object, arm_model, load, new_spec, quat_wxyz
+from r2h_batch.scene.dynamics import (
+    Payload,
+    add_arm,
+    add_object,
+    arm_model,
+    load,
+    new_spec,
+    quat_wxyz,
+)
 from r2h_batch.scene.model_parts import (
     COLLISION,
     COLORS,
@@ -73,11 +82,15 @@ class TrialScenes:
     def __getitem__(self, i: int) -> TrialScene:
         held = Payload.of(self.objects[self.object_index[i]], self.T_gripper_obj[i])
         hand = int(self.hand_index[i])
-        return TrialScene(held, int(self.object_index[i]), hand, self.T_world_hand[i], float(self.opening_m[i]))
+        return TrialScene(
+            held, int(self.object_index[i]), hand, self.T_world_hand[i], float(self.opening_m[i])
+        )
 
     def rows(self, at: NDArray[np.int64]) -> "TrialScenes":
         """Those at places `at`."""
-        return TrialScenes(self.objects, *(getattr(self, f.name)[at] for f in fields(self) if f.name != "objects"))
+        return TrialScenes(
+            self.objects, *(getattr(self, f.name)[at] for f in fields(self) if f.name != "objects")
+        )
 
     @property
     def drive(self) -> Array:
@@ -97,8 +110,8 @@ class TrialScenes:
 class SceneModel:
     """A compiled model and what it takes to put any trial into it: `load`, then `start` and `hold`.
 
-    Joints of the arm come first in qpos, qvel and ctrl. The object is the last body. Without geoms (`arm_only`) there are
-    the arm, a rigid gripper and the object's mass.
+    Joints of the arm come first in qpos, qvel and ctrl. The object is the last body. Without geoms
+    (`arm_only`) there are the arm, a rigid gripper and the object's mass.
     """
 
     def __init__(
@@ -109,13 +122,20 @@ class SceneModel:
         hands: dict[int, NDArray[np.int64]] | None = None,
         levers: "FingerLevers | None" = None,
     ) -> None:
-        self.model, self.shapes, self.objects, self.hands = model, shapes or {}, objects, hands or {}
+        self.model, self.shapes, self.objects, self.hands = (
+            model,
+            shapes or {},
+            objects,
+            hands or {},
+        )
         self.full = objects is not None
         self.levers = levers or FingerLevers(0.0, 0.0, 0.0, 0.0)
         self.hand_body = model.body("hand").id if self.full else -1
         bodies = [self.hand_body, model.body("object").id] if self.full else []
         self.varied = (
-            np.concatenate([np.flatnonzero(model.geom_bodyid == b) for b in bodies]) if bodies else np.zeros(0, int)
+            np.concatenate([np.flatnonzero(model.geom_bodyid == b) for b in bodies])
+            if bodies
+            else np.zeros(0, int)
         )
         """geoms whose mesh is the trial's: hand, then object"""
 
@@ -140,7 +160,8 @@ class SceneModel:
         load(model, trial.payload, data)
 
     def loaded(self, trials: TrialScenes) -> dict[str, Array]:
-        """What `load` writes for each of n trials: fields of the model, as `PayloadTables.rows` gives them."""
+        """What `load` writes for each of n trials: fields of the model, as `PayloadTables.rows`
+        gives them."""
         return self._payloads.rows(trials.T_gripper_obj, trials.held)
 
     @cached_property
@@ -163,13 +184,16 @@ class SceneModel:
         return qpos
 
     def sway(self, trial: TrialScene, qpos: Array) -> float:
-        """How far any point of the fingers was from where their opening has it, at most, over states (n, nq); m."""
+        """How far any point of the fingers was from where their opening has it, at most, over
+        states (n, nq); m."""
         if not self.full:
             return 0.0
         off = np.abs(qpos[:, JOINTS:].reshape(-1, 2, 3) * [1, -1, 1] - trial.drive)
         driver, pin, knuckle = off[..., 0], np.abs(qpos[:, [6, 9]] + qpos[:, [7, 10]]), off[..., 2]
         at = self.levers
-        worst = np.maximum(driver * max(at.driver, at.pin_arm) + pin * at.pin, knuckle * at.inner_knuckle)
+        worst = np.maximum(
+            driver * max(at.driver, at.pin_arm) + pin * at.pin, knuckle * at.inner_knuckle
+        )
         return float(worst.max())
 
     def hold(self, trial: TrialScene | TrialScenes) -> Array:
@@ -194,7 +218,8 @@ def scene_model(
     full: bool,
     workplace: Workplace | None = None,
 ) -> SceneModel:
-    """`build_scene_model`, or `SceneModel.arm_only`; of this process' last two if one of them does, with more hands if not.
+    """`build_scene_model`, or `SceneModel.arm_only`; of this process' last two if one of them does,
+    with more hands if not.
 
     Which hands a model has makes no difference to any motion.
     """
@@ -206,14 +231,27 @@ def scene_model(
                 _arms[arm] = SceneModel.arm_only(robot, step_s=step_s, payload_known=payload_known)
             return _arms[arm]
     wanted = set(map(int, hand_indices)) or {0}
-    key = (robot.digest, hands.set.digest, tuple(map(id, objects)), step_s, payload_known, object_collision, workplace)
+    key = (
+        robot.digest,
+        hands.set.digest,
+        tuple(map(id, objects)),
+        step_s,
+        payload_known,
+        object_collision,
+        workplace,
+    )
     with _keeping:
         _, model = _kept.get(key, (None, None))
         if model is None or not wanted <= model.hands.keys():
             have = set() if model is None else set(model.hands)
-            # and twice as many as before, so that a long sweep compiles a few times and not for each chunk
+            # and twice as many as before, so that a long sweep compiles a few times and not for
+            # each chunk
             wanted |= have
-            wanted |= set([h for h in range(len(hands.set)) if h not in wanted][: max(2 * len(have) - len(wanted), 0)])
+            wanted |= set(
+                [h for h in range(len(hands.set)) if h not in wanted][
+                    : max(2 * len(have) - len(wanted), 0)
+                ]
+            )
             model = build_scene_model(
                 robot,
                 objects,
@@ -224,7 +262,10 @@ def scene_model(
                 object_collision=object_collision,
                 workplace=workplace,
             )
-            _kept[key] = (tuple(objects), model)  # holds the objects, so that no others get their ids
+            _kept[key] = (
+                tuple(objects),
+                model,
+            )  # holds the objects, so that no others get their ids
         _kept.move_to_end(key)
         while len(_kept) > KEPT:
             _kept.popitem(last=False)
@@ -243,19 +284,24 @@ def build_scene_model(
     skins: bool = False,
     workplace: Workplace | None = None,
 ) -> SceneModel:
-    """Arm, gripper with its linkage, object, hand and table, for any of the objects and the listed hands (`world_tables.Hands`).
+    """Arm, gripper with its linkage, object, hand and table, for any of the objects and the listed
+    hands (`world_tables.Hands`).
 
-    Contacts push between the pairs that planning checks, without the hand: links with each other and with the table, the
-    object with the arm. The hand's first touch decides a trial, and the motion after it must not depend on it; object and
-    gripper, object and table do not push while the object is attached. `skins`: with the hands' surfaces, else one sees
-    their convex pieces.
+    Contacts push between the pairs that planning checks, without the hand: links with each other
+    and with the table, the object with the arm. The hand's first touch decides a trial, and the
+    motion after it must not depend on it; object and gripper, object and table do not push while
+    the object is attached. `skins`: with the hands' surfaces, else one sees their convex pieces.
     """
     spec = new_spec(step_s)
-    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)  # pairs are named by a bit per body
+    spec.option.disableflags |= int(
+        mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+    )  # pairs are named by a bit per body
     look(spec)
     partners = _partners(robot)
     hand_indices = sorted(set(hand_indices))
-    meshes, object_rows, hand_rows = _trial_meshes(objects, hands, hand_indices, object_collision, skins)
+    meshes, object_rows, hand_rows = _trial_meshes(
+        objects, hands, hand_indices, object_collision, skins
+    )
     for name, vertices, faces, convex in meshes:
         add_mesh(spec, name, vertices, faces, convex=convex)
 
@@ -264,35 +310,56 @@ def build_scene_model(
     for k, mesh in enumerate(hand_rows[hand_indices[0]]):
         seen = not skins or k == len(hands.model.piece_names)
         name = hands.model.piece_names[k] if k < len(hands.model.piece_names) else "skin"
-        add_mesh_geom(hand, f"hand/{name}", meshes[mesh][0], "hand", group=VISUAL if seen else COLLISION)
+        add_mesh_geom(
+            hand, f"hand/{name}", meshes[mesh][0], "hand", group=VISUAL if seen else COLLISION
+        )
     links = add_arm(spec, robot, spec.worldbody)
     for k, link in enumerate(links):
         for i in np.flatnonzero(robot.arm.link == k):
             add_primitive(
-                link, robot.arm, int(i), robot.arm.T_link_prim[i], *partners[k], f"robot/{robot.arm.names[i]}"
+                link,
+                robot.arm,
+                int(i),
+                robot.arm.T_link_prim[i],
+                *partners[k],
+                f"robot/{robot.arm.names[i]}",
             )
-        add_visual(spec, link, f"robot/{robot.links[k]}_visual", robot.links[k], np.eye(4), robot.links[k])
+        add_visual(
+            spec, link, f"robot/{robot.links[k]}_visual", robot.links[k], np.eye(4), robot.links[k]
+        )
     gripper = add_fingers(spec, links[-1], robot, partners[7])
     body = add_object(gripper, payload_known=payload_known)
     for k, mesh in enumerate(object_rows[0]):
         contact = partners[8] if k else (0, 0)
         name = "object/mesh_visual" if not k else f"object/{object_collision}_{k - 1}"
-        add_mesh_geom(body, name, meshes[mesh][0], "object", *contact, group=COLLISION if k else VISUAL)
+        add_mesh_geom(
+            body, name, meshes[mesh][0], "object", *contact, group=COLLISION if k else VISUAL
+        )
     model = spec.compile()
     varied = np.isin(model.geom_bodyid, [model.body("hand").id, model.body("object").id])
-    model.geom_sameframe[varied] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)  # as they may be for the first meshes
-    # body boxes are compiled for the first object in its placeholder's axes: boxes that hold any object in any axes
+    model.geom_sameframe[varied] = int(
+        mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+    )  # as they may be for the first meshes
+    # body boxes are compiled for the first object in its placeholder's axes: boxes that hold any
+    # object in any axes
     first, count = model.body_bvhadr[-1], model.body_bvhnum[-1]
     model.bvh_aabb[first : first + count] = [0, 0, 0, 2, 2, 2]
-    return SceneModel(model, _shapes(meshes, model), np.array(object_rows), hand_rows, FingerLevers.of(robot))
+    return SceneModel(
+        model, _shapes(meshes, model), np.array(object_rows), hand_rows, FingerLevers.of(robot)
+    )
 
 
 def _trial_meshes(
-    objects: Sequence[ObjectModel], hands: Any, hand_indices: list[int], object_collision: str, skins: bool
+    objects: Sequence[ObjectModel],
+    hands: Any,
+    hand_indices: list[int],
+    object_collision: str,
+    skins: bool,
 ) -> tuple[list[Mesh], list[list[int]], dict[int, NDArray[np.int64]]]:
     """Meshes of objects and hands; which of them each object's and hand's geoms show.
 
-    An object has its surface first, then its collision bodies; with fewer pieces than others the last is repeated.
+    An object has its surface first, then its collision bodies; with fewer pieces than others the
+    last is repeated.
     """
     meshes: list[Mesh] = []
 
@@ -320,7 +387,8 @@ def _trial_meshes(
 
 
 def _shapes(meshes: Sequence[Mesh], model: mujoco.MjModel) -> dict[str, Array]:
-    """The `MESH_FIELDS` that a geom has with each of the model's first meshes: as compiled, one geom for each."""
+    """The `MESH_FIELDS` that a geom has with each of the model's first meshes: as compiled, one
+    geom for each."""
     stock = mujoco.MjSpec()
     for name, vertices, faces, convex in meshes:
         add_mesh(stock, name, vertices, faces, convex=convex)
@@ -331,7 +399,8 @@ def _shapes(meshes: Sequence[Mesh], model: mujoco.MjModel) -> dict[str, Array]:
 
 
 def _partners(robot: Robot) -> list[tuple[int, int]]:
-    """(contype, conaffinity) of links 0 to 6, gripper, object, table: contacts between exactly the pairs that may push."""
+    """(contype, conaffinity) of links 0 to 6, gripper, object, table: contacts between exactly the
+    pairs that may push."""
     conaffinity = [0] * 10
     for a, b in robot.self_pairs:
         conaffinity[b] |= 1 << int(a)

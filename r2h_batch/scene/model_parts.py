@@ -1,4 +1,5 @@
-"""Parts of the scene's MuJoCo model: the gripper with its linkage, shapes and meshes, what things look like."""
+"""Parts of the scene's MuJoCo model: the gripper with its linkage, shapes and meshes, what things
+look like."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -10,20 +11,29 @@ from numpy.typing import NDArray
 
 from r2h_batch.bodies.robot import Kind, Primitives, Robot
 from r2h_batch.bodies.robot_visuals import part_origin, visual_triangles
-from r2h_batch.scene.dynamics import FINGER_MASS_KG, GRIPPER_MASS_KG, add_body, add_gripper, add_servo, quat_wxyz
+from r2h_batch.scene.dynamics import (
+    FINGER_MASS_KG,
+    GRIPPER_MASS_KG,
+    add_body,
+    add_gripper,
+    add_servo,
+    quat_wxyz,
+)
 
 Array = NDArray[np.float64]
 
 FINGER_ARMATURE = 0.005
 FINGER_KP, FINGER_KV = 200.0, 2.0
-"""The gripper's motor, at a driver (kg m^2, N m/rad, N m s/rad) [choice]: the 2F-85's gear is self-locking, so it holds its
-opening stiffly whatever moves it."""
+"""The gripper's motor, at a driver (kg m^2, N m/rad, N m s/rad) [choice]: the 2F-85's gear is
+self-locking, so it holds its opening stiffly whatever moves it."""
 
 LOOP_IMPEDANCE = (0.99, 0.999, 1e-4, 0.5, 2.0)
-"""MuJoCo's solimp (d0, d_width, width, midpoint, power) of the constraints that close the linkage's loops: nearly rigid."""
+"""MuJoCo's solimp (d0, d_width, width, midpoint, power) of the constraints that close the linkage's
+loops: nearly rigid."""
 
 FINGER_COM_M, FINGER_GYRATION_M = 0.02, 0.015
-"""Of the inner finger beyond its pin; the other parts' centres are half way along them [choice: 70 g in all]."""
+"""Of the inner finger beyond its pin; the other parts' centres are half way along them [choice: 70
+g in all]."""
 
 COLORS = {
     "base": (0.45, 0.46, 0.48), "shoulder": (0.62, 0.65, 0.68), "upper_arm": (0.72, 0.74, 0.77),
@@ -41,13 +51,16 @@ _TYPES = {
 Mesh = tuple[str, Array, Any, bool]
 """Name, vertices, faces (None: their hull's), whether it collides as a convex body."""
 
-_CONVEX, _SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX, mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
+_CONVEX, _SHELL = (
+    mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX,
+    mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+)
 
 
 @dataclass(frozen=True)
 class FingerLevers:
-    """How far points of the gripper's moving parts are from the pivots of their bodies, at most, and the pin from its
-    driver's (m)."""
+    """How far points of the gripper's moving parts are from the pivots of their bodies, at most,
+    and the pin from its driver's (m)."""
 
     driver: float
     pin_arm: float
@@ -68,16 +81,24 @@ class FingerLevers:
             pivot = np.array([0.0, robot.gripper_side[i] * pivots[motion][0], pivots[motion][1]])
             center = robot.gripper.T_link_prim[i][:3, 3]
             far[motion] = max(
-                far[motion], float(np.linalg.norm(center - pivot) + np.linalg.norm(robot.gripper.size[i]))
+                far[motion],
+                float(np.linalg.norm(center - pivot) + np.linalg.norm(robot.gripper.size[i])),
             )
-        return FingerLevers(far["driver"], float(np.hypot(*link.pin_from_driver_yz)), far["pin"], far["inner_knuckle"])
+        return FingerLevers(
+            far["driver"],
+            float(np.hypot(*link.pin_from_driver_yz)),
+            far["pin"],
+            far["inner_knuckle"],
+        )
 
 
 @dataclass(frozen=True)
 class FingerFrames:
-    """Where one finger's joints stand at drive angle 0, gripper frame, m; the other finger's are mirrored in y.
+    """Where one finger's joints stand at drive angle 0, gripper frame, m; the other finger's are
+    mirrored in y.
 
-    All joints turn about x: the driver and the inner knuckle about pivots of the palm, the inner finger about its pin.
+    All joints turn about x: the driver and the inner knuckle about pivots of the palm, the inner
+    finger about its pin.
     """
 
     axis: Array  # (3,) of all joints: positive closes
@@ -90,8 +111,15 @@ class FingerFrames:
     def of(robot: Robot, side: int) -> "FingerFrames":
         """`side`: +1 for the finger at +y (right), -1 for the one at -y (left)."""
         link = robot.linkage
-        at = (link.driver_pivot_yz, link.pin_from_driver_yz, link.inner_knuckle_pivot_yz, link.pad_from_pin_yz)
-        return FingerFrames(np.array([side, 0.0, 0.0]), *(np.array([0.0, side * yz[0], yz[1]]) for yz in at))
+        at = (
+            link.driver_pivot_yz,
+            link.pin_from_driver_yz,
+            link.inner_knuckle_pivot_yz,
+            link.pad_from_pin_yz,
+        )
+        return FingerFrames(
+            np.array([side, 0.0, 0.0]), *(np.array([0.0, side * yz[0], yz[1]]) for yz in at)
+        )
 
 
 def tie(spec: mujoco.MjSpec, one: str, other: str, factor: float, **solver: Any) -> None:
@@ -105,11 +133,14 @@ def tie(spec: mujoco.MjSpec, one: str, other: str, factor: float, **solver: Any)
 def add_fingers(
     spec: mujoco.MjSpec, wrist: mujoco.MjsBody, robot: Robot, contact: tuple[int, int]
 ) -> mujoco.MjsBody:  # fmt: skip
-    """The 2F-85: per side a driver, an inner finger at its pin and an inner knuckle, closed to a loop; one motor."""
+    """The 2F-85: per side a driver, an inner finger at its pin and an inner knuckle, closed to a
+    loop; one motor."""
     gripper = add_gripper(wrist, robot, GRIPPER_MASS_KG - 2 * sum(FINGER_MASS_KG.values()))
     add_visual(spec, gripper, "gripper/body_visual", "body", np.eye(4), "gripper")
     stiff = [2.5 * spec.option.timestep, 1.0]
-    carriers: dict[tuple[str, int], tuple[mujoco.MjsBody, Array]] = {("fixed", 0): (gripper, np.zeros(3))}
+    carriers: dict[tuple[str, int], tuple[mujoco.MjsBody, Array]] = {
+        ("fixed", 0): (gripper, np.zeros(3))
+    }
     for side in (-1, 1):
         name = "left" if side < 0 else "right"
         frames = FingerFrames.of(robot, side)
@@ -123,7 +154,9 @@ def add_fingers(
             T[:3, 3] = at
             mass = sum(FINGER_MASS_KG[m] for m in masses)
             com = np.array([0.0, 0.0, FINGER_COM_M]) if motion == "pin" else frames.pin / 2
-            body = add_body(parent, f"{name}_{motion}", T, mass, com, np.eye(3) * mass * FINGER_GYRATION_M**2)
+            body = add_body(
+                parent, f"{name}_{motion}", T, mass, com, np.eye(3) * mass * FINGER_GYRATION_M**2
+            )
             body.add_joint(
                 name=f"{name}_{motion}",
                 type=mujoco.mjtJoint.mjJNT_HINGE,
@@ -147,8 +180,11 @@ def _add_finger_geoms(
     carriers: dict[tuple[str, int], tuple[mujoco.MjsBody, Array]],
     contact: tuple[int, int],
 ) -> None:
-    """Primitives and meshes of the gripper's parts, each on the body that carries it (all frames as at drive angle 0)."""
-    turned = np.diag([-1.0, -1.0, 1.0, 1.0])  # the left finger is the right one turned about the approach axis
+    """Primitives and meshes of the gripper's parts, each on the body that carries it (all frames as
+    at drive angle 0)."""
+    turned = np.diag(
+        [-1.0, -1.0, 1.0, 1.0]
+    )  # the left finger is the right one turned about the approach axis
     seen = set()
     for i, part in enumerate(robot.gripper_part):
         side = int(robot.gripper_side[i])
@@ -183,7 +219,9 @@ def add_primitive(
     )  # fmt: skip
 
 
-def add_visual(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, mesh: str, T: Array, color: str) -> None:
+def add_visual(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, mesh: str, T: Array, color: str
+) -> None:
     """A part of the robot as airo-models shows it."""
     if spec.mesh(f"robot_{mesh}") is None:
         add_mesh(spec, f"robot_{mesh}", *visual_mesh(mesh), convex=False)
@@ -195,7 +233,10 @@ def add_mesh(spec: mujoco.MjSpec, name: str, vertices: Array, faces: Any, *, con
     face = {} if faces is None else {"userface": np.asarray(faces, np.int32).ravel()}
     # convex: or meshes that no geom uses yet would get no hull
     spec.add_mesh(
-        name=name, uservert=np.asarray(vertices, np.float64).ravel(), inertia=_CONVEX if convex else _SHELL, **face
+        name=name,
+        uservert=np.asarray(vertices, np.float64).ravel(),
+        inertia=_CONVEX if convex else _SHELL,
+        **face,
     )
 
 
@@ -222,7 +263,8 @@ def visual_mesh(name: str) -> tuple[Array, NDArray[np.int64]]:
 
 @dataclass(frozen=True)
 class Light:
-    """One of the scene's lamps: where it hangs (m, world), where it shines, how bright, whether things throw shadows."""
+    """One of the scene's lamps: where it hangs (m, world), where it shines, how bright, whether
+    things throw shadows."""
 
     pos: tuple[float, float, float]
     dir: tuple[float, float, float]
@@ -232,7 +274,10 @@ class Light:
 
 AMBIENT, DIFFUSE = 0.35, 0.45
 """Of the headlight, which has no highlights."""
-LIGHTS = (Light((-0.6, -1.2, 2.4), (0.45, 0.5, -1), 0.45, True), Light((1.4, 1.0, 2.0), (-0.5, -0.4, -1), 0.25, False))
+LIGHTS = (
+    Light((-0.6, -1.2, 2.4), (0.45, 0.5, -1), 0.45, True),
+    Light((1.4, 1.0, 2.0), (-0.5, -0.4, -1), 0.25, False),
+)
 SKY = ((1, 1, 1), (0.86, 0.89, 0.93))
 """Above and at the horizon."""
 SKY_PIXELS = (64, 384)
@@ -249,24 +294,34 @@ def look(spec: mujoco.MjSpec) -> None:
     spec.stat.center, spec.stat.extent = SEEN_CENTER, SEEN_EXTENT_M
     _add_sky(spec, mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, *SKY, *SKY_PIXELS)
     for lamp in LIGHTS:
-        spec.worldbody.add_light(pos=lamp.pos, dir=lamp.dir, diffuse=[lamp.diffuse] * 3, castshadow=lamp.shadow)
+        spec.worldbody.add_light(
+            pos=lamp.pos, dir=lamp.dir, diffuse=[lamp.diffuse] * 3, castshadow=lamp.shadow
+        )
 
 
-def look_on_white(spec: mujoco.MjSpec, size: int, *, highlights: float, lamp: float, lamp_highlights: float) -> None:
-    """One thing on white under one lamp from the side, for square pictures that are drawn twice as large as `size`."""
+def look_on_white(
+    spec: mujoco.MjSpec, size: int, *, highlights: float, lamp: float, lamp_highlights: float
+) -> None:
+    """One thing on white under one lamp from the side, for square pictures that are drawn twice as
+    large as `size`."""
     light = spec.visual.headlight
     light.ambient, light.diffuse, light.specular = [AMBIENT] * 3, [DIFFUSE] * 3, [highlights] * 3
     spec.visual.global_.offwidth = spec.visual.global_.offheight = 2 * size
     spec.visual.map.znear, spec.visual.map.zfar = 0.01, 20
     spec.visual.quality.offsamples = 0
     side = spec.worldbody.add_light(
-        pos=[0.5, -0.8, 1.5], dir=[-0.4, 0.55, -1], diffuse=[lamp] * 3, specular=[lamp_highlights] * 3
+        pos=[0.5, -0.8, 1.5],
+        dir=[-0.4, 0.55, -1],
+        diffuse=[lamp] * 3,
+        specular=[lamp_highlights] * 3,
     )
     side.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     _add_sky(spec, mujoco.mjtBuiltin.mjBUILTIN_FLAT, (1, 1, 1), (1, 1, 1), 8, 8)
 
 
-def _add_sky(spec: mujoco.MjSpec, kind: mujoco.mjtBuiltin, top: Any, horizon: Any, width: int, height: int) -> None:
+def _add_sky(
+    spec: mujoco.MjSpec, kind: mujoco.mjtBuiltin, top: Any, horizon: Any, width: int, height: int
+) -> None:
     spec.add_texture(
         name="sky",
         type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,

@@ -1,7 +1,8 @@
 """Pictures without a screen: which OpenGL works here is found out, not asked for.
 
-MuJoCo reads MUJOCO_GL when it is imported and a library that fails may end the process, so each is tried in a process of
-its own, once. EGL first where there is a GPU, OSMesa first where there is none (half the time of EGL's software).
+MuJoCo reads MUJOCO_GL when it is imported and a library that fails may end the process, so each is
+tried in a process of its own, once. EGL first where there is a GPU, OSMesa first where there is
+none (half the time of EGL's software).
 """
 
 import os
@@ -33,10 +34,17 @@ def _has_gpu() -> bool:
 
 
 def _works(backend: str) -> bool:
-    environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"} | {"MUJOCO_GL": backend}
+    environment = {k: v for k, v in os.environ.items() if k != "PYOPENGL_PLATFORM"} | {
+        "MUJOCO_GL": backend
+    }
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _TRY], env=environment, capture_output=True, text=True, timeout=60, check=False
+            [sys.executable, "-c", _TRY],
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired):
         return False

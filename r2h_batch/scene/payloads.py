@@ -1,13 +1,15 @@
-"""What n payloads make of one model, all at once: the rows that `dynamics.load` and mj_setConst would write one by one.
+"""What n payloads make of one model, all at once: the rows that `dynamics.load` and mj_setConst
+would write one by one.
 
-The payload is the model's last body and rides on another. With J(x) the Jacobian of that body at the model's reference
-posture, taken for a point x, m the payload's mass, c its centre and I its inertia about c, the mass matrix is that of the rest
-plus
+The payload is the model's last body and rides on another. With J(x) the Jacobian of that body at
+the model's reference posture, taken for a point x, m the payload's mass, c its centre and I its
+inertia about c, the mass matrix is that of the rest plus
 
     m Jp(c)^T Jp(c) + Jr^T I Jr.
 
-What constraints weigh (`invweight0`) is then the mean, over three directions, of the diagonal of J M^-1 J^T at each body's
-centre of mass, and the diagonal of M^-1 for a joint (MuJoCo's documentation, Computation, Constraint model).
+What constraints weigh (`invweight0`) is then the mean, over three directions, of the diagonal of J
+M^-1 J^T at each body's centre of mass, and the diagonal of M^-1 for a joint (MuJoCo's
+documentation, Computation, Constraint model).
 """
 
 import copy
@@ -24,7 +26,8 @@ LEAST_INERTIA = 1e-12
 
 
 class MassProperties(NamedTuple):
-    """Of n bodies: mass (kg), centre and principal axes (rotation matrices) in their frames, moments about these (kg m^2)."""
+    """Of n bodies: mass (kg), centre and principal axes (rotation matrices) in their frames,
+    moments about these (kg m^2)."""
 
     mass: Array  # (n,)
     com: Array  # (n, 3)
@@ -45,13 +48,21 @@ def quats_wxyz(R: Array) -> Array:
     trace = d.sum(1)
     # the largest of the four comes from its square, the others from sums and differences over it
     cases = np.where(
-        trace > 0, 0, np.where((d[:, 0] > d[:, 1]) & (d[:, 0] > d[:, 2]), 1, np.where(d[:, 1] > d[:, 2], 2, 3))
+        trace > 0,
+        0,
+        np.where((d[:, 0] > d[:, 1]) & (d[:, 0] > d[:, 2]), 1, np.where(d[:, 1] > d[:, 2], 2, 3)),
     )
     signs = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]])[cases]
     largest = 0.5 * np.sqrt(1.0 + (signs * d).sum(1))
     over = 0.25 / largest
-    turn = np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], 1) * over[:, None]
-    even = np.stack([R[:, 0, 1] + R[:, 1, 0], R[:, 0, 2] + R[:, 2, 0], R[:, 1, 2] + R[:, 2, 1]], 1) * over[:, None]
+    turn = (
+        np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], 1)
+        * over[:, None]
+    )
+    even = (
+        np.stack([R[:, 0, 1] + R[:, 1, 0], R[:, 0, 2] + R[:, 2, 0], R[:, 1, 2] + R[:, 2, 1]], 1)
+        * over[:, None]
+    )
     w, (x, y, z), (xy, xz, yz) = largest, turn.T, even.T
     all_cases = np.stack(
         [np.stack(q, 1) for q in ((w, x, y, z), (x, w, xy, xz), (y, xy, w, yz), (z, xz, yz, w))]
@@ -70,7 +81,9 @@ class PayloadTables:
         bare = copy.copy(model)
         bare.body_mass[last], bare.body_inertia[last] = 0.0, 0.0
         data = mujoco.MjData(bare)
-        mujoco.mj_setConst(bare, data)  # subtree masses without it; the data stand at the reference posture
+        mujoco.mj_setConst(
+            bare, data
+        )  # subtree masses without it; the data stand at the reference posture
         self.subtreemass = bare.body_subtreemass.copy()
         data.qpos[:] = bare.qpos0
         mujoco.mj_kinematics(bare, data)
@@ -78,7 +91,10 @@ class PayloadTables:
         mujoco.mj_crb(bare, data)
         self.mass = np.zeros((bare.nv, bare.nv))
         mujoco.mj_fullM(bare, data, self.mass)
-        self.R, self.p = data.xmat[self.carrier].reshape(3, 3).copy(), data.xpos[self.carrier].copy()
+        self.R, self.p = (
+            data.xmat[self.carrier].reshape(3, 3).copy(),
+            data.xpos[self.carrier].copy(),
+        )
         self.jacobians = np.zeros(
             (bare.nbody, 6, bare.nv)
         )  # at each body's centre of mass; the last: at the carrier's origin
@@ -97,7 +113,8 @@ class PayloadTables:
         self.fixed = np.array([not np.any(self.jacobians[b]) for b in range(bare.nbody)])
 
     def rows(self, T_carrier: Array, held: MassProperties) -> dict[str, Array]:
-        """Fields of the model by name: of the last body alone (n, ...) where only it changes, else of all bodies or joints.
+        """Fields of the model by name: of the last body alone (n, ...) where only it changes, else
+        of all bodies or joints.
 
         `T_carrier` (n, 4, 4): the payloads' frames in the body that carries them.
         """
@@ -128,7 +145,8 @@ class PayloadTables:
         }
 
     def _moved(self, point: Array) -> Array:
-        """The carrier's Jacobian (n, 6, nv) for points (n, 3) that ride on it: v(x) = v(p) + w x (x - p)."""
+        """The carrier's Jacobian (n, 6, nv) for points (n, 3) that ride on it: v(x) = v(p) + w x (x
+        - p)."""
         j = np.broadcast_to(self.jacobians[-1], (len(point), *self.jacobians.shape[1:])).copy()
         j[:, :3] += np.cross(j[:, 3:], (point - self.p)[:, :, None], axis=1)
         return j

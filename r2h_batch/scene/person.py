@@ -1,8 +1,10 @@
-"""The receiver's arm and torso (`Trials.receiver`) as convex pieces beside the hand's: what planning and Safe see of a body.
+"""The receiver's arm and torso (`Trials.receiver`) as convex pieces beside the hand's: what
+planning and Safe see of a body.
 
-A forearm and an upper arm are capsules: the segment between two joints grown by a radius. The torso is a box that stands
-upright. They differ from trial to trial and cannot lie in the scene's tables: each batch gets tables of its own in which every
-row is a hand, the hand's own pieces first, then these three.
+A forearm and an upper arm are capsules: the segment between two joints grown by a radius. The torso
+is a box that stands upright. They differ from trial to trial and cannot lie in the scene's tables:
+each batch gets tables of its own in which every row is a hand, the hand's own pieces first, then
+these three.
 """
 
 from typing import Any
@@ -26,8 +28,11 @@ _ROUNDING_M = 1e-6
 _VECTORS = ("piece_center", "hand_center", "points")
 
 
-def piece_corners(receiver: Float32[Tensor, "b 5 4"]) -> tuple[Float64[Tensor, "b 3 8 3"], Float64[Tensor, "b 3"]]:
-    """Corners (world, m; a segment's ends several times) of the hulls of `PIECES`, and by how much each is grown."""
+def piece_corners(
+    receiver: Float32[Tensor, "b 5 4"],
+) -> tuple[Float64[Tensor, "b 3 8 3"], Float64[Tensor, "b 3"]]:
+    """Corners (world, m; a segment's ends several times) of the hulls of `PIECES`, and by how much
+    each is grown."""
     given = receiver.double()
     shoulder, elbow, wrist, middle, half = given[..., :3].unbind(1)
     facing = torch.stack([given[:, 3, 3], given[:, 4, 3], torch.zeros_like(given[:, 3, 3])], 1)
@@ -37,7 +42,8 @@ def piece_corners(receiver: Float32[Tensor, "b 5 4"]) -> tuple[Float64[Tensor, "
     for k in range(8):
         signs = [1.0 if (k >> j) & 1 else -1.0 for j in range(3)]
         steps = [
-            s * half[:, j, None] * axis for j, (s, axis) in enumerate(zip(signs, (facing, aside, up), strict=True))
+            s * half[:, j, None] * axis
+            for j, (s, axis) in enumerate(zip(signs, (facing, aside, up), strict=True))
         ]
         corners.append(middle + steps[0] + steps[1] + steps[2])
     limbs = [torch.stack([a, b] * 4, 1) for a, b in ((elbow, wrist), (shoulder, elbow))]
@@ -45,22 +51,32 @@ def piece_corners(receiver: Float32[Tensor, "b 5 4"]) -> tuple[Float64[Tensor, "
     return torch.stack([*limbs, torch.stack(corners, 1)], 1), grown
 
 
-def with_person(scene: Scene, placed: Placed, receiver: Float32[Tensor, "b 5 4"], *, hand: bool) -> Placed:
-    """The same trials with the person's pieces: beside the hand's, or (not `hand`) alone before the bare robot.
+def with_person(
+    scene: Scene, placed: Placed, receiver: Float32[Tensor, "b 5 4"], *, hand: bool
+) -> Placed:
+    """The same trials with the person's pieces: beside the hand's, or (not `hand`) alone before the
+    bare robot.
 
-    Alone means: no hand, no table, no object, no pairs of the robot with itself: what is then nearest is robot and person.
+    Alone means: no hand, no table, no object, no pairs of the robot with itself: what is then
+    nearest is robot and person.
     """
     b, device = len(placed.hand_index), receiver.device
     corners, grown = piece_corners(receiver)
     R, p = (x.double()[:, None, None] for x in (placed.owners[2], placed.owners[3]))
-    local = (se3.rotate(R, corners) + p).float()  # in the hand's frame, where all collision work is done
+    local = (
+        se3.rotate(R, corners) + p
+    ).float()  # in the hand's frame, where all collision work is done
     low, high = local.amin(2), local.amax(2)
     center = 0.5 * (low + high)
     off = local - center[:, :, None]
     radius = se3.dot(off, off).sqrt().amax(2) + grown.float() + _ROUNDING_M
-    blocks = torch.cat([local, local], 2).transpose(2, 3).reshape(-1, 3)  # BLOCKS: 16 x, then 16 y and 16 z
+    blocks = (
+        torch.cat([local, local], 2).transpose(2, 3).reshape(-1, 3)
+    )  # BLOCKS: 16 x, then 16 y and 16 z
     assert 2 * local.shape[2] == BLOCK_POINTS
-    first = BLOCK_POINTS * torch.arange(b * len(PIECES), dtype=torch.int32, device=device).view(b, -1)
+    first = BLOCK_POINTS * torch.arange(b * len(PIECES), dtype=torch.int32, device=device).view(
+        b, -1
+    )
     tables: dict[str, Tensor] = {
         "piece_start": first,
         "piece_blocks": torch.ones_like(first),
@@ -85,12 +101,19 @@ def with_person(scene: Scene, placed: Placed, receiver: Float32[Tensor, "b 5 4"]
     high = (tables["piece_center"] + tables["piece_radius"][..., None]).amax(1)
     middle = 0.5 * (low + high)
     off = tables["piece_center"] - middle[:, None]
-    tables["hand_radius"] = (se3.dot(off, off).sqrt() + tables["piece_radius"]).amax(1) + _ROUNDING_M
+    tables["hand_radius"] = (se3.dot(off, off).sqrt() + tables["piece_radius"]).amax(
+        1
+    ) + _ROUNDING_M
     tables["hand_center"], tables["points"] = middle, points
     world.n_pieces = int(tables["piece_start"].shape[1])
-    kept = {name: (x.reshape(-1, 3) if name in _VECTORS else x.reshape(-1)).contiguous() for name, x in tables.items()}
+    kept = {
+        name: (x.reshape(-1, 3) if name in _VECTORS else x.reshape(-1)).contiguous()
+        for name, x in tables.items()
+    }
     for name, x in kept.items():
-        setattr(world, name, wp.from_torch(x, dtype=wp.vec3) if name in _VECTORS else wp.from_torch(x))
+        setattr(
+            world, name, wp.from_torch(x, dtype=wp.vec3) if name in _VECTORS else wp.from_torch(x)
+        )
     rows = torch.arange(b, dtype=torch.int32, device=device)
     names = ("object", "hand", *PLACED)
     owners = {**dict(zip(names, placed.owners[: len(names)], strict=True)), "hand": rows}

@@ -1,4 +1,5 @@
-"""Robot, gripper, hands, objects and table as tables on a device: what every stage's kernels read."""
+"""Robot, gripper, hands, objects and table as tables on a device: what every stage's kernels
+read."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -32,12 +33,21 @@ from r2h_batch.scene.model import SceneModel, scene_model
 from r2h_batch.scene.tables import Hands, WorldTables
 from r2h_batch.shown import counted, html_table
 
-PLACED = ("R_hand_world", "p_hand_world", "R_wrist_grip", "p_wrist_grip", "R_wrist_obj", "p_wrist_obj", "lever")
+PLACED = (
+    "R_hand_world",
+    "p_hand_world",
+    "R_wrist_grip",
+    "p_wrist_grip",
+    "R_wrist_obj",
+    "p_wrist_obj",
+    "lever",
+)
 """What `place` writes for each trial, in the order of `Placed.owners` behind object and hand."""
 
 
 class Scene:
-    """Everything that stays the same over trials. `objects` and `hands` are indexed by `Trials.object_index, hand_index`."""
+    """Everything that stays the same over trials. `objects` and `hands` are indexed by
+    `Trials.object_index, hand_index`."""
 
     def __init__(
         self,
@@ -64,8 +74,9 @@ class Scene:
     def _build_tables(self) -> None:
         """Every table now, and there before this returns.
 
-        They are written on Warp's stream. Built at first use, a kernel on another stream (a graph's, while it is captured)
-        could read them before they are there, and memory would be asked for while a graph is captured.
+        They are written on Warp's stream. Built at first use, a kernel on another stream (a
+        graph's, while it is captured) could read them before they are there, and memory would be
+        asked for while a graph is captured.
         """
         for name, value in vars(type(self)).items():
             if isinstance(value, cached_property):
@@ -78,9 +89,7 @@ class Scene:
         """Device, objects and hands in a few words."""
         splits = Counter(o.split for o in self.objects)
         kinds = ", ".join(f"{n} of {s}" for s, n in sorted(splits.items()))
-        return (
-            f"{self.device}, {counted(len(self.objects), 'object')} ({kinds}), {counted(len(self.hands.set), 'hand')}"
-        )
+        return f"{self.device}, {counted(len(self.objects), 'object')} ({kinds}), {counted(len(self.hands.set), 'hand')}"
 
     def __repr__(self) -> str:
         return f"Scene({self.about})"
@@ -90,7 +99,8 @@ class Scene:
         return html_table(repr(self), ("index", "object", "split", "instruction"), rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Rebuilt from its configuration: tables on a device do not travel. What is built in goes by name."""
+        """Rebuilt from its configuration: tables on a device do not travel. What is built in goes
+        by name."""
         built_in = {id(o) for o in load_objects()}
         objects = tuple(o.name if id(o) in built_in else o for o in self.objects)
         hand_set = None if self.hands.set is load_hand_set() else self.hands.set
@@ -106,13 +116,15 @@ class Scene:
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """Names of the robot's bodies as numbered in `Scores.witness_part`; the last is the attached object."""
+        """Names of the robot's bodies as numbered in `Scores.witness_part`; the last is the
+        attached object."""
         arm = [self.robot.arm.names[i] for i in self.tables.arm_order]
         return (*arm, *self.robot.gripper.names, "object")
 
     @cached_property
     def body_links(self) -> NDArray[np.int64]:
-        """The link that carries each robot body (order of `part_names`): 0 base ... 6 wrist_3, 7 gripper."""
+        """The link that carries each robot body (order of `part_names`): 0 base ... 6 wrist_3, 7
+        gripper."""
         return np.concatenate(
             [self.robot.arm.link[self.tables.arm_order], np.full(len(self.robot.gripper.names), 7)]
         ).astype(np.int64)
@@ -137,9 +149,14 @@ class Scene:
         return wp.mat33(*T[:3, :3].ravel()), wp.vec3(*T[:3, 3])
 
     def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> SceneModel:
-        """The scene as one MuJoCo model, which takes any trial with one of these hands: what is simulated and rendered."""
-        hands = many(SupportsIndex, "numbers of hands", least=0)("hand_indices", tuple(_listed(hand_indices)))
-        hand_indices = [whole(0, len(self.hands.set) - 1)(f"hand_indices[{i}]", h) for i, h in enumerate(hands)]
+        """The scene as one MuJoCo model, which takes any trial with one of these hands: what is
+        simulated and rendered."""
+        hands = many(SupportsIndex, "numbers of hands", least=0)(
+            "hand_indices", tuple(_listed(hand_indices))
+        )
+        hand_indices = [
+            whole(0, len(self.hands.set) - 1)(f"hand_indices[{i}]", h) for i, h in enumerate(hands)
+        ]
         optional(kind(ExecConfig))("execute", execute)
         execute = execute or self.config.execute
         return scene_model(
@@ -152,12 +169,17 @@ class Scene:
     def tables(self) -> WorldTables:
         """Shapes and bounds of everything that planning checks, on the host."""
         return WorldTables(
-            self.robot, self.hands, self.objects, self.config.plan.object_collision, self.config.workplace
+            self.robot,
+            self.hands,
+            self.objects,
+            self.config.plan.object_collision,
+            self.config.workplace,
         )
 
     @cached_property
     def levers(self) -> Tensor:
-        """(n_robot, 6) bounds in m on the distance of each robot body's points from each joint's axis."""
+        """(n_robot, 6) bounds in m on the distance of each robot body's points from each joint's
+        axis."""
         return torch.from_numpy(self.tables.levers)
 
     @cached_property
@@ -167,7 +189,8 @@ class Scene:
 
     @cached_property
     def world_without_hand(self) -> Any:
-        """The same with a hand of no pieces, too far away to matter: whom only robot, object and table concern."""
+        """The same with a hand of no pieces, too far away to matter: whom only robot, object and
+        table concern."""
         world: Any = World()
         world.assign(self.world)  # its arrays are shared
         n = len(self.hands.set)
@@ -178,7 +201,8 @@ class Scene:
 
     @cached_property
     def hull_balls(self) -> wp.array:
-        """For each object hull the centre (object frame) and the radius of the largest ball inside it."""
+        """For each object hull the centre (object frame) and the radius of the largest ball inside
+        it."""
         return wp.array(self.tables.hull_balls, dtype=wp.vec4, device=self.device)
 
     @cached_property
@@ -191,7 +215,9 @@ class Scene:
         return [
             wp.Mesh(
                 points=wp.array(o.vertices.astype(np.float32), dtype=wp.vec3, device=self.device),
-                indices=wp.array(o.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self.device),
+                indices=wp.array(
+                    o.faces.astype(np.int32).ravel(), dtype=wp.int32, device=self.device
+                ),
                 support_winding_number=True,
             )
             for o in self.objects
@@ -204,11 +230,16 @@ class Scene:
 
     @cached_property
     def regions(self) -> tuple[wp.array, wp.array]:
-        """The receivers' regions: handles for Warp's mesh queries (0: the object has none), and their centres by area (object
-        frame, m)."""
+        """The receivers' regions: handles for Warp's mesh queries (0: the object has none), and
+        their centres by area (object frame, m)."""
         corners = [o.vertices.astype(np.float64)[o.faces[o.receiver_face]] for o in self.objects]
-        area = [np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1) for t in corners]
-        center = [np.average(t.mean(1), axis=0, weights=a) if len(t) else np.zeros(3) for t, a in zip(corners, area)]
+        area = [
+            np.linalg.norm(np.cross(t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]), axis=1) for t in corners
+        ]
+        center = [
+            np.average(t.mean(1), axis=0, weights=a) if len(t) else np.zeros(3)
+            for t, a in zip(corners, area)
+        ]
         ids = [0 if m is None else m.id for m in self._region_meshes]
         return (
             wp.array(ids, dtype=wp.uint64, device=self.device),
@@ -220,7 +251,11 @@ class Scene:
         return [
             wp.Mesh(
                 points=wp.array(o.vertices.astype(np.float32), dtype=wp.vec3, device=self.device),
-                indices=wp.array(o.faces[o.receiver_face].astype(np.int32).ravel(), dtype=wp.int32, device=self.device),
+                indices=wp.array(
+                    o.faces[o.receiver_face].astype(np.int32).ravel(),
+                    dtype=wp.int32,
+                    device=self.device,
+                ),
             )
             if o.receiver_face.any()
             else None
@@ -229,14 +264,17 @@ class Scene:
 
     @cached_property
     def hand_mesh(self) -> Any:
-        """The exact hand surfaces (r2h_batch.kernels.geometry.hand_mesh), faces grouped by the piece that encloses them."""
+        """The exact hand surfaces (r2h_batch.kernels.geometry.hand_mesh), faces grouped by the
+        piece that encloses them."""
         model, v = self.hands.model, self.hands.vertices.numpy()
         faces = model.faces.numpy()
         owner = np.full(len(faces), -1)
         for k, piece in reversed(list(enumerate(model.pieces))):
             owner[np.isin(faces, piece.numpy()).all(1)] = k
         if (owner < 0).any():
-            raise ValueError(f"{(owner < 0).sum()} faces of the hand lie in no convex piece: make the hand model again")
+            raise ValueError(
+                f"{(owner < 0).sum()} faces of the hand lie in no convex piece: make the hand model again"
+            )
         order = np.argsort(owner, kind="stable")
         corners = v[:, faces[order]]  # (H, F, 3, 3)
         center = (corners.min(2) + corners.max(2)) / 2
@@ -259,13 +297,21 @@ class Scene:
         """Palm points and normals (H, 3) of the hands, each in its hand's frame."""
         return self.hands.palm_point.to(self.device), self.hands.palm_normal.to(self.device)
 
-    def palm(self, hand_index: Tensor, T_world_hand: Float32[Tensor, "n 4 4"]) -> tuple[Tensor, Tensor, Tensor]:
-        """Palm point p_h, palm normal n_h and ball centre c_h (n, 3) in the world (paper: c_h = p_h + d_h n_h).
+    def palm(
+        self, hand_index: Tensor, T_world_hand: Float32[Tensor, "n 4 4"]
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Palm point p_h, palm normal n_h and ball centre c_h (n, 3) in the world (paper: c_h = p_h
+        + d_h n_h).
 
-        TypeError or ValueError for indices that are no hands of the scene (their values are looked at on a CPU only).
+        TypeError or ValueError for indices that are no hands of the scene (their values are looked
+        at on a CPU only).
         """
         check_tensor("T_world_hand", T_world_hand, "a torch tensor (n, 4, 4) of torch.float32")
-        if T_world_hand.ndim != 3 or T_world_hand.shape[1:] != (4, 4) or T_world_hand.dtype != torch.float32:
+        if (
+            T_world_hand.ndim != 3
+            or T_world_hand.shape[1:] != (4, 4)
+            or T_world_hand.dtype != torch.float32
+        ):
             raise ValueError(
                 f"T_world_hand is {T_world_hand.dtype} {tuple(T_world_hand.shape)}; it must be torch.float32 (n, 4, 4)"
             )
@@ -288,13 +334,16 @@ class Scene:
         *,
         threads: int | None = None,
     ) -> "Placed":
-        """Bodies of B trials: hand in the world, fingers at their opening, object attached (after closing moved it)."""
+        """Bodies of B trials: hand in the world, fingers at their opening, object attached (after
+        closing moved it)."""
         b, device = len(object_index), object_index.device
         gripper = gripper_tables(self.device)
         count = gripper.kind.shape[0]
         sizes = ((b, 3, 3), (b, 3), (b, count, 3, 3), (b, count, 3), (b, 3, 3), (b, 3), (b, 6))
         shapes = dict(zip(PLACED, sizes, strict=True))
-        out = {k: torch.empty(shape, dtype=torch.float32, device=device) for k, shape in shapes.items()}
+        out = {
+            k: torch.empty(shape, dtype=torch.float32, device=device) for k, shape in shapes.items()
+        }
         objects = object_index.to(torch.int32).contiguous()
         hands = hand_index.to(torch.int32).contiguous()
         launch_trials(
@@ -321,7 +370,10 @@ class Scene:
 
 
 def _scene_of(
-    device: str, config: EvalConfig, objects: tuple[ObjectModel | str, ...], hand_set: HandSet | None
+    device: str,
+    config: EvalConfig,
+    objects: tuple[ObjectModel | str, ...],
+    hand_set: HandSet | None,
 ) -> Scene:
     """The scene that was pickled."""
     named = [load_objects([o])[0] if isinstance(o, str) else o for o in objects]
@@ -329,14 +381,21 @@ def _scene_of(
 
 
 def _listed(indices: object) -> Iterable[Any]:
-    if isinstance(indices, (str, bytes)) or not isinstance(indices, Iterable) or getattr(indices, "ndim", 1) != 1:
-        raise TypeError(f"hand_indices is {given(indices)}; it must be whole numbers, of the scene's hands")
+    if (
+        isinstance(indices, (str, bytes))
+        or not isinstance(indices, Iterable)
+        or getattr(indices, "ndim", 1) != 1
+    ):
+        raise TypeError(
+            f"hand_indices is {given(indices)}; it must be whole numbers, of the scene's hands"
+        )
     return indices
 
 
 @dataclass(frozen=True)
 class Placed:
-    """Where the bodies of B trials sit: the kernels' struct, and the tensors that own its memory."""
+    """Where the bodies of B trials sit: the kernels' struct, and the tensors that own its
+    memory."""
 
     bodies: Any
     owners: tuple[Tensor, ...]

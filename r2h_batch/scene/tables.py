@@ -31,7 +31,8 @@ TABLE_FROM_LINK = 2
 
 @dataclass(frozen=True)
 class Hands:
-    """The receiver hands of a scene, posed: H hands, right and left, in their own (wrist) frames, metres."""
+    """The receiver hands of a scene, posed: H hands, right and left, in their own (wrist) frames,
+    metres."""
 
     model: HandModel
     set: HandSet
@@ -44,13 +45,21 @@ class Hands:
     def posed(model: HandModel, hand_set: HandSet) -> "Hands":
         """All hands of a set, posed once."""
         geometry = model.pose(hand_set.pose, hand_set.shape, hand_set.side)
-        return Hands(model, hand_set, geometry.vertices, geometry.joints, *palm_frame(geometry.joints, hand_set.side))
+        return Hands(
+            model,
+            hand_set,
+            geometry.vertices,
+            geometry.joints,
+            *palm_frame(geometry.joints, hand_set.side),
+        )
 
     @cached_property
     def directions(self) -> Float64[Tensor, "h 3 3"]:
-        """Columns: along each hand (wrist to the middle finger's root, in the palm's plane), out of its palm, to its thumb.
+        """Columns: along each hand (wrist to the middle finger's root, in the palm's plane), out of
+        its palm, to its thumb.
 
-        Hand frame. Left hands' are a mirrored (improper) frame: what is said in these directions holds for both.
+        Hand frame. Left hands' are a mirrored (improper) frame: what is said in these directions
+        holds for both.
         """
         joints, out = self.joints.double(), self.palm_normal.double()
         along = joints[:, MIDDLE_ROOT] - joints[:, 0]
@@ -64,7 +73,9 @@ class Hands:
         """Hull points of one convex piece of one hand, hand frame."""
         offsets = self.set.hull_offsets
         at = hand * len(self.model.piece_names) + piece
-        return self.vertices[hand, self.set.hull_vertex_ids[int(offsets[at]) : int(offsets[at + 1])].long()].numpy()
+        return self.vertices[
+            hand, self.set.hull_vertex_ids[int(offsets[at]) : int(offsets[at + 1])].long()
+        ].numpy()
 
 
 class WorldTables:
@@ -78,7 +89,12 @@ class WorldTables:
         object_collision: str,
         workplace: Workplace | None = None,
     ) -> None:
-        self.robot, self.hands, self.objects, self.object_collision = robot, hands, objects, object_collision
+        self.robot, self.hands, self.objects, self.object_collision = (
+            robot,
+            hands,
+            objects,
+            object_collision,
+        )
         self.workplace = workplace or Workplace()
 
     @cached_property
@@ -88,7 +104,8 @@ class WorldTables:
 
     @property
     def levers(self) -> NDArray[np.float64]:
-        """(n_robot, 6) bounds in m on the distance of each robot body's points from each joint's axis."""
+        """(n_robot, 6) bounds in m on the distance of each robot body's points from each joint's
+        axis."""
         return np.asarray(self._fill_robot()["lever"][0], np.float64)
 
     def world(self, device: str) -> Any:
@@ -99,7 +116,9 @@ class WorldTables:
                 if isinstance(value, int):
                     setattr(w, name, value)
                 else:
-                    array = np.ascontiguousarray(value, dtype=np.int32 if dtype is wp.int32 else np.float32)
+                    array = np.ascontiguousarray(
+                        value, dtype=np.int32 if dtype is wp.int32 else np.float32
+                    )
                     setattr(w, name, wp.array(array, dtype=dtype, device=device))
         points = np.concatenate([self._hand_blocks[0], self._object_points[0], *self._object_cells])
         w.points = wp.array(points, dtype=wp.vec3, device=device)
@@ -175,7 +194,8 @@ class WorldTables:
 
     @cached_property
     def _hand_blocks(self) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-        """The same points in blocks (kernels/geometry/body.py, BLOCKS), and where each piece starts."""
+        """The same points in blocks (kernels/geometry/body.py, BLOCKS), and where each piece
+        starts."""
         points, start = self._hand_points
         blocks = [bounds.point_blocks(points[a:b]) for a, b in pairwise(start)]
         return np.concatenate(blocks), np.cumsum([0] + [len(b) for b in blocks]).astype(np.int32)
@@ -202,28 +222,43 @@ class WorldTables:
 
     @cached_property
     def _object_points(self) -> tuple[NDArray[np.float32], list[int], list[int]]:
-        """Hull points of all objects' collision bodies, first hull of each object, first point of each hull."""
+        """Hull points of all objects' collision bodies, first hull of each object, first point of
+        each hull."""
         bodies = [
-            [o.hull_vertices] if self.object_collision == "hull" else [v for v, _ in o.pieces] for o in self.objects
+            [o.hull_vertices] if self.object_collision == "hull" else [v for v, _ in o.pieces]
+            for o in self.objects
         ]
         hulls = [np.asarray(h, np.float32) for body in bodies for h in body]
         first = np.cumsum([0] + [len(b) for b in bodies])
-        return np.concatenate(hulls), first.tolist(), np.cumsum([0] + [len(h) for h in hulls]).tolist()
+        return (
+            np.concatenate(hulls),
+            first.tolist(),
+            np.cumsum([0] + [len(h) for h in hulls]).tolist(),
+        )
 
     @cached_property
     def _object_cells(self) -> list[NDArray[np.float32]]:
-        """The same hulls with their points sorted by direction (kernels/geometry/body.py, CELLS)."""
+        """The same hulls with their points sorted by direction (kernels/geometry/body.py,
+        CELLS)."""
         points, _, start = self._object_points
-        return [bounds.support_cells(points[a:b].astype(np.float64)).astype(np.float32) for a, b in pairwise(start)]
+        return [
+            bounds.support_cells(points[a:b].astype(np.float64)).astype(np.float32)
+            for a, b in pairwise(start)
+        ]
 
     def _fill_objects(self) -> dict:
         points, first, start = self._object_points
-        caps = [bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
+        caps = [
+            bounds.capsule_of_points(points[a:b].astype(np.float64)) for a, b in pairwise(start)
+        ]
         shift = len(self._hand_blocks[0])
         return {
             "hull_first": (first, wp.int32),
             "hull_start": (np.array(start) + shift, wp.int32),
-            "hull_cells": (np.cumsum([0] + [len(c) for c in self._object_cells])[:-1] + shift + len(points), wp.int32),
+            "hull_cells": (
+                np.cumsum([0] + [len(c) for c in self._object_cells])[:-1] + shift + len(points),
+                wp.int32,
+            ),
             "hull_c0": ([c[0] for c in caps], wp.vec3),
             "hull_c1": ([c[1] for c in caps], wp.vec3),
             "hull_radius": ([c[2] for c in caps], wp.float32),
@@ -231,7 +266,8 @@ class WorldTables:
 
     @property
     def hull_balls(self) -> NDArray[np.float32]:
-        """For each object hull the centre (object frame) and the radius of the largest ball inside it."""
+        """For each object hull the centre (object frame) and the radius of the largest ball inside
+        it."""
         points, _, start = self._object_points
         balls = [bounds.inner_ball(points[a:b].astype(np.float64)) for a, b in pairwise(start)]
         return np.stack(balls).astype(np.float32)

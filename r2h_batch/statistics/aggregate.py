@@ -1,4 +1,5 @@
-"""From counted verdicts to Table I: first failures, rates of all trials, intervals, means. Pure functions."""
+"""From counted verdicts to Table I: first failures, rates of all trials, intervals, means. Pure
+functions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -23,14 +24,16 @@ RATES = {
     "invalid": (Outcome.INVALID_INPUT, Outcome.INVALID_SIM),
     "missing": (MISSING,),
 }
-"""Reported rate -> the outcomes that it counts; every outcome is counted exactly once, so the rates sum to 100."""
+"""Reported rate -> the outcomes that it counts; every outcome is counted exactly once, so the rates
+sum to 100."""
 
 TIMES = ("t_plan_s", "t_exec_s", "t_tot_s", "t_method_s")
 
 
 @dataclass(frozen=True)
 class Rate:
-    """A rate in percent with its 95 % interval; `count` of `total` trials, both None in the Avg row."""
+    """A rate in percent with its 95 % interval; `count` of `total` trials, both None in the Avg
+    row."""
 
     percent: float
     low: float
@@ -49,7 +52,8 @@ class Mean:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: a method on a split (or any other group of trials), None wherever nothing is defined."""
+    """One line of the table: a method on a split (or any other group of trials), None wherever
+    nothing is defined."""
 
     split: str
     method: str
@@ -66,23 +70,33 @@ class Row:
 
 
 @takes(passed=array("biu", 2, "booleans (N, 5)"), evaluated=array("biu", 2, "booleans (N, 5)"))
-def first_failure(passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = REQUIRED) -> np.ndarray:
-    """Outcome codes (N,) int8: the first evaluated criterion that failed, in the order of `CRITERIA`.
+def first_failure(
+    passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = REQUIRED
+) -> np.ndarray:
+    """Outcome codes (N,) int8: the first evaluated criterion that failed, in the order of
+    `CRITERIA`.
 
-    A row without a failure is a success only if every `required` criterion ((5,) or (N, 5), all but Affordance unless
-    told) was evaluated; anything else would turn "not looked at" into "passed" and is an error.
+    A row without a failure is a success only if every `required` criterion ((5,) or (N, 5), all but
+    Affordance unless told) was evaluated; anything else would turn "not looked at" into "passed"
+    and is an error.
     """
     passed, evaluated = np.asarray(passed, bool), np.asarray(evaluated, bool)
     if passed.ndim != 2 or passed.shape[1] != len(CRITERIA) or passed.shape != evaluated.shape:
-        raise ValueError(f"passed {passed.shape} and evaluated {evaluated.shape} must both be (N, {len(CRITERIA)})")
+        raise ValueError(
+            f"passed {passed.shape} and evaluated {evaluated.shape} must both be (N, {len(CRITERIA)})"
+        )
     failed = evaluated & ~passed
     any_failed = failed.any(axis=1)
     unseen = ~any_failed & (~evaluated & required).any(axis=1)
     if unseen.any():
         rows = ", ".join(map(str, np.flatnonzero(unseen)[:10]))
-        raise ValueError(f"{unseen.sum()} rows have no failure but a criterion that was not evaluated: rows {rows}")
+        raise ValueError(
+            f"{unseen.sum()} rows have no failure but a criterion that was not evaluated: rows {rows}"
+        )
     codes = np.array([Outcome[c.upper()] for c in CRITERIA], np.int8)
-    return np.where(any_failed, codes[failed.argmax(axis=1)], np.int8(Outcome.SUCCESS)).astype(np.int8)
+    return np.where(any_failed, codes[failed.argmax(axis=1)], np.int8(Outcome.SUCCESS)).astype(
+        np.int8
+    )
 
 
 _SHARE = number(0, 1)
@@ -91,8 +105,11 @@ _COUNTS = array("biuf", 1, "numbers (K,), 0 or more", low=0)
 
 
 @takes(count=_NOT_NEGATIVE, total=_NOT_NEGATIVE, confidence=_SHARE)
-def wilson_interval(count: ArrayLike, total: ArrayLike, confidence: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper end of the Wilson score interval of count / total, as fractions in [0, 1]; NaN where total is 0.
+def wilson_interval(
+    count: ArrayLike, total: ArrayLike, confidence: float = 0.95
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper end of the Wilson score interval of count / total, as fractions in [0, 1];
+    NaN where total is 0.
 
     It speaks about more trials with the same objects.
     """
@@ -108,17 +125,26 @@ def wilson_interval(count: ArrayLike, total: ArrayLike, confidence: float = 0.95
     return low, high
 
 
-@takes(success=array("biu", 1, "booleans (N,)"), cluster=array("iufUST", 1, "numbers or names (N,)"), confidence=_SHARE)
-def clustered_interval(success: np.ndarray, cluster: np.ndarray, confidence: float = 0.95) -> Rate | None:
-    """Success rate in percent with a t interval over clusters (objects): it speaks about new objects of this kind.
+@takes(
+    success=array("biu", 1, "booleans (N,)"),
+    cluster=array("iufUST", 1, "numbers or names (N,)"),
+    confidence=_SHARE,
+)
+def clustered_interval(
+    success: np.ndarray, cluster: np.ndarray, confidence: float = 0.95
+) -> Rate | None:
+    """Success rate in percent with a t interval over clusters (objects): it speaks about new
+    objects of this kind.
 
-    The ratio estimator sum(x) / sum(n) with the between-cluster variance of its residuals and k - 1 degrees of freedom.
-    Never narrower than the Wilson interval (with few clusters the between-cluster variance can come out as 0).
-    None with fewer than two clusters.
+    The ratio estimator sum(x) / sum(n) with the between-cluster variance of its residuals and k - 1
+    degrees of freedom. Never narrower than the Wilson interval (with few clusters the
+    between-cluster variance can come out as 0). None with fewer than two clusters.
     """
     success = np.asarray(success, bool)
     if success.shape != cluster.shape:
-        raise ValueError(f"cluster is of {len(cluster)} trials, success of {len(success)}; give one for each trial")
+        raise ValueError(
+            f"cluster is of {len(cluster)} trials, success of {len(success)}; give one for each trial"
+        )
     index = cluster if cluster.dtype.kind in "iu" else np.unique(cluster, return_inverse=True)[1]
     n = np.bincount(index)
     return clustered_rate(np.bincount(index[success], minlength=len(n)), n, confidence)
@@ -126,7 +152,8 @@ def clustered_interval(success: np.ndarray, cluster: np.ndarray, confidence: flo
 
 @takes(success=_COUNTS, total=_COUNTS, confidence=_SHARE)
 def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0.95) -> Rate | None:
-    """`clustered_interval` from what it needs of each cluster: (K,) successes and trials, 0 of those that are empty."""
+    """`clustered_interval` from what it needs of each cluster: (K,) successes and trials, 0 of
+    those that are empty."""
     if np.shape(success) != np.shape(total) or (np.asarray(success) > np.asarray(total)).any():
         raise ValueError(
             f"success is {given(success)} and total {given(total)}; they must be successes and trials of each cluster"
@@ -141,13 +168,17 @@ def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0
     error = np.sqrt(k / (k - 1) * np.sum((x - p * n) ** 2)) / n.sum()
     half = stdtrit(k - 1, 0.5 + confidence / 2) * error
     wilson_low, wilson_high = wilson_interval(x.sum(), n.sum(), confidence)
-    low, high = max(min(p - half, float(wilson_low)), 0.0), min(max(p + half, float(wilson_high)), 1.0)
+    low, high = (
+        max(min(p - half, float(wilson_low)), 0.0),
+        min(max(p + half, float(wilson_high)), 1.0),
+    )
     return Rate(100 * p, 100 * low, 100 * high, int(x.sum()), int(n.sum()))
 
 
 @takes(rates=many(Rate))
 def mean_rate(rates: Sequence[Rate]) -> Rate:
-    """Unweighted mean of independent rates; its interval is built from theirs (MOVER, Zou and Donner 2008)."""
+    """Unweighted mean of independent rates; its interval is built from theirs (MOVER, Zou and
+    Donner 2008)."""
     c = 1 / len(rates)
     percent = c * sum(r.percent for r in rates)
     below = c * np.sqrt(sum((r.percent - r.low) ** 2 for r in rates))
@@ -180,9 +211,14 @@ def _times(counted: Tally, split: int, code: int | None) -> dict[str, Mean]:
     }
 
 
-@takes(counted=kind(Tally, "what tally(RUN, METHOD) gives"), split=one_of(*SPLITS), code=optional(whole(0)))
+@takes(
+    counted=kind(Tally, "what tally(RUN, METHOD) gives"),
+    split=one_of(*SPLITS),
+    code=optional(whole(0)),
+)
 def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
-    """The table line of a split, or of one object (`code`) of it; on split S0, F_afford is None (not evaluated)."""
+    """The table line of a split, or of one object (`code`) of it; on split S0, F_afford is None
+    (not evaluated)."""
     objects, splits, outcome, _ = counted.columns
     place = SPLITS.index(split)
     inside = (splits == place) & ((objects == code) if code is not None else True)
@@ -190,14 +226,18 @@ def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
     counts = _added(outcome, count, MISSING + 1)
     n = int(counts.sum())
     if split == "S0" and counts[Outcome.AFFORDANCE]:
-        raise ValueError(f"{counted.method}: {counts[Outcome.AFFORDANCE]} S0 trials failed Affordance, which S0 skips")
+        raise ValueError(
+            f"{counted.method}: {counts[Outcome.AFFORDANCE]} S0 trials failed Affordance, which S0 skips"
+        )
     rates: dict[str, Rate | None] = {}
     for name, outcomes in RATES.items():
         of_it = int(sum(counts[o] for o in outcomes))
         low, high = (100 * float(end) for end in wilson_interval(of_it, n))
         rates[name] = Rate(100 * of_it / n, low, high, of_it, n) if n else None
     if sum(r.count or 0 for r in rates.values() if r) != n:
-        raise ValueError(f"{counted.method}, {split}: the outcomes do not add up to {n} trials: {counts.tolist()}")
+        raise ValueError(
+            f"{counted.method}, {split}: the outcomes do not add up to {n} trials: {counts.tolist()}"
+        )
     if split == "S0":
         rates["f_afford"] = None
     return Row(
@@ -206,7 +246,9 @@ def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
         n=n,
         counts=dict(zip(OUTCOME_NAMES, counts.tolist(), strict=True)),
         rates=rates,
-        sr_new_objects=clustered_rate(_added(objects, count * (outcome == Outcome.SUCCESS)), _added(objects, count)),
+        sr_new_objects=clustered_rate(
+            _added(objects, count * (outcome == Outcome.SUCCESS)), _added(objects, count)
+        ),
         n_objects=len(np.unique(objects)),
         times=_times(counted, place, code),
         presented=_share(counted, place, code, "presented"),
@@ -223,11 +265,14 @@ def _added(place: np.ndarray, count: np.ndarray, length: int = 0) -> np.ndarray:
 
 @takes(rows=many(Row, "lines of one method"))
 def average_row(rows: Sequence[Row]) -> Row:
-    """The paper's Avg: mean of the splits with S0's F_afford taken as 0; None where a split has nothing to average."""
+    """The paper's Avg: mean of the splits with S0's F_afford taken as 0; None where a split has
+    nothing to average."""
 
     def rate(name: str) -> Rate | None:
         zero = Rate(0.0, 0.0, 0.0)
-        parts = [zero if name == "f_afford" and r.split == "S0" and r.n else r.rates[name] for r in rows]
+        parts = [
+            zero if name == "f_afford" and r.split == "S0" and r.n else r.rates[name] for r in rows
+        ]
         known = [p for p in parts if p is not None]
         return mean_rate(known) if len(known) == len(parts) else None
 
@@ -252,7 +297,8 @@ def average_row(rows: Sequence[Row]) -> Row:
 
 @takes(methods=many(Tally, "what tally(RUN, METHOD) gives", least=0))
 def summarise(methods: Sequence[Tally]) -> tuple[Row, ...]:
-    """Rows in Table I's order: every method on S0, then on S1, then Avg (only when both splits were planned)."""
+    """Rows in Table I's order: every method on S0, then on S1, then Avg (only when both splits were
+    planned)."""
     table: list[Row] = []
     by_method: dict[str, list[Row]] = {m.method: [] for m in methods}
     if len(by_method) != len(methods):

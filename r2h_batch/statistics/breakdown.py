@@ -1,4 +1,5 @@
-"""The same verdicts looked at in other ways: per object, which criteria fail together, other orders of the criteria."""
+"""The same verdicts looked at in other ways: per object, which criteria fail together, other orders
+of the criteria."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -16,9 +17,11 @@ from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
 
 @dataclass(frozen=True)
 class CoFailures:
-    """(5, 5) counts in the order of `CRITERIA`: trials in which both fail, and trials in which both were evaluated.
+    """(5, 5) counts in the order of `CRITERIA`: trials in which both fail, and trials in which both
+    were evaluated.
 
-    The diagonal is each criterion on its own, wherever it was evaluated: not only where it was the first failure.
+    The diagonal is each criterion on its own, wherever it was evaluated: not only where it was the
+    first failure.
     """
 
     failed: np.ndarray
@@ -33,17 +36,21 @@ def co_failures(counted: Tally, split: str | None = None) -> CoFailures:
     np.add.at(count, pattern[inside], counted.count[inside])
     failed, evaluated = PATTERNS == FAILED, PATTERNS != UNEVALUATED
     return CoFailures(
-        np.einsum("p,pi,pj->ij", count, failed, failed), np.einsum("p,pi,pj->ij", count, evaluated, evaluated)
+        np.einsum("p,pi,pj->ij", count, failed, failed),
+        np.einsum("p,pi,pj->ij", count, evaluated, evaluated),
     )
 
 
 def in_order(counted: Tally, order: Sequence[str]) -> Tally:
-    """The trials with the first failure looked for in another order of the criteria; SR does not depend on it."""
+    """The trials with the first failure looked for in another order of the criteria; SR does not
+    depend on it."""
     _, split, before, pattern = counted.columns
     outcome = pattern_outcomes(order)[split, pattern]
     judged = before < Outcome.INVALID_INPUT
     if (unseen := int(counted.count[judged & (outcome < 0)].sum())) > 0:
-        raise ValueError(f"{counted.method}: {unseen} rows have no failure but a criterion that was not evaluated")
+        raise ValueError(
+            f"{counted.method}: {unseen} rows have no failure but a criterion that was not evaluated"
+        )
     return counted.with_outcomes(np.where(judged, outcome, before))
 
 
@@ -62,7 +69,9 @@ def parse_order(text: str) -> tuple[str, ...]:
     """An order of criteria from `plan,reach,...`; those left out follow in the paper's order."""
     first = [name.strip().lower() for name in text.split(",") if name.strip()]
     if not first:
-        raise ValueError(f"the order {text!r} names no criterion; allowed are {', '.join(CRITERIA)}")
+        raise ValueError(
+            f"the order {text!r} names no criterion; allowed are {', '.join(CRITERIA)}"
+        )
     if unknown := [n for n in first if n not in CRITERIA]:
         raise ValueError(f"unknown criterion {unknown[0]!r}; allowed are {', '.join(CRITERIA)}")
     if len(set(first)) != len(first):
@@ -76,7 +85,8 @@ MARGIN_RANGE_M = (-0.06, 0.12)
 
 @dataclass(frozen=True)
 class Histogram:
-    """Counts (BINS,) between `low` and `high`; what lies outside counts in the first and last bin, None is not counted."""
+    """Counts (BINS,) between `low` and `high`; what lies outside counts in the first and last bin,
+    None is not counted."""
 
     low: float
     high: float
@@ -89,7 +99,9 @@ class Histogram:
 
 def _histogram(values: np.ndarray, low: float, high: float) -> np.ndarray:
     values = values[np.isfinite(values)]
-    place = ((values - low) * (BINS / (high - low))).clip(0, BINS - 1)  # first: a margin of 1e38 m is no int64
+    place = ((values - low) * (BINS / (high - low))).clip(
+        0, BINS - 1
+    )  # first: a margin of 1e38 m is no int64
     return np.bincount(place.astype(np.int64), minlength=BINS)
 
 
@@ -104,14 +116,17 @@ def margin_histograms(run: Run, method: str) -> dict[str, Histogram]:
 
 
 def time_histograms(run: Run, name: str) -> dict[str, Histogram]:
-    """Method -> histogram of a time over one range for all: from 0 to the largest; empty where none was measured."""
+    """Method -> histogram of a time over one range for all: from 0 to the largest; empty where none
+    was measured."""
 
     def seconds(method: str) -> Iterator[np.ndarray]:
         for table in run.shards("trials", method, [name]):
             values = table[name].to_numpy().astype(np.float32)
             yield values[np.isfinite(values)]
 
-    largest = {m: max((float(x.max()) for x in seconds(m) if len(x)), default=None) for m in run.methods}
+    largest = {
+        m: max((float(x.max()) for x in seconds(m) if len(x)), default=None) for m in run.methods
+    }
     high = max((x for x in largest.values() if x is not None), default=0.0)
     counts = {m: np.zeros(BINS, np.int64) for m, x in largest.items() if x is not None and high > 0}
     for method, count in counts.items():
@@ -126,7 +141,8 @@ SHOWN += ("plan_reason", "plan_pair", "borderline", "t_exec_s")
 
 
 def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
-    """At most about `limit` trials of a method, every outcome represented by its first ones, and how many there are."""
+    """At most about `limit` trials of a method, every outcome represented by its first ones, and
+    how many there are."""
     total, kept = 0, []
     each = max(1, limit // (MISSING + 1))
     seen = np.zeros(MISSING + 1, np.int64)
@@ -137,7 +153,9 @@ def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
             kept.append(table)
             continue
         outcome = codes(table, "outcome", OUTCOME_NAMES)
-        rows = np.concatenate([np.flatnonzero(outcome == k)[: max(each - seen[k], 0)] for k in range(MISSING + 1)])
+        rows = np.concatenate(
+            [np.flatnonzero(outcome == k)[: max(each - seen[k], 0)] for k in range(MISSING + 1)]
+        )
         seen += np.bincount(outcome[rows], minlength=MISSING + 1)
         kept.append(table.take(pa.array(np.sort(rows))))
     return pa.concat_tables(kept).unify_dictionaries(), total

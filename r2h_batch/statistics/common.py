@@ -19,7 +19,8 @@ FINER = ("apart_from_objects", "each_object")
 
 @dataclass(frozen=True)
 class Common:
-    """The first `trials[split]` trials of each split, which all runs hold; `notes`: what a reader should know about that."""
+    """The first `trials[split]` trials of each split, which all runs hold; `notes`: what a reader
+    should know about that."""
 
     trials: Mapping[str, int]
     notes: tuple[str, ...]
@@ -29,9 +30,10 @@ class Common:
 def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Common:
     """What all runs were asked; `ValueError` where they were not asked, or not judged, the same.
 
-    Trials follow from protocol, objects and hands, and a plan is the first N of each split: so runs of different size share
-    the smaller plan. `proven`: folders whose rows are known to come out the same under this code (the project's tests judge
-    the shipped baselines again), so their digest of the code may be another one.
+    Trials follow from protocol, objects and hands, and a plan is the first N of each split: so runs
+    of different size share the smaller plan. `proven`: folders whose rows are known to come out the
+    same under this code (the project's tests judge the shipped baselines again), so their digest of
+    the code may be another one.
     """
     first, notes = runs[0], []
     for run in runs[1:]:
@@ -47,10 +49,14 @@ def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Comm
     plans = [run.header["trials"] for run in runs]
     trials = {s: min(p[s] for p in plans) for s in SPLITS if all(p.get(s) for p in plans)}
     if not trials:
-        raise ValueError(f"{' and '.join(str(r.folder) for r in runs)} share no split; sweep the same --splits")
+        raise ValueError(
+            f"{' and '.join(str(r.folder) for r in runs)} share no split; sweep the same --splits"
+        )
     if any({s: n for s, n in p.items() if n} != trials for p in plans):
         shared = ", ".join(f"{n} {s}" for s, n in trials.items())
-        notes.append(f"The runs hold different trials; compared are the first {shared}, which all of them hold.")
+        notes.append(
+            f"The runs hold different trials; compared are the first {shared}, which all of them hold."
+        )
     if len({run.header["digests"].get("code") for run in runs}) > 1:
         notes.append(
             "The shipped baselines were scored by other code, under which the project's tests judge them again."
@@ -64,29 +70,44 @@ def _differing(a: Run, b: Run, proven: Collection[Path]) -> str:
     if mine["protocol"] != other["protocol"]:
         return "protocol"
     same_plan = mine["trials"] == other["trials"]
-    if not same_plan and not (mine["protocol"] in PROTOCOLS and {"objects", "hand_set"} <= mine["digests"].keys()):
+    if not same_plan and not (
+        mine["protocol"] in PROTOCOLS and {"objects", "hand_set"} <= mine["digests"].keys()
+    ):
         return f"trials ({', '.join(s for s in mine['trials'] if mine['trials'][s] != other['trials'].get(s))})"
     skipped = set(FINER) if same_plan else {"trials", *FINER}
     if a.folder in proven or b.folder in proven:
         skipped.add("code")
-    digests, others = ({k: v for k, v in h["digests"].items() if k not in skipped} for h in (mine, other))
+    digests, others = (
+        {k: v for k, v in h["digests"].items() if k not in skipped} for h in (mine, other)
+    )
     for key, left, right in (
         ("digests", digests, others),
         ("configuration", _whole(mine["configuration"]), _whole(other["configuration"])),
     ):
         if left != right:
-            return f"{key} ({', '.join(k for k in {**left, **right} if left.get(k) != right.get(k))})"
+            return (
+                f"{key} ({', '.join(k for k in {**left, **right} if left.get(k) != right.get(k))})"
+            )
     return ""
 
 
 def _whole(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's configuration with today's defaults for fields that its version did not have: they say what it did."""
+    """A run's configuration with today's defaults for fields that its version did not have: they
+    say what it did."""
     whole = asdict(EvalConfig())
     for key, value in configuration.items():
-        whole[key] = {**whole[key], **value} if isinstance(value, dict) and isinstance(whole.get(key), dict) else value
+        whole[key] = (
+            {**whole[key], **value}
+            if isinstance(value, dict) and isinstance(whole.get(key), dict)
+            else value
+        )
     return {k: list(v) if isinstance(v, tuple) else _listed(v) for k, v in whole.items()}
 
 
 def _listed(value: Any) -> Any:
     """As JSON would give it back."""
-    return {k: list(v) if isinstance(v, tuple) else v for k, v in value.items()} if isinstance(value, dict) else value
+    return (
+        {k: list(v) if isinstance(v, tuple) else v for k, v in value.items()}
+        if isinstance(value, dict)
+        else value
+    )

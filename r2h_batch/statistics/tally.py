@@ -1,4 +1,5 @@
-"""A method's stored verdicts, counted shard by shard: what is kept grows with what differs, not with the trials."""
+"""A method's stored verdicts, counted shard by shard: what is kept grows with what differs, not
+with the trials."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -17,15 +18,16 @@ SECONDS = ("t_plan_s", "t_exec_s", "t_method_s")
 """Stored times."""
 
 SUMMED = (*SECONDS, "presented", "body_met")
-"""What is added up trial by trial: times, who was presented the region, and whose arm or torso was met."""
+"""What is added up trial by trial: times, who was presented the region, and whose arm or torso was
+met."""
 
 BLOCK = 8192
 
 
 @dataclass(frozen=True)
 class Verdicts:
-    """Some of a method's trials as (N,) columns: index into `SPLITS`, object and outcome codes, row of `PATTERNS` (the
-    five verdicts on their own), seconds (NaN: none)."""
+    """Some of a method's trials as (N,) columns: index into `SPLITS`, object and outcome codes, row
+    of `PATTERNS` (the five verdicts on their own), seconds (NaN: none)."""
 
     split: np.ndarray
     object: np.ndarray
@@ -49,7 +51,9 @@ class Verdicts:
             if len(found := getattr(self, column.name)) != n:
                 raise ValueError(f"Verdicts.{column.name} has {len(found)} rows, outcome has {n}")
         if n and not (self.outcome.min() >= 0 and self.outcome.max() <= MISSING):
-            raise ValueError(f"Verdicts.outcome must lie in 0..{MISSING} ({', '.join(OUTCOME_NAMES)})")
+            raise ValueError(
+                f"Verdicts.outcome must lie in 0..{MISSING} ({', '.join(OUTCOME_NAMES)})"
+            )
 
     def __len__(self) -> int:
         return len(self.outcome)
@@ -64,10 +68,11 @@ class Verdicts:
 
 
 class Sum:
-    """Sum and number of float32 values that come in pieces: for any pieces the bits of one sum over all of them.
+    """Sum and number of float32 values that come in pieces: for any pieces the bits of one sum over
+    all of them.
 
-    NumPy converts a float32 array to float64 in blocks of 8192, sums each and adds the sums up; so does this. What has not
-    filled a block yet is kept.
+    NumPy converts a float32 array to float64 in blocks of 8192, sums each and adds the sums up; so
+    does this. What has not filled a block yet is kept.
     """
 
     def __init__(self) -> None:
@@ -104,10 +109,11 @@ _NO_ROWS = np.zeros(0, np.int64)
 
 @dataclass
 class Tally:
-    """A method's trials counted: (K,) kinds of trial that were met and how many there were of each, and sums of times.
+    """A method's trials counted: (K,) kinds of trial that were met and how many there were of each,
+    and sums of times.
 
-    A kind is one number, made of object, split, outcome and pattern; times are summed for each split, and with `by_object`
-    for each object of it too.
+    A kind is one number, made of object, split, outcome and pattern; times are summed for each
+    split, and with `by_object` for each object of it too.
     """
 
     method: str
@@ -159,7 +165,9 @@ class Tally:
         return replace(self, kinds=_kinds(code, split, outcome, pattern_))
 
 
-def _kinds(code: np.ndarray, split: np.ndarray, outcome: np.ndarray, pattern_: np.ndarray) -> np.ndarray:
+def _kinds(
+    code: np.ndarray, split: np.ndarray, outcome: np.ndarray, pattern_: np.ndarray
+) -> np.ndarray:
     place = code.astype(np.int64) * len(SPLITS) + split
     return (place * (MISSING + 1) + outcome) * len(PATTERNS) + pattern_
 
@@ -174,9 +182,11 @@ def tally(run: Run, method: str, *, by_object: bool = False) -> Tally:
 
 
 def verdicts(run: Run, method: str, names: list[str]) -> Iterator[Verdicts]:
-    """A stored method's verdicts shard by shard; `names` collects the objects' names behind the codes.
+    """A stored method's verdicts shard by shard; `names` collects the objects' names behind the
+    codes.
 
-    Checked at the end: that there were as many as planned. That each row can be a verdict was checked when the run was loaded.
+    Checked at the end: that there were as many as planned. That each row can be a verdict was
+    checked when the run was loaded.
     """
     columns = [
         "trial_id",

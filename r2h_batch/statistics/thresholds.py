@@ -1,4 +1,5 @@
-"""The same rows at other thresholds, exactly, without simulating again. Which can be, and how far: r2h_batch.rescore."""
+"""The same rows at other thresholds, exactly, without simulating again. Which can be, and how far:
+r2h_batch.rescore."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ from r2h_batch.statistics.paired import rank_probabilities
 from r2h_batch.verdicts import SPLITS, Outcome
 
 ROUNDING_M = 1e-8
-"""A stored margin gives the distance back to within this (float32): nearer to a threshold, a trial is undecided."""
+"""A stored margin gives the distance back to within this (float32): nearer to a threshold, a trial
+is undecided."""
 
 WIDTH_ROUNDING_M = 1e-6
 
@@ -27,7 +29,8 @@ MAX_POINTS = 10_000
 
 @dataclass(frozen=True)
 class Point:
-    """Thresholds in metres, and for every method the (2, 9) counts of outcomes per split and the undecided trials."""
+    """Thresholds in metres, and for every method the (2, 9) counts of outcomes per split and the
+    undecided trials."""
 
     reach_radius_m: float
     w_max_m: float
@@ -45,7 +48,12 @@ class Point:
 _METRES = array("iuf", 1, "numbers in metres")
 
 
-@takes(run=kind(Run, "what load_run(FOLDER) gives"), reach_radius_m=_METRES, w_max_m=_METRES, safe_margin_m=_METRES)
+@takes(
+    run=kind(Run, "what load_run(FOLDER) gives"),
+    reach_radius_m=_METRES,
+    w_max_m=_METRES,
+    safe_margin_m=_METRES,
+)
 def rescore(
     run: Run,
     *,
@@ -71,11 +79,16 @@ def rescore(
             )
     grid = list(product(radii, widths, safe))
     if len(grid) > MAX_POINTS:
-        raise ValueError(f"{len(grid)} combinations of thresholds; at most {MAX_POINTS} are allowed")
+        raise ValueError(
+            f"{len(grid)} combinations of thresholds; at most {MAX_POINTS} are allowed"
+        )
     points = [Point(*key, {}, {}) for key in grid]
     for method in run.methods:
         for point in points:
-            point.counts[method], point.undecided[method] = np.zeros((len(SPLITS), MISSING + 1), np.int64), 0
+            point.counts[method], point.undecided[method] = (
+                np.zeros((len(SPLITS), MISSING + 1), np.int64),
+                0,
+            )
         for table in run.shards("trials", method):
             shard = _Margins(table, base)
             for point in points:
@@ -92,7 +105,10 @@ class _Margins:
         def margin(name: str) -> np.ndarray:
             return table[f"margin_{name}_m"].to_numpy().astype(np.float64)
 
-        self.split, self.outcome = codes(table, "split", SPLITS), codes(table, "outcome", OUTCOME_NAMES)
+        self.split, self.outcome = (
+            codes(table, "split", SPLITS),
+            codes(table, "outcome", OUTCOME_NAMES),
+        )
         self.state = states(table)
         # float32 of the threshold, because that is what the margin was taken from
         self.distance = np.float32(base["reach_radius_m"]).astype(np.float64) - margin("reach")
@@ -100,7 +116,9 @@ class _Margins:
         # runs from before the column was stored: their margin is w_max - w wherever it passes
         older = np.float32(base["w_max_m"]).astype(np.float64) - margin("stability")
         self.width = np.where(np.isnan(width), older, width)
-        odd = (self.state["stability"] == PASSED) & ~((self.width >= 0) & (self.width <= older + WIDTH_ROUNDING_M))
+        odd = (self.state["stability"] == PASSED) & ~(
+            (self.width >= 0) & (self.width <= older + WIDTH_ROUNDING_M)
+        )
         if odd.any():
             row = int(odd.argmax())
             raise ValueError(
@@ -111,31 +129,51 @@ class _Margins:
         self.base = base
 
     def outcomes(self, point: Point) -> tuple[np.ndarray, int]:
-        """(2, 9) counts per split and outcome at other thresholds, and how many trials lie too near to one to tell."""
+        """(2, 9) counts per split and outcome at other thresholds, and how many trials lie too near
+        to one to tell."""
         state, near = dict(self.state), np.zeros(len(self.split), bool)
         for criterion, threshold, before, spare, touching in (
-            ("reach", point.reach_radius_m, self.base["reach_radius_m"], lambda t: t - self.distance, True),
+            (
+                "reach",
+                point.reach_radius_m,
+                self.base["reach_radius_m"],
+                lambda t: t - self.distance,
+                True,
+            ),
             ("stability", point.w_max_m, self.base["w_max_m"], lambda t: t - self.width, True),
-            ("safe", point.safe_margin_m, self.base["safe_margin_m"], lambda t: self.clearance - t, False),
+            (
+                "safe",
+                point.safe_margin_m,
+                self.base["safe_margin_m"],
+                lambda t: self.clearance - t,
+                False,
+            ),
         ):
             if threshold == before:
                 continue
             margin = spare(float(np.float32(threshold)))
             good = margin >= 0 if touching else margin > 0
             old = self.state[criterion]
-            if criterion == "stability":  # narrower than before: a grasp that failed, for whatever reason, still fails
+            if (
+                criterion == "stability"
+            ):  # narrower than before: a grasp that failed, for whatever reason, still fails
                 good = good & (old == PASSED)
             state[criterion] = np.where(old > 0, np.where(good, PASSED, FAILED), old)
             near |= (old > 0) & (np.abs(margin) < ROUNDING_M)
         outcome = pattern_outcomes()[self.split, pattern(state)].astype(np.int64)
         outcome = np.where(self.outcome < Outcome.INVALID_INPUT, outcome, self.outcome)
         if (outcome < 0).any():
-            raise ValueError(f"{int((outcome < 0).sum())} rows pass, but a criterion was not evaluated")
-        counts = np.bincount(self.split * (MISSING + 1) + outcome, minlength=len(SPLITS) * (MISSING + 1))
+            raise ValueError(
+                f"{int((outcome < 0).sum())} rows pass, but a criterion was not evaluated"
+            )
+        counts = np.bincount(
+            self.split * (MISSING + 1) + outcome, minlength=len(SPLITS) * (MISSING + 1)
+        )
         return counts.reshape(len(SPLITS), MISSING + 1), int(near.sum())
 
 
 @takes(points=many(Point, "what rescore(RUN) gives"), methods=many(str, "names of methods"))
 def rank_stability(points: Sequence[Point], methods: Sequence[str]) -> np.ndarray:
-    """(M, M) share of the points at which method i has rank j + 1 by SR; ties share their ranks evenly."""
+    """(M, M) share of the points at which method i has rank j + 1 by SR; ties share their ranks
+    evenly."""
     return rank_probabilities(np.array([[p.rate(m) for m in methods] for p in points]))

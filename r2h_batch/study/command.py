@@ -1,4 +1,5 @@
-"""The command `study`: simulation against people. Light until there is work; without arguments the paper's own study."""
+"""The command `study`: simulation against people. Light until there is work; without arguments the
+paper's own study."""
 
 import sys
 from collections.abc import Sequence
@@ -35,9 +36,9 @@ def ratings(file: Path, /, *, box: Path | None = None, overwrite: bool = False) 
     """Your own ratings: a CSV with columns participant, method, dimension, rating (1 to 5).
 
     Args:
-        file: one row for each rating; participants who did not rate every method are left out and counted.
-        box: also write the box plots to this .svg file.
-        overwrite: replace a file that is there.
+        file: one row for each rating; participants who did not rate every method are left out and
+        counted. box: also write the box plots to this .svg file. overwrite: replace a file that is
+        there.
     """
     if box is not None:
         check_file(box, overwrite=overwrite, flag="--box", endings=(".svg",))
@@ -47,13 +48,18 @@ def ratings(file: Path, /, *, box: Path | None = None, overwrite: bool = False) 
     sys.stdout.write(report.rating_report(file))
     if box is not None:
         tables = report.read_ratings(file)
-        summaries = {(m, d): Summary.of(t[:, i]) for d, (t, names, _) in tables.items() for i, m in enumerate(names)}
+        summaries = {
+            (m, d): Summary.of(t[:, i])
+            for d, (t, names, _) in tables.items()
+            for i, m in enumerate(names)
+        }
         write_text(box, report.box_plot(summaries))
     return 0
 
 
 def real(run: Path, file: Path, /, *, trials: int) -> int:
-    """Your own robot against a run: a CSV with columns method, real_sr (percent: 85 or 85%), real_t_tot_s.
+    """Your own robot against a run: a CSV with columns method, real_sr (percent: 85 or 85%),
+    real_t_tot_s.
 
     Args:
         run: a run folder with the same methods.
@@ -70,19 +76,29 @@ def real(run: Path, file: Path, /, *, trials: int) -> int:
     if not 1 <= trials <= MOST_TRIALS:
         raise StudyError(f"--trials is {trials}; it must be 1 to {MOST_TRIALS}")
     stored = load_run(run)
-    rows = {r.method: r for r in table_of(stored).rows}  # the last line of a method: Avg, or its only split
+    rows = {
+        r.method: r for r in table_of(stored).rows
+    }  # the last line of a method: Avg, or its only split
     found = read_table(file, REAL_COLUMNS)
     names = [stored.named(r["method"]) for r in found]
     if twice := [k for k, name in enumerate(names) if name in names[:k]]:
-        raise StudyError(f"{file}: line {found[twice[0]][LINE]}: {names[twice[0]]} is there twice; once is enough")
+        raise StudyError(
+            f"{file}: line {found[twice[0]][LINE]}: {names[twice[0]]} is there twice; once is enough"
+        )
     sim = {}
     for name, row in rows.items():
         rate, total = row.rates["sr"], row.times["t_tot_s"].value
         sim[name] = (rate.percent if rate else 0.0, float("nan") if total is None else total)
-    lines = sim_to_real(sim, {name: (r["real_sr"], r["real_t_tot_s"]) for name, r in zip(names, found)})
+    lines = sim_to_real(
+        sim, {name: (r["real_sr"], r["real_t_tot_s"]) for name, r in zip(names, found)}
+    )
     print(aligned(["Method", "sim SR", "real SR", "delta", "sim T", "real T", "delta"], lines, 1))
     if len(found) > 2:
-        c = spearman([sim[m][0] for m in names], [r["real_sr"] for r in found], counts=(rows[names[0]].n, trials))
+        c = spearman(
+            [sim[m][0] for m in names],
+            [r["real_sr"] for r in found],
+            counts=(rows[names[0]].n, trials),
+        )
         print()
         line = correlation_line("sim SR, real SR", c)
         print(aligned(["Pair", "rho", "measured again", "other methods", "p"], [line], 1))
@@ -94,7 +110,12 @@ def plan(
     participants: int = 30,
     s0: int = 2,
     s1: int = 3,
-    methods: tuple[str, ...] = ("FC-Handover", "Handover-VA", "Contact-Handover", "Intent-Handover"),
+    methods: tuple[str, ...] = (
+        "FC-Handover",
+        "Handover-VA",
+        "Contact-Handover",
+        "Intent-Handover",
+    ),
     seed: int = 0,
 ) -> int:
     """Write a within-subject schedule as CSV: the paper's by default.

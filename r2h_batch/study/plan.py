@@ -1,4 +1,5 @@
-"""A within-subject schedule: every participant meets every method with the same objects, in a balanced order."""
+"""A within-subject schedule: every participant meets every method with the same objects, in a
+balanced order."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +9,8 @@ MAX_PARTICIPANTS = 100_000
 
 
 def williams_square(n: int) -> np.ndarray:
-    """Orders of n treatments (rows): each stands in each place equally often, and follows each other equally often.
+    """Orders of n treatments (rows): each stands in each place equally often, and follows each
+    other equally often.
 
     n rows where n is even, 2 n where it is odd (Williams 1949).
     """
@@ -27,13 +29,15 @@ def schedule(
 ) -> list[dict[str, str | int]]:
     """Rows of participant, place, method, trial, split, object.
 
-    `take` objects of each split are dealt to a participant so that all are used equally often (give or take one), and
-    shown in a new random order with every method.
+    `take` objects of each split are dealt to a participant so that all are used equally often (give
+    or take one), and shown in a new random order with every method.
     """
     if not 1 <= participants <= MAX_PARTICIPANTS:
         raise ValueError(f"--participants is {participants}; it must be 1 to {MAX_PARTICIPANTS}")
     if len(methods) < 2 or len(set(methods)) != len(methods):
-        raise ValueError(f"--methods are {', '.join(methods) or 'none'}; give two or more different ones")
+        raise ValueError(
+            f"--methods are {', '.join(methods) or 'none'}; give two or more different ones"
+        )
     for split, n in take.items():
         if not 0 <= n <= len(objects[split]):
             raise ValueError(f"--{split.lower()} is {n}; {split} has {len(objects[split])} objects")
@@ -54,6 +58,11 @@ def schedule(
             drawn += [(split, objects[split][i]) for i in chosen]
         for place, method in enumerate(order, start=1):
             for trial, k in enumerate(random.permutation(len(drawn)), start=1):
-                row = {"participant": person, "place": place, "method": names[method], "trial": trial}
+                row = {
+                    "participant": person,
+                    "place": place,
+                    "method": names[method],
+                    "trial": trial,
+                }
                 rows.append({**row, "split": drawn[k][0], "object": drawn[k][1]})
     return rows

@@ -1,4 +1,5 @@
-"""Statistics of a user study: summaries of ratings, rank correlations with intervals, Friedman and Wilcoxon."""
+"""Statistics of a user study: summaries of ratings, rank correlations with intervals, Friedman and
+Wilcoxon."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ class StudyError(ValueError):
 
 @dataclass(frozen=True)
 class Summary:
-    """What a box plot shows of ratings: quartiles by linear interpolation, whiskers at the extremes."""
+    """What a box plot shows of ratings: quartiles by linear interpolation, whiskers at the
+    extremes."""
 
     n: int
     mean: float
@@ -30,7 +32,9 @@ class Summary:
     @staticmethod
     def of(values: np.ndarray) -> "Summary":
         low, q1, median, q3, high = np.quantile(values, [0, 0.25, 0.5, 0.75, 1])
-        return Summary(len(values), float(np.mean(values)), *map(float, (median, q1, q3, low, high)))
+        return Summary(
+            len(values), float(np.mean(values)), *map(float, (median, q1, q3, low, high))
+        )
 
     @staticmethod
     def of_counts(counts: np.ndarray) -> "Summary":
@@ -40,8 +44,9 @@ class Summary:
 
 @dataclass(frozen=True)
 class Correlation:
-    """Spearman's rho of two lists; `measured`: 95 % if these methods were measured again (None: rates without counts);
-    `others`: 95 % for other methods (Bonett and Wright 2000; None below 4), `p` by all permutations or their sample."""
+    """Spearman's rho of two lists; `measured`: 95 % if these methods were measured again (None:
+    rates without counts); `others`: 95 % for other methods (Bonett and Wright 2000; None below 4),
+    `p` by all permutations or their sample."""
 
     rho: float
     measured: tuple[float, float] | None
@@ -51,7 +56,8 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Test:
-    """Friedman's test over the methods of complete participants, and Wilcoxon's for every pair, Bonferroni-adjusted."""
+    """Friedman's test over the methods of complete participants, and Wilcoxon's for every pair,
+    Bonferroni-adjusted."""
 
     participants: int
     chi2: float
@@ -66,7 +72,9 @@ def spearman(
     a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
     n = len(a)
     if n < 3 or len(b) != n:
-        raise StudyError(f"a rank correlation needs 3 or more methods in both tables, there are {min(n, len(b))}")
+        raise StudyError(
+            f"a rank correlation needs 3 or more methods in both tables, there are {min(n, len(b))}"
+        )
     rho = _rho(a[None], b[None])[0]
     random = np.random.default_rng(seed)
     orders = _permutations(n, random)
@@ -76,7 +84,10 @@ def spearman(
     p = float((np.abs(shuffled) >= abs(rho) - 1e-12).mean())
     measured = None
     if counts is not None:
-        draws = [random.binomial(k, np.clip(v / 100, 0, 1), (DRAWS, n)) / k for k, v in zip(counts, (a, b))]
+        draws = [
+            random.binomial(k, np.clip(v / 100, 0, 1), (DRAWS, n)) / k
+            for k, v in zip(counts, (a, b))
+        ]
         measured = _ends(np.nan_to_num(_rho(*draws)))
     others = None
     if n > 3:
@@ -106,9 +117,12 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
 
 
 def rating_tests(rows: np.ndarray, methods: Sequence[str]) -> Test:
-    """Friedman (NaN for two methods) and pairwise Wilcoxon signed-rank tests on (participants, methods) ratings."""
+    """Friedman (NaN for two methods) and pairwise Wilcoxon signed-rank tests on (participants,
+    methods) ratings."""
     if rows.ndim != 2 or rows.shape[0] < 2 or rows.shape[1] < 2:
-        raise StudyError(f"tests of ratings need 2 participants and 2 methods or more, given are {rows.shape}")
+        raise StudyError(
+            f"tests of ratings need 2 participants and 2 methods or more, given are {rows.shape}"
+        )
     if rows.shape[1] == 2:
         chi2, p = float("nan"), float("nan")
     elif (rows == rows[:, :1]).all():
@@ -124,12 +138,18 @@ def rating_tests(rows: np.ndarray, methods: Sequence[str]) -> Test:
     return Test(rows.shape[0], float(chi2), float(p), tuple(pairs))
 
 
-def random_pairings(counts: np.ndarray, *, draws: int = 2000, seed: int = 0) -> tuple[float, float, float]:
-    """Median and 95 % range of Friedman's chi2 when the ratings of (methods, 5) counts are dealt to people at random.
+def random_pairings(
+    counts: np.ndarray, *, draws: int = 2000, seed: int = 0
+) -> tuple[float, float, float]:
+    """Median and 95 % range of Friedman's chi2 when the ratings of (methods, 5) counts are dealt to
+    people at random.
 
-    Marginal counts do not say who gave which rating, so this is all that they say about a within-subject test.
+    Marginal counts do not say who gave which rating, so this is all that they say about a
+    within-subject test.
     """
     columns = [np.repeat(SCALE, c) for c in counts]
     random = np.random.default_rng(seed)
-    found = [stats.friedmanchisquare(*(random.permutation(c) for c in columns))[0] for _ in range(draws)]
+    found = [
+        stats.friedmanchisquare(*(random.permutation(c) for c in columns))[0] for _ in range(draws)
+    ]
     return float(np.median(found)), *_ends(np.array(found))

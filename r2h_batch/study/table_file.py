@@ -1,4 +1,5 @@
-"""Tables that people fill in: CSV as Excel, LibreOffice and pandas write it, read whole or refused by line and column."""
+"""Tables that people fill in: CSV as Excel, LibreOffice and pandas write it, read whole or refused
+by line and column."""
 
 from __future__ import annotations
 
@@ -31,14 +32,13 @@ class Number:
     high: float
     whole: bool = False
     percent: bool = False
-    """may have its sign, as spreadsheets write it; without one nobody can tell 0.85 for 85 % from 0.85 %"""
+    """may have its sign, as spreadsheets write it; without one nobody can tell 0.85 for 85 % from
+    0.85 %"""
 
     @property
     def allowed(self) -> str:
         if self.percent:
-            return (
-                f"percent from {self.low:g} to {self.high:g}, 85 or 85% and not 0.85; what is 1 % or less has its sign"
-            )
+            return f"percent from {self.low:g} to {self.high:g}, 85 or 85% and not 0.85; what is 1 % or less has its sign"
         return f"{'whole ' if self.whole else ''}numbers from {self.low:g} to {self.high:g}"
 
     def read(self, cell: str) -> float | int:
@@ -69,14 +69,17 @@ class Text:
 
 
 def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[str, Any]]:
-    """Rows of a CSV file with these columns (more are ignored) and their `LINE`; `#` lines are comments.
+    """Rows of a CSV file with these columns (more are ignored) and their `LINE`; `#` lines are
+    comments.
 
-    UTF-8 with or without a mark, UTF-16 with one; commas, semicolons or tabs, as the first line shows; with the last
-    two a comma may stand for the decimal point.
+    UTF-8 with or without a mark, UTF-16 with one; commas, semicolons or tabs, as the first line
+    shows; with the last two a comma may stand for the decimal point.
     """
     text = _text(path)
     lines = [
-        (n, line) for n, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1) if not line.startswith(("#", "sep="))
+        (n, line)
+        for n, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)
+        if not line.startswith(("#", "sep="))
     ]
     lines = [(n, line) for n, line in lines if line.strip()]
     if not lines:
@@ -90,7 +93,9 @@ def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[st
             at["line"] = at["line"] or number
             yield f"{line}\n"
 
-    before = csv.field_size_limit(len(text) + 1)  # a long cell is refused by its line and column, below
+    before = csv.field_size_limit(
+        len(text) + 1
+    )  # a long cell is refused by its line and column, below
     try:
         reader = csv.reader(told(), delimiter=delimiter)
         names = [name.strip() for name in next(reader)]
@@ -118,7 +123,9 @@ def _rows(
     for cells in reader:
         number, at["line"] = at["line"], 0
         if len(cells) > len(names):
-            raise StudyError(f"{path}: line {number}: {len(cells)} cells under {len(names)} columns")
+            raise StudyError(
+                f"{path}: line {number}: {len(cells)} cells under {len(names)} columns"
+            )
         row: dict[str, Any] = {LINE: number}
         for name, kind in columns.items():
             place = names.index(name)
@@ -155,5 +162,7 @@ def _text(path: Path) -> str:
         ) from None
     if "\0" in text:
         line = text[: text.index("\0")].count("\n") + 1
-        raise StudyError(f"{path}: line {line}: zero bytes, UTF-16 without its mark perhaps; save it as 'CSV UTF-8'")
+        raise StudyError(
+            f"{path}: line {line}: zero bytes, UTF-16 without its mark perhaps; save it as 'CSV UTF-8'"
+        )
     return text

@@ -1,4 +1,5 @@
-"""Joins the two towers: trials, methods, verdicts, stored rows. `python -m r2h_batch.sweep --help`."""
+"""Joins the two towers: trials, methods, verdicts, stored rows. `python -m r2h_batch.sweep
+--help`."""
 
 from typing import TYPE_CHECKING
 

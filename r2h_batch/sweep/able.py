@@ -1,6 +1,8 @@
-"""What a built-in method cannot answer, known before work starts: objects without grasps, hands that hold nothing.
+"""What a built-in method cannot answer, known before work starts: objects without grasps, hands
+that hold nothing.
 
-Such trials get no pose from that method and count as its failures (`invalid_input`); every other trial and method goes on.
+Such trials get no pose from that method and count as its failures (`invalid_input`); every other
+trial and method goes on.
 """
 
 from __future__ import annotations
@@ -35,11 +37,15 @@ class Able:
 
     def only(self, trials: Trials, answer: Callable[[Trials], Predictions]) -> Predictions:
         """The method's answers to the trials that it can answer; NaN poses for the others."""
-        rows = self.answers[trials.object_index.cpu().long(), self.side[trials.hand_index.cpu().long()]]
+        rows = self.answers[
+            trials.object_index.cpu().long(), self.side[trials.hand_index.cpu().long()]
+        ]
         if bool(rows.all()):
             return answer(trials)
         n, home = len(trials), trials.trial_id.device
-        T_obj_ee, T_world_ee = (torch.full((n, 4, 4), torch.nan, dtype=torch.float32, device=home) for _ in range(2))
+        T_obj_ee, T_world_ee = (
+            torch.full((n, 4, 4), torch.nan, dtype=torch.float32, device=home) for _ in range(2)
+        )
         seconds, method = torch.full((n,), torch.nan, dtype=torch.float32, device=home), ""
         rows = rows.to(home)
         if bool(rows.any()):
@@ -60,17 +66,21 @@ def check_grasps(scene: Scene, allow_empty: bool) -> None:
             f"{'it' if len(empty) == 1 else 'them'} out, give --grasps, or --allow-empty-candidates to count as failures"
         )
     if len(empty) == len(scene.objects):
-        raise UsageError("no object has a grasp candidate: there is nothing for a built-in method to choose from")
+        raise UsageError(
+            "no object has a grasp candidate: there is nothing for a built-in method to choose from"
+        )
 
 
 def able_of(name: str, sees: Sequence[str], scene: Scene, seen: Seen | None) -> Able:
-    """What a built-in method can answer: every object with candidates; those that look at the receiver's hold on it (and are
-    not shown a network's) also need one of the hand's side."""
+    """What a built-in method can answer: every object with candidates; those that look at the
+    receiver's hold on it (and are not shown a network's) also need one of the hand's side."""
     answers = torch.ones((len(scene.objects), 2), dtype=torch.bool, device="cpu")
     lines = []
     for i in without_candidates(scene):
         answers[i] = False
-        lines.append(f"{name}: no grasp candidate of {scene.objects[i].name}: its trials count as failures")
+        lines.append(
+            f"{name}: no grasp candidate of {scene.objects[i].name}: its trials count as failures"
+        )
     if "receiving" in sees and (seen is None or seen.receiving is None):
         sides = set(scene.hands.set.side.tolist())
         for i, side in without_receiving(scene.objects, scene.hands.model):

@@ -1,4 +1,5 @@
-"""Score shards on a Ray cluster: one actor per device with a warm Evaluator, shards fed to actors that are ready."""
+"""Score shards on a Ray cluster: one actor per device with a warm Evaluator, shards fed to actors
+that are ready."""
 
 import contextlib
 import os
@@ -28,7 +29,8 @@ from r2h_batch.sweep.options import Options
 from r2h_batch.sweep.progress import Log, progress
 
 STARTS = 5
-"""Actors that may die one after the other before their first shard; then the cluster is given up."""
+"""Actors that may die one after the other before their first shard; then the cluster is given
+up."""
 
 POLL_S = 0.5
 HEAD_EVERY_S, GRACE_S = 2.0, 5.0
@@ -48,20 +50,30 @@ NO_TOKEN = ("InvalidAuthToken", "AuthenticationError", "Unauthenticated")
 def reach(address: str, timeout_s: float) -> None:
     """Nothing, if a Ray cluster answers at the address within the time; else a `ClusterError`.
 
-    Tried in a process of its own: Ray waits for minutes for a cluster that is gone, and cannot be interrupted.
+    Tried in a process of its own: Ray waits for minutes for a cluster that is gone, and cannot be
+    interrupted.
     """
     _show_token()
     where = f"at --address {printable(address)}"
     todo = "start one with `ray start --head`, or leave --address out for one on this machine"
     with tempfile.TemporaryFile() as said:
         line = [sys.executable, "-c", CONNECT, address]
-        process = subprocess.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said)
+        process = subprocess.Popen(
+            line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
+        )
         end, text = time.monotonic() + timeout_s, ""
         try:
-            while process.poll() is None and time.monotonic() < end and not any(w in text for w in NO_TOKEN):
+            while (
+                process.poll() is None
+                and time.monotonic() < end
+                and not any(w in text for w in NO_TOKEN)
+            ):
                 time.sleep(0.05)
                 text = os.pread(said.fileno(), 1 << 20, 0).decode(errors="replace")
-            code, text = process.poll(), os.pread(said.fileno(), 1 << 20, 0).decode(errors="replace")
+            code, text = (
+                process.poll(),
+                os.pread(said.fileno(), 1 << 20, 0).decode(errors="replace"),
+            )
         finally:
             process.kill()
             process.wait()
@@ -73,13 +85,16 @@ def reach(address: str, timeout_s: float) -> None:
             " RAY_AUTH_TOKEN_PATH (or RAY_AUTH_TOKEN) here and on every node alike, docs/sweeps.md has the steps"
         )
     if code is None:
-        raise ClusterError(f"no Ray cluster answered {where} within {timeout_s:g} s (--ray-timeout); {todo}")
+        raise ClusterError(
+            f"no Ray cluster answered {where} within {timeout_s:g} s (--ray-timeout); {todo}"
+        )
     why = printable((text.strip().splitlines() or ["it ended without a word"])[-1])[:200]
     raise ClusterError(f"no Ray cluster {where} ({why}); {todo}")
 
 
 def _show_token() -> None:
-    """A token that is there is shown, as `ray start` does: without the mode Ray's own `init` leaves it where it is."""
+    """A token that is there is shown, as `ray start` does: without the mode Ray's own `init` leaves
+    it where it is."""
     named = os.environ.get("RAY_AUTH_TOKEN") or os.environ.get("RAY_AUTH_TOKEN_PATH")
     if named or os.path.isfile(os.path.expanduser("~/.ray/auth_token")):
         os.environ.setdefault("RAY_AUTH_MODE", "token")
@@ -87,11 +102,14 @@ def _show_token() -> None:
 
 @contextlib.contextmanager
 def _own_token() -> Iterator[None]:
-    """A token for one cluster: Ray would write one to ~/.ray/auth_token, and from then on ask every node here for it."""
+    """A token for one cluster: Ray would write one to ~/.ray/auth_token, and from then on ask every
+    node here for it."""
     if any(os.environ.get(k) for k in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")):
         yield
         return
-    os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)  # not the mode: `init` sets that, and tells its own core
+    os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(
+        32
+    )  # not the mode: `init` sets that, and tells its own core
     try:
         yield
     finally:
@@ -100,9 +118,11 @@ def _own_token() -> Iterator[None]:
 
 
 class Head:
-    """Watches from a thread whether the head of a cluster that was joined still takes connections; "" watches nothing.
+    """Watches from a thread whether the head of a cluster that was joined still takes connections;
+    "" watches nothing.
 
-    Ray itself notices after a minute or more, and then ends the process from inside; until then its calls may hang.
+    Ray itself notices after a minute or more, and then ends the process from inside; until then its
+    calls may hang.
     """
 
     def __init__(self, address: str, timeout_s: float) -> None:
@@ -122,7 +142,9 @@ class Head:
         heard = time.monotonic()
         while not self.over.wait(HEAD_EVERY_S):
             with contextlib.suppress(OSError):
-                socket.create_connection((host.strip("[]"), int(port)), timeout=HEAD_EVERY_S).close()
+                socket.create_connection(
+                    (host.strip("[]"), int(port)), timeout=HEAD_EVERY_S
+                ).close()
                 heard = time.monotonic()
             if time.monotonic() - heard > self.timeout_s:
                 break
@@ -132,7 +154,9 @@ class Head:
             f"the Ray cluster at {printable(self.address)} has not answered for {self.timeout_s:g} s (--ray-timeout):"
             " its head or the network between is gone; complete shards are stored, the same command goes on"
         )
-        time.sleep(GRACE_S)  # for the main thread to say so and to leave, unless it hangs in a call of Ray's
+        time.sleep(
+            GRACE_S
+        )  # for the main thread to say so and to leave, unless it hangs in a call of Ray's
         if not self.said:
             tell(f"sweep: {self.lost}")
         sys.stderr.flush()
@@ -157,13 +181,16 @@ class Worker:
         """A shard's rows and the seconds that they took."""
         start = time.perf_counter()
         writer = ShardWriter()
-        score_shard(self.jobs[name], shard, writer, self.setting, chunk_of(self.options, self.setting))
+        score_shard(
+            self.jobs[name], shard, writer, self.setting, chunk_of(self.options, self.setting)
+        )
         return writer, time.perf_counter() - start
 
 
 @dataclass
 class Pool:
-    """Actors and what they do; a fresh one for each that dies, fed only once it has answered that it is ready."""
+    """Actors and what they do; a fresh one for each that dies, fed only once it has answered that
+    it is ready."""
 
     ray: Any
     start: Callable[[], Any]
@@ -186,12 +213,19 @@ class Pool:
 
 
 def score_on_ray(
-    setting: Setting, jobs: list[Job], folder: RunFolder, options: Options, stopping: Callable[[], bool], log: Log
+    setting: Setting,
+    jobs: list[Job],
+    folder: RunFolder,
+    options: Options,
+    stopping: Callable[[], bool],
+    log: Log,
 ) -> list[str]:
-    """Every job's shards of this part through a pool of actors; only this process writes to the run folder.
+    """Every job's shards of this part through a pool of actors; only this process writes to the run
+    folder.
 
-    An actor or node that dies costs the shard it was at, which goes to the next one. After `TRIES` failures a shard is
-    quarantined and the others go on. Ctrl-C stores what is finished. Returns methods as `score_local` does.
+    An actor or node that dies costs the shard it was at, which goes to the next one. After `TRIES`
+    failures a shard is quarantined and the others go on. Ctrl-C stores what is finished. Returns
+    methods as `score_local` does.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     import ray
@@ -217,21 +251,35 @@ def _on_cluster(
     log: Log,
 ) -> list[str]:
     handlers = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
-    # local: a cluster of its own; without an address Ray would join whatever a file in /tmp or the environment names
+    # local: a cluster of its own; without an address Ray would join whatever a file in /tmp or the
+    # environment names
     own = {} if options.address else {"include_dashboard": False}
     try:
         with contextlib.nullcontext() if options.address else _own_token():
-            ray.init(address=options.address or "local", log_to_driver=False, logging_level="ERROR", **own)
+            ray.init(
+                address=options.address or "local",
+                log_to_driver=False,
+                logging_level="ERROR",
+                **own,
+            )
     except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
-        raise ClusterError(f"no Ray cluster could be started or joined: {printable(error)[:300]}") from None
-    for number, handler in handlers.items():  # Ray puts its own in their place, which end the driver at once
+        raise ClusterError(
+            f"no Ray cluster could be started or joined: {printable(error)[:300]}"
+        ) from None
+    for (
+        number,
+        handler,
+    ) in handlers.items():  # Ray puts its own in their place, which end the driver at once
         signal.signal(number, handler)
-    watched = options.address and "://" not in options.address  # a Ray client (ray://) has no head of its own to ask
+    watched = (
+        options.address and "://" not in options.address
+    )  # a Ray client (ray://) has no head of its own to ask
     head = Head(ray.get_runtime_context().gcs_address if watched else "", options.ray_timeout)
     try:
         gpus = options.gpus_per_worker or (1.0 if options.device != "cpu" else 0.0)
         size = options.workers or _devices(ray, gpus)
-        # an actor sees its own GPUs only, as cuda:0; max_restarts 0: the pool replaces actors itself
+        # an actor sees its own GPUs only, as cuda:0; max_restarts 0: the pool replaces actors
+        # itself
         mine = replace(options, device="cuda" if options.device != "cpu" else "cpu")
         remote = ray.remote(Worker).options(num_cpus=1, num_gpus=gpus, max_restarts=0)
         pool = Pool(ray, partial(remote.remote, sweep_jobs.prepare, mine), head.check)
@@ -301,7 +349,9 @@ def _feed(
                     tell(f"{name}: shard {shard.index} failed {TRIES} times")
                 continue
             pool.idle.append(actor)
-            with folder.claim(name, shard):  # no other sweep takes the files for foreign ones meanwhile
+            with folder.claim(
+                name, shard
+            ):  # no other sweep takes the files for foreign ones meanwhile
                 folder.commit(name, shard, writer, seconds)
             advance(shard.last - shard.first)
     if stopping():
@@ -316,9 +366,13 @@ def _came_up(pool: Pool, ref: Any, setting: Setting) -> None:
     except pool.ray.exceptions.RayError as error:
         pool.deaths += 1
         if pool.deaths >= STARTS:
-            raise ClusterError(f"{STARTS} Ray actors died before their first shard: {error}") from error
+            raise ClusterError(
+                f"{STARTS} Ray actors died before their first shard: {error}"
+            ) from error
         return
     pool.deaths = 0
     if fields := differing(setting.header, {**header, "format": setting.header.get("format")}):
-        raise ClusterError(f"a Ray worker differs in {', '.join(fields)}; install the same version on every node")
+        raise ClusterError(
+            f"a Ray worker differs in {', '.join(fields)}; install the same version on every node"
+        )
     pool.idle.append(actor)

@@ -1,4 +1,5 @@
-"""Score methods or predictions files on a split's trials: `python -m r2h_batch.sweep --help`. Command line only."""
+"""Score methods or predictions files on a split's trials: `python -m r2h_batch.sweep --help`.
+Command line only."""
 
 import os
 import signal
@@ -13,7 +14,8 @@ from typing import TYPE_CHECKING
 from r2h_batch.command_line import answer, counted, failed, note, refuse, tell, telling
 from r2h_batch.sweep.options import METHODS, Options, UsageError, parse
 
-if TYPE_CHECKING:  # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
+# torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
+if TYPE_CHECKING:
     from r2h_batch.results.writing import RunFolder
     from r2h_batch.sweep.jobs import Job, Setting
 
@@ -21,7 +23,8 @@ __all__ = ["METHODS", "Options", "UsageError", "main", "parse", "run"]
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.sweep") -> int:
-    """Exit code of the command: 0 done, 1 failed on the way, 2 refused before any work, 130 interrupted."""
+    """Exit code of the command: 0 done, 1 failed on the way, 2 refused before any work, 130
+    interrupted."""
     given = sys.argv[1:] if arguments is None else arguments
     return answer("sweep", lambda: _main(given, prog))
 
@@ -32,7 +35,11 @@ def _main(arguments: Sequence[str], prog: str) -> int:
         with stop_signals() as stopping:
             return run(options, stopping)
     except KeyboardInterrupt:
-        return refuse("sweep", "interrupted; shards that were complete are stored, run the same command to go on", 130)
+        return refuse(
+            "sweep",
+            "interrupted; shards that were complete are stored, run the same command to go on",
+            130,
+        )
     except OSError as error:
         return failed("sweep", error, "writing the run folder")
     except (RuntimeError, AssertionError) as error:
@@ -46,7 +53,8 @@ def _main(arguments: Sequence[str], prog: str) -> int:
 
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C or SIGTERM was heard: the first one asks to stop after the current chunk, the second stops."""
+    """Whether Ctrl-C or SIGTERM was heard: the first one asks to stop after the current chunk, the
+    second stops."""
     heard = []
 
     def hear(number: int, _: object) -> None:
@@ -83,7 +91,9 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
         if options.address:
             reach(options.address, options.ray_timeout)
         # a method may change the directory, when it is imported or asked
-        options = replace(options, out=os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S")))
+        options = replace(
+            options, out=os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
+        )
         files = sweep_jobs.load_files(options)
         sweep_jobs.resolve(options)
         start = time.perf_counter()
@@ -124,7 +134,12 @@ def _failed(error: OSError, folder: Path) -> int:
 
 
 def _score(
-    options: Options, setting: "Setting", jobs: "list[Job]", out: str, folder: "RunFolder", stopping: Callable[[], bool]
+    options: Options,
+    setting: "Setting",
+    jobs: "list[Job]",
+    out: str,
+    folder: "RunFolder",
+    stopping: Callable[[], bool],
 ) -> int:
     """Score what is missing or damaged, in this process or on a cluster; the exit code."""
     from r2h_batch.results.reading import mark_for_rerun
@@ -145,7 +160,8 @@ def _score(
 
 
 def _of_part(name: str, options: Options) -> str:
-    """The file that this part of a sweep has for itself: progress.json, or progress-3.json of part 3."""
+    """The file that this part of a sweep has for itself: progress.json, or progress-3.json of part
+    3."""
     stem, _, ending = name.partition(".")
     return name if options.part[1] == 1 else f"{stem}-{options.part[0]}.{ending}"
 
@@ -162,16 +178,21 @@ def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "tuple[str
         size = options.shard_trials or (shard_size(setting, jobs) if new else 0)
         try:
             # the first of two sweeps that start together decides the shard size; the other takes it
-            return out, open_run(out, {**setting.header, "shard_trials": size}, exact=bool(options.shard_trials))
+            return out, open_run(
+                out, {**setting.header, "shard_trials": size}, exact=bool(options.shard_trials)
+            )
         except RunError:
-            if not options.force_new or not Path(out).exists():  # no other run in the way: no folder would do
+            if (
+                not options.force_new or not Path(out).exists()
+            ):  # no other run in the way: no folder would do
                 raise
         number += 1
         out = f"{options.out}-{number}"
 
 
 def _finish(options: Options, out: str, names: list[str]) -> int:
-    """Print the table if every method of this sweep is complete, else what is left; the exit code."""
+    """Print the table if every method of this sweep is complete, else what is left; the exit
+    code."""
     from r2h_batch.report import table as report
     from r2h_batch.results import reading as results
 

@@ -1,4 +1,5 @@
-"""Score shards in this process: claim one, take it chunk by chunk through the evaluator, store it, go on."""
+"""Score shards in this process: claim one, take it chunk by chunk through the evaluator, store it,
+go on."""
 
 import time
 from collections.abc import Callable
@@ -10,7 +11,14 @@ import torch
 from r2h_batch.command_line import note, refuse, tell
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.results.manifest import SHARD_TRIALS, Shard
-from r2h_batch.results.rows import detail_rows, failure_rows, missing_rows, path_rows, pose_rows, score_rows
+from r2h_batch.results.rows import (
+    detail_rows,
+    failure_rows,
+    missing_rows,
+    path_rows,
+    pose_rows,
+    score_rows,
+)
 from r2h_batch.results.writing import TRIES, RunFolder, ShardWriter
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import Job, Setting
@@ -36,15 +44,24 @@ class Stopped(Exception):
 
 def chunk_of(options: Options, setting: Setting) -> int:
     """Trials scored at once."""
-    return options.chunk or (CPU_CHUNK if options.device == "cpu" else setting.evaluator.rows_at_once())
+    return options.chunk or (
+        CPU_CHUNK if options.device == "cpu" else setting.evaluator.rows_at_once()
+    )
 
 
 def score_local(
-    setting: Setting, jobs: list[Job], folder: RunFolder, options: Options, stopping: Callable[[], bool], log: Log
+    setting: Setting,
+    jobs: list[Job],
+    folder: RunFolder,
+    options: Options,
+    stopping: Callable[[], bool],
+    log: Log,
 ) -> list[str]:
-    """Every job's shards of this part into the run folder, sharing them with other sweeps that work on it.
+    """Every job's shards of this part into the run folder, sharing them with other sweeps that work
+    on it.
 
-    Returns the methods whose answers cannot be scored: each is said in one line, and the others go on.
+    Returns the methods whose answers cannot be scored: each is said in one line, and the others go
+    on.
     """
     refused = []
     for job in jobs:
@@ -90,8 +107,18 @@ def _score_job(
                 elif mine:
                     start = time.perf_counter()
                     with folder.attempt(job.name, shard), folder.write(job.name, shard) as writer:
-                        score_shard(job, shard, writer, setting, chunk_of(options, setting), stopping, advance)
-                    note(f"{job.name}: shard {shard.index} stored after {time.perf_counter() - start:.1f} s")
+                        score_shard(
+                            job,
+                            shard,
+                            writer,
+                            setting,
+                            chunk_of(options, setting),
+                            stopping,
+                            advance,
+                        )
+                    note(
+                        f"{job.name}: shard {shard.index} stored after {time.perf_counter() - start:.1f} s"
+                    )
                 else:
                     left.append(shard)
         if stopping():
@@ -110,7 +137,8 @@ def score_shard(
     stopping: Callable[[], bool] = lambda: False,
     advance: Callable[[int], None] = lambda n: None,
 ) -> None:
-    """All trials of a shard through the evaluator into a writer; `Stopped` between chunks where that is asked."""
+    """All trials of a shard through the evaluator into a writer; `Stopped` between chunks where
+    that is asked."""
     for first in range(shard.first, shard.last, chunk):
         if stopping():
             raise Stopped
@@ -120,22 +148,37 @@ def score_shard(
         advance(last - first)
 
 
-def _score_chunk(job: Job, trials: Trials, rows: torch.Tensor | None, setting: Setting) -> dict[str, pa.Table]:
-    """Tables of a chunk in the plan's order; `rows`: the answers' rows, -1 for a trial without one."""
-    answered = torch.ones(len(trials), dtype=torch.bool, device="cpu") if rows is None else rows >= 0
+def _score_chunk(
+    job: Job, trials: Trials, rows: torch.Tensor | None, setting: Setting
+) -> dict[str, pa.Table]:
+    """Tables of a chunk in the plan's order; `rows`: the answers' rows, -1 for a trial without
+    one."""
+    answered = (
+        torch.ones(len(trials), dtype=torch.bool, device="cpu") if rows is None else rows >= 0
+    )
     names, tables = setting.names, {}
     if not answered.all():
         tables["trials"] = missing_rows(trials[~answered], names)
     if answered.any():
         part = trials[answered].to(setting.evaluator.scene.device)
-        answers = job.predict(part, None if rows is None else rows[answered]).to(setting.evaluator.scene.device)
+        answers = job.predict(part, None if rows is None else rows[answered]).to(
+            setting.evaluator.scene.device
+        )
         keep = "paths" in setting.header["stored"]
-        scores = setting.evaluator.score(answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep)
-        part, answers, scores = part.to("cpu"), answers.to("cpu"), scores.to("cpu")  # one copy each from a GPU
+        scores = setting.evaluator.score(
+            answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep
+        )
+        part, answers, scores = (
+            part.to("cpu"),
+            answers.to("cpu"),
+            scores.to("cpu"),
+        )  # one copy each from a GPU
         scored = score_rows(part, scores, names, answers.t_method_s)
         if (scores.outcome == int(Outcome.INVALID_SIM)).any():
             tables["failures"] = failure_rows(part, answers, scores, names)
-        tables["trials"] = pa.concat_tables([scored, *([tables["trials"]] if "trials" in tables else [])])
+        tables["trials"] = pa.concat_tables(
+            [scored, *([tables["trials"]] if "trials" in tables else [])]
+        )
         for kind in setting.header["stored"]:
             if kind == "details":
                 tables[kind] = detail_rows(part, scores, names)
@@ -143,26 +186,33 @@ def _score_chunk(job: Job, trials: Trials, rows: torch.Tensor | None, setting: S
                 tables[kind] = pose_rows(answers)
             elif kind == "paths":
                 tables[kind] = path_rows(scores)
-    order = np.argsort(np.concatenate([np.flatnonzero(answered.numpy()), np.flatnonzero(~answered.numpy())]))
+    order = np.argsort(
+        np.concatenate([np.flatnonzero(answered.numpy()), np.flatnonzero(~answered.numpy())])
+    )
     tables["trials"] = tables["trials"].unify_dictionaries().take(pa.array(order))
     return tables
 
 
 def warm_up(job: Job, setting: Setting, trials: int = WARM_TRIALS) -> None:
     """Compile what the job will use; the poses do not matter, and a user's method is not asked."""
-    few = setting.trials(setting.ids(0, min(trials, setting.planned))).to(setting.evaluator.scene.device)
+    few = setting.trials(setting.ids(0, min(trials, setting.planned))).to(
+        setting.evaluator.scene.device
+    )
     if job.warm:
         answers = job.predict(few, None)
         T_obj_ee, T_world_ee = answers.T_obj_ee, answers.T_world_ee
     else:
-        T_obj_ee = torch.eye(4, dtype=torch.float32, device=few.T_world_hand.device).repeat(len(few), 1, 1)
+        T_obj_ee = torch.eye(4, dtype=torch.float32, device=few.T_world_hand.device).repeat(
+            len(few), 1, 1
+        )
         T_world_ee = few.T_world_hand.clone()
     setting.evaluator.score(T_obj_ee, T_world_ee, few)
     load_searches(setting.evaluator.scene.device)  # none of these few may have needed them
 
 
 def shard_size(setting: Setting, jobs: list[Job]) -> int:
-    """Trials of a shard in a new folder: `SHARD_TRIALS`, or what the slowest job does in a minute."""
+    """Trials of a shard in a new folder: `SHARD_TRIALS`, or what the slowest job does in a
+    minute."""
     if setting.planned <= UNPROBED_TRIALS:
         return SHARD_TRIALS
     slowest = 0.0

@@ -1,4 +1,5 @@
-"""What a process needs to score a part of a sweep: the setting (evaluator, plan, header) and the jobs (who answers)."""
+"""What a process needs to score a part of a sweep: the setting (evaluator, plan, header) and the
+jobs (who answers)."""
 
 import inspect
 import json
@@ -36,14 +37,16 @@ if TYPE_CHECKING:
     from r2h_batch.predictors.noise import Errors
 
 DIGEST_TRIALS = 10_000
-"""Trials of each split that the digest of the trial list covers: the generator counts, so these stand for all."""
+"""Trials of each split that the digest of the trial list covers: the generator counts, so these
+stand for all."""
 
 
 @dataclass(frozen=True, eq=False)
 class Setting:
     """The evaluator, the plan as positions 0..N-1 (split by split), and run.json's header.
 
-    `ids(first, last)`: trial ids of a range of positions. `trials(ids)`: those trials. Nothing grows with N.
+    `ids(first, last)`: trial ids of a range of positions. `trials(ids)`: those trials. Nothing
+    grows with N.
     """
 
     evaluator: "Evaluator"
@@ -68,10 +71,12 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """One method to score: its name in the table, where its answers come from, and how to get them for a chunk.
+    """One method to score: its name in the table, where its answers come from, and how to get them
+    for a chunk.
 
-    `rows` (N,) is the row that answers each planned position, -1 for none; None: `predict` answers every trial. `warm`:
-    ask for a few trials before the clock starts; not for a user's method, which may keep count of its calls.
+    `rows` (N,) is the row that answers each planned position, -1 for none; None: `predict` answers
+    every trial. `warm`: ask for a few trials before the clock starts; not for a user's method,
+    which may keep count of its calls.
     """
 
     name: str
@@ -93,14 +98,20 @@ def prepare(options: Options) -> Setting:
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 
     if options.device != "cpu" and not torch.cuda.is_available():
-        raise UsageError(f"--device {options.device}: torch sees no CUDA device ({why_no_cuda()}); use --device cpu")
+        raise UsageError(
+            f"--device {options.device}: torch sees no CUDA device ({why_no_cuda()}); use --device cpu"
+        )
     given = given_of(options)
     # a convex decomposition takes up to a minute: only where it is used
     benchmark = given.read(pieces=options.object_collision == "pieces")
     config, objects = benchmark.config(_configuration(options)), benchmark.objects
     plan = _plan(options, benchmark)
-    first_trials = make_trials(list(plan), min(max(plan.values()), DIGEST_TRIALS), benchmark=benchmark)
-    evaluator = Evaluator.from_benchmark(benchmark, config, device=options.device, threads=options.threads)
+    first_trials = make_trials(
+        list(plan), min(max(plan.values()), DIGEST_TRIALS), benchmark=benchmark
+    )
+    evaluator = Evaluator.from_benchmark(
+        benchmark, config, device=options.device, threads=options.threads
+    )
     header = {
         "protocol": benchmark.protocol,
         "trials": plan,
@@ -118,7 +129,9 @@ def prepare(options: Options) -> Setting:
             "engine": config.execute.sim,
             "model": config.execute.model if config.execute.sim != "none" else None,
             "step_s": config.execute.step_s if config.execute.sim != "none" else None,
-            "sample_s": config.execute.step_s * config.execute.record_steps if config.execute.sim != "none" else None,
+            "sample_s": config.execute.step_s * config.execute.record_steps
+            if config.execute.sim != "none"
+            else None,
         },
         "objects": [_said_of(o) for o in objects],
         "hands": [SIDES[s] for s in evaluator.scene.hands.set.side.tolist()],
@@ -126,7 +139,10 @@ def prepare(options: Options) -> Setting:
         "seed": options.seed,
         "predictors": _predictors(options),
         "stored": options.stored,
-        "device": {"kind": options.device.partition(":")[0], "name": provenance.device_name(options.device)},
+        "device": {
+            "kind": options.device.partition(":")[0],
+            "name": provenance.device_name(options.device),
+        },
         "versions": provenance.versions(),
         "platform": platform.platform(),
         "git_commit": provenance.git_commit(),
@@ -144,7 +160,12 @@ def _said_of(model: "ObjectModel") -> dict[str, Any]:
     """What run.json says of an object: a repaired mesh with what was done, and what came of it."""
     from r2h_batch.bodies.objects import is_built_in, object_digest
 
-    said = {"name": model.name, "split": model.split, "built_in": is_built_in(model), "digest": object_digest(model)}
+    said = {
+        "name": model.name,
+        "split": model.split,
+        "built_in": is_built_in(model),
+        "digest": object_digest(model),
+    }
     return said if model.repair is None else {**said, "repair": asdict(model.repair)}
 
 
@@ -154,7 +175,9 @@ def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
     if benchmark.listed is None:
         return dict.fromkeys(splits, options.trials)
     if options.trials != Options.trials:
-        raise UsageError("--trials belongs to the protocol; a trials file says its own, leave --trials out")
+        raise UsageError(
+            "--trials belongs to the protocol; a trials file says its own, leave --trials out"
+        )
     counts = {s: int((benchmark.listed.trial_id % 2 == SPLITS.index(s)).sum()) for s in splits}
     if not any(counts.values()):
         raise UsageError(f"the trials file has none of --splits {' '.join(splits)}")
@@ -173,7 +196,9 @@ def _configuration(options: Options) -> "EvalConfig":
     config = EvalConfig.preset(options.preset)
     edge_check = config.plan.edge_check if options.edge_check == "preset" else options.edge_check
     hand = config.plan.hand if options.plan_hand == "preset" else options.plan_hand
-    plan = replace(config.plan, object_collision=options.object_collision, edge_check=edge_check, hand=hand)
+    plan = replace(
+        config.plan, object_collision=options.object_collision, edge_check=edge_check, hand=hand
+    )
     # what nothing is judged by says nothing: two runs that differ in it can be compared
     seen = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
     execute = replace(config.execute, sim=options.sim, model=options.sim_model)
@@ -204,7 +229,9 @@ def _noise(options: Options) -> "PredictorNoise":
 def _predictors(options: Options) -> dict[str, Any]:
     """What the methods see: the error model, and which contact network."""
     file = Path(options.predictor)
-    own = {"file": options.predictor} | ({"sha256": provenance.file_digest([file])} if file.is_file() else {})
+    own = {"file": options.predictor} | (
+        {"sha256": provenance.file_digest([file])} if file.is_file() else {}
+    )
     return {
         "noise_factor": options.predictor_noise,
         "noise": asdict(_noise(options)),
@@ -225,9 +252,13 @@ Files = list[tuple[str, str, Predictions]]
 def load_files(options: Options) -> Files:
     """(path, sha256, predictions) of every file: refused before anything slow starts."""
     loaded = [(path, load_predictions(path)) for path in options.predictions]
-    for line in (f"{path}: {words}" for path, predictions in loaded for words in doubts(predictions)):
+    for line in (
+        f"{path}: {words}" for path, predictions in loaded for words in doubts(predictions)
+    ):
         tell(line)
-    return [(path, provenance.file_digest([Path(path)]), predictions) for path, predictions in loaded]
+    return [
+        (path, provenance.file_digest([Path(path)]), predictions) for path, predictions in loaded
+    ]
 
 
 def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
@@ -245,13 +276,19 @@ def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
         jobs.append(Job(predictions.method, source, partial(_stored, predictions), rows))
     names = [job.name for job in jobs]
     if twice := sorted({n for n in names if names.count(n) > 1}):
-        raise UsageError(f"two methods are called {twice[0]!r}; give each predictions file its own method name")
+        raise UsageError(
+            f"two methods are called {twice[0]!r}; give each predictions file its own method name"
+        )
     return jobs
 
 
 def _seen(options: Options, setting: Setting) -> "Seen | None":
     """What networks of the user's saw, checked against the plan; None where no file is given."""
-    files = {name.removeprefix("predicted_"): getattr(options, name) for name in SEEN_BY if getattr(options, name)}
+    files = {
+        name.removeprefix("predicted_"): getattr(options, name)
+        for name in SEEN_BY
+        if getattr(options, name)
+    }
     if not files:
         return None
     from r2h_batch.predictors import read_seen
@@ -282,7 +319,8 @@ class _Method:
 
 
 def resolve(options: Options) -> None:
-    """Raises `UsageError` or `ValueError` for a --method or --predictor that is not there, before anything slow starts."""
+    """Raises `UsageError` or `ValueError` for a --method or --predictor that is not there, before
+    anything slow starts."""
     for name in options.method:
         _method(name)
     if options.predictor and options.predicted_contacts:
@@ -297,7 +335,9 @@ def _method(said: str) -> _Method:
     name = base_of(said)
     built_in = name in METHODS
     module_name, _, function_name = (
-        (f"r2h_batch.methods.{name.replace('-', '_')}", "", "predict") if built_in else name.rpartition(":")
+        (f"r2h_batch.methods.{name.replace('-', '_')}", "", "predict")
+        if built_in
+        else name.rpartition(":")
     )
     form = "it must be package.module:function that takes (trials, scene, *, seed)"
     try:
@@ -305,22 +345,37 @@ def _method(said: str) -> _Method:
         function = getattr(module, function_name)
     except (Exception, SystemExit) as error:  # a user's module runs when it is imported
         plain = isinstance(error, (ImportError, AttributeError))
-        what = " ".join(str(error).split()) if plain else f"{type(error).__name__}: {' '.join(str(error).split())}"
+        what = (
+            " ".join(str(error).split())
+            if plain
+            else f"{type(error).__name__}: {' '.join(str(error).split())}"
+        )
         raise UsageError(f"--method {name}: {what}; {form}") from error
     given = options_of(said, function, known=built_in) if callable(function) else {}
     try:
         signature = inspect.signature(function)
-        more = {k: None for k in ("evaluator", "noise", "predictor", "seen") if k in signature.parameters}
+        more = {
+            k: None
+            for k in ("evaluator", "noise", "predictor", "seen")
+            if k in signature.parameters
+        }
         signature.bind(None, None, seed=0, **more, **given)
     except (TypeError, ValueError) as error:
         raise UsageError(f"--method {name}: {error}; {form}") from error
-    return _Method(built_in, f"{module_name}:{function_name}", module, function, signature.parameters, given)
+    return _Method(
+        built_in, f"{module_name}:{function_name}", module, function, signature.parameters, given
+    )
 
 
-def _method_job(name: str, evaluator: "Evaluator", options: Options, seen: "Seen | None" = None) -> Job:
+def _method_job(
+    name: str, evaluator: "Evaluator", options: Options, seen: "Seen | None" = None
+) -> Job:
     found, said = _method(name), said_options(name)
     module, takes, built_in = found.module, found.takes, found.built_in
-    extra: dict[str, Any] = {**found.options, **({"evaluator": evaluator} if "evaluator" in takes else {})}
+    extra: dict[str, Any] = {
+        **found.options,
+        **({"evaluator": evaluator} if "evaluator" in takes else {}),
+    }
     source = {"kind": "method", "function": found.spec}
     file = getattr(module, "__file__", None)
     source["sha256"] = provenance.file_digest([Path(file)]) if file else ""
@@ -340,19 +395,31 @@ def _method_job(name: str, evaluator: "Evaluator", options: Options, seen: "Seen
             stand_in = Path(own).name or module.STAND_IN
             shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in module.SEES}
             title = table_name(
-                module.TITLE, stand_in, options.predictor_noise, shown, module.SEES, said, errors=_errors(options)
+                module.TITLE,
+                stand_in,
+                options.predictor_noise,
+                shown,
+                module.SEES,
+                said,
+                errors=_errors(options),
             )
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
     def answer(trials: Trials) -> Predictions:
-        return answer_of(title, trials, lambda mine: found.function(mine, evaluator.scene, seed=options.seed, **extra))
+        return answer_of(
+            title,
+            trials,
+            lambda mine: found.function(mine, evaluator.scene, seed=options.seed, **extra),
+        )
 
     if not built_in:
         return Job(title, source, lambda trials, _: answer(trials))
     from r2h_batch.sweep.able import able_of
 
     able = able_of(name, getattr(module, "SEES", ()), evaluator.scene, seen)
-    return Job(title, source, lambda trials, _: able.only(trials, answer), warm=True, cannot=able.lines)
+    return Job(
+        title, source, lambda trials, _: able.only(trials, answer), warm=True, cannot=able.lines
+    )
 
 
 SAID = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}
@@ -369,10 +436,11 @@ def table_name(
     *,
     errors: "Errors" = "normal",
 ) -> str:
-    """A method's name in tables: what stood in for the original network, the error model it was given, its options.
+    """A method's name in tables: what stood in for the original network, the error model it was
+    given, its options.
 
-    `shown`: kind -> the network whose prediction it saw, of all the kinds that it `sees`; what no network gave is named too.
-    `said`: the options that were given with its name.
+    `shown`: kind -> the network whose prediction it saw, of all the kinds that it `sees`; what no
+    network gave is named too. `said`: the options that were given with its name.
     """
     more = f"; {said}" if said else ""
     kind = {"normal": "", "frames": " of frames", "tails": " with tails"}[errors]

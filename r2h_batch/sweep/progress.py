@@ -14,13 +14,15 @@ LOG_EVERY_S = 5.0
 
 
 class Log:
-    """progress.json: each method's trials done and planned in this sweep, trials/s and seconds left."""
+    """progress.json: each method's trials done and planned in this sweep, trials/s and seconds
+    left."""
 
     def __init__(self, path: Path) -> None:
         self.path, self.methods, self._written = path, {}, 0.0  # type: ignore[var-annotated]
 
     def say(self, name: str, done: int, total: int, seconds: float) -> None:
-        """Note a method's state; the file is replaced every few seconds and when the method is done."""
+        """Note a method's state; the file is replaced every few seconds and when the method is
+        done."""
         from r2h_batch.results.storage import replace_json
 
         rate = done / seconds if seconds > 0 else 0.0
@@ -37,7 +39,8 @@ class Log:
 def progress(
     name: str, total: int, *, plain_every_s: float = 30.0, log: Log | None = None
 ) -> Iterator[Callable[[int], None]]:
-    """Gives `advance(n)`: a bar on a terminal, else a plain line every 30 s and one at the end, all on stderr."""
+    """Gives `advance(n)`: a bar on a terminal, else a plain line every 30 s and one at the end, all
+    on stderr."""
     start = said = time.perf_counter()
     done = 0
 
@@ -49,9 +52,20 @@ def progress(
 
     if sys.stderr.isatty() and not is_quiet() and os.environ.get("TERM", "dumb") != "dumb":
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeRemainingColumn,
+        )
 
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+        )
         with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(name, total=total)
 

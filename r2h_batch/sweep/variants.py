@@ -1,4 +1,5 @@
-"""A method with options of its own: `--method contact,gate=ik,height_m=0.12`. What may be said is in its function's signature."""
+"""A method with options of its own: `--method contact,gate=ik,height_m=0.12`. What may be said is
+in its function's signature."""
 
 from __future__ import annotations
 
@@ -24,14 +25,17 @@ def base_of(method: str) -> str:
 
 
 def said_options(method: str) -> str:
-    """What stands after the name, for tables and run folders: `gate=ik, height_m=0.12`; empty without options."""
+    """What stands after the name, for tables and run folders: `gate=ik, height_m=0.12`; empty
+    without options."""
     return ", ".join(part.strip() for part in method.split(",")[1:])
 
 
 def options_of(method: str, function: Callable[..., Any], *, known: bool) -> dict[str, Any]:
-    """The options that are said after a method's name, checked against its function; `UsageError` in one line.
+    """The options that are said after a method's name, checked against its function; `UsageError`
+    in one line.
 
-    `known`: types must be given (built-in methods); a user's parameter without one takes the text as a number where it is one.
+    `known`: types must be given (built-in methods); a user's parameter without one takes the text
+    as a number where it is one.
     """
     base, *parts = method.split(",")
     if not parts:
@@ -42,7 +46,9 @@ def options_of(method: str, function: Callable[..., Any], *, known: bool) -> dic
         name, equals, text = (x.strip() for x in part.partition("="))
         if name not in allowed:
             takes = f"allowed are {', '.join(allowed)}" if allowed else "it takes none"
-            raise UsageError(f"--method {base}: unknown option {name!r}{nearest(name, list(allowed))}; {takes}")
+            raise UsageError(
+                f"--method {base}: unknown option {name!r}{nearest(name, list(allowed))}; {takes}"
+            )
         if not equals or not text:
             raise UsageError(f"--method {base}: option {name} has no value; say {name}=VALUE")
         if name in found:

@@ -1,4 +1,5 @@
-"""A scoring call of fixed size that is repeated: fixed memory in and out; on CUDA one graph, without a word from the host."""
+"""A scoring call of fixed size that is repeated: fixed memory in and out; on CUDA one graph,
+without a word from the host."""
 
 from collections.abc import Callable
 from dataclasses import fields
@@ -17,14 +18,18 @@ _WARM_UP = 3
 class Captured:
     """`captured(T_obj_ee, T_world_ee, trials)` equals `evaluator.score(...)`, bit for bit.
 
-    The arguments are copied into `T_obj_ee`, `T_world_ee`, `trials`, which live as long as this object; what is left out
-    stays as it was, so a generator may as well write there itself. The result is always the same `scores`, overwritten by
-    the next call: clone what has to stay. On CUDA a call is a copy and one graph launch on the current stream; on a CPU it
-    is the ordinary call, its result copied into `scores`.
+    The arguments are copied into `T_obj_ee`, `T_world_ee`, `trials`, which live as long as this
+    object; what is left out stays as it was, so a generator may as well write there itself. The
+    result is always the same `scores`, overwritten by the next call: clone what has to stay. On
+    CUDA a call is a copy and one graph launch on the current stream; on a CPU it is the ordinary
+    call, its result copied into `scores`.
     """
 
-    def __init__(self, score: Callable[[Tensor, Tensor, Trials], Scores], device: torch.device, b: int) -> None:
-        """`score`: what is repeated, of poses (b, 4, 4) and b trials; on CUDA it may not wait for the device."""
+    def __init__(
+        self, score: Callable[[Tensor, Tensor, Trials], Scores], device: torch.device, b: int
+    ) -> None:
+        """`score`: what is repeated, of poses (b, 4, 4) and b trials; on CUDA it may not wait for
+        the device."""
         b = whole(1, what=" of rows")("b", b)
         self._score = score
         self.T_obj_ee = torch.eye(4, dtype=torch.float32, device=device).repeat(b, 1, 1)
@@ -47,7 +52,10 @@ class Captured:
             self.scores = Scores(**{f.name: getattr(first, f.name).clone() for f in fields(Scores)})
 
     def __call__(
-        self, T_obj_ee: Tensor | None = None, T_world_ee: Tensor | None = None, trials: Trials | None = None
+        self,
+        T_obj_ee: Tensor | None = None,
+        T_world_ee: Tensor | None = None,
+        trials: Trials | None = None,
     ) -> Scores:
         """`scores` of the b rows; poses (b, 4, 4) float32."""
         with torch.no_grad():
@@ -60,7 +68,9 @@ class Captured:
             if trials is not None:
                 kind(Trials)("trials", trials)
                 for f in fields(Trials):
-                    if (mine := getattr(self.trials, f.name)) is not None:  # the receiver's body decides nothing
+                    if (
+                        mine := getattr(self.trials, f.name)
+                    ) is not None:  # the receiver's body decides nothing
                         _copy(f"trials.{f.name}", mine, getattr(trials, f.name))
             if self._graph is not None:
                 self._graph.replay()

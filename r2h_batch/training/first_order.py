@@ -1,8 +1,9 @@
 """How margins change with the poses, to first order, once the points that decide them are known.
 
-A margin is a distance between two points that the evaluator found. To first order it changes as these points are carried
-along, without having to be found again (Danskin): each function here is that change as a differentiable function of the
-two poses, zero at the poses of the witness (`_0`). Float32 and float64; every row by itself, sums in a fixed order.
+A margin is a distance between two points that the evaluator found. To first order it changes as
+these points are carried along, without having to be found again (Danskin): each function here is
+that change as a differentiable function of the two poses, zero at the poses of the witness (`_0`).
+Float32 and float64; every row by itself, sums in a fixed order.
 """
 
 from dataclasses import dataclass
@@ -22,10 +23,12 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Closing:
-    """Between which points the pads stand, at the grasp `T_obj_ee`: 4 points are low, high as met, low, high as judged.
+    """Between which points the pads stand, at the grasp `T_obj_ee`: 4 points are low, high as met,
+    low, high as judged.
 
-    `slope_*`: how far y follows a wall of the pads' prism that cuts the surface there; `lift`: how the pads rise per
-    metre of opening. `state`: what the opening depends on, a code of kernels/witness/closing.py.
+    `slope_*`: how far y follows a wall of the pads' prism that cuts the surface there; `lift`: how
+    the pads rise per metre of opening. `state`: what the opening depends on, a code of
+    kernels/witness/closing.py.
     """
 
     T_obj_ee: Float[Tensor, "b 4 4"]
@@ -49,7 +52,8 @@ class Closed:
 
 @dataclass(frozen=True)
 class Contact:
-    """A point of the object and the gripper primitive nearest to it, at an opening. Normal: ee frame, towards the object."""
+    """A point of the object and the gripper primitive nearest to it, at an opening. Normal: ee
+    frame, towards the object."""
 
     point_obj: Float[Tensor, "b 3"]
     normal_ee: Float[Tensor, "b 3"]
@@ -63,19 +67,24 @@ STEEPEST = 0.05
 
 
 def closed(T_obj_ee: Float[Tensor, "b 4 4"], c: Closing) -> Closed:
-    """How width, opening and shift change with the grasp: the opening is the fixed point of width and pad height."""
-    # Shapes: four witness points a row, (B, 4, 3): low and high of what the pads meet, low and high of what is judged.
-    # d: how each moves in the ee frame as the grasp changes, the object being fixed in its own.
+    """How width, opening and shift change with the grasp: the opening is the fixed point of width
+    and pad height."""
+    # Shapes: four witness points a row, (B, 4, 3): low and high of what the pads meet, low and high
+    # of what is judged. d: how each moves in the ee frame as the grasp changes, the object being
+    # fixed in its own.
     x0 = se3.apply(se3.inverse(c.T_obj_ee)[:, None], c.point_obj)
     d = se3.apply(se3.inverse(T_obj_ee)[:, None], c.point_obj) - x0
-    # A point that slides along the surface stays on the prism's boundary: it gives back slope * (its move across)
+    # A point that slides along the surface stays on the prism's boundary: it gives back slope *
+    # (its move across)
     y = d[..., 1] - c.slope_x * d[..., 0] - c.slope_z * d[..., 2]
-    # The prism rises with the opening g, so w = w(T, g): dg = dw/dT dT + dw/dg dg, thus dg = dw|_g / (1 - dw/dg)
+    # The prism rises with the opening g, so w = w(T, g): dg = dw/dT dT + dw/dg dg, thus dg = dw|_g
+    # / (1 - dw/dg)
     rise = c.slope_z * c.lift[:, None]
     zero = torch.zeros_like(c.lift)
     follows, step = c.state == MATERIAL, (c.state == STEP_LOW) | (c.state == STEP_HIGH)
     material = (y[:, 1] - y[:, 0]) / (1 - (rise[:, 1] - rise[:, 0])).clamp(min=STEEPEST)
-    # On a step the pads' ends stand at the step's height z: g follows from z through the linkage, dg = dz / lift
+    # On a step the pads' ends stand at the step's height z: g follows from z through the linkage,
+    # dg = dz / lift
     on_step = torch.where(c.state == STEP_LOW, d[:, 0, 2], d[:, 1, 2]) / torch.where(
         step, c.lift, torch.ones_like(zero)
     )
@@ -88,16 +97,22 @@ def closed(T_obj_ee: Float[Tensor, "b 4 4"], c: Closing) -> Closed:
     )
 
 
-def attached(T_obj_ee: Float[Tensor, "b 4 4"], shift_m: Float[Tensor, " b"], change: Closed) -> Float[Tensor, "b 4 4"]:
+def attached(
+    T_obj_ee: Float[Tensor, "b 4 4"], shift_m: Float[Tensor, " b"], change: Closed
+) -> Float[Tensor, "b 4 4"]:
     """`grasp.attach` with the shift's change: where the object is held after closing."""
     p = T_obj_ee[:, :3, 3] + T_obj_ee[:, :3, 1] * (shift_m + change.shift)[:, None]
     return se3.from_rotation(T_obj_ee[:, :3, :3], p)
 
 
 def separation(
-    T_obj_ee: Float[Tensor, "b 4 4"], T_obj_ee_0: Float[Tensor, "b 4 4"], opening: Float[Tensor, " b"], c: Contact
+    T_obj_ee: Float[Tensor, "b 4 4"],
+    T_obj_ee_0: Float[Tensor, "b 4 4"],
+    opening: Float[Tensor, " b"],
+    c: Contact,
 ) -> Float[Tensor, " b"]:
-    """Change of the distance between an object's point and a gripper primitive; `T_obj_ee` is the attachment."""
+    """Change of the distance between an object's point and a gripper primitive; `T_obj_ee` is the
+    attachment."""
     x0 = se3.apply(se3.inverse(T_obj_ee_0), c.point_obj)
     moved = se3.apply(se3.inverse(T_obj_ee), c.point_obj) - x0 - c.finger * opening[:, None]
     return torch.where(c.found, se3.dot(c.normal_ee, moved), torch.zeros_like(opening))
@@ -105,7 +120,8 @@ def separation(
 
 @dataclass(frozen=True)
 class Poses0:
-    """Poses at which first-order changes are asked for, and those (`_0`) at which the witnesses were found."""
+    """Poses at which first-order changes are asked for, and those (`_0`) at which the witnesses
+    were found."""
 
     T_world_ee: Float[Tensor, "b 4 4"]
     T_world_ee_0: Float[Tensor, "b 4 4"]
@@ -116,14 +132,17 @@ class Poses0:
 
 @dataclass(frozen=True)
 class Arm:
-    """Joint axes and points on them (world frame), and the joint rates per motion of the ee frame (damped inverse)."""
+    """Joint axes and points on them (world frame), and the joint rates per motion of the ee frame
+    (damped inverse)."""
 
     axis: Float[Tensor, "b 6 3"]
     origin: Float[Tensor, "b 6 3"]
     inverse: Float[Tensor, "b 6 6"]
 
 
-def receded(point_obj: Float[Tensor, "b 3"], away: Float[Tensor, "b 3"], poses: Poses0) -> Float[Tensor, " b"]:
+def receded(
+    point_obj: Float[Tensor, "b 3"], away: Float[Tensor, "b 3"], poses: Poses0
+) -> Float[Tensor, " b"]:
     """How far a point of the held object goes along `away` (world frame)."""
     at = se3.apply(se3.matmul(poses.T_world_ee_0, se3.inverse(poses.T_obj_ee_0)), point_obj)
     now = se3.apply(se3.matmul(poses.T_world_ee, se3.inverse(poses.T_obj_ee)), point_obj)
@@ -131,19 +150,28 @@ def receded(point_obj: Float[Tensor, "b 3"], away: Float[Tensor, "b 3"], poses: 
 
 
 EE, GRIPPER, OBJECT, FIXED = 6, 7, 8, -1
-"""Carriers of a point: 0 to 5 a link of the arm, the wrist, the gripper, the held object, or nothing that moves."""
+"""Carriers of a point: 0 to 5 a link of the arm, the wrist, the gripper, the held object, or
+nothing that moves."""
 
 
 def carried(
-    point: Float[Tensor, "b 3"], carrier: Int64[Tensor, " b"], finger: Float[Tensor, "b 3"], poses: Poses0, arm: Arm
+    point: Float[Tensor, "b 3"],
+    carrier: Int64[Tensor, " b"],
+    finger: Float[Tensor, "b 3"],
+    poses: Poses0,
+    arm: Arm,
 ) -> Float[Tensor, "b 3"]:
-    """How a point (world frame) moves with what carries it. `finger`: its velocity per metre of opening, ee frame."""
-    # All carriers are worked out for all rows and the right one is picked: rows differ, and a gather would split the batch
+    """How a point (world frame) moves with what carries it. `finger`: its velocity per metre of
+    opening, ee frame."""
+    # All carriers are worked out for all rows and the right one is picked: rows differ, and a
+    # gather would split the batch
     x_ee = se3.apply(se3.inverse(poses.T_world_ee_0), point)
     with_ee = se3.apply(poses.T_world_ee, x_ee) - point
     fingers = se3.rotate(poses.T_world_ee_0[:, :3, :3], finger * poses.opening[:, None])
     x_obj = se3.apply(poses.T_obj_ee_0, x_ee)
-    with_object = se3.apply(se3.matmul(poses.T_world_ee, se3.inverse(poses.T_obj_ee)), x_obj) - point
+    with_object = (
+        se3.apply(se3.matmul(poses.T_world_ee, se3.inverse(poses.T_obj_ee)), x_obj) - point
+    )
 
     twist = ee_motion(poses)
     with_link = torch.zeros_like(point)
@@ -161,22 +189,27 @@ def carried(
 
 
 def ee_motion(poses: Poses0) -> Float[Tensor, "b 6"]:
-    """Motion of the ee frame: of its origin (m), and its turn (rad), world frame, to first order."""
+    """Motion of the ee frame: of its origin (m), and its turn (rad), world frame, to first
+    order."""
     R, R0 = poses.T_world_ee[:, :3, :3], poses.T_world_ee_0[:, :3, :3]
-    # R = exp([w]) R0 moves each axis by w x a_k; sum_k a_k x (w x a_k) = 2 w gives the turn back, exact to first order
+    # R = exp([w]) R0 moves each axis by w x a_k; sum_k a_k x (w x a_k) = 2 w gives the turn back,
+    # exact to first order
     turn = sum(torch.linalg.cross(R0[:, :, k], R[:, :, k]) for k in range(3))
     return torch.cat([poses.T_world_ee[:, :3, 3] - poses.T_world_ee_0[:, :3, 3], 0.5 * turn], 1)
 
 
 def missed(T_world_ee: Float[Tensor, "b 4 4"], ur: "UrLengths") -> Float[Tensor, " b"]:
-    """By how much the arm misses a target with the hand turned as asked (m): the closed form of kernels/ik/nearest.py.
+    """By how much the arm misses a target with the hand turned as asked (m): the closed form of
+    kernels/ik/nearest.py.
 
-    The wrist centre may be too near to the axis of joint 1, and beyond or within what both links reach.
+    The wrist centre may be too near to the axis of joint 1, and beyond or within what both links
+    reach.
     """
     R = T_world_ee[:, :3, :3]
     wrist = T_world_ee[:, :3, 3] - ur.tool * R[:, :, 2]
     x, y, height = wrist[:, 0], wrist[:, 1], wrist[:, 2] - ur.d1
-    # Joint 1 can put the wrist centre only onto a cylinder of radius d4 about its axis or beyond: `off` is missing within it
+    # Joint 1 can put the wrist centre only onto a cylinder of radius d4 about its axis or beyond:
+    # `off` is missing within it
     square = x * x + y * y
     r = _root(square)
     off = (ur.d4 - r).clamp(min=0.0)
@@ -186,7 +219,8 @@ def missed(T_world_ee: Float[Tensor, "b 4 4"], ur: "UrLengths") -> Float[Tensor,
         c, s = x * shoulder * rho + y * ur.d4, y * shoulder * rho - x * ur.d4
         scale = _root(c * c + s * s)
         c, s = c / scale, s / scale
-        # The tool's z axis in the arm's plane (joint 1 turned): its part square to that plane is cos q5
+        # The tool's z axis in the arm's plane (joint 1 turned): its part square to that plane is
+        # cos q5
         z_x, z_z = c * R[:, 0, 2] + s * R[:, 1, 2], R[:, 2, 2]
         sin_q5 = _root(z_x * z_x + z_z * z_z)
         for flip in (1.0, -1.0):

@@ -1,4 +1,5 @@
-"""Margins that can be differentiated: the evaluator's own numbers forward, first-order changes at the witnesses backward.
+"""Margins that can be differentiated: the evaluator's own numbers forward, first-order changes at
+the witnesses backward.
 
 What is behind each gradient, and where margins have kinks: docs/gradients.md.
 """
@@ -35,7 +36,8 @@ def differentiable(
     holding: Holding,
     goal: Goal,
 ) -> Scores:
-    """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses; rows that are no poses do not.
+    """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses; rows
+    that are no poses do not.
 
     `poses`: T_obj_ee and T_world_ee as they were given, with their history.
     """
@@ -47,8 +49,9 @@ def differentiable(
 class FirstOrderOnly(torch.autograd.Function):
     """The same poses, with a gradient that cannot be differentiated again.
 
-    `changes` is right to first order only: of its own second derivatives one would learn nothing about the margins.
-    (`once_differentiable` would let them pass where the incoming gradient is a constant.)
+    `changes` is right to first order only: of its own second derivatives one would learn nothing
+    about the margins. (`once_differentiable` would let them pass where the incoming gradient is a
+    constant.)
     """
 
     @staticmethod
@@ -71,7 +74,9 @@ class _Refusing(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradient: Tensor) -> tuple[Tensor, Tensor]:
-        raise RuntimeError("margins have first derivatives only: score without create_graph, or by finite differences")
+        raise RuntimeError(
+            "margins have first derivatives only: score without create_graph, or by finite differences"
+        )
 
 
 HELD_M = 3e-5
@@ -79,24 +84,35 @@ HELD_M = 3e-5
 
 
 class MarginChanges:
-    """The first-order change of all margins (B, 5) as a function of the poses; finding the witnesses is done once."""
+    """The first-order change of all margins (B, 5) as a function of the poses; finding the
+    witnesses is done once."""
 
     def __init__(
-        self, scene: Scene, thresholds: Thresholds, threads: int | None, scores: Scores, holding: Holding, goal: Goal
+        self,
+        scene: Scene,
+        thresholds: Thresholds,
+        threads: int | None,
+        scores: Scores,
+        holding: Holding,
+        goal: Goal,
     ) -> None:
         self.held, self.goal, self.evaluated = holding, goal, scores.evaluated
         margin = scores.margin.detach()
         self._find_on_object(scene, thresholds, margin, threads)
         self._find_between_bodies(scene, scores, margin[:, 4] + thresholds.safe_margin_m, threads)
 
-    def _find_on_object(self, scene: Scene, thresholds: Thresholds, margin: Tensor, threads: int | None) -> None:
+    def _find_on_object(
+        self, scene: Scene, thresholds: Thresholds, margin: Tensor, threads: int | None
+    ) -> None:
         """Stability, Reach, Affordance: which points of the object decide them."""
         held, grasp = self.held, self.held.grasp
         launch = {"threads": threads}
-        self.closing = witnesses.closing(scene, held.T_obj_ee, held.objects, grasp.width_m, grasp.opening_m, **launch)
+        self.closing = witnesses.closing(
+            scene, held.T_obj_ee, held.objects, grasp.width_m, grasp.opening_m, **launch
+        )
 
-        # Stability: the open gripper's clearance, or the material, too wide or too thin: whichever the margin says. A
-        # clearance at its cap is a bound that does not move.
+        # Stability: the open gripper's clearance, or the material, too wide or too thin: whichever
+        # the margin says. A clearance at its cap is a bound that does not move.
         self.cuts = held.active & (grasp.cut_m < CUT_CAP_M) & (margin[:, 0] == grasp.cut_m)
         holds = held.active & ~self.cuts & ~grasp.empty
         wider, thinner = thresholds.w_max_m - grasp.width_m, grasp.width_m - thresholds.w_min_m
@@ -104,13 +120,24 @@ class MarginChanges:
         self.material = torch.where(holds & (margin[:, 0] == thinner), 1.0, self.material)
         opened = torch.full_like(grasp.opening_m, OPEN_GAP_M)
         self.cut = witnesses.fingers(
-            scene, held.T_obj_ee, held.objects, opened, grasp.cut_m, self.cuts, region=False, **launch
+            scene,
+            held.T_obj_ee,
+            held.objects,
+            opened,
+            grasp.cut_m,
+            self.cuts,
+            region=False,
+            **launch,
         )
 
         # nothing between the pads: the number says no more, the way to the nearest material does
         self.empty = held.active & ~self.cuts & grasp.empty
         self.to_material = witnesses.nearest_to_point(
-            scene, se3.inverse(held.T_obj_ee), torch.zeros_like(held.T_obj_ee[:, :3, 3]), held.objects, **launch
+            scene,
+            se3.inverse(held.T_obj_ee),
+            torch.zeros_like(held.T_obj_ee[:, :3, 3]),
+            held.objects,
+            **launch,
         )
 
         T_world_obj = se3.matmul(held.T_world_ee, se3.inverse(held.attached))
@@ -119,35 +146,55 @@ class MarginChanges:
 
         near = self.evaluated[:, 3] & (margin[:, 3] < CLEARANCE_CAP_M)
         self.region = witnesses.fingers(
-            scene, held.attached, held.objects, held.squeezed_m, margin[:, 3], near, region=True, **launch
+            scene,
+            held.attached,
+            held.objects,
+            held.squeezed_m,
+            margin[:, 3],
+            near,
+            region=True,
+            **launch,
         )
 
-        # fingers that hold the region overlap it by their squeeze, wherever they go along it: the way to what is not region
+        # fingers that hold the region overlap it by their squeeze, wherever they go along it: the
+        # way to what is not region
         squeeze = 0.5 * thresholds.pad_squeeze_m
         holds = near & (margin[:, 3] < 0) & ((margin[:, 3] + squeeze).abs() < HELD_M)
         self.free = witnesses.off_region(scene, held.T_obj_ee, held.objects, holds, **launch)
 
-    def _find_between_bodies(self, scene: Scene, scores: Scores, safe_m: Tensor, threads: int | None) -> None:
-        """Safe and Plan: which bodies, what carries them, how fingers move there. `safe_m`: from hand to robot."""
+    def _find_between_bodies(
+        self, scene: Scene, scores: Scores, safe_m: Tensor, threads: int | None
+    ) -> None:
+        """Safe and Plan: which bodies, what carries them, how fingers move there. `safe_m`: from
+        hand to robot."""
         held, goal, opening_m = self.held, self.goal, self.held.grasp.opening_m
         launch = {"threads": threads}
         self.unreachable = goal.reason == int(PlanReason.IK_UNREACHABLE)
         self.start = goal.reason == int(PlanReason.START_IN_COLLISION)
         n_arm, n_robot = scene.world.n_arm, scene.world.n_robot
         body = torch.where(held.active & ~self.unreachable, scores.witness_part[:, 1], -1)
-        found, self.hand_point, normal = witnesses.hand_contact(scene, held.placed, goal.q, body, safe_m, **launch)
+        found, self.hand_point, normal = witnesses.hand_contact(
+            scene, held.placed, goal.q, body, safe_m, **launch
+        )
         self.hand_normal = torch.where(found[:, None], normal, 0.0)
         links, q_home, T_home = _tables(scene, str(body.device))
-        with_robot = (goal.nearest == int(CollidingPair.SELF)) | (goal.nearest == int(CollidingPair.OBJECT_ROBOT))
+        with_robot = (goal.nearest == int(CollidingPair.SELF)) | (
+            goal.nearest == int(CollidingPair.OBJECT_ROBOT)
+        )
         self.body, self.other = (
-            _carrier(x, links, n_robot) for x in (goal.body, torch.where(with_robot, goal.other, -1))
+            _carrier(x, links, n_robot)
+            for x in (goal.body, torch.where(with_robot, goal.other, -1))
         )
         self.safe_body = _carrier(body, links, n_robot)
         self.T_world_ee_0 = torch.where(self.start[:, None, None], T_home, held.T_world_ee)
         self.arm = witnesses.arm_at(
-            scene, torch.where(self.start[:, None] | ~held.active[:, None], q_home, goal.q), **launch
+            scene,
+            torch.where(self.start[:, None] | ~held.active[:, None], q_home, goal.q),
+            **launch,
         )
-        self.safe_arm = witnesses.arm_at(scene, torch.where(held.active[:, None], goal.q, q_home), **launch)
+        self.safe_arm = witnesses.arm_at(
+            scene, torch.where(held.active[:, None], goal.q, q_home), **launch
+        )
         self.fingers, self.safe_fingers = (
             witnesses.finger_motion(
                 scene, torch.where(x < n_robot, x - n_arm, -1).clamp(min=-1), opening_m,
@@ -165,11 +212,15 @@ class MarginChanges:
         T_world_ee = torch.where(active, T_world_ee, held.T_world_ee)
         change = first_order.closed(T_obj_ee, self.closing)
         attached = first_order.attached(T_obj_ee, held.grasp.shift_m, change)
-        poses = first_order.Poses0(T_world_ee, held.T_world_ee, attached, held.attached, change.opening)
+        poses = first_order.Poses0(
+            T_world_ee, held.T_world_ee, attached, held.attached, change.opening
+        )
 
         cut = first_order.separation(T_obj_ee, held.T_obj_ee, zero, self.cut)
         material, towards = self.to_material
-        missing = se3.apply(se3.inverse(T_obj_ee), material) - se3.apply(se3.inverse(held.T_obj_ee), material)
+        missing = se3.apply(se3.inverse(T_obj_ee), material) - se3.apply(
+            se3.inverse(held.T_obj_ee), material
+        )
         stability = torch.where(self.cuts, cut, self.material * change.width)
         stability = torch.where(self.empty, -se3.dot(towards, missing), stability)
         nearest, away = self.to_palm
@@ -181,7 +232,9 @@ class MarginChanges:
 
         safe = -se3.dot(
             self.hand_normal,
-            first_order.carried(self.hand_point, self.safe_body, self.safe_fingers, poses, self.safe_arm),
+            first_order.carried(
+                self.hand_point, self.safe_body, self.safe_fingers, poses, self.safe_arm
+            ),
         )
         at_home = replace(
             poses,
@@ -189,11 +242,13 @@ class MarginChanges:
             T_world_ee_0=self.T_world_ee_0,
         )
         point, no_fingers = self.goal.point, torch.zeros_like(self.fingers)
-        apart = first_order.carried(point, self.body, self.fingers, at_home, self.arm) - first_order.carried(
-            point, self.other, no_fingers, at_home, self.arm
-        )
+        apart = first_order.carried(
+            point, self.body, self.fingers, at_home, self.arm
+        ) - first_order.carried(point, self.other, no_fingers, at_home, self.arm)
         plan = torch.where(
-            self.unreachable, -first_order.missed(T_world_ee, _lengths()), se3.dot(self.goal.push, apart)
+            self.unreachable,
+            -first_order.missed(T_world_ee, _lengths()),
+            se3.dot(self.goal.push, apart),
         )
         out = torch.stack([stability, plan, reach, affordance, safe], 1)
         return torch.where(self.evaluated, out, torch.zeros_like(out))
@@ -202,13 +257,17 @@ class MarginChanges:
 def _carrier(body: Tensor, links: Tensor, n_robot: int) -> Tensor:
     """What carries a robot body (`Scene.part_names`): a code of first_order.py."""
     link = links[body.clamp(min=0, max=n_robot - 1).long()].long()
-    return torch.where(body < 0, first_order.FIXED, torch.where(body >= n_robot, first_order.OBJECT, link))
+    return torch.where(
+        body < 0, first_order.FIXED, torch.where(body >= n_robot, first_order.OBJECT, link)
+    )
 
 
 @lru_cache(maxsize=1)
 def _lengths() -> first_order.UrLengths:
     ur = ur_parameters(load_robot())
-    return first_order.UrLengths(*(float(getattr(ur, k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool")))
+    return first_order.UrLengths(
+        *(float(getattr(ur, k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool"))
+    )
 
 
 @lru_cache(maxsize=4)

@@ -1,4 +1,5 @@
-"""Scoring as one opaque operator for torch.compile: r2h_batch::score, with shapes but no work for tracing."""
+"""Scoring as one opaque operator for torch.compile: r2h_batch::score, with shapes but no work for
+tracing."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
@@ -17,7 +18,9 @@ from r2h_batch.types import Scores, Trials
 class Scorer(Protocol):
     """What the operator calls: the `Evaluator`, as far as this module knows it."""
 
-    def score(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, /) -> Scores:
+    def score(
+        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, /
+    ) -> Scores:
         """Verdicts of B handovers."""
 
 
@@ -28,8 +31,13 @@ _scorers: "WeakValueDictionary[int, Scorer]" = WeakValueDictionary()
 PATH_WIDTH = {"pose": 0, "all": WAYPOINTS}
 """Width of `Scores.path`."""
 
-RETURNED = tuple(f.name for f in fields(Scores) if f.name not in ("trial_id", "motion", "motion_len", "failed_state"))
-"""What the operator returns, in order; it may not return an input, so trial ids are put back outside. It keeps no motion."""
+RETURNED = tuple(
+    f.name
+    for f in fields(Scores)
+    if f.name not in ("trial_id", "motion", "motion_len", "failed_state")
+)
+"""What the operator returns, in order; it may not return an input, so trial ids are put back
+outside. It keeps no motion."""
 
 _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "outcome": (torch.int8, ()),
@@ -71,7 +79,9 @@ def score_op(
 ) -> list[Tensor]:
     """The tensors of `Evaluator.score` in the order of RETURNED."""
     if evaluator not in _scorers:
-        raise RuntimeError("the evaluator of this compiled function is gone: keep a reference to it")
+        raise RuntimeError(
+            "the evaluator of this compiled function is gone: keep a reference to it"
+        )
     trials = Trials(trial_id, object_index, hand_index, T_world_hand)
     scores = _scorers[evaluator].score(T_obj_ee, T_world_ee, trials, stages)  # type: ignore[arg-type]
     return [getattr(scores, name).clone() for name in RETURNED]
@@ -107,7 +117,8 @@ def score_backward_op(
     margin_gradient: Tensor,
     evaluator: int,
 ) -> list[Tensor]:
-    """What a gradient of the margins is with respect to the two poses; scores once more to find the witnesses."""
+    """What a gradient of the margins is with respect to the two poses; scores once more to find the
+    witnesses."""
     trials = Trials(trial_id, object_index, hand_index, T_world_hand)
     stream = torch.cuda.current_stream(T_obj_ee.device) if T_obj_ee.is_cuda else None
 
@@ -116,7 +127,10 @@ def score_backward_op(
             poses = T_obj_ee.detach().requires_grad_(), T_world_ee.detach().requires_grad_()
             margin = _scorers[evaluator].score(*poses, trials, "pose").margin
         gradients = torch.autograd.grad(margin, poses, margin_gradient, allow_unused=True)
-        return [torch.zeros_like(p) if g is None else g.contiguous() for g, p in zip(gradients, poses, strict=True)]
+        return [
+            torch.zeros_like(p) if g is None else g.contiguous()
+            for g, p in zip(gradients, poses, strict=True)
+        ]
 
     # Inside an operator autograd is switched off for this thread, whatever enable_grad says
     with ThreadPoolExecutor(1) as aside:
@@ -153,10 +167,19 @@ def _backward(ctx: Any, gradients: list[Tensor | None]) -> tuple[Tensor | None, 
 torch.library.register_autograd("r2h_batch::score", _backward, setup_context=_remember)
 
 
-def call(evaluator: int, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: str) -> Scores:
+def call(
+    evaluator: int, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: str
+) -> Scores:
     """`Evaluator.score` of checked rows through the operator: what torch.compile sees."""
     rows = (trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand)
-    values = dict(zip(RETURNED, score_op(T_obj_ee, T_world_ee, *rows, evaluator, stages), strict=True))
-    motion, motion_len = T_obj_ee.new_empty((len(T_obj_ee), 0, 6)), torch.zeros_like(values["path_len"])
+    values = dict(
+        zip(RETURNED, score_op(T_obj_ee, T_world_ee, *rows, evaluator, stages), strict=True)
+    )
+    motion, motion_len = (
+        T_obj_ee.new_empty((len(T_obj_ee), 0, 6)),
+        torch.zeros_like(values["path_len"]),
+    )
     state = motion[:, :, 0].double()
-    return Scores(trial_id=trials.trial_id, **values, motion=motion, motion_len=motion_len, failed_state=state)
+    return Scores(
+        trial_id=trials.trial_id, **values, motion=motion, motion_len=motion_len, failed_state=state
+    )

@@ -1,4 +1,5 @@
-"""Finds the points that decide each margin: one kernel launch per kind of margin, after the evaluator has judged."""
+"""Finds the points that decide each margin: one kernel launch per kind of margin, after the
+evaluator has judged."""
 
 from functools import lru_cache
 from typing import Any
@@ -20,13 +21,23 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import Placed, Scene
 from r2h_batch.training.first_order import Arm, Closing, Contact
 
-__all__ = ["arm_at", "closing", "finger_motion", "fingers", "hand_contact", "nearest_to_point", "off_region"]
+__all__ = [
+    "arm_at",
+    "closing",
+    "finger_motion",
+    "fingers",
+    "hand_contact",
+    "nearest_to_point",
+    "off_region",
+]
 
 DAMPING = 1e-3
-"""Of the arm's inverse Jacobian (metres and radians alike): postures with smaller singular values count as stuck there."""
+"""Of the arm's inverse Jacobian (metres and radians alike): postures with smaller singular values
+count as stuck there."""
 
 SLACK_M = 3e-5
-"""A witness may be this much nearer or farther than the evaluator's number, which is a certified bound of it."""
+"""A witness may be this much nearer or farther than the evaluator's number, which is a certified
+bound of it."""
 
 
 def closing(
@@ -38,7 +49,8 @@ def closing(
     *,
     threads: int | None = None,
 ) -> Closing:
-    """What the pads met, where the evaluator found these (width NaN: nothing); `T_obj_ee` before the object moved."""
+    """What the pads met, where the evaluator found these (width NaN: nothing); `T_obj_ee` before
+    the object moved."""
     b, device = len(T_obj_ee), T_obj_ee.device
     points = torch.zeros((b, 4, 3), dtype=torch.float32, device=device)
     slope_x, slope_z, lift = (
@@ -61,11 +73,19 @@ def closing(
             "width": width_m.contiguous(),
             "opening": opening_m.contiguous(),
         },
-        outputs={"point": points, "slope_x": slope_x, "slope_z": slope_z, "lift": lift, "state": state},
+        outputs={
+            "point": points,
+            "slope_x": slope_x,
+            "slope_z": slope_z,
+            "lift": lift,
+            "state": state,
+        },
         device=scene.device,
         threads=threads,
     )
-    return Closing(T_obj_ee, points, slope_x, slope_z, lift, state, (state > 0) & (width_m <= OPEN_GAP_M))
+    return Closing(
+        T_obj_ee, points, slope_x, slope_z, lift, state, (state > 0) & (width_m <= OPEN_GAP_M)
+    )
 
 
 def fingers(
@@ -79,15 +99,19 @@ def fingers(
     region: bool,
     threads: int | None = None,
 ) -> Contact:
-    """The point of the object (or of its receiver's region) nearest to or deepest in the gripper, where `wanted`.
+    """The point of the object (or of its receiver's region) nearest to or deepest in the gripper,
+    where `wanted`.
 
-    `distance_m`: the evaluator's distance. The fingers count for the region, the whole gripper for the object.
+    `distance_m`: the evaluator's distance. The fingers count for the region, the whole gripper for
+    the object.
     """
     b, device, tables = len(T_obj_ee), T_obj_ee.device, scene.grasp_tables
     bound = torch.where(wanted, distance_m + SLACK_M, -torch.inf)
     part = torch.full((b,), -1, dtype=torch.int32, device=device)
     distance = torch.zeros(b, dtype=torch.float32, device=device)
-    point, normal, finger = (torch.zeros((b, 3), dtype=torch.float32, device=device) for _ in range(3))
+    point, normal, finger = (
+        torch.zeros((b, 3), dtype=torch.float32, device=device) for _ in range(3)
+    )
     launch_trials(
         kernels.surface_witness,
         b,
@@ -101,7 +125,13 @@ def fingers(
             "opening": opening_m.contiguous(),
             "bound": bound,
         },
-        outputs={"part": part, "distance": distance, "point": point, "normal": normal, "finger": finger},
+        outputs={
+            "part": part,
+            "distance": distance,
+            "point": point,
+            "normal": normal,
+            "finger": finger,
+        },
         device=scene.device,
         threads=threads,
     )
@@ -116,7 +146,8 @@ def nearest_to_point(
     *,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
-    """The object's point nearest to `point` of some frame (object frame), and the way there (that frame; zero inside)."""
+    """The object's point nearest to `point` of some frame (object frame), and the way there (that
+    frame; zero inside)."""
     x = se3.apply(se3.inverse(T_frame_obj), point).contiguous()
     distance, nearest = torch.zeros(len(x), dtype=x.dtype, device=x.device), torch.zeros_like(x)
     launch_trials(
@@ -137,7 +168,9 @@ def nearest_to_point(
     )
     away = se3.apply(T_frame_obj, nearest) - point
     outside = (distance > 0)[:, None]
-    return nearest, torch.where(outside, away / torch.where(outside[:, 0], distance, 1.0)[:, None], 0.0)
+    return nearest, torch.where(
+        outside, away / torch.where(outside[:, 0], distance, 1.0)[:, None], 0.0
+    )
 
 
 def off_region(
@@ -148,9 +181,11 @@ def off_region(
     *,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
-    """The object's surface point nearest to the ee origin that is not in the receiver's region, and the way there (ee frame).
+    """The object's surface point nearest to the ee origin that is not in the receiver's region, and
+    the way there (ee frame).
 
-    Among the object's 2048 sample points; the way is zero where not wanted, or where all of the object is region.
+    Among the object's 2048 sample points; the way is zero where not wanted, or where all of the
+    object is region.
     """
     points, free = _sample_points(scene)
     x = T_obj_ee[:, :3, 3].clone(memory_format=torch.contiguous_format)
@@ -158,7 +193,13 @@ def off_region(
     launch_trials(
         kernels.nearest_of_points,
         len(x),
-        inputs={"point": points, "counts": free, "object_index": object_index, "wanted": wanted.contiguous(), "x": x},
+        inputs={
+            "point": points,
+            "counts": free,
+            "object_index": object_index,
+            "wanted": wanted.contiguous(),
+            "x": x,
+        },
         outputs={"found": found, "nearest": nearest},
         device=scene.device,
         threads=threads,
@@ -189,9 +230,11 @@ def hand_contact(
     *,
     threads: int | None = None,
 ) -> tuple[Bool[Tensor, " b"], Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
-    """Where robot `body` (-1: none) is nearest to the hand's mesh at posture `q`: found, the hand's point, normal (world).
+    """Where robot `body` (-1: none) is nearest to the hand's mesh at posture `q`: found, the hand's
+    point, normal (world).
 
-    `distance_m`: the evaluator's. The normal points from the robot to the hand: that way the distance grows.
+    `distance_m`: the evaluator's. The normal points from the robot to the hand: that way the
+    distance grows.
     """
     b, device = len(body), body.device
     found = torch.zeros(b, dtype=torch.bool, device=device)

@@ -5,7 +5,13 @@ from typing import TYPE_CHECKING
 from r2h_batch import lazy_names
 
 if TYPE_CHECKING:
-    from r2h_batch.trials.protocol import PROTOCOL, PROTOCOLS, make_trials, trials_digest, trials_with_ids
+    from r2h_batch.trials.protocol import (
+        PROTOCOL,
+        PROTOCOLS,
+        make_trials,
+        trials_digest,
+        trials_with_ids,
+    )
     from r2h_batch.verdicts import SPLITS
 
 __all__ = ["PROTOCOL", "PROTOCOLS", "SPLITS", "make_trials", "trials_digest", "trials_with_ids"]

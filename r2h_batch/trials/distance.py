@@ -1,4 +1,5 @@
-"""Squared distances (m^2, float64) of many points: the same sums in the same order wherever trials are drawn."""
+"""Squared distances (m^2, float64) of many points: the same sums in the same order wherever trials
+are drawn."""
 
 import numpy as np
 from numpy.typing import NDArray

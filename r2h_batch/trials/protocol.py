@@ -1,9 +1,11 @@
-"""Protocols r2h-v0 and r2h-v1: which object is handed to which hand, and where that stands. `python -m r2h_batch.trials`.
+"""Protocols r2h-v0 and r2h-v1: which object is handed to which hand, and where that stands. `python
+-m r2h_batch.trials`.
 
-Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. Objects of the split take turns, hands alternate right and left,
-and the hand's pose is drawn from the reachable set by rejection with counters (protocol, trial id, attempt): a trial
-is the same alone or among a million, on any machine. In r2h-v0 the hand floats and its roll is free; in r2h-v1 it is that of
-a person who reaches for the object (receivers.py), in the same set.
+Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. Objects of the split take turns, hands alternate
+right and left, and the hand's pose is drawn from the reachable set by rejection with counters
+(protocol, trial id, attempt): a trial is the same alone or among a million, on any machine. In
+r2h-v0 the hand floats and its roll is free; in r2h-v1 it is that of a person who reaches for the
+object (receivers.py), in the same set.
 """
 
 import hashlib
@@ -35,7 +37,15 @@ from r2h_batch.turns import PROTOCOL, PROTOCOLS, hands_in_turn, objects_in_turn,
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["PROTOCOL", "PROTOCOLS", "SPLITS", "make_trials", "trials_digest", "trials_of", "trials_with_ids"]
+__all__ = [
+    "PROTOCOL",
+    "PROTOCOLS",
+    "SPLITS",
+    "make_trials",
+    "trials_digest",
+    "trials_of",
+    "trials_with_ids",
+]
 
 TRIALS = 500
 """Trials of a split in the benchmark; more are the same generator run further."""
@@ -46,10 +56,11 @@ NEAREST_M, FARTHEST_M = 0.45, 0.80
 LOWEST_M, HIGHEST_M = 0.10, 0.60
 """Height of c_h above the table [choice]."""
 SECTOR_DEG, CONE_DEG, TURNED_AWAY_DEG = 50.0, 75.0, 120.0
-"""c_h within +-50 degrees of +x; palm normal within 75 degrees of the direction to the robot or of up, never more than
-120 degrees from the former [choice]."""
+"""c_h within +-50 degrees of +x; palm normal within 75 degrees of the direction to the robot or of
+up, never more than 120 degrees from the former [choice]."""
 TCP_ROOM_M, TABLE_ROOM_M, ROBOT_ROOM_M = 0.20, 0.005, 0.005
-"""What no vertex of the hand comes nearer to, with the robot at home: the TCP, the table, the arm [choice]."""
+"""What no vertex of the hand comes nearer to, with the robot at home: the TCP, the table, the arm
+[choice]."""
 
 DEFAULT = Workplace()
 
@@ -71,11 +82,14 @@ def make_trials(
 ) -> Trials:
     """The first `trials` trials of each split, split by split, on the CPU.
 
-    `objects` (default: the 16 built-in ones) is what `object_index` counts; those of a split take turns in it. Hands stand
-    where `config` puts ball, table and home. `benchmark`, a file or one that was read, says all three instead. `protocol`:
-    r2h-v0 (hands alone) or r2h-v1 (with `Trials.receiver`); by default the benchmark's.
+    `objects` (default: the 16 built-in ones) is what `object_index` counts; those of a split take
+    turns in it. Hands stand where `config` puts ball, table and home. `benchmark`, a file or one
+    that was read, says all three instead. `protocol`: r2h-v0 (hands alone) or r2h-v1 (with
+    `Trials.receiver`); by default the benchmark's.
     """
-    splits = many(str, f"of {', '.join(SPLITS)}")("splits", [splits] if isinstance(splits, str) else splits)
+    splits = many(str, f"of {', '.join(SPLITS)}")(
+        "splits", [splits] if isinstance(splits, str) else splits
+    )
     for split in splits:
         one_of(*SPLITS)("splits", split)
     if len(set(splits)) != len(splits):
@@ -85,15 +99,26 @@ def make_trials(
     if benchmark is not None:
         kind((Benchmark, str, Path), "a file, or read_benchmark(FILE)")("benchmark", benchmark)
         if objects is not None or hand_set is not None or config is not None:
-            raise ValueError("benchmark says objects, hands and limits; give it alone, or the others without it")
+            raise ValueError(
+                "benchmark says objects, hands and limits; give it alone, or the others without it"
+            )
         found = read_benchmark(benchmark) if isinstance(benchmark, (str, Path)) else benchmark
         if found.listed is not None:
             return _listed(found.listed, splits, trials).named(found.objects)
-        objects, hand_set, config, protocol = found.objects, found.hand_set, found.config(), protocol or found.drawn
+        objects, hand_set, config, protocol = (
+            found.objects,
+            found.hand_set,
+            found.config(),
+            protocol or found.drawn,
+        )
     plan = dict.fromkeys(splits, trials)
     ids = trial_ids(plan, 0, sum(plan.values()))
     return trials_with_ids(
-        torch.from_numpy(ids), objects=objects, hand_set=hand_set, config=config, protocol=protocol or PROTOCOL
+        torch.from_numpy(ids),
+        objects=objects,
+        hand_set=hand_set,
+        config=config,
+        protocol=protocol or PROTOCOL,
     )
 
 
@@ -149,7 +174,9 @@ def trials_with_ids(
         hand_index[rows] = hands_in_turn(ids[rows], side[rows], hands.side, protocol)
         try:
             if with_body:
-                T_world_hand[rows], receiver[rows] = _draw_people(ids[rows], hand_index[rows], hands, config, protocol)
+                T_world_hand[rows], receiver[rows] = _draw_people(
+                    ids[rows], hand_index[rows], hands, config, protocol
+                )
             else:
                 T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, config)
         except rng.NothingFits as error:
@@ -167,15 +194,19 @@ def trials_with_ids(
 
 
 def trials_digest(trials: Trials, *, objects: Sequence[ObjectModel] | None = None) -> str:
-    """sha256 (hex) over protocol, ids, object names, hand indices, and the bytes of the hand poses and of the receivers.
+    """sha256 (hex) over protocol, ids, object names, hand indices, and the bytes of the hand poses
+    and of the receivers.
 
-    `objects` is what `object_index` counts; by default the built-in ones, and a number for what comes after them.
+    `objects` is what `object_index` counts; by default the built-in ones, and a number for what
+    comes after them.
     """
     kind(Trials, "make_trials(...)")("trials", trials)
     names = dict(enumerate(o.name for o in checked_objects(objects)))
     digest = hashlib.sha256(f"{PROTOCOLS[0 if trials.receiver is None else 1]}\n".encode())
     digest.update(trials.trial_id.cpu().numpy().astype("<i8").tobytes())
-    digest.update("\n".join(names.get(i, f"object {i}") for i in trials.object_index.tolist()).encode())
+    digest.update(
+        "\n".join(names.get(i, f"object {i}") for i in trials.object_index.tolist()).encode()
+    )
     digest.update(trials.hand_index.cpu().numpy().astype("<i4").tobytes())
     digest.update(trials.T_world_hand.cpu().contiguous().numpy().astype("<f4").tobytes())
     if trials.receiver is not None:
@@ -197,7 +228,9 @@ class _Hands:
         )  # to the middle finger's root, in the palm's plane
         along = along - _dot(along, self.palm_normal)[:, None] * self.palm_normal
         self.along = along / np.sqrt(_dot(along, along))[:, None]
-        self.vertices = np.ascontiguousarray(geometry.vertices.double().numpy().transpose(2, 0, 1))  # (3, H, V)
+        self.vertices = np.ascontiguousarray(
+            geometry.vertices.double().numpy().transpose(2, 0, 1)
+        )  # (3, H, V)
         low, high = self.vertices.min(2), self.vertices.max(2)
         self.center = ((low + high) / 2).T
         offset = self.vertices - self.center.T[:, :, None]
@@ -214,7 +247,8 @@ def _hands(hand_set: HandSet) -> _Hands:
 def _draw_poses(
     ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands, config: EvalConfig
 ) -> NDArray[np.float32]:
-    """T_world_hand (n, 4, 4), each the first proposal of its trial that lies in the reachable set."""
+    """T_world_hand (n, 4, 4), each the first proposal of its trial that lies in the reachable
+    set."""
     key, offset_m = rng.key_of(PROTOCOLS[0]), config.thresholds.reach_offset_m
 
     def propose(
@@ -227,7 +261,13 @@ def _draw_poses(
         hand, center, R = hand_index[rows[kept]], center[kept], R[kept]
         normal = se3.rotate(R, hands.palm_normal[hand])
         faces = _faces_robot_or_up(center, normal)
-        kept, hand, center, R, normal = kept[faces], hand[faces], center[faces], R[faces], normal[faces]
+        kept, hand, center, R, normal = (
+            kept[faces],
+            hand[faces],
+            center[faces],
+            R[faces],
+            normal[faces],
+        )
         T = np.zeros((len(kept), 4, 4), np.float32)
         T[:, :3, :3] = R
         T[:, :3, 3] = center - offset_m * normal - se3.rotate(R, hands.palm_point[hand])
@@ -243,10 +283,15 @@ def _draw_poses(
 
 
 def _draw_people(
-    ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands, config: EvalConfig, protocol: str
+    ids: NDArray[np.int64],
+    hand_index: NDArray[np.int64],
+    hands: _Hands,
+    config: EvalConfig,
+    protocol: str,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """T_world_hand (n, 4, 4) and `Trials.receiver` (n, 5, 4): the first proposal in r2h-v0's reachable set (ball centre
-    and palm), whose hand is clear as there, and whose arm is clear of the table and of the robot at home."""
+    """T_world_hand (n, 4, 4) and `Trials.receiver` (n, 5, 4): the first proposal in r2h-v0's
+    reachable set (ball centre and palm), whose hand is clear as there, and whose arm is clear of
+    the table and of the robot at home."""
     offset_m, at = config.thresholds.reach_offset_m, config.workplace
 
     def place_hand(
@@ -260,13 +305,19 @@ def _draw_people(
         R = world[:, :, None, 0] * local[:, None, :, 0]
         for k in (1, 2):
             R = R + world[:, :, None, k] * local[:, None, :, k]
-        if hands.in_body is not None:  # of those recorded with a body the arm is the one that can have them
+        if (
+            hands.in_body is not None
+        ):  # of those recorded with a body the arm is the one that can have them
             known = np.isfinite(hands.in_body[hand][:, 0, 0]) & (number < recorded.GIVEN_UP)
             own = recorded.recorded_in_world(people.facing, np.nan_to_num(hands.in_body[hand]))
             R = np.where(known[:, None, None], own, R)
             palm = np.where(known[:, None], se3.rotate(R, n), palm)
             able = ~known | recorded.arm_can(people, hands.side[hand], se3.rotate(R, a), palm)
-        center = people.wrist + se3.rotate(R, hands.palm_point[hand] - hands.wrist[hand]) + offset_m * palm
+        center = (
+            people.wrist
+            + se3.rotate(R, hands.palm_point[hand] - hands.wrist[hand])
+            + offset_m * palm
+        )
         kept = np.flatnonzero(able & _in_set(center))
         kept = kept[_faces_robot_or_up(center[kept], palm[kept])]
         kept = kept[receivers.clear_of_torso(people.rows(kept))]
@@ -280,7 +331,9 @@ def _draw_people(
         return fits, T[clear]
 
     edge_m = round(at.table_center[0] + at.table_half[0], 6)
-    return receivers.draw_receivers(rng.key_of(protocol), ids, hands.side[hand_index], place_hand, edge_m)
+    return receivers.draw_receivers(
+        rng.key_of(protocol), ids, hands.side[hand_index], place_hand, edge_m
+    )
 
 
 def _in_set(center: Array) -> NDArray[np.bool_]:
@@ -293,9 +346,12 @@ def _in_set(center: Array) -> NDArray[np.bool_]:
 
 
 def _arm_is_clear(people: receivers.Person, at: Workplace) -> NDArray[np.bool_]:
-    """Whether upper arm and forearm keep off table, arm and TCP at home, asked at points along them."""
+    """Whether upper arm and forearm keep off table, arm and TCP at home, asked at points along
+    them."""
     tcp, ends, radius = _home(at.home_q)
-    low, high = (np.round(np.array(at.table_center) + sign * np.array(at.table_half), 6) for sign in (-1, 1))
+    low, high = (
+        np.round(np.array(at.table_center) + sign * np.array(at.table_half), 6) for sign in (-1, 1)
+    )
     low, high = low - TABLE_ROOM_M, high + TABLE_ROOM_M
     clear = np.ones(len(people.wrist), bool)
     for points, thick in receivers.limbs(people):
@@ -318,7 +374,8 @@ def _cross(a: Array, b: Array) -> Array:
 
 
 def _ball_center(u: Array) -> tuple[NDArray[np.bool_], Array]:
-    """c_h (n, 3) uniform in a box, and whether it lies in the sector of a ring that the box encloses."""
+    """c_h (n, 3) uniform in a box, and whether it lies in the sector of a ring that the box
+    encloses."""
     slope = round(math.tan(math.radians(SECTOR_DEG)), 12)
     x_low = round(NEAREST_M * math.cos(math.radians(SECTOR_DEG)), 12)
     y_high = round(FARTHEST_M * math.sin(math.radians(SECTOR_DEG)), 12)
@@ -331,7 +388,8 @@ def _ball_center(u: Array) -> tuple[NDArray[np.bool_], Array]:
 
 
 def _faces_robot_or_up(center: Array, normal: Array) -> NDArray[np.bool_]:
-    """Whether palm normals (n, 3) lie in the two cones, and not too far from the direction to the robot."""
+    """Whether palm normals (n, 3) lie in the two cones, and not too far from the direction to the
+    robot."""
     cone, away = (round(math.cos(math.radians(a)), 12) for a in (CONE_DEG, TURNED_AWAY_DEG))
     x, y = center[:, 0], center[:, 1]
     to_robot = -(normal[:, 0] * x + normal[:, 1] * y) / np.sqrt(x * x + y * y)
@@ -341,11 +399,14 @@ def _faces_robot_or_up(center: Array, normal: Array) -> NDArray[np.bool_]:
 def _hand_is_clear(
     T_world_hand: Array, hand: NDArray[np.int64], hands: _Hands, at: Workplace = DEFAULT
 ) -> NDArray[np.bool_]:
-    """Whether no vertex is near TCP, table or arm at home: the hand's bounding sphere first, vertices where needed."""
+    """Whether no vertex is near TCP, table or arm at home: the hand's bounding sphere first,
+    vertices where needed."""
     tcp, ends, radius = _home(at.home_q)
     center = se3.rotate(T_world_hand[:, :3, :3], hands.center[hand]) + T_world_hand[:, :3, 3]
     # to a micrometre: 0.475 - 0.025 is not 0.45 in binary
-    low, high = (np.round(np.array(at.table_center) + sign * np.array(at.table_half), 6) for sign in (-1, 1))
+    low, high = (
+        np.round(np.array(at.table_center) + sign * np.array(at.table_half), 6) for sign in (-1, 1)
+    )
     low, high = low - TABLE_ROOM_M, high + TABLE_ROOM_M
     segments = [(tcp, tcp), *ends]
     bodies = [from_box(low, high, center), *(from_segment(a, b, center) for a, b in segments)]
@@ -360,24 +421,41 @@ def _hand_is_clear(
             if k == 0:
                 turned = (sum(R[:, i, j, None] * local[j] for j in range(3)) for i in range(3))
                 x, y, z = (v + p[:, i, None] for i, v in enumerate(turned))
-                hit = (z < high[2]) & (z > low[2]) & (x < high[0]) & (x > low[0]) & (y < high[1]) & (y > low[1])
+                hit = (
+                    (z < high[2])
+                    & (z > low[2])
+                    & (x < high[0])
+                    & (x > low[0])
+                    & (y < high[1])
+                    & (y > low[1])
+                )
             else:
                 a, b = segments[k - 1]
                 back = R.transpose(0, 2, 1)
-                hit = from_segments(se3.rotate(back, a - p), se3.rotate(back, b - p), local) < room[k] ** 2
+                hit = (
+                    from_segments(se3.rotate(back, a - p), se3.rotate(back, b - p), local)
+                    < room[k] ** 2
+                )
             clear[part] = ~hit.any(1)
     return clear
 
 
 @lru_cache(maxsize=8)
 def _home(home_q: tuple[float, ...]) -> tuple[Array, Array, Array]:
-    """TCP (3,), and the arm primitives' bounding capsules: ends (n, 2, 3), radii (n,), with the robot at home (world).
+    """TCP (3,), and the arm primitives' bounding capsules: ends (n, 2, 3), radii (n,), with the
+    robot at home (world).
 
     Rounded to a nanometre, so that the last bits of a machine's sine cannot decide about a trial.
     """
     robot = load_robot()
     T = forward_kinematics(robot, home_q)[robot.arm.link] @ robot.arm.T_link_prim
-    capsules = [capsule_of_primitive(int(k), s) for k, s in zip(robot.arm.kind, robot.arm.size, strict=True)]
+    capsules = [
+        capsule_of_primitive(int(k), s) for k, s in zip(robot.arm.kind, robot.arm.size, strict=True)
+    ]
     axes = np.stack([t[:3, :3] @ c[0] for t, c in zip(T, capsules, strict=True)])
     ends = np.stack([T[:, :3, 3] - axes, T[:, :3, 3] + axes], 1)
-    return np.round(ee_pose(robot, home_q)[:3, 3], 9), np.round(ends, 9), np.round([c[1] for c in capsules], 9)
+    return (
+        np.round(ee_pose(robot, home_q)[:3, 3], 9),
+        np.round(ends, 9),
+        np.round([c[1] for c in capsules], 9),
+    )

@@ -1,11 +1,13 @@
-"""Receivers of protocol r2h-v1: people with a body, whose hand stands where an arm that reaches for something brings it.
+"""Receivers of protocol r2h-v1: people with a body, whose hand stands where an arm that reaches for
+something brings it.
 
-A trial has its person: sex, standing or seated, lengths. A proposal is a place beyond the table's front edge and a posture of
-the arm: the wrist in the comfortable part of its reach, elbow, forearm and wrist within joint ranges. The hand follows from
-these; its roll is never free. Every number stands in docs/receivers.md with its source.
+A trial has its person: sex, standing or seated, lengths. A proposal is a place beyond the table's
+front edge and a posture of the arm: the wrist in the comfortable part of its reach, elbow, forearm
+and wrist within joint ranges. The hand follows from these; its roll is never free. Every number
+stands in docs/receivers.md with its source.
 
-Only +, -, *, / and sqrt: sine, cosine and the normal quantile are polynomials and a rational function of this file, so
-that a person is the same on every machine (r2h_batch.rng).
+Only +, -, *, / and sqrt: sine, cosine and the normal quantile are polynomials and a rational
+function of this file, so that a person is the same on every machine (r2h_batch.rng).
 """
 
 from collections.abc import Callable
@@ -29,7 +31,8 @@ __all__ = [
 
 Array = NDArray[np.float64]
 
-LENGTHS_MM = {  # men: mean, sd, correlation with stature; women: the same (ANSUR II, n = 4,082 and 1,986)
+# men: mean, sd, correlation with stature; women: the same (ANSUR II, n = 4,082 and 1,986)
+LENGTHS_MM = {
     "acromial_height": (1440.7, 63.3, 0.97, 1335.1, 58.1, 0.97),
     "biacromial_breadth": (415.7, 19.2, 0.53, 365.3, 18.3, 0.57),
     "acromion_radiale": (335.2, 17.5, 0.80, 311.2, 17.2, 0.79),
@@ -41,12 +44,20 @@ LENGTHS_MM = {  # men: mean, sd, correlation with stature; women: the same (ANSU
     "wrist_circumference": (175.9, 9.0, 0.49, 154.8, 7.8, 0.54),
     "iliac_height": (1061.6, 52.0, 0.91, 995.7, 49.7, 0.92),
     "popliteal_height": (429.8, 24.8, 0.84, 388.2, 23.6, 0.81),
-    "seated_shoulder": (608.8, 31.6, 0.63, 566.7, 28.3, 0.61),  # elbow rest height + shoulder-elbow length
+    "seated_shoulder": (
+        608.8,
+        31.6,
+        0.63,
+        566.7,
+        28.3,
+        0.61,
+    ),  # elbow rest height + shoulder-elbow length
 }
 PERCENTILES = (0.05, 0.95)
 SHOES_M = 0.025
 JOINT_BELOW_ACROMION = 0.104
-"""Share of the acromion-radiale length by which the shoulder's joint centre lies below the acromion."""
+"""Share of the acromion-radiale length by which the shoulder's joint centre lies below the
+acromion."""
 
 TABLE_HEIGHT_M = 0.74
 SEATED = 0.25
@@ -74,7 +85,8 @@ POINTS = 9  # along each limb, where it is asked whether it is clear
 
 @dataclass(frozen=True)
 class Person:
-    """n people, world frame, metres. `out`: sideways, to the side of the arm; `hand`, `palm`: unit vectors of the hand."""
+    """n people, world frame, metres. `out`: sideways, to the side of the arm; `hand`, `palm`: unit
+    vectors of the hand."""
 
     shoulder: Array  # (n, 3)
     elbow: Array
@@ -107,13 +119,17 @@ def draw_receivers(
     key: tuple[int, int],
     ids: NDArray[np.int64],
     side: NDArray[np.int64],
-    place_hand: Callable[[Person, NDArray[np.int64], NDArray[np.int64]], tuple[NDArray[np.bool_], NDArray[np.float32]]],
+    place_hand: Callable[
+        [Person, NDArray[np.int64], NDArray[np.int64]],
+        tuple[NDArray[np.bool_], NDArray[np.float32]],
+    ],
     table_edge_m: float,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """T_world_hand (n, 4, 4) and receivers (n, 5, 4) of trials: the first proposal of each that is accepted.
+    """T_world_hand (n, 4, 4) and receivers (n, 5, 4) of trials: the first proposal of each that is
+    accepted.
 
-    `side` (n,): 0 right, 1 left. `place_hand(people, rows, number)`: whether these proposals of trials `rows`, the `number`-th
-    of each, are kept, and the poses (k, 4, 4) of the k that are.
+    `side` (n,): 0 right, 1 left. `place_hand(people, rows, number)`: whether these proposals of
+    trials `rows`, the `number`-th of each, are kept, and the poses (k, 4, 4) of the k that are.
     """
 
     person = rng.uniforms(key, ids, OF_PERSON, purpose=_PERSON)
@@ -122,7 +138,8 @@ def draw_receivers(
     receiver = np.zeros((len(ids), 5, 4), np.float32)
     todo, tried = np.arange(len(ids)), 0
     while len(todo) and tried < rng.MAX_ATTEMPTS:
-        # the few that are left are asked many proposals at once; the first that fits is taken, as one after the other
+        # the few that are left are asked many proposals at once; the first that fits is taken, as
+        # one after the other
         turns = max(1, AT_ONCE // len(todo))
         rows = np.repeat(todo, turns)
         number = tried + np.tile(np.arange(turns), len(todo))
@@ -136,12 +153,15 @@ def draw_receivers(
         if len(todo) == len(ids) and tried * len(ids) >= rng.HOPELESS:
             break
     if len(todo):
-        raise rng.NothingFits(f"trial {ids[todo[0]]} has no acceptable posture in {tried} proposals")
+        raise rng.NothingFits(
+            f"trial {ids[todo[0]]} has no acceptable posture in {tried} proposals"
+        )
     return T_world_hand, receiver
 
 
 def propose(u: Array, v: Array, side: NDArray[np.int64], table_edge_m: float) -> Person:
-    """People from uniform numbers: who they are, u (OF_PERSON, n); where they stand and how they reach, v (OF_POSTURE, n)."""
+    """People from uniform numbers: who they are, u (OF_PERSON, n); where they stand and how they
+    reach, v (OF_POSTURE, n)."""
     woman, seated = u[0] < 0.5, u[1] < SEATED
     size = _lengths(woman, u[2:])
     outwards = np.where(side == 0, -1.0, 1.0)  # the right arm's side is -left
@@ -150,7 +170,9 @@ def propose(u: Array, v: Array, side: NDArray[np.int64], table_edge_m: float) ->
     floor = -TABLE_HEIGHT_M + SHOES_M
     hips = np.where(seated, floor + size["popliteal_height"], floor + size["iliac_height"])
     acromion = np.where(
-        seated, floor + size["popliteal_height"] + size["seated_shoulder"], floor + size["acromial_height"]
+        seated,
+        floor + size["popliteal_height"] + size["seated_shoulder"],
+        floor + size["acromial_height"],
     )
     x = table_edge_m + GAP_M[0] + (GAP_M[1] - GAP_M[0]) * v[0] + 0.5 * size["chest_depth"]
     y = SIDEWAYS_M * (2.0 * v[1] - 1.0)
@@ -181,15 +203,29 @@ def propose(u: Array, v: Array, side: NDArray[np.int64], table_edge_m: float) ->
 
     hand, palm = _hand_axes(shoulder, elbow, wrist, outwards, v[7:])
     radius = np.stack(
-        [size["biceps_circumference"], 0.5 * (size["forearm_circumference"] + size["wrist_circumference"])]
+        [
+            size["biceps_circumference"],
+            0.5 * (size["forearm_circumference"] + size["wrist_circumference"]),
+        ]
     )
     torso = np.stack([x, y, 0.5 * (hips + acromion)], 1)
     half = 0.5 * np.stack([size["chest_depth"], size["chest_breadth"], acromion - hips], 1)
-    return Person(shoulder, elbow, wrist, hand, palm, radius.T / (2.0 * 3.141592653589793), torso, forward[:, :2], half)
+    return Person(
+        shoulder,
+        elbow,
+        wrist,
+        hand,
+        palm,
+        radius.T / (2.0 * 3.141592653589793),
+        torso,
+        forward[:, :2],
+        half,
+    )
 
 
 def _lengths(woman: NDArray[np.bool_], u: Array) -> dict[str, Array]:
-    """Lengths (n,) in metres: a person's stature and what else varies, each between its 5th and 95th percentile."""
+    """Lengths (n,) in metres: a person's stature and what else varies, each between its 5th and
+    95th percentile."""
     low, high = PERCENTILES
     stature = normal_quantile(low + (high - low) * u[0])
     most = float(normal_quantile(np.array([high]))[0])
@@ -202,22 +238,30 @@ def _lengths(woman: NDArray[np.bool_], u: Array) -> dict[str, Array]:
     return out
 
 
-def _hand_axes(shoulder: Array, elbow: Array, wrist: Array, outwards: Array, v: Array) -> tuple[Array, Array]:
-    """Where the hand points and its palm faces, (n, 3) each: forearm turned, wrist bent and aside."""
+def _hand_axes(
+    shoulder: Array, elbow: Array, wrist: Array, outwards: Array, v: Array
+) -> tuple[Array, Array]:
+    """Where the hand points and its palm faces, (n, 3) each: forearm turned, wrist bent and
+    aside."""
     forearm, thumb, inwards = arm_axes(shoulder, elbow, wrist, outwards)
     s, c = sine_cosine(_between(v[0], -PRONATED_DEG, SUPINATED_DEG))
     palm = c[:, None] * inwards + s[:, None] * thumb
     thumb = c[:, None] * thumb - s[:, None] * inwards
-    s, c = sine_cosine(WRIST_BENT_DEG * (v[1] + v[2] - 1.0))  # two uniform numbers: most often straight
+    s, c = sine_cosine(
+        WRIST_BENT_DEG * (v[1] + v[2] - 1.0)
+    )  # two uniform numbers: most often straight
     hand = c[:, None] * forearm + s[:, None] * palm
     palm = c[:, None] * palm - s[:, None] * forearm
     s, c = sine_cosine(WRIST_ASIDE_DEG * (v[3] + v[4] - 1.0))
     return c[:, None] * hand - s[:, None] * thumb, palm
 
 
-def arm_axes(shoulder: Array, elbow: Array, wrist: Array, outwards: Array) -> tuple[Array, Array, Array]:
-    """Unit vectors (n, 3): along the forearm, and where thumb and palm of a hand in neutral are: away from the upper arm, and
-    towards the body's middle. `outwards` (n,): -1 of right arms, 1 of left ones."""
+def arm_axes(
+    shoulder: Array, elbow: Array, wrist: Array, outwards: Array
+) -> tuple[Array, Array, Array]:
+    """Unit vectors (n, 3): along the forearm, and where thumb and palm of a hand in neutral are:
+    away from the upper arm, and towards the body's middle. `outwards` (n,): -1 of right arms, 1 of
+    left ones."""
     upper, forearm = _unit(elbow - shoulder), _unit(wrist - elbow)
     thumb = _unit(_dot(upper, forearm)[:, None] * forearm - upper)
     return forearm, thumb, -outwards[:, None] * _cross(thumb, forearm)
@@ -227,7 +271,9 @@ def limbs(people: Person) -> list[tuple[Array, Array]]:
     """Upper arm and forearm as points (n, POINTS, 3) along them, and their radii (n,)."""
     t = np.arange(POINTS, dtype=np.float64)[None, :, None] / (POINTS - 1)
     ends = ((people.shoulder, people.elbow), (people.elbow, people.wrist))
-    return [(a[:, None] + t * (b - a)[:, None], people.radius[:, k]) for k, (a, b) in enumerate(ends)]
+    return [
+        (a[:, None] + t * (b - a)[:, None], people.radius[:, k]) for k, (a, b) in enumerate(ends)
+    ]
 
 
 def clear_of_torso(people: Person) -> NDArray[np.bool_]:
@@ -244,7 +290,8 @@ def clear_of_torso(people: Person) -> NDArray[np.bool_]:
 
 
 def sine_cosine(degrees: Array) -> tuple[Array, Array]:
-    """Sine and cosine of angles up to 180 degrees by their Taylor series about 0: within 1e-12, the same everywhere."""
+    """Sine and cosine of angles up to 180 degrees by their Taylor series about 0: within 1e-12, the
+    same everywhere."""
     x = degrees * _RAD
     square = x * x
     s, c = np.ones_like(x), np.ones_like(x)
@@ -262,11 +309,18 @@ _P = (
     -30.66479806614716,
     2.506628277459239,
 )
-_Q = (-54.47609879822406, 161.5858368580409, -155.6989798598866, 66.80131188771972, -13.28068155288572)
+_Q = (
+    -54.47609879822406,
+    161.5858368580409,
+    -155.6989798598866,
+    66.80131188771972,
+    -13.28068155288572,
+)
 
 
 def normal_quantile(p: Array) -> Array:
-    """z with Phi(z) = p for 0.025 <= p <= 0.975: Acklam's rational approximation (2003), relative error 1.2e-9."""
+    """z with Phi(z) = p for 0.025 <= p <= 0.975: Acklam's rational approximation (2003), relative
+    error 1.2e-9."""
     q = p - 0.5
     r = q * q
     numerator, denominator = np.full_like(r, _P[0]), np.full_like(r, _Q[0])

@@ -1,4 +1,5 @@
-"""Hands of r2h-v1 that were recorded with a body: they keep their direction to it, and an arm is looked for that can have them.
+"""Hands of r2h-v1 that were recorded with a body: they keep their direction to it, and an arm is
+looked for that can have them.
 
 Only +, -, *, / and sqrt, as in receivers.py.
 """
@@ -20,7 +21,8 @@ from r2h_batch.trials.receivers import (
 __all__ = ["GIVEN_UP", "arm_can", "recorded_in_world"]
 
 GIVEN_UP = 4000
-"""Proposals after which a hand's recorded direction is let go: hands that grasp from above show no palm to robot or sky."""
+"""Proposals after which a hand's recorded direction is let go: hands that grasp from above show no
+palm to robot or sky."""
 
 
 def recorded_in_world(facing: Array, R_body_hand: Array) -> Array:
@@ -30,12 +32,18 @@ def recorded_in_world(facing: Array, R_body_hand: Array) -> Array:
     return np.stack([x * ahead - y * aside, y * ahead + x * aside, up], 1)
 
 
-def arm_can(people: Person, side: NDArray[np.int64], along: Array, palm: Array) -> NDArray[np.bool_]:
-    """Whether these arms can have hands that point along (n, 3) with this palm normal: wrist and forearm within their ranges.
+def arm_can(
+    people: Person, side: NDArray[np.int64], along: Array, palm: Array
+) -> NDArray[np.bool_]:
+    """Whether these arms can have hands that point along (n, 3) with this palm normal: wrist and
+    forearm within their ranges.
 
-    The wrist: no farther from the forearm's line than bent and aside together; the forearm's turn: of the palm about that line.
+    The wrist: no farther from the forearm's line than bent and aside together; the forearm's turn:
+    of the palm about that line.
     """
-    forearm, thumb, inwards = arm_axes(people.shoulder, people.elbow, people.wrist, np.where(side == 0, -1.0, 1.0))
+    forearm, thumb, inwards = arm_axes(
+        people.shoulder, people.elbow, people.wrist, np.where(side == 0, -1.0, 1.0)
+    )
     (_, (bent, aside)) = sine_cosine(np.array([WRIST_BENT_DEG, WRIST_ASIDE_DEG]))
     straight = _dot(forearm, along) >= bent * aside
     c, s = _dot(palm, inwards), _dot(palm, thumb)

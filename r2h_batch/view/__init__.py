@@ -1,4 +1,5 @@
-"""Looking at trials: a viewer, pages, videos, strips, notebooks (extra `view`). Names are loaded when they are asked for."""
+"""Looking at trials: a viewer, pages, videos, strips, notebooks (extra `view`). Names are loaded
+when they are asked for."""
 
 from typing import TYPE_CHECKING, Any
 

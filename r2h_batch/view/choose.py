@@ -1,4 +1,5 @@
-"""Which trials of a run one looks at: filters over stored rows, and lists of what can be filtered by."""
+"""Which trials of a run one looks at: filters over stored rows, and lists of what can be filtered
+by."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ ORDERS = ("trial", *(f"margin of {name}" for name in CRITERIA))
 
 @dataclass(frozen=True)
 class Filter:
-    """What rows must be to be listed; `ANY` says nothing. `order`: one of ORDERS; `below_mm`: of the margin it names."""
+    """What rows must be to be listed; `ANY` says nothing. `order`: one of ORDERS; `below_mm`: of
+    the margin it names."""
 
     object: str = ANY
     outcome: str = ANY

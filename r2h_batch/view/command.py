@@ -21,15 +21,15 @@ def view(
     overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
-    """Look at the trials of a run folder in a browser: motion, what a failed plan was asked for, margins.
+    """Look at the trials of a run folder in a browser: motion, what a failed plan was asked for,
+    margins.
 
     Args:
         run: run folder of a sweep; what it does not store is computed again.
-        method: the method to start with, and one to see beside it; the sweep's word (fc) or the table's name.
-        trial: trial id to start with.
-        html: write this trial as one page that opens without a server, and end; with two methods, one page of both.
-        port: where the viewer listens, on this machine alone; 0: any free port.
-        overwrite: replace a page that is there.
+        method: the method to start with, and one to see beside it; the sweep's word (fc) or the
+        table's name. trial: trial id to start with. html: write this trial as one page that opens
+        without a server, and end; with two methods, one page of both. port: where the viewer
+        listens, on this machine alone; 0: any free port. overwrite: replace a page that is there.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
 
@@ -71,7 +71,8 @@ def video(
     overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
-    """Film a stored trial (.mp4, .webm, .gif), or draw it as a strip (.png, .jpg); several methods beside each other.
+    """Film a stored trial (.mp4, .webm, .gif), or draw it as a strip (.png, .jpg); several methods
+    beside each other.
 
     Args:
         run: run folder of a sweep; what it does not store is computed again.
@@ -92,7 +93,9 @@ def video(
         check_size(out, size, fps)
         check_file(out, overwrite=overwrite)
         reader = Reader(run, Given.of(benchmark))
-        print(write_video([reader.trial(trial, m) for m in method or [None]], out, size=size, fps=fps))
+        print(
+            write_video([reader.trial(trial, m) for m in method or [None]], out, size=size, fps=fps)
+        )
         return 0
 
     return _answered("video", work)
@@ -108,7 +111,8 @@ def strips(
     frames: int = 5,
     overwrite: bool = False,
 ) -> int:
-    """Draw what methods make of one trial: a row of pictures for each, along the motion that was executed.
+    """Draw what methods make of one trial: a row of pictures for each, along the motion that was
+    executed.
 
     Args:
         trial: trial id of the protocol.
@@ -139,12 +143,16 @@ def strips(
 
 
 def _answered(name: str, work: Callable[[], int]) -> int:
-    """Exit code of a command's work: 2 where it is refused, 1 where this machine cannot do it; one line for either."""
+    """Exit code of a command's work: 2 where it is refused, 1 where this machine cannot do it; one
+    line for either."""
     from r2h_batch.scene.offscreen import RenderError
 
     try:
         return work()
-    except (UsageError, ValueError) as error:  # ExportError, RunError, FileError, ObjectMeshError, PredictionsError
+    except (
+        UsageError,
+        ValueError,
+    ) as error:  # ExportError, RunError, FileError, ObjectMeshError, PredictionsError
         return refuse(name, error)
     except RenderError as error:
         return refuse(name, error, 1)
@@ -153,7 +161,9 @@ def _answered(name: str, work: Callable[[], int]) -> int:
         return 0
 
 
-def view_main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.view") -> int:
+def view_main(
+    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.view"
+) -> int:
     """Exit code: 0 written or looked at, 1 could not write, 2 refused with one line."""
     return call(view, sys.argv[1:] if arguments is None else arguments, prog=prog, name="view")
 

@@ -1,4 +1,5 @@
-"""A trial in a viser scene: bodies that follow a posture, and the marks that say what the criteria asked about."""
+"""A trial in a viser scene: bodies that follow a posture, and the marks that say what the criteria
+asked about."""
 
 from typing import Any
 
@@ -21,10 +22,15 @@ LIFT_M = 4e-4
 
 
 class Drawn:
-    """One trial under `name` in a viser scene, `offset` m to the side. `marks`: the handles of each mark."""
+    """One trial under `name` in a viser scene, `offset` m to the side. `marks`: the handles of each
+    mark."""
 
     def __init__(
-        self, scene: Any, stage: Stage, name: str = "/trial", offset: tuple[float, float, float] = (0, 0, 0)
+        self,
+        scene: Any,
+        stage: Stage,
+        name: str = "/trial",
+        offset: tuple[float, float, float] = (0, 0, 0),
     ) -> None:
         self.scene, self.stage, self.name = scene, stage, name
         self.data = mujoco.MjData(stage.model)
@@ -42,7 +48,10 @@ class Drawn:
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.stage.model, self.data)
         for i in self.moving:
-            self.bodies[i].position, self.bodies[i].wxyz = self.data.xpos[i].copy(), self.data.xquat[i].copy()
+            self.bodies[i].position, self.bodies[i].wxyz = (
+                self.data.xpos[i].copy(),
+                self.data.xquat[i].copy(),
+            )
 
     def show(self, mark: str, shown: bool) -> None:
         """Shows or hides one of MARKS."""
@@ -59,13 +68,19 @@ class Drawn:
             body = model.body(i).name
             path = f"{self.name}/{body}"
             self.bodies[i] = self.scene.add_frame(
-                path, show_axes=False, position=self.data.xpos[i].copy(), wxyz=self.data.xquat[i].copy()
+                path,
+                show_axes=False,
+                position=self.data.xpos[i].copy(),
+                wxyz=self.data.xquat[i].copy(),
             )
             if body not in STANDING:
                 self.moving.append(i)
             for g in np.flatnonzero(model.geom_bodyid == i):
                 if model.geom_group[g] == VISUAL:
-                    self._add_shape(f"{path}/{model.geom(int(g)).name.replace('/', '_')}", shape_of(model, int(g)))
+                    self._add_shape(
+                        f"{path}/{model.geom(int(g)).name.replace('/', '_')}",
+                        shape_of(model, int(g)),
+                    )
 
     def _add_shape(self, path: str, shape: Shape, **how: Any) -> Any:
         opacity = how.pop("opacity", float(shape.rgba[3]))
@@ -86,7 +101,9 @@ class Drawn:
             geom, body = model.geom(g).name, model.body(int(model.geom_bodyid[g])).name
             path = f"{self.name}/{body}/{geom.replace('/', '_')}_mark"
             if geom.startswith("target/"):
-                handle = self._add_shape(path, shape_of(model, g), visible=not stored.moves, side="double")
+                handle = self._add_shape(
+                    path, shape_of(model, g), visible=not stored.moves, side="double"
+                )
                 self.marks["target"].append(handle)
             elif geom == "object/region_visual":
                 shape = _lifted(shape_of(model, g))
@@ -127,7 +144,10 @@ class Drawn:
             ends.append(pad.pos)
         if width is None:
             return
-        middle, along = (ends[0] + ends[1]) / 2, (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+        middle, along = (
+            (ends[0] + ends[1]) / 2,
+            (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]),
+        )
         line = np.stack([middle - width / 2 * along, middle + width / 2 * along])[None]
         self.marks["width"].append(
             self.scene.add_line_segments(
@@ -136,25 +156,32 @@ class Drawn:
         )
         self.marks["width"].append(
             self.scene.add_label(
-                f"{path}/width_label", f"{1e3 * width:.1f} mm", position=middle, anchor="bottom-center"
+                f"{path}/width_label",
+                f"{1e3 * width:.1f} mm",
+                position=middle,
+                anchor="bottom-center",
             )
         )
 
     def _add_witness(self) -> None:
-        """Of a failed Plan: the pair in red, the line between its nearest points, and the clearance; of a failed Safe the
-        touch."""
+        """Of a failed Plan: the pair in red, the line between its nearest points, and the
+        clearance; of a failed Safe the touch."""
         stage, row = self.stage, self.stage.stored.row
         if not stage.stored.moves and stage.witness is not None:
             model, witness = stage.model, stage.witness
             for name in witness.geoms:
                 g = model.geom(name).id
                 path = f"{self.name}/{model.body(int(model.geom_bodyid[g])).name}/{name.replace('/', '_')}_red"
-                self.marks["witness"].append(self._add_shape(path, shape_of(model, g), color=RED, opacity=0.75))
+                self.marks["witness"].append(
+                    self._add_shape(path, shape_of(model, g), color=RED, opacity=0.75)
+                )
             self._line(witness.line, witness.words)
         elif row["outcome"] == "safe" and row.get("witness_point_m"):
             point = np.array(row["witness_point_m"], np.float64)
             self.marks["witness"].append(
-                self.scene.add_icosphere(f"{self.name}/touch", radius=0.012, color=_rgb(RED), position=point)
+                self.scene.add_icosphere(
+                    f"{self.name}/touch", radius=0.012, color=_rgb(RED), position=point
+                )
             )
             part = str(row.get("witness_safe_part")).replace("_", " ")
             self._label(point, f"{part} meets the hand at {row['witness_time_s']:.1f} s")
@@ -162,23 +189,32 @@ class Drawn:
     def _line(self, line: Array, words: str) -> None:
         self.marks["witness"].append(
             self.scene.add_line_segments(
-                f"{self.name}/witness", line[None], _rgb(RED), thickness=0.004, thickness_units="world"
+                f"{self.name}/witness",
+                line[None],
+                _rgb(RED),
+                thickness=0.004,
+                thickness_units="world",
             )
         )
         for k, end in enumerate(line):
             self.marks["witness"].append(
-                self.scene.add_icosphere(f"{self.name}/witness_{k}", radius=0.005, color=_rgb(RED), position=end)
+                self.scene.add_icosphere(
+                    f"{self.name}/witness_{k}", radius=0.005, color=_rgb(RED), position=end
+                )
             )
         self._label(line.mean(0), words)
 
     def _label(self, at: Array, words: str) -> None:
         self.marks["witness"].append(
-            self.scene.add_label(f"{self.name}/witness_label", words, position=at, anchor="bottom-center")
+            self.scene.add_label(
+                f"{self.name}/witness_label", words, position=at, anchor="bottom-center"
+            )
         )
 
 
 def look_at(server: Any, stage: Stage, aside: float = 0.0) -> None:
-    """The viewer's first camera: from the receiver's side, hand and gripper beside each other; `aside` m of more trials."""
+    """The viewer's first camera: from the receiver's side, hand and gripper beside each other;
+    `aside` m of more trials."""
     data = mujoco.MjData(stage.model)
     data.qpos[:] = stage.stored.target_q
     mujoco.mj_kinematics(stage.model, data)
@@ -201,7 +237,9 @@ def prepare(server: Any) -> None:
     scene.configure_environment_map(None)
     scene.configure_default_lights(enabled=False)
     scene.add_light_ambient("/light/ambient", intensity=1.1)
-    for k, (place, strength) in enumerate((((-0.6, -1.2, 2.4), 1.5), ((1.6, 1.0, 2.0), 1.2), ((0.3, 0.5, -1.0), 0.4))):
+    for k, (place, strength) in enumerate(
+        (((-0.6, -1.2, 2.4), 1.5), ((1.6, 1.0, 2.0), 1.2), ((0.3, 0.5, -1.0), 0.4))
+    ):
         scene.add_light_directional(f"/light/{k}", intensity=strength, position=place)
 
 
@@ -213,7 +251,9 @@ def _lifted(shape: Shape) -> Shape:
     for k in range(3):
         np.add.at(normal, f[:, k], face_normal)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    return Shape((v + LIFT_M * normal).astype(np.float32), f, shape.pos, shape.quat_wxyz, shape.rgba)
+    return Shape(
+        (v + LIFT_M * normal).astype(np.float32), f, shape.pos, shape.quat_wxyz, shape.rgba
+    )
 
 
 def _rgb(color: Any) -> tuple[int, int, int]:

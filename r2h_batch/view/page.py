@@ -1,4 +1,5 @@
-"""One trial as one page: viser's client, the recorded motion and the margins in a single file that needs no server."""
+"""One trial as one page: viser's client, the recorded motion and the margins in a single file that
+needs no server."""
 
 import socket
 from collections.abc import Iterator, Sequence
@@ -28,7 +29,8 @@ APART_M = 1.6
 
 
 def write_page(stored: StoredTrial | Sequence[StoredTrial], file: str | Path) -> Path:
-    """Writes a trial, or two side by side, as a page (about 2 MB) and returns its path; OSError where that is not possible."""
+    """Writes a trial, or two side by side, as a page (about 2 MB) and returns its path; OSError
+    where that is not possible."""
     path = Path(file)
     html = page_of([Stage(s) for s in ([stored] if isinstance(stored, StoredTrial) else stored)])
     write_text(path, html)
@@ -40,7 +42,10 @@ def page_of(stages: Sequence[Stage]) -> str:
     with hidden_server() as server:
         prepare(server)
         look_at(server, stages[0], aside=APART_M * (len(stages) - 1))
-        drawn = [Drawn(server.scene, s, f"/trial_{k}", (0.0, APART_M * k, 0.0)) for k, s in enumerate(stages)]
+        drawn = [
+            Drawn(server.scene, s, f"/trial_{k}", (0.0, APART_M * k, 0.0))
+            for k, s in enumerate(stages)
+        ]
         recording = server.get_scene_serializer()
         motions = [(d, *d.stage.motion()) for d in drawn if d.stage.stored.moves]
         if motions:
@@ -75,7 +80,8 @@ def hidden_server() -> Iterator[Any]:
 
 
 def new_server(port: int) -> Any:
-    """A viser server on 127.0.0.1; port 0: any free one. Raises `UsageError` with one line where the extra is missing."""
+    """A viser server on 127.0.0.1; port 0: any free one. Raises `UsageError` with one line where
+    the extra is missing."""
     try:
         import viser
     except ImportError:
@@ -92,7 +98,8 @@ def stop_server(server: Any) -> None:
 
 @contextmanager
 def _no_banner() -> Iterator[None]:
-    """viser greets through rich, which in a notebook writes past sys.stdout: its console is told to be quiet."""
+    """viser greets through rich, which in a notebook writes past sys.stdout: its console is told to
+    be quiet."""
     import rich
 
     console = rich.get_console()

@@ -1,4 +1,5 @@
-"""The viewer: a run's trials listed and filtered, one (or the same of two methods) in three dimensions, its motion played."""
+"""The viewer: a run's trials listed and filtered, one (or the same of two methods) in three
+dimensions, its motion played."""
 
 import threading
 import time
@@ -34,9 +35,12 @@ def serve(reader: Reader, methods: Sequence[str], trial: int | None, port: int) 
 
 
 class Viewer:
-    """A viser server with one run's trials. `run` plays until `stop`; everything else follows the controls."""
+    """A viser server with one run's trials. `run` plays until `stop`; everything else follows the
+    controls."""
 
-    def __init__(self, reader: Reader, methods: Sequence[str] = (), trial: int | None = None, port: int = 0) -> None:
+    def __init__(
+        self, reader: Reader, methods: Sequence[str] = (), trial: int | None = None, port: int = 0
+    ) -> None:
         self.reader, self.lock, self.ended = reader, threading.RLock(), threading.Event()
         names = list(reader.run.methods)
         if not names:
@@ -57,21 +61,27 @@ class Viewer:
         stop_server(self.server)
 
     def run(self) -> None:
-        """Plays while `play` is ticked, in real time times the speed, until `stop` or an interrupt."""
+        """Plays while `play` is ticked, in real time times the speed, until `stop` or an
+        interrupt."""
         while not self.ended.is_set():
             time.sleep(TICK_S)
             with self.lock:
                 if self.play.value and self.slider.max > 0:
                     t = self.slider.value + TICK_S * float(self.speed.value)
-                    self.slider.value = 0.0 if t > self.slider.max + 0.5 else min(t, self.slider.max)
+                    self.slider.value = (
+                        0.0 if t > self.slider.max + 0.5 else min(t, self.slider.max)
+                    )
 
     def _add_controls(self, names: list[str], first: Sequence[str]) -> None:
         gui = self.server.gui
         with gui.add_folder("Trials"):
             self.method = gui.add_dropdown("method", names, initial_value=first[0])
-            self.beside = gui.add_dropdown("beside it", [NOBODY, *names], initial_value=[*first, NOBODY][1])
+            self.beside = gui.add_dropdown(
+                "beside it", [NOBODY, *names], initial_value=[*first, NOBODY][1]
+            )
             self.object, self.outcome, self.reason = (
-                gui.add_dropdown(word, [ANY], initial_value=ANY) for word in ("object", "outcome", "plan's reason")
+                gui.add_dropdown(word, [ANY], initial_value=ANY)
+                for word in ("object", "outcome", "plan's reason")
             )
             self.order = gui.add_dropdown("sorted by", list(ORDERS), initial_value=ORDERS[0])
             self.below = gui.add_number("margin below, mm", 1000.0, step=1.0)
@@ -83,13 +93,25 @@ class Viewer:
             self.before, self.after = gui.add_button("previous"), gui.add_button("next")
         self.words = gui.add_markdown("")
         with gui.add_folder("Motion"):
-            self.kind = gui.add_dropdown("motion", ["executed", "planned"], initial_value="executed")
+            self.kind = gui.add_dropdown(
+                "motion", ["executed", "planned"], initial_value="executed"
+            )
             self.slider = gui.add_slider("time, s", 0.0, 10.0, 0.01, 0.0)
             self.play = gui.add_checkbox("play", False)
-            self.speed = gui.add_dropdown("speed", ["0.25", "0.5", "1", "2", "4"], initial_value="1")
+            self.speed = gui.add_dropdown(
+                "speed", ["0.25", "0.5", "1", "2", "4"], initial_value="1"
+            )
         with gui.add_folder("Shown"):
             self.shown = {mark: gui.add_checkbox(mark, True) for mark in MARKS}
-        for control in (self.method, self.object, self.outcome, self.reason, self.order, self.below, self.start):
+        for control in (
+            self.method,
+            self.object,
+            self.outcome,
+            self.reason,
+            self.order,
+            self.below,
+            self.start,
+        ):
             control.on_update(lambda _: self._filter())
         for control in (self.list, self.beside, self.kind):
             control.on_update(lambda _: self._show())
@@ -104,20 +126,31 @@ class Viewer:
             drawn.show(mark, bool(self.shown[mark].value))
 
     def _filter(self, trial: int | None = None) -> None:
-        """The list of trials, as the filters want it; `trial` (or what was shown, or the first) is shown."""
+        """The list of trials, as the filters want it; `trial` (or what was shown, or the first) is
+        shown."""
         with self.lock:
             rows = self.reader.rows(self.method.value).to_pylist()
-            for control, column in ((self.object, "object"), (self.outcome, "outcome"), (self.reason, "plan_reason")):
+            for control, column in (
+                (self.object, "object"),
+                (self.outcome, "outcome"),
+                (self.reason, "plan_reason"),
+            ):
                 words = words_of(rows, column)
                 if tuple(control.options) != tuple(words):
                     control.options = words
             by = Filter(
-                self.object.value, self.outcome.value, self.reason.value, self.order.value, float(self.below.value)
+                self.object.value,
+                self.outcome.value,
+                self.reason.value,
+                self.order.value,
+                float(self.below.value),
             )
             kept = chosen(rows, by)
             wanted = trial if trial is not None else self.listed.get(self.list.value)
             if trial is not None and all(row["trial_id"] != trial for row in kept):
-                raise ExportError(f"{self.reader.where}: no trial {trial}; it has {len(kept)} of them")
+                raise ExportError(
+                    f"{self.reader.where}: no trial {trial}; it has {len(kept)} of them"
+                )
             some, listed = _part(kept, int(self.start.value), wanted if trial is not None else None)
             self.listed = {in_brief(row): row["trial_id"] for row in some}
             self.count.content = f"{len(kept)} of {len(rows)} trials{listed}"
@@ -138,7 +171,10 @@ class Viewer:
                 drawn.remove()
             self.drawn, self.motions, words = [], [], []
             trial = self.listed.get(self.list.value)
-            for name in [self.method.value, *([self.beside.value] if self.beside.value != NOBODY else [])]:
+            for name in [
+                self.method.value,
+                *([self.beside.value] if self.beside.value != NOBODY else []),
+            ]:
                 if trial is None:
                     continue
                 try:
@@ -164,7 +200,9 @@ class Viewer:
         self.drawn.append(drawn)
         moves = stage.stored.moves
         q = stage.stored.target_q[None]
-        self.motions.append(stage.motion(self.kind.value == "executed") if moves else (np.zeros(1), q))
+        self.motions.append(
+            stage.motion(self.kind.value == "executed") if moves else (np.zeros(1), q)
+        )
 
     def _pose(self) -> None:
         with self.lock:
@@ -172,8 +210,11 @@ class Viewer:
                 drawn.pose(q[np.abs(times - self.slider.value).argmin()])
 
 
-def _part(rows: Sequence[dict[str, Any]], start: int, wanted: int | None) -> tuple[list[dict[str, Any]], str]:
-    """The rows that are listed, from number `start` (1 is the first), and words for it; `wanted` is listed whatever its place."""
+def _part(
+    rows: Sequence[dict[str, Any]], start: int, wanted: int | None
+) -> tuple[list[dict[str, Any]], str]:
+    """The rows that are listed, from number `start` (1 is the first), and words for it; `wanted` is
+    listed whatever its place."""
     first = max(0, min(start, len(rows)) - 1)
     some = list(rows[first : first + LISTED])
     words = f", {first + 1} to {first + len(some)} listed" if len(some) < len(rows) else ""

@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 COARSE_M = 0.002
-"""The robot's meshes are drawn with their vertices on a grid this wide: a fifth of the faces, nothing one sees."""
+"""The robot's meshes are drawn with their vertices on a grid this wide: a fifth of the faces,
+nothing one sees."""
 COARSE_FROM = 4000
 """Faces; smaller meshes are drawn as they are."""
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A surface in a body's frame: vertices (V, 3) in m, faces (F, 3); where it stands in the body; its colour, 0 to 1."""
+    """A surface in a body's frame: vertices (V, 3) in m, faces (F, 3); where it stands in the body;
+    its colour, 0 to 1."""
 
     vertices: NDArray[np.float32]
     faces: NDArray[np.uint32]
@@ -69,8 +71,11 @@ def _coarse_robot(_: str, vertices: bytes, faces: bytes) -> tuple[Array, NDArray
     return coarse(v, np.frombuffer(faces, np.int32).reshape(-1, 3).astype(np.int64))
 
 
-def coarse(vertices: Array, faces: NDArray[np.int64], cell_m: float = COARSE_M) -> tuple[Array, NDArray[np.int64]]:
-    """The surface with all vertices of a grid's cell joined at their mean; triangles that fall together are left out.
+def coarse(
+    vertices: Array, faces: NDArray[np.int64], cell_m: float = COARSE_M
+) -> tuple[Array, NDArray[np.int64]]:
+    """The surface with all vertices of a grid's cell joined at their mean; triangles that fall
+    together are left out.
 
     No point moves farther than the cell's diagonal.
     """
@@ -82,5 +87,7 @@ def coarse(vertices: Array, faces: NDArray[np.int64], cell_m: float = COARSE_M) 
     joined /= count[:, None]
     f = inverse[faces]
     f = f[(f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 0] != f[:, 2])]
-    turned = np.take_along_axis(f, (np.arange(3) + f.argmin(1)[:, None]) % 3, axis=1)  # same triangle, same row
+    turned = np.take_along_axis(
+        f, (np.arange(3) + f.argmin(1)[:, None]) % 3, axis=1
+    )  # same triangle, same row
     return joined, np.unique(turned, axis=0)

@@ -1,4 +1,5 @@
-"""What the methods' handovers of one trial look like: a row for each method, along the motion that was executed.
+"""What the methods' handovers of one trial look like: a row for each method, along the motion that
+was executed.
 
 The scene is the one that was simulated, rendered by MuJoCo; the row's title says what came of it.
 """
@@ -28,7 +29,9 @@ def write_strips(
     evaluator, found = answers(trial_id, methods, files, preset)
     if not found:
         raise UsageError(f"nobody answers trial {trial_id}")
-    trial = trials_with_ids(torch.tensor([trial_id], dtype=torch.int64, device="cpu"), objects=evaluator.scene.objects)
+    trial = trials_with_ids(
+        torch.tensor([trial_id], dtype=torch.int64, device="cpu"), objects=evaluator.scene.objects
+    )
     rows = strips(evaluator, trial, found, frames=frames)
     name = evaluator.scene.objects[int(trial.object_index[0])].name.replace("_", " ")
     draw(rows, f"trial {trial_id}: {name}", out, frames=frames)
@@ -49,7 +52,9 @@ def answers(
         if row is not None and int(row[0]) < 0:
             tell(f"strips: {job.name} has no answer to trial {trial_id}")
             continue
-        p = job.predict(bench.trials(torch.tensor([trial_id], dtype=torch.int64, device="cpu")), row)
+        p = job.predict(
+            bench.trials(torch.tensor([trial_id], dtype=torch.int64, device="cpu")), row
+        )
         found.append(Predictions(p.trial_id, p.T_obj_ee, p.T_world_ee, method=job.name))
     return bench.evaluator, found
 
@@ -64,7 +69,9 @@ def draw(rows: Sequence[Strip], title: str, out: Path, *, frames: int) -> None:
     from matplotlib import pyplot as plt
 
     height, width = rows[0].images.shape[1:3]
-    figure = plt.figure(figsize=(2.4 * frames, (2.4 * height / width + 0.32) * len(rows) + 0.35), dpi=160)
+    figure = plt.figure(
+        figsize=(2.4 * frames, (2.4 * height / width + 0.32) * len(rows) + 0.35), dpi=160
+    )
     ratios = [0.35, *[2.4 * height / width + 0.32] * len(rows)]
     parts = figure.subfigures(len(rows) + 1, 1, height_ratios=ratios, squeeze=False)[:, 0]
     parts[0].text(0.5, 0.5, title, ha="center", va="center", fontsize=10)
@@ -73,14 +80,25 @@ def draw(rows: Sequence[Strip], title: str, out: Path, *, frames: int) -> None:
         part.text(0.005, 0.995, row.method, ha="left", va="top", fontsize=9, weight="bold")
         part.text(0.995, 0.995, row.verdict, ha="right", va="top", fontsize=9, color=color)
         axes = part.subplots(1, frames, gridspec_kw={"wspace": 0.02})
-        part.subplots_adjust(left=0.005, right=0.995, top=1 - 0.26 / (2.4 * height / width + 0.32), bottom=0.01)
+        part.subplots_adjust(
+            left=0.005, right=0.995, top=1 - 0.26 / (2.4 * height / width + 0.32), bottom=0.01
+        )
         for k, axis in enumerate(np.atleast_1d(axes)):
             axis.set_axis_off()
             if k < len(row.images):
                 axis.imshow(row.images[k])
-                axis.text(0.03, 0.05, f"{row.time_s[k]:.1f} s", transform=axis.transAxes, fontsize=7, color="#333333")
+                axis.text(
+                    0.03,
+                    0.05,
+                    f"{row.time_s[k]:.1f} s",
+                    transform=axis.transAxes,
+                    fontsize=7,
+                    color="#333333",
+                )
             elif k == 1:
-                axis.text(0.0, 0.5, "no motion", transform=axis.transAxes, fontsize=8, color="#777777")
+                axis.text(
+                    0.0, 0.5, "no motion", transform=axis.transAxes, fontsize=8, color="#777777"
+                )
     with whole(out) as temporary:
         figure.savefig(temporary, metadata={"Software": None})
     plt.close(figure)

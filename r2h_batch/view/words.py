@@ -1,4 +1,5 @@
-"""What stands beside a trial: its verdict in words and the margins of the five criteria, as Markdown and as HTML."""
+"""What stands beside a trial: its verdict in words and the margins of the five criteria, as
+Markdown and as HTML."""
 
 from html import escape
 from typing import Any

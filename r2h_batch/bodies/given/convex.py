@@ -17,18 +17,21 @@ __all__ = ["convex_hull", "convex_pieces"]
 MAX_PIECES = 16
 MAX_HULL_VERTICES = 256
 FACES, DETAIL_M, COARSEST_M = 2500, 1e-4, 2.5e-4
-"""A user's surface is cut with 0.1 to 0.25 mm less detail: as little less as leaves it that many faces."""
+"""A user's surface is cut with 0.1 to 0.25 mm less detail: as little less as leaves it that many
+faces."""
 HELD_M = 5e-5
 APART_M, MOST_POINTS = 3e-3, 60_000
 SPARE = 0.002
-"""Pieces are joined, however few they are, where that adds no more than this share of the solid's volume."""
+"""Pieces are joined, however few they are, where that adds no more than this share of the solid's
+volume."""
 FINE = {"threshold": 0.04, "resolution": 2000, "mcts_iterations": 40, "max_convex_hull": MAX_PIECES}
 
 Hull = tuple[NDArray[np.float32], NDArray[np.int32]]
 
 
 def convex_hull(points: NDArray[np.float64], most: int = MAX_HULL_VERTICES) -> Hull:
-    """The convex hull; where it has more than ``most`` vertices, a convex body of about that many that encloses it."""
+    """The convex hull; where it has more than ``most`` vertices, a convex body of about that many
+    that encloses it."""
     hull = trimesh.convex.convex_hull(points)
     if len(hull.vertices) > most:
         hull = _enclosing_body(hull.vertices, most)
@@ -37,12 +40,16 @@ def convex_hull(points: NDArray[np.float64], most: int = MAX_HULL_VERTICES) -> H
 
 
 def _enclosing_body(points: NDArray[np.float64], most: int) -> trimesh.Trimesh:
-    """The hull of well spread extreme points, its vertices pushed outwards until nothing is left outside."""
+    """The hull of well spread extreme points, its vertices pushed outwards until nothing is left
+    outside."""
     step = np.arange(most // 2) + 0.5
     z, turn = 1 - 2 * step / len(step), np.pi * (1 + 5**0.5) * step
     ring = np.sqrt(1 - z**2)
     spread = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
-    kept = {int(k) for k in np.argmax(points @ np.concatenate([spread, np.eye(3), -np.eye(3)]).T, axis=0)}
+    kept = {
+        int(k)
+        for k in np.argmax(points @ np.concatenate([spread, np.eye(3), -np.eye(3)]).T, axis=0)
+    }
     body = trimesh.convex.convex_hull(points[sorted(kept)])
     while len(kept) < most:
         outside = points @ body.face_normals.T - _offsets(body)
@@ -66,12 +73,14 @@ def _offsets(body: trimesh.Trimesh) -> NDArray[np.float64]:
 
 
 def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> list[Hull]:
-    """At most 16 convex pieces (float32, m); the hull as a single piece where manifold3d, or for `fine` coacd, is not installed.
+    """At most 16 convex pieces (float32, m); the hull as a single piece where manifold3d, or for
+    `fine` coacd, is not installed.
 
-    A slightly simpler surface is cut by planes (`cut_apart`), parts are joined again where that costs the least (`fewer`), and
-    these pieces are grown until no point of the surface is more than 0.05 mm outside all of them (`covering`: each
-    triangle, cut to 3 mm, lies in one). `fine`: as those of the built-in objects, by CoACD alone (fixed seed), thirty times
-    the time; those leave up to 0.1 mm outside.
+    A slightly simpler surface is cut by planes (`cut_apart`), parts are joined again where that
+    costs the least (`fewer`), and these pieces are grown until no point of the surface is more than
+    0.05 mm outside all of them (`covering`: each triangle, cut to 3 mm, lies in one). `fine`: as
+    those of the built-in objects, by CoACD alone (fixed seed), thirty times the time; those leave
+    up to 0.1 mm outside.
     """
     needed = "coacd" if fine else "manifold3d"
     if importlib.util.find_spec(needed) is None:

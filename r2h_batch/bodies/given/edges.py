@@ -1,4 +1,5 @@
-"""Edges that more than two faces share, taken apart: each side of them becomes a surface of its own, no point moves."""
+"""Edges that more than two faces share, taken apart: each side of them becomes a surface of its
+own, no point moves."""
 
 from __future__ import annotations
 
@@ -16,13 +17,17 @@ ANGLE_DIGITS = 6
 """Faces nearer than 1e-6 rad around an edge are taken for coincident."""
 
 
-def split_edges(mesh: trimesh.Trimesh, tick: Callable[[float], None]) -> tuple[trimesh.Trimesh, int]:
-    """The mesh with every edge of more than two faces taken apart, and the number of such edges; faces keep their order.
+def split_edges(
+    mesh: trimesh.Trimesh, tick: Callable[[float], None]
+) -> tuple[trimesh.Trimesh, int]:
+    """The mesh with every edge of more than two faces taken apart, and the number of such edges;
+    faces keep their order.
 
-    Around an edge the faces are paired so that each pair encloses what is solid between them: from one that is wound
-    against the edge's direction on, with the next that is wound with it (turning about the edge to the right, the solid
-    lies behind the second). A face pair with the same three corners goes together first: it encloses nothing. Faces of
-    patches that have a rim of their own (fins) are paired last, so that a closed surface stays closed.
+    Around an edge the faces are paired so that each pair encloses what is solid between them: from
+    one that is wound against the edge's direction on, with the next that is wound with it (turning
+    about the edge to the right, the solid lies behind the second). A face pair with the same three
+    corners goes together first: it encloses nothing. Faces of patches that have a rim of their own
+    (fins) are paired last, so that a closed surface stays closed.
     """
     faces = np.asarray(mesh.faces)
     edges, face = mesh.edges, mesh.edges_face
@@ -45,7 +50,8 @@ def split_edges(mesh: trimesh.Trimesh, tick: Callable[[float], None]) -> tuple[t
 
 
 def split_rims(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh with vertices at which rims touch taken apart: every rim is then a loop of its own."""
+    """The mesh with vertices at which rims touch taken apart: every rim is then a loop of its
+    own."""
     _, group, count = np.unique(mesh.edges_sorted, axis=0, return_inverse=True, return_counts=True)
     group = group.reshape(-1)
     rim = mesh.edges[count[group] == 1]
@@ -102,12 +108,17 @@ def _paired(
     return np.array(found, np.int64).reshape(-1, 2)
 
 
-def _around(turn: NDArray[np.float64], along: NDArray[np.bool_], free: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Pairs (against, with) in turn about the edge, nested like brackets; begun where the solid is the least deep."""
+def _around(
+    turn: NDArray[np.float64], along: NDArray[np.bool_], free: NDArray[np.bool_]
+) -> list[tuple[int, int]]:
+    """Pairs (against, with) in turn about the edge, nested like brackets; begun where the solid is
+    the least deep."""
     mine = np.flatnonzero(free)
     if not along[mine].any() or along[mine].all():
         return []
-    mine = mine[np.lexsort((~along[mine], turn[mine]))]  # with before against: bodies that touch stay two
+    mine = mine[
+        np.lexsort((~along[mine], turn[mine]))
+    ]  # with before against: bodies that touch stay two
     depth = np.cumsum(np.where(along[mine], -1, 1))
     mine = np.roll(mine, -(int(np.argmin(depth)) + 1))
     opened: list[int] = []
@@ -120,8 +131,11 @@ def _around(turn: NDArray[np.float64], along: NDArray[np.bool_], free: NDArray[n
     return found
 
 
-def _reindexed(mesh: trimesh.Trimesh, glued: NDArray[np.int64], split: NDArray[np.int64]) -> trimesh.Trimesh:
-    """The mesh in which corners are one vertex where glued half edges join them; vertices off `split` stay as they are."""
+def _reindexed(
+    mesh: trimesh.Trimesh, glued: NDArray[np.int64], split: NDArray[np.int64]
+) -> trimesh.Trimesh:
+    """The mesh in which corners are one vertex where glued half edges join them; vertices off
+    `split` stay as they are."""
     corners = 3 * len(mesh.faces)
     # half edge h goes from corner h to the next of its face
     follow = (np.arange(corners) // 3) * 3 + (np.arange(corners) % 3 + 1) % 3

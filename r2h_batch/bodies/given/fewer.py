@@ -1,4 +1,5 @@
-"""Convex pieces made fewer by joining those that cost the least volume, and grown until they hold what they were cut from."""
+"""Convex pieces made fewer by joining those that cost the least volume, and grown until they hold
+what they were cut from."""
 
 from __future__ import annotations
 
@@ -13,18 +14,23 @@ from scipy.spatial import ConvexHull
 __all__ = ["covering", "fewer"]
 
 NEIGHBOURS = 8
-"""Pieces that one may be joined with: the nearest, by the gap between bounding boxes, then between middles."""
+"""Pieces that one may be joined with: the nearest, by the gap between bounding boxes, then between
+middles."""
 
 F64 = NDArray[np.float64]
 
 
 def fewer(parts: Sequence[F64], most: int, spare: float = -np.inf) -> list[F64]:
-    """At most `most` point sets, each the corners of a convex piece: (n, 3) of some of `parts` together.
+    """At most `most` point sets, each the corners of a convex piece: (n, 3) of some of `parts`
+    together.
 
-    Two are joined again and again, those whose common hull adds the least volume to theirs (Mamou and Ghorbel 2009, whose
-    cost is another), of each and its nearest neighbours; also when there are few enough, while that adds less than `spare` (m^3).
+    Two are joined again and again, those whose common hull adds the least volume to theirs (Mamou
+    and Ghorbel 2009, whose cost is another), of each and its nearest neighbours; also when there
+    are few enough, while that adds less than `spare` (m^3).
     """
-    hulls = [hull for part in parts if (hull := Manifold.hull_points(part)).volume() > 0]  # what is flat holds nothing
+    hulls = [
+        hull for part in parts if (hull := Manifold.hull_points(part)).volume() > 0
+    ]  # what is flat holds nothing
     corners = [_corners(hull) for hull in hulls]
     volume = [float(hull.volume()) for hull in hulls]
     boxes = [np.stack([_low(c), _high(c)]) for c in corners]
@@ -57,49 +63,66 @@ def fewer(parts: Sequence[F64], most: int, spare: float = -np.inf) -> list[F64]:
 
 
 def covering(
-    parts: Sequence[F64], points: F64, triangles: NDArray[np.int64], allowed: float, apart: float = np.inf
+    parts: Sequence[F64],
+    points: F64,
+    triangles: NDArray[np.int64],
+    allowed: float,
+    apart: float = np.inf,
 ) -> list[F64]:
-    """The pieces, grown until each triangle (T, 3) of `points` (N, 3) lies in one of them, up to `allowed` (m) outside.
+    """The pieces, grown until each triangle (T, 3) of `points` (N, 3) lies in one of them, up to
+    `allowed` (m) outside.
 
-    A triangle is in a convex piece when its corners are; so nothing of the surface is outside, not only none of the points.
-    Each that is in no piece is halved until its edges are `apart` (m) or shorter; what is then still in none goes whole into
-    the piece that its farthest corner is nearest to, of those whose bounding box is `apart` from it or nearer, if any is.
+    A triangle is in a convex piece when its corners are; so nothing of the surface is outside, not
+    only none of the points. Each that is in no piece is halved until its edges are `apart` (m) or
+    shorter; what is then still in none goes whole into the piece that its farthest corner is
+    nearest to, of those whose bounding box is `apart` from it or nearer, if any is.
     """
     found = list(parts) or [points]
     planes = [ConvexHull(part).equations for part in found]
     rest, small = points[triangles], []
     while len(rest):
         rest = rest[~_held(found, planes, rest, allowed)]
-        edge = np.linalg.norm(rest - np.roll(rest, -1, axis=1), axis=2)  # edge k: from corner k to the next
+        edge = np.linalg.norm(
+            rest - np.roll(rest, -1, axis=1), axis=2
+        )  # edge k: from corner k to the next
         longest = edge.argmax(axis=1)
         long = edge.max(axis=1, initial=0.0) > apart
         small.append(rest[~long])
         rest = _halved(rest[long], longest[long])
     out = np.concatenate(small)
     depth = np.full((len(found), len(out)), np.inf)
-    near = np.array([((out >= _low(p) - apart) & (out <= _high(p) + apart)).all(axis=(1, 2)) for p in found])
+    near = np.array(
+        [((out >= _low(p) - apart) & (out <= _high(p) + apart)).all(axis=(1, 2)) for p in found]
+    )
     near |= ~near.any(axis=0)
     for k, of in enumerate(planes):
         depth[k, near[k]] = _outside(of, out[near[k]].reshape(-1, 3)).reshape(-1, 3).max(axis=1)
     nearest = depth.argmin(axis=0)
     for k in np.unique(nearest).tolist():
-        found[k] = _corners(Manifold.hull_points(np.concatenate([found[k], out[nearest == k].reshape(-1, 3)])))
+        found[k] = _corners(
+            Manifold.hull_points(np.concatenate([found[k], out[nearest == k].reshape(-1, 3)]))
+        )
     return found
 
 
-def _held(parts: Sequence[F64], planes: Sequence[F64], triangles: F64, allowed: float) -> NDArray[np.bool_]:
+def _held(
+    parts: Sequence[F64], planes: Sequence[F64], triangles: F64, allowed: float
+) -> NDArray[np.bool_]:
     """(T,) whether triangles (T, 3, 3) lie in one of the pieces."""
     low, high = triangles.min(axis=1), triangles.max(axis=1)
     held = np.zeros(len(triangles), bool)
     for part, of in zip(parts, planes, strict=True):
         box = (low >= _low(part) - allowed) & (high <= _high(part) + allowed)
         rows = np.flatnonzero(box.all(axis=1) & ~held)
-        held[rows] = (_outside(of, triangles[rows].reshape(-1, 3)) <= allowed).reshape(-1, 3).all(axis=1)
+        held[rows] = (
+            (_outside(of, triangles[rows].reshape(-1, 3)) <= allowed).reshape(-1, 3).all(axis=1)
+        )
     return held
 
 
 def _halved(triangles: F64, edge: NDArray[np.int64]) -> F64:
-    """(2 T, 3, 3) triangles (T, 3, 3) cut in two at the middle of an edge (T,): 0, 1 or 2, from that corner to the next."""
+    """(2 T, 3, 3) triangles (T, 3, 3) cut in two at the middle of an edge (T,): 0, 1 or 2, from
+    that corner to the next."""
     row = np.arange(len(triangles))
     a, b, c = (triangles[row, (edge + k) % 3] for k in range(3))
     middle = (a + b) / 2

@@ -18,7 +18,12 @@ from r2h_batch.files.kept import Column, code_of, kept
 
 __all__ = ["kept_with_warnings", "key_of"]
 
-CODE = ("r2h_batch.bodies", "r2h_batch.bodies.given", "r2h_batch.kernels.geometry", "r2h_batch.kernels.receiver")
+CODE = (
+    "r2h_batch.bodies",
+    "r2h_batch.bodies.given",
+    "r2h_batch.kernels.geometry",
+    "r2h_batch.kernels.receiver",
+)
 VERSIONS = ("coacd", "manifold3d", "numpy", "scipy", "trimesh", "warp-lang")
 """What objects are made by."""
 SAID = "warnings"
@@ -55,8 +60,8 @@ FORM = {
 
 
 def key_of(mesh: object, options: Mapping[str, Any]) -> str | None:
-    """sha256 (hex) over a mesh file's bytes, the options and the code; None for what is not one file: a mesh in memory, a
-    .gltf or .glb that names others."""
+    """sha256 (hex) over a mesh file's bytes, the options and the code; None for what is not one
+    file: a mesh in memory, a .gltf or .glb that names others."""
     if not isinstance(mesh, (str, Path)):
         return None
     digest = hashlib.sha256(Path(mesh).suffix.lower().encode())
@@ -82,9 +87,12 @@ def key_of(mesh: object, options: Mapping[str, Any]) -> str | None:
 
 
 def kept_with_warnings(
-    key: str, make: Callable[[], Mapping[str, Any]], reads: Callable[[dict[str, NDArray[Any]]], object]
+    key: str,
+    make: Callable[[], Mapping[str, Any]],
+    reads: Callable[[dict[str, NDArray[Any]]], object],
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of a key, and the warnings that making them gave: again each time they are taken from disk.
+    """The arrays of a key, and the warnings that making them gave: again each time they are taken
+    from disk.
 
     `reads` raises where arrays are no object, whatever their form.
     """

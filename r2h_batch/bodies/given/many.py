@@ -1,7 +1,9 @@
-"""Many objects built on all cores, before somebody asks for them one by one: workers fill the folder of what is kept.
+"""Many objects built on all cores, before somebody asks for them one by one: workers fill the
+folder of what is kept.
 
-`python -m r2h_batch.bodies.given.many` is a worker: a build's arguments as one line of JSON on its stdin, one line back when
-it is done. What goes wrong in a worker goes wrong again where the object is asked for, and is said there.
+`python -m r2h_batch.bodies.given.many` is a worker: a build's arguments as one line of JSON on its
+stdin, one line back when it is done. What goes wrong in a worker goes wrong again where the object
+is asked for, and is said there.
 """
 
 from __future__ import annotations
@@ -30,8 +32,9 @@ SILENT_S = 5.0
 
 
 def build_ahead(calls: Sequence[Call], *, cores: int | None = None) -> int:
-    """Builds what these arguments of `build_object` name and is not kept yet, with a bar on a terminal; returns how many
-    were handed out. One alone, and anything where nothing is kept, is left to who asks for it."""
+    """Builds what these arguments of `build_object` name and is not kept yet, with a bar on a
+    terminal; returns how many were handed out. One alone, and anything where nothing is kept, is
+    left to who asks for it."""
     if cache_folder() is None:
         return 0
     todo = [call for call in calls if not is_built(**call)]
@@ -48,7 +51,8 @@ def build_ahead(calls: Sequence[Call], *, cores: int | None = None) -> int:
 
 
 def _drive(queue: SimpleQueue[str], advance: Callable[[], None]) -> None:
-    """One worker, fed as long as there is work; one that ends early leaves its object to who asks for it."""
+    """One worker, fed as long as there is work; one that ends early leaves its object to who asks
+    for it."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
     worker = subprocess.Popen(
         [sys.executable, "-P", "-m", "r2h_batch.bodies.given.many"],
@@ -103,7 +107,10 @@ def work() -> int:
     """A worker's life; its exit code."""
     answer, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints is no answer
     for line in sys.stdin:
-        with warnings.catch_warnings(), contextlib.suppress(Exception):  # both come again where the object is asked for
+        with (
+            warnings.catch_warnings(),
+            contextlib.suppress(Exception),
+        ):  # both come again where the object is asked for
             warnings.simplefilter("ignore")
             build_object(**json.loads(line))
         answer.write("done\n")

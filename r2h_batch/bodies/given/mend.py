@@ -1,4 +1,5 @@
-"""Repairs that move no face of a mesh: vertices merged and welded, faces turned, slivers dropped, holes and openings closed."""
+"""Repairs that move no face of a mesh: vertices merged and welded, faces turned, slivers dropped,
+holes and openings closed."""
 
 from __future__ import annotations
 
@@ -21,23 +22,29 @@ __all__ = ["apart", "mended", "merged", "open_faces", "outwards", "without_slive
 WELD_M = 1e-5
 MOST_WELDS = 64
 HOLE_SHARE = 0.25
-"""a hole is filled when its rim is no longer than this share of pi times the largest side: a cup's mouth is no hole"""
+"""a hole is filled when its rim is no longer than this share of pi times the largest side: a cup's
+mouth is no hole"""
 MOST_CORNERS = 6
-"""an opening of any size is closed when its rim lies in a plane and has at most this many corners: what a box looks like
-that misses a face; a round mouth has more"""
+"""an opening of any size is closed when its rim lies in a plane and has at most this many corners:
+what a box looks like that misses a face; a round mouth has more"""
 FLAT_SHARE = 1e-3
-"""how far (share of the rim's largest side) the corners of such a rim may lie off its plane, and other points off its sides"""
+"""how far (share of the rim's largest side) the corners of such a rim may lie off its plane, and
+other points off its sides"""
 JOIN_SHARE = 0.02
-"""two rims no farther apart than this share of the largest side all along are the two sides of a wall"""
+"""two rims no farther apart than this share of the largest side all along are the two sides of a
+wall"""
 SLIVER_SHARE = 0.02
-"""a body of no volume is a sliver when it is smaller than this share of the object, thinner than can be seen, or lies on
-another body; any other is a sheet"""
+"""a body of no volume is a sliver when it is smaller than this share of the object, thinner than
+can be seen, or lies on another body; any other is a sheet"""
 FLAT_M = 1e-5
 """volume over area below which a body encloses nothing"""
 
 
-def merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], done: list[str]) -> trimesh.Trimesh:
-    """Duplicate vertices merged, faces without three corners and repeated faces dropped, loose vertices dropped."""
+def merged(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], done: list[str]
+) -> trimesh.Trimesh:
+    """Duplicate vertices merged, faces without three corners and repeated faces dropped, loose
+    vertices dropped."""
     used = np.unique(faces)
     _, first, same = np.unique(vertices[used], axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first, kind="stable")  # keeps the file's order of vertices
@@ -50,7 +57,9 @@ def merged(vertices: NDArray[np.float64], faces: NDArray[np.int64], done: list[s
     return _cleaned(vertices[used[first[order]]], lookup[faces], done)
 
 
-def _cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64], done: list[str]) -> trimesh.Trimesh:
+def _cleaned(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], done: list[str]
+) -> trimesh.Trimesh:
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     if not whole.all():
         done.append(f"dropped {int((~whole).sum())} degenerate faces")
@@ -78,10 +87,13 @@ def apart(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Tri
 
 
 def without_slivers(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
-    """The mesh without bodies that enclose nothing and are too small, too thin or too near to others to be meant."""
+    """The mesh without bodies that enclose nothing and are too small, too thin or too near to
+    others to be meant."""
     body = bodies_of(mesh)
     volumes = np.array(body_volumes(mesh))
-    flat = np.abs(volumes[:, 0]) <= FLAT_M * volumes[:, 1] + FLAT_M**3  # a needle of three points in a line has no area
+    flat = (
+        np.abs(volumes[:, 0]) <= FLAT_M * volumes[:, 1] + FLAT_M**3
+    )  # a needle of three points in a line has no area
     rims = np.unique(body[open_faces(mesh)])
     flat[rims] &= volumes[rims, 1] < 1e-12  # an open sheet is one, unless there is nothing of it
     if not flat.any() or flat.all():
@@ -94,7 +106,9 @@ def without_slivers(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> t
         budget.spend("looking for slivers", n / len(flats))
         corners = mesh.triangles[body == k].reshape(-1, 3)
         size = float(np.ptp(corners, axis=0).max())
-        width = volumes[k, 1] / max(size, 1e-12)  # its two sides' area over its length: twice its mean width
+        width = volumes[k, 1] / max(
+            size, 1e-12
+        )  # its two sides' area over its length: twice its mean width
         tiny = size < least or width < THINNEST_M
         spread = _spread(corners)
         off = spread[rest.within(spread, THINNEST_M)[1] < 0] if not tiny else spread[:0]
@@ -109,7 +123,8 @@ def without_slivers(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> t
 
 
 def _spread(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(M, 3) points of triangles (3 F, 3): corners, middles of sides, centres: a chord across a surface is not on it."""
+    """(M, 3) points of triangles (3 F, 3): corners, middles of sides, centres: a chord across a
+    surface is not on it."""
     t = corners.reshape(-1, 3, 3)
     sides = (t + np.roll(t, -1, axis=1)) / 2
     return np.concatenate([corners, sides.reshape(-1, 3), t.mean(axis=1)])
@@ -142,7 +157,9 @@ def mended(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Tr
 def _welded(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
     """Vertices on rims that are nearly the same made one, where that leaves fewer rims."""
     tree = cKDTree(mesh.vertices)
-    near_count = int(tree.count_neighbors(tree, WELD_M))  # a heap of vertices in one place has a square of pairs
+    near_count = int(
+        tree.count_neighbors(tree, WELD_M)
+    )  # a heap of vertices in one place has a square of pairs
     if near_count > MOST_WELDS * len(mesh.vertices):
         raise ObjectMeshError(
             f"{budget.label}: {near_count} pairs of vertices are nearer than {WELD_M * 1e3:g} mm; merge them first"
@@ -157,7 +174,9 @@ def _welded(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.T
         return mesh
     count = len(mesh.vertices)
     near = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (count, count))
-    _, first, same = np.unique(connected_components(near, False)[1], return_index=True, return_inverse=True)
+    _, first, same = np.unique(
+        connected_components(near, False)[1], return_index=True, return_inverse=True
+    )
     notes: list[str] = []
     welded = _cleaned(mesh.vertices[first], same.reshape(-1)[mesh.faces], notes)
     welded = apart(welded, budget, notes)
@@ -168,7 +187,8 @@ def _welded(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.T
 
 
 def open_faces(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
-    """(F,) whether an edge of the face is not shared by exactly two faces, or by two that disagree which way it goes."""
+    """(F,) whether an edge of the face is not shared by exactly two faces, or by two that disagree
+    which way it goes."""
     _, group, count = np.unique(mesh.edges_sorted, axis=0, return_inverse=True, return_counts=True)
     group = group.reshape(-1)
     sign = np.bincount(group, np.where(mesh.edges[:, 0] < mesh.edges[:, 1], 1, -1))
@@ -178,7 +198,8 @@ def open_faces(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
 
 
 def outwards(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
-    """Closed bodies, those turned outwards that are inside out; hollows in others stay as they are."""
+    """Closed bodies, those turned outwards that are inside out; hollows in others stay as they
+    are."""
     body = bodies_of(mesh)
     budget.spend("looking for bodies that are inside out")
     inside_out = [k for k, (volume, _) in enumerate(body_volumes(mesh)) if volume < 0]
@@ -201,11 +222,15 @@ def _cavities(mesh: trimesh.Trimesh, body: NDArray[np.int64], inward: list[int])
 
 
 def _filled(mesh: trimesh.Trimesh, done: list[str]) -> trimesh.Trimesh:
-    """Rims that run side by side joined; small holes closed by a fan around the middle of their rim, openings with a flat
-    rim of few corners by a plane."""
+    """Rims that run side by side joined; small holes closed by a fan around the middle of their
+    rim, openings with a flat rim of few corners by a plane."""
     mesh = split_rims(mesh)
     limit = HOLE_SHARE * np.pi * float(mesh.extents.max())
-    vertices, faces, middle = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)], len(mesh.vertices)
+    vertices, faces, middle = (
+        [np.asarray(mesh.vertices)],
+        [np.asarray(mesh.faces)],
+        len(mesh.vertices),
+    )
     loops = list(_rims(mesh))
     strips, loops = _joined(mesh, loops)
     holes, openings = 0, 0
@@ -218,9 +243,12 @@ def _filled(mesh: trimesh.Trimesh, done: list[str]) -> trimesh.Trimesh:
         if len(ring) == 3:
             faces.append(np.array([loop]))
             continue
-        # every side to the middle of the rim; of a rim that is not convex the middle may see a side from behind
+        # every side to the middle of the rim; of a rim that is not convex the middle may see a side
+        # from behind
         vertices.append(ring.mean(axis=0)[None])
-        faces.append(np.array([(a, b, middle) for a, b in zip(loop, np.roll(loop, -1), strict=True)]))
+        faces.append(
+            np.array([(a, b, middle) for a, b in zip(loop, np.roll(loop, -1), strict=True)])
+        )
         middle += 1
     if strips:
         done.append(f"joined {len(strips)} pairs of rims that run side by side")
@@ -233,13 +261,20 @@ def _filled(mesh: trimesh.Trimesh, done: list[str]) -> trimesh.Trimesh:
         )
     if not (strips or holes or openings):
         return mesh
-    return trimesh.Trimesh(np.concatenate(vertices), np.concatenate([*faces, *strips]), process=False)
+    return trimesh.Trimesh(
+        np.concatenate(vertices), np.concatenate([*faces, *strips]), process=False
+    )
 
 
-def _joined(mesh: trimesh.Trimesh, loops: list[list[int]]) -> tuple[list[NDArray[np.int64]], list[list[int]]]:
-    """Strips between the rims that run side by side all along (a lip that was lost), and the rims that do not."""
+def _joined(
+    mesh: trimesh.Trimesh, loops: list[list[int]]
+) -> tuple[list[NDArray[np.int64]], list[list[int]]]:
+    """Strips between the rims that run side by side all along (a lip that was lost), and the rims
+    that do not."""
     most = JOIN_SHARE * float(mesh.extents.max())
-    bounds = np.array([np.stack([mesh.vertices[n].min(0), mesh.vertices[n].max(0)]) for n in loops]).reshape(-1, 2, 3)
+    bounds = np.array(
+        [np.stack([mesh.vertices[n].min(0), mesh.vertices[n].max(0)]) for n in loops]
+    ).reshape(-1, 2, 3)
     large = np.ptp(bounds, axis=1).max(axis=1) > 4 * most  # others are holes
     free, strips = np.ones(len(loops), bool), []
     for i in np.flatnonzero(large):
@@ -264,9 +299,11 @@ def _farthest(points: NDArray[np.float64], ring: NDArray[np.float64], step: floa
     return float(cKDTree((ring + share * (follow - ring)).reshape(-1, 3)).query(points)[0].max())
 
 
-def _strip(vertices: NDArray[np.float64], loop: list[int], other: list[int], most: float) -> NDArray[np.int64] | None:
-    """(n + m, 3) triangles between two loops that run against each other, the shorter diagonal first; None where one of
-    them does not."""
+def _strip(
+    vertices: NDArray[np.float64], loop: list[int], other: list[int], most: float
+) -> NDArray[np.int64] | None:
+    """(n + m, 3) triangles between two loops that run against each other, the shorter diagonal
+    first; None where one of them does not."""
     start = int(np.argmin(np.linalg.norm(vertices[other] - vertices[loop[0]], axis=1)))
     a, b = loop, other[start::-1] + other[:start:-1]
     n, m = len(a), len(b)
@@ -276,7 +313,11 @@ def _strip(vertices: NDArray[np.float64], loop: list[int], other: list[int], mos
         p, q = a[i % n], b[j % m]
         ahead = np.linalg.norm(vertices[a[(i + 1) % n]] - vertices[q]) if i < n else np.inf
         beside = np.linalg.norm(vertices[b[(j + 1) % m]] - vertices[p]) if j < m else np.inf
-        side = vertices[a[(i + 1) % n]] - vertices[p] if ahead <= beside else vertices[b[(j + 1) % m]] - vertices[q]
+        side = (
+            vertices[a[(i + 1) % n]] - vertices[p]
+            if ahead <= beside
+            else vertices[b[(j + 1) % m]] - vertices[q]
+        )
         if min(ahead, beside) > most + float(np.linalg.norm(side)):
             return None
         if ahead <= beside:
@@ -314,7 +355,9 @@ def _few_corners(ring: NDArray[np.float64]) -> bool:
         return False
     flat = (ring - middle) @ axes[:2].T
     corners = [0]
-    for k in range(1, len(flat) + 1):  # the farthest point that still sees its predecessors as one straight side
+    for k in range(
+        1, len(flat) + 1
+    ):  # the farthest point that still sees its predecessors as one straight side
         here, last = flat[k % len(flat)], flat[corners[-1]]
         side = here - last
         length = float(np.hypot(*side))
@@ -325,15 +368,22 @@ def _few_corners(ring: NDArray[np.float64]) -> bool:
             if len(corners) > MOST_CORNERS + 1:
                 return False
     polygon = flat[corners]
-    if len(polygon) > 3 and _between(polygon[-1], polygon[0], polygon[1], slack):  # the rim began amid a side
+    if len(polygon) > 3 and _between(
+        polygon[-1], polygon[0], polygon[1], slack
+    ):  # the rim began amid a side
         polygon = polygon[1:]
     if not 3 <= len(polygon) <= MOST_CORNERS:
         return False
-    a, b = np.roll(polygon, -1, axis=0) - polygon, np.roll(polygon, -2, axis=0) - np.roll(polygon, -1, axis=0)
+    a, b = (
+        np.roll(polygon, -1, axis=0) - polygon,
+        np.roll(polygon, -2, axis=0) - np.roll(polygon, -1, axis=0),
+    )
     turn = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
     return bool((turn > 0).all() or (turn < 0).all())
 
 
-def _between(a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], slack: float) -> bool:
+def _between(
+    a: NDArray[np.float64], b: NDArray[np.float64], c: NDArray[np.float64], slack: float
+) -> bool:
     side = c - a
     return bool(abs((b - a) @ [-side[1], side[0]]) <= slack * max(float(np.hypot(*side)), 1e-12))

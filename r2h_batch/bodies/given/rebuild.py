@@ -1,4 +1,5 @@
-"""What no face can be added to: a closed surface made anew from a distance field, and closed ones made smaller."""
+"""What no face can be added to: a closed surface made anew from a distance field, and closed ones
+made smaller."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ FINEST_M = 2.5e-4
 PLATE = 0.65
 """Half a plate's thickness in grid pitches: less would leave holes between the nodes."""
 APART = 0.02
-"""Open bodies farther apart than this share of the largest side are rebuilt apart, each on a grid of its own."""
+"""Open bodies farther apart than this share of the largest side are rebuilt apart, each on a grid
+of its own."""
 
 SPECK_CELLS = 4
 
@@ -35,8 +37,9 @@ Tick = Callable[[float], None]
 
 
 def rebuilt(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
-    """Closed surfaces around open ones: around what has winding number above 0.5, if that stays near the given surface
-    everywhere; else open sheets become plates (a cup drawn as one sheet stays hollow)."""
+    """Closed surfaces around open ones: around what has winding number above 0.5, if that stays
+    near the given surface everywhere; else open sheets become plates (a cup drawn as one sheet
+    stays hollow)."""
     _manifold3d(budget.label, "close its surface")
     return joined([_rebuilt_group(part, budget, done) for part in _groups(mesh)])
 
@@ -45,13 +48,17 @@ def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     """All faces of the meshes, in order."""
     first = np.cumsum([0, *(len(m.vertices) for m in meshes)])
     faces = [np.asarray(m.faces) + n for m, n in zip(meshes, first, strict=False)]
-    return trimesh.Trimesh(np.concatenate([m.vertices for m in meshes]), np.concatenate(faces), process=False)
+    return trimesh.Trimesh(
+        np.concatenate([m.vertices for m in meshes]), np.concatenate(faces), process=False
+    )
 
 
 def _rebuilt_group(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Trimesh:
     low, high = mesh.bounds
     sides = np.maximum(high - low, FINEST_M)
-    pitch = max(float(sides.max()) / 160, (float(sides.prod()) * 2 / REBUILD_POINTS) ** (1 / 3), FINEST_M)
+    pitch = max(
+        float(sides.max()) / 160, (float(sides.prod()) * 2 / REBUILD_POINTS) ** (1 / 3), FINEST_M
+    )
     plate = PLATE * pitch
     tick = partial(budget.spend, f"rebuilding the surface of {len(mesh.faces)} faces")
     lattice, surface = Lattice(mesh.bounds, pitch), Surface(mesh)
@@ -79,10 +86,14 @@ def _rebuilt_group(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> tr
 
 
 def _contoured(
-    mesh: trimesh.Trimesh, surface: Surface, lattice: Lattice, field: NDArray[np.float64], tick: Tick
+    mesh: trimesh.Trimesh,
+    surface: Surface,
+    lattice: Lattice,
+    field: NDArray[np.float64],
+    tick: Tick,
 ) -> tuple[trimesh.Trimesh | None, float, float, float]:
-    """The surface where the field is zero, how far the given one sticks out of it, how far it is from that one, and by
-    how much `Lattice.solid` had to move it out."""
+    """The surface where the field is zero, how far the given one sticks out of it, how far it is
+    from that one, and by how much `Lattice.solid` had to move it out."""
     if not (field > 0).any():
         return None, np.inf, 0.0, 0.0
     found, out = lattice.solid(field)
@@ -94,13 +105,22 @@ def _contoured(
     face = rng.choice(len(mesh.faces), 20_000, p=mesh.area_faces / mesh.area)
     samples = np.einsum("ij,ijk->ik", rng.dirichlet((1, 1, 1), len(face)), mesh.triangles[face])
     lost = float(signed_distance(new, samples, tick)[0].max())
-    gained = float(surface.within(np.concatenate([new.vertices, new.triangles_center]), surface.size, tick)[0].max())
+    gained = float(
+        surface.within(np.concatenate([new.vertices, new.triangles_center]), surface.size, tick)[
+            0
+        ].max()
+    )
     return new, max(lost, 0.0), gained, out
 
 
 def _without_specks(mesh: trimesh.Trimesh, pitch: float) -> trimesh.Trimesh:
-    """The surface without bodies and voids of a few grid cells: what is left of places where the field barely passes zero."""
-    speck = [k for k, (volume, _) in enumerate(body_volumes(mesh)) if abs(volume) < SPECK_CELLS * pitch**3]
+    """The surface without bodies and voids of a few grid cells: what is left of places where the
+    field barely passes zero."""
+    speck = [
+        k
+        for k, (volume, _) in enumerate(body_volumes(mesh))
+        if abs(volume) < SPECK_CELLS * pitch**3
+    ]
     left = ~np.isin(bodies_of(mesh), speck)
     return _part(mesh, left) if left.any() else mesh
 
@@ -128,8 +148,9 @@ def _part(mesh: trimesh.Trimesh, faces: NDArray[np.bool_]) -> trimesh.Trimesh:
 def united(
     mesh: trimesh.Trimesh, budget: Budget, done: list[str], *, sure: bool = False
 ) -> tuple[trimesh.Trimesh, bool]:
-    """Bodies that run into one another made into one surface, so that the inside is counted once, and whether there were
-    any; `sure`: they are known to overlap, by less than 64 lines in each direction may see."""
+    """Bodies that run into one another made into one surface, so that the inside is counted once,
+    and whether there were any; `sure`: they are known to overlap, by less than 64 lines in each
+    direction may see."""
     body = bodies_of(mesh)
     if body.max() == 0 or not (sure or int(winding_number(mesh, 64).max()) > 1):
         return mesh, False
@@ -166,9 +187,12 @@ def decimated(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh
 
 
 def simplified_to(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
-    """A closed mesh with less detail than `tolerance` (m); as it is where manifold3d is missing or does not take it."""
+    """A closed mesh with less detail than `tolerance` (m); as it is where manifold3d is missing or
+    does not take it."""
     try:
-        solid = _solid(_manifold3d("", ""), np.asarray(mesh.vertices), np.asarray(mesh.faces)).simplify(tolerance)
+        solid = _solid(
+            _manifold3d("", ""), np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        ).simplify(tolerance)
     except ObjectMeshError:
         return mesh
     return mesh if solid.is_empty() else _from_solid(solid)
@@ -199,13 +223,17 @@ def _manifold3d(label: str, purpose: str) -> Any:
 def _solid(manifold: Any, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> Any:
     used, local = np.unique(faces, return_inverse=True)
     return manifold.Manifold(
-        manifold.Mesh64(np.ascontiguousarray(vertices[used], np.float64), local.reshape(-1, 3).astype(np.uint64))
+        manifold.Mesh64(
+            np.ascontiguousarray(vertices[used], np.float64), local.reshape(-1, 3).astype(np.uint64)
+        )
     )
 
 
 def _from_solid(solid: Any) -> trimesh.Trimesh:
     mesh = solid.to_mesh64()
     made = trimesh.Trimesh(
-        np.asarray(mesh.vert_properties)[:, :3], np.asarray(mesh.tri_verts).astype(np.int64), process=False
+        np.asarray(mesh.vert_properties)[:, :3],
+        np.asarray(mesh.tri_verts).astype(np.int64),
+        process=False,
     )
     return split_edges(made, lambda share: None)[0]  # a manifold may pass through one edge twice

@@ -1,4 +1,5 @@
-"""Part labels and the receiver's region of an object: as given, carried over to the faces that a repair left."""
+"""Part labels and the receiver's region of an object: as given, carried over to the faces that a
+repair left."""
 
 from __future__ import annotations
 
@@ -72,7 +73,11 @@ def receiver_region(
         position = (solid.triangles_center[:, axis] - low[axis]) / (high[axis] - low[axis])
         region = position < fraction if match[2] == "<" else position > fraction
     else:
-        given = read_region(receiver, names, label) if isinstance(receiver, (str, Path)) else np.asarray(receiver)
+        given = (
+            read_region(receiver, names, label)
+            if isinstance(receiver, (str, Path))
+            else np.asarray(receiver)
+        )
         region = _region_of_faces(given, len(closed.given.faces), label)[carried(closed)]
     if not region.any() or region.all():
         raise ObjectMeshError(
@@ -90,7 +95,9 @@ def read_region(path: str | Path, names: Sequence[str], label: str) -> NDArray[n
             f"{label}: receiver {printable(path)!r} is neither an existing .npy file nor {WAYS} such as 'z<0.3'{have}"
         )
     try:
-        return np.asarray(np.load(io.BytesIO(read_file(path, MAX_REGION_BYTES)), allow_pickle=False))
+        return np.asarray(
+            np.load(io.BytesIO(read_file(path, MAX_REGION_BYTES)), allow_pickle=False)
+        )
     except FileError as error:
         raise ObjectMeshError(f"{label}: receiver {error}") from None
     except Exception as error:  # numpy's reader parses Python text and raises whatever that meets
@@ -100,7 +107,8 @@ def read_region(path: str | Path, names: Sequence[str], label: str) -> NDArray[n
 
 
 def _parts_named(receiver: str, names: Sequence[str]) -> list[int]:
-    """The parts that a text such as `handle` or `handle,guard` names; none where a word is no part."""
+    """The parts that a text such as `handle` or `handle,guard` names; none where a word is no
+    part."""
     wanted = [w.strip() for w in receiver.split(",")]
     return [names.index(w) for w in wanted] if all(w in names for w in wanted) else []
 

@@ -1,8 +1,10 @@
-"""ACRONYM (Eppner et al. 2021), an object's .h5: grasps/transforms (N, 4, 4), grasps/qualities/flex/object_in_gripper.
+"""ACRONYM (Eppner et al. 2021), an object's .h5: grasps/transforms (N, 4, 4),
+grasps/qualities/flex/object_in_gripper.
 
-Grasps are poses of the Panda's hand in the frame of the object's mesh, which has object/scale applied; a grasp counts
-that held the object in simulation. HDF5 can name other files: every step of a path must lie in this file, datasets that
-keep their numbers elsewhere, or are put together from others, are refused.
+Grasps are poses of the Panda's hand in the frame of the object's mesh, which has object/scale
+applied; a grasp counts that held the object in simulation. HDF5 can name other files: every step of
+a path must lie in this file, datasets that keep their numbers elsewhere, or are put together from
+others, are refused.
 """
 
 from __future__ import annotations
@@ -25,7 +27,11 @@ __all__ = ["read"]
 MOST = 64 << 20
 MOST_CHUNK = 1 << 20
 GRIPPER = "acronym-panda"
-TRANSFORMS, QUALITY, KIND = "grasps/transforms", "grasps/qualities/flex/object_in_gripper", "gripper/type"
+TRANSFORMS, QUALITY, KIND = (
+    "grasps/transforms",
+    "grasps/qualities/flex/object_in_gripper",
+    "gripper/type",
+)
 
 
 def read(path: Path) -> tuple[GraspSet, int]:
@@ -38,8 +44,14 @@ def read(path: Path) -> tuple[GraspSet, int]:
     data = read_file(path, MOST)
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
-            T = numbers(_read(h5py, file, TRANSFORMS, where, 16 * MAX_GRASPS), (None, 4, 4), f"{where} {TRANSFORMS}")
-            held = numbers(_read(h5py, file, QUALITY, where, MAX_GRASPS), (len(T),), f"{where} {QUALITY}")
+            T = numbers(
+                _read(h5py, file, TRANSFORMS, where, 16 * MAX_GRASPS),
+                (None, 4, 4),
+                f"{where} {TRANSFORMS}",
+            )
+            held = numbers(
+                _read(h5py, file, QUALITY, where, MAX_GRASPS), (len(T),), f"{where} {QUALITY}"
+            )
             kind = _read(h5py, file, KIND, where, 1) if "gripper" in file else "panda"
     except FileError:
         raise
@@ -68,12 +80,20 @@ def _read(h5py: Any, file: Any, name: str, where: str, most: int) -> Any:
         if link is None:
             raise ImportRefused(f"{where}: has no {name}")
         if not isinstance(link, h5py.HardLink):
-            raise ImportRefused(f"{where}: {name} is a link, perhaps to another file; only data in this file are read")
+            raise ImportRefused(
+                f"{where}: {name} is a link, perhaps to another file; only data in this file are read"
+            )
         at = at[step]
     if not isinstance(at, h5py.Dataset) or at.external or at.is_virtual:
-        raise ImportRefused(f"{where}: {name} keeps its numbers elsewhere; only data in this file are read")
+        raise ImportRefused(
+            f"{where}: {name} keeps its numbers elsewhere; only data in this file are read"
+        )
     if at.size is None or at.size > most or at.dtype.itemsize > 256:
         raise ImportRefused(f"{where}: {name} has {at.size} numbers; at most {most} are allowed")
-    if at.chunks is not None and math.prod(at.chunks) > max(MOST_CHUNK, at.size):  # a chunk is unpacked whole
-        raise ImportRefused(f"{where}: {name} lies in chunks of {math.prod(at.chunks)} numbers, more than it holds")
+    if at.chunks is not None and math.prod(at.chunks) > max(
+        MOST_CHUNK, at.size
+    ):  # a chunk is unpacked whole
+        raise ImportRefused(
+            f"{where}: {name} lies in chunks of {math.prod(at.chunks)} numbers, more than it holds"
+        )
     return np.asarray(at[()]) if at.shape else at[()]

@@ -1,7 +1,8 @@
-"""GraspNet-1Billion (Fang et al. 2020), graspnetAPI's .npy of N x 17: [score, width, height, depth, R (9), t (3), object].
+"""GraspNet-1Billion (Fang et al. 2020), graspnetAPI's .npy of N x 17: [score, width, height, depth,
+R (9), t (3), object].
 
-R's columns are approach, closing axis and their normal; t lies `depth` before the fingertips. Poses are in the frame
-that the network saw: `T_obj_source` takes them to the object's.
+R's columns are approach, closing axis and their normal; t lies `depth` before the fingertips. Poses
+are in the frame that the network saw: `T_obj_source` takes them to the object's.
 """
 
 from __future__ import annotations
@@ -31,11 +32,15 @@ def read(
         raise ImportRefused(f"{where}: holds no grasp (0 x 17)")
     if (odd := rows[:, 16] != np.round(rows[:, 16])).any():
         row = int(odd.argmax())
-        raise ImportRefused(f"{where}: object {rows[row, 16]:g} of row {row}; objects are whole numbers")
+        raise ImportRefused(
+            f"{where}: object {rows[row, 16]:g} of row {row}; objects are whole numbers"
+        )
     mine = np.ones(len(rows), bool) if object_id is None else rows[:, 16] == object_id
     if not mine.any():
         ids = sorted({int(i) for i in rows[:, 16]})[:10]
-        raise ImportRefused(f"{where}: no grasp of object {object_id}; there are objects {', '.join(map(str, ids))}")
+        raise ImportRefused(
+            f"{where}: no grasp of object {object_id}; there are objects {', '.join(map(str, ids))}"
+        )
     if object_id is None and len(np.unique(rows[:, 16])) > 1:
         many = len(np.unique(rows[:, 16]))
         raise ImportRefused(

@@ -1,15 +1,18 @@
-"""Other grippers' frames: where their pads are, and so where our ee frame is when our pads take their place.
+"""Other grippers' frames: where their pads are, and so where our ee frame is when our pads take
+their place.
 
     T_obj_ee = T_obj_gripper @ T_gripper_ee
 
-`T_gripper_ee` turns their closing axis to our y and their approach to our z, and puts our fingertips where theirs are:
-our pads' centre is 18.75 mm (half a 2F-85 pad) behind the tips.
+`T_gripper_ee` turns their closing axis to our y and their approach to our z, and puts our
+fingertips where theirs are: our pads' centre is 18.75 mm (half a 2F-85 pad) behind the tips.
 
 | name | approach | closing | fingertips | source |
 | acronym-panda | +z | x | z 0.11217 m | acronym_tools/acronym.py, create_gripper_marker |
-| panda-hand | +z | y | z 0.1122 m | franka_description: fingers at z 0.0584, 0.0538 long, sliding along y |
+| panda-hand | +z | y | z 0.1122 m | franka_description: fingers at z 0.0584, 0.0538 long, sliding
+along y |
 | graspnet | +x | y | x depth | graspnetAPI, plot_gripper_pro_max: fingers end at `depth` along x |
-| 2f-85-base | +z | y | pads at half stroke | this package's robot: gripper's base link, without coupling |
+| 2f-85-base | +z | y | pads at half stroke | this package's robot: gripper's base link, without
+coupling |
 | ee | +z | y | our own frame | README |
 """
 

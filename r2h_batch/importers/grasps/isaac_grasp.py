@@ -1,7 +1,9 @@
-"""isaac_grasp YAML 1.0 (Isaac Sim's Grasp Editor; GraspGen writes it): grasps/NAME with confidence, position, orientation.
+"""isaac_grasp YAML 1.0 (Isaac Sim's Grasp Editor; GraspGen writes it): grasps/NAME with confidence,
+position, orientation.
 
-Position and orientation (w, xyz) are the gripper's frame in the object's. Which frame that is stands nowhere a program
-could rely on (gripper_frame_link is ignored by Isaac Sim too): `gripper` says it, one of `grippers.GRIPPERS`.
+Position and orientation (w, xyz) are the gripper's frame in the object's. Which frame that is
+stands nowhere a program could rely on (gripper_frame_link is ignored by Isaac Sim too): `gripper`
+says it, one of `grippers.GRIPPERS`.
 """
 
 from __future__ import annotations

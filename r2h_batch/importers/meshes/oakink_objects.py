@@ -1,10 +1,12 @@
-"""OakInk-Shape's objects (Yang et al. 2022) with OakBase's parts, as a folder with a benchmark.yaml.
+"""OakInk-Shape's objects (Yang et al. 2022) with OakBase's parts, as a folder with a
+benchmark.yaml.
 
-As its own tools read them: shape/metaV2/{object_id,virtual_object_id}.json say {ID: {"name": NAME}}; a mesh is the one .obj
-or .ply in OakInkObjectsV2/NAME/align_ds (else align), virtual ones in OakInkVirtualObjectsV2; its loader moves the middle of
-the bounding box to the origin, and hands are given in that frame. OakBase describes parts as part_*.ply with part_*.json
-{name, attr: [...]} in a folder called after the object; a part with the attribute `held_by_hand` is one that people hold:
-the receiver's region. An object with such a part, and another, is S1, any other S0.
+As its own tools read them: shape/metaV2/{object_id,virtual_object_id}.json say {ID: {"name":
+NAME}}; a mesh is the one .obj or .ply in OakInkObjectsV2/NAME/align_ds (else align), virtual ones
+in OakInkVirtualObjectsV2; its loader moves the middle of the bounding box to the origin, and hands
+are given in that frame. OakBase describes parts as part_*.ply with part_*.json {name, attr: [...]}
+in a folder called after the object; a part with the attribute `held_by_hand` is one that people
+hold: the receiver's region. An object with such a part, and another, is S1, any other S0.
 """
 
 from __future__ import annotations
@@ -33,8 +35,8 @@ META = {"object_id.json": "OakInkObjectsV2", "virtual_object_id.json": "OakInkVi
 MAX_META_BYTES, MAX_PART_BYTES = 16 << 20, 64 << 10
 HELD = "held_by_hand"
 ON_PART = 0.02
-"""A face farther from every part than this share of the object's largest side is on none of them: these parts are not of
-this mesh, or not in its frame."""
+"""A face farther from every part than this share of the object's largest side is on none of them:
+these parts are not of this mesh, or not in its frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +53,8 @@ class OakObject:
 
 
 def find(folder: Path) -> list[tuple[str, str, Path]]:
-    """(ID, name, the folder of its meshes' folders) of every object that the meta files name and that is here."""
+    """(ID, name, the folder of its meshes' folders) of every object that the meta files name and
+    that is here."""
     found, missing = [], 0
     for meta in files_below(folder, "**/metaV2/*object_id.json"):
         base = meta.parent.parent
@@ -72,7 +75,8 @@ def find(folder: Path) -> list[tuple[str, str, Path]]:
 
 
 def read(oid: str, name: str, at: Path, parts: dict[str, list[Path]]) -> OakObject:
-    """The object in a folder; `parts`: what `part_files` found. Raises `FileError` or `ObjectMeshError`."""
+    """The object in a folder; `parts`: what `part_files` found. Raises `FileError` or
+    `ObjectMeshError`."""
     files = [p for kind in ("align_ds", "align") for p in _meshes(at / kind)]
     if not files:
         raise ImportRefused(f"{printable(at)}: no .obj or .ply in align_ds or align")
@@ -98,7 +102,8 @@ def part_files(folder: Path) -> dict[str, list[Path]]:
 def _labels(
     mesh: trimesh.Trimesh, files: list[Path], label: str
 ) -> tuple[NDArray[np.int64], tuple[str, ...], tuple[str, ...]]:
-    """The part of each face: the one whose mesh is nearest to it; the names; those that are held."""
+    """The part of each face: the one whose mesh is nearest to it; the names; those that are
+    held."""
     if not files:
         return np.zeros(len(mesh.faces), np.int64), ("body",), ()
     names, held, distance = [], [], []
@@ -117,7 +122,9 @@ def _labels(
     nearest = np.stack(distance)
     off = float(np.quantile(nearest.min(axis=0), 0.95))
     if off > ON_PART * float(mesh.extents.max()):
-        raise ImportRefused(f"{label}: its parts are {1e3 * off:.1f} mm from its mesh; are both in one frame?")
+        raise ImportRefused(
+            f"{label}: its parts are {1e3 * off:.1f} mm from its mesh; are both in one frame?"
+        )
     kept = tuple(dict.fromkeys(names))
     number = np.array([kept.index(n) for n in names])
     return number[nearest.argmin(axis=0)], kept, tuple(dict.fromkeys(held))
@@ -129,7 +136,11 @@ def write(out: Path, objects: list[OakObject]) -> None:
     lines = ["objects:"]
     for o in objects:
         (out / "meshes" / f"{o.name}.ply").write_bytes(trimesh.exchange.ply.export_ply(o.mesh))
-        lines += [f"- file: meshes/{o.name}.ply", f'  name: "{o.name}"', f"  split: {'S1' if o.held else 'S0'}"]
+        lines += [
+            f"- file: meshes/{o.name}.ply",
+            f'  name: "{o.name}"',
+            f"  split: {'S1' if o.held else 'S0'}",
+        ]
         if len(o.part_names) > 1:
             np.save(out / "meshes" / f"{o.name}_parts.npy", o.part.astype(np.uint8))
             lines.append(f"  parts: meshes/{o.name}_parts.npy")
@@ -141,7 +152,9 @@ def write(out: Path, objects: list[OakObject]) -> None:
 
 def _meshes(folder: Path) -> Iterator[Path]:
     if folder.is_dir() and not folder.is_symlink():
-        yield from sorted(p for p in folder.iterdir() if p.suffix in (".obj", ".ply") and not p.is_symlink())
+        yield from sorted(
+            p for p in folder.iterdir() if p.suffix in (".obj", ".ply") and not p.is_symlink()
+        )
 
 
 def _dictionary(path: Path, most: int) -> dict[str, Any]:
@@ -150,7 +163,9 @@ def _dictionary(path: Path, most: int) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         if isinstance(error, FileError):
             raise
-        raise ImportRefused(f"{printable(path)}: no readable JSON ({printable(error)[:100]})") from None
+        raise ImportRefused(
+            f"{printable(path)}: no readable JSON ({printable(error)[:100]})"
+        ) from None
     if not isinstance(data, dict):
         raise ImportRefused(f"{printable(path)}: holds a {type(data).__name__}; need fields")
     return data
@@ -172,6 +187,8 @@ def collect(folder: Path) -> Iterator[tuple[str, OakObject | FileError | ObjectM
             yield name, error
             continue
         if made.name in seen:
-            made = OakObject(_name(f"{made.name}_{oid}"), made.mesh, made.part, made.part_names, made.held)
+            made = OakObject(
+                _name(f"{made.name}_{oid}"), made.mesh, made.part, made.part_names, made.held
+            )
         seen.add(made.name)
         yield name, made

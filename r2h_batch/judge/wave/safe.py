@@ -1,8 +1,10 @@
-"""Safe's smallest distances in waves: a GPU's form of kernels/judge/safe.py (docs/gpu.md). It runs on a CPU too.
+"""Safe's smallest distances in waves: a GPU's form of kernels/judge/safe.py (docs/gpu.md). It runs
+on a CPU too.
 
-A wave is one level of the bisection of all motions at once (kernels/wave/safe_*.py). The last postures come first, as they are
-mostly the nearest; then the segments, in blocks from the end on. As many waves are launched as a bisection may have levels:
-nobody waits for the device. What comes out is what one thread a trial finds, within the tolerance of both.
+A wave is one level of the bisection of all motions at once (kernels/wave/safe_*.py). The last
+postures come first, as they are mostly the nearest; then the segments, in blocks from the end on.
+As many waves are launched as a bisection may have levels: nobody waits for the device. What comes
+out is what one thread a trial finds, within the tolerance of both.
 """
 
 from typing import Any
@@ -21,13 +23,19 @@ from r2h_batch.kernels.wave.safe_bodies import safe_first_points, safe_links, sa
 from r2h_batch.kernels.wave.safe_faces import safe_corners, safe_faces, safe_hulls, safe_insides
 from r2h_batch.kernels.wave.safe_pairs import face_distances, hull_distances
 from r2h_batch.kernels.wave.safe_settle import safe_witness, settle_faces
-from r2h_batch.kernels.wave.safe_stretches import queue_goals, queue_segments, safe_frames, safe_halves
+from r2h_batch.kernels.wave.safe_stretches import (
+    queue_goals,
+    queue_segments,
+    safe_frames,
+    safe_halves,
+)
 from r2h_batch.launch import launch_trials
 from r2h_batch.launch.arguments import struct_of
 from r2h_batch.scene.scene import Placed, Scene
 
 PER_ROW, PER_MOVED_ROW = 8, 40
-"""Stretches that the queue has room for, for each motion as planned, and for each that was recorded sample by sample."""
+"""Stretches that the queue has room for, for each motion as planned, and for each that was recorded
+sample by sample."""
 PER_STRETCH = {"bodies": 18, "pieces": 5, "sets": 14, "faces": 12}
 """Room in the other queues."""
 
@@ -63,14 +71,22 @@ class SafeWaves:
                 for name, kind in kinds.items()
             }
 
-        stretch = dict.fromkeys(("trial", "segment", "part", "level", "index"), whole) | {"look": long}
+        stretch = dict.fromkeys(("trial", "segment", "part", "level", "index"), whole) | {
+            "look": long
+        }
         self._stretches = [struct_of(safe_queues.Moments, room(n, stretch)) for _ in range(2)]
         self._counts = torch.zeros(int(queues.COUNTS), dtype=whole, device=device)
         body = dict.fromkeys(("stretch", "body", "waits", "meets"), whole)
         body |= dict.fromkeys(("R", "p", "travel", "known", "nearest"), real)
-        piece = dict.fromkeys(("of", "piece", "meets", "steps"), whole) | dict.fromkeys(("lower", "v"), real)
-        of_set = dict.fromkeys(("of", "first", "last"), whole) | dict.fromkeys(("n", "beyond"), real)
-        face = dict.fromkeys(("of", "face", "steps"), whole) | dict.fromkeys(("known", "value", "v"), real)
+        piece = dict.fromkeys(("of", "piece", "meets", "steps"), whole) | dict.fromkeys(
+            ("lower", "v"), real
+        )
+        of_set = dict.fromkeys(("of", "first", "last"), whole) | dict.fromkeys(
+            ("n", "beyond"), real
+        )
+        face = dict.fromkeys(("of", "face", "steps"), whole) | dict.fromkeys(
+            ("known", "value", "v"), real
+        )
         frame = {"open": long} | dict.fromkeys(("d", "R", "p", "w", "v"), real)
         nearest = {"distance": real, "above": real, "place": long}
         more = {name: k * n for name, k in PER_STRETCH.items()}
@@ -78,7 +94,9 @@ class SafeWaves:
             "nearest": (safe_queues.Nearest, room(self._rows, nearest)),
             "frames": (
                 queues.Frames,
-                room(n, frame, open=(3,), d=(6,), R=(7, 3, 3), p=(7, 3), w=(FIELDS, 3), v=(FIELDS, 3)),
+                room(
+                    n, frame, open=(3,), d=(6,), R=(7, 3, 3), p=(7, 3), w=(FIELDS, 3), v=(FIELDS, 3)
+                ),
             ),
             "queue_bodies": (safe_queues.Bodies, room(more["bodies"], body, R=(3, 3), p=(3,))),
             "pieces": (safe_queues.Pieces, room(more["pieces"], piece, v=(3,))),
@@ -96,7 +114,9 @@ class SafeWaves:
         segments = int(safe_queues.SEGMENTS)
         for block in reversed(range(-(-(self._width - 1) // segments))):
             self._note_full()
-            self._launch(queue_segments, self._rows * segments, {"block": block, "queue": self._stretches[0]})
+            self._launch(
+                queue_segments, self._rows * segments, {"block": block, "queue": self._stretches[0]}
+            )
             for level in range(MAX_LEVEL):
                 if self._device == "cpu" and not int(self._counts[level & 1]):
                     break  # asking a GPU would wait for it; its empty waves take next to nothing
@@ -105,7 +125,8 @@ class SafeWaves:
         self._launch(safe_witness, self._rows, {}, outputs)
 
     def rows_where(self, mask: Bool[Tensor, " b"]) -> Int32[Tensor, " r"]:
-        """Numbers of the rows that `mask` has, for one wait; MemoryError when a queue was too short."""
+        """Numbers of the rows that `mask` has, for one wait; MemoryError when a queue was too
+        short."""
         return waves.rows_where(mask, self._full)
 
     def _note_full(self) -> None:
@@ -124,8 +145,19 @@ class SafeWaves:
         ):  # fmt: skip
             self._launch(kernel, lanes, asked)
 
-    def _launch(self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Tensor] | None = None) -> None:
-        """With what the kernel takes of all there is; on a CPU one thread, as its additions are not atomic."""
+    def _launch(
+        self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Tensor] | None = None
+    ) -> None:
+        """With what the kernel takes of all there is; on a CPU one thread, as its additions are not
+        atomic."""
         taken = {a.label.removesuffix("_in") for a in kernel.adj.args}
         inputs = {k: v for k, v in (self._tables | inputs).items() if k in taken}
-        launch_trials(kernel, n, inputs=inputs, outputs=outputs or {}, device=self._device, threads=1, uneven=True)
+        launch_trials(
+            kernel,
+            n,
+            inputs=inputs,
+            outputs=outputs or {},
+            device=self._device,
+            threads=1,
+            uneven=True,
+        )

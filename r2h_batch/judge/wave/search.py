@@ -1,4 +1,5 @@
-"""RRT-Connect in waves (kernels/wave/trees.py): the search as a GPU runs it, many lanes a problem."""
+"""RRT-Connect in waves (kernels/wave/trees.py): the search as a GPU runs it, many lanes a
+problem."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -22,7 +23,8 @@ from r2h_batch.kernels.wave.trees import (
 from r2h_batch.launch.arguments import struct_of
 
 FEWEST, MOST = 16, 128
-"""Lanes of a problem: an eighth of the iterations, between these. The more, the less each knows of what the others find."""
+"""Lanes of a problem: an eighth of the iterations, between these. The more, the less each knows of
+what the others find."""
 WAVES_A_TURN, WAVES_MORE = 5, 60
 """Waves of a search: so many for each posture that a lane may draw, and so many besides."""
 LANES_AT_ONCE = 1 << 17
@@ -33,7 +35,8 @@ ROOM = 6
 
 @dataclass(frozen=True)
 class Problem:
-    """What a search of B trials starts from: the goals that it may end at, how many, the hand clearance that it keeps."""
+    """What a search of B trials starts from: the goals that it may end at, how many, the hand
+    clearance that it keeps."""
 
     home: Float32[Tensor, "1 6"]
     goals: Float32[Tensor, "b 8 6"]
@@ -46,10 +49,11 @@ def connect_in_waves(
     waves: Waves, rows: Int32[Tensor, " r"], problem: Problem, config: PlanConfig, iterations: int, seed: int, shorter: float,
     path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], nodes: int,
 ) -> None:  # fmt: skip
-    """One search of those `rows` whose `length` is 0, as plan/rrt.py `rrt_connect` with certified edges; writes the paths found.
+    """One search of those `rows` whose `length` is 0, as plan/rrt.py `rrt_connect` with certified
+    edges; writes the paths found.
 
-    `iterations` random postures a problem; which are drawn, and what follows from them, does not depend on the other rows.
-    `nodes`: of all trees at once.
+    `iterations` random postures a problem; which are drawn, and what follows from them, does not
+    depend on the other rows. `nodes`: of all trees at once.
     """
     lanes = min(max(iterations // 8, FEWEST), MOST)
     at_once = max(1, min(LANES_AT_ONCE // lanes, nodes // (2 * _capacity(iterations))))
@@ -64,10 +68,18 @@ def _capacity(iterations: int) -> int:
 
 class _Search:
     def __init__(
-        self, waves: Waves, rows: Tensor, problem: Problem, config: PlanConfig, iterations: int, lanes: int
+        self,
+        waves: Waves,
+        rows: Tensor,
+        problem: Problem,
+        config: PlanConfig,
+        iterations: int,
+        lanes: int,
     ) -> None:
         self._all = waves
-        self._waves = Waves(**waves.scene, device=waves.device, rows=-(-len(rows) * lanes * ROOM // PER_ROW))
+        self._waves = Waves(
+            **waves.scene, device=waves.device, rows=-(-len(rows) * lanes * ROOM // PER_ROW)
+        )
         self._rows, self._problem, self._config = rows, problem, config
         self._iterations, self._lanes, self._capacity = iterations, lanes, _capacity(iterations)
         device, n, all_lanes = rows.device, len(rows), len(rows) * lanes
@@ -83,7 +95,10 @@ class _Search:
         }  # fmt: skip
         names = ("phase", "grow", "asking", "number", "near", "origin", "node", "reached")
         growers = {x: new(all_lanes) for x in names}
-        growers |= {"reach": new(all_lanes, dtype=torch.float32), "target": new(all_lanes, 6, dtype=torch.float32)}
+        growers |= {
+            "reach": new(all_lanes, dtype=torch.float32),
+            "target": new(all_lanes, 6, dtype=torch.float32),
+        }
         growers |= {"nearest": new(all_lanes, dtype=torch.int64)}
         edges = {x: new(all_lanes) for x in ("trial", "owner", "left")} | {
             "a": new(all_lanes, 6, dtype=torch.float32), "b": new(all_lanes, 6, dtype=torch.float32),
@@ -102,12 +117,21 @@ class _Search:
         sizes = {
             "capacity": self._capacity, "lanes_each": self._lanes, "range_rad": self._config.range_rad,
         }  # fmt: skip
-        ends = {"home": p.home, "goals": p.goals.view(-1, 6), "n_goals": p.n_goals, "margin": p.margin}
+        ends = {
+            "home": p.home,
+            "goals": p.goals.view(-1, 6),
+            "n_goals": p.n_goals,
+            "margin": p.margin,
+        }
         waves.clear()
         waves.ask(0, 0.0)
         waves.launch(plant_trees, n, self._tables | sizes | ends | {"length": length})
         enter = self._tables | sizes | {"iterations": self._iterations, "shorter": shorter}
-        grown = {"trees": self._tables["trees"], "growers": self._tables["growers"], "lanes_each": self._lanes}
+        grown = {
+            "trees": self._tables["trees"],
+            "growers": self._tables["growers"],
+            "lanes_each": self._lanes,
+        }
         draw = grown | {"seed": seed, "home": p.home, "key": p.key}
         for wave in range(WAVES_A_TURN * -(-self._iterations // self._lanes) + WAVES_MORE):
             parity = wave & 1

@@ -1,8 +1,10 @@
-"""Postures, straight lines and clearances in waves: the planner's form for a GPU (docs/gpu.md). It runs on a CPU too.
+"""Postures, straight lines and clearances in waves: the planner's form for a GPU (docs/gpu.md). It
+runs on a CPU too.
 
-A wave is one level of the bisection of all edges at once, in nine launches (kernels/wave/). Nobody waits for the device
-meanwhile: as many waves are launched as a bisection may have levels, and those of empty queues do nothing. What comes out is
-what the kernels of plan/lines.py find, one thread a trial: the same goals and lines, clearances within the tolerance of both.
+A wave is one level of the bisection of all edges at once, in nine launches (kernels/wave/). Nobody
+waits for the device meanwhile: as many waves are launched as a bisection may have levels, and those
+of empty queues do nothing. What comes out is what the kernels of plan/lines.py find, one thread a
+trial: the same goals and lines, clearances within the tolerance of both.
 """
 
 from collections.abc import Iterator
@@ -21,7 +23,13 @@ from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, PAIR_OF_OBJECT, POST
 from r2h_batch.kernels.plan.lines import CLEARANCE_CAP
 from r2h_batch.kernels.robot.world import FIELDS
 from r2h_batch.kernels.wave import queues
-from r2h_batch.kernels.wave.bodies import clear_links, near_bodies, near_hand, near_pieces, near_table
+from r2h_batch.kernels.wave.bodies import (
+    clear_links,
+    near_bodies,
+    near_hand,
+    near_pieces,
+    near_table,
+)
 from r2h_batch.kernels.wave.pairs import pair_distances
 from r2h_batch.kernels.wave.settle import settle_pairs
 from r2h_batch.kernels.wave.stretches import halve, queue_edges, queue_paths, stretch_frames
@@ -31,8 +39,8 @@ from r2h_batch.launch.arguments import struct_of
 LANES, CUDA_LANES = 1, 1 << 16
 """Threads of a launch on a CPU and on CUDA; each takes every so-manieth entry of a queue."""
 PER_ROW, LEAST, LEAST_CUDA = 16, 1 << 12, 1 << 16
-"""Stretches that the queue has room for: so many a row of the batch, and so many at least. Where that is too little half the
-rows have twice as much each (r2h_batch.launch.memory)."""
+"""Stretches that the queue has room for: so many a row of the batch, and so many at least. Where
+that is too little half the rows have twice as much each (r2h_batch.launch.memory)."""
 BODIES_PER_STRETCH, PAIRS_PER_STRETCH = 8, 6
 SEGMENTS_PER_ROW, LEAST_SEGMENTS, SEGMENTS_AT_ONCE = 4, 1 << 10, 32
 NOBODY = 0x7FFFFFFF
@@ -46,7 +54,8 @@ _on_cpu = False
 
 @contextmanager
 def waves_on_cpu() -> Iterator[None]:
-    """Inside, planning takes the GPU's form on a CPU as well: for tests and benches; not for several threads of a program."""
+    """Inside, planning takes the GPU's form on a CPU as well: for tests and benches; not for
+    several threads of a program."""
     global _on_cpu
     before, _on_cpu = _on_cpu, True
     try:
@@ -62,7 +71,8 @@ def in_waves(device: str) -> bool:
 
 @dataclass(frozen=True)
 class Lines:
-    """Straight lines from `a` to `b` (rad) of `trial`s; `owner`: the row of the result that each belongs to."""
+    """Straight lines from `a` to `b` (rad) of `trial`s; `owner`: the row of the result that each
+    belongs to."""
 
     trial: Int32[Tensor, " e"]
     owner: Int32[Tensor, " e"]
@@ -100,7 +110,8 @@ class Waves:
         self.stretches = [
             struct_of(
                 queues.Stretches,
-                {x: new(n) for x in ("edge", "part", "level", "index")} | {"look": new(n, 3, dtype=torch.int64)},
+                {x: new(n) for x in ("edge", "part", "level", "index")}
+                | {"look": new(n, 3, dtype=torch.int64)},
             )
             for _ in range(2)
         ]
@@ -111,10 +122,16 @@ class Waves:
         }  # fmt: skip
         pairs = {x: new(p) for x in ("stretch", "body", "other", "steps")}
         pairs |= {x: new(p, dtype=real) for x in ("needed", "lower", "upper")}
-        pairs |= {"R": new(p, 3, 3, dtype=real), "p": new(p, 3, dtype=real), "v": new(p, 3, dtype=real)}
+        pairs |= {
+            "R": new(p, 3, 3, dtype=real),
+            "p": new(p, 3, dtype=real),
+            "v": new(p, 3, dtype=real),
+        }
         return {
             "frames": struct_of(queues.Frames, frames),
-            "queue_bodies": struct_of(queues.Bodies, {x: new(queues.KINDS * m) for x in ("stretch", "body", "links")}),
+            "queue_bodies": struct_of(
+                queues.Bodies, {x: new(queues.KINDS * m) for x in ("stretch", "body", "links")}
+            ),
             "pairs": struct_of(queues.Pairs, pairs),
             "counts": struct_of(queues.Counts, {"n": self._counts}),
         }
@@ -122,13 +139,20 @@ class Waves:
     def check(
         self, q: Float32[Tensor, "n 6"], active: Bool[Tensor, " n"], per_trial: int
     ) -> tuple[Bool[Tensor, " n"], Int32[Tensor, " n"], Float32[Tensor, " n"]]:
-        """As plan/lines.py `check_postures`: free or not, the pair that collides, the hand clearance up to CLEARANCE_CAP."""
+        """As plan/lines.py `check_postures`: free or not, the pair that collides, the hand
+        clearance up to CLEARANCE_CAP."""
         room = self._room // 2
         parts = [
-            self._check(q[i : i + room], active[i : i + room], self._arange(len(q))[i : i + room] // per_trial)
+            self._check(
+                q[i : i + room],
+                active[i : i + room],
+                self._arange(len(q))[i : i + room] // per_trial,
+            )
             for i in range(0, len(q), room)
         ]
-        clear, pair, least = (torch.cat(x) if len(parts) > 1 else x[0] for x in zip(*parts, strict=True))
+        clear, pair, least = (
+            torch.cat(x) if len(parts) > 1 else x[0] for x in zip(*parts, strict=True)
+        )
         self._refuse_at_once()
         return clear, pair, least
 
@@ -147,13 +171,21 @@ class Waves:
         self, home: Float32[Tensor, "1 6"], goals: Float32[Tensor, "g 6"], n_goals: Int32[Tensor, " b"],
         margin: Float32[Tensor, "b 8"], mode: int,
     ) -> Int32[Tensor, " b"]:  # fmt: skip
-        """As plan/lines.py `straight_lines`: the first goal whose straight line from home is free, or -1.
+        """As plan/lines.py `straight_lines`: the first goal whose straight line from home is free,
+        or -1.
 
-        The nearest goals first, then all others of those trials whose nearest one is no straight line away.
+        The nearest goals first, then all others of those trials whose nearest one is no straight
+        line away.
         """
         b = len(n_goals)
         rows = self._arange(b * BRANCHES)
-        lines = Lines(rows // BRANCHES, rows, home.expand(b * BRANCHES, 6).contiguous(), goals, margin.reshape(-1))
+        lines = Lines(
+            rows // BRANCHES,
+            rows,
+            home.expand(b * BRANCHES, 6).contiguous(),
+            goals,
+            margin.reshape(-1),
+        )
         slot = self._arange(BRANCHES)[None]
         there = slot < n_goals[:, None]
         nearest = there & (slot == 0)
@@ -164,12 +196,16 @@ class Waves:
         return torch.where(free, slot, BRANCHES).amin(1).where(free.any(1), -1).to(torch.int32)
 
     def clearance(
-        self, path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], tolerance: float = CLEARANCE_TOLERANCE_M
+        self,
+        path: Float32[Tensor, "b w 6"],
+        length: Int32[Tensor, " b"],
+        tolerance: float = CLEARANCE_TOLERANCE_M,
     ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
         """As plan/lines.py `path_clearance`: -inf without a path; the pair, and the robot's body.
 
-        The goals' postures first: they are mostly the tightest, and leave little to be looked at. Then the segments, of long
-        paths (motions, sample by sample) so many at a time from the end on.
+        The goals' postures first: they are mostly the tightest, and leave little to be looked at.
+        Then the segments, of long paths (motions, sample by sample) so many at a time from the end
+        on.
         """
         b, segments = path.shape[0], path.shape[1] - 1
         at_once = min(max(segments, 1), SEGMENTS_AT_ONCE)
@@ -187,14 +223,19 @@ class Waves:
                 part = path[:, first : first + at_once + 1].contiguous()
                 some = {"path": part, "length": (length - first).clamp(min=0, max=part.shape[1])}
             self.clear()
-            self.launch(queue_paths, b, {"parity": 0, "row": b, "edges": edges, "queue": self.stretches[0], **some})
+            self.launch(
+                queue_paths,
+                b,
+                {"parity": 0, "row": b, "edges": edges, "queue": self.stretches[0], **some},
+            )
             self._all_waves(edges, MAX_LEVEL, certify=0)
         least, pair, body = self._read(found)
         self._refuse_at_once()
         return torch.where(length > 0, least, -torch.inf), pair, body
 
     def ask(self, track: int, tolerance: float) -> None:
-        """What the next waves look for: the smallest clearance (1), to `tolerance`, or whether margins are kept (0)."""
+        """What the next waves look for: the smallest clearance (1), to `tolerance`, or whether
+        margins are kept (0)."""
         self._asked = {"track": track, "tolerance": tolerance}
 
     def clear(self) -> None:
@@ -206,7 +247,8 @@ class Waves:
         self.full |= self._counts[queues.FULL : queues.FULL + 1]
 
     def refuse_if_full(self) -> None:
-        """Raises MemoryError when a queue was too short since these waves were made; on a GPU the host waits for that."""
+        """Raises MemoryError when a queue was too short since these waves were made; on a GPU the
+        host waits for that."""
         if int(self.full):
             raise MemoryError(TOO_SHORT)
 
@@ -220,7 +262,8 @@ class Waves:
             self.refuse_if_full()
 
     def _blocked(self, lines: Lines, used: Bool[Tensor, " e"], mode: int) -> Int64[Tensor, " e"]:
-        """For each line of its own owner the key of the first pair that blocks it, NONE where it is free."""
+        """For each line of its own owner the key of the first pair that blocks it, NONE where it is
+        free."""
         found = torch.full((len(lines.trial),), NONE, dtype=torch.int64, device=self.device)
         self.ask(0, 0.0)
         self._run(self.edges(lines, found), used, mode)
@@ -230,15 +273,22 @@ class Waves:
         """The lines as kernels take them, with room for more of them."""
         tensors = {x: getattr(lines, x) for x in ("trial", "owner", "a", "b", "hand_margin")}
         if more:
-            tensors = {k: torch.cat([x, x.new_empty((more, *x.shape[1:]))]) for k, x in tensors.items()}
+            tensors = {
+                k: torch.cat([x, x.new_empty((more, *x.shape[1:]))]) for k, x in tensors.items()
+            }
         left = self._new(len(tensors["trial"]))
-        return struct_of(queues.Edges, {k: x.contiguous() for k, x in tensors.items()} | {"found": found, "left": left})
+        return struct_of(
+            queues.Edges,
+            {k: x.contiguous() for k, x in tensors.items()} | {"found": found, "left": left},
+        )
 
     def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
         """Queues the edges in use, and runs all waves that they may need."""
         self.clear()
         asked = {"parity": 0, "mode": mode, "hand_only": hand_only, "edges": edges}
-        self.launch(queue_edges, len(used), asked | {"used": used.contiguous(), "queue": self.stretches[0]})
+        self.launch(
+            queue_edges, len(used), asked | {"used": used.contiguous(), "queue": self.stretches[0]}
+        )
         single = mode in (POSTURE, SAMPLES)
         self._all_waves(edges, 1 if single else MAX_LEVEL, certify=int(mode == CERTIFY))
 
@@ -261,14 +311,26 @@ class Waves:
         self.launch_queued(halve, every | more)
 
     def launch_queued(self, kernel: Any, inputs: dict[str, Any]) -> None:
-        """`launch` with as many threads as there may be: each takes every so-manieth entry of the kernel's queue."""
+        """`launch` with as many threads as there may be: each takes every so-manieth entry of the
+        kernel's queue."""
         self.launch(kernel, self._lanes, inputs | {"lanes": self._lanes})
 
-    def launch(self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Any] | None = None) -> None:
-        """With those of the tables and queues that the kernel takes; on a CPU one thread, as its additions are not atomic."""
+    def launch(
+        self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Any] | None = None
+    ) -> None:
+        """With those of the tables and queues that the kernel takes; on a CPU one thread, as its
+        additions are not atomic."""
         taken = {a.label for a in kernel.adj.args}
         inputs = inputs | {k: v for k, v in self._tables.items() if k in taken}
-        launch_trials(kernel, n, inputs=inputs, outputs=outputs or {}, device=self.device, threads=1, uneven=True)
+        launch_trials(
+            kernel,
+            n,
+            inputs=inputs,
+            outputs=outputs or {},
+            device=self.device,
+            threads=1,
+            uneven=True,
+        )
 
     def _read(self, found: Int64[Tensor, " o"]) -> tuple[Tensor, Tensor, Tensor]:
         """Value, CollidingPair and body of keys."""
@@ -286,7 +348,8 @@ class Waves:
 
 
 def rows_where(mask: Bool[Tensor, " b"], full: Int32[Tensor, " 1"]) -> Int32[Tensor, " r"]:
-    """Numbers of the rows that `mask` has, for one wait; MemoryError when `full` says that a queue was too short."""
+    """Numbers of the rows that `mask` has, for one wait; MemoryError when `full` says that a queue
+    was too short."""
     found = torch.nonzero(torch.cat([mask, full.bool().expand(len(mask) + 1)])).flatten()
     if len(found) > len(mask):
         raise MemoryError(TOO_SHORT)

@@ -1,1 +1,2 @@
-"""Grasps of an object: proposed at antipodal points, tried on the gripper, scored, chosen; the user's own, seated."""
+"""Grasps of an object: proposed at antipodal points, tried on the gripper, scored, chosen; the
+user's own, seated."""

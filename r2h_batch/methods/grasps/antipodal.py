@@ -1,4 +1,5 @@
-"""Grasp proposals at antipodal points of the surface, several approach directions about each closing axis."""
+"""Grasp proposals at antipodal points of the surface, several approach directions about each
+closing axis."""
 
 from typing import Any
 
@@ -22,17 +23,25 @@ DEPTH_M = 0.012  # how far the contact may lie from the pads' centre along the a
 F32 = NDArray[np.float32]
 
 
-def proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threads: int | None) -> tuple[F32, F32]:
-    """(M, 4, 4) T_obj_ee, pads on opposite surface points, several approaches about each closing axis; (M,) how far these
-    points are from each other."""
+def proposals(
+    model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threads: int | None
+) -> tuple[F32, F32]:
+    """(M, 4, 4) T_obj_ee, pads on opposite surface points, several approaches about each closing
+    axis; (M,) how far these points are from each other."""
     corner = model.vertices[model.faces].astype(np.float64)
     normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     double_area = np.linalg.norm(normal, axis=1)
     share = np.cumsum(double_area) / double_area.sum()
-    face = np.minimum(np.searchsorted(share, (np.arange(SEEDS) + rng.random(SEEDS)) / SEEDS), len(share) - 1)
+    face = np.minimum(
+        np.searchsorted(share, (np.arange(SEEDS) + rng.random(SEEDS)) / SEEDS), len(share) - 1
+    )
     a, b = rng.random((2, SEEDS, 1))
     a, b = np.where(a + b > 1, 1 - a, a), np.where(a + b > 1, 1 - b, b)
-    point = corner[face, 0] + a * (corner[face, 1] - corner[face, 0]) + b * (corner[face, 2] - corner[face, 0])
+    point = (
+        corner[face, 0]
+        + a * (corner[face, 1] - corner[face, 0])
+        + b * (corner[face, 2] - corner[face, 0])
+    )
     tilt = rng.random((SEEDS, 3))
     center, axis = np.zeros((2, SEEDS, 3), np.float32)
     thickness = np.zeros(SEEDS, np.float32)
@@ -44,7 +53,9 @@ def proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threa
             "friction_cosine": 1 / np.hypot(1, FRICTION),
             "widest": WIDEST_M,
             "point": point.astype(np.float32),
-            "normal": (normal[face] / np.maximum(double_area[face, None], 1e-30)).astype(np.float32),
+            "normal": (normal[face] / np.maximum(double_area[face, None], 1e-30)).astype(
+                np.float32
+            ),
             "random": tilt.astype(np.float32),
         },
         outputs={"center": center, "axis": axis, "thickness": thickness},
@@ -56,7 +67,9 @@ def proposals(model: ObjectModel, mesh: wp.Mesh, rng: np.random.Generator, threa
     depth = DEPTH_M * (2 * rng.random((SEEDS, APPROACHES)) - 1)
     keep = thickness > 0
     center64, axis64 = center[keep].astype(np.float64), axis[keep].astype(np.float64)
-    e = np.cross(axis64, np.where(np.abs(axis64[:, :1]) > 0.7, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]]))
+    e = np.cross(
+        axis64, np.where(np.abs(axis64[:, :1]) > 0.7, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    )
     e /= np.linalg.norm(e, axis=1, keepdims=True)
     f = np.cross(axis64, e)
     z = np.cos(angle[keep])[..., None] * e[:, None] + np.sin(angle[keep])[..., None] * f[:, None]

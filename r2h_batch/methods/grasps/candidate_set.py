@@ -20,7 +20,8 @@ class NoGraspError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """K grasps, best score first: T_obj_ee (K, 4, 4), width (K,) m, score (K,), part (K,) index into `part_names`.
+    """K grasps, best score first: T_obj_ee (K, 4, 4), width (K,) m, score (K,), part (K,) index
+    into `part_names`.
 
     `region_m`: distance of the closed fingers to the receiver's region, NaN without one.
     """
@@ -33,7 +34,13 @@ class Candidates:
 
     def rows(self, rows: Any) -> "Candidates":
         """The selected grasps."""
-        return Candidates(self.T_obj_ee[rows], self.width[rows], self.score[rows], self.part[rows], self.region_m[rows])
+        return Candidates(
+            self.T_obj_ee[rows],
+            self.width[rows],
+            self.score[rows],
+            self.part[rows],
+            self.region_m[rows],
+        )
 
     def __len__(self) -> int:
         return len(self.width)
@@ -41,4 +48,9 @@ class Candidates:
 
 def joined(parts: Sequence[Candidates]) -> Candidates:
     """All grasps of several sets, in their order."""
-    return Candidates(*(np.concatenate([getattr(c, name) for c in parts]) for name in Candidates.__dataclass_fields__))
+    return Candidates(
+        *(
+            np.concatenate([getattr(c, name) for c in parts])
+            for name in Candidates.__dataclass_fields__
+        )
+    )

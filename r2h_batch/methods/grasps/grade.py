@@ -1,8 +1,10 @@
 """Which proposals this gripper can hold, tried on its real shapes, and how good they are.
 
 Score in [0, 1] = 0.4 alignment + 0.35 contact + 0.25 balance:
-  alignment  mean cosine between closing axis and touched surface, 0 at the friction cone's edge, 1 when square
-  contact    share of the pad with surface within 1.5 mm, of the lesser pad; half a pad or more counts 1
+  alignment  mean cosine between closing axis and touched surface, 0 at the friction cone's edge, 1
+  when square
+  contact    share of the pad with surface within 1.5 mm, of the lesser pad; half a pad or more
+  counts 1
   balance    1 at the centre of mass, 0 at the object's farthest point from it
 """
 
@@ -14,7 +16,13 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import Thresholds
-from r2h_batch.judge.grasp import attach, close_pads, closed_clearance, open_is_clear, region_distance
+from r2h_batch.judge.grasp import (
+    attach,
+    close_pads,
+    closed_clearance,
+    open_is_clear,
+    region_distance,
+)
 from r2h_batch.kernels.methods import antipodal
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.grasps.antipodal import FRICTION, WIDEST_M, pad_height
@@ -28,7 +36,8 @@ CENTERED_M = 0.0005
 REACH_M = 0.0015
 LEAST_CONTACT = 0.05
 HOPELESS = 0.15
-"""Below the friction cone's edge (cosine) after the first closing: the others move the pads along the closing axis only."""
+"""Below the friction cone's edge (cosine) after the first closing: the others move the pads along
+the closing axis only."""
 BEHIND_PADS_M = -0.001  # the closed gripper's shapes overshoot the real one by about this much
 
 F32 = NDArray[np.float32]
@@ -37,7 +46,8 @@ F32 = NDArray[np.float32]
 def graded(
     model: ObjectModel, tables: GraspTables, mesh: wp.Mesh, proposals: F32, threads: int | None
 ) -> tuple[Candidates, NDArray[np.int64]]:
-    """The proposals that keep every promise of `sample_grasps`, with their scores, and which of the proposals they are."""
+    """The proposals that keep every promise of `sample_grasps`, with their scores, and which of the
+    proposals they are."""
     T = torch.from_numpy(proposals)
     row = torch.nonzero(_clear(tables, T, threads))[:, 0]
     T = T[row].contiguous()
@@ -48,7 +58,9 @@ def graded(
         held = ~empty & (width <= WIDEST_M)
         T, row = attach(T[held], shift[held]).contiguous(), row[held]
         if turn == 0:  # for most there is no hope: they hold by an edge, or at a slant
-            share, cosine, _ = pad_contact(model, mesh, T.numpy(), width[held].numpy(), opening[held].numpy(), threads)
+            share, cosine, _ = pad_contact(
+                model, mesh, T.numpy(), width[held].numpy(), opening[held].numpy(), threads
+            )
             hopeful = torch.from_numpy((share > 0) & (cosine >= edge - HOPELESS))
             T, row = T[hopeful].contiguous(), row[hopeful]
     clear = _clear(tables, T, threads)
@@ -59,8 +71,12 @@ def graded(
     held &= behind >= BEHIND_PADS_M
     T, width, opening, shift, row = (x[held].contiguous() for x in (T, width, opening, shift, row))
     squeezed = (width - Thresholds().pad_squeeze_m).clamp(min=0)
-    region = region_distance(tables, attach(T, shift), zeros(T), squeezed, threads=threads)[0].numpy()
-    contact, alignment, part = pad_contact(model, mesh, T.numpy(), width.numpy(), opening.numpy(), threads)
+    region = region_distance(tables, attach(T, shift), zeros(T), squeezed, threads=threads)[
+        0
+    ].numpy()
+    contact, alignment, part = pad_contact(
+        model, mesh, T.numpy(), width.numpy(), opening.numpy(), threads
+    )
     score, square = scored(model, T.numpy(), opening.numpy(), contact, alignment)
     every = Candidates(T.numpy(), width.numpy(), score, part.astype(np.uint8), region)
     good = square & (contact >= LEAST_CONTACT)
@@ -68,7 +84,8 @@ def graded(
 
 
 class _Pads:
-    """`close_pads` of proposals by their number: those that stand as they did when it was asked before are not asked again."""
+    """`close_pads` of proposals by their number: those that stand as they did when it was asked
+    before are not asked again."""
 
     def __init__(self, tables: GraspTables, threads: int | None, count: int) -> None:
         self.tables, self.threads = tables, threads
@@ -81,21 +98,30 @@ class _Pads:
         moved = (self.T[row] != T).flatten(1).any(1)
         asked, number = T[moved].contiguous(), row[moved]
         every = [*self.found, self.empty]
-        for known, new in zip(every, close_pads(self.tables, asked, zeros(asked), threads=self.threads), strict=True):
+        for known, new in zip(
+            every, close_pads(self.tables, asked, zeros(asked), threads=self.threads), strict=True
+        ):
             known[number] = new
         self.T[number] = asked
         return [known[row] for known in every]
 
 
 def scored(
-    model: ObjectModel, T: F32, opening: F32, contact: NDArray[np.float64], alignment: NDArray[np.float64]
+    model: ObjectModel,
+    T: F32,
+    opening: F32,
+    contact: NDArray[np.float64],
+    alignment: NDArray[np.float64],
 ) -> tuple[F32, NDArray[np.bool_]]:
-    """Scores (the head of this file), and whether the touched surface is within the friction cone."""
+    """Scores (the head of this file), and whether the touched surface is within the friction
+    cone."""
     edge = 1 / np.hypot(1, FRICTION)
     pads = T[:, :3, 3] + pad_height(opening)[:, None] * T[:, :3, 2]
     farthest = np.linalg.norm(model.vertices - model.com, axis=1).max()
     balance = 1 - np.clip(np.linalg.norm(pads - model.com, axis=1) / farthest, 0, 1)
-    score = 0.4 * (alignment - edge) / (1 - edge) + 0.35 * np.minimum(contact / 0.5, 1) + 0.25 * balance
+    score = (
+        0.4 * (alignment - edge) / (1 - edge) + 0.35 * np.minimum(contact / 0.5, 1) + 0.25 * balance
+    )
     return score.astype(np.float32), alignment >= edge
 
 
@@ -104,7 +130,11 @@ def pad_contact(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     """What `antipodal.pad_contact` says: share of the lesser pad, mean cosine, part."""
     link = load_robot().linkage
-    share, cosine, part = np.zeros(len(T), np.float32), np.zeros(len(T), np.float32), np.zeros(len(T), np.int32)
+    share, cosine, part = (
+        np.zeros(len(T), np.float32),
+        np.zeros(len(T), np.float32),
+        np.zeros(len(T), np.int32),
+    )
     pad_z = pad_height(opening).astype(np.float32)
     launch_trials(
         antipodal.pad_contact,

@@ -20,23 +20,31 @@ SEATS_M = (0.0, 0.004, -0.004, 0.008, -0.008, 0.012, -0.012, 0.016, -0.016, 0.02
 
 
 def own_grasps(model: ObjectModel, grasps: GraspSet, *, threads: int | None = None) -> Candidates:
-    """The user's grasps as they are, best score first; nothing is asked of them. `width`: of what lies between the pads."""
+    """The user's grasps as they are, best score first; nothing is asked of them. `width`: of what
+    lies between the pads."""
     init_warp()
     order = np.argsort(-grasps.score, kind="stable")
     T = np.ascontiguousarray(grasps.T_obj_ee[order])
-    width = close_pads(grasp_tables([model]), torch.from_numpy(T), zeros(torch.from_numpy(T)), threads=threads)[0]
-    part, nan = np.maximum(grasps.part[order], 0).astype(np.uint8), np.full(len(T), np.nan, np.float32)
+    width = close_pads(
+        grasp_tables([model]), torch.from_numpy(T), zeros(torch.from_numpy(T)), threads=threads
+    )[0]
+    part, nan = (
+        np.maximum(grasps.part[order], 0).astype(np.uint8),
+        np.full(len(T), np.nan, np.float32),
+    )
     return Candidates(T, width.numpy(), grasps.score[order], part, nan)
 
 
 def seat_grasps(
     model: ObjectModel, grasps: GraspSet, *, count: int | None = None, threads: int | None = None
 ) -> Candidates:
-    """The user's grasps that keep every promise of `sample_grasps`, best score of the user's first, at most `count`.
+    """The user's grasps that keep every promise of `sample_grasps`, best score of the user's first,
+    at most `count`.
 
-    Pads centre the object as in `sample_grasps`. Those of another gripper may be pushed up to 20 mm further or less far
-    along the approach, the nearest place first: its fingers have another length. `score` is the user's, `part` what the
-    pads touch. How many were seated elsewhere and how many dropped is one warning; none left raises.
+    Pads centre the object as in `sample_grasps`. Those of another gripper may be pushed up to 20 mm
+    further or less far along the approach, the nearest place first: its fingers have another
+    length. `score` is the user's, `part` what the pads touch. How many were seated elsewhere and
+    how many dropped is one warning; none left raises.
     """
     init_warp()
     tables, mesh = grasp_tables([model]), device_mesh(model)

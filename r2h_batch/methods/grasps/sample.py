@@ -1,4 +1,5 @@
-"""Grasps of an object from its surface alone: tried on this gripper, or as a generator would propose them."""
+"""Grasps of an object from its surface alone: tried on this gripper, or as a generator would
+propose them."""
 
 import hashlib
 import warnings
@@ -32,13 +33,16 @@ F32 = NDArray[np.float32]
 def sample_grasps(
     model: ObjectModel, *, count: int = COUNT, enough: int = ENOUGH, threads: int | None = None
 ) -> Candidates:
-    """Up to `count` grasps of an object: the same object and name, the same grasps. Raises if it has none.
+    """Up to `count` grasps of an object: the same object and name, the same grasps. Raises if it
+    has none.
 
-    They are chosen of the first `enough` that are found (a round more or less), or of what 8 rounds find.
+    They are chosen of the first `enough` that are found (a round more or less), or of what 8 rounds
+    find.
 
-    Each closes on 82 mm or less within the friction cone, is centred between the pads to 0.5 mm, keeps the open gripper
-    1 mm off the object, and closed touches it with the pads (1 mm for the shapes' overshoot). At least 40 % of an S1
-    object's keep 1 mm from the receiver's region, if that many were found.
+    Each closes on 82 mm or less within the friction cone, is centred between the pads to 0.5 mm,
+    keeps the open gripper 1 mm off the object, and closed touches it with the pads (1 mm for the
+    shapes' overshoot). At least 40 % of an S1 object's keep 1 mm from the receiver's region, if
+    that many were found.
     """
     tables = grasp_tables([model])
     mesh = device_mesh(model)
@@ -47,9 +51,16 @@ def sample_grasps(
     with one_blas_thread(), one_torch_thread("cpu"):
         for turn in range(ROUNDS):
             rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
-            pool.append(graded(model, tables, mesh, proposals(model, mesh, rng, threads)[0], threads)[0])
-            found, off_region = sum(map(len, pool)), sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool)
-            if found >= enough and (model.split == "S0" or off_region >= enough // 4 or found >= 3 * enough):
+            pool.append(
+                graded(model, tables, mesh, proposals(model, mesh, rng, threads)[0], threads)[0]
+            )
+            found, off_region = (
+                sum(map(len, pool)),
+                sum(int((c.region_m > REGION_CLEARANCE_M).sum()) for c in pool),
+            )
+            if found >= enough and (
+                model.split == "S0" or off_region >= enough // 4 or found >= 3 * enough
+            ):
                 break
     every = joined(pool)
     if len(every) == 0:
@@ -68,13 +79,18 @@ def sample_grasps(
     return chosen
 
 
-def generate_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | None = None) -> Candidates:
-    """Up to `count` grasps as a generator proposes them, not tried on this evaluator's gripper; reproducible. Raises if none.
+def generate_grasps(
+    model: ObjectModel, *, count: int = COUNT, threads: int | None = None
+) -> Candidates:
+    """Up to `count` grasps as a generator proposes them, not tried on this evaluator's gripper;
+    reproducible. Raises if none.
 
-    Antipodal pairs within the friction cone and 82 mm apart, with a tenth of each pad on the surface there; the open gripper,
-    as three boxes, holds no point of the object's cloud outside the gap (as ten Pas et al. 2017 ask of a hand). `width` is the
-    pair's distance: what else lies between the pads, whether they close on it centred, and what the true gripper cuts into is
-    not asked. `region_m`: 1 where no cloud point of the receiver's region is touched by the pads, else -1.
+    Antipodal pairs within the friction cone and 82 mm apart, with a tenth of each pad on the
+    surface there; the open gripper, as three boxes, holds no point of the object's cloud outside
+    the gap (as ten Pas et al. 2017 ask of a hand). `width` is the pair's distance: what else lies
+    between the pads, whether they close on it centred, and what the true gripper cuts into is not
+    asked. `region_m`: 1 where no cloud point of the receiver's region is touched by the pads, else
+    -1.
     """
     init_warp()
     mesh = device_mesh(model)
@@ -89,17 +105,22 @@ def generate_grasps(model: ObjectModel, *, count: int = COUNT, threads: int | No
             rows = np.flatnonzero(square & (contact >= GENERATED_CONTACT))
             rows = rows[_boxes_clear(model, T[rows])]
             region = np.where(_on_region(model, T[rows], width[rows]), -1.0, 1.0).astype(np.float32)
-            pool.append(Candidates(T[rows], width[rows], score[rows], part[rows].astype(np.uint8), region))
+            pool.append(
+                Candidates(T[rows], width[rows], score[rows], part[rows].astype(np.uint8), region)
+            )
             if sum(map(len, pool)) >= ENOUGH:
                 break
     every = joined(pool)
     if len(every) == 0:
-        raise NoGraspError(f"{model.name}: no antipodal pair that the {OWN_GRIPPER} fits about was found")
+        raise NoGraspError(
+            f"{model.name}: no antipodal pair that the {OWN_GRIPPER} fits about was found"
+        )
     return diverse(model, every, count)
 
 
 def _boxes_clear(model: ObjectModel, T: F32) -> NDArray[np.bool_]:
-    """Whether no point of the object's cloud lies in the open gripper as three boxes: two fingers, and the rest."""
+    """Whether no point of the object's cloud lies in the open gripper as three boxes: two fingers,
+    and the rest."""
     finger_low, finger_high, rest_low, rest_high = (x.astype(np.float32) for x in three_boxes())
     clear = np.ones(len(T), bool)
     for first in range(0, len(T), 256):
@@ -121,8 +142,12 @@ def _on_region(model: ObjectModel, T: F32, width: F32) -> NDArray[np.bool_]:
     for first in range(0, len(T), 256):
         rows = slice(first, first + 256)
         x, y, z = _in_gripper(model, T[rows])
-        near = (np.abs(x) <= link.pad_half_size[0]) & (np.abs(z - pad_z[rows, None]) <= link.pad_half_size[2])
-        touches[rows] = (near & (np.abs(np.abs(y) - 0.5 * width[rows, None]) <= REACH_M) & region).any(1)
+        near = (np.abs(x) <= link.pad_half_size[0]) & (
+            np.abs(z - pad_z[rows, None]) <= link.pad_half_size[2]
+        )
+        touches[rows] = (
+            near & (np.abs(np.abs(y) - 0.5 * width[rows, None]) <= REACH_M) & region
+        ).any(1)
     return touches
 
 
@@ -130,6 +155,7 @@ def _in_gripper(model: ObjectModel, T: F32) -> tuple[F32, F32, F32]:
     """Coordinates (n, P) of the object's cloud in the ee frames of n grasps."""
     p = model.points[None].astype(np.float32) - T[:, None, :3, 3]
     axes = [
-        p[..., 0] * T[:, 0, k, None] + p[..., 1] * T[:, 1, k, None] + p[..., 2] * T[:, 2, k, None] for k in range(3)
+        p[..., 0] * T[:, 0, k, None] + p[..., 1] * T[:, 1, k, None] + p[..., 2] * T[:, 2, k, None]
+        for k in range(3)
     ]
     return axes[0], axes[1], axes[2]
