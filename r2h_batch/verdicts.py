@@ -4,6 +4,7 @@ Whoever reads stored rows needs these and no tensor; `r2h_batch.types` offers th
 """
 
 from enum import IntEnum
+from typing import NamedTuple
 
 SPLITS = ("S0", "S1")
 """S0: free handover; S1: functional, the receiver wants a certain part of the object."""
@@ -11,15 +12,42 @@ SPLITS = ("S0", "S1")
 SIDES = ("right", "left")
 """Which hand receives; place in this tuple = code in every table of hands."""
 
-CRITERIA = ("stability", "plan", "reach", "affordance", "safe")
-"""Column order of every (B, 5) tensor, and the order in which the first failure is looked for."""
+
+class CriterionEntry(NamedTuple):
+    """What everything but its equation needs to know of a criterion (`judge.metrics` has the
+    equation)."""
+
+    name: str  # stored columns are passed_NAME and margin_NAME_m; the outcome is NAME in capitals
+    rate: str  # key of the rate of trials that fail here first
+    heading: str  # of that rate in tables
+    column: int  # place of that heading among the criteria's columns of Table I
+    color: str  # in charts
+    splits: tuple[str, ...]  # in which every success must have been judged by it
+    touching_passes: bool  # whether a margin of exactly 0 passes
+    unbounded: bool  # whether a failure may have the margin -inf: there is no size to state
+
+
+REGISTRY = (
+    CriterionEntry("stability", "f_stab", "F_stab", 3, "#e69f00", SPLITS, True, True),
+    CriterionEntry("plan", "f_plan", "F_plan", 0, "#0072b2", SPLITS, False, True),
+    CriterionEntry("reach", "f_reach", "F_reach", 1, "#56b4e9", SPLITS, True, False),
+    CriterionEntry("affordance", "f_afford", "F_afford", 4, "#cc79a7", ("S1",), False, False),
+    CriterionEntry("safe", "f_safe", "F_safe", 2, "#d55e00", SPLITS, False, False),
+)
+"""The criteria in the order in which the first failure is looked for. Stored columns, outcomes,
+rates, headings, charts and re-scoring follow it. A new criterion is one entry here and one function
+in `judge.metrics`."""
+
+CRITERIA = tuple(entry.name for entry in REGISTRY)
+"""Column order of every (B, 5) tensor."""
 
 MOST_SECONDS = 1e9
 """A stored time is at most this long (30 years): what is longer was made up."""
 
 
 class Outcome(IntEnum):
-    """A trial's verdict: success, the first criterion that failed, or why it was not judged."""
+    """A trial's verdict: success, the first criterion that failed (its place in `CRITERIA` + 1), or
+    why it was not judged. Rows store names, so that numbers may change when a criterion is added."""
 
     SUCCESS = 0
     STABILITY = 1
