@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from math import floor, log10
 
 from r2h_batch.report.text import NA
-from r2h_batch.statistics.aggregate import RATES, TIMES, Mean, Rate, Row
+from r2h_batch.statistics.aggregate import FAILURES, RATES, TIMES, Mean, Rate, Row
+from r2h_batch.verdicts import CRITERIA, SPLITS
 
 __all__ = [
     "BEST_NOTE",
@@ -24,21 +25,24 @@ HEADINGS = {
     "t_plan_s": "T_plan",
     "t_exec_s": "T_exec",
     "t_tot_s": "T_tot",
-    "f_plan": "F_plan",
-    "f_reach": "F_reach",
-    "f_safe": "F_safe",
-    "f_stab": "F_stab",
-    "f_afford": "F_afford",
+    **{rate: entry.heading for rate, entry in FAILURES.items()},
 }
 """Table I's columns in its order."""
 
+_SKIPPED = " and ".join(
+    f"{split}'s {entry.heading}"
+    for split in SPLITS
+    for entry in FAILURES.values()
+    if split not in entry.splits
+)
+
 FOOTNOTES = (
     "SR and F_*: percent of all N planned trials of the split; a trial counts once, at its first failure in the order"
-    " Stability, Plan, Reach, Affordance, Safe. With invalid and missing they add up to 100.",
+    f" {', '.join(name.capitalize() for name in CRITERIA)}. With invalid and missing they add up to 100.",
     "T_plan: mean over the trials in which planning ran, amortised (batch wall time / B), without the method's own"
     " time; T_exec: mean over the trials whose arm came to rest at its goal; T_tot = T_plan + T_exec; the counts are in"
     " the last table.",
-    "Avg: mean of the two splits, S0's F_afford (not evaluated) taken as 0.",
+    f"Avg: mean of the two splits, {_SKIPPED} (not evaluated) taken as 0.",
     "Presented: percent of S1's trials, failed ones too, whose receiver's region faces the palm (seen from the TCP, 90 degrees"
     " at most) and lies within the ball's radius of c_h; no part of SR.",
     "Intervals: 95 %. Wilson speaks about more trials with these objects; the object-clustered t interval about new"

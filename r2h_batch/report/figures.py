@@ -11,6 +11,7 @@ import numpy as np
 
 from r2h_batch.results.rows import OUTCOME_NAMES
 from r2h_batch.statistics.breakdown import Histogram
+from r2h_batch.verdicts import REGISTRY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,11 +32,7 @@ __all__ = [
 
 COLORS = {
     "success": "#009e73",
-    "stability": "#e69f00",
-    "plan": "#0072b2",
-    "reach": "#56b4e9",
-    "affordance": "#cc79a7",
-    "safe": "#d55e00",
+    **{entry.name: entry.color for entry in REGISTRY},
     "invalid_input": "#8c8c8c",
     "invalid_sim": "#5a5a5a",
     "missing": "#c8c8c8",

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from r2h_batch.report import latex
 from r2h_batch.report.cells import BEST_NOTE, FOOTNOTES, HEADINGS, Table, best_cells, cell, interval
 from r2h_batch.report.text import NA, legend, short_names
-from r2h_batch.statistics.aggregate import RATES, Row
+from r2h_batch.statistics.aggregate import FAILURES, RATES, TIMES, Row
 
 __all__ = ["main_table", "object_table"]
 
@@ -60,9 +60,12 @@ def _wide(table: Table, short: dict[str, str], intervals: bool) -> list[str]:
         latex.number(*((3, 1) if c in RATES else (2, longest if c == "t_plan_s" else 2)))
         for c in HEADINGS
     ]
+    times, failures = (sum(c in of for c in HEADINGS) for of in (TIMES, FAILURES))
+    first = 4 + times  # the split, the method and SR stand before the times
     top = [
-        r" & & {SR} & \multicolumn{3}{c}{Time (s)} & \multicolumn{5}{c}{First failure (\%)} \\",
-        r"\cmidrule(lr){4-6}\cmidrule(l){7-11}",
+        rf" & & {{SR}} & \multicolumn{{{times}}}{{c}}{{Time (s)}}"
+        rf" & \multicolumn{{{failures}}}{{c}}{{First failure (\%)}} \\",
+        rf"\cmidrule(lr){{4-{first - 1}}}\cmidrule(l){{{first}-{first + failures - 1}}}",
     ]
     names = {c: h.partition("_")[2] or h for c, h in HEADINGS.items()} | {"sr": r"(\%)"}
     return latex.table(

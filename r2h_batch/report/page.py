@@ -18,7 +18,7 @@ from r2h_batch.report.text import NA, short_names
 from r2h_batch.results.reading import Run
 from r2h_batch.results.rows import OUTCOME_NAMES
 from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import RATES, Row
+from r2h_batch.statistics.aggregate import FAILURES, RATES, Row
 from r2h_batch.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA
@@ -112,7 +112,7 @@ def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, An
                 "method": method,
                 "sr": [_rate(r, "sr", (r.split, method, "sr") in best) for r in rows],
                 "rank": _rank(compared[-1], method) if compared else None,
-                "failures": [_rate(last, c) for c in RATES if c.startswith("f_")],
+                "failures": [_rate(last, c) for c in FAILURES],
                 "t_exec": {
                     "text": cell(last, "t_exec_s"),
                     "value": last.times["t_exec_s"].value or -1,

@@ -46,26 +46,20 @@ def values(text: str, name: str) -> tuple[float, ...]:
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     """Tables of rates for every point and method, and the ranks over the points."""
     from r2h_batch.report.text import NA, aligned, legend, plain, short_names, wrapped
+    from r2h_batch.statistics.aggregate import FAILURES, RATES
     from r2h_batch.statistics.thresholds import ROUNDING_M, rank_stability
 
-    # the words of the report's table for the outcomes of a rescored row
-    shown = {
-        "SR": Outcome.SUCCESS,
-        "F_plan": Outcome.PLAN,
-        "F_reach": Outcome.REACH,
-        "F_safe": Outcome.SAFE,
-    }
-    shown |= {"F_stab": Outcome.STABILITY, "F_afford": Outcome.AFFORDANCE}
+    shown = ["SR", *(entry.heading for entry in FAILURES.values())]
     short = {method: plain(name) for method, name in short_names(methods).items()}
     lines = []
     for point in points:
         for method in methods:
             for k, counts in enumerate(point.counts[method]):
                 if n := counts.sum():
-                    skipped = (Outcome.AFFORDANCE,) if SPLITS[k] == "S0" else ()
-                    rates = [
-                        NA if c in skipped else f"{100 * counts[c] / n:.1f}" for c in shown.values()
-                    ]
+                    rates = [f"{100 * counts[Outcome.SUCCESS] / n:.1f}"]
+                    for rate, entry in FAILURES.items():
+                        failed = 100 * counts[list(RATES[rate])].sum() / n
+                        rates.append(f"{failed:.1f}" if SPLITS[k] in entry.splits else NA)
                     key = [
                         f"{v:.4g}"
                         for v in (point.reach_radius_m, point.w_max_m, point.safe_margin_m)

@@ -12,15 +12,14 @@ from r2h_batch.checks import array, given, kind, many, number, one_of, optional,
 from r2h_batch.results.columns import REQUIRED
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics.tally import SECONDS, Tally
-from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
+from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
+
+FAILURES = {entry.rate: entry for entry in sorted(REGISTRY, key=lambda entry: entry.column)}
+"""Rate of first failures -> its criterion, in the order of Table I's columns."""
 
 RATES = {
     "sr": (Outcome.SUCCESS,),
-    "f_plan": (Outcome.PLAN,),
-    "f_reach": (Outcome.REACH,),
-    "f_safe": (Outcome.SAFE,),
-    "f_stab": (Outcome.STABILITY,),
-    "f_afford": (Outcome.AFFORDANCE,),
+    **{rate: (Outcome[entry.name.upper()],) for rate, entry in FAILURES.items()},
     "invalid": (Outcome.INVALID_INPUT, Outcome.INVALID_SIM),
     "missing": (MISSING,),
 }
@@ -217,18 +216,20 @@ def _times(counted: Tally, split: int, code: int | None) -> dict[str, Mean]:
     code=optional(whole(0)),
 )
 def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
-    """The table line of a split, or of one object (`code`) of it; on split S0, F_afford is None
-    (not evaluated)."""
+    """The table line of a split, or of one object (`code`) of it. The rate of a criterion that the
+    split does not require is None."""
     objects, splits, outcome, _ = counted.columns
     place = SPLITS.index(split)
     inside = (splits == place) & ((objects == code) if code is not None else True)
     objects, outcome, count = objects[inside], outcome[inside], counted.count[inside]
     counts = _added(outcome, count, MISSING + 1)
     n = int(counts.sum())
-    if split == "S0" and counts[Outcome.AFFORDANCE]:
-        raise ValueError(
-            f"{counted.method}: {counts[Outcome.AFFORDANCE]} S0 trials failed Affordance, which S0 skips"
-        )
+    skipped = {rate: entry for rate, entry in FAILURES.items() if split not in entry.splits}
+    for rate, entry in skipped.items():
+        if failed := sum(counts[o] for o in RATES[rate]):
+            raise ValueError(
+                f"{counted.method}: {failed} {split} trials failed {entry.name.capitalize()}, which {split} skips"
+            )
     rates: dict[str, Rate | None] = {}
     for name, outcomes in RATES.items():
         of_it = int(sum(counts[o] for o in outcomes))
@@ -238,8 +239,7 @@ def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
         raise ValueError(
             f"{counted.method}, {split}: the outcomes do not add up to {n} trials: {counts.tolist()}"
         )
-    if split == "S0":
-        rates["f_afford"] = None
+    rates |= dict.fromkeys(skipped)
     return Row(
         split=split,
         method=counted.method,
@@ -265,14 +265,13 @@ def _added(place: np.ndarray, count: np.ndarray, length: int = 0) -> np.ndarray:
 
 @takes(rows=many(Row, "lines of one method"))
 def average_row(rows: Sequence[Row]) -> Row:
-    """The paper's Avg: mean of the splits with S0's F_afford taken as 0; None where a split has
-    nothing to average."""
+    """The paper's Avg: the mean of the splits. A criterion that a split skips counts as 0 there;
+    a rate is None where a split has no trials."""
 
     def rate(name: str) -> Rate | None:
         zero = Rate(0.0, 0.0, 0.0)
-        parts = [
-            zero if name == "f_afford" and r.split == "S0" and r.n else r.rates[name] for r in rows
-        ]
+        judged_in = FAILURES[name].splits if name in FAILURES else SPLITS
+        parts = [r.rates[name] if r.split in judged_in or not r.n else zero for r in rows]
         known = [p for p in parts if p is not None]
         return mean_rate(known) if len(known) == len(parts) else None
 

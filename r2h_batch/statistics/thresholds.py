@@ -15,13 +15,16 @@ from r2h_batch.results.columns import FAILED, PASSED, codes, pattern, pattern_ou
 from r2h_batch.results.reading import Run
 from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics.paired import rank_probabilities
-from r2h_batch.verdicts import SPLITS, Outcome
+from r2h_batch.verdicts import REGISTRY, SPLITS, Outcome
 
 ROUNDING_M = 1e-8
 """A stored margin gives the distance back to within this (float32): nearer to a threshold, a trial
 is undecided."""
 
 WIDTH_ROUNDING_M = 1e-6
+
+TOUCHING = {entry.name for entry in REGISTRY if entry.touching_passes}
+"""Criteria that a margin of exactly 0 passes."""
 
 MAX_POINTS = 10_000
 """Combinations of thresholds that one call takes."""
@@ -132,27 +135,16 @@ class _Margins:
         """(2, 9) counts per split and outcome at other thresholds, and how many trials lie too near
         to one to tell."""
         state, near = dict(self.state), np.zeros(len(self.split), bool)
-        for criterion, threshold, before, spare, touching in (
-            (
-                "reach",
-                point.reach_radius_m,
-                self.base["reach_radius_m"],
-                lambda t: t - self.distance,
-                True,
-            ),
-            ("stability", point.w_max_m, self.base["w_max_m"], lambda t: t - self.width, True),
-            (
-                "safe",
-                point.safe_margin_m,
-                self.base["safe_margin_m"],
-                lambda t: self.clearance - t,
-                False,
-            ),
+        for criterion, name, spare in (
+            ("reach", "reach_radius_m", lambda t: t - self.distance),
+            ("stability", "w_max_m", lambda t: t - self.width),
+            ("safe", "safe_margin_m", lambda t: self.clearance - t),
         ):
-            if threshold == before:
+            threshold = getattr(point, name)
+            if threshold == self.base[name]:
                 continue
             margin = spare(float(np.float32(threshold)))
-            good = margin >= 0 if touching else margin > 0
+            good = margin >= 0 if criterion in TOUCHING else margin > 0
             old = self.state[criterion]
             if (
                 criterion == "stability"
