@@ -15,7 +15,7 @@ from _report import ROOT, Report, arguments
 
 def sweep(folder: Path, trials: int, *flags: str) -> tuple[float, float, str]:
     """Wall seconds, seconds spent on shards, and digest of a sweep of `random`."""
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
 
     line = [sys.executable, "-m", "r2h_batch.sweep", "--method", "random", "--trials", str(trials), "--threads", "1"]
     line += ["--shard-trials", str(trials // 4), "--out", str(folder), *flags]

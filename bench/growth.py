@@ -26,7 +26,7 @@ def open_folder(folder: Path, trials: int, shard_trials: int) -> Any:
     """The synthetic run folder, with its methods."""
     from runs import header
 
-    from r2h_batch.results.writing import open_run
+    from r2h_batch.runs.store import open_run
 
     run = open_run(folder, {**header(trials), "shard_trials": shard_trials}, exact=False)
     for method in METHODS:
@@ -52,7 +52,7 @@ def write(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
 
 def resume(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
     """What the same command does before its first trial: the folder opened and verified, shards still to do listed."""
-    from r2h_batch.results.reading import mark_for_rerun
+    from r2h_batch.runs.store import mark_for_rerun
 
     start = time.perf_counter()
     run = open_folder(folder, trials // 2, shard_trials)
@@ -126,7 +126,7 @@ def driver(workers: int, shards: int) -> dict[str, float]:
 
     from runs import rows
 
-    from r2h_batch.results.writing import ShardWriter
+    from r2h_batch.runs.store import ShardWriter
     from r2h_batch.sweep.cluster import Pool, _feed  # the loop alone: no public way goes round Ray itself
 
     size = 1000

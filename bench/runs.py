@@ -17,8 +17,8 @@ import numpy as np
 import pyarrow as pa
 from _report import ROOT, Report, arguments
 
-from r2h_batch.results.manifest import SHARD_TRIALS
-from r2h_batch.results.rows import OUTCOME_NAMES, TRIAL_SCHEMA
+from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
+from r2h_batch.runs.store import SHARD_TRIALS
 from r2h_batch.turns import PROTOCOL
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
 
@@ -96,7 +96,7 @@ def header(trials: int) -> dict:
 
 def write(folder: Path, trials: int) -> dict:
     """Through the real writer; making the rows is not counted."""
-    from r2h_batch.results.writing import open_run
+    from r2h_batch.runs.store import open_run
 
     run = open_run(folder, header(trials))
     run.register("synthetic", {"kind": "bench"})
@@ -113,7 +113,7 @@ def write(folder: Path, trials: int) -> dict:
 
 
 def verify(folder: Path, _: int) -> dict:
-    from r2h_batch.results.manifest import problems, read_header
+    from r2h_batch.runs.store import problems, read_header
 
     start = time.perf_counter()
     assert not list(problems(folder, read_header(folder)))
@@ -122,7 +122,7 @@ def verify(folder: Path, _: int) -> dict:
 
 def aggregate(folder: Path, _: int) -> dict:
     """Table I's rows from the stored ones."""
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
     from r2h_batch.statistics.aggregate import summarise
     from r2h_batch.statistics.tally import tally
 
@@ -133,7 +133,7 @@ def aggregate(folder: Path, _: int) -> dict:
 
 
 def digest(folder: Path, _: int) -> dict:
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
 
     start = time.perf_counter()
     load_run(folder, verify=False).digest("synthetic")

@@ -17,7 +17,7 @@ from pathlib import Path
 from r2h_batch.gallery.command import figures_main, report_main
 from r2h_batch.report.page import page
 from r2h_batch.report.table import render, table_of
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENT = r"""\documentclass[10pt]{article}

@@ -95,7 +95,7 @@ def swept(variant: Variant, folder: Path, trials: int) -> list[str]:
 def rates_of(folder: Path) -> dict[str, dict[str, dict[str, float | None]]]:
     """Method (the sweep's word) -> split -> column -> percent."""
     from r2h_batch.report.table import render, table_of
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
 
     words = {title: word for word, title in TITLES.items()}
     found: dict[str, dict[str, dict[str, float | None]]] = {}
@@ -107,7 +107,7 @@ def rates_of(folder: Path) -> dict[str, dict[str, dict[str, float | None]]]:
 
 def pairs_of(folders: Sequence[Path]) -> dict[str, str]:
     """`a > b` or `a = b` for the pairs of methods over all trials: apart (on these objects at least) or tied."""
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
     from r2h_batch.statistics.paired import compare, pair_up
 
     (whole,) = [c for c in compare(pair_up([load_run(f) for f in folders])) if c.group == "all"]
@@ -191,7 +191,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
     parser.add_argument("--runs", type=Path, default=ROOT / "runs" / "sensitivity", help="where the run folders are")
     given = parser.parse_args()
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
 
     begin, found, base_folder = time.perf_counter(), [], Path()
     base_rates: dict = {}

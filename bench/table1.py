@@ -149,7 +149,7 @@ def write(folder: Path, out: Path, name: str, title: str, line: list[str]) -> No
     """The table of a run folder as .md, .csv and .json."""
     from r2h_batch.report.objects import object_lines
     from r2h_batch.report.table import render, table_of
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
 
     run = load_run(folder)
     table = table_of(run)

@@ -10,9 +10,7 @@ from made_runs import make_header, make_scores, make_trials
 from r2h_batch.__main__ import COMMANDS, main
 from r2h_batch.benchmark import built_in
 from r2h_batch.export import command as export
-from r2h_batch.results.manifest import RunError
-from r2h_batch.results.reading import load_run
-from r2h_batch.results.writing import open_run
+from r2h_batch.runs.store import RunError, load_run, open_run
 from r2h_batch.trials.protocol import PROTOCOL, TRIALS
 
 NESTED = ("results verify", "results digest", "study paper", "study ratings", "study real", "study plan")
@@ -125,7 +123,7 @@ THRESHOLDS = {"w_max_m": 0.085, "reach_radius_m": 0.1, "safe_margin_m": 0.0}
 def _rows(trials, scores):
     from made_runs import NAMES
 
-    from r2h_batch.results.rows import score_rows
+    from r2h_batch.runs.rows import score_rows
 
     return score_rows(trials, scores, NAMES)
 

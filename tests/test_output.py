@@ -15,8 +15,7 @@ from made_runs import write_run
 from r2h_batch.__main__ import COMMANDS
 from r2h_batch.command_line import answer, tell
 from r2h_batch.report.table import render, table_of
-from r2h_batch.results.manifest import RunError
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.verdicts import Outcome
 
 FORMULA = "=1+2é"

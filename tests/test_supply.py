@@ -12,8 +12,8 @@ import pytest
 import torch
 from needs import needs
 
-from r2h_batch.results.provenance import PACKAGES
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.provenance import PACKAGES
+from r2h_batch.runs.store import load_run
 
 ROOT = Path(__file__).resolve().parents[1]
 PIN = re.compile(r"([a-z0-9-]+)==([0-9][A-Za-z0-9.]*)")

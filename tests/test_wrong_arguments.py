@@ -14,7 +14,7 @@ from r2h_batch import EvalConfig, Evaluator, Predictions, Scene, make_trials, re
 from r2h_batch.config import EstimateConfig, ExecConfig, IkConfig, PlanConfig, Thresholds, Workplace
 from r2h_batch.predictions import load_predictions, write_predictions
 from r2h_batch.rejudge.again import Judge, rejudge
-from r2h_batch.results.reading import RunError, load_run
+from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.soft import soft_success
 from r2h_batch.statistics import aggregate, paired
 from r2h_batch.statistics.common import common_trials

@@ -13,7 +13,7 @@ from r2h_batch.command_line import call, check_seed, refuse, tell
 from r2h_batch.compare.shipped import BASELINES, FOLDERS, baselines_for
 
 if TYPE_CHECKING:
-    from r2h_batch.results.reading import Run
+    from r2h_batch.runs.store import Run
 
 
 def run(
@@ -36,7 +36,7 @@ def run(
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
     """
     from r2h_batch.compare.text import render
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
     from r2h_batch.statistics.common import common_trials
     from r2h_batch.statistics.paired import compare, pair_up
 
@@ -75,7 +75,7 @@ def _is_shipped(folder: Path) -> bool:
 
 def _chosen(runs: "list[Run]", words: Sequence[str]) -> "list[Run]":
     """The runs with the chosen methods; every word must be a method of at least one run."""
-    from r2h_batch.results.manifest import RunError
+    from r2h_batch.runs.store import RunError
 
     kept: list[Run] = []
     known: set[str] = set()

@@ -18,7 +18,7 @@ from r2h_batch.command_line import UsageError
 from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.predictors.noise import Errors
-from r2h_batch.results.rows import TrialNames, detail_rows, path_rows, score_rows
+from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import Setting, make_jobs
 from r2h_batch.sweep.options import METHODS, Options, check

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from r2h_batch.results.reading import Run
-from r2h_batch.results.rows import OUTCOME_NAMES
+from r2h_batch.runs.rows import OUTCOME_NAMES
+from r2h_batch.runs.store import Run
 
 __all__ = ["LOOKED_AT", "SHOWN", "first_of_each_outcome", "shared_trial"]
 

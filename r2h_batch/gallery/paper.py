@@ -16,8 +16,8 @@ from r2h_batch.gallery.chosen import SHOWN, first_of_each_outcome, shared_trial
 from r2h_batch.gallery.pictures import still, verdict
 from r2h_batch.report.figures import style
 from r2h_batch.report.text import short_names
-from r2h_batch.results.reading import Run
-from r2h_batch.results.rows import OUTCOME_NAMES
+from r2h_batch.runs.rows import OUTCOME_NAMES
+from r2h_batch.runs.store import Run
 
 __all__ = ["failures", "methods_over_time", "protocol", "write"]
 

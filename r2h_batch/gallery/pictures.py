@@ -12,7 +12,7 @@ from r2h_batch.export.drawing import Stage
 from r2h_batch.export.stored import Reader, StoredTrial
 from r2h_batch.gallery.chosen import first_of_each_outcome
 from r2h_batch.report.figures import WORDS
-from r2h_batch.results.reading import Run
+from r2h_batch.runs.store import Run
 from r2h_batch.view.page import write_page
 
 __all__ = ["gallery", "still", "verdict"]

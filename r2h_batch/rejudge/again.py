@@ -23,9 +23,9 @@ from r2h_batch.checks import kind, optional, takes, text, whole
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.launch import cpu_threads
-from r2h_batch.results import provenance
-from r2h_batch.results.reading import TIMING, Run, RunError
-from r2h_batch.results.rows import LATER_COLUMNS, TRIAL_SCHEMA, TrialNames, score_rows
+from r2h_batch.runs import provenance
+from r2h_batch.runs.rows import LATER_COLUMNS, TRIAL_SCHEMA, TrialNames, score_rows
+from r2h_batch.runs.store import TIMING, Run, RunError
 from r2h_batch.trials.protocol import PROTOCOLS, trials_of
 from r2h_batch.verdicts import SIDES
 

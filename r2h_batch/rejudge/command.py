@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import call, check_seed, refuse
-from r2h_batch.results import command as stored
-from r2h_batch.results.command import digest
+from r2h_batch.runs import command as stored
+from r2h_batch.runs.command import digest
 
 if TYPE_CHECKING:
     from r2h_batch.benchmark.given import Given
@@ -66,7 +66,7 @@ def _again(
     import numpy as np
 
     from r2h_batch.rejudge.again import Judge, rejudge
-    from r2h_batch.results.reading import RunError, load_run
+    from r2h_batch.runs.store import RunError, load_run
 
     run = load_run(folder, verify=False).only(method)
     names = [e["name"] for e in run.entries if e["receipts"]]
@@ -102,9 +102,7 @@ def _lines(found: "Rejudged", draw: int) -> list[str]:
     return lines
 
 
-def main(
-    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.results"
-) -> int:
+def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.runs") -> int:
     """Exit code of the chosen subcommand; 2 refused with one line."""
     given = sys.argv[1:] if arguments is None else arguments
     return call({"verify": verify, "digest": digest}, given, prog=prog, name="results")

@@ -10,7 +10,7 @@ from r2h_batch.command_line import refuse, tell
 from r2h_batch.files.output import write_text
 
 if TYPE_CHECKING:
-    from r2h_batch.results.reading import Run
+    from r2h_batch.runs.store import Run
 
 Gallery = Callable[[], Mapping[str, Sequence[Mapping[str, str]]]]
 """Makes the pictures of each method, once the run is known to be there."""
@@ -31,7 +31,7 @@ def run(
 ) -> int:
     """Print the table of a run folder or write it to `out`; exit code 0, 1 a method is not
     complete, 2 refused."""
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
 
     try:
         stored = load_run(run).only(method)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from r2h_batch.results.rows import OUTCOME_NAMES
+from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.statistics.breakdown import Histogram
 from r2h_batch.verdicts import REGISTRY
 

@@ -9,7 +9,7 @@ from r2h_batch.files import csv_cell
 from r2h_batch.report.cells import HEADINGS, Table, cell, interval
 from r2h_batch.report.table import record, table_of
 from r2h_batch.report.text import NA, aligned, legend, plain, short_names, wrapped
-from r2h_batch.results.reading import Run
+from r2h_batch.runs.store import Run
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import RATES, Row
 from r2h_batch.statistics.tally import Tally, tally

@@ -15,8 +15,8 @@ from r2h_batch.report import figures
 from r2h_batch.report.cells import BEST_NOTE, FOOTNOTES, HEADINGS, Table, best_cells, cell
 from r2h_batch.report.table import table_of
 from r2h_batch.report.text import NA, short_names
-from r2h_batch.results.reading import Run
-from r2h_batch.results.rows import OUTCOME_NAMES
+from r2h_batch.runs.rows import OUTCOME_NAMES
+from r2h_batch.runs.store import Run
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import FAILURES, RATES, Row
 from r2h_batch.statistics.paired import Comparison, compare, pair_up

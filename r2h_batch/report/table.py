@@ -12,7 +12,7 @@ from r2h_batch.files import csv_cell
 from r2h_batch.report.cells import FOOTNOTES, HEADINGS, Table, cell, interval, invalid
 from r2h_batch.report.latex_tables import main_table
 from r2h_batch.report.text import NA, aligned, legend, plain, short_names, wrapped
-from r2h_batch.results.reading import Run
+from r2h_batch.runs.store import Run
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import RATES, TIMES, Row, summarise
 from r2h_batch.statistics.tally import Tally, tally

@@ -107,7 +107,7 @@ def run(
         safe_margin: distance that the robot must keep from the hand, at most 0.0499.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
     """
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
     from r2h_batch.statistics.thresholds import rescore
 
     try:

@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
 from r2h_batch.checks import array, given, kind, many, number, one_of, optional, takes, whole
-from r2h_batch.results.columns import REQUIRED
-from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.columns import REQUIRED
+from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics.tally import SECONDS, Tally
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
 

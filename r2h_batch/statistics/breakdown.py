@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.results.columns import FAILED, PATTERNS, UNEVALUATED, codes, pattern_outcomes
-from r2h_batch.results.reading import Run
-from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.columns import FAILED, PATTERNS, UNEVALUATED, codes, pattern_outcomes
+from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.store import Run
 from r2h_batch.statistics.aggregate import Row, group_row
 from r2h_batch.statistics.tally import Tally
 from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome

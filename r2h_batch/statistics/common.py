@@ -7,7 +7,7 @@ from typing import Any
 
 from r2h_batch.checks import many, takes
 from r2h_batch.config import EvalConfig
-from r2h_batch.results.reading import Run
+from r2h_batch.runs.store import Run
 from r2h_batch.turns import PROTOCOLS
 from r2h_batch.verdicts import SPLITS
 

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from r2h_batch.checks import array, kind, many, optional, takes, whole
-from r2h_batch.results.reading import Run
+from r2h_batch.runs.store import Run
 from r2h_batch.statistics.common import Common, common_trials
 from r2h_batch.statistics.tally import Verdicts, verdicts
 from r2h_batch.verdicts import SPLITS, Outcome

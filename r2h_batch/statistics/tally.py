@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.results.columns import PATTERNS, codes, pattern, states
-from r2h_batch.results.reading import Run
-from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.columns import PATTERNS, codes, pattern, states
+from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, SPLITS
 
 __all__ = ["SECONDS", "Sum", "Tally", "Verdicts", "tally", "verdicts"]

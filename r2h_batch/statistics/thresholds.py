@@ -11,9 +11,9 @@ import pyarrow as pa
 
 from r2h_batch.checks import array, kind, many, takes
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, FARTHEST_M
-from r2h_batch.results.columns import FAILED, PASSED, codes, pattern, pattern_outcomes, states
-from r2h_batch.results.reading import Run
-from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.columns import FAILED, PASSED, codes, pattern, pattern_outcomes, states
+from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.store import Run
 from r2h_batch.statistics.paired import rank_probabilities
 from r2h_batch.verdicts import REGISTRY, SPLITS, Outcome
 

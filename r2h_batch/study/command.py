@@ -68,7 +68,7 @@ def real(run: Path, file: Path, /, *, trials: int) -> int:
     """
     from r2h_batch.report.table import table_of
     from r2h_batch.report.text import aligned
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
     from r2h_batch.study.report import REAL_COLUMNS, correlation_line, sim_to_real
     from r2h_batch.study.stats import StudyError, spearman
     from r2h_batch.study.table_file import LINE, read_table

@@ -19,8 +19,7 @@ from typing import Any
 
 from r2h_batch.command_line import refuse, tell
 from r2h_batch.files import printable
-from r2h_batch.results.manifest import Shard, differing
-from r2h_batch.results.writing import TRIES, RunFolder, ShardWriter
+from r2h_batch.runs.store import TRIES, RunFolder, Shard, ShardWriter, differing
 from r2h_batch.sweep import jobs as sweep_jobs
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.engine import Stopped, chunk_of, score_shard, warm_up

@@ -16,7 +16,7 @@ from r2h_batch.sweep.options import METHODS, Options, UsageError, parse
 
 # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
 if TYPE_CHECKING:
-    from r2h_batch.results.writing import RunFolder
+    from r2h_batch.runs.store import RunFolder
     from r2h_batch.sweep.jobs import Job, Setting
 
 __all__ = ["METHODS", "Options", "UsageError", "main", "parse", "run"]
@@ -80,7 +80,7 @@ def run(options: Options, stopping: Callable[[], bool] = lambda: False) -> int:
 def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path], None]) -> int:
     from importlib.util import find_spec
 
-    from r2h_batch.results.manifest import RunError
+    from r2h_batch.runs.store import RunError
     from r2h_batch.sweep import jobs as sweep_jobs
     from r2h_batch.sweep.cluster import ClusterError, reach
     from r2h_batch.sweep.engine import Stopped
@@ -126,7 +126,7 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
 
 
 def _failed(error: OSError, folder: Path) -> int:
-    from r2h_batch.results.storage import trouble_in
+    from r2h_batch.runs.store import trouble_in
 
     if words := trouble_in(folder, error):
         return refuse("sweep", words, 1)
@@ -142,7 +142,7 @@ def _score(
     stopping: Callable[[], bool],
 ) -> int:
     """Score what is missing or damaged, in this process or on a cluster; the exit code."""
-    from r2h_batch.results.reading import mark_for_rerun
+    from r2h_batch.runs.store import mark_for_rerun
     from r2h_batch.sweep.engine import score_local
     from r2h_batch.sweep.progress import Log
 
@@ -168,8 +168,7 @@ def _of_part(name: str, options: Options) -> str:
 
 def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "tuple[str, RunFolder]":
     """The run folder of the options: new, or the one to go on with."""
-    from r2h_batch.results.manifest import RunError
-    from r2h_batch.results.writing import open_run
+    from r2h_batch.runs.store import RunError, open_run
     from r2h_batch.sweep.engine import shard_size
 
     out, number = options.out, 1
@@ -194,7 +193,7 @@ def _finish(options: Options, out: str, names: list[str]) -> int:
     """Print the table if every method of this sweep is complete, else what is left; the exit
     code."""
     from r2h_batch.report import table as report
-    from r2h_batch.results import reading as results
+    from r2h_batch.runs import store as results
 
     stored = results.load_run(out)
     code = 0

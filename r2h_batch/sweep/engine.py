@@ -10,8 +10,7 @@ import torch
 
 from r2h_batch.command_line import note, refuse, tell
 from r2h_batch.judge.plan import load_searches
-from r2h_batch.results.manifest import SHARD_TRIALS, Shard
-from r2h_batch.results.rows import (
+from r2h_batch.runs.rows import (
     detail_rows,
     failure_rows,
     missing_rows,
@@ -19,7 +18,7 @@ from r2h_batch.results.rows import (
     pose_rows,
     score_rows,
 )
-from r2h_batch.results.writing import TRIES, RunFolder, ShardWriter
+from r2h_batch.runs.store import SHARD_TRIALS, TRIES, RunFolder, Shard, ShardWriter
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import Job, Setting
 from r2h_batch.sweep.options import Options

@@ -19,8 +19,8 @@ from r2h_batch.benchmark import Benchmark
 from r2h_batch.benchmark.given import Given
 from r2h_batch.command_line import tell
 from r2h_batch.predictions import align, doubts, load_predictions
-from r2h_batch.results import provenance
-from r2h_batch.results.rows import TrialNames
+from r2h_batch.runs import provenance
+from r2h_batch.runs.rows import TrialNames
 from r2h_batch.sweep.answers import answer_of
 from r2h_batch.sweep.devices import why_no_cuda
 from r2h_batch.sweep.options import METHODS, SEEN_BY, Options, UsageError

@@ -23,7 +23,7 @@ class Log:
     def say(self, name: str, done: int, total: int, seconds: float) -> None:
         """Note a method's state; the file is replaced every few seconds and when the method is
         done."""
-        from r2h_batch.results.storage import replace_json
+        from r2h_batch.runs.store import replace_json
 
         rate = done / seconds if seconds > 0 else 0.0
         left = (total - done) / rate if rate > 0 else None

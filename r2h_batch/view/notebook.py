@@ -9,7 +9,7 @@ from r2h_batch.checks import kind, whole
 from r2h_batch.export.drawing import Stage
 from r2h_batch.export.replay import difference, judge_again, names_of
 from r2h_batch.export.stored import StoredTrial, stored_trial
-from r2h_batch.results.rows import detail_rows, score_rows
+from r2h_batch.runs.rows import detail_rows, score_rows
 from r2h_batch.types import Predictions, Scores
 from r2h_batch.view.page import page_of
 

@@ -12,7 +12,7 @@ import numpy as np
 from r2h_batch.command_line import UsageError, tell
 from r2h_batch.export.drawing import Stage
 from r2h_batch.export.stored import ExportError, Reader
-from r2h_batch.results.reading import RunError
+from r2h_batch.runs.store import RunError
 from r2h_batch.view.choose import ANY, ORDERS, Filter, chosen, words_of
 from r2h_batch.view.draw import MARKS, Drawn, look_at, prepare
 from r2h_batch.view.page import APART_M, new_server, stop_server

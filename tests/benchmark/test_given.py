@@ -20,7 +20,7 @@ from r2h_batch.bodies.hand import load_hand_set
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.files import FileError
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run
 from r2h_batch.trials.protocol import trials_of
 
 

@@ -21,7 +21,7 @@ from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.export import trial as export
 from r2h_batch.export.stored import Reader, StoredTrial
 from r2h_batch.motion.time_law import time_at, time_path
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run
 
 TRIALS = (0, 1, 2, 3)
 CAP_M = 0.05

@@ -10,7 +10,7 @@ from needs import needs
 from r2h_batch.benchmark.given import Given
 from r2h_batch.gallery import command, pictures
 from r2h_batch.gallery.chosen import first_of_each_outcome, shared_trial
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 
 OUTCOMES = np.array([0, 0, 0, 0, 2, 2, 3, 8, 0, 1, 4, 5])

@@ -22,7 +22,7 @@ from r2h_batch.predictors import (
     retrieve_receiving,
 )
 from r2h_batch.receiver.receiving import load_receiving
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.jobs import table_name
 
 TRUTH = PredictorNoise().scaled(0)

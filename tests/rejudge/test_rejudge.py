@@ -13,9 +13,7 @@ from r2h_batch.export.command import trials_main as trials_command
 from r2h_batch.rejudge import again
 from r2h_batch.rejudge.again import Judge, configuration, rejudge
 from r2h_batch.rejudge.command import main as results
-from r2h_batch.results.manifest import RunError
-from r2h_batch.results.reading import load_run
-from r2h_batch.results.storage import sha256_of
+from r2h_batch.runs.store import RunError, load_run, sha256_of
 from r2h_batch.sweep.command import main as sweep
 
 

@@ -12,7 +12,7 @@ from needs import CHROMIUM, needs
 
 from r2h_batch.report import figures, page
 from r2h_batch.report.text import NA
-from r2h_batch.results.rows import OUTCOME_NAMES
+from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.paired import compare, pair_up
 from r2h_batch.types import CRITERIA

@@ -9,7 +9,7 @@ import pytest
 from made_runs import make_trials, paper_run, table_1, write_run
 from scipy import stats
 
-from r2h_batch.results.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics import aggregate, breakdown
 from r2h_batch.statistics.aggregate import Rate
 from r2h_batch.statistics.tally import BLOCK, Sum, Tally, Verdicts, tally

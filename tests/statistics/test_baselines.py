@@ -11,9 +11,8 @@ from made_runs import make_header, make_scores, make_trials
 from r2h_batch.compare.command import main as compare
 from r2h_batch.compare.shipped import FOLDERS, baselines_for
 from r2h_batch.rejudge.again import Judge, rejudge
-from r2h_batch.results.reading import load_run
-from r2h_batch.results.rows import TrialNames, score_rows
-from r2h_batch.results.writing import open_run
+from r2h_batch.runs.rows import TrialNames, score_rows
+from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.statistics.common import common_trials
 from r2h_batch.statistics.paired import pair_up
 from r2h_batch.sweep.command import main as sweep

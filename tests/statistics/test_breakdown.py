@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from made_runs import OBJECTS, write_run
 
-from r2h_batch.results.columns import PATTERNS, pattern_outcomes
-from r2h_batch.results.rows import OUTCOME_NAMES
+from r2h_batch.runs.columns import PATTERNS, pattern_outcomes
+from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import first_failure, group_row
 from r2h_batch.statistics.tally import tally

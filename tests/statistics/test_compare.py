@@ -14,7 +14,7 @@ from statsmodels.stats.multitest import multipletests
 
 from r2h_batch.compare import command as compare
 from r2h_batch.compare.text import render
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run
 from r2h_batch.statistics import paired as pairing
 from r2h_batch.statistics import tally
 from r2h_batch.statistics.paired import Paired

@@ -9,9 +9,8 @@ from made_runs import NAMES, make_header, make_scores, make_trials
 from problems import default_evaluator
 
 from r2h_batch import rescore
-from r2h_batch.results.reading import load_run
-from r2h_batch.results.rows import score_rows
-from r2h_batch.results.writing import open_run
+from r2h_batch.runs.rows import score_rows
+from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.statistics import thresholds as others
 from r2h_batch.types import Outcome
 
@@ -152,7 +151,7 @@ def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
     from r2h_batch import EvalConfig, Evaluator
     from r2h_batch.config import Thresholds
     from r2h_batch.methods import random as method
-    from r2h_batch.results.rows import TrialNames
+    from r2h_batch.runs.rows import TrialNames
     from r2h_batch.trials.protocol import make_trials as real_trials
 
     n = 150

@@ -6,8 +6,8 @@ import sys
 import time
 from pathlib import Path
 
-from r2h_batch.results.command import verify
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.command import verify
+from r2h_batch.runs.store import load_run
 
 SUPPORT = Path(__file__).parent
 SWEEP = [sys.executable, str(SUPPORT / "fake_bench.py"), "--trials", "60", "--shard-trials", "10", "--chunk", "5"]

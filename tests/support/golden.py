@@ -43,7 +43,7 @@ def sweep_digests(
     sim: str, folder: Path, methods: Sequence[str] = METHODS, more: Sequence[str] = ()
 ) -> dict[str, dict[str, str]]:
     """Built-in methods through the command, in this process: kernels, objects and tables are loaded once. `more` flags."""
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.command import main as sweep
 
     trials = KINEMATIC_TRIALS if sim == "none" else SIMULATED_TRIALS

@@ -7,15 +7,15 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from r2h_batch.results import reading as results
-from r2h_batch.results.rows import (
+from r2h_batch.runs import store as results
+from r2h_batch.runs.rows import (
     TrialNames,
     detail_rows,
     path_rows,
     pose_rows,
     score_rows,
 )
-from r2h_batch.results.writing import RunFolder, open_run
+from r2h_batch.runs.store import RunFolder, open_run
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
 
 OBJECTS = ("bowl", "cup", "eyeglasses", "hammer", "knife", "scissors")

@@ -3,7 +3,7 @@
 import pytest
 from disturbed import DEADLY, SLOW, finish, start
 
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run
 
 
 @pytest.fixture(scope="session")

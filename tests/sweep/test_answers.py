@@ -15,11 +15,8 @@ from fake_bench import prepare as prepare_fake
 from made_runs import make_header, make_predictions, make_scores
 
 from r2h_batch.predictions import write_predictions
-from r2h_batch.results.manifest import RunError
-from r2h_batch.results.reading import load_run
-from r2h_batch.results.rows import TrialNames, detail_rows, failure_rows, score_rows
-from r2h_batch.results.storage import sha256_of
-from r2h_batch.results.writing import open_run
+from r2h_batch.runs.rows import TrialNames, detail_rows, failure_rows, score_rows
+from r2h_batch.runs.store import RunError, load_run, open_run, sha256_of
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.answers import AnswerError, answer_of

@@ -10,8 +10,8 @@ from disturbed import DEADLY, SLOW, finish, receipts, same_rows, start, wait_for
 from fake_bench import workers
 from needs import needs
 
-from r2h_batch.results import manifest
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs import store
+from r2h_batch.runs.store import load_run
 
 pytestmark = needs("ray")
 
@@ -77,7 +77,7 @@ def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_ag
     assert log.read_text() == "x" * 3 and len(receipts(out)) == 11
     run = load_run(out)
     assert [s.index for s in run.missing(DEADLY)] == [s.index for s in run.quarantined(DEADLY)] == [4]
-    noted = manifest.read_json(out / "quarantine" / "fake_bench_deadly" / "000004.json")
+    noted = store.read_json(out / "quarantine" / "fake_bench_deadly" / "000004.json")
     assert (noted["first"], noted["last"], len(noted["errors"])) == (40, 50, 3)
     code, table, error = finish(start(tmp_path, out, DEADLY, *RAY, FAKE_DEADLY="-1"))
     assert code == 0 and table.startswith("split,"), error

@@ -7,7 +7,7 @@ import torch
 from fake_bench import FakeEvaluator, best
 from fake_bench import prepare as prepare_fake
 
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 

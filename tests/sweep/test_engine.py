@@ -7,9 +7,7 @@ import fake_bench
 import pytest
 import torch
 
-from r2h_batch.results.manifest import SHARD_TRIALS, RunError
-from r2h_batch.results.reading import load_run
-from r2h_batch.results.writing import open_run
+from r2h_batch.runs.store import SHARD_TRIALS, RunError, load_run, open_run
 from r2h_batch.sweep import engine, jobs
 from r2h_batch.sweep.options import Options
 from r2h_batch.types import Outcome

@@ -16,8 +16,8 @@ import fake_bench
 import pytest
 from disturbed import DEADLY, SLOW, SWEEP, environment, finish, receipts, same_rows, start, wait_for
 
-from r2h_batch.results import writing
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs import store
+from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 
@@ -149,7 +149,7 @@ def test_a_shard_that_always_kills_the_sweep_comes_last_is_quarantined_listed_an
 
 def test_a_sweep_that_is_stopped_or_meets_a_full_disk_leaves_no_mark_of_a_death(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(jobs, "prepare", fake_bench.prepare)
-    monkeypatch.setattr(writing.pq, "write_table", lambda *a, **k: (_ for _ in ()).throw(OSError(28, "No space left")))
+    monkeypatch.setattr(store.pq, "write_table", lambda *a, **k: (_ for _ in ()).throw(OSError(28, "No space left")))
     line = ["--method", "fake_bench:best", "--trials", "6", "--out", str(tmp_path / "run")]
     for _ in range(4):
         assert sweep.main(line) == 1

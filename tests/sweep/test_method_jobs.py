@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from problems import default_evaluator
 
-from r2h_batch.results.manifest import run_hash
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run, run_hash
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.options import METHODS, Options

@@ -16,7 +16,7 @@ from made_runs import make_predictions, make_trials
 from sweep_command import command
 
 from r2h_batch.predictions import write_predictions
-from r2h_batch.results.reading import load_run
+from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 
@@ -360,7 +360,7 @@ def test_a_full_disk_is_one_line_and_exit_code_1(fake, here, tmp_path, capsys, m
     def full(*_, **__):
         raise OSError(28, os.strerror(28))
 
-    monkeypatch.setattr("r2h_batch.results.writing.sync_file", full)
+    monkeypatch.setattr("r2h_batch.runs.store.sync_file", full)
     assert sweep.main(["--method", f"{here}:best", "--trials", "3", "--out", str(tmp_path / "run")]) == 1
     error = capsys.readouterr().err
     assert error.splitlines()[-1] == "sweep: writing the run folder: No space left on device"

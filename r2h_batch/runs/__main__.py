@@ -1,4 +1,4 @@
-"""`python -m r2h_batch.results`."""
+"""`python -m r2h_batch.runs`."""
 
 import sys
 

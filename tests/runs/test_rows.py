@@ -7,8 +7,8 @@ import pytest
 import torch
 from made_runs import NAMES, make_predictions, make_scores, make_trials
 
-from r2h_batch.results import manifest
-from r2h_batch.results.rows import (
+from r2h_batch.runs import store
+from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
     FAILURE_SCHEMA,
     OUTCOME_NAMES,
@@ -93,7 +93,7 @@ def test_outcome_names_follow_the_enum():
 
 def test_the_documentation_names_every_column_and_every_word_in_it():
     text = (Path(__file__).parents[2] / "docs" / "run_folder.md").read_text(encoding="utf-8")
-    columns = [f.name for schema in manifest.SCHEMAS.values() for f in schema]
+    columns = [f.name for schema in store.SCHEMAS.values() for f in schema]
     words = [*OUTCOME_NAMES, *(r.name.lower() for r in PlanReason), *(p.name.lower() for p in CollidingPair if p)]
-    for name in (*columns, *words, *manifest.IDENTITY):
+    for name in (*columns, *words, *store.IDENTITY):
         assert f"`{name}`" in text, name

@@ -16,8 +16,7 @@ def verify(folder: Path, /) -> int:
     Args:
         folder: a run folder, as `python -m r2h_batch.sweep --out` writes it.
     """
-    from r2h_batch.results.manifest import read_header, shards_of
-    from r2h_batch.results.reading import load_run, mark_for_rerun
+    from r2h_batch.runs.store import load_run, mark_for_rerun, read_header, shards_of
 
     try:
         lines = mark_for_rerun(folder, read_header(folder))
@@ -40,7 +39,7 @@ def digest(folder: Path, /) -> int:
     Args:
         folder: a run folder, as `python -m r2h_batch.sweep --out` writes it.
     """
-    from r2h_batch.results.reading import load_run
+    from r2h_batch.runs.store import load_run
 
     try:
         run = load_run(folder)

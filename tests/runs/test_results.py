@@ -22,11 +22,9 @@ from made_runs import (
     write_run,
 )
 
-from r2h_batch.results import manifest, storage
-from r2h_batch.results.manifest import RunError, shards_of
-from r2h_batch.results.reading import load_run
-from r2h_batch.results.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA, pose_rows, score_rows
-from r2h_batch.results.writing import open_run
+from r2h_batch.runs import store as run_store
+from r2h_batch.runs.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA, pose_rows, score_rows
+from r2h_batch.runs.store import RunError, load_run, open_run, shards_of
 from r2h_batch.types import CRITERIA, Outcome
 
 ALL = ["details", "poses", "paths"]
@@ -107,7 +105,7 @@ def test_what_was_not_asked_for_is_not_stored_and_asking_for_it_says_how_to_get_
 def test_the_manifest_says_what_was_run_how_it_ended_and_where_it_is(tmp_path):
     write(tmp_path / "run", method="FC-Handover (oracle hand)", shard_trials=8)
     run = load_run(tmp_path / "run")
-    for field in (*manifest.IDENTITY, "command", "hash", "shard_trials"):
+    for field in (*run_store.IDENTITY, "command", "hash", "shard_trials"):
         assert field in run.header
     entry = run.entry("FC-Handover (oracle hand)")
     assert entry["source"] == {"kind": "test"} and sorted(entry["receipts"]) == [0, 1]
@@ -116,9 +114,9 @@ def test_the_manifest_says_what_was_run_how_it_ended_and_where_it_is(tmp_path):
     assert sum(first["outcomes"]["S0"].values()) == 6 and sum(first["outcomes"]["S1"].values()) == 2
     path = tmp_path / "run" / first["files"]["trials"]["path"]
     assert path.parent == tmp_path / "run" / "trials" / "FC-Handover_oracle_hand"
-    assert path.name == f"000000-{storage.sha256_of(path)[:16]}.parquet"
+    assert path.name == f"000000-{run_store.sha256_of(path)[:16]}.parquet"
     metadata = pq.read_schema(path).metadata
-    assert metadata[b"r2h_batch.format"] == str(manifest.FORMAT).encode()
+    assert metadata[b"r2h_batch.format"] == str(run_store.FORMAT).encode()
     assert metadata[b"r2h_batch.method"] == b"FC-Handover (oracle hand)"
     assert metadata[b"r2h_batch.run"].decode() == run.header["hash"]
 
@@ -186,7 +184,7 @@ def test_a_write_that_fails_leaves_what_was_stored_and_no_trace_of_its_own(tmp_p
 
 def test_what_a_killed_sweep_left_of_a_shard_is_removed_by_the_next_one_and_is_no_parquet_file(tmp_path):
     write(tmp_path / "run")
-    stale = storage.temporary_name(tmp_path / "run" / "trials" / "m" / "000000")
+    stale = run_store.temporary_name(tmp_path / "run" / "trials" / "m" / "000000")
     assert stale.suffix != ".parquet"
     stale.write_bytes(b"half a file")
     run = open_run(tmp_path / "run", make_header(6, 6))
@@ -318,20 +316,20 @@ def test_two_writers_of_one_shard_leave_the_rows_of_the_first_and_no_files_of_th
 
 
 def test_a_claim_is_given_to_one_at_a_time_and_falls_with_its_process(tmp_path):
-    with storage.claim(tmp_path / "c") as first, storage.claim(tmp_path / "c") as second:
+    with run_store.claim(tmp_path / "c") as first, run_store.claim(tmp_path / "c") as second:
         assert first and not second
     code = (
-        "import sys, time; from pathlib import Path; from r2h_batch.results.storage import claim\n"
+        "import sys, time; from pathlib import Path; from r2h_batch.runs.store import claim\n"
         "with claim(Path(sys.argv[1])) as mine:\n print(mine, flush=True); time.sleep(60)"
     )
     line = [sys.executable, "-c", code, str(tmp_path / "c")]
     with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout is not None and other.stdout.readline() == "True\n"
-        with storage.claim(tmp_path / "c") as mine:
+        with run_store.claim(tmp_path / "c") as mine:
             assert not mine
         other.kill()
         other.wait()
-        with storage.claim(tmp_path / "c") as mine:
+        with run_store.claim(tmp_path / "c") as mine:
             assert mine
 
 
@@ -359,10 +357,10 @@ def test_a_writer_that_was_killed_between_a_files_two_names_leaves_nothing_behin
     write(tmp_path / "run", shard_trials=5)
     receipt = next((tmp_path / "run" / "manifest").rglob("*.json"))
     finished = [receipt, tmp_path / "run" / "run.json", next((tmp_path / "run" / "methods").glob("*.json"))]
-    twice = [storage.temporary_name(path) for path in finished]
+    twice = [run_store.temporary_name(path) for path in finished]
     for path, second in zip(finished, twice, strict=True):
         second.hardlink_to(path)
-    half_done = storage.temporary_name(receipt)  # a living writer's: it has no other name yet
+    half_done = run_store.temporary_name(receipt)  # a living writer's: it has no other name yet
     half_done.write_text("{")
     folder = open_run(tmp_path / "run", load_run(tmp_path / "run").header)
     assert folder.todo("m") == []

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 import r2h_batch
-from r2h_batch.results import provenance
+from r2h_batch.runs import provenance
 
 
 def test_versions_name_what_runs():
@@ -21,14 +21,14 @@ def test_versions_name_what_runs():
 
 
 DECIDE = (
-    "r2h_batch/evaluate.py", "r2h_batch/judge/plan.py", "r2h_batch/methods/fc.py", "r2h_batch/results/rows.py",
+    "r2h_batch/evaluate.py", "r2h_batch/judge/plan.py", "r2h_batch/methods/fc.py", "r2h_batch/runs/rows.py",
     "r2h_batch/sweep/jobs.py", "r2h_batch/config.py", "kernels/plan/rrt.py", "kernels/geometry/gjk.py",
     "assets/robot/robot.json", "assets/hand/handset.npz", "assets/receiving/voxnet.safetensors",
 )  # fmt: skip
 READ = (
     "r2h_batch/report/figures.py", "r2h_batch/report/page.html", "r2h_batch/statistics/paired.py", "r2h_batch/rescore/command.py",
     "r2h_batch/export/trial.py", "r2h_batch/study/stats.py", "r2h_batch/compare/command.py", "r2h_batch/__main__.py",
-    "r2h_batch/command_line.py", "r2h_batch/results/__main__.py", "assets/objects/build_objects.py", "assets/SOURCES.md",
+    "r2h_batch/command_line.py", "r2h_batch/runs/__main__.py", "assets/objects/build_objects.py", "assets/SOURCES.md",
 )  # fmt: skip
 
 

@@ -16,12 +16,9 @@ from r2h_batch.compare.command import main as compare
 from r2h_batch.gallery.command import report_main as report
 from r2h_batch.rejudge.command import main as results
 from r2h_batch.rescore.command import main as rescore
-from r2h_batch.results.consistent import inconsistent
-from r2h_batch.results.manifest import RunError, run_hash, shard_at
-from r2h_batch.results.reading import load_run, mark_for_rerun
-from r2h_batch.results.rows import score_rows
-from r2h_batch.results.storage import claim, sha256_of
-from r2h_batch.results.writing import open_run
+from r2h_batch.runs.row_checks import inconsistent
+from r2h_batch.runs.rows import score_rows
+from r2h_batch.runs.store import RunError, claim, load_run, mark_for_rerun, open_run, run_hash, sha256_of, shard_at
 
 COMMANDS = {
     "verify": lambda folder: results(["verify", str(folder)]),
@@ -202,7 +199,7 @@ def test_what_another_part_has_stored_since_it_was_looked_at_stays(run, monkeypa
     shard = None if seen.startswith("foreign") else shard_at(header, 0)
     before = sorted(run.rglob("*"))
     with monkeypatch.context() as m:
-        m.setattr("r2h_batch.results.reading.problems", lambda *_: iter([("m", shard, file, seen)]))
+        m.setattr("r2h_batch.runs.store.problems", lambda *_: iter([("m", shard, file, seen)]))
         assert mark_for_rerun(run, header) == []
     assert sorted(p for p in run.rglob("*") if ".claims" not in p.parts) == [
         p for p in before if ".claims" not in p.parts

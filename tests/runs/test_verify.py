@@ -6,11 +6,9 @@ import pyarrow.parquet as pq
 import pytest
 from made_runs import NAMES, OUTCOMES, files_of, make_header, make_scores, make_trials, store, write
 
-from r2h_batch.results.command import digest, verify
-from r2h_batch.results.manifest import RunError, shards_of
-from r2h_batch.results.reading import load_run
-from r2h_batch.results.rows import score_rows
-from r2h_batch.results.writing import open_run
+from r2h_batch.runs.command import digest, verify
+from r2h_batch.runs.rows import score_rows
+from r2h_batch.runs.store import RunError, load_run, open_run, shards_of
 
 DAMAGE = {"flip": "flipped", "truncate": "truncated", "remove": "missing", "append": "too long"}
 
@@ -126,7 +124,7 @@ def test_a_disk_that_fills_up_leaves_no_partial_shard_and_the_folder_goes_on_aft
 
     run = open_run(tmp_path / "run", make_header(6, 6))
     run.register("second", {"kind": "test"})
-    monkeypatch.setattr(f"r2h_batch.results.writing.{when}", full)
+    monkeypatch.setattr(f"r2h_batch.runs.store.{when}", full)
     trials = make_trials(6, 6)
     run = open_run(tmp_path / "run", make_header(6, 6))
     with pytest.raises(OSError, match="No space"):

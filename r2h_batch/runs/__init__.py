@@ -1,11 +1,11 @@
-"""Rows, shards, manifests, provenance: what is stored. `python -m r2h_batch.results --help`."""
+"""Rows, shards, manifests, provenance: what is stored. `python -m r2h_batch.runs --help`."""
 
 from typing import TYPE_CHECKING
 
 from r2h_batch import lazy_names
 
 if TYPE_CHECKING:
-    from r2h_batch.results.reading import Run, load_run
+    from r2h_batch.runs.store import Run, load_run
 
 __all__ = ["Run", "load_run"]
 
@@ -13,7 +13,7 @@ if not TYPE_CHECKING:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "Run": "reading",
-            "load_run": "reading",
+            "Run": "store",
+            "load_run": "store",
         },
     )
