@@ -2,7 +2,7 @@
 
 `--synthetic`: a mug and a bottle of 20,000 faces (`_drawn.py`), without DIR or after it. `--trials N` of each object (20),
 `--methods A,B` or none (all). Objects that OUT holds already are not measured again; `--again` forgets them. `--docs` puts the
-table into docs/your_data.md. All of that page's figures, on an idle machine:
+table into docs/results/objects.md. All figures of that table, on an idle machine:
 `python bench/given_objects.py DIR --synthetic --again --json bench/results/given_objects.json --docs`.
 
 Measured: CPU seconds (all threads of the process, kernels compiled) of the build, of the convex decomposition, of the grasp
@@ -31,7 +31,7 @@ METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
 MOST_S = 5.0
 """What an object of 20,000 faces may take."""
-PAGE, HEAD, SUM = Path(__file__).resolve().parents[1] / "docs/your_data.md", "| object | faces |", "Within 5 s: "
+PAGE, HEAD, SUM = Path(__file__).resolve().parents[1] / "docs/results/objects.md", "| object | faces |", "Within 5 s: "
 
 
 def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
