@@ -167,7 +167,7 @@ CAUSES = [
     "Its pose search sees the hand and the object, whatever the object is for, so Plan gets hardly harder or even"
     " easier: S1's long tools leave more room beside the palm than S0's bowls. What gets worse in S1 is Affordance:"
     " contacts of binoculars, trigger sprayer and power drill cannot be learned from the other fifteen objects"
-    " ([receiving.md](receiving.md)). Stability fails only where candidates are as generated: at wineglass, binoculars"
+    " ([receivers.md](receivers.md)). Stability fails only where candidates are as generated: at wineglass, binoculars"
     " and toothbrush the grasp that blocks least contact is one that this gripper cannot hold.",
     "Intent-Handover's rule knows the region, and what is left are fingers that reach past the point that the"
     " approach axis meets. Contact-Handover comes last, not second: its network never saw the object that it is asked"

@@ -26,7 +26,7 @@ tails: both, one after the other."""
 
 @dataclass(frozen=True)
 class PredictorNoise:
-    """Standard deviations, per axis for rotations and translations. Sources: docs/receiving.md."""
+    """Standard deviations, per axis for rotations and translations. Sources: docs/receivers.md."""
 
     receiving_rotation_deg: float = 8.0
     """receiver's hand on the object: turn about its palm"""
