@@ -25,8 +25,8 @@ from functools import partial, wraps
 from pathlib import Path
 from typing import Any, TextIO
 
-from r2h_batch.files import FileError, printable
-from r2h_batch.files.plain import at_home, number, whole_number
+from r2h_batch.io.read import FileError, printable
+from r2h_batch.validate import expand_home, parse_number, parse_whole_number
 
 Command = Callable[..., Any]
 
@@ -64,7 +64,7 @@ def read(
     import tyro
 
     try:
-        arguments = [at_home(a) for a in arguments]
+        arguments = [expand_home(a) for a in arguments]
     except FileError as error:
         raise UsageError(str(error)) from None
     if isinstance(command, Mapping):
@@ -108,7 +108,7 @@ def _plain_numbers() -> Any:
     import tyro
 
     registry = tyro.constructors.ConstructorRegistry()
-    for kind, reads in ((int, whole_number), (float, number)):
+    for kind, reads in ((int, parse_whole_number), (float, parse_number)):
 
         @registry.primitive_rule
         def rule(info: Any, kind: Any = kind, reads: Callable[[str], Any] = reads) -> Any:

@@ -22,7 +22,7 @@ from safetensors.numpy import save_file
 from r2h_batch.checks import kind, text
 from r2h_batch.checks import path as given_path
 from r2h_batch.checks.tensors import check_tensor
-from r2h_batch.files import (
+from r2h_batch.io.read import (
     DAMAGED_ARCHIVE,
     FileError,
     archive_members,
@@ -30,7 +30,7 @@ from r2h_batch.files import (
     open_file,
     printable,
 )
-from r2h_batch.files.tables import read_csv_arrays, read_json_arrays
+from r2h_batch.io.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.types import Predictions
 from r2h_batch.verdicts import MOST_SECONDS
 

@@ -14,10 +14,9 @@ from r2h_batch.benchmark.given import _objects_of  # no public way to a folder's
 from r2h_batch.bodies.objects import call_of
 from r2h_batch.command_line import answer, telling
 from r2h_batch.export.drawing import save_picture
-from r2h_batch.files import FileError, path_within
-from r2h_batch.files.output import write_text
-from r2h_batch.files.plain_yaml import read_plain_yaml
 from r2h_batch.gallery.command import report_main as report
+from r2h_batch.io.read import FileError, path_within, read_yaml
+from r2h_batch.io.write import write_text
 from r2h_batch.predictions import load_predictions
 from r2h_batch.rescore.command import main as rescore
 from r2h_batch.sweep.options import parse
@@ -147,7 +146,7 @@ PLAIN = {
     "compare baselines --seed -5": "--seed is -5; it must be 0 or more and fit 64 bits",
     "results verify x --rejudge 3 --seed -1": "--seed is -1; it must be 0 or more",
     "study plan --seed -1": "--seed is -1; it must be 0 or more",
-    "sweep --method random --out=~nobody-is-called-so/x": "nobody has this home",
+    "sweep --method random --out=~nobody-is-called-so/x": "there is no user with this home",
     "sweep --method random --no-poses --save-poses": "--no-poses stores no poses, --save-poses stores them; leave one",
     "sweep --method random --no-poses --save-paths": "--no-poses stores no poses, --save-paths",
     "report RUN --order ,": "the order ',' names no criterion; allowed are stability, plan",
@@ -212,7 +211,7 @@ def test_a_sidecar_that_is_about_no_mesh_is_refused(tmp_path):
 @pytest.mark.parametrize(("text", "value"), [("1e-3", 1e-3), ("8.5E-2", 0.085), ("-2e3", -2000.0)])
 def test_a_number_with_an_exponent_is_a_number(tmp_path, text, value):
     (tmp_path / "a.yaml").write_text(f"scale: {text}\n")
-    assert read_plain_yaml(tmp_path / "a.yaml") == {"scale": value}
+    assert read_yaml(tmp_path / "a.yaml") == {"scale": value}
 
 
 @pytest.mark.parametrize(
@@ -270,7 +269,7 @@ def test_what_stands_behind_a_mesh_is_named_when_it_is_wrong(argument, words):
 
 def test_a_colon_in_a_name_is_told_apart_from_a_path_that_leads_out(tmp_path):
     for name, words in (
-        ("con:colon.obj", "has a colon"),
+        ("con:colon.obj", "contains a colon"),
         ("C:x.obj", "outside"),
         ("http://x/a.obj", "outside"),
         ("../a", "outside"),

@@ -7,7 +7,8 @@ import sys
 
 import pytest
 
-from r2h_batch.files import FileError, csv_cell, open_file, path_within, printable, read_file
+from r2h_batch.io.read import FileError, open_file, path_within, printable, read_file
+from r2h_batch.io.write import csv_cell
 
 
 def special_files(folder):

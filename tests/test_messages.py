@@ -11,7 +11,7 @@ from r2h_batch.bodies.hand import load_hand_set, make_hand_set
 from r2h_batch.bodies.hand_file import read_hand_set
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.config import EvalConfig, Workplace
-from r2h_batch.files import FileError
+from r2h_batch.io.read import FileError
 from r2h_batch.rng import NothingFits, accepted
 from r2h_batch.trials import make_trials
 
@@ -21,7 +21,7 @@ TABLE = ",".join(["trial_id", *NAMES]) + "\n0," + ",".join(["1,0,0,0,0,1,0,0,0,0
 SAID = {
     "no pickle": (b"hello world", "hand.pkl", "import hand --out h.npz --mano-right", r"no pickle \(it begins with b'hello w"),
     "empty YAML": (b"", "b.yaml", "benchmark check", "must hold fields, one `name: value` a line; it is empty"),
-    "a list": (b"- a", "b.yaml", "benchmark check", "must hold fields, one `name: value` a line; not a list"),
+    "a list": (b"- a", "b.yaml", "benchmark check", "must hold fields, one `name: value` a line; it holds a list"),
     "a config for a benchmark": (
         b"trials: 500", "b.yaml", "benchmark check", "trials is 500; it must be text: trials of your own, .npz or .parquet",
     ),
@@ -58,15 +58,15 @@ SAID = {
         b"objects: [{file: 'a\\b.obj'}]", "b.yaml", "benchmark check", "has a backslash; write / between folders",
     ),
     "missing": (b"objects: [{file: a.obj}]", "b.yaml", "benchmark check", "b.yaml: objects.0.file: .*a.obj: no such file"),
-    "UTF-16": (TABLE.encode("utf-16"), "p.csv", "sweep --trials 1 --predictions", "is in UTF-16; save it in UTF-8"),
+    "UTF-16": (TABLE.encode("utf-16"), "p.csv", "sweep --trials 1 --predictions", "no readable CSV .*; save it as CSV UTF-8"),
     "semicolons": (
         TABLE.replace(",", ";").encode(), "p.csv", "sweep --trials 1 --predictions",
-        "columns are separated by semicolons; write commas between, and points in numbers",
+        "write commas between columns, and points in numbers",
     ),
     "JSON in UTF-16": (b"\xff\xfe{\0}\0", "p.json", "sweep --trials 1 --predictions", "is in UTF-16; save it in UTF-8"),
     "a long number": (
         b'{"predictions": [{"trial_id": %s}]}' % (b"9" * 5000), "p.json", "sweep --trials 1 --predictions",
-        "a number of 5000 digits; ids have at most 18",
+        "a number of 5000 digits; at most 400 are allowed",
     ),
     "one id": (TABLE.encode(), "p.csv", "sweep --trials 1 --predictions", "1 trial id is planned but missing: 1;"),
     "a config of words": (b"trials: many", "c.yaml", "sweep --config", "trials is 'many'; it must be a whole number"),

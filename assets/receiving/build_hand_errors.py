@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.arrays import arrays_digest
-from r2h_batch.files import read_file
+from r2h_batch.io.read import read_file
 
 HERE = Path(__file__).resolve().parent
 ESTIMATORS = {  # published 2017 to 2022, each once; older ones are what nobody would use any more

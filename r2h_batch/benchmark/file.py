@@ -14,9 +14,8 @@ from r2h_batch.benchmark.words import VERB_WORDS
 from r2h_batch.bodies.objects import OBJECT_NAMES
 from r2h_batch.command_line import nearest
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
-from r2h_batch.files import FileError, printable
-from r2h_batch.files.plain_yaml import read_plain_yaml
-from r2h_batch.files.rules import rule_of
+from r2h_batch.io.read import FileError, printable, read_yaml
+from r2h_batch.validate import rule_of
 
 __all__ = [
     "BUILT_IN",
@@ -166,14 +165,14 @@ class BenchmarkFile(_Entry):
 def read_file_model(path: Path) -> BenchmarkFile:
     """The fields of a benchmark file, each within its bounds. Raises `FileError`, one line that
     names the field."""
-    data, shown = read_plain_yaml(path, deepest=DEEPEST), printable(path)
+    data, shown = read_yaml(path, deepest=DEEPEST), printable(path)
     return _checked(BenchmarkFile, data, shown, "")
 
 
 def read_entry(path: Path, mesh: str) -> ObjectEntry:
     """What a file beside a mesh says of it: the fields of a benchmark's object but for `file` and
     `built_in`."""
-    data, shown = read_plain_yaml(path, deepest=DEEPEST), printable(path)
+    data, shown = read_yaml(path, deepest=DEEPEST), printable(path)
     for name in ("file", "built_in"):
         if name in data:
             raise FileError(

@@ -18,8 +18,8 @@ from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.hand import make_hand_set
 from r2h_batch.bodies.objects import ObjectModel, call_of, object_from_argument
 from r2h_batch.command_line import nearest
-from r2h_batch.files import FileError, path_within, printable
 from r2h_batch.importers.any_file import GRASP_FILES, grasps_from, without_gripper
+from r2h_batch.io.read import FileError, path_within, printable
 
 __all__ = ["Given"]
 

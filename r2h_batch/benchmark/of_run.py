@@ -12,7 +12,7 @@ from r2h_batch.benchmark.given import Given
 from r2h_batch.benchmark.trials_file import LISTED
 from r2h_batch.benchmark.unbuilt import is_unbuilt
 from r2h_batch.bodies.objects import ObjectModel, object_digest
-from r2h_batch.files import FileError
+from r2h_batch.io.read import FileError
 from r2h_batch.turns import PROTOCOLS
 
 __all__ = ["benchmark_of_run", "objects_digest"]

@@ -25,9 +25,8 @@ from r2h_batch.bodies.hand_file import read_hand_set
 from r2h_batch.bodies.objects import ObjectModel, build_object, load_objects
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import Thresholds, Workplace
-from r2h_batch.files import FileError, path_within, printable, read_file
-from r2h_batch.files.arrays import read_npy
 from r2h_batch.importers.any_file import grasps_from, hand_from, without_gripper
+from r2h_batch.io.read import FileError, path_within, printable, read_file, read_npy
 
 __all__ = ["Only", "hand_of", "hand_set_of", "objects_of", "read_benchmark"]
 

@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.hand import HandSet, make_hand_set
 from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.files import FileError, open_file, printable
-from r2h_batch.files.arrays import read_npz
+from r2h_batch.io.read import FileError, open_file, printable, read_npz
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 

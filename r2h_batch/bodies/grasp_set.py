@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.arrays import arrays_digest
-from r2h_batch.files import FileError, printable
-from r2h_batch.files.arrays import read_npz, read_safetensors
+from r2h_batch.io.read import FileError, printable, read_npz, read_safetensors
 
 __all__ = ["ANY_PART", "GraspSet", "read_grasps"]
 
@@ -72,7 +71,7 @@ def read_grasps(path: str | Path) -> GraspSet:
         raise FileError(
             f"{where}: grasps are an .npz or .safetensors file; r2h-batch import grasps makes one of others"
         )
-    found = read_npz(path) if path.suffix == ".npz" else read_safetensors(path)
+    found = read_npz(path) if path.suffix == ".npz" else read_safetensors(path)[0]
     gripper = found.pop("gripper", np.array("2f-85"))
     if gripper.shape != () or gripper.dtype.kind != "U" or len(str(gripper)) > 64:
         raise FileError(f"{where}: gripper is no name")

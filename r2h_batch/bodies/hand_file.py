@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.files import FileError, printable
-from r2h_batch.files.arrays import read_npz
+from r2h_batch.io.read import FileError, printable, read_npz
 
 __all__ = ["check_lengths", "check_postures", "in_body", "read_hand", "read_hand_set"]
 

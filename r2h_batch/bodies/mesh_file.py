@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.bodies.mesh_limits import MOST_BYTES, MOST_SECONDS, SILENT_SECONDS, ObjectMeshError
 from r2h_batch.command_line import tell
-from r2h_batch.files import FileError, open_file, path_within, printable, read_file
+from r2h_batch.io.read import FileError, open_file, path_within, printable, read_file
 
 __all__ = ["labels_of", "load_mesh_file"]
 

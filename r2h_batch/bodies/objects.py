@@ -31,8 +31,8 @@ from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.mesh_file import SUFFIXES, labels_of
 from r2h_batch.bodies.object_mesh import ObjectMeshError, Repair, closed_mesh
 from r2h_batch.bodies.solid import sample_surface, solid_occupancy
-from r2h_batch.files import printable
-from r2h_batch.files.kept import is_kept
+from r2h_batch.io.cache import is_cached
+from r2h_batch.io.read import printable
 
 if TYPE_CHECKING:
     from r2h_batch.benchmark.words import Thing
@@ -254,7 +254,7 @@ def _options(mesh: str | Path | trimesh.Trimesh, **given: Any) -> dict[str, Any]
 def is_built(mesh: str | Path | trimesh.Trimesh, **given: Any) -> bool:
     """Whether what `build_object` would build of these arguments is kept on disk."""
     key = key_of(mesh, _options(mesh, **given))
-    return key is not None and is_kept("objects", key)
+    return key is not None and is_cached("objects", key)
 
 
 def _built(

@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-from r2h_batch.files import csv_cell
+from r2h_batch.io.write import csv_cell
 from r2h_batch.report import latex
 from r2h_batch.report.text import NA, aligned, legend, plain, short_names, wrapped
 from r2h_batch.statistics.paired import ALPHA, DRAWS, Comparison, Pair

@@ -8,7 +8,7 @@ from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import call, check_range, counted, failed, refuse
-from r2h_batch.files.output import check_file, check_folder
+from r2h_batch.io.write import check_output_file, check_output_folder
 
 MOST_TRIALS = 10**6
 
@@ -34,9 +34,9 @@ def scene(
         render: also a picture, a .png: start, middle, goal; of a failed Plan what was asked.
         overwrite: write into a folder that has something in it, and replace the picture.
     """
-    check_folder(out, overwrite=overwrite)
+    check_output_folder(out, overwrite=overwrite)
     if render:
-        check_file(render, overwrite=overwrite, flag="--render", endings=(".png", ".jpg"))
+        check_output_file(render, overwrite=overwrite, flag="--render", endings=(".png", ".jpg"))
     from r2h_batch.benchmark.given import Given
     from r2h_batch.export.drawing import render_strip
     from r2h_batch.export.stored import load_trial
@@ -80,7 +80,7 @@ def trials(
     check_range("--trials", trials, 1, MOST_TRIALS, ": all are held in memory")
     if not splits:
         return refuse("trials", "--splits names no split; allowed are S0, S1")
-    check_folder(out, overwrite=None)
+    check_output_folder(out, overwrite=None)
     from r2h_batch.benchmark.given import Given
     from r2h_batch.export.trial_files import write_trials
     from r2h_batch.verdicts import SPLITS

@@ -14,7 +14,7 @@ from r2h_batch.export.mjcf_parts import MARK
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.export.trial import spec_of, trajectory
 from r2h_batch.export.witness import Witness, nearest_pair, shortfall
-from r2h_batch.files.output import whole
+from r2h_batch.io.write import atomic_path
 from r2h_batch.scene.model_parts import SHADOW_PIXELS
 from r2h_batch.scene.offscreen import RenderError, renderer
 
@@ -177,5 +177,5 @@ def save_picture(file: str | Path, image: Image) -> None:
     data = imageio.imwrite(
         "<bytes>", image, extension=Path(file).suffix
     )  # a file that PIL cannot close is a traceback
-    with whole(Path(file)) as temporary:
+    with atomic_path(Path(file)) as temporary:
         temporary.write_bytes(data)

@@ -27,7 +27,7 @@ from r2h_batch.benchmark import Benchmark
 from r2h_batch.bodies.hand import palm_frame
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import ee_pose, load_robot
-from r2h_batch.files import csv_cell
+from r2h_batch.io.write import csv_cell
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps.candidate_set import Candidates
 from r2h_batch.types import Trials

@@ -22,7 +22,7 @@ from r2h_batch.benchmark.unbuilt import is_unbuilt
 from r2h_batch.config import Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.export import replay
-from r2h_batch.files import FileError
+from r2h_batch.io.read import FileError
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 from r2h_batch.types import Predictions, Trials

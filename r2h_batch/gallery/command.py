@@ -8,7 +8,7 @@ from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import UsageError, call, refuse
-from r2h_batch.files.output import check_file, check_folder
+from r2h_batch.io.write import check_output_file, check_output_folder
 from r2h_batch.report import command as plain
 
 MOST = 20
@@ -57,11 +57,11 @@ def report(
             "--gallery needs --format html and --out FILE.html, for the pages of its trials",
         )
     if out is not None:
-        check_file(out, overwrite=overwrite)
+        check_output_file(out, overwrite=overwrite)
     from r2h_batch.scene.offscreen import RenderError
 
     if gallery and out is not None:
-        check_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
+        check_output_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
     pictures = (
         None if not gallery or out is None else _gallery_of(run, method, gallery, out, benchmark)
     )
@@ -127,7 +127,7 @@ def figures(
 
     for name in FIGURES:
         for ending in ENDINGS:
-            check_file(out / f"{name}.{ending}", overwrite=overwrite)
+            check_output_file(out / f"{name}.{ending}", overwrite=overwrite)
     try:
         needs_matplotlib()
         reader = Reader(run, Given.of(benchmark))

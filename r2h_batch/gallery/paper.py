@@ -11,9 +11,9 @@ import numpy as np
 from r2h_batch.config import HOME_Q
 from r2h_batch.export.drawing import Stage
 from r2h_batch.export.stored import Reader, StoredTrial
-from r2h_batch.files.output import whole
 from r2h_batch.gallery.chosen import SHOWN, first_of_each_outcome, shared_trial
 from r2h_batch.gallery.pictures import still, verdict
+from r2h_batch.io.write import atomic_path
 from r2h_batch.report.figures import style
 from r2h_batch.report.text import short_names
 from r2h_batch.runs.rows import OUTCOME_NAMES
@@ -156,7 +156,7 @@ def write(figure: Any, folder: Path, name: str) -> list[Path]:
     with style(page=False):
         for path in paths:
             metadata = {"CreationDate": None} if path.suffix == ".pdf" else {"Software": None}
-            with whole(path) as temporary:
+            with atomic_path(path) as temporary:
                 figure.savefig(
                     temporary, dpi=DPI, bbox_inches="tight", pad_inches=0.02, metadata=metadata
                 )

@@ -9,8 +9,8 @@ from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
 from r2h_batch.bodies.hand import HandModel
 from r2h_batch.bodies.hand_file import read_hand
 from r2h_batch.command_line import nearest, tell
-from r2h_batch.files import FileError, printable
 from r2h_batch.importers.grasps.grippers import GRIPPERS
+from r2h_batch.io.read import FileError, printable
 
 __all__ = ["GRASP_FILES", "grasps_from", "hand_from", "without_gripper"]
 

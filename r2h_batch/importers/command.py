@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from r2h_batch.command_line import Command, UsageError, call, counted, failed, refuse, tell
-from r2h_batch.files import printable
-from r2h_batch.files.output import check_file, check_folder
+from r2h_batch.io.read import printable
+from r2h_batch.io.write import check_output_file, check_output_folder
 
 if TYPE_CHECKING:
     from r2h_batch.bodies.grasp_set import GraspSet
@@ -40,8 +40,8 @@ def hand(
     """
 
     def run() -> None:
-        from r2h_batch.files.arrays import write_npz
         from r2h_batch.importers.mano import hand_arrays
+        from r2h_batch.io.write import write_npz
 
         target = _npz(out, overwrite)
         arrays = hand_arrays(mano_right, mano_left, negate_left_shape=negate_left_shape)
@@ -94,7 +94,7 @@ def hands(
         from r2h_batch.importers import hand_sets
 
         target = _npz(out, overwrite)
-        check_file(
+        check_output_file(
             hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in"
         )
         if source == "built-in":
@@ -157,7 +157,7 @@ def grasps(
 
     import numpy as np
 
-    from r2h_batch.files.arrays import write_npz
+    from r2h_batch.io.write import write_npz
 
     return _guarded(run)
 
@@ -183,7 +183,7 @@ def objects(
         from r2h_batch.importers.meshes.oakink_objects import OakObject, collect, write
         from r2h_batch.importers.reading import ImportRefused
 
-        check_folder(out, overwrite=None)
+        check_output_folder(out, overwrite=None)
         found, skipped = [], 0
         for name, made in collect(folder):
             if isinstance(made, OakObject):
@@ -208,9 +208,9 @@ def _grasps(
     file: Path, source: str, gripper: str | None, object_id: int | None, pose: Path | None
 ) -> "tuple[GraspSet, int]":
     from r2h_batch.bodies.grasp_set import read_grasps
-    from r2h_batch.files.arrays import read_npy
     from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
     from r2h_batch.importers.sequences import numbers
+    from r2h_batch.io.read import read_npy
 
     given = {"--gripper": gripper, "--object-id": object_id, "--pose": pose}
     allowed = {"isaac": ["--gripper"], "graspnet": ["--object-id", "--pose"]}.get(source, [])
@@ -253,7 +253,7 @@ def _mano(right: Path | None, left: Path | None, negate_left_shape: bool) -> "Ma
 
 def _guarded(run: Callable[[], None]) -> int:
     """The exit code: what is refused or cannot be written is one line."""
-    from r2h_batch.files import FileError
+    from r2h_batch.io.read import FileError
 
     try:
         run()
@@ -267,5 +267,5 @@ def _guarded(run: Callable[[], None]) -> int:
 def _npz(out: Path, overwrite: bool) -> Path:
     if out.suffix != ".npz":
         raise UsageError(f"--out {out}: give a name that ends in .npz")
-    check_file(out, overwrite=overwrite)
+    check_output_file(out, overwrite=overwrite)
     return out

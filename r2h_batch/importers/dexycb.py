@@ -14,12 +14,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
-from r2h_batch.files import path_within
-from r2h_batch.files.arrays import read_npz
-from r2h_batch.files.plain_yaml import read_plain_yaml
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
+from r2h_batch.io.read import path_within, read_npz, read_yaml
 
 __all__ = ["find", "read"]
 
@@ -34,7 +32,7 @@ def find(folder: Path) -> list[Path]:
 def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     """The hand of one sequence, in the frames where there is one."""
     root, where = path.parents[2], f"dexycb:{path.parent.parent.name}/{path.parent.name}"
-    meta = read_plain_yaml(path.parent / "meta.yml")
+    meta = read_yaml(path.parent / "meta.yml")
     sides, calibration = (meta.get(k) for k in ("mano_sides", "mano_calib"))
     grasped, objects = meta.get("ycb_grasp_ind"), meta.get("ycb_ids")
     if (
@@ -46,7 +44,7 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     if not isinstance(objects, list) or type(grasped) is not int or not 0 <= grasped < len(objects):
         raise ImportRefused(f"{where}: meta.yml does not say which of ycb_ids is grasped")
     side = RIGHT if sides == ["right"] else LEFT
-    betas = read_plain_yaml(path_within(root / "calibration", f"mano_{calibration[0]}/mano.yml"))
+    betas = read_yaml(path_within(root / "calibration", f"mano_{calibration[0]}/mano.yml"))
     shape = numbers(betas.get("betas"), (10,), f"{where} betas")
     found = read_npz(path)
     hands = numbers(found.get("pose_m"), (None, 1, 51), f"{where} pose_m")[:, 0]

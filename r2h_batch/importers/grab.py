@@ -16,10 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
-from r2h_batch.files import arrays as array_file
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.reading import ImportRefused, read_object
 from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
+from r2h_batch.io.read import read_npz
 
 __all__ = ["find", "read"]
 
@@ -37,7 +37,7 @@ def find(folder: Path) -> list[Path]:
 def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     """Right and left hand of one sequence."""
     where = f"grab:{path.parent.name}/{path.stem}"
-    found = array_file.read_npz(path, objects=read_object, only=NEEDED, most=MOST)
+    found = read_npz(path, objects=read_object, only=NEEDED, most=MOST)
     if missing := [k for k in NEEDED if k not in found]:
         raise ImportRefused(f"{where}: has no {missing[0]}; it is no sequence of GRAB")
     name, intent = str(found["obj_name"]), str(found["motion_intent"])

@@ -32,12 +32,12 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies.hand import HandModel, load_hand_set
 from r2h_batch.bodies.hand_file import in_body
 from r2h_batch.command_line import tell
-from r2h_batch.files import FileError, printable
-from r2h_batch.files.arrays import write_npz
 from r2h_batch.importers import arctic, dexycb, grab, h2o, oakink
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import HandMotion, receiving_frame
+from r2h_batch.io.read import FileError, printable
+from r2h_batch.io.write import write_npz
 
 __all__ = ["SOURCES", "Collected", "built_in", "collect", "motion_file", "write"]
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from r2h_batch.bodies import hand_pieces
 from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
 from r2h_batch.bodies.hand_file import check_lengths
-from r2h_batch.files.arrays import read_npz
 from r2h_batch.importers.reading import ImportRefused, read_pickle_file
+from r2h_batch.io.read import read_npz
 
 __all__ = ["ManoHand", "hand_arrays", "load_mano"]
 

@@ -18,10 +18,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import RIGHT
-from r2h_batch.files import FileError, printable, read_file
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.reading import ImportRefused, read_pickle_file
 from r2h_batch.importers.sequences import HandMotion, files_below, numbers
+from r2h_batch.io.read import FileError, printable, read_file
 
 __all__ = ["find", "read"]
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.files import FileError, printable, read_file
-from r2h_batch.files import arrays as array_file
 from r2h_batch.importers.safe_pickle import MAX_BYTES, UnsafePickle, read_pickle
+from r2h_batch.io import read as files
+from r2h_batch.io.read import FileError, printable, read_file
 
 __all__ = ["ImportRefused", "read_npy", "read_object", "read_pickle_file"]
 
@@ -24,11 +24,11 @@ def read_pickle_file(path: Path) -> Any:
 
 def read_npy(path: Path) -> Any:
     """What an .npy file holds, dictionaries and lists of arrays too, as ARCTIC stores them."""
-    return array_file.read_npy(path, objects=read_object)
+    return files.read_npy(path, objects=read_object)
 
 
 def read_object(data: bytes, where: str) -> Any:
-    """The data of a pickled array: what `array_file.read_npz` takes as `objects`."""
+    """The data of a pickled array: what `io.read.read_npz` takes as `objects`."""
     try:
         return read_pickle(data, where=where)
     except UnsafePickle as error:

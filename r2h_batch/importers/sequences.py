@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
 from r2h_batch.command_line import tell
-from r2h_batch.files import printable
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.reading import ImportRefused
+from r2h_batch.io.read import printable
 
 __all__ = [
     "FRAME_RULES",

@@ -17,7 +17,7 @@ from torch import Tensor
 from r2h_batch.bodies.arrays import stored_arrays
 from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, object_digest
 from r2h_batch.config import OPEN_GAP_M
-from r2h_batch.files.kept import Column, code_of, kept
+from r2h_batch.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.grasps.candidate_set import Candidates, NoGraspError
 from r2h_batch.methods.grasps.own import own_grasps, seat_grasps
@@ -50,11 +50,11 @@ VERSIONS = ("numpy", "scipy", "torch", "warp-lang")
 """What candidates are made by."""
 
 FORM = {
-    "T_obj_ee": Column("float32", ("grasps", 4, 4)),
-    "width": Column("float32", ("grasps",)),
-    "score": Column("float32", ("grasps",)),
-    "part": Column("uint8", ("grasps",)),
-    "region_m": Column("float32", ("grasps",), gaps=True),
+    "T_obj_ee": ArraySpec("float32", ("grasps", 4, 4)),
+    "width": ArraySpec("float32", ("grasps",)),
+    "score": ArraySpec("float32", ("grasps",)),
+    "part": ArraySpec("uint8", ("grasps",)),
+    "region_m": ArraySpec("float32", ("grasps",), gaps=True),
 }
 """What is kept of `Candidates`."""
 
@@ -185,9 +185,11 @@ def _candidates(model: ObjectModel, kind: Kind) -> Candidates:
         except NoGraspError:
             return {k: v[:0] for k, v in _arrays(_candidates(load_objects()[0], kind)).items()}
 
-    key = hashlib.sha256(f"{object_digest(model)} {code_of(CODE, VERSIONS)}".encode()).hexdigest()
+    key = hashlib.sha256(
+        f"{object_digest(model)} {code_digest(CODE, VERSIONS)}".encode()
+    ).hexdigest()
     found = Candidates(
-        **kept("candidates" if filtered else "candidates-as-generated", key, make, FORM)
+        **cached("candidates" if filtered else "candidates-as-generated", key, make, FORM)
     )
     if not len(found):
         warnings.warn(f"{model.name}: {NOTHING_FITS}", stacklevel=2)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from r2h_batch.files import FileError, archive_members, open_archive, printable, read_file
+from r2h_batch.io.read import FileError, archive_members, open_archive, printable, read_file
 from r2h_batch.predictors.grid import ContactPredictor, PredictorError
 from r2h_batch.predictors.voxnet import read_voxnet
 

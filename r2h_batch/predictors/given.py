@@ -35,8 +35,7 @@ from torch import Tensor
 from r2h_batch.bodies.hand import HandGeometry, HandModel
 from r2h_batch.bodies.hand_file import KINDS, check_postures
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.files import FileError, printable
-from r2h_batch.files.arrays import read_npz, read_safetensors
+from r2h_batch.io.read import FileError, printable, read_npz, read_safetensors
 from r2h_batch.types import Trials
 
 __all__ = ["GivenHands", "GivenPoints", "Seen", "read_seen"]
@@ -172,7 +171,7 @@ def _read(path: Path, allowed: Sequence[str]) -> tuple[Arrays, str]:
     where = printable(path)
     if path.suffix not in (".npz", ".safetensors"):
         raise FileError(f"{where}: predictions of networks are an .npz or .safetensors file")
-    arrays = read_npz(path) if path.suffix == ".npz" else read_safetensors(path)
+    arrays = read_npz(path) if path.suffix == ".npz" else read_safetensors(path)[0]
     source = arrays.pop("source", np.array(path.stem))
     name = str(source) if source.shape == () and source.dtype.kind == "U" else ""
     if not name.strip() or len(name) > 60 or not name.isprintable():

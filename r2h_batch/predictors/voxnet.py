@@ -16,7 +16,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load
 from torch import Tensor, nn
 
-from r2h_batch.files import printable, read_file
+from r2h_batch.io.read import printable, read_file
 from r2h_batch.predictors.grid import CHANNELS, PredictorError
 
 __all__ = ["LEFT_OUT_FILE", "STORED_FILE", "VoxNet", "halved", "load_voxnet", "read_voxnet"]

@@ -20,7 +20,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
 from r2h_batch.bodies.hand import HandGeometry, HandModel, load_hand
 from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, object_digest
-from r2h_batch.files.kept import Column, code_of, kept
+from r2h_batch.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.receiver.instructions import intents_of
 from r2h_batch.receiver.sampler import PER_SIDE, NoHoldError, sample_receiving
 from r2h_batch.verdicts import SIDES
@@ -48,11 +48,11 @@ VERSIONS = ("numpy", "scipy", "torch", "trimesh", "warp-lang")
 """What receiving grasps are made by."""
 
 FORM = {
-    "side": Column("int8", ("holds",)),
-    "T_obj_hand": Column("float32", ("holds", 4, 4)),
-    "pose": Column("float32", ("holds", 48)),
-    "shape": Column("float32", ("holds", 10)),
-    "part": Column("uint8", ("holds",)),
+    "side": ArraySpec("int8", ("holds",)),
+    "T_obj_hand": ArraySpec("float32", ("holds", 4, 4)),
+    "pose": ArraySpec("float32", ("holds", 48)),
+    "shape": ArraySpec("float32", ("holds", 10)),
+    "part": ArraySpec("uint8", ("holds",)),
 }
 FIELDS = tuple(FORM)
 
@@ -143,7 +143,7 @@ def load_receiving(
     them in order.
 
     Those of the built-in hand and objects are stored, whatever file the same hand comes from; for a
-    user's hand or object they are sampled once (seconds an object) and kept on disk (`files.kept`).
+    user's hand or object they are sampled once (seconds an object) and kept on disk (`io.cache`).
     """
     return _load(
         tuple(load_objects() if objects is None else objects), load_hand() if hand is None else hand
@@ -200,7 +200,7 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
         except NoHoldError:
             return {k: v[:0] for k, v in _stored_of(load_objects()[0]).items()}
 
-    made = kept("receiving", _made_of(model, hand), make, FORM)
+    made = cached("receiving", _made_of(model, hand), make, FORM)
     wanted = {side: PER_SIDE - int((made["side"] == side).sum()) for side in (0, 1)}
     for side, missing in wanted.items():
         if missing > 0:
@@ -221,7 +221,7 @@ def _made_of(model: ObjectModel, hand: HandModel) -> str:
     """sha256 (hex) over all that an object's receiving grasps come from: object, hand, the code,
     what it is built on."""
     digest = hashlib.sha256(
-        f"{object_digest(model)} {hand.digest} {code_of(CODE, VERSIONS)}".encode()
+        f"{object_digest(model)} {hand.digest} {code_digest(CODE, VERSIONS)}".encode()
     )
     return digest.hexdigest()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from r2h_batch.command_line import refuse, tell
-from r2h_batch.files.output import write_text
+from r2h_batch.io.write import write_text
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run

@@ -5,7 +5,7 @@ import io
 import json
 from collections.abc import Callable
 
-from r2h_batch.files import csv_cell
+from r2h_batch.io.write import csv_cell
 from r2h_batch.report.cells import HEADINGS, Table, cell, interval
 from r2h_batch.report.table import record, table_of
 from r2h_batch.report.text import NA, aligned, legend, plain, short_names, wrapped

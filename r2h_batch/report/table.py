@@ -8,7 +8,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from r2h_batch.files import csv_cell
+from r2h_batch.io.write import csv_cell
 from r2h_batch.report.cells import FOOTNOTES, HEADINGS, Table, cell, interval, invalid
 from r2h_batch.report.latex_tables import main_table
 from r2h_batch.report.text import NA, aligned, legend, plain, short_names, wrapped

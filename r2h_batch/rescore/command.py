@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from r2h_batch.command_line import call, refuse
-from r2h_batch.files.plain import number
+from r2h_batch.validate import parse_number
 from r2h_batch.verdicts import SPLITS, Outcome
 
 if TYPE_CHECKING:  # what is heavy is imported when there is work
@@ -30,13 +30,13 @@ def values(text: str, name: str) -> tuple[float, ...]:
     """Numbers of `.08`, `.08,.10` or `LOW:HIGH:STEP` (both ends included)."""
     try:
         if ":" in text:
-            low, high, step = map(number, text.split(":"))
+            low, high, step = map(parse_number, text.split(":"))
             if not (step > 0 and high >= low and (high - low) / step < MAX_POINTS):
                 raise ValueError
             return tuple(
                 round(low + i * step, 12) for i in range(int((high - low) / step + 1e-9) + 1)
             )
-        return tuple(number(part.strip()) for part in text.split(","))
+        return tuple(parse_number(part.strip()) for part in text.split(","))
     except ValueError:
         raise ValueError(
             f"--{name} is {text!r}; it must be METRES, A,B,... or LOW:HIGH:STEP in plain decimal digits"

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import cast
 
 import r2h_batch
-from r2h_batch.files import open_file
+from r2h_batch.io.read import open_file
 
 PACKAGES = (
     "mujoco",

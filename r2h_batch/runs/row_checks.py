@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from r2h_batch.config import BORDERLINE_M, FARTHEST_M
-from r2h_batch.files import printable
+from r2h_batch.io.read import printable
 from r2h_batch.runs.columns import PATTERNS, codes, pattern, pattern_outcomes, verdicts
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.turns import PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids

@@ -39,9 +39,8 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from r2h_batch.checks import flag, many, takes, text
 from r2h_batch.checks import path as path_of
-from r2h_batch.files import FileError, kind_of, printable, read_file
-from r2h_batch.files.output import run_folder_of
-from r2h_batch.files.rules import rule_of
+from r2h_batch.io.read import FileError, kind_of, printable, read_file
+from r2h_batch.io.write import run_folder_of
 from r2h_batch.runs.row_checks import inconsistent, not_as_planned, stored_wrong
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
@@ -52,6 +51,7 @@ from r2h_batch.runs.rows import (
     POSE_SCHEMA,
     TRIAL_SCHEMA,
 )
+from r2h_batch.validate import rule_of
 
 
 def sha256_of(path: Path) -> str:

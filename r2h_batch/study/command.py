@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from r2h_batch.command_line import Command, call, check_seed, failed, refuse
-from r2h_batch.files import csv_cell
-from r2h_batch.files.output import check_file, write_text
+from r2h_batch.io.write import check_output_file, csv_cell, write_text
 from r2h_batch.verdicts import SPLITS
 
 MOST_TRIALS = 10**9
@@ -21,7 +20,7 @@ def paper(*, box: Path | None = None, overwrite: bool = False) -> int:
         overwrite: replace a file that is there.
     """
     if box is not None:
-        check_file(box, overwrite=overwrite, flag="--box", endings=(".svg",))
+        check_output_file(box, overwrite=overwrite, flag="--box", endings=(".svg",))
     from r2h_batch.study import report
     from r2h_batch.study.stats import Summary
 
@@ -41,7 +40,7 @@ def ratings(file: Path, /, *, box: Path | None = None, overwrite: bool = False) 
         there.
     """
     if box is not None:
-        check_file(box, overwrite=overwrite, flag="--box", endings=(".svg",))
+        check_output_file(box, overwrite=overwrite, flag="--box", endings=(".svg",))
     from r2h_batch.study import report
     from r2h_batch.study.stats import Summary
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.files import FileError, printable, read_file
+from r2h_batch.io.read import FileError, printable, read_file
 from r2h_batch.study.stats import StudyError
 
 __all__ = ["LINE", "Number", "Text", "read_table"]

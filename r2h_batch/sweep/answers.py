@@ -9,7 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from r2h_batch.files import printable
+from r2h_batch.io.read import printable
 from r2h_batch.sweep.devices import device_trouble
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import MOST_SECONDS

@@ -18,7 +18,7 @@ from functools import partial
 from typing import Any
 
 from r2h_batch.command_line import refuse, tell
-from r2h_batch.files import printable
+from r2h_batch.io.read import printable
 from r2h_batch.runs.store import TRIES, RunFolder, Shard, ShardWriter, differing
 from r2h_batch.sweep import jobs as sweep_jobs
 from r2h_batch.sweep.answers import AnswerError

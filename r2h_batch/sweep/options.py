@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from r2h_batch.command_line import UsageError, nearest, read
-from r2h_batch.files import FileError
-from r2h_batch.files.plain import at_home
+from r2h_batch.io.read import FileError
 from r2h_batch.sweep.variants import base_of
+from r2h_batch.validate import expand_home
 
 __all__ = ["KINDS", "METHODS", "Options", "UsageError", "as_yaml", "check", "load_config", "parse"]
 
@@ -304,12 +304,12 @@ def load_config(path: Path) -> Options:
     import pydantic
 
     try:
-        from r2h_batch.files.plain_yaml import read_plain_yaml
-        from r2h_batch.files.rules import rule_of
+        from r2h_batch.io.read import read_yaml
+        from r2h_batch.validate import rule_of
     except ImportError:
         raise UsageError("--config needs PyYAML; pip install pyyaml") from None
     try:
-        data = read_plain_yaml(path)
+        data = read_yaml(path)
     except FileError as error:
         raise UsageError(str(error)) from None
     allowed = [f.name for f in fields(Options)]
@@ -344,7 +344,7 @@ def _written_out(path: Path, name: str, value: Any) -> Any:
     if not isinstance(value, str):
         return value
     try:
-        return at_home(value)
+        return expand_home(value)
     except FileError as error:
         raise UsageError(f"{path}: {name}: {error}") from None
 

@@ -7,7 +7,7 @@ from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import UsageError, call, refuse, tell
-from r2h_batch.files.output import check_file
+from r2h_batch.io.write import check_output_file
 
 
 def view(
@@ -41,7 +41,7 @@ def view(
         if html is not None and trial is None:
             raise UsageError("--html needs --trial ID: which one to write")
         if html is not None:
-            check_file(html, overwrite=overwrite, flag="--html")
+            check_output_file(html, overwrite=overwrite, flag="--html")
         from r2h_batch.benchmark.given import Given
         from r2h_batch.export.stored import Reader
 
@@ -91,7 +91,7 @@ def video(
         from r2h_batch.view.video import check_size, write_video
 
         check_size(out, size, fps)
-        check_file(out, overwrite=overwrite)
+        check_output_file(out, overwrite=overwrite)
         reader = Reader(run, Given.of(benchmark))
         print(
             write_video([reader.trial(trial, m) for m in method or [None]], out, size=size, fps=fps)
@@ -129,7 +129,7 @@ def strips(
             raise UsageError(f"--trial is {trial}; it must be 0 or more")
         if frames < 2:
             raise UsageError(f"--frames is {frames}; it must be 2 or more")
-        check_file(out, overwrite=overwrite, endings=(".png", ".jpg", ".pdf", ".svg"))
+        check_output_file(out, overwrite=overwrite, endings=(".png", ".jpg", ".pdf", ".svg"))
         from r2h_batch.scene.offscreen import ready
 
         ready()

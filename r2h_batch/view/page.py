@@ -14,7 +14,7 @@ import numpy as np
 from r2h_batch.command_line import UsageError
 from r2h_batch.export.drawing import Stage
 from r2h_batch.export.stored import StoredTrial
-from r2h_batch.files.output import write_text
+from r2h_batch.io.write import write_text
 from r2h_batch.view.draw import Drawn, look_at, prepare
 from r2h_batch.view.words import as_html, title
 

@@ -14,7 +14,7 @@ import torch
 from r2h_batch.command_line import tell
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.export.pictures import Strip, strips
-from r2h_batch.files.output import whole
+from r2h_batch.io.write import atomic_path
 from r2h_batch.scene.offscreen import RenderError
 from r2h_batch.sweep.jobs import load_files, make_jobs, prepare
 from r2h_batch.sweep.options import Options, UsageError, check
@@ -99,6 +99,6 @@ def draw(rows: Sequence[Strip], title: str, out: Path, *, frames: int) -> None:
                 axis.text(
                     0.0, 0.5, "no motion", transform=axis.transAxes, fontsize=8, color="#777777"
                 )
-    with whole(out) as temporary:
+    with atomic_path(out) as temporary:
         figure.savefig(temporary, metadata={"Software": None})
     plt.close(figure)

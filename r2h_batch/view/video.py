@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from r2h_batch.command_line import UsageError
 from r2h_batch.export.drawing import Stage, save_picture
 from r2h_batch.export.stored import StoredTrial
-from r2h_batch.files.output import whole
+from r2h_batch.io.write import atomic_path
 from r2h_batch.scene.offscreen import RenderError
 
 Image = NDArray[np.uint8]
@@ -56,7 +56,7 @@ def write_video(
         )
         return path
     films = [film(s, size, fps) for s in stages]
-    with whole(path) as temporary, _writer(temporary, fps) as writer:
+    with atomic_path(path) as temporary, _writer(temporary, fps) as writer:
         last: list[Image] = []
         for k in range(_frames(stages, fps)):
             last = [

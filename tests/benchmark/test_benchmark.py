@@ -18,7 +18,7 @@ from r2h_batch.bodies.hand import palm_frame
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import HOME_Q, Thresholds, Workplace
-from r2h_batch.files import FileError
+from r2h_batch.io.read import FileError
 from r2h_batch.methods.part_roles import GRASP, WRAP, roles_of
 from r2h_batch.receiver.instructions import intents_of, understand
 from r2h_batch.types import CollidingPair, PlanReason

@@ -18,7 +18,7 @@ from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.bodies.arrays import asset, read_arrays
 from r2h_batch.bodies.hand import load_hand_set
 from r2h_batch.bodies.objects import load_objects
-from r2h_batch.files import FileError
+from r2h_batch.io.read import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.runs.store import load_run
 from r2h_batch.trials.protocol import trials_of

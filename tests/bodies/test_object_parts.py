@@ -11,7 +11,7 @@ from r2h_batch.bodies import objects
 from r2h_batch.bodies.given.kept_object import key_of
 from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.objects import ObjectMeshError, build_object, is_built, object_digest, object_from_argument
-from r2h_batch.files import FileError
+from r2h_batch.io.read import FileError
 
 
 def block(x0, x1, half=0.01):

@@ -15,9 +15,9 @@ from r2h_batch.benchmark.given import Given
 from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.files import FileError
 from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
 from r2h_batch.importers.grasps.grippers import PAD_HALF_M, T_gripper_ee
+from r2h_batch.io.read import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps.own import seat_grasps
 

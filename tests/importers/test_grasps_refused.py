@@ -11,8 +11,8 @@ from needs import needs
 
 from r2h_batch.benchmark.given import Given
 from r2h_batch.bodies.grasp_set import read_grasps
-from r2h_batch.files import FileError
 from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
+from r2h_batch.io.read import FileError
 
 
 def linked(tmp_path, kind):

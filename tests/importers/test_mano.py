@@ -15,8 +15,8 @@ from r2h_batch.bodies.hand import HandModel, load_hand, load_hand_set, make_hand
 from r2h_batch.bodies.hand_pieces import close_holes
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.files import FileError
 from r2h_batch.importers.mano import PARENTS, hand_arrays, load_mano
+from r2h_batch.io.read import FileError
 from r2h_batch.receiver import receiving
 from r2h_batch.receiver.sampler import NoHoldError
 from r2h_batch.trials import make_trials, trials_digest

@@ -6,7 +6,7 @@ import torch
 
 from r2h_batch.bodies.hand import load_hand, load_hand_set, make_hand_set
 from r2h_batch.bodies.hand_file import read_hand_set
-from r2h_batch.files import FileError
+from r2h_batch.io.read import FileError
 from r2h_batch.trials.protocol import make_trials, trials_with_ids
 
 COUNT = 24  # hands of each side

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.mesh_limits import MOST_BYTES
-from r2h_batch.files import FileError, read_file
-from r2h_batch.files.kept import Column, code_of, kept
+from r2h_batch.io.cache import ArraySpec, cached, code_digest
+from r2h_batch.io.read import FileError, read_file
 
 __all__ = ["kept_with_warnings", "key_of"]
 
@@ -29,32 +29,32 @@ VERSIONS = ("coacd", "manifold3d", "numpy", "scipy", "trimesh", "warp-lang")
 SAID = "warnings"
 
 FORM = {
-    "name": Column("text"),
-    "split": Column("text"),
-    "instruction": Column("text"),
-    "vertices": Column("float32", ("vertices", 3)),
-    "faces": Column("int32", ("faces", 3), below="vertices"),
-    "face_part": Column("uint8", ("faces",), below="parts"),
-    "part_names": Column("text", ("parts",)),
-    "receiver_face": Column("bool", ("faces",)),
-    "hull_vertices": Column("float32", ("hull", 3)),
-    "hull_faces": Column("int32", ("hull faces", 3), below="hull"),
-    "piece_vertices": Column("float32", ("piece vertices", 3)),
-    "piece_faces": Column("int32", ("piece faces", 3), below="piece vertices"),
-    "piece_vertex_offsets": Column("int32", ("pieces",)),
-    "piece_face_offsets": Column("int32", ("pieces",)),
-    "points": Column("float32", ("points", 3)),
-    "normals": Column("float32", ("points", 3)),
-    "point_part": Column("uint8", ("points",), below="parts"),
-    "point_face": Column("int32", ("points",), below="faces"),
-    "voxels": Column("uint8", ("voxels",)),
-    "voxel_origin": Column("float64", (3,)),
-    "voxel_pitch": Column("float64"),
-    "mass": Column("float64"),
-    "com": Column("float64", (3,)),
-    "inertia": Column("float64", (3, 3)),
-    "repair": Column("text"),
-    SAID: Column("text"),
+    "name": ArraySpec("text"),
+    "split": ArraySpec("text"),
+    "instruction": ArraySpec("text"),
+    "vertices": ArraySpec("float32", ("vertices", 3)),
+    "faces": ArraySpec("int32", ("faces", 3), below="vertices"),
+    "face_part": ArraySpec("uint8", ("faces",), below="parts"),
+    "part_names": ArraySpec("text", ("parts",)),
+    "receiver_face": ArraySpec("bool", ("faces",)),
+    "hull_vertices": ArraySpec("float32", ("hull", 3)),
+    "hull_faces": ArraySpec("int32", ("hull faces", 3), below="hull"),
+    "piece_vertices": ArraySpec("float32", ("piece vertices", 3)),
+    "piece_faces": ArraySpec("int32", ("piece faces", 3), below="piece vertices"),
+    "piece_vertex_offsets": ArraySpec("int32", ("pieces",)),
+    "piece_face_offsets": ArraySpec("int32", ("pieces",)),
+    "points": ArraySpec("float32", ("points", 3)),
+    "normals": ArraySpec("float32", ("points", 3)),
+    "point_part": ArraySpec("uint8", ("points",), below="parts"),
+    "point_face": ArraySpec("int32", ("points",), below="faces"),
+    "voxels": ArraySpec("uint8", ("voxels",)),
+    "voxel_origin": ArraySpec("float64", (3,)),
+    "voxel_pitch": ArraySpec("float64"),
+    "mass": ArraySpec("float64"),
+    "com": ArraySpec("float64", (3,)),
+    "inertia": ArraySpec("float64", (3, 3)),
+    "repair": ArraySpec("text"),
+    SAID: ArraySpec("text"),
 }
 """What is kept of an `ObjectModel`, with the warnings."""
 
@@ -82,7 +82,7 @@ def key_of(mesh: object, options: Mapping[str, Any]) -> str | None:
             digest.update(json.dumps([name, value], default=str).encode())
     except FileError:
         return None  # whoever reads it says what is wrong
-    digest.update(code_of(CODE, VERSIONS).encode())
+    digest.update(code_digest(CODE, VERSIONS).encode())
     return digest.hexdigest()
 
 
@@ -107,7 +107,7 @@ def kept_with_warnings(
         _texts(arrays.pop(SAID))
         reads(arrays)
 
-    arrays = kept("objects", key, made, FORM, reads=read)
+    arrays = cached("objects", key, made, FORM, reads=read)
     for text in _texts(arrays.pop(SAID)):
         warnings.warn(text, stacklevel=4)
     return arrays

@@ -23,7 +23,7 @@ from typing import Any
 
 from r2h_batch.bodies.objects import build_object, is_built
 from r2h_batch.command_line import tell
-from r2h_batch.files.kept import cache_folder
+from r2h_batch.io.cache import cache_folder
 
 __all__ = ["build_ahead"]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.mesh_limits import ObjectMeshError
 from r2h_batch.bodies.object_mesh import Closed
 from r2h_batch.bodies.solid import Surface
-from r2h_batch.files import FileError, printable, read_file
+from r2h_batch.io.read import FileError, printable, read_file
 
 __all__ = ["PLANE", "carried", "part_of_faces", "read_region", "receiver_region"]
 

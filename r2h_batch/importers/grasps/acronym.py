@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps
-from r2h_batch.files import FileError, printable, read_file
 from r2h_batch.importers.grasps.grippers import T_gripper_ee
 from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import numbers
+from r2h_batch.io.read import FileError, printable, read_file
 
 __all__ = ["read"]
 

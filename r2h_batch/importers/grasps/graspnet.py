@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps
-from r2h_batch.files import printable
-from r2h_batch.files.arrays import read_npy
 from r2h_batch.importers.grasps.grippers import PAD_HALF_M
 from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import numbers
+from r2h_batch.io.read import printable, read_npy
 
 __all__ = ["read"]
 

@@ -14,11 +14,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.grasp_set import GraspSet, checked_grasps
-from r2h_batch.files import printable
-from r2h_batch.files.plain_yaml import read_plain_yaml
 from r2h_batch.importers.grasps.grippers import T_gripper_ee
 from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import numbers
+from r2h_batch.io.read import printable, read_yaml
 
 __all__ = ["read"]
 
@@ -28,7 +27,7 @@ MAX_GRASPS = 10_000
 
 def read(path: Path, gripper: str) -> tuple[GraspSet, int]:
     """The file's grasps, and 0."""
-    where, found = printable(path), read_plain_yaml(path, most=MOST, deepest=DEEPEST)
+    where, found = printable(path), read_yaml(path, most=MOST, deepest=DEEPEST)
     if found.get("format") != "isaac_grasp" or float(found.get("format_version") or 0) != 1.0:
         raise ImportRefused(f"{where}: format is no isaac_grasp 1.0")
     grasps = found.get("grasps")

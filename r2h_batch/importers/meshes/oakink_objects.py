@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.mesh_file import load_mesh_file
 from r2h_batch.bodies.mesh_limits import ObjectMeshError
 from r2h_batch.bodies.solid import Surface
-from r2h_batch.files import FileError, path_within, printable, read_file
 from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import files_below
+from r2h_batch.io.read import FileError, path_within, printable, read_file
 
 __all__ = ["OakObject", "collect", "write"]
 

@@ -1,11 +1,57 @@
-"""What a field must be, in words: pydantic's errors for people who did not write the schema."""
+"""Text that people type, and pydantic's errors, in the form of this package's messages."""
 
+import math
+import os
+import re
 from collections.abc import Mapping
 from typing import Any
 
-from r2h_batch.files import printable
+from r2h_batch.io.read import FileError, printable
 
-__all__ = ["rule_of"]
+__all__ = ["expand_home", "parse_number", "parse_whole_number", "rule_of"]
+
+_WHOLE = re.compile(r"[-+]?[0-9]{1,30}")
+_DECIMAL = re.compile(r"[-+]?([0-9]{1,30}(\.[0-9]{0,30})?|\.[0-9]{1,30})([eE][-+]?[0-9]{1,3})?")
+
+
+def parse_number(text: str) -> float:
+    """The finite number in decimal digits, such as 0.1, -2 or 1e-3; else ValueError.
+
+    Python's `float` also reads 1_0, digits of other scripts, nan and infinity.
+    """
+    if not _DECIMAL.fullmatch(text) or not math.isfinite(float(text)):
+        shown = repr(printable(text)[:40])
+        raise ValueError(f"{shown} is no plain number; write decimal digits, such as 0.1")
+    return float(text)
+
+
+def parse_whole_number(text: str) -> int:
+    """The whole number in decimal digits; else ValueError."""
+    if not _WHOLE.fullmatch(text):
+        shown = repr(printable(text)[:40])
+        raise ValueError(f"{shown} is no whole number; write decimal digits, such as 10")
+    return int(text)
+
+
+def expand_home(text: str) -> str:
+    """The text with ~ or ~USER replaced where a path begins: at its start, and after the = of
+    --flag= and NAME=. A shell does the former alone.
+
+    Raises:
+        FileError: there is no such user.
+    """
+    return "=".join(map(_expanded, text.split("=")))
+
+
+def _expanded(path: str) -> str:
+    if not re.match(r"~[^/:]*(/|$)", path):
+        return path
+    found = os.path.expanduser(path)
+    if found.startswith("~"):
+        how = "write the path out, or ./~ for a folder of that name"
+        raise FileError(f"{printable(path)}: there is no user with this home; {how}")
+    return found
+
 
 _KINDS = {
     "string_type": "it must be text",

@@ -15,12 +15,12 @@ from r2h_batch.bodies.hand import load_hand
 
 # what goes to disk and back; the public way builds a mesh
 from r2h_batch.bodies.objects import ObjectModel, _as_arrays, _from_arrays, load_objects, object_digest
-from r2h_batch.files import kept as module
-from r2h_batch.files.kept import SEAL, Column, cache_folder, fits, kept
+from r2h_batch.io import cache as module
+from r2h_batch.io.cache import SEAL, ArraySpec, cache_folder, cached, matches
 from r2h_batch.receiver import receiving
 
 KEY = "ab" * 32
-FORM = {"x": Column("float64", ("rows",)), "n": Column("text", ("names",))}
+FORM = {"x": ArraySpec("float64", ("rows",)), "n": ArraySpec("text", ("names",))}
 
 
 @pytest.fixture(autouse=True)
@@ -41,23 +41,23 @@ class Maker:
 def test_made_once_and_again_when_damaged_or_forbidden(folder, monkeypatch):
     make = Maker()
     for _ in range(2):
-        found = kept("things", KEY, make, FORM)
+        found = cached("things", KEY, make, FORM)
         assert found["x"].tolist() == [0, 1, 2, 3, 4] and found["n"].tolist() == ["a", "b"]
     assert make.times == 1
-    kept("things", "cd" * 32, make, FORM)
+    cached("things", "cd" * 32, make, FORM)
     assert make.times == 2
     (file,) = (folder / "things").glob(f"{KEY}.npz")
     data = bytearray(file.read_bytes())
     data[60] ^= 1
     file.write_bytes(data)
-    assert kept("things", KEY, make, FORM)["x"].tolist() == [0, 1, 2, 3, 4] and make.times == 3
+    assert cached("things", KEY, make, FORM)["x"].tolist() == [0, 1, 2, 3, 4] and make.times == 3
     np.savez(file, x=np.array([object()], object))
-    assert kept("things", KEY, make, FORM)["x"].shape == (5,) and make.times == 4  # a pickle is not opened
+    assert cached("things", KEY, make, FORM)["x"].shape == (5,) and make.times == 4  # a pickle is not opened
     monkeypatch.setenv("R2H_BATCH_CACHE", "off")
-    assert cache_folder() is None and kept("things", KEY, make, FORM) and make.times == 5
+    assert cache_folder() is None and cached("things", KEY, make, FORM) and make.times == 5
     monkeypatch.setenv("R2H_BATCH_CACHE", "/dev/null/no")
-    with pytest.warns(UserWarning, match="nothing can be kept there .Not a directory"):
-        assert kept("things", KEY, make, FORM) and make.times == 6
+    with pytest.warns(UserWarning, match="the cache cannot be written there .Not a directory"):
+        assert cached("things", KEY, make, FORM) and make.times == 6
     assert not list(folder.rglob(".*"))
 
 
@@ -69,8 +69,8 @@ def _entry(folder: Path) -> Path:
 def test_an_entry_of_another_key_or_with_other_arrays_is_made_again(folder):
     """Files that read well: swapped, changed, of another form. Nobody's word is taken for what an entry is."""
     make = Maker()
-    kept("things", "cd" * 32, make, FORM)
-    kept("things", KEY, make, FORM)
+    cached("things", "cd" * 32, make, FORM)
+    cached("things", KEY, make, FORM)
     file = _entry(folder)
     good = dict(np.load(file))
     other = {**dict(np.load(file.with_name("cd" * 32 + ".npz")))}
@@ -82,30 +82,30 @@ def test_an_entry_of_another_key_or_with_other_arrays_is_made_again(folder):
     ):  # fmt: skip
         np.savez(file, **wrong)
         before = make.times
-        assert kept("things", KEY, make, FORM)["x"].tolist() == [0, 1, 2, 3, 4] and make.times == before + 1
-        assert kept("things", KEY, make, FORM)["x"].tolist() == [0, 1, 2, 3, 4] and make.times == before + 1
+        assert cached("things", KEY, make, FORM)["x"].tolist() == [0, 1, 2, 3, 4] and make.times == before + 1
+        assert cached("things", KEY, make, FORM)["x"].tolist() == [0, 1, 2, 3, 4] and make.times == before + 1
     assert dict(np.load(file))[SEAL] == good[SEAL]
 
 
 def test_forms_say_types_shapes_and_what_indices_may_be():
     form = {
-        "v": Column("float32", ("v", 3)),
-        "f": Column("int32", ("f", 3), below="v"),
-        "g": Column("float32", gaps=True),
+        "v": ArraySpec("float32", ("v", 3)),
+        "f": ArraySpec("int32", ("f", 3), below="v"),
+        "g": ArraySpec("float32", gaps=True),
     }
     good = {
         "v": np.zeros((4, 3), np.float32),
         "f": np.array([[0, 1, 3]], np.int32),
         "g": np.float32(np.nan).reshape(()),
     }
-    assert fits(good, form)
+    assert matches(good, form)
     for name, wrong in {
         "v": [good["v"].astype(float), good["v"][:3], good["v"][:, :2], good["v"] * np.float32(np.nan)],
         "f": [good["f"] - 1, good["f"] + 1, good["f"][0], good["f"].astype(np.int64)],
         "g": [np.float32(np.inf).reshape(()), np.zeros(1, np.float32), np.array("a")],
     }.items():
         for value in wrong:
-            assert not fits({**good, name: value}, form)
+            assert not matches({**good, name: value}, form)
 
 
 def test_an_object_that_is_none_is_built_again(folder):
@@ -148,28 +148,28 @@ def test_what_stands_in_the_locks_place_is_neither_followed_nor_waited_for(folde
         lock.mkdir()
     make = Maker()
     for _ in range(2):
-        assert kept("things", KEY, make, FORM)["x"].shape == (5,) and make.times == 1
+        assert cached("things", KEY, make, FORM)["x"].shape == (5,) and make.times == 1
     assert not precious.exists()
 
 
 def test_a_process_that_holds_the_lock_and_does_nothing_is_waited_for_with_a_line_and_not_for_ever(
     folder, monkeypatch, capsys
 ):
-    monkeypatch.setattr(module, "SAID_AFTER_S", 0.05)
-    monkeypatch.setattr(module, "ALONE_AFTER_S", 0.2)
+    monkeypatch.setattr(module, "REPORT_AFTER_S", 0.05)
+    monkeypatch.setattr(module, "GIVE_UP_AFTER_S", 0.2)
     (folder / "things").mkdir(parents=True)
     with (folder / "things" / f"{KEY}.lock").open("w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        assert kept("things", KEY, Maker(), FORM)["x"].shape == (5,)
-    assert capsys.readouterr().err.count("another process is making this") == 1
+        assert cached("things", KEY, Maker(), FORM)["x"].shape == (5,)
+    assert capsys.readouterr().err.count("another process is making this entry") == 1
 
 
 def test_a_folder_of_a_name_too_long_is_one_warning_and_a_home_is_found(monkeypatch, tmp_path):
     monkeypatch.setenv("R2H_BATCH_CACHE", "x" * 5000)
     make = Maker()
-    with pytest.warns(UserWarning, match="xx...xxx*: nothing can be kept there .File name too long") as told:
+    with pytest.warns(UserWarning, match="xx...xxx*: the cache cannot be written there .File name too long") as told:
         for _ in range(2):
-            assert kept("things", KEY, make, FORM)["x"].shape == (5,) and not module.is_kept("things", KEY)
+            assert cached("things", KEY, make, FORM)["x"].shape == (5,) and not module.is_cached("things", KEY)
     assert len(told) == 1 and make.times == 2
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("R2H_BATCH_CACHE", "~/mine")
@@ -184,7 +184,7 @@ def _one(folder: str, queue: "multiprocessing.Queue[int]") -> None:
             f.write(f"{os.getpid()}\n")
         return {"x": np.arange(200_000)}
 
-    queue.put(int(kept("things", KEY, make, {"x": Column("int64", ("rows",))})["x"].sum()))
+    queue.put(int(cached("things", KEY, make, {"x": ArraySpec("int64", ("rows",))})["x"].sum()))
 
 
 def test_of_several_processes_one_makes_it_and_the_others_wait(folder):

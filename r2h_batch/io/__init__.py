@@ -1,0 +1,1 @@
+"""Files: bounded reading (`read`), atomic writing (`write`), and a disk cache (`cache`)."""

@@ -1,0 +1,250 @@
+"""Bounded reading of tables: CSV, JSON rows, Parquet. Each value is checked before it is stored."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from array import array
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from io import TextIOWrapper
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from r2h_batch.io.read import FileError, open_file, printable, read_json
+
+if TYPE_CHECKING:
+    import pyarrow.parquet as pq
+
+__all__ = ["open_parquet", "read_csv_arrays", "read_json_arrays"]
+
+MAX_CSV_BYTES = 1 << 30
+MAX_LINE, MAX_ROWS = 10_000, 10_000_000
+
+Widths = Mapping[str, int]
+Rows = Iterator[tuple[str, dict[str, Any]]]
+"""For each row: its place in the file, and name -> its values."""
+
+_ID = "a whole number, 0 or more, of at most 18 digits"
+_NUMBER = re.compile(
+    r"[-+]?([0-9]{1,30}(\.[0-9]{0,30})?|\.[0-9]{1,30})([eE][-+]?[0-9]{1,3})?|[-+]?(nan|inf)", re.I
+)
+
+
+def read_csv_arrays(path: Path, widths: Widths, optional: Sequence[str] = ()) -> dict[str, Any]:
+    """The columns of a CSV file in UTF-8 as arrays.
+
+    The first line names the columns, in any order: NAME for a width of 1, else NAME_0 to
+    NAME_(width - 1).
+
+    Args:
+        path: the file.
+        widths: name -> count of numbers in a row. The first name is an id: 0 or more.
+        optional: names that may be missing. Their empty cells become NaN.
+
+    Returns:
+        name -> (N,) or (N, width) float64; the id (N,) int64.
+
+    Raises:
+        FileError: the message names line and column.
+    """
+    where = printable(path)
+    with open_file(path, MAX_CSV_BYTES) as stream:
+        try:
+            text = TextIOWrapper(stream, encoding="utf-8-sig", newline="")
+            lines = csv.reader(_bounded(text, where), strict=True)
+            names = [n.strip() for n in next(lines, [])]
+            places = _places(names, widths, optional, where)
+            known = {name: n for name, n in widths.items() if name in places}
+            return _arrays(_csv_rows(lines, len(names), places, where), known, optional, where)
+        except (csv.Error, UnicodeDecodeError) as error:
+            why = printable(error)[:200]
+            raise FileError(f"{where}: no readable CSV ({why}); save it as CSV UTF-8") from None
+
+
+def _bounded(text: TextIOWrapper, where: str) -> Iterator[str]:
+    """The lines, none longer than a row can be."""
+    number = 0
+    while line := text.readline(MAX_LINE + 1):
+        number += 1
+        if len(line) > MAX_LINE:
+            raise FileError(f"{where}: line {number} is longer than {MAX_LINE} characters")
+        yield line
+
+
+def _places(
+    names: list[str], widths: Widths, optional: Sequence[str], where: str
+) -> dict[str, list[int]]:
+    """The column numbers of each array."""
+    columns = {n: [n] if w == 1 else [f"{n}_{i}" for i in range(w)] for n, w in widths.items()}
+    known = [c for group in columns.values() for c in group]
+    shown = ", ".join(n if w == 1 else f"{n}_0 to {n}_{w - 1}" for n, w in widths.items())
+    for n in names:
+        if n not in known:
+            how = f"needed are {shown}; write commas between columns, and points in numbers"
+            raise FileError(f"{where}: line 1: unknown column {printable(n)[:60]!r}; {how}")
+        if names.count(n) > 1:
+            raise FileError(f"{where}: line 1: column {n} is given twice")
+    for name in optional:
+        if not set(columns[name]) & set(names):
+            del columns[name]
+    if missing := [c for group in columns.values() for c in group if c not in names]:
+        raise FileError(f"{where}: line 1: column {missing[0]} is missing; needed are {shown}")
+    return {name: [names.index(c) for c in group] for name, group in columns.items()}
+
+
+def _csv_rows(lines: Any, count: int, places: Mapping[str, list[int]], where: str) -> Rows:
+    for row in lines:
+        place = f"line {lines.line_num}"
+        if row and len(row) != count:
+            raise FileError(f"{where}: {place} has {len(row)} cells; the first line has {count}")
+        if row:
+            yield f"{place}: ", {name: [_cell(row[k]) for k in at] for name, at in places.items()}
+
+
+def _cell(text: str) -> Any:
+    """The number in a cell; None for an empty cell, the text itself where it is no number."""
+    text = text.strip()
+    if text.isdecimal() and text.isascii() and len(text) <= 18:
+        return int(text)
+    return float(text) if _NUMBER.fullmatch(text) else text or None
+
+
+def read_json_arrays(
+    path: Path, widths: Widths, optional: Sequence[str] = (), *,
+    rows: str = "predictions", words: Sequence[str] = (),
+) -> tuple[dict[str, Any], dict[str, str]]:  # fmt: skip
+    """The rows of a JSON file as arrays, as `read_csv_arrays` does.
+
+    The file holds `{WORD: text, rows: [{NAME: number or list, ...}, ...]}`. A list may be flat or
+    nested once.
+
+    Args:
+        path: the file.
+        widths: name -> count of numbers in a row. The first name is an id: 0 or more.
+        optional: names that may be missing.
+        rows: name of the field that holds the rows.
+        words: names of fields that hold text.
+
+    Returns:
+        The arrays, and the texts.
+
+    Raises:
+        FileError: the message names row and field.
+    """
+    where, data = printable(path), read_json(path)
+    if not isinstance(data, dict) or not isinstance(data.get(rows), list):
+        raise FileError(f"{where}: must hold an object with a list {rows!r}")
+    texts = {k: v for k, v in data.items() if k != rows}
+    for name, value in texts.items():
+        if name not in words:
+            allowed = ", ".join((rows, *words))
+            shown = repr(printable(name)[:60])
+            raise FileError(f"{where}: unknown field {shown}; allowed are {allowed}")
+        if not isinstance(value, str):
+            raise FileError(f"{where}: {name} must be text")
+    return _arrays(_json_rows(data[rows], rows, widths, where), widths, optional, where), texts
+
+
+def _json_rows(found: list[Any], field: str, widths: Widths, where: str) -> Rows:
+    for i, row in enumerate(found):
+        allowed = ", ".join(widths)
+        if not isinstance(row, dict):
+            raise FileError(f"{where}: {field}.{i} must be an object of {allowed}")
+        if unknown := [k for k in row if k not in widths]:
+            shown = repr(printable(unknown[0])[:60])
+            raise FileError(f"{where}: {field}.{i}: unknown field {shown}; allowed are {allowed}")
+        yield f"{field}.{i}.", {name: _flat(value) for name, value in row.items()}
+
+
+def _flat(value: Any) -> list[Any]:
+    items = value if isinstance(value, list) else [value]
+    return [x for part in items for x in (part if isinstance(part, list) else [part])]
+
+
+def _arrays(rows: Rows, widths: Widths, optional: Sequence[str], where: str) -> dict[str, Any]:
+    """Arrays of the rows, each value checked before it is stored."""
+    import numpy as np
+
+    key = next(iter(widths))
+    values: dict[str, Any] = {name: array("q" if name == key else "d") for name in widths}
+    for place, row in rows:
+        for name, width in widths.items():
+            found = row.get(name, [None])
+            if name in optional and found == [None]:
+                found = [math.nan] * width
+            if problem := _problem(found, width, is_id=name == key):
+                raise FileError(f"{where}: {place}{name} is {problem}")
+            values[name].extend(found)
+        if len(values[key]) > MAX_ROWS:
+            raise FileError(f"{where}: more than {MAX_ROWS} rows; split it")
+    return {
+        n: np.array(v).reshape((-1, widths[n]) if widths[n] > 1 else -1) for n, v in values.items()
+    }
+
+
+def _problem(found: list[Any], width: int, *, is_id: bool) -> str:
+    """What is wrong with the values of one row; empty where nothing is."""
+    need = _ID if is_id else "a number" if width == 1 else f"{width} numbers"
+    if len(found) != width and found != [None]:
+        return f"{len(found)} numbers; it must be {need}"
+    for x in found:
+        right = 0 <= x < 10**18 if is_id and type(x) is int else not is_id and type(x) is float
+        if not right and (is_id or type(x) is not int or abs(x) > 10**300):
+            shown = "empty" if x is None else printable(repr(x))[:40]
+            return f"{shown}; it must be {need}"
+    return ""
+
+
+@contextmanager
+def open_parquet(
+    path: Path, *, most: int, rows: int, text: Collection[str] = ()
+) -> Iterator[pq.ParquetFile]:
+    """A Parquet file whose decoded size is bounded before anything is decoded.
+
+    The footer says how many values each column has. A column of text with few different words takes
+    little space in the file, and much in memory: such columns are read as dictionaries.
+
+    Args:
+        path: the file.
+        most: largest decoded size of all columns, bytes.
+        rows: largest number of rows.
+        text: names of the columns of text, read as dictionaries.
+
+    Raises:
+        FileError: it is damaged, a link leads nowhere, or it is too large.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    where = printable(path)
+    with open_file(path, most) as stream:
+        try:
+            with pq.ParquetFile(stream, read_dictionary=list(text)) as file:
+                if file.metadata.num_rows > rows:
+                    found = file.metadata.num_rows
+                    raise FileError(f"{where}: {found} rows; at most {rows} are allowed")
+                if (size := _decoded_bytes(file)) > most:
+                    raise FileError(f"{where}: unpacks to {size} bytes; at most {most} are allowed")
+                yield file
+        except (OSError, pa.ArrowException) as error:
+            why = printable(error)[:300]
+            raise FileError(f"{where}: no readable Parquet file ({why}); copy it again") from error
+
+
+def _decoded_bytes(file: pq.ParquetFile) -> int:
+    """An upper bound of the memory that the columns take, by the footer."""
+    import pyarrow as pa
+
+    size = 0
+    dictionaries = {f.name for f in file.schema_arrow if pa.types.is_dictionary(f.type)}
+    for g in range(file.metadata.num_row_groups):
+        group = file.metadata.row_group(g)
+        for c in range(file.metadata.num_columns):
+            chunk, stored = group.column(c), group.column(c).total_uncompressed_size
+            text = chunk.physical_type == "BYTE_ARRAY" and chunk.path_in_schema not in dictionaries
+            # every value may be the longest word of the dictionary, which is as long as the chunk
+            width = stored if text and chunk.has_dictionary_page else 16
+            size += stored + chunk.num_values * width
+    return size
