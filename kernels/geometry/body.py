@@ -39,110 +39,13 @@ class Body:
     radius: float  # grown by this (capsules: theirs)
 
 
-# The largest product of each of 16 lanes, then of all; of equal ones the first point, as a loop over the points would have it.
-# Written in C++ because Warp has no array that a compiler could keep in vector registers: as a loop over vec3 the same cost
-# five times as much, and it was a tenth of all of a trial. On a CPU the lanes are clang's vectors (Warp compiles with nothing
-# else): of loops over arrays it makes vectors in the middle, but not where 16 lanes become one, which took twice as long as
-# all the products. CUDA takes few points one after the other. Each product and sum is a statement of its own, so that nothing
-# is contracted.
-@wp.func_native("""
-    const float* rows = &points.data[start].c[0];
-    int blocks = (count + 15) / 16;
-#if defined(__CUDA_ARCH__)
-    float best[16];
-    int at[16];
-    for (int k = 0; k < 16; ++k) {
-        best[k] = -1.0e30f;
-        at[k] = k;
-    }
-    if (count <= 16) {
-        #pragma unroll 1
-        for (int k = 0; k < count; ++k) {
-            float tx = rows[k] * d.c[0];
-            float ty = rows[16 + k] * d.c[1];
-            float tz = rows[32 + k] * d.c[2];
-            float t = tx + ty;
-            t = t + tz;
-            int farther = t > best[0];
-            at[0] = farther ? k : at[0];
-            best[0] = farther ? t : best[0];
-        }
-        blocks = 0;
-    }
-    for (int block = 0; block < blocks; ++block) {
-        const float* x = rows + 48 * block;
-        for (int k = 0; k < 16; ++k) {
-            float tx = x[k] * d.c[0];
-            float ty = x[16 + k] * d.c[1];
-            float tz = x[32 + k] * d.c[2];
-            float t = tx + ty;
-            t = t + tz;
-            int farther = t > best[k];
-            at[k] = farther ? 16 * block + k : at[k];
-            best[k] = farther ? t : best[k];
-        }
-    }
-    for (int half = 8; half > 0; half >>= 1)
-        for (int k = 0; k < half; ++k) {
-            int farther = (best[k + half] > best[k]) | ((best[k + half] == best[k]) & (at[k + half] < at[k]));
-            at[k] = farther ? at[k + half] : at[k];
-            best[k] = farther ? best[k + half] : best[k];
-        }
-    int first = at[0];
-#else
-    typedef float floats __attribute__((ext_vector_type(16)));
-    typedef int ints __attribute__((ext_vector_type(16)));
-    const ints lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-    floats best = (floats)(-1.0e30f);
-    ints at = lane;
-    for (int block = 0; block < blocks; ++block) {
-        floats x, y, z;
-        __builtin_memcpy(&x, rows + 48 * block, sizeof(x));
-        __builtin_memcpy(&y, rows + 48 * block + 16, sizeof(y));
-        __builtin_memcpy(&z, rows + 48 * block + 32, sizeof(z));
-        floats tx = x * d.c[0];
-        floats ty = y * d.c[1];
-        floats tz = z * d.c[2];
-        floats t = tx + ty;
-        t = t + tz;
-        ints farther = t > best;
-        at = farther ? lane + 16 * block : at;
-        best = farther ? t : best;
-    }
-    auto of8 = best.hi > best.lo ? best.hi : best.lo;
-    auto of4 = of8.hi > of8.lo ? of8.hi : of8.lo;
-    auto of2 = of4.hi > of4.lo ? of4.hi : of4.lo;
-    float most = of2.y > of2.x ? of2.y : of2.x;
-    int first = __builtin_reduce_min(best == most ? at : (ints)(1 << 30));
-#endif
-    const float* p = rows + 48 * (first / 16) + first % 16;
-    return wp::vec3(p[0], p[16], p[32]);
-""")
+@wp.func_native("return r2h::farthest_in_blocks(points.data + start, count, d);")
 def farthest_in_blocks(points: wp.array(dtype=wp.vec3), start: int, count: int, d: wp.vec3) -> wp.vec3:
-    """Of `count` points in blocks of 16 from row `start` on the one that is farthest along d.
-
-    On a CPU what fills up the last block is looked at too: it repeats a point that comes before.
-    """
+    """Of `count` points in blocks of 16, from row `start` on, the one farthest along d; of several the first."""
     ...
 
 
-# The cell: the cube's face is that of d's largest coordinate; u, v: the other two, each cut into CELLS_PER_EDGE.
-@wp.func_native("""
-    float ax = fabsf(d.c[0]), ay = fabsf(d.c[1]), az = fabsf(d.c[2]);
-    int axis = ay > ax ? 1 : 0;
-    float most = ay > ax ? ay : ax;
-    axis = az > most ? 2 : axis;
-    most = az > most ? az : most;
-    float scale = 3.0f / (most > 1.0e-30f ? most : 1.0e-30f);
-    float to = axis == 0 ? d.c[0] : (axis == 1 ? d.c[1] : d.c[2]);
-    float along_u = scale * (axis == 0 ? d.c[1] : (axis == 1 ? d.c[2] : d.c[0]));
-    float along_v = scale * (axis == 0 ? d.c[2] : (axis == 1 ? d.c[0] : d.c[1]));
-    int u = (int)(3.0f + along_u), v = (int)(3.0f + along_v);
-    u = u < 0 ? 0 : (u > 5 ? 5 : u);
-    v = v < 0 ? 0 : (v > 5 ? 5 : v);
-    int face = 2 * axis + (to < 0.0f ? 1 : 0);
-    return (face * 6 + u) * 6 + v;
-""")
+@wp.func_native("return r2h::direction_cell(d);")
 def direction_cell(d: wp.vec3) -> int:
     """The cell of a CELLS body that a direction falls into."""
     ...

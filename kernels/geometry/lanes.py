@@ -1,16 +1,15 @@
-"""Eight nodes, leaves or triangles of a surface at a time: which of them may be near something, as the bits of a number.
+"""Eight boxes, points or triangles of a surface at a time: the bits of those that may be near something.
 
-A CPU looks at eight numbers at once where they lie side by side. `Surfaces` therefore holds bounds and corners once more in
-groups of eight: row k of a group is one number of each of its members, what is missing to eight repeats the last one.
+A CPU handles eight numbers at once when they lie side by side. `Surfaces` therefore stores bounds and corners a second time,
+in groups of eight: row k of a group holds one number of each of its members. Short groups repeat their last member.
 
     node_lanes      NODE_ROWS rows for each group of eight nodes of a surface (`group_first`)
     leaf_lanes      LEAF_ROWS rows for each node's leaves
     triangle_lanes  TRIANGLE_ROWS rows for each leaf's triangles
 
-Written in C++, of vectors of eight (`abreast`) or as plain loops that a compiler turns into vector instructions
-(`over_lanes`): Warp's own vectors carry along what is to be done with NaN, its loops and arrays what is to be done with
-negative steps and indices, and took four times as long. On CUDA they are loops over eight. Each product and sum is a
-statement of its own, so that nothing is contracted; sums are taken in the order of `wp.dot` and have its bits.
+The functions are written in C++ (native/lanes.h), which also has the derivations. In all of them `lanes[8 * row]` is a group's
+first number, `count` says how many of its members count, and bit k of the result belongs to member k. R, t take the frame of
+the surface to the other frame. Scratch arrays (`span`, `corners`, `cut`, `near`) hold rows of eight as well.
 """
 
 import warp as wp
@@ -18,44 +17,6 @@ import warp as wp
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
-
-
-def over_lanes(code: str) -> str:
-    """C++ whose loops over lanes stay loops on CUDA: unrolled, a call is eight copies of itself, and takes as long to compile."""
-    rolled = "#if defined(__CUDA_ARCH__)\n#pragma unroll 1\n#endif\n"
-    loops = tuple(f"for (int {name} =" for name in ("k", "c", "axis", "block"))
-    return "\n".join(rolled + line if line.lstrip(" ").startswith(loops) else line for line in code.split("\n"))
-
-
-def abreast(code: str, result: str) -> str:
-    """C++ that is written once: on a CPU of vectors of eight lanes, on CUDA of numbers, in a loop over eight.
-
-    `floats` and `ints` (what comparisons give) are types of either, `from(p, r)` and `into(p, r, x)` read and write row r of
-    a group at p, `bits_of(mask)` is the bits of the lanes it is asked in.
-    """
-    head = """
-#if defined(__CUDA_ARCH__)
-    typedef float floats;
-    typedef int ints;
-    #pragma unroll 1
-    for (int k = 0; k < 8; ++k) {
-    auto from = [&](const float* p, int r) { return p[8 * r + k]; };
-    auto into = [&](auto* p, int r, auto x) { p[8 * r + k] = x; };
-    auto bits_of = [&](ints mask) { return mask << k; };
-#else
-    typedef float floats __attribute__((ext_vector_type(8)));
-    typedef int ints __attribute__((ext_vector_type(8)));
-    typedef bool bools __attribute__((ext_vector_type(8)));
-    {
-    auto from = [](const float* p, int r) { floats x; __builtin_memcpy(&x, p + 8 * r, sizeof(x)); return x; };
-    auto into = [](auto* p, int r, auto x) { __builtin_memcpy(p + 8 * r, &x, sizeof(x)); };
-    auto bits_of = [](ints mask) {
-        return (int)__builtin_bit_cast(unsigned char, __builtin_convertvector(mask, bools));
-    };
-#endif
-"""
-    return "    int bits = 0;" + head + code.strip("\n") + "\n    }\n    " + result + "\n"
-
 
 LANES = wp.constant(8)
 NODE_ROWS = wp.constant(10)
@@ -68,225 +29,122 @@ BOX_M = wp.constant(1.0e-6)
 """Rounding of a box's place in another frame."""
 
 
-@wp.func_native(
-    over_lanes("""
-#if defined(__CUDA_ARCH__)
-    return __ffs(bits) - 1;
-#else
-    return __builtin_ctz(bits);
-#endif
-""")
-)
+@wp.func_native("return r2h::first_lane(bits);")
 def first_lane(bits: int) -> int:
-    """The lowest bit that is set; `bits` is not 0."""
+    """The number of the lowest bit that is set; `bits` is not 0."""
     ...
 
 
-@wp.func_native(
-    abreast(
-        """
-    const float* p = lanes.data + 8 * row;
-    floats cx = from(p, 0), cy = from(p, 1), cz = from(p, 2), hx = from(p, 3), hy = from(p, 4), hz = from(p, 5);
-    auto meets = [&](const wp::vec3& r, float t, float middle, float half) {
-        floats u0 = cx * r.c[0], u1 = cy * r.c[1], u2 = cz * r.c[2];
-        floats u = u0 + u1;
-        u = u + u2;
-        u = u + t;
-        u = u - middle;
-        u = u < 0.0f ? -u : u;
-        floats e0 = hx * fabsf(r.c[0]), e1 = hy * fabsf(r.c[1]), e2 = hz * fabsf(r.c[2]);
-        floats e = e0 + e1;
-        e = e + e2;
-        e = e + half;
-        return u <= e;
-    };
-    bits |= bits_of(meets(rx, tx, x, half_x) & meets(rz, tz, z, half_z));
-""",
-        "return bits & ((1 << count) - 1);",
-    )
-)
-def boxes_in_prism(
-    lanes: wp.array(dtype=float), row: int, count: int, rx: wp.vec3, rz: wp.vec3, tx: float, tz: float,
-    x: float, half_x: float, z: float, half_z: float,
-) -> int:  # fmt: skip
-    """Those of the first `count` boxes that may meet the prism |X - x| <= half_x, |Z - z| <= half_z along y of the ee frame.
-
-    rx, rz: rows of the rotation from the object's frame to the ee frame; tx, tz: its translation.
-    """
-    ...
-
-
-@wp.func_native(
-    over_lanes("""
-    const float* p = lanes.data + 8 * row;
-    int near[8];
-    int out[8];
-    for (int k = 0; k < 8; ++k) {
-        float low_x = 1.0e30f, high_x = -1.0e30f, low_z = 1.0e30f, high_z = -1.0e30f;
-        for (int c = 0; c < 3; ++c) {
-            const float* q = p + 24 * c;
-            float u0 = rx.c[0] * q[k], u1 = rx.c[1] * q[8 + k], u2 = rx.c[2] * q[16 + k];
-            float u = u0 + u1;
-            u = u + u2;
-            u = u + tx;
-            float w0 = rz.c[0] * q[k], w1 = rz.c[1] * q[8 + k], w2 = rz.c[2] * q[16 + k];
-            float w = w0 + w1;
-            w = w + w2;
-            w = w + tz;
-            low_x = u < low_x ? u : low_x;
-            high_x = u > high_x ? u : high_x;
-            low_z = w < low_z ? w : low_z;
-            high_z = w > high_z ? w : high_z;
-        }
-        near[k] = (low_x <= x_high) & (high_x >= x_low) & (low_z <= z_high) & (high_z >= z_low);
-        out[k] = (low_x < x_low) | (high_x > x_high) | (low_z < z_low) | (high_z > z_high);
-    }
-    int bits = 0;
-    for (int k = 0; k < 8; ++k)
-        bits |= near[k] << k;
-    int sticking = 0;
-    for (int k = 0; k < 8; ++k)
-        sticking |= out[k] << k;
-    return (bits & ((1 << count) - 1)) | (sticking << 8);
-""")
-)
-def triangles_in_prism(
-    lanes: wp.array(dtype=float), row: int, count: int, rx: wp.vec3, rz: wp.vec3, tx: float, tz: float,
-    x_low: float, x_high: float, z_low: float, z_high: float,
-) -> int:  # fmt: skip
-    """Those of the first `count` triangles whose bounding rectangle in x and z meets the prism's; bits 8 ..: it sticks out."""
-    ...
-
-
-@wp.func_native(
-    over_lanes("""
-    const float* p = lanes.data + 8 * row + lane;
-    return wp::vec3(p[0], p[8], p[16]);
-""")
-)
+@wp.func_native("return r2h::lane_point(lanes.data + 8 * row, lane);")
 def lane_point(lanes: wp.array(dtype=float), row: int, lane: int) -> wp.vec3:
     """The point of one lane in rows row .. row + 2."""
     ...
 
 
-# What is near a primitive is first asked of the box about it along the axes of the ee frame, which needs no turning: with c the
-# middle of a box of surface and e its half sides there, no point of it is nearer to [low, high] along an axis than
-# max(low - c, c - high) - e; nor than the distance of c less the ball's radius.
 @wp.func_native(
-    abreast(
-        """
-    const float* p = lanes.data + 8 * row;
-    floats x = from(p, 0), y = from(p, 1), z = from(p, 2);
-    floats cx = x * R.data[0][0] + y * R.data[0][1] + z * R.data[0][2] + t.c[0];
-    floats cy = x * R.data[1][0] + y * R.data[1][1] + z * R.data[1][2] + t.c[1];
-    floats cz = x * R.data[2][0] + y * R.data[2][1] + z * R.data[2][2] + t.c[2];
-    floats hx = from(p, 3), hy = from(p, 4), hz = from(p, 5);
-    floats ex = hx * fabsf(R.data[0][0]) + hy * fabsf(R.data[0][1]) + hz * fabsf(R.data[0][2]);
-    floats ey = hx * fabsf(R.data[1][0]) + hy * fabsf(R.data[1][1]) + hz * fabsf(R.data[1][2]);
-    floats ez = hx * fabsf(R.data[2][0]) + hy * fabsf(R.data[2][1]) + hz * fabsf(R.data[2][2]);
-    floats far = from(p, 6) + reach;
-    floats far2 = far * far;
-    const floats zero = (floats)(0.0f);
-    float reach2 = reach * reach;
-    ints found = (ints)(0);
-    for (int i = 0; used >> i != 0; ++i) {
-        int bit = used & (1 << i);
-        if (bit == 0)
-            continue;
-        floats x1 = low.data[i].c[0] - cx, x2 = cx - high.data[i].c[0];
-        floats y1 = low.data[i].c[1] - cy, y2 = cy - high.data[i].c[1];
-        floats z1 = low.data[i].c[2] - cz, z2 = cz - high.data[i].c[2];
-        x = x1 > x2 ? x1 : x2, y = y1 > y2 ? y1 : y2, z = z1 > z2 ? z1 : z2;
-        floats a = x > 0.0f ? x : zero, b = y > 0.0f ? y : zero, c = z > 0.0f ? z : zero;
-        floats d2 = a * a + b * b + c * c;
-        x = x - ex, y = y - ey, z = z - ez;
-        a = x > 0.0f ? x : zero, b = y > 0.0f ? y : zero, c = z > 0.0f ? z : zero;
-        floats s2 = a * a + b * b + c * c;
-        found = found | (((d2 <= far2) & (s2 <= reach2)) ? (ints)(bit) : (ints)(0));
-    }
-    into(near.data, 0, found);
-    bits |= bits_of(found != 0);
-""",
-        "return bits & ((1 << count) - 1);",
-    )
+    "return r2h::boxes_near(lanes.data + 8 * row, count, R, t, reach, low.data, high.data, used, near.data);"
 )
 def boxes_near(
     lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
     low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), used: int, near: wp.array(dtype=int),
 ) -> int:  # fmt: skip
-    """Those of the first `count` boxes that may be `reach` or less from some box [low, high] of the bits `used`.
+    """Boxes that may be within `reach` of some box [low[i], high[i]], i in the bits of `used`.
 
-    `near` (8,): the bits of those boxes for each lane. R, t: from the lanes' frame to that of low and high. `reach` has to
-    be a little more than what is asked, for rounding.
+    `near` (8,): for each lane the bits of these i. Add what rounding may take off to `reach`.
     """
     ...
 
 
 @wp.func_native(
-    abreast(
-        """
-    const float* p = lanes.data + 8 * row;
-    floats x = from(p, 0), y = from(p, 1), z = from(p, 2);
-    floats cx = x * R.data[0][0] + y * R.data[0][1] + z * R.data[0][2] + t.c[0];
-    floats cy = x * R.data[1][0] + y * R.data[1][1] + z * R.data[1][2] + t.c[1];
-    floats cz = x * R.data[2][0] + y * R.data[2][1] + z * R.data[2][2] + t.c[2];
-    const floats zero = (floats)(0.0f);
-    float reach2 = reach * reach;
-    ints found = (ints)(0);
-    for (int i = 0; used >> i != 0; ++i) {
-        int bit = used & (1 << i);
-        if (bit == 0)
-            continue;
-        floats x1 = low.data[i].c[0] - cx, x2 = cx - high.data[i].c[0];
-        floats y1 = low.data[i].c[1] - cy, y2 = cy - high.data[i].c[1];
-        floats z1 = low.data[i].c[2] - cz, z2 = cz - high.data[i].c[2];
-        x = x1 > x2 ? x1 : x2, y = y1 > y2 ? y1 : y2, z = z1 > z2 ? z1 : z2;
-        floats a = x > 0.0f ? x : zero, b = y > 0.0f ? y : zero, c = z > 0.0f ? z : zero;
-        floats d2 = a * a + b * b + c * c;
-        found = found | ((d2 <= reach2) ? (ints)(bit) : (ints)(0));
-    }
-    into(near.data, 0, found);
-    bits |= bits_of(found != 0);
-""",
-        "return bits & ((1 << count) - 1);",
-    )
+    "return r2h::points_near(lanes.data + 8 * row, count, R, t, reach, low.data, high.data, used, near.data);"
 )
 def points_near(
     lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, reach: float,
     low: wp.array(dtype=wp.vec3), high: wp.array(dtype=wp.vec3), used: int, near: wp.array(dtype=int),
 ) -> int:  # fmt: skip
-    """As `boxes_near`, of points in rows row .. row + 2."""
+    """As `boxes_near`, for points in rows row .. row + 2."""
+    ...
+
+
+@wp.func_native("return r2h::triangles_near(lanes.data + 8 * row, count, R, t, half, reach);")
+def triangles_near(
+    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, half: wp.vec3, reach: float
+) -> int:
+    """Triangles whose box, along the axes of the frame R, t, is within `reach` of the box |x| <= half there."""
+    ...
+
+
+# The prism of the finger pads runs along y of the ee frame; rx, ry, rz are the rows of R, tx, ty, tz the entries of t.
+
+
+@wp.func_native("return r2h::boxes_in_prism(lanes.data + 8 * row, count, rx, rz, tx, tz, x, half_x, z, half_z);")
+def boxes_in_prism(
+    lanes: wp.array(dtype=float), row: int, count: int, rx: wp.vec3, rz: wp.vec3, tx: float, tz: float,
+    x: float, half_x: float, z: float, half_z: float,
+) -> int:  # fmt: skip
+    """Boxes that may meet the prism |X - x| <= half_x, |Z - z| <= half_z."""
+    ...
+
+
+@wp.func_native("r2h::boxes_along(lanes.data + 8 * row, ry, ty, span.data);")
+def boxes_along(lanes: wp.array(dtype=float), row: int, ry: wp.vec3, ty: float, span: wp.array(dtype=float)):
+    """Writes the lowest and highest y of eight boxes to `span` (2 rows)."""
     ...
 
 
 @wp.func_native(
-    abreast(
-        """
-    const float* p = lanes.data + 8 * row;
-    floats d2 = (floats)(0.0f);
-    for (int axis = 0; axis < 3; ++axis) {
-        floats low, high;
-        for (int c = 0; c < 3; ++c) {
-            floats x = from(p, 3 * c), y = from(p, 3 * c + 1), z = from(p, 3 * c + 2);
-            floats u = x * R.data[axis][0] + y * R.data[axis][1] + z * R.data[axis][2] + t.c[axis];
-            low = c == 0 ? u : (u < low ? u : low);
-            high = c == 0 ? u : (u > high ? u : high);
-        }
-        floats a = low - half.c[axis], b = -half.c[axis] - high;
-        floats d = a > b ? a : b;
-        d = d > 0.0f ? d : (floats)(0.0f);
-        d2 = d2 + d * d;
-    }
-    bits |= bits_of(d2 <= reach * reach);
-""",
-        "return bits & ((1 << count) - 1);",
-    )
+    "return r2h::triangles_in_prism(lanes.data + 8 * row, count, rx, rz, tx, tz, x_low, x_high, z_low, z_high);"
 )
-def triangles_near(
-    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3, half: wp.vec3, reach: float
-) -> int:
-    """Those of the first `count` triangles whose box, along the axes of a box with these half sides, is within `reach` of it.
+def triangles_in_prism(
+    lanes: wp.array(dtype=float), row: int, count: int, rx: wp.vec3, rz: wp.vec3, tx: float, tz: float,
+    x_low: float, x_high: float, z_low: float, z_high: float,
+) -> int:  # fmt: skip
+    """Triangles whose bounding rectangle in x and z meets the prism's; bits 8 .. 15: those that stick out of it."""
+    ...
 
-    R, t: from the lanes' frame to the box's.
+
+@wp.func_native(
+    "return r2h::leaf_in_prism(lanes.data + 8 * row, count, R, t, half_x, z_low, z_high, corners.data, span.data);"
+)
+def leaf_in_prism(
+    lanes: wp.array(dtype=float), row: int, count: int, R: wp.mat33, t: wp.vec3,
+    half_x: float, z_low: float, z_high: float, corners: wp.array(dtype=float), span: wp.array(dtype=float),
+) -> int:  # fmt: skip
+    """As `triangles_in_prism`; also writes `corners` (9 rows) in the ee frame and `span` (2 rows), lowest and highest y."""
+    ...
+
+
+@wp.func_native("return r2h::outside_runs(span.data, near, slack, run_low.data, run_high.data, n);")
+def outside_runs(
+    span: wp.array(dtype=float), near: int, slack: float,
+    run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
+) -> int:  # fmt: skip
+    """The lanes of `near` whose `span` lies in none of n intervals, each of them `slack` longer at both ends."""
+    ...
+
+
+@wp.func_native("return r2h::cut_to_prism(corners.data, lanes, half_x, z_low, z_high, cut.data);")
+def cut_to_prism(
+    corners: wp.array(dtype=float), lanes: int, half_x: float, z_low: float, z_high: float, cut: wp.array(dtype=float)
+) -> int:
+    """Writes to `cut` (2 rows) the lowest and highest y of eight triangles' edges inside the prism; low > high: none.
+
+    Bits 8 i .. 8 i + 7 of the result: the triangles of `lanes` that may hold a point of the prism's corner line i = 0 .. 3
+    (`corner`).
+    """
+    ...
+
+
+@wp.func_native(
+    "return r2h::grow_run(near, sticking, span.data, cut.data, slack, join, run_low.data, run_high.data, n);"
+)
+def grow_run(
+    near: int, sticking: int, span: wp.array(dtype=float), cut: wp.array(dtype=float), slack: float, join: float,
+    run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), n: int,
+) -> int:  # fmt: skip
+    """Joins lanes to the only run (n = 1), lowest lane first, until one does not meet it; returns the lanes that are left.
+
+    This is `add_run` in its usual case. A lane's range of y is its `cut` where it is in `sticking`, else its `span`. A lane
+    whose span lies in the run, `slack` longer, adds nothing. A range meets the run when it is within `join` of it.
     """
     ...

@@ -13,13 +13,17 @@ from r2h_batch.kernels.geometry.lanes import (
     LEAF_ROWS,
     NODE_ROWS,
     TRIANGLE_ROWS,
+    boxes_along,
     boxes_in_prism,
+    cut_to_prism,
     first_lane,
+    grow_run,
     lane_point,
+    leaf_in_prism,
+    outside_runs,
 )
 from r2h_batch.kernels.geometry.surface import Surfaces, line_hit
 from r2h_batch.kernels.grasp.crossings import solid_along_line
-from r2h_batch.kernels.grasp.leaf import boxes_along, cut_to_prism, grow_run, leaf_in_prism, outside_runs
 from r2h_batch.kernels.grasp.prism import corner
 from r2h_batch.kernels.grasp.runs import COVERED_M, JOIN_M, add_run, outermost
 from r2h_batch.kernels.options import OPTIONS

@@ -5,8 +5,8 @@ import warp as wp
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.geometry.primitives import TOUCH_M
 from r2h_batch.kernels.judge.hand_distance import HandDistance, posture_distance
-from r2h_batch.kernels.judge.nearness import guessed_distance, guessing
-from r2h_batch.kernels.options import OPTIONS, afresh
+from r2h_batch.kernels.judge.nearness import guessed_distance
+from r2h_batch.kernels.options import OPTIONS, on_cuda, opaque
 from r2h_batch.kernels.plan.check import examine
 from r2h_batch.kernels.plan.codes import (
     BRANCHES,
@@ -159,7 +159,7 @@ def choose_goal(
 @wp.func
 def _branch_or_home(q_in: wp.array2d(dtype=float), first: int, step: int, home_in: wp.array2d(dtype=float)):
     """The branch that `first` and `step` say, home after the last."""
-    q = load(home_in, afresh(0))
+    q = load(home_in, opaque(0))
     if step < BRANCHES:
         q = load(q_in, first + step)
     return q
@@ -218,7 +218,7 @@ def goal_clearance(
     best.other = -1
     settled = bool(False)
     for step in range(BRANCHES + 1):  # the last one is home, for starts in collision
-        here = afresh(trial)
+        here = opaque(trial)
         wanted = step == chosen
         if step < BRANCHES and chosen < 0:
             wanted = valid_in[here, step] and not settled
@@ -241,7 +241,7 @@ def goal_clearance(
                 # what rides on the wrist meets hand and table alike in every branch: none can be better
                 if best.clearance < 0.0 and best.pair % PAIR_SELF != 0 and best.body >= world.link_first[WRIST_3]:
                     settled = True
-    trial = afresh(trial)
+    trial = opaque(trial)
     if slot_inout[trial] >= 0:
         for j in range(6):
             q_goal_inout[trial, j] = q_in[trial * BRANCHES + slot_inout[trial], j]
@@ -296,7 +296,7 @@ def goal_safe_distance(
     mask = wp.zeros(shape=1, dtype=wp.uint64)
     q = load(q_in, trial)
     best = float(cap)
-    if guessing() == 1:
+    if on_cuda() == 0:  # there threads wait for the slowest, and the guess does not pay
         forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q, R, p)
         best = guessed_distance(world, mesh, bodies, trial, cap, R, p, tri)
         if best > cap:

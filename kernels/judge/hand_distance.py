@@ -2,12 +2,10 @@
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
-from r2h_batch.kernels.geometry.beside import balls_beside
+from r2h_batch.kernels.geometry.balls import balls_beside, balls_in_reach, balls_near, lowest_bit
 from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
-from r2h_batch.kernels.geometry.in_reach import balls_in_reach
 from r2h_batch.kernels.geometry.primitives import TOUCH_M, rounded
 from r2h_batch.kernels.judge.hand_bounds import (
     ASK,

@@ -24,18 +24,6 @@ NEARER = wp.constant(1.0e-5)
 PROJECTIONS = wp.constant(3)
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return 0;
-#else
-    return 1;
-#endif
-""")
-def guessing() -> int:
-    """1 where a guess pays: on a CPU. Threads of a GPU wait for the slowest, and a compiler that knows leaves it out."""
-    ...
-
-
 # Which robot body and which piece of the hand have bounding volumes that are nearest, or meet deepest; of that piece the face
 # whose middle is nearest to the body; then to and fro between the face and the body, each time to the other's nearest point.
 # Whatever these choices are, the last is a distance between two points of hand and robot.

@@ -19,7 +19,7 @@ following time, as Schwarzer, Saha and Latombe (2005) do for articulated robots.
 
 import warp as wp
 
-from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.options import OPTIONS, on_cuda
 from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_stretch
 from r2h_batch.kernels.plan.check import Finding, examine
 from r2h_batch.kernels.plan.codes import BLOCKED, CERTIFY, CLEARANCE, FREE, MAX_PARTNERS, OPEN, POSTURE, SAMPLES
@@ -34,20 +34,14 @@ MOVEIT_SEGMENT_RAD = wp.constant(0.691)
 """MoveIt's longest valid segment: 0.01 of the space's extent (69.1 rad summed over the joints of a UR5e)."""
 
 
-@wp.func_native("""
-#if defined(__CUDA_ARCH__)
-    return 1;  // SAMPLES
-#else
-    return mode;
-#endif
-""")
-def mode_of_one_thread(mode: int) -> int:
-    """How a search of one thread checks its edges: as asked on a CPU, by samples on CUDA, whatever is asked.
+@wp.func
+def mode_of_one_thread(mode: int):
+    """How a search of one thread checks its edges: as the caller says on a CPU, always by samples on CUDA.
 
-    There certified edges are searched in waves (kernels/wave/) and never here; a compiler that knows leaves out what moves
-    along an edge, two fifths of the code and half of the registers that do not fit.
+    CUDA searches certified edges in waves (kernels/wave/), never here. A compiler that knows this leaves out what certifies
+    an edge: two fifths of the code.
     """
-    ...
+    return wp.where(on_cuda() == 1, SAMPLES, mode)
 
 
 @wp.func

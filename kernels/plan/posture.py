@@ -18,8 +18,7 @@ gap grows by n . u, s* by n . u / rho(n), and the clearance by (r / rho(n)) n . 
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.balls import lowest_bit
-from r2h_batch.kernels.geometry.beside import balls_beside, capsules_beside
+from r2h_batch.kernels.geometry.balls import balls_beside, capsules_beside, lowest_bit
 from r2h_batch.kernels.geometry.body import support
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.primitives import TOUCH_M

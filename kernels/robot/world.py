@@ -182,44 +182,17 @@ def object_body(world: World, hull: int):
     return b
 
 
-# Both in C++ for the reason given at `farthest_in_blocks` (geometry/body.py): as loops from `first_joint` on they were a
-# twelfth of a path's clearance. Joints before it count as still, which adds zeros and moves no bit.
-@wp.func_native("""
-    const float* l = (const float*)((const char*)lever.data + (size_t)row * lever.strides[0]);
-    float m = 0.0f;
-#if defined(__CUDA_ARCH__)
-#pragma unroll
-#endif
-    for (int j = 0; j < 6; ++j) {
-        float turn = j < first_joint ? 0.0f : fabsf(d.c[j]);
-        float t = turn * l[j];
-        m = m + t;
-    }
-    return m;
-""")
+@wp.func_native(
+    "return r2h::motion((const float*)((const char*)lever.data + row * lever.strides[0]), first_joint, d.c);"
+)
 def motion(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> float:
     """How far a body's points can move when the joints from `first_joint` on turn by d (rad): sum of |d_j| lever_j."""
     ...
 
 
-@wp.func_native("""
-    const float* l = (const float*)((const char*)lever.data + (size_t)row * lever.strides[0]);
-    float second = 0.0f, third = 0.0f, inner = 0.0f;
-#if defined(__CUDA_ARCH__)
-#pragma unroll
-#endif
-    for (int j = 0; j < 6; ++j) {
-        float outer = inner + (j < first_joint ? 0.0f : fabsf(d.c[j]));
-        float outer2 = outer * outer, inner2 = inner * inner;
-        float outer3 = outer2 * outer, inner3 = inner2 * inner;
-        float of_pairs = outer2 - inner2, of_triples = outer3 - inner3;
-        float s = of_pairs * l[j], t = of_triples * l[j];
-        second = second + s;
-        third = third + t;
-        inner = outer;
-    }
-    return wp::vec2(second, third);
-""")
+@wp.func_native(
+    "return r2h::bends((const float*)((const char*)lever.data + row * lever.strides[0]), first_joint, d.c);"
+)
 def _bends(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> wp.vec2: ...
 
 

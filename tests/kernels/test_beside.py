@@ -5,9 +5,8 @@ import pytest
 import torch
 import warp as wp
 
-from r2h_batch.kernels.geometry.beside import capsules_beside
+from r2h_batch.kernels.geometry.balls import balls_in_reach, capsules_beside
 from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, SPHERE
-from r2h_batch.kernels.geometry.in_reach import balls_in_reach
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.launch import launch_trials
 

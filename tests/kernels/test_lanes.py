@@ -1,23 +1,33 @@
 """Bounds that are asked of eight boxes, points or triangles at a time: never too few of them, hardly ever too many."""
 
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 import warp as wp
+from needs import needs
 
-from r2h_batch.kernels.geometry.beside import balls_beside
+from r2h_batch.kernels.geometry.balls import balls_beside
 from r2h_batch.kernels.geometry.lanes import (
     LEAF_ROWS,
     TRIANGLE_ROWS,
+    boxes_along,
     boxes_in_prism,
     boxes_near,
+    cut_to_prism,
     first_lane,
     lane_point,
+    leaf_in_prism,
+    outside_runs,
     points_near,
     triangles_in_prism,
     triangles_near,
 )
-from r2h_batch.kernels.grasp.leaf import boxes_along, cut_to_prism, leaf_in_prism, outside_runs
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.launch import launch_trials
 
@@ -100,7 +110,9 @@ def _edges_in_prism(triangles: np.ndarray, limit: np.ndarray) -> np.ndarray:
     return out
 
 
-def test_what_is_near_is_found_among_eight() -> None:
+@pytest.fixture(scope="module")
+def asked() -> SimpleNamespace:
+    """Random groups of eight, what is asked of them, and what the kernel answers."""
     rng = np.random.default_rng(4)
     triangles = rng.normal(0, 0.02, (COUNT, 8, 1, 3)) + rng.normal(0, 0.004, (COUNT, 8, 3, 3))
     center = 0.5 * (triangles.min(2) + triangles.max(2))
@@ -120,19 +132,23 @@ def test_what_is_near_is_found_among_eight() -> None:
     found, near = torch.empty((COUNT, 11), dtype=torch.int32), torch.empty((COUNT, 2, 8), dtype=torch.int32)
     cut = torch.empty((COUNT, 16), dtype=torch.float32)
     lanes = triangles.reshape(COUNT, 8, 9).transpose(0, 2, 1)
-    launch_trials(
-        _ask,
-        COUNT,
-        inputs={
-            "half_x": PRISM[0], "half_z": PRISM[1], "reach": REACH,
-            "leaf": tensor(leaf.ravel()), "triangle": tensor(lanes.ravel()), "members": tensor(members, torch.int32),
-            "R": tensor(R), "t": tensor(t), "low": tensor(low), "high": tensor(high),
-            "run_low": tensor(runs[:, 0]), "run_high": tensor(runs[:, 1]), "center": tensor(balls), "radius": tensor(ball),
-        },
-        outputs={"found": found, "near": near, "cut": cut},
-        device="cpu",
-    )  # fmt: skip
-    got, of = found.numpy(), near.numpy()
+    inputs = {
+        "half_x": PRISM[0], "half_z": PRISM[1], "reach": REACH,
+        "leaf": tensor(leaf.ravel()), "triangle": tensor(lanes.ravel()), "members": tensor(members, torch.int32),
+        "R": tensor(R), "t": tensor(t), "low": tensor(low), "high": tensor(high),
+        "run_low": tensor(runs[:, 0]), "run_high": tensor(runs[:, 1]), "center": tensor(balls), "radius": tensor(ball),
+    }  # fmt: skip
+    outputs = {"found": found, "near": near, "cut": cut}
+    launch_trials(_ask, COUNT, inputs=inputs, outputs=outputs, device="cpu")
+    return SimpleNamespace(**locals())
+
+
+def test_what_is_near_is_found_among_eight(asked: SimpleNamespace) -> None:
+    R, t, members, triangles, center, half, radius = (
+        getattr(asked, name) for name in ["R", "t", "members", "triangles", "center", "half", "radius"]
+    )
+    low, high, runs, balls, ball = (getattr(asked, name) for name in ["low", "high", "runs", "balls", "ball"])
+    got, of, cut = (asked.outputs[name].numpy() for name in ("found", "near", "cut"))
     member = np.arange(8) < members[:, None]
 
     # the same in float64; within 1 um of the border either answer is right
@@ -154,7 +170,7 @@ def test_what_is_near_is_found_among_eight() -> None:
     agree(_bits(got[:, 1])[member], touches[member])
     agree(_bits(got[:, 1] >> 8), np.maximum(-limit - least[..., xz], most[..., xz] - limit).max(-1))
     assert (got[:, 9] == got[:, 1]).all(), "all of a leaf at once: the same answers"
-    low_high = cut.numpy().reshape(-1, 2, 8).transpose(0, 2, 1).reshape(-1, 2)
+    low_high = cut.reshape(-1, 2, 8).transpose(0, 2, 1).reshape(-1, 2)
     expected = _edges_in_prism(corner.reshape(-1, 3, 3), limit)
     some = low_high[:, 0] <= low_high[:, 1]
     assert (some == np.isfinite(expected[:, 0])).mean() > 0.999 and 0.2 < some.mean() < 0.8
@@ -189,6 +205,50 @@ def test_what_is_near_is_found_among_eight() -> None:
     slack = REACH + t[:, 1:2] ** 2 - beside
     assert keeps[slack > 0].all() and not keeps[slack < -4e-6].any()
     assert got[:, 8].all()
+
+
+NATIVE = Path(__file__).resolve().parents[2] / "kernels" / "native"
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    """native_lanes.cpp as a library, without Warp."""
+    library = tmp_path_factory.mktemp("native") / "lanes.so"
+    compiler = shutil.which("g++") or shutil.which("clang++") or pytest.fail("needs() lets no other machine in")
+    command = [
+        compiler,
+        "-std=c++17",
+        "-O1",
+        "-Wno-maybe-uninitialized",
+        "-ffp-contract=off",
+        "-shared",
+        "-fPIC",
+        f"-I{NATIVE}",
+    ]
+    subprocess.run([*command, "-o", library, Path(__file__).with_name("native_lanes.cpp")], check=True)
+    return ctypes.CDLL(str(library))
+
+
+@needs("compiler")
+def test_one_lane_at_a_time_has_the_bits_of_eight_at_once(asked: SimpleNamespace, compiled: ctypes.CDLL) -> None:
+    """GCC builds the form that CUDA runs; Warp's kernels on a CPU run the other one."""
+    inputs, outputs = asked.inputs, asked.outputs
+    expected = [x.numpy().copy() for x in outputs.values()]
+    got = [np.empty_like(x) for x in expected]
+    order = ["leaf", "triangle", "members", "R", "t", "low", "high", "run_low", "run_high", "center", "radius"]
+    arguments: list[object] = [COUNT, *(ctypes.c_float(inputs[name]) for name in ("half_x", "half_z", "reach"))]
+    for name in order:
+        arguments.append(ctypes.c_void_p(inputs[name].data_ptr()))
+        if name in ("run_high", "radius"):
+            arguments.append(len(inputs[name]))
+    compiled.ask(*arguments, *(ctypes.c_void_p(x.ctypes.data) for x in got))
+    for a, b in zip(expected, got, strict=True):
+        assert (a.view(np.int32) == b.view(np.int32)).all()
+
+
+@needs("clang-format")
+def test_the_header_is_formatted() -> None:
+    subprocess.run(["clang-format", "--dry-run", "--Werror", NATIVE / "lanes.h"], check=True)
 
 
 @pytest.mark.parametrize("count", [0, 1, 8, 9, 64, 65, 600])

@@ -87,6 +87,12 @@ WANTS = {
         "pip install --no-deps --target DIR nvidia-cuda-nvcc, and DIR/nvidia/cu13/bin on PATH",
         lambda: shutil.which("ptxas") is not None,
     ),
+    "compiler": Want(
+        "a C++ compiler",
+        "install g++ or clang++ (Debian: apt-get install g++)",
+        lambda: bool(shutil.which("g++") or shutil.which("clang++")),
+    ),
+    "clang-format": Want("clang-format", "pip install clang-format", lambda: shutil.which("clang-format") is not None),
     "h5py": _module("h5py", "import"),
     "unshare": Want(
         "a way to cut the network off", "Linux with util-linux's unshare and user namespaces", _can_unshare

@@ -1,0 +1,881 @@
+// Kernel functions in C++: loops over eight or sixteen numbers that lie side by side, and the
+// few things that Warp's Python cannot say.
+//
+// `r2h_batch/kernels/options.py` puts this text before the code that Warp generates for a
+// module, for a CPU and for CUDA. A function of Python with the same name calls each function
+// here. Warp's own loops and vectors took four to five times as long, for what they do about
+// NaN and negative indices.
+//
+// Bits: every product and sum is rounded by itself (no contraction), in the order of `wp.dot`.
+// So all forms of a function (vectors, loops, Python on Warp) have the same float32 bits.
+//
+// Groups of eight: row r of a group at p is p[8 r] .. p[8 r + 7], one number for each lane.
+// Tables that are shorter repeat their last entry; `first_lanes(count)` takes the copies out.
+
+#ifndef R2H_LANES_H
+#define R2H_LANES_H
+
+#if defined(__CUDA_ARCH__)
+// A rolled loop is compiled once. Unrolled, a call is eight copies and takes as long to compile.
+#define R2H_ROLLED _Pragma("unroll 1")
+#define R2H_UNROLLED _Pragma("unroll")
+#else
+#define R2H_ROLLED
+#define R2H_UNROLLED
+#endif
+
+#if !defined(CUDA_CALLABLE)
+#define CUDA_CALLABLE
+#endif
+#define R2H_FUNCTION CUDA_CALLABLE static inline
+
+#if defined(__CUDA_ARCH__)
+// Warp writes `x = where(condition, x_within, x_before)` after each `if`. A select keeps
+// `x_within` of a loop's last turn in a register all the way round; a branch on the condition of
+// the `if` joins with it. GJK of listed pairs has 168 registers in place of 239.
+namespace wp {
+template <typename C, typename T>
+CUDA_CALLABLE inline T where_by_branch(const C &condition, const T &a, const T &b) {
+    if (!!condition) {
+        asm volatile(""); // empty, but no compiler moves it: the branch cannot become a select
+        return a;
+    }
+    return b;
+}
+} // namespace wp
+#define where where_by_branch
+#else
+// `@wp.func(inline=False)` holds on CUDA only (a quarter of the compile time, half the code).
+// On a CPU calls cost 17 % of a trial.
+#undef WP_NOINLINE
+#define WP_NOINLINE
+#endif
+
+namespace r2h {
+
+typedef unsigned long long bits64;
+
+// ---------------------------------------------------------------------------- eight lanes
+
+// `each_lane(body)` calls body(lane) and returns the bits that it gives. Clang for CPUs
+// calls it once, for vectors of eight; any other compiler calls it for one lane at a time, where
+// `floats` is a float and `ints` (the type of a comparison) an int.
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+#define R2H_VECTORS
+typedef float floats __attribute__((ext_vector_type(8)));
+typedef int ints __attribute__((ext_vector_type(8)));
+typedef bool bools __attribute__((ext_vector_type(8)));
+
+struct Lane {
+    // Row r of the group at p.
+    static inline floats row(const float *p, int r) {
+        floats x;
+        __builtin_memcpy(&x, p + 8 * r, sizeof(x));
+        return x;
+    }
+    template <typename T, typename X> static inline void put(T *p, int r, X x) {
+        __builtin_memcpy(p + 8 * r, &x, sizeof(x));
+    }
+    // Bit k: whether `mask` holds in lane k.
+    static inline int bits(ints mask) {
+        return (int)__builtin_bit_cast(unsigned char, __builtin_convertvector(mask, bools));
+    }
+};
+
+template <typename F> static inline int each_lane(F body) { return body(Lane()); }
+#else
+typedef float floats;
+typedef int ints;
+
+struct Lane {
+    int k;
+    CUDA_CALLABLE inline float row(const float *p, int r) const { return p[8 * r + k]; }
+    template <typename T> CUDA_CALLABLE inline void put(T *p, int r, T x) const {
+        p[8 * r + k] = x;
+    }
+    CUDA_CALLABLE inline int bits(int mask) const { return mask << k; }
+};
+
+template <typename F> CUDA_CALLABLE inline int each_lane(F body) {
+    int bits = 0;
+    R2H_ROLLED
+    for (int k = 0; k < 8; ++k)
+        bits |= body(Lane{k});
+    return bits;
+}
+#endif
+
+R2H_FUNCTION int first_lanes(int count) { return (1 << count) - 1; }
+
+// The number of the lowest bit that is set; some bit must be.
+R2H_FUNCTION int first_lane(int bits) {
+#if defined(__CUDA_ARCH__)
+    return __ffs(bits) - 1;
+#else
+    return __builtin_ctz(bits);
+#endif
+}
+
+R2H_FUNCTION int lowest_bit(bits64 bits) {
+#if defined(__CUDA_ARCH__)
+    return __ffsll((long long)bits) - 1;
+#else
+    return __builtin_ctzll(bits);
+#endif
+}
+
+// The point of one lane in rows 0 .. 2.
+R2H_FUNCTION wp::vec3 lane_point(const float *p, int lane) {
+    return wp::vec3(p[lane], p[8 + lane], p[16 + lane]);
+}
+
+template <typename T> struct Xyz {
+    T x, y, z;
+};
+typedef Xyz<floats> Points; // one of each lane
+typedef Xyz<float> Point;
+
+R2H_FUNCTION Point xyz(const float *p) { return {p[0], p[1], p[2]}; }
+R2H_FUNCTION Point xyz(const wp::vec3 &p) { return {p.c[0], p.c[1], p.c[2]}; }
+R2H_FUNCTION Point operator+(Point a, Point b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+R2H_FUNCTION Point operator-(Point a, Point b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+R2H_FUNCTION Point operator*(float s, Point a) { return {s * a.x, s * a.y, s * a.z}; }
+R2H_FUNCTION float dot(Point a, Point b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+R2H_FUNCTION Point cross(Point a, Point b) {
+    return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
+// R x + t, of the points in rows 0 .. 2.
+R2H_FUNCTION Points placed(Lane lane, const float *p, const wp::mat33 &R, const wp::vec3 &t) {
+    floats x = lane.row(p, 0), y = lane.row(p, 1), z = lane.row(p, 2);
+    auto row = [&](int i) {
+        return x * R.data[i][0] + y * R.data[i][1] + z * R.data[i][2] + t.c[i];
+    };
+    return {row(0), row(1), row(2)};
+}
+
+// Half sides of boxes along the axes of the frame that R turns them to: |R| h.
+R2H_FUNCTION Points turned_sides(Lane lane, const float *p, const wp::mat33 &R) {
+    floats x = lane.row(p, 0), y = lane.row(p, 1), z = lane.row(p, 2);
+    auto row = [&](int i) {
+        return x * fabsf(R.data[i][0]) + y * fabsf(R.data[i][1]) + z * fabsf(R.data[i][2]);
+    };
+    return {row(0), row(1), row(2)};
+}
+
+// Along each axis max(low - c, c - high): how far c is outside [low, high], negative inside.
+R2H_FUNCTION Points outside(const Points &c, const wp::vec3 &low, const wp::vec3 &high) {
+    auto of = [](floats x, float low, float high) {
+        floats below = low - x, above = x - high;
+        return below > above ? below : above;
+    };
+    return {of(c.x, low.c[0], high.c[0]), of(c.y, low.c[1], high.c[1]),
+            of(c.z, low.c[2], high.c[2])};
+}
+
+// The squared distance that belongs to it: the sum of the squares of what is positive.
+R2H_FUNCTION floats squared_distance(const Points &d) {
+    const floats zero = (floats)(0.0f);
+    floats a = d.x > 0.0f ? d.x : zero, b = d.y > 0.0f ? d.y : zero, c = d.z > 0.0f ? d.z : zero;
+    return a * a + b * b + c * c;
+}
+
+// Tells which of boxes i (bits `used`) each lane is near, in `near`, and which lanes are near any.
+// close(outside): whether it is, of `outside` as above.
+template <typename F> CUDA_CALLABLE inline int near_boxes(Lane lane, const Points &c,
+                                                          const wp::vec3 *low, const wp::vec3 *high,
+                                                          int used, int *near, F close) {
+    ints found = (ints)(0);
+    for (int i = 0; used >> i != 0; ++i) {
+        int bit = used & (1 << i);
+        if (bit == 0)
+            continue;
+        found = found | (close(outside(c, low[i], high[i])) ? (ints)(bit) : (ints)(0));
+    }
+    lane.put(near, 0, found);
+    return lane.bits(found != 0);
+}
+
+// A box with middle c and half sides e is no nearer to [low, high] along an axis than
+// max(low - c, c - high) - e. A ball of radius r about c is no nearer than |outside| - r. The
+// lane counts where neither bound exceeds `reach`.
+// Rows: centre x, y, z; half sides x, y, z; radius.
+R2H_FUNCTION int boxes_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t,
+                            float reach, const wp::vec3 *low, const wp::vec3 *high, int used,
+                            int *near) {
+    int bits = each_lane([&](Lane lane) {
+        Points c = placed(lane, p, R, t), e = turned_sides(lane, p + 24, R);
+        floats far = lane.row(p, 6) + reach;
+        floats far2 = far * far;
+        float reach2 = reach * reach;
+        return near_boxes(lane, c, low, high, used, near, [&](const Points &d) {
+            Points less = {d.x - e.x, d.y - e.y, d.z - e.z};
+            return (squared_distance(d) <= far2) & (squared_distance(less) <= reach2);
+        });
+    });
+    return bits & first_lanes(count);
+}
+
+// As `boxes_near`, of points in rows 0 .. 2.
+R2H_FUNCTION int points_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t,
+                             float reach, const wp::vec3 *low, const wp::vec3 *high, int used,
+                             int *near) {
+    int bits = each_lane([&](Lane lane) {
+        float reach2 = reach * reach;
+        return near_boxes(lane, placed(lane, p, R, t), low, high, used, near,
+                          [&](const Points &d) { return squared_distance(d) <= reach2; });
+    });
+    return bits & first_lanes(count);
+}
+
+// Triangles (three points, 9 rows) whose box along the axes of R, t is within `reach` of the box
+// with half sides `half` about the origin there.
+R2H_FUNCTION int triangles_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t,
+                                const wp::vec3 &half, float reach) {
+    int bits = each_lane([&](Lane lane) {
+        floats d2 = (floats)(0.0f);
+        for (int axis = 0; axis < 3; ++axis) {
+            floats low, high;
+            for (int c = 0; c < 3; ++c) {
+                floats x = lane.row(p, 3 * c), y = lane.row(p, 3 * c + 1),
+                       z = lane.row(p, 3 * c + 2);
+                floats u =
+                    x * R.data[axis][0] + y * R.data[axis][1] + z * R.data[axis][2] + t.c[axis];
+                low = c == 0 ? u : (u < low ? u : low);
+                high = c == 0 ? u : (u > high ? u : high);
+            }
+            floats a = low - half.c[axis], b = -half.c[axis] - high;
+            floats d = a > b ? a : b;
+            d = d > 0.0f ? d : (floats)(0.0f);
+            d2 = d2 + d * d;
+        }
+        return lane.bits(d2 <= reach * reach);
+    });
+    return bits & first_lanes(count);
+}
+
+// ---------------------------------------------------------------------- the gripper's prism
+
+// The prism of the finger pads runs along y of the ee frame: x_low <= x <= x_high and
+// z_low <= z <= z_high. R, t (rows rx, ry, rz) take the object's frame to the ee frame.
+
+// a . x + b, of the points in rows 0 .. 2, in the order of `wp.dot`.
+R2H_FUNCTION floats along(Lane lane, const float *p, const wp::vec3 &a, float b) {
+    floats u0 = lane.row(p, 0) * a.c[0], u1 = lane.row(p, 1) * a.c[1], u2 = lane.row(p, 2) * a.c[2];
+    floats u = u0 + u1;
+    u = u + u2;
+    return u + b;
+}
+
+// |a| . h, of the half sides in rows 0 .. 2.
+R2H_FUNCTION floats side_along(Lane lane, const float *p, const wp::vec3 &a) {
+    floats e0 = lane.row(p, 0) * fabsf(a.c[0]), e1 = lane.row(p, 1) * fabsf(a.c[1]);
+    floats e2 = lane.row(p, 2) * fabsf(a.c[2]);
+    floats e = e0 + e1;
+    return e + e2;
+}
+
+// Boxes that may meet |X - x| <= half_x, |Z - z| <= half_z.
+R2H_FUNCTION int boxes_in_prism(const float *p, int count, const wp::vec3 &rx, const wp::vec3 &rz,
+                                float tx, float tz, float x, float half_x, float z, float half_z) {
+    int bits = each_lane([&](Lane lane) {
+        auto meets = [&](const wp::vec3 &r, float t, float middle, float half) {
+            floats u = along(lane, p, r, t) - middle;
+            u = u < 0.0f ? -u : u;
+            return u <= side_along(lane, p + 24, r) + half;
+        };
+        return lane.bits(meets(rx, tx, x, half_x) & meets(rz, tz, z, half_z));
+    });
+    return bits & first_lanes(count);
+}
+
+// `span` (2 rows): lowest and highest y of eight boxes.
+R2H_FUNCTION void boxes_along(const float *p, const wp::vec3 &ry, float ty, float *span) {
+    each_lane([&](Lane lane) {
+        floats u = along(lane, p, ry, ty), e = side_along(lane, p + 24, ry);
+        lane.put(span, 0, u - e);
+        lane.put(span, 1, u + e);
+        return 0;
+    });
+}
+
+// Bits 0 .. 7: the rectangle [low, high] in x and z meets the prism's; bits 8 .. 15: it sticks out.
+R2H_FUNCTION int rectangle_bits(Lane lane, const floats *low, const floats *high, float x_low,
+                                float x_high, float z_low, float z_high) {
+    int meets = lane.bits((low[0] <= x_high) & (high[0] >= x_low) & (low[2] <= z_high) &
+                          (high[2] >= z_low));
+    int out =
+        lane.bits((low[0] < x_low) | (high[0] > x_high) | (low[2] < z_low) | (high[2] > z_high));
+    return meets | (out << 8);
+}
+
+// Triangles (9 rows) whose bounding rectangle in x and z meets the prism's, and which stick out.
+R2H_FUNCTION int triangles_in_prism(const float *p, int count, const wp::vec3 &rx,
+                                    const wp::vec3 &rz, float tx, float tz, float x_low,
+                                    float x_high, float z_low, float z_high) {
+    int bits = each_lane([&](Lane lane) {
+        floats low[3], high[3];
+        for (int c = 0; c < 3; ++c)
+            for (int axis = 0; axis < 3; axis += 2) {
+                floats u = along(lane, p + 24 * c, axis == 0 ? rx : rz, axis == 0 ? tx : tz);
+                low[axis] = c == 0 ? u : (u < low[axis] ? u : low[axis]);
+                high[axis] = c == 0 ? u : (u > high[axis] ? u : high[axis]);
+            }
+        return rectangle_bits(lane, low, high, x_low, x_high, z_low, z_high);
+    });
+    return bits & (0xff00 | first_lanes(count));
+}
+
+// The same, and writes the triangles' corners in the ee frame (9 rows) and their span of y (2).
+R2H_FUNCTION int leaf_in_prism(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t,
+                               float half_x, float z_low, float z_high, float *corners,
+                               float *span) {
+    int bits = each_lane([&](Lane lane) {
+        floats low[3], high[3];
+        for (int c = 0; c < 3; ++c) {
+            floats x = lane.row(p, 3 * c), y = lane.row(p, 3 * c + 1), z = lane.row(p, 3 * c + 2);
+            for (int axis = 0; axis < 3; ++axis) {
+                floats u0 = x * R.data[axis][0], u1 = y * R.data[axis][1], u2 = z * R.data[axis][2];
+                floats u = u0 + u1;
+                u = u + u2;
+                u = u + t.c[axis];
+                lane.put(corners, 3 * c + axis, u);
+                low[axis] = c == 0 ? u : (u < low[axis] ? u : low[axis]);
+                high[axis] = c == 0 ? u : (u > high[axis] ? u : high[axis]);
+            }
+        }
+        lane.put(span, 0, low[1]);
+        lane.put(span, 1, high[1]);
+        return rectangle_bits(lane, low, high, -half_x, half_x, z_low, z_high);
+    });
+    return bits & (0xff00 | first_lanes(count));
+}
+
+// Of the lanes in `near` those whose `span` lies in none of n intervals, each `slack` longer.
+R2H_FUNCTION int outside_runs(const float *span, int near, float slack, const float *run_low,
+                              const float *run_high, int n) {
+    int within = each_lane([&](Lane lane) {
+        floats low = lane.row(span, 0), high = lane.row(span, 1);
+        ints within = low != low;
+        for (int i = 0; i < n; ++i) {
+            floats a = (floats)(run_low[i] - slack), b = (floats)(run_high[i] + slack);
+            within = within | ((low >= a) & (high <= b));
+        }
+        return lane.bits(within);
+    });
+    return near & ~within;
+}
+
+// `cut` (2 rows): the lowest and highest y of the edges of eight triangles inside the prism; low >
+// high: none.
+//
+// An edge from a to b, a + t (b - a), is cut to low <= a_i + t (b_i - a_i) <= high for x, then z.
+// Where it crosses no bound the quotients are not used; t1 = 1 is b itself.
+//
+// Returns in bits 8 i .. 8 i + 7 the triangles of `lanes` whose bounding rectangle holds the
+// prism's corner line i = 0 .. 3: (-x, low z), (-x, high z), (x, low z), (x, high z).
+R2H_FUNCTION int cut_to_prism(const float *corners, int lanes, float half_x, float z_low,
+                              float z_high, float *cut) {
+    int bits = each_lane([&](Lane lane) {
+        floats low = (floats)(1.0e30f), high = (floats)(-1.0e30f);
+        floats x_min, x_max, z_min, z_max;
+        for (int c = 0; c < 3; ++c) {
+            const float *p = corners + 24 * c, *q = corners + 24 * (c == 2 ? 0 : c + 1);
+            floats ax = lane.row(p, 0), ay = lane.row(p, 1), az = lane.row(p, 2);
+            floats bx = lane.row(q, 0), by = lane.row(q, 1), bz = lane.row(q, 2);
+            x_min = c == 0 ? ax : (ax < x_min ? ax : x_min);
+            x_max = c == 0 ? ax : (ax > x_max ? ax : x_max);
+            z_min = c == 0 ? az : (az < z_min ? az : z_min);
+            z_max = c == 0 ? az : (az > z_max ? az : z_max);
+            floats t0 = (floats)(0.0f), t1 = (floats)(1.0f);
+            for (int axis = 0; axis < 2; ++axis) {
+                floats a = axis == 0 ? ax : az, b = axis == 0 ? bx : bz;
+                floats l = (floats)(axis == 0 ? -half_x : z_low);
+                floats h = (floats)(axis == 0 ? half_x : z_high);
+                ints nowhere = ((a < l) & (b < l)) | ((a > h) & (b > h));
+                ints crosses = (a < l) | (b < l) | (a > h) | (b > h);
+                floats d = b - a;
+                floats u = (l - a) / d, v = (h - a) / d;
+                floats first = u < v ? u : v, last = u > v ? u : v;
+                first = first > t0 ? first : t0;
+                last = last < t1 ? last : t1;
+                t0 = crosses ? first : t0;
+                t1 = crosses ? last : t1;
+                t0 = nowhere ? (floats)(2.0f) : t0;
+                t1 = nowhere ? (floats)(-1.0f) : t1;
+            }
+            floats d = by - ay;
+            floats s0 = t0 * d, s1 = t1 * d;
+            floats y0 = ay + s0, y1 = ay + s1;
+            y1 = t1 >= 1.0f ? by : y1;
+            ints inside = t0 <= t1;
+            floats least = y0 < y1 ? y0 : y1, most = y0 > y1 ? y0 : y1;
+            low = (inside & (least < low)) ? least : low;
+            high = (inside & (most > high)) ? most : high;
+        }
+        lane.put(cut, 0, low);
+        lane.put(cut, 1, high);
+        ints left = (x_min < -half_x) & (x_max > -half_x);
+        ints right = (x_min < half_x) & (x_max > half_x);
+        ints bottom = (z_min < z_low) & (z_max > z_low), top = (z_min < z_high) & (z_max > z_high);
+        return lane.bits(left & bottom) | (lane.bits(left & top) << 8) |
+               (lane.bits(right & bottom) << 16) | (lane.bits(right & top) << 24);
+    });
+    return bits & (0x01010101 * lanes);
+}
+
+// Joins lanes to the one run that there is (n = 1), lowest lane first, until one does not meet it;
+// returns the lanes of `near` that are left. It is the usual case of `add_run` (grasp/runs.py).
+//
+// A lane's range of y is its `cut` where it is in `sticking`, else its `span`. It does nothing
+// where its span lies in the run, `slack` longer. A range within `join` of the run meets it.
+R2H_FUNCTION int grow_run(int near, int sticking, const float *span, const float *cut, float slack,
+                          float join, float *run_low, float *run_high, int n) {
+    float low = run_low[0], high = run_high[0];
+    while (n == 1 && near != 0) {
+        int lane = first_lane(near);
+        const float *y = ((sticking >> lane) & 1) ? cut : span;
+        float a = y[lane], b = y[8 + lane];
+        if (a <= b && !(a <= high + join && b >= low - join))
+            break;
+        near &= near - 1;
+        if (a <= b && !(span[lane] >= low - slack && span[8 + lane] <= high + slack)) {
+            low = a < low ? a : low;
+            high = b > high ? b : high;
+        }
+    }
+    run_low[0] = low;
+    run_high[0] = high;
+    return near;
+}
+
+// ------------------------------------------------------------------- balls, eight at a time
+
+// 2 um: what all sums of one of these functions may round away.
+R2H_FUNCTION float rounding() { return 2.0e-6f; }
+
+// Bit i: whether near(i) holds, for entries 0 .. count - 1 (1 to 64). The loop over eight has no
+// branch, so a compiler makes vector instructions of it.
+template <typename F> CUDA_CALLABLE inline bits64 each_entry(int count, F near) {
+    bits64 found = 0;
+    R2H_ROLLED
+    for (int block = 0; block < count; block += 8) {
+        unsigned int is_near[8];
+        R2H_ROLLED
+        for (int k = 0; k < 8; ++k)
+            is_near[k] = near(block + k < count ? block + k : count - 1) ? 1u : 0u;
+        unsigned int bits = 0;
+        R2H_ROLLED
+        for (int k = 0; k < 8; ++k)
+            bits |= is_near[k] << k;
+        found |= (bits64)bits << block;
+    }
+    int none = 64 - count;
+    return none > 0 ? (found << none) >> none : found;
+}
+
+R2H_FUNCTION float unit_interval(float s) { return s < 0.0f ? 0.0f : (s > 1.0f ? 1.0f : s); }
+
+// A segment with its direction u; inv is 1 / |u|^2, 0 for a point.
+struct Segment {
+    Point start, u;
+    float inv;
+    CUDA_CALLABLE inline float nearest(Point from_start) const {
+        return unit_interval(dot(from_start, u) * inv);
+    }
+};
+
+R2H_FUNCTION Segment segment(const wp::vec3 &c0, const wp::vec3 &c1) {
+    Point u = xyz(c1) - xyz(c0);
+    float uu = dot(u, u);
+    return {xyz(c0), u, uu > 0.0f ? 1.0f / uu : 0.0f};
+}
+
+// The squared distance of a point from it.
+R2H_FUNCTION float squared_distance(const Segment &of, Point x) {
+    x = x - of.start;
+    x = x - of.nearest(x) * of.u;
+    return dot(x, x);
+}
+
+// Balls within `reach` of the capsule c0-c1 of `radius`.
+R2H_FUNCTION bits64 balls_beside(const wp::vec3 *centers, const float *radii, int count,
+                                 const wp::vec3 &c0, const wp::vec3 &c1, float radius,
+                                 float reach) {
+    Segment capsule = segment(c0, c1);
+    float around = reach + radius + rounding();
+    return each_entry(count, [&](int i) {
+        float far = around + radii[i];
+        return (far > 0.0f) & (squared_distance(capsule, xyz(centers[i])) <= far * far);
+    });
+}
+
+// Capsules within `reach` of the capsule c0-c1 of `radius`.
+//
+// The sums are those of `from_segment` (segments.py). It returns the distance of two points of
+// the segments: where that is `reach` or more, so is this one, but for 10 um of rounding.
+// Segments that are nearly parallel keep their bit: `from_segment` also looks at the ends there.
+R2H_FUNCTION bits64 capsules_beside(const wp::vec3 *ends0, const wp::vec3 *ends1,
+                                    const float *radii, int count, const wp::vec3 &c0,
+                                    const wp::vec3 &c1, float radius, float reach) {
+    Point u = xyz(c1) - xyz(c0);
+    float a = dot(u, u);
+    float of_a = a > 1.0e-12f ? 1.0f / a : 0.0f;
+    float around = reach + radius + 1.0e-5f;
+    return each_entry(count, [&](int i) {
+        Point p = xyz(ends0[i]);
+        Point v = xyz(ends1[i]) - p, r = xyz(c0) - p;
+        float b = dot(u, v), c = dot(u, r), e = dot(v, v), f = dot(v, r);
+        float denom = a * e - b * b;
+        int is_long = e > 1.0e-12f;
+        int turned = denom > 1.0e-9f * a * e;
+        float s_low = -c * of_a, s_high = (b - c) * of_a;
+        float s_in = (b * f - c * e) / (turned ? denom : 1.0f);
+        s_in = unit_interval(turned ? s_in : 0.0f);
+        float t = (b * s_in + f) / (is_long ? e : 1.0f);
+        t = is_long ? t : 0.0f;
+        float s = unit_interval(t > 1.0f ? s_high : s_low);
+        int within = (t >= 0.0f) & (t <= 1.0f) & is_long;
+        s = within ? s_in : s;
+        t = unit_interval(t);
+        Point x = r + s * u - t * v;
+        float far = around + radii[i];
+        int beside = (far > 0.0f) & (dot(x, x) <= far * far);
+        return beside | (denom < 1.0e-3f * a * e);
+    });
+}
+
+// Balls that may come nearer than `target` to a capsule c0-c1 over an interval of its motion.
+//
+// Two bounds on the distance (plan/edge.py has the inequalities): the distance in the middle less
+// `travel`, by which any point moves at most; and the way along n from the ball to the capsule to
+// third order (`swept_capsule`, segments.py). With n = t / |t| from the ball's centre x to the
+// nearest point of the segment and m = n x w, the ends of the interval have n . c +- m . c
+// +- n . v at c = c0, c1, less the radius times |n +- m| = sqrt(1 + |m|^2) <= 1 + |m|^2 / 2,
+// as m is square to n.
+R2H_FUNCTION bits64 balls_near(const wp::vec3 *centers, const float *radii, int count,
+                               const wp::vec3 &c0, const wp::vec3 &c1, float radius, float travel,
+                               const wp::vec3 &w, const wp::vec3 &v, const wp::vec3 &a,
+                               const wp::vec3 &b, float second, float third, int moving,
+                               float target, float tolerance) {
+    Segment capsule = segment(c0, c1);
+    Point start = xyz(c0), end = xyz(c1), spin = xyz(w), swing = xyz(a);
+    float keep = target + rounding();
+    return each_entry(count, [&](int i) {
+        Point x = xyz(centers[i]);
+        float r = radii[i];
+        float s = capsule.nearest(x - start);
+        Point t = start + s * capsule.u - x;
+        float far = sqrtf(dot(t, t));
+        float apart = far - r - radius;
+        Point n = (1.0f / (far > 1.0e-12f ? far : 1.0e-12f)) * t;
+        Point m = cross(n, spin);
+        // g . y + n . b: how fast a point y of the capsule accelerates along n
+        Point g = {n.y * swing.z - n.z * swing.y + m.y * spin.z - m.z * spin.y,
+                   n.z * swing.x - n.x * swing.z + m.z * spin.x - m.x * spin.z,
+                   n.x * swing.y - n.y * swing.x + m.x * spin.y - m.y * spin.x};
+        float n0 = dot(n, start), n1 = dot(n, end), m0 = dot(m, start), m1 = dot(m, end);
+        float g0 = dot(g, start), g1 = dot(g, end), vn = dot(n, xyz(v));
+        float least = dot(n, xyz(b)) + (g0 < g1 ? g0 : g1);
+        least = least - radius * sqrtf(dot(g, g));
+        float rest = third / 6.0f - 0.5f * (least < 0.0f ? least : 0.0f);
+        rest = rest < 0.5f * second ? rest : 0.5f * second;
+        float to0 = n0 + m0 + vn, to1 = n1 + m1 + vn, from0 = n0 - m0 - vn, from1 = n1 - m1 - vn;
+        float to = to0 < to1 ? to0 : to1, from = from0 < from1 ? from0 : from1;
+        float low = (to < from ? to : from) - radius * (1.0f + 0.5f * dot(m, m));
+        low = low - rest - dot(n, x) - r;
+        int by_travel = apart >= keep + travel;
+        int by_sweep = (moving != 0) & (apart > keep + tolerance) & (low >= keep);
+        return !(by_travel | by_sweep);
+    });
+}
+
+// The core of a primitive in its own frame, by its kind (geometry/body.py): a sphere is a point, a
+// capsule a segment of half length size[1], both grown by `radius`; a cylinder has radius size[0]
+// and half length size[1]; a box has half sides size.
+R2H_FUNCTION bool is_box(int kind) { return kind == 3; }
+R2H_FUNCTION bool is_cylinder(int kind) { return kind == 2; }
+R2H_FUNCTION float half_length(int kind, const wp::vec3 &size) {
+    return kind == 0 ? 0.0f : size.c[1];
+}
+
+// |x|, |y|, |z| of a point in the frame R, p.
+R2H_FUNCTION Point folded(Point x, const wp::mat33 &R, const wp::vec3 &p) {
+    Point c = x - xyz(p);
+    auto along = [&](int i) { return fabsf(dot({R.data[0][i], R.data[1][i], R.data[2][i]}, c)); };
+    return {along(0), along(1), along(2)};
+}
+
+// Balls (rows: centre, radius) that may be within `limit` of a primitive at R, p and that do not
+// lie behind the plane n . x = beyond - known, where the primitive has n . x <= known.
+//
+// The distance is that of `from_ball` (body.py). It says nothing for a centre inside the
+// primitive, so centres within 10 um count as near.
+R2H_FUNCTION bits64 balls_in_reach(const wp::vec4 *balls, int count, int kind, const wp::vec3 &size,
+                                   float radius, const wp::mat33 &R, const wp::vec3 &p, float limit,
+                                   const wp::vec3 &n, float beyond, float known) {
+    const float *rows = &balls[0].c[0];
+    float sx = size.c[0], sy = size.c[1], sz = size.c[2], half = half_length(kind, size);
+    float plane = beyond - known - rounding(), around = limit + rounding();
+    bits64 found = 0;
+    R2H_ROLLED
+    for (int block = 0; block < count; block += 8) {
+        float x[8], y[8], z[8], r[8], far2[8];
+        unsigned int near[8];
+        float copy[32];
+        const float *eight = rows + 4 * block;
+        if (block + 8 > count) {
+            R2H_ROLLED
+            for (int k = 0; k < 32; ++k)
+                copy[k] = rows[4 * (block + k / 4 < count ? block + k / 4 : count - 1) + k % 4];
+            eight = copy;
+        }
+        R2H_ROLLED
+        for (int k = 0; k < 8; ++k) {
+            Point c = xyz(eight + 4 * k);
+            r[k] = eight[4 * k + 3];
+            near[k] = plane - dot(xyz(n), c) >= r[k] ? 0u : 1u;
+            c = folded(c, R, p);
+            x[k] = c.x, y[k] = c.y, z[k] = c.z;
+        }
+        if (is_box(kind)) {
+            R2H_ROLLED
+            for (int k = 0; k < 8; ++k) {
+                float dx = x[k] > sx ? x[k] - sx : 0.0f, dy = y[k] > sy ? y[k] - sy : 0.0f;
+                float dz = z[k] > sz ? z[k] - sz : 0.0f;
+                far2[k] = dx * dx + dy * dy + dz * dz;
+            }
+        } else if (is_cylinder(kind)) {
+            R2H_ROLLED
+            for (int k = 0; k < 8; ++k) {
+                float ring = sqrtf(x[k] * x[k] + y[k] * y[k]);
+                float dr = ring > sx ? ring - sx : 0.0f, dz = z[k] > sy ? z[k] - sy : 0.0f;
+                far2[k] = dr * dr + dz * dz;
+            }
+        } else {
+            R2H_ROLLED
+            for (int k = 0; k < 8; ++k) {
+                float dz = z[k] > half ? z[k] - half : 0.0f;
+                float far = sqrtf(x[k] * x[k] + y[k] * y[k] + dz * dz);
+                far = far > radius ? far - radius : 0.0f;
+                far2[k] = far * far;
+            }
+        }
+        unsigned int bits = 0;
+        R2H_ROLLED
+        for (int k = 0; k < 8; ++k) {
+            float reach = around + r[k];
+            reach = reach > 1.0e-5f ? reach : 1.0e-5f;
+            near[k] &= far2[k] >= reach * reach ? 0u : 1u;
+        }
+        R2H_ROLLED
+        for (int k = 0; k < 8; ++k)
+            bits |= near[k] << k;
+        found |= (bits64)bits << block;
+    }
+    int none = 64 - count;
+    return none > 0 ? (found << none) >> none : found;
+}
+
+struct Least {
+    float value;
+    int at;
+};
+
+// The least of value(i) for i = 0 .. count - 1, and the first i that attains it.
+template <typename F> CUDA_CALLABLE inline Least least_of(int count, F value) {
+    Least least = {1.0e30f, 0};
+    for (int block = 0; block < count; block += 8) {
+        float found[8];
+        for (int k = 0; k < 8; ++k)
+            found[k] = value(block + k < count ? block + k : count - 1);
+        for (int k = 0; k < 8; ++k) {
+            least.at = found[k] < least.value ? block + k : least.at;
+            least.value = found[k] < least.value ? found[k] : least.value;
+        }
+    }
+    least.at = least.at < count ? least.at : count - 1;
+    return least;
+}
+
+// The least distance of balls from the segment c0-c1 (negative where it enters one), and whose.
+R2H_FUNCTION wp::vec2 nearest_ball(const wp::vec3 *centers, const float *radii, int count,
+                                   const wp::vec3 &c0, const wp::vec3 &c1) {
+    Segment axis = segment(c0, c1);
+    Least least = least_of(
+        count, [&](int i) { return sqrtf(squared_distance(axis, xyz(centers[i]))) - radii[i]; });
+    return wp::vec2(least.value, (float)least.at);
+}
+
+// Which of the balls' centres is nearest to the core of a primitive at R, p.
+R2H_FUNCTION int nearest_center(const wp::vec4 *balls, int count, int kind, const wp::vec3 &size,
+                                const wp::mat33 &R, const wp::vec3 &p) {
+    const float *rows = &balls[0].c[0];
+    float half = half_length(kind, size);
+    auto squared = [&](int i) {
+        Point c = folded(xyz(rows + 4 * i), R, p);
+        Point d = c - xyz(size);
+        if (!is_box(kind)) {
+            float ring = sqrtf(c.x * c.x + c.y * c.y);
+            d = {is_cylinder(kind) ? ring - size.c[0] : ring, 0.0f, c.z - half};
+        }
+        d = {d.x > 0.0f ? d.x : 0.0f, d.y > 0.0f ? d.y : 0.0f, d.z > 0.0f ? d.z : 0.0f};
+        return dot(d, d);
+    };
+    return least_of(count, squared).at;
+}
+
+// ------------------------------------------------------------------------- support of hulls
+
+// Of `count` points in blocks of 16 (16 x, then 16 y, then 16 z) the one farthest along d; of
+// several the first. Each of 16 lanes keeps its largest product, then the largest of all counts.
+// The last block repeats its last point, so a CPU may look at all of it. CUDA takes up to 16
+// points one after the other: most cells of an object's hull have that few.
+R2H_FUNCTION wp::vec3 farthest_in_blocks(const wp::vec3 *points, int count, const wp::vec3 &d) {
+    const float *rows = &points[0].c[0];
+    int blocks = (count + 15) / 16;
+#if defined(R2H_VECTORS)
+    typedef float floats16 __attribute__((ext_vector_type(16)));
+    typedef int ints16 __attribute__((ext_vector_type(16)));
+    const ints16 lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+    floats16 best = (floats16)(-1.0e30f);
+    ints16 at = lane;
+    for (int block = 0; block < blocks; ++block) {
+        floats16 x, y, z;
+        __builtin_memcpy(&x, rows + 48 * block, sizeof(x));
+        __builtin_memcpy(&y, rows + 48 * block + 16, sizeof(y));
+        __builtin_memcpy(&z, rows + 48 * block + 32, sizeof(z));
+        floats16 tx = x * d.c[0];
+        floats16 ty = y * d.c[1];
+        floats16 tz = z * d.c[2];
+        floats16 t = tx + ty;
+        t = t + tz;
+        ints16 farther = t > best;
+        at = farther ? lane + 16 * block : at;
+        best = farther ? t : best;
+    }
+    auto of8 = best.hi > best.lo ? best.hi : best.lo;
+    auto of4 = of8.hi > of8.lo ? of8.hi : of8.lo;
+    auto of2 = of4.hi > of4.lo ? of4.hi : of4.lo;
+    float most = of2.y > of2.x ? of2.y : of2.x;
+    int first = __builtin_reduce_min(best == most ? at : (ints16)(1 << 30));
+#else
+    auto product = [&](int block, int k) {
+        const float *x = rows + 48 * block + k;
+        float tx = x[0] * d.c[0];
+        float ty = x[16] * d.c[1];
+        float tz = x[32] * d.c[2];
+        float t = tx + ty;
+        return t + tz;
+    };
+    float best[16];
+    int at[16];
+    for (int k = 0; k < 16; ++k) {
+        best[k] = -1.0e30f;
+        at[k] = k;
+    }
+    if (count <= 16) {
+        R2H_ROLLED
+        for (int k = 0; k < count; ++k) {
+            float t = product(0, k);
+            int farther = t > best[0];
+            at[0] = farther ? k : at[0];
+            best[0] = farther ? t : best[0];
+        }
+        blocks = 0;
+    }
+    for (int block = 0; block < blocks; ++block)
+        for (int k = 0; k < 16; ++k) {
+            float t = product(block, k);
+            int farther = t > best[k];
+            at[k] = farther ? 16 * block + k : at[k];
+            best[k] = farther ? t : best[k];
+        }
+    for (int half = 8; half > 0; half >>= 1)
+        for (int k = 0; k < half; ++k) {
+            int farther =
+                (best[k + half] > best[k]) | ((best[k + half] == best[k]) & (at[k + half] < at[k]));
+            at[k] = farther ? at[k + half] : at[k];
+            best[k] = farther ? best[k + half] : best[k];
+        }
+    int first = at[0];
+#endif
+    const float *p = rows + 48 * (first / 16) + first % 16;
+    return wp::vec3(p[0], p[16], p[32]);
+}
+
+// The cell of a CELLS body (geometry/body.py) that a direction falls into: the cube's face is that
+// of the largest coordinate; u and v, the other two, are cut into 6 cells each.
+R2H_FUNCTION int direction_cell(const wp::vec3 &d) {
+    float ax = fabsf(d.c[0]), ay = fabsf(d.c[1]), az = fabsf(d.c[2]);
+    int axis = ay > ax ? 1 : 0;
+    float most = ay > ax ? ay : ax;
+    axis = az > most ? 2 : axis;
+    most = az > most ? az : most;
+    float scale = 3.0f / (most > 1.0e-30f ? most : 1.0e-30f);
+    float to = axis == 0 ? d.c[0] : (axis == 1 ? d.c[1] : d.c[2]);
+    float along_u = scale * (axis == 0 ? d.c[1] : (axis == 1 ? d.c[2] : d.c[0]));
+    float along_v = scale * (axis == 0 ? d.c[2] : (axis == 1 ? d.c[0] : d.c[1]));
+    int u = (int)(3.0f + along_u), v = (int)(3.0f + along_v);
+    u = u < 0 ? 0 : (u > 5 ? 5 : u);
+    v = v < 0 ? 0 : (v > 5 ? 5 : v);
+    int face = 2 * axis + (to < 0.0f ? 1 : 0);
+    return (face * 6 + u) * 6 + v;
+}
+
+// --------------------------------------------------------------------------- joint intervals
+
+// sum_j |d_j| radius_j over the joints from `first_joint` on: how far a body's points move when
+// these joints turn by d (rad). Joints before it add zeros, which moves no bit.
+R2H_FUNCTION float motion(const float *radius, int first_joint, const float *d) {
+    float sum = 0.0f;
+    R2H_UNROLLED
+    for (int j = 0; j < 6; ++j) {
+        float turn = j < first_joint ? 0.0f : fabsf(d[j]);
+        float t = turn * radius[j];
+        sum = sum + t;
+    }
+    return sum;
+}
+
+// Bounds on the second and third derivative of a body's points along q + s d (`bends`,
+// robot/world.py): sum_j (S_j^2 - S_(j-1)^2) radius_j and sum_j (S_j^3 - S_(j-1)^3) radius_j,
+// S_j = |d_0| + .. + |d_j|.
+R2H_FUNCTION wp::vec2 bends(const float *radius, int first_joint, const float *d) {
+    float second = 0.0f, third = 0.0f, inner = 0.0f;
+    R2H_UNROLLED
+    for (int j = 0; j < 6; ++j) {
+        float outer = inner + (j < first_joint ? 0.0f : fabsf(d[j]));
+        float outer2 = outer * outer, inner2 = inner * inner;
+        float outer3 = outer2 * outer, inner3 = inner2 * inner;
+        float of_pairs = outer2 - inner2, of_triples = outer3 - inner3;
+        float s = of_pairs * radius[j], t = of_triples * radius[j];
+        second = second + s;
+        third = third + t;
+        inner = outer;
+    }
+    return wp::vec2(second, third);
+}
+
+// ---------------------------------------------------------------- what differs by the device
+
+// i, of which a compiler for CUDA knows nothing: it computes addresses from it where they are
+// used. It would keep addresses that do not change in a loop in registers throughout the loop.
+R2H_FUNCTION int opaque(int i) {
+#if defined(__CUDA_ARCH__)
+    asm volatile("" : "+r"(i));
+#endif
+    return i;
+}
+
+R2H_FUNCTION int on_cuda() {
+#if defined(__CUDA_ARCH__)
+    return 1;
+#else
+    return 0;
+#endif
+}
+
+} // namespace r2h
+
+#endif // R2H_LANES_H
