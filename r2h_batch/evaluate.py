@@ -30,14 +30,13 @@ from r2h_batch.judge.inputs import (
     checked_inputs,
     warn_of_no_gradient,
 )
-from r2h_batch.judge.metrics import Criterion, Touch
+from r2h_batch.judge.metrics import Criterion
 from r2h_batch.judge.person import person_distance, with_body
 from r2h_batch.judge.plan import plan_paths
 from r2h_batch.judge.presented import presented
-from r2h_batch.judge.verdict import Posed, motion_scores, pose_scores, random_key, verdict
+from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
 from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
-from r2h_batch.launch.recorded import unrecorded
 from r2h_batch.launch.torch_threads import one_torch_thread
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
@@ -46,7 +45,6 @@ from r2h_batch.shown import html_table
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
-from r2h_batch.training.repeated_calls import RepeatedCalls
 from r2h_batch.types import Asked, Scores, Trials
 
 POSE_CHUNK_CUDA = 1 << 16
@@ -123,9 +121,7 @@ class Evaluator:
         """What copies and pickles hold: the configuration. Copies share the scene's tables, which
         nobody changes; another process builds its own (`Scene.__reduce__`), rows are bitwise
         equal."""
-        return {
-            k: v for k, v in self.__dict__.items() if k not in ("handle", "kinematic", "_repeated")
-        }
+        return {k: v for k, v in self.__dict__.items() if k not in ("handle", "kinematic")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -138,11 +134,6 @@ class Evaluator:
         twin = copy.copy(self)
         twin.config = replace(self.config, execute=replace(self.config.execute, sim="none"))
         return twin
-
-    @cached_property
-    def _repeated(self) -> RepeatedCalls:
-        """What is kept of calls that come back in one size; no copy and no other process has it."""
-        return RepeatedCalls()
 
     def score(
         self,
@@ -188,7 +179,7 @@ class Evaluator:
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
-        with one_torch_thread(self.scene.device), unrecorded():
+        with one_torch_thread(self.scene.device):
             check_indices(self.scene, trials)
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
             # Copies: an optimizer's step in place must not change what a picture of these scores
@@ -231,7 +222,7 @@ class Evaluator:
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages
     ) -> Scores:
         """`score` of tensors whose shapes are known to fit."""
-        with one_torch_thread(self.scene.device), unrecorded():
+        with one_torch_thread(self.scene.device):
             check_indices(self.scene, trials)
             check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
             return self._score(T_obj_ee, T_world_ee, trials, stages)
@@ -334,7 +325,7 @@ class Evaluator:
         (steady, reach, affordance), slip = self._without_posture(scene, config, holding)
         criteria = [steady, metrics.plan(planned, executed, active), reach, affordance, safe]
         shown = presented(scene, holding, config.thresholds, threads=threads)
-        shared = verdict(criteria, holding, slip, shown, executed.valid, threads=threads)
+        shared = verdict(criteria, holding, slip, shown, executed.valid)
         return motion_scores(
             trials.trial_id, shared, active, planned, motion, executed, touch, config.execute,
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
@@ -343,51 +334,28 @@ class Evaluator:
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         """As `_score_motion`, as far as it goes without a path."""
         scene, config, threads = self.scene, self.config, self.threads
-        if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
-            holding, posed = self._judge_pose(scene, config, T_obj_ee, T_world_ee, trials)
-            scores = pose_scores(trials.trial_id, posed)
-            return differentiable(
-                scene, config, threads, scores, (T_obj_ee, T_world_ee), holding, posed.goal
-            )
-        return self._repeated(
-            self._judge_pose, scene, config, T_obj_ee, T_world_ee, trials, threads=threads
-        )
-
-    def _judge_pose(
-        self, scene: Scene, config: EvalConfig, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials
-    ) -> tuple[Holding, Posed]:
-        """What `pose_scores` needs; its launches are recorded where its size comes back
-        (`training.repeated_calls`)."""
-        threads = self.threads
         holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
         active, placed = holding.active, holding.placed
         ik, branches = self._branches(config, holding)
         goal = judge_goals(
             scene, holding.planned, holding.T_world_ee, ik, branches, active, threads=threads
         )
-        safe, body, point = safe_at(
-            scene, placed, goal.q, active, config.thresholds, threads=threads
-        )
-        body_m, part = torch.full_like(goal.clearance_m, torch.nan), None
-        if trials.receiver is not None:
-            body_m, part = self._body(
-                scene, holding, trials, goal.q[:, None], active.to(torch.int32)
-            )
+        safe, touch = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
+        path, length = goal.q[:, None], active.to(torch.int32)
+        body_m, part = self._body(scene, holding, trials, path, length)
         if config.receiver == "body":
-            assert part is not None  # `inputs.check_receiver` has asked
-            still = torch.zeros_like(body), torch.zeros_like(body_m)
-            safe, touch = with_body(
-                safe, Touch(body, *still, point), body_m, part, config.thresholds
-            )
-            body, point = touch.body, touch.point
+            safe, touch = with_body(safe, touch, body_m, part, config.thresholds)
         (steady, reach, affordance), slip = self._without_posture(scene, config, holding)
-        plan = Criterion.of(
-            goal.clearance_m, active, touching_passes=False
-        )  # above 0 exactly where the goal is free
+        # above 0 exactly where the goal is free
+        plan = Criterion.of(goal.clearance_m, active, touching_passes=False)
         shown = presented(scene, holding, config.thresholds, threads=threads)
         criteria = [steady, plan, reach, affordance, safe]
-        shared = verdict(criteria, holding, slip, shown, threads=threads)
-        return holding, Posed(shared, goal, body, point, body_m)
+        shared = verdict(criteria, holding, slip, shown)
+        scores = pose_scores(trials.trial_id, shared, goal, touch, body_m=body_m)
+        if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
+            poses = T_obj_ee, T_world_ee
+            return differentiable(scene, config, threads, scores, poses, holding, goal)
+        return scores
 
     def _body(
         self, scene: Scene, holding: Holding, trials: Trials, path: Tensor, length: Tensor

@@ -1,5 +1,7 @@
 """A trial's verdict does not depend on who else is in its batch: bitwise equal Scores on one device."""
 
+import copy
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from functools import cache
 
@@ -156,3 +158,45 @@ def test_tensors_packed_for_one_copy_come_back_as_they_were(rows):
     for mine, theirs in zip(in_one_copy(tensors), tensors, strict=True):
         assert mine.dtype == theirs.dtype and mine.shape == theirs.shape
         assert mine.contiguous().numpy().tobytes() == theirs.contiguous().numpy().tobytes()
+
+
+def signed_late(x: torch.Tensor) -> torch.Tensor:
+    """The same numbers, whose memory holds the opposite ones: torch keeps the sign for later."""
+    late = torch.complex(torch.zeros_like(x), -x).conj().imag
+    assert late.is_neg() and torch.equal(late, x)
+    return late
+
+
+@every_stage
+def test_tensors_of_any_kind_give_the_same_rows(stages):
+    """Strided, with a sign that torch applies late, one tensor for both poses, in every gradient mode."""
+    b = batch(SIZE)
+    wide = torch.zeros(SIZE, 4, 8)
+    wide[:, :, ::2] = b.T_obj_ee
+    late = replace(b.trials, T_world_hand=signed_late(b.trials.T_world_hand))
+    twice, once_each = Batch(b.trials, b.T_obj_ee, b.T_obj_ee), Batch(b.trials, b.T_obj_ee, b.T_obj_ee.clone())
+    for mode in (torch.inference_mode, torch.no_grad, torch.enable_grad):
+        with mode():
+            assert_same(reference(stages), score(Batch(b.trials, wide[:, :, ::2], b.T_world_ee), None, stages))
+            assert_same(reference(stages), score(Batch(late, signed_late(b.T_obj_ee), b.T_world_ee), None, stages))
+            assert_same(score(once_each, None, stages), score(twice, None, stages))
+
+
+def test_threads_of_a_program_may_share_an_evaluator():
+    parts = [slice(i, i + 16) for i in range(4)]
+
+    def many(rows: slice) -> None:
+        for _ in range(20):
+            assert_same(reference("pose")[rows], score(batch(SIZE).rows(rows), None, "pose"))
+
+    with ThreadPoolExecutor(4) as pool:
+        for done in [pool.submit(many, rows) for rows in parts]:
+            done.result()
+
+
+def test_scores_of_another_configuration_are_its_own():
+    evaluator, b = copy.copy(default_evaluator()), batch(SIZE)
+    evaluator.config = replace(evaluator.config, thresholds=replace(evaluator.config.thresholds, reach_radius_m=0.02))
+    tight = score(b, evaluator, "pose")
+    assert int(tight.passed[:, 2].sum()) < int(reference("pose").passed[:, 2].sum())
+    assert_same(reference("pose"), score(b, None, "pose"))

@@ -2,12 +2,16 @@
 
 import subprocess
 import sys
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
+from unittest import mock
 
 import pytest
 import torch
 import warp as wp
 
-from r2h_batch.launch import launch_trials, load
+from r2h_batch.launch import launch_trials, load, workers
 from r2h_batch.launch.alike import alike
 
 
@@ -59,3 +63,33 @@ def test_a_repeated_call_takes_tensors_that_are_given_twice_and_sees_them_change
             launch_trials(added, 5, inputs={"a": a, "b": b}, outputs={"sum": out}, device="cpu")
     with pytest.raises(ValueError, match="has 5 rows; 6 trials write 6 or more"):
         launch_trials(added, 6, inputs={"a": torch.rand(6), "b": torch.rand(6)}, outputs={"sum": out}, device="cpu")
+
+
+def test_nobody_is_at_work_once_an_interrupt_has_left_the_call():
+    """The caller frees its memory then: who still wrote there would end the process."""
+    started, at_work, chunks = threading.Event(), [], []
+
+    def run(worker: int, start: int, rows: int) -> None:
+        if worker == 0:
+            assert started.wait(10)
+            raise KeyboardInterrupt
+        at_work.append(start), chunks.append(start)
+        started.set()
+        time.sleep(0.1)
+        at_work.remove(start)
+
+    with pytest.raises(KeyboardInterrupt):
+        workers.share(run, 0, 100, 3, 1)
+    assert at_work == []
+    begun = len(chunks)
+    time.sleep(0.2)
+    assert len(chunks) == begun <= 4
+
+
+def test_a_program_that_is_going_down_works_on_the_calling_thread():
+    """No pool takes work then: what is scored at exit is scored all the same."""
+    pool, done = ThreadPoolExecutor(2), []
+    pool.shutdown()
+    with mock.patch.object(workers, "thread_pool", lambda _: pool):
+        workers.share(lambda worker, start, rows: done.append((worker, start, rows)), 3, 10, 3, 4)
+    assert done == [(0, 3, 4), (0, 7, 4), (0, 11, 2)]

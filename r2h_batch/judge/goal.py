@@ -10,7 +10,7 @@ from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.judge.ik import IkResult, default_ur, home_posture
-from r2h_batch.judge.metrics import Criterion
+from r2h_batch.judge.metrics import Criterion, Touch
 from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
@@ -188,9 +188,9 @@ def safe_at(
     thresholds: Thresholds,
     *,
     threads: int | None = None,
-) -> tuple[Criterion, Int32[Tensor, " b"], Float32[Tensor, "b 3"]]:
-    """Safe of the posture `q` alone, the robot body nearest to the hand (-1: beyond 5 cm), the
-    hand's nearest point (world).
+) -> tuple[Criterion, Touch]:
+    """Safe of the posture `q` alone, and where the robot is nearest to the hand (body -1: farther
+    than 5 cm).
 
     Margin: distance of the hand's exact mesh to the robot's primitives, exact below 5 cm, an
     overlap bound below 0.
@@ -216,7 +216,5 @@ def safe_at(
         threads=threads,
         chunk=GOAL_CHUNK,
     )
-    criterion = Criterion.of(
-        distance, active, touching_passes=False, beyond_m=thresholds.safe_margin_m
-    )
-    return criterion, body, point
+    criterion = Criterion.of(distance - thresholds.safe_margin_m, active, touching_passes=False)
+    return criterion, Touch(body, torch.zeros_like(body), torch.zeros_like(distance), point)

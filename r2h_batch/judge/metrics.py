@@ -17,98 +17,34 @@ from r2h_batch.judge.wave.safe import SafeWaves
 from r2h_batch.judge.wave.waves import in_waves
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.judge import safe as safe_kernels
-from r2h_batch.kernels.judge import verdict as verdict_kernels
 from r2h_batch.kernels.judge.overlap import hand_overlap
 from r2h_batch.launch import launch_trials
 from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.scene import Placed, Scene
 
-GIVEN, TOUCHING_PASSES, APART_PASSES, NAN_IS_UNASKED, WITHIN = (
-    int(x)
-    for x in (
-        verdict_kernels.GIVEN,
-        verdict_kernels.TOUCHING_PASSES,
-        verdict_kernels.APART_PASSES,
-        verdict_kernels.NAN_IS_UNASKED,
-        verdict_kernels.WITHIN,
-    )
-)
-"""How a criterion's numbers are to be read (kernels/judge/verdict.py)."""
-
 SAFE_TOLERANCE_M = 2e-5
 """How exactly the smallest distance over time is located."""
 
 
+@dataclass(frozen=True)
 class Criterion:
-    """Margin of one criterion (m, NaN where not evaluated), whether it passes, and where it is
-    defined.
+    """One criterion of B handovers. A criterion that was not evaluated has no margin and does not
+    pass."""
 
-    `of` keeps what it is given and says by which rule it is to be read: `judge_rows` does so for
-    all criteria in one launch, the properties for whoever asks sooner. A small batch paid for the
-    tensors in between what a tenth of its geometry costs.
-    """
-
-    def __init__(
-        self,
-        margin: Float32[Tensor, " b"],
-        passed: Bool[Tensor, " b"] | None,
-        evaluated: Bool[Tensor, " b"],
-        rule: int = GIVEN,
-        limit: float = 0.0,
-    ) -> None:
-        self.given, self.asked, self.rule, self.limit = margin, evaluated, rule, limit
-        self.given_passed = evaluated if passed is None else passed
+    margin: Float32[Tensor, " b"]  # m; NaN where not evaluated
+    passed: Bool[Tensor, " b"]
+    evaluated: Bool[Tensor, " b"]
 
     @staticmethod
     def of(
-        number: Tensor,
-        evaluated: Tensor,
-        *,
-        touching_passes: bool,
-        nan_is_unasked: bool = False,
-        beyond_m: float = 0.0,
-        within_m: float | None = None,
+        margin: Float32[Tensor, " b"], evaluated: Bool[Tensor, " b"], *, touching_passes: bool
     ) -> "Criterion":
-        """Passes above 0, and at 0 where touching passes; `nan_is_unasked`: a row without a margin
-        is not evaluated.
+        """The criterion that passes at a margin above 0, and at 0 where `touching_passes`.
 
-        The margin is `number - beyond_m`, or `within_m - number` where that is given.
+        An evaluated row whose margin is NaN fails: NaN is neither above 0 nor equal to it.
         """
-        rule = (TOUCHING_PASSES if touching_passes else APART_PASSES) + (
-            NAN_IS_UNASKED if nan_is_unasked else 0
-        )
-        if within_m is not None:
-            return Criterion(number, None, evaluated, rule + WITHIN, within_m)
-        return Criterion(number, None, evaluated, rule, beyond_m)
-
-    @property
-    def evaluated(self) -> Bool[Tensor, " b"]:
-        """Where the criterion is defined."""
-        return self.asked & ~torch.isnan(self.given) if self.rule & NAN_IS_UNASKED else self.asked
-
-    @property
-    def margin(self) -> Float32[Tensor, " b"]:
-        """m, NaN where not evaluated."""
-        return (
-            self.given
-            if self.rule == GIVEN
-            else torch.where(self.evaluated, self._number, torch.nan)
-        )
-
-    @property
-    def passed(self) -> Bool[Tensor, " b"]:
-        """False where not evaluated, and where the margin is NaN although it is."""
-        if self.rule == GIVEN:
-            return self.given_passed
-        # NaN compares False both ways: a row whose margin was never computed cannot pass
-        return (
-            (self._number >= 0) if self.rule & TOUCHING_PASSES else (self._number > 0)
-        ) & self.evaluated
-
-    @property
-    def _number(self) -> Float32[Tensor, " b"]:
-        """The margin, also where nobody asks for it."""
-        return self.limit - self.given if self.rule & WITHIN else self.given - self.limit
+        passed = (margin >= 0) if touching_passes else (margin > 0)
+        return Criterion(torch.where(evaluated, margin, torch.nan), passed & evaluated, evaluated)
 
 
 def stability(grasp: Grasp, active: Bool[Tensor, " b"]) -> Criterion:
@@ -200,7 +136,7 @@ def reach(
         threads=threads,
         chunk=64,
     )
-    return Criterion.of(distance, active, touching_passes=True, within_m=thresholds.reach_radius_m)
+    return Criterion.of(thresholds.reach_radius_m - distance, active, touching_passes=True)
 
 
 def affordance(
@@ -228,7 +164,7 @@ def affordance(
         known=True,
         threads=threads,
     )
-    return Criterion.of(distance, active, touching_passes=False, nan_is_unasked=True)
+    return Criterion.of(distance, active & ~torch.isnan(distance), touching_passes=False)
 
 
 def squeezed(grasp: Grasp, thresholds: Thresholds) -> Float32[Tensor, " b"]:
@@ -306,9 +242,6 @@ def safe(
     # taken less that
     defined = active & (executed.length > 0)
     criterion = Criterion.of(
-        distance - executed.slack_m,
-        defined,
-        touching_passes=False,
-        beyond_m=thresholds.safe_margin_m,
+        distance - executed.slack_m - thresholds.safe_margin_m, defined, touching_passes=False
     )
     return criterion, Touch(torch.where(defined, body, -1), segment, fraction, point)

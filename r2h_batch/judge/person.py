@@ -99,9 +99,7 @@ def with_body(
     `distance` as `Scores.body_m`: less what the motion may have been off the lines between its
     samples.
     """
-    own = Criterion.of(
-        distance, safe.evaluated, touching_passes=False, beyond_m=thresholds.safe_margin_m
-    )
+    own = Criterion.of(distance - thresholds.safe_margin_m, safe.evaluated, touching_passes=False)
     nearer: Bool[Tensor, " b"] = own.margin < safe.margin
     margin = torch.where(nearer, own.margin, safe.margin)
     point = torch.where(nearer[:, None], torch.nan, touch.point)

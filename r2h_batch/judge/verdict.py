@@ -2,7 +2,6 @@
 and witnesses."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float32, Int32, Int64
@@ -10,34 +9,15 @@ from torch import Tensor
 
 from r2h_batch.config import BORDERLINE_M, ExecConfig
 from r2h_batch.judge.goal import Goal
-from r2h_batch.judge.hold import ROWS_CHUNK, Holding
+from r2h_batch.judge.hold import Holding
 from r2h_batch.judge.metrics import Criterion, Touch
 from r2h_batch.judge.plan import Plan
 from r2h_batch.judge.presented import Presented
-from r2h_batch.kernels.judge import verdict as verdict_kernels
-from r2h_batch.launch import launch_trials
 from r2h_batch.motion.execute import Executed, executed_time_at
 from r2h_batch.motion.time_law import Motion, time_at
-from r2h_batch.types import CRITERIA, CollidingPair, PlanReason, Scores
+from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
 
-__all__ = ["Posed", "motion_scores", "pose_scores", "random_key", "verdict"]
-
-
-@dataclass(frozen=True)
-class Posed:
-    """What B poses were found to be without a path; `shared` from `verdict`."""
-
-    shared: dict[str, Tensor]
-    goal: Goal
-    safe_body: Int32[Tensor, " b"]
-    safe_point: Float32[Tensor, "b 3"]
-    body_m: Float32[Tensor, " b"]
-
-    def clone(self) -> "Posed":
-        """The same in memory of its own, as far as `pose_scores` would hand it on as it is."""
-        goal = replace(self.goal, q=self.goal.q.clone())
-        shared = {name: x.clone() for name, x in self.shared.items()}
-        return Posed(shared, goal, self.safe_body, self.safe_point.clone(), self.body_m.clone())
+__all__ = ["motion_scores", "pose_scores", "random_key", "verdict"]
 
 
 def verdict(
@@ -46,82 +26,42 @@ def verdict(
     slip_m: Float32[Tensor, " b"],
     shown: Presented,
     valid: Bool[Tensor, " b"] | None = None,
-    *,
-    threads: int | None = None,
 ) -> dict[str, Tensor]:
     """The fields of `Scores` that need neither path nor posture; `criteria` in the order of
     `CRITERIA`.
 
-    `valid`: False where the simulator failed. Such a row is judged by nothing, and comes back as
-    INVALID_SIM.
+    The outcome is the first criterion that was evaluated and failed. `valid`: False where the
+    simulator failed; such a row is judged by nothing and is INVALID_SIM. A row that is not active
+    is INVALID_INPUT.
     """
     active, grasp = holding.active, holding.grasp
-    b, device = len(active), active.device
-    # (B,) and (B, 5), columns as CRITERIA
-    success, borderline = torch.empty((2, b), dtype=torch.bool, device=device).unbind(0)
-    passed, evaluated = torch.empty((2, b, len(criteria)), dtype=torch.bool, device=device).unbind(
-        0
-    )
-    width, opening, shift = torch.empty((3, b), dtype=torch.float32, device=device).unbind(0)
-    out = {
-        "outcome": torch.empty(b, dtype=torch.int8, device=device),
-        "success": success,
-        "borderline": borderline,
+    margin = torch.stack([c.margin for c in criteria], 1)  # (B, C), as the two below
+    passed = torch.stack([c.passed for c in criteria], 1)
+    evaluated = torch.stack([c.evaluated for c in criteria], 1)
+    if valid is not None:
+        margin = torch.where(valid[:, None], margin, torch.nan)
+        passed, evaluated = passed & valid[:, None], evaluated & valid[:, None]
+    failed = evaluated & ~passed
+    first = failed.to(torch.int8).argmax(1) + 1  # of equal values argmax is the first
+    outcome = torch.where(failed.any(1), first, int(Outcome.SUCCESS))
+    if valid is not None:
+        outcome = torch.where(valid, outcome, int(Outcome.INVALID_SIM))
+    outcome = torch.where(active, outcome, int(Outcome.INVALID_INPUT)).to(torch.int8)
+    return {
+        "outcome": outcome,
+        "success": outcome == int(Outcome.SUCCESS),
         "passed": passed,
         "evaluated": evaluated,
-        "margin": torch.empty((b, len(criteria)), dtype=torch.float32, device=device),
-        "width_m": width,
-        "opening_m": opening,
-        "shift_m": shift,
-    }
-    launch_trials(
-        verdict_kernels.judge_rows,
-        b,
-        inputs={
-            "borderline_m": BORDERLINE_M,
-            "simulated": int(valid is not None),
-            **_columns(criteria),
-            "active": active,
-            "valid": active if valid is None else valid,
-            "width": grasp.width_m,
-            "opening": grasp.opening_m,
-            "shift": grasp.shift_m,
-        },
-        outputs=out,
-        device=str(device),
-        threads=threads,
-        chunk=ROWS_CHUNK,
-    )
-    out["grasp_shift_m"] = out.pop("shift_m")
-    out |= {
+        "margin": margin,
+        "borderline": (evaluated & (margin.abs() < BORDERLINE_M)).any(1),
+        "width_m": torch.where(active, grasp.width_m, torch.nan),
+        "opening_m": torch.where(active, grasp.opening_m, torch.nan),
+        "grasp_shift_m": torch.where(active, grasp.shift_m, torch.nan),
         "slip_m": slip_m,
         "presented": shown.presented,
         "presented_angle_deg": shown.angle_deg,
         "presented_distance_m": shown.distance_m,
     }
-    return out
-
-
-_COLUMNS = tuple(
-    (f"margin_{k}", f"passed_{k}", f"evaluated_{k}", f"limit_{k}") for k in range(len(CRITERIA))
-)
-
-
-def _columns(criteria: Sequence[Criterion]) -> dict[str, Tensor | float]:
-    """What `judge_rows` reads of the criteria: their numbers as they were given, and the rules to
-    read them by."""
-    columns: dict[str, Tensor | float] = {}
-    for (margin, passed, evaluated, limit), c in zip(_COLUMNS, criteria, strict=True):
-        columns[margin], columns[passed], columns[evaluated], columns[limit] = (
-            c.given,
-            c.given_passed,
-            c.asked,
-            c.limit,
-        )
-    columns["rules"] = sum(
-        c.rule << (int(verdict_kernels.RULE_BITS) * k) for k, c in enumerate(criteria)
-    )
-    return columns
 
 
 def motion_scores(
@@ -173,20 +113,26 @@ def motion_scores(
     )
 
 
-def pose_scores(trial_id: Int64[Tensor, " b"], posed: Posed) -> Scores:
-    """`Scores` of poses that were judged without a path."""
-    goal = posed.goal
+def pose_scores(
+    trial_id: Int64[Tensor, " b"],
+    shared: dict[str, Tensor],
+    goal: Goal,
+    touch: Touch,
+    *,
+    body_m: Float32[Tensor, " b"],
+) -> Scores:
+    """`Scores` of poses that were judged without a path; `shared` from `verdict`."""
     nan, zero = torch.full_like(goal.clearance_m, torch.nan), torch.zeros_like(goal.reason)
     none = torch.empty((len(nan), 0, 6), dtype=torch.float32, device=nan.device)
     nothing = none[:, :, 0]
     return Scores(
         trial_id=trial_id,
-        **posed.shared,
+        **shared,
         plan_reason=goal.reason.to(torch.int8),
         plan_pair=goal.pair.to(torch.int8),
-        witness_part=torch.stack([goal.body, posed.safe_body], 1),
+        witness_part=torch.stack([goal.body, touch.body], 1),
         witness_time_s=nan,
-        witness_point=posed.safe_point,
+        witness_point=touch.point,
         t_plan_s=nan,
         t_exec_s=nan,
         q_goal=goal.q,
@@ -196,7 +142,7 @@ def pose_scores(trial_id: Int64[Tensor, " b"], posed: Posed) -> Scores:
         motion=none,
         motion_len=zero.clone(),
         failed_state=nothing.double(),
-        body_m=posed.body_m,
+        body_m=body_m,
     )
 
 

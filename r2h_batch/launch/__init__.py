@@ -13,7 +13,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from r2h_batch.launch import recorded, repeated
+from r2h_batch.launch import repeated
 from r2h_batch.launch.arguments import bind
 from r2h_batch.launch.workers import cpu_threads, share, thread_pool
 
@@ -162,8 +162,7 @@ def _launch_on_cpu(
     """`launch_trials` on all cores, with what this thread packed for the kernel before
     (repeated.py)."""
     repeated.refuse_graph(kernel.key)
-    recording = recorded.current()
-    packed = repeated.taken(kernel) if recording is None else None
+    packed = repeated.taken(kernel)
     if packed is None or not packed.refill(inputs, outputs, first + n):
         args = [first, *bind(kernel, inputs, outputs, "cpu", trials=first + n)]
         if n == 0:
@@ -182,10 +181,7 @@ def _launch_on_cpu(
         )
     elif n:  # nothing to share
         packed.run(0, first, n, width)
-    if recording is None:
-        repeated.kept(packed)
-    else:
-        recording.add(packed, first, n, width, (inputs, outputs))
+    repeated.kept(packed)
 
 
 def load(kernel: Any, device: str) -> None:

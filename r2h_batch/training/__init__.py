@@ -1,1 +1,1 @@
-"""Gradients, torch.compile, captured calls, calls that come back in one size."""
+"""Gradients, torch.compile, captured calls."""
