@@ -10,7 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from r2h_batch.compare.shipped import FOLDERS
+from r2h_batch.compare.command import FOLDERS
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.options import METHODS
 

@@ -147,8 +147,7 @@ def sweep(folder: Path, trials: int, noise: float, more: list[str]) -> list[str]
 
 def write(folder: Path, out: Path, name: str, title: str, line: list[str]) -> None:
     """The table of a run folder as .md, .csv and .json."""
-    from r2h_batch.report.objects import object_lines
-    from r2h_batch.report.table import render, table_of
+    from r2h_batch.report.table import object_lines, render, table_of
     from r2h_batch.runs.store import load_run
 
     run = load_run(folder)

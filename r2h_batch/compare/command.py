@@ -3,17 +3,30 @@ there is work."""
 
 import contextlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
 from r2h_batch.command_line import call, check_seed, refuse, tell
-from r2h_batch.compare.shipped import BASELINES, FOLDERS, baselines_for
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
+
+BASELINES = "baselines"
+"""The word for the shipped rows of all built-in methods: `compare runs/mine baselines`."""
+
+FOLDERS = tuple(Path(__file__).parent / name for name in (BASELINES, "baselines_as_planned"))
+"""The shipped run folders, 500 trials of each split: moved by MuJoCo C (with poses), and with
+`--sim none`. `make baselines` scores them again."""
+
+
+def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
+    """The shipped run that the same engine moved as the run of this run.json; without one, the
+    simulated run."""
+    execute = (header or {}).get("configuration", {}).get("execute") or {}
+    return FOLDERS[execute.get("sim") == "none"]
 
 
 def run(
@@ -27,10 +40,9 @@ def run(
     """Compare all methods of run folders on the trials that they share.
 
     Args:
-        runs: run folders, as `python -m r2h_batch.sweep --out` writes them; one with several
-        methods is enough. baselines: the
-            built-in methods' rows, which ship with the package. Runs of different size are compared
-            where they overlap.
+        runs: run folders, as `r2h-batch sweep --out` writes them; one with several methods is
+            enough. The word baselines stands for the built-in methods' rows, which ship with the
+            package. Runs of different size are compared on the trials that they share.
         seed: of the bootstrap.
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
@@ -69,7 +81,7 @@ def run(
 
 
 def _is_shipped(folder: Path) -> bool:
-    """Whether the word for the shipped baselines is meant, and no folder of that name is here."""
+    """Whether this is the word for the shipped baselines: a folder of that name comes first."""
     return str(folder) == BASELINES and not folder.exists()
 
 
@@ -80,12 +92,12 @@ def _chosen(runs: "list[Run]", words: Sequence[str]) -> "list[Run]":
     kept: list[Run] = []
     known: set[str] = set()
     for stored in runs:
-        mine = []
+        names = []
         for word in words:
             with contextlib.suppress(RunError):
-                mine.append(stored.named(word))
+                names.append(stored.named(word))
                 known.add(word)
-        kept += [stored.only(mine)] if mine else []
+        kept += [stored.only(names)] if names else []
     for word in words:
         if word not in known:
             runs[0].named(word)

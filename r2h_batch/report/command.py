@@ -65,7 +65,7 @@ def _text(
 
         return page(stored, gallery() if gallery else None)
     if by_object:
-        from r2h_batch.report.objects import object_lines
+        from r2h_batch.report.table import object_lines
 
         return object_lines(stored, fmt)
     from r2h_batch.report.table import render, table_of

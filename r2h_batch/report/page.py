@@ -1,8 +1,7 @@
-"""A run as one HTML page that needs no network: who is better, on which objects, why not, and every
-trial to search.
+"""A run as one HTML page that needs no network: which method is better, on which objects, why trials
+fail, and a search over the trials.
 
-jinja2 writes the page (page.html, escaping whatever comes from files), matplotlib draws
-(figures.py).
+jinja2 fills page.html and escapes all text that comes from files; matplotlib draws (figures.py).
 """
 
 import json
@@ -12,8 +11,16 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.report import figures
-from r2h_batch.report.cells import BEST_NOTE, FOOTNOTES, HEADINGS, Table, best_cells, cell
-from r2h_batch.report.table import table_of
+from r2h_batch.report.table import (
+    BEST_NOTE,
+    FOOTNOTES,
+    HEADINGS,
+    Table,
+    best_cells,
+    cell,
+    invalid,
+    table_of,
+)
 from r2h_batch.report.text import NA, short_names
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
@@ -24,8 +31,8 @@ from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA
 
 TRIALS_SHOWN = 20_000
-"""Trials of all methods together that a page carries; above, the first of each outcome stand for
-the others."""
+"""Trials of all methods together that a page holds. Of a larger run it holds the first trials of
+each outcome."""
 
 MARKS = {
     "better": "\u25b2",
@@ -38,8 +45,15 @@ MARKS = {
 
 
 def page(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = None) -> str:
-    """The page as text; `gallery`: method -> pictures with `src`, `alt`, `caption` and perhaps
-    `href`."""
+    """The page as text.
+
+    Args:
+        run: what `load_run` gives.
+        gallery: method -> pictures with `src`, `alt`, `caption` and perhaps `href`.
+
+    Raises:
+        ValueError: if matplotlib is missing.
+    """
     import jinja2
 
     figures.needs_matplotlib()
@@ -74,57 +88,49 @@ def page(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = N
     )
 
 
-def _split_rows(table: Table, method: str) -> list[Row]:
-    return [row for row in table.rows if row.method == method]
-
-
 def _bars(table: Table, method: str) -> list[tuple[str, Mapping[str, int]]]:
-    return [(row.split, row.counts) for row in _split_rows(table, method) if row.split != "Avg"]
+    rows = [row for row in table.rows if row.method == method and row.split != "Avg"]
+    return [(row.split, row.counts) for row in rows]
 
 
 def _used(table: Table) -> list[str]:
     return [o for o in OUTCOME_NAMES if any(row.counts[o] for row in table.rows)]
 
 
-def _rate(row: Row | None, column: str, best: bool = False) -> dict[str, Any]:
-    rate = None if row is None else row.rates[column]
+def _cell(text: str, value: float | None, low: str = "", high: str = "", best: bool = False) -> Any:
+    """A cell as page.html writes it; it sorts by `value`, and cells without one come first."""
+    value = -1 if value is None else value
+    return {"text": text, "value": value, "low": low, "high": high, "best": best}
+
+
+def _rate(row: Row | None, column: str, best: bool = False) -> Any:
+    rate = row.rates[column] if row else None
     if rate is None:
-        return {"text": NA, "value": -1, "low": "", "high": "", "best": False}
-    return {
-        "text": f"{rate.percent:.1f}",
-        "value": round(rate.percent, 4),
-        "low": f"{rate.low:.1f}",
-        "high": f"{rate.high:.1f}",
-        "best": best,
-    }
+        return _cell(NA, None)
+    low, high = f"{rate.low:.1f}", f"{rate.high:.1f}"
+    return _cell(f"{rate.percent:.1f}", round(rate.percent, 4), low, high, best)
 
 
 def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, Any]]:
-    """A line a method: SR of each split with its interval, the rank among new objects, the last
-    split's failures."""
+    """A line for each method: SR of each split with its interval, the rank on new objects, the
+    failures and T_exec of the last row (Avg, or the only split)."""
     best = best_cells(table)
     lines = []
     for method in dict.fromkeys(row.method for row in table.rows):
-        rows = _split_rows(table, method)
-        last = rows[-1]
-        lines.append(
-            {
-                "method": method,
-                "sr": [_rate(r, "sr", (r.split, method, "sr") in best) for r in rows],
-                "rank": _rank(compared[-1], method) if compared else None,
-                "failures": [_rate(last, c) for c in FAILURES],
-                "t_exec": {
-                    "text": cell(last, "t_exec_s"),
-                    "value": last.times["t_exec_s"].value or -1,
-                },
-            }
-        )
+        rows = [row for row in table.rows if row.method == method]
+        line = {
+            "method": method,
+            "sr": [_rate(r, "sr", (r.split, method, "sr") in best) for r in rows],
+            "rank": _rank(compared[-1], method) if compared else None,
+            "failures": [_rate(rows[-1], c) for c in FAILURES],
+            "t_exec": _cell(cell(rows[-1], "t_exec_s"), rows[-1].times["t_exec_s"].value or None),
+        }
+        lines.append(line)
     return lines
 
 
 def _rank(c: Comparison, method: str) -> dict[str, Any]:
-    """The mean rank over objects drawn again, and the ranks that hold at least one draw in
-    twenty."""
+    """The mean rank over the bootstrap's draws, and the ranks of at least one draw in twenty."""
     share = None if c.rank is None else c.rank[c.names.index(method)]
     if share is None:
         return {"text": NA, "value": len(c.names)}
@@ -136,23 +142,18 @@ def _rank(c: Comparison, method: str) -> dict[str, Any]:
 
 
 def _matrix(c: Comparison) -> dict[str, Any]:
-    """Who is better than whom: a sign and words for each ordered pair of methods."""
-    turned = {
-        "better": "worse",
-        "better here": "worse here",
-        "worse": "better",
-        "worse here": "better here",
-    }
+    """A sign and a sentence for each ordered pair of methods."""
+    opposite = dict(zip(MARKS, reversed(MARKS)))
     words = {}
     for p in c.pairs:
-        ends = (
-            ""
-            if p.low is None or p.high is None
-            else f", 95 % for new objects {p.low:+.1f} to {p.high:+.1f}"
+        known = p.low is not None and p.high is not None
+        ends = f", 95 % for new objects {p.low:+.1f} to {p.high:+.1f}" if known else ""
+        sentence = (
+            f"{p.a} is {p.verdict}: {p.difference:+.1f} points{ends}; "
+            f"only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p.p_holm:.2g}"
         )
-        said = f"{p.difference:+.1f} points{ends}; only {p.a} {p.only_a}, only {p.b} {p.only_b}; Holm p {p.p_holm:.2g}"
-        words[p.a, p.b] = (MARKS[p.verdict], f"{p.a} is {p.verdict}: {said}")
-        words[p.b, p.a] = (MARKS[turned.get(p.verdict, "tied")], f"{p.a} is {p.verdict}: {said}")
+        words[p.a, p.b] = (MARKS[p.verdict], sentence)
+        words[p.b, p.a] = (MARKS[opposite[p.verdict]], sentence)
     lines = [(a, [words.get((a, b), ("", "")) for b in c.names]) for a in c.names]
     return {"group": c.group, "n": c.n, "names": c.names, "lines": lines}
 
@@ -176,31 +177,20 @@ def _heat(counted: Sequence[Tally], methods: Sequence[str]) -> list[dict[str, An
 
 def _margins(run: Run, short: Mapping[str, str]) -> list[str]:
     found = {m: breakdown.margin_histograms(run, m) for m in run.methods}
-    drawn = (
-        figures.ridges(
-            c.capitalize(),
-            {short[m]: h[c] for m, h in found.items()},
-            scale=1000,
-            unit="mm",
-            zero=True,
-        )
-        for c in CRITERIA
-    )
+    drawn = []
+    for c in CRITERIA:
+        own = {short[m]: h[c] for m, h in found.items()}
+        drawn.append(figures.ridges(c.capitalize(), own, scale=1000, unit="mm", zero=True))
     return [figure for figure in drawn if figure]
 
 
 def _times(run: Run, short: Mapping[str, str]) -> str:
     found = breakdown.time_histograms(run, "t_exec_s")
-    return (
-        figures.ridges("T_exec", {short[m]: h for m, h in found.items()}, scale=1.0, unit="s")
-        if found
-        else ""
-    )
+    return figures.ridges("T_exec", {short[m]: h for m, h in found.items()}, scale=1.0, unit="s")
 
 
 def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dict[str, Any]]:
-    """The pairs of criteria that some trial of a method fails together, and nothing where there is
-    none."""
+    """The pairs of criteria that at least one trial of a method fails together."""
     lines = []
     for t in counted:
         found = breakdown.co_failures(t)
@@ -213,30 +203,22 @@ def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dic
 
 
 def _table(table: Table) -> list[dict[str, Any]]:
-    """Every cell of Table I, with intervals where there are some."""
+    """Every cell of Table I, rates with their intervals."""
     best = best_cells(table)
     lines = []
     for row in table.rows:
-        cells = []
-        for column in HEADINGS:
-            if column in RATES:
-                cells.append(_rate(row, column, (row.split, row.method, column) in best))
-            else:
-                value = row.times[column].value
-                cells.append(
-                    {
-                        "text": cell(row, column),
-                        "value": -1 if value is None else value,
-                        "low": "",
-                        "best": False,
-                    }
-                )
+        cells = [
+            _rate(row, c, (row.split, row.method, c) in best)
+            if c in RATES
+            else _cell(cell(row, c), row.times[c].value)
+            for c in HEADINGS
+        ]
         new = row.sr_new_objects
         more = {
             "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
             "presented": f"{row.presented.percent:.1f}" if row.presented else NA,
             "n": row.n,
-            "invalid": row.counts["invalid_input"] + row.counts["invalid_sim"],
+            "invalid": invalid(row),
             "missing": row.counts["missing"],
         }
         lines.append({"split": row.split, "method": row.method, "cells": cells, **more})
@@ -244,8 +226,8 @@ def _table(table: Table) -> list[dict[str, Any]]:
 
 
 def _trials(run: Run) -> dict[str, Any]:
-    """The trials as columns of one JSON block, which the page's script filters; `notes` say which
-    methods are cut."""
+    """The trials as columns of one JSON block, which the page's script filters; the notes name the
+    methods of which it holds a part."""
     each = max(1, TRIALS_SHOWN // len(run.methods))
     data: dict[str, Any] = {"columns": list(breakdown.SHOWN), "methods": {}}
     notes = []
@@ -254,7 +236,7 @@ def _trials(run: Run) -> dict[str, Any]:
         data["methods"][method] = [_column(table[c].to_pylist()) for c in breakdown.SHOWN]
         if len(table) < total:
             notes.append(f"{method}: {len(table)} of {total} trials, the first of each outcome.")
-    # a "</script>" in a method's name would end the block
+    # "<" is escaped because a "</script>" in a method's name would end the block
     block = json.dumps(data, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return {"block": block, "notes": notes}
 
@@ -265,20 +247,10 @@ def _column(values: list[Any]) -> list[Any]:
     return values
 
 
-SAID = (
-    *(
-        "protocol",
-        "trials",
-        "seed",
-        "configuration",
-        "digests",
-        "objects",
-        "versions",
-        "device",
-        "platform",
-    ),
-    *("git_commit", "command", "created", "stored", "shard_trials", "hash"),
-)
+FACTS = (
+    "protocol", "trials", "seed", "configuration", "digests", "objects", "versions", "device", "platform",
+    "git_commit", "command", "created", "stored", "shard_trials", "hash",
+)  # fmt: skip
 """Fields of run.json in the order in which a page shows them."""
 
 
@@ -294,6 +266,6 @@ def _facts(header: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         else:
             yield prefix, " ".join(map(str, value)) if isinstance(value, list) else str(value)
 
-    for key in SAID:
+    for key in FACTS:
         if header.get(key) is not None:
             yield from walk(key, header[key])

@@ -1,39 +1,100 @@
-"""Table I as text: Markdown, LaTeX, CSV or JSON from the rows of `aggregate.summarise`. Formatting
-only."""
+"""Table I of a run: its columns and notes, and the text of it as Markdown, LaTeX, CSV or JSON; also
+object by object."""
 
-import csv
-import io
-import json
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import floor, log10
 from typing import Any
 
-from r2h_batch.io.write import csv_cell
-from r2h_batch.report.cells import FOOTNOTES, HEADINGS, Table, cell, interval, invalid
-from r2h_batch.report.latex_tables import main_table
-from r2h_batch.report.text import NA, aligned, legend, plain, short_names, wrapped
+from r2h_batch.report.text import (
+    NA,
+    aligned,
+    csv_text,
+    json_text,
+    legend,
+    notes_list,
+    plain,
+    short_names,
+    tex,
+    tex_cell,
+    tex_comments,
+    tex_number,
+    tex_table,
+)
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import RATES, TIMES, Row, summarise
+from r2h_batch.statistics.aggregate import FAILURES, RATES, TIMES, Mean, Rate, Row, summarise
 from r2h_batch.statistics.tally import Tally, tally
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, SPLITS
 
 FORMATS = ("md", "latex", "csv", "json")
+
+HEADINGS = {
+    "sr": "SR",
+    "t_plan_s": "T_plan",
+    "t_exec_s": "T_exec",
+    "t_tot_s": "T_tot",
+    **{rate: entry.heading for rate, entry in FAILURES.items()},
+}
+"""Table I's columns in its order."""
+
+_SKIPPED = " and ".join(
+    f"{split}'s {entry.heading}"
+    for split in SPLITS
+    for entry in FAILURES.values()
+    if split not in entry.splits
+)
+
+FOOTNOTES = (
+    "SR and F_*: percent of all N planned trials of the split; a trial counts once, at its first failure in the order"
+    f" {', '.join(name.capitalize() for name in CRITERIA)}. With invalid and missing they add up to 100.",
+    "T_plan: mean over the trials in which planning ran, amortised (batch wall time / B), without the method's own"
+    " time; T_exec: mean over the trials whose arm came to rest at its goal; T_tot = T_plan + T_exec; the counts are in"
+    " the last table.",
+    f"Avg: mean of the two splits, {_SKIPPED} (not evaluated) taken as 0.",
+    "Presented: percent of S1's trials, failed ones too, whose receiver's region faces the palm (seen from the TCP, 90 degrees"
+    " at most) and lies within the ball's radius of c_h; no part of SR.",
+    "Intervals: 95 %. Wilson speaks about more trials with these objects; the object-clustered t interval about new"
+    " objects of the same kind.",
+)
+
+BEST_NOTE = (
+    "Bold: best rate of the split; all methods were asked the same trials. It does not say that the difference is more than"
+    " chance: r2h-batch compare does. Times of a machine, and means over the trials that moved, are never best."
+)
+
+
+@dataclass(frozen=True)
+class Table:
+    """What a report shows.
+
+    Attributes:
+        rows: lines of the table in order.
+        origin: where the rows come from: protocol, digest, preset, device, ...
+        folder: of the run, for the commands that the report names; empty: it names none.
+    """
+
+    rows: tuple[Row, ...]
+    origin: Mapping[str, str]
+    folder: str = ""
 
 
 def table_of(
     run: Run, order: Sequence[str] = CRITERIA, counted: Sequence[Tally] | None = None
 ) -> Table:
-    """The table of every complete method of a run folder, first failures looked for in `order`.
+    """The table of every complete method of a run folder.
 
-    `counted`: these methods' trials, where they were counted already.
+    Args:
+        run: what `load_run` gives.
+        order: of the criteria, in which the first failure is looked for.
+        counted: these methods' trials, if they were counted before.
     """
     header = run.header
-    rows = [tally(run, method) for method in run.methods] if counted is None else list(counted)
-    if tuple(order) != CRITERIA:
-        rows = [breakdown.in_order(v, order) for v in rows]
+    tallies = [tally(run, method) for method in run.methods] if counted is None else counted
+    configuration = header["configuration"]
     origin = {
-        "preset": str(header["configuration"].get("name", "custom")),
+        "preset": str(configuration.get("name", "custom")),
         "protocol": str(header["protocol"]),
         "trials": ", ".join(f"{n} {split}" for split, n in header["trials"].items()),
         "trials digest": str(header["digests"]["trials"]),
@@ -41,100 +102,152 @@ def table_of(
         "r2h_batch": str(header["versions"]["r2h_batch"]),
     }
     if flags := (header.get("benchmark") or {}).get("flags"):
-        origin["benchmark"] = (
-            f"{' '.join(flags)}, digest {header['digests'].get('benchmark', 'unknown')}"
-        )
+        digest = header["digests"].get("benchmark", "unknown")
+        origin["benchmark"] = f"{' '.join(flags)}, digest {digest}"
     if "motion" in header:
         origin["motion"] = str(header["motion"]["engine"]).replace("none", "as planned")
     if "predictors" in header:
         origin["predictor noise"] = f"{header['predictors']['noise_factor']:g}"
-    # what methods and planner know, where it is not as everywhere else
-    said = header["configuration"]
-    if (said.get("plan") or {}).get("hand", "true") != "true":
-        origin["paths planned against"] = f"the {said['plan']['hand']} hand"
-    if said.get("candidates", "filtered") != "filtered":
-        origin["grasp candidates"] = str(said["candidates"]).replace("-", " ")
+    # what methods and planner know, where it differs from the default
+    if (hand := (configuration.get("plan") or {}).get("hand", "true")) != "true":
+        origin["paths planned against"] = f"the {hand} hand"
+    if (candidates := configuration.get("candidates", "filtered")) != "filtered":
+        origin["grasp candidates"] = str(candidates).replace("-", " ")
     if tuple(order) != CRITERIA:
+        tallies = [breakdown.in_order(t, order) for t in tallies]
         origin["order of criteria"] = ", ".join(order)
-    return Table(summarise(rows), origin, str(run.folder))
+    return Table(summarise(tallies), origin, str(run.folder))
 
 
 def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False) -> str:
-    """The table as text that ends in a newline; `fmt` is one of `FORMATS`.
+    """The table as text that ends in a newline.
 
-    LaTeX for 1 or 2 `columns` of a page, with 95 % `intervals` where they are asked for; the other
-    formats have them anyway.
+    Args:
+        table: what `table_of` gives.
+        fmt: one of `FORMATS`.
+        columns: LaTeX: all of Table I over both columns of a page (2), or SR alone in one (1).
+        intervals: LaTeX: 95 % intervals below the rates. The other formats always have them.
+
+    Raises:
+        ValueError: if there is no such format or number of columns.
     """
+    if fmt == "md":
+        return _md(table)
     if fmt == "latex":
-        return main_table(table, columns=columns, intervals=intervals)
-    writers: dict[str, Callable[[Table], str]] = {"md": _md, "csv": _csv, "json": _json}
-    if fmt not in writers:
-        raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
-    return writers[fmt](table)
+        return _latex(table, columns, intervals)
+    if fmt == "csv":
+        origin = {k.replace(" ", "_"): v for k, v in table.origin.items()}
+        return csv_text([record(row) | origin for row in table.rows])
+    if fmt == "json":
+        rows = list(map(record, table.rows))
+        return json_text(
+            {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": FOOTNOTES}
+        )
+    raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
+
+
+def cell(row: Row, column: str) -> str:
+    """One cell of Table I: rates with one decimal, seconds with two or more."""
+    if column in TIMES:
+        return _seconds(row.times[column])
+    rate = row.rates[column]
+    return NA if rate is None else f"{rate.percent:.1f}"
+
+
+def _seconds(mean: Mean) -> str:
+    """Two decimals, or two digits below 0.1 s: amortised planning takes less than a millisecond."""
+    if mean.value is None:
+        return NA
+    decimals = 2 if mean.value >= 0.1 or mean.value == 0 else 1 - floor(log10(mean.value))
+    return f"{mean.value:.{decimals}f}"
+
+
+def invalid(row: Row) -> int:
+    """Trials of a line that could not be judged."""
+    return row.counts["invalid_input"] + row.counts["invalid_sim"]
+
+
+def interval(rate: Rate | None) -> str:
+    """`LOW-HIGH` in percent."""
+    return NA if rate is None else f"{rate.low:.1f}-{rate.high:.1f}"
+
+
+def best_cells(table: Table) -> set[tuple[str, str, str]]:
+    """Which cells are bold.
+
+    Only rates can be: all methods were asked the same trials. T_plan depends on the machine, and
+    T_exec is a mean over the trials that moved.
+
+    Returns:
+        (split, method, column) of the best printed rate of each split, ties included; none where
+        all are equal.
+    """
+    best = set()
+    for split in dict.fromkeys(row.split for row in table.rows):
+        rows = [row for row in table.rows if row.split == split]
+        for column in (c for c in HEADINGS if c in RATES):
+            printed = {r.method: cell(r, column) for r in rows}
+            values = {method: float(text) for method, text in printed.items() if text != NA}
+            if len(set(values.values())) > 1:
+                top = (max if column == "sr" else min)(values.values())
+                best |= {(split, method, column) for method, v in values.items() if v == top}
+    return best
+
+
+def _share(rate: Rate | None) -> list[str]:
+    return [f"{rate.percent:.1f}", interval(rate), str(rate.total)] if rate else []
+
+
+def _counts(row: Row) -> list[str]:
+    n_plan, n_exec = row.times["t_plan_s"].count, row.times["t_exec_s"].count
+    cells = [row.n, interval(row.sr_new_objects), n_plan, n_exec, cell(row, "t_method_s")]
+    return [*map(str, cells), str(invalid(row)), str(row.counts["missing"])]
 
 
 def _md(table: Table) -> str:
     rates = [c for c in HEADINGS if c in RATES]
     short = short_names([row.method for row in table.rows])
-    names = [(row.split, plain(short[row.method])) for row in table.rows]
-    main = [[*n, *(cell(row, c) for c in HEADINGS)] for n, row in zip(names, table.rows)]
-    ends = [[*n, *(interval(row.rates[c]) for c in rates)] for n, row in zip(names, table.rows)]
-    counts = [
-        [
-            *n,
-            str(row.n),
-            interval(row.sr_new_objects),
-            str(row.times["t_plan_s"].count),
-            str(row.times["t_exec_s"].count),
-            cell(row, "t_method_s"),
-            str(invalid(row)),
-            str(row.counts["missing"]),
-        ]
-        for n, row in zip(names, table.rows)
-    ]
-    others = ("N", "SR new obj.", "n T_plan", "n T_exec", "T_method", "invalid", "missing")
-    shown = [
-        [*n, f"{row.presented.percent:.1f}", interval(row.presented), str(row.presented.total)]
-        for n, row in zip(names, table.rows)
-        if row.presented
-    ]
-    met = [
-        [*n, f"{row.body_met.percent:.1f}", interval(row.body_met), str(row.body_met.total)]
-        for n, row in zip(names, table.rows)
-        if row.body_met
-    ]
-    parts = [
-        "  \n".join(f"{key}: {value}" for key, value in table.origin.items()),
-        "Rates in percent, times in seconds.",
-        aligned(["Split", "Method", *HEADINGS.values()], main, 2),
-        "Wilson 95 % intervals of the rates.",
-        aligned(["Split", "Method", *(HEADINGS[c] for c in rates)], ends, 2),
-        "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial.",
-        aligned(["Split", "Method", *others], counts, 2),
-        *(
-            [
-                "Presented (not in SR).",
-                aligned(["Split", "Method", "Presented", "95 %", "of"], shown, 2),
-            ]
-            if shown
-            else []
+    sections: list[tuple[str, Sequence[str], Callable[[Row], list[str]]]] = [
+        (
+            "Rates in percent, times in seconds.",
+            [*HEADINGS.values()],
+            lambda row: [cell(row, c) for c in HEADINGS],
         ),
-        *(
-            [
-                "Motions that meet the receiver's arm or torso (in Safe with --receiver body only).",
-                aligned(["Split", "Method", "Body met", "95 %", "of"], met, 2),
-            ]
-            if met
-            else []
+        (
+            "Wilson 95 % intervals of the rates.",
+            [HEADINGS[c] for c in rates],
+            lambda row: [interval(row.rates[c]) for c in rates],
         ),
-        "\n".join(wrapped(note) for note in [*map(plain, legend(short)), *FOOTNOTES]),
-        *([next_commands(table)] if table.folder else []),
+        (
+            "Counts, the object-clustered 95 % interval of SR, and T_method, the method's own time per trial.",
+            ["N", "SR new obj.", "n T_plan", "n T_exec", "T_method", "invalid", "missing"],
+            _counts,
+        ),
+        (
+            "Presented (not in SR).",
+            ["Presented", "95 %", "of"],
+            lambda row: _share(row.presented),
+        ),
+        (
+            "Motions that meet the receiver's arm or torso (in Safe with --receiver body only).",
+            ["Body met", "95 %", "of"],
+            lambda row: _share(row.body_met),
+        ),
     ]
+    parts = ["  \n".join(f"{key}: {value}" for key, value in table.origin.items())]
+    for caption, headings, cells_of in sections:
+        cells = [(row, cells_of(row)) for row in table.rows]
+        lines = [[row.split, plain(short[row.method]), *line] for row, line in cells if line]
+        if lines:
+            parts += [caption, aligned(["Split", "Method", *headings], lines, 2)]
+    parts.append(notes_list([*map(plain, legend(short)), *FOOTNOTES]))
+    if table.folder:
+        parts.append(_next_commands(table))
     return "\n\n".join(parts) + "\n"
 
 
-def next_commands(table: Table) -> str:
-    """What one asks next of this run, as commands."""
+def _next_commands(table: Table) -> str:
+    """Commands that answer the next questions about this run."""
     several = len({row.method for row in table.rows}) > 1
     lines = [
         ("compare", "" if several else " baselines", "which differences are more than chance"),
@@ -149,58 +262,162 @@ def next_commands(table: Table) -> str:
 
 def record(row: Row) -> dict[str, Any]:
     """One flat row: every number of the table under its own name, None where nothing is defined."""
-    fields: dict[str, Any] = {
-        "split": row.split,
-        "method": row.method,
-        "n": row.n,
-        "n_objects": row.n_objects,
-    }
+
+    def with_ends(name: str, rate: Rate | None) -> dict[str, float | None]:
+        percent, low, high = (rate.percent, rate.low, rate.high) if rate else (None, None, None)
+        return {name: percent, f"{name}_low": low, f"{name}_high": high}
+
+    fields: dict[str, Any] = {"split": row.split, "method": row.method}
+    fields |= {"n": row.n, "n_objects": row.n_objects}
     for name in RATES:
-        rate = row.rates[name]
-        fields |= {
-            name: rate and rate.percent,
-            f"{name}_low": rate and rate.low,
-            f"{name}_high": rate and rate.high,
-        }
-    new = row.sr_new_objects
-    fields |= {"sr_new_objects_low": new and new.low, "sr_new_objects_high": new and new.high}
-    shown = row.presented
-    fields |= {
-        "presented": shown and shown.percent,
-        "presented_low": shown and shown.low,
-        "presented_high": shown and shown.high,
-    }
-    met = row.body_met
-    fields |= {
-        "body_met": met and met.percent,
-        "body_met_low": met and met.low,
-        "body_met_high": met and met.high,
-    }
+        fields |= with_ends(name, row.rates[name])
+    fields |= with_ends("sr_new_objects", row.sr_new_objects)
+    del fields["sr_new_objects"]  # it is "sr"
+    fields |= with_ends("presented", row.presented) | with_ends("body_met", row.body_met)
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}
 
 
-def _csv(table: Table) -> str:
-    text = io.StringIO()
-    records = [
-        record(row) | {k.replace(" ", "_"): v for k, v in table.origin.items()}
+def _latex(table: Table, columns: int, intervals: bool) -> str:
+    if columns not in (1, 2):
+        raise ValueError(f"--columns is {columns}; a page has 1 or 2")
+    short = short_names([row.method for row in table.rows])
+    counts = [
+        f"{row.split} {short[row.method]}: N {row.n}, T_plan over {row.times['t_plan_s'].count}, T_exec over"
+        f" {row.times['t_exec_s'].count}, invalid {invalid(row)}, missing {row.counts['missing']}, SR of new objects"
+        f" {interval(row.sr_new_objects)}"
         for row in table.rows
     ]
-    if records:
-        writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(
-            {k: NA if v is None else csv_cell(v) for k, v in r.items()} for r in records
+    comments = tex_comments(table.origin, [*legend(short), *counts, BEST_NOTE, *FOOTNOTES])
+    write = _wide if columns == 2 else _narrow
+    return "\n".join([*comments, *write(table, short, intervals)]) + "\n"
+
+
+def _ends(row: Row | None, column: str) -> str:
+    rate = row.rates.get(column) if row else None
+    return rf"{{\scriptsize [{rate.low:.1f}, {rate.high:.1f}]}}" if rate else ""
+
+
+def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
+    best = best_cells(table)
+    groups: dict[str, list[str]] = {}
+    for row in table.rows:
+        lines = groups.setdefault(row.split, [])
+        values = [tex_cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in HEADINGS]
+        first = ["" if lines else row.split, tex(short[row.method])]
+        lines.append(" & ".join([*first, *values]) + r" \\")
+        if intervals:
+            lines.append(" & ".join(["", "", *(_ends(row, c) for c in HEADINGS)]) + r" \\[2pt]")
+    decimals = max([len(cell(r, "t_plan_s").partition(".")[2]) for r in table.rows], default=2)
+    spec = ["l", "l"]
+    for c in HEADINGS:
+        spec.append(
+            tex_number(3, 1) if c in RATES else tex_number(2, decimals if c == "t_plan_s" else 2)
         )
-    return text.getvalue()
+    times, failures = (sum(c in of for c in HEADINGS) for of in (TIMES, FAILURES))
+    first_failure = 4 + times  # the split, the method and SR stand before the times
+    top = [
+        rf" & & {{SR}} & \multicolumn{{{times}}}{{c}}{{Time (s)}}"
+        rf" & \multicolumn{{{failures}}}{{c}}{{First failure (\%)}} \\",
+        rf"\cmidrule(lr){{4-{first_failure - 1}}}"
+        rf"\cmidrule(l){{{first_failure}-{first_failure + failures - 1}}}",
+    ]
+    names = {c: h.partition("_")[2] for c, h in HEADINGS.items()} | {"sr": r"(\%)"}
+    head = ["", "Method", *(f"{{{n}}}" for n in names.values())]
+    return tex_table(spec, head, groups.values(), top)
 
 
-def _json(table: Table) -> str:
-    data = {
-        "format": 1,
-        "origin": dict(table.origin),
-        "rows": list(map(record, table.rows)),
-        "notes": FOOTNOTES,
+def _narrow(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
+    best = best_cells(table)
+    splits = list(dict.fromkeys(row.split for row in table.rows))
+    rows = {(row.method, row.split): row for row in table.rows}
+    lines = []
+    for method, name in short.items():
+        own = [rows.get((method, s)) for s in splits]
+        values = [
+            tex_cell(cell(r, "sr") if r else NA, bold=(s, method, "sr") in best)
+            for s, r in zip(splits, own)
+        ]
+        lines.append(" & ".join([tex(name), *values]) + r" \\")
+        if intervals:
+            lines.append(" & ".join(["", *(_ends(r, "sr") for r in own)]) + r" \\[2pt]")
+    spec = ["l", *[tex_number(3, 1)] * len(splits)]
+    top = [
+        rf" & \multicolumn{{{len(splits)}}}{{c}}{{Success (\%)}} \\",
+        rf"\cmidrule(l){{2-{len(splits) + 1}}}",
+    ]
+    return tex_table(spec, ["Method", *(f"{{{s}}}" for s in splits)], [lines], top)
+
+
+def object_lines(run: Run, fmt: str = "md") -> str:
+    """Every method's rates for every object.
+
+    Args:
+        run: what `load_run` gives.
+        fmt: one of `FORMATS`. Markdown also says which criteria fail together.
+    """
+    counted = [tally(run, method, by_object=True) for method in run.methods]
+    lines = [line for t in counted for line in breakdown.by_object(t)]
+    if fmt == "md":
+        return _objects_md(counted, lines)
+    if fmt == "latex":
+        return _objects_latex(table_of(run, counted=counted), lines)
+    records = [{"object": name} | record(row) for name, row in lines]
+    if fmt == "csv":
+        return csv_text(records)
+    if fmt == "json":
+        origin = dict(table_of(run, counted=counted).origin)
+        return json_text({"format": 1, "origin": origin, "rows": records})
+    raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
+
+
+def _objects_md(counted: Sequence[Tally], lines: Sequence[tuple[str, Row]]) -> str:
+    short = {
+        method: plain(name) for method, name in short_names([t.method for t in counted]).items()
     }
-    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+    shown = [c for c in HEADINGS if c in RATES]
+    rows = []
+    for name, row in lines:
+        cells = [*(cell(row, c) for c in shown), interval(row.rates["sr"])]
+        rows.append([row.split, name, short[row.method], str(row.n), *cells])
+    head = ["Split", "Object", "Method", "N", *(HEADINGS[c] for c in shown), "SR 95 %"]
+    parts = [aligned(head, rows, 3)]
+    if shortened := legend(short_names([t.method for t in counted])):
+        parts.append(notes_list(map(plain, shortened)))
+    for t in counted:
+        for split in t.splits:
+            both = breakdown.co_failures(t, split)
+            pairs = [
+                [c, *(f"{f}/{e}" if e else NA for f, e in zip(failed, evaluated))]
+                for c, failed, evaluated in zip(CRITERIA, both.failed, both.evaluated)
+            ]
+            parts += [
+                f"{short[t.method]}, {split}: trials that fail both / in which both were evaluated.",
+                aligned(["", *CRITERIA], pairs, 1),
+            ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _objects_latex(table: Table, lines: Sequence[tuple[str, Row]]) -> str:
+    """SR of every object (rows) and method (columns) over both columns of a page."""
+    methods = short_names([row.method for _, row in lines])
+    cells = {(row.split, name, row.method): row for name, row in lines}
+    groups: dict[str, list[str]] = {}
+    for split, name in dict.fromkeys((row.split, name) for name, row in lines):
+        own = groups.setdefault(split, [])
+        found = [cells.get((split, name, m)) for m in methods]
+        n = max(r.n for r in found if r)
+        first = ["" if own else split, tex(name.replace("_", " ")), str(n)]
+        values = [tex_cell(cell(r, "sr") if r else NA) for r in found]
+        own.append(" & ".join([*first, *values]) + r" \\")
+    spec = ["l", "l", "r", *[tex_number(3, 1)] * len(methods)]
+    head = ["", "Object", "$N$"]
+    head += [rf"{{\rotatebox{{60}}{{{tex(m)}}}}}" for m in methods.values()]
+    notes = [
+        r"and \usepackage{graphicx}",
+        "SR in percent of N trials of each object",
+        *legend(methods),
+    ]
+    comments = tex_comments(table.origin, notes)
+    return "\n".join([*comments, *tex_table(spec, head, groups.values())]) + "\n"

@@ -1,23 +1,35 @@
-"""Tables and notes as Markdown that also reads well as plain text."""
+"""How a table is written, whatever it holds: Markdown that also reads as plain text, LaTeX, CSV and
+JSON."""
 
-from collections.abc import Mapping, Sequence
+import csv
+import io
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from r2h_batch.io.write import csv_cell
 
 NA = "n/a"
 """A cell in which nothing is defined."""
 
 TERMINAL = 100
-"""Characters in a line: a wider table loses its outer pipes, then the spaces around the inner
-ones."""
+"""Characters in a line of a terminal."""
 
 SHORT = 16
-"""Characters of a method's short name: `Contact-Handover` has as many."""
+"""Characters of a short method name: `Contact-Handover` has as many."""
 
 
 def short_names(methods: Sequence[str]) -> dict[str, str]:
-    """Method -> a name of at most `SHORT` characters for tables; all differ.
+    """Shorten the names of methods for tables.
 
-    What a name says in brackets goes (the stand-in of a network, the noise), then its middle, then
-    it gets a number.
+    A name first loses what it says in brackets (the stand-in of a network, the noise), then its
+    middle. If it then equals another one, it gets a number.
+
+    Args:
+        methods: names; one may stand there several times.
+
+    Returns:
+        Full name -> a name of at most `SHORT` characters. All short names differ.
     """
     names: dict[str, str] = {}
     for method in dict.fromkeys(methods):
@@ -37,11 +49,15 @@ def legend(names: Mapping[str, str]) -> list[str]:
 
 
 def aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) -> str:
-    """A Markdown table that also reads well as plain text; the first `left` columns are
-    left-aligned.
+    """A Markdown table that also reads well as plain text.
 
-    Pipes at the edges and spaces around the others go where the table would otherwise be wider than
-    a terminal.
+    A table that is wider than a terminal loses its outer pipes. If it is still too wide, it also
+    loses the spaces around the inner ones.
+
+    Args:
+        headings: one for each column.
+        lines: cells of each row.
+        left: this many first columns are aligned to the left, the others to the right.
     """
     widths = [max(3, *(len(line[i]) for line in (headings, *lines))) for i in range(len(headings))]
 
@@ -56,27 +72,105 @@ def aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) 
             for i, w in enumerate(widths)
         )
 
-    wide = [
-        f"| {text(headings, ' | ')} |",
-        f"|{rule(2)}|",
-        *(f"| {text(line, ' | ')} |" for line in lines),
-    ]
+    wide = [f"| {text(headings, ' | ')} |", f"|{rule(2)}|"]
+    wide += [f"| {text(line, ' | ')} |" for line in lines]
+    if len(wide[0]) <= TERMINAL:
+        return "\n".join(wide)
     if len(wide[0]) - 4 <= TERMINAL:
-        return "\n".join(wide if len(wide[0]) <= TERMINAL else [line[2:-2] for line in wide])
+        return "\n".join(line[2:-2] for line in wide)
     return "\n".join([text(headings, "|"), rule(0), *(text(line, "|") for line in lines)])
 
 
 def plain(method: str) -> str:
-    """A method's name inside a Markdown table: pipes do not end the cell."""
+    """A name for a Markdown table: a pipe in it does not end the cell."""
     return method.replace("|", "\\|")
 
 
-def wrapped(note: str, width: int = 98) -> str:
-    """A note as a Markdown list item on lines of at most `width` characters."""
-    lines, line = [], "-"
-    for word in note.split():
-        if len(line) + 1 + len(word) > width:
-            lines.append(line)
-            line = " "
-        line += " " + word
-    return "\n".join([*lines, line])
+def notes_list(notes: Iterable[str], width: int = 98) -> str:
+    """Notes as a Markdown list in lines of at most `width` characters."""
+    lines = []
+    for note in notes:
+        line = "-"
+        for word in note.split():
+            if len(line) + 1 + len(word) > width:
+                lines.append(line)
+                line = " "
+            line += " " + word
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def csv_text(records: Sequence[Mapping[str, Any]]) -> str:
+    """Records with the same keys as CSV; `None` is written as `n/a`."""
+    text = io.StringIO()
+    if records:
+        writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
+        writer.writeheader()
+        for record in records:
+            writer.writerow({k: NA if v is None else csv_cell(v) for k, v in record.items()})
+    return text.getvalue()
+
+
+def json_text(data: Any) -> str:
+    """The data as JSON that ends in a newline and holds no NaN."""
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+# LaTeX: tabulars with booktabs and siunitx. Caption, label and table environment are the paper's.
+# The widths fit an IEEE page (252 pt a column, 516 pt the text); tests/report/test_latex.py
+# compiles them.
+
+PACKAGES = r"\usepackage{booktabs,siunitx}"
+
+_TEX = {c: "\\" + c for c in "&%$#_{}"} | {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+}
+
+
+def tex(text: str) -> str:
+    """Text as LaTeX prints it. Characters beyond ASCII need an engine and a font that have them."""
+    return "".join(_TEX.get(c, c) for c in text)
+
+
+def tex_comments(origin: Mapping[str, str], notes: Iterable[str]) -> list[str]:
+    """Provenance and notes as LaTeX comments. No value can end its comment: line ends go."""
+    lines = [f"needs {PACKAGES}", *(f"{key}: {value}" for key, value in origin.items()), *notes]
+    return [f"% {' '.join(line.split())}" for line in lines]
+
+
+def tex_number(digits: int, decimals: int) -> str:
+    r"""A column of numbers aligned at the point; bold ones (`\bfseries 1.2`) stay aligned."""
+    return f"S[table-format={digits}.{decimals},detect-weight,mode=text]"
+
+
+def tex_cell(text: str, *, bold: bool = False) -> str:
+    """A cell of a `tex_number` column; what is not a number stands in braces."""
+    if text == NA or not text:
+        return f"{{{text}}}"
+    return rf"\bfseries {text}" if bold else text
+
+
+def tex_table(
+    columns: Sequence[str],
+    head: Sequence[str],
+    groups: Iterable[Sequence[str]],
+    top: Sequence[str] = (),
+) -> list[str]:
+    """Lines of a tabular.
+
+    Args:
+        columns: LaTeX column types.
+        head: headings.
+        groups: rows as LaTeX; a rule separates the groups.
+        top: rows above the headings.
+    """
+    spec = "@{}" + "".join(columns) + "@{}"
+    lines = [rf"\begin{{tabular}}{{{spec}}}", r"\toprule", *top, " & ".join(head) + r" \\"]
+    for rows in groups:
+        lines += [r"\midrule", *rows]
+    return [*lines, r"\bottomrule", r"\end{tabular}"]

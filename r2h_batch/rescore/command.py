@@ -45,7 +45,7 @@ def values(text: str, name: str) -> tuple[float, ...]:
 
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     """Tables of rates for every point and method, and the ranks over the points."""
-    from r2h_batch.report.text import NA, aligned, legend, plain, short_names, wrapped
+    from r2h_batch.report.text import NA, aligned, legend, notes_list, plain, short_names
     from r2h_batch.statistics.aggregate import FAILURES, RATES
     from r2h_batch.statistics.thresholds import ROUNDING_M, rank_stability
 
@@ -81,7 +81,7 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
             aligned(["Method", *(f"#{i + 1}" for i in range(len(methods)))], ranks, 1),
         ]
     if told := legend(short_names(methods)):
-        parts.append("\n".join(wrapped(plain(line)) for line in told))
+        parts.append(notes_list(map(plain, told)))
     parts.append(
         "- Poses as they were predicted for the run's own thresholds.\n"
         f"- undecided: within {ROUNDING_M:g} m of a threshold, where float32 does not tell (counted as computed)."

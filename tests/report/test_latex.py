@@ -10,7 +10,7 @@ from needs import needs
 
 from r2h_batch.compare.text import render as render_comparison
 from r2h_batch.report import table as report
-from r2h_batch.report.objects import object_lines
+from r2h_batch.report.table import object_lines
 from r2h_batch.statistics.paired import compare, pair_up
 
 COLUMNS = list(report.HEADINGS)

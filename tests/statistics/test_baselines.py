@@ -8,8 +8,8 @@ import pytest
 import torch
 from made_runs import make_header, make_scores, make_trials
 
+from r2h_batch.compare.command import FOLDERS, baselines_for
 from r2h_batch.compare.command import main as compare
-from r2h_batch.compare.shipped import FOLDERS, baselines_for
 from r2h_batch.rejudge.again import Judge, rejudge
 from r2h_batch.runs.rows import TrialNames, score_rows
 from r2h_batch.runs.store import load_run, open_run
