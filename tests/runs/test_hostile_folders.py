@@ -16,6 +16,7 @@ from r2h_batch.compare.command import main as compare
 from r2h_batch.gallery.command import report_main as report
 from r2h_batch.rejudge.command import main as results
 from r2h_batch.rescore.command import main as rescore
+from r2h_batch.runs import store as run_store
 from r2h_batch.runs.row_checks import inconsistent
 from r2h_batch.runs.rows import score_rows
 from r2h_batch.runs.store import RunError, claim, load_run, mark_for_rerun, open_run, run_hash, sha256_of, shard_at
@@ -197,9 +198,14 @@ def test_what_another_part_has_stored_since_it_was_looked_at_stays(run, monkeypa
     """A part of a sweep starts while another one is between a file and its receipt: the look is old when the claim is free."""
     header, (file,) = read_json(run / "run.json"), (run / "trials" / "m").iterdir()
     shard = None if seen.startswith("foreign") else shard_at(header, 0)
-    before = sorted(run.rglob("*"))
+    before, looks, look = sorted(run.rglob("*")), [], run_store.problems_of
+
+    def first_look_is_old(*arguments):
+        looks.append(arguments)
+        return [run_store.Problem("m", shard, file, seen)] if len(looks) == 1 else look(*arguments)
+
     with monkeypatch.context() as m:
-        m.setattr("r2h_batch.runs.store.problems", lambda *_: iter([("m", shard, file, seen)]))
+        m.setattr("r2h_batch.runs.store.problems_of", first_look_is_old)
         assert mark_for_rerun(run, header) == []
     assert sorted(p for p in run.rglob("*") if ".claims" not in p.parts) == [
         p for p in before if ".claims" not in p.parts
