@@ -3,7 +3,7 @@
     python bench/findings.py                    # after bench/table1.py and bench/sensitivity.py
 
 A finding is a list of conditions on Table I. All hold: it appears; some: in part; none: no. What is the cause is written below by
-hand (CAUSES says when it was looked at); figures come from the tables.
+hand (CAUSES says when); figures come from the tables.
 """
 
 import argparse
@@ -160,41 +160,36 @@ def findings() -> list[Finding]:
 
 
 CAUSES = [
-    "It looks at 256 poses with gripper and held object against the estimated hand; nobody else looks at the hand in"
-    " more than eight, or at the object. F_safe is 0 for everybody in the default preset, for edges are certified"
-    " against the true hand, so nobody can lead there; where paths are sampled and keep clear of the estimated hand"
-    " (preset paper) Safe fails again, and Contact-Handover least.",
-    "Its pose search sees the hand and the object, whatever the object is for, so Plan gets hardly harder or even"
-    " easier: S1's long tools leave more room beside the palm than S0's bowls. What gets worse in S1 is Affordance:"
-    " contacts of binoculars, trigger sprayer and power drill cannot be learned from the other fifteen objects"
-    " ([receivers.md](receivers.md)). Stability fails only where candidates are as generated: at wineglass, binoculars"
-    " and toothbrush the grasp that blocks least contact is one that this gripper cannot hold.",
-    "Intent-Handover's rule knows the region, and what is left are fingers that reach past the point that the"
-    " approach axis meets. Contact-Handover comes last, not second: its network never saw the object that it is asked"
-    " about. Trained on all objects it halves its F_afford (`contact,contacts=all` in"
-    " [sensitivity](results/sensitivity.md)), which is not what the original could do either; a network trained on"
-    " people's contacts with many objects would stand between.",
-    "With hand, object and gripper turned as one there is one pose, and nothing is searched. In S0 the gripper's TCP"
-    " 15 cm above the palm leaves a bowl or a cup no room: most of its Plan failures there are the object in the hand."
-    " What stands 15 cm above the palm matters more than anything else: with the object's middle instead of the TCP"
-    " (`intent,at=object` in [sensitivity](results/sensitivity.md)) it comes first of all. The paper's words say the"
-    " gripper ([choices.md](choices.md)), so that stays the default. In S1, where the rule knows the region, it leads.",
-    "Own times are those of stand-ins: looking up a hand takes microseconds, a diffusion model seconds. They say"
-    " nothing of the original. F_safe: see 1; with the estimated hand in planning it appears for all who come near the"
-    " hand.",
-    "Reach hardly fails anybody: with errors as published the object comes within a few centimetres of c_h, and the"
-    " ball's radius is 10 cm. The paper's 2 to 9 % need estimates several times worse, or another rule for where"
-    " things go. The few that do fail are mostly Handover-VA's, whose loops retreat from the receiver where the arm"
-    " does not reach; with one distance none of them did ([before](results/earlier/table1.md)).",
-    "Contact-Handover's F_afford is mostly above its own (see 3), Handover-VA's near it. Its F_plan differs little"
-    " between the splits: the gripper is opposed to the fingers, wherever they point, and most failures are the object"
-    " in the hand or the arm in the table, whatever the object is for.",
-    "FC-Handover, not Handover-VA, has the lowest SR: opposed to fingers that point sideways or up it meets hand and"
-    " table, and the handle that Handover-VA presents need not point where fingers do. Handover-VA's own time is among"
-    " the longest here: ICP and own grasps against hands that are looked up. F_stab: its own grasps are the only ones"
-    " that nobody filtered, so in the default preset it is the only one that fails; with candidates as generated"
-    " (preset paper) it fails least, as in the paper. It does lose from S0 to S1, to Affordance: its grasps come from"
-    " above whatever the object, at knife, pliers and toothbrush into the receiver's region.",
+    "Contact-Handover compares 256 poses of gripper and held object with the estimated hand. The other methods compare at"
+    " most eight, without the object. In the default preset F_safe is 0 for every method, because edges are certified"
+    " against the true hand. In preset paper paths are sampled around the estimated hand: Safe fails again, and"
+    " Contact-Handover fails least.",
+    "Its pose search sees hand and object but not the object's function. S1's long tools leave more room beside the palm"
+    " than S0's bowls, so F_plan stays or falls. Affordance gets worse in S1: the network cannot learn the contacts of"
+    " binoculars, trigger sprayer and power drill from the other fifteen objects"
+    " ([receivers](receivers.md#contact-network)). Stability fails only with candidates as generated: the grasp that"
+    " blocks least contact on wineglass, binoculars and toothbrush is one that this gripper cannot hold.",
+    "Intent-Handover's rule knows the region. Its remaining failures are fingers that reach past the point on the"
+    " approach axis. Contact-Handover comes last, since its network never saw the object. Trained on all objects it"
+    " halves its F_afford (`contact,contacts=all` in [sensitivity](results/sensitivity.md)). A network trained on"
+    " people's contacts with many objects would lie between.",
+    "Hand, object and gripper turn as one, so Intent-Handover has one pose and searches nothing. In S0 the TCP 15 cm"
+    " above the palm leaves no room for a bowl or a cup: most Plan failures are the object in the hand. With the object's"
+    " middle there instead (`intent,at=object` in [sensitivity](results/sensitivity.md)) it ranks first. The paper's words"
+    " name the gripper ([choices](choices.md#methods)), so that stays the default. In S1 it leads.",
+    "These are the stand-ins' times: a look-up takes microseconds, a diffusion model seconds. They say nothing about the"
+    " originals. For F_safe see 1: with the estimated hand in planning, every method near the hand fails Safe sometimes.",
+    "Reach hardly ever fails: with published errors the object comes within a few centimetres of c_h, and the ball's"
+    " radius is 10 cm. The paper's 2 to 9 % need estimates several times worse, or another rule for the object's place."
+    " Most failures are Handover-VA's, whose loops retreat from the receiver where the arm does not reach.",
+    "Contact-Handover's F_afford is mostly higher (see 3), Handover-VA's similar. FC-Handover's F_plan differs little"
+    " between the splits: it opposes the gripper to the fingers wherever they point, and most failures are the object in"
+    " the hand or the arm in the table.",
+    "FC-Handover has the lowest SR: opposed to fingers that point sideways or up, it meets hand and table. Handover-VA's"
+    " handle need not point where fingers do. Its own time is among the longest here, since it runs ICP and makes grasps"
+    " where others look up hands. In the default preset only its own grasps are unfiltered, so only it fails Stability;"
+    " with candidates as generated it fails least, as in the paper. From S0 to S1 it loses to Affordance: its grasps come"
+    " from above, at knife, pliers and toothbrush into the receiver's region.",
 ]
 """Looked at on 2026-11-20, with 500 trials of each split."""
 
@@ -227,35 +222,36 @@ def said(finding: Finding, cell: Cells) -> tuple[str, str]:
     return word, ", ".join(missing)
 
 
-def figures(finding: Finding, tables: Mapping[str, Cells]) -> str:
-    """A Markdown table: the columns that show a finding, in the paper and in each table here."""
-    lines = [
-        "| | " + " | ".join(f"{s} {c}: {' / '.join(SHORT.values())}" for s, c in finding.shown) + " | here | not here |"
-    ]
-    lines.append("|---|" + "--:|" * len(finding.shown) + "---|---|")
-    for name, cell in tables.items():
-        values = [
-            " / ".join(f"{cell(s, m, c):.2g}" if c.startswith("t_") else f"{cell(s, m, c):.1f}" for m in SHORT.values())
-            for s, c in finding.shown
+def appearing(tables: Mapping[str, Cells]) -> list[str]:
+    """A Markdown table: each finding, and in each table `yes`, or the conditions that fail."""
+    lines = ["| | finding | " + " | ".join(tables) + " |", "|--:|---|" + "---|" * len(tables)]
+    for number, finding in enumerate(findings(), 1):
+        here = [said(finding, cell) for cell in tables.values()]
+        words = [
+            {"appears": "yes", "no": "no"}.get(word, f"in part; not: {missing}")
+            for word, missing in here
         ]
-        word, missing = said(finding, cell)
-        lines.append(f"| {name} | " + " | ".join(values) + f" | {word} | {missing} |")
-    return "\n".join(lines)
+        lines.append(f"| {number} | {finding.text} | " + " | ".join(words) + " |")
+    return lines
+
+
+def figures(tables: Mapping[str, Cells]) -> list[str]:
+    """A Markdown table: every column that shows a finding, in the paper and in each table here."""
+    lines = ["| | " + " | ".join(tables) + " |", "|---|" + "--:|" * len(tables)]
+    for split, column in dict.fromkeys(c for finding in findings() for c in finding.shown):
+        form = ".2g" if column.startswith("t_") else ".1f"
+        values = [" / ".join(f"{cell(split, m, column):{form}}" for m in SHORT.values()) for cell in tables.values()]
+        lines.append(f"| {column} {split} | " + " | ".join(values) + " |")
+    return lines
 
 
 def oracle_lines(tables: Mapping[str, Mapping]) -> list[str]:
-    """What the oracle leaves, table by table, with ids."""
-    lines = []
+    """A Markdown table: the oracle's success, and the trials that it does not solve."""
+    lines = ["| | SR S0 | SR S1 | trials that it leaves | of these no method solves |", "|---|--:|--:|---|---|"]
     for name, data in tables.items():
         cell = cells_of(data)
-        left, nobody = data["oracle_unsolved"], data["solved_by_nobody"]
-        ids = f" It leaves {', '.join(map(str, left))}" if left else ""
-        none = f"; of these nobody solves {', '.join(map(str, nobody))}." if nobody else "." if left else ""
-        low = min(cell(s, "oracle", "sr") for s in ("S0", "S1"))
-        word = "" if low >= 97 else " Below the 97 % that are asked for."
-        lines.append(
-            f"- {name}: SR {cell('S0', 'oracle', 'sr'):.1f} in S0, {cell('S1', 'oracle', 'sr'):.1f} in S1.{ids}{none}{word}"
-        )
+        ids = [", ".join(map(str, data[key])) for key in ("oracle_unsolved", "solved_by_nobody")]
+        lines.append(f"| {name} | {cell('S0', 'oracle', 'sr'):.1f} | {cell('S1', 'oracle', 'sr'):.1f} | {ids[0]} | {ids[1]} |")
     return lines
 
 
@@ -274,46 +270,32 @@ def pair_lines(tables: Mapping[str, Mapping]) -> list[str]:
     return [*lines, *(f"| {a} - {b} | " + " | ".join(cells) + " |" for (a, b), cells in found.items())]
 
 
-def presented_lines(tables: Mapping[str, Cells]) -> list[str]:
-    """Presented in S1 beside SR, all methods and bounds."""
-    names = [*SHORT.values(), "random", "oracle"]
-    lines = ["| Presented (SR) in S1 | " + " | ".join(names) + " |", "|---|" + "--:|" * len(names)]
-    for name, cell in tables.items():
-        cells = [f"{cell('S1', m, 'presented'):.1f} ({cell('S1', m, 'sr'):.1f})" for m in names]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    return lines
-
-
 def page(results: Path) -> str:
     """docs/findings.md."""
     data = {title: json.loads((results / f"{file}.json").read_text()) for file, title in TABLES.items()}
     here = {name: cells_of(d) for name, d in data.items()}
-    tables = {"the paper": paper_cells(), **here}
     first = next(iter(data.values()))
+    code = first["provenance"]["digests"]["code"][:16]
     parts = [
         "# The paper's findings, one by one",
-        f"Made by `python bench/findings.py` from the tables under [results/](results/table1-v1.md): {first['origin']['trials']}"
-        f" trials, code {first['provenance']['digests']['code'][:16]}. Objects, hands and networks are stand-ins"
-        " ([baselines.md](baselines.md)): a finding that does not appear is no finding against the paper. Nothing was tuned"
-        " towards its table; [choices.md](choices.md) says what was decided before, [sensitivity](results/sensitivity.md) what"
-        " each decision is worth.",
-    ]
-    for number, finding in enumerate(findings(), 1):
-        parts += [f"## {number}. {finding.text}", figures(finding, tables)]
-        parts += [finding.cause] if finding.cause else []
-    parts += [
+        "This page says which findings of the paper appear in this benchmark, and why others do not. Objects, hands and networks are"
+        " stand-ins ([baselines](baselines.md)): a finding that does not appear is no evidence against the paper. We tuned nothing"
+        f" towards its table. `python bench/findings.py` makes this page from the [tables](results/table1-v1.md)"
+        f" ({first['origin']['trials']} trials, code {code}); [sensitivity](results/sensitivity.md) has the effect of each choice.",
+        "\n".join(appearing(here)),
+        "## Figures",
+        f"Each cell lists {' / '.join(SHORT.values())}: percent, or seconds for times. All findings appear in the paper's own column.",
+        "\n".join(figures({"the paper": paper_cells(), **here})),
+        "## Causes",
+        "\n".join(f"{number}. {finding.cause}" for number, finding in enumerate(findings(), 1)),
         "## Upper bound",
+        "In the default preset the oracle solves every trial. Preset paper plans around the estimated hand with sampled edges, which"
+        " costs it a few.",
         "\n".join(oracle_lines(data)),
-        "In the default preset every trial has a solution. In preset paper paths keep clear of the estimated hand,"
-        " and edges are sampled: what is left there is left by what the planner knows.",
-        "## Apart or tied",
-        "The paired test (`r2h-batch compare`) on all trials of both splits: the better of a pair and the difference in points of"
-        ' SR; "these objects": apart on the 16 objects, not proven for new ones.',
+        "## Who is better",
+        "The paired test (`r2h-batch compare`) on all trials of both splits: the better method of a pair and the difference in"
+        ' points of SR. "these objects": decided for the 16 objects, not for new ones ([statistics](statistics.md#who-is-better)).',
         "\n".join(pair_lines(data)),
-        "## Presented",
-        "Not part of SR: does the receiver's region face the palm and lie within reach ([choices.md](choices.md))? Failed trials"
-        " count too.",
-        "\n".join(presented_lines(here)),
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -60,9 +60,9 @@ def test_every_package_and_every_bundled_file_stands_in_the_table_of_licences(
     supply: ModuleType, pins: dict[str, str]
 ) -> None:
     text = (ROOT / "docs" / "licences.md").read_text()
-    listed = {
-        row.split("|")[1].strip().lower().replace("_", "-").replace(".", "-") for row in text.splitlines() if "|" in row
-    }
+    rows = [row for row in text.partition("## Packages")[2].splitlines() if row.startswith("|")]
+    listed = {re.sub(r"[-_.]+", "-", name).lower() for row in rows for name in re.split(r"[|,]\s*", row)}
+    listed = {name.strip() for name in listed}
     assert [p for p in pins if p not in listed] == [], "run `make licences`"
     data = [p for p in (ROOT / "assets").rglob("*") if p.suffix in (".npz", ".npy", ".safetensors")]
     assert len(data) >= 5

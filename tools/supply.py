@@ -102,27 +102,28 @@ def licences() -> str:
     """The text of docs/licences.md: bundled data, then every package of the lock."""
     sources = (ROOT / "assets" / "SOURCES.md").read_text(encoding="utf-8")
     data = [line for line in sources.splitlines() if line.startswith("|")]
-    rows = [
-        f"| {installed.metadata['Name']} | {Version(installed.version).public} | {_cell(licence(installed))} | {asked_by} |"
-        for installed, asked_by in closure().values()
-    ]
-    head = ("| package | version | licence, as its metadata says | asked for by |", "|---|---|---|---|")
+    # licence -> names of the packages that r2h_batch needs, that one of its extras needs, and that these bring along
+    kinds: dict[str, tuple[list[str], list[str], list[str]]] = {}
+    for installed, asked_by in closure().values():
+        kind = 0 if asked_by == "r2h_batch" else 1 if asked_by.startswith("r2h_batch[") else 2
+        kinds.setdefault(_cell(licence(installed)), ([], [], []))[kind].append(installed.metadata["Name"])
+    head = ("| licence, as the metadata says | r2h_batch needs | an extra needs | these bring along |", "|---|---|---|---|")
+    rows = ["| " + " | ".join([name, *map(", ".join, kinds[name])]) + " |" for name in sorted(kinds, key=str.lower)]
     return "\n".join(
         (
-            "# Licences of what comes along and of what is installed",
+            "# Licences of bundled data and of packages",
             "",
-            "Written by `make licences`; do not edit. r2h_batch itself: Apache-2.0.",
+            "`make licences` writes this page; do not edit it. r2h_batch itself: Apache-2.0.",
             "",
             "## Bundled data",
             "",
-            "All of it was made by the scripts beside it and is licensed as the rest of the project, Apache-2.0",
-            "(`assets/SOURCES.md`).",
+            "The scripts beside the data made all of it. It has the project's licence, Apache-2.0 (`assets/SOURCES.md`).",
             "",
             *data,
             "",
             "## Packages",
             "",
-            "None is bundled; pip installs them. `r2h_batch` needs the first kind, `r2h_batch[...]` an extra, others follow.",
+            "pip installs them; none is bundled. `constraints.txt` has the versions.",
             "",
             *head,
             *rows,
