@@ -30,10 +30,9 @@ Cells = Callable[[str, str, str], float]
 
 @dataclass(frozen=True)
 class Finding:
-    """What the paper says; columns that show it; conditions, each with its words."""
+    """What the paper says; conditions, each with its words; why they hold here or not."""
 
     text: str
-    shown: tuple[tuple[str, str], ...]
     holds: tuple[tuple[str, Callable[[Cells], bool]], ...]
     cause: str
 
@@ -61,7 +60,6 @@ def _of_contact() -> list[Finding]:
     return [
         Finding(
             "Contact-Handover has the highest SR in S0 and the lowest F_safe",
-            (("S0", "sr"), ("Avg", "f_safe")),
             (
                 ("highest SR in S0", extreme("S0", "sr", "Contact", 1)),
                 ("lowest F_safe", extreme("Avg", "f_safe", "Contact", -1)),
@@ -71,13 +69,11 @@ def _of_contact() -> list[Finding]:
         Finding(
             "In S1 all kinematic failures of Contact-Handover get worse: its collision cost does not transfer to functional"
             " constraints",
-            (("S0", "f_plan"), ("S1", "f_plan"), ("S1", "f_reach"), ("S1", "f_safe"), ("S1", "f_stab")),
             tuple((f"{c} rises", rises("Contact", c)) for c in ("f_plan", "f_reach", "f_safe", "f_stab")),
             CAUSES[1],
         ),
         Finding(
             "Functional awareness lowers F_afford in S1: Intent-Handover first, Contact-Handover second",
-            (("S1", "f_afford"),),
             (
                 ("Intent lowest", extreme("S1", "f_afford", "Intent", -1)),
                 (
@@ -95,7 +91,6 @@ def _of_intent() -> list[Finding]:
     return [
         Finding(
             "Intent-Handover has the highest SR on average and in S1, and the lowest F_plan",
-            (("Avg", "sr"), ("S1", "sr"), ("Avg", "f_plan")),
             (
                 ("highest mean SR", extreme("Avg", "sr", "Intent", 1)),
                 ("highest SR in S1", extreme("S1", "sr", "Intent", 1)),
@@ -105,7 +100,6 @@ def _of_intent() -> list[Finding]:
         ),
         Finding(
             "Intent-Handover takes longest to plan (2.4 x Contact-Handover), and fails Safe in S0: it avoids a generated hand",
-            (("Avg", "t_method_s"), ("S0", "f_safe")),
             (
                 ("longest own time", extreme("Avg", "t_method_s", "Intent", 1)),
                 (
@@ -124,13 +118,11 @@ def _of_fc_and_va() -> list[Finding]:
     return [
         Finding(
             "FC-Handover has the lowest F_reach",
-            (("Avg", "f_reach"),),
             (("lowest F_reach", extreme("Avg", "f_reach", "FC", -1)),),
             CAUSES[5],
         ),
         Finding(
             "FC-Handover has the highest F_afford in S1, and its F_plan rises there: its orientation does not know the region",
-            (("S1", "f_afford"), ("S0", "f_plan"), ("S1", "f_plan")),
             (
                 ("highest F_afford", extreme("S1", "f_afford", "FC", 1)),
                 ("F_plan rises", rises("FC", "f_plan")),
@@ -140,7 +132,6 @@ def _of_fc_and_va() -> list[Finding]:
         Finding(
             "Handover-VA has the lowest SR, the shortest planning and the lowest F_stab, the highest F_plan and F_safe, and drops"
             " most from S0 to S1",
-            (("Avg", "sr"), ("Avg", "f_plan"), ("Avg", "f_safe"), ("Avg", "f_stab")),
             (
                 ("lowest SR", extreme("Avg", "sr", "VA", -1)),
                 ("shortest own time", extreme("Avg", "t_method_s", "VA", -1)),
@@ -227,21 +218,8 @@ def appearing(tables: Mapping[str, Cells]) -> list[str]:
     lines = ["| | finding | " + " | ".join(tables) + " |", "|--:|---|" + "---|" * len(tables)]
     for number, finding in enumerate(findings(), 1):
         here = [said(finding, cell) for cell in tables.values()]
-        words = [
-            {"appears": "yes", "no": "no"}.get(word, f"in part; not: {missing}")
-            for word, missing in here
-        ]
+        words = [{"appears": "yes", "no": "no"}.get(word, f"in part; not: {missing}") for word, missing in here]
         lines.append(f"| {number} | {finding.text} | " + " | ".join(words) + " |")
-    return lines
-
-
-def figures(tables: Mapping[str, Cells]) -> list[str]:
-    """A Markdown table: every column that shows a finding, in the paper and in each table here."""
-    lines = ["| | " + " | ".join(tables) + " |", "|---|" + "--:|" * len(tables)]
-    for split, column in dict.fromkeys(c for finding in findings() for c in finding.shown):
-        form = ".2g" if column.startswith("t_") else ".1f"
-        values = [" / ".join(f"{cell(split, m, column):{form}}" for m in SHORT.values()) for cell in tables.values()]
-        lines.append(f"| {column} {split} | " + " | ".join(values) + " |")
     return lines
 
 
@@ -251,7 +229,9 @@ def oracle_lines(tables: Mapping[str, Mapping]) -> list[str]:
     for name, data in tables.items():
         cell = cells_of(data)
         ids = [", ".join(map(str, data[key])) for key in ("oracle_unsolved", "solved_by_nobody")]
-        lines.append(f"| {name} | {cell('S0', 'oracle', 'sr'):.1f} | {cell('S1', 'oracle', 'sr'):.1f} | {ids[0]} | {ids[1]} |")
+        lines.append(
+            f"| {name} | {cell('S0', 'oracle', 'sr'):.1f} | {cell('S1', 'oracle', 'sr'):.1f} | {ids[0]} | {ids[1]} |"
+        )
     return lines
 
 
@@ -278,23 +258,22 @@ def page(results: Path) -> str:
     code = first["provenance"]["digests"]["code"][:16]
     parts = [
         "# The paper's findings, one by one",
-        "This page says which findings of the paper appear in this benchmark, and why others do not. Objects, hands and networks are"
-        " stand-ins ([baselines](baselines.md)): a finding that does not appear is no evidence against the paper. We tuned nothing"
-        f" towards its table. `python bench/findings.py` makes this page from the [tables](results/table1-v1.md)"
-        f" ({first['origin']['trials']} trials, code {code}); [sensitivity](results/sensitivity.md) has the effect of each choice.",
+        "This page says which findings of the paper appear in this benchmark, and why others do not. Objects, hands and"
+        " networks are stand-ins ([baselines](baselines.md)): a finding that does not appear is no evidence against the"
+        " paper. We tuned nothing towards its table. `python bench/findings.py` makes this page from the"
+        f" [tables](results/table1-v1.md) ({first['origin']['trials']} trials, code {code}). The paper's own figures are in"
+        " `r2h_batch/study/paper/table1.csv`; [sensitivity](results/sensitivity.md) has the effect of each choice.",
         "\n".join(appearing(here)),
-        "## Figures",
-        f"Each cell lists {' / '.join(SHORT.values())}: percent, or seconds for times. All findings appear in the paper's own column.",
-        "\n".join(figures({"the paper": paper_cells(), **here})),
         "## Causes",
         "\n".join(f"{number}. {finding.cause}" for number, finding in enumerate(findings(), 1)),
         "## Upper bound",
-        "In the default preset the oracle solves every trial. Preset paper plans around the estimated hand with sampled edges, which"
-        " costs it a few.",
+        "In the default preset the oracle solves every trial. Preset paper plans around the estimated hand with sampled"
+        " edges, which costs it a few.",
         "\n".join(oracle_lines(data)),
         "## Who is better",
         "The paired test (`r2h-batch compare`) on all trials of both splits: the better method of a pair and the difference in"
-        ' points of SR. "these objects": decided for the 16 objects, not for new ones ([statistics](statistics.md#who-is-better)).',
+        ' points of SR. "these objects": decided for the 16 objects, not for new ones'
+        " ([statistics](statistics.md#who-is-better)).",
         "\n".join(pair_lines(data)),
     ]
     return "\n\n".join(parts) + "\n"

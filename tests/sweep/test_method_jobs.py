@@ -76,7 +76,7 @@ def test_noise_is_part_of_a_runs_identity_and_older_runs_keep_their_hash():
 
 
 def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, capsys):
-    (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "baselines.md").read_text(), re.S)
+    (code,) = re.findall(r"```python\n(.*?)```", (DOCS / "howto" / "method.md").read_text(), re.S)
     assert len([line for line in code.splitlines() if line]) <= 15
     (tmp_path / "my_rules.py").write_text(code)
     monkeypatch.syspath_prepend(tmp_path)
