@@ -107,7 +107,10 @@ def licences() -> str:
     for installed, asked_by in closure().values():
         kind = 0 if asked_by == "r2h_batch" else 1 if asked_by.startswith("r2h_batch[") else 2
         kinds.setdefault(_cell(licence(installed)), ([], [], []))[kind].append(installed.metadata["Name"])
-    head = ("| licence, as the metadata says | r2h_batch needs | an extra needs | these bring along |", "|---|---|---|---|")
+    head = (
+        "| licence, as the metadata says | r2h_batch needs | an extra needs | these bring along |",
+        "|---|---|---|---|",
+    )
     rows = ["| " + " | ".join([name, *map(", ".join, kinds[name])]) + " |" for name in sorted(kinds, key=str.lower)]
     return "\n".join(
         (
