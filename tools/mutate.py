@@ -1,0 +1,254 @@
+"""Twenty faults, put into the code one at a time: does a quick test fail? `python tools/mutate.py [NAME ...] [--list]`.
+
+Each mutation replaces one text in one file of a temporary copy of the repository and runs the tests that must fail there.
+A row of the table says `killed` or `SURVIVED`. Exit codes: 0 all killed, 1 one survived, 2 the tests fail without any
+mutation, or an old text is not there exactly once. Mutated kernels are compiled anew, which takes minutes of CPU time.
+
+To renew a mutation after the code has moved, change its `file` and `old`; `tests/test_mutations.py` names it.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).resolve().parents[1]
+LINKED = ("assets", "docs")
+"""Folders without code that is mutated: the copy has links to them."""
+
+
+class Mutation(NamedTuple):
+    """One fault: in `file` the text `old`, found there exactly once, becomes `new`; one of `tests` must fail."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+
+METRICS, VERDICT, ROWS = "r2h_batch/judge/metrics.py", "r2h_batch/judge/verdict.py", "kernels/judge/rows.py"
+T_METRICS, T_ROWS, T_MOTION = "tests/judge/test_metrics.py", "tests/judge/test_rows.py", "tests/motion/test_motion.py"
+T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed"
+T_BALL = f"{T_ROWS}::test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit"
+
+MUTATIONS = (
+    Mutation(
+        "reach: sign of the margin",
+        METRICS,
+        "thresholds.reach_radius_m - distance",
+        "distance - thresholds.reach_radius_m",
+        (f"{T_METRICS}::test_reach_passes_up_to_the_balls_radius",),
+    ),
+    Mutation(
+        "criteria: touching passes the other way round",
+        METRICS,
+        "(margin >= 0) if touching_passes else (margin > 0)",
+        "(margin > 0) if touching_passes else (margin >= 0)",
+        (f"{T_METRICS}::test_touching_passes_where_the_paper_says_so",),
+    ),
+    Mutation(
+        "safe: the safety margin is added",
+        METRICS,
+        "- executed.slack_m - thresholds.safe_margin_m",
+        "- executed.slack_m + thresholds.safe_margin_m",
+        (f"{T_METRICS}::test_a_safety_margin_is_taken_off",),
+    ),
+    Mutation(
+        "safe: the motion between samples is forgotten",
+        METRICS,
+        "distance - executed.slack_m - thresholds",
+        "distance - thresholds",
+        (f"{T_MOTION}::test_safe_judges_the_recorded_motion_less_its_slack",),
+    ),
+    Mutation(
+        "plan: a motion that does not settle passes",
+        METRICS,
+        "found = (planned.length > 0) & executed.settled",
+        "found = planned.length > 0",
+        (f"{T_MOTION}::test_a_motion_that_cannot_come_to_rest_in_time_is_run_to_the_limit_and_fails_plan",),
+    ),
+    Mutation(
+        "verdict: the last failure decides",
+        VERDICT,
+        "first = failed.to(torch.int8).argmax(1) + 1",
+        "first = failed.shape[1] - failed.flip(1).to(torch.int8).argmax(1)",
+        (T_VERDICT,),
+    ),
+    Mutation(
+        "verdict: borderline on one side only",
+        VERDICT,
+        "margin.abs() < BORDERLINE_M",
+        "(margin > 0) & (margin < BORDERLINE_M)",
+        (T_VERDICT,),
+    ),
+    Mutation(
+        "ball: world and object frame swapped",
+        ROWS,
+        "moved(inverse(product(T_world_ee_in[row], inverse(A))), c)",
+        "moved(product(T_world_ee_in[row], inverse(A)), c)",
+        (T_BALL,),
+    ),
+    Mutation(
+        "attachment: closing moves the object the other way",
+        ROWS,
+        "p = wp.vec3(p[0] + y[0] * s, p[1] + y[1] * s, p[2] + y[2] * s)",
+        "p = wp.vec3(p[0] - y[0] * s, p[1] - y[1] * s, p[2] - y[2] * s)",
+        (T_BALL,),
+    ),
+    Mutation(
+        "stability: material of any thinness is held",
+        ROWS,
+        "return wp.min(w_max - width, width - w_min)",
+        "return w_max - width",
+        ("tests/judge/test_grasp.py::test_what_is_thinner_than_the_closed_pads_gap_is_not_held",),
+    ),
+    Mutation(
+        "palm: on the back of the left hand",
+        "r2h_batch/bodies/hand.py",
+        "sign = torch.where(side == LEFT, -1.0, 1.0)",
+        "sign = torch.where(side == LEFT, 1.0, 1.0)",
+        ("tests/bodies/test_hand.py::test_palm_normal_points_out_of_the_palm_on_both_sides",),
+    ),
+    Mutation(
+        "presented: radians for degrees",
+        "kernels/judge/presented.py",
+        "angle = wp.degrees(angle_of(wp.length(wp.cross(a, b)), wp.dot(a, b)))",
+        "angle = angle_of(wp.length(wp.cross(a, b)), wp.dot(a, b))",
+        ("tests/judge/test_presented.py::test_angle_and_distance_are_those_of_the_region_and_s0_has_none",),
+    ),
+    Mutation(
+        "presented: one of the two limits is enough",
+        "kernels/judge/presented.py",
+        "angle <= facing_deg and distance <= reach_radius",
+        "angle <= facing_deg or distance <= reach_radius",
+        ("tests/judge/test_presented.py::test_angle_and_distance_are_those_of_the_region_and_s0_has_none",),
+    ),
+    Mutation(
+        "transforms: the inverse keeps the rotation",
+        "r2h_batch/se3.py",
+        "R_t = T[..., :3, :3].transpose(-1, -2)",
+        "R_t = T[..., :3, :3]",
+        ("tests/test_se3.py::test_products_inverses_and_points_agree_with_numpy",),
+    ),
+    Mutation(
+        "time law: the last segment takes no time",
+        "r2h_batch/motion/time_law.py",
+        "torch.where(slot < length[:, None] - 1, d, 0.0)",
+        "torch.where(slot < length[:, None] - 2, d, 0.0)",
+        (f"{T_MOTION}::test_servos_shortcuts_and_the_times_of_a_path_know_one_law",),
+    ),
+    Mutation(
+        "distance: the radius of one body is missing",
+        "kernels/geometry/gjk.py",
+        "radii = a.radius + b.radius",
+        "radii = a.radius",
+        ("tests/kernels/test_gjk.py::test_it_agrees_with_mujoco_c",),
+    ),
+    Mutation(
+        "collision: one pair of links is skipped",
+        "r2h_batch/scene/tables.py",
+        "for a, b in robot.self_pairs:",
+        "for a, b in robot.self_pairs[:-1]:",
+        ("tests/kernels/test_collision.py::test_verdicts_on_10_000_postures_agree_with_mujoco_c",),
+    ),
+    Mutation(
+        "collision: a stretch is free although its bodies may still meet",
+        "kernels/plan/check.py",
+        "                if apart < margin + travel:",
+        "                if apart < margin:",
+        ("tests/kernels/test_collision.py::test_edges_certified_free_never_penetrate_when_sampled_densely",),
+    ),
+    Mutation(
+        "trials: objects of the other split",
+        "r2h_batch/turns.py",
+        "mine = (ids & 1) == k",
+        "mine = (ids & 1) != k",
+        ("tests/trials/test_trials.py::test_trials_take_objects_in_turn_and_every_object_meets_both_hands_alike",),
+    ),
+    Mutation(
+        "statistics: a criterion that was not evaluated fails",
+        "r2h_batch/statistics/aggregate.py",
+        "failed = evaluated & ~passed",
+        "failed = ~passed",
+        ("tests/statistics/test_aggregate.py::test_a_criterion_that_was_not_evaluated_is_skipped_and_affordance_may_be_skipped_by_a_success",),
+    ),
+)  # fmt: skip
+
+
+def stale(root: Path = ROOT) -> list[str]:
+    """The mutations whose old text is not in its file exactly once, or whose tests do not exist."""
+    wrong = []
+    for m in MUTATIONS:
+        file = root / m.file
+        count = file.read_text(encoding="utf-8").count(m.old) if file.is_file() else 0
+        if count != 1:
+            wrong.append(f"{m.name}: {m.file} has the old text {count} times")
+        for test in m.tests:
+            path, _, name = test.partition("::")
+            if not (root / path).is_file() or f"def {name}(" not in (root / path).read_text(encoding="utf-8"):
+                wrong.append(f"{m.name}: there is no test {test}")
+    return wrong
+
+
+def copy_tree(to: Path) -> None:
+    """The tracked files in `to`; `r2h_batch` there has kernels and assets as an installed package has."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    for name in listed.splitlines():
+        if name.split("/")[0] not in LINKED and (ROOT / name).is_file():
+            (to / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, to / name)
+    for name in LINKED:
+        (to / name).symlink_to(ROOT / name)
+    for name in ("kernels", "assets"):
+        (to / "r2h_batch" / name).symlink_to(to / name)
+
+
+def run_tests(tree: Path, tests: tuple[str, ...]) -> int:
+    """pytest's exit code: 0 all passed, 1 some failed; anything else is no answer."""
+    line = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
+    env = {"MUJOCO_GL": "osmesa", **os.environ, "PYTHONPATH": str(tree)}
+    return subprocess.run(line, cwd=tree, env=env, capture_output=True, check=False).returncode
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", help="parts of mutations' names; all unless given")
+    parser.add_argument("--list", action="store_true", help="print the mutations and stop")
+    parser.add_argument("--no-baseline", action="store_true", help="do not run the tests without a mutation first")
+    options = parser.parse_args()
+    chosen = [m for m in MUTATIONS if not options.names or any(n in m.name for n in options.names)]
+    if options.list:
+        print("\n".join(f"{m.name} ({m.file})" for m in chosen))
+        return 0
+    if wrong := stale():
+        print("\n".join(wrong), file=sys.stderr)
+        return 2
+    survived = 0
+    with tempfile.TemporaryDirectory(prefix="mutate-") as folder:
+        tree = Path(folder)
+        copy_tree(tree)
+        tests = tuple(dict.fromkeys(test for m in chosen for test in m.tests))
+        if not options.no_baseline and run_tests(tree, tests) != 0:
+            print("the tests fail without a mutation; mend them first", file=sys.stderr)
+            return 2
+        print("| mutation | file | result | seconds |\n|---|---|---|--:|", flush=True)
+        for m in chosen:
+            start, file = time.monotonic(), tree / m.file
+            text = file.read_text(encoding="utf-8")
+            file.write_text(text.replace(m.old, m.new), encoding="utf-8")
+            code = run_tests(tree, m.tests)
+            file.write_text(text, encoding="utf-8")
+            result = {0: "SURVIVED", 1: "killed"}.get(code, f"NO ANSWER (pytest {code})")
+            survived += code != 1
+            print(f"| {m.name} | {m.file} | {result} | {time.monotonic() - start:.0f} |", flush=True)
+    return 1 if survived else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
