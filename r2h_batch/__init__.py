@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from r2h_batch.scene.scene import Scene
     from r2h_batch.trials.protocol import make_trials
     from r2h_batch.types import Predictions, Scores, Trials
-    from r2h_batch.view.notebook import show
+    from r2h_batch.view.page import show
 
 if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
     # MuJoCo loads OSMesa's LLVM; where triton (it comes with torch for CUDA) is loaded after that,
@@ -74,6 +74,6 @@ if not TYPE_CHECKING:  # else any name would pass
             "Scores": "types",
             "Trials": "types",
             "make_trials": "trials.protocol",
-            "show": "view.notebook",
+            "show": "view.page",
         },
     )

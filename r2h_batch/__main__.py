@@ -29,13 +29,10 @@ COMMANDS = {
     ),
     "view": (
         "r2h_batch.view.command",
-        "Look at the trials of a run folder in three dimensions, or write one as a page.",
+        "Look at trials in three dimensions, or write one as a page, a film or strips.",
     ),
-    "video": ("r2h_batch.view.command", "Film a stored trial, or draw it as a strip of pictures."),
-    "strips": (
-        "r2h_batch.view.command",
-        "Draw what several methods make of one trial, without a run folder.",
-    ),
+    "video": ("r2h_batch.view.command", "The former name of view --video."),
+    "strips": ("r2h_batch.view.command", "The former name of view --strips."),
     "import": (
         "r2h_batch.importers.command",
         "Turn other people's hands and grasps into files that sweeps read.",
@@ -143,8 +140,8 @@ def _completed() -> dict[str, Command]:
         "scene": export.scene,
         "benchmark": benchmark,
         "view": view.view,
-        "video": view.video,
-        "strips": view.strips,
+        "video": view.view,
+        "strips": view.view,
         "import": import_,
         "results": results,
         "report": gallery.report,

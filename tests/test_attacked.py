@@ -13,7 +13,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.benchmark.given import _objects_of  # no public way to a folder's files without building its meshes
 from r2h_batch.bodies.objects import call_of
 from r2h_batch.command_line import answer, telling
-from r2h_batch.export.drawing import save_picture
+from r2h_batch.export.pictures import save_picture
 from r2h_batch.gallery.command import report_main as report
 from r2h_batch.io.read import FileError, path_within, read_yaml
 from r2h_batch.io.write import write_text
@@ -56,8 +56,8 @@ WRITERS = {
     "report": ["report", "RUN", "--format", "csv", "--out"],
     "the report's page": ["report", "RUN", "--format", "html", "--out"],
     "view": ["view", "RUN", "--trial", "0", "--html"],
-    "video": ["video", "RUN", "--trial", "0", "--out"],
-    "strips": ["strips", "--trial", "0", "--method", "random", "--out"],
+    "video": ["view", "RUN", "--trial", "0", "--video"],
+    "strips": ["view", "--trial", "0", "--method", "random", "--strips"],
     "scene": ["scene", "--run", "RUN", "--trial", "0", "--out"],
     "a scene's picture": ["scene", "--run", "RUN", "--trial", "0", "--out", "NEW", "--render"],
     "trials": ["trials", "--trials", "1", "--out"],
@@ -70,7 +70,8 @@ WRITERS = {
     "objects": ["import", "objects", "NEW", "--from", "oakink", "--out"],
 }
 ENDING = {
-    **dict.fromkeys(("video", "strips", "a scene's picture"), ".png"),
+    "video": ".mp4",
+    **dict.fromkeys(("strips", "a scene's picture"), ".png"),
     **dict.fromkeys(("the paper's study", "ratings"), ".svg"),
     **dict.fromkeys(("a hand", "hands", "grasps"), ".npz"),
 }
@@ -102,7 +103,7 @@ def test_no_command_writes_over_what_is_there_unless_that_is_said(who, run, tmp_
     assert "File name too long" in error and error.count("\n") == 1
 
 
-@pytest.mark.parametrize("who", ["strips", "a scene's picture", "ratings", "video", "hands"])
+@pytest.mark.parametrize("who", ["strips", "a scene's picture", "ratings", "hands"])
 def test_an_ending_that_nobody_writes_is_refused_before_any_work(who, run, tmp_path, capsys):
     names = {"RUN": run, "NEW": tmp_path / "new", "RATINGS": tmp_path / "ratings.csv"}
     line = [str(names.get(word, word)) for word in WRITERS[who]]
@@ -196,7 +197,7 @@ def test_ctrl_c_is_one_line_and_130(capsys):
 @pytest.mark.parametrize("port", [-1, 99999])
 def test_a_port_that_is_none_is_refused_before_the_run_is_read(tmp_path, port, capsys):
     assert view(tmp_path / "none", port=port) == 2
-    assert f"--port is {port}; it must be 0 (any free one) to 65535" in capsys.readouterr().err
+    assert f"--port is {port}; it must be 0 to 65535; 0 takes any free one" in capsys.readouterr().err
 
 
 def test_a_sidecar_that_is_about_no_mesh_is_refused(tmp_path):

@@ -38,17 +38,17 @@ def scene(
     if render:
         check_output_file(render, overwrite=overwrite, flag="--render", endings=(".png", ".jpg"))
     from r2h_batch.benchmark.given import Given
-    from r2h_batch.export.drawing import render_strip
-    from r2h_batch.export.stored import load_trial
-    from r2h_batch.export.trial import export_trial
+    from r2h_batch.export.drawing import Drawing
+    from r2h_batch.export.mjcf import export_trial
+    from r2h_batch.export.pictures import write_row
+    from r2h_batch.export.stored import Reader
     from r2h_batch.scene.offscreen import RenderError
 
     try:
-        given = Given.of(benchmark)
-        stored = load_trial(run, trial, method=method or None, given=given)
+        stored = Reader(run, Given.of(benchmark)).trial(trial, method or None)
         folder = export_trial(stored, out)
         if render:
-            render_strip(stored, render)
+            write_row(Drawing(stored), render, size=(600, 600))
     except RenderError as error:
         return refuse("scene", error, 1)
     except ValueError as error:  # ExportError, RunError, FileError, ObjectMeshError

@@ -1,181 +1,384 @@
-"""Pictures of one trial, drawn by MuJoCo from the exported model: its motion, or what was asked
-where there is none."""
+"""What a picture of one trial shows, whoever draws it: bodies, their motion, marks and a camera.
 
-from collections.abc import Iterable, Iterator, Sequence
-from functools import cached_property
-from pathlib import Path
+`Drawing` is the one description of a trial. `export/pictures.py` draws it with MuJoCo into images
+and films; `view/page.py` draws it with viser into a browser.
+"""
+
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import mujoco
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.export.mjcf_parts import MARK
+from r2h_batch.export.mjcf import MARK, checked_pairs, spec_of, trajectory
 from r2h_batch.export.stored import StoredTrial
-from r2h_batch.export.trial import spec_of, trajectory
-from r2h_batch.export.witness import Witness, nearest_pair, shortfall
-from r2h_batch.io.write import atomic_path
-from r2h_batch.scene.model_parts import SHADOW_PIXELS
-from r2h_batch.scene.offscreen import RenderError, renderer
+from r2h_batch.scene.model_parts import VISUAL
 
 Array = NDArray[np.float64]
-Image = NDArray[np.uint8]
+Color = tuple[float, float, float, float]
 
-RED = (0.86, 0.10, 0.10, 0.85)
-WITNESS_M = 0.004
-"""Radius of the witness line's tube."""
+MARKS = ("target", "region", "ball", "palm", "width", "witness")
+"""Groups of marks that a viewer can show or hide."""
+RED: Color = (0.86, 0.10, 0.10, 0.85)
+YELLOW: Color = (0.95, 0.80, 0.10, 0.6)
+FIXED = ("world", "table", "hand", "target", "target_gripper", "receiver")
+"""Bodies that stand still while the arm moves."""
+UNSEEN = ("world", "table", "receiver", "target", "target_gripper")
+"""Bodies that the camera need not have in view; the target counts where nothing moves."""
+
+FOV_DEG = 45.0  # vertical, of every camera
+ELEVATION_DEG = -14.0
+BOUNDS_POSTURES = 12  # of a motion that the camera's bounds are made of
+NEAR_M = 0.5  # farther pairs of bodies are not called near
+COARSE_M = 0.002  # grid on which vertices of large robot meshes are joined
+COARSE_FACES = 4000  # larger meshes of the robot are coarsened
+LIFT_M = 4e-4  # the region is drawn this far outside of the object's surface
 
 
-class Stage:
-    """One trial's compiled model, and pictures of it."""
+@dataclass(frozen=True)
+class Surface:
+    """Triangles of a geom in the frame of its body: vertices (V, 3) m, faces (F, 3), colour."""
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.uint32]
+    rgba: Color
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Something drawn to explain the verdict: a surface, a ball (one point), a line or an arrow
+    (two points), with or without words beside it."""
+
+    group: str  # one of MARKS
+    rgba: Color
+    body: str = "world"  # the body in whose frame the mark stands, and with which it moves
+    geom: int = -1  # the model's geom that is a surface of this mark; -1: none
+    points: Array | None = None  # (1, 3) or (2, 3) m in the body's frame
+    radius_m: float = 0.004
+    arrow: bool = False
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera: the point it looks at (world, m), its direction and its distance from there."""
+
+    look_at: Array
+    azimuth_deg: float
+    elevation_deg: float
+    distance_m: float
+
+    @property
+    def axes(self) -> Array:
+        """Right, up and forward (3, 3) of the picture, in the world."""
+        return _axes(self.azimuth_deg, self.elevation_deg)
+
+
+@dataclass(frozen=True)
+class Witness:
+    """Why a posture at the target is refused.
+
+    Two bodies that overlap or are nearest to each other; or, of kind `unreachable`, the line from
+    the gripper to a target that it does not reach.
+    """
+
+    geoms: tuple[str, ...]  # names of the two collision geoms; none where unreachable
+    kind: str  # of pair, as `CollidingPair` names it
+    distance_m: float  # negative: they overlap by that, or the target is that far away
+    line: Array  # (2, 3) the nearest points, world, m
+
+    @property
+    def caption(self) -> str:
+        """What overlaps what, or is how far from it, in one line."""
+        if self.kind == "unreachable":
+            return f"the gripper stays {-1e3 * self.distance_m:.1f} mm from its target"
+        a, b = map(_geom_name, self.geoms)
+        if self.distance_m < 0:
+            return f"{a} and {b} overlap by {-1e3 * self.distance_m:.1f} mm"
+        return f"{a} and {b} are {1e3 * self.distance_m:.1f} mm apart"
+
+
+class Drawing:
+    """One trial as something to draw: its compiled model, its motion and its marks."""
 
     def __init__(self, stored: StoredTrial) -> None:
         self.stored = stored
         self.model = spec_of(stored).compile()
-        self.robot = load_robot()
+        self._data = mujoco.MjData(self.model)
+        for mark in self.marks:
+            if mark.geom >= 0 and mark.group == "witness":  # MuJoCo draws marks by their group
+                self.model.geom_rgba[mark.geom], self.model.geom_group[mark.geom] = mark.rgba, MARK
+
+    def at(self, q: Array) -> mujoco.MjData:
+        """The bodies with the arm at posture q (6,) rad; the next call overwrites them."""
+        self._data.qpos[:] = q
+        mujoco.mj_forward(self.model, self._data)
+        return self._data
+
+    def motion(self, executed: bool = True) -> tuple[Array, Array]:
+        """Times (N,) s and postures (N, 6) rad.
+
+        The executed motion where it was simulated, else (or where `executed` is false) the planned
+        one. A trial without a path has one posture: the one that its target asks for.
+        """
+        stored = self.stored
+        if not stored.moves:
+            return np.zeros(1), stored.target_q[None]
+        if executed and stored.executed_q is not None:
+            sample_s = float(stored.header["motion"]["sample_s"])
+            return np.arange(len(stored.executed_q)) * np.float64(sample_s), stored.executed_q
+        return trajectory(stored)
+
+    def moments(self, n: int) -> list[tuple[float, Array, bool]]:
+        """`n` even times (s) from the start to rest, their postures (6,), and whether the robot
+        touches the hand then.
+
+        Where Safe fails, the nearest of the times is moved to the touch.
+        """
+        row, (times, q) = self.stored.row, self.motion()
+        at = np.linspace(0.0, min(row.get("t_exec_s") or times[-1], times[-1]), n)
+        touch = row.get("witness_time_s") if row["outcome"] == "safe" else None
+        if touch is not None:
+            at[np.abs(at - touch).argmin()] = touch
+        return [(float(t), q[np.abs(times - t).argmin()], t == touch) for t in at]
 
     @cached_property
     def witness(self) -> Witness | None:
-        """What speaks against the posture asked for: how far it stays from an unreachable target;
-        else the nearest pair, of the kind that the planner named where it named one, at home if
-        that is what collides."""
-        reason, pair = (self.stored.row.get(k) for k in ("plan_reason", "plan_pair"))
+        """What speaks against the posture at the target; None where the arm moves there."""
+        stored = self.stored
+        reason, pair = (stored.row.get(k) for k in ("plan_reason", "plan_pair"))
+        if stored.moves:
+            return None
         if reason == "ik_unreachable":
-            return shortfall(self.model, self.stored.target_q)
-        q = (
-            np.array(self.stored.workplace.home_q)
-            if reason == "start_in_collision"
-            else self.stored.target_q
-        )
-        return nearest_pair(self.model, self.robot, q, [pair] if pair else [])
+            data = self.at(stored.target_q)
+            line = np.stack([data.site("ee").xpos, data.site("target").xpos])
+            return Witness((), "unreachable", -float(np.linalg.norm(line[1] - line[0])), line)
+        home = reason == "start_in_collision"
+        q = np.array(stored.workplace.home_q) if home else stored.target_q
+        return self._nearest_pair(q, [pair] if pair else [])
 
-    def motion(self, executed: bool = True) -> tuple[Array, Array]:
-        """Times (N,) s and postures (N, 6) rad: as executed where that is asked for and was
-        simulated, else as planned."""
-        if executed and self.stored.executed_q is not None:
-            sample_s = float(self.stored.header["motion"]["sample_s"])
-            return np.arange(
-                len(self.stored.executed_q), dtype=np.float64
-            ) * sample_s, self.stored.executed_q
-        return trajectory(self.stored)
+    def _nearest_pair(self, q: Array, kinds: Collection[str]) -> Witness | None:
+        """The nearest pair of bodies at posture q that planning checks, of these kinds if there are
+        any; None where all are farther apart than NEAR_M."""
+        model, data = self.model, self.at(q)
+        of_body: dict[str, list[int]] = {}
+        for i in np.flatnonzero((model.geom_contype != 0) & (model.geom_conaffinity != 0)):
+            of_body.setdefault(model.body(int(model.geom_bodyid[i])).name, []).append(int(i))
+        best, least = None, NEAR_M
+        for pair, kind in checked_pairs(load_robot()).items():
+            if kinds and kind not in kinds:
+                continue
+            one, two = sorted(pair)
+            for a in of_body.get(one, ()):
+                for b in of_body.get(two, ()):
+                    apart = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
+                    if apart - model.geom_rbound[a] - model.geom_rbound[b] > least:
+                        continue
+                    line = np.zeros(6)
+                    distance = mujoco.mj_geomDistance(model, data, a, b, NEAR_M, line)
+                    if distance < least:
+                        names, least = (model.geom(a).name, model.geom(b).name), float(distance)
+                        best = Witness(names, kind, least, line.reshape(2, 3))
+        return best
 
-    def pictures(
-        self, postures: Iterable[Array], *, width: int, height: int, asked: bool = False, close: bool = False
-    ) -> Iterator[Image]:  # fmt: skip
-        """One picture (height, width, 3) of each posture; `asked`: with the ghost at the target and
-        the nearest pair in red; `close`: the camera looks at the hand alone. Raises
-        `RenderError`."""
-        data, option = mujoco.MjData(self.model), mujoco.MjvOption()
-        option.geomgroup[:] = [1, 1, 1, 0, asked, 0]
-        option.sitegroup[:] = 0
-        witness = self.witness if asked else None
-        camera = self.camera(close)
-        seen = self.model.vis
-        seen.global_.offwidth, seen.global_.offheight = (
-            width,
-            height,
-        )  # memory and time of every picture follow these
-        seen.quality.shadowsize = min(SHADOW_PIXELS, 4 * max(width, height))
-        with _Reddened(self.model, witness), renderer(self.model, width, height) as drawer:
-            for q in postures:
-                data.qpos[:] = q
-                mujoco.mj_forward(self.model, data)
-                drawer.update_scene(data, camera, option)
-                if witness is not None:
-                    _add_line(drawer.scene, witness)
-                yield np.array(drawer.render())
-
-    def camera(self, close: bool) -> mujoco.MjvCamera:
-        """A free camera in front of the table that sees hand and gripper beside each other at the
-        goal."""
-        data = mujoco.MjData(self.model)
-        data.qpos[:] = self.stored.target_q
-        mujoco.mj_forward(self.model, data)
-        gripper, hand = data.site("target").xpos, data.geom("hand/mesh_visual").xpos
-        flat = (hand - gripper)[:2] / max(float(np.linalg.norm((hand - gripper)[:2])), 1e-6)
-        angles = np.radians(np.arange(90, 271, 5))  # looking towards -x, from the receiver's side
-        side = np.abs(np.cos(angles) * flat[1] - np.sin(angles) * flat[0])
-        camera = mujoco.MjvCamera()
-        camera.azimuth = float(
-            np.degrees(angles[np.argmax(side - 0.35 * np.cos(angles - np.pi) ** 2)])
-        )
-        camera.elevation = -14.0
-        if close:
-            camera.lookat[:], camera.distance = (gripper + hand) / 2, 0.75
+    def surface(self, geom: int) -> Surface:
+        """A geom of the model in the frame of its body."""
+        model = self.model
+        kind, size = mujoco.mjtGeom(int(model.geom_type[geom])), model.geom_size[geom]
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            k = int(model.geom_dataid[geom])
+            v, f, name = int(model.mesh_vertadr[k]), int(model.mesh_faceadr[k]), model.mesh(k).name
+            vertices = model.mesh_vert[v : v + model.mesh_vertnum[k]]
+            faces = model.mesh_face[f : f + model.mesh_facenum[k]]
+            if name.startswith("robot_") and len(faces) > COARSE_FACES:
+                vertices, faces = _coarse_robot(vertices.tobytes(), faces.tobytes())
+            elif name == "object_region":
+                mesh = trimesh.Trimesh(vertices, faces, process=False)
+                vertices = mesh.vertices + LIFT_M * mesh.vertex_normals
         else:
-            camera.lookat[:], camera.distance = [0.36, 0.6 * gripper[1], 0.30], 1.6
-        return camera
+            made = _primitive(kind, tuple(map(float, size)))
+            vertices, faces = made.vertices, made.faces
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        moved = np.asarray(vertices) @ turn.reshape(3, 3).T + model.geom_pos[geom]
+        rgba = _color(model.geom_rgba[geom])
+        return Surface(moved.astype(np.float32), np.asarray(faces, np.uint32), rgba)
+
+    def visual_geoms(self, bodies: Collection[str] | None = None) -> list[int]:
+        """Geoms that are seen, of these bodies or of all but the world."""
+        model, found = self.model, []
+        for g in range(model.ngeom):
+            body = int(model.geom_bodyid[g])
+            seen = model.geom_group[g] == VISUAL and body > 0
+            if seen and (bodies is None or model.body(body).name in bodies):
+                found.append(g)
+        return found
+
+    def body_of(self, geom: int) -> str:
+        """The name of the body that carries a geom."""
+        return str(self.model.body(int(self.model.geom_bodyid[geom])).name)
+
+    @cached_property
+    def marks(self) -> tuple[Mark, ...]:
+        """All marks of the trial.
+
+        The ghost at the target, the part that the receiver wants, the ball and the palm's normal,
+        the material between the pads, and the witness of a failed Plan or Safe.
+        """
+        model, row = self.model, self.stored.row
+        data, found = self.at(self.stored.target_q), []
+
+        def surface(group: str, geom: str, rgba: Color | None = None) -> None:
+            g = int(model.geom(geom).id)
+            found.append(Mark(group, rgba or _color(model.geom_rgba[g]), self.body_of(g), g))
+
+        for g in range(model.ngeom):
+            name = model.geom(g).name
+            if name.startswith("target/"):
+                surface("target", name)
+            elif name == "object/region_visual":
+                surface("region", name)
+        green = _color(model.site("ball").rgba)[:3]
+        ball, palm = data.site("ball").xpos.copy(), data.site("palm")
+        radius = float(model.site("ball").size[0])
+        found.append(Mark("ball", (*green, 0.18), points=ball[None], radius_m=radius))
+        tip = palm.xpos + 0.08 * palm.xmat.reshape(3, 3)[:, 2]
+        line = np.stack([palm.xpos, tip])
+        found.append(Mark("palm", (*green, 1.0), points=line, radius_m=0.003, arrow=True))
+        pads = [f"gripper/{side}_pad" for side in ("left", "right")]
+        for pad in pads:
+            surface("width", pad, YELLOW)
+        if row.get("width_m") is not None:
+            width = row["width_m"]
+            a, b = (model.geom(pad).pos for pad in pads)
+            half = width / 2 * (b - a) / np.linalg.norm(b - a)
+            line, text = np.stack([(a + b) / 2 - half, (a + b) / 2 + half]), f"{1e3 * width:.1f} mm"
+            body = self.body_of(int(model.geom(pads[0]).id))
+            found.append(Mark("width", YELLOW, body, points=line, radius_m=0.0015, text=text))
+        if self.witness is not None:
+            for name in self.witness.geoms:
+                surface("witness", name, RED)
+            line, text = self.witness.line, self.witness.caption
+            found.append(Mark("witness", RED, points=line, text=text))
+        elif row["outcome"] == "safe" and row.get("witness_point_m"):
+            point = np.array(row["witness_point_m"], np.float64)[None]
+            part = str(row.get("witness_safe_part")).replace("_", " ")
+            text = f"{part} meets the hand at {row['witness_time_s']:.1f} s"
+            found.append(Mark("witness", RED, points=point, radius_m=0.015, text=text))
+        return tuple(found)
+
+    def bounds(self, close: bool = False) -> Array:
+        """Corners (N, 3) of boxes around robot, object and hand over the whole motion; `close`:
+        around gripper, object and hand at the target alone."""
+        model = self.model
+        near = ("object", "hand", "gripper")
+        names = [model.body(i).name for i in range(model.nbody)]
+        geoms = self.visual_geoms(near if close else [n for n in names if n not in UNSEEN])
+        if not self.stored.moves:
+            geoms += [m.geom for m in self.marks if m.group == "target"]
+        _, q = self.motion()
+        some = np.linspace(0, len(q) - 1, min(len(q), BOUNDS_POSTURES)).round().astype(int)
+        home = np.array(self.stored.workplace.home_q)
+        corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
+        local = model.geom_aabb[geoms, None, :3] + corners * model.geom_aabb[geoms, None, 3:]
+        points = []
+        for posture in [self.stored.target_q] if close else [home, *q[some]]:
+            data = self.at(posture)
+            turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
+            world = local @ turn.swapaxes(1, 2) + data.geom_xpos[geoms, None]
+            points.append(world.reshape(-1, 3))
+        return np.concatenate(points)
+
+    def azimuth_deg(self) -> float:
+        """From the receiver's side, where hand and gripper stand beside each other at the end."""
+        data = self.at(self.stored.target_q)
+        apart = (data.geom("hand/mesh_visual").xpos - data.site("target").xpos)[:2]
+        flat = apart / max(float(np.linalg.norm(apart)), 1e-6)
+        angles = np.radians(np.arange(90, 271, 5))
+        side = np.abs(np.cos(angles) * flat[1] - np.sin(angles) * flat[0])
+        return float(np.degrees(angles[np.argmax(side - 0.35 * np.cos(angles - np.pi) ** 2)]))
 
 
-class _Reddened:
-    """The model with the two geoms of a witness red and seen, and as it was afterwards."""
+def view_of(
+    drawings: Sequence[Drawing], aspect: float, *, close: bool = False, apart_m: float = 0.0
+) -> View:
+    """The nearest camera that has all of these trials in the picture.
 
-    def __init__(self, model: mujoco.MjModel, witness: Witness | None) -> None:
-        self.model = model
-        self.ids = [] if witness is None else [model.geom(name).id for name in witness.geoms]
-        self.kept = [(model.geom_rgba[i].copy(), int(model.geom_group[i])) for i in self.ids]
-
-    def __enter__(self) -> None:
-        for i in self.ids:
-            self.model.geom_rgba[i], self.model.geom_group[i] = RED, MARK
-
-    def __exit__(self, *_: object) -> None:
-        for i, (rgba, group) in zip(self.ids, self.kept, strict=True):
-            self.model.geom_rgba[i], self.model.geom_group[i] = rgba, group
-
-
-def _add_line(scene: mujoco.MjvScene, witness: Witness) -> None:
-    """The line between the nearest points: a tube, so that it is seen from far."""
-    if scene.ngeom >= scene.maxgeom:
-        return
-    geom = scene.geoms[scene.ngeom]
-    mujoco.mjv_initGeom(
-        geom,
-        mujoco.mjtGeom.mjGEOM_CAPSULE,
-        np.zeros(3),
-        np.zeros(3),
-        np.zeros(9),
-        np.array(RED, np.float32),
+    Args:
+        drawings: trials, as a rule the same one of several methods.
+        aspect: width of the picture divided by its height.
+        close: see `Drawing.bounds`.
+        apart_m: how far the trials stand from each other along y.
+    """
+    points = np.concatenate([d.bounds(close) + [0, k * apart_m, 0] for k, d in enumerate(drawings)])
+    azimuth = drawings[0].azimuth_deg() if apart_m == 0 or len(drawings) == 1 else 180.0
+    axes, half = _axes(azimuth, ELEVATION_DEG), np.tan(np.radians(FOV_DEG / 2))
+    at = points @ axes.T
+    middle = (at.min(0) + at.max(0)) / 2
+    right, up, forward = (at - middle).T
+    distance = max(
+        (np.abs(right) / (half * aspect) - forward).max(), (np.abs(up) / half - forward).max()
     )
-    mujoco.mjv_connector(
-        geom, mujoco.mjtGeom.mjGEOM_CAPSULE, WITNESS_M, witness.line[0], witness.line[1]
-    )
-    scene.ngeom += 1
+    return View(middle @ axes, azimuth, ELEVATION_DEG, float(distance))
 
 
-def render_strip(
-    stored: StoredTrial,
-    png: str | Path,
-    *,
-    moments: Sequence[float] = (0.0, 0.6, 1.0),
-    width: int = 600,
-    height: int = 600,
-) -> None:
-    """A picture of the trial: moments (fractions of its duration) side by side; without a motion,
-    home and the posture that was asked for, from afar and near. Raises `RenderError`."""
-    stage = Stage(stored)
-    if stored.moves:
-        times, q = stage.motion()
-        postures = [q[np.abs(times - f * times[-1]).argmin()] for f in moments]
-        frames = list(stage.pictures(postures, width=width, height=height))
-    else:
-        both = [np.array(stored.workplace.home_q), stored.target_q]
-        frames = list(stage.pictures(both, width=width, height=height, asked=True))
-        frames += stage.pictures(
-            [stored.target_q], width=width, height=height, asked=True, close=True
-        )
-    save_picture(png, np.concatenate(frames, axis=1))
+def _axes(azimuth_deg: float, elevation_deg: float) -> Array:
+    a, e = np.radians([azimuth_deg, elevation_deg])
+    right = np.array([np.sin(a), -np.cos(a), 0.0])
+    forward = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    return np.stack([right, np.cross(right, forward), forward])
 
 
-def save_picture(file: str | Path, image: Image) -> None:
-    """Writes a picture in the format that its name says; raises `RenderError` where the library for
-    that is not there."""
-    try:
-        import imageio.v3 as imageio
-    except ImportError:
-        raise RenderError("pictures need imageio: pip install 'r2h_batch[view]'") from None
-    data = imageio.imwrite(
-        "<bytes>", image, extension=Path(file).suffix
-    )  # a file that PIL cannot close is a traceback
-    with atomic_path(Path(file)) as temporary:
-        temporary.write_bytes(data)
+def _primitive(kind: mujoco.mjtGeom, size: tuple[float, ...]) -> trimesh.Trimesh:
+    """MuJoCo's sizes: half sides of a box, radius and half length along z."""
+    if kind == mujoco.mjtGeom.mjGEOM_BOX:
+        return trimesh.creation.box(extents=2 * np.array(size))
+    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        return trimesh.creation.icosphere(subdivisions=2, radius=size[0])
+    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        return trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=32)
+    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+        made = trimesh.creation.capsule(radius=size[0], height=2 * size[1], count=[16, 16])
+        made.apply_translation(-made.bounds.mean(0))  # versions differ in where its origin is
+        return made
+    raise ValueError(f"{kind.name} is not a shape of an exported trial")
+
+
+@lru_cache(maxsize=16)
+def _coarse_robot(vertices: bytes, faces: bytes) -> tuple[Array, NDArray[np.int64]]:
+    v = np.frombuffer(vertices, np.float32).reshape(-1, 3).astype(np.float64)
+    return coarse(v, np.frombuffer(faces, np.int32).reshape(-1, 3).astype(np.int64), COARSE_M)
+
+
+def coarse(
+    vertices: Array, faces: NDArray[np.int64], cell_m: float
+) -> tuple[Array, NDArray[np.int64]]:
+    """The surface with all vertices of a grid's cell joined to one of them: no point moves farther
+    than the cell's diagonal."""
+    mesh = trimesh.Trimesh(vertices / cell_m, faces, process=False)
+    mesh.merge_vertices(digits_vertex=0)
+    f = np.asarray(mesh.faces)
+    kept = (f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 0] != f[:, 2])
+    mesh.update_faces(kept)
+    mesh.remove_unreferenced_vertices()
+    return cell_m * np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def _color(rgba: Sequence[float]) -> Color:
+    r, g, b, a = map(float, rgba)
+    return r, g, b, a
+
+
+def _geom_name(geom: str) -> str:
+    """robot/wrist_3_0: wrist 3; hand/index2: hand index 2; object/hull: object."""
+    owner, _, part = geom.partition("/")
+    if owner in ("object", "table"):
+        return owner
+    if owner == "robot":
+        return re.sub(r"_\d+$", "", part).replace("_", " ")
+    return f"{owner} {re.sub(r'(?<=[a-z])(?=[0-9])', ' ', part).replace('_', ' ')}"

@@ -1,248 +1,201 @@
-"""Pictures of a handover along the motion that happened, from the model that was simulated."""
+"""Images, strips and films of trials, drawn by MuJoCo without a screen."""
 
-import copy
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from r2h_batch import se3
-from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.grasp import attach
-from r2h_batch.motion.execute import Executed, execute
-from r2h_batch.motion.time_law import time_path
-from r2h_batch.scene.dynamics import Payload
-from r2h_batch.scene.model import COLLISION, SceneModel, TrialScene, build_scene_model
-from r2h_batch.scene.offscreen import renderer
-from r2h_batch.types import (
-    CRITERIA,
-    CollidingPair,
-    Outcome,
-    PlanReason,
-    Predictions,
-    Scores,
-    Trials,
-)
+from r2h_batch.export.captions import headline, title
+from r2h_batch.export.drawing import Drawing, Mark, View, view_of
+from r2h_batch.export.mjcf import MARK
+from r2h_batch.io.write import atomic_path
+from r2h_batch.scene.model_parts import SHADOW_PIXELS
+from r2h_batch.scene.offscreen import RenderError, renderer
 
-AZIMUTH_DEG, ELEVATION_DEG = 125.0, -18.0
-PADDING_M = 0.09
-"""Seen around the centres of the robot's primitives."""
+Array = NDArray[np.float64]
+Image = NDArray[np.uint8]
+
+FILMS, PICTURES = (".mp4", ".webm", ".gif"), (".png", ".jpg", ".jpeg")
+LARGEST = (1920, 1080)
+STILL_S = 3.0  # a film of a trial without a motion: half from far, half from near
+REST_S = 0.7  # a film goes on after the motion
+PASSES, FAILS = "#1b6e3c", "#a3262a"
 
 
-@dataclass(frozen=True)
-class Strip:
-    """One handover: what came of it, and pictures at some times of its motion (one alone where
-    there was none)."""
+@contextmanager
+def painter(drawing: Drawing, size: tuple[int, int], view: View) -> Iterator[Callable[..., Image]]:
+    """Gives `paint(q, marks=False)`: an image (height, width, 3) of the trial at posture q (6,).
 
-    method: str
-    outcome: Outcome
-    verdict: str
-    time_s: NDArray[np.float64]
-    images: NDArray[np.uint8]  # (times, height, width, 3)
+    Args:
+        drawing: the trial.
+        size: width and height, pixels.
+        view: the camera.
 
+    With `marks` the image shows the ghost at the target, the receiver's part and the witness.
 
-def strips(
-    evaluator: Evaluator,
-    trial: Trials,
-    predictions: Sequence[Predictions],
-    *,
-    frames: int = 5,
-    size: tuple[int, int] = (480, 400),
-) -> list[Strip]:
-    """A strip for each method's answer to one trial, from one direction; a failed Safe shows the
-    touch.
-
-    `trial` and each of `predictions` have one row. `size` is width and height in pixels.
+    Raises:
+        RenderError: nothing draws on this machine.
     """
-    if evaluator.config.execute.sim == "none":
-        raise ValueError(
-            "strips show an executed motion; ExecConfig.sim is 'none', allowed are auto, mujoco, mjwarp"
-        )
-    if len(trial) != 1 or any(len(p) != 1 for p in predictions):
-        raise ValueError(
-            f"strips show one trial; {len(trial)} trials and {[len(p) for p in predictions]} predictions given"
-        )
-    told = [_replayed(evaluator, trial, p) for p in predictions]
-    scene = evaluator.scene
-    model = build_scene_model(
-        scene.robot, [scene.objects[int(trial.object_index[0])]], scene.hands, [int(trial.hand_index[0])],
-        step_s=evaluator.config.execute.step_s, skins=True, workplace=scene.config.workplace,
-    )  # fmt: skip
-    chosen = [_times(scores, executed, frames) for scores, executed, _ in told]
-    with renderer(model.model, *size) as drawer:
-        out = []
-        for p, (scores, executed, bodies), at in zip(predictions, told, chosen, strict=True):
-            postures = _postures(executed, at, scene.config.workplace.home_q)
-            camera = _camera(model, bodies, postures, size)
-            touch = (
-                scores.witness_point[0].numpy() if int(scores.outcome[0]) == Outcome.SAFE else None
-            )
-            touch_s = float(scores.witness_time_s[0])
-            images = [
-                _picture(
-                    drawer,
-                    model,
-                    bodies,
-                    q,
-                    camera,
-                    touch if touch is not None and abs(t - touch_s) < 0.01 else None,
-                )
-                for t, q in zip(at, postures, strict=True)
-            ]
-            outcome = Outcome(int(scores.outcome[0]))
-            out.append(
-                Strip(p.method, outcome, verdict(scores, scene.part_names), at, np.stack(images))
-            )
-    return out
+    model, (width, height) = drawing.model, size
+    option, camera = mujoco.MjvOption(), mujoco.MjvCamera()
+    option.sitegroup[:] = 0
+    camera.lookat[:], camera.distance = view.look_at, view.distance_m
+    camera.azimuth, camera.elevation = view.azimuth_deg, view.elevation_deg
+    # memory and time of every image follow these sizes
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    model.vis.quality.shadowsize = min(SHADOW_PIXELS, 4 * max(width, height))
+    with renderer(model, width, height) as drawer:
+
+        def paint(q: Array, marks: bool = False) -> Image:
+            option.geomgroup[:] = [1, 1, 1, 0, 0, 0]
+            option.geomgroup[MARK] = marks
+            drawer.update_scene(drawing.at(q), camera, option)
+            for mark in drawing.marks if marks else ():
+                if mark.group == "witness" and mark.points is not None:
+                    _add_mark(drawer.scene, mark)
+            return np.array(drawer.render())
+
+        yield paint
 
 
-def verdict(scores: Scores, parts: Sequence[str], row: int = 0) -> str:
-    """One line: success with its time, or which criterion failed first, and how."""
-    outcome = Outcome(int(scores.outcome[row]))
-    if outcome == Outcome.SUCCESS:
-        return f"success, {float(scores.t_exec_s[row]):.1f} s"
-    if outcome > len(CRITERIA):
-        return outcome.name.lower().replace("_", " ")
-    name = f"{CRITERIA[outcome - 1].capitalize()} fails"
-    if outcome == Outcome.PLAN:
-        pair = CollidingPair(int(scores.plan_pair[row]))
-        with_what = (
-            f" ({pair.name.lower().replace('_', ', ')})" if pair != CollidingPair.NONE else ""
-        )
-        return f"{name}: {PlanReason(int(scores.plan_reason[row])).name.lower().replace('_', ' ')}{with_what}"
-    if outcome == Outcome.SAFE:
-        body = int(scores.witness_part[row, 1])
-        part = parts[body].replace("_", " ") if body >= 0 else "robot"
-        return f"{name}: {part} meets the hand at {float(scores.witness_time_s[row]):.1f} s"
-    return f"{name} by {-1e3 * float(scores.margin[row, outcome - 1]):.1f} mm"
+def _add_mark(scene: mujoco.MjvScene, mark: Mark) -> None:
+    """A ball at the one point, or a tube between the two points of a mark in the world."""
+    points = mark.points
+    if points is None or scene.ngeom >= scene.maxgeom:
+        return
+    geom, rgba = scene.geoms[scene.ngeom], np.array(mark.rgba, np.float32)
+    ball, tube = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
+    size, turn = np.full(3, mark.radius_m), np.eye(3).ravel()
+    mujoco.mjv_initGeom(geom, ball if len(points) == 1 else tube, size, points[0], turn, rgba)
+    if len(points) == 2:
+        mujoco.mjv_connector(geom, tube, mark.radius_m, points[0], points[1])
+    scene.ngeom += 1
 
 
-def _replayed(
-    evaluator: Evaluator, trial: Trials, p: Predictions
-) -> tuple[Scores, Executed, TrialScene]:
-    """Verdict, executed motion and bodies of one prediction: the same bits as in a batch."""
-    scene, config, device = evaluator.scene, evaluator.config, evaluator.scene.device
-    trial = trial.to(device)
-    T_obj_ee, T_world_ee = p.T_obj_ee.to(device), p.T_world_ee.to(device)
-    scores = evaluator.score(T_obj_ee, T_world_ee, trial)
-    attached = attach(se3.orthonormalise(T_obj_ee), scores.grasp_shift_m)
-    T_world_hand = se3.orthonormalise(trial.T_world_hand)
-    placed = scene.place(
-        trial.object_index, trial.hand_index, attached, T_world_hand, scores.opening_m
-    )
-    motion = time_path(scores.path, scores.path_len, config.execute)
-    executed = execute(
-        scene,
-        placed,
-        scores.path,
-        scores.path_len,
-        motion,
-        config.execute,
-        threads=evaluator.threads,
-    )
-    robot, model = scene.robot, scene.objects[int(trial.object_index[0])]
-    T_gripper_ee = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee
-    T_gripper_obj = T_gripper_ee @ np.linalg.inv(attached[0].double().cpu().numpy())
-    bodies = TrialScene(
-        Payload.of(model, T_gripper_obj), 0, int(trial.hand_index[0]), T_world_hand[0].double().cpu().numpy(),
-        float(scores.opening_m[0]),
-    )  # fmt: skip
-    on_cpu: dict[str, Any] = {
-        k: v.cpu() for k, v in vars(executed).items() if isinstance(v, torch.Tensor)
-    }
-    return scores.to("cpu"), replace(executed, **on_cpu), bodies
+def images(
+    drawing: Drawing, size: tuple[int, int], n: int, view: View | None = None
+) -> list[tuple[Image, str]]:
+    """`n` images along the motion and a caption for each.
+
+    A trial without a motion has three at most: home, the posture at the target, and that from near;
+    its marks say what was wrong.
+    """
+    aspect = size[0] / size[1]
+    with painter(drawing, size, view or view_of([drawing], aspect)) as paint:
+        if drawing.stored.moves:
+            return [(paint(q, touch), f"{t:.1f} s") for t, q, touch in drawing.moments(n)]
+        home = np.array(drawing.stored.workplace.home_q)
+        found = [(paint(home, True), "home"), (paint(drawing.stored.target_q, True), "target")]
+    with painter(drawing, size, view_of([drawing], aspect, close=True)) as paint:
+        return [*found, (paint(drawing.stored.target_q, True), "target, near")][:n]
 
 
-def _times(scores: Scores, executed: Executed, frames: int) -> NDArray[np.float64]:
-    """Even times from start to rest; where Safe fails the nearest is that of the touch."""
-    n = int(executed.length[0])
-    if n == 0:
-        return np.zeros(1)
-    assert executed.sample_s is not None
-    end = float(executed.t_exec_s[0]) if bool(executed.settled[0]) else (n - 1) * executed.sample_s
-    at = np.linspace(0.0, end, frames)
-    if int(scores.outcome[0]) == Outcome.SAFE and np.isfinite(
-        touch := float(scores.witness_time_s[0])
-    ):
-        at[np.abs(at - touch).argmin()] = touch
-    return at
+def image_at_end(drawing: Drawing, size: tuple[int, int], *, close: bool = False) -> Image:
+    """Where the motion ends; without a motion the target with the marks that say why."""
+    with painter(drawing, size, view_of([drawing], size[0] / size[1], close=close)) as paint:
+        return paint(drawing.motion()[1][-1], not drawing.stored.moves)
 
 
-def _postures(
-    executed: Executed, time_s: NDArray[np.float64], home: Sequence[float]
-) -> NDArray[np.float64]:
-    n = int(executed.length[0])
-    if n == 0:
-        return np.array([home])
-    assert executed.sample_s is not None
-    at = np.clip(np.round(time_s / executed.sample_s).astype(int), 0, n - 1)
-    return executed.path[0, at].double().numpy()
+def write_row(drawing: Drawing, file: Path, *, n: int = 3, size: tuple[int, int]) -> None:
+    """The images of one trial side by side, without words."""
+    save_picture(file, np.concatenate([image for image, _ in images(drawing, size, n)], axis=1))
 
 
-def _camera(
-    model: SceneModel, bodies: TrialScene, postures: NDArray[np.float64], size: tuple[int, int]
-) -> mujoco.MjvCamera:  # fmt: skip
-    """A camera that sees robot, object and hand in all postures, as near as possible."""
-    own = copy.copy(model.model)
-    data = mujoco.MjData(own)
-    model.load(own, bodies, data)
-    mujoco.mj_resetData(own, data)
-    near = (own.geom_group == COLLISION) & (own.geom_type != mujoco.mjtGeom.mjGEOM_MESH)
-    round_ = np.array([own.geom("hand/skin").id, own.geom("object/mesh_visual").id])
-    points = [[0.0, 0.0, -0.05]]
-    for q in postures:
-        data.qpos[:] = model.start(bodies, q)
-        mujoco.mj_kinematics(own, data)
-        points += [
-            p + s * PADDING_M * e for p in data.geom_xpos[near] for e in np.eye(3) for s in (-1, 1)
-        ]
-        points += [
-            p + s * 0.7 * r * e
-            for p, r in zip(data.geom_xpos[round_], own.geom_rbound[round_])
-            for e in np.eye(3)
-            for s in (-1, 1)
-        ]
-    a, e = np.radians([AZIMUTH_DEG, ELEVATION_DEG])
-    axes = np.array(
-        [
-            [np.sin(a), -np.cos(a), 0.0],
-            [0, 0, 0],
-            [np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)],
-        ]
-    )
-    axes[1] = np.cross(axes[0], axes[2])  # right, up, forward
-    at = np.array(points) @ axes.T
-    middle = (at.min(0) + at.max(0)) / 2
-    right, up, forward = np.abs(at - middle)[:, 0], np.abs(at - middle)[:, 1], (at - middle)[:, 2]
-    half = np.tan(np.radians(own.vis.global_.fovy) / 2)
-    camera = mujoco.MjvCamera()
-    camera.lookat[:] = middle @ axes
-    camera.azimuth, camera.elevation = AZIMUTH_DEG, ELEVATION_DEG
-    camera.distance = float(
-        max((right / (half * size[0] / size[1]) - forward).max(), (up / half - forward).max())
-    )
-    return camera
+def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[int, int]) -> None:
+    """A row of `n` images for each drawing, with its method and verdict, all from one camera.
+
+    Raises:
+        RenderError: nothing draws here, or matplotlib is missing.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise RenderError("strips need matplotlib: pip install 'r2h_batch[view]'") from None
+    view = view_of(drawings, size[0] / size[1])
+    wide, tall = 2.4, 2.4 * size[1] / size[0] + 0.32  # inches of an image, and of a row
+    figure = Figure(figsize=(wide * n, tall * len(drawings) + 0.35), dpi=160)
+    heights = [0.35, *[tall] * len(drawings)]
+    heading, *rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
+    for part, drawing in zip(rows, drawings, strict=True):
+        stored, words = drawing.stored, headline(drawing.stored.row)
+        color = PASSES if stored.row["outcome"] == "success" else FAILS
+        part.text(0.005, 0.995, stored.method, ha="left", va="top", fontsize=9, weight="bold")
+        part.text(0.995, 0.995, words, ha="right", va="top", fontsize=9, color=color)
+        axes = part.subplots(1, n, gridspec_kw={"wspace": 0.02}, squeeze=False)[0]
+        part.subplots_adjust(left=0.005, right=0.995, top=1 - 0.26 / tall, bottom=0.01)
+        for axis in axes:
+            axis.set_axis_off()
+        for axis, (image, when) in zip(axes, images(drawing, size, n, view), strict=False):
+            axis.imshow(image)
+            axis.text(0.03, 0.05, when, transform=axis.transAxes, fontsize=7, color="#333333")
+    with atomic_path(out) as temporary:
+        figure.savefig(temporary, metadata={"Software": None} if out.suffix == ".png" else None)
 
 
-def _picture(
-    drawer: mujoco.Renderer, model: SceneModel, bodies: TrialScene, q: NDArray[np.float64], camera: mujoco.MjvCamera,
-    touch: NDArray[np.float32] | None,
-) -> NDArray[np.uint8]:  # fmt: skip
-    data = mujoco.MjData(model.model)
-    model.load(model.model, bodies, data)
-    mujoco.mj_resetData(model.model, data)
-    data.qpos[:] = model.start(bodies, q)
-    mujoco.mj_forward(model.model, data)
-    drawer.update_scene(data, camera)
-    if touch is not None:
-        scene = drawer.scene
-        mujoco.mjv_initGeom(
-            scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 0.025), touch.astype(np.float64),
-            np.eye(3).ravel(), np.array([0.85, 0.1, 0.1, 0.75], np.float32),
-        )  # fmt: skip
-        scene.ngeom += 1
-    return np.array(drawer.render())
+def write_film(drawings: Sequence[Drawing], out: Path, *, size: tuple[int, int], fps: int) -> None:
+    """A film of the trials beside each other; each rests on its last image until all have ended.
+
+    Raises:
+        RenderError: nothing draws here, or imageio or its ffmpeg is missing.
+    """
+    view = view_of(drawings, size[0] / size[1])
+    films = [_film(d, size, fps, view) for d in drawings]
+    with atomic_path(out) as temporary, _writer(temporary, fps) as writer:
+        last = [next(f) for f in films]
+        ended = [False] * len(films)
+        while not all(ended):
+            writer.append_data(np.concatenate(last, axis=1))
+            for k, film in enumerate(films):
+                image = next(film, None)
+                ended[k] = image is None
+                last[k] = last[k] if image is None else image
+
+
+def _film(drawing: Drawing, size: tuple[int, int], fps: int, view: View) -> Iterator[Image]:
+    """The images of one trial: its motion and a short rest, or the target from far and near."""
+    if drawing.stored.moves:
+        times, q = drawing.motion()
+        with painter(drawing, size, view) as paint:
+            for t in np.arange(0.0, times[-1] + REST_S, 1.0 / fps):
+                yield paint(q[np.abs(times - t).argmin()])
+        return
+    for camera in (view, view_of([drawing], size[0] / size[1], close=True)):
+        with painter(drawing, size, camera) as paint:
+            image = paint(drawing.stored.target_q, True)
+        yield from [image] * max(1, round(STILL_S * fps / 2))
+
+
+def _writer(path: Path, fps: int) -> Any:
+    """imageio's writer with its own ffmpeg."""
+    try:
+        import imageio
+
+        if path.suffix.lower() == ".gif":
+            return imageio.get_writer(path, mode="I", duration=1000 / fps, loop=0)
+        import imageio_ffmpeg  # noqa: F401 (imageio says less when it is missing)
+
+        return imageio.get_writer(path, fps=fps, macro_block_size=2, quality=7)
+    except ImportError:
+        words = "films need imageio with its ffmpeg: pip install 'r2h_batch[view]'"
+        raise RenderError(words) from None
+
+
+def save_picture(file: str | Path, image: Image) -> None:
+    """Writes an image in the format that its name says.
+
+    Raises:
+        RenderError: imageio is missing.
+    """
+    try:
+        import imageio.v3 as imageio
+    except ImportError:
+        raise RenderError("pictures need imageio: pip install 'r2h_batch[view]'") from None
+    # through bytes: PIL raises a traceback of its own where it cannot close a file
+    data = imageio.imwrite("<bytes>", image, extension=Path(file).suffix)
+    with atomic_path(Path(file)) as temporary:
+        temporary.write_bytes(data)

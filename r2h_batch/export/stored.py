@@ -1,36 +1,54 @@
-"""One trial of a run folder, whole: what is stored, and what is not, computed again from the method
-and its seed."""
+"""One trial of a run folder, whole: what is stored, and what is not, computed again.
 
+The built-in methods and the evaluator draw by trial number and not from a stream, so one trial
+alone gives the same bits as in its batch. `StoredTrial.note` says where a computed verdict differs
+from the stored one (another machine, another version).
+"""
+
+import json
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, cast, get_args
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 from numpy.typing import NDArray
+from pydantic import TypeAdapter
 
 from r2h_batch import se3
 from r2h_batch.benchmark import Benchmark
 from r2h_batch.benchmark.given import Given
 from r2h_batch.benchmark.of_run import benchmark_of_run
 from r2h_batch.benchmark.unbuilt import is_unbuilt
-from r2h_batch.config import Workplace
+from r2h_batch.command_line import UsageError
+from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.export import replay
 from r2h_batch.io.read import FileError
+from r2h_batch.predictors.noise import Errors
+from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.runs.store import Run, load_run
+from r2h_batch.sweep.answers import AnswerError
+from r2h_batch.sweep.jobs import Setting, make_jobs
+from r2h_batch.sweep.options import METHODS, Options, check
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 from r2h_batch.types import Predictions, Trials
+from r2h_batch.verdicts import CRITERIA, SIDES
+
+__all__ = ["ExportError", "Reader", "StoredTrial", "judged_again"]
 
 Array = NDArray[np.float64]
 
 CHECKED_TRIALS = 20_000
 """Runs of at most this many trials have their whole trial list compared with its digest."""
+SAME_M = 1e-6
+"""Margins that differ by no more than this are the same: float32 of numbers below 10 m."""
+UNJUDGED = ("invalid_input", "missing")
+POSES = ("T_obj_ee", "T_world_ee")
 
 
 class ExportError(ValueError):
@@ -40,29 +58,29 @@ class ExportError(ValueError):
 @dataclass(frozen=True)
 class StoredTrial:
     """One trial of one method as it was judged: what a run folder says, and the trial itself made
-    from its protocol."""
+    from its protocol. Poses `T_a_b` are 4x4 in metres."""
 
-    header: dict[str, Any]
+    header: dict[str, Any]  # as in run.json: configuration, protocol, motion
     method: str
     row: dict[str, Any]  # of trials and details
     T_obj_ee: Array  # as predicted
     T_obj_ee_attached: Array  # after closing moved the object between the pads
     T_world_ee: Array
     T_world_hand: Array
-    q: Array  # (W, 6) waypoints; home alone where no path was found
+    q: Array  # (W, 6) rad, waypoints; home alone where no path was found
     time_s: Array  # (W,)
-    executed_q: Array | None  # (S, 6) every `motion.sample_s` of run.json; None: not simulated
+    executed_q: Array | None  # (S, 6) rad every `motion.sample_s` s; None: not simulated
     object_model: Any
     hand_set: Any = None  # None: the built-in one
     workplace: Workplace = field(default_factory=Workplace)
     receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
-    asked_q: Array | None = None  # (6,) posture at the target, or the nearest to it; None: q[-1]
+    asked_q: Array | None = None  # (6,) rad at the target, or the nearest to it; None: q[-1]
     asked_clearance_m: float | None = None  # of that posture, where there is no path
     note: str = ""  # where what was computed again is not what is stored
 
     @property
     def target_q(self) -> Array:
-        """The posture that was asked for: the goal, or what comes nearest to it."""
+        """The posture (6,) at the target, or the one that comes nearest to it."""
         return self.q[-1] if self.asked_q is None else self.asked_q
 
     @property
@@ -71,34 +89,8 @@ class StoredTrial:
         return len(self.q) > 1
 
 
-class _Bench:
-    """A run's benchmark as far as its objects are built: trials are drawn from all of it, judged on
-    what is built."""
-
-    def __init__(self, header: dict[str, Any], benchmark: Benchmark, where: str) -> None:
-        self.header, self.where, self.whole, self.benchmark = header, where, benchmark, benchmark
-        built = [i for i, o in enumerate(benchmark.objects) if not is_unbuilt(o)]
-        self._place = torch.full((len(benchmark.objects),), -1, dtype=torch.int32, device="cpu")
-        self._place[built] = torch.arange(len(built), dtype=torch.int32, device="cpu")
-        if len(built) < len(benchmark.objects):
-            self.benchmark = replace(
-                benchmark, objects=tuple(benchmark.objects[i] for i in built), listed=None
-            )
-
-    @cached_property
-    def evaluator(self) -> Evaluator:
-        """An evaluator with the run's configuration, made when the first trial needs it."""
-        return replay.evaluator_of(self.header, self.benchmark, self.where)
-
-    def trial(self, row: dict[str, Any]) -> Trials:
-        """This row's trial, made from the protocol; its object as `benchmark` counts them."""
-        trial = _trial_again(self.header, row, self.whole, self.where)
-        own = replace(trial, object_index=self._place[trial.object_index.long()])
-        return own.named(self.benchmark.objects)
-
-
 class Reader:
-    """Trials of one run folder, one after the other. Of the user's meshes only those are built that
+    """Trials of one run folder, one after the other. Of the user's meshes it builds only those that
     a trial needs, each once."""
 
     def __init__(self, run: str | Path, given: Given | None = None) -> None:
@@ -108,45 +100,91 @@ class Reader:
         self._benches: dict[str, _Bench] = {}
         self._rows: dict[str, Any] = {}
 
+    def method(self, word: str | None = None) -> str:
+        """The full name of a method; the only one where none is named.
+
+        Raises:
+            ExportError: no such method, several, or not all its rows are there.
+        """
+        names, folder = self.run.methods, self.run.folder
+        if word is None and len(names) == 1:
+            return str(names[0])
+        if word is None:
+            listed = ", ".join(names) or "none"
+            raise ExportError(f"{folder}: has several methods; choose one with --method: {listed}")
+        try:
+            name = str(self.run.named(word))
+        except ValueError as error:
+            raise ExportError(str(error)) from None
+        if name not in names:
+            raise ExportError(f"{folder}: {name!r} is not complete; run its sweep again to go on")
+        return name
+
+    def rows(self, method: str) -> Any:
+        """All rows of a method, a pyarrow table."""
+        if method not in self._rows:
+            self._rows[method] = self.run.trials(method)
+        return self._rows[method]
+
+    def build_for(self, trials: Mapping[str, Sequence[int]]) -> None:
+        """Builds the objects of these trials (ids by method) together, on all cores."""
+        names: set[str] = set()
+        for method, ids in trials.items():
+            table = self.rows(self.method(method))
+            wanted = pc.is_in(table["trial_id"], pa.array(ids, pa.int64()))
+            names |= set(table.filter(wanted)["object"].to_pylist())
+        if missing := names & self._own - self._benches.keys():
+            self._build(missing)
+
+    def trial(self, trial_id: int, method: str | None = None) -> StoredTrial:
+        """The trial as it was scored.
+
+        Raises:
+            ExportError: no such trial or method, it was not judged, or it cannot be computed again.
+            RunError: the run folder is damaged.
+        """
+        name, stored = self.method(method), self.run.header["stored"]
+        row = _row(self.rows(name), trial_id, f"{self.where}: method {name!r}")
+        if row["outcome"] in UNJUDGED:
+            words = f"was not judged ({row['outcome']}): there is nothing to show"
+            raise ExportError(f"trial {trial_id} of {name!r} {words}")
+        for details in _rows(self.run.details(name), trial_id) if "details" in stored else ():
+            row |= details
+        bench = self._benches.get(row["object"]) or self._build(self._own & {row["object"]})
+        trial = bench.trial(row)
+        poses = _rows(self.run.poses(name), trial_id) if "poses" in stored else []
+        path = _rows(self.run.paths(name), trial_id) if "paths" in stored else []
+        answer = None
+        if poses:
+            T = {k: _tensor(poses[0][k], torch.float32).reshape(1, 4, 4) for k in POSES}
+            answer = Predictions(trial.trial_id, **T, method=name)
+        if answer is not None and path and "details" in stored:
+            own = bench.benchmark
+            place = (own.objects, own.hand_set, own.workplace)
+            return _stored(self.run.header, name, row, path[0], trial, answer, *place)
+        try:
+            header, evaluator = self.run.header, bench.evaluator
+            answer = answer or _answer_again(header, self.run.entry(name), trial, evaluator)
+        except ExportError as error:
+            raise ExportError(f"{self.where}: {error}") from error
+        return judged_again(evaluator, trial, answer, name, row=row, header=header)
+
     @cached_property
     def _own(self) -> frozenset[str]:
         """Names of the run's objects that are not built in."""
         header = self.run.header
         parts = {"plan", "execute"} <= header["configuration"].keys()
         if not {"objects", "motion", "seed"} <= header.keys() or not parts:
-            raise ExportError(
-                f"{self.where}: run.json lacks objects or configuration; it was not made by a sweep"
-            )
+            words = "run.json lacks objects or configuration; it was not made by a sweep"
+            raise ExportError(f"{self.where}: {words}")
         return frozenset(o["name"] for o in header["objects"] if not o["built_in"])
 
-    def build_for(self, trials: Mapping[str, Sequence[int]]) -> None:
-        """Builds the objects of these trials (by method) together, on all cores, before they are
-        asked for one by one."""
-        names: set[str] = set()
-        for method, ids in trials.items():
-            table = self.rows(self.method(method))
-            names |= set(
-                table.filter(pc.is_in(table["trial_id"], pa.array(ids, pa.int64())))[
-                    "object"
-                ].to_pylist()
-            )
-        if wanted := names & self._own - self._benches.keys():
-            self._know(wanted)
-
-    def _bench_of(self, name: str) -> _Bench:
-        """The run's benchmark with at least this object and those that are built in. Raises
-        `ExportError`."""
-        return self._benches.get(name) or self._know(self._own & {name})
-
-    def _know(self, own: AbstractSet[str]) -> _Bench:
-        """The run's benchmark, compared with its digests, with these of the user's objects: kept
-        for all that are built."""
-        header = self.run.header
-        only = (
-            frozenset({o["name"] for o in header["objects"]} - self._own | own)
-            if self._own
-            else None
-        )
+    def _build(self, own: AbstractSet[str]) -> "_Bench":
+        """The run's benchmark with the built-in objects and these of the user's, compared with the
+        run's digests; kept for all objects that it has."""
+        header, only = self.run.header, None
+        if self._own:
+            only = frozenset({o["name"] for o in header["objects"]} - self._own | own)
         try:
             benchmark = benchmark_of_run(header, self.given, self.where, only)
         except FileError as error:
@@ -157,129 +195,168 @@ class Reader:
         self._benches = {o.name: bench for o in bench.benchmark.objects} | self._benches
         return bench
 
-    def method(self, word: str | None = None) -> str:
-        """The full name of a method; the only one where none is given. Raises `ExportError`."""
-        return _method(self.run, word)
 
-    def rows(self, method: str) -> Any:
-        """All rows of a method (pyarrow)."""
-        if method not in self._rows:
-            self._rows[method] = self.run.trials(method)
-        return self._rows[method]
+class _Bench:
+    """A run's benchmark with the objects that are built: trials are drawn from `whole` and judged
+    on `benchmark`."""
 
-    def trial(self, trial_id: int, method: str | None = None) -> StoredTrial:
-        """The trial as it was scored. Raises `ExportError`, `RunError`."""
-        name = self.method(method)
-        row = _row(self.rows(name), trial_id, f"{self.where}: method {name!r}")
-        if not replay.was_judged(row):
-            raise ExportError(
-                f"trial {trial_id} of {name!r} was not judged ({row['outcome']}): there is nothing to show"
-            )
-        stored = self.run.header["stored"]
-        for details in _rows(self.run.details(name), trial_id) if "details" in stored else ():
-            row |= details
-        bench = self._bench_of(row["object"])
-        trial = bench.trial(row)
-        poses = _rows(self.run.poses(name), trial_id) if "poses" in stored else []
-        path = _rows(self.run.paths(name), trial_id) if "paths" in stored else []
-        if poses and path and "details" in stored:
-            return self._as_stored(name, row, trial, poses[0], path[0], bench)
-        return self._again(name, row, trial, poses, bench)
+    def __init__(self, header: dict[str, Any], benchmark: Benchmark, where: str) -> None:
+        self.header, self.where, self.whole, self.benchmark = header, where, benchmark, benchmark
+        built = [i for i, o in enumerate(benchmark.objects) if not is_unbuilt(o)]
+        self._place = torch.full((len(benchmark.objects),), -1, dtype=torch.int32, device="cpu")
+        self._place[built] = torch.arange(len(built), dtype=torch.int32, device="cpu")
+        if len(built) < len(benchmark.objects):
+            objects = tuple(benchmark.objects[i] for i in built)
+            self.benchmark = replace(benchmark, objects=objects, listed=None)
 
-    def _as_stored(
-        self, name: str, row: dict[str, Any], trial: Trials, poses: dict[str, Any], path: dict[str, Any],
-        bench: _Bench,
-    ) -> StoredTrial:  # fmt: skip
-        T_obj_ee, T_world_ee = (
-            torch.tensor(poses[k], dtype=torch.float32, device="cpu").reshape(1, 4, 4)
-            for k in _POSES
-        )
-        answer = Predictions(trial.trial_id, T_obj_ee, T_world_ee, method=name)
-        return stored_trial(self.run.header, name, row, path, trial, answer, bench.benchmark)
-
-    def _again(
-        self,
-        name: str,
-        row: dict[str, Any],
-        trial: Trials,
-        poses: list[dict[str, Any]],
-        bench: _Bench,
-    ) -> StoredTrial:
-        """What is not stored, from the poses or from the method; the stored row stands where it
-        says something."""
+    @cached_property
+    def evaluator(self) -> Evaluator:
+        """An evaluator on the CPU with the run's configuration."""
         try:
-            evaluator = bench.evaluator
-            if poses:
-                T = {
-                    k: torch.tensor(poses[0][k], dtype=torch.float32, device="cpu").reshape(1, 4, 4)
-                    for k in _POSES
-                }
-                answer = Predictions(trial.trial_id, **T, method=name)
-            else:
-                answer = replay.answer_again(
-                    self.run.header, self.run.entry(name), trial, evaluator
-                )
-            again = replay.judge_again(evaluator, trial, answer)
-        except replay.ReplayError as error:
-            raise ExportError(f"{self.where}: {error}") from error
-        note = replay.difference(row, again.row)
-        shown = stored_trial(
-            self.run.header, name, again.row | row, again.path, trial, answer, bench.benchmark
-        )
-        return replace(
-            shown, asked_q=again.asked_q, asked_clearance_m=again.asked_clearance_m, note=note
-        )
+            text = json.dumps(self.header["configuration"])
+            config = TypeAdapter(EvalConfig).validate_json(text, strict=True)
+            if config.execute.sim == "mjwarp" and self.header["device"]["kind"] != "cpu":
+                config = replace(config, execute=replace(config.execute, sim="mujoco"))
+            return Evaluator.from_benchmark(self.benchmark, config)
+        except ValueError as error:  # pydantic's ValidationError is one
+            what = " ".join(str(error).split())[:200]
+            words = f"its configuration cannot be judged by this version ({what})"
+            raise ExportError(f"{self.where}: {words}") from None
+
+    def trial(self, row: dict[str, Any]) -> Trials:
+        """This row's trial, made from the protocol; its object as `benchmark` counts them."""
+        trial = trials_of(self.whole, _tensor([row["trial_id"]], torch.int64))
+        hand, name = int(trial.hand_index[0]), self.whole.objects[int(trial.object_index[0])].name
+        if name != row["object"] or hand != row.get("hand_index", hand):
+            protocol = self.header["protocol"]
+            words = f"trial {row['trial_id']} is not the one of {protocol!r}"
+            raise ExportError(f"{self.where}: {words}")
+        own = replace(trial, object_index=self._place[trial.object_index.long()])
+        return own.named(self.benchmark.objects)
 
 
-_POSES = ("T_obj_ee", "T_world_ee")
+def judged_again(
+    evaluator: Evaluator,
+    trial: Trials,
+    answer: Predictions,
+    method: str,
+    *,
+    row: dict[str, Any] | None = None,
+    header: dict[str, Any] | None = None,
+) -> StoredTrial:
+    """One answer judged with its motion, as if a run folder had stored it.
+
+    Args:
+        evaluator: judges the answer.
+        trial: one trial.
+        answer: one prediction for it.
+        method: the name of who answered.
+        row: what was stored of the verdict; it stands where it differs, and `note` says so.
+        header: of the run folder; the evaluator's configuration where there is none.
+    """
+    if header is None:
+        execute = evaluator.config.execute
+        sample_s = execute.step_s * execute.record_steps
+        header = {"configuration": asdict(evaluator.config), "protocol": ""}
+        header["motion"] = {"sample_s": sample_s}
+    scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, keep_motion=True)
+    names, path = names_of(evaluator), path_rows(scores).to_pylist()
+    again = score_rows(trial, scores, names).to_pylist()[0]
+    again |= detail_rows(trial, scores, names).to_pylist()[0]
+    plan = CRITERIA.index("plan")
+    if path:
+        q, clearance_m = np.array(path[0]["q"][-1], np.float64), float(scores.margin[0, plan])
+    else:
+        posed = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, stages="pose")
+        q, clearance_m = posed.q_goal[0].double().cpu().numpy(), float(posed.margin[0, plan])
+    scene = evaluator.scene
+    told = _stored(
+        header, method, again | (row or {}), path[0] if path else None, trial, answer,
+        scene.objects, scene.hands.set, evaluator.config.workplace,
+    )  # fmt: skip
+    note = "" if row is None else difference(row, again)
+    return replace(told, asked_q=q, asked_clearance_m=clearance_m, note=note)
 
 
-def load_trial(
-    run: str | Path, trial_id: int, *, method: str | None = None, given: Given | None = None
-) -> StoredTrial:  # fmt: skip
-    """The trial as it was scored; `given`: what the sweep's flags said of the benchmark. Raises
-    `ExportError`, `RunError`."""
-    return Reader(run, given).trial(trial_id, method)
+def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:
+    """What differs between a stored verdict and the one computed here; empty where nothing does."""
+    if stored["outcome"] != again["outcome"]:
+        words = f"the outcome is {again['outcome']}, stored is {stored['outcome']}"
+        return f"computed again here {words}"
+    for name in CRITERIA:
+        a, b = (row[f"margin_{name}_m"] for row in (stored, again))
+        if (a is None) != (b is None) or (a is not None and a != b and abs(a - b) > SAME_M):
+            return f"computed again here the margin of {name} is {b} m, stored is {a} m"
+    return ""
 
 
-def stored_trial(
-    header: dict[str, Any], method: str, row: dict[str, Any], path: dict[str, Any] | None, trial: Trials,
-    answer: Predictions, benchmark: Any,
-) -> StoredTrial:  # fmt: skip
-    """A trial from its rows, one row of trials and the answer that was scored; of the benchmark
-    objects, hand_set, workplace."""
-    T_obj_ee, T_world_ee = (
-        _orthonormal(T[0].cpu().numpy()) for T in (answer.T_obj_ee, answer.T_world_ee)
+def names_of(evaluator: Evaluator) -> TrialNames:
+    """The words of rows that this evaluator judged."""
+    scene = evaluator.scene
+    return TrialNames(
+        objects=[o.name for o in scene.objects],
+        object_splits=[o.split for o in scene.objects],
+        hand_sides=[SIDES[s] for s in scene.hands.set.side.tolist()],
+        parts=scene.part_names,
     )
+
+
+def _stored(
+    header: dict[str, Any], method: str, row: dict[str, Any], path: dict[str, Any] | None,
+    trial: Trials, answer: Predictions, objects: Sequence[Any], hand_set: Any, workplace: Workplace,
+) -> StoredTrial:  # fmt: skip
+    T_obj_ee, T_world_ee = map(_orthonormal, (answer.T_obj_ee, answer.T_world_ee))
     attached = T_obj_ee.copy()
     attached[:3, 3] += T_obj_ee[:3, 1] * np.float32(row["grasp_shift_m"])
-    q = np.array(path["q"], np.float64) if path else np.array([benchmark.workplace.home_q])
-    time_s = np.array(path["time_s"], np.float64) if path else np.zeros(1)
+    q = np.array(path["q"] if path else [workplace.home_q], np.float64)
+    time_s = np.array(path["time_s"] if path else [0.0], np.float64)
     executed_q = np.array(path["executed_q"], np.float64) if path and path["executed_q"] else None
+    receiver = None if trial.receiver is None else trial.receiver[0].double().cpu().numpy()
     return StoredTrial(
-        header, method, row, T_obj_ee, attached, T_world_ee, _orthonormal(trial.T_world_hand[0].cpu().numpy()), q, time_s,
-        executed_q, benchmark.objects[int(trial.object_index[0])], benchmark.hand_set, benchmark.workplace,
-        None if trial.receiver is None else trial.receiver[0].double().cpu().numpy(),
+        header, method, row, T_obj_ee, attached, T_world_ee, _orthonormal(trial.T_world_hand), q,
+        time_s, executed_q, objects[int(trial.object_index[0])], hand_set, workplace, receiver,
     )  # fmt: skip
 
 
-def _method(stored: Any, method: str | None) -> str:
-    names = stored.methods
-    if method is None and len(names) == 1:
-        return str(names[0])
-    if method is None:
-        raise ExportError(
-            f"{stored.folder}: holds several methods, choose one with --method: {', '.join(names) or 'none'}"
-        )
+def _answer_again(
+    header: dict[str, Any], entry: dict[str, Any], trial: Trials, evaluator: Evaluator
+) -> Predictions:
+    """What a built-in method of a run folder (`entry`: its stored source) answers to one trial.
+
+    A folder may come from anybody: modules and files that it names are not opened.
+    """
+    name, function = entry["name"], str(entry["source"].get("function", ""))
+    module = function.partition(":")[0].rpartition(".")[2]
+    word, predictors = module.replace("_", "-"), header.get("predictors", {})
+    built_in = function == f"r2h_batch.methods.{module}:predict" and word in METHODS
+    files = [k for k, v in predictors.items() if isinstance(v, dict) and "file" in v]
+    if not built_in or files:
+        words = "are not stored, and files of its own are not opened; sweep without --no-poses"
+        raise ExportError(f"the poses of {name!r} {words}")
+    setting = Setting(evaluator, header, lambda *_: trial.trial_id, lambda _: trial)
+    noise = predictors.get("noise_factor", 1.0)
+    options = Options(
+        method=(word,),
+        seed=header["seed"],
+        predictor_noise=noise,
+        hand_errors=_errors_of(predictors),
+    )
     try:
-        name = str(stored.named(method))
-    except ValueError as error:
-        raise ExportError(str(error)) from None
-    if name not in names:
-        raise ExportError(
-            f"{stored.folder}: {name!r} is not complete; run its sweep again to go on"
-        )
-    return name
+        return make_jobs(check(options), [], setting)[0].predict(trial, None)
+    except (UsageError, AnswerError) as error:
+        words = f"{name!r} cannot answer again ({error}); sweep without --no-poses"
+        raise ExportError(words) from error
+
+
+def _errors_of(predictors: dict[str, Any]) -> Errors:
+    """The error model of the target hand that a run.json names; old runs had normal errors."""
+    noise = predictors.get("noise")
+    named = noise.get("target_errors", "normal") if isinstance(noise, dict) else "normal"
+    if named not in get_args(Errors):
+        allowed = ", ".join(get_args(Errors))
+        words = f"run.json names the error model {str(named)[:40]!r}; allowed are {allowed}"
+        raise ExportError(words)
+    return cast(Errors, named)
 
 
 def _rows(table: Any, trial_id: int) -> list[dict[str, Any]]:
@@ -297,32 +374,22 @@ def _row(table: Any, trial_id: int, where: str) -> dict[str, Any]:
 
 
 def _check_trials(header: dict[str, Any], benchmark: Benchmark, run: str) -> None:
-    """The run's trials, as far as that is cheap, made again and checked against their digest."""
+    """Makes the run's trials again, as far as that is cheap, and compares their digest."""
     counts = header["trials"]
-    if sum(counts.values()) <= CHECKED_TRIALS and (
-        benchmark.listed is not None or len(set(counts.values())) == 1
-    ):
+    listed = benchmark.listed is not None or len(set(counts.values())) == 1
+    if sum(counts.values()) <= CHECKED_TRIALS and listed:
         trials = make_trials(list(counts), max(counts.values()), benchmark=benchmark)
         if trials_digest(trials, objects=benchmark.objects) != header["digests"]["trials"]:
-            raise ExportError(
-                f"{run}: was made with other trials: export with r2h_batch {header['versions'].get('r2h_batch')}"
-                f" at commit {header.get('git_commit')}"
-            )
+            version, commit = header["versions"].get("r2h_batch"), header.get("git_commit")
+            words = f"was made with other trials: use r2h_batch {version} at commit {commit}"
+            raise ExportError(f"{run}: {words}")
 
 
-def _trial_again(
-    header: dict[str, Any], row: dict[str, Any], benchmark: Benchmark, run: str
-) -> Trials:
-    """This row's trial, made from the protocol."""
-    trial = trials_of(benchmark, torch.tensor([row["trial_id"]], dtype=torch.int64, device="cpu"))
-    other_hand = int(trial.hand_index[0]) != row.get("hand_index", int(trial.hand_index[0]))
-    if benchmark.objects[int(trial.object_index[0])].name != row["object"] or other_hand:
-        raise ExportError(
-            f"{run}: trial {row['trial_id']} is not the one of {header['protocol']!r}"
-        )
-    return trial
+def _tensor(values: Any, dtype: torch.dtype) -> torch.Tensor:
+    return torch.tensor(values, dtype=dtype, device="cpu")
 
 
-def _orthonormal(T: NDArray[Any]) -> Array:
-    """As the evaluator reads a pose: float32, z kept, x and y made orthonormal."""
-    return se3.orthonormalise(torch.from_numpy(np.array(T, np.float32))[None])[0].double().numpy()
+def _orthonormal(T: torch.Tensor) -> Array:
+    """The first of poses (1, 4, 4) as the evaluator reads it: float32, z kept, x and y made
+    orthonormal."""
+    return se3.orthonormalise(T.cpu().float())[0].double().numpy()

@@ -135,16 +135,16 @@ def figures(
         if not stored.methods:
             raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
         ready()
-        from r2h_batch.gallery import paper
+        from r2h_batch.gallery import pictures
 
         shown = stored.named(method[0]) if method else stored.methods[0]
         drawn = (
-            paper.protocol(stored, reader, shown, trial),
-            paper.methods_over_time(stored, reader, stored.methods, trial),
-            paper.failures(stored, reader, stored.methods),
+            pictures.protocol(stored, reader, shown, trial),
+            pictures.methods_over_time(stored, reader, stored.methods, trial),
+            pictures.failures(stored, reader, stored.methods),
         )
         for name, (figure, said) in zip(FIGURES, drawn, strict=True):
-            pdf, png = paper.write(figure, out, name)
+            pdf, png = pictures.write(figure, out, name)
             print(f"{pdf}, {png.name}: {said}")
     except RenderError as error:
         return refuse("figures", error, 1)

@@ -1,116 +1,289 @@
-"""One trial as one page: viser's client, the recorded motion and the margins in a single file that
-needs no server."""
+"""Trials in a browser: a drawing in a viser scene, as one page without a server, and in notebooks."""
 
 import socket
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
+from dataclasses import replace
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from r2h_batch.checks import kind, whole
 from r2h_batch.command_line import UsageError
-from r2h_batch.export.drawing import Stage
-from r2h_batch.export.stored import StoredTrial
+from r2h_batch.export.captions import as_html, title
+from r2h_batch.export.drawing import FIXED, FOV_DEG, MARKS, Drawing, Mark, View, view_of
+from r2h_batch.export.stored import StoredTrial, difference, judged_again, names_of
 from r2h_batch.io.write import write_text
-from r2h_batch.view.draw import Drawn, look_at, prepare
-from r2h_batch.view.words import as_html, title
+from r2h_batch.runs.rows import detail_rows, score_rows
+from r2h_batch.types import Predictions, Scores
 
-FRAMES_PER_S = 12.0
-"""Of the recorded motion; the player goes through them in real time."""
-REST_S = 1.5
-"""How long the last posture is held before the motion starts again."""
+__all__ = ["Shown", "show", "write_page"]
+
+Array = NDArray[np.float64]
+
+FRAMES_PER_S = 12.0  # of a recorded motion; the player shows it in real time
+REST_S = 1.5  # before the motion starts again
+APART_M = 1.6  # between two trials side by side, along y
+ASPECT = 1.2  # of the part of a window that the panel leaves free
+PANEL = 0.12  # of the picture's width: how far the trial is moved to the left of its middle
+SMOOTH_FACES = 20_000  # smaller meshes are drawn with flat faces
 
 
-APART_M = 1.6
-"""Between two trials that are seen side by side, along y."""
+class Drawn:
+    """One trial in a viser scene, under `name` and `offset_m` to the side (along y)."""
+
+    def __init__(
+        self, scene: Any, drawing: Drawing, name: str = "/trial", offset_m: float = 0.0
+    ) -> None:
+        self.scene, self.drawing, self.name = scene, drawing, name
+        self.marks: dict[str, list[Any]] = {group: [] for group in MARKS}
+        self.root = scene.add_frame(name, show_axes=False, position=(0.0, offset_m, 0.0))
+        model = drawing.model
+        names = [str(model.body(i).name) for i in range(model.nbody)]
+        self.bodies = {
+            i: scene.add_frame(f"{name}/{body}", show_axes=False)
+            for i, body in enumerate(names[1:], 1)
+        }
+        self._pose(drawing.stored.target_q, list(self.bodies))
+        self.moving = [i for i in self.bodies if names[i] not in FIXED]
+        for g in drawing.visual_geoms():
+            geom = model.geom(g).name.replace("/", "_")
+            self._add_surface(f"{name}/{drawing.body_of(g)}/{geom}", g)
+        for k, mark in enumerate(drawing.marks):
+            body = "" if mark.body == "world" else f"/{mark.body}"
+            self._add_mark(f"{name}{body}/{mark.group}_mark_{k}", mark)
+        self.show("target", not drawing.stored.moves)
+
+    def pose(self, q: Array) -> None:
+        """Puts the robot and what it holds at posture q (6,) rad."""
+        self._pose(q, self.moving)
+
+    def _pose(self, q: Array, bodies: Sequence[int]) -> None:
+        data = self.drawing.at(q)
+        for i in bodies:
+            handle = self.bodies[i]
+            handle.position, handle.wxyz = data.xpos[i].copy(), data.xquat[i].copy()
+
+    def show(self, group: str, shown: bool) -> None:
+        """Shows or hides one group of MARKS."""
+        for handle in self.marks[group]:
+            handle.visible = shown
+
+    def remove(self) -> None:
+        """Takes the trial out of the scene."""
+        self.root.remove()
+
+    def _add_surface(self, path: str, geom: int, rgba: Any = None, **how: Any) -> Any:
+        made = self.drawing.surface(geom)
+        *rgb, alpha = made.rgba if rgba is None else rgba
+        return self.scene.add_mesh_simple(
+            path,
+            made.vertices,
+            made.faces,
+            color=_rgb(rgb),
+            flat_shading=len(made.faces) < SMOOTH_FACES,
+            opacity=None if alpha >= 1 else alpha,
+            cast_shadow=alpha >= 1,
+            **how,
+        )
+
+    def _add_mark(self, path: str, mark: Mark) -> None:
+        scene, handles, color = self.scene, self.marks[mark.group], _rgb(mark.rgba)
+        if mark.geom >= 0:
+            handles.append(self._add_surface(path, mark.geom, mark.rgba, side="double"))
+        if mark.points is None:
+            return
+        if len(mark.points) == 1:
+            handles.append(
+                scene.add_icosphere(
+                    path,
+                    radius=mark.radius_m,
+                    color=color,
+                    opacity=mark.rgba[3],
+                    position=mark.points[0],
+                    cast_shadow=False,
+                    receive_shadow=False,
+                )
+            )
+        elif mark.arrow:
+            r = mark.radius_m
+            sizes = {"shaft_radius": r, "head_radius": 2.7 * r, "head_length": 6.7 * r}
+            handles.append(scene.add_arrows(path, mark.points[None], np.array(color), **sizes))
+        else:
+            wide = {"thickness": 2 * mark.radius_m, "thickness_units": "world"}
+            handles.append(scene.add_line_segments(path, mark.points[None], color, **wide))
+        if mark.text:
+            at = mark.points.mean(0)
+            label = scene.add_label(f"{path}_label", mark.text, position=at, anchor="bottom-center")
+            handles.append(label)
+
+
+def aim(server: Any, drawings: Sequence[Drawing]) -> None:
+    """Puts the viewer's first camera where it sees all of the trials beside the panel."""
+    view: View = view_of(drawings, ASPECT, apart_m=APART_M)
+    right, _, forward = view.axes
+    half_width_m = view.distance_m * np.tan(np.radians(FOV_DEG / 2)) * ASPECT
+    at = view.look_at + 2 * PANEL * half_width_m * right
+    camera = server.initial_camera
+    camera.fov, camera.look_at = np.radians(FOV_DEG), at
+    camera.position = at - view.distance_m * forward
+
+
+def light(server: Any) -> None:
+    """Lights the scene, the same for every trial; nothing comes from a network."""
+    scene = server.scene
+    scene.set_up_direction("+z")
+    scene.configure_environment_map(None)
+    scene.configure_default_lights(enabled=False)
+    scene.add_light_ambient("/light/ambient", intensity=1.1)
+    lamps = (((-0.6, -1.2, 2.4), 1.5), ((1.6, 1.0, 2.0), 1.2), ((0.3, 0.5, -1.0), 0.4))
+    for k, (place, strength) in enumerate(lamps):
+        scene.add_light_directional(f"/light/{k}", intensity=strength, position=place)
 
 
 def write_page(stored: StoredTrial | Sequence[StoredTrial], file: str | Path) -> Path:
-    """Writes a trial, or two side by side, as a page (about 2 MB) and returns its path; OSError
-    where that is not possible."""
-    path = Path(file)
-    html = page_of([Stage(s) for s in ([stored] if isinstance(stored, StoredTrial) else stored)])
-    write_text(path, html)
+    """Writes a trial, or two side by side, as one page (about 2 MB) that needs no server.
+
+    Args:
+        stored: the trial, or the trials.
+        file: the page to write.
+
+    Returns:
+        The page's path.
+
+    Raises:
+        UsageError: viser is missing.
+        OSError: the file cannot be written.
+    """
+    path, some = Path(file), [stored] if isinstance(stored, StoredTrial) else stored
+    write_text(path, page_of([Drawing(s) for s in some]))
     return path
 
 
-def page_of(stages: Sequence[Stage]) -> str:
-    """The page as text."""
-    with hidden_server() as server:
-        prepare(server)
-        look_at(server, stages[0], aside=APART_M * (len(stages) - 1))
-        drawn = [
-            Drawn(server.scene, s, f"/trial_{k}", (0.0, APART_M * k, 0.0))
-            for k, s in enumerate(stages)
-        ]
-        recording = server.get_scene_serializer()
-        motions = [(d, *d.stage.motion()) for d in drawn if d.stage.stored.moves]
-        if motions:
-            end = max(float(times[-1]) for _, times, _ in motions)
-            at = np.linspace(0.0, end, max(2, round(end * FRAMES_PER_S)))
-            for k, t in enumerate(at):
-                for d, times, q in motions:
-                    d.pose(q[np.abs(times - t).argmin()])
-                recording.insert_sleep(float(at[k + 1] - t) if k + 1 < len(at) else REST_S)
-        html: str = recording.as_html()
-    return _with_panel(html, stages)
-
-
-def _with_panel(html: str, stages: Sequence[Stage]) -> str:
-    """viser's page with the margins beside the scene, and a title."""
-    panel = files("r2h_batch.view").joinpath("panel.html").read_text(encoding="utf-8")
-    panel = panel.replace("{{panel}}", "<hr>".join(map(as_html, stages)))
-    end = html.rindex("</body>")
-    html = html[:end] + panel + html[end:]
-    start, stop = html.find("<title>"), html.find("</title>")
-    return html if start < 0 else f"{html[: start + 7]}{escape(title(stages[0]))}{html[stop:]}"
-
-
-@contextmanager
-def hidden_server() -> Iterator[Any]:
-    """A viser server that nobody is told of: on this machine alone, on a free port."""
+def page_of(drawings: Sequence[Drawing]) -> str:
+    """The page as text: viser's client, the recorded motion and a panel with the margins."""
     server = new_server(0)
     try:
-        yield server
+        light(server)
+        aim(server, drawings)
+        drawn = [Drawn(server.scene, d, f"/trial_{k}", APART_M * k) for k, d in enumerate(drawings)]
+        recording = server.get_scene_serializer()
+        motions = [(d, *d.drawing.motion()) for d in drawn if d.drawing.stored.moves]
+        end = max((float(times[-1]) for _, times, _ in motions), default=0.0)
+        at = np.linspace(0.0, end, max(2, round(end * FRAMES_PER_S)) if motions else 0)
+        for k, t in enumerate(at):
+            for d, times, q in motions:
+                d.pose(q[np.abs(times - t).argmin()])
+            recording.insert_sleep(float(at[k + 1] - t) if k + 1 < len(at) else REST_S)
+        html: str = recording.as_html()
     finally:
         stop_server(server)
+    panel = files("r2h_batch.view").joinpath("panel.html").read_text(encoding="utf-8")
+    panel = panel.replace("{{panel}}", "<hr>".join(map(as_html, drawings)))
+    end_of_body = html.rindex("</body>")
+    html = html[:end_of_body] + panel + html[end_of_body:]
+    start, stop = html.find("<title>"), html.find("</title>")
+    return html if start < 0 else f"{html[: start + 7]}{escape(title(drawings[0]))}{html[stop:]}"
 
 
 def new_server(port: int) -> Any:
-    """A viser server on 127.0.0.1; port 0: any free one. Raises `UsageError` with one line where
-    the extra is missing."""
+    """A viser server on 127.0.0.1; port 0: any free one.
+
+    Raises:
+        UsageError: viser is missing.
+    """
     try:
         import viser
     except ImportError:
         raise UsageError("looking at trials needs viser: pip install 'r2h_batch[view]'") from None
+    if not port:
+        with closing(socket.socket()) as free:
+            free.bind(("127.0.0.1", 0))
+            port = int(free.getsockname()[1])
     with _no_banner():
-        return viser.ViserServer(host="127.0.0.1", port=port or _free_port(), verbose=False)
+        return viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
 
 
 def stop_server(server: Any) -> None:
-    """Ends a server without a word on stdout, which is for answers."""
+    """Ends a server and prints nothing: stdout is for answers."""
     with _no_banner():
         server.stop()
 
 
 @contextmanager
 def _no_banner() -> Iterator[None]:
-    """viser greets through rich, which in a notebook writes past sys.stdout: its console is told to
-    be quiet."""
+    """Keeps viser from printing: its console (rich) writes past sys.stdout in notebooks."""
     import rich
 
     console = rich.get_console()
-    kept, console.quiet = console.quiet, True
+    before, console.quiet = console.quiet, True
     try:
         yield
     finally:
-        console.quiet = kept
+        console.quiet = before
 
 
-def _free_port() -> int:
-    with closing(socket.socket()) as asked:
-        asked.bind(("127.0.0.1", 0))
-        return int(asked.getsockname()[1])
+class Shown:
+    """A trial's page inside a notebook; `html` is the page, `trial` what it shows."""
+
+    def __init__(self, trial: StoredTrial, height: int) -> None:
+        self.trial, self.height = trial, height
+        self.html = page_of([Drawing(trial)])
+
+    def __repr__(self) -> str:
+        row, size_mb = self.trial.row, len(self.html) / 1e6
+        return f"Shown(trial {row['trial_id']}, {row['outcome']}, {size_mb:.1f} MB)"
+
+    def _repr_html_(self) -> str:
+        style = f"width: 100%; height: {self.height}px; border: 0"
+        return f'<iframe style="{style}" srcdoc="{escape(self.html, quote=True)}"></iframe>'
+
+
+def show(scores: Scores, *, height: int = 640) -> Shown:
+    """Shows one judged handover in three dimensions in a notebook: `show(scores[3])`.
+
+    The row is planned and moved again, to the same bits.
+
+    Args:
+        scores: one row of what `Evaluator.score` returned.
+        height: of the frame, pixels.
+
+    Returns:
+        What the notebook displays.
+
+    Raises:
+        ValueError: `scores` has several rows, was made without its inputs, or was not judged.
+    """
+    kind(Scores, "what Evaluator.score returns")("scores", scores)
+    height = whole(100, 10_000, " of pixels")("height", height)
+    if len(scores) != 1 or scores.outcome.ndim != 1:
+        shape = tuple(scores.outcome.shape)
+        raise ValueError(f"show takes one row, given are {shape}; say show(scores[0])")
+    asked = scores.asked
+    if asked is None:
+        why = "captured, compiled, joined or loaded"
+        raise ValueError(f"these scores do not know what was asked ({why}); score again")
+    if bool((scores.opening_m != scores.opening_m).any()):
+        raise ValueError(
+            "this row was not judged (its answer is no pose): there is nothing to show"
+        )
+    evaluator = asked.evaluator
+    trial = asked.trials.named(evaluator.scene.objects)
+    answer = Predictions(trial.trial_id, asked.T_obj_ee, asked.T_world_ee, method="shown")
+    again = judged_again(evaluator, trial, answer, "shown")
+    note = ""
+    if bool(scores.path_len[0] > 0):  # of stages="pose" only margins without a path are the same
+        names = names_of(evaluator)
+        row = score_rows(trial, scores, names).to_pylist()[0]
+        row |= detail_rows(trial, scores, names).to_pylist()[0]
+        note = difference(row, again.row)
+    return Shown(replace(again, note=note), height)
+
+
+def _rgb(color: Sequence[float]) -> tuple[int, int, int]:
+    r, g, b = (int(np.clip(255 * float(c), 0, 255)) for c in list(color)[:3])
+    return r, g, b

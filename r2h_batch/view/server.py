@@ -1,31 +1,60 @@
-"""The viewer: a run's trials listed and filtered, one (or the same of two methods) in three
-dimensions, its motion played."""
+"""The live viewer: it lists and filters a run's trials and shows one, or two methods on it."""
 
 import threading
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from r2h_batch.command_line import UsageError, tell
-from r2h_batch.export.drawing import Stage
+from r2h_batch.export.captions import as_markdown, summary
+from r2h_batch.export.drawing import MARKS, Drawing
 from r2h_batch.export.stored import ExportError, Reader
 from r2h_batch.runs.store import RunError
-from r2h_batch.view.choose import ANY, ORDERS, Filter, chosen, words_of
-from r2h_batch.view.draw import MARKS, Drawn, look_at, prepare
-from r2h_batch.view.page import APART_M, new_server, stop_server
-from r2h_batch.view.words import as_markdown, in_brief
+from r2h_batch.verdicts import CRITERIA
+from r2h_batch.view.page import APART_M, Drawn, aim, light, new_server, stop_server
 
+__all__ = ["Viewer", "serve"]
+
+ANY = "any"
+NO_METHOD = "none"
+ORDERS = ("trial", *(f"margin of {name}" for name in CRITERIA))
+"""What the list can be sorted by: the trial's number, or a margin, the smallest first."""
+FILTERS = {"object": "object", "outcome": "outcome", "plan's reason": "plan_reason"}
+"""Controls that choose trials, and the columns that they look at."""
 LISTED = 500
 """Trials in the list; `from` says which of those that pass the filters comes first."""
-NOBODY = "nobody"
 TICK_S = 0.04
 
 
+@dataclass(frozen=True)
+class Filter:
+    """Which rows are listed: column -> the word that it must hold (ANY: every word), and the order.
+    `below_mm` bounds the margin that `order` names."""
+
+    words: dict[str, str]
+    order: str = ORDERS[0]
+    below_mm: float = np.inf
+
+    def chosen(self, rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The rows that pass, sorted; without a row that lacks the margin to sort by."""
+        column = "" if self.order == ORDERS[0] else f"margin_{self.order.rpartition(' ')[2]}_m"
+
+        def passes(row: dict[str, Any]) -> bool:
+            wanted = all(word in (ANY, str(row[name])) for name, word in self.words.items())
+            if not wanted or not column:
+                return wanted
+            return row[column] is not None and 1e3 * row[column] <= self.below_mm
+
+        kept = [row for row in rows if passes(row)]
+        return sorted(kept, key=lambda row: (row[column] if column else 0.0, row["trial_id"]))
+
+
 def serve(reader: Reader, methods: Sequence[str], trial: int | None, port: int) -> None:
-    """Shows the run until it is interrupted; says where on stderr."""
+    """Shows the run until it is interrupted; prints the address on stderr."""
     viewer = Viewer(reader, methods, trial, port)
     tell(f"view: {viewer.address} (Ctrl-C ends)")
     try:
@@ -35,8 +64,7 @@ def serve(reader: Reader, methods: Sequence[str], trial: int | None, port: int) 
 
 
 class Viewer:
-    """A viser server with one run's trials. `run` plays until `stop`; everything else follows the
-    controls."""
+    """A viser server with one run's trials; `run` plays their motion until `stop`."""
 
     def __init__(
         self, reader: Reader, methods: Sequence[str] = (), trial: int | None = None, port: int = 0
@@ -51,7 +79,7 @@ class Viewer:
         self.drawn: list[Drawn] = []
         self.motions: list[tuple[Any, Any]] = []
         self.listed: dict[str, int] = {}
-        prepare(self.server)
+        light(self.server)
         self._add_controls(names, first)
         self._filter(trial)
 
@@ -61,57 +89,40 @@ class Viewer:
         stop_server(self.server)
 
     def run(self) -> None:
-        """Plays while `play` is ticked, in real time times the speed, until `stop` or an
-        interrupt."""
+        """Plays the motion while `play` is ticked, until `stop` or an interrupt."""
         while not self.ended.is_set():
             time.sleep(TICK_S)
             with self.lock:
                 if self.play.value and self.slider.max > 0:
-                    t = self.slider.value + TICK_S * float(self.speed.value)
-                    self.slider.value = (
-                        0.0 if t > self.slider.max + 0.5 else min(t, self.slider.max)
-                    )
+                    t, end = self.slider.value + TICK_S * float(self.speed.value), self.slider.max
+                    self.slider.value = 0.0 if t > end + 0.5 else min(t, end)
 
     def _add_controls(self, names: list[str], first: Sequence[str]) -> None:
         gui = self.server.gui
+
+        def menu(label: str, words: Sequence[str], value: str | None = None) -> Any:
+            return gui.add_dropdown(label, list(words), initial_value=value or words[0])
+
         with gui.add_folder("Trials"):
-            self.method = gui.add_dropdown("method", names, initial_value=first[0])
-            self.beside = gui.add_dropdown(
-                "beside it", [NOBODY, *names], initial_value=[*first, NOBODY][1]
-            )
-            self.object, self.outcome, self.reason = (
-                gui.add_dropdown(word, [ANY], initial_value=ANY)
-                for word in ("object", "outcome", "plan's reason")
-            )
-            self.order = gui.add_dropdown("sorted by", list(ORDERS), initial_value=ORDERS[0])
+            self.method = menu("method", names, first[0])
+            self.beside = menu("beside it", [NO_METHOD, *names], [*first, NO_METHOD][1])
+            self.filters = {column: menu(label, [ANY]) for label, column in FILTERS.items()}
+            self.order = menu("sorted by", ORDERS)
             self.below = gui.add_number("margin below, mm", 1000.0, step=1.0)
-            self.start = gui.add_number(
-                "from", 1, min=1, step=LISTED, hint=f"the list holds {LISTED} trials from this one"
-            )
+            hint = f"the list holds {LISTED} trials from this one"
+            self.start = gui.add_number("from", 1, min=1, step=LISTED, hint=hint)
             self.count = gui.add_markdown("")
-            self.list = gui.add_dropdown("trial", ["none"], initial_value="none")
+            self.list = menu("trial", ["none"])
             self.before, self.after = gui.add_button("previous"), gui.add_button("next")
         self.words = gui.add_markdown("")
         with gui.add_folder("Motion"):
-            self.kind = gui.add_dropdown(
-                "motion", ["executed", "planned"], initial_value="executed"
-            )
+            self.kind = menu("motion", ["executed", "planned"])
             self.slider = gui.add_slider("time, s", 0.0, 10.0, 0.01, 0.0)
             self.play = gui.add_checkbox("play", False)
-            self.speed = gui.add_dropdown(
-                "speed", ["0.25", "0.5", "1", "2", "4"], initial_value="1"
-            )
+            self.speed = menu("speed", ["0.25", "0.5", "1", "2", "4"], "1")
         with gui.add_folder("Shown"):
             self.shown = {mark: gui.add_checkbox(mark, True) for mark in MARKS}
-        for control in (
-            self.method,
-            self.object,
-            self.outcome,
-            self.reason,
-            self.order,
-            self.below,
-            self.start,
-        ):
+        for control in (self.method, *self.filters.values(), self.order, self.below, self.start):
             control.on_update(lambda _: self._filter())
         for control in (self.list, self.beside, self.kind):
             control.on_update(lambda _: self._show())
@@ -126,34 +137,28 @@ class Viewer:
             drawn.show(mark, bool(self.shown[mark].value))
 
     def _filter(self, trial: int | None = None) -> None:
-        """The list of trials, as the filters want it; `trial` (or what was shown, or the first) is
-        shown."""
+        """Lists the trials that pass the filters; shows `trial`, or the one shown before, or the
+        first."""
         with self.lock:
             rows = self.reader.rows(self.method.value).to_pylist()
-            for control, column in (
-                (self.object, "object"),
-                (self.outcome, "outcome"),
-                (self.reason, "plan_reason"),
-            ):
-                words = words_of(rows, column)
-                if tuple(control.options) != tuple(words):
+            for column, control in self.filters.items():
+                words = (ANY, *sorted({str(r[column]) for r in rows if r[column] is not None}))
+                if tuple(control.options) != words:
                     control.options = words
-            by = Filter(
-                self.object.value,
-                self.outcome.value,
-                self.reason.value,
-                self.order.value,
-                float(self.below.value),
-            )
-            kept = chosen(rows, by)
-            wanted = trial if trial is not None else self.listed.get(self.list.value)
-            if trial is not None and all(row["trial_id"] != trial for row in kept):
-                raise ExportError(
-                    f"{self.reader.where}: no trial {trial}; it has {len(kept)} of them"
-                )
-            some, listed = _part(kept, int(self.start.value), wanted if trial is not None else None)
-            self.listed = {in_brief(row): row["trial_id"] for row in some}
-            self.count.content = f"{len(kept)} of {len(rows)} trials{listed}"
+            words_of = {column: control.value for column, control in self.filters.items()}
+            kept = Filter(words_of, self.order.value, float(self.below.value)).chosen(rows)
+            first = max(0, min(int(self.start.value), len(kept)) - 1)
+            some = kept[first : first + LISTED]
+            part = f", {first + 1} to {first + len(some)} listed" if len(some) < len(kept) else ""
+            wanted = self.listed.get(self.list.value) if trial is None else trial
+            if trial is not None:
+                own = [row for row in kept if row["trial_id"] == trial]
+                if not own:
+                    why = f"no trial {trial}; it has {len(kept)} of them"
+                    raise ExportError(f"{self.reader.where}: {why}")
+                some += [row for row in own if row not in some]
+            self.listed = {summary(row): row["trial_id"] for row in some}
+            self.count.content = f"{len(kept)} of {len(rows)} trials{part}"
             options = list(self.listed) or ["none"]
             self.list.options = options
             self.list.value = next((k for k, v in self.listed.items() if v == wanted), options[0])
@@ -165,57 +170,36 @@ class Viewer:
             self.list.value = names[(names.index(self.list.value) + by) % len(names)]
 
     def _show(self) -> None:
-        """Draws the trial that is chosen, of one method or of two."""
+        """Draws the chosen trial, of one method or of two."""
         with self.lock:
             for drawn in self.drawn:
                 drawn.remove()
             self.drawn, self.motions, words = [], [], []
-            trial = self.listed.get(self.list.value)
-            for name in [
-                self.method.value,
-                *([self.beside.value] if self.beside.value != NOBODY else []),
-            ]:
-                if trial is None:
+            trial, drawings = self.listed.get(self.list.value), []
+            for name in dict.fromkeys((self.method.value, self.beside.value)):
+                if trial is None or name == NO_METHOD:
                     continue
                 try:
-                    stage = Stage(self.reader.trial(trial, name))
+                    drawings.append(Drawing(self.reader.trial(trial, name)))
+                    words.append(as_markdown(drawings[-1]))
                 except (ExportError, RunError) as error:
                     words.append(f"{name}: {error}")
-                    continue
-                self._draw(stage)
-                words.append(as_markdown(stage))
+            if drawings:
+                aim(self.server, drawings)
+            for k, drawing in enumerate(drawings):
+                drawn = Drawn(self.server.scene, drawing, f"/trial_{k}", APART_M * k)
+                for mark, box in self.shown.items():
+                    ghost = mark == "target" and drawing.stored.moves
+                    drawn.show(mark, bool(box.value) and not ghost)
+                self.drawn.append(drawn)
+                self.motions.append(drawing.motion(self.kind.value == "executed"))
             self.words.content = "\n\n---\n\n".join(words)
             last = max((float(times[-1]) for times, _ in self.motions), default=0.0)
             self.slider.max = max(last, 0.01)
             self.slider.value = last
         self._pose()
 
-    def _draw(self, stage: Stage) -> None:
-        k = len(self.drawn)
-        if k == 0:
-            look_at(self.server, stage, aside=APART_M * (self.beside.value != NOBODY))
-        drawn = Drawn(self.server.scene, stage, f"/trial_{k}", (0.0, APART_M * k, 0.0))
-        for mark, box in self.shown.items():
-            drawn.show(mark, bool(box.value) and (mark != "target" or not stage.stored.moves))
-        self.drawn.append(drawn)
-        moves = stage.stored.moves
-        q = stage.stored.target_q[None]
-        self.motions.append(
-            stage.motion(self.kind.value == "executed") if moves else (np.zeros(1), q)
-        )
-
     def _pose(self) -> None:
         with self.lock:
             for drawn, (times, q) in zip(self.drawn, self.motions, strict=True):
                 drawn.pose(q[np.abs(times - self.slider.value).argmin()])
-
-
-def _part(
-    rows: Sequence[dict[str, Any]], start: int, wanted: int | None
-) -> tuple[list[dict[str, Any]], str]:
-    """The rows that are listed, from number `start` (1 is the first), and words for it; `wanted` is
-    listed whatever its place."""
-    first = max(0, min(start, len(rows)) - 1)
-    some = list(rows[first : first + LISTED])
-    words = f", {first + 1} to {first + len(some)} listed" if len(some) < len(rows) else ""
-    return some + [row for row in rows if row["trial_id"] == wanted and row not in some], words

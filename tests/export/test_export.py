@@ -18,7 +18,7 @@ import trimesh
 
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import HOME_Q, ExecConfig
-from r2h_batch.export import trial as export
+from r2h_batch.export import mjcf as export
 from r2h_batch.export.stored import Reader, StoredTrial
 from r2h_batch.motion.time_law import time_at, time_path
 from r2h_batch.runs.store import load_run

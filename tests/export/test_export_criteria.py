@@ -10,8 +10,8 @@ import pytest
 import trimesh
 from needs import needs
 
+from r2h_batch.export.mjcf import export_trial
 from r2h_batch.export.stored import Reader
-from r2h_batch.export.trial import export_trial
 
 TRIALS = ((0, "oracle"), (1, "oracle"), (3, "oracle"), (2, "random"), (1, "random"))
 CAP_M = 0.05

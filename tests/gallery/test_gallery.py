@@ -9,7 +9,7 @@ from needs import needs
 
 from r2h_batch.benchmark.given import Given
 from r2h_batch.gallery import command, pictures
-from r2h_batch.gallery.chosen import first_of_each_outcome, shared_trial
+from r2h_batch.gallery.pictures import first_of_each_outcome, shared_trial
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 
@@ -61,12 +61,13 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
         def trial(self, trial, method):
             assert (method, trial) in self.built  # objects are built together, before any picture
             rows = self.run.trials(method).to_pylist()
-            return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial), moves=False)
+            return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial))
 
     monkeypatch.setattr("r2h_batch.export.stored.Reader", Reader)
     monkeypatch.setattr("r2h_batch.scene.offscreen.ready", lambda: "none")
     monkeypatch.setattr(pictures, "write_page", page)
-    monkeypatch.setattr(pictures, "still", lambda stored, size: np.zeros((8, 8, 3), np.uint8))
+    monkeypatch.setattr(pictures, "Drawing", lambda stored: stored)
+    monkeypatch.setattr(pictures, "image_at_end", lambda drawing, size, close: np.zeros((8, 8, 3), np.uint8))
     out = tmp_path / "a" / "report.html"
     line = [str(run.folder), "--format", "html", "--gallery", "1", "--out", str(out)]
     assert command.report_main(line) == 0 and capsys.readouterr().out == f"{out}\n"
@@ -74,7 +75,7 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
     links = [part.partition('"')[0] for part in text.split('<a href="')[1:]]
     assert len(links) == 6 + 4 == len(set(links)) and all((out.parent / link).is_file() for link in links)
     assert text.count("data:image/jpeg;base64,") == len(links) and "<b>n</b>" not in text
-    assert "4 cup: plan: ik in collision, object and hand" in text and "6 knife" not in text
+    assert "4 cup: plan fails: every posture at the target collides (object and hand)" in text and "6 knife" not in text
 
 
 def test_what_a_gallery_needs_is_said_in_one_line(run, tmp_path, capsys):

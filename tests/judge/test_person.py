@@ -1,6 +1,6 @@
 """The receiver's arm and torso in planning and Safe, and reported beside it: against MuJoCo C; refused without a body."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 from itertools import pairwise
 from unittest import mock
@@ -11,9 +11,10 @@ import pytest
 import torch
 
 from r2h_batch import evaluate
-from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig
+from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.export.mjcf import TrialBodies, trial_spec
+from r2h_batch.export.mjcf import spec_of
+from r2h_batch.export.stored import StoredTrial
 from r2h_batch.judge.metrics import SAFE_TOLERANCE_M
 from r2h_batch.judge.person import person_distance
 from r2h_batch.judge.wave.waves import waves_on_cpu
@@ -56,12 +57,15 @@ class Twin:
     """One trial in MuJoCo C: the robot's primitives against capsules and box, in double precision."""
 
     def __init__(self, scene, trials, scores, i):
-        bodies = TrialBodies(
-            scene.objects[int(trials.object_index[i])], "hull", int(trials.hand_index[i]), np.eye(4),
-            trials.T_world_hand[i].double().numpy(), float(scores.opening_m[i]), np.eye(4), 0.0, None,
-            receiver=trials.receiver[i].double().numpy(), receiver_judged=True,
+        row = {"hand_index": int(trials.hand_index[i]), "opening_m": float(scores.opening_m[i])}
+        header = {"configuration": asdict(EvalConfig(receiver="body"))}
+        T_world_hand, home = trials.T_world_hand[i].double().numpy(), np.array([HOME_Q])
+        stored = StoredTrial(
+            header, "", row | {"width_m": None, "grasp_shift_m": None}, np.eye(4), np.eye(4), np.eye(4), T_world_hand,
+            home, np.zeros(1), None, scene.objects[int(trials.object_index[i])], scene.hands.set,
+            receiver=trials.receiver[i].double().numpy(),
         )  # fmt: skip
-        self.model = trial_spec(scene.robot, scene.hands, bodies).compile()
+        self.model = spec_of(stored).compile()
         self.data = mujoco.MjData(self.model)
         names = [self.model.geom(g).name for g in range(self.model.ngeom)]
         self.robot = [

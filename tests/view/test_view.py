@@ -1,4 +1,4 @@
-"""The viewer, its pages, videos and words: what is drawn is where the verdict says, and a page needs nobody."""
+"""The viewer, pages, films, strips and captions: bodies are drawn where MuJoCo has them, and a page needs no server."""
 
 import base64
 import json
@@ -13,12 +13,11 @@ import trimesh
 from needs import CHROMIUM, needs
 
 from r2h_batch.__main__ import main
-from r2h_batch.export.drawing import Stage
+from r2h_batch.export.captions import as_markdown, headline
+from r2h_batch.export.drawing import Drawing, coarse, view_of
 from r2h_batch.export.stored import Reader
 from r2h_batch.scene import offscreen
-from r2h_batch.view import words
-from r2h_batch.view.choose import ANY, Filter, chosen, words_of
-from r2h_batch.view.shapes import coarse, shape_of
+from r2h_batch.view.server import ANY, Filter
 
 pytestmark = needs("viser")
 
@@ -47,6 +46,11 @@ def recorded(html):
     return msgspec.msgpack.decode(data[8 : 8 + size])
 
 
+def marks(names, parent, group):
+    """Names of the marks of a group that stand in a frame."""
+    return [name for name in names if str(name).startswith(f"{parent}/{group}_mark_")]
+
+
 @pytest.mark.check
 def test_filters_choose_and_sort_rows():
     rows = [
@@ -55,12 +59,15 @@ def test_filters_choose_and_sort_rows():
             (0, "cup", "success", "ok", 0.02), (1, "bowl", "plan", "ik_unreachable", None), (2, "cup", "safe", "ok", 0.001)
         )
     ]  # fmt: skip
-    assert words_of(rows, "object") == [ANY, "bowl", "cup"]
-    assert [r["trial_id"] for r in chosen(rows, Filter())] == [0, 1, 2]
-    assert [r["trial_id"] for r in chosen(rows, Filter(object="cup", outcome="safe"))] == [2]
-    assert [r["trial_id"] for r in chosen(rows, Filter(reason="ik_unreachable"))] == [1]
-    assert [r["trial_id"] for r in chosen(rows, Filter(order="margin of plan"))] == [2, 0]
-    assert [r["trial_id"] for r in chosen(rows, Filter(order="margin of plan", below_mm=5))] == [2]
+    for words, order, below_mm, ids in (
+        ({}, "trial", np.inf, [0, 1, 2]),
+        ({"object": ANY, "outcome": ANY}, "trial", np.inf, [0, 1, 2]),
+        ({"object": "cup", "outcome": "safe"}, "trial", np.inf, [2]),
+        ({"plan_reason": "ik_unreachable"}, "trial", np.inf, [1]),
+        ({}, "margin of plan", np.inf, [2, 0]),
+        ({}, "margin of plan", 5.0, [2]),
+    ):
+        assert [row["trial_id"] for row in Filter(words, order, below_mm).chosen(rows)] == ids
 
 
 def test_a_coarse_surface_stays_within_its_cells():
@@ -72,36 +79,72 @@ def test_a_coarse_surface_stays_within_its_cells():
 
 
 def test_a_failed_plan_is_shown_with_what_speaks_against_it(reader):
-    met = Stage(first(reader, plan_reason="ik_in_collision"))
+    met = Drawing(first(reader, plan_reason="ik_in_collision"))
     pair = met.witness
-    assert pair.kind == met.stored.row["plan_pair"] and pair.distance_m < 0 and "overlap by" in pair.words
+    assert pair.kind == met.stored.row["plan_pair"] and pair.distance_m < 0 and "overlap by" in pair.caption
     length = np.linalg.norm(pair.line[1] - pair.line[0])
     assert abs(length + pair.distance_m) < 1e-6
-    far = Stage(first(reader, plan_reason="ik_unreachable"))
+    far = Drawing(first(reader, plan_reason="ik_unreachable"))
     assert far.witness.kind == "unreachable" and far.witness.distance_m < -1e-3 and far.witness.geoms == ()
-    for stage, names in (
-        (met, ("plan fails: ik in collision", "overlap")),
-        (far, ("plan fails: ik unreachable", "stays")),
+    for drawing, names in (
+        (met, ("plan fails: every posture at the target collides", "overlap")),
+        (far, ("plan fails: the arm cannot reach the target", "stays")),
     ):
-        told = words.as_markdown(stage)
-        assert all(name in told for name in names) and told.count("| fails |") + told.count("| passes |") >= 2
+        panel = as_markdown(drawing)
+        assert all(name in panel for name in names) and panel.count("| fails |") + panel.count("| passes |") >= 2
 
 
-def test_a_shape_stands_where_mujoco_has_the_geom(reader):
-    stage = Stage(reader.trial(1, "oracle"))
-    data = mujoco.MjData(stage.model)
-    data.qpos[:] = stage.stored.target_q
-    mujoco.mj_kinematics(stage.model, data)
+def test_a_headline_names_the_first_failure_and_its_cause():
+    safe = {"outcome": "safe", "margin_safe_m": -0.001, "witness_safe_part": "left_pad", "witness_time_s": 4.21}
+    plan = {"outcome": "plan", "plan_reason": "ik_in_collision", "plan_pair": "object_hand"}
+    for row, words in (
+        (safe, "safe fails: left pad meets the hand at 4.2 s"),
+        ({"outcome": "stability", "margin_stability_m": -0.0123}, "stability fails by 12.3 mm"),
+        ({"outcome": "reach", "margin_reach_m": -np.inf}, "reach fails"),
+        (plan, "plan fails: every posture at the target collides (object and hand)"),
+        ({"outcome": "success", "t_exec_s": 3.26}, "success, 3.3 s"),
+        ({"outcome": "invalid_sim"}, "invalid sim"),
+    ):
+        assert headline(row) == words
+
+
+def test_moments_end_at_rest_and_hold_the_touch_where_safe_fails(reader):
+    drawing = Drawing(reader.trial(1, "oracle"))
+    row = drawing.stored.row
+    end = row["t_exec_s"]
+    times = [t for t, *_ in drawing.moments(3)]
+    np.testing.assert_allclose(times, [0, end / 2, end])
+    row |= {"outcome": "safe", "witness_time_s": 0.6 * end}
+    assert [(round(t / end, 6), touch) for t, _, touch in drawing.moments(3)] == [(0, False), (0.6, True), (1, False)]
+    still = Drawing(first(reader, plan_reason="ik_unreachable"))
+    assert [t for t, *_ in still.moments(4)] == [0, 0, 0, 0]
+
+
+def test_the_camera_has_robot_object_and_hand_in_view_all_the_time(reader):
+    drawings = [Drawing(reader.trial(1, m)) for m in ("oracle", "random")]
+    aspect, half = 1.2, np.tan(np.radians(22.5))
+    for some, close in ((drawings, False), (drawings[:1], False), (drawings[:1], True)):
+        view = view_of(some, aspect, close=close)
+        eye = view.look_at - view.distance_m * view.axes[2]
+        for drawing in some:
+            for q in drawing.motion()[1][:: 1 if close else 40][-1 if close else None :]:
+                data = drawing.at(q)
+                hand, tool = data.geom("hand/mesh_visual").xpos, data.geom("object/mesh_visual").xpos
+                for point in (hand, tool, data.site("ee").xpos):
+                    right, up, forward = view.axes @ (point - eye)
+                    assert forward > 0 and abs(right) < half * aspect * forward and abs(up) < half * forward
+
+
+def test_a_surface_stands_where_mujoco_has_the_geom(reader):
+    drawing = Drawing(reader.trial(1, "oracle"))
+    data = drawing.at(drawing.stored.target_q)
     for name in ("object/mesh_visual", "robot/upper_arm_visual", "table/top", "gripper/left_pad"):
-        g = stage.model.geom(name).id
-        shape, body = shape_of(stage.model, g), int(stage.model.geom_bodyid[g])
-        R, turn = data.xmat[body].reshape(3, 3), np.empty(9)
-        mujoco.mju_quat2Mat(turn, shape.quat_wxyz)
-        middle = (shape.vertices.max(0) + shape.vertices.min(0)) / 2
-        drawn = R @ (turn.reshape(3, 3) @ middle + shape.pos) + data.xpos[body]
-        box = stage.model.geom_aabb[g][:3]
-        real = data.geom_xmat[g].reshape(3, 3) @ box + data.geom_xpos[g]
-        assert np.abs(drawn - real).max() < 2.5e-3, name
+        g = drawing.model.geom(name).id
+        vertices, body = drawing.surface(g).vertices, int(drawing.model.geom_bodyid[g])
+        drawn = vertices @ data.xmat[body].reshape(3, 3).T + data.xpos[body]
+        local = (drawn - data.geom_xpos[g]) @ data.geom_xmat[g].reshape(3, 3)
+        middle = (local.max(0) + local.min(0)) / 2
+        assert np.abs(middle - drawing.model.geom_aabb[g][:3]).max() < 2.5e-3, name
 
 
 def test_a_page_holds_the_trial_its_motion_and_its_margins(run, reader, tmp_path, capsys):
@@ -115,8 +158,9 @@ def test_a_page_holds_the_trial_its_motion_and_its_margins(run, reader, tmp_path
     scene = recorded(html)
     assert abs(scene["durationSeconds"] - reader.trial(1, "oracle").time_s[-1]) < 3.0
     names = {m.get("name") for _, m in scene["messages"]}
-    assert {"/trial_0/ball", "/trial_0/hand/hand_mesh_visual", "/trial_0/object/object_mesh_visual"} <= names
-    assert "/trial_0/witness" not in names and any("region_visual_mark" in str(n) for n in names)
+    assert {"/trial_0/hand/hand_mesh_visual", "/trial_0/object/object_mesh_visual"} <= names
+    assert not marks(names, "/trial_0", "witness") and marks(names, "/trial_0", "ball")
+    assert marks(names, "/trial_0/object", "region")
 
 
 def test_two_methods_stand_side_by_side_and_a_failed_plan_in_red(run, reader, tmp_path):
@@ -124,19 +168,20 @@ def test_two_methods_stand_side_by_side_and_a_failed_plan_in_red(run, reader, tm
     file = tmp_path / "two.html"
     assert main(["view", str(run), "--method", "random", "oracle", "--trial", str(trial), "--html", str(file)]) == 0
     names = {m.get("name") for _, m in recorded(file.read_text())["messages"]}
-    assert {"/trial_0/witness", "/trial_0/witness_label", "/trial_1/ball"} <= names and "/trial_1/witness" not in names
-    assert any(str(n).endswith("_red") for n in names)
+    red = [name for name in names if "/witness_mark_" in str(name)]
+    assert len(red) == 4 and all(name.startswith("/trial_0/") for name in red)  # two bodies, a line, its label
+    assert any(name.endswith("_label") for name in red) and marks(names, "/trial_1", "ball")
 
 
 def test_the_viewer_lists_filters_steps_and_shows(reader, monkeypatch):
     from r2h_batch.view import server
-    from r2h_batch.view.server import NOBODY, Viewer
+    from r2h_batch.view.server import NO_METHOD, Viewer
 
     viewer = Viewer(reader, ["random", "oracle"], trial=4)
     try:
         assert viewer.listed[viewer.list.value] == 4 and len(viewer.drawn) == 2 and viewer.beside.value == "oracle"
-        viewer.beside.value = NOBODY
-        viewer.outcome.value = "plan"
+        viewer.beside.value = NO_METHOD
+        viewer.filters["outcome"].value = "plan"
         # _filter, _step, _show, _pose: a browser's click runs them in a thread of viser's; here they are waited for
         viewer._filter()
         assert len(viewer.drawn) == 1 and all(" plan fails" in line for line in viewer.listed)
@@ -147,7 +192,7 @@ def test_the_viewer_lists_filters_steps_and_shows(reader, monkeypatch):
             seen.add(viewer.listed[viewer.list.value])
             assert "plan fails" in viewer.words.content
         assert seen == set(viewer.listed.values())
-        viewer.method.value, viewer.outcome.value = "oracle", ANY
+        viewer.method.value, viewer.filters["outcome"].value = "oracle", ANY
         viewer._filter(3)
         before = viewer.drawn[0].bodies[max(viewer.drawn[0].moving)].position.copy()
         monkeypatch.setattr(
@@ -173,9 +218,10 @@ def test_the_viewer_lists_filters_steps_and_shows(reader, monkeypatch):
         (["view", "RUN", "--html", "x.html"], "--html needs --trial"),
         (["view", "RUN", "--method", "a", "b", "c"], "two can be seen side by side"),
         (["view", "RUN", "--trial", "7777", "--method", "random", "--html", "x.html"], "no trial 7777"),
-        (["video", "RUN", "--trial", "0", "--out", "x.doc"], ".mp4"),
-        (["video", "RUN", "--trial", "0", "--out", "x.mp4", "--size", "99999", "3"], "--size"),
-        (["strips", "--trial", "-1", "--out", "x.png"], "--trial is -1"),
+        (["view", "RUN", "--trial", "0", "--video", "x.doc"], ".mp4"),
+        (["view", "RUN", "--trial", "0", "--video", "x.mp4", "--size", "99999", "3"], "--size"),
+        (["view", "--trial", "-1", "--strips", "x.png"], "--trial is -1"),
+        (["view", "--trial", "1", "--html", "x.html"], "name a run folder"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_shown_is_refused_in_one_line(run, capsys, line, said):
@@ -188,7 +234,7 @@ def test_without_an_opengl_one_line_says_what_to_install(run, tmp_path, capsys, 
     offscreen.ready.cache_clear()
     monkeypatch.setattr(offscreen, "_works", lambda backend: False)
     try:
-        assert main(["video", str(run), "--method", "oracle", "--trial", "0", "--out", str(tmp_path / "x.png")]) == 1
+        assert main(["view", str(run), "--method", "oracle", "--trial", "0", "--strips", str(tmp_path / "x.png")]) == 1
     finally:
         offscreen.ready.cache_clear()
     said = capsys.readouterr().err
@@ -196,25 +242,47 @@ def test_without_an_opengl_one_line_says_what_to_install(run, tmp_path, capsys, 
 
 
 @needs("gl")
-def test_a_film_and_a_strip_show_the_motion(run, reader, tmp_path):
+def test_a_film_and_strips_show_the_motion(run, reader, tmp_path):
     import imageio.v3 as imageio
 
-    small = ["--size", "96", "64"]
-    film = tmp_path / "x.mp4"
-    assert (
-        main(["video", str(run), "--method", "oracle", "--trial", "1", "--out", str(film), "--fps", "2", *small]) == 0
-    )
+    small, film = ["--size", "96", "64"], tmp_path / "x.mp4"
+    line = ["view", str(run), "--method", "oracle", "--trial", "1", "--video", str(film), "--fps", "2"]
+    assert main([*line, *small]) == 0
     pictures = imageio.imread(film)
     seconds = reader.trial(1, "oracle").time_s[-1]
     assert pictures.shape[1:] == (64, 96, 3) and abs(len(pictures) / 2 - seconds) < 2.0
     assert np.abs(pictures[0].astype(int) - pictures[-1]).mean() > 1.0
-    trial = str(first(reader, plan_reason="ik_in_collision").row["trial_id"])
-    strip = tmp_path / "x.png"
-    assert main(["video", str(run), "--method", "random", "oracle", "--trial", trial, "--out", str(strip), *small]) == 0
-    both = imageio.imread(strip).astype(int)
-    assert both.shape == (128, 480, 3)
+    trial, strips = str(first(reader, plan_reason="ik_in_collision").row["trial_id"]), tmp_path / "x.png"
+    line = ["view", str(run), "--method", "random", "oracle", "--trial", trial, "--strips", str(strips)]
+    assert main([*line, *small]) == 0
+    both = imageio.imread(strips)[..., :3].astype(int)
     red = (both[..., 0] > 130) & (both[..., 1] < 60) & (both[..., 2] < 60)
-    assert red[:64].any() and not red[64:].any()
+    tall, wide = red.shape
+    near, other = red[: tall // 2, 2 * wide // 5 : 3 * wide // 5], red[tall // 2 + tall // 8 :]
+    assert near.any() and not other.any()
+
+
+@needs("gl")
+def test_strips_without_a_run_folder_judge_the_methods_and_old_names_still_work(tmp_path, capsys):
+    import imageio.v3 as imageio
+
+    files = tmp_path / "new.png", tmp_path / "old.png"
+    how = ["--trial", "1", "--method", "oracle", "--frames", "2", "--size", "160", "120"]
+    assert main(["view", *how, "--strips", str(files[0])]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("oracle: success, ")
+    assert main(["strips", *how, "--out", str(files[1])]) == 0
+    old = capsys.readouterr()
+    assert old.out == out.replace("new.png", "old.png") and "r2h-batch view" in old.err
+    new = imageio.imread(files[0])[..., :3]
+    assert np.array_equal(new, imageio.imread(files[1])[..., :3])
+    for rgb in ((0.16, 0.44, 0.70), (0.87, 0.68, 0.56)):  # the object, the hand
+        hue = new / (np.linalg.norm(new, axis=-1, keepdims=True) + 1e-9)
+        seen = hue @ (np.array(rgb) / np.linalg.norm(rgb)) > 0.985
+        half = new.shape[1] // 2
+        assert seen[:, :half].mean() > 1e-3 and seen[:, half:].mean() > 1e-3
+    assert main(["video", "x", "--trial", "0", "--out", "x.doc"]) == 2
+    assert "--video x.doc" in capsys.readouterr().err
 
 
 @needs("chromium")
@@ -250,7 +318,7 @@ def test_a_receiver_with_a_body_is_drawn_where_the_protocol_has_it(reader):
     from r2h_batch import make_trials
 
     receiver = make_trials("S0", 1, protocol="r2h-v1").receiver[0].double().numpy()
-    model = Stage(replace(reader.trial(1, "oracle"), receiver=receiver)).model
+    model = Drawing(replace(reader.trial(1, "oracle"), receiver=receiver)).model
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     for name, a, b in (("upper_arm", 0, 1), ("forearm", 1, 2)):

@@ -1,0 +1,113 @@
+"""What is said beside a picture of a trial: its verdict in words and the five margins."""
+
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from r2h_batch.export.drawing import Drawing
+from r2h_batch.verdicts import CRITERIA
+
+__all__ = ["as_html", "as_markdown", "headline", "summary", "title"]
+
+MEANING = {
+    "stability": "room left between the pads and at the ends of their stroke",
+    "plan": "smallest distance to an obstacle along the path",
+    "reach": "how far the object reaches into the ball in front of the palm",
+    "affordance": "distance from the fingers to the receiver's part of the object",
+    "safe": "smallest distance from the robot to the hand",
+}
+"""What each margin measures; a criterion that is not named here has no tooltip."""
+REASONS = {
+    "start_in_collision": "the arm collides at home",
+    "ik_unreachable": "the arm cannot reach the target",
+    "ik_in_collision": "every posture at the target collides",
+    "no_path_in_budget": "no path was found in time",
+    "not_settled": "the arm did not come to rest",
+}
+
+
+PAIRS = {"hand": "robot and hand", "table": "robot and table", "self": "robot and robot"}
+"""Pairs whose stored name (`CollidingPair`) leaves out the robot."""
+
+
+def headline(row: dict[str, Any]) -> str:
+    """The verdict in one line: success, or the criterion that fails first, why, and by how much."""
+    outcome = str(row["outcome"])
+    if outcome == "success":
+        return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
+    if outcome not in CRITERIA:
+        return outcome.replace("_", " ")
+    line, margin = f"{outcome} fails", row.get(f"margin_{outcome}_m")
+    if outcome == "plan":
+        reason = str(row["plan_reason"])
+        pair = row.get("plan_pair")
+        words = f" ({PAIRS.get(pair, pair.replace('_', ' and '))})" if pair else ""
+        return f"{line}: {REASONS.get(reason, reason.replace('_', ' '))}{words}"
+    if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
+        part = str(row["witness_safe_part"]).replace("_", " ")
+        return f"{line}: {part} meets the hand at {row['witness_time_s']:.1f} s"
+    if margin is None or not np.isfinite(margin):
+        return line
+    return f"{line} by {-1e3 * margin:.1f} mm"
+
+
+def summary(row: dict[str, Any]) -> str:
+    """A trial in a list: its number, object and verdict."""
+    return f"{row['trial_id']} · {str(row['object']).replace('_', ' ')} · {headline(row)}"
+
+
+def title(drawing: Drawing) -> str:
+    """Trial, object, hand and split."""
+    row = drawing.stored.row
+    name = str(row["object"]).replace("_", " ")
+    return f"Trial {row['trial_id']}: {name} to a {row['side']} hand ({row['split']})"
+
+
+def as_markdown(drawing: Drawing) -> str:
+    """The panel of the viewer."""
+    lines = [f"**{title(drawing)}**", "", _verdict(drawing, "**"), ""]
+    lines += ["| | | margin |", "|---|---|---|"]
+    lines += [f"| {name} | {verdict} | {margin} |" for name, verdict, margin in _criteria(drawing)]
+    return "\n".join([*lines, "", *(f"- {line}" for line in _facts(drawing))])
+
+
+def as_html(drawing: Drawing) -> str:
+    """The panel of a page, as a fragment of HTML."""
+    rows = "".join(
+        f'<tr class="{verdict.split()[0]}" title="{escape(MEANING.get(name, ""))}">'
+        f"<th>{escape(name)}</th><td>{verdict}</td><td>{escape(margin)}</td></tr>"
+        for name, verdict, margin in _criteria(drawing)
+    )
+    facts = "".join(f"<li>{escape(line)}</li>" for line in _facts(drawing))
+    verdict = f"{escape(drawing.stored.method)}: <b>{escape(headline(drawing.stored.row))}</b>"
+    heading = escape(title(drawing))
+    return f"<h1>{heading}</h1><p>{verdict}</p><table>{rows}</table><ul>{facts}</ul>"
+
+
+def _verdict(drawing: Drawing, bold: str) -> str:
+    return f"{drawing.stored.method}: {bold}{headline(drawing.stored.row)}{bold}"
+
+
+def _criteria(drawing: Drawing) -> list[tuple[str, str, str]]:
+    """(name, verdict, margin in mm) of each criterion."""
+    row, found = drawing.stored.row, []
+    for name in CRITERIA:
+        passed, margin = row.get(f"passed_{name}"), row.get(f"margin_{name}_m")
+        verdict = "not judged" if passed is None else "passes" if passed else "fails"
+        size = np.nan if margin is None else float(margin)
+        found.append((name, verdict, f"{1e3 * size:+.1f} mm" if np.isfinite(size) else "none"))
+    return found
+
+
+def _facts(drawing: Drawing) -> list[str]:
+    """What else is known of the trial, a line each."""
+    row, lines = drawing.stored.row, []
+    if row.get("width_m") is not None:
+        width, opening = (f"{1e3 * row[k]:.1f} mm" for k in ("width_m", "opening_m"))
+        lines.append(f"material between the pads {width}, opening of the pads {opening}")
+    if row.get("t_exec_s") is not None:
+        lines.append(f"the arm reaches its goal after {row['t_exec_s']:.1f} s")
+    if drawing.witness is not None:
+        lines.append(drawing.witness.caption)
+    return [*lines, *([drawing.stored.note] if drawing.stored.note else [])]
