@@ -16,7 +16,6 @@ from torch import Tensor
 from r2h_batch.benchmark import Benchmark, read_benchmark
 from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.checks import kind, optional
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.goal import judge_goals, safe_at, unless_proven
@@ -46,6 +45,7 @@ from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
 from r2h_batch.types import Asked, Scores, Trials
+from r2h_batch.validate import instance_of, optional
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
@@ -78,7 +78,7 @@ class Evaluator:
             if isinstance(config, str)
             else ""
         )
-        optional(kind(EvalConfig, f"EvalConfig() or EvalConfig.preset(NAME){hint}"))(
+        optional(instance_of(EvalConfig, f"EvalConfig() or EvalConfig.preset(NAME){hint}"))(
             "config", config
         )
         self.config = config or EvalConfig()
@@ -107,7 +107,7 @@ class Evaluator:
         if isinstance(benchmark, (str, Path)):
             pieces = config is not None and config.plan.object_collision == "pieces"
             benchmark = read_benchmark(benchmark, pieces=pieces)
-        kind(Benchmark, "a file's path, or read_benchmark(FILE)")("benchmark", benchmark)
+        instance_of(Benchmark, "a file's path, or read_benchmark(FILE)")("benchmark", benchmark)
         mine = benchmark.config(config)
         return cls(
             mine,

@@ -19,9 +19,6 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from r2h_batch.checks import kind, text
-from r2h_batch.checks import path as given_path
-from r2h_batch.checks.tensors import check_tensor
 from r2h_batch.io.read import (
     DAMAGED_ARCHIVE,
     FileError,
@@ -32,6 +29,9 @@ from r2h_batch.io.read import (
 )
 from r2h_batch.io.tables import read_csv_arrays, read_json_arrays
 from r2h_batch.types import Predictions
+from r2h_batch.validate import instance_of, text
+from r2h_batch.validate import path as path_rule
+from r2h_batch.validate_tensors import check_tensor
 from r2h_batch.verdicts import MOST_SECONDS
 
 MAX_MEMBERS = 16
@@ -78,7 +78,7 @@ def load_predictions(path: str | Path) -> Predictions:
     names, poses as 16 numbers or 4 x 4. Poses are taken as they are: a row whose pose is not finite
     or not rigid is the evaluator's INVALID_INPUT.
     """
-    path = given_path("path", path)
+    path = path_rule("path", path)
     try:
         if path.suffix.lower() in (".csv", ".json"):
             method, values = _text(path)
@@ -113,8 +113,8 @@ def _same(array: np.ndarray) -> np.ndarray:
 def write_predictions(path: str | Path, predictions: Predictions) -> None:
     """Write a .npz or .safetensors file that `load_predictions` reads back equal; an existing file
     is replaced."""
-    path = given_path("path", path)
-    kind(Predictions, "r2h_batch.Predictions(trial_id, T_obj_ee, T_world_ee)")(
+    path = path_rule("path", path)
+    instance_of(Predictions, "r2h_batch.Predictions(trial_id, T_obj_ee, T_world_ee)")(
         "predictions", predictions
     )
     for name in ("trial_id", "T_obj_ee", "T_world_ee"):

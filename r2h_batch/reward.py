@@ -9,17 +9,17 @@ import torch
 from jaxtyping import Bool, Float32, Int64
 from torch import Tensor
 
-from r2h_batch.checks import given, kind, number, whole
-from r2h_batch.checks.tensors import check_tensor, takes_tensors
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.types import Outcome, Scores
+from r2h_batch.validate import describe_value, instance_of, integer, number
+from r2h_batch.validate_tensors import check_tensor, check_tensor_arguments
 
 __all__ = ["best_of_k", "first_failure", "margin_vector", "quality", "rank_of_k", "success"]
 
 NOT_JUDGED = -2
 NO_FAILURE = -1
 
-_scores = kind(Scores, "what Evaluator.score returns")
+_scores = instance_of(Scores, "what Evaluator.score returns")
 _limit = number(0, above=True, what=" metres")
 
 
@@ -28,17 +28,17 @@ def _value(name: str, value: object) -> object:
     check_tensor(name, value, words)
     assert isinstance(value, Tensor)
     if value.ndim != 1 or not value.is_floating_point():
-        raise ValueError(f"{name} is {given(value)}; it must be {words}")
+        raise ValueError(f"{name} is {describe_value(value)}; it must be {words}")
     return value
 
 
-@takes_tensors(scores=_scores)
+@check_tensor_arguments(scores=_scores)
 def success(scores: Scores) -> Float32[Tensor, " b"]:
     """1 where the handover succeeds as far as it was judged, else 0."""
     return scores.success.float()
 
 
-@takes_tensors(scores=_scores, limit_m=_limit)
+@check_tensor_arguments(scores=_scores, limit_m=_limit)
 def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, "b 5"]:
     """Margins in m, clipped to +-`limit_m`, never NaN: columns as CRITERIA.
 
@@ -51,7 +51,7 @@ def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float3
     return torch.where(_judged(scores)[:, None], margin, -limit_m)
 
 
-@takes_tensors(scores=_scores)
+@check_tensor_arguments(scores=_scores)
 def first_failure(scores: Scores) -> Int64[Tensor, " b"]:
     """Column of the first criterion that fails (index into CRITERIA), -1 for a success, -2 for rows
     that were not judged."""
@@ -59,7 +59,7 @@ def first_failure(scores: Scores) -> Int64[Tensor, " b"]:
     return torch.where(_judged(scores), outcome - 1, NOT_JUDGED)
 
 
-@takes_tensors(scores=_scores, limit_m=_limit)
+@check_tensor_arguments(scores=_scores, limit_m=_limit)
 def quality(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, " b"]:
     """One number to rank by: the smallest clipped margin (m), and `2 limit_m` more for a success.
 
@@ -70,7 +70,7 @@ def quality(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tens
     return margin + 2.0 * limit_m * scores.success.to(margin.dtype)
 
 
-@takes_tensors(value=_value, k=whole(1))
+@check_tensor_arguments(value=_value, k=integer(1))
 def rank_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, "n k"]:
     """Rank of each candidate among the k of its trial, 0 for the largest value; ties by candidate
     number, NaN last."""
@@ -79,7 +79,7 @@ def rank_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, "n k"]:
     return torch.empty_like(order).scatter_(1, order, places)
 
 
-@takes_tensors(value=_value, k=whole(1))
+@check_tensor_arguments(value=_value, k=integer(1))
 def best_of_k(value: Float32[Tensor, " b"], k: int) -> Int64[Tensor, " n"]:
     """Number (0 to k - 1) of each trial's best candidate: the largest value, the first of equals;
     NaN never if avoidable."""

@@ -15,8 +15,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from r2h_batch.checks import flag, given, number
-from r2h_batch.checks.tensors import check_tensor, takes_tensors
+from r2h_batch.validate import boolean, describe_value, number
+from r2h_batch.validate_tensors import check_tensor, check_tensor_arguments
 
 __all__ = ["soft_success", "with_gradient"]
 
@@ -38,16 +38,16 @@ def _of(name: str, value: object, words: str, floats: bool) -> object:
     check_tensor(name, value, words)
     assert isinstance(value, Tensor)
     if value.is_floating_point() if not floats else not (value.is_floating_point() and value.ndim):
-        raise TypeError(f"{name} is {given(value)}; it must be {words}")
+        raise TypeError(f"{name} is {describe_value(value)}; it must be {words}")
     return value
 
 
-@takes_tensors(
+@check_tensor_arguments(
     margin=_floats,
     evaluated=_booleans,
     success=_booleans,
     temperature_m=number(0, above=True, what=" metres"),
-    log=flag,
+    log=boolean,
 )
 def soft_success(
     margin: Float[Tensor, "*b c"],

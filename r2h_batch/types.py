@@ -12,9 +12,9 @@ from torch import Tensor
 from torch.nn.functional import pad
 
 from r2h_batch import shown
-from r2h_batch.checks import given, kind, many, whole
-from r2h_batch.checks.tensors import rows_of
 from r2h_batch.soft import soft_success
+from r2h_batch.validate import describe_value, instance_of, integer, sequence_of
+from r2h_batch.validate_tensors import row_index
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Outcome, PlanReason
 
 __all__ = [
@@ -60,7 +60,7 @@ class _Rows:
 
         TypeError for anything else, IndexError for rows that there are not.
         """
-        found = rows_of(rows, len(self))
+        found = row_index(rows, len(self))
         return self._changed(lambda value: value[found])
 
     def to(self, device: str | torch.device) -> Self:
@@ -71,7 +71,9 @@ class _Rows:
                 raise TypeError
             device = torch.device(device)
         except (RuntimeError, TypeError):
-            raise ValueError(f"device is {given(device)}; it must be cpu, cuda or cuda:N") from None
+            raise ValueError(
+                f"device is {describe_value(device)}; it must be cpu, cuda or cuda:N"
+            ) from None
         every: list[Tensor] = []
 
         def seen(value: Tensor) -> Tensor:
@@ -136,7 +138,7 @@ class Trials(_Rows):
         `object_index`."""
         if isinstance(objects, (str, bytes)) or not isinstance(objects, Sequence):
             raise TypeError(
-                f"objects is {given(objects)}; it must be a sequence of objects or names"
+                f"objects is {describe_value(objects)}; it must be a sequence of objects or names"
             )
         return replace(self)._knowing(tuple(str(getattr(o, "name", o)) for o in objects))
 
@@ -266,7 +268,7 @@ class Scores(_Rows):
     def by_trial(self, k: int) -> Self:
         """The same rows as views (N, k, ...): k candidates for each of N trials, as they were
         scored."""
-        k = k if torch.compiler.is_compiling() else whole(1)("k", k)
+        k = k if torch.compiler.is_compiling() else integer(1)("k", k)
         if len(self) % k:
             raise ValueError(
                 f"k is {k}; {len(self)} rows can only be split by a divisor of their number"
@@ -295,7 +297,7 @@ class Scores(_Rows):
 
     def knowing(self, asked: Asked) -> Self:
         """The same scores, which know what they were asked about."""
-        kind(Asked)("asked", asked)
+        instance_of(Asked)("asked", asked)
         same = object.__new__(type(self))
         same.__dict__.update(self.__dict__)
         return same._knowing(asked)
@@ -352,7 +354,7 @@ class Scores(_Rows):
     @staticmethod
     def concatenate(parts: list["Scores"]) -> "Scores":
         """One `Scores` with the rows of all parts, in order."""
-        many(Scores, "what Evaluator.score returns")("parts", parts)
+        sequence_of(Scores, "what Evaluator.score returns")("parts", parts)
         longest = max(p.motion.shape[1] for p in parts)
         states = max(p.failed_state.shape[1] for p in parts)
         parts = [

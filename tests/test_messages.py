@@ -34,7 +34,7 @@ SAID = {
     ),
     "centimetres": (
         b"thresholds: {reach_radius_m: 8}", "b.yaml", "benchmark check",
-        "reach_radius_m is 8; it must be 2.0 or less",
+        "reach_radius_m is 8; it must be 2 or less",
     ),
     "nothing within reach": (
         b"thresholds: {reach_radius_m: 1e-300}", "b.yaml", "benchmark check",
@@ -42,17 +42,17 @@ SAID = {
     ),
     "a wide gripper": (
         b"thresholds: {w_max_m: 8.5}", "b.yaml", "benchmark check",
-        "w_max_m is 8.5; .* above 0, at most 0.085",
+        "w_max_m is 8.5; it must be 0.085 or less",
     ),
     "pads of a metre": (
         b"thresholds: {pad_squeeze_m: 1}", "b.yaml", "benchmark check",
-        "pad_squeeze_m is 1.0; .* to 0.01 m",
+        "pad_squeeze_m is 1.0; it must be 0.01 or less",
     ),
     "two numbers": (
         b"table: {half: [1, 2]}", "b.yaml", "benchmark check", "table.half is .*; it must have 3 entries or more, it has 2",
     ),
     "heavy": (
-        b"objects: [{file: a.obj, mass: 200}]", "b.yaml", "benchmark check", "mass is 200; it must be 100.0 or less: kg",
+        b"objects: [{file: a.obj, mass: 200}]", "b.yaml", "benchmark check", "mass is 200; it must be 100 or less: kg",
     ),
     "backslash": (
         b"objects: [{file: 'a\\b.obj'}]", "b.yaml", "benchmark check", "has a backslash; write / between folders",

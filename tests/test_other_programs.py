@@ -208,9 +208,12 @@ WRONG = {
     "rows of a captured call": (lambda: default_evaluator().capture(1.5), "b is 1.5"),
     "a gripper that opens wider than it can": (
         lambda: Thresholds(w_max_m=0.3),
-        "w_max_m is 0.3; .* above 0, at most 0.085: the open",
+        "w_max_m is 0.3; it must be 0.085 or less: metres; the open",
     ),
-    "pads that give a metre": (lambda: Thresholds(pad_squeeze_m=1), "pad_squeeze_m is 1; .* from 0 to 0.01 metres"),
+    "pads that give a metre": (
+        lambda: Thresholds(pad_squeeze_m=1),
+        "pad_squeeze_m is 1; it must be 0.01 or less: metres",
+    ),
     "a hand before the first": (
         lambda: palm(torch.tensor([-1])),
         "hand_index runs from -1 to -1; the scene has 0 to 399",

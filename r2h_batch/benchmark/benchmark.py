@@ -16,10 +16,10 @@ from r2h_batch.benchmark.unbuilt import is_unbuilt
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
-from r2h_batch.checks import kind, optional
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.turns import PROTOCOL, PROTOCOLS
 from r2h_batch.types import Trials
+from r2h_batch.validate import instance_of, optional
 
 __all__ = ["Benchmark", "built_in"]
 
@@ -133,7 +133,7 @@ class Benchmark:
         Raises ValueError where `base` has other limits or another place of its own: nobody could
         tell which were meant.
         """
-        optional(kind(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", base)
+        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", base)
         base = base or EvalConfig()
         for name, own in (("thresholds", self.thresholds), ("workplace", self.workplace)):
             given = getattr(base, name)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 
 from r2h_batch.bodies.objects import ObjectModel, load_objects
-from r2h_batch.checks import given
+from r2h_batch.validate import describe_value
 
 __all__ = ["checked_objects"]
 
@@ -14,7 +14,7 @@ def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel,
     if objects is None:
         return load_objects()
     if isinstance(objects, (str, ObjectModel)) or not isinstance(objects, Iterable):
-        what = repr(objects.name) if isinstance(objects, ObjectModel) else given(objects)
+        what = repr(objects.name) if isinstance(objects, ObjectModel) else describe_value(objects)
         raise TypeError(
             f"objects is {what}; it must be a sequence of ObjectModel, such as load_objects(['cup'])"
         )
@@ -22,7 +22,7 @@ def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel,
     for i, o in enumerate(found):
         if not isinstance(o, ObjectModel):
             raise TypeError(
-                f"objects[{i}] is {given(o)}; it must be an ObjectModel, such as load_objects(['cup'])[0]"
+                f"objects[{i}] is {describe_value(o)}; it must be an ObjectModel, such as load_objects(['cup'])[0]"
             )
     names = [o.name for o in found]
     if twice := [n for n in names if names.count(n) > 1]:

@@ -9,11 +9,11 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor
 
-from r2h_batch.checks import given, kind, one_of
-from r2h_batch.checks.tensors import check_range, check_tensor
 from r2h_batch.config import EvalConfig
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
+from r2h_batch.validate import describe_value, instance_of, one_of
+from r2h_batch.validate_tensors import check_range, check_tensor
 
 Stages = Literal["pose", "all"]
 """How far `Evaluator.score` goes: what needs no path, or everything."""
@@ -28,11 +28,11 @@ def checked_inputs(
     """
     device = torch.device(scene.device)
     check_stages(stages)
-    kind(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
+    instance_of(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
     check_tensor("trials.trial_id", trials.trial_id, "a torch tensor (N,) of torch.int64")
     if trials.trial_id.ndim != 1:
         raise ValueError(
-            f"trials.trial_id is {given(trials.trial_id)}; it must be torch.int64 (N,)"
+            f"trials.trial_id is {describe_value(trials.trial_id)}; it must be torch.int64 (N,)"
         )
     n = len(trials)
     many = isinstance(T_obj_ee, Tensor) and T_obj_ee.ndim == 4

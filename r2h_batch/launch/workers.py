@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 
-from r2h_batch.checks import whole
+from r2h_batch.validate import integer
 
 
 def cpu_threads(threads: int | None = None) -> int:
     """The number of worker threads: as asked, or one per core this process may use."""
     if threads is not None:
-        return whole(1)("threads", threads)
+        return integer(1)("threads", threads)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

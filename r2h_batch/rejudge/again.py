@@ -19,7 +19,6 @@ from pydantic import TypeAdapter, ValidationError
 from r2h_batch.benchmark.given import Given
 from r2h_batch.benchmark.of_run import benchmark_of_run
 from r2h_batch.benchmark.trials_file import LISTED
-from r2h_batch.checks import kind, optional, takes, text, whole
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.launch import cpu_threads
@@ -27,6 +26,7 @@ from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import LATER_COLUMNS, TRIAL_SCHEMA, TrialNames, score_rows
 from r2h_batch.runs.store import TIMING, Run, RunError
 from r2h_batch.trials.protocol import PROTOCOLS, trials_of
+from r2h_batch.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.verdicts import SIDES
 
 __all__ = ["Difference", "Judge", "Rejudged", "rejudge"]
@@ -90,8 +90,8 @@ class Judge:
         device: str = "cpu",
         threads: int | None = None,
     ):
-        kind(Run, "what load_run(FOLDER) gives")("run", run)
-        optional(kind(Given, "flags of the benchmark"))("given", given)
+        instance_of(Run, "what load_run(FOLDER) gives")("run", run)
+        optional(instance_of(Given, "flags of the benchmark"))("given", given)
         cpu_threads(threads)
         header, where = run.header, run.folder
         if header["protocol"] not in (*PROTOCOLS, LISTED):
@@ -165,9 +165,9 @@ def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
     return (*other, *([] if same else ["processor"]))
 
 
-@takes(
-    run=kind(Run, "what load_run(FOLDER) gives"), method=text, n=whole(0), judge=kind(Judge, "Judge(RUN)"),
-    seed=optional(whole(0)),
+@check_arguments(
+    run=instance_of(Run, "what load_run(FOLDER) gives"), method=text, n=integer(0), judge=instance_of(Judge, "Judge(RUN)"),
+    seed=optional(integer(0)),
 )  # fmt: skip
 def rejudge(run: Run, method: str, n: int, judge: Judge, *, seed: int | None = None) -> Rejudged:
     """Score `n` of a method's stored rows again, drawn without replacement; all of them where there

@@ -35,8 +35,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from r2h_batch.checks import flag, many, takes, text
-from r2h_batch.checks import path as path_of
 from r2h_batch.io.read import FileError, kind_of, printable
 from r2h_batch.io.read import read_json as read_any_json
 from r2h_batch.io.write import run_folder_of
@@ -50,7 +48,8 @@ from r2h_batch.runs.rows import (
     POSE_SCHEMA,
     TRIAL_SCHEMA,
 )
-from r2h_batch.validate import rule_of
+from r2h_batch.validate import boolean, check_arguments, rule_of, sequence_of, text
+from r2h_batch.validate import path as path_of
 
 FORMAT = 3
 """Version of the folder: fields of its JSON files and schemas of its tables."""
@@ -661,7 +660,7 @@ class Run:
 
     def only(self, words: Sequence[str]) -> "Run":
         """The same run with these methods alone (see `named`), in stored order; empty: all."""
-        if not many(str, "names of methods", least=0)("words", words):
+        if not sequence_of(str, "names of methods", least=0)("words", words):
             return self
         names = {self.named(w) for w in words}
         return replace(self, entries=tuple(e for e in self.entries if e["name"] in names))
@@ -804,7 +803,7 @@ def _plain(column: pa.Array) -> np.ndarray:
     return np.asarray(column.fill_null(False if pa.types.is_boolean(column.type) else 0))
 
 
-@takes(verify=flag)
+@check_arguments(verify=boolean)
 def load_run(folder: str | Path, *, verify: bool = True) -> Run:
     """Open a stored run.
 

@@ -19,8 +19,6 @@ from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.bodies.robot import Robot, load_robot
-from r2h_batch.checks import given, kind, many, optional, whole
-from r2h_batch.checks.tensors import check_indices, check_tensor, checked_device
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.robot.place import place_bodies
@@ -32,6 +30,8 @@ from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tabl
 from r2h_batch.scene.model import SceneModel, scene_model
 from r2h_batch.scene.tables import Hands, WorldTables
 from r2h_batch.shown import counted, html_table
+from r2h_batch.validate import describe_value, instance_of, integer, optional, sequence_of
+from r2h_batch.validate_tensors import check_indices, check_tensor, checked_device
 
 PLACED = (
     "R_hand_world",
@@ -58,8 +58,10 @@ class Scene:
         hand_set: HandSet | None = None,
     ) -> None:
         self.device = checked_device(device)
-        optional(kind(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
-        optional(kind(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
+        optional(instance_of(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
+        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))(
+            "config", config
+        )
         init_warp()
         self.config = config or EvalConfig()
         self.robot: Robot = load_robot()
@@ -151,13 +153,14 @@ class Scene:
     def model(self, hand_indices: Iterable[int], execute: ExecConfig | None = None) -> SceneModel:
         """The scene as one MuJoCo model, which takes any trial with one of these hands: what is
         simulated and rendered."""
-        hands = many(SupportsIndex, "numbers of hands", least=0)(
+        hands = sequence_of(SupportsIndex, "numbers of hands", least=0)(
             "hand_indices", tuple(_listed(hand_indices))
         )
         hand_indices = [
-            whole(0, len(self.hands.set) - 1)(f"hand_indices[{i}]", h) for i, h in enumerate(hands)
+            integer(0, len(self.hands.set) - 1)(f"hand_indices[{i}]", h)
+            for i, h in enumerate(hands)
         ]
-        optional(kind(ExecConfig))("execute", execute)
+        optional(instance_of(ExecConfig))("execute", execute)
         execute = execute or self.config.execute
         return scene_model(
             self.robot, self.objects, self.hands, hand_indices, step_s=execute.step_s, full=execute.model != "arm",
@@ -387,7 +390,7 @@ def _listed(indices: object) -> Iterable[Any]:
         or getattr(indices, "ndim", 1) != 1
     ):
         raise TypeError(
-            f"hand_indices is {given(indices)}; it must be whole numbers, of the scene's hands"
+            f"hand_indices is {describe_value(indices)}; it must be whole numbers, of the scene's hands"
         )
     return indices
 

@@ -8,10 +8,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
-from r2h_batch.checks import array, given, kind, many, number, one_of, optional, takes, whole
 from r2h_batch.runs.columns import REQUIRED
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics.tally import SECONDS, Tally
+from r2h_batch.validate import (
+    array,
+    check_arguments,
+    describe_value,
+    instance_of,
+    integer,
+    number,
+    one_of,
+    optional,
+    sequence_of,
+)
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
 
 FAILURES = {entry.rate: entry for entry in sorted(REGISTRY, key=lambda entry: entry.column)}
@@ -68,7 +78,9 @@ class Row:
     """motions that met the receiver's arm or torso, of those past a receiver who has them"""
 
 
-@takes(passed=array("biu", 2, "booleans (N, 5)"), evaluated=array("biu", 2, "booleans (N, 5)"))
+@check_arguments(
+    passed=array("biu", 2, "booleans (N, 5)"), evaluated=array("biu", 2, "booleans (N, 5)")
+)
 def first_failure(
     passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = REQUIRED
 ) -> np.ndarray:
@@ -103,7 +115,7 @@ _NOT_NEGATIVE = array("biuf", None, "numbers, 0 or more", low=0)
 _COUNTS = array("biuf", 1, "numbers (K,), 0 or more", low=0)
 
 
-@takes(count=_NOT_NEGATIVE, total=_NOT_NEGATIVE, confidence=_SHARE)
+@check_arguments(count=_NOT_NEGATIVE, total=_NOT_NEGATIVE, confidence=_SHARE)
 def wilson_interval(
     count: ArrayLike, total: ArrayLike, confidence: float = 0.95
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -124,7 +136,7 @@ def wilson_interval(
     return low, high
 
 
-@takes(
+@check_arguments(
     success=array("biu", 1, "booleans (N,)"),
     cluster=array("iufUST", 1, "numbers or names (N,)"),
     confidence=_SHARE,
@@ -149,14 +161,13 @@ def clustered_interval(
     return clustered_rate(np.bincount(index[success], minlength=len(n)), n, confidence)
 
 
-@takes(success=_COUNTS, total=_COUNTS, confidence=_SHARE)
+@check_arguments(success=_COUNTS, total=_COUNTS, confidence=_SHARE)
 def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0.95) -> Rate | None:
     """`clustered_interval` from what it needs of each cluster: (K,) successes and trials, 0 of
     those that are empty."""
     if np.shape(success) != np.shape(total) or (np.asarray(success) > np.asarray(total)).any():
-        raise ValueError(
-            f"success is {given(success)} and total {given(total)}; they must be successes and trials of each cluster"
-        )
+        found = f"success is {describe_value(success)} and total {describe_value(total)}"
+        raise ValueError(f"{found}; they must be successes and trials of each cluster")
     n = np.asarray(total, np.float64)
     x = np.asarray(success)[n > 0]
     n = n[n > 0]
@@ -174,7 +185,7 @@ def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0
     return Rate(100 * p, 100 * low, 100 * high, int(x.sum()), int(n.sum()))
 
 
-@takes(rates=many(Rate))
+@check_arguments(rates=sequence_of(Rate))
 def mean_rate(rates: Sequence[Rate]) -> Rate:
     """Unweighted mean of independent rates; its interval is built from theirs (MOVER, Zou and
     Donner 2008)."""
@@ -210,10 +221,10 @@ def _times(counted: Tally, split: int, code: int | None) -> dict[str, Mean]:
     }
 
 
-@takes(
-    counted=kind(Tally, "what tally(RUN, METHOD) gives"),
+@check_arguments(
+    counted=instance_of(Tally, "what tally(RUN, METHOD) gives"),
     split=one_of(*SPLITS),
-    code=optional(whole(0)),
+    code=optional(integer(0)),
 )
 def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
     """The table line of a split, or of one object (`code`) of it. The rate of a criterion that the
@@ -263,7 +274,7 @@ def _added(place: np.ndarray, count: np.ndarray, length: int = 0) -> np.ndarray:
     return sums
 
 
-@takes(rows=many(Row, "lines of one method"))
+@check_arguments(rows=sequence_of(Row, "lines of one method"))
 def average_row(rows: Sequence[Row]) -> Row:
     """The paper's Avg: the mean of the splits. A criterion that a split skips counts as 0 there;
     a rate is None where a split has no trials."""
@@ -294,7 +305,7 @@ def average_row(rows: Sequence[Row]) -> Row:
     )
 
 
-@takes(methods=many(Tally, "what tally(RUN, METHOD) gives", least=0))
+@check_arguments(methods=sequence_of(Tally, "what tally(RUN, METHOD) gives", least=0))
 def summarise(methods: Sequence[Tally]) -> tuple[Row, ...]:
     """Rows in Table I's order: every method on S0, then on S1, then Avg (only when both splits were
     planned)."""

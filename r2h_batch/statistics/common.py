@@ -5,10 +5,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.checks import many, takes
 from r2h_batch.config import EvalConfig
 from r2h_batch.runs.store import Run
 from r2h_batch.turns import PROTOCOLS
+from r2h_batch.validate import check_arguments, sequence_of
 from r2h_batch.verdicts import SPLITS
 
 __all__ = ["Common", "common_trials"]
@@ -26,7 +26,10 @@ class Common:
     notes: tuple[str, ...]
 
 
-@takes(runs=many(Run, "what load_run(FOLDER) gives"), proven=many(Path, "folders", least=0))
+@check_arguments(
+    runs=sequence_of(Run, "what load_run(FOLDER) gives"),
+    proven=sequence_of(Path, "folders", least=0),
+)
 def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Common:
     """What all runs were asked; `ValueError` where they were not asked, or not judged, the same.
 

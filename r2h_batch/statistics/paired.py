@@ -8,10 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
-from r2h_batch.checks import array, kind, many, optional, takes, whole
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics.common import Common, common_trials
 from r2h_batch.statistics.tally import Verdicts, verdicts
+from r2h_batch.validate import array, check_arguments, instance_of, integer, optional, sequence_of
 from r2h_batch.verdicts import SPLITS, Outcome
 
 ALPHA = 0.05
@@ -98,7 +98,7 @@ class Comparison:
     rank: np.ndarray | None
 
 
-@takes(only_a=whole(0), only_b=whole(0))
+@check_arguments(only_a=integer(0), only_b=integer(0))
 def mcnemar(only_a: int, only_b: int) -> float:
     """Two-sided exact p value of McNemar's test: are the trials that only one of two methods solves
     split evenly?"""
@@ -110,7 +110,7 @@ def mcnemar(only_a: int, only_b: int) -> float:
     return 1.0 if n == 0 else float(stats.binomtest(only_a, n, 0.5).pvalue)
 
 
-@takes(p=array("fiu", 1, "p values, from 0 to 1", low=0, high=1))
+@check_arguments(p=array("fiu", 1, "p values, from 0 to 1", low=0, high=1))
 def holm(p: Sequence[float]) -> np.ndarray:
     """p values adjusted for looking at all of them (Holm 1979)."""
     values = np.asarray(p, np.float64)
@@ -123,9 +123,9 @@ def holm(p: Sequence[float]) -> np.ndarray:
     return adjusted
 
 
-@takes(
-    runs=many(Run, "what load_run(FOLDER) gives"),
-    common=optional(kind(Common, "what common_trials(RUNS) gives")),
+@check_arguments(
+    runs=sequence_of(Run, "what load_run(FOLDER) gives"),
+    common=optional(instance_of(Common, "what common_trials(RUNS) gives")),
 )
 def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
     """All methods of the runs, paired on the trial id; an error where runs were not asked the same.
@@ -257,7 +257,9 @@ def _check_same_trials(streams: Sequence[_Stream], pieces: Sequence[Verdicts]) -
             )
 
 
-@takes(paired=kind(Paired, "what pair_up(RUNS) gives"), draws=whole(1, 10**7), seed=whole(0))
+@check_arguments(
+    paired=instance_of(Paired, "what pair_up(RUNS) gives"), draws=integer(1, 10**7), seed=integer(0)
+)
 def compare(paired: Paired, *, draws: int = DRAWS, seed: int = 0) -> tuple[Comparison, ...]:
     """One comparison for each split, and one for all trials where there are two splits."""
     groups = [(SPLITS[k], [k]) for k in range(len(SPLITS)) if paired.trials[k].any()]
@@ -317,7 +319,7 @@ def _resampled_rates(
     return hits / totals[:, None]
 
 
-@takes(rates=array("fiu", 2, "rates (D, M): draws by methods"))
+@check_arguments(rates=array("fiu", 2, "rates (D, M): draws by methods"))
 def rank_probabilities(rates: np.ndarray) -> np.ndarray:
     """(M, M) probability that method i has rank j + 1 over draws (D, M) of rates; ties share their
     ranks evenly."""

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.checks import array, kind, many, takes
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, FARTHEST_M
 from r2h_batch.runs.columns import FAILED, PASSED, codes, pattern, pattern_outcomes, states
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics.paired import rank_probabilities
+from r2h_batch.validate import array, check_arguments, instance_of, sequence_of
 from r2h_batch.verdicts import REGISTRY, SPLITS, Outcome
 
 ROUNDING_M = 1e-8
@@ -51,8 +51,8 @@ class Point:
 _METRES = array("iuf", 1, "numbers in metres")
 
 
-@takes(
-    run=kind(Run, "what load_run(FOLDER) gives"),
+@check_arguments(
+    run=instance_of(Run, "what load_run(FOLDER) gives"),
     reach_radius_m=_METRES,
     w_max_m=_METRES,
     safe_margin_m=_METRES,
@@ -164,7 +164,10 @@ class _Margins:
         return counts.reshape(len(SPLITS), MISSING + 1), int(near.sum())
 
 
-@takes(points=many(Point, "what rescore(RUN) gives"), methods=many(str, "names of methods"))
+@check_arguments(
+    points=sequence_of(Point, "what rescore(RUN) gives"),
+    methods=sequence_of(str, "names of methods"),
+)
 def rank_stability(points: Sequence[Point], methods: Sequence[str]) -> np.ndarray:
     """(M, M) share of the points at which method i has rank j + 1 by SR; ties share their ranks
     evenly."""

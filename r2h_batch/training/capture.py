@@ -7,9 +7,9 @@ from dataclasses import fields
 import torch
 from torch import Tensor
 
-from r2h_batch.checks import kind, whole
-from r2h_batch.checks.tensors import check_tensor
 from r2h_batch.types import Scores, Trials
+from r2h_batch.validate import instance_of, integer
+from r2h_batch.validate_tensors import check_tensor
 
 _WARM_UP = 3
 """Calls before a graph is captured: they load kernels and tables, and fill torch's caches."""
@@ -30,7 +30,7 @@ class Captured:
     ) -> None:
         """`score`: what is repeated, of poses (b, 4, 4) and b trials; on CUDA it may not wait for
         the device."""
-        b = whole(1, what=" of rows")("b", b)
+        b = integer(1, what=" of rows")("b", b)
         self._score = score
         self.T_obj_ee = torch.eye(4, dtype=torch.float32, device=device).repeat(b, 1, 1)
         self.T_world_ee = self.T_obj_ee.clone()
@@ -66,7 +66,7 @@ class Captured:
                 if given is not None:
                     _copy(name, mine, given)
             if trials is not None:
-                kind(Trials)("trials", trials)
+                instance_of(Trials)("trials", trials)
                 for f in fields(Trials):
                     if (
                         mine := getattr(self.trials, f.name)

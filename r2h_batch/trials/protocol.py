@@ -28,13 +28,13 @@ from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
-from r2h_batch.checks import kind, many, one_of, optional, whole
-from r2h_batch.checks.tensors import check_tensor
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.trials import receivers, recorded
 from r2h_batch.trials.distance import from_box, from_segment, from_segments
 from r2h_batch.turns import PROTOCOL, PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.types import Trials
+from r2h_batch.validate import instance_of, integer, one_of, optional, sequence_of
+from r2h_batch.validate_tensors import check_tensor
 from r2h_batch.verdicts import SPLITS
 
 __all__ = [
@@ -87,17 +87,19 @@ def make_trials(
     that was read, says all three instead. `protocol`: r2h-v0 (hands alone) or r2h-v1 (with
     `Trials.receiver`); by default the benchmark's.
     """
-    splits = many(str, f"of {', '.join(SPLITS)}")(
+    splits = sequence_of(str, f"of {', '.join(SPLITS)}")(
         "splits", [splits] if isinstance(splits, str) else splits
     )
     for split in splits:
         one_of(*SPLITS)("splits", split)
     if len(set(splits)) != len(splits):
         raise ValueError(f"splits are {', '.join(splits)}; each may be given once")
-    trials = whole(0, MOST_TRIALS)("trials", trials)
+    trials = integer(0, MOST_TRIALS)("trials", trials)
     optional(one_of(*PROTOCOLS))("protocol", protocol)
     if benchmark is not None:
-        kind((Benchmark, str, Path), "a file, or read_benchmark(FILE)")("benchmark", benchmark)
+        instance_of((Benchmark, str, Path), "a file, or read_benchmark(FILE)")(
+            "benchmark", benchmark
+        )
         if objects is not None or hand_set is not None or config is not None:
             raise ValueError(
                 "benchmark says objects, hands and limits; give it alone, or the others without it"
@@ -130,7 +132,7 @@ def _listed(listed: Trials, splits: Sequence[str], trials: int) -> Trials:
 
 def trials_of(benchmark: Benchmark, trial_id: Int64[Tensor, " n"]) -> Trials:
     """The trials of these ids in a benchmark, in this order."""
-    kind(Benchmark, "read_benchmark(FILE)")("benchmark", benchmark)
+    instance_of(Benchmark, "read_benchmark(FILE)")("benchmark", benchmark)
     if benchmark.listed is not None:
         return listed_with_ids(benchmark.listed, trial_id).named(benchmark.objects)
     return trials_with_ids(
@@ -160,8 +162,8 @@ def trials_with_ids(
     if len(ids) and ids.min() < 0:
         raise ValueError(f"trial id {ids.min()} is negative; ids are 2 i (S0) and 2 i + 1 (S1)")
     one_of(*PROTOCOLS)("protocol", protocol)
-    optional(kind(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
-    optional(kind(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
+    optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
+    optional(instance_of(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
     with_body = protocol != PROTOCOLS[0]
     objects, config = checked_objects(objects), config or EvalConfig()
     hands = _hands(load_hand_set() if hand_set is None else hand_set)
@@ -200,7 +202,7 @@ def trials_digest(trials: Trials, *, objects: Sequence[ObjectModel] | None = Non
     `objects` is what `object_index` counts; by default the built-in ones, and a number for what
     comes after them.
     """
-    kind(Trials, "make_trials(...)")("trials", trials)
+    instance_of(Trials, "make_trials(...)")("trials", trials)
     names = dict(enumerate(o.name for o in checked_objects(objects)))
     digest = hashlib.sha256(f"{PROTOCOLS[0 if trials.receiver is None else 1]}\n".encode())
     digest.update(trials.trial_id.cpu().numpy().astype("<i8").tobytes())

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.checks import kind, whole
 from r2h_batch.command_line import UsageError
 from r2h_batch.export.captions import as_html, title
 from r2h_batch.export.drawing import FIXED, FOV_DEG, MARKS, Drawing, Mark, View, view_of
@@ -20,6 +19,7 @@ from r2h_batch.export.stored import StoredTrial, difference, judged_again, names
 from r2h_batch.io.write import write_text
 from r2h_batch.runs.rows import detail_rows, score_rows
 from r2h_batch.types import Predictions, Scores
+from r2h_batch.validate import instance_of, integer
 
 __all__ = ["Shown", "show", "write_page"]
 
@@ -258,8 +258,8 @@ def show(scores: Scores, *, height: int = 640) -> Shown:
     Raises:
         ValueError: `scores` has several rows, was made without its inputs, or was not judged.
     """
-    kind(Scores, "what Evaluator.score returns")("scores", scores)
-    height = whole(100, 10_000, " of pixels")("height", height)
+    instance_of(Scores, "what Evaluator.score returns")("scores", scores)
+    height = integer(100, 10_000, " of pixels")("height", height)
     if len(scores) != 1 or scores.outcome.ndim != 1:
         shape = tuple(scores.outcome.shape)
         raise ValueError(f"show takes one row, given are {shape}; say show(scores[0])")

@@ -1,0 +1,181 @@
+"""Checks of tensors that public functions take: type, layout, shape, device.
+
+No check waits for a GPU: values are looked at on a CPU only.
+"""
+
+import operator
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Any, ParamSpec, SupportsIndex, TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from r2h_batch.validate import Rule, check_arguments, describe_value
+
+__all__ = [
+    "check_indices", "check_range", "check_tensor", "check_tensor_arguments", "checked_device", "row_index",
+]  # fmt: skip
+
+_INTEGERS = (torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8)
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def check_tensor_arguments(**rules: Rule) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """`validate.check_arguments` for functions that torch.compile traces: it checks nothing there."""
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        checked = check_arguments(**rules)(function)
+
+        @wraps(function)
+        def either(*args: P.args, **kwargs: P.kwargs) -> R:
+            compiling = torch.compiler.is_compiling()
+            return function(*args, **kwargs) if compiling else checked(*args, **kwargs)
+
+        return either
+
+    return decorate
+
+
+def check_tensor(name: str, value: Any, words: str) -> None:
+    """Refuse what is no plain tensor in memory.
+
+    Args:
+        name: the argument's name.
+        value: the argument.
+        words: what it must be, for the message.
+
+    Raises:
+        TypeError: it is no tensor, not strided, or wrapped by torch.func.
+    """
+    if not isinstance(value, Tensor):
+        raise TypeError(f"{name} is {describe_value(value)}; it must be {words}")
+    if value.layout != torch.strided:
+        layout = str(value.layout).removeprefix("torch.")
+        found = f"{name} is a tensor of layout {layout}"
+        raise TypeError(f"{found}; it must be {words}: call .to_dense()")
+    if torch.compiler.is_compiling():
+        return
+    try:
+        value.data_ptr()
+    except RuntimeError:  # tensors that torch.func wraps have no memory of their own
+        found = f"{name} is inside torch.func (vmap, grad, jvp), which cannot look into kernels"
+        how = "give all rows in one call, and take gradients with torch.autograd"
+        raise TypeError(f"{found}; it must be {words}: {how}") from None
+
+
+def checked_device(device: str | torch.device) -> str:
+    """The device's name as tensors give it (`cpu`, `cuda:0`).
+
+    Raises:
+        ValueError: there is no such device.
+    """
+    allowed = "allowed are cpu, cuda, cuda:N"
+    try:
+        found = torch.device(device)
+    except (RuntimeError, TypeError) as error:
+        raise ValueError(f"device is {describe_value(device)}; {allowed}") from error
+    if found.type == "cpu":
+        return "cpu"
+    if found.type != "cuda":
+        raise ValueError(f"device is {str(found)!r}; {allowed}")
+    if not torch.cuda.is_available():
+        raise ValueError(f"device is {str(found)!r}, torch sees no CUDA device; use device='cpu'")
+    number = torch.cuda.current_device() if found.index is None else found.index
+    if number >= torch.cuda.device_count():
+        last = torch.cuda.device_count() - 1
+        raise ValueError(f"device is {str(found)!r}; torch sees cuda:0 to cuda:{last}")
+    return f"cuda:{number}"
+
+
+def check_indices(name: str, index: Any, n: int | None, count: int, what: str) -> None:
+    """Refuse what is no (n,) tensor of indices below `count`.
+
+    Args:
+        name: the argument's name.
+        index: the argument.
+        n: its length; None allows any.
+        count: number of things it indexes.
+        what: what these are in, for the message.
+
+    Raises:
+        TypeError: it is no tensor of whole numbers.
+        ValueError: its shape or, on a CPU, its range is wrong.
+    """
+    words = f"a torch tensor ({'N' if n is None else n},) of whole numbers"
+    check_tensor(name, index, words)
+    if index.dtype not in _INTEGERS:
+        raise TypeError(f"{name} is {describe_value(index)}; it must be {words}")
+    if index.ndim != 1 or (n is not None and len(index) != n):
+        raise ValueError(f"{name} is {describe_value(index)}; it must be {words}")
+    check_range(name, index, count, what)
+
+
+def check_range(name: str, index: Tensor, count: int, what: str) -> None:
+    """Refuse indices outside 0 to count - 1 with ValueError; only on a CPU."""
+    if not index.is_cpu or not len(index) or torch.compiler.is_compiling():
+        return
+    low, high = (int(x) for x in torch.aminmax(index))
+    if low < 0 or high >= count:
+        raise ValueError(f"{name} runs from {low} to {high}; {what} has 0 to {count - 1}")
+
+
+def row_index(rows: Any, n: int) -> slice | Tensor:
+    """The index that selects rows of tensors of n rows, and keeps the dimension of rows.
+
+    Args:
+        rows: a row's number, a slice, whole numbers, or a mask.
+        n: number of rows.
+
+    Raises:
+        TypeError, ValueError: it is none of these.
+        IndexError: a row does not exist.
+    """
+    if isinstance(rows, slice):
+        ends = (rows.start, rows.stop, rows.step)
+        if not all(end is None or isinstance(end, SupportsIndex) for end in ends):
+            raise _no_rows(rows, n)
+        compiling = torch.compiler.is_compiling()
+        if rows.step is not None and not compiling and operator.index(rows.step) < 1:
+            raise ValueError(f"rows is {rows!r}; its step must be 1 or more")
+        return rows
+    if isinstance(rows, (bool, np.bool_, tuple, str, bytes)):
+        raise _no_rows(rows, n)
+    if isinstance(rows, SupportsIndex) and not isinstance(rows, (Tensor, np.ndarray)):
+        row = operator.index(rows)
+        if not -n <= row < n:
+            raise IndexError(f"row {row} of {n} rows; allowed are {-n} to {n - 1}")
+        return slice(row % n, row % n + 1)
+    index = rows
+    if not isinstance(rows, Tensor):
+        if not isinstance(rows, (Sequence, np.ndarray)):
+            raise _no_rows(rows, n)
+        try:
+            found = np.asarray(rows)
+            empty = not found.size and found.ndim == 1
+            index = torch.from_numpy(found.astype(np.int64 if empty else found.dtype))
+        except (TypeError, ValueError):
+            raise _no_rows(rows, n) from None
+    if index.ndim == 0:
+        index = index[None]
+    if index.dtype == torch.bool:
+        if len(index) != n:
+            raise IndexError(f"rows is a mask of {len(index)} rows; it must be one of {n}")
+        return index
+    if index.dtype not in _INTEGERS:
+        raise _no_rows(rows, n)
+    index = index.long()  # torch takes uint8 for a mask
+    if index.device.type == "cpu" and index.numel() and not torch.compiler.is_compiling():
+        low, high = (int(x) for x in torch.aminmax(index))
+        if not -n <= low <= high < n:
+            row = low if low < -n else high
+            raise IndexError(f"row {row} of {n} rows; allowed are {-n} to {n - 1}")
+    return index
+
+
+def _no_rows(rows: Any, n: int) -> TypeError:
+    allowed = f"it must be a row's number, a slice, whole numbers or a mask of the {n} rows"
+    return TypeError(f"rows is {describe_value(rows)}; {allowed}")
