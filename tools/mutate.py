@@ -106,7 +106,7 @@ MUTATIONS = (
         ROWS,
         "return wp.min(w_max - width, width - w_min)",
         "return w_max - width",
-        ("tests/judge/test_grasp.py::test_what_is_thinner_than_the_closed_pads_gap_is_not_held",),
+        (f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit",),
     ),
     Mutation(
         "palm: on the back of the left hand",

@@ -99,9 +99,7 @@ def _licence_file(installed: Distribution) -> str:
 
 
 def licences() -> str:
-    """The text of docs/licences.md: bundled data, then every package of the lock."""
-    sources = (ROOT / "assets" / "SOURCES.md").read_text(encoding="utf-8")
-    data = [line for line in sources.splitlines() if line.startswith("|")]
+    """The text of docs/licences.md: every package of the lock."""
     # licence -> names of the packages that r2h_batch needs, that one of its extras needs, and that these bring along
     kinds: dict[str, tuple[list[str], list[str], list[str]]] = {}
     for installed, asked_by in closure().values():
@@ -118,11 +116,7 @@ def licences() -> str:
             "",
             "`make licences` writes this page; do not edit it. r2h_batch itself: Apache-2.0.",
             "",
-            "## Bundled data",
-            "",
-            "The scripts beside the data made all of it. It has the project's licence, Apache-2.0 (`assets/SOURCES.md`).",
-            "",
-            *data,
+            "The scripts beside the bundled data made all of it, under the project's licence: `assets/SOURCES.md`.",
             "",
             "## Packages",
             "",
