@@ -20,7 +20,7 @@ def detours(scene: Scene, problems: Problems) -> NDArray[np.float64]:
     execute, n = scene.config.execute, len(problems.batch)
     home = home_posture(str(scene.device), scene.config.workplace.home_q)
     q, valid = problems.ik.q.reshape(-1, 6), problems.ik.valid.reshape(-1)
-    free = Planner(scene, problems.placed, None).check(q, valid, BRANCHES)[0].view(n, BRANCHES)
+    free = Planner(scene, problems.body_poses, None).check(q, valid, BRANCHES)[0].view(n, BRANCHES)
     order = torch.where(free, 0, 1).argsort(dim=1, stable=True)
     rows = torch.arange(n, device=q.device)
     goals = problems.ik.q[rows[:, None], order].reshape(-1, 6)

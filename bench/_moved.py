@@ -42,10 +42,10 @@ class Mix:
         )
         seen: dict[str, Any] = {}
 
-        def watched(scene: Any, placed: Any, path: Any, length: Any, motion: Any, c: Any, **k: Any) -> Executed:
+        def watched(scene: Any, body_poses: Any, path: Any, length: Any, motion: Any, c: Any, **k: Any) -> Executed:
             start, wall = time.process_time(), time.perf_counter()
-            seen.update(placed=placed, path=path, length=length, motion=motion, scene=scene)
-            seen["executed"] = execute(scene, placed, path, length, motion, c, **k)
+            seen.update(body_poses=body_poses, path=path, length=length, motion=motion, scene=scene)
+            seen["executed"] = execute(scene, body_poses, path, length, motion, c, **k)
             seen["execute_s"], seen["execute_wall_s"] = time.process_time() - start, time.perf_counter() - wall
             return seen["executed"]
 

@@ -197,7 +197,7 @@ class Engines:
     def __init__(self, scene: Scene, problems, twins, classes, q: np.ndarray, *, with_warp: bool) -> None:
         self.models = [let_collide(t, classes) for t in twins]
         self.datas = [t.data for t in twins]
-        self.q, self.scene, self.bodies = q, scene, problems.placed.bodies
+        self.q, self.scene, self.bodies = q, scene, problems.body_poses.bodies
         self.flat: Any = wp.array(q.reshape(-1, 6).astype(np.float32), dtype=float, device="cpu")
         self.own = wp.zeros(len(self.flat), dtype=wp.bool, device="cpu")
         self.c_free = np.zeros(q.shape[:2], bool)

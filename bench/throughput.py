@@ -24,7 +24,7 @@ import torch
 from _report import Report, arguments
 
 import r2h_batch.evaluate as evaluate
-import r2h_batch.judge.hold as hold
+import r2h_batch.judge.attach as attach
 import r2h_batch.judge.plan as plan
 import r2h_batch.judge.verdict as verdict
 import r2h_batch.launch as launch
@@ -37,8 +37,8 @@ REPEATS = 5
 MIX = Path(__file__).with_name("mix.npz")
 MIX_TRIALS = 1024
 STAGES: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
-    ("grasp", hold, ("close_pads", "open_clearance")),
-    ("place", evaluate.Scene, ("place",)),
+    ("grasp", attach, ("close_pads", "open_clearance")),
+    ("place", evaluate.Scene, ("body_poses",)),
     ("ik", evaluate, ("solve_ik",)),
     ("plan", evaluate, ("plan_paths",)),
     ("execute", evaluate, ("time_path", "execute")),

@@ -18,8 +18,8 @@ from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge import ik_jacobian, metrics
+from r2h_batch.judge.attach import AttachedBatch, attach_object
 from r2h_batch.judge.goal import judge_goals, safe_at, unless_proven
-from r2h_batch.judge.hold import Holding, hold
 from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
     Stages,
@@ -278,15 +278,15 @@ class Evaluator:
     ) -> Scores:
         """Every stage: hold, IK, plan, move, judge."""
         scene, config, threads = self.scene, self.config, self.threads
-        holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
-        active, placed = holding.active, holding.placed
+        held = attach_object(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
+        active, body_poses = held.active, held.body_poses
 
         plan_start = time.perf_counter()
-        ik, branches = self._branches(config, holding)
+        ik, branches = self._branches(config, held)
         key = random_key(trials.trial_id)
         planned = plan_paths(
             scene,
-            holding.planned,
+            held.planned,
             ik.q,
             branches,
             active,
@@ -306,7 +306,7 @@ class Evaluator:
         )
         executed = execute(
             scene,
-            placed,
+            body_poses,
             planned.path,
             planned.length,
             motion,
@@ -316,16 +316,16 @@ class Evaluator:
         )
 
         safe, touch = metrics.safe(
-            scene, placed, executed, active, config.thresholds, threads=threads
+            scene, body_poses, executed, active, config.thresholds, threads=threads
         )
-        body_m, part = self._body(scene, holding, trials, executed.path, executed.length)
+        body_m, part = self._body(scene, held, trials, executed.path, executed.length)
         body_m = body_m - executed.slack_m
         if config.receiver == "body":
             safe, touch = with_body(safe, touch, body_m, part, config.thresholds)
-        (steady, reach, affordance), slip = self._without_posture(scene, config, holding)
+        (steady, reach, affordance), slip = self._without_posture(scene, config, held)
         criteria = [steady, metrics.plan(planned, executed, active), reach, affordance, safe]
-        shown = presented(scene, holding, config.thresholds, threads=threads)
-        shared = verdict(criteria, holding, slip, shown, executed.valid)
+        shown = presented(scene, held, config.thresholds, threads=threads)
+        shared = verdict(criteria, held, slip, shown, executed.valid)
         return motion_scores(
             trials.trial_id, shared, active, planned, motion, executed, touch, config.execute,
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
@@ -334,63 +334,63 @@ class Evaluator:
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         """As `_score_motion`, as far as it goes without a path."""
         scene, config, threads = self.scene, self.config, self.threads
-        holding = hold(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
-        active, placed = holding.active, holding.placed
-        ik, branches = self._branches(config, holding)
+        held = attach_object(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
+        active, body_poses = held.active, held.body_poses
+        ik, branches = self._branches(config, held)
         goal = judge_goals(
-            scene, holding.planned, holding.T_world_ee, ik, branches, active, threads=threads
+            scene, held.planned, held.T_world_ee, ik, branches, active, threads=threads
         )
-        safe, touch = safe_at(scene, placed, goal.q, active, config.thresholds, threads=threads)
+        safe, touch = safe_at(scene, body_poses, goal.q, active, config.thresholds, threads=threads)
         path, length = goal.q[:, None], active.to(torch.int32)
-        body_m, part = self._body(scene, holding, trials, path, length)
+        body_m, part = self._body(scene, held, trials, path, length)
         if config.receiver == "body":
             safe, touch = with_body(safe, touch, body_m, part, config.thresholds)
-        (steady, reach, affordance), slip = self._without_posture(scene, config, holding)
+        (steady, reach, affordance), slip = self._without_posture(scene, config, held)
         # above 0 exactly where the goal is free
         plan = Criterion.of(goal.clearance_m, active, touching_passes=False)
-        shown = presented(scene, holding, config.thresholds, threads=threads)
+        shown = presented(scene, held, config.thresholds, threads=threads)
         criteria = [steady, plan, reach, affordance, safe]
-        shared = verdict(criteria, holding, slip, shown)
+        shared = verdict(criteria, held, slip, shown)
         scores = pose_scores(trials.trial_id, shared, goal, touch, body_m=body_m)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             poses = T_obj_ee, T_world_ee
-            return differentiable(scene, config, threads, scores, poses, holding, goal)
+            return differentiable(scene, config, threads, scores, poses, held, goal)
         return scores
 
     def _body(
-        self, scene: Scene, holding: Holding, trials: Trials, path: Tensor, length: Tensor
+        self, scene: Scene, held: AttachedBatch, trials: Trials, path: Tensor, length: Tensor
     ) -> tuple[Tensor, Tensor]:
         """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where
         there is none."""
         if trials.receiver is not None:
             return person_distance(
-                scene, holding.placed, trials.receiver, path, length, threads=self.threads
+                scene, held.body_poses, trials.receiver, path, length, threads=self.threads
             )
         return torch.full_like(path[:, 0, 0], torch.nan), torch.full_like(length, -1)
 
-    def _branches(self, config: EvalConfig, holding: Holding) -> tuple[IkResult, Tensor]:
+    def _branches(self, config: EvalConfig, held: AttachedBatch) -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""
         solve = ik_jacobian.solve_ik if config.ik.solver == "pytorch-kinematics" else solve_ik
         home = config.workplace.home_q
-        ik = solve(holding.T_world_ee, active=holding.active, home=home, threads=self.threads)
+        ik = solve(held.T_world_ee, active=held.active, home=home, threads=self.threads)
         if config.plan.goals == "set":
             return ik, ik.valid
-        return ik, one_branch(ik, holding.T_world_ee, home=home, threads=self.threads)
+        return ik, one_branch(ik, held.T_world_ee, home=home, threads=self.threads)
 
     def _without_posture(
-        self, scene: Scene, config: EvalConfig, holding: Holding
+        self, scene: Scene, config: EvalConfig, held: AttachedBatch
     ) -> tuple[tuple[Criterion, Criterion, Criterion], Tensor]:
         """Stability, Reach, Affordance: they need no joint angles; and how far the object slipped
         (NaN: not shaken)."""
-        limits, threads, active = config.thresholds, self.threads, holding.active
-        objects, grasp = holding.objects, holding.grasp
+        limits, threads, active = config.thresholds, self.threads, held.active
+        objects, grasp = held.objects, held.grasp
         steady, slip = metrics.stability(grasp, active), torch.full_like(grasp.width_m, torch.nan)
         if config.stability == "physics":
             steady, slip = metrics.stability_in_physics(
-                scene, grasp, holding.attached, objects, active, threads=threads
+                scene, grasp, held.attached, objects, active, threads=threads
             )
-        reach = metrics.reach(scene, holding.ball, objects, active, limits, threads=threads)
+        reach = metrics.reach(scene, held.ball, objects, active, limits, threads=threads)
         affordance = metrics.affordance(
-            scene, holding.attached, objects, holding.squeezed_m, active, threads=threads
+            scene, held.attached, objects, held.squeezed_m, active, threads=threads
         )
         return (steady, reach, affordance), slip

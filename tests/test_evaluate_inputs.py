@@ -106,7 +106,7 @@ def no_work(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("work was done before the input was checked")
 
-    monkeypatch.setattr("r2h_batch.judge.hold.close_pads", refuse)
+    monkeypatch.setattr("r2h_batch.judge.attach.close_pads", refuse)
     monkeypatch.setattr("r2h_batch.evaluate.solve_ik", refuse)
 
 

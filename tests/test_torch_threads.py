@@ -10,7 +10,7 @@ import torch
 from problems import default_evaluator, make_batch, solve
 
 from r2h_batch import launch
-from r2h_batch.judge import goal, hold, plan
+from r2h_batch.judge import attach, goal, plan
 from r2h_batch.judge.verdict import random_key
 from r2h_batch.launch import torch_threads
 from r2h_batch.launch.torch_threads import one_torch_thread
@@ -42,7 +42,7 @@ def seen(monkeypatch) -> set[int]:
         found.add(torch.get_num_threads())
         launch.launch_trials(*args, **kwargs)
 
-    for stage in (hold, goal, plan):
+    for stage in (attach, goal, plan):
         monkeypatch.setattr(stage, "launch_trials", watched)
     return found
 
@@ -91,7 +91,7 @@ def test_a_refused_call_leaves_two(batch, monkeypatch):
     def refused(*args, **kwargs):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(hold, "launch_trials", refused)
+    monkeypatch.setattr(attach, "launch_trials", refused)
     with pytest.raises(KeyboardInterrupt):
         default_evaluator().score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
     assert torch.get_num_threads() == 2
@@ -157,7 +157,7 @@ def test_a_plan_on_one_thread_keeps_no_other_thread_busy(scene):
     torch.ones(1 << 20, dtype=torch.float32).exp()  # starts torch's own threads, which turn for a while
     time.sleep(0.2)
     before, me = _own_time_s(), str(threading.get_native_id())
-    plan.plan_paths(scene, made.placed, made.ik.q, made.ik.valid, active, key, scene.config.plan, threads=1)
+    plan.plan_paths(scene, made.body_poses, made.ik.q, made.ik.valid, active, key, scene.config.plan, threads=1)
     spent = {name: s - before.get(name, 0.0) for name, s in _own_time_s().items()}
     mine = spent.pop(me)
     assert sum(spent.values()) < 0.1 * mine, (mine, spent)

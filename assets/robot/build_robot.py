@@ -226,11 +226,11 @@ def gripper_rows(parts: dict[str, list[Shape]], half_pad: Array) -> list[dict[st
     for side, turn in (("left", np.diag([-1.0, -1.0, 1.0])), ("right", np.eye(3))):
         for part in (*visuals.FINGER_PARTS, "pad"):
             for i, s in enumerate(pad if part == "pad" else parts[part]):
-                placed = Shape(s.kind, turn @ (s.pos + visuals.part_origin(part)), turn @ s.R, s.size)
+                body_poses = Shape(s.kind, turn @ (s.pos + visuals.part_origin(part)), turn @ s.R, s.size)
                 name = f"{side}_pad" if part == "pad" else f"{side}_{part}_{i}"
-                row = {"name": name, "part": part, "side": side, "motion": MOTION[part], **write(placed)}
+                row = {"name": name, "part": part, "side": side, "motion": MOTION[part], **write(body_poses)}
                 if part == "pad":  # exact, not rounded
-                    row |= {"pos": (placed.pos + 0.0).tolist(), "size": half_pad.tolist()}
+                    row |= {"pos": (body_poses.pos + 0.0).tolist(), "size": half_pad.tolist()}
                 rows.append(row)
     return rows
 

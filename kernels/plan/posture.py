@@ -222,7 +222,7 @@ def posture_clearance(
     place_links(world, R, p, link_c0, link_c1)
     arm_c0 = wp.zeros(shape=MAX_ARM_BODIES, dtype=wp.vec3)
     arm_c1 = wp.zeros(shape=MAX_ARM_BODIES, dtype=wp.vec3)
-    placed = int(0)
+    body_poses = int(0)
 
     for back in range(9):  # gripper and object first: mostly they are nearest, and prune the rest
         link = wp.where(back < 2, GRIPPER + back, OBJECT - back)
@@ -255,9 +255,9 @@ def posture_clearance(
         for other in range(GRIPPER):
             if (self_with >> other) & 1 == 1:
                 arm = arm | (bodies_below(world.link_first[other + 1]) & ~bodies_below(world.link_first[other]))
-                if (placed >> other) & 1 == 0:
+                if (body_poses >> other) & 1 == 0:
                     place_bodies(world, other, R, p, arm_c0, arm_c1)
-                    placed = placed | (1 << other)
+                    body_poses = body_poses | (1 << other)
         for b in range(lo, hi):
             body = in_place(world, hull_ball, bodies, trial, link, b, first_hull + b - world.n_robot, R, p)
             on_table = near_table and b >= world.table_from

@@ -15,7 +15,7 @@ from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
 from r2h_batch.launch import launch_trials
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 
 ROTATION_LEVER_M = 0.1
@@ -62,7 +62,7 @@ class Goal:
 
 def judge_goals(
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     T_world_ee: Float32[Tensor, "b 4 4"],
     ik: IkResult,
     branches: Bool[Tensor, "b 8"],
@@ -86,8 +86,8 @@ def judge_goals(
         goal_kernels.choose_goal,
         b,
         inputs={
-            "world": placed.tables(scene),
-            "bodies": placed.bodies,
+            "world": body_poses.tables(scene),
+            "bodies": body_poses.bodies,
             "home": home_posture(str(device), scene.config.workplace.home_q),
             "singular": int(STATUS_SINGULAR),
             "unproven": int(PlanReason.NO_PATH_IN_BUDGET),
@@ -114,7 +114,7 @@ def judge_goals(
         chunk=256,
         **on,
     )
-    _measure(goal, scene, placed, postures, residual, on)
+    _measure(goal, scene, body_poses, postures, residual, on)
     return goal
 
 
@@ -144,7 +144,7 @@ def _unjudged(b: int, device: torch.device) -> Goal:
 def _measure(
     goal: Goal,
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     postures: dict[str, Tensor],
     residual: Float32[Tensor, " b"],
     on: dict[str, Any],
@@ -156,9 +156,9 @@ def _measure(
         len(residual),
         inputs={
             "cap": CLEARANCE_CAP_M,
-            "world": placed.tables(scene),
+            "world": body_poses.tables(scene),
             "hull_ball": scene.hull_balls,
-            "bodies": placed.bodies,
+            "bodies": body_poses.bodies,
             "home": home_posture(str(residual.device), scene.config.workplace.home_q),
             "reason": goal.reason,
             **postures,
@@ -182,7 +182,7 @@ def _measure(
 
 def safe_at(
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     q: Float32[Tensor, "b 6"],
     active: Bool[Tensor, " b"],
     thresholds: Thresholds,
@@ -207,7 +207,7 @@ def safe_at(
             "cap": CLEARANCE_CAP_M,
             "world": scene.world,
             "mesh": scene.hand_mesh,
-            "bodies": placed.bodies,
+            "bodies": body_poses.bodies,
             "active": active,
             "q": q,
         },

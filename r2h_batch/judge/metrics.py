@@ -20,7 +20,7 @@ from r2h_batch.kernels.judge import safe as safe_kernels
 from r2h_batch.kernels.judge.overlap import hand_overlap
 from r2h_batch.launch import launch_trials
 from r2h_batch.motion.execute import Executed
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 
 SAFE_TOLERANCE_M = 2e-5
 """How exactly the smallest distance over time is located."""
@@ -189,7 +189,7 @@ class Touch:
 
 def safe(
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     executed: Executed,
     active: Bool[Tensor, " b"],
     thresholds: Thresholds,
@@ -215,12 +215,12 @@ def safe(
         "fraction": fraction,
         "point": point,
     }
-    tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": placed.bodies}
+    tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": body_poses.bodies}
     motion = {"path": executed.path, "length": executed.length}
     moves = (executed.length > 0) & active
     on: dict[str, Any] = {"device": scene.device, "threads": threads}
     if in_waves(scene.device):
-        waves = SafeWaves(scene, placed, **motion, tolerance=SAFE_TOLERANCE_M)
+        waves = SafeWaves(scene, body_poses, **motion, tolerance=SAFE_TOLERANCE_M)
         waves(found)
         meets = waves.rows_where(moves & (distance < 0))
     else:

@@ -15,7 +15,7 @@ from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.kernels.plan.lines import path_clearance
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 
 __all__ = ["person_distance", "with_body"]
 
@@ -25,7 +25,7 @@ MOVED = 3
 
 def person_distance(
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     receiver: Float32[Tensor, "b 5 4"],
     path: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
@@ -39,7 +39,7 @@ def person_distance(
     without a path. Where they meet: minus the way out of the deepest overlap found, as a sampled
     path's margin of Plan is (kernels/judge/overlap.py).
     """
-    alone = with_person(scene, placed, receiver, hand=False)
+    alone = with_person(scene, body_poses, receiver, hand=False)
     tables = {"world": alone.tables(scene), "bodies": alone.bodies}
     motion = {"path": path.contiguous(), "length": length.contiguous()}
     on: dict[str, Any] = {"device": scene.device, "threads": threads}

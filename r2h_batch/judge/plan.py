@@ -22,7 +22,7 @@ from r2h_batch.kernels.wave.shortcuts import take_arcs
 from r2h_batch.kernels.wave.trees import enter_edges
 from r2h_batch.launch import launch_trials, load
 from r2h_batch.launch.torch_threads import one_torch_thread
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 
 GOAL_ROOM_M = 2e-4
@@ -52,7 +52,7 @@ class Plan:
 
 def plan_paths(
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     q: Float32[Tensor, "b 8 6"],
     valid: Bool[Tensor, "b 8"],
     active: Bool[Tensor, " b"],
@@ -69,7 +69,7 @@ def plan_paths(
     """
     with one_torch_thread(q.device):
         return _paths(
-            scene, placed, q, valid, active, key, config, execute or ExecConfig(), threads
+            scene, body_poses, q, valid, active, key, config, execute or ExecConfig(), threads
         )
 
 
@@ -83,7 +83,7 @@ def load_searches(device: str) -> None:
 
 def _paths(
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     q: Float32[Tensor, "b 8 6"],
     valid: Bool[Tensor, "b 8"],
     active: Bool[Tensor, " b"],
@@ -94,7 +94,7 @@ def _paths(
 ) -> Plan:
     """`plan_paths`, stage by stage."""
     b, device = len(active), q.device
-    run = Planner(scene, placed, threads)
+    run = Planner(scene, body_poses, threads)
     home = home_posture(str(device), scene.config.workplace.home_q)
     moveit = int(config.edge_check == "moveit")
 
@@ -205,12 +205,12 @@ class Planner:
     """Runs planning kernels, which all take the scene's world and the trials' bodies; on a GPU what
     can goes in `waves`."""
 
-    def __init__(self, scene: Scene, placed: Placed, threads: int | None) -> None:
-        self._tables = {"world": placed.tables(scene), "bodies": placed.bodies}
+    def __init__(self, scene: Scene, body_poses: BodyPoses, threads: int | None) -> None:
+        self._tables = {"world": body_poses.tables(scene), "bodies": body_poses.bodies}
         self._device = scene.device
         self._threads = threads
         self.waves = (
-            Waves(**self._tables, device=scene.device, rows=len(placed.object_index))
+            Waves(**self._tables, device=scene.device, rows=len(body_poses.object_index))
             if in_waves(scene.device)
             else None
         )

@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from r2h_batch.config import FARTHEST_M, Thresholds
-from r2h_batch.judge.hold import Holding
+from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.kernels.judge import presented as kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import Scene
@@ -31,19 +31,19 @@ class Presented:
 
 
 def presented(
-    scene: Scene, holding: Holding, thresholds: Thresholds, *, threads: int | None = None
+    scene: Scene, held: AttachedBatch, thresholds: Thresholds, *, threads: int | None = None
 ) -> Presented:
     """Where each trial's receiver's region is when the object is handed over: facing, and within
     the ball's radius of c_h."""
     meshes, center = scene.regions
     point, _ = scene.palms
     angle, distance = torch.empty(
-        (2, len(holding.active)), dtype=torch.float32, device=holding.active.device
+        (2, len(held.active)), dtype=torch.float32, device=held.active.device
     ).unbind(0)
-    found = Presented(angle, distance, torch.empty_like(holding.active))
+    found = Presented(angle, distance, torch.empty_like(held.active))
     launch_trials(
         kernels.region_presented,
-        len(holding.active),
+        len(held.active),
         inputs={
             "cap": FARTHEST_M,
             "facing_deg": FACING_DEG,
@@ -51,13 +51,13 @@ def presented(
             "mesh": meshes,
             "center": center,
             "palm_point": point,
-            "active": holding.active,
-            "object": holding.objects,
-            "hand": holding.hands,
-            "attached": holding.attached,
-            "T_world_ee": holding.T_world_ee,
-            "T_world_hand": holding.T_world_hand,
-            "ball": holding.ball,
+            "active": held.active,
+            "object": held.objects,
+            "hand": held.hands,
+            "attached": held.attached,
+            "T_world_ee": held.T_world_ee,
+            "T_world_hand": held.T_world_hand,
+            "ball": held.ball,
         },
         outputs={
             "presented": found.presented,

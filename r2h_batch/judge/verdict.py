@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float32, Int32, Int64
 from torch import Tensor
 
 from r2h_batch.config import BORDERLINE_M, ExecConfig
+from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.goal import Goal
-from r2h_batch.judge.hold import Holding
 from r2h_batch.judge.metrics import Criterion, Touch
 from r2h_batch.judge.plan import Plan
 from r2h_batch.judge.presented import Presented
@@ -22,7 +22,7 @@ __all__ = ["motion_scores", "pose_scores", "random_key", "verdict"]
 
 def verdict(
     criteria: Sequence[Criterion],
-    holding: Holding,
+    held: AttachedBatch,
     slip_m: Float32[Tensor, " b"],
     shown: Presented,
     valid: Bool[Tensor, " b"] | None = None,
@@ -34,7 +34,7 @@ def verdict(
     simulator failed; such a row is judged by nothing and is INVALID_SIM. A row that is not active
     is INVALID_INPUT.
     """
-    active, grasp = holding.active, holding.grasp
+    active, grasp = held.active, held.grasp
     margin = torch.stack([c.margin for c in criteria], 1)  # (B, C), as the two below
     passed = torch.stack([c.passed for c in criteria], 1)
     evaluated = torch.stack([c.evaluated for c in criteria], 1)

@@ -64,7 +64,7 @@ Loops = Literal["original", "one"]
 """original: grasps by score x five distances x seven turns that add up, about the axis of the
 object's class. one: the best grasp, one distance, seven even turns about the handle."""
 
-Placed = Literal["gripper", "object", "handle"]
+BodyPoses = Literal["gripper", "object", "handle"]
 """What stands on the palm's normal: the gripper's TCP; the aligned template's origin; the handle's
 centre (all of the object's, where nothing is a handle)."""
 
@@ -78,7 +78,7 @@ def predict(
     noise: PredictorNoise | None = None,
     seen: Seen | None = None,
     loops: Loops = "original",
-    at: Placed = "handle",
+    at: BodyPoses = "handle",
     voxel_m: float = VOXEL_M,
     crop_m: float = CROP_M,
     azimuth_step: float = AZIMUTH_STEP,
@@ -92,7 +92,7 @@ def predict(
     `loops`: what is tried, in which order. `at`: what is put opposite the palm.
     """
     check_choice("loops", loops, Loops)
-    check_choice("at", at, Placed)
+    check_choice("at", at, BodyPoses)
     threads = evaluator.threads if evaluator else None
     depths = depth_steps(DEPTH_LOW_M, DEPTH_HIGH_M, DEPTH_STEP_M)
     table = candidate_table(scene)
@@ -167,7 +167,7 @@ def first_reached(
     R_world_obj: Float[Tensor, "b r 3 3"],
     places: Float[Tensor, "b d 3"],
     axis: Alignment,
-    at: Placed,
+    at: BodyPoses,
     grasps: Float32[Tensor, "b s 4 4"],
     feasible: Bool[Tensor, "b s"],
     *,
@@ -195,7 +195,7 @@ def first_reached(
 
 
 def _point(
-    axis: Alignment, at: Placed, T_obj_ee: Float32[Tensor, "b 4 4"], rows: Tensor
+    axis: Alignment, at: BodyPoses, T_obj_ee: Float32[Tensor, "b 4 4"], rows: Tensor
 ) -> Float[Tensor, "b 3"]:
     """The object's point (frame obj) that is put at a place."""
     if at == "gripper":

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from r2h_batch.kernels.plan.lines import path_clearance
 from r2h_batch.launch import launch_trials
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 
 __all__ = ["FINGER_GIVE_M", "nothing_pushes"]
 
@@ -34,7 +34,7 @@ LOCATED_M = 1e-5
 
 def nothing_pushes(
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     motion: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
     off_m: Float32[Tensor, " b"],
@@ -59,7 +59,7 @@ def nothing_pushes(
             "cap": NEAR_M,
             "tolerance": LOCATED_M,
             "world": scene.world_without_hand,
-            "bodies": placed.bodies,
+            "bodies": body_poses.bodies,
             "path": motion.contiguous(),
             "length": length.contiguous(),
         },

@@ -20,7 +20,7 @@ from r2h_batch.motion.simulation import Job, Samples
 from r2h_batch.motion.time_law import Motion, limits, servo_law
 from r2h_batch.scene.dynamics import SERVO_RATE
 from r2h_batch.scene.model import TrialScenes
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Executed:
 
 def execute(
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     path: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
     motion: Motion,
@@ -93,7 +93,7 @@ def execute(
 
     def move(model: Literal["scene", "arm"], rows: Bool[Tensor, " b"]) -> Executed:
         run = _Runner(
-            scene, placed, path, length, motion, replace(config, model=model), engine, threads
+            scene, body_poses, path, length, motion, replace(config, model=model), engine, threads
         )
         return _until_at_rest(run, rows)
 
@@ -110,7 +110,7 @@ def execute(
     if bool(asked.any()):
         recorded = torch.where(asked, alone.length, 0)
         free = free | nothing_pushes(
-            scene, placed, alone.path, recorded, alone.slack_with_object_m, threads=threads
+            scene, body_poses, alone.path, recorded, alone.slack_with_object_m, threads=threads
         )
     if bool((free | ~found).all()):
         return alone
@@ -163,7 +163,7 @@ class _Runner:
     """One batch of paths, ready to be simulated for any rows and any durations."""
 
     def __init__(
-        self, scene: Scene, placed: Placed, path: Tensor, length: Tensor, motion: Motion, config: ExecConfig,
+        self, scene: Scene, body_poses: BodyPoses, path: Tensor, length: Tensor, motion: Motion, config: ExecConfig,
         engine: str, threads: int | None,
     ) -> None:  # fmt: skip
         self.scene, self.config, self.threads = scene, config, threads
@@ -174,20 +174,20 @@ class _Runner:
         self.law = servo_law(config, lead_s=1.0 / SERVO_RATE, step_s=config.step_s)
         device = "cpu" if module.ON_CPU else scene.device
         self.device = device
-        self.placed, tables = placed, (self.path, motion.time_s, length)
+        self.body_poses, tables = body_poses, (self.path, motion.time_s, length)
         self.planned = [wp.from_torch(t.contiguous()) for t in tables]
         path_in, time_in, length_in = (wp.from_torch(t.to(device).contiguous()) for t in tables)
         self.tables = (path_in, time_in, length_in)
         T_wrist_gripper = scene.robot.T_wrist3_flange @ scene.robot.T_flange_gripper
         T_wrist_obj = np.tile(np.eye(4), (len(length), 1, 1))
         T_wrist_obj[:, :3, :3], T_wrist_obj[:, :3, 3] = (
-            placed.R_wrist_obj.cpu(),
-            placed.p_wrist_obj.cpu(),
+            body_poses.R_wrist_obj.cpu(),
+            body_poses.p_wrist_obj.cpu(),
         )
         self.trials = TrialScenes(
-            scene.objects, np.linalg.inv(T_wrist_gripper) @ T_wrist_obj, placed.object_index.long().cpu().numpy(),
-            placed.hand_index.long().cpu().numpy(), placed.T_world_hand.double().cpu().numpy(),
-            placed.opening_m.double().cpu().numpy(),
+            scene.objects, np.linalg.inv(T_wrist_gripper) @ T_wrist_obj, body_poses.object_index.long().cpu().numpy(),
+            body_poses.hand_index.long().cpu().numpy(), body_poses.T_world_hand.double().cpu().numpy(),
+            body_poses.opening_m.double().cpu().numpy(),
         )  # fmt: skip
 
     def __call__(self, rows: np.ndarray, duration_s: np.ndarray) -> Executed:
@@ -232,7 +232,9 @@ class _Runner:
         state[rows] = torch.from_numpy(answer.failed_state).to(device)
         both = torch.maximum(
             slack,
-            (acceleration[:, 0] * self.placed.object_lever.to(device)).sum(-1) * sample_s**2 / 8,
+            (acceleration[:, 0] * self.body_poses.object_lever.to(device)).sum(-1)
+            * sample_s**2
+            / 8,
         )
         deviation = torch.where(length > 0, self._deviation(path, length, sample_s) + both, 0.0)
         return Executed(
@@ -279,7 +281,7 @@ class _Runner:
         curves between two in time."""
         law = servo_law(self.config, lead_s=0.0, step_s=sample_s)
         lever = self.scene.levers.float().to(motion.device).contiguous()
-        held = self.placed.object_lever
+        held = self.body_poses.object_lever
         deviation = torch.zeros(len(length), dtype=torch.float32, device=motion.device)
         planned, time, planned_length = self.planned
         launch_trials(

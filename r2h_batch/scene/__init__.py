@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING
 from r2h_batch import lazy_names
 
 if TYPE_CHECKING:
-    from r2h_batch.scene.scene import Placed, Scene
+    from r2h_batch.scene.scene import BodyPoses, Scene
 
-__all__ = ["Placed", "Scene"]
+__all__ = ["BodyPoses", "Scene"]
 
 if not TYPE_CHECKING:
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "Placed": "scene",
+            "BodyPoses": "scene",
             "Scene": "scene",
         },
     )

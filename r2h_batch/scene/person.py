@@ -18,7 +18,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.bounds import BLOCK_POINTS
 from r2h_batch.kernels.robot.world import TrialBodies, World
 from r2h_batch.launch.arguments import struct_of
-from r2h_batch.scene.scene import PLACED, Placed, Scene
+from r2h_batch.scene.scene import PLACED, BodyPoses, Scene
 
 __all__ = ["PIECES", "piece_corners", "with_person"]
 
@@ -52,17 +52,17 @@ def piece_corners(
 
 
 def with_person(
-    scene: Scene, placed: Placed, receiver: Float32[Tensor, "b 5 4"], *, hand: bool
-) -> Placed:
+    scene: Scene, body_poses: BodyPoses, receiver: Float32[Tensor, "b 5 4"], *, hand: bool
+) -> BodyPoses:
     """The same trials with the person's pieces: beside the hand's, or (not `hand`) alone before the
     bare robot.
 
     Alone means: no hand, no table, no object, no pairs of the robot with itself: what is then
     nearest is robot and person.
     """
-    b, device = len(placed.hand_index), receiver.device
+    b, device = len(body_poses.hand_index), receiver.device
     corners, grown = piece_corners(receiver)
-    R, p = (x.double()[:, None, None] for x in (placed.owners[2], placed.owners[3]))
+    R, p = (x.double()[:, None, None] for x in (body_poses.owners[2], body_poses.owners[3]))
     local = (
         se3.rotate(R, corners) + p
     ).float()  # in the hand's frame, where all collision work is done
@@ -91,7 +91,7 @@ def with_person(
         base = wp.to_torch(scene.world.points)
         tables["piece_start"] = first + len(base)
         points = torch.cat([base, blocks])
-        own = {name: _of_hands(scene, name, placed.hand_index) for name in tables}
+        own = {name: _of_hands(scene, name, body_poses.hand_index) for name in tables}
         tables = {name: torch.cat([own[name], tables[name]], 1) for name in tables}
     else:
         world.table_from = world.n_robot
@@ -116,9 +116,9 @@ def with_person(
         )
     rows = torch.arange(b, dtype=torch.int32, device=device)
     names = ("object", "hand", *PLACED)
-    owners = {**dict(zip(names, placed.owners[: len(names)], strict=True)), "hand": rows}
+    owners = {**dict(zip(names, body_poses.owners[: len(names)], strict=True)), "hand": rows}
     bodies = struct_of(TrialBodies, {**owners, "object_lever": owners["lever"]})
-    return Placed(bodies, placed.owners, world, (rows, *kept.values()))
+    return BodyPoses(bodies, body_poses.owners, world, (rows, *kept.values()))
 
 
 def _of_hands(scene: Scene, name: str, hand_index: Tensor) -> Tensor:

@@ -42,7 +42,7 @@ PLACED = (
     "p_wrist_obj",
     "lever",
 )
-"""What `place` writes for each trial, in the order of `Placed.owners` behind object and hand."""
+"""What `body_poses` writes for each trial, in the order of `BodyPoses.owners` behind object and hand."""
 
 
 class Scene:
@@ -327,7 +327,7 @@ class Scene:
         n = se3.apply(turn, normal[i])
         return p, n, p + self.config.thresholds.reach_offset_m * n
 
-    def place(
+    def body_poses(
         self,
         object_index: Tensor,
         hand_index: Tensor,
@@ -336,7 +336,7 @@ class Scene:
         opening_m: Float32[Tensor, " b"],
         *,
         threads: int | None = None,
-    ) -> "Placed":
+    ) -> "BodyPoses":
         """Bodies of B trials: hand in the world, fingers at their opening, object attached (after
         closing moved it)."""
         b, device = len(object_index), object_index.device
@@ -369,7 +369,7 @@ class Scene:
         )
         names = {"hand": hands, "object": objects, "object_lever": out["lever"]}
         bodies = struct_of(TrialBodies, {**out, **names})
-        return Placed(bodies, (objects, hands, *out.values(), T_world_hand, opening_m))
+        return BodyPoses(bodies, (objects, hands, *out.values(), T_world_hand, opening_m))
 
 
 def _scene_of(
@@ -396,7 +396,7 @@ def _listed(indices: object) -> Iterable[Any]:
 
 
 @dataclass(frozen=True)
-class Placed:
+class BodyPoses:
     """Where the bodies of B trials sit: the kernels' struct, and the tensors that own its
     memory."""
 

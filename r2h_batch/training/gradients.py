@@ -15,9 +15,9 @@ from torch import Tensor
 from r2h_batch import se3
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import CLEARANCE_CAP_M, OPEN_GAP_M, EvalConfig, Thresholds
+from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.grasp import CUT_CAP_M
-from r2h_batch.judge.hold import Holding
 from r2h_batch.judge.ik import ur_parameters
 from r2h_batch.scene.scene import Scene
 from r2h_batch.soft import with_gradient
@@ -33,7 +33,7 @@ def differentiable(
     threads: int | None,
     scores: Scores,
     poses: tuple[Float[Tensor, "b 4 4"], Float[Tensor, "b 4 4"]],
-    holding: Holding,
+    held: AttachedBatch,
     goal: Goal,
 ) -> Scores:
     """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses; rows
@@ -41,7 +41,7 @@ def differentiable(
 
     `poses`: T_obj_ee and T_world_ee as they were given, with their history.
     """
-    changes = MarginChanges(scene, config.thresholds, threads, scores, holding, goal)
+    changes = MarginChanges(scene, config.thresholds, threads, scores, held, goal)
     first_order_only = [FirstOrderOnly.apply(T) for T in poses]
     return replace(scores, margin=with_gradient(scores.margin, changes(*first_order_only)))
 
@@ -93,10 +93,10 @@ class MarginChanges:
         thresholds: Thresholds,
         threads: int | None,
         scores: Scores,
-        holding: Holding,
+        held: AttachedBatch,
         goal: Goal,
     ) -> None:
-        self.held, self.goal, self.evaluated = holding, goal, scores.evaluated
+        self.held, self.goal, self.evaluated = held, goal, scores.evaluated
         margin = scores.margin.detach()
         self._find_on_object(scene, thresholds, margin, threads)
         self._find_between_bodies(scene, scores, margin[:, 4] + thresholds.safe_margin_m, threads)
@@ -174,7 +174,7 @@ class MarginChanges:
         n_arm, n_robot = scene.world.n_arm, scene.world.n_robot
         body = torch.where(held.active & ~self.unreachable, scores.witness_part[:, 1], -1)
         found, self.hand_point, normal = witnesses.hand_contact(
-            scene, held.placed, goal.q, body, safe_m, **launch
+            scene, held.body_poses, goal.q, body, safe_m, **launch
         )
         self.hand_normal = torch.where(found[:, None], normal, 0.0)
         links, q_home, T_home = _tables(scene, str(body.device))

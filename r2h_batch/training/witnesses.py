@@ -18,7 +18,7 @@ from r2h_batch.kernels.witness import closing as closing_kernels
 from r2h_batch.kernels.witness import posture as posture_kernels
 from r2h_batch.kernels.witness import surface as kernels
 from r2h_batch.launch import launch_trials
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training.first_order import Arm, Closing, Contact
 
 __all__ = [
@@ -223,7 +223,7 @@ def _sample_points(scene: Scene) -> tuple[Any, Any]:
 
 def hand_contact(
     scene: Scene,
-    placed: Placed,
+    body_poses: BodyPoses,
     q: Float32[Tensor, "b 6"],
     body: Int32[Tensor, " b"],
     distance_m: Float32[Tensor, " b"],
@@ -248,7 +248,7 @@ def hand_contact(
         inputs={
             "world": scene.world,
             "mesh": scene.hand_mesh,
-            "bodies": placed.bodies,
+            "bodies": body_poses.bodies,
             "q": q.contiguous(),
             "body": body.contiguous(),
             "distance": distance_m.contiguous(),

@@ -15,9 +15,9 @@ from r2h_batch import se3
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.goal import Goal, judge_goals
 from r2h_batch.judge.grasp import attach, close_gripper
-from r2h_batch.judge.hold import hold
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.plan import Planner
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
@@ -106,8 +106,8 @@ def test_collisions_at_a_singular_wrist_prove_nothing():
     unproven = singular & (p.plan_reason == int(PlanReason.NO_PATH_IN_BUDGET))
     assert unproven.sum() > 100 and (p.plan_pair[unproven] != 0).all()
     # the very posture that the target was made from is a solution: where that is free, "proven" would be false
-    placed = hold(evaluator.scene, b.T_obj_ee, b.T_world_ee, b.trials, evaluator.config).placed
-    free, _, _ = Planner(evaluator.scene, placed, None).check(torch.from_numpy(q.astype(np.float32)), unproven, 1)
+    body_poses = attach_object(evaluator.scene, b.T_obj_ee, b.T_world_ee, b.trials, evaluator.config).body_poses
+    free, _, _ = Planner(evaluator.scene, body_poses, None).check(torch.from_numpy(q.astype(np.float32)), unproven, 1)
     assert free.any()
 
 
@@ -177,9 +177,9 @@ class Judged:
 
     def goals(self, T_world_hand: torch.Tensor) -> Goal:
         t = self.batch.trials
-        placed = self.scene.place(t.object_index, t.hand_index, self.attached, T_world_hand, self.opening_m)
+        body_poses = self.scene.body_poses(t.object_index, t.hand_index, self.attached, T_world_hand, self.opening_m)
         ik = solve_ik(self.T_world_ee)
-        return judge_goals(self.scene, placed, self.T_world_ee, ik, ik.valid, torch.ones(len(t), dtype=torch.bool))
+        return judge_goals(self.scene, body_poses, self.T_world_ee, ik, ik.valid, torch.ones(len(t), dtype=torch.bool))
 
     def twin(self, row: int) -> Twin:
         t = self.batch.trials

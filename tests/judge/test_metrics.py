@@ -35,7 +35,7 @@ def as_planned(problems: Problems) -> Executed:
     """The planned motion itself as what was executed."""
     config, plan = ExecConfig(sim="none"), problems.plan
     motion = time_path(plan.path, plan.length, config)
-    return execute(default_evaluator().scene, problems.placed, plan.path, plan.length, motion, config)
+    return execute(default_evaluator().scene, problems.body_poses, plan.path, plan.length, motion, config)
 
 
 def of_object(scores_row: int) -> trimesh.Trimesh:
@@ -282,8 +282,8 @@ def test_a_safety_margin_is_taken_off():
     _, problems, s = scored()
     scene = default_evaluator().scene
     active = torch.ones(N, dtype=torch.bool)
-    plain, _ = metrics.safe(scene, problems.placed, as_planned(problems), active, Thresholds())
-    strict, _ = metrics.safe(scene, problems.placed, as_planned(problems), active, Thresholds(safe_margin_m=0.02))
+    plain, _ = metrics.safe(scene, problems.body_poses, as_planned(problems), active, Thresholds())
+    strict, _ = metrics.safe(scene, problems.body_poses, as_planned(problems), active, Thresholds(safe_margin_m=0.02))
     found = s.path_len > 0
     assert torch.equal(plain.margin[found], s.margin[found, SAFE])
     torch.testing.assert_close(strict.margin[found], plain.margin[found] - 0.02)
@@ -303,6 +303,6 @@ def test_inactive_rows_are_not_judged():
         metrics.plan(problems.plan, as_planned(problems), none),
         metrics.reach(scene, ball, batch.trials.object_index, none, Thresholds()),
         metrics.affordance(scene, problems.T_obj_ee_attached, batch.trials.object_index, grasp.opening_m, none),
-        metrics.safe(scene, problems.placed, as_planned(problems), none, Thresholds())[0],
+        metrics.safe(scene, problems.body_poses, as_planned(problems), none, Thresholds())[0],
     ):
         assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()

@@ -56,7 +56,7 @@ def test_safe_says_how_deep_the_hand_is_in_the_robot(sampled):
     moved = Executed(
         plan.path, plan.length, free, plan.length > 0, plan.length >= 0, free, free, free, plan.length, None
     )
-    safe, touch = metrics.safe(scene, sampled.placed, moved, torch.ones(n, dtype=torch.bool), Thresholds())
+    safe, touch = metrics.safe(scene, sampled.body_poses, moved, torch.ones(n, dtype=torch.bool), Thresholds())
     rows = torch.nonzero(safe.evaluated & (safe.margin < 0)).flatten().tolist()
     assert len(rows) >= 2
     for row in rows[:4]:

@@ -115,13 +115,13 @@ def test_waves_find_the_distances_of_one_thread(asked):
     scene = evaluator("hand").scene
     with mock.patch.object(evaluate, "person_distance", wraps=person_distance) as asked_of:
         evaluator("hand").score(*asked)
-    _, placed, receiver, path, length = asked_of.call_args_list[0].args
+    _, body_poses, receiver, path, length = asked_of.call_args_list[0].args
     ends = path[torch.arange(len(length)), (length - 1).clamp(min=0).long()]
     sampled = path[:, :1] + torch.linspace(0, 1, 151)[None, :, None] * (ends[:, None] - path[:, :1])
     for motion, n in ((path, length), (sampled, torch.where(length > 0, 151, 0).to(torch.int32))):
-        here, body = person_distance(scene, placed, receiver, motion, n)
+        here, body = person_distance(scene, body_poses, receiver, motion, n)
         with waves_on_cpu():
-            there, body_there = person_distance(scene, placed, receiver, motion, n)
+            there, body_there = person_distance(scene, body_poses, receiver, motion, n)
         assert torch.equal(torch.isnan(here), n == 0) and torch.equal(torch.isnan(there), n == 0)
         found = n > 0
         assert torch.equal(here[found] < 0, there[found] < 0) and (here[found] < 0).sum() >= 3

@@ -300,7 +300,9 @@ def test_inactive_rows_are_not_evaluated_and_leave_the_others_alone():
     scene, p = default_evaluator().scene, problems(512)
     n = len(p.batch)
     active = torch.arange(n) % 3 > 0
-    some = plan_paths(scene, p.placed, p.ik.q, p.ik.valid, active, random_key(p.batch.trials.trial_id), PlanConfig())
+    some = plan_paths(
+        scene, p.body_poses, p.ik.q, p.ik.valid, active, random_key(p.batch.trials.trial_id), PlanConfig()
+    )
     assert (some.reason[~active] == int(PlanReason.NOT_EVALUATED)).all() and (some.length[~active] == 0).all()
     for name in ("reason", "pair", "body", "clearance_m", "length"):
         assert torch.equal(getattr(some, name)[active], getattr(p.plan, name)[active]), name

@@ -9,8 +9,8 @@ import torch
 from problems import default_evaluator, make_batch
 
 from r2h_batch import se3
+from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.grasp import attach, close_gripper
-from r2h_batch.judge.hold import hold
 from r2h_batch.judge.metrics import Criterion, squeezed
 from r2h_batch.judge.presented import Presented
 from r2h_batch.judge.verdict import verdict
@@ -41,41 +41,41 @@ def held():
     trials = trials_with_ids(torch.arange(N))
     given = poses(1), poses(2), poses(3)
     trials = replace(trials, T_world_hand=given[2])
-    return given, trials, hold(evaluator.scene, given[0], given[1], trials, evaluator.config)
+    return given, trials, attach_object(evaluator.scene, given[0], given[1], trials, evaluator.config)
 
 
 def test_poses_are_those_of_se3_and_rows_that_are_none_have_the_identity(held):
-    given, _, holding = held
+    given, _, held = held
     active = torch.stack([se3.is_pose(T) for T in given]).all(0)
-    assert torch.equal(holding.active, active)
+    assert torch.equal(held.active, active)
     assert 0.2 < active.double().mean() < 0.9
-    for mine, T in zip((holding.T_obj_ee, holding.T_world_ee, holding.T_world_hand), given, strict=True):
+    for mine, T in zip((held.T_obj_ee, held.T_world_ee, held.T_world_hand), given, strict=True):
         assert torch.equal(mine[active], se3.orthonormalise(T[active]))
         assert (mine[~active] == torch.eye(4)).all()
 
 
 def test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit(held):
-    _, trials, holding = held
-    scene, active = default_evaluator().scene, holding.active
-    attached = attach(holding.T_obj_ee, holding.grasp.shift_m)
-    assert torch.equal(holding.attached[active], attached[active])
-    _, _, center = scene.palm(trials.hand_index, holding.T_world_hand)
-    T_world_obj = se3.matmul(holding.T_world_ee, se3.inverse(attached))
+    _, trials, held = held
+    scene, active = default_evaluator().scene, held.active
+    attached = attach(held.T_obj_ee, held.grasp.shift_m)
+    assert torch.equal(held.attached[active], attached[active])
+    _, _, center = scene.palm(trials.hand_index, held.T_world_hand)
+    T_world_obj = se3.matmul(held.T_world_ee, se3.inverse(attached))
     ball = se3.apply(se3.inverse(T_world_obj), center)
-    assert torch.equal(holding.ball[active], ball[active])
+    assert torch.equal(held.ball[active], ball[active])
 
 
 def test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit():
     evaluator = default_evaluator()
     batch, limits = make_batch(evaluator.scene, N), evaluator.config.thresholds
     batch.T_obj_ee[::2, :3, 3] += 0.05 * torch.randn((N // 2, 3), generator=torch.Generator().manual_seed(0))
-    holding = hold(evaluator.scene, batch.T_obj_ee, batch.T_world_ee, batch.trials, evaluator.config)
+    held = attach_object(evaluator.scene, batch.T_obj_ee, batch.T_world_ee, batch.trials, evaluator.config)
     grasp = close_gripper(
-        evaluator.scene.grasp_tables, holding.T_obj_ee, holding.objects, w_max=limits.w_max_m, w_min=limits.w_min_m
+        evaluator.scene.grasp_tables, held.T_obj_ee, held.objects, w_max=limits.w_max_m, w_min=limits.w_min_m
     )
     for name, value in vars(grasp).items():
-        assert torch.equal(torch.nan_to_num(value, 7.0), torch.nan_to_num(getattr(holding.grasp, name), 7.0)), name
-    assert torch.equal(holding.squeezed_m, squeezed(grasp, limits))
+        assert torch.equal(torch.nan_to_num(value, 7.0), torch.nan_to_num(getattr(held.grasp, name), 7.0)), name
+    assert torch.equal(held.squeezed_m, squeezed(grasp, limits))
     held = grasp.width_m <= limits.w_max_m
     material = held & (grasp.margin_m < grasp.cut_m)
     assert [5 < int(kind.sum()) < N - 5 for kind in (grasp.empty, held, material)] == [True] * 3
@@ -91,9 +91,9 @@ def test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed(simula
         criteria.append(Criterion(torch.where(evaluated, margin, torch.nan), (margin > 0) & evaluated, evaluated))
     active, valid = (torch.rand(N, generator=g) < 0.8 for _ in range(2))
     lengths = {k: torch.rand(N, generator=g) for k in ("width_m", "opening_m", "shift_m")}
-    holding = SimpleNamespace(active=active, grasp=SimpleNamespace(**lengths))
+    held = SimpleNamespace(active=active, grasp=SimpleNamespace(**lengths))
     shown = Presented(lengths["width_m"], lengths["opening_m"], active)
-    found = verdict(criteria, holding, lengths["width_m"], shown, valid if simulated else None)  # type: ignore[arg-type]
+    found = verdict(criteria, held, lengths["width_m"], shown, valid if simulated else None)  # type: ignore[arg-type]
     for i in range(N):
         judged = bool(valid[i]) or not simulated
         asked = [judged and bool(c.evaluated[i]) for c in criteria]

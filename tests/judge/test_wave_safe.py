@@ -17,7 +17,7 @@ from r2h_batch.judge.wave import safe as wave_safe
 from r2h_batch.judge.wave import waves
 from r2h_batch.methods import oracle, random
 from r2h_batch.motion.execute import Executed
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.trials.protocol import trials_with_ids
 
 
@@ -26,26 +26,26 @@ class Moved:
     """What Safe is asked about."""
 
     scene: Scene
-    placed: Placed
+    body_poses: BodyPoses
     executed: Executed
     active: torch.Tensor
 
     def safe(self) -> tuple[Criterion, Touch]:
-        return metrics.safe(self.scene, self.placed, self.executed, self.active, self.scene.config.thresholds)
+        return metrics.safe(self.scene, self.body_poses, self.executed, self.active, self.scene.config.thresholds)
 
     def in_waves(self) -> tuple[Criterion, Touch]:
         with waves.waves_on_cpu():
             return self.safe()
 
     def distances(
-        self, placed: Placed | None = None, rows: slice | torch.Tensor = slice(None)
+        self, body_poses: BodyPoses | None = None, rows: slice | torch.Tensor = slice(None)
     ) -> dict[str, torch.Tensor]:
-        """What the waves themselves write, of some rows alone, which are `placed` then."""
+        """What the waves themselves write, of some rows alone, which are `body_poses` then."""
         path, length = self.executed.path[rows].contiguous(), self.executed.length[rows].contiguous()
         n = len(length)
         out = {"distance": torch.zeros(n), "fraction": torch.zeros(n), "point": torch.zeros(n, 3)}
         out |= {"body": torch.zeros(n, dtype=torch.int32), "segment": torch.zeros(n, dtype=torch.int32)}
-        run = wave_safe.SafeWaves(self.scene, placed or self.placed, path, length, SAFE_TOLERANCE_M)
+        run = wave_safe.SafeWaves(self.scene, body_poses or self.body_poses, path, length, SAFE_TOLERANCE_M)
         run(out)
         run.rows_where(length < 0)
         return out
@@ -113,7 +113,7 @@ def test_a_distance_does_not_depend_on_its_batch_its_place_or_the_number_of_lane
     whole = asked.distances()
     order = torch.from_numpy(np.random.default_rng(1).permutation(160))
     for rows in (order, slice(40, 47)):
-        alone = of_rows(random, 160, rows).placed
+        alone = of_rows(random, 160, rows).body_poses
         for name, found in asked.distances(alone, rows).items():
             assert torch.equal(whole[name][rows], found), name
     with mock.patch.object(waves, "LANES", 7):

@@ -48,7 +48,7 @@ def same_bits(a: Plan, b: Plan, rows: slice | torch.Tensor = slice(None)) -> Non
 
 def free_paths_to_goals(scene: Scene, problems: Problems, plan: Plan, rows: torch.Tensor) -> None:
     """Paths of those rows begin at home, end in a joint solution, and keep clear of everything, as one thread sees it."""
-    least, _, _ = _least_clearance(Planner(scene, problems.placed, None), plan.path, plan.length)
+    least, _, _ = _least_clearance(Planner(scene, problems.body_poses, None), plan.path, plan.length)
     assert (least[rows] > 0).all() and (least - plan.clearance_m)[rows].abs().max() <= CLEARANCE_TOLERANCE_M
     assert torch.equal(plan.path[rows, 0], torch.tensor(HOME_Q, dtype=torch.float32).expand(int(rows.sum()), 6))
     ends = plan.path[torch.arange(len(rows)), plan.length.long() - 1]

@@ -29,10 +29,10 @@ def postures_near(rng, base, n):
     return q.astype(np.float32).astype(np.float64)
 
 
-def check(scene, placed, q):
+def check(scene, body_poses, q):
     per_trial = q.shape[1]
     flat = torch.tensor(q.reshape(-1, 6), dtype=torch.float32)
-    out = Planner(scene, placed, None).check(flat, torch.ones(len(flat), dtype=torch.bool), per_trial)
+    out = Planner(scene, body_poses, None).check(flat, torch.ones(len(flat), dtype=torch.bool), per_trial)
     return [x.numpy().reshape(q.shape[:2]) for x in out]
 
 
@@ -168,7 +168,7 @@ def test_many_edges_certified_free_never_penetrate(scene, hand_margin):
     assert certified >= 1000
 
 
-def clearance_of(scene, placed, paths, kernel=path_clearance):
+def clearance_of(scene, body_poses, paths, kernel=path_clearance):
     n = len(paths)
     width = max(len(p) for p in paths)
     path = torch.zeros((n, width, 6))
@@ -180,7 +180,7 @@ def clearance_of(scene, placed, paths, kernel=path_clearance):
         torch.zeros(n, dtype=torch.int32),
         torch.full((n,), -1, dtype=torch.int32),
     )
-    Planner(scene, placed, None)(
+    Planner(scene, body_poses, None)(
         kernel,
         n,
         inputs={"cap": CAP_M, "tolerance": CLEARANCE_TOLERANCE_M, "path": path, "length": length},
@@ -222,8 +222,8 @@ def test_path_clearance_is_the_smallest_sampled_one(scene):
 def test_object_levers_bound_every_point_and_match_the_robots_own_bound(scene):
     rng = np.random.default_rng(6)
     stages, _ = oracle.random_stages(scene, rng, 24)
-    placed = oracle.place(scene, stages)
-    lever = placed.object_lever.numpy()
+    body_poses = oracle.place(scene, stages)
+    lever = body_poses.object_lever.numpy()
     world = scene.world
     first, c0, c1, radius = (getattr(world, n).numpy() for n in ("hull_first", "hull_c0", "hull_c1", "hull_radius"))
     q = rng.uniform(-np.pi, np.pi, (400, 6))

@@ -55,8 +55,10 @@ def _near_hands(n: int, seed: int) -> dict:
     opening = torch.nan_to_num(scores.opening_m, nan=0.05).clamp(0.0, 0.085)
     g = torch.Generator().manual_seed(seed)
     q = torch.nan_to_num(scores.q_goal) + 0.05 * torch.randn(n, 6, generator=g)
-    placed = scene.place(b.trials.object_index, b.trials.hand_index, b.T_obj_ee, b.trials.T_world_hand, opening)
-    return {"world": scene.world, "mesh": scene.hand_mesh, "bodies": placed.bodies, "cap": CAP_M, "q": q}
+    body_poses = scene.body_poses(
+        b.trials.object_index, b.trials.hand_index, b.T_obj_ee, b.trials.T_world_hand, opening
+    )
+    return {"world": scene.world, "mesh": scene.hand_mesh, "bodies": body_poses.bodies, "cap": CAP_M, "q": q}
 
 
 @pytest.mark.parametrize("n", [384, pytest.param(8192, marks=pytest.mark.slow)])

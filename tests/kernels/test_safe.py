@@ -37,15 +37,15 @@ def safe_of(scene, stages, paths, threads=None, form="thread"):
     body, segment = torch.zeros((2, n), dtype=torch.int32).unbind(0)
     found = {"distance": torch.full((n,), -9.0), "body": body, "segment": segment}
     found |= {"fraction": torch.zeros(n), "point": torch.zeros((n, 3))}
-    placed = oracle.place(scene, stages)
+    body_poses = oracle.place(scene, stages)
     if form == "waves":
-        waves = SafeWaves(scene, placed, path, length, SAFE_TOLERANCE_M)
+        waves = SafeWaves(scene, body_poses, path, length, SAFE_TOLERANCE_M)
         waves(found)
         waves.rows_where(length == 0)
     else:
         motion = {"mesh": scene.hand_mesh, "path": path, "length": length}
         asked = {"cap": CAP_M, "tolerance": SAFE_TOLERANCE_M, **motion}
-        Planner(scene, placed, threads)(safe_distance, n, inputs=asked, outputs=found, chunk=16)
+        Planner(scene, body_poses, threads)(safe_distance, n, inputs=asked, outputs=found, chunk=16)
     return [x.numpy() for x in found.values()]
 
 
@@ -221,8 +221,8 @@ def test_the_paths_hand_clearance_is_never_above_safe(scene):
     path = torch.tensor(np.stack(paths), dtype=torch.float32)
     n = len(paths)
     least, pair, body = torch.zeros(n), torch.zeros(n, dtype=torch.int32), torch.zeros(n, dtype=torch.int32)
-    placed = oracle.place(scene, stages)
-    Planner(scene, placed, None)(
+    body_poses = oracle.place(scene, stages)
+    Planner(scene, body_poses, None)(
         path_clearance,
         n,
         inputs={

@@ -73,8 +73,8 @@ def _distance(mesh: trimesh.Trimesh, gap: float, moving_only: bool, cap: float =
         round_shape = fcl.Cylinder if kind == Kind.CYLINDER else fcl.Capsule
         shape = fcl.Box(*(2 * size)) if kind == Kind.BOX else round_shape(size[0], 2 * size[1])
         result = fcl.DistanceResult()
-        placed = fcl.CollisionObject(shape, fcl.Transform(T[:3, :3], T[:3, 3]))
-        fcl.distance(fcl.CollisionObject(surface), placed, fcl.DistanceRequest(), result)
+        body_poses = fcl.CollisionObject(shape, fcl.Transform(T[:3, :3], T[:3, 3]))
+        fcl.distance(fcl.CollisionObject(surface), body_poses, fcl.DistanceRequest(), result)
         least = min(least, max(result.min_distance, 0.0))
     return least
 

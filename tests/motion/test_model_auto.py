@@ -30,7 +30,7 @@ def auto(clearance_m: torch.Tensor, rows: torch.Tensor | None = None) -> Execute
     p = problems()
     rows = torch.arange(N) if rows is None else rows
     trials = p.batch.trials
-    placed = default_evaluator().scene.place(
+    body_poses = default_evaluator().scene.body_poses(
         trials.object_index[rows], trials.hand_index[rows], p.T_obj_ee_attached[rows], trials.T_world_hand[rows],
         p.opening_m[rows],
     )  # fmt: skip
@@ -38,7 +38,7 @@ def auto(clearance_m: torch.Tensor, rows: torch.Tensor | None = None) -> Execute
     motion = time_path(path, length, AUTO)
     near, never = clearance_m[rows], mock.Mock(return_value=torch.zeros_like(length, dtype=torch.bool))
     with mock.patch.object(module, "nothing_pushes", never):
-        return execute(default_evaluator().scene, placed, path, length, motion, AUTO, clearance_m=near)
+        return execute(default_evaluator().scene, body_poses, path, length, motion, AUTO, clearance_m=near)
 
 
 def same(a: Executed, b: Executed, i: int, j: int) -> bool:
@@ -86,7 +86,7 @@ def test_what_is_said_not_to_push_touches_nothing_in_mujoco_and_the_rest_does():
     rng, n, steps = np.random.default_rng(5), 40, 200
     rows = torch.arange(n) % N
     trials = p.batch.trials
-    placed = scene.place(
+    body_poses = scene.body_poses(
         trials.object_index[rows], trials.hand_index[rows], p.T_obj_ee_attached[rows], trials.T_world_hand[rows],
         p.opening_m[rows],
     )  # fmt: skip
@@ -95,7 +95,7 @@ def test_what_is_said_not_to_push_touches_nothing_in_mujoco_and_the_rest_does():
     path = torch.from_numpy((home + np.linspace(0, 1, 26)[:, None] * (goal - home)[:, None]).astype(np.float32))
     length = torch.full((n,), 26, dtype=torch.int32)
     length[-1] = 0
-    free = nothing_pushes(scene, placed, path, length, torch.zeros(n))
+    free = nothing_pushes(scene, body_poses, path, length, torch.zeros(n))
     scenes = scene.model(trials.hand_index.tolist(), SCENE)
     T_gripper_ee = np.linalg.inv(scene.robot.T_flange_gripper) @ scene.robot.T_flange_ee
     model = copy.copy(scenes.model)
@@ -120,8 +120,8 @@ def test_what_is_said_not_to_push_touches_nothing_in_mujoco_and_the_rest_does():
     assert [not x for x in touched] == free[:-1].tolist()
     assert 5 < sum(touched) < n - 5
     # each body may be off by as much: none of them keeps a millimetre's half from itself for ever
-    assert not nothing_pushes(scene, placed, path, length, torch.full((n,), 0.5 * NEAR_M)).any()
-    some = nothing_pushes(scene, placed, path, length, torch.full((n,), 2e-4))
+    assert not nothing_pushes(scene, body_poses, path, length, torch.full((n,), 0.5 * NEAR_M)).any()
+    some = nothing_pushes(scene, body_poses, path, length, torch.full((n,), 2e-4))
     assert (free | ~some).all()
 
 

@@ -163,8 +163,8 @@ def test_safe_judges_the_recorded_motion_less_its_slack():
     """A recorded motion that strays from the plan is what counts: here it is bent into the hand by hand."""
     evaluator, p, e = default_evaluator(), problems(), reference_run(MUJOCO)
     active = torch.ones(N, dtype=torch.bool)
-    plain, _ = metrics.safe(evaluator.scene, p.placed, e, active, Thresholds())
-    tighter, _ = metrics.safe(evaluator.scene, p.placed, replace(e, slack_m=e.slack_m + 1e-3), active, Thresholds())
+    plain, _ = metrics.safe(evaluator.scene, p.body_poses, e, active, Thresholds())
+    tighter, _ = metrics.safe(evaluator.scene, p.body_poses, replace(e, slack_m=e.slack_m + 1e-3), active, Thresholds())
     moved = plain.evaluated
     np.testing.assert_allclose((plain.margin - tighter.margin)[moved].numpy(), 1e-3, atol=1e-6)
     bent = e.path.clone()
@@ -173,7 +173,7 @@ def test_safe_judges_the_recorded_motion_less_its_slack():
     goal = e.path[row, int(e.length[row]) - 1]
     for s in torch.linspace(0.0, 1.0, 60):  # beyond the goal, into the hand: every joint 15 % too far
         bent[row, k] = goal + 0.15 * s * (goal - e.path[row, 0])
-        worse, touch = metrics.safe(evaluator.scene, p.placed, replace(e, path=bent), active, Thresholds())
+        worse, touch = metrics.safe(evaluator.scene, p.body_poses, replace(e, path=bent), active, Thresholds())
         if float(worse.margin[row]) < float(plain.margin[row]) - 1e-3:
             break
     assert float(worse.margin[row]) < float(plain.margin[row]) - 1e-3 and int(touch.segment[row]) in (k - 1, k)
@@ -185,12 +185,14 @@ def test_safe_judges_the_recorded_motion_less_its_slack():
 def test_rows_do_not_depend_on_their_batch(config):
     p, whole = problems(), reference_run(config)
     for rows in (torch.arange(1), torch.arange(7), torch.randperm(N, generator=torch.Generator().manual_seed(0))):
-        placed = default_evaluator().scene.place(
+        body_poses = default_evaluator().scene.body_poses(
             p.batch.trials.object_index[rows], p.batch.trials.hand_index[rows], p.T_obj_ee_attached[rows],
             p.batch.trials.T_world_hand[rows], p.opening_m[rows],
         )  # fmt: skip
         path, length = p.plan.path[rows], p.plan.length[rows]
-        e = execute(default_evaluator().scene, placed, path, length, time_path(path, length, config), config, threads=1)
+        e = execute(
+            default_evaluator().scene, body_poses, path, length, time_path(path, length, config), config, threads=1
+        )
         for i, row in enumerate(rows.tolist()):
             n = int(whole.length[row])
             assert int(e.length[i]) == n and torch.equal(e.path[i, :n], whole.path[row, :n])

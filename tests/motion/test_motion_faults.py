@@ -249,16 +249,16 @@ def test_a_hand_wholly_inside_the_arm_is_touched_and_does_not_change_the_motion(
     q = p.plan.path[row, 0].double().numpy()
     upper_arm = forward_kinematics(evaluator.scene.robot, q)[2]
     T_world_hand[row, :3, 3] = torch.from_numpy((upper_arm @ [-0.2, 0, 0.138, 1])[:3]).float()
-    placed = evaluator.scene.place(
+    body_poses = evaluator.scene.body_poses(
         trials.object_index, trials.hand_index, p.T_obj_ee_attached, T_world_hand, p.opening_m
     )
     inside = execute(
-        evaluator.scene, placed, p.plan.path, p.plan.length, time_path(p.plan.path, p.plan.length, config), config
+        evaluator.scene, body_poses, p.plan.path, p.plan.length, time_path(p.plan.path, p.plan.length, config), config
     )
     assert torch.equal(inside.path, e.path) and inside.valid.all()
     active = torch.ones(N, dtype=torch.bool)
-    judged, _ = metrics.safe(evaluator.scene, placed, inside, active, Thresholds())
-    before, _ = metrics.safe(evaluator.scene, p.placed, e, active, Thresholds())
+    judged, _ = metrics.safe(evaluator.scene, body_poses, inside, active, Thresholds())
+    before, _ = metrics.safe(evaluator.scene, p.body_poses, e, active, Thresholds())
     assert float(judged.margin[row]) < -0.005 and not judged.passed[row]
     keep = (torch.arange(N) != row) & before.evaluated
     assert torch.equal(judged.margin[keep], before.margin[keep])

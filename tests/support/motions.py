@@ -46,7 +46,7 @@ def run(config: ExecConfig, path=None, length=None, motion=None, n: int = N) -> 
     path = p.plan.path if path is None else path
     length = p.plan.length if length is None else length
     motion = time_path(path, length, config) if motion is None else motion
-    return execute(default_evaluator().scene, p.placed, path, length, motion, config)
+    return execute(default_evaluator().scene, p.body_poses, path, length, motion, config)
 
 
 @cache

@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.robot import Kind, ee_pose, gripper_primitives_at
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 
 Array = NDArray[np.float64]
 
@@ -358,9 +358,9 @@ def random_stages(scene: Scene, rng: np.random.Generator, n: int) -> tuple[list[
     return stages, postures
 
 
-def place(scene: Scene, stages: Sequence[Staged]) -> Placed:
+def place(scene: Scene, stages: Sequence[Staged]) -> BodyPoses:
     """The same trials for the kernels."""
-    return scene.place(
+    return scene.body_poses(
         torch.tensor([s.object_index for s in stages], dtype=torch.int32),
         torch.tensor([s.hand_index for s in stages], dtype=torch.int32),
         torch.tensor(np.array([s.T_obj_ee for s in stages]), dtype=torch.float32),

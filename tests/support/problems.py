@@ -19,7 +19,7 @@ from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
 from r2h_batch.judge.plan import Plan, plan_paths
 from r2h_batch.judge.verdict import random_key
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Scores, Trials
 
@@ -45,7 +45,7 @@ class Problems:
     """Planning inputs as the Evaluator makes them, and what the planner found."""
 
     batch: Batch
-    placed: Placed
+    body_poses: BodyPoses
     T_obj_ee_attached: torch.Tensor
     opening_m: torch.Tensor
     ik: IkResult
@@ -87,13 +87,15 @@ def solve(scene: Scene, batch: Batch, config: PlanConfig | None = None, *, threa
     )
     grasp = close_gripper(scene.grasp_tables, T_obj_ee, t.object_index, threads=threads)
     attached = attach(T_obj_ee, grasp.shift_m)
-    placed = scene.place(t.object_index, t.hand_index, attached, T_world_hand, grasp.opening_m, threads=threads)
+    body_poses = scene.body_poses(
+        t.object_index, t.hand_index, attached, T_world_hand, grasp.opening_m, threads=threads
+    )
     active = torch.ones(len(t), dtype=torch.bool)
     ik = solve_ik(T_world_ee, active=active, threads=threads)
     config = config or scene.config.plan
     branches = ik.valid if config.goals == "set" else one_branch(ik, T_world_ee, threads=threads)
-    planned = plan_paths(scene, placed, ik.q, branches, active, random_key(t.trial_id), config, threads=threads)
-    return Problems(batch, placed, attached, grasp.opening_m, ik, planned)
+    planned = plan_paths(scene, body_poses, ik.q, branches, active, random_key(t.trial_id), config, threads=threads)
+    return Problems(batch, body_poses, attached, grasp.opening_m, ik, planned)
 
 
 @cache

@@ -14,8 +14,8 @@ from slopes import candidates, gradients, measured_slopes
 
 from r2h_batch import se3, twist
 from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.goal import judge_goals
-from r2h_batch.judge.hold import hold
 from r2h_batch.training.gradients import HELD_M, MarginChanges
 from r2h_batch.types import CRITERIA, Outcome, PlanReason
 
@@ -86,7 +86,7 @@ def doubled(value: Any) -> Any:
     if isinstance(value, tuple):
         return tuple(doubled(v) for v in value)
     if is_dataclass(value) and not isinstance(value, type):
-        names = [f.name for f in fields(value) if f.name != "placed"]
+        names = [f.name for f in fields(value) if f.name != "body_poses"]
         return replace(value, **{name: doubled(getattr(value, name)) for name in names})
     return value
 
@@ -94,10 +94,10 @@ def doubled(value: Any) -> Any:
 def changes_in_float64(rows: Any) -> tuple[MarginChanges, torch.Tensor, torch.Tensor]:
     evaluator = default_evaluator()
     scores = evaluator.score(rows.T_obj_ee, rows.T_world_ee, rows.trials, stages="pose")
-    held = hold(evaluator.scene, rows.T_obj_ee, rows.T_world_ee, rows.trials, evaluator.config)
+    held = attach_object(evaluator.scene, rows.T_obj_ee, rows.T_world_ee, rows.trials, evaluator.config)
     # no public way to the IK branches that a verdict was made from
     ik, branches = evaluator._branches(evaluator.config, held)
-    goal = judge_goals(evaluator.scene, held.placed, held.T_world_ee, ik, branches, held.active)
+    goal = judge_goals(evaluator.scene, held.body_poses, held.T_world_ee, ik, branches, held.active)
     changes = MarginChanges(evaluator.scene, evaluator.config.thresholds, None, scores, held, goal)
     for name, value in vars(changes).items():
         setattr(changes, name, doubled(value))

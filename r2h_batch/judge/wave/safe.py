@@ -31,7 +31,7 @@ from r2h_batch.kernels.wave.safe_stretches import (
 )
 from r2h_batch.launch import launch_trials
 from r2h_batch.launch.arguments import struct_of
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 
 PER_ROW, PER_MOVED_ROW = 8, 40
 """Stretches that the queue has room for, for each motion as planned, and for each that was recorded
@@ -46,7 +46,7 @@ class SafeWaves:
     def __init__(
         self,
         scene: Scene,
-        placed: Placed,
+        body_poses: BodyPoses,
         path: Float32[Tensor, "b w 6"],
         length: Int32[Tensor, " b"],
         tolerance: float,
@@ -56,7 +56,7 @@ class SafeWaves:
         per_row = PER_ROW if self._width <= WAYPOINTS else PER_MOVED_ROW
         least = waves.LEAST if scene.device == "cpu" else waves.LEAST_CUDA
         self._tables = {
-            "world": scene.world, "mesh": scene.hand_mesh, "bodies": placed.bodies, "cap": CLEARANCE_CAP_M,
+            "world": scene.world, "mesh": scene.hand_mesh, "bodies": body_poses.bodies, "cap": CLEARANCE_CAP_M,
             "tolerance": tolerance, "path": path.contiguous(), "length": length.contiguous(),
             **self._queues(max(per_row * self._rows, least)),
         }  # fmt: skip

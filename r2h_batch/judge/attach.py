@@ -16,10 +16,10 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.predictors.hands import estimated_hand
 from r2h_batch.predictors.noise import PredictorNoise
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.scene import Placed, Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import Trials
 
-__all__ = ["ROWS_CHUNK", "Holding", "hold"]
+__all__ = ["ROWS_CHUNK", "AttachedBatch", "attach_object"]
 
 
 ROWS_CHUNK = 4096
@@ -27,7 +27,7 @@ ROWS_CHUNK = 4096
 
 
 @dataclass(frozen=True)
-class Holding:
+class AttachedBatch:
     """B trials with the object in the gripper: clean poses, the grasp, and where all bodies sit.
 
     Rows that are not `active` have the identity for every pose; the stages pass over them.
@@ -43,12 +43,12 @@ class Holding:
     squeezed_m: Float32[Tensor, " b"]  # opening of the fingers that hold (`metrics.squeezed`)
     attached: Float32[Tensor, "b 4 4"]  # T_obj_ee once the pads have met the object
     ball: Float32[Tensor, "b 3"]  # centre of the receiver's ball in the object's frame
-    placed: Placed
-    # the same as the planner sees it: `placed` unless the hand is estimated, or the body there too
-    planned: Placed
+    body_poses: BodyPoses
+    # the same as the planner sees it: `body_poses` unless the hand is estimated, or the body there too
+    planned: BodyPoses
 
 
-def hold(
+def attach_object(
     scene: Scene,
     T_obj_ee: Float32[Tensor, "b 4 4"],
     T_world_ee: Float32[Tensor, "b 4 4"],
@@ -56,7 +56,7 @@ def hold(
     config: EvalConfig,
     *,
     threads: int | None = None,
-) -> Holding:
+) -> AttachedBatch:
     """B trials with the gripper closed on the object; rows with a pose that is none, or an unknown
     body, are not active."""
     active, (T_obj_ee, T_world_ee, T_world_hand), objects, hands = _usable(
@@ -100,15 +100,15 @@ def hold(
         chunk=ROWS_CHUNK,
     )
     grasp = Grasp(width, opening, shift, empty, cut, margin, cut_part)
-    placed = scene.place(objects, hands, attached, T_world_hand, opening, threads=threads)
-    planned = placed
+    body_poses = scene.body_poses(objects, hands, attached, T_world_hand, opening, threads=threads)
+    planned = body_poses
     if config.plan.hand == "estimated":
         T = _seen(scene, trials, hands, active, config)
-        planned = scene.place(objects, hands, attached, T, opening, threads=threads)
+        planned = scene.body_poses(objects, hands, attached, T, opening, threads=threads)
     if config.receiver == "body":
         assert trials.receiver is not None  # `inputs.check_receiver` has asked
         planned = with_person(scene, planned, trials.receiver, hand=True)
-    return Holding(
+    return AttachedBatch(
         active,
         T_obj_ee,
         T_world_ee,
@@ -119,7 +119,7 @@ def hold(
         squeezed,
         attached,
         ball,
-        placed,
+        body_poses,
         planned,
     )
 
