@@ -30,7 +30,7 @@ from r2h_batch import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.wave.waves import waves_on_cpu
-from r2h_batch.launch.repeated import Repeated
+from r2h_batch.launch.cached import CachedLaunch
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Trials
@@ -282,7 +282,7 @@ def profile(bench: Bench) -> None:
         for event in wp.timing_end():
             spent[event.name] = spent.get(event.name, 0.0) + event.elapsed / 1e3
     else:
-        recorded: Callable[..., Any] = Repeated.run
+        recorded: Callable[..., Any] = CachedLaunch.run
         direct: Callable[..., Any] = wp.launch
 
         def timed(call: Callable[..., Any], name: str, *args: Any, **kwargs: Any) -> Any:
@@ -292,13 +292,13 @@ def profile(bench: Bench) -> None:
             finally:
                 spent[name] = spent.get(name, 0.0) + time.perf_counter() - start
 
-        def launch_recorded(packed: Repeated, *args: Any) -> Any:
+        def launch_recorded(packed: CachedLaunch, *args: Any) -> Any:
             return timed(recorded, packed.kernel.key, packed, *args)
 
         def launch_direct(kernel: wp.Kernel, *args: Any, **kwargs: Any) -> Any:
             return timed(direct, kernel.key, kernel, *args, **kwargs)
 
-        with mock.patch.object(Repeated, "run", launch_recorded), mock.patch.object(wp, "launch", launch_direct):
+        with mock.patch.object(CachedLaunch, "run", launch_recorded), mock.patch.object(wp, "launch", launch_direct):
             bench.evaluator.score(*batch)
     total = sum(spent.values())
     for rank, name in enumerate(sorted(spent, key=lambda k: -spent[k])[:5], 1):

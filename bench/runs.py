@@ -19,7 +19,7 @@ from _report import ROOT, Report, arguments
 
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.runs.store import SHARD_TRIALS
-from r2h_batch.turns import PROTOCOL
+from r2h_batch.schedule import PROTOCOL
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
 
 OBJECTS = [f"object_{i:02d}" for i in range(16)]

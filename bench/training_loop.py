@@ -36,7 +36,7 @@ from _report import Report, arguments
 from r2h_batch import launch, reward
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.launch.repeated import Repeated
+from r2h_batch.launch.cached import CachedLaunch
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import CRITERIA, Outcome, PlanReason, Trials
 
@@ -151,9 +151,9 @@ def named(kernel: Any, surface_offset: int | None) -> str:
 @contextmanager
 def launches_timed(clock: Clock, spent: dict[str, float]) -> Iterator[None]:
     """Adds to `spent` what each kernel takes inside: on a CPU of every thread that runs it, on CUDA from launch to end."""
-    honest, lock = Repeated.run, Lock()
+    honest, lock = CachedLaunch.run, Lock()
 
-    def run(packed: Repeated, *args: int) -> None:
+    def run(packed: CachedLaunch, *args: int) -> None:
         start = time.thread_time()
         honest(packed, *args)
         took = time.thread_time() - start
@@ -167,7 +167,7 @@ def launches_timed(clock: Clock, spent: dict[str, float]) -> Iterator[None]:
         name = named(kernel, inputs.get("surface_offset"))
         spent[name] = spent.get(name, 0.0) + clock.now()[1] - start
 
-    patches: list[Any] = [mock.patch.object(Repeated, "run", run)]
+    patches: list[Any] = [mock.patch.object(CachedLaunch, "run", run)]
     if clock.cuda:
         modules = [m for name, m in sys.modules.items() if name.startswith("r2h_batch.") and m is not launch]
         using = [m for m in modules if getattr(m, "launch_trials", None) is launch.launch_trials]
@@ -185,7 +185,7 @@ def host(report: Report, mix: Candidates, device: str) -> None:
     """
     config = EvalConfig(execute=ExecConfig(sim="none"))
     evaluator, inside, launches = Evaluator(config, device=device, threads=1), [0.0], [0]
-    honest = Repeated.run
+    honest = CachedLaunch.run
 
     def clocked(compiled: Any) -> Any:
         def forward(*pointers: Any) -> Any:
@@ -198,7 +198,7 @@ def host(report: Report, mix: Candidates, device: str) -> None:
 
         return forward
 
-    def timed(packed: Repeated, *args: int) -> None:
+    def timed(packed: CachedLaunch, *args: int) -> None:
         """A launch whose compiled function alone is on the clock."""
         compiled = packed.forward
         packed.forward = clocked(compiled)
@@ -232,7 +232,7 @@ def host(report: Report, mix: Candidates, device: str) -> None:
     for stage in stages:
         for b in (1, 64):
             c = repeated(mix, b)
-            with mock.patch.object(Repeated, "run", timed):
+            with mock.patch.object(CachedLaunch, "run", timed):
                 seconds = least(lambda c=c, s=stage: evaluator.score(*c, stages=s), 400 if b == 1 else 60)  # type: ignore[misc]
             report.add(f"training_loop.{stage}.b{b}.host_us_per_call", 1e6 * (seconds - launches[0] * clock))
 

@@ -40,11 +40,11 @@ from r2h_batch.launch.torch_threads import one_torch_thread
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.scene import Scene
-from r2h_batch.shown import html_table
+from r2h_batch.summary import html_table
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
-from r2h_batch.types import Asked, Scores, Trials
+from r2h_batch.types import ScoreInputs, Scores, Trials
 from r2h_batch.validate import instance_of, optional
 
 POSE_CHUNK_CUDA = 1 << 16
@@ -184,8 +184,8 @@ class Evaluator:
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
             # Copies: an optimizer's step in place must not change what a picture of these scores
             # shows.
-            return scores.knowing(
-                Asked(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
+            return scores.with_inputs(
+                ScoreInputs(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
             )
 
     def __repr__(self) -> str:

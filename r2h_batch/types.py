@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import pad
 
-from r2h_batch import shown
+from r2h_batch import summary
 from r2h_batch.soft import soft_success
 from r2h_batch.validate import describe_value, instance_of, integer, sequence_of
 from r2h_batch.validate_tensors import row_index
@@ -21,11 +21,11 @@ __all__ = [
     "CRITERIA",
     "SIDES",
     "SPLITS",
-    "Asked",
     "CollidingPair",
     "Outcome",
     "PlanReason",
     "Predictions",
+    "ScoreInputs",
     "Scores",
     "Trials",
 ]
@@ -94,21 +94,23 @@ class _Rows:
         there."""
         return self._changed(lambda value: value.detach().clone())
 
-    # what is known beside the tensors: not a field, and not asked for by anything that judges
-    _beside = None
+    # What belongs to the rows but is no tensor (names, inputs). Not a field: judging never reads it.
+    _context = None
 
     def _changed(self, change: Callable[[Tensor], Tensor]) -> Self:
-        """The same with each tensor changed; what is known beside them goes along, its rows too."""
+        """The same with each tensor changed, and the rows of the context with them."""
         new = replace(self, **{name: change(value) for name, value in self._tensors().items()})
-        return new._with(self._beside, change)
+        return new._with(self._context, change)
 
-    def _with(self, beside: Any, change: Callable[[Tensor], Tensor]) -> Self:
-        if beside is None:
+    def _with(self, context: Any, change: Callable[[Tensor], Tensor]) -> Self:
+        if context is None:
             return self
-        return self._knowing(beside._changed(change) if isinstance(beside, _Rows) else beside)
+        return self._with_context(
+            context._changed(change) if isinstance(context, _Rows) else context
+        )
 
-    def _knowing(self, beside: Any) -> Self:
-        object.__setattr__(self, "_beside", beside)
+    def _with_context(self, context: Any) -> Self:
+        object.__setattr__(self, "_context", context)
         return self
 
     def _tensors(self) -> dict[str, Tensor]:
@@ -140,17 +142,17 @@ class Trials(_Rows):
             raise TypeError(
                 f"objects is {describe_value(objects)}; it must be a sequence of objects or names"
             )
-        return replace(self)._knowing(tuple(str(getattr(o, "name", o)) for o in objects))
+        return replace(self)._with_context(tuple(str(getattr(o, "name", o)) for o in objects))
 
     @property
     def object_names(self) -> list[str]:
         """(N,) names of the objects; ValueError for trials that were not told (`make_trials` tells
         them)."""
-        if self._beside is None:
+        if self._context is None:
             raise ValueError(
                 "these trials do not know their objects' names; say trials.named(scene.objects)"
             )
-        return [self._beside[i] for i in self.object_index.tolist()]
+        return [self._context[i] for i in self.object_index.tolist()]
 
     @property
     def splits(self) -> list[str]:
@@ -160,7 +162,7 @@ class Trials(_Rows):
     def __repr__(self) -> str:
         counts = ", ".join(f"{n:,} of {s}" for s in SPLITS if (n := self.splits.count(s)))
         kinds = [
-            shown.counted(len(x.unique()), w)
+            summary.counted(len(x.unique()), w)
             for x, w in ((self.object_index, "object"), (self.hand_index, "hand"))
         ]
         return f"Trials({len(self):,} on {self.trial_id.device}: {counts or 'none'}; {', '.join(kinds)})"
@@ -168,13 +170,13 @@ class Trials(_Rows):
     def _repr_html_(self) -> str:
         names = (
             self.object_names
-            if self._beside is not None
+            if self._context is not None
             else [f"object {i}" for i in self.object_index.tolist()]
         )
         ids, hands = self.trial_id.tolist(), self.hand_index.tolist()
         rows = [(str(t), s, o, str(h)) for t, s, o, h in zip(ids, self.splits, names, hands)]
         more = [("...", "", "", "")] if len(rows) > SHOWN_ROWS else []
-        return shown.html_table(
+        return summary.html_table(
             repr(self), ("trial", "split", "object", "hand"), rows[:SHOWN_ROWS] + more
         )
 
@@ -184,9 +186,9 @@ SHOWN_ROWS = 10
 
 
 @dataclass(frozen=True)
-class Asked(_Rows):
-    """What scores were asked about: B trials with their poses, and who judged. `r2h_batch.show`
-    draws from it."""
+class ScoreInputs(_Rows):
+    """The inputs of a call of `Evaluator.score`: B trials, their poses, the evaluator.
+    `r2h_batch.show` draws from them."""
 
     T_obj_ee: Float32[Tensor, "b 4 4"]
     T_world_ee: Float32[Tensor, "b 4 4"]
@@ -290,30 +292,32 @@ class Scores(_Rows):
         )
 
     @property
-    def asked(self) -> Asked | None:
-        """What these rows were asked about; None where nobody kept it (captured and compiled calls,
-        rows of two calls)."""
-        return self._beside
+    def inputs(self) -> ScoreInputs | None:
+        """The inputs of the call that returned these scores.
 
-    def knowing(self, asked: Asked) -> Self:
-        """The same scores, which know what they were asked about."""
-        instance_of(Asked)("asked", asked)
+        None for captured and compiled calls, and for rows of two calls.
+        """
+        return self._context
+
+    def with_inputs(self, inputs: ScoreInputs) -> Self:
+        """The same scores, with the inputs of their call."""
+        instance_of(ScoreInputs)("inputs", inputs)
         same = object.__new__(type(self))
         same.__dict__.update(self.__dict__)
-        return same._knowing(asked)
+        return same._with_context(inputs)
 
     def __getstate__(self) -> dict[str, Any]:
         """What copies and pickles hold: the numbers, not the evaluator."""
-        return {k: v for k, v in self.__dict__.items() if k != "_beside"}
+        return {k: v for k, v in self.__dict__.items() if k != "_context"}
 
     def __repr__(self) -> str:
-        return shown.scores_line(
+        return summary.scores_line(
             self.outcome.shape, str(self.outcome.device), self._array("outcome")
         )
 
     def _repr_html_(self) -> str:
         head = ("criterion", "evaluated", "pass", "median margin, mm", "5 % margin, mm")
-        return shown.html_table(repr(self), head, self._table())
+        return summary.html_table(repr(self), head, self._table())
 
     def summary(self) -> str:
         """A few lines: outcomes, and each criterion with its pass rate and margins."""
@@ -331,7 +335,7 @@ class Scores(_Rows):
             self._array(k) for k in ("passed", "evaluated", "margin", "outcome")
         )
         times = {name: self._array(name) for name in ("t_plan_s", "t_exec_s")}
-        return shown.scalars_of(passed, evaluated, margin, outcome, times)
+        return summary.scalars_of(passed, evaluated, margin, outcome, times)
 
     def to_pandas(self) -> Any:
         """A pandas DataFrame, a row for each of B (or N x K) rows, the columns of a run folder's
@@ -341,10 +345,10 @@ class Scores(_Rows):
             if self.outcome.ndim == 1
             else replace(self, **{k: x.flatten(0, 1) for k, x in self._tensors().items()})
         )
-        return shown.frame_of(shown.score_columns(flat._array))
+        return summary.frame_of(summary.score_columns(flat._array))
 
     def _table(self) -> list[tuple[str, str, str, str, str]]:
-        return shown.scores_table(
+        return summary.scores_table(
             self._array("passed"), self._array("evaluated"), self._array("margin")
         )
 

@@ -274,8 +274,8 @@ def test_an_optimizers_step_in_place_does_not_change_what_scores_were_asked_abou
     with torch.no_grad():
         grasp.add_(1.0)
         handover.zero_()
-    assert torch.equal(scores.asked.T_obj_ee, batch.T_obj_ee)
-    assert torch.equal(scores.asked.T_world_ee, batch.T_world_ee)
+    assert torch.equal(scores.inputs.T_obj_ee, batch.T_obj_ee)
+    assert torch.equal(scores.inputs.T_world_ee, batch.T_world_ee)
 
 
 def test_ids_of_another_dtype_are_refused():

@@ -17,7 +17,7 @@ from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
-from r2h_batch.turns import PROTOCOL, PROTOCOLS
+from r2h_batch.schedule import PROTOCOL, PROTOCOLS
 from r2h_batch.types import Trials
 from r2h_batch.validate import instance_of, optional
 

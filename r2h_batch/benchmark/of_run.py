@@ -13,7 +13,7 @@ from r2h_batch.benchmark.trials_file import LISTED
 from r2h_batch.benchmark.unbuilt import is_unbuilt
 from r2h_batch.bodies.objects import ObjectModel, object_digest
 from r2h_batch.io.read import FileError
-from r2h_batch.turns import PROTOCOLS
+from r2h_batch.schedule import PROTOCOLS
 
 __all__ = ["benchmark_of_run", "objects_digest"]
 

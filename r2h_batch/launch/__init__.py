@@ -13,7 +13,7 @@ from typing import Any
 import torch
 import warp as wp
 
-from r2h_batch.launch import repeated
+from r2h_batch.launch import cached
 from r2h_batch.launch.arguments import bind
 from r2h_batch.launch.workers import cpu_threads, share, thread_pool
 
@@ -160,15 +160,15 @@ def _launch_on_cpu(
     first: int,
 ) -> None:
     """`launch_trials` on all cores, with what this thread packed for the kernel before
-    (repeated.py)."""
-    repeated.refuse_graph(kernel.key)
-    packed = repeated.taken(kernel)
+    (cached.py)."""
+    cached.refuse_graph(kernel.key)
+    packed = cached.taken(kernel)
     if packed is None or not packed.refill(inputs, outputs, first + n):
         args = [first, *bind(kernel, inputs, outputs, "cpu", trials=first + n)]
         if n == 0:
             return
         _room_for(kernel.module)
-        packed = repeated.Repeated(kernel, args, inputs, outputs)
+        packed = cached.CachedLaunch(kernel, args, inputs, outputs)
     workers = 1 if n <= chunk else min(cpu_threads(threads), -(-n // chunk))
     if workers > 1:
         packed.prepare(workers)
@@ -181,7 +181,7 @@ def _launch_on_cpu(
         )
     elif n:  # nothing to share
         packed.run(0, first, n, width)
-    repeated.kept(packed)
+    cached.kept(packed)
 
 
 def load(kernel: Any, device: str) -> None:

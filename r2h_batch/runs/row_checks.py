@@ -19,7 +19,7 @@ from r2h_batch.config import BORDERLINE_M, FARTHEST_M
 from r2h_batch.io.read import printable
 from r2h_batch.runs.columns import codes, pattern, pattern_outcomes, verdicts
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
-from r2h_batch.turns import PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids
+from r2h_batch.schedule import PROTOCOLS, assign_hands, assign_objects, trial_ids
 from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, REGISTRY, SIDES, SPLITS, Outcome
 
 SECONDS = ("t_plan_s", "t_exec_s", "t_method_s")
@@ -93,7 +93,7 @@ def _planned_columns(
     header: Mapping[str, Any], ids: NDArray[np.int64], names: list[str]
 ) -> Iterator[tuple[str, Any, NDArray[Any]]]:
     """(column, its words or None, (N,) the planned code of each trial)."""
-    objects, side = objects_in_turn(ids, [o["split"] for o in header["objects"]])
+    objects, side = assign_objects(ids, [o["split"] for o in header["objects"]])
     hands = np.array([SIDES.index(s) for s in header.get("hands", ())], np.int64)
     if len(hands) and (hands == hands[0]).all():  # a set of one side gives that side every time
         side = np.full_like(side, hands[0])
@@ -104,7 +104,7 @@ def _planned_columns(
     if "side" in names:
         yield "side", SIDES, side
     if "hand_index" in names and len(hands):
-        yield "hand_index", None, hands_in_turn(ids, side, hands, header["protocol"])
+        yield "hand_index", None, assign_hands(ids, side, hands, header["protocol"])
 
 
 def _places(column: pa.ChunkedArray, words: Any) -> NDArray[np.int64]:

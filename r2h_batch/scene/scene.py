@@ -29,7 +29,7 @@ from r2h_batch.launch.arguments import struct_of
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables, gripper_tables
 from r2h_batch.scene.model import SceneModel, scene_model
 from r2h_batch.scene.tables import Hands, WorldTables
-from r2h_batch.shown import counted, html_table
+from r2h_batch.summary import counted, html_table
 from r2h_batch.validate import describe_value, instance_of, integer, optional, sequence_of
 from r2h_batch.validate_tensors import check_indices, check_tensor, checked_device
 

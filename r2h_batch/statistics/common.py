@@ -7,7 +7,7 @@ from typing import Any
 
 from r2h_batch.config import EvalConfig
 from r2h_batch.runs.store import Run
-from r2h_batch.turns import PROTOCOLS
+from r2h_batch.schedule import PROTOCOLS
 from r2h_batch.validate import check_arguments, sequence_of
 from r2h_batch.verdicts import SPLITS
 

@@ -214,7 +214,7 @@ class _Stream:
 
 
 def _first(rows: Iterator[Verdicts], trials: Mapping[str, int]) -> Iterator[Verdicts]:
-    """The first so many trials of each split: their ids count them (r2h_batch.turns)."""
+    """The first so many trials of each split: their ids count them (r2h_batch.schedule)."""
     planned = np.array([trials.get(s, 0) for s in SPLITS])
     for piece in rows:
         kept = piece.trial_id // len(SPLITS) < planned[piece.split]

@@ -21,11 +21,11 @@ from r2h_batch.command_line import tell
 from r2h_batch.predictions import align, doubts, load_predictions
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import TrialNames
+from r2h_batch.schedule import trial_ids
 from r2h_batch.sweep.answers import answer_of
 from r2h_batch.sweep.devices import why_no_cuda
 from r2h_batch.sweep.options import METHODS, SEEN_BY, Options, UsageError
 from r2h_batch.sweep.variants import base_of, options_of, said_options
-from r2h_batch.turns import trial_ids
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import SIDES, SPLITS
 

@@ -29,9 +29,9 @@ from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import EvalConfig, Workplace
+from r2h_batch.schedule import PROTOCOL, PROTOCOLS, assign_hands, assign_objects, trial_ids
 from r2h_batch.trials import receivers, recorded
 from r2h_batch.trials.distance import from_box, from_segment, from_segments
-from r2h_batch.turns import PROTOCOL, PROTOCOLS, hands_in_turn, objects_in_turn, trial_ids
 from r2h_batch.types import Trials
 from r2h_batch.validate import instance_of, integer, one_of, optional, sequence_of
 from r2h_batch.validate_tensors import check_tensor
@@ -167,13 +167,13 @@ def trials_with_ids(
     with_body = protocol != PROTOCOLS[0]
     objects, config = checked_objects(objects), config or EvalConfig()
     hands = _hands(load_hand_set() if hand_set is None else hand_set)
-    object_index, side = objects_in_turn(ids, [o.split for o in objects])
+    object_index, side = assign_objects(ids, [o.split for o in objects])
     hand_index = np.zeros(len(ids), np.int64)
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
     receiver = np.zeros((len(ids) if with_body else 0, 5, 4), np.float32)
     for first in range(0, len(ids), _ROWS):
         rows = slice(first, first + _ROWS)
-        hand_index[rows] = hands_in_turn(ids[rows], side[rows], hands.side, protocol)
+        hand_index[rows] = assign_hands(ids[rows], side[rows], hands.side, protocol)
         try:
             if with_body:
                 T_world_hand[rows], receiver[rows] = _draw_people(

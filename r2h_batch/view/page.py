@@ -263,17 +263,17 @@ def show(scores: Scores, *, height: int = 640) -> Shown:
     if len(scores) != 1 or scores.outcome.ndim != 1:
         shape = tuple(scores.outcome.shape)
         raise ValueError(f"show takes one row, given are {shape}; say show(scores[0])")
-    asked = scores.asked
-    if asked is None:
+    inputs = scores.inputs
+    if inputs is None:
         why = "captured, compiled, joined or loaded"
         raise ValueError(f"these scores do not know what was asked ({why}); score again")
     if bool((scores.opening_m != scores.opening_m).any()):
         raise ValueError(
             "this row was not judged (its answer is no pose): there is nothing to show"
         )
-    evaluator = asked.evaluator
-    trial = asked.trials.named(evaluator.scene.objects)
-    answer = Predictions(trial.trial_id, asked.T_obj_ee, asked.T_world_ee, method="shown")
+    evaluator = inputs.evaluator
+    trial = inputs.trials.named(evaluator.scene.objects)
+    answer = Predictions(trial.trial_id, inputs.T_obj_ee, inputs.T_world_ee, method="shown")
     again = judged_again(evaluator, trial, answer, "shown")
     note = ""
     if bool(scores.path_len[0] > 0):  # of stages="pose" only margins without a path are the same

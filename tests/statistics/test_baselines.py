@@ -13,11 +13,11 @@ from r2h_batch.compare.command import main as compare
 from r2h_batch.rejudge.again import Judge, rejudge
 from r2h_batch.runs.rows import TrialNames, score_rows
 from r2h_batch.runs.store import load_run, open_run
+from r2h_batch.schedule import PROTOCOL, trial_ids
 from r2h_batch.statistics.common import common_trials
 from r2h_batch.statistics.paired import pair_up
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.options import METHODS
-from r2h_batch.turns import PROTOCOL, trial_ids
 
 
 @pytest.mark.parametrize("folder", FOLDERS, ids=lambda f: f.name)

@@ -17,11 +17,11 @@ from made_runs import make_header, make_predictions, make_scores
 from r2h_batch.predictions import write_predictions
 from r2h_batch.runs.rows import TrialNames, detail_rows, failure_rows, score_rows
 from r2h_batch.runs.store import RunError, load_run, open_run, sha256_of
+from r2h_batch.schedule import PROTOCOL, assign_hands, assign_objects
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.answers import AnswerError, answer_of
 from r2h_batch.trials.protocol import make_trials
-from r2h_batch.turns import PROTOCOL, hands_in_turn, objects_in_turn
 from r2h_batch.types import Outcome, Predictions
 
 # --- what a method answers ------------------------------------------------------------------------------------------
@@ -212,8 +212,8 @@ NAMES = TrialNames([o["name"] for o in OBJECTS], [o["split"] for o in OBJECTS], 
 def planned_rows(n=4):
     """Trials as planned with these objects and hands, and made-up scores."""
     trials = make_trials(("S0", "S1"), n)
-    objects, side = objects_in_turn(trials.trial_id.numpy(), NAMES.object_splits)
-    hands = hands_in_turn(trials.trial_id.numpy(), side, np.repeat([0, 1], 200))
+    objects, side = assign_objects(trials.trial_id.numpy(), NAMES.object_splits)
+    hands = assign_hands(trials.trial_id.numpy(), side, np.repeat([0, 1], 200))
     trials = replace(
         trials,
         object_index=torch.from_numpy(objects.astype(np.int32)),
@@ -301,8 +301,8 @@ def test_rows_that_were_exchanged_with_their_receipt_are_found_and_not_reported(
 
 def test_a_hand_set_of_one_side_and_a_folder_without_its_hands_are_compared_as_far_as_is_known(tmp_path):
     trials, scores = planned_rows()
-    ids, (_, side) = trials.trial_id.numpy(), objects_in_turn(trials.trial_id.numpy(), NAMES.object_splits)
-    left = replace(trials, hand_index=torch.from_numpy(hands_in_turn(ids, side, np.ones(5, int)).astype(np.int32)))
+    ids, (_, side) = trials.trial_id.numpy(), assign_objects(trials.trial_id.numpy(), NAMES.object_splits)
+    left = replace(trials, hand_index=torch.from_numpy(assign_hands(ids, side, np.ones(5, int)).astype(np.int32)))
     names = replace(NAMES, hand_sides=["left"] * 5)
     run, shard = start(tmp_path / "left", hands=["left"] * 5)
     with run.write("m", shard) as writer:

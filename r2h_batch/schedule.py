@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from r2h_batch import rng
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["PROTOCOL", "PROTOCOLS", "hands_in_turn", "objects_in_turn", "trial_ids"]
+__all__ = ["PROTOCOL", "PROTOCOLS", "assign_hands", "assign_objects", "trial_ids"]
 
 PROTOCOL = "r2h-v0"
 """The protocol where none is named."""
@@ -33,7 +33,7 @@ def trial_ids(plan: Mapping[str, int], first: int, last: int) -> NDArray[np.int6
     return np.concatenate(parts)
 
 
-def objects_in_turn(
+def assign_objects(
     ids: NDArray[np.int64], splits: Sequence[str]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Index of the object and side of the hand (0 right, 1 left) of trials; `splits`: of each
@@ -58,7 +58,7 @@ def objects_in_turn(
     return object_index, side
 
 
-def hands_in_turn(
+def assign_hands(
     ids: NDArray[np.int64],
     side: NDArray[np.int64],
     sides: NDArray[np.int64],

@@ -32,7 +32,7 @@ MOST_SIZES = 64
 """Numbers of trials (with widths) whose bounds a kernel's launch remembers."""
 
 
-class Repeated:
+class CachedLaunch:
     """One kernel's launch, as one thread repeats it: all arguments in one structure, and a copy of
     it for each other worker.
 
@@ -235,14 +235,14 @@ def refuse_graph(name: str) -> None:
 _of_thread = threading.local()
 
 
-def taken(kernel: Any) -> Repeated | None:
+def taken(kernel: Any) -> CachedLaunch | None:
     """What this thread has packed for a kernel, if anything; its own until `kept`, so that an
     interrupt loses it only."""
-    found: Repeated | None = _kernels().pop(kernel, None)
+    found: CachedLaunch | None = _kernels().pop(kernel, None)
     return found
 
 
-def kept(repeated: Repeated) -> None:
+def kept(repeated: CachedLaunch) -> None:
     """Puts it back: nobody is using its descriptors any more."""
     kernels = _kernels()
     while len(kernels) >= MOST_KERNELS:
@@ -250,8 +250,8 @@ def kept(repeated: Repeated) -> None:
     kernels[repeated.kernel] = repeated
 
 
-def _kernels() -> dict[Any, Repeated]:
+def _kernels() -> dict[Any, CachedLaunch]:
     if not hasattr(_of_thread, "kernels"):
         _of_thread.kernels = {}
-    kernels: dict[Any, Repeated] = _of_thread.kernels
+    kernels: dict[Any, CachedLaunch] = _of_thread.kernels
     return kernels
