@@ -103,11 +103,10 @@ CALLS = {
         "cluster": np.arange(4), "confidence": 0.9}),
     "clustered_rate": (aggregate.clustered_rate, lambda _: {"success": np.ones(4, int), "total": np.ones(4, int),
         "confidence": 0.9}),
-    "first_failure": (aggregate.first_failure, lambda _: {"passed": np.ones((2, 5), bool), "evaluated": np.ones((2, 5), bool)}),
     "mean_rate": (aggregate.mean_rate, lambda _: {"rates": [aggregate.Rate(1.0, 0.0, 2.0)]}),
     "summarise": (aggregate.summarise, lambda tmp: {"methods": [_tally(tmp)]}),
     "average_row": (aggregate.average_row, lambda tmp: {"rows": aggregate.summarise([_tally(tmp)])[:2]}),
-    "group_row": (aggregate.group_row, lambda tmp: {"counted": _tally(tmp), "split": "S0", "code": None}),
+    "group_row": (aggregate.group_row, lambda tmp: {"counted": _tally(tmp), "split": "S0", "name": None}),
     "rescore": (rescore, lambda tmp: {"run": _run(tmp), "reach_radius_m": [0.1], "w_max_m": [0.08], "safe_margin_m": [0.0]}),
     "rank_stability": (rank_stability, lambda tmp: {"points": rescore(_run(tmp), reach_radius_m=[0.1]), "methods": ["a"]}),
     "Judge": (Judge, lambda tmp: {"run": _run(tmp), "given": None, "threads": None}),
@@ -162,7 +161,7 @@ def _file(tmp) -> Path:
 def _tally(tmp):
     from r2h_batch.statistics.tally import tally
 
-    return tally(_run(tmp), "a", by_object=True)
+    return tally(_run(tmp), "a")
 
 
 def raw(call, name, values, arguments) -> list[str]:

@@ -57,7 +57,7 @@ def page(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = N
     import jinja2
 
     figures.needs_matplotlib()
-    counted = [tally(run, m, by_object=True) for m in run.methods]
+    counted = [tally(run, m) for m in run.methods]
     table = table_of(run, counted=counted)
     short = short_names(run.methods)
     compared = compare(pair_up([run])) if len(run.methods) > 1 else ()

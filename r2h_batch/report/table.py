@@ -357,7 +357,7 @@ def object_lines(run: Run, fmt: str = "md") -> str:
         run: what `load_run` gives.
         fmt: one of `FORMATS`. Markdown also says which criteria fail together.
     """
-    counted = [tally(run, method, by_object=True) for method in run.methods]
+    counted = [tally(run, method) for method in run.methods]
     lines = [line for t in counted for line in breakdown.by_object(t)]
     if fmt == "md":
         return _objects_md(counted, lines)

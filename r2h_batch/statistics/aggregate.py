@@ -1,5 +1,4 @@
-"""From counted verdicts to Table I: first failures, rates of all trials, intervals, means. Pure
-functions."""
+"""From counted trials to Table I: rates of all trials, intervals and means. Pure functions."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,21 +7,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri, stdtrit
 
-from r2h_batch.runs.columns import REQUIRED
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
-from r2h_batch.statistics.tally import SECONDS, Tally
+from r2h_batch.statistics.tally import SECONDS, SUMMED, Tally
 from r2h_batch.validate import (
     array,
     check_arguments,
     describe_value,
     instance_of,
-    integer,
     number,
     one_of,
     optional,
     sequence_of,
+    text,
 )
-from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
+from r2h_batch.verdicts import REGISTRY, SPLITS, Outcome
 
 FAILURES = {entry.rate: entry for entry in sorted(REGISTRY, key=lambda entry: entry.column)}
 """Rate of first failures -> its criterion, in the order of Table I's columns."""
@@ -33,16 +31,17 @@ RATES = {
     "invalid": (Outcome.INVALID_INPUT, Outcome.INVALID_SIM),
     "missing": (MISSING,),
 }
-"""Reported rate -> the outcomes that it counts; every outcome is counted exactly once, so the rates
-sum to 100."""
+"""Rate -> the outcomes that it counts. Each outcome is in exactly one rate, so they sum to 100."""
 
 TIMES = ("t_plan_s", "t_exec_s", "t_tot_s", "t_method_s")
 
 
 @dataclass(frozen=True)
 class Rate:
-    """A rate in percent with its 95 % interval; `count` of `total` trials, both None in the Avg
-    row."""
+    """A rate in percent with its 95 % interval.
+
+    `count` of `total` trials; both are None in the Avg row.
+    """
 
     percent: float
     low: float
@@ -53,7 +52,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean over `count` trials; None over none."""
+    """A mean over `count` trials; None if there are none."""
 
     value: float | None
     count: int
@@ -61,8 +60,21 @@ class Mean:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: a method on a split (or any other group of trials), None wherever
-    nothing is defined."""
+    """One line of the table: a method on a split, or on one object of it.
+
+    Attributes:
+        split: S0, S1 or Avg.
+        method: its name.
+        n: planned trials.
+        counts: outcome -> trials.
+        rates: key of `RATES` -> rate of all n trials; None where it is not defined.
+        sr_new_objects: the success rate with its interval for new objects.
+        n_objects: different objects.
+        times: key of `TIMES` -> mean in seconds.
+        presented: rate of trials whose region faced the palm within reach, of S1's trials.
+        body_met: rate of motions that met the receiver's arm or torso, of the motions past a
+            receiver who has them.
+    """
 
     split: str
     method: str
@@ -73,41 +85,7 @@ class Row:
     n_objects: int
     times: Mapping[str, Mean]
     presented: Rate | None = None
-    """trials whose region faced the palm within reach, of those that were asked"""
     body_met: Rate | None = None
-    """motions that met the receiver's arm or torso, of those past a receiver who has them"""
-
-
-@check_arguments(
-    passed=array("biu", 2, "booleans (N, 5)"), evaluated=array("biu", 2, "booleans (N, 5)")
-)
-def first_failure(
-    passed: np.ndarray, evaluated: np.ndarray, required: np.ndarray = REQUIRED
-) -> np.ndarray:
-    """Outcome codes (N,) int8: the first evaluated criterion that failed, in the order of
-    `CRITERIA`.
-
-    A row without a failure is a success only if every `required` criterion ((5,) or (N, 5), all but
-    Affordance unless told) was evaluated; anything else would turn "not looked at" into "passed"
-    and is an error.
-    """
-    passed, evaluated = np.asarray(passed, bool), np.asarray(evaluated, bool)
-    if passed.ndim != 2 or passed.shape[1] != len(CRITERIA) or passed.shape != evaluated.shape:
-        raise ValueError(
-            f"passed {passed.shape} and evaluated {evaluated.shape} must both be (N, {len(CRITERIA)})"
-        )
-    failed = evaluated & ~passed
-    any_failed = failed.any(axis=1)
-    unseen = ~any_failed & (~evaluated & required).any(axis=1)
-    if unseen.any():
-        rows = ", ".join(map(str, np.flatnonzero(unseen)[:10]))
-        raise ValueError(
-            f"{unseen.sum()} rows have no failure but a criterion that was not evaluated: rows {rows}"
-        )
-    codes = np.array([Outcome[c.upper()] for c in CRITERIA], np.int8)
-    return np.where(any_failed, codes[failed.argmax(axis=1)], np.int8(Outcome.SUCCESS)).astype(
-        np.int8
-    )
 
 
 _SHARE = number(0, 1)
@@ -119,10 +97,17 @@ _COUNTS = array("biuf", 1, "numbers (K,), 0 or more", low=0)
 def wilson_interval(
     count: ArrayLike, total: ArrayLike, confidence: float = 0.95
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper end of the Wilson score interval of count / total, as fractions in [0, 1];
-    NaN where total is 0.
+    """The Wilson score interval of a rate: it speaks about more trials with the same objects.
 
-    It speaks about more trials with the same objects.
+    Args:
+        count: (...) successes.
+        total: (...) trials.
+        confidence: between 0 and 1.
+
+    Returns:
+        Lower and upper end (...) float64 as fractions in [0, 1]; NaN where total is 0.
+
+    Source: Wilson 1927.
     """
     k, n = np.asarray(count, np.float64), np.asarray(total, np.float64)
     z = ndtri(0.5 + confidence / 2)
@@ -144,12 +129,20 @@ def wilson_interval(
 def clustered_interval(
     success: np.ndarray, cluster: np.ndarray, confidence: float = 0.95
 ) -> Rate | None:
-    """Success rate in percent with a t interval over clusters (objects): it speaks about new
-    objects of this kind.
+    """The success rate with a t interval over clusters (objects): it speaks about new objects of
+    this kind.
 
-    The ratio estimator sum(x) / sum(n) with the between-cluster variance of its residuals and k - 1
-    degrees of freedom. Never narrower than the Wilson interval (with few clusters the
-    between-cluster variance can come out as 0). None with fewer than two clusters.
+    It is the ratio estimator sum(x) / sum(n) with the variance of its residuals between clusters
+    and k - 1 degrees of freedom. It is never narrower than the Wilson interval: with few clusters
+    the variance between them can come out as 0.
+
+    Args:
+        success: (N,) bool.
+        cluster: (N,) number or name of each trial's cluster.
+        confidence: between 0 and 1.
+
+    Returns:
+        The rate, or None with fewer than two clusters.
     """
     success = np.asarray(success, bool)
     if success.shape != cluster.shape:
@@ -163,8 +156,8 @@ def clustered_interval(
 
 @check_arguments(success=_COUNTS, total=_COUNTS, confidence=_SHARE)
 def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0.95) -> Rate | None:
-    """`clustered_interval` from what it needs of each cluster: (K,) successes and trials, 0 of
-    those that are empty."""
+    """`clustered_interval` from (K,) successes and trials of each cluster; empty clusters do not
+    count."""
     if np.shape(success) != np.shape(total) or (np.asarray(success) > np.asarray(total)).any():
         found = f"success is {describe_value(success)} and total {describe_value(total)}"
         raise ValueError(f"{found}; they must be successes and trials of each cluster")
@@ -187,8 +180,8 @@ def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0
 
 @check_arguments(rates=sequence_of(Rate))
 def mean_rate(rates: Sequence[Rate]) -> Rate:
-    """Unweighted mean of independent rates; its interval is built from theirs (MOVER, Zou and
-    Donner 2008)."""
+    """Unweighted mean of independent rates, with an interval made of theirs (MOVER, Zou and Donner
+    2008)."""
     c = 1 / len(rates)
     percent = c * sum(r.percent for r in rates)
     below = c * np.sqrt(sum((r.percent - r.low) ** 2 for r in rates))
@@ -196,88 +189,81 @@ def mean_rate(rates: Sequence[Rate]) -> Rate:
     return Rate(percent, max(percent - float(below), 0.0), min(percent + float(above), 100.0))
 
 
-def _share(counted: Tally, split: int, code: int | None, name: str) -> Rate | None:
-    """How many of the trials that were asked say yes; None without any."""
-    asked = counted.sum_of(split, code, name)
-    if asked.mean is None:
-        return None
-    yes = round(asked.mean * asked.count)
-    low, high = (100 * float(end) for end in wilson_interval(yes, asked.count))
-    return Rate(100 * yes / asked.count, low, high, yes, asked.count)
-
-
-def _times(counted: Tally, split: int, code: int | None) -> dict[str, Mean]:
-    means = {}
-    for name in SECONDS:
-        seconds = counted.sum_of(split, code, name)
-        means[name] = Mean(seconds.mean, seconds.count)
-    plan, execution = means["t_plan_s"], means["t_exec_s"]
-    total = None if plan.value is None or execution.value is None else plan.value + execution.value
-    return {
-        "t_plan_s": plan,
-        "t_exec_s": execution,
-        "t_tot_s": Mean(total, execution.count),
-        "t_method_s": means["t_method_s"],
-    }
-
-
 @check_arguments(
     counted=instance_of(Tally, "what tally(RUN, METHOD) gives"),
     split=one_of(*SPLITS),
-    code=optional(integer(0)),
+    name=optional(text),
 )
-def group_row(counted: Tally, split: str, code: int | None = None) -> Row:
-    """The table line of a split, or of one object (`code`) of it. The rate of a criterion that the
-    split does not require is None."""
-    objects, splits, outcome, _ = counted.columns
-    place = SPLITS.index(split)
-    inside = (splits == place) & ((objects == code) if code is not None else True)
-    objects, outcome, count = objects[inside], outcome[inside], counted.count[inside]
-    counts = _added(outcome, count, MISSING + 1)
+def group_row(counted: Tally, split: str, name: str | None = None) -> Row:
+    """The table line of a split, or of one object of it.
+
+    The rate of a criterion that the split does not require is None.
+
+    Args:
+        counted: a method's trials.
+        split: S0 or S1.
+        name: of the object; None: all of them.
+
+    Raises:
+        ValueError: if a trial fails a criterion that its split does not require.
+    """
+    inside = counted.split == SPLITS.index(split)
+    if name is not None:
+        if name not in counted.objects:
+            raise ValueError(f"name is {name!r}; it must be one of {', '.join(counted.objects)}")
+        inside &= counted.object == counted.objects.index(name)
+    outcome, count = counted.outcome[inside], counted.n[inside]
+    counts = np.bincount(outcome, count, MISSING + 1).astype(np.int64)
     n = int(counts.sum())
-    skipped = {rate: entry for rate, entry in FAILURES.items() if split not in entry.splits}
-    for rate, entry in skipped.items():
-        if failed := sum(counts[o] for o in RATES[rate]):
-            raise ValueError(
-                f"{counted.method}: {failed} {split} trials failed {entry.name.capitalize()}, which {split} skips"
-            )
-    rates: dict[str, Rate | None] = {}
-    for name, outcomes in RATES.items():
-        of_it = int(sum(counts[o] for o in outcomes))
-        low, high = (100 * float(end) for end in wilson_interval(of_it, n))
-        rates[name] = Rate(100 * of_it / n, low, high, of_it, n) if n else None
-    if sum(r.count or 0 for r in rates.values() if r) != n:
-        raise ValueError(
-            f"{counted.method}, {split}: the outcomes do not add up to {n} trials: {counts.tolist()}"
-        )
-    rates |= dict.fromkeys(skipped)
+    rates: dict[str, Rate | None] = {
+        rate: _rate(int(counts[list(of_it)].sum()), n) for rate, of_it in RATES.items()
+    }
+    for rate, entry in FAILURES.items():
+        if split not in entry.splits:
+            if failed := sum(counts[o] for o in RATES[rate]):
+                raise ValueError(
+                    f"{counted.method}: {failed} {split} trials failed {entry.name.capitalize()}, which {split} skips"
+                )
+            rates[rate] = None
+    sums = {key: float(counted.sums[key][inside].sum()) for key in SUMMED}
+    known = {key: int(counted.counts[key][inside].sum()) for key in SUMMED}
+    means = {
+        key: Mean(sums[key] / known[key] if known[key] else None, known[key]) for key in SECONDS
+    }
+    plan, execution = means["t_plan_s"], means["t_exec_s"]
+    total = None if plan.value is None or execution.value is None else plan.value + execution.value
+    total_by_object = np.bincount(counted.object[inside], count)
+    success_by_object = np.bincount(counted.object[inside], count * (outcome == Outcome.SUCCESS))
     return Row(
         split=split,
         method=counted.method,
         n=n,
         counts=dict(zip(OUTCOME_NAMES, counts.tolist(), strict=True)),
         rates=rates,
-        sr_new_objects=clustered_rate(
-            _added(objects, count * (outcome == Outcome.SUCCESS)), _added(objects, count)
-        ),
-        n_objects=len(np.unique(objects)),
-        times=_times(counted, place, code),
-        presented=_share(counted, place, code, "presented"),
-        body_met=_share(counted, place, code, "body_met"),
+        sr_new_objects=clustered_rate(success_by_object, total_by_object),
+        n_objects=int((total_by_object > 0).sum()),
+        times={
+            key: Mean(total, execution.count) if key == "t_tot_s" else means[key] for key in TIMES
+        },
+        presented=_rate(round(sums["presented"]), known["presented"]),
+        body_met=_rate(round(sums["body_met"]), known["body_met"]),
     )
 
 
-def _added(place: np.ndarray, count: np.ndarray, length: int = 0) -> np.ndarray:
-    """(length or more,) how many there are of each place."""
-    sums = np.zeros(max(length, int(place.max(initial=-1)) + 1), np.int64)
-    np.add.at(sums, place, count)
-    return sums
+def _rate(count: int, total: int) -> Rate | None:
+    """The share with its Wilson interval; None of no trials."""
+    if not total:
+        return None
+    low, high = (100 * float(end) for end in wilson_interval(count, total))
+    return Rate(100 * count / total, low, high, count, total)
 
 
 @check_arguments(rows=sequence_of(Row, "lines of one method"))
 def average_row(rows: Sequence[Row]) -> Row:
-    """The paper's Avg: the mean of the splits. A criterion that a split skips counts as 0 there;
-    a rate is None where a split has no trials."""
+    """The paper's Avg: the mean of a method's splits.
+
+    A criterion that a split skips counts as 0 there. A rate is None if a split has no trials.
+    """
 
     def rate(name: str) -> Rate | None:
         zero = Rate(0.0, 0.0, 0.0)
@@ -307,8 +293,11 @@ def average_row(rows: Sequence[Row]) -> Row:
 
 @check_arguments(methods=sequence_of(Tally, "what tally(RUN, METHOD) gives", least=0))
 def summarise(methods: Sequence[Tally]) -> tuple[Row, ...]:
-    """Rows in Table I's order: every method on S0, then on S1, then Avg (only when both splits were
-    planned)."""
+    """The lines of Table I: every method on S0, then on S1, then Avg if both splits were planned.
+
+    Args:
+        methods: counted trials; their names differ.
+    """
     table: list[Row] = []
     by_method: dict[str, list[Row]] = {m.method: [] for m in methods}
     if len(by_method) != len(methods):

@@ -1,8 +1,8 @@
-"""The same verdicts looked at in other ways: per object, which criteria fail together, other orders
-of the criteria."""
+"""Other views of a run's rows: by object, criteria that fail together, another order of the
+criteria, histograms, examples."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
@@ -17,11 +17,11 @@ from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
 
 @dataclass(frozen=True)
 class CoFailures:
-    """(5, 5) counts in the order of `CRITERIA`: trials in which both fail, and trials in which both
-    were evaluated.
+    """(5, 5) counts in the order of `CRITERIA`: trials in which both criteria fail, and trials in
+    which both were evaluated.
 
-    The diagonal is each criterion on its own, wherever it was evaluated: not only where it was the
-    first failure.
+    The diagonal counts each criterion wherever it was evaluated, not only where it was the first
+    failure.
     """
 
     failed: np.ndarray
@@ -30,43 +30,45 @@ class CoFailures:
 
 def co_failures(counted: Tally, split: str | None = None) -> CoFailures:
     """Which criteria fail together among the trials of a split, or among all."""
-    _, splits, _, pattern = counted.columns
-    count = np.zeros(len(PATTERNS), np.int64)
-    inside = slice(None) if split is None else splits == SPLITS.index(split)
-    np.add.at(count, pattern[inside], counted.count[inside])
-    failed, evaluated = PATTERNS == FAILED, PATTERNS != UNEVALUATED
+    inside = (
+        np.ones(len(counted.n), bool) if split is None else counted.split == SPLITS.index(split)
+    )
+    pattern, n = PATTERNS[counted.pattern[inside]], counted.n[inside]
+    failed, evaluated = pattern == FAILED, pattern != UNEVALUATED
     return CoFailures(
-        np.einsum("p,pi,pj->ij", count, failed, failed),
-        np.einsum("p,pi,pj->ij", count, evaluated, evaluated),
+        np.einsum("k,ki,kj->ij", n, failed, failed),
+        np.einsum("k,ki,kj->ij", n, evaluated, evaluated),
     )
 
 
 def in_order(counted: Tally, order: Sequence[str]) -> Tally:
-    """The trials with the first failure looked for in another order of the criteria; SR does not
-    depend on it."""
-    _, split, before, pattern = counted.columns
-    outcome = pattern_outcomes(order)[split, pattern]
-    judged = before < Outcome.INVALID_INPUT
-    if (unseen := int(counted.count[judged & (outcome < 0)].sum())) > 0:
+    """The trials with the first failure looked for in another order of the criteria.
+
+    The success rate does not depend on the order.
+    """
+    judged = counted.outcome < Outcome.INVALID_INPUT
+    outcome = np.where(
+        judged, pattern_outcomes(order)[counted.split, counted.pattern], counted.outcome
+    )
+    if unseen := int(counted.n[outcome < 0].sum()):
         raise ValueError(
             f"{counted.method}: {unseen} rows have no failure but a criterion that was not evaluated"
         )
-    return counted.with_outcomes(np.where(judged, outcome, before))
+    return replace(counted, outcome=outcome)
 
 
 def by_object(counted: Tally) -> tuple[tuple[str, Row], ...]:
     """(object, its line of the table) split by split; objects in alphabetical order."""
     lines = []
-    objects, splits, _, _ = counted.columns
     for split in counted.splits:
-        present = np.unique(objects[splits == SPLITS.index(split)]).tolist()
-        for code in sorted(present, key=lambda c: counted.objects[c]):
-            lines.append((counted.objects[code], group_row(counted, split, code)))
+        present = np.unique(counted.object[counted.split == SPLITS.index(split)])
+        for name in sorted(counted.objects[code] for code in present):
+            lines.append((name, group_row(counted, split, name)))
     return tuple(lines)
 
 
 def parse_order(text: str) -> tuple[str, ...]:
-    """An order of criteria from `plan,reach,...`; those left out follow in the paper's order."""
+    """An order of criteria from `plan,reach,...`; the others follow in the paper's order."""
     first = [name.strip().lower() for name in text.split(",") if name.strip()]
     if not first:
         raise ValueError(
@@ -85,8 +87,7 @@ MARGIN_RANGE_M = (-0.06, 0.12)
 
 @dataclass(frozen=True)
 class Histogram:
-    """Counts (BINS,) between `low` and `high`; what lies outside counts in the first and last bin,
-    None is not counted."""
+    """Counts (BINS,) between `low` and `high`; values outside count in the first and last bin."""
 
     low: float
     high: float
@@ -101,12 +102,12 @@ def _histogram(values: np.ndarray, low: float, high: float) -> np.ndarray:
     values = values[np.isfinite(values)]
     place = ((values - low) * (BINS / (high - low))).clip(
         0, BINS - 1
-    )  # first: a margin of 1e38 m is no int64
+    )  # before the conversion: int64 cannot hold a margin of 1e38 m
     return np.bincount(place.astype(np.int64), minlength=BINS)
 
 
 def margin_histograms(run: Run, method: str) -> dict[str, Histogram]:
-    """Criterion -> histogram of its margin wherever one is defined and finite."""
+    """Criterion -> histogram of its finite margins."""
     low, high = MARGIN_RANGE_M
     counts = {c: np.zeros(BINS, np.int64) for c in CRITERIA}
     for table in run.shards("trials", method, [f"margin_{c}_m" for c in CRITERIA]):
@@ -116,8 +117,8 @@ def margin_histograms(run: Run, method: str) -> dict[str, Histogram]:
 
 
 def time_histograms(run: Run, name: str) -> dict[str, Histogram]:
-    """Method -> histogram of a time over one range for all: from 0 to the largest; empty where none
-    was measured."""
+    """Method -> histogram of a stored time. All have one range, from 0 to the largest time; a method
+    without times is left out."""
 
     def seconds(method: str) -> Iterator[np.ndarray]:
         for table in run.shards("trials", method, [name]):
@@ -137,12 +138,12 @@ def time_histograms(run: Run, name: str) -> dict[str, Histogram]:
 
 SHOWN = ("trial_id", "object", "split", "side", "outcome", *(f"margin_{c}_m" for c in CRITERIA))
 SHOWN += ("plan_reason", "plan_pair", "borderline", "t_exec_s")
-"""Columns of the trials that a page lets one search."""
+"""Columns of the trials on a page."""
 
 
 def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
-    """At most about `limit` trials of a method, every outcome represented by its first ones, and
-    how many there are."""
+    """About `limit` trials of a method at most, the first ones of each outcome, and the number of
+    all its trials."""
     total, kept = 0, []
     each = max(1, limit // (MISSING + 1))
     seen = np.zeros(MISSING + 1, np.int64)

@@ -1,5 +1,6 @@
-"""Which trials several runs share, and what keeps them from being compared."""
+"""Which trials several runs share, and whether they can be compared."""
 
+import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,13 +15,15 @@ from r2h_batch.verdicts import SPLITS
 __all__ = ["Common", "common_trials"]
 
 FINER = ("apart_from_objects", "each_object")
-"""Digests that say in parts what others say whole; older runs lack them."""
+"""Digests of parts of what other digests cover; older runs lack them."""
 
 
 @dataclass(frozen=True)
 class Common:
-    """The first `trials[split]` trials of each split, which all runs hold; `notes`: what a reader
-    should know about that."""
+    """What all runs hold: the first `trials[split]` trials of each split.
+
+    `notes`: what a reader should know about that.
+    """
 
     trials: Mapping[str, int]
     notes: tuple[str, ...]
@@ -31,21 +34,25 @@ class Common:
     proven=sequence_of(Path, "folders", least=0),
 )
 def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Common:
-    """What all runs were asked; `ValueError` where they were not asked, or not judged, the same.
+    """Find the trials that all runs share.
 
-    Trials follow from protocol, objects and hands, and a plan is the first N of each split: so runs
-    of different size share the smaller plan. `proven`: folders whose rows are known to come out the
-    same under this code (the project's tests judge the shipped baselines again), so their digest of
-    the code may be another one.
+    Trials follow from protocol, objects and hands, and a run holds the first N of each split. So
+    runs of different size share the trials of the smaller one.
+
+    Args:
+        runs: what `load_run` gives.
+        proven: folders whose rows come out the same under this code, which the project's tests
+            show of the shipped baselines. Their digest of the code may differ.
+
+    Raises:
+        ValueError: if the runs were not asked, or not judged, the same.
     """
     first, notes = runs[0], []
     for run in runs[1:]:
         if what := _differing(first, run, proven):
-            advice = (
-                "the shipped baselines have the default options, with --sim mujoco and with --sim none: sweep like that"
-                if {first.folder, run.folder} & set(proven)
-                else "sweep both methods with the same version and options"
-            )
+            advice = "sweep both methods with the same version and options"
+            if {first.folder, run.folder} & set(proven):
+                advice = "the shipped baselines have the default options, with --sim mujoco and with --sim none: sweep like that"
             raise ValueError(
                 f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired; {advice}"
             )
@@ -68,49 +75,35 @@ def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Comm
 
 
 def _differing(a: Run, b: Run, proven: Collection[Path]) -> str:
-    """What two runs were asked or judged differently, in words; empty where nothing is."""
-    mine, other = a.header, b.header
-    if mine["protocol"] != other["protocol"]:
+    """The first difference between what two runs were asked, or how they were judged; else empty."""
+    left, right = a.header, b.header
+    if left["protocol"] != right["protocol"]:
         return "protocol"
-    same_plan = mine["trials"] == other["trials"]
-    if not same_plan and not (
-        mine["protocol"] in PROTOCOLS and {"objects", "hand_set"} <= mine["digests"].keys()
-    ):
-        return f"trials ({', '.join(s for s in mine['trials'] if mine['trials'][s] != other['trials'].get(s))})"
+    same_plan = left["trials"] == right["trials"]
+    follow = left["protocol"] in PROTOCOLS and {"objects", "hand_set"} <= left["digests"].keys()
+    if not same_plan and not follow:
+        return f"trials ({_other_keys(left['trials'], right['trials'])})"
     skipped = set(FINER) if same_plan else {"trials", *FINER}
     if a.folder in proven or b.folder in proven:
         skipped.add("code")
-    digests, others = (
-        {k: v for k, v in h["digests"].items() if k not in skipped} for h in (mine, other)
-    )
-    for key, left, right in (
-        ("digests", digests, others),
-        ("configuration", _whole(mine["configuration"]), _whole(other["configuration"])),
-    ):
-        if left != right:
-            return (
-                f"{key} ({', '.join(k for k in {**left, **right} if left.get(k) != right.get(k))})"
-            )
+    digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]
+    if digests[0] != digests[1]:
+        return f"digests ({_other_keys(*digests)})"
+    configurations = [_complete(h["configuration"]) for h in (left, right)]
+    if configurations[0] != configurations[1]:
+        return f"configuration ({_other_keys(*configurations)})"
     return ""
 
 
-def _whole(configuration: Mapping[str, Any]) -> dict[str, Any]:
-    """A run's configuration with today's defaults for fields that its version did not have: they
-    say what it did."""
+def _other_keys(left: Mapping[str, Any], right: Mapping[str, Any]) -> str:
+    return ", ".join(k for k in {**left, **right} if left.get(k) != right.get(k))
+
+
+def _complete(configuration: Mapping[str, Any]) -> dict[str, Any]:
+    """A run's configuration as JSON. Fields that its version did not have get today's defaults:
+    they say what it did."""
     whole = asdict(EvalConfig())
     for key, value in configuration.items():
-        whole[key] = (
-            {**whole[key], **value}
-            if isinstance(value, dict) and isinstance(whole.get(key), dict)
-            else value
-        )
-    return {k: list(v) if isinstance(v, tuple) else _listed(v) for k, v in whole.items()}
-
-
-def _listed(value: Any) -> Any:
-    """As JSON would give it back."""
-    return (
-        {k: list(v) if isinstance(v, tuple) else v for k, v in value.items()}
-        if isinstance(value, dict)
-        else value
-    )
+        parts = isinstance(value, dict) and isinstance(whole.get(key), dict)
+        whole[key] = {**whole[key], **value} if parts else value
+    return json.loads(json.dumps(whole))

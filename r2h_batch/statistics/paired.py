@@ -1,76 +1,94 @@
-"""Which method is better, decided on the same trials: McNemar, Holm, intervals and ranks over
-objects drawn again."""
+"""Which method is better, decided on the same trials: McNemar's test, Holm's correction, and a
+bootstrap over objects for intervals and ranks."""
 
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
+from r2h_batch.runs.columns import codes
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics.common import Common, common_trials
-from r2h_batch.statistics.tally import Verdicts, verdicts
+from r2h_batch.statistics.tally import check_planned
 from r2h_batch.validate import array, check_arguments, instance_of, integer, optional, sequence_of
 from r2h_batch.verdicts import SPLITS, Outcome
 
 ALPHA = 0.05
 DRAWS = 10_000
+_COLUMNS = ("trial_id", "split", "object", "outcome")
 PIECE = 65_536
-"""Trials of all methods that are looked at together."""
+"""Rows of every method that are in memory together."""
 
 
+@dataclass(frozen=True)
 class Paired:
-    """Several methods on the same trials, counted: how many of each split and object, and who
-    solved them.
+    """M methods on the same trials, counted by split and by object (K objects).
 
-    `trials` (2, K) by split and object; `hits` (2, M, K) those that a method solves; `only` (2, M,
-    M) those that method i solves and j does not.
+    Attributes:
+        names: of the methods.
+        trials: (2, K) trials.
+        hits: (2, M, K) trials that a method solves.
+        only: (2, M, M) trials that method i solves and method j does not.
+        notes: what a reader should know about the methods.
     """
 
-    def __init__(self, names: Sequence[str]) -> None:
-        m = len(names)
-        self.names = tuple(names)
-        self.trials = np.zeros((len(SPLITS), 0), np.int64)
-        self.hits = np.zeros((len(SPLITS), m, 0), np.int64)
-        self.only = np.zeros((len(SPLITS), m, m), np.int64)
-        self.notes: tuple[str, ...] = ()
-        """what a reader should know about the methods"""
+    names: tuple[str, ...]
+    trials: np.ndarray
+    hits: np.ndarray
+    only: np.ndarray
+    notes: tuple[str, ...] = ()
 
-    def only_of(
-        self, methods: Sequence[int], names: Sequence[str], notes: Sequence[str]
+    @staticmethod
+    def of(
+        names: Sequence[str],
+        split: np.ndarray,
+        objects: np.ndarray,
+        success: np.ndarray,
+        n: np.ndarray | int = 1,
     ) -> "Paired":
-        """The same counts of some of the methods, under these names."""
-        kept = Paired(names)
-        kept.trials, kept.notes = self.trials, tuple(notes)
-        kept.hits, kept.only = self.hits[:, methods], self.only[:, methods][:, :, methods]
-        return kept
+        """Count G groups of trials that agree in everything here.
 
-    def add(self, success: np.ndarray, split: np.ndarray, objects: np.ndarray) -> None:
-        """Count more trials: success (M, B), split and object codes (B,)."""
-        if (more := int(objects.max(initial=-1)) + 1 - self.trials.shape[1]) > 0:
-            self.trials = np.pad(self.trials, ((0, 0), (0, more)))
-            self.hits = np.pad(self.hits, ((0, 0), (0, 0), (0, more)))
-        k = self.trials.shape[1]
-        for place in np.unique(split).tolist():
+        Args:
+            names: M methods.
+            split: (G,) int, place in `SPLITS`.
+            objects: (G,) int, number of the object.
+            success: (M, G) bool.
+            n: (G,) int, trials of each group.
+        """
+        m, k = len(names), int(objects.max(initial=-1)) + 1
+        solved = np.where(success, n, 0)
+        trials = np.zeros((len(SPLITS), k), np.int64)
+        hits = np.zeros((len(SPLITS), m, k), np.int64)
+        only = np.zeros((len(SPLITS), m, m), np.int64)
+        np.add.at(trials, (split, objects), n)
+        for i in range(m):
+            np.add.at(hits[:, i], (split, objects), solved[i])
+        for place in range(len(SPLITS)):
             inside = split == place
-            solved, code = success[:, inside], objects[inside]
-            self.trials[place] += np.bincount(code, minlength=k)
-            for row, mine in zip(self.hits[place], solved, strict=True):
-                row += np.bincount(code[mine], minlength=k)
-            self.only[place] += [
-                [int((mine & ~other).sum()) for other in solved] for mine in solved
-            ]
+            only[place] = solved[:, inside] @ ~success[:, inside].T
+        return Paired(tuple(names), trials, hits, only)
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two methods: SR difference in points with its clustered interval (None: one object), exact
-    McNemar, Holm.
+    """Two methods compared.
 
-    `verdict`: "better" or "worse" (of `a`) where Holm's p is below 0.05 and the interval, which
-    speaks about new objects, leaves out 0; "better here", "worse here" where only the first holds
-    (these objects); "tied" where it does not.
+    Attributes:
+        a: the first method.
+        b: the second method.
+        difference: of the success rates, in points.
+        low: lower end of the difference's 95 % interval for new objects; None with one object.
+        high: its upper end.
+        only_a: trials that only the first solves.
+        only_b: trials that only the second solves.
+        p: McNemar's exact p value.
+        p_holm: the same, adjusted by Holm over all pairs.
+        verdict: what `a` is. "better" or "worse": p_holm is below 0.05 and the interval, which
+            speaks about new objects, leaves out 0. "better here" or "worse here": only the former
+            holds, which speaks about these objects. "tied": neither.
     """
 
     a: str
@@ -87,8 +105,17 @@ class Pair:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All pairs of a group of trials, and (M, M) probability that method i has rank j + 1 among new
-    objects."""
+    """All pairs of methods on a group of trials.
+
+    Attributes:
+        group: S0, S1 or all.
+        n: trials.
+        names: M methods.
+        rates: (M,) success rates in percent.
+        pairs: every pair once.
+        rank: (M, M) probability that method i has rank j + 1 among new objects; None with one
+            object.
+    """
 
     group: str
     n: int
@@ -100,23 +127,27 @@ class Comparison:
 
 @check_arguments(only_a=integer(0), only_b=integer(0))
 def mcnemar(only_a: int, only_b: int) -> float:
-    """Two-sided exact p value of McNemar's test: are the trials that only one of two methods solves
-    split evenly?"""
-    from scipy import stats  # half a second: only where a test is asked for
+    """Two-sided exact p value of McNemar's test of equal success rates (McNemar 1947).
 
-    # Trials on which both agree say nothing about which is better: given n that differ, a fair coin
-    # splits them (McNemar 1947), and its exact tail needs no large n
+    Args:
+        only_a: trials that only the first method solves.
+        only_b: trials that only the second method solves.
+    """
+    from scipy import stats  # takes half a second to import
+
+    # Trials on which both methods agree say nothing about which one is better. If the methods are
+    # equal, a fair coin splits the n trials on which they differ.
     n = only_a + only_b
     return 1.0 if n == 0 else float(stats.binomtest(only_a, n, 0.5).pvalue)
 
 
 @check_arguments(p=array("fiu", 1, "p values, from 0 to 1", low=0, high=1))
 def holm(p: Sequence[float]) -> np.ndarray:
-    """p values adjusted for looking at all of them (Holm 1979)."""
+    """(P,) p values adjusted for P tests (Holm 1979)."""
     values = np.asarray(p, np.float64)
     order = np.argsort(values)
-    # The i-th smallest of m is compared with alpha / (m - i); as adjusted values, made monotone
-    # from the smallest on
+    # The i-th smallest of P values (i from 0) is compared with alpha / (P - i). The adjusted values
+    # must not fall from the smallest on.
     factors = len(values) - np.arange(len(values))
     adjusted = np.empty_like(values)
     adjusted[order] = np.minimum(np.maximum.accumulate(values[order] * factors), 1.0)
@@ -128,9 +159,18 @@ def holm(p: Sequence[float]) -> np.ndarray:
     common=optional(instance_of(Common, "what common_trials(RUNS) gives")),
 )
 def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
-    """All methods of the runs, paired on the trial id; an error where runs were not asked the same.
+    """All methods of the runs, paired on the trial id.
 
-    `common`: what they share, where it was looked for already.
+    A method that several runs hold with the same source and the same successes counts once: Holm's
+    correction would count each copy as a method of its own.
+
+    Args:
+        runs: what `load_run` gives.
+        common: what they share, if `common_trials` was called before.
+
+    Raises:
+        ValueError: if the runs were not asked the same trials, a method is not complete, or fewer
+            than two methods are left.
     """
     common = common or common_trials(runs)
     streams = []
@@ -143,11 +183,7 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
     if len(streams) < 2:
         only = ", ".join(s.method for s in streams) or "none"
         raise ValueError(f"one method ({only}) is nothing to compare; give a second run")
-    paired = Paired([s.method for s in streams])
-    for pieces in _together([s.rows for s in streams]):
-        _check_same_trials(streams, pieces)
-        success = np.stack([p.outcome == Outcome.SUCCESS for p in pieces])
-        paired.add(success, pieces[0].split, pieces[0].object)
+    paired = _counted(streams)
     once = _once(streams, paired)
     if len(once) < 2:
         raise ValueError(
@@ -160,17 +196,42 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
         raise ValueError(
             f"two runs of one name hold {next(n for n in names if names.count(n) > 1)!r}; rename a folder"
         )
-    return paired.only_of(
-        once,
-        names,
-        [f"{s.run.folder}: {s.method} is given twice, and counted once." for s in left_out],
+    notes = [f"{s.run.folder}: {s.method} is given twice, and counted once." for s in left_out]
+    kept = paired.only[:, once][:, :, once]
+    return Paired(tuple(names), paired.trials, paired.hits[:, once], kept, tuple(notes))
+
+
+def _counted(streams: Sequence["_Stream"]) -> Paired:
+    """The successes of all methods, a piece of the same rows at a time."""
+    solved = [str(i) for i in range(len(streams))]
+    keys = ["split", "object", *solved]
+    objects: dict[str, None] = {}
+    groups = []
+    # every stream says at its end whether it had as many rows as planned
+    for pieces in zip(*(s.pieces() for s in streams), strict=True):
+        _check_same_trials(streams, pieces)
+        objects |= dict.fromkeys(pc.unique(pieces[0]["object"]).to_pylist())
+        columns = {key: pieces[0][key] for key in ("split", "object")}
+        columns |= {i: piece["success"] for i, piece in zip(solved, pieces)}
+        groups.append(
+            pa.table(columns).group_by(keys, use_threads=False).aggregate([([], "count_all")])
+        )
+    whole = (
+        pa.concat_tables(groups).group_by(keys, use_threads=False).aggregate([("count_all", "sum")])
+    )
+    place = {name: i for i, name in enumerate(objects)}
+    return Paired.of(
+        [s.method for s in streams],
+        np.array([SPLITS.index(split) for split in whole["split"].to_pylist()]),
+        np.array([place[name] for name in whole["object"].to_pylist()]),
+        np.array([whole[i].to_numpy() for i in solved]),
+        whole["count_all_sum"].to_numpy(),
     )
 
 
 def _once(streams: Sequence["_Stream"], paired: Paired) -> list[int]:
-    """Which methods are not one before them again: the same answers from the same source, in
-    another copy of the run or a longer one. Holm's correction would count each as a method of its
-    own."""
+    """Places of the methods without copies: a copy has the source and the successes of a method
+    before it (the run was copied, or is a part of a longer one)."""
     kept: list[int] = []
     for i, stream in enumerate(streams):
         again = (
@@ -184,8 +245,8 @@ def _once(streams: Sequence["_Stream"], paired: Paired) -> list[int]:
 
 
 def _names(streams: Sequence["_Stream"]) -> list[str]:
-    """What the methods are called: with their run where a name is there already, or is that of a
-    method of the package."""
+    """Names of the methods. One has its run's name in front if it is there already, or if it equals
+    that of a built-in method."""
     own = {_plain(s.method) for s in streams if s.is_built_in}
     names: list[str] = []
     for s in streams:
@@ -200,58 +261,46 @@ def _plain(method: str) -> str:
 
 
 class _Stream:
-    """A method's verdicts shard by shard, and the names of the objects met so far."""
+    """A method's rows on the shared trials, in pieces."""
 
     def __init__(self, run: Run, method: str, trials: Mapping[str, int]) -> None:
-        self.run, self.method = run, method
+        self.run, self.method, self.trials = run, method, trials
         entry, header = run.entry(method), run.header
         self.source = (method, entry["source"], header["seed"], header.get("predictors"))
-        """What answered: two with one source give the same rows for the same trials."""
+        """What answered: two methods with one source give the same rows for the same trials."""
         self.is_built_in = str(entry["source"].get("function", "")).startswith("r2h_batch.methods.")
-        self.objects: list[str] = []
-        rows = verdicts(run, method, self.objects)
-        self.rows = rows if run.header["trials"] == trials else _first(rows, trials)
+
+    def pieces(self) -> Iterator[pa.Table]:
+        """Columns trial_id, split, object and success in tables of `PIECE` rows; the last one may
+        be shorter."""
+        planned: Mapping[str, int] = self.run.header["trials"]
+        shared = np.array([self.trials.get(split, 0) for split in SPLITS])
+        found, waiting = np.zeros(len(SPLITS), np.int64), None
+        for shard in self.run.shards("trials", self.method, _COLUMNS):
+            split = codes(shard, "split", SPLITS)
+            found += np.bincount(split, minlength=len(SPLITS))
+            columns = {name: shard[name].cast(pa.string()) for name in ("split", "object")}
+            columns["success"] = pc.equal(shard["outcome"], Outcome.SUCCESS.name.lower())
+            table = pa.table({"trial_id": shard["trial_id"], **columns})
+            if planned != self.trials:
+                # a plan is the first N trials of each split; their ids count them (schedule.py)
+                table = table.filter(table["trial_id"].to_numpy() // len(SPLITS) < shared[split])
+            waiting = table if waiting is None else pa.concat_tables([waiting, table])
+            while len(waiting) >= PIECE:
+                yield waiting[:PIECE]
+                waiting = waiting[PIECE:]
+        check_planned(self.method, planned, found)
+        if waiting is not None:
+            yield waiting
 
 
-def _first(rows: Iterator[Verdicts], trials: Mapping[str, int]) -> Iterator[Verdicts]:
-    """The first so many trials of each split: their ids count them (r2h_batch.schedule)."""
-    planned = np.array([trials.get(s, 0) for s in SPLITS])
-    for piece in rows:
-        kept = piece.trial_id // len(SPLITS) < planned[piece.split]
-        if kept.any():
-            yield piece.where(kept)
-
-
-def _together(streams: Sequence[Iterator[Verdicts]]) -> Iterator[list[Verdicts]]:
-    """The same rows of every stream at a time; their shards may end in different places."""
-    left: list[Verdicts | None] = [None] * len(streams)
-    while True:
-        left = [
-            rows if rows is not None and len(rows) else next(s, None)
-            for rows, s in zip(left, streams)
-        ]
-        pieces = [rows for rows in left if rows is not None]
-        if len(pieces) < len(
-            streams
-        ):  # every stream says at its end whether it had as many rows as planned
-            for stream in streams:
-                deque(stream, maxlen=0)
-            return
-        n = min(PIECE, *map(len, pieces))
-        yield [rows.rows(0, n) for rows in pieces]
-        left = [rows.rows(n) for rows in pieces]
-
-
-def _check_same_trials(streams: Sequence[_Stream], pieces: Sequence[Verdicts]) -> None:
-    first = pieces[0]
-    places = {name: i for i, name in enumerate(streams[0].objects)}
+def _check_same_trials(streams: Sequence[_Stream], pieces: Sequence[pa.Table]) -> None:
     for stream, rows in zip(streams[1:], pieces[1:], strict=True):
-        if not np.array_equal(first.trial_id, rows.trial_id):
+        if not pieces[0]["trial_id"].equals(rows["trial_id"]):
             raise ValueError(
                 f"{stream.run.folder}: {stream.method!r} has other trial ids than {streams[0].method!r}"
             )
-        codes = np.array([places.get(o, -1) for o in stream.objects])
-        if not np.array_equal(codes[rows.object], first.object):
+        if not pieces[0]["object"].equals(rows["object"]):
             raise ValueError(
                 f"{stream.method} and {streams[0].method} have other objects in the same trials"
             )
@@ -261,7 +310,13 @@ def _check_same_trials(streams: Sequence[_Stream], pieces: Sequence[Verdicts]) -
     paired=instance_of(Paired, "what pair_up(RUNS) gives"), draws=integer(1, 10**7), seed=integer(0)
 )
 def compare(paired: Paired, *, draws: int = DRAWS, seed: int = 0) -> tuple[Comparison, ...]:
-    """One comparison for each split, and one for all trials where there are two splits."""
+    """Compare all pairs of methods on each split, and on all trials if there are two splits.
+
+    Args:
+        paired: what `pair_up` gives.
+        draws: of the bootstrap over objects.
+        seed: of the bootstrap.
+    """
     groups = [(SPLITS[k], [k]) for k in range(len(SPLITS)) if paired.trials[k].any()]
     if len(groups) > 1:
         groups.append(("all", list(range(len(SPLITS)))))
@@ -301,8 +356,8 @@ def _compare(group: str, paired: Paired, splits: list[int], draws: int, seed: in
 def _resampled_rates(
     paired: Paired, splits: Sequence[int], draws: int, seed: int
 ) -> np.ndarray | None:
-    """(draws, M) success rates when the objects of each split are drawn again with replacement;
-    None for one object."""
+    """(draws, M) success rates of the bootstrap: the objects of each split are drawn again with
+    replacement. None with one object."""
     hits, totals = np.zeros((draws, len(paired.names))), np.zeros(draws)
     random = np.random.default_rng(seed)
     for k in splits:
@@ -310,9 +365,9 @@ def _resampled_rates(
         n, x = paired.trials[k][kept], paired.hits[k][:, kept].astype(np.float64)
         if kept.sum() < 2:
             return None
-        # The bootstrap's clusters are objects, not trials: trials on one object succeed together,
-        # and a reader asks about new objects. Drawing n objects with replacement is one
-        # multinomial; rates then are sums of hits over sums of trials.
+        # The clusters are objects, not trials: trials on one object succeed together, and a reader
+        # wants to know about new objects. Drawing n objects with replacement is one multinomial; a
+        # rate is then a sum of hits over a sum of trials.
         weight = random.multinomial(kept.sum(), np.full(kept.sum(), 1 / kept.sum()), size=draws)
         hits += weight @ x.T
         totals += weight @ n
@@ -321,11 +376,17 @@ def _resampled_rates(
 
 @check_arguments(rates=array("fiu", 2, "rates (D, M): draws by methods"))
 def rank_probabilities(rates: np.ndarray) -> np.ndarray:
-    """(M, M) probability that method i has rank j + 1 over draws (D, M) of rates; ties share their
-    ranks evenly."""
+    """How often each method has each rank.
+
+    Args:
+        rates: (D, M) success rates of D draws.
+
+    Returns:
+        (M, M) share of draws in which method i has rank j + 1. Ties share their ranks evenly.
+    """
     m = rates.shape[1]
     probability = np.zeros((m, m))
-    # (D, M): how many methods are better in a draw, and how many are as good, itself included
+    # (D, M): how many methods are better in a draw, and how many are equal, itself included
     above = (rates[:, None, :] > rates[:, :, None]).sum(2)
     equal = (rates[:, None, :] == rates[:, :, None]).sum(2)
     for i in range(m):

@@ -1,229 +1,127 @@
-"""A method's stored verdicts, counted shard by shard: what is kept grows with what differs, not
-with the trials."""
+"""A method's stored trials, counted: what is kept grows with what differs, not with the trials."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from r2h_batch.runs.columns import PATTERNS, codes, pattern, states
-from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.columns import codes, pattern, states
+from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, SPLITS
-
-__all__ = ["SECONDS", "Sum", "Tally", "Verdicts", "tally", "verdicts"]
 
 SECONDS = ("t_plan_s", "t_exec_s", "t_method_s")
 """Stored times."""
 
 SUMMED = (*SECONDS, "presented", "body_met")
-"""What is added up trial by trial: times, who was presented the region, and whose arm or torso was
-met."""
+"""What is added up over trials: times; whether the region was presented; whether the motion met the
+receiver's arm or torso."""
 
-BLOCK = 8192
+_KEYS = ["object", "split", "outcome", *(f"passed_{c}" for c in CRITERIA)]
+_STORED = [*_KEYS, *SECONDS, "presented", "body_m"]
+_PIECES = 64
+"""Counts of shards are merged when so many wait."""
 
 
 @dataclass(frozen=True)
-class Verdicts:
-    """Some of a method's trials as (N,) columns: index into `SPLITS`, object and outcome codes, row
-    of `PATTERNS` (the five verdicts on their own), seconds (NaN: none)."""
-
-    split: np.ndarray
-    object: np.ndarray
-    outcome: np.ndarray
-    pattern: np.ndarray
-    t_plan_s: np.ndarray
-    t_exec_s: np.ndarray
-    t_method_s: np.ndarray
-    trial_id: np.ndarray
-    presented: np.ndarray | None = None
-    """1 and 0, NaN where it is not asked; None: nowhere"""
-    body_met: np.ndarray | None = None
-    """the same of motions past a receiver with a body"""
-
-    def __post_init__(self) -> None:
-        n = len(self.outcome)
-        for name in ("presented", "body_met"):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, np.full(n, np.nan, np.float32))
-        for column in fields(self):
-            if len(found := getattr(self, column.name)) != n:
-                raise ValueError(f"Verdicts.{column.name} has {len(found)} rows, outcome has {n}")
-        if n and not (self.outcome.min() >= 0 and self.outcome.max() <= MISSING):
-            raise ValueError(
-                f"Verdicts.outcome must lie in 0..{MISSING} ({', '.join(OUTCOME_NAMES)})"
-            )
-
-    def __len__(self) -> int:
-        return len(self.outcome)
-
-    def rows(self, first: int, last: int | None = None) -> "Verdicts":
-        """Rows first..last-1."""
-        return Verdicts(*(getattr(self, column.name)[first:last] for column in fields(self)))
-
-    def where(self, kept: np.ndarray) -> "Verdicts":
-        """The rows that the mask (N,) keeps."""
-        return Verdicts(*(getattr(self, column.name)[kept] for column in fields(self)))
-
-
-class Sum:
-    """Sum and number of float32 values that come in pieces: for any pieces the bits of one sum over
-    all of them.
-
-    NumPy converts a float32 array to float64 in blocks of 8192, sums each and adds the sums up; so
-    does this. What has not filled a block yet is kept.
-    """
-
-    def __init__(self) -> None:
-        self.count, self._total = 0, 0.0
-        self._kept: list[np.ndarray] = []
-
-    def add(self, values: np.ndarray) -> None:
-        """More values; NaN is none."""
-        values = np.asarray(values, np.float32)
-        values = values[~np.isnan(values)]
-        waiting = self.count % BLOCK
-        self.count += len(values)
-        if waiting + len(values) < BLOCK:
-            if len(values):
-                self._kept.append(values)
-            return
-        whole = np.concatenate([*self._kept, values])
-        for first in range(0, len(whole) - BLOCK + 1, BLOCK):
-            self._total += float(np.add.reduce(whole[first : first + BLOCK].astype(np.float64)))
-        rest = whole[len(whole) - self.count % BLOCK :].copy()
-        self._kept = [rest] if len(rest) else []
-
-    @property
-    def mean(self) -> float | None:
-        """None over none."""
-        if not self.count:
-            return None
-        rest = np.concatenate([*self._kept, np.zeros(0, np.float32)]).astype(np.float64)
-        return (self._total + float(np.add.reduce(rest)) if len(rest) else self._total) / self.count
-
-
-_NO_ROWS = np.zeros(0, np.int64)
-
-
-@dataclass
 class Tally:
-    """A method's trials counted: (K,) kinds of trial that were met and how many there were of each,
-    and sums of times.
+    """Trials of a method in K groups: those of one group agree in object, split, outcome and the
+    verdict of each criterion.
 
-    A kind is one number, made of object, split, outcome and pattern; times are summed for each
-    split, and with `by_object` for each object of it too.
+    Attributes:
+        method: its name.
+        splits: the planned ones.
+        objects: names in the order in which they were met.
+        object: (K,) int, place in `objects`.
+        split: (K,) int, place in `SPLITS`.
+        outcome: (K,) int, place in `OUTCOME_NAMES`.
+        pattern: (K,) int, row of `runs.columns.PATTERNS`: the verdict of each criterion.
+        n: (K,) int, trials of the group.
+        sums: name of `SUMMED` -> (K,) float64, sum of its values (seconds, or 0 and 1).
+        counts: name of `SUMMED` -> (K,) int, trials that have a value.
     """
 
     method: str
-    splits: tuple[str, ...] = SPLITS  # planned ones
-    objects: Sequence[str] = ()  # names behind the codes
-    by_object: bool = False
-    kinds: np.ndarray = field(default_factory=lambda: _NO_ROWS)
-    count: np.ndarray = field(default_factory=lambda: _NO_ROWS)
-    sums: dict[tuple[int, int | None, str], Sum] = field(default_factory=dict)
+    splits: tuple[str, ...]
+    objects: tuple[str, ...]
+    object: np.ndarray
+    split: np.ndarray
+    outcome: np.ndarray
+    pattern: np.ndarray
+    n: np.ndarray
+    sums: Mapping[str, np.ndarray]
+    counts: Mapping[str, np.ndarray]
 
-    def add(self, rows: Verdicts) -> None:
-        """Count more trials, which follow those counted already in the plan's order."""
-        if not len(rows):
-            return
-        kinds = _kinds(rows.object, rows.split, rows.outcome, rows.pattern)
-        kinds, count = np.unique(kinds, return_counts=True)
-        self.kinds, place = np.unique(np.concatenate([self.kinds, kinds]), return_inverse=True)
-        count, self.count = np.concatenate([self.count, count]), np.zeros(len(self.kinds), np.int64)
-        np.add.at(self.count, place, count)
-        for k in np.unique(rows.split).tolist():
-            inside = rows.split == k
-            seconds = {name: getattr(rows, name)[inside] for name in SUMMED}
-            for name, values in seconds.items():
-                self.sum_of(k, None, name).add(values)
-            if self.by_object:
-                order = np.argsort(rows.object[inside], kind="stable")
-                found, first = np.unique(rows.object[inside][order], return_index=True)
-                for name, values in seconds.items():
-                    for code, part in zip(found.tolist(), np.split(values[order], first[1:])):
-                        self.sum_of(k, code, name).add(part)
+    @staticmethod
+    def of(method: str, splits: Sequence[str], tables: Iterable[pa.Table]) -> "Tally":
+        """Count tables of stored rows; they need the columns of a run's trials that are read here.
 
-    def sum_of(self, split: int, code: int | None, name: str) -> Sum:
-        """A time's sum over a split, or over an object (`code`) of it."""
-        if code is not None and not self.by_object:
-            raise ValueError(f"{self.method}: times were not summed object by object")
-        return self.sums.setdefault((split, code, name), Sum())
-
-    @property
-    def columns(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """(K,) object, split, outcome and pattern of the kinds."""
-        rest, pattern_ = np.divmod(self.kinds, len(PATTERNS))
-        rest, outcome = np.divmod(rest, MISSING + 1)
-        code, split = np.divmod(rest, len(SPLITS))
-        return code, split, outcome, pattern_
-
-    def with_outcomes(self, outcome: np.ndarray) -> "Tally":
-        """The same trials, other outcomes (K,) of the kinds."""
-        code, split, _, pattern_ = self.columns
-        return replace(self, kinds=_kinds(code, split, outcome, pattern_))
+        The sums do not depend on the order of the rows: a float32 has 24 bits, so float64 adds a
+        hundred million of a similar size exactly.
+        """
+        objects: dict[str, None] = {}
+        groups: list[pa.Table] = []
+        for table in tables:
+            objects |= dict.fromkeys(pc.unique(table["object"]).to_pylist())
+            groups.append(_counted(table))
+            if len(groups) == _PIECES:
+                groups = [_merged(groups)]
+        whole = _merged(groups)
+        words = pa.table({k: whole[k].dictionary_encode() for k in ("object", "split", "outcome")})
+        return Tally(
+            method,
+            tuple(splits),
+            tuple(objects),
+            object=codes(words, "object", tuple(objects)),
+            split=codes(words, "split", SPLITS),
+            outcome=codes(words, "outcome", OUTCOME_NAMES),
+            pattern=pattern(states(whole)),
+            n=whole["count_all"].to_numpy(),
+            sums={name: whole[f"{name}_sum"].to_numpy() for name in SUMMED},
+            counts={name: whole[f"{name}_count"].to_numpy() for name in SUMMED},
+        )
 
 
-def _kinds(
-    code: np.ndarray, split: np.ndarray, outcome: np.ndarray, pattern_: np.ndarray
-) -> np.ndarray:
-    place = code.astype(np.int64) * len(SPLITS) + split
-    return (place * (MISSING + 1) + outcome) * len(PATTERNS) + pattern_
+def tally(run: Run, method: str) -> Tally:
+    """A stored method's trials, counted shard by shard.
 
+    Args:
+        run: what `load_run` gives.
+        method: its name in the run.
 
-def tally(run: Run, method: str, *, by_object: bool = False) -> Tally:
-    """A stored method's trials counted, checked as `verdicts` does."""
-    names: list[str] = []
-    counted = Tally(method, tuple(run.header["trials"]), names, by_object)
-    for rows in verdicts(run, method, names):
-        counted.add(rows)
+    Raises:
+        ValueError: if a split has not as many rows as planned, or an outcome is unknown.
+    """
+    trials: dict[str, int] = run.header["trials"]
+    counted = Tally.of(method, tuple(trials), run.shards("trials", method, _STORED))
+    check_planned(method, trials, np.bincount(counted.split, counted.n, len(SPLITS)))
     return counted
 
 
-def verdicts(run: Run, method: str, names: list[str]) -> Iterator[Verdicts]:
-    """A stored method's verdicts shard by shard; `names` collects the objects' names behind the
-    codes.
-
-    Checked at the end: that there were as many as planned. That each row can be a verdict was
-    checked when the run was loaded.
-    """
-    columns = [
-        "trial_id",
-        "object",
-        "split",
-        "outcome",
-        "presented",
-        "body_m",
-        *SECONDS,
-        *(f"passed_{c}" for c in CRITERIA),
-    ]
-    found = np.zeros(len(SPLITS), np.int64)
-    for table in run.shards("trials", method, columns):
-        rows = _rows(table, method, names)
-        found += np.bincount(rows.split, minlength=len(SPLITS))
-        yield rows
-    for name, planned in run.header["trials"].items():
-        if (count := int(found[SPLITS.index(name)])) != planned:
-            raise ValueError(f"{method}: {count} rows in {name}, {planned} were planned")
+def check_planned(method: str, trials: Mapping[str, int], found: np.ndarray) -> None:
+    """Raise `ValueError` unless the rows (2,) that were found by split are those planned."""
+    for split, planned in trials.items():
+        if (count := int(found[SPLITS.index(split)])) != planned:
+            raise ValueError(f"{method}: {count} rows in {split}, {planned} were planned")
 
 
-def _rows(table: pa.Table, method: str, names: list[str]) -> Verdicts:
-    try:
-        return Verdicts(
-            split=codes(table, "split", SPLITS).astype(np.int8),
-            object=codes(table, "object", names, grow=True).astype(np.int32),
-            outcome=codes(table, "outcome", OUTCOME_NAMES).astype(np.int8),
-            pattern=pattern(states(table)).astype(np.min_scalar_type(len(PATTERNS))),
-            trial_id=table["trial_id"].to_numpy(),
-            presented=table["presented"].cast("float32").to_numpy(),
-            body_met=_below_zero(table["body_m"].to_numpy()),
-            **{k: table[k].to_numpy().astype(np.float32) for k in SECONDS},
-        )
-    except ValueError as error:
-        raise ValueError(f"{method}: {error}") from None
+def _counted(table: pa.Table) -> pa.Table:
+    """A shard's groups: their keys as words, trials, sums and numbers of values."""
+    table = table.append_column("body_met", pc.less(table["body_m"], 0))
+    found = [(name, how) for name in SUMMED for how in ("sum", "count")]
+    groups = table.group_by(_KEYS, use_threads=False).aggregate([([], "count_all"), *found])
+    columns = {name: groups[name] for name in groups.column_names}
+    columns |= {name: groups[name].cast(pa.string()) for name in ("object", "split", "outcome")}
+    for name in SUMMED:
+        columns[f"{name}_sum"] = groups[f"{name}_sum"].cast(pa.float64()).fill_null(0.0)
+    return pa.table(columns)
 
 
-def _below_zero(values: np.ndarray) -> np.ndarray:
-    """1 and 0, NaN where nothing is known."""
-    return np.where(np.isnan(values), np.nan, values < 0).astype(np.float32)
+def _merged(groups: Sequence[pa.Table]) -> pa.Table:
+    """The groups of several shards as those of one."""
+    names = groups[0].column_names
+    added = [(name, "sum") for name in names[len(_KEYS) :]]
+    whole = pa.concat_tables(groups).group_by(_KEYS, use_threads=False).aggregate(added)
+    return whole.rename_columns(names)

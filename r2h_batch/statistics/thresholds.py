@@ -1,5 +1,7 @@
-"""The same rows at other thresholds, exactly, without simulating again. Which can be, and how far:
-r2h_batch.rescore."""
+"""The same rows at other thresholds, exactly and without another simulation.
+
+r2h_batch.rescore says which thresholds can change, and how far.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,8 +20,8 @@ from r2h_batch.validate import array, check_arguments, instance_of, sequence_of
 from r2h_batch.verdicts import REGISTRY, SPLITS, Outcome
 
 ROUNDING_M = 1e-8
-"""A stored margin gives the distance back to within this (float32): nearer to a threshold, a trial
-is undecided."""
+"""A stored float32 margin gives the distance to within this. Nearer to a threshold, a trial is
+undecided."""
 
 WIDTH_ROUNDING_M = 1e-6
 
@@ -32,8 +34,15 @@ MAX_POINTS = 10_000
 
 @dataclass(frozen=True)
 class Point:
-    """Thresholds in metres, and for every method the (2, 9) counts of outcomes per split and the
-    undecided trials."""
+    """Outcomes at one combination of thresholds.
+
+    Attributes:
+        reach_radius_m: r_h.
+        w_max_m: widest material that the gripper holds.
+        safe_margin_m: distance that the robot must keep from the hand.
+        counts: method -> (2, 9) trials by split and outcome.
+        undecided: method -> trials too near to a threshold.
+    """
 
     reach_radius_m: float
     w_max_m: float
@@ -42,7 +51,7 @@ class Point:
     undecided: dict[str, int]
 
     def rate(self, method: str) -> float:
-        """SR in percent, the mean over the planned splits as in the paper's Avg."""
+        """Success rate in percent, the mean over the planned splits as in the paper's Avg."""
         counts = self.counts[method]
         planned = [row for row in counts if row.sum()]
         return float(np.mean([100 * row[Outcome.SUCCESS] / row.sum() for row in planned]))
@@ -64,34 +73,43 @@ def rescore(
     w_max_m: Sequence[float] = (),
     safe_margin_m: Sequence[float] = (),
 ) -> tuple[Point, ...]:
-    """Counts for every combination of the thresholds; what is not given stays as it was run."""
+    """Count the outcomes at every combination of the thresholds.
+
+    Args:
+        run: what `load_run` gives.
+        reach_radius_m: values in metres; none: the run's own.
+        w_max_m: values up to the run's own, in metres; none: the run's own.
+        safe_margin_m: values from 0 to 0.0499, in metres; none: the run's own.
+
+    Raises:
+        ValueError: if a value cannot be rescored exactly, or there are more than `MAX_POINTS`
+            combinations.
+    """
     base = run.header["configuration"].get("thresholds")
     if base is None:
         raise ValueError(f"{run.folder}: run.json names no thresholds; it was not made by a sweep")
-    radii = tuple(map(float, reach_radius_m)) or (base["reach_radius_m"],)
-    widths = tuple(map(float, w_max_m)) or (base["w_max_m"],)
-    safe = tuple(map(float, safe_margin_m)) or (base["safe_margin_m"],)
-    for name, given, low, high in (
-        ("reach-radius", radii, 0.0, FARTHEST_M),
-        ("w-max", widths, 0.0, base["w_max_m"]),
-        ("safe-margin", safe, 0.0, CLEARANCE_CAP_M - BORDERLINE_M),
+    axes = []
+    for key, values, high in (
+        ("reach_radius_m", reach_radius_m, FARTHEST_M),
+        ("w_max_m", w_max_m, base["w_max_m"]),
+        ("safe_margin_m", safe_margin_m, CLEARANCE_CAP_M - BORDERLINE_M),
     ):
-        if bad := [v for v in given if not low <= v <= high]:
+        axes.append(tuple(map(float, values)) or (base[key],))
+        if bad := [v for v in axes[-1] if not 0 <= v <= high]:
+            flag = key.removesuffix("_m").replace("_", "-")
             raise ValueError(
-                f"--{name} {bad[0]:g} cannot be rescored exactly; allowed is {low:g} to {high:g}: sweep again"
+                f"--{flag} {bad[0]:g} cannot be rescored exactly; allowed is 0 to {high:g}: sweep again"
             )
-    grid = list(product(radii, widths, safe))
+    grid = list(product(*axes))
     if len(grid) > MAX_POINTS:
         raise ValueError(
             f"{len(grid)} combinations of thresholds; at most {MAX_POINTS} are allowed"
         )
-    points = [Point(*key, {}, {}) for key in grid]
+    points = [Point(r_h, w_max, safe, {}, {}) for r_h, w_max, safe in grid]
     for method in run.methods:
         for point in points:
-            point.counts[method], point.undecided[method] = (
-                np.zeros((len(SPLITS), MISSING + 1), np.int64),
-                0,
-            )
+            point.counts[method] = np.zeros((len(SPLITS), MISSING + 1), np.int64)
+            point.undecided[method] = 0
         for table in run.shards("trials", method):
             shard = _Margins(table, base)
             for point in points:
@@ -102,21 +120,19 @@ def rescore(
 
 
 class _Margins:
-    """A shard's distances in float64 and what else decides its outcomes."""
+    """A shard's distances in float64, and the verdicts of its other criteria."""
 
     def __init__(self, table: pa.Table, base: dict[str, Any]) -> None:
         def margin(name: str) -> np.ndarray:
             return table[f"margin_{name}_m"].to_numpy().astype(np.float64)
 
-        self.split, self.outcome = (
-            codes(table, "split", SPLITS),
-            codes(table, "outcome", OUTCOME_NAMES),
-        )
+        self.split = codes(table, "split", SPLITS)
+        self.outcome = codes(table, "outcome", OUTCOME_NAMES)
         self.state = states(table)
-        # float32 of the threshold, because that is what the margin was taken from
+        # the margin was taken from the float32 of the threshold
         self.distance = np.float32(base["reach_radius_m"]).astype(np.float64) - margin("reach")
         width = table["width_m"].to_numpy().astype(np.float64)
-        # runs from before the column was stored: their margin is w_max - w wherever it passes
+        # older runs have no such column; where a grasp passes, its margin is w_max - width
         older = np.float32(base["w_max_m"]).astype(np.float64) - margin("stability")
         self.width = np.where(np.isnan(width), older, width)
         odd = (self.state["stability"] == PASSED) & ~(
@@ -132,8 +148,7 @@ class _Margins:
         self.base = base
 
     def outcomes(self, point: Point) -> tuple[np.ndarray, int]:
-        """(2, 9) counts per split and outcome at other thresholds, and how many trials lie too near
-        to one to tell."""
+        """(2, 9) trials by split and outcome at other thresholds, and how many are undecided."""
         state, near = dict(self.state), np.zeros(len(self.split), bool)
         for criterion, name, spare in (
             ("reach", "reach_radius_m", lambda t: t - self.distance),
@@ -146,10 +161,8 @@ class _Margins:
             margin = spare(float(np.float32(threshold)))
             good = margin >= 0 if criterion in TOUCHING else margin > 0
             old = self.state[criterion]
-            if (
-                criterion == "stability"
-            ):  # narrower than before: a grasp that failed, for whatever reason, still fails
-                good = good & (old == PASSED)
+            if criterion == "stability":
+                good = good & (old == PASSED)  # w_max only falls: what failed still fails
             state[criterion] = np.where(old > 0, np.where(good, PASSED, FAILED), old)
             near |= (old > 0) & (np.abs(margin) < ROUNDING_M)
         outcome = pattern_outcomes()[self.split, pattern(state)].astype(np.int64)
@@ -169,6 +182,13 @@ class _Margins:
     methods=sequence_of(str, "names of methods"),
 )
 def rank_stability(points: Sequence[Point], methods: Sequence[str]) -> np.ndarray:
-    """(M, M) share of the points at which method i has rank j + 1 by SR; ties share their ranks
-    evenly."""
+    """How often each method has each rank by its success rate.
+
+    Args:
+        points: what `rescore` gives.
+        methods: M names.
+
+    Returns:
+        (M, M) share of the points at which method i has rank j + 1. Ties share their ranks evenly.
+    """
     return rank_probabilities(np.array([[p.rate(m) for m in methods] for p in points]))

@@ -9,10 +9,10 @@ MAX_PARTICIPANTS = 100_000
 
 
 def williams_square(n: int) -> np.ndarray:
-    """Orders of n treatments (rows): each stands in each place equally often, and follows each
-    other equally often.
+    """Orders of n treatments: each stands in each place, and follows each other, equally often.
 
-    n rows where n is even, 2 n where it is odd (Williams 1949).
+    Returns:
+        (n, n) orders as rows if n is even, (2 n, n) if it is odd (Williams 1949).
     """
     first = np.array([(k + 1) // 2 if k % 2 else (n - k // 2) % n for k in range(n)])
     square = (first[None, :] + np.arange(n)[:, None]) % n
@@ -27,10 +27,20 @@ def schedule(
     *,
     seed: int,
 ) -> list[dict[str, str | int]]:
-    """Rows of participant, place, method, trial, split, object.
+    """Draw the schedule.
 
-    `take` objects of each split are dealt to a participant so that all are used equally often (give
-    or take one), and shown in a new random order with every method.
+    Objects are dealt so that all are used equally often, give or take one. A participant meets the
+    same objects with every method, each time in a new random order.
+
+    Args:
+        participants: number of people.
+        methods: two or more names.
+        objects: split -> names.
+        take: split -> objects for each participant.
+        seed: of the shuffling.
+
+    Returns:
+        Rows of participant, place, method, trial, split, object.
     """
     if not 1 <= participants <= MAX_PARTICIPANTS:
         raise ValueError(f"--participants is {participants}; it must be 1 to {MAX_PARTICIPANTS}")
@@ -58,11 +68,7 @@ def schedule(
             drawn += [(split, objects[split][i]) for i in chosen]
         for place, method in enumerate(order, start=1):
             for trial, k in enumerate(random.permutation(len(drawn)), start=1):
-                row = {
-                    "participant": person,
-                    "place": place,
-                    "method": names[method],
-                    "trial": trial,
-                }
-                rows.append({**row, "split": drawn[k][0], "object": drawn[k][1]})
+                split, name = drawn[k]
+                who = {"participant": person, "place": place, "method": names[method]}
+                rows.append({**who, "trial": trial, "split": split, "object": name})
     return rows

@@ -18,8 +18,7 @@ class StudyError(ValueError):
 
 @dataclass(frozen=True)
 class Summary:
-    """What a box plot shows of ratings: quartiles by linear interpolation, whiskers at the
-    extremes."""
+    """A box of a box plot: quartiles by linear interpolation, whiskers at the extremes."""
 
     n: int
     mean: float
@@ -31,22 +30,27 @@ class Summary:
 
     @staticmethod
     def of(values: np.ndarray) -> "Summary":
-        low, q1, median, q3, high = np.quantile(values, [0, 0.25, 0.5, 0.75, 1])
-        return Summary(
-            len(values), float(np.mean(values)), *map(float, (median, q1, q3, low, high))
-        )
+        """Of (N,) ratings."""
+        low, q1, median, q3, high = np.quantile(values, [0, 0.25, 0.5, 0.75, 1]).tolist()
+        return Summary(len(values), float(np.mean(values)), median, q1, q3, low, high)
 
     @staticmethod
     def of_counts(counts: np.ndarray) -> "Summary":
-        """Of the ratings 1 to 5, each given so often."""
+        """Of (5,) counts of the ratings 1 to 5."""
         return Summary.of(np.repeat(SCALE, counts))
 
 
 @dataclass(frozen=True)
 class Correlation:
-    """Spearman's rho of two lists; `measured`: 95 % if these methods were measured again (None:
-    rates without counts); `others`: 95 % for other methods (Bonett and Wright 2000; None below 4),
-    `p` by all permutations or their sample."""
+    """A rank correlation over methods.
+
+    Attributes:
+        rho: Spearman's.
+        measured: 95 % interval if the same methods were measured again; None for values that are
+            no rates.
+        others: 95 % interval for other methods (Bonett and Wright 2000); None below 4 methods.
+        p: over all permutations, or a sample of them.
+    """
 
     rho: float
     measured: tuple[float, float] | None
@@ -56,8 +60,8 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Test:
-    """Friedman's test over the methods of complete participants, and Wilcoxon's for every pair,
-    Bonferroni-adjusted."""
+    """Friedman's test over all methods, and Wilcoxon's signed-rank test of every pair, adjusted by
+    Bonferroni."""
 
     participants: int
     chi2: float
@@ -68,7 +72,14 @@ class Test:
 def spearman(
     x: Sequence[float], y: Sequence[float], *, counts: tuple[int, int] | None = None, seed: int = 0
 ) -> Correlation:
-    """Rank correlation; `counts`: trials behind x and y where they are success rates in percent."""
+    """Rank correlation of two values of N methods.
+
+    Args:
+        x: (N,) values, N 3 or more.
+        y: (N,) values.
+        counts: trials behind each x and each y, if they are success rates in percent.
+        seed: of the samples.
+    """
     a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
     n = len(a)
     if n < 3 or len(b) != n:
@@ -77,10 +88,8 @@ def spearman(
         )
     rho = _rho(a[None], b[None])[0]
     random = np.random.default_rng(seed)
-    orders = _permutations(n, random)
-    ra, rb = (stats.rankdata(v) - (n + 1) / 2 for v in (a, b))
-    size = np.sqrt((ra @ ra) * (rb @ rb))
-    shuffled = rb[orders] @ ra / (size if size > 0 else 1.0)
+    orders = _orders(n, random)
+    shuffled = _rho(np.broadcast_to(a, orders.shape), b[orders])
     p = float((np.abs(shuffled) >= abs(rho) - 1e-12).mean())
     measured = None
     if counts is not None:
@@ -93,19 +102,19 @@ def spearman(
     if n > 3:
         half = 1.959964 * np.sqrt((1 + rho**2 / 2) / (n - 3))
         z = np.arctanh(np.clip(rho, -1 + 1e-12, 1 - 1e-12))
-        others = (float(np.tanh(z - half)), float(np.tanh(z + half)))
+        others = float(np.tanh(z - half)), float(np.tanh(z + half))
     return Correlation(float(rho), measured, others, p)
 
 
 def _rho(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Spearman's rho row by row; 0 where a row is all ties."""
+    """(D,) Spearman's rho of the rows of (D, N); 0 if all values of a row are equal."""
     ra, rb = stats.rankdata(a, axis=1), stats.rankdata(b, axis=1)
     ra, rb = ra - ra.mean(1, keepdims=True), rb - rb.mean(1, keepdims=True)
     size = np.sqrt((ra**2).sum(1) * (rb**2).sum(1))
     return np.where(size > 0, (ra * rb).sum(1) / np.where(size > 0, size, 1), 0.0)
 
 
-def _permutations(n: int, random: np.random.Generator) -> np.ndarray:
+def _orders(n: int, random: np.random.Generator) -> np.ndarray:
     if n <= 7:
         return np.array(list(permutations(range(n))))
     return np.argsort(random.random((DRAWS, n)), axis=1)
@@ -117,8 +126,12 @@ def _ends(values: np.ndarray) -> tuple[float, float]:
 
 
 def rating_tests(rows: np.ndarray, methods: Sequence[str]) -> Test:
-    """Friedman (NaN for two methods) and pairwise Wilcoxon signed-rank tests on (participants,
-    methods) ratings."""
+    """Friedman's test (NaN for two methods) and Wilcoxon's of every pair.
+
+    Args:
+        rows: (participants, methods) ratings.
+        methods: their names.
+    """
     if rows.ndim != 2 or rows.shape[0] < 2 or rows.shape[1] < 2:
         raise StudyError(
             f"tests of ratings need 2 participants and 2 methods or more, given are {rows.shape}"
@@ -141,11 +154,15 @@ def rating_tests(rows: np.ndarray, methods: Sequence[str]) -> Test:
 def random_pairings(
     counts: np.ndarray, *, draws: int = 2000, seed: int = 0
 ) -> tuple[float, float, float]:
-    """Median and 95 % range of Friedman's chi2 when the ratings of (methods, 5) counts are dealt to
-    people at random.
+    """Deal ratings to people at random: what counts alone say about a test within subjects.
 
-    Marginal counts do not say who gave which rating, so this is all that they say about a
-    within-subject test.
+    Args:
+        counts: (methods, 5) how often each of 1..5 was given.
+        draws: number of deals.
+        seed: of the deals.
+
+    Returns:
+        Median, lower and upper end of the 95 % range of Friedman's chi2.
     """
     columns = [np.repeat(SCALE, c) for c in counts]
     random = np.random.default_rng(seed)

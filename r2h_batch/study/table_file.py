@@ -1,11 +1,9 @@
-"""Tables that people fill in: CSV as Excel, LibreOffice and pandas write it, read whole or refused
-by line and column."""
-
-from __future__ import annotations
+"""Tables that people fill in: CSV as Excel, LibreOffice and pandas write it. An error names the line
+and the column."""
 
 import csv
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,11 +11,9 @@ from typing import Any
 from r2h_batch.io.read import FileError, printable, read_file
 from r2h_batch.study.stats import StudyError
 
-__all__ = ["LINE", "Number", "Text", "read_table"]
-
 MAX_BYTES = 64 << 20
 MAX_CELL = 200
-"""Characters of a cell that is read; no name of a person or a method is longer."""
+"""Characters of a cell; no name of a person or a method is longer."""
 LINE = "line"
 """Key of a row's line in the file, for errors that come later."""
 
@@ -26,14 +22,16 @@ _NUMBER = re.compile(r"[-+]?[0-9]{1,15}(\.[0-9]{0,15})?([eE][-+]?[0-9]{1,2})?")
 
 @dataclass(frozen=True)
 class Number:
-    """A column of numbers from `low` to `high`."""
+    """A column of numbers from `low` to `high`.
+
+    A percentage may have its sign, as spreadsheets write it. Up to 1 it must have it: without the
+    sign, 0.85 can mean 85 % or 0.85 %.
+    """
 
     low: float
     high: float
     whole: bool = False
     percent: bool = False
-    """may have its sign, as spreadsheets write it; without one nobody can tell 0.85 for 85 % from
-    0.85 %"""
 
     @property
     def allowed(self) -> str:
@@ -48,9 +46,8 @@ class Number:
         if not _NUMBER.fullmatch(cell):
             raise ValueError
         value = int(cell) if self.whole else float(cell)
-        if self.percent and not signed and 0 < value <= 1:
-            raise ValueError
-        if not self.low <= value <= self.high:
+        unclear = self.percent and not signed and 0 < value <= 1
+        if unclear or not self.low <= value <= self.high:
             raise ValueError
         return value
 
@@ -69,82 +66,81 @@ class Text:
 
 
 def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[str, Any]]:
-    """Rows of a CSV file with these columns (more are ignored) and their `LINE`; `#` lines are
-    comments.
+    """Read a CSV file.
 
-    UTF-8 with or without a mark, UTF-16 with one; commas, semicolons or tabs, as the first line
-    shows; with the last two a comma may stand for the decimal point.
+    It is UTF-8, or UTF-16 with its mark. Its first line shows whether commas, semicolons or tabs
+    separate the cells; with the last two, a comma may stand for the decimal point. Lines that start
+    with # are comments.
+
+    Args:
+        path: of the file.
+        columns: name -> what its cells hold; other columns are ignored.
+
+    Returns:
+        Rows with these columns and their `LINE`.
+
+    Raises:
+        StudyError: in one line, with the file, the line, the column and what is allowed.
     """
     text = _text(path)
+    # comments become empty lines, so that the reader counts the lines of the file
     lines = [
-        (n, line)
-        for n, line in enumerate(re.split(r"\r\n|\r|\n", text), start=1)
-        if not line.startswith(("#", "sep="))
+        "" if line.startswith(("#", "sep=")) else f"{line}\n"
+        for line in re.split(r"\r\n|\r|\n", text)
     ]
-    lines = [(n, line) for n, line in lines if line.strip()]
-    if not lines:
-        raise StudyError(f"{path}: no rows; needed are the columns {', '.join(columns)}")
-    head = lines[0][1]
+    head = next((line for line in lines if line.strip()), "")
     delimiter = max(",;\t", key=head.count)
-    at = {"line": 0}  # of the row that is read; 0 before its first line
-
-    def told() -> Iterator[str]:
-        for number, line in lines:
-            at["line"] = at["line"] or number
-            yield f"{line}\n"
-
-    before = csv.field_size_limit(
-        len(text) + 1
-    )  # a long cell is refused by its line and column, below
+    reader = csv.reader(lines, delimiter=delimiter)
+    before = csv.field_size_limit(len(text) + 1)  # a long cell is refused below, with its line
+    records, line = [], 1
     try:
-        reader = csv.reader(told(), delimiter=delimiter)
-        names = [name.strip() for name in next(reader)]
-        at["line"] = 0
-        if missing := [c for c in columns if c not in names]:
-            raise StudyError(f"{path}: no column {missing[0]!r}; needed are {', '.join(columns)}")
-        if twice := [c for c in columns if names.count(c) > 1]:
-            raise StudyError(f"{path}: column {twice[0]!r} is there twice; once is enough")
-        return _rows(path, reader, names, columns, at, delimiter)
+        for cells in reader:
+            if any(cell.strip() for cell in cells) or len(cells) > 1:
+                records.append((line, cells))
+            line = reader.line_num + 1
     except csv.Error as error:
-        raise StudyError(f"{path}: line {at['line']}: no CSV ({printable(error)})") from None
+        raise StudyError(f"{path}: line {line}: no CSV ({printable(error)})") from None
     finally:
         csv.field_size_limit(before)
-
-
-def _rows(
-    path: Path,
-    reader: Iterator[list[str]],
-    names: list[str],
-    columns: Mapping[str, Number | Text],
-    at: dict[str, int],
-    delimiter: str,
-) -> list[dict[str, Any]]:
-    rows = []
-    for cells in reader:
-        number, at["line"] = at["line"], 0
-        if len(cells) > len(names):
-            raise StudyError(
-                f"{path}: line {number}: {len(cells)} cells under {len(names)} columns"
-            )
-        row: dict[str, Any] = {LINE: number}
-        for name, kind in columns.items():
-            place = names.index(name)
-            cell = cells[place].strip() if place < len(cells) else ""
-            try:
-                if len(cell) > MAX_CELL:
-                    raise ValueError
-                if isinstance(kind, Number) and not kind.whole and delimiter != ",":
-                    cell = cell.replace(",", ".")
-                row[name] = kind.read(cell)
-            except ValueError:
-                shown = printable(cell[:40]) + ("..." if len(cell) > 40 else "") or "(empty)"
-                raise StudyError(
-                    f"{path}: line {number}, column {place + 1}: {name} {shown}; allowed are {kind.allowed}"
-                ) from None
-        rows.append(row)
-    if not rows:
+    if not records:
+        raise StudyError(f"{path}: no rows; needed are the columns {', '.join(columns)}")
+    names = [name.strip() for name in records[0][1]]
+    for c in columns:
+        if c not in names:
+            raise StudyError(f"{path}: no column {c!r}; needed are {', '.join(columns)}")
+        if names.count(c) > 1:
+            raise StudyError(f"{path}: column {c!r} is there twice; once is enough")
+    if not records[1:]:
         raise StudyError(f"{path}: no rows under the column names")
-    return rows
+    return [_row(path, line, cells, names, columns, delimiter) for line, cells in records[1:]]
+
+
+def _row(
+    path: Path,
+    line: int,
+    cells: Sequence[str],
+    names: Sequence[str],
+    columns: Mapping[str, Number | Text],
+    delimiter: str,
+) -> dict[str, Any]:
+    if len(cells) > len(names):
+        raise StudyError(f"{path}: line {line}: {len(cells)} cells under {len(names)} columns")
+    row: dict[str, Any] = {LINE: line}
+    for name, kind in columns.items():
+        place = names.index(name)
+        cell = cells[place].strip() if place < len(cells) else ""
+        try:
+            if len(cell) > MAX_CELL:
+                raise ValueError
+            if isinstance(kind, Number) and not kind.whole and delimiter != ",":
+                cell = cell.replace(",", ".")
+            row[name] = kind.read(cell)
+        except ValueError:
+            shown = printable(cell[:40]) + ("..." if len(cell) > 40 else "") or "(empty)"
+            raise StudyError(
+                f"{path}: line {line}, column {place + 1}: {name} {shown}; allowed are {kind.allowed}"
+            ) from None
+    return row
 
 
 def _text(path: Path) -> str:
@@ -152,9 +148,9 @@ def _text(path: Path) -> str:
         data = read_file(path, MAX_BYTES)
     except FileError as error:
         raise StudyError(str(error)) from None
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
+    marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     try:
-        text = data.decode(encoding)
+        text = data.decode("utf-16" if marked else "utf-8-sig")
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise StudyError(

@@ -1,10 +1,9 @@
 """Rates, intervals and means from per-trial verdicts, against scipy and against counting by hand."""
 
 import math
-import pickle
-from itertools import product
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from made_runs import make_trials, paper_run, table_1, write_run
 from scipy import stats
@@ -12,62 +11,29 @@ from scipy import stats
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.statistics import aggregate, breakdown
 from r2h_batch.statistics.aggregate import Rate
-from r2h_batch.statistics.tally import BLOCK, Sum, Tally, Verdicts, tally
-from r2h_batch.types import CRITERIA, Outcome
+from r2h_batch.statistics.tally import Tally, tally
+from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
 
 
-def tally_of(
-    outcome, split=None, objects=None, method="m", splits=("S0", "S1"), t_plan_s=None, by_object=False
-) -> Tally:
-    outcome = np.asarray(outcome, np.int8)
+def table_of(outcome, split=None, objects=None, t_plan_s=None):
+    """Stored rows with these outcomes, as far as they are counted."""
     n = len(outcome)
-    counted = Tally(method, splits, "abcdefgh", by_object)
-    counted.add(
-        Verdicts(
-            split=np.zeros(n, np.int8) if split is None else np.asarray(split, np.int8),
-            object=np.arange(n) % 4 if objects is None else np.asarray(objects),
-            outcome=outcome,
-            pattern=np.zeros(n, np.uint8),
-            t_plan_s=np.full(n, np.nan) if t_plan_s is None else np.asarray(t_plan_s, np.float32),
-            t_exec_s=np.full(n, np.nan),
-            t_method_s=np.full(n, np.nan),
-            trial_id=np.arange(n),
-        )
-    )
-    return counted
+    split = np.zeros(n, int) if split is None else np.asarray(split, int)
+    objects = np.arange(n) % 4 if objects is None else objects
+    words = {
+        "object": ["abcdefgh"[i] for i in objects],
+        "split": [SPLITS[i] for i in split],
+        "outcome": [(*OUTCOME_NAMES, "odd")[i] for i in outcome],
+    }
+    columns = {name: pa.array(column, pa.string()).dictionary_encode() for name, column in words.items()}
+    columns |= {f"passed_{c}": pa.nulls(n, pa.bool_()) for c in CRITERIA}
+    columns |= dict.fromkeys(("t_exec_s", "t_method_s", "body_m"), pa.nulls(n, pa.float32()))
+    columns["t_plan_s"] = pa.nulls(n, pa.float32()) if t_plan_s is None else pa.array(t_plan_s, pa.float32())
+    return pa.table({**columns, "presented": pa.nulls(n, pa.bool_())})
 
 
-def test_the_first_failure_is_the_first_false_in_criterion_order_for_every_pattern_of_passes():
-    patterns = list(product([False, True], repeat=5))
-    passed = np.array(patterns)
-    found = aggregate.first_failure(passed, np.ones_like(passed))
-    for pattern, code in zip(patterns, found):
-        failed = [c for c, ok in zip(CRITERIA, pattern) if not ok]
-        assert Outcome(code).name.lower() == (failed[0] if failed else "success")
-
-
-def test_a_criterion_that_was_not_evaluated_is_skipped_and_affordance_may_be_skipped_by_a_success():
-    passed = np.array([[0, 1, 0, 1, 1], [1, 1, 1, 0, 1], [1, 0, 0, 0, 0]], bool)
-    evaluated = np.array([[0, 1, 1, 1, 1], [1, 1, 1, 0, 1], [1, 1, 1, 1, 0]], bool)
-    assert aggregate.first_failure(passed, evaluated).tolist() == [Outcome.REACH, Outcome.SUCCESS, Outcome.PLAN]
-
-
-@pytest.mark.parametrize("column", [0, 1, 2, 4])
-def test_a_row_that_fails_nothing_but_was_not_fully_evaluated_is_an_error_and_never_a_success(column):
-    evaluated = np.ones((3, 5), bool)
-    evaluated[1, column] = False
-    with pytest.raises(ValueError, match="rows 1"):
-        aggregate.first_failure(np.ones((3, 5), bool), evaluated)
-
-
-@pytest.mark.parametrize("n", [0, 1, 2, 33])
-def test_first_failure_takes_any_number_of_rows(n):
-    assert aggregate.first_failure(np.ones((n, 5), bool), np.ones((n, 5), bool)).shape == (n,)
-
-
-def test_first_failure_refuses_other_shapes():
-    with pytest.raises(ValueError, match=r"\(4,\)"):
-        aggregate.first_failure(np.ones(4, bool), np.ones(4, bool))
+def tally_of(outcome, split=None, objects=None, method="m", splits=SPLITS, t_plan_s=None) -> Tally:
+    return Tally.of(method, splits, [table_of(outcome, split, objects, t_plan_s)])
 
 
 def test_wilson_agrees_with_scipy_on_a_grid():
@@ -167,7 +133,7 @@ def test_an_affordance_failure_in_s0_is_refused():
 
 
 def test_times_are_means_over_the_trials_in_which_the_stage_ran():
-    row = aggregate.group_row(tally_of([0, 0, 2, 2], t_plan_s=[1.0, 2.0, np.nan, 6.0]), "S0")
+    row = aggregate.group_row(tally_of([0, 0, 2, 2], t_plan_s=[1.0, 2.0, None, 6.0]), "S0")
     assert (row.times["t_plan_s"].value, row.times["t_plan_s"].count) == (3.0, 3)
     assert (row.times["t_exec_s"].value, row.times["t_exec_s"].count) == (None, 0)
     assert row.times["t_tot_s"].value is None
@@ -234,25 +200,21 @@ def test_rows_that_are_not_as_many_as_planned_are_refused(tmp_path):
 
 
 def test_object_rows_are_the_same_function_of_fewer_trials():
-    trials = make_trials(6, 0)
-    counted = tally_of([0, 2, 0, 0, 2, 2], objects=trials.object_index.numpy(), by_object=True)
-    rates = [aggregate.group_row(counted, "S0", k).rates["sr"].percent for k in range(3)]
+    counted = tally_of([0, 2, 0, 0, 2, 2], objects=make_trials(6, 0).object_index.numpy())
+    rates = [aggregate.group_row(counted, "S0", name).rates["sr"].percent for name in "abc"]
     assert rates == [100, 0, 50]
 
 
-def test_a_mean_has_the_bits_of_numpys_over_all_values_whatever_the_pieces():
+def test_a_mean_is_exact_whatever_the_shards():
     random = np.random.default_rng(6)
-    for n in (1, 7, BLOCK - 1, BLOCK, BLOCK + 1, 5 * BLOCK + 77):
-        values = random.gamma(20, 0.42, n).astype(np.float32)
-        values[random.random(n) < 0.1] = np.nan
-        values[0] = 0.1
-        expected = np.mean(values[~np.isnan(values)], dtype=np.float64)
-        for _ in range(4):
-            summed, ends = Sum(), np.sort(random.integers(0, n + 1, 6))
-            for piece in np.split(values, ends):
-                summed.add(piece)
-            assert summed.mean == expected and summed.count == (~np.isnan(values)).sum()
-    assert Sum().mean is None
+    values = random.uniform(0.5, 30, 20_000).astype(np.float32)
+    values[random.random(20_000) < 0.1] = np.nan
+    expected = math.fsum(values[~np.isnan(values)].tolist()) / (~np.isnan(values)).sum()
+    for ends in ([], [7, 8192, 19_999], np.sort(random.integers(0, 20_000, 99))):
+        seconds = [[None if math.isnan(v) else v for v in piece.tolist()] for piece in np.split(values, ends)]
+        tables = [table_of(np.zeros(len(s), int), t_plan_s=s) for s in seconds]
+        row = aggregate.group_row(Tally.of("m", SPLITS, tables), "S0")
+        assert row.times["t_plan_s"].value == expected
 
 
 def test_the_table_is_the_same_for_any_shards(tmp_path):
@@ -260,21 +222,22 @@ def test_the_table_is_the_same_for_any_shards(tmp_path):
     rows = []
     for size in (240, 7, 33):
         run = write_run(tmp_path / str(size), {"m": outcomes}, 120, 120, shard_trials=size)
-        counted = tally(run, "m", by_object=True)
+        counted = tally(run, "m")
         rows.append((aggregate.summarise([counted]), breakdown.by_object(counted)))
     assert rows[0] == rows[1] == rows[2]
 
 
 def test_what_is_kept_does_not_grow_with_the_trials():
-    """200 shards, with every object, outcome and time in each: kinds and waiting seconds stay as they were after five."""
-    random, counted, sizes = np.random.default_rng(2), Tally("m", by_object=True), []
-    for _ in range(200):
-        outcome = random.integers(0, 4, 2000)
-        seconds = [random.random(2000, np.float32) for _ in range(3)]
-        code = np.arange(2000) % 3
-        counted.add(Verdicts(code % 2, code, outcome, outcome, *seconds, code))
-        sizes.append(len(pickle.dumps(counted)))
-    assert (
-        max(sizes) < sizes[4] + 8 * 3 * 4 * BLOCK
-    )  # eight sums of each time, at most a block of float32 waits in each
-    assert counted.count.sum() == 400_000
+    """300 shards with every object and outcome in each: their counts are merged before they become many."""
+    allocated = []
+
+    def shards():
+        random = np.random.default_rng(2)
+        for _ in range(300):
+            code = np.arange(2000) % 3
+            yield table_of(random.integers(0, 4, 2000), code % 2, code)
+            allocated.append(pa.total_allocated_bytes())
+
+    counted = Tally.of("m", SPLITS, shards())
+    assert counted.n.sum() == 600_000 and len(counted.n) == 3 * 4
+    assert max(allocated[150:]) < 1.2 * max(allocated[:150])

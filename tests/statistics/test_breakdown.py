@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from made_runs import OBJECTS, write_run
 
-from r2h_batch.runs.columns import PATTERNS, pattern_outcomes
+from r2h_batch.runs.columns import FAILED, PASSED, PATTERNS, pattern_outcomes
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.statistics import breakdown
-from r2h_batch.statistics.aggregate import first_failure, group_row
+from r2h_batch.statistics.aggregate import group_row
 from r2h_batch.statistics.tally import tally
 from r2h_batch.types import CRITERIA, Outcome
 
@@ -21,20 +21,17 @@ OUTCOMES = np.random.default_rng(3).choice([0, 0, 0, 1, 2, 3, 5, 6, 8], 120)
 def made(tmp_path_factory):
     run = write_run(tmp_path_factory.mktemp("b") / "run", {"m": OUTCOMES}, 60, 60, shard_trials=17)
     table = run.trials("m").to_pylist()
-    return tally(run, "m", by_object=True), table
+    return tally(run, "m"), table
 
 
-def test_the_outcome_of_every_pattern_is_its_first_failure():
-    evaluated, passed = PATTERNS > 0, PATTERNS == 2
-    for split, needed in enumerate(([1, 1, 1, 0, 1], [1, 1, 1, 1, 1])):
-        found = pattern_outcomes()[split]
-        told = found >= 0
-        assert told.any() and (~told).any()
-        expected = first_failure(passed[told], evaluated[told], np.array(needed, bool))
-        assert np.array_equal(found[told], expected)
-        for row in np.flatnonzero(~told):
-            with pytest.raises(ValueError, match="not evaluated"):
-                first_failure(passed[[row]], evaluated[[row]], np.array(needed, bool))
+def test_the_outcome_of_every_pattern_is_its_first_failure_and_never_a_success_that_was_not_fully_judged():
+    for split, needed in enumerate(([0, 1, 2, 4], [0, 1, 2, 3, 4])):
+        for pattern, code in zip(PATTERNS, pattern_outcomes()[split]):
+            failed = [c for c, state in zip(CRITERIA, pattern) if state == FAILED]
+            if failed:
+                assert Outcome(code).name.lower() == failed[0]
+            else:  # -1: a required criterion was not evaluated
+                assert code == (Outcome.SUCCESS if all(pattern[i] == PASSED for i in needed) else -1)
 
 
 def test_co_failures_are_counted_where_both_were_evaluated(made):
@@ -53,10 +50,9 @@ def test_any_order_gives_the_first_failure_in_that_order_and_the_same_success_ra
     counted, table = made
 
     def outcomes(tally_):
-        code, split, outcome, _ = tally_.columns
         found = Counter()
-        for *kind, n in zip(split, code, outcome, tally_.count):
-            found[tuple(map(int, kind))] += int(n)
+        for split, code, outcome, n in zip(tally_.split, tally_.object, tally_.outcome, tally_.n):
+            found[int(split), int(code), int(outcome)] += int(n)
         return found
 
     for order in permutations(CRITERIA):

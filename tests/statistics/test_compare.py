@@ -2,10 +2,11 @@
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
 from made_runs import write_run
 from scipy import stats
@@ -14,9 +15,8 @@ from statsmodels.stats.multitest import multipletests
 
 from r2h_batch.compare import command as compare
 from r2h_batch.compare.text import render
-from r2h_batch.runs.store import load_run
+from r2h_batch.runs.store import Run, load_run
 from r2h_batch.statistics import paired as pairing
-from r2h_batch.statistics import tally
 from r2h_batch.statistics.paired import Paired
 
 
@@ -24,10 +24,7 @@ def paired(success, objects, split=None):
     success = np.asarray(success, bool)
     n = success.shape[1]
     split = np.zeros(n, int) if split is None else np.asarray(split)
-    counted = Paired([f"m{i}" for i in range(len(success))])
-    for piece in np.array_split(np.arange(n), 3):
-        counted.add(success[:, piece], split[piece], np.asarray(objects)[piece])
-    return counted
+    return Paired.of([f"m{i}" for i in range(len(success))], split, np.asarray(objects), success)
 
 
 @pytest.mark.parametrize("counts", [(0, 0), (1, 0), (5, 5), (3, 17), (40, 60), (0, 9), (200, 260)])
@@ -192,17 +189,17 @@ def test_folders_with_other_shards_are_paired_row_by_row(tmp_path, capsys):
 @pytest.mark.parametrize("change", ["ids", "objects"])
 def test_methods_that_answered_other_trials_are_refused(tmp_path, capsys, monkeypatch, change):
     run = write_run(tmp_path / "a", {m: np.zeros(40, int) for m in "mn"}, 20, 20, shard_trials=7)
-    rows = tally.verdicts
+    shards = Run.shards
 
-    def another(stored, method, names):
-        for piece in rows(stored, method, names):
+    def another(self, kind, method, columns=None):
+        for table in shards(self, kind, method, columns):
             if method == "n" and change == "ids":
-                piece = replace(piece, trial_id=piece.trial_id[::-1])
+                table = table.set_column(0, "trial_id", pc.add(table["trial_id"], 1))
             if method == "n" and change == "objects":
-                names.reverse()
-            yield piece
+                table = table.set_column(2, "object", pa.array(["spoon"] * len(table)).dictionary_encode())
+            yield table
 
-    monkeypatch.setattr(pairing, "verdicts", another)
+    monkeypatch.setattr(Run, "shards", another)
     with pytest.raises(
         ValueError, match="other trial ids than 'm'" if change == "ids" else "n and m have other objects"
     ):
