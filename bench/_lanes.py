@@ -20,7 +20,7 @@ from _waves import counting
 
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge import metrics, plan
+from r2h_batch.judge import distance, plan
 from r2h_batch.judge.wave.waves import waves_on_cpu
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods import random
@@ -86,7 +86,7 @@ def report_lanes(report: Report, trials: int) -> None:
         waves_on_cpu(),
         counting() as waved,
         mock.patch.object(plan, "launch_trials", lanes.launch),
-        mock.patch.object(metrics, "launch_trials", lanes.launch),
+        mock.patch.object(distance, "launch_trials", lanes.launch),
     ):
         evaluator.score(*asked)
     kept = {k: v for k, v in lanes.costs.items() if k not in RARE}

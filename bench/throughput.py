@@ -45,7 +45,7 @@ STAGES: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
     ("execute", verdict, ("executed_time_at", "time_at")),
     ("reach", evaluate.metrics, ("reach",)),
     ("affordance", evaluate.metrics, ("affordance",)),
-    ("safe", evaluate.metrics, ("safe",)),
+    ("safe", evaluate, ("hand_distance",)),
 )
 """Name of a stage, where its functions are looked up when called, and their names."""
 

@@ -19,7 +19,15 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
-from r2h_batch.judge.goal import judge_goals, safe_at, unless_proven
+from r2h_batch.judge.distance import (
+    Touch,
+    hand_distance,
+    hand_distance_at,
+    nearer_of,
+    person_distance,
+)
+from r2h_batch.judge.goal import judge_goals, unless_proven
+from r2h_batch.judge.grasp_physics import shake
 from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
     Stages,
@@ -29,8 +37,6 @@ from r2h_batch.judge.inputs import (
     checked_inputs,
     warn_of_no_gradient,
 )
-from r2h_batch.judge.metrics import Criterion
-from r2h_batch.judge.person import person_distance, with_body
 from r2h_batch.judge.plan import plan_paths
 from r2h_batch.judge.presented import presented
 from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
@@ -279,7 +285,7 @@ class Evaluator:
         """Every stage: hold, IK, plan, move, judge."""
         scene, config, threads = self.scene, self.config, self.threads
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
-        active, body_poses = held.active, held.body_poses
+        active = held.active
 
         plan_start = time.perf_counter()
         ik, branches = self._branches(config, held)
@@ -306,7 +312,7 @@ class Evaluator:
         )
         executed = execute(
             scene,
-            body_poses,
+            held.body_poses,
             planned.path,
             planned.length,
             motion,
@@ -315,17 +321,15 @@ class Evaluator:
             threads=threads,
         )
 
-        safe, touch = metrics.safe(
-            scene, body_poses, executed, active, config.thresholds, threads=threads
-        )
-        body_m, part = self._body(scene, held, trials, executed.path, executed.length)
+        touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
+        body_m, part = self._body(held, trials, executed.path, executed.length)
         body_m = body_m - executed.slack_m
-        if config.receiver == "body":
-            safe, touch = with_body(safe, touch, body_m, part, config.thresholds)
-        (steady, reach, affordance), slip = self._without_posture(scene, config, held)
-        criteria = [steady, metrics.plan(planned, executed, active), reach, affordance, safe]
-        shown = presented(scene, held, config.thresholds, threads=threads)
-        shared = verdict(criteria, held, slip, shown, executed.valid)
+        found = (planned.length > 0) & executed.settled
+        clearance_m = torch.where(found, planned.clearance_m, -torch.inf)
+        moves = active & (executed.length > 0)
+        shared, touch = self._judge(
+            held, found, moves, clearance_m, touch, (body_m, part), executed.valid
+        )
         return motion_scores(
             trials.trial_id, shared, active, planned, motion, executed, touch, config.execute,
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
@@ -335,36 +339,55 @@ class Evaluator:
         """As `_score_motion`, as far as it goes without a path."""
         scene, config, threads = self.scene, self.config, self.threads
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, config, threads=threads)
-        active, body_poses = held.active, held.body_poses
+        active = held.active
         ik, branches = self._branches(config, held)
         goal = judge_goals(
             scene, held.planned, held.T_world_ee, ik, branches, active, threads=threads
         )
-        safe, touch = safe_at(scene, body_poses, goal.q, active, config.thresholds, threads=threads)
-        path, length = goal.q[:, None], active.to(torch.int32)
-        body_m, part = self._body(scene, held, trials, path, length)
-        if config.receiver == "body":
-            safe, touch = with_body(safe, touch, body_m, part, config.thresholds)
-        (steady, reach, affordance), slip = self._without_posture(scene, config, held)
-        # above 0 exactly where the goal is free
-        plan = Criterion.of(goal.clearance_m, active, touching_passes=False)
-        shown = presented(scene, held, config.thresholds, threads=threads)
-        criteria = [steady, plan, reach, affordance, safe]
-        shared = verdict(criteria, held, slip, shown)
+        touch = hand_distance_at(scene, held.body_poses, goal.q, active, threads=threads)
+        body_m, part = self._body(held, trials, goal.q[:, None], active.to(torch.int32))
+        shared, touch = self._judge(
+            held, goal.free, active, goal.clearance_m, touch, (body_m, part), None
+        )
         scores = pose_scores(trials.trial_id, shared, goal, touch, body_m=body_m)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
             poses = T_obj_ee, T_world_ee
             return differentiable(scene, config, threads, scores, poses, held, goal)
         return scores
 
+    def _judge(
+        self,
+        held: AttachedBatch,
+        free: Tensor,
+        moves: Tensor,
+        clearance_m: Tensor,
+        touch: Touch,
+        body: tuple[Tensor, Tensor],
+        valid: Tensor | None,
+    ) -> tuple[dict[str, Tensor], Touch]:
+        """The fields of `Scores` that need no path, and where the robot is nearest to the
+        receiver; arguments as in `Evidence` and `verdict`."""
+        scene, config, threads = self.scene, self.config, self.threads
+        if config.receiver == "body":
+            touch = nearer_of(touch, *body)
+        slip_m = None
+        if config.stability == "physics":
+            rows = held.active & (held.grasp.margin_m >= 0)
+            slip_m = shake(scene.objects, held.objects, held.attached, rows, threads=threads)
+        evidence = metrics.Evidence(
+            scene, config, held, free, moves, clearance_m, touch.distance_m, slip_m, threads
+        )
+        region = presented(scene, held, config.thresholds, threads=threads)
+        return verdict(metrics.judge(evidence), held, slip_m, region, valid), touch
+
     def _body(
-        self, scene: Scene, held: AttachedBatch, trials: Trials, path: Tensor, length: Tensor
+        self, held: AttachedBatch, trials: Trials, path: Tensor, length: Tensor
     ) -> tuple[Tensor, Tensor]:
         """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where
         there is none."""
         if trials.receiver is not None:
             return person_distance(
-                scene, held.body_poses, trials.receiver, path, length, threads=self.threads
+                self.scene, held.body_poses, trials.receiver, path, length, threads=self.threads
             )
         return torch.full_like(path[:, 0, 0], torch.nan), torch.full_like(length, -1)
 
@@ -376,21 +399,3 @@ class Evaluator:
         if config.plan.goals == "set":
             return ik, ik.valid
         return ik, one_branch(ik, held.T_world_ee, home=home, threads=self.threads)
-
-    def _without_posture(
-        self, scene: Scene, config: EvalConfig, held: AttachedBatch
-    ) -> tuple[tuple[Criterion, Criterion, Criterion], Tensor]:
-        """Stability, Reach, Affordance: they need no joint angles; and how far the object slipped
-        (NaN: not shaken)."""
-        limits, threads, active = config.thresholds, self.threads, held.active
-        objects, grasp = held.objects, held.grasp
-        steady, slip = metrics.stability(grasp, active), torch.full_like(grasp.width_m, torch.nan)
-        if config.stability == "physics":
-            steady, slip = metrics.stability_in_physics(
-                scene, grasp, held.attached, objects, active, threads=threads
-            )
-        reach = metrics.reach(scene, held.ball, objects, active, limits, threads=threads)
-        affordance = metrics.affordance(
-            scene, held.attached, objects, held.squeezed_m, active, threads=threads
-        )
-        return (steady, reach, affordance), slip

@@ -39,11 +39,11 @@ def success(scores: Scores) -> Float32[Tensor, " b"]:
 
 
 @check_tensor_arguments(scores=_scores, limit_m=_limit)
-def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, "b 5"]:
+def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float32[Tensor, "b c"]:
     """Margins in m, clipped to +-`limit_m`, never NaN: columns as CRITERIA.
 
     A criterion that was not evaluated cannot be what fails: it counts as `limit_m` (Affordance in
-    S0), except in rows that were not judged at all, where all five count as `-limit_m`.
+    S0), except in rows that were not judged at all, where all count as `-limit_m`.
     """
     margin = torch.where(scores.evaluated, scores.margin.nan_to_num(nan=0.0), limit_m).clamp(
         -limit_m, limit_m

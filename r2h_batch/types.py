@@ -218,7 +218,7 @@ class Predictions(_Rows):
 
 @dataclass(frozen=True)
 class Scores(_Rows):
-    """Verdicts of B trials. (B, 5) columns follow `CRITERIA`; what was not evaluated is a mask, its
+    """Verdicts of B trials. (B, C) columns follow `CRITERIA`; what was not evaluated is a mask, its
     margin NaN.
 
     `margin` is in metres, positive when the criterion passes. `witness_part` names the robot part
@@ -240,9 +240,9 @@ class Scores(_Rows):
     trial_id: Int64[Tensor, " b"]
     outcome: Int8[Tensor, " b"]
     success: Bool[Tensor, " b"]
-    passed: Bool[Tensor, "b 5"]
-    evaluated: Bool[Tensor, "b 5"]
-    margin: Float32[Tensor, "b 5"]
+    passed: Bool[Tensor, "b c"]
+    evaluated: Bool[Tensor, "b c"]
+    margin: Float32[Tensor, "b c"]
     borderline: Bool[Tensor, " b"]
     plan_reason: Int8[Tensor, " b"]
     plan_pair: Int8[Tensor, " b"]

@@ -17,9 +17,8 @@ import torch
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.config import Thresholds
-from r2h_batch.judge.grasp import close_gripper
-from r2h_batch.judge.metrics import affordance, squeezed, stability
+from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
+from r2h_batch.judge.grasp import close_gripper, region_distance, squeezed
 from r2h_batch.methods.candidates import STORED
 from r2h_batch.methods.grasps.candidate_set import Candidates
 from r2h_batch.methods.grasps.diverse import REGION_CLEARANCE_M
@@ -63,11 +62,10 @@ def _judged(model: ObjectModel, found: Candidates) -> dict[str, object]:
     scene, limits = Scene(objects=[model]), Thresholds()
     T, index = torch.from_numpy(found.T_obj_ee), torch.zeros(len(found), dtype=torch.int32)
     held = close_gripper(scene.grasp_tables, T, index, w_max=limits.w_max_m, w_min=limits.w_min_m)
-    active = torch.ones(len(found), dtype=torch.bool)
-    kind = affordance(scene, T, index, squeezed(held, limits), active)
+    region_m, _ = region_distance(scene.grasp_tables, T, index, squeezed(held, limits), cap_m=CLEARANCE_CAP_M)
     return {
-        "pass_stability": int(stability(held, active).passed.sum()),
-        "pass_affordance": None if model.split == "S0" else int(kind.passed.sum()),
+        "pass_stability": int((held.margin_m >= 0).sum()),
+        "pass_affordance": None if model.split == "S0" else int((region_m > 0).sum()),
     }
 
 

@@ -8,9 +8,8 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
+from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.judge.ik import IkResult, default_ur, home_posture
-from r2h_batch.judge.metrics import Criterion, Touch
 from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
@@ -178,43 +177,3 @@ def _measure(
         chunk=GOAL_CHUNK,
         **on,
     )
-
-
-def safe_at(
-    scene: Scene,
-    body_poses: BodyPoses,
-    q: Float32[Tensor, "b 6"],
-    active: Bool[Tensor, " b"],
-    thresholds: Thresholds,
-    *,
-    threads: int | None = None,
-) -> tuple[Criterion, Touch]:
-    """Safe of the posture `q` alone, and where the robot is nearest to the hand (body -1: farther
-    than 5 cm).
-
-    Margin: distance of the hand's exact mesh to the robot's primitives, exact below 5 cm, an
-    overlap bound below 0.
-    """
-    b, device = len(active), active.device
-    active = active.contiguous()
-    distance = torch.empty(b, dtype=torch.float32, device=device)
-    body = torch.empty(b, dtype=torch.int32, device=device)
-    point = torch.empty((b, 3), dtype=torch.float32, device=device)
-    launch_trials(
-        goal_kernels.goal_safe_distance,
-        b,
-        inputs={
-            "cap": CLEARANCE_CAP_M,
-            "world": scene.world,
-            "mesh": scene.hand_mesh,
-            "bodies": body_poses.bodies,
-            "active": active,
-            "q": q,
-        },
-        outputs={"distance": distance, "body": body, "point": point},
-        device=scene.device,
-        threads=threads,
-        chunk=GOAL_CHUNK,
-    )
-    criterion = Criterion.of(distance - thresholds.safe_margin_m, active, touching_passes=False)
-    return criterion, Touch(body, torch.zeros_like(body), torch.zeros_like(distance), point)

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M
+from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M, Thresholds
 from r2h_batch.kernels.grasp import region as region_kernels
 from r2h_batch.kernels.grasp import width as width_kernels
 from r2h_batch.kernels.robot import gripper as gripper_kernels
@@ -26,6 +26,7 @@ __all__ = [
     "open_clearance",
     "open_is_clear",
     "region_distance",
+    "squeezed",
 ]
 
 CUT_CAP_M = 0.01
@@ -314,3 +315,12 @@ def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known:
                 f"object_index lies in [{low}, {high}]; allowed is {allowed}: the tables' objects"
             )
     return n
+
+
+def squeezed(grasp: Grasp, thresholds: Thresholds) -> Float32[Tensor, " b"]:
+    """The opening (m) of fingers that hold: `pad_squeeze_m` tighter than the material between
+    them."""
+    held = grasp.width_m <= thresholds.w_max_m
+    return torch.where(held, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m).clamp(
+        min=0.0
+    )

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+import torch
+from jaxtyping import Bool, Float, Float32, Float64, Int, Int32
 from numpy.typing import NDArray
+from torch import Tensor
 
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Robot, drive_from_gap, load_robot
@@ -80,6 +82,30 @@ def close_in_physics(
         rows = list(thread_pool(cpu_threads(threads)).map(one, range(len(object_index))))
     opening, moved, slip = np.array(rows, np.float64).reshape(-1, 3).T
     return Closed(opening, moved, slip, np.isfinite(slip) & (slip < DROPPED_M))
+
+
+def shake(
+    objects: Sequence[ObjectModel],
+    object_index: Int32[Tensor, " b"],
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    rows: Bool[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> Float64[Tensor, " b"]:
+    """How far each object slips in the shake (m), simulated on the CPU; NaN outside `rows`.
+
+    A grasp takes seconds, so ask only for those that may pass. `T_obj_ee`: after closing.
+    """
+    slip = torch.full(rows.shape, torch.nan, dtype=torch.float64, device=rows.device)
+    closed = close_in_physics(
+        objects,
+        object_index[rows].cpu().numpy(),
+        T_obj_ee[rows].double().cpu().numpy(),
+        shake=True,
+        threads=threads,
+    )
+    slip[rows] = torch.from_numpy(closed.slip_m).to(slip)
+    return slip
 
 
 def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.MjSpec:

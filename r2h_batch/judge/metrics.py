@@ -1,29 +1,29 @@
-"""The five criteria of the paper (Sec. Evaluation Metrics): one function per equation, each a
-signed margin in metres."""
+"""The criteria of the paper (Sec. Evaluation Metrics): one function per equation, each a signed
+margin in metres.
+
+A criterion is a function of this file and the entry of the same name in `verdicts.REGISTRY`.
+`judge` calls the functions in the order of the registry. Stored columns, rates, tables and charts
+derive from the registry.
+"""
 
 from dataclasses import dataclass
-from typing import Any
 
-import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Int32
+from jaxtyping import Bool, Float32, Float64
 from torch import Tensor
 
-from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, Thresholds
-from r2h_batch.judge.grasp import Grasp, region_distance
-from r2h_batch.judge.grasp_physics import DROPPED_M, close_in_physics
-from r2h_batch.judge.plan import Plan
-from r2h_batch.judge.wave.safe import SafeWaves
-from r2h_batch.judge.wave.waves import in_waves
+from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, EvalConfig
+from r2h_batch.judge.attach import AttachedBatch
+from r2h_batch.judge.grasp import region_distance
+from r2h_batch.judge.grasp_physics import DROPPED_M
 from r2h_batch.kernels.judge import reach as reach_kernels
-from r2h_batch.kernels.judge import safe as safe_kernels
-from r2h_batch.kernels.judge.overlap import hand_overlap
 from r2h_batch.launch import launch_trials
-from r2h_batch.motion.execute import Executed
-from r2h_batch.scene.scene import BodyPoses, Scene
+from r2h_batch.scene.scene import Scene
+from r2h_batch.verdicts import REGISTRY
 
-SAFE_TOLERANCE_M = 2e-5
-"""How exactly the smallest distance over time is located."""
+__all__ = ["Criterion", "Evidence", "affordance", "judge", "plan", "reach", "safe", "stability"]
+
+_TOUCHING_PASSES = {entry.name: entry.touching_passes for entry in REGISTRY}
 
 
 @dataclass(frozen=True)
@@ -36,212 +36,116 @@ class Criterion:
     evaluated: Bool[Tensor, " b"]
 
     @staticmethod
-    def of(
-        margin: Float32[Tensor, " b"], evaluated: Bool[Tensor, " b"], *, touching_passes: bool
-    ) -> "Criterion":
-        """The criterion that passes at a margin above 0, and at 0 where `touching_passes`.
+    def of(name: str, margin: Float32[Tensor, " b"], evaluated: Bool[Tensor, " b"]) -> "Criterion":
+        """The criterion `name`, which passes at a margin above 0.
 
-        An evaluated row whose margin is NaN fails: NaN is neither above 0 nor equal to it.
+        At 0 it passes where the registry says that touching passes. An evaluated row whose margin
+        is NaN fails: NaN is neither above 0 nor equal to it.
         """
-        passed = (margin >= 0) if touching_passes else (margin > 0)
+        passed = (margin >= 0) if _TOUCHING_PASSES[name] else (margin > 0)
         return Criterion(torch.where(evaluated, margin, torch.nan), passed & evaluated, evaluated)
 
 
-def stability(grasp: Grasp, active: Bool[Tensor, " b"]) -> Criterion:
+@dataclass(frozen=True)
+class Evidence:
+    """What the stages found of B handovers: all that a criterion may use."""
+
+    scene: Scene
+    config: EvalConfig
+    held: AttachedBatch  # poses, the grasp, where bodies are
+    free: Bool[Tensor, " b"]  # the arm came to rest at the end of a path, or the posture is free
+    moves: Bool[Tensor, " b"]  # active, and with a motion; in stages="pose": active
+    clearance_m: Float32[Tensor, " b"]  # of the path, -inf without one; or of the posture
+    person_m: Float32[Tensor, " b"]  # distance of the robot from the receiver
+    slip_m: Float64[Tensor, " b"] | None  # in the shake, NaN where it failed; None: not shaken
+    threads: int | None = None
+
+
+def judge(evidence: Evidence) -> list[Criterion]:
+    """All criteria, in the order of the registry."""
+    functions = globals()
+    return [functions[entry.name](evidence) for entry in REGISTRY]
+
+
+def stability(e: Evidence) -> Criterion:
     """Stability(g) <=> w_O(g) <= w_max, and something is held that the open gripper does not cut
     into.
 
-    Margin: the smallest of w_max - w, w - w_min and the open gripper's clearance to the object,
-    which counts 1 cm at most.
+    Margin: the smallest of w_max - w, w - w_min and the clearance of the open gripper from the
+    object, which counts 1 cm at most. With `stability="physics"` also 2 cm - slip: the friction
+    grasp has to hold the object through its weight and a shake along three axes.
     """
-    return Criterion.of(grasp.margin_m, active, touching_passes=True)
+    geometric = Criterion.of("stability", e.held.grasp.margin_m, e.held.active)
+    if e.slip_m is None:
+        return geometric
+    left = torch.where(e.slip_m.isnan(), -torch.inf, DROPPED_M - e.slip_m).float()
+    margin = torch.minimum(geometric.margin, left)
+    # only grasps that pass geometrically were shaken
+    margin = torch.where(geometric.passed, margin, geometric.margin)
+    return Criterion.of("stability", margin, e.held.active)
 
 
-def stability_in_physics(
-    scene: Scene,
-    grasp: Grasp,
-    T_obj_ee: Float32[Tensor, "b 4 4"],
-    object_index: Int32[Tensor, " b"],
-    active: Bool[Tensor, " b"],
-    *,
-    threads: int | None = None,
-) -> tuple[Criterion, Float32[Tensor, " b"]]:
-    """Stability(g) as above, and the friction grasp holds the object through its weight and a shake
-    along three axes.
+def plan(e: Evidence) -> Criterion:
+    """Plan(g, h) <=> h in S_plan(g). Margin: the smallest clearance along the path.
 
-    Margin: the smaller of the above and 2 cm - slip. Second: the slip, m; NaN where nothing was
-    shaken. `T_obj_ee` after closing. The shake is simulated on the CPU.
+    -inf without a path, or where the arm did not come to rest at the end of it: such a pose was
+    never presented. A path that was found passes, also where its clearance was only sampled.
     """
-    geometric = stability(grasp, active)
-    rows = torch.nonzero(geometric.passed).flatten()
-    # Seconds a grasp: only those that geometry lets through are shaken, (k,) of B rows
-    closed = close_in_physics(
-        scene.objects,
-        object_index[rows].cpu().numpy(),
-        T_obj_ee[rows].double().cpu().numpy(),
-        shake=True,
-        threads=threads,
-    )
-    left = torch.from_numpy(np.nan_to_num(DROPPED_M - closed.slip_m, nan=-np.inf))
-    margin = geometric.margin.clone()
-    margin[rows] = torch.minimum(margin[rows], left.to(margin))
-    slip = torch.full_like(margin, torch.nan)
-    slip[rows] = torch.from_numpy(closed.slip_m).to(slip)
-    return Criterion.of(margin, active, touching_passes=True), slip
+    active = e.held.active
+    return Criterion(torch.where(active, e.clearance_m, torch.nan), e.free & active, active)
 
 
-def plan(planned: Plan, executed: Executed, active: Bool[Tensor, " b"]) -> Criterion:
-    """Plan(g, h) <=> h in S_plan(g): margin is the smallest clearance along the path.
+def reach(e: Evidence) -> Criterion:
+    """Reach(g, h) <=> V_O(g, h) meets the ball B_h. Margin: r_h - dist(c_h, solid of the object).
 
-    -inf when there is none, or when the arm did not come to rest at its end.
+    The mesh's tree stands in the object's frame: the ball is moved there, not the object.
     """
-    # A clear path that the arm did not follow to its end is no plan: the pose was never presented
-    found = (planned.length > 0) & executed.settled
-    criterion = Criterion.of(
-        torch.where(found, planned.clearance_m, -torch.inf), active, touching_passes=False
-    )
-    return Criterion(criterion.margin, found & active, active)
-
-
-def reach(
-    scene: Scene,
-    ball_center: Float32[Tensor, "b 3"],
-    object_index: Int32[Tensor, " b"],
-    active: Bool[Tensor, " b"],
-    thresholds: Thresholds,
-    *,
-    threads: int | None = None,
-) -> Criterion:
-    """Reach(g, h) <=> V_O(g, h) meets the ball B_h: margin r_h - dist(c_h, object solid). Touching
-    passes.
-
-    `ball_center`: c_h in the object's frame, where the mesh's tree stands: the ball moves, not the
-    object.
-    """
-    distance = torch.empty_like(ball_center[:, 0])
-    nearest = torch.empty_like(ball_center)
+    held = e.held
+    distance, nearest = torch.empty_like(held.ball[:, 0]), torch.empty_like(held.ball)
+    surfaces = e.scene.grasp_tables.surfaces
     launch_trials(
         reach_kernels.point_to_object,
-        len(active),
+        len(distance),
         inputs={
             "cap": FARTHEST_M,
-            "mesh": scene.object_mesh_ids,
-            "low": scene.grasp_tables.surfaces.low,
-            "high": scene.grasp_tables.surfaces.high,
-            "object": object_index,
-            "point": ball_center,
+            "mesh": e.scene.object_mesh_ids,
+            "low": surfaces.low,
+            "high": surfaces.high,
+            "object": held.objects,
+            "point": held.ball,
         },
         outputs={"distance": distance, "nearest": nearest},
-        device=scene.device,
-        threads=threads,
+        device=e.scene.device,
+        threads=e.threads,
         chunk=64,
     )
-    return Criterion.of(thresholds.reach_radius_m - distance, active, touching_passes=True)
+    return Criterion.of("reach", e.config.thresholds.reach_radius_m - distance, held.active)
 
 
-def affordance(
-    scene: Scene,
-    attached: Float32[Tensor, "b 4 4"],
-    object_index: Int32[Tensor, " b"],
-    opening_m: Float32[Tensor, " b"],
-    active: Bool[Tensor, " b"],
-    *,
-    threads: int | None = None,
-) -> Criterion:
-    """Affordance(g) <=> V_grip(g) does not meet G_O^H(g): margin is the fingers' distance to the
-    region. S1 only.
+def affordance(e: Evidence) -> Criterion:
+    """Affordance(g) <=> V_grip(g) does not meet G_O^H(g). Margin: the distance of the fingers from
+    the receiver's region. S1 only.
 
-    `opening_m`: of the fingers, `squeezed`, so that those which hold the region itself meet it
-    clearly and not within rounding. `attached`: `T_obj_ee` once the pads have met the object
-    (`attach`): the region moves with the object, which they have shifted.
+    The region moves with the object, which closing has shifted (`attached`). The fingers are
+    `squeezed`: those that hold the region itself overlap it by more than rounding.
     """
+    held = e.held
     distance, _ = region_distance(
-        scene.grasp_tables,
-        attached,
-        object_index,
-        opening_m,
+        e.scene.grasp_tables,
+        held.attached,
+        held.objects,
+        held.squeezed_m,
         cap_m=CLEARANCE_CAP_M,
         known=True,
-        threads=threads,
+        threads=e.threads,
     )
-    return Criterion.of(distance, active & ~torch.isnan(distance), touching_passes=False)
+    return Criterion.of("affordance", distance, held.active & ~torch.isnan(distance))
 
 
-def squeezed(grasp: Grasp, thresholds: Thresholds) -> Float32[Tensor, " b"]:
-    """The opening (m) of fingers that hold: `pad_squeeze_m` tighter than the material between
-    them."""
-    held = grasp.width_m <= thresholds.w_max_m
-    return torch.where(held, grasp.opening_m - thresholds.pad_squeeze_m, grasp.opening_m).clamp(
-        min=0.0
-    )
+def safe(e: Evidence) -> Criterion:
+    """Safe(g, h) <=> M_hand does not meet M_robot(g, h) over the motion. Margin: the smallest
+    distance over time, less `safe_margin_m`.
 
-
-@dataclass(frozen=True)
-class Touch:
-    """Where the robot is nearest to the hand: robot body (Scene.part_names), path segment and
-    fraction, hand point (world)."""
-
-    body: Int32[Tensor, " b"]
-    segment: Int32[Tensor, " b"]
-    fraction: Float32[Tensor, " b"]
-    point: Float32[Tensor, "b 3"]
-
-
-def safe(
-    scene: Scene,
-    body_poses: BodyPoses,
-    executed: Executed,
-    active: Bool[Tensor, " b"],
-    thresholds: Thresholds,
-    *,
-    threads: int | None = None,
-) -> tuple[Criterion, Touch]:
-    """Safe(g, h) <=> M_hand does not meet M_robot(g, h) over the motion: margin is the smallest
-    distance over time.
-
-    Exact hand mesh against the robot's primitives, without the object; exact below 5 cm, a lower
-    bound above, below 0 minus the depth of the hand's deepest point in a primitive. All less what
-    the motion may have been off the lines between its samples. Defined where there is a motion.
-    Touching fails.
+    With `receiver="body"` arm and torso of the receiver count as the hand does.
     """
-    b, device = len(active), active.device
-    distance, fraction = torch.zeros((2, b), dtype=torch.float32, device=device).unbind(0)
-    body, segment = torch.full((2, b), -1, dtype=torch.int32, device=device).unbind(0)
-    point = torch.zeros((b, 3), dtype=torch.float32, device=device)
-    found = {
-        "distance": distance,
-        "body": body,
-        "segment": segment,
-        "fraction": fraction,
-        "point": point,
-    }
-    tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": body_poses.bodies}
-    motion = {"path": executed.path, "length": executed.length}
-    moves = (executed.length > 0) & active
-    on: dict[str, Any] = {"device": scene.device, "threads": threads}
-    if in_waves(scene.device):
-        waves = SafeWaves(scene, body_poses, **motion, tolerance=SAFE_TOLERANCE_M)
-        waves(found)
-        meets = waves.rows_where(moves & (distance < 0))
-    else:
-        asked = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
-        launch_trials(
-            safe_kernels.safe_distance, b, inputs=asked, outputs=found, chunk=16, uneven=True, **on
-        )
-        meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
-    # The search for the smallest distance stops asking how deep once bodies meet
-    launch_trials(
-        hand_overlap,
-        len(meets),
-        inputs={**tables, "row": meets, **motion},
-        outputs=found,
-        chunk=1,
-        **on,
-    )
-    # Between two samples the arm may be off the line by slack_m, so the distance along the lines is
-    # taken less that
-    defined = active & (executed.length > 0)
-    criterion = Criterion.of(
-        distance - executed.slack_m - thresholds.safe_margin_m, defined, touching_passes=False
-    )
-    return criterion, Touch(torch.where(defined, body, -1), segment, fraction, point)
+    return Criterion.of("safe", e.person_m - e.config.thresholds.safe_margin_m, e.moves)

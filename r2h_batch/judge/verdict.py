@@ -4,13 +4,14 @@ and witnesses."""
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float32, Int32, Int64
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from torch import Tensor
 
 from r2h_batch.config import BORDERLINE_M, ExecConfig
 from r2h_batch.judge.attach import AttachedBatch
+from r2h_batch.judge.distance import Touch
 from r2h_batch.judge.goal import Goal
-from r2h_batch.judge.metrics import Criterion, Touch
+from r2h_batch.judge.metrics import Criterion
 from r2h_batch.judge.plan import Plan
 from r2h_batch.judge.presented import Presented
 from r2h_batch.motion.execute import Executed, executed_time_at
@@ -23,8 +24,8 @@ __all__ = ["motion_scores", "pose_scores", "random_key", "verdict"]
 def verdict(
     criteria: Sequence[Criterion],
     held: AttachedBatch,
-    slip_m: Float32[Tensor, " b"],
-    shown: Presented,
+    slip_m: Float64[Tensor, " b"] | None,
+    region: Presented,
     valid: Bool[Tensor, " b"] | None = None,
 ) -> dict[str, Tensor]:
     """The fields of `Scores` that need neither path nor posture; `criteria` in the order of
@@ -57,10 +58,10 @@ def verdict(
         "width_m": torch.where(active, grasp.width_m, torch.nan),
         "opening_m": torch.where(active, grasp.opening_m, torch.nan),
         "grasp_shift_m": torch.where(active, grasp.shift_m, torch.nan),
-        "slip_m": slip_m,
-        "presented": shown.presented,
-        "presented_angle_deg": shown.angle_deg,
-        "presented_distance_m": shown.distance_m,
+        "slip_m": torch.full_like(grasp.width_m, torch.nan) if slip_m is None else slip_m.float(),
+        "presented": region.presented,
+        "presented_angle_deg": region.angle_deg,
+        "presented_distance_m": region.distance_m,
     }
 
 

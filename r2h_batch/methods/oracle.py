@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from r2h_batch import rng, se3
 from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.grasp import attach, close_gripper
-from r2h_batch.judge.metrics import affordance, squeezed, stability
+from r2h_batch.judge.grasp import attach, close_gripper, region_distance, squeezed
 from r2h_batch.methods.candidates import candidates_in, check_candidates, stacked
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CRITERIA, Outcome, Predictions, Scores, Trials
@@ -154,22 +154,17 @@ def _usable_grasps(
     index = torch.from_numpy(np.repeat(np.arange(len(count)), count).astype(np.int32)).to(
         scene.device
     )
-    active = torch.ones(len(T), dtype=torch.bool, device=scene.device)
     held = close_gripper(
         scene.grasp_tables, T, index,
         w_max=thresholds.w_max_m, w_min=thresholds.w_min_m, mode=evaluator.config.width, threads=evaluator.threads,
     )  # fmt: skip
-    steady = stability(held, active)
-    opening = squeezed(held, thresholds)
-    kind = affordance(
-        scene, attach(T, held.shift_m), index, opening, active, threads=evaluator.threads
-    )
-    passes = (steady.passed & (kind.passed | ~kind.evaluated)).cpu().numpy()
-    spare = (
-        torch.minimum(steady.margin, torch.where(kind.evaluated, kind.margin, torch.inf))
-        .cpu()
-        .numpy()
-    )
+    region_m, _ = region_distance(
+        scene.grasp_tables, attach(T, held.shift_m), index, squeezed(held, thresholds),
+        cap_m=CLEARANCE_CAP_M, threads=evaluator.threads,
+    )  # fmt: skip
+    region_m = torch.where(region_m.isnan(), torch.inf, region_m)  # no region: nothing to spare
+    passes = ((held.margin_m >= 0) & (region_m > 0)).cpu().numpy()
+    spare = torch.minimum(held.margin_m, region_m).cpu().numpy()
     kept = []
     for i in range(len(count)):
         rows = np.arange(first[i], first[i] + count[i])

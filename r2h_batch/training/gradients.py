@@ -22,7 +22,7 @@ from r2h_batch.judge.ik import ur_parameters
 from r2h_batch.scene.scene import Scene
 from r2h_batch.soft import with_gradient
 from r2h_batch.training import first_order, witnesses
-from r2h_batch.types import CollidingPair, PlanReason, Scores
+from r2h_batch.types import CRITERIA, CollidingPair, PlanReason, Scores
 
 __all__ = ["HELD_M", "MarginChanges", "differentiable"]
 
@@ -84,7 +84,7 @@ HELD_M = 3e-5
 
 
 class MarginChanges:
-    """The first-order change of all margins (B, 5) as a function of the poses; finding the
+    """The first-order change of all margins (B, C) as a function of the poses; finding the
     witnesses is done once."""
 
     def __init__(
@@ -98,26 +98,29 @@ class MarginChanges:
     ) -> None:
         self.held, self.goal, self.evaluated = held, goal, scores.evaluated
         margin = scores.margin.detach()
-        self._find_on_object(scene, thresholds, margin, threads)
-        self._find_between_bodies(scene, scores, margin[:, 4] + thresholds.safe_margin_m, threads)
+        by_name = dict(zip(CRITERIA, margin.unbind(1), strict=True))
+        self._find_on_object(scene, thresholds, by_name, threads)
+        safe_m = by_name["safe"] + thresholds.safe_margin_m
+        self._find_between_bodies(scene, scores, safe_m, threads)
 
     def _find_on_object(
-        self, scene: Scene, thresholds: Thresholds, margin: Tensor, threads: int | None
+        self, scene: Scene, thresholds: Thresholds, margin: dict[str, Tensor], threads: int | None
     ) -> None:
         """Stability, Reach, Affordance: which points of the object decide them."""
         held, grasp = self.held, self.held.grasp
         launch = {"threads": threads}
+        stability, affordance = margin["stability"], margin["affordance"]
         self.closing = witnesses.closing(
             scene, held.T_obj_ee, held.objects, grasp.width_m, grasp.opening_m, **launch
         )
 
         # Stability: the open gripper's clearance, or the material, too wide or too thin: whichever
         # the margin says. A clearance at its cap is a bound that does not move.
-        self.cuts = held.active & (grasp.cut_m < CUT_CAP_M) & (margin[:, 0] == grasp.cut_m)
+        self.cuts = held.active & (grasp.cut_m < CUT_CAP_M) & (stability == grasp.cut_m)
         holds = held.active & ~self.cuts & ~grasp.empty
         wider, thinner = thresholds.w_max_m - grasp.width_m, grasp.width_m - thresholds.w_min_m
-        self.material = torch.where(holds & (margin[:, 0] == wider), -1.0, 0.0)
-        self.material = torch.where(holds & (margin[:, 0] == thinner), 1.0, self.material)
+        self.material = torch.where(holds & (stability == wider), -1.0, 0.0)
+        self.material = torch.where(holds & (stability == thinner), 1.0, self.material)
         opened = torch.full_like(grasp.opening_m, OPEN_GAP_M)
         self.cut = witnesses.fingers(
             scene,
@@ -144,13 +147,14 @@ class MarginChanges:
         _, _, ball = scene.palm(held.hands, held.T_world_hand)
         self.to_palm = witnesses.nearest_to_point(scene, T_world_obj, ball, held.objects, **launch)
 
-        near = self.evaluated[:, 3] & (margin[:, 3] < CLEARANCE_CAP_M)
+        evaluated = self.evaluated[:, CRITERIA.index("affordance")]
+        near = evaluated & (affordance < CLEARANCE_CAP_M)
         self.region = witnesses.fingers(
             scene,
             held.attached,
             held.objects,
             held.squeezed_m,
-            margin[:, 3],
+            affordance,
             near,
             region=True,
             **launch,
@@ -159,7 +163,7 @@ class MarginChanges:
         # fingers that hold the region overlap it by their squeeze, wherever they go along it: the
         # way to what is not region
         squeeze = 0.5 * thresholds.pad_squeeze_m
-        holds = near & (margin[:, 3] < 0) & ((margin[:, 3] + squeeze).abs() < HELD_M)
+        holds = near & (affordance < 0) & ((affordance + squeeze).abs() < HELD_M)
         self.free = witnesses.off_region(scene, held.T_obj_ee, held.objects, holds, **launch)
 
     def _find_between_bodies(
@@ -205,7 +209,7 @@ class MarginChanges:
             )
         )  # fmt: skip
 
-    def __call__(self, T_obj_ee: Tensor, T_world_ee: Tensor) -> Float[Tensor, "b 5"]:
+    def __call__(self, T_obj_ee: Tensor, T_world_ee: Tensor) -> Float[Tensor, "b c"]:
         held, active = self.held, self.held.active[:, None, None]
         zero = torch.zeros_like(held.grasp.opening_m, dtype=T_obj_ee.dtype)
         T_obj_ee = torch.where(active, T_obj_ee, held.T_obj_ee)
@@ -250,7 +254,15 @@ class MarginChanges:
             -first_order.missed(T_world_ee, _lengths()),
             se3.dot(self.goal.push, apart),
         )
-        out = torch.stack([stability, plan, reach, affordance, safe], 1)
+        changes = {
+            "stability": stability,
+            "plan": plan,
+            "reach": reach,
+            "affordance": affordance,
+            "safe": safe,
+        }
+        # a criterion without a first-order change here has the gradient 0
+        out = torch.stack([changes.get(name, torch.zeros_like(safe)) for name in CRITERIA], 1)
         return torch.where(self.evaluated, out, torch.zeros_like(out))
 
 

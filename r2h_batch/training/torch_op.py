@@ -12,7 +12,7 @@ from torch import Tensor
 
 from r2h_batch.judge.inputs import Stages
 from r2h_batch.kernels.plan.codes import WAYPOINTS
-from r2h_batch.types import Scores, Trials
+from r2h_batch.types import CRITERIA, Scores, Trials
 
 
 class Scorer(Protocol):
@@ -42,9 +42,9 @@ outside. It keeps no motion."""
 _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "outcome": (torch.int8, ()),
     "success": (torch.bool, ()),
-    "passed": (torch.bool, (5,)),
-    "evaluated": (torch.bool, (5,)),
-    "margin": (torch.float32, (5,)),
+    "passed": (torch.bool, (len(CRITERIA),)),
+    "evaluated": (torch.bool, (len(CRITERIA),)),
+    "margin": (torch.float32, (len(CRITERIA),)),
     "borderline": (torch.bool, ()),
     "presented": (torch.bool, ()),
     "plan_reason": (torch.int8, ()),

@@ -1,6 +1,8 @@
 """Each criterion's margin against float64 NumPy and trimesh; when touching passes; where a criterion is defined."""
 
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import oracle
@@ -12,9 +14,18 @@ from problems import Batch, Problems, default_evaluator, make_batch, solve
 
 from r2h_batch import se3
 from r2h_batch.bodies.robot import Kind, gripper_primitives_at
-from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, ExecConfig, Thresholds
+from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, EvalConfig, ExecConfig, Thresholds
 from r2h_batch.judge import metrics
-from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, attach, close_gripper, open_clearance, region_distance
+from r2h_batch.judge.distance import hand_distance
+from r2h_batch.judge.grasp import (
+    CUT_CAP_M,
+    Grasp,
+    attach,
+    close_gripper,
+    open_clearance,
+    region_distance,
+    squeezed,
+)
 from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.types import CRITERIA, Outcome, PlanReason, Scores
@@ -38,6 +49,18 @@ def as_planned(problems: Problems) -> Executed:
     return execute(default_evaluator().scene, problems.body_poses, plan.path, plan.length, motion, config)
 
 
+STAGES = ("clearance_m", "free", "moves", "person_m")
+
+
+def evidence(active: torch.Tensor, safe_margin_m: float = 0.0, **found: Any) -> Any:
+    """What the named stages found, and nothing else."""
+    config = EvalConfig(thresholds=Thresholds(safe_margin_m=safe_margin_m))
+    held = SimpleNamespace(active=active, **{k: v for k, v in found.items() if k not in STAGES})
+    stages = {k: v for k, v in found.items() if k in STAGES}
+    scene = default_evaluator().scene
+    return SimpleNamespace(scene=scene, config=config, held=held, slip_m=None, threads=None, **stages)
+
+
 def of_object(scores_row: int) -> trimesh.Trimesh:
     batch = scored()[0]
     model = default_evaluator().scene.objects[int(batch.trials.object_index[scores_row])]
@@ -50,17 +73,17 @@ def of_object(scores_row: int) -> trimesh.Trimesh:
 def test_touching_passes_where_the_paper_says_so():
     margin = torch.tensor([0.0, 1e-9, -1e-9])
     everywhere = torch.ones(3, dtype=torch.bool)
-    assert metrics.Criterion.of(margin, everywhere, touching_passes=True).passed.tolist() == [True, True, False]
-    assert metrics.Criterion.of(margin, everywhere, touching_passes=False).passed.tolist() == [False, True, False]
+    assert metrics.Criterion.of("reach", margin, everywhere).passed.tolist() == [True, True, False]
+    assert metrics.Criterion.of("safe", margin, everywhere).passed.tolist() == [False, True, False]
 
 
 def test_what_is_not_evaluated_has_no_margin_and_does_not_pass():
-    c = metrics.Criterion.of(torch.tensor([1.0, torch.nan]), torch.tensor([False, False]), touching_passes=True)
+    c = metrics.Criterion.of("reach", torch.tensor([1.0, torch.nan]), torch.tensor([False, False]))
     assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()
 
 
 def test_a_margin_that_is_not_a_number_never_passes():
-    c = metrics.Criterion.of(torch.tensor([torch.nan]), torch.tensor([True]), touching_passes=True)
+    c = metrics.Criterion.of("reach", torch.tensor([torch.nan]), torch.tensor([True]))
     assert not c.passed[0]
 
 
@@ -84,7 +107,7 @@ def test_scores_are_consistent_with_their_margins():
 def test_stability_is_the_least_of_aperture_less_width_and_the_open_grippers_clearance():
     batch, _, s = scored()
     grasp = close_gripper(default_evaluator().scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
-    assert torch.equal(metrics.stability(grasp, torch.ones(N, dtype=torch.bool)).margin, grasp.margin_m)
+    assert torch.equal(metrics.stability(evidence(torch.ones(N, dtype=torch.bool), grasp=grasp)).margin, grasp.margin_m)
     held = ~grasp.empty & (grasp.cut_m > 0)
     assert held.sum() > 0.9 * N
     spare, _ = open_clearance(
@@ -145,7 +168,7 @@ def test_reach_passes_up_to_the_balls_radius(gap, passes):
     top = float(scene.objects[0].vertices[:, 0].max())
     corner = scene.objects[0].vertices[scene.objects[0].vertices[:, 0].argmax()]
     center = torch.tensor([[top + gap, float(corner[1]), float(corner[2])]])
-    c = metrics.reach(scene, center, torch.zeros(1, dtype=torch.int32), torch.ones(1, dtype=torch.bool), Thresholds())
+    c = metrics.reach(evidence(torch.ones(1, dtype=torch.bool), ball=center, objects=torch.zeros(1, dtype=torch.int32)))
     assert bool(c.passed[0]) is passes
 
 
@@ -210,13 +233,9 @@ def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
     assert holding.any()
     assert (s.margin[holding, AFFORDANCE] < -1e-4).all()
     too_wide = Grasp(**{**grasp.__dict__, "width_m": torch.full((N,), 0.2), "opening_m": torch.full((N,), 0.085)})
-    c = metrics.affordance(
-        scene,
-        closed[0],
-        batch.trials.object_index,
-        metrics.squeezed(too_wide, Thresholds()),
-        torch.ones(N, dtype=torch.bool),
-    )
+    open_m = squeezed(too_wide, Thresholds())
+    everywhere = torch.ones(N, dtype=torch.bool)
+    c = metrics.affordance(evidence(everywhere, attached=closed[0], objects=closed[1], squeezed_m=open_m))
     open_, _ = region_distance(scene.grasp_tables, *closed, too_wide.opening_m, cap_m=CLEARANCE_CAP_M)
     assert torch.equal(c.margin[c.evaluated], open_[c.evaluated])
 
@@ -282,9 +301,11 @@ def test_a_safety_margin_is_taken_off():
     _, problems, s = scored()
     scene = default_evaluator().scene
     active = torch.ones(N, dtype=torch.bool)
-    plain, _ = metrics.safe(scene, problems.body_poses, as_planned(problems), active, Thresholds())
-    strict, _ = metrics.safe(scene, problems.body_poses, as_planned(problems), active, Thresholds(safe_margin_m=0.02))
+    touch = hand_distance(scene, problems.body_poses, as_planned(problems), active)
     found = s.path_len > 0
+    plain, strict = (
+        metrics.safe(evidence(active, moves=found, person_m=touch.distance_m, safe_margin_m=m)) for m in (0.0, 0.02)
+    )
     assert torch.equal(plain.margin[found], s.margin[found, SAFE])
     torch.testing.assert_close(strict.margin[found], plain.margin[found] - 0.02)
     assert int(strict.passed.sum()) < int(plain.passed.sum())
@@ -298,11 +319,11 @@ def test_inactive_rows_are_not_judged():
     _, _, center = scene.palm(batch.trials.hand_index, batch.trials.T_world_hand)
     T_world_obj = se3.matmul(batch.T_world_ee, se3.inverse(problems.T_obj_ee_attached))
     ball = se3.apply(se3.inverse(T_world_obj), center)
-    for c in (
-        metrics.stability(grasp, none),
-        metrics.plan(problems.plan, as_planned(problems), none),
-        metrics.reach(scene, ball, batch.trials.object_index, none, Thresholds()),
-        metrics.affordance(scene, problems.T_obj_ee_attached, batch.trials.object_index, grasp.opening_m, none),
-        metrics.safe(scene, problems.body_poses, as_planned(problems), none, Thresholds())[0],
-    ):
+    touch = hand_distance(scene, problems.body_poses, as_planned(problems), none)
+    found = evidence(
+        none, grasp=grasp, ball=ball, objects=batch.trials.object_index, attached=problems.T_obj_ee_attached,
+        squeezed_m=grasp.opening_m, free=problems.plan.length > 0, moves=none, person_m=touch.distance_m,
+        clearance_m=problems.plan.clearance_m,
+    )  # fmt: skip
+    for c in metrics.judge(found):
         assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()

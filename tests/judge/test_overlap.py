@@ -8,8 +8,8 @@ from oracle import Staged, hand_triangles, mujoco_scene, samples
 from problems import Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.bodies.robot import Kind
-from r2h_batch.config import BORDERLINE_M, PlanConfig, Thresholds
-from r2h_batch.judge import metrics
+from r2h_batch.config import BORDERLINE_M, PlanConfig
+from r2h_batch.judge.distance import hand_distance
 from r2h_batch.motion.execute import Executed
 
 SAMPLED = PlanConfig(goals="one", edge_check="moveit", hand_clearance_m=0.0)
@@ -56,8 +56,8 @@ def test_safe_says_how_deep_the_hand_is_in_the_robot(sampled):
     moved = Executed(
         plan.path, plan.length, free, plan.length > 0, plan.length >= 0, free, free, free, plan.length, None
     )
-    safe, touch = metrics.safe(scene, sampled.body_poses, moved, torch.ones(n, dtype=torch.bool), Thresholds())
-    rows = torch.nonzero(safe.evaluated & (safe.margin < 0)).flatten().tolist()
+    touch = hand_distance(scene, sampled.body_poses, moved, torch.ones(n, dtype=torch.bool))
+    rows = torch.nonzero(touch.distance_m < 0).flatten().tolist()
     assert len(rows) >= 2
     for row in rows[:4]:
         s = staged(sampled, row)
@@ -74,4 +74,4 @@ def test_safe_says_how_deep_the_hand_is_in_the_robot(sampled):
                 kind = {6: Kind.BOX, 5: Kind.CYLINDER}.get(int(g.type[0]), Kind.CAPSULE)
                 local = (points - twin.data.geom_xpos[g.id]) @ twin.data.geom_xmat[g.id].reshape(3, 3)
                 depth = min(depth, float(primitive_distance(kind, g.size, local).min()))
-        assert depth < 0 and float(safe.margin[row]) == pytest.approx(depth, abs=max(1.5e-4, 0.05 * abs(depth)))
+        assert depth < 0 and float(touch.distance_m[row]) == pytest.approx(depth, abs=max(1.5e-4, 0.05 * abs(depth)))

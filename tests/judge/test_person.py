@@ -15,8 +15,7 @@ from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.export.mjcf import spec_of
 from r2h_batch.export.stored import StoredTrial
-from r2h_batch.judge.metrics import SAFE_TOLERANCE_M
-from r2h_batch.judge.person import person_distance
+from r2h_batch.judge.distance import SAFE_TOLERANCE_M, Touch, nearer_of, person_distance
 from r2h_batch.judge.wave.waves import waves_on_cpu
 from r2h_batch.methods import fc
 from r2h_batch.sweep import command as sweep
@@ -153,21 +152,16 @@ def test_with_bodies_paths_go_round_them_and_goals_in_them_fail(asked, as_paper,
 
 
 def test_safe_counts_the_body_where_a_path_knows_nothing_of_it(asked, as_paper, with_bodies):
-    """The same motions: `with_body` on what was planned without."""
-    from r2h_batch.judge.metrics import Criterion, Touch
-    from r2h_batch.judge.person import with_body
-
-    column = Criterion(as_paper.margin[:, SAFE], as_paper.passed[:, SAFE], as_paper.evaluated[:, SAFE])
+    """The same motions: the nearer of hand and body, of what was planned without the body."""
     n = len(as_paper.body_m)
-    touch = Touch(
-        as_paper.witness_part[:, 1], torch.zeros(n, dtype=torch.int32), torch.zeros(n), as_paper.witness_point
-    )
-    safe, new = with_body(column, touch, as_paper.body_m, torch.full((n,), 5), evaluator("body").config.thresholds)
-    met = as_paper.body_m < 0
-    assert not safe.passed[met].any() and (safe.passed[~met] == column.passed[~met]).all()
-    moved = as_paper.path_len > 0
-    assert torch.equal(safe.margin[moved], torch.minimum(column.margin, as_paper.body_m)[moved])
-    assert (new.body[met] == 5).all() and torch.isnan(new.point[met]).all()
+    still = torch.zeros(n, dtype=torch.int32), torch.zeros(n)
+    hand = Touch(as_paper.margin[:, SAFE], as_paper.witness_part[:, 1], *still, as_paper.witness_point)
+    new = nearer_of(hand, as_paper.body_m, torch.full((n,), 5))
+    moved, met = as_paper.path_len > 0, as_paper.body_m < 0
+    assert torch.equal(new.distance_m[moved], torch.minimum(hand.distance_m, as_paper.body_m)[moved])
+    assert (new.distance_m[met] < 0).all() and (new.body[met] == 5).all() and torch.isnan(new.point[met]).all()
+    farther = moved & (as_paper.body_m >= hand.distance_m)
+    assert farther.any() and torch.equal(new.body[farther], hand.body[farther].to(new.body.dtype))
 
 
 def test_a_row_alone_has_the_bits_of_its_batch(asked, with_bodies):

@@ -10,8 +10,8 @@ from problems import default_evaluator, make_batch
 
 from r2h_batch import se3
 from r2h_batch.judge.attach import attach_object
-from r2h_batch.judge.grasp import attach, close_gripper
-from r2h_batch.judge.metrics import Criterion, squeezed
+from r2h_batch.judge.grasp import attach, close_gripper, squeezed
+from r2h_batch.judge.metrics import Criterion
 from r2h_batch.judge.presented import Presented
 from r2h_batch.judge.verdict import verdict
 from r2h_batch.trials.protocol import trials_with_ids

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from r2h_batch import evaluate
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge import metrics
-from r2h_batch.judge.metrics import SAFE_TOLERANCE_M, Criterion, Touch
+from r2h_batch.judge.distance import SAFE_TOLERANCE_M, Touch, hand_distance
 from r2h_batch.judge.wave import safe as wave_safe
 from r2h_batch.judge.wave import waves
 from r2h_batch.methods import oracle, random
@@ -30,12 +30,12 @@ class Moved:
     executed: Executed
     active: torch.Tensor
 
-    def safe(self) -> tuple[Criterion, Touch]:
-        return metrics.safe(self.scene, self.body_poses, self.executed, self.active, self.scene.config.thresholds)
+    def touch(self) -> Touch:
+        return hand_distance(self.scene, self.body_poses, self.executed, self.active)
 
-    def in_waves(self) -> tuple[Criterion, Touch]:
+    def in_waves(self) -> Touch:
         with waves.waves_on_cpu():
-            return self.safe()
+            return self.touch()
 
     def distances(
         self, body_poses: BodyPoses | None = None, rows: slice | torch.Tensor = slice(None)
@@ -67,7 +67,7 @@ def of_rows(method: ModuleType, n: int, rows: slice | torch.Tensor) -> Moved:
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=n))
     trials = trials_with_ids(torch.arange(n), objects=evaluator.scene.objects)
     poses = method.predict(trials, evaluator.scene, seed=0)
-    with mock.patch.object(metrics, "safe", wraps=metrics.safe) as asked:
+    with mock.patch.object(evaluate, "hand_distance", wraps=hand_distance) as asked:
         evaluator.score(poses.T_obj_ee[rows], poses.T_world_ee[rows], trials[rows])
     return Moved(*asked.call_args_list[0].args[:4])
 
@@ -78,10 +78,10 @@ def compare(asked: Moved) -> int:
     Of overlaps the depth is searched from the moment that was found (kernels/judge/overlap.py), which may be another one. Gives
     how many motions meet the hand.
     """
-    (here, touch), (there, touch_there) = asked.safe(), asked.in_waves()
-    assert torch.equal(here.evaluated, there.evaluated) and torch.equal(here.passed, there.passed)
-    rows = here.evaluated
-    a, b = here.margin[rows], there.margin[rows]
+    touch, touch_there = asked.touch(), asked.in_waves()
+    rows = ~touch.distance_m.isnan()
+    a, b = touch.distance_m[rows], touch_there.distance_m[rows]
+    assert torch.equal(rows, ~touch_there.distance_m.isnan()) and torch.equal(a > 0, b > 0)
     apart, same = a > 0, a == b
     assert ((a - b).abs() <= (0.002 * a).clamp(min=SAFE_TOLERANCE_M) + 1e-6)[apart].all()
     assert (~same).sum() <= max(3, 0.05 * len(a)) and ((a - b).abs() <= 1e-5)[~apart].sum() >= 0.9 * (~apart).sum()
@@ -142,7 +142,7 @@ def test_where_a_queue_is_too_short_fewer_rows_go_at_once_and_come_out_the_same(
         whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
         with mock.patch.dict(wave_safe.PER_STRETCH, {"bodies": 1}):
             with pytest.raises(MemoryError, match="cannot allocate"):
-                asked.safe()
+                asked.touch()
             parts = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     assert torch.equal(whole.outcome, parts.outcome)
     assert torch.equal(whole.margin.nan_to_num(9.0), parts.margin.nan_to_num(9.0))

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from r2h_batch.bodies.robot import ee_pose, gripper_primitives_at
-from r2h_batch.judge.metrics import SAFE_TOLERANCE_M
+from r2h_batch.judge.distance import SAFE_TOLERANCE_M
 from r2h_batch.judge.plan import Planner
 from r2h_batch.judge.wave.safe import SafeWaves
 from r2h_batch.kernels.judge.safe import safe_distance

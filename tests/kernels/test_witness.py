@@ -10,8 +10,7 @@ from slopes import candidates
 
 from r2h_batch import se3, twist
 from r2h_batch.bodies.robot import Kind, gripper_primitives_at, load_robot
-from r2h_batch.judge.grasp import attach, close_gripper, region_distance
-from r2h_batch.judge.metrics import squeezed
+from r2h_batch.judge.grasp import attach, close_gripper, region_distance, squeezed
 from r2h_batch.training import first_order, witnesses
 
 Array = np.ndarray

@@ -12,7 +12,7 @@ from problems import default_evaluator
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics
 from r2h_batch.config import EvalConfig, ExecConfig, Thresholds
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge import metrics
+from r2h_batch.judge.distance import hand_distance
 from r2h_batch.kernels.robot.trapezoid import duration
 from r2h_batch.launch import init_warp, launch
 from r2h_batch.motion.execute import execute
@@ -163,22 +163,24 @@ def test_safe_judges_the_recorded_motion_less_its_slack():
     """A recorded motion that strays from the plan is what counts: here it is bent into the hand by hand."""
     evaluator, p, e = default_evaluator(), problems(), reference_run(MUJOCO)
     active = torch.ones(N, dtype=torch.bool)
-    plain, _ = metrics.safe(evaluator.scene, p.body_poses, e, active, Thresholds())
-    tighter, _ = metrics.safe(evaluator.scene, p.body_poses, replace(e, slack_m=e.slack_m + 1e-3), active, Thresholds())
-    moved = plain.evaluated
-    np.testing.assert_allclose((plain.margin - tighter.margin)[moved].numpy(), 1e-3, atol=1e-6)
+    plain = hand_distance(evaluator.scene, p.body_poses, e, active).distance_m
+    slacker = replace(e, slack_m=e.slack_m + 1e-3)
+    tighter = hand_distance(evaluator.scene, p.body_poses, slacker, active).distance_m
+    moved = ~plain.isnan()
+    np.testing.assert_allclose((plain - tighter)[moved].numpy(), 1e-3, atol=1e-6)
     bent = e.path.clone()
-    row = int(torch.nonzero(moved & (plain.margin < 0.045) & (plain.margin > 0.003)).flatten()[0])
+    row = int(torch.nonzero(moved & (plain < 0.045) & (plain > 0.003)).flatten()[0])
     k = int(e.length[row]) // 2
     goal = e.path[row, int(e.length[row]) - 1]
     for s in torch.linspace(0.0, 1.0, 60):  # beyond the goal, into the hand: every joint 15 % too far
         bent[row, k] = goal + 0.15 * s * (goal - e.path[row, 0])
-        worse, touch = metrics.safe(evaluator.scene, p.body_poses, replace(e, path=bent), active, Thresholds())
-        if float(worse.margin[row]) < float(plain.margin[row]) - 1e-3:
+        touch = hand_distance(evaluator.scene, p.body_poses, replace(e, path=bent), active)
+        worse = touch.distance_m
+        if float(worse[row]) < float(plain[row]) - 1e-3:
             break
-    assert float(worse.margin[row]) < float(plain.margin[row]) - 1e-3 and int(touch.segment[row]) in (k - 1, k)
+    assert float(worse[row]) < float(plain[row]) - 1e-3 and int(touch.segment[row]) in (k - 1, k)
     keep = torch.arange(N) != row
-    assert torch.equal(worse.margin[keep & moved], plain.margin[keep & moved])
+    assert torch.equal(worse[keep & moved], plain[keep & moved])
 
 
 @pytest.mark.parametrize("config", [MUJOCO, MJWARP, BRIEF_WARP], ids=["mujoco", "mjwarp-arm", "mjwarp"])
