@@ -35,6 +35,7 @@ class Mutation(NamedTuple):
 METRICS, VERDICT, ROWS = "r2h_batch/judge/metrics.py", "r2h_batch/judge/verdict.py", "kernels/judge/rows.py"
 T_METRICS, T_ROWS, T_MOTION = "tests/judge/test_metrics.py", "tests/judge/test_rows.py", "tests/motion/test_motion.py"
 T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed"
+T_GRASP = f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit"
 T_BALL = f"{T_ROWS}::test_the_attachment_and_the_receivers_ball_are_those_of_se3_to_the_bit"
 
 MUTATIONS = (
@@ -99,14 +100,14 @@ MUTATIONS = (
         ROWS,
         "p = wp.vec3(p[0] + y[0] * s, p[1] + y[1] * s, p[2] + y[2] * s)",
         "p = wp.vec3(p[0] - y[0] * s, p[1] - y[1] * s, p[2] - y[2] * s)",
-        (T_BALL,),
+        (T_GRASP,),
     ),
     Mutation(
         "stability: material of any thinness is held",
         ROWS,
         "return wp.min(w_max - width, width - w_min)",
         "return w_max - width",
-        (f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit",),
+        (T_GRASP,),
     ),
     Mutation(
         "palm: on the back of the left hand",

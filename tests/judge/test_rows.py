@@ -76,6 +76,8 @@ def test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit():
     for name, value in vars(grasp).items():
         assert torch.equal(torch.nan_to_num(value, 7.0), torch.nan_to_num(getattr(held.grasp, name), 7.0)), name
     assert torch.equal(held.squeezed_m, squeezed(grasp, limits))
+    assert torch.equal(held.attached, attach(held.T_obj_ee, grasp.shift_m))
+    assert int((grasp.shift_m.abs() > 1e-3).sum()) > 20  # else the line above compares nothing
     held = grasp.width_m <= limits.w_max_m
     material = held & (grasp.margin_m < grasp.cut_m)
     assert [5 < int(kind.sum()) < N - 5 for kind in (grasp.empty, held, material)] == [True] * 3
