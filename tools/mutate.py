@@ -174,10 +174,10 @@ MUTATIONS = (
     ),
     Mutation(
         "statistics: a criterion that was not evaluated fails",
-        "r2h_batch/statistics/aggregate.py",
-        "failed = evaluated & ~passed",
-        "failed = ~passed",
-        ("tests/statistics/test_aggregate.py::test_a_criterion_that_was_not_evaluated_is_skipped_and_affordance_may_be_skipped_by_a_success",),
+        "r2h_batch/runs/columns.py",
+        "failed = PATTERNS[:, columns] == FAILED",
+        "failed = PATTERNS[:, columns] <= FAILED",
+        ("tests/statistics/test_breakdown.py::test_the_outcome_of_every_pattern_is_its_first_failure_and_never_a_success_that_was_not_fully_judged",),
     ),
 )  # fmt: skip
 
