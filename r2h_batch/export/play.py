@@ -1,5 +1,4 @@
-"""Plays this trial with nothing but mujoco and numpy: python play.py [--executed] [--servos]
-[--check]
+"""Plays this trial with nothing but mujoco and numpy: python play.py [--executed] [--servos] [--check]
 
 --executed  the motion that the simulator made of the plan, where there is one
 --servos    simulate: the arm's servos follow the planned motion
@@ -39,9 +38,7 @@ def step(model: mujoco.MjModel, data: mujoco.MjData, q: np.ndarray, servos: bool
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for flag in ("--executed", "--servos", "--check"):
         parser.add_argument(flag, action="store_true")
     options = parser.parse_args()
@@ -52,18 +49,14 @@ def main() -> None:
         model.opt.disableactuator = 0
     mujoco.mj_resetDataKeyframe(model, data, 0)
     if len(q) == 1:
-        print(
-            "no motion was found for this trial: the key `target` holds the posture that was asked for"
-        )
+        print("no motion was found for this trial: the key `target` holds the posture that was asked for")
         mujoco.mj_resetDataKeyframe(model, data, model.key("target").id)
     if options.check:
         while len(q) > 1 and data.time < times[-1] + 0.5 * options.servos:
             step(model, data, at(data.time + model.opt.timestep, times, q), options.servos)
         mujoco.mj_forward(model, data)
         off = float(np.linalg.norm(data.site("ee").xpos - data.site("target").xpos))
-        print(
-            f"{data.time:.2f} s, gripper {1e3 * off:.2f} mm from its target, {data.ncon} contacts"
-        )
+        print(f"{data.time:.2f} s, gripper {1e3 * off:.2f} mm from its target, {data.ncon} contacts")
         return
     from mujoco import viewer
 

@@ -13,7 +13,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.bodies.hand import load_hand_set
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import ee_pose, load_robot
-from r2h_batch.export.open_files import write_open
+from r2h_batch.export.trial_files import write_open
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.predictions import align, load_predictions
 
