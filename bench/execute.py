@@ -31,7 +31,7 @@ from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.motion import sim_mjwarp, standing
+from r2h_batch.motion import sim_mjwarp
 from r2h_batch.motion.time_law import servo_law
 from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.grasp_tables import grasp_tables
@@ -82,17 +82,17 @@ def worlds(mix: Mix, report: Report) -> None:
     config = ExecConfig(sim="mjwarp", model="scene")
     config = config if cuda else replace(config, scale=1.0, settle_s=0.01, dwell_s=0.1)
     used: dict[int, int] = {}
-    honest = standing._fields
+    honest = sim_mjwarp._fields
 
     def watched(model: Any, data: Any) -> Any:
-        rows = (*standing.BATCHED, *MESH_FIELDS)  # the rest of the model is there once
+        rows = (*sim_mjwarp.BATCHED, *MESH_FIELDS)  # the rest of the model is there once
         used[data.nworld] = array_bytes(data) + sum(getattr(model, name).capacity for name in rows)
         return honest(model, data)
 
     for n in CUDA_WORLDS if cuda else CPU_WORLDS:
         part = Mix(max(3 * n, 24), mix.device, mix.threads)  # about two of three have a path
         sizes = {"cpu": n, "cuda": n}
-        with mock.patch.dict(sim_mjwarp.MAX_WORLDS, sizes), mock.patch.object(standing, "_fields", watched):
+        with mock.patch.dict(sim_mjwarp.MAX_WORLDS, sizes), mock.patch.object(sim_mjwarp, "_fields", watched):
             _, executed, seen = part.score(config)
         per = "wall" if cuda else "core"
         seconds = seen["execute_wall_s"] if cuda else seen["execute_s"]
@@ -161,9 +161,9 @@ def queue(mix: Mix, report: Report) -> None:
     """
 
     def done(graph: Any) -> None:
-        next(reversed(standing._kept.values())).worlds.left.zero_()
+        next(reversed(sim_mjwarp._kept.values())).worlds.left.zero_()
 
-    simulate, table = sim_mjwarp.simulate, standing.queue_table
+    simulate, table = sim_mjwarp.simulate, sim_mjwarp.queue_table
     for model in ("arm", "scene"):
         took: list[tuple[int, float]] = []
         built_queues: list[tuple[int, float]] = []
@@ -182,11 +182,11 @@ def queue(mix: Mix, report: Report) -> None:
 
         evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="mjwarp", model=model)), device=mix.device)
         evaluator.scene.model(mix.trials.hand_index.tolist(), ExecConfig(model=model))
-        standing.forget_worlds()
+        sim_mjwarp.forget_worlds()
         with (
             mock.patch.object(wp, "capture_launch", done),
             mock.patch.object(sim_mjwarp, "simulate", timed),
-            mock.patch.object(standing, "queue_table", tabled),
+            mock.patch.object(sim_mjwarp, "queue_table", tabled),
             mock.patch.object(mjw, "put_model", wraps=mjw.put_model) as built,
         ):
             order = torch.randperm(mix.n, generator=torch.Generator().manual_seed(0))

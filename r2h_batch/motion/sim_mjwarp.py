@@ -1,14 +1,353 @@
 """Motion in batched MuJoCo-Warp worlds: one captured graph, worlds refilled from a queue until it
-is empty."""
+is empty.
 
+The worlds (model, data, room for a queue, the graph) stand from one batch to the next. A graph
+holds addresses, so a batch is written into the arrays that are there; a queue that they have no
+room for gets longer ones, and a new graph.
+"""
+
+import copy
 import logging
 import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+from typing import Any
 
+import mujoco
+import mujoco_warp as mjw
 import numpy as np
+import warp as wp
 
-from r2h_batch.kernels.motion.worlds import OVERFLOW
+from r2h_batch.kernels.motion.time_law import Law
+from r2h_batch.kernels.motion.worlds import (
+    OVERFLOW,
+    Fields,
+    Fingers,
+    Queue,
+    Record,
+    Shapes,
+    Worlds,
+    command_worlds,
+    finish_step,
+    start_worlds,
+)
+from r2h_batch.launch import launch
 from r2h_batch.motion.simulation import Job, Samples, warnings_unwritten
-from r2h_batch.motion.standing import Run, forget_worlds, standing_worlds
+from r2h_batch.scene.dynamics import quats_wxyz
+from r2h_batch.scene.model import MESH_FIELDS, SceneModel
+
+BATCHED = (
+    "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_subtreemass", "body_invweight0",
+    "dof_invweight0",
+)  # fmt: skip
+"""Fields of the model that each world has of its own."""
+STATE = (
+    "mocap_pos", "mocap_quat", "qpos", "qvel", "ctrl", "qacc_warmstart", "cvel", "cdof_dot", "nacon", "ncollision", "nefc",
+    "overflow", "naconmax", "njmax",
+)  # fmt: skip
+
+POLL = 32
+"""Graph launches between two looks at how many trials are left."""
+
+KEPT = 6
+"""Sets of worlds that a process holds, 30 kB a world: arm and scene, and the smaller ones in which
+few trials run again."""
+
+_kept: "OrderedDict[tuple[Any, ...], StandingWorlds]" = OrderedDict()
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one run of n trials recorded (as `Record`); rows of q repeat their last sample."""
+
+    q: np.ndarray  # (n, W, 6)
+    acceleration: np.ndarray
+    sway: np.ndarray
+    failed: np.ndarray
+    state: np.ndarray
+
+
+def standing_worlds(job: Job, nworld: int, njmax: int, naconmax: int) -> "StandingWorlds":
+    """The process' worlds for such jobs, with buffers of these sizes; built if there are none."""
+    law = tuple(float(getattr(job.law, name)) for name in ("speed", "acceleration", "lead", "step"))
+    key = (id(job.scene), law, job.record_steps, job.device, nworld, njmax, naconmax)
+    worlds = _kept.get(key)
+    if worlds is None:
+        while len(_kept) >= KEPT:
+            _kept.popitem(last=False)
+        worlds = _kept[key] = StandingWorlds(
+            job.scene, job.law, job.record_steps, job.device, nworld, njmax, naconmax
+        )
+    _kept.move_to_end(key)
+    return worlds
+
+
+def forget_worlds() -> None:
+    """Gives back the memory of all worlds."""
+    _kept.clear()
+
+
+class StandingWorlds:
+    """`nworld` worlds of one model."""
+
+    def __init__(
+        self,
+        scene: SceneModel,
+        law: Law,
+        record_steps: int,
+        device: str,
+        nworld: int,
+        njmax: int,
+        naconmax: int,
+    ) -> None:
+        self.scene, self.law, self.record_steps, self.device, self.nworld = (
+            scene,
+            law,
+            record_steps,
+            device,
+            nworld,
+        )
+        host = _for_warp(scene.model)
+        with wp.ScopedDevice(device):
+            batched = (*BATCHED, *MESH_FIELDS) if scene.full else BATCHED
+            self.model = mjw.put_model(host, batch_sizes=dict.fromkeys(batched, nworld))
+            self.data = mjw.make_data(host, nworld=nworld, njmax=njmax, naconmax=naconmax)
+            self.model.opt.warn_overflow = 0  # it prints to stdout; the bits are read below
+            self.fields, self.shapes, self.fingers = (
+                _fields(self.model, self.data),
+                _shapes(scene),
+                _fingers(scene),
+            )
+            self.worlds = _worlds(host, nworld)
+            self.room = (0, 0, 0)
+            self.graph: Any = None
+            for kernel in (command_worlds, finish_step, start_worlds):
+                wp.load_module(kernel.module, device=device)
+            mjw.step(
+                self.model, self.data
+            )  # compiles what the graph needs; the worlds start afterwards
+
+    def run(self, job: Job, todo: np.ndarray) -> Run:
+        """What the trials at places `todo` of the job do, and what went wrong (OVERFLOW,
+        NOT_FINITE)."""
+        n = len(todo)
+        wp.synchronize_device(self.device)  # the job's tables were written on torch's stream
+        table = queue_table(job, todo)
+        last = job.samples[todo]
+        with wp.ScopedDevice(self.device):
+            self._make_room(n, int((last + 1).sum()), table["path"].shape[1])
+            for name, values in table.items():
+                if values.size:  # the arm alone has nothing to hold
+                    getattr(self.queue, name)[: len(values)].assign(values)
+            self.worlds.taken.zero_()
+            self.worlds.left.fill_(n)
+            for name in ("acceleration", "sway", "failed"):
+                getattr(self.record, name).zero_()
+            launch(
+                start_worlds,
+                self.nworld,
+                inputs={"queue": self.queue, "shapes": self.shapes},
+                outputs=self._written,
+                device=self.device,
+            )
+            while int(self.worlds.left.numpy()[0]) > 0:
+                for _ in range(POLL):
+                    wp.capture_launch(self.graph)
+            flat = self.record.q[: int((last + 1).sum())].numpy()
+            kept = {
+                k: getattr(self.record, k)[:n].numpy()
+                for k in ("acceleration", "sway", "failed", "state")
+            }
+        # a trial that ended early stays where it was
+        place = table["sample"][:, None] + np.minimum(np.arange(int(last.max()) + 1), last[:, None])
+        return Run(flat[place], **{k: v.copy() for k, v in kept.items()})
+
+    @property
+    def _written(self) -> dict[str, Any]:
+        """What every kernel of a run writes: where the worlds stand in the queue, their state, what
+        is kept of it."""
+        return {"worlds": self.worlds, "fields": self.fields, "record": self.record}
+
+    def _make_room(self, n: int, samples: int, waypoints: int) -> None:
+        """Arrays for n trials, and the graph that works on them, unless there are such."""
+        if (
+            self.graph is not None
+            and n <= self.room[0]
+            and samples <= self.room[1]
+            and waypoints == self.room[2]
+        ):
+            return
+        # a little more than asked, so that a sweep's chunks find room after the first few
+        self.room = (
+            _rounded(max(n, self.room[0])),
+            _rounded(max(samples, self.room[1])),
+            waypoints,
+        )
+        self.graph = None
+        self.queue = _empty_queue(self.scene, self.room[0], waypoints)
+        self.record = _empty_record(self.scene.model, *self.room[:2])
+        self.graph = self._captured_steps()
+
+    def _captured_steps(self) -> wp.Graph:
+        """The steps between two recorded samples, as one graph: command, step, and record or
+        refill."""
+
+        def step() -> None:
+            launch(
+                command_worlds,
+                self.nworld,
+                inputs={"law": self.law, "queue": self.queue},
+                outputs=self._written,
+                device=self.device,
+            )
+            mjw.step(self.model, self.data)
+            launch(
+                finish_step,
+                self.nworld,
+                inputs={
+                    "record_steps": self.record_steps,
+                    "step_s": self.scene.model.opt.timestep,
+                    "fingers": self.fingers,
+                    "queue": self.queue,
+                    "shapes": self.shapes,
+                },
+                outputs=self._written,
+                device=self.device,
+            )
+
+        with wp.ScopedCapture() as capture:
+            for _ in range(self.record_steps):
+                step()
+        return capture.graph
+
+
+def queue_table(job: Job, todo: np.ndarray) -> dict[str, np.ndarray]:
+    """The `Queue` of the trials at places `todo` of the job, on the host: all at once, nothing
+    trial by trial."""
+    scene, trials, rows = job.scene, job.trials.rows(todo), job.rows[todo]
+    model = scene.loaded(trials)
+    path, time, length = (table.numpy()[rows] for table in job.tables)
+    samples = job.samples[todo]
+    table = {
+        "n": np.array([len(todo)]),
+        "path": path,
+        "time": time,
+        "length": length,
+        "steps": samples * job.record_steps,
+        "sample": np.cumsum(samples + 1) - (samples + 1),
+        "start": scene.start(trials, job.start[todo]),
+        "hold": scene.hold(trials),
+        **{
+            name: model[f"body_{name}"]
+            for name in ("pos", "quat", "ipos", "iquat", "mass", "inertia", "subtreemass")
+        },
+        "dof_invweight": model["dof_invweight0"],
+        "body_invweight": model["body_invweight0"],
+    }
+    if scene.full:
+        table["mesh"] = scene.meshes_of(trials)
+        table["hand_pos"] = trials.T_world_hand[:, :3, 3]
+        table["hand_quat"] = quats_wxyz(trials.T_world_hand[:, :3, :3])
+    return {k: v.astype(np.int32 if k in INTEGERS else np.float32) for k, v in table.items()}
+
+
+INTEGERS = ("n", "length", "steps", "sample", "mesh")
+
+
+def _empty_queue(scene: SceneModel, n: int, waypoints: int) -> Queue:
+    model, queue = scene.model, Queue()
+    for name in INTEGERS[:-1]:
+        setattr(queue, name, wp.zeros(1 if name == "n" else n, dtype=wp.int32))
+    for name, shape in (
+        ("path", (n, waypoints, 6)),
+        ("time", (n, waypoints)),
+        ("start", (n, model.nq)),
+        ("hold", (n, model.nu - 6)),
+        ("mass", (n,)),
+        ("subtreemass", (n, model.nbody)),
+        ("dof_invweight", (n, model.nv)),
+    ):
+        setattr(queue, name, wp.zeros(shape, dtype=wp.float32))
+    queue.body_invweight = wp.zeros((n, model.nbody), dtype=wp.vec2)
+    vectors, turns = ["pos", "ipos", "inertia"], ["quat", "iquat"]
+    if scene.full:
+        queue.mesh = wp.zeros((n, len(scene.varied)), dtype=wp.int32)
+        vectors.append("hand_pos")
+        turns.append("hand_quat")
+    for name in vectors:
+        setattr(queue, name, wp.zeros(n, dtype=wp.vec3))
+    for name in turns:
+        setattr(queue, name, wp.zeros(n, dtype=wp.quat))
+    return queue
+
+
+def _empty_record(model: mujoco.MjModel, n: int, samples: int) -> Record:
+    record = Record()
+    record.q = wp.zeros((samples, 6), dtype=wp.float32)
+    record.acceleration = wp.zeros((n, 6), dtype=wp.float32)
+    record.sway, record.failed = wp.zeros(n, dtype=wp.float32), wp.zeros(n, dtype=wp.int32)
+    record.state = wp.zeros((n, model.nq + model.nv), dtype=wp.float32)
+    return record
+
+
+def _worlds(model: mujoco.MjModel, nworld: int) -> Worlds:
+    worlds = Worlds()
+    worlds.slot, worlds.step = (wp.zeros(nworld, dtype=wp.int32) for _ in range(2))
+    worlds.qpos, worlds.qvel = (wp.zeros((nworld, model.nv), dtype=wp.float32) for _ in range(2))
+    worlds.taken, worlds.left = (wp.zeros(1, dtype=wp.int32) for _ in range(2))
+    return worlds
+
+
+def _rounded(n: int) -> int:
+    """n or up to an eighth more."""
+    step = max(1 << max(n.bit_length() - 3, 0), 1)
+    return -(-n // step) * step
+
+
+def _for_warp(model: mujoco.MjModel) -> mujoco.MjModel:
+    model = copy.copy(model)
+    model.opt.disableflags &= ~int(
+        mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    )  # it never resets, and refuses the flag
+    # boxes as in MuJoCo C, by their faces: the general routine makes one contact of four, and a
+    # gripper that meets the table bounces off
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
+    return model
+
+
+def _shapes(scene: SceneModel) -> Shapes:
+    shapes = Shapes()
+    shapes.geom = wp.array(scene.varied.astype(np.int32), dtype=wp.int32)
+    if scene.full:
+        for name, dtype in (
+            ("size", wp.vec3),
+            ("rbound", wp.float32),
+            ("pos", wp.vec3),
+            ("quat", wp.quat),
+        ):
+            setattr(
+                shapes, name, wp.array(scene.shapes[f"geom_{name}"].astype(np.float32), dtype=dtype)
+            )
+        aabb = scene.shapes["geom_aabb"].astype(np.float32).reshape(-1, 2, 3)
+        shapes.aabb = wp.array(aabb, dtype=wp.vec3)
+    return shapes
+
+
+def _fingers(scene: SceneModel) -> Fingers:
+    fingers = Fingers()
+    for name in ("driver", "pin_arm", "pin", "inner_knuckle"):
+        setattr(fingers, name, getattr(scene.levers, name))
+    return fingers
+
+
+def _fields(model: mjw.Model, data: mjw.Data) -> Fields:
+    fields = Fields()
+    for name in (*BATCHED, *MESH_FIELDS):
+        setattr(fields, name, getattr(model, name))
+    for name in STATE:
+        setattr(fields, name, getattr(data, name))
+    return fields
+
 
 ON_CPU = False
 """The engine reads its tables on the scene's device."""

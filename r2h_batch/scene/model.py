@@ -16,12 +16,15 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import JOINTS, Robot, drive_from_gap
 from r2h_batch.config import Workplace
 from r2h_batch.scene.dynamics import (
+    MassProperties,
     Payload,
+    PayloadTables,
     add_arm,
     add_object,
     arm_model,
     load,
     new_spec,
+    principal,
     quat_wxyz,
 )
 from r2h_batch.scene.model_parts import (
@@ -37,7 +40,6 @@ from r2h_batch.scene.model_parts import (
     add_visual,
     look,
 )
-from r2h_batch.scene.payloads import MassProperties, PayloadTables, principal
 from r2h_batch.scene.tables import TABLE_FROM_LINK
 
 Array = NDArray[np.float64]

@@ -15,8 +15,7 @@ import r2h_batch.motion.execute as module
 from r2h_batch import evaluate
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, EvalConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.motion.contacts import FINGER_GIVE_M, NEAR_M, nothing_pushes
-from r2h_batch.motion.execute import Executed, execute
+from r2h_batch.motion.execute import FINGER_GIVE_M, NEAR_M, Executed, execute, nothing_pushes
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.model import TrialScene

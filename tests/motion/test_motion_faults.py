@@ -14,7 +14,7 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import hand_distance
 from r2h_batch.launch import init_warp
-from r2h_batch.motion import sim_mjwarp, sim_mujoco, standing
+from r2h_batch.motion import sim_mjwarp, sim_mujoco
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.simulation import Job, Samples
 from r2h_batch.motion.time_law import time_path
@@ -125,8 +125,8 @@ def test_without_memory_for_all_worlds_half_as_many_give_the_same_motion(monkeyp
 
 def test_more_contacts_than_there_is_room_for_are_noticed_by_their_count(monkeypatch):
     """Contacts are pooled over worlds and the simulator may stay silent: every trial of the pool is run again."""
-    honest, sizes = standing._fields, []
-    standing.forget_worlds()  # theirs are read when they are built
+    honest, sizes = sim_mjwarp._fields, []
+    sim_mjwarp.forget_worlds()  # theirs are read when they are built
 
     def crowded(model, data):
         fields = honest(model, data)
@@ -135,9 +135,9 @@ def test_more_contacts_than_there_is_room_for_are_noticed_by_their_count(monkeyp
             fields.naconmax = -1  # less than the 0 contacts there are
         return fields
 
-    monkeypatch.setattr(standing, "_fields", crowded)
+    monkeypatch.setattr(sim_mjwarp, "_fields", crowded)
     e = run(MJWARP)
-    standing.forget_worlds()
+    sim_mjwarp.forget_worlds()
     assert (
         len(sizes) == 3
         and sizes == [sizes[0] * 4**k for k in range(3)]
@@ -147,7 +147,7 @@ def test_more_contacts_than_there_is_room_for_are_noticed_by_their_count(monkeyp
     monkeypatch.setattr(sim_mjwarp, "TRIES", 2)
     sizes.clear()
     assert run(MJWARP).valid.tolist() == (problems().plan.length == 0).tolist()
-    standing.forget_worlds()
+    sim_mjwarp.forget_worlds()
 
 
 def test_the_table_stops_the_gripper_and_nobody_else_notices():
@@ -275,7 +275,7 @@ def test_configurations_that_mean_nothing_are_refused():
     ):
         with pytest.raises(ValueError, match=next(iter(bad))):
             ExecConfig(**bad)
-    with pytest.raises(TypeError, match=r"record_steps is 2\.5; it must be a whole number of steps"):
+    with pytest.raises(TypeError, match=r"record_steps is 2\.5; it must be a whole number"):
         ExecConfig(record_steps=2.5)
     assert ExecConfig().engine("cpu") == "mujoco" and ExecConfig().engine("cuda:0") == "mjwarp"
     assert ExecConfig(sim="none").engine("cuda") == "none"

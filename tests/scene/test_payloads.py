@@ -9,9 +9,8 @@ from dynamics_twin import some_payload
 from problems import default_evaluator
 
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.scene.dynamics import Payload, load, quat_wxyz
+from r2h_batch.scene.dynamics import MassProperties, Payload, PayloadTables, load, principal, quat_wxyz, quats_wxyz
 from r2h_batch.scene.model import SceneModel, TrialScenes, build_scene_model
-from r2h_batch.scene.payloads import MassProperties, PayloadTables, principal, quats_wxyz
 
 N = 24
 

@@ -16,8 +16,8 @@ from problems import default_evaluator
 from r2h_batch.bodies.robot import drive_from_gap, ee_pose, forward_kinematics, gripper_primitives_at
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.launch import init_warp
+from r2h_batch.motion.sim_mjwarp import StandingWorlds
 from r2h_batch.motion.simulation import Job
-from r2h_batch.motion.standing import StandingWorlds
 from r2h_batch.motion.time_law import servo_law
 from r2h_batch.scene import model as module
 from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, LINK_MASS_KG, Payload
