@@ -37,7 +37,7 @@ PAGE, HEAD, SUM = Path(__file__).resolve().parents[1] / "docs/results/objects.md
 def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
     """The figures of one mesh file."""
     from r2h_batch import Evaluator, make_trials
-    from r2h_batch.bodies.given.convex import convex_pieces
+    from r2h_batch.bodies.mesh_import.pieces import convex_pieces
     from r2h_batch.bodies.objects import ObjectMeshError, build_object
     from r2h_batch.methods.candidates import candidates_of
     from r2h_batch.receiver.receiving import load_receiving

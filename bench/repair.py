@@ -118,7 +118,7 @@ def measure(name: str, source: Any, count: int, clean: Any = None) -> dict[str, 
     import numpy as np
     from mesh_twins import winding_number
 
-    from r2h_batch.bodies.object_mesh import closed_mesh
+    from r2h_batch.bodies.mesh_import.closed import closed_mesh
 
     closed = closed_mesh(source, name, 1.0)
     mesh, repair, other = closed.mesh, closed.repair, closed.given if clean is None else clean

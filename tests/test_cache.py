@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from r2h_batch.bodies.given.kept_object import FORM as OBJECT
-from r2h_batch.bodies.given.kept_object import SAID, kept_with_warnings
 from r2h_batch.bodies.hand import load_hand
+from r2h_batch.bodies.mesh_import.cache import FORM as OBJECT
+from r2h_batch.bodies.mesh_import.cache import SAID, kept_with_warnings
 
 # what goes to disk and back; the public way builds a mesh
 from r2h_batch.bodies.objects import ObjectModel, _as_arrays, _from_arrays, load_objects, object_digest

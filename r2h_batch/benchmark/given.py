@@ -14,8 +14,8 @@ from r2h_batch.benchmark.flags import BenchmarkFlags
 from r2h_batch.benchmark.reading import Only, hand_of, hand_set_of, objects_of, read_benchmark
 from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.benchmark.unbuilt import is_unbuilt, unbuilt
-from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.hand import make_hand_set
+from r2h_batch.bodies.mesh_import.build_ahead import build_ahead
 from r2h_batch.bodies.objects import ObjectModel, call_of, object_from_argument
 from r2h_batch.command_line import nearest
 from r2h_batch.importers.any_file import GRASP_FILES, grasps_from, without_gripper

@@ -18,10 +18,10 @@ from r2h_batch.benchmark.file import BUILT_IN, BenchmarkFile, ObjectEntry, read_
 from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.benchmark.unbuilt import unbuilt
 from r2h_batch.benchmark.words import S0_ROLES, THINGS, Thing
-from r2h_batch.bodies.given.many import build_ahead
 from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.hand import HandModel, HandSet, load_hand, load_hand_set, make_hand_set
 from r2h_batch.bodies.hand_file import read_hand_set
+from r2h_batch.bodies.mesh_import.build_ahead import build_ahead
 from r2h_batch.bodies.objects import ObjectModel, build_object, load_objects
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import Thresholds, Workplace

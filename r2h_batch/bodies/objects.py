@@ -23,13 +23,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.given.blas import one_blas_thread
-from r2h_batch.bodies.given.convex import convex_hull, convex_pieces
-from r2h_batch.bodies.given.kept_object import kept_with_warnings, key_of
-from r2h_batch.bodies.given.region import part_of_faces, receiver_region
 from r2h_batch.bodies.grasp_set import GraspSet
-from r2h_batch.bodies.mesh_file import SUFFIXES, labels_of
-from r2h_batch.bodies.object_mesh import ObjectMeshError, Repair, closed_mesh
+from r2h_batch.bodies.mesh_import.blas import one_blas_thread
+from r2h_batch.bodies.mesh_import.cache import kept_with_warnings, key_of
+from r2h_batch.bodies.mesh_import.closed import ObjectMeshError, Repair, closed_mesh
+from r2h_batch.bodies.mesh_import.file import SUFFIXES, labels_of
+from r2h_batch.bodies.mesh_import.pieces import convex_hull, convex_pieces
+from r2h_batch.bodies.mesh_import.region import part_of_faces, receiver_region
 from r2h_batch.bodies.solid import sample_surface, solid_occupancy
 from r2h_batch.io.cache import is_cached
 from r2h_batch.io.read import printable

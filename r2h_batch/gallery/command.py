@@ -120,7 +120,7 @@ def figures(
         these where it had the built-in benchmark.
     """
     from r2h_batch.benchmark.given import Given
-    from r2h_batch.bodies.object_mesh import ObjectMeshError
+    from r2h_batch.bodies.mesh_import.closed import ObjectMeshError
     from r2h_batch.export.stored import ExportError, Reader
     from r2h_batch.report.figures import needs_matplotlib
     from r2h_batch.scene.offscreen import RenderError, ready

@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.given.blas import one_blas_thread
 from r2h_batch.bodies.hand import HandModel, load_hand
 from r2h_batch.bodies.hand_measure import hull_planes, self_cut
+from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.launch import init_warp
 from r2h_batch.launch.torch_threads import one_torch_thread

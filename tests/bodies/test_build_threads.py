@@ -8,7 +8,7 @@ import torch
 import trimesh
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from r2h_batch.bodies.given.blas import one_blas_thread
+from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.objects import build_object
 from r2h_batch.methods.grasps import sample
 from r2h_batch.receiver import sampler

@@ -8,8 +8,8 @@ import trimesh
 
 from r2h_batch.benchmark.given import Given
 from r2h_batch.bodies import objects
-from r2h_batch.bodies.given.kept_object import key_of
-from r2h_batch.bodies.given.many import build_ahead
+from r2h_batch.bodies.mesh_import.build_ahead import build_ahead
+from r2h_batch.bodies.mesh_import.cache import key_of
 from r2h_batch.bodies.objects import ObjectMeshError, build_object, is_built, object_digest, object_from_argument
 from r2h_batch.io.read import FileError
 

@@ -22,8 +22,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.mesh_file import load_mesh_file
-from r2h_batch.bodies.mesh_limits import ObjectMeshError
+from r2h_batch.bodies.mesh_import.file import load_mesh_file
+from r2h_batch.bodies.mesh_import.limits import ObjectMeshError
 from r2h_batch.bodies.solid import Surface
 from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import files_below

@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.given.blas import one_blas_thread
+from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import OPEN_GAP_M

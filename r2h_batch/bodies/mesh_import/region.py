@@ -13,8 +13,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.mesh_limits import ObjectMeshError
-from r2h_batch.bodies.object_mesh import Closed
+from r2h_batch.bodies.mesh_import.closed import Closed
+from r2h_batch.bodies.mesh_import.limits import ObjectMeshError
 from r2h_batch.bodies.solid import Surface
 from r2h_batch.io.read import FileError, printable, read_file
 

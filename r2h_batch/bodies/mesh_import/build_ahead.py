@@ -1,7 +1,7 @@
 """Many objects built on all cores, before somebody asks for them one by one: workers fill the
 folder of what is kept.
 
-`python -m r2h_batch.bodies.given.many` is a worker: a build's arguments as one line of JSON on its
+`python -m r2h_batch.bodies.mesh_import.build_ahead` is a worker: a build's arguments as one line of JSON on its
 stdin, one line back when it is done. What goes wrong in a worker goes wrong again where the object
 is asked for, and is said there.
 """
@@ -55,7 +55,7 @@ def _drive(queue: SimpleQueue[str], advance: Callable[[], None]) -> None:
     for it."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
     worker = subprocess.Popen(
-        [sys.executable, "-P", "-m", "r2h_batch.bodies.given.many"],
+        [sys.executable, "-P", "-m", "r2h_batch.bodies.mesh_import.build_ahead"],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, text=True,
     )  # fmt: skip
     assert worker.stdin is not None and worker.stdout is not None

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.mesh_limits import MOST_BYTES
+from r2h_batch.bodies.mesh_import.limits import MOST_BYTES
 from r2h_batch.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.io.read import FileError, read_file
 
@@ -20,11 +20,11 @@ __all__ = ["kept_with_warnings", "key_of"]
 
 CODE = (
     "r2h_batch.bodies",
-    "r2h_batch.bodies.given",
+    "r2h_batch.bodies.mesh_import",
     "r2h_batch.kernels.geometry",
     "r2h_batch.kernels.receiver",
 )
-VERSIONS = ("coacd", "manifold3d", "numpy", "scipy", "trimesh", "warp-lang")
+VERSIONS = ("coacd", "libigl", "manifold3d", "numpy", "scipy", "trimesh", "warp-lang")
 """What objects are made by."""
 SAID = "warnings"
 

@@ -3,7 +3,7 @@ any time and memory.
 
 The child gets the opened file as its stdin and answers with two arrays. Materials and textures are
 never loaded; buffers that a glTF names are, from the file's own folder. `python -m
-r2h_batch.bodies.mesh_file` is the child.
+r2h_batch.bodies.mesh_import.file` is the child.
 """
 
 from __future__ import annotations
@@ -23,7 +23,12 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.mesh_limits import MOST_BYTES, MOST_SECONDS, SILENT_SECONDS, ObjectMeshError
+from r2h_batch.bodies.mesh_import.limits import (
+    MOST_BYTES,
+    MOST_SECONDS,
+    SILENT_SECONDS,
+    ObjectMeshError,
+)
 from r2h_batch.command_line import tell
 from r2h_batch.io.read import FileError, open_file, path_within, printable, read_file
 
@@ -91,7 +96,7 @@ def _read_in_child(file: BinaryIO, answer: BinaryIO, path: Path, size: int, labe
     # with a numpy.py in it
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
     child = subprocess.Popen(
-        [sys.executable, "-P", "-m", "r2h_batch.bodies.mesh_file", json.dumps(options)],
+        [sys.executable, "-P", "-m", "r2h_batch.bodies.mesh_import.file", json.dumps(options)],
         stdin=file,
         stdout=answer,
         stderr=subprocess.PIPE,

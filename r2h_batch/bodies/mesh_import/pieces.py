@@ -9,8 +9,8 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.given.blas import one_blas_thread
-from r2h_batch.bodies.given.rebuild import simplified_to
+from r2h_batch.bodies.mesh_import.blas import one_blas_thread
+from r2h_batch.bodies.mesh_import.manifold import simplified_to
 
 __all__ = ["convex_hull", "convex_pieces"]
 
@@ -77,8 +77,8 @@ def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> 
     `fine` coacd, is not installed.
 
     A slightly simpler surface is cut by planes (`cut_apart`), parts are joined again where that
-    costs the least (`fewer`), and these pieces are grown until no point of the surface is more than
-    0.05 mm outside all of them (`covering`: each triangle, cut to 3 mm, lies in one). `fine`: as
+    costs the least (`merge_hulls`), and these pieces are grown until no point of the surface is more than
+    0.05 mm outside all of them (`inflate_to_cover`: each triangle, cut to 3 mm, lies in one). `fine`: as
     those of the built-in objects, by CoACD alone (fixed seed), thirty times the time; those leave
     up to 0.1 mm outside.
     """
@@ -95,14 +95,13 @@ def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> 
 
 @one_blas_thread()
 def _quick(solid: trimesh.Trimesh) -> list[Hull]:
-    from r2h_batch.bodies.given.cut import cut_apart
-    from r2h_batch.bodies.given.fewer import covering, fewer
+    from r2h_batch.bodies.mesh_import.cut import cut_apart, inflate_to_cover, merge_hulls
 
-    parts = fewer(cut_apart(_simpler(solid)), MAX_PIECES, SPARE * float(solid.volume))
+    parts = merge_hulls(cut_apart(_simpler(solid)), MAX_PIECES, SPARE * float(solid.volume))
     # a square metre of triangles with edges this long has 2.3 / apart^2 corners
     apart = max(APART_M, float(np.sqrt(4 * solid.area / MOST_POINTS)))
     surface = np.array(solid.vertices, np.float64), np.array(solid.faces, np.int64)
-    return [convex_hull(part) for part in covering(parts, *surface, HELD_M, apart)]
+    return [convex_hull(part) for part in inflate_to_cover(parts, *surface, HELD_M, apart)]
 
 
 def _fine(solid: trimesh.Trimesh) -> list[Hull]:
