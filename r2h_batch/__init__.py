@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
     # MuJoCo loads OSMesa's LLVM; where triton (it comes with torch for CUDA) is loaded after that,
-    # the process ends with signal 11, as soon as somebody makes an optimizer. The other order
+    # the process ends with signal 11, as soon as a program makes an optimizer. The other order
     # works.
     with suppress(ImportError):
         import triton  # noqa: F401

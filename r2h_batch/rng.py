@@ -23,7 +23,7 @@ no more are tried."""
 
 
 class NothingFits(RuntimeError):
-    """What is asked of a draw leaves no place, or hardly any."""
+    """The conditions of a draw leave no place, or hardly any."""
 
 
 """An acceptance rate this low is an empty set, and not bad luck."""

@@ -90,7 +90,7 @@ class _Rows:
         return self._changed(lambda value: value.to(device))
 
     def clone(self) -> Self:
-        """The same rows in memory of their own, without history: whoever gets them may write
+        """The same rows in memory of their own, without history: the caller may write
         there."""
         return self._changed(lambda value: value.detach().clone())
 

@@ -22,7 +22,7 @@ __all__ = [
 Tick = Callable[[float], None] | None
 
 POINTS_AT_ONCE = 2048
-"""Points whose distance is asked for between two looks at the clock; each is answered alone."""
+"""Points measured between two looks at the clock, each on its own."""
 
 
 class Surface:
@@ -30,7 +30,7 @@ class Surface:
     its middle)."""
 
     def __init__(self, mesh: trimesh.Trimesh) -> None:
-        import warp as wp  # here: whoever only loads the built-in objects needs no Warp
+        import warp as wp  # here: loading built-in objects needs no Warp
 
         from r2h_batch.launch import init_warp
 
@@ -102,7 +102,7 @@ class Surface:
 def signed_distance(
     mesh: trimesh.Trimesh, points: NDArray[np.float64], tick: Tick = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """`Surface.signed` of a mesh that is asked once."""
+    """`Surface.signed` of a mesh that is used once."""
     return Surface(mesh).signed(points, tick)
 
 

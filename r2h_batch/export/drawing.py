@@ -1,4 +1,4 @@
-"""What a picture of one trial shows, whoever draws it: bodies, their motion, marks and a camera.
+"""What every picture of one trial shows: bodies, their motion, marks and a camera.
 
 `Drawing` is the one description of a trial. `export/pictures.py` draws it with MuJoCo into images
 and films; `view/page.py` draws it with viser into a browser.

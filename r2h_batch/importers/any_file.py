@@ -1,4 +1,4 @@
-"""Somebody's hand or grasps straight from their file: what `r2h-batch import` would make of it,
+"""A user's hand or grasps straight from their file: what `r2h-batch import` would make of it,
 told apart by the file's name."""
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 arrays as .npz.
 
 Romero, Tzionas, Black: Embodied Hands (2017). MANO's licence forbids to pass its files on, and what
-is made of them: nothing of MANO is in this package, and a hand.npz made here stays with whoever
+is made of them: nothing of MANO is in this package, and a hand.npz made here stays with the person who
 made it.
 
 The hand frame is MANO's with the wrist joint at the origin, whatever the shape: where MANO's own

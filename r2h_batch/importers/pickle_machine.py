@@ -38,7 +38,7 @@ class UnsafePickle(ValueError):
 
 @dataclass(frozen=True)
 class Name:
-    """A class or function that the file names and that nobody here ever looks up."""
+    """A class or function that the file names. It is never looked up."""
 
     name: str
 

@@ -31,7 +31,7 @@ _KINDS = "biufcSU"
 
 
 STARTS = (b"\x80", b"(", b"c", b"}", b"]", b")")
-"""How pickles begin that somebody wrote; all end with a full stop."""
+"""First bytes of pickles; all pickles end with a full stop."""
 
 
 def read_pickle(data: bytes, *, where: str = "pickle", max_bytes: int = MAX_BYTES) -> Any:

@@ -1,7 +1,7 @@
 """Closing and shaking in physics: the 2F-85's linkage closes on the object until it stops; then the
 grasp is tried.
 
-A check of the geometric width (grasp.py), and a friction grasp where one is asked for. Everything
+A check of the geometric width (grasp.py), and a friction grasp on request. Everything
 stands in the gripper frame: weight and shaking are accelerations of that frame.
 """
 

@@ -205,7 +205,7 @@ def launch(
 
 def _stream(device: str) -> wp.Stream:
     """Torch's stream: what torch wrote before is there, what it reads after has been written,
-    nobody waits on the host.
+    the host does not wait.
 
     Given to the launch itself: ScopedStream would make it wait for Warp's own stream, which no
     graph can capture.

@@ -8,7 +8,7 @@ caller names them:
     device="cpu")
 
 `q` fills the parameter `q_in`, `distance` the parameter `distance_out`. What a kernel writes ends
-in `_out`, `_inout` (it is read too) or `_scratch` (nobody reads it afterwards) and goes to
+in `_out`, `_inout` (it is read too) or `_scratch` (never read afterwards) and goes to
 `outputs`; all else, structs and tables included, to `inputs`.
 
 Tensors and NumPy arrays are passed as they are: the kernel's own declaration says that (b, 4, 4)

@@ -243,7 +243,7 @@ def taken(kernel: Any) -> CachedLaunch | None:
 
 
 def kept(repeated: CachedLaunch) -> None:
-    """Puts it back: nobody is using its descriptors any more."""
+    """Puts it back: no launch uses its descriptors any more."""
     kernels = _kernels()
     while len(kernels) >= MOST_KERNELS:
         del kernels[next(iter(kernels))]  # in the order of their last use

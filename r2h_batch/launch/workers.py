@@ -47,7 +47,7 @@ def share(
     free takes the next one.
 
     The calling thread is worker 0. Compiled kernels let go of the interpreter's lock: they run at
-    once. However this ends, an interrupt of the calling thread included, nobody is at work any
+    once. However this ends, an interrupt of the calling thread included, no worker is active any
     more: the caller may free the memory.
     """
     starts = iter(range(first, first + n, chunk))  # next() is atomic
@@ -81,7 +81,7 @@ def share(
 
 
 def _call_back(starts: Iterator[int], busy: set[int]) -> None:
-    """Returns when no chunk is left and nobody works at one; an interrupt meanwhile is raised after
+    """Returns when no chunk is left and no worker is active; an interrupt meanwhile is raised after
     that."""
     interrupt = None
     while True:

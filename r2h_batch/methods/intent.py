@@ -65,7 +65,7 @@ INWARD_DEG = 15.0
 
 CLEARANCE_M = 0.0
 """What the gripper and the target hand must keep when rolls are tried: touching is a collision, no
-room is asked for."""
+no room is required."""
 
 BACK_OFF_M = 0.10
 """The approach ray starts this far behind the TCP: inside the gripper's body, where a candidate has

@@ -25,7 +25,7 @@ Simulator = tuple[mujoco.MjModel, mujoco.MjData]
 
 
 def simulate(job: Job, *, threads: int | None = None) -> Samples:
-    """Recorded motion of the job's trials; each stops at its own end, so that nobody waits for the
+    """Recorded motion of the job's trials; each stops at its own end, so that no trial waits for the
     slowest."""
     out = Samples.empty(job)
     workers = min(cpu_threads(threads), max(len(job.rows), 1))
@@ -60,7 +60,7 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
                 chunk=1,
                 width=command.shape[1],
             )
-            todo = iter(rows)  # next() is atomic: whoever is free takes the next trial
+            todo = iter(rows)  # next() is atomic: a free thread takes the next trial
             work = partial(_work, job, simulators, todo, first, command.numpy(), steps, out)
             futures = [thread_pool(workers).submit(work) for _ in range(workers - 1)]
             work()

@@ -1,4 +1,4 @@
-"""What a simulator is asked and what it answers: the same for every engine."""
+"""Input and output of a simulator, the same for every engine."""
 
 import threading
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""What somebody's own networks saw, as files: instead of the built-in error model
+"""Outputs of a user's own networks, as files: instead of the built-in error model
 (`--predicted-hands, -parts, -contacts`).
 
 Arrays of an .npz or .safetensors file; N rows by `trial_id` (N,), or, of parts and contacts, K rows
@@ -134,7 +134,7 @@ class Seen:
 
 _LOOKED_AT = 4096
 ALIKE = 3.0
-"""How much larger or smaller a cloud of somebody's own may be than the object that it is of (a view
+"""How much larger or smaller a user's cloud may be than the object that it is of (a view
 shows one side)."""
 
 

@@ -159,7 +159,7 @@ def retrieve_receiving(
     error model.
 
     Instructions are understood for object, part and purpose (`instructions.understand`); a sentence
-    about another object, or about a part that nobody takes, raises `InstructionError`. `seen`: a
+    about another object, or about a part that the receiver does not take, raises `InstructionError`. `seen`: a
     network's answers instead.
     """
     if seen is not None and seen.receiving is not None:

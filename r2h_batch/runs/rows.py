@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Outcome, PlanReason
 
-if TYPE_CHECKING:  # whoever reads rows needs no torch
+if TYPE_CHECKING:  # readers of rows need no torch
     from r2h_batch.types import Predictions, Scores, Trials
 
 MISSING = max(Outcome) + 1

@@ -120,7 +120,7 @@ def separation(
 
 @dataclass(frozen=True)
 class Poses0:
-    """Poses at which first-order changes are asked for, and those (`_0`) at which the witnesses
+    """Poses of the first-order changes, and those (`_0`) at which the witnesses
     were found."""
 
     T_world_ee: Float[Tensor, "b 4 4"]

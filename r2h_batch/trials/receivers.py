@@ -80,7 +80,7 @@ _POSE, _PERSON = 1, 2  # purposes of the random counters
 _RAD = 0.017453292519943295
 AT_ONCE = 4096
 """Proposals looked at together."""
-POINTS = 9  # along each limb, where it is asked whether it is clear
+POINTS = 9  # along each limb, at which its clearance is checked
 
 
 @dataclass(frozen=True)
@@ -138,7 +138,7 @@ def draw_receivers(
     receiver = np.zeros((len(ids), 5, 4), np.float32)
     todo, tried = np.arange(len(ids)), 0
     while len(todo) and tried < rng.MAX_ATTEMPTS:
-        # the few that are left are asked many proposals at once; the first that fits is taken, as
+        # the few that are left try many proposals at once; the first that fits is taken, as
         # one after the other
         turns = max(1, AT_ONCE // len(todo))
         rows = np.repeat(todo, turns)

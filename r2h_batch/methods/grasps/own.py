@@ -20,7 +20,7 @@ SEATS_M = (0.0, 0.004, -0.004, 0.008, -0.008, 0.012, -0.012, 0.016, -0.016, 0.02
 
 
 def own_grasps(model: ObjectModel, grasps: GraspSet, *, threads: int | None = None) -> Candidates:
-    """The user's grasps as they are, best score first; nothing is asked of them. `width`: of what
+    """The user's grasps as they are, best score first, without any check. `width`: of what
     lies between the pads."""
     init_warp()
     order = np.argsort(-grasps.score, kind="stable")
