@@ -39,7 +39,7 @@ rates, headings, charts and re-scoring follow it. A new criterion is one entry h
 in `judge.metrics`."""
 
 CRITERIA = tuple(entry.name for entry in REGISTRY)
-"""Column order of every (B, 5) tensor."""
+"""Column order of every (B, C) tensor of criteria."""
 
 MOST_SECONDS = 1e9
 """A stored time is at most this long (30 years): what is longer was made up."""
@@ -57,6 +57,12 @@ class Outcome(IntEnum):
     SAFE = 5
     INVALID_INPUT = 6
     INVALID_SIM = 7
+
+
+if tuple(Outcome.__members__)[1 : len(REGISTRY) + 1] != tuple(c.upper() for c in CRITERIA):
+    raise ValueError(
+        f"Outcome and REGISTRY differ; Outcome must name {', '.join(CRITERIA)} in order"
+    )
 
 
 class PlanReason(IntEnum):

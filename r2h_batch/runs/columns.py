@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.verdicts import CRITERIA, Outcome
+from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
 
 UNEVALUATED, FAILED, PASSED = 0, 1, 2
 """What a criterion says about a trial: a digit of its pattern."""
 
-REQUIRED = np.array([c != "affordance" for c in CRITERIA])
-"""(5,) criteria that every success must have been looked at for."""
+REQUIRED = np.array([entry.splits == SPLITS for entry in REGISTRY])
+"""(C,) criteria that every success in either split must have been judged by."""
 
 PATTERNS = np.array(np.unravel_index(np.arange(3 ** len(CRITERIA)), (3,) * len(CRITERIA))).T
 """(243, 5) the criteria's words of every pattern; a trial's pattern is the row, invalid and missing
@@ -65,11 +65,11 @@ def states(table: pa.Table) -> dict[str, np.ndarray]:
 
 
 def pattern(state: dict[str, np.ndarray]) -> np.ndarray:
-    """(N,) uint8 the five states as one number, base 3 in the order of `CRITERIA`: a row of
-    `PATTERNS`."""
-    number = np.zeros(len(state[CRITERIA[0]]), np.uint8)
+    """(N,) the states as one number, base 3 in the order of `CRITERIA`: a row of `PATTERNS`."""
+    kind = np.min_scalar_type(len(PATTERNS))  # uint8 holds the 243 patterns of five criteria
+    number = np.zeros(len(state[CRITERIA[0]]), kind)
     for c in CRITERIA:
-        number = np.uint8(3) * number + state[c].astype(np.uint8, copy=False)
+        number = kind.type(3) * number + state[c].astype(kind, copy=False)
     return number
 
 

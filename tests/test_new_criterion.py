@@ -1,0 +1,103 @@
+"""A sixth criterion touches two files: an entry and an outcome in verdicts.py, a function in judge/metrics.py."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "r2h_batch"
+ENTRY = '    CriterionEntry("height", "f_height", "F_height", 5, "#666666", SPLITS, True, False),\n'
+FUNCTION = '''
+
+def height(e: Evidence) -> Criterion:
+    """The object is handed over at least 0.3 m above the table."""
+    return Criterion.of("height", e.held.T_world_ee[:, 2, 3] - 0.3, e.held.active)
+'''
+USE = """
+import sys, torch
+from r2h_batch import verdicts
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods import oracle
+from r2h_batch.trials.protocol import trials_with_ids
+
+assert verdicts.CRITERIA[5] == "height" and verdicts.__file__.startswith(sys.argv[1])
+evaluator = Evaluator()
+trials = trials_with_ids(torch.arange(24), objects=evaluator.scene.objects)
+poses = oracle.predict(trials, evaluator.scene, seed=0)
+T = poses.T_world_ee.clone().requires_grad_()
+scores = evaluator.score(poses.T_obj_ee, T, trials, stages="pose")
+high = T[:, 2, 3] - 0.3 >= 0
+assert scores.margin.shape == (24, 6) and torch.equal(scores.passed[:, 5], high) and 0 < high.sum() < 24
+alone = ~high & scores.passed[:, :5].logical_or(~scores.evaluated[:, :5]).all(1)
+assert (scores.outcome[alone] == verdicts.Outcome.HEIGHT).all() and not scores.success[~high].any()
+scores.soft(temperature_m=0.01).sum().backward()
+assert T.grad.isfinite().all()
+assert "passed/height" in scores.scalars() and "height" in scores.summary()
+"""
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package with a sixth criterion: two files are changed, the others are links."""
+    top = tmp_path_factory.mktemp("tree")
+    made = top / "r2h_batch"
+    (made / "judge").mkdir(parents=True)
+    for folder in (PACKAGE, PACKAGE / "judge"):
+        for path in folder.iterdir():
+            place = made / path.relative_to(PACKAGE)
+            if path.name != "__pycache__" and not place.exists():
+                place.symlink_to(path)
+    for name in ("kernels", "assets"):
+        (made / name).symlink_to(PACKAGE.parent / name)
+    words, metrics = made / "verdicts.py", made / "judge" / "metrics.py"
+    text = words.read_text()
+    text = text.replace(')\n"""The criteria in the order', f'{ENTRY})\n"""The criteria in the order')
+    text = text.replace(
+        "    INVALID_INPUT = 6\n    INVALID_SIM = 7\n", "    HEIGHT = 6\n    INVALID_INPUT = 7\n    INVALID_SIM = 8\n"
+    )
+    equations = metrics.read_text() + FUNCTION
+    for file, changed in ((words, text), (metrics, equations)):
+        file.unlink()
+        file.write_text(changed)
+    return top
+
+
+def python(tree: Path, *arguments: str) -> str:
+    """What the changed package prints."""
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    command = [sys.executable, *arguments]
+    done = subprocess.run(command, env=environment, cwd=tree, capture_output=True, text=True, timeout=500)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def run(tree: Path) -> Path:
+    line = ["sweep", "--method", "oracle", "random", "--trials", "12", "--sim", "none", "--out", "run"]
+    python(tree, "-m", "r2h_batch", *line)
+    return tree / "run"
+
+
+def test_it_is_scored_after_the_others_and_decides_what_they_let_pass(tree: Path) -> None:
+    python(tree, "-c", USE, str(tree))
+
+
+def test_rows_store_it(tree: Path, run: Path) -> None:
+    code = (
+        "import sys; from r2h_batch.runs.store import load_run\n"
+        "run = load_run(sys.argv[1]); rows = run.trials(run.methods[0]).to_pylist()\n"
+        "print({r['outcome'] for r in rows}, rows[0]['passed_height'], all(abs(r['margin_height_m']) < 2 for r in rows))"
+    )
+    said = python(tree, "-c", code, str(run))
+    assert "'height'" in said and "True" in said
+
+
+@pytest.mark.parametrize(("form", "words"), [("md", "F_height"), ("latex", "height"), ("html", "F_height")])
+def test_tables_and_the_page_show_it(tree: Path, run: Path, form: str, words: str) -> None:
+    assert words in python(tree, "-m", "r2h_batch", "report", str(run), "--format", form)
+
+
+def test_rescoring_counts_it(tree: Path, run: Path) -> None:
+    assert "F_height" in python(tree, "-m", "r2h_batch", "rescore", str(run), "--reach-radius", ".08,.1")
