@@ -42,7 +42,7 @@ from r2h_batch.judge.presented import presented
 from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
 from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
-from r2h_batch.launch.torch_threads import one_torch_thread
+from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.scene import Scene

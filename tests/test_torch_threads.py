@@ -12,8 +12,8 @@ from problems import default_evaluator, make_batch, solve
 from r2h_batch import launch
 from r2h_batch.judge import attach, goal, plan
 from r2h_batch.judge.verdict import random_key
-from r2h_batch.launch import torch_threads
-from r2h_batch.launch.torch_threads import one_torch_thread
+from r2h_batch.launch import threads
+from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.methods.batches import answers
 
 TASKS = Path("/proc/self/task")
@@ -133,15 +133,15 @@ def test_calls_at_once_do_not_mix_up_their_numbers(batch):
 
 
 def test_without_openmp_torch_itself_is_asked(monkeypatch):
-    torch_threads._of_this_thread.cache_clear()
+    threads._of_this_thread.cache_clear()
     try:
         with monkeypatch.context() as patched:
-            patched.setattr(torch_threads.ctypes, "CDLL", lambda name: object())
+            patched.setattr(threads.ctypes, "CDLL", lambda name: object())
             with one_torch_thread("cpu"):
                 assert torch.get_num_threads() == 1
-            assert torch_threads._of_this_thread() is None
+            assert threads._of_this_thread() is None
     finally:
-        torch_threads._of_this_thread.cache_clear()
+        threads._of_this_thread.cache_clear()
     assert torch.get_num_threads() == 2
 
 

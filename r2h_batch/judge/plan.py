@@ -21,7 +21,7 @@ from r2h_batch.kernels.wave.arcs import draw_arcs
 from r2h_batch.kernels.wave.shortcuts import take_arcs
 from r2h_batch.kernels.wave.trees import enter_edges
 from r2h_batch.launch import launch_trials, load
-from r2h_batch.launch.torch_threads import one_torch_thread
+from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 

@@ -15,7 +15,7 @@ import warp as wp
 
 from r2h_batch.launch import cached
 from r2h_batch.launch.arguments import bind
-from r2h_batch.launch.workers import cpu_threads, share, thread_pool
+from r2h_batch.launch.threads import cpu_threads, share, thread_pool
 
 __all__ = [
     "BLOCK_DIM",
@@ -168,8 +168,16 @@ def _launch_on_cpu(
         if n == 0:
             return
         _room_for(kernel.module)
-        packed = cached.CachedLaunch(kernel, args, inputs, outputs)
+        packed = cached.pack(kernel, args, inputs, outputs)
     workers = 1 if n <= chunk else min(cpu_threads(threads), -(-n // chunk))
+    if packed is None:  # another Warp
+
+        def plain(worker: int, start: int, rows: int) -> None:
+            dim = (rows, width) if width > 1 else rows
+            wp.launch(kernel, dim=dim, inputs=[start, *args[1:]], device="cpu")
+
+        share(plain, first, n, workers, chunk)
+        return
     if workers > 1:
         packed.prepare(workers)
         share(

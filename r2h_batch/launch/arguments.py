@@ -30,8 +30,6 @@ import warp as wp
 from torch import Tensor
 from warp.types import types_equal
 
-from r2h_batch.launch.alike import alike
-
 _WRITTEN = ("_inout", "_out", "_scratch")
 
 _NUMPY: dict[Any, np.dtype[Any]] = {
@@ -45,6 +43,52 @@ _NUMPY: dict[Any, np.dtype[Any]] = {
     wp.float64: np.dtype(np.float64),
 }
 _FLOATS = (wp.float32, wp.float64)
+
+
+def _tensor_guards() -> Any:
+    try:
+        from torch._C._dynamo.guards import TensorGuards
+    except ImportError:  # another torch
+        return None
+    return TensorGuards
+
+
+TENSOR_GUARDS = _tensor_guards()
+"""torch's own check of many tensors at once (private, torch 2.13). None without it: then every
+tensor is looked at in each call."""
+
+
+class TensorLayoutGuard:
+    """Knows tensors again by class, data type, device, shape and strides, and by whether they wait
+    for a gradient.
+
+    It may say no of tensors that are alike (in torch's inference mode), never yes of others. It
+    keeps no tensor alive.
+    """
+
+    def __init__(self, tensors: Sequence[Tensor]) -> None:
+        places: dict[int, list[int]] = {}
+        for i, x in enumerate(tensors):
+            places.setdefault(id(x), []).append(i)
+        # the guards refuse a tensor that is given twice; a kernel does not
+        self._once = [same[0] for same in places.values()]
+        self._twins = [(same[0], i) for same in places.values() for i in same[1:]]
+        self._check: Callable[..., bool] | None = None
+        if TENSOR_GUARDS is not None and tensors:
+            once = (tensors[i] for i in self._once)
+            self._check = TENSOR_GUARDS(
+                *once, dynamic_dims_sizes=None, dynamic_dims_strides=None
+            ).check
+
+    def __call__(self, others: Sequence[object]) -> bool:
+        """Whether these, as many as before, have the same layout each."""
+        if self._check is None:
+            return False
+        if not self._twins:
+            return self._check(*others)
+        return all(others[i] is others[j] for i, j in self._twins) and self._check(
+            *(others[i] for i in self._once)
+        )
 
 
 @dataclass(frozen=True)
@@ -135,14 +179,13 @@ def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
         place = wp.device_from_torch(values[0].device)
         for (name, p), value in zip(fields, values, strict=True):
             setattr(descriptors, name, _pack_array(p, value, place, 0))
-        _last_packed[kind] = alike(values), bytes(descriptors)
+        _last_packed[kind] = TensorLayoutGuard(values), bytes(descriptors)
     vars(made)["tensors"] = tensors
     return made
 
 
-_last_packed: dict[Any, tuple[Callable[[Sequence[object]], bool], bytes]] = {}
-"""Of each struct what `struct_of` made last, and what knows tensors like those that it was made
-of."""
+_last_packed: dict[Any, tuple[TensorLayoutGuard, bytes]] = {}
+"""Of each struct: the layout of the tensors that `struct_of` packed last, and the packed bytes."""
 
 
 @cache

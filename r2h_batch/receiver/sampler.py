@@ -20,7 +20,7 @@ from r2h_batch.bodies.hand_measure import hull_planes, self_cut
 from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.launch import init_warp
-from r2h_batch.launch.torch_threads import one_torch_thread
+from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.receiver.hand_closing import (
     DEEPEST_M,
     FAMILIES,

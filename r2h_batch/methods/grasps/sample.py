@@ -12,7 +12,7 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.launch import init_warp
-from r2h_batch.launch.torch_threads import one_torch_thread
+from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.methods.box_grasps import three_boxes
 from r2h_batch.methods.grasps.antipodal import pad_height, proposals
 from r2h_batch.methods.grasps.candidate_set import OWN_GRIPPER, Candidates, NoGraspError, joined
