@@ -29,9 +29,10 @@ def scene(
         run: run folder of a sweep; what it does not store is computed again.
         trial: trial id.
         out: folder to write, new or empty.
-        method: needed where the run holds several: the sweep's word (fc) or the table's name.
+        method: the sweep's word (fc) or the table's name; needed where the run has several.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
-        render: also a picture, a .png: start, middle, goal; of a failed Plan what was asked.
+        render: also a picture (.png, .jpg): start, middle and goal; of a failed Plan home and the
+            target with what collides.
         overwrite: write into a folder that has something in it, and replace the picture.
     """
     check_output_folder(out, overwrite=overwrite)
@@ -72,10 +73,12 @@ def trials(
 
     Args:
         out: a new or empty folder.
-        protocol: r2h-v0 (hands alone) or r2h-v1 (with the receivers' bodies); the benchmark's
-        unless given. trials: of each split, 1 or more. splits: S0 free handover, S1 functional.
-        benchmark: your own, as in r2h-batch sweep; the built-in one unless given. open_formats:
-        also as OBJ, PLY, CSV and JSON in OUT/open, for methods in any language.
+        protocol: r2h-v0 (hands alone) or r2h-v1 (with the receivers' bodies); by default the
+            benchmark's.
+        trials: of each split, 1 or more.
+        splits: S0 free handover, S1 functional.
+        benchmark: your own, as in r2h-batch sweep; by default the built-in one.
+        open_formats: also as OBJ, PLY, CSV and JSON in OUT/open, for methods in any language.
     """
     check_range("--trials", trials, 1, MOST_TRIALS, ": all are held in memory")
     if not splits:

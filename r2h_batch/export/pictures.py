@@ -19,8 +19,6 @@ from r2h_batch.scene.offscreen import RenderError, renderer
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
-FILMS, PICTURES = (".mp4", ".webm", ".gif"), (".png", ".jpg", ".jpeg")
-LARGEST = (1920, 1080)
 STILL_S = 3.0  # a film of a trial without a motion: half from far, half from near
 REST_S = 0.7  # a film goes on after the motion
 PASSES, FAILS = "#1b6e3c", "#a3262a"

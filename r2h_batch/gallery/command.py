@@ -37,14 +37,16 @@ def report(
     Args:
         run: a run folder, as `r2h-batch sweep --out` writes it.
         format: md, latex, csv or json; html: one page with figures and a search over trials, no
-        network needed. by_object: each object's rates instead of Table I; in md also the criteria
-        that fail together. The html page has both. columns: latex: all of Table I over both columns
-        of a page (2), or each split's SR in one (1). intervals: latex: 95 % intervals below the
-        rates; the other formats have them anyway. order: look for the first failure in another
-        order, such as reach,plan (the others follow). method: only these methods, by the sweep's
-        word (fc) or the table's name; all unless given. gallery: html: pictures of so many
-        successes and failures of each kind and method, each with the page of its trial in
-            three dimensions in a folder beside --out.
+            network needed.
+        by_object: each object's rates instead of Table I; in md also the criteria that fail
+            together. The html page has both.
+        columns: latex: all of Table I over both columns of a page (2), or each split's SR in one
+            (1).
+        intervals: latex: 95 % intervals below the rates; the other formats always have them.
+        order: look for the first failure in another order, such as reach,plan (the others follow).
+        method: only these methods, by the sweep's word (fc) or the table's name; all by default.
+        gallery: html: pictures of this many successes and failures of each kind and method, each
+            with a page of its trial in three dimensions in a folder beside --out.
         out: the file to write instead of printing.
         overwrite: replace what is there under these names.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
@@ -114,10 +116,13 @@ def figures(
 
     Args:
         run: a run folder, as `r2h-batch sweep --out` writes it; what it does not store is computed
-        again. out: folder to write. method: only these methods; the first one shows the protocol.
-        trial: trial id of the protocol and of the methods over time; chosen by the command unless
-        given. overwrite: replace figures that are there. benchmark: as the sweep had them; none of
-        these where it had the built-in benchmark.
+            again.
+        out: folder to write.
+        method: only these methods; the first one shows the protocol.
+        trial: trial id of the protocol and of the methods over time; the command chooses one by
+            default.
+        overwrite: replace figures that are there.
+        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
     from r2h_batch.benchmark.given import Given
     from r2h_batch.bodies.mesh_import.closed import ObjectMeshError
