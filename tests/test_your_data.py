@@ -14,7 +14,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.benchmark import built_in
 from r2h_batch.benchmark.file import BenchmarkFile, read_entry, read_file_model
 from r2h_batch.benchmark.trials_file import KNOWN, read_trials_file
-from r2h_batch.predictors import read_seen
+from r2h_batch.predictors import read_observations
 from r2h_batch.sweep.options import Options
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs/your_data.md").read_text()
@@ -78,6 +78,6 @@ def test_the_python_of_the_page_writes_files_that_are_read(tmp_path, monkeypatch
             runpy.run_path("x.py")
     trials, _ = read_trials_file(tmp_path / "two.npz", base.objects, base.hand_set)
     assert [base.objects[i].name for i in trials.object_index.tolist()] == ["cup", "hammer"]
-    seen = read_seen(base.objects, base.hand_set.model, hands="exact.npz")
+    seen = read_observations(base.objects, base.hand_set.model, hands="exact.npz")
     seen.check_plan(make_trials(trials=5).trial_id.numpy())
     assert seen.sources() == {"target": "exact"} and np.load("exact.npz")["trial_id"].shape == (10,)

@@ -22,9 +22,10 @@ from r2h_batch.statistics.paired import ALPHA, DRAWS, Comparison
 FORMATS = ("md", "latex", "csv", "json")
 
 NOTES = (
-    "McNemar's exact test speaks about these objects; the interval of the difference in points and the ranks come from"
-    f" drawing the objects again ({DRAWS} draws, percentiles) and speak about new ones. Holm: over all pairs.",
-    "better, worse: both decide. here: decided for these objects, not for new ones. tied: not decided.",
+    "Holm p: McNemar's exact test, corrected over all pairs. It decides for these objects.",
+    f"95 % new obj. and #1: a bootstrap over objects ({DRAWS} draws, percentiles). They speak about new objects.",
+    "better, worse: decided for these objects and for new ones. better here, worse here: decided for these objects"
+    " only. tied: not decided.",
 )
 
 
@@ -76,7 +77,7 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
             ]
             places = [f"#{i + 1}" for i in range(len(c.names))]
             parts.append(aligned(["Method", "SR", *places], table, 1))
-    columns = "A-B: difference of SR in points. Holm p: McNemar's, over all pairs. #1: how often a method has that rank."
+    columns = "A-B: difference of SR in points. #1: how often a method has that rank."
     parts.append(notes_list([*map(plain, legend(short)), *notes, columns, *NOTES]))
     return "\n\n".join(parts) + "\n"
 

@@ -1,5 +1,4 @@
-"""A method's answers for any number of trials: a part at a time, on the scene's device, with the
-time they took."""
+"""A method's answers for any number of trials, computed in parts on the scene's device."""
 
 import time
 from collections.abc import Callable
@@ -14,8 +13,8 @@ from r2h_batch.types import Predictions, Trials
 __all__ = ["answers"]
 
 PART = 512
-"""Trials held in memory at once: a posed hand is 20 kB, the orientations of a trial as much
-again."""
+"""Trials in memory together: each takes 20 kB for its posed hand, and as much for its
+orientations."""
 
 
 def answers(
@@ -26,8 +25,18 @@ def answers(
     *,
     part: int = PART,
 ) -> Predictions:
-    """`choose(some trials, their rows) -> T_obj_ee, T_world_ee` (n, 4, 4) for all; t_method_s: wall
-    time over their number."""
+    """Answer all trials.
+
+    Args:
+        trials: N trials on any device.
+        scene: whose device computes.
+        method: its name.
+        choose: (n trials, their rows) -> T_obj_ee, T_world_ee, (n, 4, 4) each.
+        part: most trials of one call of `choose`.
+
+    Returns:
+        Predictions on the trials' device; t_method_s is the wall time divided by N.
+    """
     start = time.perf_counter()
     home, there = trials.trial_id.device, trials.to(scene.device)
     grasps = [torch.empty((0, 4, 4), dtype=torch.float32, device=scene.device)]

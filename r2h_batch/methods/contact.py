@@ -28,12 +28,11 @@ from r2h_batch.methods.least_cost_pose import (
     ZONE_M,
     least_cost_pose,
 )
-from r2h_batch.methods.palm_pose import least
-from r2h_batch.methods.placing import Anchor, candidates_clear_of, check_choice, taken
+from r2h_batch.methods.placing import Anchor, candidates_clear_of, check_choice, least, taken
 from r2h_batch.predictors import (
     ContactPredictor,
+    Observations,
     PredictorNoise,
-    Seen,
     predict_contacts,
     predict_receiving,
     predict_target,
@@ -46,7 +45,7 @@ __all__ = ["predict"]
 
 TITLE, STAND_IN = "Contact-Handover", "VoxNet, built-in contacts"
 SEES = ("receiving", "target", "contacts")
-"""What it is shown, of `predictors.Seen`."""
+"""What it is shown, of `predictors.Observations`."""
 
 THRESHOLD = 0.4
 """Contact probability from which a point counts (published)."""
@@ -83,7 +82,7 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
-    seen: Seen | None = None,
+    seen: Observations | None = None,
     predictor: ContactPredictor | None = None,
     threshold: float = THRESHOLD,
     height_m: float = HEIGHT_M,

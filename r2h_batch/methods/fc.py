@@ -14,17 +14,21 @@ from r2h_batch import se3
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
-from r2h_batch.methods.palm_pose import approach_frames, least, roll_angles, rolled, unit
 from r2h_batch.methods.placing import (
     Gate,
+    approach_frames,
     candidates_clear_of,
     centers_at,
     first_fit,
     home_x,
+    least,
     object_centers,
+    roll_angles,
+    rolled,
     taken,
+    unit,
 )
-from r2h_batch.predictors import PredictorNoise, Seen, predict_receiving, predict_target
+from r2h_batch.predictors import Observations, PredictorNoise, predict_receiving, predict_target
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
@@ -32,7 +36,7 @@ __all__ = ["predict"]
 
 TITLE, STAND_IN = "FC-Handover", "oracle hand"
 SEES = ("receiving", "target")
-"""What it is shown, of `predictors.Seen`."""
+"""What it is shown, of `predictors.Observations`."""
 
 ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
@@ -49,7 +53,7 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
-    seen: Seen | None = None,
+    seen: Observations | None = None,
     rolls: int = ROLLS,
     clearance_m: float = CLEARANCE_M,
     gate: Gate = "hand",

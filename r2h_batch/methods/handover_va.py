@@ -21,13 +21,20 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.box_grasps import BoxGrasps, box_grasps, depth_steps
 from r2h_batch.methods.candidates import candidate_table
-from r2h_batch.methods.palm_pose import approach_frames, first_true, least, reachable, rolled
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP, roles_of
-from r2h_batch.methods.placing import check_choice, taken
+from r2h_batch.methods.placing import (
+    approach_frames,
+    check_choice,
+    first_true,
+    least,
+    reachable,
+    rolled,
+    taken,
+)
 from r2h_batch.methods.utility_axis import LABEL_M, Alignment, align_templates
 from r2h_batch.predictors import (
+    Observations,
     PredictorNoise,
-    Seen,
     SeenParts,
     TargetHand,
     predict_parts,
@@ -40,7 +47,7 @@ __all__ = ["predict"]
 
 TITLE, STAND_IN = "Handover-VA", "oracle labels"
 SEES = ("parts", "target")
-"""What it is shown, of `predictors.Seen`."""
+"""What it is shown, of `predictors.Observations`."""
 
 VOXEL_M, CROP_M = 0.02, 0.10
 """Grid of grasp points, and half side of the box of obstacles about one (published)."""
@@ -76,7 +83,7 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
-    seen: Seen | None = None,
+    seen: Observations | None = None,
     loops: Loops = "original",
     at: BodyPoses = "handle",
     voxel_m: float = VOXEL_M,

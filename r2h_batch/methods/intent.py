@@ -25,20 +25,24 @@ from r2h_batch.launch import launch_trials
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
-from r2h_batch.methods.palm_pose import approach_frames, least, roll_angles, rolled, turned_inward
 from r2h_batch.methods.placing import (
     Anchor,
     Gate,
+    approach_frames,
     check_choice,
     first_fit,
     home_x,
+    least,
     placed_above_palm,
+    roll_angles,
+    rolled,
     taken,
+    turned_inward,
 )
 from r2h_batch.predictors import (
+    Observations,
     PredictorNoise,
     ReceivingHand,
-    Seen,
     TargetHand,
     predict_target,
     retrieve_receiving,
@@ -51,7 +55,7 @@ __all__ = ["predict"]
 
 TITLE, STAND_IN = "Intent-Handover", "retrieval"
 SEES = ("receiving", "target")
-"""What it is shown, of `predictors.Seen`."""
+"""What it is shown, of `predictors.Observations`."""
 
 ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
@@ -85,7 +89,7 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     noise: PredictorNoise | None = None,
-    seen: Seen | None = None,
+    seen: Observations | None = None,
     instructions: Sequence[str] | None = None,
     rolls: int = ROLLS,
     height_m: float = HEIGHT_M,

@@ -17,8 +17,18 @@ from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import pose_cost as kernels
 from r2h_batch.launch import launch_trials
-from r2h_batch.methods.palm_pose import approach_frames, least, reachable, roll_angles, rolled
-from r2h_batch.methods.placing import HOME_X, Anchor, check_choice, home_x, placed_above_palm
+from r2h_batch.methods.placing import (
+    HOME_X,
+    Anchor,
+    approach_frames,
+    check_choice,
+    home_x,
+    least,
+    placed_above_palm,
+    reachable,
+    roll_angles,
+    rolled,
+)
 from r2h_batch.predictors import TargetHand
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene

@@ -1,5 +1,5 @@
-"""What the parts of an object are for, as AffNet's labels say it: what to take (grasp), what works
-(cut, pound, ...), what to wrap a hand around. Handover-VA tells these three apart and no more."""
+"""Roles of an object's parts for Handover-VA, after AffNet's labels: parts to grasp, parts to wrap a
+hand around, and parts that work (cut, pound, ...)."""
 
 from functools import lru_cache
 
@@ -14,25 +14,20 @@ __all__ = ["FUNCTION", "GRASP", "WRAP", "roles_of"]
 FUNCTION, GRASP, WRAP = 0, 1, 2
 
 CODES = {"function": FUNCTION, "grasp": GRASP, "wrap": WRAP}
-"""As a benchmark file says them."""
+"""Words of a benchmark file."""
 
 
 @lru_cache(maxsize=8)
 def roles_of(objects: tuple[ObjectModel, ...]) -> NDArray[np.uint8]:
-    """(O, parts) role of each part: what the benchmark says; else parts of S1 that lie in the
-    receiver's region are GRASP, all others FUNCTION."""
+    """(O, parts) uint8 role of each part. If the benchmark file has none, a part of an S1 object is
+    GRASP if most of it lies in the receiver's region; all others are FUNCTION."""
     table = np.full((len(objects), max(len(o.part_names) for o in objects)), FUNCTION, np.uint8)
     for row, model in zip(table, objects, strict=True):
         known = S0_ROLES.get(model.name, {}) if model.split == "S0" else {}
-        said = model.roles or {}
+        specified = model.roles or {}
         for k, name in enumerate(model.part_names):
             faces = model.face_part == k
             taken = model.split == "S1" and faces.any() and model.receiver_face[faces].mean() > 0.5
-            row[k] = (
-                CODES[said[name]]
-                if name in said
-                else GRASP
-                if taken
-                else CODES[known.get(name, "function")]
-            )
+            default = GRASP if taken else CODES[known.get(name, "function")]
+            row[k] = CODES[specified[name]] if name in specified else default
     return table

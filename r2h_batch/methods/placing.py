@@ -1,53 +1,252 @@
-"""From a chosen grasp to a handover pose: the first of several poses that passes what a method
-checks."""
+"""Handover poses: frames and rolls about an approach axis, where they stand above a hand, which of
+them the arm reaches clear of the hand, and the first that fits.
 
+Frames are computed term by term in float64 with sqrt only: a row has the same bits in any batch.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, Int64
+import warp as wp
+from jaxtyping import Bool, Float, Float32, Int, Int32, Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import se3
+from r2h_batch.bodies.hand import HandModel
 from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.config import HOME_Q
+from r2h_batch.judge.ik import solve_ik
+from r2h_batch.kernels.methods import hand_clearance as kernels
+from r2h_batch.launch import launch_trials
 from r2h_batch.methods.candidates import CandidateTable
-from r2h_batch.methods.hand_clearance import gripper_clearance, posed_hand
-from r2h_batch.methods.palm_pose import first_true, poses_at, reachable
 from r2h_batch.predictors import TargetHand
+from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene
 
-__all__ = [
-    "HOME_X",
-    "Anchor",
-    "Gate",
-    "above_palm",
-    "candidates_clear_of",
-    "centers_at",
-    "check_choice",
-    "first_fit",
-    "home_x",
-    "object_centers",
-    "placed_above_palm",
-    "taken",
-]
-
 Gate = Literal["hand", "ik", "none"]
-"""What a roll must pass: the arm reaches it with the gripper clear of the estimated hand; the arm
-reaches it; nothing."""
+"""What a roll must pass. hand: the arm reaches it, and the gripper is clear of the estimated hand;
+ik: the arm reaches it; none: nothing."""
 
 Anchor = Literal["gripper", "object"]
-"""What stands on the palm's normal: the gripper's TCP, or the middle of the object's bounding
+"""What stands on the palm's normal: the gripper's TCP, or the centre of the object's bounding
 box."""
 
 
 HOME_X = (-1.0, 0.0, 0.0)
 """The gripper's x axis at the default home (world), rounded."""
 
+RIGHT, LEFT = 0, 1
+
+
+def unit(v: Float[Tensor, "*b 3"]) -> Float[Tensor, "*b 3"]:
+    """v / |v|. A zero vector stays zero."""
+    length = se3.dot(v, v).sqrt()
+    return v / torch.where(length > 0, length, 1.0)[..., None]
+
+
+def approach_frames(
+    z: Float[Tensor, "*b 3"], toward: Float[Tensor, "*#b 3"]
+) -> Float[Tensor, "*b 3 3"]:
+    """Rotations with given z axes, and x as near to a direction as z allows.
+
+    Args:
+        z: (..., 3) approach axes.
+        toward: (..., 3) directions for x. If z is (nearly) along one, the world axis that is
+            farthest from z takes its place.
+
+    Returns:
+        (..., 3, 3) float64, columns x, y, z.
+    """
+    z = unit(z.double())
+    toward = unit(toward.double().expand_as(z))
+    across = toward - se3.dot(toward, z)[..., None] * z
+    spare = torch.nn.functional.one_hot(z.abs().argmin(-1), 3).double()
+    spare = spare - se3.dot(spare, z)[..., None] * z
+    x = unit(torch.where((se3.dot(across, across) > 1e-12)[..., None], across, spare))
+    return torch.stack([x, se3.cross(z, x), z], -1)
+
+
+def roll_angles(count: int) -> tuple[float, ...]:
+    """`count` evenly spaced angles in rad, the smallest first: 0, +d, -d, +2 d, ..."""
+    step = 2 * math.pi / count
+    return tuple(step * ((k + 1) // 2) * (1 if k % 2 else -1) for k in range(count))
+
+
+def rolled(
+    R: Float[Tensor, "b 3 3"], angles: Sequence[float], *, axis: int = 2
+) -> Float[Tensor, "b r 3 3"]:
+    """The frames (b, 3, 3) turned about one of their own axes by each of r angles in rad."""
+    u, v = R[..., (axis + 1) % 3], R[..., (axis + 2) % 3]
+    turned = []
+    for angle in angles:
+        c, s = round(math.cos(angle), 15), round(math.sin(angle), 15)
+        columns = [R[..., axis]] * 3
+        columns[(axis + 1) % 3], columns[(axis + 2) % 3] = c * u + s * v, c * v - s * u
+        turned.append(torch.stack(columns, -1))
+    return torch.stack(turned, 1)
+
+
+def turned_inward(
+    direction: Float[Tensor, "b 3"],
+    palm_normal: Float[Tensor, "b 3"],
+    side: Int[Tensor, " b"],
+    angle_deg: float,
+) -> Float[Tensor, "b 3"]:
+    """A direction projected into the palm plane and turned there towards the thumb.
+
+    Args:
+        direction: (b, 3), such as from the wrist to the fingers.
+        palm_normal: (b, 3) out of the palm.
+        side: (b,) `RIGHT` or `LEFT`.
+        angle_deg: of the turn.
+
+    Returns:
+        (b, 3) float64 unit vectors.
+    """
+    n = unit(palm_normal.double())
+    flat = direction.double()
+    flat = unit(flat - se3.dot(flat, n)[..., None] * n)
+    c, s = (
+        round(math.cos(math.radians(angle_deg)), 15),
+        round(math.sin(math.radians(angle_deg)), 15),
+    )
+    # n x fingers points to the little finger of a right hand, and to the thumb of a left hand
+    sign = torch.where(side.to(flat.device) == LEFT, 1.0, -1.0).double()
+    return c * flat + (s * sign)[..., None] * se3.cross(n, flat)
+
+
+def poses_at(R: Float[Tensor, "b r 3 3"], p: Float[Tensor, "*#b 3"]) -> Float[Tensor, "b r 4 4"]:
+    """(b, r, 4, 4) float32 transforms with these rotations at p: (b, 3) or (b, r, 3), metres."""
+    p = p if p.ndim == 3 else p[:, None]
+    return se3.from_rotation(R.double(), p.double().expand(*R.shape[:2], 3)).float().contiguous()
+
+
+def reachable(
+    T_world_ee: Float[Tensor, "b r 4 4"], *, threads: int | None = None
+) -> Bool[Tensor, "b r"]:
+    """Whether IK has a solution for each pose (world frame). Collisions are not checked."""
+    flat = T_world_ee.reshape(-1, 4, 4).contiguous()
+    return solve_ik(flat, threads=threads).reachable.reshape(T_world_ee.shape[:2])
+
+
+def first_true(passes: Bool[Tensor, "b r"]) -> Int[Tensor, " b"]:
+    """Index of the first True of each row; 0 if there is none."""
+    return passes.to(torch.int8).argmax(1)
+
+
+def least(
+    score: Float[Tensor, "b k"], allowed: Bool[Tensor, "b k"], usable: Bool[Tensor, "b k"]
+) -> Int[Tensor, " b"]:
+    """Index of each row's smallest score, the first of equals: among the allowed and usable ones,
+    or among the usable ones if no allowed one is there."""
+    pool = torch.where(allowed.any(1, keepdim=True), allowed & usable, usable)
+    score = torch.where(pool, score.double(), torch.inf)
+    low = score.amin(1, keepdim=True)
+    return (score == low).to(torch.int8).argmax(1)
+
+
+@dataclass(frozen=True)
+class PosedHand:
+    """B posed hands: the kernels' struct, and the tensors that own its memory."""
+
+    struct: Any
+    owners: tuple[Any, ...]
+    device: str
+
+    def __len__(self) -> int:
+        return len(self.owners[0])
+
+
+def posed_hand(
+    model: HandModel, vertices: Float32[Tensor, "b v 3"], device: str, *, threads: int | None = None
+) -> PosedHand:
+    """Hands as convex pieces.
+
+    Args:
+        model: whose order the vertices have.
+        vertices: (b, V, 3) in metres, each row in a frame of its own.
+        device: of the result.
+        threads: of the CPU.
+    """
+    ids = model.piece_vertices.to(vertices.device).long()
+    points = vertices[:, ids].float().to(device).contiguous()
+    ball = torch.empty((len(points), len(model.piece_names), 4), dtype=torch.float32, device=device)
+    start = model.piece_offsets.to(torch.int32).to(device).contiguous()
+    struct = kernels.PosedHands()
+    struct.n_pieces, struct.n_points = len(model.piece_names), len(ids)
+    struct.piece_start = wp.from_torch(start)
+    struct.points = wp.from_torch(points.reshape(-1, 3), dtype=wp.vec3)
+    struct.ball = wp.from_torch(ball.reshape(-1, 4), dtype=wp.vec4)
+    launch_trials(
+        kernels.enclose_pieces,
+        len(points),
+        inputs={"hands": struct},
+        outputs={"ball": struct.ball},
+        device=device,
+        threads=threads,
+        chunk=64,
+    )
+    return PosedHand(struct, (points, ball, start), device)
+
+
+def gripper_clearance(
+    hand: PosedHand,
+    T_hand_ee: Float32[Tensor, "m 4 4"],
+    opening_m: Float32[Tensor, " m"],
+    row: Int32[Tensor, " b"],
+    count: Int32[Tensor, " b"],
+    width: int,
+    *,
+    cap_m: float,
+    threads: int | None = None,
+) -> Float32[Tensor, "b k"]:
+    """Distance of several grippers from each hand.
+
+    Args:
+        hand: b hands.
+        T_hand_ee: (m, 4, 4) gripper poses in the frame of a hand's vertices.
+        opening_m: (m,) their openings.
+        row: (b,) where the grippers of a hand begin in these two.
+        count: (b,) how many a hand has.
+        width: columns of the result.
+        cap_m: distances are computed up to this.
+        threads: of the CPU.
+
+    Returns:
+        (b, width) metres, at most `cap_m`; 0 where they meet, and from `count` on.
+    """
+    n = len(hand)
+    out = torch.zeros((n, width), dtype=torch.float32, device=hand.device)
+    if n == 0 or width == 0:
+        return out
+    launch_trials(
+        kernels.gripper_to_hand,
+        n,
+        inputs={
+            "gripper": gripper_tables(hand.device),
+            "hands": hand.struct,
+            "cap": cap_m,
+            "row": row.to(torch.int32).contiguous(),
+            "count": count.to(torch.int32).contiguous(),
+            "T": T_hand_ee.contiguous(),
+            "opening": opening_m.contiguous(),
+        },
+        outputs={"clearance": out},
+        device=hand.device,
+        threads=threads,
+        chunk=8,
+        width=width,
+    )
+    return out
+
 
 def home_x(scene: Scene) -> Float32[Tensor, "3"]:
-    """The gripper's x axis at home (world): the first roll that is tried turns the wrist least from
+    """(3,) the gripper's x axis at home, world frame: the first roll turns the wrist least from
     there."""
     home = scene.config.workplace.home_q
     axis = HOME_X if home == HOME_Q else ee_pose(scene.robot, home)[:3, 0].tolist()
@@ -63,8 +262,8 @@ def candidates_clear_of(
     *,
     threads: int | None = None,
 ) -> Tensor:
-    """(b, k) whether a candidate's closed gripper keeps more than `clearance_m` from a hand on the
-    object (frame obj)."""
+    """(b, k) whether a candidate's closed gripper keeps more than `clearance_m` from a hand (b, V, 3)
+    on the object, frame obj."""
     hand = posed_hand(scene.hands.model, hand_vertices, scene.device, threads=threads)
     o = object_index.long()
     distance = gripper_clearance(
@@ -84,11 +283,21 @@ def first_fit(
     gate: Gate = "hand",
     threads: int | None = None,
 ) -> Float32[Tensor, "b 4 4"]:
-    """Each row's first pose that the arm reaches with the gripper clear of the hand (world frame;
-    None: any will do).
+    """Choose each row's first pose that passes the gate.
 
-    Where none passes: the first that the arm reaches, else the first. `gate`: what is asked for at
-    all.
+    If none passes, it is the first that the arm reaches; if it reaches none, the first one.
+
+    Args:
+        scene: with the hand's model.
+        T_world_ee: (b, r, 4, 4) poses in order of preference.
+        opening_m: (b,) of the gripper.
+        hand_vertices: (b, V, 3) world frame, metres; None: no hand is in the way.
+        clearance_m: distance that gate "hand" demands.
+        gate: what a pose must pass.
+        threads: of the CPU.
+
+    Returns:
+        (b, 4, 4) T_world_ee.
     """
     check_choice("gate", gate, Gate)
     b, r = T_world_ee.shape[:2]
@@ -109,14 +318,13 @@ def first_fit(
 
 
 def check_choice(name: str, given: str, allowed: Any) -> None:
-    """`ValueError` for a choice that is none of those of a `Literal`."""
+    """Raise `ValueError` unless the value is one of a `Literal`."""
     if given not in get_args(allowed):
         raise ValueError(f"{name} is {given!r}; allowed are {', '.join(get_args(allowed))}")
 
 
 def above_palm(target: TargetHand, height_m: float) -> Float[Tensor, "b 3"]:
-    """The points `height_m` above the target hands' palm centres, along their normals (world,
-    float64)."""
+    """(b, 3) float64 points `height_m` above the palm centres along the normals, world frame."""
     return target.palm_point.double() + height_m * target.palm_normal.double()
 
 
@@ -129,7 +337,7 @@ def placed_above_palm(
     height_m: float,
     at: Anchor,
 ) -> Float32[Tensor, "b r 4 4"]:
-    """T_world_ee with these rotations that put `at` at `height_m` above each palm's centre."""
+    """(b, r, 4, 4) T_world_ee with these rotations that put `at` `height_m` above the palm."""
     check_choice("at", at, Anchor)
     point = above_palm(target, height_m)
     if at == "gripper":
@@ -139,7 +347,7 @@ def placed_above_palm(
 
 
 def object_centers(scene: Scene) -> NDArray[np.float64]:
-    """(O, 3) the middle of each object's bounding box, frame obj."""
+    """(O, 3) centre of each object's bounding box, frame obj, metres."""
     corners = [(o.vertices.min(0), o.vertices.max(0)) for o in scene.objects]
     return np.stack([(low.astype(np.float64) + high) / 2 for low, high in corners])
 
@@ -150,8 +358,8 @@ def centers_at(
     center_obj: Float[Tensor, "b 3"],
     target: Float[Tensor, "b 3"],
 ) -> Float32[Tensor, "b r 4 4"]:
-    """T_world_ee with these rotations that put the object's point `center_obj` (frame obj) at
-    `target` (world)."""
+    """(b, r, 4, 4) T_world_ee with these rotations that put the object's point `center_obj` (frame
+    obj) at `target` (world)."""
     R_ee_obj = T_obj_ee[:, :3, :3].double().transpose(1, 2)
     center_ee = se3.rotate(R_ee_obj, center_obj.double() - T_obj_ee[:, :3, 3].double())
     return poses_at(
@@ -160,5 +368,5 @@ def centers_at(
 
 
 def taken(rows: Int64[Tensor, "b k"], chosen: Int64[Tensor, " b"]) -> Int64[Tensor, " b"]:
-    """The row of the candidate table that each trial has chosen."""
+    """(b,) rows of the candidate table: the chosen one of each trial's k."""
     return rows[torch.arange(len(rows), dtype=torch.int64, device=rows.device), chosen.long()]

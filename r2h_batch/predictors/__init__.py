@@ -1,9 +1,9 @@
-"""What methods see: estimated hands, parts and contacts. `PredictorNoise().scaled(0)` shows them
+"""What methods see: estimated hands, parts and contacts. With `PredictorNoise().scaled(0)` they see
 the truth."""
 
 from r2h_batch.predictors.contacts import predict_contacts
+from r2h_batch.predictors.external_predictions import Observations, read_observations
 from r2h_batch.predictors.files import load_predictor
-from r2h_batch.predictors.given import Seen, read_seen
 from r2h_batch.predictors.grid import ContactPredictor, PredictorError
 from r2h_batch.predictors.hands import (
     ReceivingHand,
@@ -17,10 +17,10 @@ from r2h_batch.predictors.parts import SeenParts, predict_parts
 
 __all__ = [
     "ContactPredictor",
+    "Observations",
     "PredictorError",
     "PredictorNoise",
     "ReceivingHand",
-    "Seen",
     "SeenParts",
     "TargetHand",
     "load_predictor",
@@ -28,6 +28,6 @@ __all__ = [
     "predict_parts",
     "predict_receiving",
     "predict_target",
-    "read_seen",
+    "read_observations",
     "retrieve_receiving",
 ]

@@ -13,7 +13,7 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from r2h_batch.bodies.objects import VOXELS, ObjectModel, is_built_in
-from r2h_batch.predictors.given import Seen
+from r2h_batch.predictors.external_predictions import Observations
 from r2h_batch.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
 from r2h_batch.predictors.voxnet import load_voxnet
 from r2h_batch.scene.scene import Scene
@@ -32,7 +32,7 @@ def predict_contacts(
     scene: Scene,
     *,
     predictor: ContactPredictor | None = None,
-    seen: Seen | None = None,
+    seen: Observations | None = None,
     left_out: bool = True,
 ) -> Float32[Tensor, "n p"]:
     """Probability that a person touches each cloud point (`ObjectModel.points`); default: the

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from r2h_batch import rng, se3
 from r2h_batch.bodies.hand import HandGeometry, HandModel, palm_frame
-from r2h_batch.predictors.given import GivenHands, Seen
+from r2h_batch.predictors.external_predictions import ExternalHands, Observations
 from r2h_batch.predictors.noise import PredictorNoise, as_in_a_frame, perturbed, trial_ids
 from r2h_batch.receiver.instructions import InstructionError, intents_of, understand
 from r2h_batch.receiver.receiving import ReceivingGrasps, load_receiving
@@ -120,7 +120,7 @@ def predict_receiving(
     seed: int = 0,
     noise: PredictorNoise | None = None,
     part: Int32[Tensor, " n"] | None = None,
-    seen: Seen | None = None,
+    seen: Observations | None = None,
 ) -> ReceivingHand:
     """A receiving grasp of each trial's object and hand side, with the error model; drawn by (seed,
     trial id).
@@ -153,7 +153,7 @@ def retrieve_receiving(
     *,
     seed: int = 0,
     noise: PredictorNoise | None = None,
-    seen: Seen | None = None,
+    seen: Observations | None = None,
 ) -> ReceivingHand:
     """A receiving grasp that answers each trial's instruction (None: the object's own), with the
     error model.
@@ -250,7 +250,7 @@ def _rows(grasps: ReceivingGrasps, fits: Tensor) -> tuple[Tensor, Tensor]:
     return order[..., : int(number.max())], number
 
 
-def _given(trials: Trials, scene: Scene, hands: GivenHands) -> ReceivingHand:
+def _given(trials: Trials, scene: Scene, hands: ExternalHands) -> ReceivingHand:
     """A network's hands on the objects."""
     device = trials.trial_id.device
     side = scene.hands.set.side.to(torch.int8)[trials.hand_index.cpu().long()]
@@ -268,7 +268,7 @@ def predict_target(
     *,
     seed: int = 0,
     noise: PredictorNoise | None = None,
-    seen: Seen | None = None,
+    seen: Observations | None = None,
 ) -> TargetHand:
     """Each trial's real hand as an estimator sees it, with the error model; drawn by (seed, trial
     id).

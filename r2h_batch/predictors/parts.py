@@ -15,7 +15,7 @@ from torch import Tensor
 
 from r2h_batch import rng
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.predictors.given import Seen
+from r2h_batch.predictors.external_predictions import Observations
 from r2h_batch.predictors.noise import PredictorNoise, normals, trial_ids
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
@@ -49,7 +49,7 @@ def predict_parts(
     *,
     seed: int = 0,
     noise: PredictorNoise | None = None,
-    seen: Seen | None = None,
+    seen: Observations | None = None,
 ) -> SeenParts:
     """Part label and region of every cloud point, borders shifted along the surface; drawn by
     (seed, trial id).

@@ -69,7 +69,8 @@ def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Comm
         )
     if len({run.header["digests"].get("code") for run in runs}) > 1:
         notes.append(
-            "The shipped baselines were scored by other code, under which the project's tests judge them again."
+            "The shipped baselines were scored by an earlier version of the code; "
+            "the project's tests check that this version gives the same verdicts."
         )
     return Common(trials, tuple(notes))
 

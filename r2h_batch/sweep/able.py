@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from r2h_batch.methods.candidates import without_candidates
-from r2h_batch.predictors import Seen
+from r2h_batch.predictors import Observations
 from r2h_batch.receiver.receiving import without_receiving
 from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.options import UsageError
@@ -71,7 +71,7 @@ def check_grasps(scene: Scene, allow_empty: bool) -> None:
         )
 
 
-def able_of(name: str, sees: Sequence[str], scene: Scene, seen: Seen | None) -> Able:
+def able_of(name: str, sees: Sequence[str], scene: Scene, seen: Observations | None) -> Able:
     """What a built-in method can answer: every object with candidates; those that look at the
     receiver's hold on it (and are not shown a network's) also need one of the hand's side."""
     answers = torch.ones((len(scene.objects), 2), dtype=torch.bool, device="cpu")

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from r2h_batch.bodies.objects import ObjectModel
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.predictors import PredictorNoise, Seen
+    from r2h_batch.predictors import Observations, PredictorNoise
     from r2h_batch.predictors.noise import Errors
 
 DIGEST_TRIALS = 10_000
@@ -282,7 +282,7 @@ def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     return jobs
 
 
-def _seen(options: Options, setting: Setting) -> "Seen | None":
+def _seen(options: Options, setting: Setting) -> "Observations | None":
     """What networks of the user's saw, checked against the plan; None where no file is given."""
     files = {
         name.removeprefix("predicted_"): getattr(options, name)
@@ -291,10 +291,10 @@ def _seen(options: Options, setting: Setting) -> "Seen | None":
     }
     if not files:
         return None
-    from r2h_batch.predictors import read_seen
+    from r2h_batch.predictors import read_observations
 
     scene = setting.evaluator.scene
-    seen = read_seen(scene.objects, scene.hands.model, **files)
+    seen = read_observations(scene.objects, scene.hands.model, **files)
     planned = setting.ids(0, setting.planned)
     seen.check_plan(planned.numpy())
     if seen.parts is not None:
@@ -368,7 +368,7 @@ def _method(said: str) -> _Method:
 
 
 def _method_job(
-    name: str, evaluator: "Evaluator", options: Options, seen: "Seen | None" = None
+    name: str, evaluator: "Evaluator", options: Options, seen: "Observations | None" = None
 ) -> Job:
     found, said = _method(name), said_options(name)
     module, takes, built_in = found.module, found.takes, found.built_in

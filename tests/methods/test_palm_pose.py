@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from r2h_batch.judge.ik import solve_ik
-from r2h_batch.methods.palm_pose import (
+from r2h_batch.methods.placing import (
     approach_frames,
     first_true,
     least,

@@ -11,8 +11,7 @@ from problems import default_evaluator as evaluator
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import contact, fc, handover_va, intent
 from r2h_batch.methods.candidates import candidate_table
-from r2h_batch.methods.hand_clearance import gripper_clearance, posed_hand
-from r2h_batch.methods.palm_pose import roll_angles
+from r2h_batch.methods.placing import gripper_clearance, posed_hand, roll_angles
 from r2h_batch.predictors import (
     PredictorNoise,
 )

@@ -18,7 +18,7 @@ from r2h_batch.predictors import (
     predict_parts,
     predict_receiving,
     predict_target,
-    read_seen,
+    read_observations,
     retrieve_receiving,
 )
 from r2h_batch.receiver.receiving import load_receiving
@@ -76,7 +76,7 @@ def same(a, b, exact=True):
 def test_hands_as_manos_numbers_are_the_hands_that_were_meant(scene, asked, tmp_path):
     for method, receive in ((fc, predict_receiving), (contact, predict_receiving), (intent, retrieve_receiving)):
         np.savez(tmp_path / "h.npz", **truth(scene, asked, receive), source=np.array("text2hoi"))
-        seen = read_seen(scene.objects, scene.hands.model, hands=str(tmp_path / "h.npz"))
+        seen = read_observations(scene.objects, scene.hands.model, hands=str(tmp_path / "h.npz"))
         assert seen.sources() == {"receiving": "text2hoi", "target": "text2hoi"}
         same(method.predict(asked, scene, noise=TRUTH), method.predict(asked, scene, seen=seen))
 
@@ -84,7 +84,7 @@ def test_hands_as_manos_numbers_are_the_hands_that_were_meant(scene, asked, tmp_
 def test_skins_with_21_joints_say_the_same_hand(scene, asked, tmp_path):
     arrays = truth(scene, asked, predict_receiving, "skin")
     save_file({k: np.ascontiguousarray(v) for k, v in arrays.items()}, tmp_path / "h.safetensors")
-    seen = read_seen(scene.objects, scene.hands.model, hands=str(tmp_path / "h.safetensors"))
+    seen = read_observations(scene.objects, scene.hands.model, hands=str(tmp_path / "h.safetensors"))
     for mine, other in (
         (predict_receiving(asked, scene, seen=seen), predict_receiving(asked, scene, noise=TRUTH)),
         (predict_target(asked, scene, seen=seen), predict_target(asked, scene, noise=TRUTH)),
@@ -100,7 +100,7 @@ def test_parts_roles_and_contacts_by_object_by_trial_and_on_another_cloud(scene,
     target = {k: v for k, v in truth(scene, asked, predict_receiving).items() if "receiving" not in k}
     np.savez(tmp_path / "t.npz", **target)
     np.savez(tmp_path / "p.npz", trial_id=asked.trial_id.numpy(), label=parts.label.numpy(), usage=parts.usage.numpy())
-    read_seen(scene.objects, scene.hands.model, parts=str(tmp_path / "p.npz")).check_parts(asked, scene.objects)
+    read_observations(scene.objects, scene.hands.model, parts=str(tmp_path / "p.npz")).check_parts(asked, scene.objects)
     most = max(len(o.part_names) for o in scene.objects) - 1  # some object has it, the bowl has not
     np.savez(
         tmp_path / "other.npz",
@@ -109,7 +109,9 @@ def test_parts_roles_and_contacts_by_object_by_trial_and_on_another_cloud(scene,
         usage=parts.usage.numpy(),
     )
     with pytest.raises(FileError, match=rf"label of trial \d+ \(\w+\) goes to {most}; it has \d parts?, 0 to"):
-        read_seen(scene.objects, scene.hands.model, parts=str(tmp_path / "other.npz")).check_parts(asked, scene.objects)
+        read_observations(scene.objects, scene.hands.model, parts=str(tmp_path / "other.npz")).check_parts(
+            asked, scene.objects
+        )
     role = roles_of(scene.objects)
     by_object = [
         np.where(o.receiver_face[o.point_face], 1, 0) if o.split == "S1" else role[i, o.point_part]
@@ -117,7 +119,9 @@ def test_parts_roles_and_contacts_by_object_by_trial_and_on_another_cloud(scene,
     ]
     np.savez(tmp_path / "r.npz", object_index=np.arange(16), role=np.stack(by_object))
     for file in ("p.npz", "r.npz"):
-        seen = read_seen(scene.objects, scene.hands.model, hands=str(tmp_path / "t.npz"), parts=str(tmp_path / file))
+        seen = read_observations(
+            scene.objects, scene.hands.model, hands=str(tmp_path / "t.npz"), parts=str(tmp_path / file)
+        )
         same(handover_va.predict(asked, scene, seen=seen), wanted)
     probability = predict_contacts(make_trials(trials=COUNT), scene)
     touched = np.stack([np.linspace(0, 1, 2048)] * 16).astype(np.float32)
@@ -127,7 +131,7 @@ def test_parts_roles_and_contacts_by_object_by_trial_and_on_another_cloud(scene,
     np.savez(tmp_path / "cloud.npz", object=names, probability=touched[:, turned], points=points[:, turned])
     np.savez(tmp_path / "trial.npz", trial_id=asked.trial_id.numpy(), probability=probability.numpy())
     for file, expected in (("own.npz", touched), ("cloud.npz", touched), ("trial.npz", None)):
-        seen = read_seen(scene.objects, scene.hands.model, contacts=str(tmp_path / file))
+        seen = read_observations(scene.objects, scene.hands.model, contacts=str(tmp_path / file))
         found = predict_contacts(asked, scene, seen=seen)
         assert torch.equal(
             found, probability if expected is None else torch.from_numpy(touched[:1]).expand(2 * COUNT, -1)
@@ -214,17 +218,17 @@ def test_files_that_are_no_predictions_are_refused_in_one_line(scene, asked, tmp
     for words, (kind, arrays) in cases.items():
         np.savez(tmp_path / "x.npz", **arrays)
         with pytest.raises(FileError) as error:
-            read_seen(scene.objects, scene.hands.model, **{kind: str(tmp_path / "x.npz")})
+            read_observations(scene.objects, scene.hands.model, **{kind: str(tmp_path / "x.npz")})
         assert words in str(error.value) and "\n" not in str(error.value), words
     (tmp_path / "x.pkl").write_bytes(b"\x80\x04.")
     with pytest.raises(FileError, match=r"\.npz or \.safetensors"):
-        read_seen(scene.objects, scene.hands.model, hands=str(tmp_path / "x.pkl"))
+        read_observations(scene.objects, scene.hands.model, hands=str(tmp_path / "x.pkl"))
 
 
 def test_what_is_not_in_the_files_is_left_to_the_error_model(scene, asked, tmp_path):
     arrays = truth(scene, asked, predict_receiving)
     np.savez(tmp_path / "t.npz", **{k: v for k, v in arrays.items() if "receiving" not in k})
-    seen = read_seen(scene.objects, scene.hands.model, hands=str(tmp_path / "t.npz"))
+    seen = read_observations(scene.objects, scene.hands.model, hands=str(tmp_path / "t.npz"))
     assert seen.receiving is None
     drawn = predict_receiving(asked, scene, seed=3, seen=seen)
     assert torch.equal(drawn.T, predict_receiving(asked, scene, seed=3).T)

@@ -1,21 +1,26 @@
-"""Outputs of a user's own networks, as files: instead of the built-in error model
-(`--predicted-hands, -parts, -contacts`).
+"""Predictions of a user's own networks, read from files in place of the built-in error model
+(`--predicted-hands`, `--predicted-parts`, `--predicted-contacts`).
 
-Arrays of an .npz or .safetensors file; N rows by `trial_id` (N,), or, of parts and contacts, K rows
-by `object` (K,) names (.npz) or `object_index` (K,). P points are the object's own cloud
-(`ObjectModel.points`), or `points` (K, P, 3) in its frame: then each point of the own cloud takes
-what the nearest of these has. `source`: the network's name for the table (.npz).
+A file is an .npz or .safetensors. It has N rows by `trial_id` (N,). Parts and contacts may instead
+have K rows by `object` (K,), names (.npz), or by `object_index` (K,). `source` (.npz) is the
+network's name for the table. Lengths are in metres.
 
-hands      on the object, frame obj: `receiving_T_obj_hand` (N, 4, 4), `receiving_pose` (N, 48),
-`receiving_shape` (N, 10; 0),
-           or `receiving_joints` (N, 16 | 21, 3) and `receiving_vertices` (N, V, 3). In the world
-           the same with `target_` and `target_T_world_hand`. One of the two or both. 16 joints are
-           MANO's; 21 are OpenPose's (wrist, thumb to little finger, each from its root to its tip).
-           The side is the trial's.
-parts      `label` (., P) index into the object's `part_names`, with `usage` (., P) whether the
-receiver takes it there (S1);
-           or `role` (., P): 0 works, 1 grasp, 2 wrap-grasp, as AffNet's affordances say it.
-contacts   `probability` (., P) in [0, 1] that a person touches the point.
+P points are the object's own cloud (`ObjectModel.points`), or `points` (K, P, 3) in its frame. Of
+the latter, each point of the own cloud takes the values of the nearest one.
+
+Hands on the object, frame obj, are one of:
+    `receiving_T_obj_hand` (N, 4, 4), `receiving_pose` (N, 48) and `receiving_shape` (N, 10; else 0)
+    `receiving_joints` (N, 16 or 21, 3) and `receiving_vertices` (N, V, 3)
+Hands in the world have the same with `target_` and `target_T_world_hand`. A file has one of the two
+or both. 16 joints are MANO's; 21 are OpenPose's (wrist, thumb to little finger, each from its root
+to its tip). The side is the trial's.
+
+Parts are one of:
+    `label` (., P) index into the object's `part_names`, with `usage` (., P) whether the receiver
+        takes it there (S1)
+    `role` (., P) of AffNet's affordances: 0 works, 1 grasp, 2 wrap-grasp
+
+Contacts: `probability` (., P) in [0, 1] that a person touches the point.
 """
 
 from __future__ import annotations
@@ -38,7 +43,7 @@ from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.io.read import FileError, printable, read_npz, read_safetensors
 from r2h_batch.types import Trials
 
-__all__ = ["GivenHands", "GivenPoints", "Seen", "read_seen"]
+__all__ = ["ExternalHands", "ExternalPoints", "Observations", "read_observations"]
 
 MANO_OF_OPENPOSE = (0, 5, 6, 7, 9, 10, 11, 17, 18, 19, 13, 14, 15, 1, 2, 3)
 FARTHEST_M = 10.0
@@ -51,19 +56,21 @@ Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, eq=False)
-class GivenHands:
-    """Predicted hands by trial id, sorted: MANO's numbers and a frame, or joints and skin.
-    Metres."""
+class ExternalHands:
+    """Predicted hands by trial id (sorted), in metres.
+
+    `arrays` are T (N, 4, 4), pose (N, 48) and shape (N, 10), or joints (N, 16, 3) and vertices
+    (N, V, 3).
+    """
 
     source: str
     trial_id: NDArray[np.int64]
     arrays: Mapping[str, NDArray[np.float32]]
-    """T, pose, shape; or joints (N, 16, 3), vertices (N, V, 3)"""
 
     def hands(
         self, trials: Trials, model: HandModel, side: Tensor
     ) -> tuple[HandGeometry, Float32[Tensor, "n 4 4"]]:
-        """Posed hands of these trials, one a row, and where each stands; on the CPU."""
+        """Posed hands of n trials, and the pose (n, 4, 4) of each; on the CPU."""
         rows = rows_of(self.trial_id, trials.trial_id.cpu().numpy())
         a = {k: torch.from_numpy(v[rows]) for k, v in self.arrays.items()}
         if "pose" in a:
@@ -73,13 +80,15 @@ class GivenHands:
 
 
 @dataclass(frozen=True, eq=False)
-class GivenPoints:
-    """Values of each point of the objects' clouds, by trial id (sorted) or by object index."""
+class ExternalPoints:
+    """Values of each point of the objects' clouds.
+
+    `arrays` are (N, P) by trial id (sorted), or (O, P) by object index if `trial_id` is None.
+    """
 
     source: str
     trial_id: NDArray[np.int64] | None
     arrays: Mapping[str, NDArray[Any]]
-    """(N, P) or, by object, (O, P)"""
 
     def of(self, trials: Trials) -> dict[str, Tensor]:
         """(n, P) of each array for these trials, on the CPU."""
@@ -91,20 +100,20 @@ class GivenPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """What is not left to the built-in error model; None: it is."""
+class Observations:
+    """What networks predicted. The built-in error model stands for what is None."""
 
-    receiving: GivenHands | None = None
-    target: GivenHands | None = None
-    parts: GivenPoints | None = None
-    contacts: GivenPoints | None = None
+    receiving: ExternalHands | None = None
+    target: ExternalHands | None = None
+    parts: ExternalPoints | None = None
+    contacts: ExternalPoints | None = None
 
     def sources(self) -> dict[str, str]:
-        """Kind -> the network that it is from."""
+        """Kind -> name of the network."""
         return {k: v.source for k, v in vars(self).items() if v is not None}
 
     def check_plan(self, trial_id: NDArray[np.int64]) -> None:
-        """`FileError` where a planned trial has no prediction."""
+        """Raise `FileError` if a planned trial has no prediction."""
         for kind, part in vars(self).items():
             ids = None if part is None else part.trial_id
             if ids is not None and len(missing := np.setdiff1d(trial_id, ids)):
@@ -116,7 +125,7 @@ class Seen:
                 )
 
     def check_parts(self, trials: Trials, objects: Sequence[ObjectModel]) -> None:
-        """`FileError` where a trial's labels name parts that its object does not have."""
+        """Raise `FileError` if a trial's labels name parts that its object does not have."""
         if self.parts is None or "label" not in self.parts.arrays:
             return
         count = np.array([len(o.part_names) for o in objects])[trials.object_index.cpu().numpy()]
@@ -134,20 +143,29 @@ class Seen:
 
 _LOOKED_AT = 4096
 ALIKE = 3.0
-"""How much larger or smaller a user's cloud may be than the object that it is of (a view
-shows one side)."""
+"""How many times larger or smaller a cloud may be than its object: a view shows one side."""
 
 
-def read_seen(
+def read_observations(
     objects: Sequence[ObjectModel],
     hand: HandModel,
     *,
     hands: str = "",
     parts: str = "",
     contacts: str = "",
-) -> Seen:
-    """What the files say, for these objects and this hand; every number checked. Raises
-    `FileError`, one line."""
+) -> Observations:
+    """Read and check the files of predictions.
+
+    Args:
+        objects: of the benchmark.
+        hand: the benchmark's hand model.
+        hands: file of hands; empty: none.
+        parts: file of parts; empty: none.
+        contacts: file of contacts; empty: none.
+
+    Raises:
+        FileError: in one line, if a file cannot be used.
+    """
     found: dict[str, Any] = {}
     if hands:
         found |= _hands(Path(hands), hand)
@@ -155,11 +173,11 @@ def read_seen(
         found["parts"] = _parts(Path(parts), objects)
     if contacts:
         found["contacts"] = _contacts(Path(contacts), objects)
-    return Seen(**found)
+    return Observations(**found)
 
 
 def rows_of(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where each wanted id stands in the sorted ids; ValueError for one that is not there."""
+    """Place of each wanted id among the sorted ids; ValueError if one is missing."""
     at = np.minimum(np.searchsorted(ids, wanted), len(ids) - 1)
     if (strange := np.flatnonzero(ids[at] != wanted)).size:
         raise ValueError(f"trial {wanted[strange[0]]} has no prediction")
@@ -221,7 +239,7 @@ def _trial_ids(where: str, arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[n
     return sorted_ids, order
 
 
-def _hands(path: Path, model: HandModel) -> dict[str, GivenHands]:
+def _hands(path: Path, model: HandModel) -> dict[str, ExternalHands]:
     frames = {"receiving": "T_obj_hand", "target": "T_world_hand"}
     names = [
         f"{k}_{n}" for k, T in frames.items() for n in (T, "pose", "shape", "joints", "vertices")
@@ -236,7 +254,7 @@ def _hands(path: Path, model: HandModel) -> dict[str, GivenHands]:
         }
         if mine:
             values = _one_hand(f"{where}: {kind} hands", mine, T, len(ids), model)
-            found[kind] = GivenHands(
+            found[kind] = ExternalHands(
                 source,
                 ids,
                 {k: np.ascontiguousarray(v[order], np.float32) for k, v in values.items()},
@@ -302,7 +320,7 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
     return {"joints": joints, "vertices": vertices}
 
 
-def _parts(path: Path, objects: Sequence[ObjectModel]) -> GivenPoints:
+def _parts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
     arrays, source = _read(
         path, ("trial_id", "object", "object_index", "points", "label", "usage", "role")
     )
@@ -323,7 +341,7 @@ def _parts(path: Path, objects: Sequence[ObjectModel]) -> GivenPoints:
     return _by_key(where, arrays, source, names, np.uint8, objects)
 
 
-def _contacts(path: Path, objects: Sequence[ObjectModel]) -> GivenPoints:
+def _contacts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
     arrays, source = _read(path, ("trial_id", "object", "object_index", "points", "probability"))
     where = printable(path)
     value = _need(where, arrays, "probability", (None, None), "f")
@@ -341,7 +359,7 @@ def _by_key(
     names: Sequence[str],
     dtype: Any,
     objects: Sequence[ObjectModel],
-) -> GivenPoints:
+) -> ExternalPoints:
     """Rows by trial or by object, on the objects' own clouds."""
     own = len(objects[0].points)
     keys = [k for k in ("trial_id", "object", "object_index") if k in arrays]
@@ -358,12 +376,12 @@ def _by_key(
         values = {
             k: _need(where, arrays, k, (len(ids), own), "fiub")[order].astype(dtype) for k in names
         }
-        return GivenPoints(source, ids, values)
+        return ExternalPoints(source, ids, values)
     rows = _object_rows(where, arrays, objects)
     k = len(arrays[keys[0]])
     if "points" not in arrays:
         values = {n: _need(where, arrays, n, (k, own), "fiub")[rows].astype(dtype) for n in names}
-        return GivenPoints(source, None, values)
+        return ExternalPoints(source, None, values)
     points = _need(where, arrays, "points", (k, None, 3), "f")
     if not 1 <= points.shape[1] <= MOST_POINTS:
         raise FileError(
@@ -382,7 +400,7 @@ def _by_key(
         [cKDTree(points[row]).query(o.points)[1] for row, o in zip(rows, objects, strict=True)]
     )
     values = {n: _need(where, arrays, n, (k, points.shape[1]), "fiub")[rows] for n in names}
-    return GivenPoints(
+    return ExternalPoints(
         source, None, {n: np.take_along_axis(v, near, 1).astype(dtype) for n, v in values.items()}
     )
 
@@ -390,15 +408,15 @@ def _by_key(
 def _object_rows(where: str, arrays: Arrays, objects: Sequence[ObjectModel]) -> NDArray[np.int64]:
     """The row of each of the benchmark's objects."""
     if "object" in arrays:
-        given = [str(n) for n in _need(where, arrays, "object", (None,), "U")]
+        names = [str(n) for n in _need(where, arrays, "object", (None,), "U")]
         wanted: Sequence[Any] = [o.name for o in objects]
     else:
-        given = _need(where, arrays, "object_index", (None,), "iu").tolist()
+        names = _need(where, arrays, "object_index", (None,), "iu").tolist()
         wanted = range(len(objects))
-    if twice := [n for n in given if given.count(n) > 1]:
+    if twice := [n for n in names if names.count(n) > 1]:
         raise FileError(f"{where}: object {printable(twice[0])} is given more than once")
-    if missing := [n for n in wanted if n not in given]:
+    if missing := [n for n in wanted if n not in names]:
         raise FileError(
             f"{where}: no row for object {missing[0]}; give one for each of the benchmark's {len(objects)} objects"
         )
-    return np.array([given.index(n) for n in wanted], np.int64)
+    return np.array([names.index(n) for n in wanted], np.int64)
