@@ -5,7 +5,7 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 __all__ = [
     "COLORS",
     "WORDS",
-    "Box",
-    "box_plots",
     "failure_bars",
     "failure_figure",
     "needs_matplotlib",
@@ -37,19 +35,17 @@ COLORS = {
     "invalid_sim": "#5a5a5a",
     "missing": "#c8c8c8",
 }
-"""Okabe and Ito's palette, told apart by the colour-blind too: one colour an outcome wherever it
-appears."""
+"""One colour for each outcome, from Okabe and Ito's palette, which colour-blind readers can tell
+apart."""
 
 WORDS = {name: name.replace("_", " ") for name in OUTCOME_NAMES}
 
 INK, FAINT, RIDGE = "#010203", "#040506", "#040507"
-"""Stand for the page's colours of text, rules and bars: `svg` puts those in their place."""
-
-LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5a5a", "#000000")
+"""`svg` replaces these by the page's colours of text, rules and bars."""
 
 
 def needs_matplotlib() -> None:
-    """Raises `ValueError` with what to install where matplotlib is missing."""
+    """Raise `ValueError` with what to install if matplotlib is missing."""
     from importlib.util import find_spec
 
     if find_spec("matplotlib") is None:
@@ -58,8 +54,8 @@ def needs_matplotlib() -> None:
 
 @contextmanager
 def style(*, page: bool) -> Iterator[None]:
-    """matplotlib's settings for figures of a page, or of a paper; names from files are never read
-    as mathematics."""
+    """matplotlib's settings for figures of a page or of a paper. Names from files are never read as
+    mathematics."""
     import matplotlib
 
     ink, faint = (INK, FAINT) if page else ("#000000", "#cccccc")
@@ -87,15 +83,15 @@ def style(*, page: bool) -> Iterator[None]:
 
 
 def _figure(width: float, height: float) -> "Figure":
-    """A figure without a window system: inches."""
+    """A figure of this size in inches, without a window system."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
 
 
 def svg(figure: "Figure", title: str) -> str:
-    """The figure as one <svg> element in the page's colours, as wide as its place; `title`: for who
-    does not see it."""
+    """The figure as one <svg> element in the page's colours, as wide as its place; screen readers
+    say the title."""
     from html import escape
 
     text = io.StringIO()
@@ -124,7 +120,8 @@ def svg(figure: "Figure", title: str) -> str:
 
 
 def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> list[str]:
-    """A stacked bar of 100 % per (label, counts by outcome); the outcomes that occur."""
+    """Draw a stacked bar of 100 % for each (label, counts by outcome); return the outcomes that
+    occur."""
     used = [o for o in OUTCOME_NAMES if any(counts[o] for _, counts in bars)]
     totals = np.array([max(sum(counts.values()), 1) for _, counts in bars], float)
     left = np.zeros(len(bars))
@@ -160,8 +157,7 @@ def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> list[s
 
 
 def failure_bars(title: str, bars: Sequence[tuple[str, Mapping[str, int]]]) -> str:
-    """One small multiple: a method's outcomes by split, as SVG; the legend belongs to all of
-    them."""
+    """A method's outcomes by split as SVG, without a legend."""
     with style(page=True):
         figure = _figure(3.4, 0.55 + 0.24 * len(bars))
         axes = figure.add_subplot()
@@ -175,7 +171,7 @@ def failure_bars(title: str, bars: Sequence[tuple[str, Mapping[str, int]]]) -> s
 
 
 def failure_figure(methods: Mapping[str, Sequence[tuple[str, Mapping[str, int]]]]) -> "Figure":
-    """All small multiples with their one legend, for print."""
+    """The bars of all methods with one legend, for print."""
     columns = min(3, len(methods))
     rows = -(-len(methods) // columns)
     figure = _figure(
@@ -201,8 +197,7 @@ def failure_figure(methods: Mapping[str, Sequence[tuple[str, Mapping[str, int]]]
 def ridges(
     title: str, series: Mapping[str, Histogram], *, scale: float, unit: str, zero: bool = False
 ) -> str:
-    """One ridge a method over one axis, each scaled to its own highest bin, as SVG; `zero` marks
-    0."""
+    """A ridge for each method over one axis as SVG, scaled to its highest bin; `zero` marks 0."""
     known = {name: h for name, h in series.items() if h.counts.sum()}
     if not known:
         return ""
@@ -226,73 +221,3 @@ def ridges(
         axes.set_title(title)
         counted = ", ".join(f"{name} {int(h.counts.sum())} trials" for name, h in known.items())
         return svg(figure, f"{title}: {counted}")
-
-
-class Box(Protocol):
-    """What a box of a box plot shows."""
-
-    @property
-    def mean(self) -> float: ...
-    @property
-    def median(self) -> float: ...
-    @property
-    def q1(self) -> float: ...
-    @property
-    def q3(self) -> float: ...
-    @property
-    def min(self) -> float: ...
-    @property
-    def max(self) -> float: ...
-
-
-def box_plots(groups: Mapping[str, Mapping[str, Box]]) -> str:
-    """Boxes of ratings from 1 to 5 as an SVG file: one group a method, one colour a dimension,
-    dotted at the midpoint 3."""
-    from matplotlib.patches import Patch
-
-    names = list(dict.fromkeys(d for boxes in groups.values() for d in boxes))
-    text = io.StringIO()
-    with style(page=False):
-        figure = _figure(1.2 + 0.45 * len(groups) * (len(names) + 1), 3.4)
-        axes = figure.add_subplot()
-        axes.axhline(3, color="#444444", linestyle=(0, (2, 3)), linewidth=0.8)
-        for g, boxes in enumerate(groups.values()):
-            for k, name in enumerate(names):
-                if name not in boxes:
-                    continue
-                box, color = boxes[name], LINES[k % len(LINES)]
-                stats = {
-                    "med": box.median,
-                    "q1": box.q1,
-                    "q3": box.q3,
-                    "whislo": box.min,
-                    "whishi": box.max,
-                }
-                drawn = axes.bxp(
-                    [{**stats, "mean": box.mean, "fliers": []}],
-                    positions=[g * (len(names) + 1) + k],
-                    widths=0.6,
-                    showmeans=True,
-                    patch_artist=True,
-                    boxprops={"facecolor": color + "33", "edgecolor": color},
-                    medianprops={"color": color, "linewidth": 2},
-                    meanprops={
-                        "marker": "D",
-                        "markerfacecolor": "white",
-                        "markeredgecolor": color,
-                        "markersize": 5,
-                    },
-                    whiskerprops={"color": color},
-                    capprops={"color": color},
-                )
-                drawn["boxes"][0].set_gid(f"box-{g}-{k}")
-        middle = [g * (len(names) + 1) + (len(names) - 1) / 2 for g in range(len(groups))]
-        axes.set_xticks(middle, list(groups))
-        axes.set_ylim(0.8, 5.2)
-        axes.set_yticks(range(1, 6))
-        patches = [Patch(color=LINES[k % len(LINES)], label=name) for k, name in enumerate(names)]
-        figure.legend(
-            handles=patches, loc="outside lower center", ncols=max(len(names), 1), frameon=False
-        )
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()

@@ -1,7 +1,9 @@
 """Texts of the user study: simulation against the real robot, ratings and their tests."""
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +54,8 @@ QUOTED = {
 }
 """What the paper's text says about its ratings (Sec. User Study)."""
 QUOTED_CHI2 = {"comfort": 28.4, "safety": 24.1, "naturalness": 31.7}
+
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#5a5a5a", "#000000")
 
 Ratings = tuple[np.ndarray, list[str], int]
 """(participants, methods) ratings of complete participants, the methods, participants left out."""
@@ -277,14 +281,48 @@ def summaries(dimension: str, ratings: Ratings) -> Summaries:
 
 
 def box_plot(rated: Summaries) -> str:
-    """The paper's Fig. 7 as SVG: boxes from Q1 to Q3, medians, means as diamonds, whiskers at the
-    extremes."""
-    from r2h_batch.report.figures import box_plots, needs_matplotlib
+    """The paper's Fig. 7 as SVG: a group for each method, a colour for each dimension.
+
+    Boxes go from Q1 to Q3, lines are medians, diamonds are means, whiskers are the extremes.
+    """
+    from r2h_batch.report.figures import needs_matplotlib, style
 
     needs_matplotlib()
-    groups: dict[str, dict[str, Summary]] = {method: {} for method, _ in rated}
-    for dimension in dict.fromkeys(d for _, d in rated):
-        for method in groups:
-            if (method, dimension) in rated:
-                groups[method][dimension] = rated[method, dimension]
-    return box_plots(groups)
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+    methods = list(dict.fromkeys(m for m, _ in rated))
+    color = dict(zip(dict.fromkeys(d for _, d in rated), cycle(COLORS)))
+    step = len(color) + 1
+    text = io.StringIO()
+    with style(page=False):
+        figure = Figure(figsize=(1.2 + 0.45 * len(methods) * step, 3.4), layout="constrained")
+        axes = figure.add_subplot()
+        axes.axhline(3, color="#444444", linestyle=(0, (2, 3)), linewidth=0.8)
+        for (g, method), (k, d) in product(enumerate(methods), enumerate(color)):
+            if (method, d) not in rated:
+                continue
+            box, line = rated[method, d], {"color": color[d]}
+            ends = {"q1": box.q1, "q3": box.q3, "whislo": box.min, "whishi": box.max}
+            mean = {"marker": "D", "markerfacecolor": "white", "markeredgecolor": color[d]}
+            drawn = axes.bxp(
+                [{"med": box.median, "mean": box.mean, **ends, "fliers": []}],
+                positions=[g * step + k],
+                widths=0.6,
+                showmeans=True,
+                patch_artist=True,
+                boxprops={"facecolor": color[d] + "33", "edgecolor": color[d]},
+                medianprops={**line, "linewidth": 2},
+                meanprops={**mean, "markersize": 5},
+                whiskerprops=line,
+                capprops=line,
+            )
+            drawn["boxes"][0].set_gid(f"box-{g}-{k}")
+        axes.set_xticks([g * step + (step - 2) / 2 for g in range(len(methods))], methods)
+        axes.set_ylim(0.8, 5.2)
+        axes.set_yticks(range(1, 6))
+        patches = [Patch(color=color[d], label=d) for d in color]
+        columns = max(len(color), 1)
+        figure.legend(handles=patches, loc="outside lower center", ncols=columns, frameon=False)
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()
