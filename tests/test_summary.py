@@ -73,16 +73,16 @@ def test_trials_know_their_objects_and_keep_them_through_selection_and_copies():
     assert bare.named(default_evaluator().scene.objects).object_names == names
 
 
-def test_scores_know_what_they_were_asked_and_copies_of_them_hold_numbers_alone(scores):
+def test_scores_keep_their_inputs_and_copies_hold_numbers_alone(scores):
     batch = make_batch(default_evaluator().scene, 24)
     one = scores[torch.tensor([7])]
     assert (
-        torch.equal(one.asked.T_obj_ee, batch.T_obj_ee[7:8])
-        and one.asked.trials.trial_id.tolist() == one.trial_id.tolist()
+        torch.equal(one.inputs.T_obj_ee, batch.T_obj_ee[7:8])
+        and one.inputs.trials.trial_id.tolist() == one.trial_id.tolist()
     )
-    assert one.asked.evaluator is default_evaluator() and scores.clone().asked is not None
-    assert pickle.loads(pickle.dumps(scores)).asked is None and copy.deepcopy(scores).asked is None
-    assert Scores.concatenate([scores, scores]).asked is None
+    assert one.inputs.evaluator is default_evaluator() and scores.clone().inputs is not None
+    assert pickle.loads(pickle.dumps(scores)).inputs is None and copy.deepcopy(scores).inputs is None
+    assert Scores.concatenate([scores, scores]).inputs is None
 
 
 @needs("viser")
