@@ -5,6 +5,7 @@ import pickle
 import struct
 import tracemalloc
 import zipfile
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -13,7 +14,15 @@ from prediction_files import FORMATS, arrays, members, npy, refused, store, zipp
 from safetensors.numpy import save
 
 from r2h_batch import predictions
-from r2h_batch.predictions import MAX_MEMBERS, PredictionsError, load_predictions
+from r2h_batch.predictions import PredictionsError, load_predictions
+
+
+@contextmanager
+def memory_below(size):
+    tracemalloc.start()
+    yield
+    assert tracemalloc.get_traced_memory()[1] < size
+    tracemalloc.stop()
 
 
 class _Touch:
@@ -26,7 +35,7 @@ class _Touch:
         return open, (self.path, "w")
 
 
-def test_pickle_object_npz_and_torch_files_are_refused_unread_saying_how_to_convert(tmp_path):
+def test_pickles_and_other_formats_are_refused_unread_saying_what_to_write(tmp_path):
     touched = tmp_path / "touched"
     bomb = np.array([_Touch(touched)] * 5, dtype=object)
     (tmp_path / "p.pkl").write_bytes(pickle.dumps({"T_obj_ee": bomb}))
@@ -34,13 +43,14 @@ def test_pickle_object_npz_and_torch_files_are_refused_unread_saying_how_to_conv
     zipped(tmp_path / "method.npz", [*members(), ("method.npy", npy(np.array(_Touch(touched), dtype=object)))])
     torch.save({"T_obj_ee": _Touch(touched)}, tmp_path / "new.pt")
     torch.save({"T_obj_ee": _Touch(touched)}, tmp_path / "old.pt", _use_new_zipfile_serialization=False)
-    torch.save({str(i): torch.zeros(2) for i in range(40)}, tmp_path / "model.npz")
-    np.save(tmp_path / "one.npy", np.zeros(4))
-    for name in ("p.pkl", "object.npz", "new.pt", "old.pt", "model.npz"):
-        refused(tmp_path / name, "pickle", "refused", "np.savez(FILE, trial_id=")
-    refused(tmp_path / "method.npz", "pickle")
-    refused(tmp_path / "one.npy", "single .npy", "np.savez")
+    for name in ("p.pkl", "object.npz", "method.npz", "new.pt", "old.pt"):
+        refused(tmp_path / name, "pickle", "np.savez(FILE, trial_id=")
     assert not touched.exists()
+    np.save(tmp_path / "one.npy", np.zeros(4))
+    (tmp_path / "p.txt").write_bytes(b"trial_id,x\n1,2\n")
+    (tmp_path / "empty.npz").touch()
+    for name, words in {"one.npy": "single .npy", "p.txt": "neither .npz, .safe", "empty.npz": "empty"}.items():
+        refused(tmp_path / name, words, "np.savez")
 
 
 # --- row 13: bombs --------------------------------------------------------------------------------------------------
@@ -58,36 +68,45 @@ def declare(path, name: str, size: int) -> None:
     path.write_bytes(data)
 
 
-def test_a_highly_compressed_member_is_refused_before_it_is_unpacked(tmp_path):
-    huge = np.zeros((1_000_000, 4, 4), np.float32)
-    np.savez_compressed(tmp_path / "p.npz", **arrays(T_obj_ee=huge))
-    del huge
-    tracemalloc.start()
-    refused(tmp_path / "p.npz", "T_obj_ee", "at most 200 times", "np.savez instead")
-    assert tracemalloc.get_traced_memory()[1] < 4 << 20
-    tracemalloc.stop()
+def bomb(path, compression, claim: int | None = None):
+    """An npz whose poses unpack to 192 MB, and whose directory may claim that they are `claim` bytes long when packed."""
+    zipped(path, [*members(T_obj_ee=None), ("T_obj_ee.npy", npy(np.zeros((3_000_000, 4, 4), np.float32)))], compression)
+    if claim is not None:
+        data = bytearray(path.read_bytes())
+        entry = data.rfind(b"T_obj_ee.npy") - 46
+        data[entry + 20 : entry + 24] = struct.pack("<I", claim)
+        path.write_bytes(data)
+    return path
 
 
-def test_small_constant_arrays_may_compress_well(tmp_path):
+@pytest.mark.parametrize(
+    ("compression", "claim", "words"),
+    [
+        (zipfile.ZIP_DEFLATED, None, "at most 200 times"),
+        (zipfile.ZIP_BZIP2, None, "allowed are stored and deflated"),
+        (zipfile.ZIP_DEFLATED, 2_000_000, ""),
+    ],
+)
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path, compression, claim, words):
+    path = bomb(tmp_path / "p.npz", compression, claim)
+    with memory_below(4 << 20):
+        refused(path, words)
+
+
+def test_small_constant_arrays_may_compress_well_up_to_the_limit_on_the_sum(tmp_path, monkeypatch):
     np.savez_compressed(tmp_path / "p.npz", **arrays(500, T_obj_ee=np.tile(np.eye(4, dtype=np.float32), (500, 1, 1))))
     assert len(load_predictions(tmp_path / "p.npz")) == 500
+    monkeypatch.setattr(predictions, "MAX_BYTES", 60_000)
+    refused(tmp_path / "p.npz", "at most 60000 are allowed")
 
 
-def test_a_declared_size_beyond_the_limit_is_refused(tmp_path, monkeypatch):
-    store(tmp_path / "p.npz", arrays(200))
-    monkeypatch.setattr(predictions, "MAX_BYTES", 20_000)
-    refused(tmp_path / "p.npz", "at most 20000 are allowed")
-
-
-@pytest.mark.parametrize("shape", [(10**9, 4, 4), (10**18, 10**18, 16), (6, 4, 4), (4, 4, 4), (-5, -4, 4)])
+@pytest.mark.parametrize("shape", [(10**9, 4, 4), (10**18, 10**18, 16), (6, 4, 4), (-5, -4, 4)])
 def test_an_array_header_that_lies_about_its_shape_is_refused_before_allocation(tmp_path, shape):
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f4", "fortran_order": False, "shape": shape})
     zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), ("T_obj_ee.npy", header.getvalue() + bytes(5 * 64))])
-    tracemalloc.start()
-    refused(tmp_path / "p.npz", "'T_obj_ee'")
-    assert tracemalloc.get_traced_memory()[1] < 4 << 20
-    tracemalloc.stop()
+    with memory_below(4 << 20):
+        refused(tmp_path / "p.npz", "T_obj_ee")
 
 
 @pytest.mark.parametrize("size", [100, 500, 100_000])
@@ -97,19 +116,24 @@ def test_a_directory_that_lies_about_a_members_size_is_refused(tmp_path, size):
     refused(tmp_path / "p.npz")
 
 
-def test_duplicate_members_are_refused(tmp_path):
-    refused(zipped(tmp_path / "p.npz", [*members(), members()[1]]), "duplicate member 'T_obj_ee.npy'")
+LINK = zipfile.ZipInfo("T_obj_ee.npy")
+LINK.external_attr = 0o120777 << 16
 
 
-def test_too_many_members_are_refused(tmp_path):
-    many = [(f"a{i}.npy", npy(np.zeros(1))) for i in range(MAX_MEMBERS + 1)]
-    refused(zipped(tmp_path / "p.npz", many), f"at most {MAX_MEMBERS}")
-
-
-def test_a_long_header_is_refused(tmp_path):
-    text = b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"1," * 30_000 + b"), }"
-    header = b"\x93NUMPY\x02\x00" + struct.pack("<I", len(text) + 1) + text + b"\n"
-    refused(zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), ("T_obj_ee.npy", header)]), "'T_obj_ee'")
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ([members()[1]], "duplicate member 'T_obj_ee.npy'"),
+        ([(f"a{i}.npy", npy(np.zeros(1))) for i in range(65)], "at most 64"),
+        *(([(name, b"x")], "outside the archive") for name in ("../a.npy", "a/../../x.npy", "..\\x.npy", "C:x.npy")),
+        ([(LINK, "/etc/passwd")], "symbolic link"),
+        ([("notes.txt", b"x")], "is no .npy array"),
+        ([("sub/T_obj_ee.npy", npy(np.zeros(1)))], "unknown key 'sub/T_obj_ee'; allowed keys are trial_id"),
+    ],
+)  # fmt: skip
+def test_an_archive_with_other_members_is_refused_and_nothing_is_extracted(tmp_path, more, words):
+    refused(zipped(tmp_path / "p.npz", [*members(), *more]), words)
+    assert [p.name for p in tmp_path.iterdir()] == ["p.npz"]
 
 
 def test_an_encrypted_member_is_refused(tmp_path):
@@ -121,43 +145,11 @@ def test_an_encrypted_member_is_refused(tmp_path):
     refused(path, "is encrypted; ")
 
 
-def bomb(path, compression, claim: int | None = None):
-    """An npz whose poses unpack to 192 MB, and whose directory says that they are `claim` bytes long when packed."""
-    huge = np.zeros((3_000_000, 4, 4), np.float32)
-    zipped(path, [*members(T_obj_ee=None), ("T_obj_ee.npy", npy(huge))], compression)
-    if claim is not None:
-        data = bytearray(path.read_bytes())
-        entry = data.rfind(b"T_obj_ee.npy") - 46
-        assert data[entry : entry + 4] == b"PK\x01\x02"
-        data[entry + 20 : entry + 24] = struct.pack("<I", claim)
-        path.write_bytes(data)
-    return path
-
-
-@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_other_compressions_than_deflate_are_refused(tmp_path, compression):
-    refused(zipped(tmp_path / "p.npz", members(), compression), "allowed are stored and deflated")
-
-
-@pytest.mark.parametrize("compression", [zipfile.ZIP_BZIP2, zipfile.ZIP_DEFLATED])
-def test_a_small_file_whose_members_lie_about_their_packed_size_is_refused_unread(tmp_path, compression):
-    path = bomb(tmp_path / "p.npz", compression, claim=2_000_000)
-    assert path.stat().st_size < 1_000_000
-    tracemalloc.start()
-    refused(path)
-    assert tracemalloc.get_traced_memory()[1] < 4 << 20
-    tracemalloc.stop()
-
-
 def test_members_that_share_their_bytes_are_refused(tmp_path):
     """Both poses are the same 2 MB of the file: its directory says so."""
-    data = arrays(30_000)
-    path = zipped(
-        tmp_path / "p.npz", [("trial_id.npy", npy(data["trial_id"])), ("T_obj_ee.npy", npy(data["T_obj_ee"]))]
-    )
+    path = zipped(tmp_path / "p.npz", [(f"{k}.npy", npy(arrays(30_000)[k])) for k in ("trial_id", "T_obj_ee")])
     raw = bytearray(path.read_bytes())
-    end = raw.rfind(b"PK\x05\x06")
-    last = raw.rfind(b"PK\x01\x02")
+    end, last = raw.rfind(b"PK\x05\x06"), raw.rfind(b"PK\x01\x02")
     entry = bytes(raw[last:end]).replace(b"T_obj_ee.npy", b"T_world_ee.npy")
     entry = entry[:28] + struct.pack("<H", len("T_world_ee.npy")) + entry[30:]
     files, size = struct.unpack("<HI", raw[end + 10 : end + 16])
@@ -172,68 +164,36 @@ def test_a_directory_of_a_million_names_is_refused_unread(tmp_path):
     raw = path.read_bytes()
     end, first = raw.rfind(b"PK\x05\x06"), raw.find(b"PK\x01\x02")
     many = raw[first:end] * 40_000
-    eocd = raw[end : end + 12] + struct.pack("<II", len(many), first) + b"\0\0"
-    path.write_bytes(raw[:first] + many + eocd)
-    tracemalloc.start()
-    refused(path, "directory")
-    assert tracemalloc.get_traced_memory()[1] < 8 << 20
-    tracemalloc.stop()
+    path.write_bytes(raw[:first] + many + raw[end : end + 12] + struct.pack("<II", len(many), first) + b"\0\0")
+    with memory_below(8 << 20):
+        refused(path, "directory")
 
 
 @pytest.mark.parametrize(
     "text",
     [
-        b"{" * 3000,
-        b"(" * 9000,
-        b"-" * 9000 + b"1",
-        b"\xff\xfe{",
-        b"{'descr': '<f4', 'fortran_order': False, 'shape': (5, 4, 4",
+        *(b"{" * 3000, b"(" * 9000, b"-" * 9000 + b"1", b"\xff\xfe{", b"{['a']: 1}", b"__import__('os')", b""),
+        b"{'descr': '<f4', 'fortran_order': False, 'shape': (" + b"1," * 30_000 + b"), }",
         b"{'descr': ('<f4', (5,)), 'fortran_order': False, 'shape': (5, 4, 4)}",
         b"{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (5, 4, 4)}",
         b"{'descr': 'nonsense', 'fortran_order': False, 'shape': (5, 4, 4)}",
-        b"{'descr': '<f4', 'fortran_order': 3, 'shape': (5, 4, 4)}",
         b"{'descr': '<f4', 'fortran_order': False, 'shape': ((5,), 4, 4)}",
-        b"{['a']: 1}",
         b"{'descr': '<f4', 'fortran_order': False, 'shape': (5L, 4L, 4L)}\n'",
-        b"__import__('os')",
-        b"",
     ],
     ids=lambda t: repr(t[:40]),
 )
 def test_an_array_header_that_cannot_be_parsed_is_one_line(tmp_path, text, recwarn):
-    header = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text
-    refused(zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), ("T_obj_ee.npy", header)]), "'T_obj_ee'")
+    header = b"\x93NUMPY\x02\x00" + struct.pack("<I", len(text)) + text
+    refused(zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), ("T_obj_ee.npy", header)]), "T_obj_ee")
     assert not list(recwarn)
 
 
-@pytest.mark.parametrize("character", [0x110000, 0x7FFFFFFF, 0xFFFFFFFF, 0xD800])
+@pytest.mark.parametrize("character", [0x110000, 0xFFFFFFFF, 0xD800])
 def test_a_method_name_of_bytes_that_are_no_characters_is_refused(tmp_path, character):
     name = io.BytesIO()
     np.lib.format.write_array_header_1_0(name, {"descr": "<U1", "fortran_order": False, "shape": ()})
     content = name.getvalue() + struct.pack("<I", character)
-    refused(zipped(tmp_path / "p.npz", [*members(), ("method.npy", content)]), "'method' is no text")
-
-
-# --- row 14: names that lead out ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    "name", ["../T_obj_ee.npy", "a/../../x.npy", "/etc/passwd", "..\\x.npy", "C:\\x.npy", "C:x.npy", "\\\\host\\x.npy"]
-)
-def test_members_that_point_outside_are_refused_and_nothing_is_extracted(tmp_path, name):
-    refused(zipped(tmp_path / "p.npz", [*members(), (name, b"x")]), "outside the archive")
-    assert [p.name for p in tmp_path.iterdir()] == ["p.npz"]
-
-
-def test_a_symbolic_link_in_the_archive_is_refused(tmp_path):
-    link = zipfile.ZipInfo("T_obj_ee.npy")
-    link.external_attr = 0o120777 << 16
-    refused(zipped(tmp_path / "p.npz", [*members(T_obj_ee=None), (link, "/etc/passwd")]), "symbolic link")
-
-
-@pytest.mark.parametrize("name", ["sub/T_obj_ee.npy", "T_obj_ee", "notes.txt", "T_OBJ_EE.npy"])
-def test_members_that_are_no_known_array_are_refused(tmp_path, name):
-    refused(zipped(tmp_path / "p.npz", [*members(), (name, b"x")]), "unknown member", "allowed keys are trial_id")
+    refused(zipped(tmp_path / "p.npz", [*members(), ("method.npy", content)]), "method")
 
 
 # --- row 15: damage -------------------------------------------------------------------------------------------------
@@ -246,14 +206,6 @@ def test_a_file_cut_at_any_place_is_refused_and_named(tmp_path, suffix):
     for n in range(0, len(data), 7):
         path.write_bytes(data[:n])
         refused(path)
-
-
-def test_a_flipped_bit_in_the_data_of_an_npz_is_refused(tmp_path):
-    path = store(tmp_path / "p.npz", arrays(200))
-    data = bytearray(path.read_bytes())
-    data[data.find(b"T_world_ee") + 2000] ^= 4
-    path.write_bytes(data)
-    refused(path, "CRC", "write or copy it again")
 
 
 def test_any_flipped_bit_is_refused_or_harmless_and_never_another_error(tmp_path):
@@ -273,57 +225,27 @@ def test_any_flipped_bit_is_refused_or_harmless_and_never_another_error(tmp_path
     assert accepted < len(data) / 2
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"\xff" * 64,
-        struct.pack("<Q", 2**62) + b"{}",
-        struct.pack("<Q", 4) + b"{{{{",
-        save(arrays()) + b"tail",
-        struct.pack("<Q", 90)
-        + b'{"trial_id":{"dtype":"I64","shape":[9223372036854775807],"data_offsets":[0,8]}}'.ljust(98),
-    ],
-)
-def test_damaged_safetensors_are_refused(tmp_path, content):
-    (tmp_path / "p.safetensors").write_bytes(content)
-    refused(tmp_path / "p.safetensors", "safetensors")
-
-
 def safetensors_with(header: bytes, length: int | None = None) -> bytes:
     return struct.pack("<Q", len(header) if length is None else length) + header + bytes(1 << 10)
 
 
 @pytest.mark.parametrize(
-    ("content", "part"),
+    ("content", "words"),
     [
-        (safetensors_with(b"{" + b" " * 200_000 + b"}"), "header of 200002 bytes; at most 100000"),
+        (b"\xff" * 64, "safetensors"),
+        (save(arrays()) + b"tail", "belong to no array"),
+        (safetensors_with(b"{}", 2**62), "a header of 4611686018427387904 bytes"),
+        (safetensors_with(b"{" + b" " * (1 << 20) + b"}"), "a header of 1048578 bytes"),
         (safetensors_with(b'{"__metadata__":' + b"[" * 90_000), "damaged"),
         (safetensors_with(b'{"trial_id":1,"trial_id":2}'), "duplicate key 'trial_id'"),
-        (safetensors_with(b"{" + b",".join(b'"a%d":0' % i for i in range(17)) + b"}"), "17 arrays; at most 16"),
+        (safetensors_with(b"{" + b",".join(b'"a%d":0' % i for i in range(65)) + b"}"), "65 arrays; at most 64"),
         (safetensors_with(b"[1]"), "damaged"),
         (safetensors_with(b"{\xff}"), "damaged"),
         (safetensors_with(b'{"trial_id":{"shape":[5]},"T_obj_ee":0,"T_world_ee":0}'), "damaged"),
+        (safetensors_with(b'{"trial_id":{"dtype":"I64","shape":[9223372036854775807],"data_offsets":[0,8]}}'), "does not fit"),
     ],
-    ids=range(7),
-)
-def test_a_safetensors_header_beyond_its_limits_is_one_line(tmp_path, content, part):
+    ids=range(11),
+)  # fmt: skip
+def test_damaged_safetensors_are_refused_in_one_line(tmp_path, content, words):
     (tmp_path / "p.safetensors").write_bytes(content)
-    refused(tmp_path / "p.safetensors", part)
-
-
-@pytest.mark.parametrize(
-    ("name", "content"), [("p.txt", b"trial_id,x\n1,2\n"), ("p.yaml", b"[1, 2]"), ("p.h5", b"\x89HDF\r\n")]
-)
-def test_other_formats_are_refused_saying_what_to_write(tmp_path, name, content):
-    (tmp_path / name).write_bytes(content)
-    refused(tmp_path / name, "neither .npz, .safetensors, .csv nor .json", "np.savez")
-
-
-def test_nothing_a_folder_and_an_empty_file_are_refused(tmp_path):
-    (tmp_path / "empty.npz").touch()
-    refused(tmp_path / "none.npz", "no such file")
-    refused(tmp_path, "not a regular file")
-    refused(tmp_path / "empty.npz", "empty")
-
-
-# --- row 16: rows that do not match the plan ------------------------------------------------------------------------
+    refused(tmp_path / "p.safetensors", words)

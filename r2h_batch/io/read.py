@@ -162,7 +162,7 @@ def path_within(folder: str | Path, name: str) -> Path:
 
 # ---- archives and arrays
 
-DAMAGED_ARCHIVE = (
+_DAMAGED_ARCHIVE = (
     *(zipfile.BadZipFile, zlib.error, EOFError, OSError, struct.error),
     *(NotImplementedError, RuntimeError, UnicodeDecodeError, OverflowError),
 )
@@ -191,7 +191,7 @@ def open_archive(path: str | Path, most: int) -> Iterator[zipfile.ZipFile]:
             with zipfile.ZipFile(careful) as archive:
                 careful.limit = None
                 yield archive
-        except DAMAGED_ARCHIVE as error:
+        except _DAMAGED_ARCHIVE as error:
             why = printable(error)
             raise FileError(
                 f"{printable(path)}: truncated or damaged archive ({why}); write or copy it again"
@@ -291,7 +291,7 @@ def read_npz(
             name, size = member.orig_filename, member.file_size
             key = name.removesuffix(".npy")
             if name == key:
-                raise FileError(f"{shown}: member {name!r} is not an array; allowed are NAME.npy")
+                raise FileError(f"{shown}: member {name!r} is no .npy array (is this a pickle?)")
             if only is not None and key not in only:
                 continue
             if size > most_each:
@@ -372,6 +372,8 @@ def read_safetensors(
                 raise FileError(f"{where}: {shown} of shape {shape} does not fit into its bytes")
             values = np.frombuffer(data, dtype, count, first) if count else np.zeros(0, dtype)
             found[name] = values.reshape(shape)
+        if sum(v.nbytes for v in found.values()) != len(data) - start:
+            raise FileError(f"{where}: bytes that belong to no array; copy it again")
     except (KeyError, TypeError, AttributeError) as error:
         raise FileError(f"{where} header ({printable(repr(error))[:80]})") from None
     return found, more
