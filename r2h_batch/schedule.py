@@ -1,9 +1,8 @@
-"""Whose turn it is: which trial stands where in a plan, with which object and which hand. Numbers
-alone, no torch.
+"""The schedule of trials: which trial stands at which position, with which object and which hand.
 
-Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. A plan goes through its splits one after the
-other. Objects of a split take turns, and each round of them starts with the other hand, so that an
-object meets both.
+Trial i of split S0 has the id 2 i, of S1 the id 2 i + 1. A trial list goes through its splits one
+after the other. The objects of a split alternate, and each round of them starts with the other
+hand, so that every object meets both. Plain numbers, no torch.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,18 +16,24 @@ from r2h_batch.verdicts import SPLITS
 __all__ = ["PROTOCOL", "PROTOCOLS", "assign_hands", "assign_objects", "trial_ids"]
 
 PROTOCOL = "r2h-v0"
-"""The protocol where none is named."""
+"""The default protocol."""
 PROTOCOLS = ("r2h-v0", "r2h-v1")
-"""v0: hands alone, their roll free. v1: hands on the arms of people (docs/receivers.md)."""
+"""v0: hands alone, with a free roll. v1: hands on the arms of people (docs/receivers.md)."""
 _HAND = 0  # purpose of the random counters
 
 
-def trial_ids(plan: Mapping[str, int], first: int, last: int) -> NDArray[np.int64]:
-    """Ids of positions first..last-1 of a plan: split -> trials, in its order."""
+def trial_ids(counts: Mapping[str, int], first: int, last: int) -> NDArray[np.int64]:
+    """Ids of positions `first` to `last` - 1 of a trial list.
+
+    Args:
+        counts: split -> number of trials, in the order of the list.
+        first: first position.
+        last: position after the last one.
+    """
     parts, start = [np.zeros(0, np.int64)], 0
-    for split, n in plan.items():
-        turns = np.arange(max(first - start, 0), min(last - start, n), dtype=np.int64)
-        parts.append(2 * turns + SPLITS.index(split))
+    for split, n in counts.items():
+        places = np.arange(max(first - start, 0), min(last - start, n), dtype=np.int64)
+        parts.append(2 * places + SPLITS.index(split))
         start += n
     return np.concatenate(parts)
 
@@ -36,25 +41,33 @@ def trial_ids(plan: Mapping[str, int], first: int, last: int) -> NDArray[np.int6
 def assign_objects(
     ids: NDArray[np.int64], splits: Sequence[str]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Index of the object and side of the hand (0 right, 1 left) of trials; `splits`: of each
-    object."""
+    """The object of each trial and the side of its hand.
+
+    Args:
+        ids: (N,) trials.
+        splits: the split of each object.
+
+    Returns:
+        (N,) object indices, and (N,) sides: 0 right, 1 left.
+
+    Raises:
+        ValueError: a trial's split has no object.
+    """
     object_index, side = np.zeros_like(ids), np.zeros_like(ids)
     for k, split in enumerate(SPLITS):
-        mine = (ids & 1) == k
+        own = (ids & 1) == k
         members = np.array([i for i, s in enumerate(splits) if s == split], np.int64)
-        if mine.any() and not len(members):
-            raise ValueError(
-                f"no object belongs to split {split}; give at least one, or leave the split out"
-            )
-        if mine.any():
-            rows = slice(None) if mine.all() else mine  # most shards are of one split
-            half = ids[rows] >> 1
-            turn = half // len(
-                members
-            )  # and not divmod: numpy divides by one number faster than it takes remainders
-            place = half - turn * len(members)
-            object_index[rows] = members[place]
-            side[rows] = (turn + place) & 1
+        if not own.any():
+            continue
+        if not len(members):
+            how = "give at least one, or leave the split out"
+            raise ValueError(f"no object belongs to split {split}; {how}")
+        rows = slice(None) if own.all() else own  # most shards are of one split
+        place = ids[rows] >> 1
+        turn = place // len(members)  # divmod is slower: numpy divides faster than it takes rests
+        place = place - turn * len(members)
+        object_index[rows] = members[place]
+        side[rows] = (turn + place) & 1
     return object_index, side
 
 
@@ -64,10 +77,16 @@ def assign_hands(
     sides: NDArray[np.int64],
     protocol: str = PROTOCOL,
 ) -> NDArray[np.int64]:
-    """(N,) hand of each trial: one of its side (N,), all equally likely; of a set with one side
-    only (OakInk's) any.
+    """The hand of each trial: a random one of its side, or of the other where there is none.
 
-    `sides` (H,): of each hand of the set, 0 right, 1 left.
+    Args:
+        ids: (N,) trials.
+        side: (N,) sides of their hands: 0 right, 1 left.
+        sides: (H,) side of each hand of the set.
+        protocol: seeds the random numbers.
+
+    Returns:
+        (N,) indices into the hand set.
     """
     (u,) = rng.uniforms(rng.key_of(protocol), ids, 1, purpose=_HAND)
     hand = np.zeros(len(ids), np.int64)

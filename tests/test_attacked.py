@@ -10,7 +10,7 @@ import pytest
 from made_runs import write
 
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark.given import _objects_of  # no public way to a folder's files without building its meshes
+from r2h_batch.benchmark.build import _objects_of  # no public way to a folder's files without building its meshes
 from r2h_batch.bodies.objects import call_of
 from r2h_batch.command_line import answer, telling
 from r2h_batch.export.pictures import save_picture

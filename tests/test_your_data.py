@@ -12,7 +12,7 @@ import yaml
 from r2h_batch import make_trials
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark import built_in
-from r2h_batch.benchmark.file import BenchmarkFile, read_entry, read_file_model
+from r2h_batch.benchmark.model import BenchmarkFile, read_benchmark_file, read_object_file
 from r2h_batch.benchmark.trials_file import KNOWN, read_trials_file
 from r2h_batch.predictors import read_observations
 from r2h_batch.sweep.options import Options
@@ -47,10 +47,10 @@ def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_p
         path = tmp_path / f"{i}.yaml"
         path.write_text(text)
         if set(yaml.safe_load(text)) <= set(BenchmarkFile.model_fields):
-            assert isinstance(read_file_model(path), BenchmarkFile)
+            assert isinstance(read_benchmark_file(path), BenchmarkFile)
             named |= set(yaml.safe_load(text))
         else:  # what lies beside a mesh
-            assert read_entry(path, "saw.obj").file == "saw.obj"
+            assert read_object_file(path, "saw.obj").file == "saw.obj"
     assert named | {"format", "trials"} == set(BenchmarkFile.model_fields)
 
 

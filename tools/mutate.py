@@ -168,9 +168,9 @@ MUTATIONS = (
     Mutation(
         "trials: objects of the other split",
         "r2h_batch/schedule.py",
-        "mine = (ids & 1) == k",
-        "mine = (ids & 1) != k",
-        ("tests/trials/test_trials.py::test_trials_take_objects_in_turn_and_every_object_meets_both_hands_alike",),
+        "own = (ids & 1) == k",
+        "own = (ids & 1) != k",
+        ("tests/trials/test_trials.py::test_objects_alternate_and_every_object_meets_both_hands_alike",),
     ),
     Mutation(
         "statistics: a criterion that was not evaluated fails",

@@ -7,7 +7,7 @@ from r2h_batch import lazy_names
 
 if TYPE_CHECKING:
     from r2h_batch.benchmark.benchmark import Benchmark, built_in
-    from r2h_batch.benchmark.reading import read_benchmark
+    from r2h_batch.benchmark.build import read_benchmark
 
 __all__ = ["Benchmark", "built_in", "read_benchmark"]
 
@@ -17,6 +17,6 @@ if not TYPE_CHECKING:
         {
             "Benchmark": "benchmark",
             "built_in": "benchmark",
-            "read_benchmark": "reading",
+            "read_benchmark": "build",
         },
     )

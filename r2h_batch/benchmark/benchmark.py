@@ -6,13 +6,12 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, Literal
 
 import numpy as np
 
 from r2h_batch.benchmark.trials_file import LISTED
-from r2h_batch.benchmark.unbuilt import is_unbuilt
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
@@ -21,7 +20,7 @@ from r2h_batch.schedule import PROTOCOL, PROTOCOLS
 from r2h_batch.types import Trials
 from r2h_batch.validate import instance_of, optional
 
-__all__ = ["Benchmark", "built_in"]
+__all__ = ["Benchmark", "built_in", "is_unbuilt", "unbuilt"]
 
 WITH_BODIES = PROTOCOLS[1]
 """The protocol whose trials have receivers with a body."""
@@ -54,7 +53,7 @@ class Benchmark:
     listed: Trials | None = None
     """trials of its own (`trials_file.py`); None: the protocol draws them"""
     drawn: str = PROTOCOL
-    """the protocol that draws trials: of `turns.PROTOCOLS`"""
+    """the protocol that draws trials: of `schedule.PROTOCOLS`"""
     receiver: Literal["hand", "body"] = "hand"
     """what planning and Safe see of the receiver, as `EvalConfig.receiver`"""
 
@@ -150,3 +149,24 @@ class Benchmark:
 def built_in() -> Benchmark:
     """This package's own: 16 objects, 400 hands."""
     return Benchmark(load_objects(), load_hand_set())
+
+
+@lru_cache(maxsize=1024)
+def unbuilt(name: str, split: str) -> ObjectModel:
+    """An object without a face: it can be counted, not handed over. One for each name and split."""
+    shapes = {
+        "vertices": ("f4", (0, 3)), "faces": ("i4", (0, 3)), "face_part": ("u1", (0,)), "receiver_face": ("?", (0,)),
+        "hull_vertices": ("f4", (0, 3)), "hull_faces": ("i4", (0, 3)), "piece_vertices": ("f4", (0, 3)),
+        "piece_faces": ("i4", (0, 3)), "piece_vertex_offsets": ("i4", (1,)), "piece_face_offsets": ("i4", (1,)),
+        "points": ("f4", (0, 3)), "normals": ("f4", (0, 3)), "point_part": ("u1", (0,)), "point_face": ("i4", (0,)),
+        "voxels": ("u1", (0,)), "voxel_origin": ("f8", (3,)), "com": ("f8", (3,)), "inertia": ("f8", (3, 3)),
+    }  # fmt: skip
+    arrays: dict[str, Any] = {k: np.zeros(shape, kind) for k, (kind, shape) in shapes.items()}
+    for array in arrays.values():
+        array.flags.writeable = False
+    return ObjectModel(name, split, "", part_names=(), voxel_pitch=0.0, mass=0.0, **arrays)
+
+
+def is_unbuilt(model: ObjectModel) -> bool:
+    """Whether this is only a name and a split."""
+    return len(model.faces) == 0

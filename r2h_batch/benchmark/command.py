@@ -1,5 +1,4 @@
-"""The command `benchmark`: what a benchmark file may say, the built-in one as such a file, and a
-check of one's own."""
+"""The command `benchmark` (a benchmark file's schema, the built-in one as a file, a check)."""
 
 import sys
 from collections.abc import Sequence
@@ -18,10 +17,10 @@ def show(*, builtin: bool = False) -> int:
     """
     import json
 
-    from r2h_batch.benchmark.file import BenchmarkFile
+    from r2h_batch.benchmark.model import BenchmarkFile
 
     if builtin:
-        from r2h_batch.benchmark.written import built_in_text
+        from r2h_batch.benchmark.model import built_in_text
 
         sys.stdout.write(built_in_text())
     else:
@@ -38,7 +37,7 @@ def check(file: Path, /) -> int:
     import warnings
 
     from r2h_batch.benchmark.benchmark import built_in
-    from r2h_batch.benchmark.reading import read_benchmark
+    from r2h_batch.benchmark.build import read_benchmark
 
     try:
         if file.is_dir():

@@ -1,4 +1,4 @@
-"""The flags that say which benchmark a command is about. Imports nothing heavy."""
+"""The flags that choose a benchmark. Imports nothing heavy."""
 
 from dataclasses import asdict, dataclass
 

@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.hand import HandSet, make_hand_set
 from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.io.read import FileError, open_file, printable, read_npz
+from r2h_batch.io.read import FileError, printable, read_npz
+from r2h_batch.io.tables import check_decoded_size, open_parquet
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
@@ -33,7 +34,7 @@ __all__ = ["LISTED", "listed_with_ids", "read_trials_file"]
 LISTED = "listed"
 """Protocol of a run whose trials a file lists."""
 
-MAX_BYTES = 256 << 20
+MAX_BYTES, MAX_ROW_BYTES = 256 << 20, 2048
 MAX_TRIALS = 1_000_000
 MAX_NAME_BYTES = 200
 FARTHEST_M = 10.0
@@ -180,104 +181,58 @@ def _own_hands(columns: Columns, base: HandSet, where: str) -> tuple[HandSet, ND
 
 
 def _parquet(path: Path) -> Columns:
-    """The columns of a Parquet file; what it says of its sizes is compared with what may be before
-    anything is read."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+    """The columns of a Parquet file, whose types and sizes are checked before anything is read."""
+    import pyarrow.compute as pc
 
     where = printable(path)
-    with open_file(path, MAX_BYTES) as stream:
-        try:
-            with pq.ParquetFile(stream, read_dictionary=["object"]) as file:
-                _check_parquet(file, where)
-                table = file.read(
-                    columns=[n for n in KNOWN if n in file.schema_arrow.names]
-                ).unify_dictionaries()
-        except (OSError, pa.ArrowException) as error:
-            raise FileError(
-                f"{where}: no readable Parquet file ({printable(error)[:200]})"
-            ) from None
+    with open_parquet(path, most=1 << 30, rows=MAX_TRIALS, text=["object"]) as file:
+        _check_types(file.schema_arrow, where)
+        check_decoded_size(file, (1 << 20) + MAX_ROW_BYTES * file.metadata.num_rows, where)
+        table = file.read().unify_dictionaries()
     columns: Columns = {}
     for name in table.column_names:
         column = table[name].combine_chunks()
         if column.null_count:
             raise FileError(f"{where}: {name} is empty in {column.null_count} rows")
         if name == "object":
-            columns[name] = _words(column, where)
+            columns[name] = _object_names(column, where)
         elif name in WIDTH:
-            values = column.flatten()
+            values, width = column.flatten(), WIDTH[name]
             if (
                 values.null_count
-                or len(values) != len(table) * WIDTH[name]
-                or bool((_lengths(column) != WIDTH[name]).any())
+                or not pc.all(pc.equal(pc.list_value_length(column), width)).as_py()
             ):
-                raise FileError(
-                    f"{where}: {name} must be a list of {WIDTH[name]} numbers in every row"
-                )
-            shape = (-1, 4, 4) if name == "T_world_hand" else (-1, WIDTH[name])
+                raise FileError(f"{where}: {name} must be a list of {width} numbers in every row")
+            shape = (-1, 4, 4) if name == "T_world_hand" else (-1, width)
             columns[name] = values.to_numpy(zero_copy_only=False).reshape(shape)
         else:
             columns[name] = column.to_numpy(zero_copy_only=False)
     return columns
 
 
-def _words(column: Any, where: str) -> NDArray[Any]:
-    """Names by their codes: a long one that many rows point to is refused before it is written out
-    for each."""
-    import pyarrow as pa
-
-    if not pa.types.is_dictionary(column.type):
-        column = column.dictionary_encode()
-    words = column.dictionary
-    if len(words) and max(len(w.as_buffer()) if w.is_valid else 0 for w in words) > MAX_NAME_BYTES:
+def _object_names(column: Any, where: str) -> NDArray[Any]:
+    """Names out of a dictionary. A long name is refused before many rows repeat it in memory."""
+    words = column.dictionary.to_pylist()
+    if any(len(str(w).encode("utf-8", "replace")) > MAX_NAME_BYTES for w in words):
         raise FileError(f"{where}: object holds a name of more than {MAX_NAME_BYTES} bytes")
-    names = np.array([str(w) for w in words.to_pylist()] or [""], np.str_)
+    names = np.array([str(w) for w in words] or [""], np.str_)
     return names[column.indices.to_numpy(zero_copy_only=False)]
 
 
-def _lengths(column: Any) -> NDArray[np.int64]:
-    import pyarrow.compute as pc
+def _check_types(schema: Any, where: str) -> None:
+    import pyarrow.types as types
 
-    return np.asarray(pc.list_value_length(column).to_numpy(zero_copy_only=False), np.int64)
-
-
-def _check_parquet(file: Any, where: str) -> None:
-    import pyarrow as pa
-
-    meta, schema = file.metadata, file.schema_arrow
-    if not 1 <= meta.num_rows <= MAX_TRIALS:
-        raise FileError(f"{where}: {meta.num_rows} rows; 1 to {MAX_TRIALS} are allowed")
     for field in schema:
         kind = field.type
-        is_list = (
-            pa.types.is_list(kind)
-            or pa.types.is_fixed_size_list(kind)
-            or pa.types.is_large_list(kind)
-        )
-        fits = {
-            **{n: is_list and pa.types.is_floating(kind.value_type) for n in WIDTH},
-            **{n: pa.types.is_integer(kind) for n in ("hand", "side")},
-            "object": pa.types.is_string(kind) or pa.types.is_dictionary(kind),
-        }
-        if not fits.get(field.name, True):
-            raise FileError(
-                f"{where}: {field.name} is {printable(kind)[:60]}; see docs/your_data.md, Trials"
-            )
+        is_list = types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)
         if field.name not in KNOWN:
-            raise FileError(
-                f"{where}: unknown column {printable(field.name)!r}; allowed are {', '.join(KNOWN)}"
-            )
-    size = 0
-    for g in range(meta.num_row_groups):
-        for c in range(meta.num_columns):
-            chunk = meta.row_group(g).column(c)
-            most = meta.num_rows * max(
-                [1, *(w for n, w in WIDTH.items() if chunk.path_in_schema.startswith(n))]
-            )
-            if chunk.num_values > most:
-                raise FileError(
-                    f"{where}: {printable(chunk.path_in_schema)} has {chunk.num_values} values in {meta.num_rows} rows"
-                )
-            size += chunk.total_uncompressed_size
-    if size > MAX_BYTES:
-        raise FileError(f"{where}: unpacks to {size} bytes; at most {MAX_BYTES} are allowed")
+            shown = repr(printable(field.name))
+            raise FileError(f"{where}: unknown column {shown}; allowed are {', '.join(KNOWN)}")
+        fits = types.is_integer(kind)
+        if field.name in WIDTH:
+            fits = is_list and types.is_floating(kind.value_type)
+        elif field.name == "object":
+            fits = types.is_dictionary(kind) and types.is_string(kind.value_type)
+        if not fits:
+            found = f"{field.name} is {printable(kind)[:60]}"
+            raise FileError(f"{where}: {found}; see docs/your_data.md, Trials")

@@ -35,7 +35,7 @@ from r2h_batch.io.cache import is_cached
 from r2h_batch.io.read import printable
 
 if TYPE_CHECKING:
-    from r2h_batch.benchmark.words import Thing
+    from r2h_batch.benchmark.vocabulary import Thing
 
 __all__ = [
     "OBJECT_NAMES",

@@ -38,7 +38,7 @@ def scene(
     check_output_folder(out, overwrite=overwrite)
     if render:
         check_output_file(render, overwrite=overwrite, flag="--render", endings=(".png", ".jpg"))
-    from r2h_batch.benchmark.given import Given
+    from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.export.drawing import Drawing
     from r2h_batch.export.mjcf import export_trial
     from r2h_batch.export.pictures import write_row
@@ -46,7 +46,7 @@ def scene(
     from r2h_batch.scene.offscreen import RenderError
 
     try:
-        stored = Reader(run, Given.of(benchmark)).trial(trial, method or None)
+        stored = Reader(run, BenchmarkOverrides.of(benchmark)).trial(trial, method or None)
         folder = export_trial(stored, out)
         if render:
             write_row(Drawing(stored), render, size=(600, 600))
@@ -84,13 +84,13 @@ def trials(
     if not splits:
         return refuse("trials", "--splits names no split; allowed are S0, S1")
     check_output_folder(out, overwrite=None)
-    from r2h_batch.benchmark.given import Given
+    from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.export.trial_files import write_trials
     from r2h_batch.verdicts import SPLITS
 
     try:
         chosen = [s for s in SPLITS if s in splits]
-        given = Given.of(benchmark, protocol=protocol)
+        given = BenchmarkOverrides.of(benchmark, protocol=protocol)
         found = given.read()
         digest = write_trials(
             out, chosen, trials, benchmark=found, open_formats=open_formats, flags=given.flags()

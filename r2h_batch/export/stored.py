@@ -22,9 +22,8 @@ from pydantic import TypeAdapter
 
 from r2h_batch import se3
 from r2h_batch.benchmark import Benchmark
-from r2h_batch.benchmark.given import Given
-from r2h_batch.benchmark.of_run import benchmark_of_run
-from r2h_batch.benchmark.unbuilt import is_unbuilt
+from r2h_batch.benchmark.benchmark import is_unbuilt
+from r2h_batch.benchmark.build import BenchmarkOverrides, benchmark_of_run
 from r2h_batch.command_line import UsageError
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.evaluate import Evaluator
@@ -93,10 +92,10 @@ class Reader:
     """Trials of one run folder, one after the other. Of the user's meshes it builds only those that
     a trial needs, each once."""
 
-    def __init__(self, run: str | Path, given: Given | None = None) -> None:
+    def __init__(self, run: str | Path, given: BenchmarkOverrides | None = None) -> None:
         self.where = str(run)
         self.run: Run = load_run(run)
-        self.given = given or Given()
+        self.given = given or BenchmarkOverrides()
         self._benches: dict[str, _Bench] = {}
         self._rows: dict[str, Any] = {}
 

@@ -85,7 +85,7 @@ def _gallery_of(
     run: Path, method: Sequence[str], n: int, out: Path, benchmark: BenchmarkFlags
 ) -> Callable[[], dict[str, list[dict[str, str]]]]:
     def pictures() -> dict[str, list[dict[str, str]]]:
-        from r2h_batch.benchmark.given import Given
+        from r2h_batch.benchmark.build import BenchmarkOverrides
         from r2h_batch.export.stored import Reader
         from r2h_batch.gallery.pictures import gallery
         from r2h_batch.scene.offscreen import ready
@@ -95,7 +95,7 @@ def _gallery_of(
             raise UsageError(
                 f"{out.stem}_trials beside {out.name} is a link; its pages would be written elsewhere"
             )
-        reader = Reader(run, Given.of(benchmark))
+        reader = Reader(run, BenchmarkOverrides.of(benchmark))
         return gallery(reader.run.only(method), reader, n, _pages(out), out.parent)
 
     return pictures
@@ -124,7 +124,7 @@ def figures(
         overwrite: replace figures that are there.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
-    from r2h_batch.benchmark.given import Given
+    from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.bodies.mesh_import.closed import ObjectMeshError
     from r2h_batch.export.stored import ExportError, Reader
     from r2h_batch.report.figures import needs_matplotlib
@@ -135,7 +135,7 @@ def figures(
             check_output_file(out / f"{name}.{ending}", overwrite=overwrite)
     try:
         needs_matplotlib()
-        reader = Reader(run, Given.of(benchmark))
+        reader = Reader(run, BenchmarkOverrides.of(benchmark))
         stored = reader.run.only(method)
         if not stored.methods:
             raise ValueError(f"{run}: no method is complete; run its sweep again to go on")

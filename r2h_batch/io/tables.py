@@ -17,7 +17,7 @@ from r2h_batch.io.read import FileError, open_file, printable, read_json
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
-__all__ = ["open_parquet", "read_csv_arrays", "read_json_arrays"]
+__all__ = ["check_decoded_size", "open_parquet", "read_csv_arrays", "read_json_arrays"]
 
 MAX_CSV_BYTES = 1 << 30
 MAX_LINE, MAX_ROWS = 10_000, 10_000_000
@@ -225,16 +225,30 @@ def open_parquet(
                 if file.metadata.num_rows > rows:
                     found = file.metadata.num_rows
                     raise FileError(f"{where}: {found} rows; at most {rows} are allowed")
-                if (size := _decoded_bytes(file)) > most:
-                    raise FileError(f"{where}: unpacks to {size} bytes; at most {most} are allowed")
+                check_decoded_size(file, most, where)
                 yield file
         except (OSError, pa.ArrowException) as error:
             why = printable(error)[:300]
             raise FileError(f"{where}: no readable Parquet file ({why}); copy it again") from error
 
 
-def _decoded_bytes(file: pq.ParquetFile) -> int:
-    """An upper bound of the memory that the columns take, by the footer."""
+_VALUE_BYTES = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "INT96": 12}
+
+
+def check_decoded_size(
+    file: pq.ParquetFile, most: int, where: str, columns: Collection[str] | None = None
+) -> None:
+    """Refuse a Parquet file whose columns may take more than `most` bytes of memory.
+
+    The bound comes from the footer, before anything is decoded. A column of text with a dictionary
+    counts as if every value were the dictionary's longest word, unless it stays a dictionary.
+
+    Args:
+        file: the open file.
+        most: largest size, bytes.
+        where: the file's name, for the message.
+        columns: the columns that will be read; None means all.
+    """
     import pyarrow as pa
 
     size = 0
@@ -243,8 +257,13 @@ def _decoded_bytes(file: pq.ParquetFile) -> int:
         group = file.metadata.row_group(g)
         for c in range(file.metadata.num_columns):
             chunk, stored = group.column(c), group.column(c).total_uncompressed_size
-            text = chunk.physical_type == "BYTE_ARRAY" and chunk.path_in_schema not in dictionaries
-            # every value may be the longest word of the dictionary, which is as long as the chunk
-            width = stored if text and chunk.has_dictionary_page else 16
+            name = chunk.path_in_schema
+            if columns is not None and name.partition(".")[0] not in columns:
+                continue
+            width = _VALUE_BYTES.get(chunk.physical_type)
+            if width is None:
+                repeats = chunk.has_dictionary_page and name not in dictionaries
+                width = stored if repeats else 4
             size += stored + chunk.num_values * width
-    return size
+    if size > most:
+        raise FileError(f"{where}: unpacks to {size} bytes; at most {most} are allowed")

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.benchmark.words import S0_ROLES
+from r2h_batch.benchmark.vocabulary import S0_ROLES
 from r2h_batch.bodies.objects import ObjectModel
 
 __all__ = ["FUNCTION", "GRASP", "WRAP", "roles_of"]

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from r2h_batch.benchmark.words import PART_WORDS, THINGS, VERB_WORDS, Thing
+from r2h_batch.benchmark.vocabulary import PART_WORDS, THINGS, VERB_WORDS, Thing
 from r2h_batch.bodies.objects import ObjectModel, load_objects
 
 __all__ = [

@@ -16,8 +16,7 @@ import pyarrow as pa
 import torch
 from pydantic import TypeAdapter, ValidationError
 
-from r2h_batch.benchmark.given import Given
-from r2h_batch.benchmark.of_run import benchmark_of_run
+from r2h_batch.benchmark.build import BenchmarkOverrides, benchmark_of_run
 from r2h_batch.benchmark.trials_file import LISTED
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
@@ -86,12 +85,12 @@ class Judge:
         self,
         run: Run,
         *,
-        given: Given | None = None,
+        given: BenchmarkOverrides | None = None,
         device: str = "cpu",
         threads: int | None = None,
     ):
         instance_of(Run, "what load_run(FOLDER) gives")("run", run)
-        optional(instance_of(Given, "flags of the benchmark"))("given", given)
+        optional(instance_of(BenchmarkOverrides, "flags of the benchmark"))("given", given)
         cpu_threads(threads)
         header, where = run.header, run.folder
         if header["protocol"] not in (*PROTOCOLS, LISTED):
@@ -100,7 +99,7 @@ class Judge:
                 f"{where}: protocol {header['protocol']!r}; this version makes the trials of {known}"
             )
         config = configuration(header["configuration"], str(where))
-        self.benchmark = benchmark_of_run(header, given or Given(), str(where))
+        self.benchmark = benchmark_of_run(header, given or BenchmarkOverrides(), str(where))
         self.evaluator = Evaluator.from_benchmark(
             self.benchmark, config, device=device, threads=threads
         )

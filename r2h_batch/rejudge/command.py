@@ -12,7 +12,7 @@ from r2h_batch.runs import command as stored
 from r2h_batch.runs.command import digest
 
 if TYPE_CHECKING:
-    from r2h_batch.benchmark.given import Given
+    from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.rejudge.again import Rejudged
 
 LISTED = 200
@@ -50,17 +50,22 @@ def verify(
     code = stored.verify(folder)
     if code > 1 or not rejudge:
         return code
-    from r2h_batch.benchmark.given import Given
+    from r2h_batch.benchmark.build import BenchmarkOverrides
 
     try:
-        given = Given.of(benchmark)
+        given = BenchmarkOverrides.of(benchmark)
         return max(code, _again(folder, rejudge, method, seed, given, device))
     except ValueError as error:
         return refuse("results", error)
 
 
 def _again(
-    folder: Path, n: int, method: Sequence[str], seed: int | None, given: "Given", device: str
+    folder: Path,
+    n: int,
+    method: Sequence[str],
+    seed: int | None,
+    given: "BenchmarkOverrides",
+    device: str,
 ) -> int:
     """Print what the evaluator says to a sample of each method's rows; 1 where a row differs."""
     import numpy as np

@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from r2h_batch.config import BORDERLINE_M, FARTHEST_M
-from r2h_batch.io.read import printable
+from r2h_batch.io.read import FileError, printable
+from r2h_batch.io.tables import check_decoded_size
 from r2h_batch.runs.columns import codes, pattern, pattern_outcomes, verdicts
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.schedule import PROTOCOLS, assign_hands, assign_objects, trial_ids
@@ -183,6 +184,11 @@ def _wrong_margins(
     return (good != passed) | (np.isnan(margin) == given) | (margin > most) | small
 
 
+def most_decoded(kind: str, trials: int) -> int:
+    """Largest memory, bytes, that the columns of a shard may take."""
+    return (16 << 20) + (1 << 16 if kind == "paths" else 1 << 13) * trials
+
+
 def wrong_rows(
     header: Mapping[str, Any], first: int, last: int, kind: str, file: Path
 ) -> str | None:
@@ -199,8 +205,10 @@ def wrong_rows(
                 return f"holds {rows} rows, planned were {last - first}"
             if missing := [c for c in columns if c not in stored.schema_arrow.names]:
                 return f"column {missing[0]!r} is missing"
+            most = most_decoded(kind, last - first)
+            check_decoded_size(stored, most, "its rows", columns)
             table = stored.read(columns=list(dict.fromkeys(columns)))
-    except (OSError, pa.ArrowException) as error:
+    except (FileError, OSError, pa.ArrowException) as error:
         return f"cannot be read ({printable(error)[:300]})"
     if columns:
         ids = table["trial_id"]

@@ -37,8 +37,9 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from r2h_batch.io.read import FileError, kind_of, printable
 from r2h_batch.io.read import read_json as read_any_json
+from r2h_batch.io.tables import check_decoded_size
 from r2h_batch.io.write import run_folder_of
-from r2h_batch.runs.row_checks import inconsistent, not_as_planned, wrong_rows
+from r2h_batch.runs.row_checks import inconsistent, most_decoded, not_as_planned, wrong_rows
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
     FAILURE_SCHEMA,
@@ -768,7 +769,11 @@ class Run:
                     if f.name not in names and f.name not in LATER_COLUMNS:
                         words = f"column {f.name!r} is missing; format {FORMAT} has it"
                         raise RunError(f"{path}: {words}")
-                table = file.read(columns=[f.name for f in fields if f.name in names])
+                there = [f.name for f in fields if f.name in names]
+                check_decoded_size(file, most_decoded(kind, trials), str(path), there)
+                table = file.read(columns=there)
+        except FileError as error:
+            raise RunError(str(error)) from None
         except (OSError, pa.ArrowException) as error:
             raise RunError(f"{path}: cannot be read ({printable(error)[:300]})") from error
         for f in fields:

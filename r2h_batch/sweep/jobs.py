@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from r2h_batch.benchmark import Benchmark
-from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.command_line import tell
 from r2h_batch.predictions import align, doubts, load_predictions
 from r2h_batch.runs import provenance
@@ -92,7 +92,7 @@ def prepare(options: Options) -> Setting:
     """The setting that the options describe."""
     import platform
 
-    from r2h_batch.benchmark.of_run import objects_digest
+    from r2h_batch.benchmark.build import objects_digest
     from r2h_batch.bodies.objects import object_digest
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
@@ -184,9 +184,11 @@ def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
     return {s: n for s, n in counts.items() if n}
 
 
-def given_of(options: Options) -> Given:
+def given_of(options: Options) -> BenchmarkOverrides:
     """What the options say of the benchmark."""
-    return Given(**{f.name: getattr(options, f.name) for f in fields(Given)})
+    return BenchmarkOverrides(
+        **{f.name: getattr(options, f.name) for f in fields(BenchmarkOverrides)}
+    )
 
 
 def _configuration(options: Options) -> "EvalConfig":

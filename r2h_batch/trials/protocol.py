@@ -64,7 +64,7 @@ TCP_ROOM_M, TABLE_ROOM_M, ROBOT_ROOM_M = 0.20, 0.005, 0.005
 
 DEFAULT = Workplace()
 
-_POSE = 1  # purpose of the random counters; `turns` has 0
+_POSE = 1  # purpose of the random counters; `schedule` has 0
 _ROWS = 16384  # trials drawn at once
 _NEAR_ROWS = 256  # hands whose every vertex is looked at, at once: 2.7 MB an array
 Array = NDArray[np.float64]

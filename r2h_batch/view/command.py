@@ -68,10 +68,10 @@ def view(
             assert strips is not None and trial is not None
             shown = _answers(trial, method, predictions, preset)
         else:
-            from r2h_batch.benchmark.given import Given
+            from r2h_batch.benchmark.build import BenchmarkOverrides
             from r2h_batch.export.stored import Reader
 
-            reader = Reader(run, Given.of(benchmark))
+            reader = Reader(run, BenchmarkOverrides.of(benchmark))
             if trial is None or not (html or video or strips):
                 from r2h_batch.view.server import serve
 

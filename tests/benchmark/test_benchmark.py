@@ -13,7 +13,7 @@ from golden import GOLDEN, made_with, sweep_digests
 from r2h_batch import EvalConfig, Evaluator, make_trials
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark import built_in, read_benchmark
-from r2h_batch.benchmark.written import built_in_text
+from r2h_batch.benchmark.model import built_in_text
 from r2h_batch.bodies.hand import palm_frame
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import ee_pose, load_robot
@@ -71,7 +71,7 @@ def test_the_built_in_one_is_such_a_file(tmp_path, capsys):
     assert main(["benchmark", "show"]) == 0
     schema = json.loads(capsys.readouterr().out)
     assert set(schema["properties"]) >= {"objects", "hand_set", "hand_model", "thresholds", "table", "home", "protocol"}
-    assert set(schema["$defs"]["ThresholdsEntry"]["properties"]) == set(Thresholds.__dataclass_fields__)
+    assert set(schema["$defs"]["Thresholds"]["properties"]) == set(Thresholds.__dataclass_fields__)
 
 
 def test_a_file_equal_to_the_built_in_one_gives_its_golden_digests(tmp_path):
@@ -187,7 +187,7 @@ REFUSED = {
     "objects: [{file: brick.stl, split: S2}]": "objects.0.split is 'S2'",
     "objects: [{built_in: cup, roles: {nose: grasp}}]": "roles name 'nose'; it has wall",
     "objects: [{built_in: cup, words: {names: [x], parts: {a: [b]}}}]": "words.parts name 'b'",
-    "objects: [{built_in: cup, words: {names: [x], parts: {a: [wall]}, verbs: {fly: a}}}]": "no purpose",
+    "objects: [{built_in: cup, words: {names: [x], parts: {a: [wall]}, verbs: {fly: a}}}]": "this purpose is unknown",
     "objects: [{built_in: cup, split: S1}]": "no receiver's region",
     "objects: [{built_in: cup, scale: 2}]": "scale of a built-in object",
     "hand_set: ../hands.npz": "points outside the folder",
@@ -197,7 +197,7 @@ REFUSED = {
     "home: [0, 0, 4, 0, 0, 0]": "the robot's joint goes from",
     "table: {half: [1, 1, 0]}": "table.half.2 is 0",
     "thresholds: {reach_radius: 0.1}": "did you mean reach_radius_m",
-    "thresholds: {safe_margin_m: 0.06}": "safe_margin_m is 0.06; the hand's distance is measured up to 0.05 m",
+    "thresholds: {safe_margin_m: 0.06}": "safe_margin_m is 0.06; it must be below 0.05",
     "tresholds: {}": "did you mean thresholds",
     "protocol: mine": "protocol is 'mine'",
     "a: &x [1]\nb: *x": "anchors and aliases",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies import objects
 from r2h_batch.bodies.mesh_import.build_ahead import build_ahead
 from r2h_batch.bodies.mesh_import.cache import key_of
@@ -133,7 +133,7 @@ def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
     (tmp_path / "saw.yaml").write_text(
         "split: S1\nparts: saw_parts.npy\npart_names: [handle, blade]\nreceiver: handle\nmass: 0.3\n"
     )
-    cube, saw = Given(objects=str(tmp_path)).read().objects
+    cube, saw = BenchmarkOverrides(objects=str(tmp_path)).read().objects
     assert (cube.name, cube.split, cube.part_names) == ("cube", "S0", ("body",))
     assert (saw.split, saw.mass, saw.part_names) == ("S1", 0.3, ("handle", "blade"))
     assert (saw.receiver_face == (saw.mesh.triangles_center[:, 0] < 0)).all()
@@ -146,4 +146,4 @@ def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
     }.items():
         (tmp_path / "saw.yaml").write_text(text)
         with pytest.raises(FileError, match=words):
-            Given(objects=str(tmp_path)).read()
+            BenchmarkOverrides(objects=str(tmp_path)).read()

@@ -68,7 +68,7 @@ def test_what_a_folder_names_is_neither_imported_nor_opened(run, tmp_path, monke
 
 def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):
     other = dataclasses.replace(built_in(), hand_set=dataclasses.replace(hand.load_hand_set(), digest="0" * 64))
-    monkeypatch.setattr("r2h_batch.benchmark.given.built_in", lambda: other)
+    monkeypatch.setattr("r2h_batch.benchmark.build.built_in", lambda: other)
     assert "hand_set" in refused(["--run", run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
 
 

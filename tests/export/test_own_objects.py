@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.export.stored import Reader, StoredTrial
 
 TIMES = ("t_plan_s", "t_method_s")
@@ -86,7 +86,7 @@ def test_an_exported_trial_builds_its_own_object_alone(run, meshes, cache, tmp_p
 
 
 def test_everything_of_a_trial_is_as_if_all_objects_had_been_built_and_an_older_run_builds_them(run, meshes, cache):
-    given = Given(objects=str(meshes))
+    given = BenchmarkOverrides(objects=str(meshes))
     one, every = Reader(run, given), as_before_objects_had_digests(Reader(run, given))
     for k in (0, 1):
         for method in one.run.methods:
@@ -95,7 +95,7 @@ def test_everything_of_a_trial_is_as_if_all_objects_had_been_built_and_an_older_
 
 
 def test_what_many_trials_need_is_built_together_and_no_more(run, meshes, cache):
-    reader = Reader(run, Given(objects=str(meshes)))
+    reader = Reader(run, BenchmarkOverrides(objects=str(meshes)))
     reader.build_for({"random": [0, 2, 4], "handover-va": [0]})
     assert built(cache) == 2
     assert reader.trial(4, "random").object_model is reader.trial(0, "random").object_model

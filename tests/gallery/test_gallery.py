@@ -7,7 +7,7 @@ import pytest
 from made_runs import write_run
 from needs import needs
 
-from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.gallery import command, pictures
 from r2h_batch.gallery.pictures import first_of_each_outcome, shared_trial
 from r2h_batch.runs.store import load_run
@@ -52,7 +52,7 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
 
     class Reader:
         def __init__(self, folder, given):
-            assert given == Given()
+            assert given == BenchmarkOverrides()
             self.run = load_run(folder)
 
         def build_for(self, shown):

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark import read_benchmark
-from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.bodies.robot import load_robot
@@ -182,7 +182,7 @@ def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path,
         line = ["import", "grasps", str(file), "--from", source, "--overwrite", "--out", str(out), *more]
         assert main(line) == 0
         capsys.readouterr()
-        found = Given(grasps=(f"cup={tmp_path / said}",)).read()
+        found = BenchmarkOverrides(grasps=(f"cup={tmp_path / said}",)).read()
         (cup,) = (o for o in found.objects if o.name == "cup")
         assert cup.grasps.digest == read_grasps(out).digest
         assert ("1 left out" in capsys.readouterr().err) == (source == "acronym")
@@ -194,7 +194,7 @@ def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path,
 def test_a_name_of_another_case_is_told_the_nearest_object(tmp_path):
     for said in ("Cup=cup.npz", "cups=cup.npz"):
         with pytest.raises(FileError, match=f"no object is called '{said.partition('=')[0]}', did you mean cup\\?"):
-            Given(grasps=(said,)).read()
+            BenchmarkOverrides(grasps=(said,)).read()
 
 
 def test_one_object_takes_grasps_of_one_file(tmp_path):
@@ -202,7 +202,7 @@ def test_one_object_takes_grasps_of_one_file(tmp_path):
         write_isaac(tmp_path / name, poses(2), np.ones(2))
     twice = (f"{tmp_path / 'cup.yaml'}:ee", f"cup={tmp_path / 'other.yaml'}:ee")
     with pytest.raises(FileError, match=r"gives cup two files, .*cup\.yaml:ee and .*other\.yaml:ee; leave one out"):
-        Given(grasps=twice).read()
+        BenchmarkOverrides(grasps=twice).read()
     for nothing in ("", "cup="):
         with pytest.raises(FileError, match="names no file"):
-            Given(grasps=(nothing,)).read()
+            BenchmarkOverrides(grasps=(nothing,)).read()

@@ -9,7 +9,7 @@ import pytest
 from grasp_files import poses, write_acronym, write_isaac
 from needs import needs
 
-from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies.grasp_set import read_grasps
 from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
 from r2h_batch.io.read import FileError
@@ -172,7 +172,7 @@ def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
         ("cup.yaml:", "'' is no gripper; allowed are"),
     ):
         with pytest.raises(FileError, match=why):
-            Given(grasps=(str(tmp_path / said),)).read()
+            BenchmarkOverrides(grasps=(str(tmp_path / said),)).read()
 
 
 @needs("h5py")

@@ -10,7 +10,7 @@ import torch
 from mano_files import MIRROR, mano_dictionary, write_mano
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies.hand import HandModel, load_hand, load_hand_set, make_hand_set
 from r2h_batch.bodies.hand_pieces import close_holes
 from r2h_batch.bodies.objects import load_objects
@@ -54,7 +54,7 @@ def mano_twin(arrays, pose, shape):
 
 def test_a_flag_takes_a_file_of_mano_as_it_is(files):
     for file, own in ((files[0], load_mano(files[0])), (files[1], load_mano(left=files[1]))):
-        assert Given(hand_model=str(file)).read().hand_set.model.digest == own.model.digest
+        assert BenchmarkOverrides(hand_model=str(file)).read().hand_set.model.digest == own.model.digest
 
 
 def random_hands(rows, seed):

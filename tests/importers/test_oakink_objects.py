@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.importers.command import main
 
 
@@ -46,7 +46,7 @@ def test_objects_come_in_the_frame_of_the_hands_with_parts_and_region(oakink, tm
     out = tmp_path / "mine"
     assert main(["objects", str(oakink), "--from", "oakink", "--out", str(out)]) == 0
     assert "3 objects of oakink (1 with a receiver's region)" in capsys.readouterr().out
-    found = {o.name: o for o in Given(objects=str(out)).read().objects}
+    found = {o.name: o for o in BenchmarkOverrides(objects=str(out)).read().objects}
     assert set(found) == {"knife_1", "mug", "knife_v"}
     knife = found["knife_1"]
     assert knife.mesh.bounds.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-7), "its loader's frame"

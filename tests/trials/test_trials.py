@@ -37,7 +37,7 @@ def posed(trials: Trials, rows: slice) -> np.ndarray:
     return (hand_vertices()[trials.hand_index[rows].long()] @ T[:, :3, :3].mT + T[:, None, :3, 3]).numpy()
 
 
-def test_trials_take_objects_in_turn_and_every_object_meets_both_hands_alike():
+def test_objects_alternate_and_every_object_meets_both_hands_alike():
     trials = make_trials(trials=120)
     assert trials.trial_id.tolist() == [2 * i for i in range(120)] + [2 * i + 1 for i in range(120)]
     assert trials.object_index[:120].tolist() == [i % 6 for i in range(120)]

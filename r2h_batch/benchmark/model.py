@@ -1,30 +1,26 @@
-"""What a benchmark file may say: every field with its type and bounds. `r2h-batch benchmark show`
-prints it as a schema."""
+"""The benchmark file: every field with its type and bounds, its reader, and the built-in benchmark
+as such a file. `r2h-batch benchmark show` prints the schema."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import fields
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, create_model
+import yaml
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from r2h_batch.benchmark.words import VERB_WORDS
-from r2h_batch.bodies.objects import OBJECT_NAMES
+from r2h_batch.benchmark.vocabulary import S0_ROLES, THINGS, VERB_WORDS
+from r2h_batch.bodies.objects import OBJECT_NAMES, ObjectModel, load_objects
 from r2h_batch.command_line import nearest
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.io.read import FileError, printable, read_yaml
 from r2h_batch.validate import rule_of
 
 __all__ = [
-    "BUILT_IN",
-    "BenchmarkFile",
-    "ObjectEntry",
-    "WordsEntry",
-    "read_entry",
-    "read_file_model",
-]
+    "BUILT_IN", "BenchmarkFile", "ObjectEntry", "WordsEntry", "built_in_text", "read_benchmark_file", "read_object_file",
+]  # fmt: skip
 
 BUILT_IN = "built-in"
 DEEPEST = 6
@@ -35,16 +31,12 @@ Word = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[a-zA-Z0-9][
 Words = Annotated[list[Word], Field(min_length=1, max_length=64)]
 Sentence = Annotated[str, Field(min_length=1, max_length=300)]
 FilePath = Annotated[str, Field(min_length=1, max_length=400)]
-_BOUNDS = {"reach_radius_m": (1e-3, 2.0), "reach_offset_m": (1e-3, 1.0)}
-"""Of thresholds, m: beyond these a unit is meant that is none here. What no gripper has,
-`Thresholds` itself refuses."""
 
 
 def _verb(name: str) -> str:
     if name not in VERB_WORDS:
-        raise ValueError(
-            f"no purpose that is understood{nearest(name, list(VERB_WORDS))}; allowed are {', '.join(VERB_WORDS)}"
-        )
+        hint = nearest(name, list(VERB_WORDS))
+        raise ValueError(f"this purpose is unknown{hint}; allowed are {', '.join(VERB_WORDS)}")
     return name
 
 
@@ -116,17 +108,20 @@ class TableEntry(_Entry):
     ] = list(TABLE_HALF)
 
 
-def _metres(name: str) -> Any:
-    low, high = _BOUNDS.get(name, (0.0, 10.0))
-    return Annotated[float, Field(ge=low, le=high, description="metres")]
+def _in_metres(limits: Thresholds) -> Thresholds:
+    """Refuse what is a length in another unit. `Thresholds` itself has the gripper's bounds."""
+    for name, low, high in (("reach_radius_m", 1e-3, 2.0), ("reach_offset_m", 1e-3, 1.0)):
+        value = getattr(limits, name)
+        if not low <= value <= high:
+            raise ValueError(f"{name} is {value:g}; it must be {low:g} to {high:g} metres")
+    return limits
 
 
-ThresholdsEntry: Any = create_model(
-    "ThresholdsEntry",
-    __config__=ConfigDict(strict=True, extra="forbid"),
-    __doc__="Where a criterion turns from pass to fail, metres; the trials' hands stand by reach_offset_m too.",
-    **{f.name: (_metres(f.name), f.default) for f in fields(Thresholds)},  # type: ignore[call-overload]
-)
+Limits = Annotated[
+    Thresholds,
+    AfterValidator(_in_metres),
+    Field(description="where a criterion turns from pass to fail, metres"),
+]
 
 
 class BenchmarkFile(_Entry):
@@ -155,73 +150,109 @@ class BenchmarkFile(_Entry):
         default=None,
         description="trials of your own, .npz or .parquet; else the protocol draws them",
     )
-    thresholds: ThresholdsEntry = Field(default=ThresholdsEntry())
+    thresholds: Limits = Thresholds()
     table: TableEntry = Field(default=TableEntry())
     home: Annotated[
         list[Annotated[float, Field(ge=-6.2832, le=6.2832)]], Field(min_length=6, max_length=6)
     ] = Field(default=list(HOME_Q), description="the arm's posture at the start, rad")
 
 
-def read_file_model(path: Path) -> BenchmarkFile:
-    """The fields of a benchmark file, each within its bounds. Raises `FileError`, one line that
-    names the field."""
-    data, shown = read_yaml(path, deepest=DEEPEST), printable(path)
-    return _checked(BenchmarkFile, data, shown, "")
+def read_benchmark_file(path: Path) -> BenchmarkFile:
+    """The fields of a benchmark file. Raises `FileError`, one line that names the field."""
+    return _validated(BenchmarkFile, read_yaml(path, deepest=DEEPEST), printable(path))
 
 
-def read_entry(path: Path, mesh: str) -> ObjectEntry:
-    """What a file beside a mesh says of it: the fields of a benchmark's object but for `file` and
+def read_object_file(path: Path, mesh: str) -> ObjectEntry:
+    """The fields of a file beside a mesh: those of a benchmark's object but for `file` and
     `built_in`."""
     data, shown = read_yaml(path, deepest=DEEPEST), printable(path)
     for name in ("file", "built_in"):
         if name in data:
-            raise FileError(
-                f"{shown}: {name} has no place here: this file is about {printable(mesh)} beside it"
-            )
-    return _checked(ObjectEntry, {**data, "file": mesh}, shown, "objects")
+            about = f"this file is about {printable(mesh)} beside it"
+            raise FileError(f"{shown}: {name} is not allowed here: {about}")
+    return _validated(ObjectEntry, {**data, "file": mesh}, shown)
 
-
-_KINDS: dict[str, type[BaseModel]] = {
-    "": BenchmarkFile, "objects": ObjectEntry, "words": WordsEntry, "thresholds": ThresholdsEntry, "table": TableEntry,
-}  # fmt: skip
-"""Field -> what its entries are."""
 
 Kind = TypeVar("Kind", bound=BaseModel)
 
 
-def _checked(model: type[Kind], data: dict[str, Any], shown: str, top: str) -> Kind:
-    """The model of these fields; `top`: what `_fields_at` calls it."""
+def _validated(model: type[Kind], data: dict[str, Any], shown: str) -> Kind:
+    """The model of these fields; a `FileError` that names the first wrong one."""
     try:
         return model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        where = ".".join(printable(p)[:60] for p in first["loc"])
-        if first["type"] == "extra_forbidden":
-            allowed = _fields_at((top, *first["loc"][:-1]))
-            hint = nearest(str(first["loc"][-1]), allowed)
-            listed = f"; allowed are {', '.join(allowed)}" if allowed else ""
-            raise FileError(f"{shown}: unknown field {where}{hint}{listed}") from None
-        what = (
-            "is missing"
-            if first["type"] == "missing"
-            else f"is {printable(repr(first['input']))[:80]}"
-        )
-        said = _said_of((top, *first["loc"]))
-        raise FileError(
-            f"{shown}: {where} {what}; {rule_of(first)}{f': {said}' if said else ''}"
-        ) from None
+    where = ".".join(printable(p)[:60] for p in first["loc"])
+    names = [str(p) for p in first["loc"] if isinstance(p, str)]
+    if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        allowed = list(_schema_at(model, names[:-1]))
+        hint = nearest(names[-1], allowed)
+        raise FileError(f"{shown}: unknown field {where}{hint}; allowed are {', '.join(allowed)}")
+    if first["type"] == "missing":
+        found = "is missing"
+    elif first["type"] == "value_error" and names[:1] == ["thresholds"]:
+        raise FileError(f"{shown}: {rule_of(first)}")
+    else:
+        found = f"is {printable(repr(first['input']))[:80]}"
+    words = _schema_at(model, names[:-1]).get(names[-1] if names else "", {}).get("description")
+    raise FileError(f"{shown}: {where} {found}; {rule_of(first)}{f': {words}' if words else ''}")
 
 
-def _said_of(place: tuple[int | str, ...]) -> str:
-    """What the schema says of a field; empty where it says nothing."""
-    *above, name = [p for p in place if isinstance(p, str)]
-    kind = _KINDS.get(above[-1] if above else "")
-    field = kind.model_fields.get(name) if kind is not None else None
-    return field.description or "" if field is not None else ""
+def _schema_at(model: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
+    """name -> JSON Schema of the fields at a place; empty where there are none."""
+    schema = model.model_json_schema()
+    place, definitions = schema, schema.get("$defs", {})
+    for name in names:
+        place = place.get("properties", {}).get(name, {})
+        while nested := [
+            *place.get("anyOf", []),
+            *([place["items"]] if isinstance(place.get("items"), dict) else []),
+        ]:
+            place = nested[0]
+        if "$ref" in place:
+            place = definitions[place["$ref"].rpartition("/")[2]]
+    return dict(place.get("properties", {}))
 
 
-def _fields_at(place: tuple[int | str, ...]) -> list[str]:
-    """Names that the schema allows at a place; none where anything goes."""
-    names = [p for p in place if isinstance(p, str)]
-    kind = _KINDS.get(names[-1] if names else "")
-    return [] if kind is None else list(kind.model_fields)
+ABOUT = """\
+# The built-in benchmark. `r2h-batch benchmark show` prints what every field may hold, `r2h-batch benchmark check FILE` reads
+# a file, `r2h-batch sweep --benchmark FILE` scores on it. Fields that are left out have these values. The robot is a UR5e
+# with a 2F-85.
+"""
+
+
+class _Plain(yaml.SafeDumper):
+    """Writes no anchors: `read_yaml` refuses them."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def built_in_text() -> str:
+    """YAML that `read_benchmark` reads as the built-in benchmark."""
+    file = BenchmarkFile(objects=[_entry_of(o) for o in load_objects()])
+    data = file.model_dump(exclude_none=True)
+    return ABOUT + yaml.dump(
+        data, Dumper=_Plain, sort_keys=False, default_flow_style=None, width=118
+    )
+
+
+def _entry_of(model: ObjectModel) -> ObjectEntry:
+    thing = THINGS[model.name]
+    words = {
+        "names": list(thing.names),
+        "parts": {k: list(v) for k, v in thing.parts.items()},
+        "verbs": dict(thing.verbs),
+        "part_words": {k: list(v) for k, v in thing.part_words.items()},
+    }
+    own = {k: getattr(model, k) for k in ("split", "instruction", "mass")}
+    roles = S0_ROLES.get(model.name)
+    return ObjectEntry.model_validate(
+        {
+            "built_in": model.name,
+            **own,
+            "part_names": list(model.part_names),
+            "roles": roles,
+            "words": words,
+        }
+    )

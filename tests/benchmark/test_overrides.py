@@ -13,7 +13,7 @@ import torch
 from r2h_batch import Evaluator, make_trials
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark import built_in
-from r2h_batch.benchmark.given import Given
+from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.bodies.arrays import asset, read_arrays
 from r2h_batch.bodies.hand import load_hand_set
@@ -75,7 +75,7 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
     right = {k: getattr(own, k).numpy()[:3] for k in ("pose", "shape", "side")}
     np.savez(tmp_path / "hands.npz", **right, posture=np.array(["a", "b", "c"]))
     score(tmp_path / "run", "--trials", 4, "--hands", tmp_path / "hands.npz")
-    digest = Given(hands=str(tmp_path / "hands.npz")).read().digest
+    digest = BenchmarkOverrides(hands=str(tmp_path / "hands.npz")).read().digest
     assert f"benchmark: --hands {tmp_path / 'hands.npz'}, digest {digest}" in capsys.readouterr().out
     assert main(["results", "verify", str(tmp_path / "run")]) == 0
     run = load_run(tmp_path / "run")
@@ -105,7 +105,7 @@ def test_npz_and_parquet_with_rows_of_the_hand_set_or_postures_say_the_same(tmp_
                 getattr(base.hand_set, key)[wanted.hand_index.long()],
             )
             assert (mine == own).all()
-    given = Given(trials_file=str(tmp_path / "h.npz")).read()
+    given = BenchmarkOverrides(trials_file=str(tmp_path / "h.npz")).read()
     assert trials_of(given, wanted.trial_id[[7, 2]]).T_world_hand.equal(wanted.T_world_hand[[7, 2]])
     assert len(make_trials("S1", 3, benchmark=given)) == 3
     with pytest.raises(ValueError, match="trial id 99 is not in the list"):
@@ -166,14 +166,14 @@ def test_parquet_files_of_other_shapes_or_sizes_are_refused_before_they_are_read
     pq.write_table(
         pa.table({"object": long, "hand": pa.array([0] * 3000), "T_world_hand": poses}), tmp_path / "name.parquet"
     )
-    with pytest.raises(FileError, match="a name of more than 200 bytes"):
+    with pytest.raises(FileError, match=r"unpacks to .* bytes; at most"):
         read_trials_file(tmp_path / "name.parquet", base.objects, base.hand_set)
     # a thousand rows of one long list each, as small as a dictionary makes it: more values than the rows can have
     many = {"object": ["cup"] * 4, "hand": [0] * 4, "T_world_hand": [[1.0] * 100_000] * 4}
     pq.write_table(pa.table(many), tmp_path / "long.parquet", compression="zstd")
     read = []
     monkeypatch.setattr(pq.ParquetFile, "read", lambda *_, **__: read.append(1))
-    with pytest.raises(FileError, match="400000 values in 4 rows"):
+    with pytest.raises(FileError, match=r"unpacks to .* bytes; at most"):
         read_trials_file(tmp_path / "long.parquet", base.objects, base.hand_set)
     assert not read
 
@@ -184,14 +184,14 @@ def test_another_hand_takes_the_postures_of_the_set_everywhere(tmp_path):
     own = load_hand_set()
     few = {k: getattr(own, k).numpy()[[0, 399]] for k in ("pose", "shape", "side")}
     np.savez(tmp_path / "two.npz", **few, posture=np.array(["a", "b"]))
-    given = Given(hand_model=str(tmp_path / "large.npz"), hands=str(tmp_path / "two.npz"))
+    given = BenchmarkOverrides(hand_model=str(tmp_path / "large.npz"), hands=str(tmp_path / "two.npz"))
     found = given.read()
     assert given.read().hand_set is found.hand_set  # read once: what is made for a hand is made once
     scene = Evaluator.from_benchmark(found).scene
     assert scene.hands.model is found.hand_set.model and len(scene.hands.set) == 2
     rest = own.model.pose(torch.zeros(1, 48)).vertices
     assert torch.allclose(scene.hands.model.pose(torch.zeros(1, 48)).vertices, rest * 1.1, atol=1e-3)
-    assert found.digest != Given(hands=str(tmp_path / "two.npz")).read().digest
+    assert found.digest != BenchmarkOverrides(hands=str(tmp_path / "two.npz")).read().digest
     np.savez(tmp_path / "large.npz", **arrays)  # another hand in the file: it is read again
     assert given.read().digest != found.digest
 
@@ -204,13 +204,13 @@ def test_grasps_come_by_name_by_file_name_or_by_folder(tmp_path):
         np.savez(tmp_path / name, T_obj_ee=own.T_obj_ee[:9], width=own.width[:9], score=own.score[:9])
     digests = set()
     for argument in (f"cup={tmp_path / 'mine.npz'}", tmp_path / "cup.npz", tmp_path / "g"):
-        benchmark = Given(grasps=(str(argument),)).read()
+        benchmark = BenchmarkOverrides(grasps=(str(argument),)).read()
         assert [o.name for o in benchmark.objects if o.grasps is not None] == ["cup"]
         digests.add(benchmark.digest)
     assert len(digests) == 1 and digests != {built_in().digest}
     for wrong in ("mine.npz", "none", "mug=cup.npz"):
         with pytest.raises(FileError, match=r"NAME=FILE|no such file|cannot be"):
-            Given(grasps=(str(tmp_path / wrong),)).read()
+            BenchmarkOverrides(grasps=(str(tmp_path / wrong),)).read()
 
 
 def test_what_the_flags_cannot_mean_is_refused_in_one_line(tmp_path, capsys):
