@@ -19,7 +19,7 @@ from statistics import median
 
 from _report import ROOT, Report, arguments
 
-from r2h_batch.runs.command import verify
+from r2h_batch.results.command import verify
 from r2h_batch.runs.store import load_run
 
 SETTLED = 10_000

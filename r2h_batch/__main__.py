@@ -38,8 +38,8 @@ COMMANDS = {
         "Turn other people's hands and grasps into files that sweeps read.",
     ),
     "results": (
-        "r2h_batch.rejudge.command",
-        "Check a run folder, judge some of its rows again, or print their digest.",
+        "r2h_batch.results.command",
+        "Check a run folder, judge its rows again, or count them at other thresholds.",
     ),
     "report": ("r2h_batch.gallery.command", "Print the table of a run folder, or write its page."),
     "figures": (
@@ -48,10 +48,6 @@ COMMANDS = {
     ),
     "study": ("r2h_batch.study.command", "Simulation against people: the kit of the user study."),
     "compare": ("r2h_batch.compare.command", "Compare methods on the trials that they share."),
-    "rescore": (
-        "r2h_batch.rescore.command",
-        "Print the rates of a run folder at other thresholds.",
-    ),
 }
 """Subcommand -> the module whose `main` (or `NAME_main`, where it holds several) it is, and what it
 does.
@@ -60,9 +56,14 @@ A module is imported when its subcommand is chosen, not before.
 """
 
 
+ALIASES = {"rescore": ("results", "rethreshold")}
+"""Old name of a subcommand -> what it is called now; old names stay for one version."""
+
+
 def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> int:
     """Exit code of the chosen subcommand; 2 with one line where there is no such."""
     given = list(sys.argv[1:] if arguments is None else arguments)
+    given = [*ALIASES.get(given[0], given[:1]), *given[1:]] if given else given
     name = given[0] if given else "--help"
     if name in COMMANDS:
         if arguments is None:
@@ -116,12 +117,11 @@ def _completed() -> dict[str, Command]:
     from r2h_batch.compare import command as compare
     from r2h_batch.export import command as export
     from r2h_batch.gallery import command as gallery
-    from r2h_batch.rescore import command as rescore
     from r2h_batch.sweep.options import Options
     from r2h_batch.view import command as view
 
     def results(
-        command: Literal["verify", "digest"], folder: Path, /, *, rejudge: int = 0
+        command: Literal["verify", "digest", "reevaluate", "rethreshold"], folder: Path, /
     ) -> None: ...
 
     def study(
@@ -148,7 +148,6 @@ def _completed() -> dict[str, Command]:
         "figures": gallery.figures,
         "study": study,
         "compare": compare.run,
-        "rescore": rescore.run,
     }
 
 

@@ -12,6 +12,7 @@ import errno
 import inspect
 import io
 import itertools
+import logging
 import os
 import re
 import stat
@@ -20,8 +21,9 @@ import time
 import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from functools import partial, wraps
+from logging.handlers import MemoryHandler
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -201,9 +203,9 @@ def _told_warnings(name: str) -> Iterator[None]:
     ) -> str:
         text = f"{name}: {printable(' '.join(str(message).split()))}"
         if issubclass(category, UserWarning):
-            _keep(text)
-            return "" if _telling.quiet else f"{text}\n"
-        note(f"{text} ({category.__name__})")
+            tell(text)
+        else:
+            note(f"{text} ({category.__name__})")
         return ""
 
     before, warnings.formatwarning = warnings.formatwarning, told
@@ -247,10 +249,8 @@ class _Kept(io.StringIO):
 
 
 def refuse(name: str, error: object, code: int = 2) -> int:
-    """One line on stderr, whatever the error says; returns the exit code."""
-    text = f"{name}: {' '.join(str(error).split())}"
-    _keep(text)
-    _print(text)
+    """Print one line on stderr, whatever the error says; returns the exit code."""
+    LOG.error(f"{name}: {' '.join(str(error).split())}")
     return code
 
 
@@ -260,83 +260,73 @@ def counted(number: int, things: str) -> str:
 
 
 def tell(text: object) -> None:
-    """Lines on stderr, at once, without the control characters that names in files may hold;
-    nothing where it is full.
-
-    With --quiet they are kept for the log alone.
-    """
-    _keep(text)
-    if not _telling.quiet:
-        _print(text)
+    """Print lines on stderr at once, without control characters; with --quiet only log them."""
+    LOG.info(text)
 
 
 def note(text: object) -> None:
-    """Lines that only --verbose shows; a log file has them always."""
-    _keep(text)
-    if _telling.verbose and not _telling.quiet:
-        _print(text)
+    """Print lines on stderr with --verbose; a log file always has them."""
+    LOG.debug(text)
 
 
-@dataclass
-class _Telling:
-    """How much is said on stderr, and the log file with what was said before it was known."""
-
-    quiet: bool = False
-    verbose: bool = False
-    log: Path | None = None
-    before: list[str] = field(default_factory=list)
+class _Stderr(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        _print(record.getMessage())
 
 
-_telling = _Telling()
+class _LogFile(logging.Handler):
+    """Appends whole lines, also if other processes write; never follows a link or opens a pipe."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path = path
+
+    def emit(self, record: logging.LogRecord) -> None:
+        stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(record.created))
+        line = f"{stamp} {' '.join(printable(record.getMessage(), keep=chr(10)).split())}\n"
+        flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_NOFOLLOW
+        with contextlib.suppress(OSError):  # a full disk is the sweep's trouble, not the log's
+            handle = os.open(self.path, flags, 0o666)
+            try:
+                if stat.S_ISREG(os.fstat(handle).st_mode):
+                    os.write(handle, line.encode("utf-8", "replace"))
+            finally:
+                os.close(handle)
+
+
+LOG = logging.Logger("r2h_batch", logging.DEBUG)
+"""What a command says: errors, infos (not with --quiet) and debug lines (with --verbose)."""
+_stderr = _Stderr(logging.INFO)
+LOG.addHandler(_stderr)
 
 
 @contextlib.contextmanager
 def telling(*, quiet: bool = False, verbose: bool = False) -> Iterator[Callable[[Path], None]]:
-    """How much `tell` and `note` say inside; gives `log_to(FILE)`, which writes there what was said
-    and what will be."""
-    global _telling
-    kept, _telling = _telling, _Telling(quiet, verbose)
+    """Set how much is printed inside; gives `log_to(FILE)`, which stores all lines since the start."""
+    before = MemoryHandler(MOST_KEPT, flushLevel=logging.CRITICAL + 1)
+    added: list[logging.Handler] = [before]
+    LOG.addHandler(before)
+    level = _stderr.level
+    _stderr.setLevel(logging.ERROR if quiet else logging.DEBUG if verbose else logging.INFO)
 
     def log_to(file: Path) -> None:
-        _telling.log, lines = file, _telling.before
-        _telling.before = []
-        for line in lines:
-            _append(line)
+        added.append(_LogFile(file))
+        before.setTarget(added[-1])
+        LOG.removeHandler(before)
+        before.flush()
+        LOG.addHandler(added[-1])
 
     try:
         yield log_to
     finally:
-        _telling = kept
+        _stderr.setLevel(level)
+        for handler in added:
+            LOG.removeHandler(handler)
 
 
 def is_quiet() -> bool:
-    """Whether stderr is for refusals alone."""
-    return _telling.quiet
-
-
-def _keep(text: object) -> None:
-    stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    line = f"{stamp} {' '.join(printable(str(text), keep=chr(10)).split())}\n"
-    if _telling.log is not None:
-        _append(line)
-    elif len(_telling.before) < MOST_KEPT:
-        _telling.before.append(line)
-
-
-def _append(line: str) -> None:
-    """One line at the log's end, whole whoever else writes there; a full disk is the sweep's
-    trouble, not the log's."""
-    with contextlib.suppress(OSError):
-        assert _telling.log is not None
-        flags = (
-            os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | getattr(os, "O_NOFOLLOW", 0)
-        )
-        handle = os.open(_telling.log, flags, 0o666)
-        try:
-            if stat.S_ISREG(os.fstat(handle).st_mode):  # nobody may read a pipe that stands there
-                os.write(handle, line.encode("utf-8", "replace"))
-        finally:
-            os.close(handle)
+    """Whether stderr is for errors alone."""
+    return _stderr.level > logging.INFO
 
 
 def _print(text: object) -> None:

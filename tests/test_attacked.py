@@ -18,7 +18,7 @@ from r2h_batch.gallery.command import report_main as report
 from r2h_batch.io.read import FileError, path_within, read_yaml
 from r2h_batch.io.write import write_text
 from r2h_batch.predictions import load_predictions
-from r2h_batch.rescore.command import main as rescore
+from r2h_batch.results.command import main as results
 from r2h_batch.sweep.options import parse
 from r2h_batch.view.command import view
 
@@ -140,12 +140,12 @@ PLAIN = {
     "sweep --method random --trials ٣": "--trials: '٣' is no whole number",
     "sweep --method random --ray-timeout inf": "--ray-timeout: 'inf' is no plain number",
     "view x --port ８０": "--port: '８０' is no whole number",
-    "rescore x --reach-radius 1_0": "--reach-radius is '1_0'; it must be METRES, A,B,... or LOW:HIGH:STEP in plain decimal",
-    "rescore x --reach-radius ٠.١": "in plain decimal digits",
+    "results rethreshold x --reach-radius 1_0": "--reach-radius is '1_0'; it must be METRES, A,B,... or LOW:HIGH:STEP ",
+    "results rethreshold x --reach-radius ٠.١": "in plain decimal digits",
     "import grasps x --from graspnet --object-id 0.5 --out o.npz": "--object-id: '0.5'; it must be a whole number in decimal",
     "import hands --from h2o --frame ٣ --out o.npz x": "it must be aperture, first, middle, last or a whole number in decimal",
     "compare baselines --seed -5": "--seed is -5; it must be 0 or more and fit 64 bits",
-    "results verify x --rejudge 3 --seed -1": "--seed is -1; it must be 0 or more",
+    "results reevaluate x --rows 3 --seed -1": "--seed is -1; it must be 0 or more",
     "study plan --seed -1": "--seed is -1; it must be 0 or more",
     "sweep --method random --out=~nobody-is-called-so/x": "there is no user with this home",
     "sweep --method random --no-poses --save-poses": "--no-poses stores no poses, --save-poses stores them; leave one",
@@ -249,7 +249,7 @@ def test_numbers_that_float32_does_not_hold_are_no_pose_and_no_threshold(run, tm
             configuration={"thresholds": {"reach_radius_m": 0.1, "w_max_m": 0.085, "safe_margin_m": 0.0}},
         )
         for radius in ("1e308", "1e308:1e308:1"):
-            assert rescore([str(tmp_path / "new"), "--reach-radius", radius]) == 2
+            assert results(["rethreshold", str(tmp_path / "new"), "--reach-radius", radius]) == 2
             assert "--reach-radius 1e+308 cannot be rescored exactly; allowed is 0 to 1e+06" in capsys.readouterr().err
 
 

@@ -13,7 +13,16 @@ from r2h_batch.export import command as export
 from r2h_batch.runs.store import RunError, load_run, open_run
 from r2h_batch.trials.protocol import PROTOCOL, TRIALS
 
-NESTED = ("results verify", "results digest", "study paper", "study ratings", "study real", "study plan")
+NESTED = (
+    "results verify",
+    "results digest",
+    "results reevaluate",
+    "results rethreshold",
+    "study paper",
+    "study ratings",
+    "study real",
+    "study plan",
+)
 
 
 def helped(capsys, *line):
@@ -61,15 +70,15 @@ def test_subcommands_of_results_say_their_own_words(capsys):
 @pytest.mark.parametrize(
     ("line", "parts"),
     [
-        ("sweeep", ["'sweeep', did you mean sweep?", "rescore"]),
+        ("sweeep", ["'sweeep', did you mean sweep?", "results"]),
         ("--hepl", ["did you mean --help?"]),
-        ("results verfy x", ["did you mean verify?", "verify, digest"]),
+        ("results verfy x", ["did you mean verify?", "verify, digest, reevaluate"]),
         ("study papre", ["did you mean paper?"]),
         ("report x --fromat md", ["--fromat, did you mean --format?", "--by-object"]),
         ("report x --format mdd", ["'mdd'", "'latex'", "did you mean md?"]),
         ("compare x --sed 1", ["did you mean --seed?"]),
         ("compare", ["no run folder"]),
-        ("rescore x --reach-radios 1", ["did you mean --reach-radius?"]),
+        ("results rethreshold x --reach-radios 1", ["did you mean --reach-radius?"]),
         ("scene --run x --trail 1 --out y", ["did you mean --trial?"]),
         ("scene --run x --trial one --out y", ["'one'"]),
         ("trials --out x --splits S3", ["'S3'", "'S0', 'S1'"]),
@@ -90,7 +99,7 @@ def test_completion_knows_the_flags_of_the_subcommands(capsys):
         main(["--tyro-print-completion", "bash"])
     assert not stop.value.code
     out = capsys.readouterr().out
-    assert all(word in out for word in ("r2h-batch", "--save-paths", "--object-mesh", "--reach-radius", "results"))
+    assert all(word in out for word in ("r2h-batch", "--save-paths", "--object-mesh", "results"))
 
 
 def test_the_trials_command_offers_the_protocol_and_its_number():
@@ -134,7 +143,7 @@ def test_what_the_sweep_calls_fc_every_command_takes_as_fc(run, capsys):
     with pytest.raises(RunError, match="no method 'contact'; it has FC-Handover"):
         run.named("contact")
     folder = str(run.folder)
-    for line in (["report", folder, "--method", "fc"], ["rescore", folder, "--method", "fc"]):
+    for line in (["report", folder, "--method", "fc"], ["results", "rethreshold", folder, "--method", "fc"]):
         assert main(line) == 0
         out = capsys.readouterr().out
         assert "FC-Handover" in out and "Handover-VA" not in out
@@ -145,6 +154,17 @@ def test_what_the_sweep_calls_fc_every_command_takes_as_fc(run, capsys):
     assert "no method 'contcat'" in capsys.readouterr().err
     assert main(["scene", "--run", folder, "--trial", "0", "--method", "fc", "--out", folder + "x"]) == 2
     assert "run.json lacks objects" in capsys.readouterr().err  # it was found
+
+
+def test_old_names_of_commands_do_what_the_new_ones_do(run, capsys):
+    folder = str(run.folder)
+    for old, new in (
+        (["rescore", folder], ["results", "rethreshold", folder]),
+        (["results", "verify", folder, "--rejudge", "0"], ["results", "reevaluate", folder, "--rows", "0"]),
+    ):
+        assert main(new) == 0
+        words = capsys.readouterr().out
+        assert main(old) == 0 and capsys.readouterr().out == words
 
 
 def test_one_thing_is_said_in_the_singular() -> None:

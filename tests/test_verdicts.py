@@ -7,7 +7,7 @@ import pytest
 
 from r2h_batch import types, verdicts
 
-READERS = ("report.page", "runs.store", "compare.command", "rescore.command", "study.report")
+READERS = ("report.page", "runs.store", "compare.command", "results.command", "results.rethreshold", "study.report")
 
 
 def modules_after(code: str) -> set[str]:

@@ -13,12 +13,12 @@ from problems import default_evaluator, make_batch
 from r2h_batch import EvalConfig, Evaluator, Predictions, Scene, make_trials, reward, show
 from r2h_batch.config import EstimateConfig, ExecConfig, IkConfig, PlanConfig, Thresholds, Workplace
 from r2h_batch.predictions import load_predictions, write_predictions
-from r2h_batch.rejudge.again import Judge, rejudge
+from r2h_batch.results.reevaluation import Judge, reevaluate
 from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.soft import soft_success
 from r2h_batch.statistics import aggregate, paired
 from r2h_batch.statistics.common import common_trials
-from r2h_batch.statistics.thresholds import rank_stability, rescore
+from r2h_batch.statistics.thresholds import rank_stability, rethreshold
 from r2h_batch.trials.protocol import trials_digest, trials_of, trials_with_ids
 
 WRONG = {
@@ -107,10 +107,13 @@ CALLS = {
     "summarise": (aggregate.summarise, lambda tmp: {"methods": [_tally(tmp)]}),
     "average_row": (aggregate.average_row, lambda tmp: {"rows": aggregate.summarise([_tally(tmp)])[:2]}),
     "group_row": (aggregate.group_row, lambda tmp: {"counted": _tally(tmp), "split": "S0", "name": None}),
-    "rescore": (rescore, lambda tmp: {"run": _run(tmp), "reach_radius_m": [0.1], "w_max_m": [0.08], "safe_margin_m": [0.0]}),
-    "rank_stability": (rank_stability, lambda tmp: {"points": rescore(_run(tmp), reach_radius_m=[0.1]), "methods": ["a"]}),
+    "rethreshold": (
+        rethreshold,
+        lambda tmp: {"run": _run(tmp), "reach_radius_m": [0.1], "w_max_m": [0.08], "safe_margin_m": [0.0]},
+    ),
+    "rank_stability": (rank_stability, lambda tmp: {"points": rethreshold(_run(tmp), reach_radius_m=[0.1]), "methods": ["a"]}),
     "Judge": (Judge, lambda tmp: {"run": _run(tmp), "given": None, "threads": None}),
-    "rejudge": (rejudge, lambda tmp: {"run": _run(tmp), "method": "a", "n": 2, "judge": _Judge(), "seed": 0}),
+    "reevaluate": (reevaluate, lambda tmp: {"run": _run(tmp), "method": "a", "n": 2, "judge": _Judge(), "seed": 0}),
     "EvalConfig.preset": (EvalConfig.preset, lambda _: {"name": "paper"}),
     **{c.__name__: (c, lambda _, c=c: {f: getattr(c(), f) for f in c.__dataclass_fields__})
        for c in (EvalConfig, Thresholds, IkConfig, PlanConfig, EstimateConfig, ExecConfig, Workplace)},

@@ -252,7 +252,7 @@ def _next_commands(table: Table) -> str:
     lines = [
         ("compare", "" if several else " baselines", "which differences are more than chance"),
         ("report", " --format html > report.html", "by object, margins, every trial"),
-        ("results verify", " --rejudge 200", "whether the rows are what the evaluator says"),
+        ("results reevaluate", " --rows 200", "whether the rows are what the evaluator says"),
     ]
     folder = shlex.quote(table.folder)
     return "Next:\n\n" + "\n".join(

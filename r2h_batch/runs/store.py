@@ -164,7 +164,8 @@ def _json_file(path: Path, data: Mapping[str, Any]) -> Path:
         with temporary.open("w", encoding="utf-8") as file:
             json.dump(data, file, indent=1, allow_nan=False)
             file.write("\n")
-        sync_file(temporary)
+            file.flush()
+            os.fsync(file.fileno())
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

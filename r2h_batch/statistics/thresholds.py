@@ -1,6 +1,6 @@
 """The same rows at other thresholds, exactly and without another simulation.
 
-r2h_batch.rescore says which thresholds can change, and how far.
+r2h_batch.results.rethreshold says which thresholds can change, and how far.
 """
 
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ _METRES = array("iuf", 1, "numbers in metres")
     w_max_m=_METRES,
     safe_margin_m=_METRES,
 )
-def rescore(
+def rethreshold(
     run: Run,
     *,
     reach_radius_m: Sequence[float] = (),
@@ -142,7 +142,7 @@ class _Margins:
             row = int(odd.argmax())
             raise ValueError(
                 f"trial {table['trial_id'][row].as_py()}: width_m is {width[row]:g}, its margin of Stability says at most "
-                f"{older[row]:g}; `r2h-batch results verify --rejudge` scores it again"
+                f"{older[row]:g}; `r2h-batch results reevaluate` scores it again"
             )
         self.clearance = margin("safe") + np.float32(base["safe_margin_m"]).astype(np.float64)
         self.base = base
@@ -178,14 +178,14 @@ class _Margins:
 
 
 @check_arguments(
-    points=sequence_of(Point, "what rescore(RUN) gives"),
+    points=sequence_of(Point, "what rethreshold(RUN) gives"),
     methods=sequence_of(str, "names of methods"),
 )
 def rank_stability(points: Sequence[Point], methods: Sequence[str]) -> np.ndarray:
     """How often each method has each rank by its success rate.
 
     Args:
-        points: what `rescore` gives.
+        points: what `rethreshold` gives.
         methods: M names.
 
     Returns:

@@ -1,20 +1,27 @@
-"""What a method answers, checked as a predictions file is: a user's code hands it over, and rows
-are scored from it."""
+"""What a method can answer, and its answers, checked as a predictions file is.
 
+A built-in method has no answer for objects without grasps and for hands that hold nothing. Those
+trials get no pose and count as its failures (`invalid_input`).
+"""
+
+import re
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from r2h_batch.io.read import printable
-from r2h_batch.sweep.devices import device_trouble
+from r2h_batch.methods.candidates import without_candidates
+from r2h_batch.predictors import Observations
+from r2h_batch.receiver.receiving import without_receiving
+from r2h_batch.scene.scene import Scene
+from r2h_batch.sweep.options import UsageError
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import MOST_SECONDS
-
-__all__ = ["AnswerError", "answer_of"]
+from r2h_batch.verdicts import MOST_SECONDS, SIDES
 
 _FLOATS = (torch.float32, torch.float64)
 
@@ -101,3 +108,101 @@ def _float32(name: str, key: str, value: Any, shape: tuple[int, ...]) -> Tensor:
     if value.device.type not in ("cpu", "cuda"):
         raise AnswerError(f"method {name}: {key} is on {value.device}; it must be on cpu or cuda")
     return value.detach().to(torch.float32).clone()
+
+
+@dataclass(frozen=True, eq=False)
+class MethodCoverage:
+    """Which (object, side of the receiver's hand) a method can answer."""
+
+    answers: Tensor  # (O, 2) bool
+    side: Tensor  # (H,) int64, of each hand of the set
+    lines: tuple[str, ...]  # what it cannot answer, for people
+
+    def answer(self, trials: Trials, call: Callable[[Trials], Predictions]) -> Predictions:
+        """The method's answers to the trials that it can answer; NaN poses for the others."""
+        rows = self.answers[
+            trials.object_index.cpu().long(), self.side[trials.hand_index.cpu().long()]
+        ]
+        if bool(rows.all()):
+            return call(trials)
+        n, home = len(trials), trials.trial_id.device
+        T_obj_ee, T_world_ee = (
+            torch.full((n, 4, 4), torch.nan, dtype=torch.float32, device=home) for _ in range(2)
+        )
+        seconds, method = torch.full((n,), torch.nan, dtype=torch.float32, device=home), ""
+        rows = rows.to(home)
+        if bool(rows.any()):
+            given = call(trials[rows])
+            T_obj_ee[rows], T_world_ee[rows] = given.T_obj_ee.to(home), given.T_world_ee.to(home)
+            if given.t_method_s is not None:
+                seconds[rows] = given.t_method_s.to(home)
+            method = given.method
+        return Predictions(trials.trial_id, T_obj_ee, T_world_ee, seconds, method)
+
+
+def check_grasps(scene: Scene, allow_empty: bool) -> None:
+    """Raises `UsageError` where an object has no grasp candidate and that is not allowed."""
+    empty = [scene.objects[i].name for i in without_candidates(scene)]
+    if empty and not allow_empty:
+        raise UsageError(
+            f"{', '.join(empty)}: no grasp found; the gripper needs a part narrower than 85 mm that it can reach: leave "
+            f"{'it' if len(empty) == 1 else 'them'} out, give --grasps, or --allow-empty-candidates to count as failures"
+        )
+    if len(empty) == len(scene.objects):
+        raise UsageError(
+            "no object has a grasp candidate: there is nothing for a built-in method to choose from"
+        )
+
+
+def coverage_of(
+    name: str, sees: Sequence[str], scene: Scene, seen: Observations | None
+) -> MethodCoverage:
+    """What a built-in method can answer: every object with candidates; those that look at the
+    receiver's hold on it (and are not shown a network's) also need one of the hand's side."""
+    answers = torch.ones((len(scene.objects), 2), dtype=torch.bool, device="cpu")
+    lines = []
+    for i in without_candidates(scene):
+        answers[i] = False
+        lines.append(
+            f"{name}: no grasp candidate of {scene.objects[i].name}: its trials count as failures"
+        )
+    if "receiving" in sees and (seen is None or seen.receiving is None):
+        sides = set(scene.hands.set.side.tolist())
+        for i, side in without_receiving(scene.objects, scene.hands.model):
+            if bool(answers[i, side]) and side in sides:
+                lines.append(
+                    f"{name}: no {SIDES[side]} hand was found that can hold {scene.objects[i].name}: its trials with "
+                    f"{SIDES[side]} hands count as failures"
+                )
+            answers[i, side] = False
+    return MethodCoverage(answers, scene.hands.set.side.cpu().long(), tuple(lines))
+
+
+_OF_DEVICE = re.compile(
+    r"CUDA (error|out of memory|driver)|CUDNN_STATUS|CUBLAS_STATUS|NVIDIA driver|on device '?cuda|Torch not compiled with CUDA"
+)
+"""torch.AcceleratorError ("CUDA error: ..."), torch.OutOfMemoryError ("CUDA out of memory. ..."),
+torch.cuda.init ("Found no NVIDIA driver ...", "The NVIDIA driver on your system is too old ..."),
+Warp's RuntimeError ("CUDA error 719 detected on device cuda:0: ...", "Failed to allocate 8 bytes on
+device 'cuda:0'")."""
+
+
+def device_trouble(error: BaseException) -> str | None:
+    """The first line of an error that speaks of the GPU; None for every other error."""
+    text = str(error).strip()
+    of_torch = isinstance(error, (torch.OutOfMemoryError, torch.AcceleratorError))
+    if not of_torch and not (
+        isinstance(error, (RuntimeError, AssertionError)) and _OF_DEVICE.search(text)
+    ):
+        return None
+    return text.partition("\n")[0][:300] or type(error).__name__
+
+
+def why_no_cuda() -> str:
+    """Why torch sees no CUDA device, in its own words: no driver, one that is too old, a build
+    without CUDA."""
+    try:
+        torch.cuda.init()
+    except (RuntimeError, AssertionError) as error:
+        return str(error).strip().partition("\n")[0].partition(". ")[0][:200]
+    return "the driver shows none"

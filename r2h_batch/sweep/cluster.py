@@ -22,10 +22,9 @@ from r2h_batch.io.read import printable
 from r2h_batch.runs.store import TRIES, RunFolder, Shard, ShardWriter, differing
 from r2h_batch.sweep import jobs as sweep_jobs
 from r2h_batch.sweep.answers import AnswerError
-from r2h_batch.sweep.engine import Stopped, chunk_of, score_shard, warm_up
+from r2h_batch.sweep.engine import Log, Stopped, chunk_of, progress, score_shard, warm_up
 from r2h_batch.sweep.jobs import Job, Setting
 from r2h_batch.sweep.options import Options
-from r2h_batch.sweep.progress import Log, progress
 
 STARTS = 5
 """Actors that may die one after the other before their first shard; then the cluster is given

@@ -43,7 +43,7 @@ def _main(arguments: Sequence[str], prog: str) -> int:
     except OSError as error:
         return failed("sweep", error, "writing the run folder")
     except (RuntimeError, AssertionError) as error:
-        from r2h_batch.sweep.devices import device_trouble
+        from r2h_batch.sweep.answers import device_trouble
 
         if (trouble := device_trouble(error)) is None:
             raise
@@ -143,8 +143,7 @@ def _score(
 ) -> int:
     """Score what is missing or damaged, in this process or on a cluster; the exit code."""
     from r2h_batch.runs.store import mark_for_rerun
-    from r2h_batch.sweep.engine import score_local
-    from r2h_batch.sweep.progress import Log
+    from r2h_batch.sweep.engine import Log, score_local
 
     for line in mark_for_rerun(folder.folder, folder.header):
         tell(line)

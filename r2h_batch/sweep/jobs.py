@@ -22,10 +22,16 @@ from r2h_batch.predictions import align, doubts, load_predictions
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import TrialNames
 from r2h_batch.schedule import trial_ids
-from r2h_batch.sweep.answers import answer_of
-from r2h_batch.sweep.devices import why_no_cuda
-from r2h_batch.sweep.options import METHODS, SEEN_BY, Options, UsageError
-from r2h_batch.sweep.variants import base_of, options_of, said_options
+from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, why_no_cuda
+from r2h_batch.sweep.options import (
+    METHODS,
+    SEEN_BY,
+    Options,
+    UsageError,
+    base_of,
+    options_of,
+    said_options,
+)
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import SIDES, SPLITS
 
@@ -267,8 +273,6 @@ def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     """Every method and file as a job, aligned with the plan; names must differ."""
     seen = _seen(options, setting)
     if any(base_of(name) in METHODS for name in options.method):
-        from r2h_batch.sweep.able import check_grasps
-
         check_grasps(setting.evaluator.scene, options.allow_empty_candidates)
     jobs = [_method_job(name, setting.evaluator, options, seen) for name in options.method]
     for path, digest, predictions in files:
@@ -416,11 +420,13 @@ def _method_job(
 
     if not built_in:
         return Job(title, source, lambda trials, _: answer(trials))
-    from r2h_batch.sweep.able import able_of
-
-    able = able_of(name, getattr(module, "SEES", ()), evaluator.scene, seen)
+    coverage = coverage_of(name, getattr(module, "SEES", ()), evaluator.scene, seen)
     return Job(
-        title, source, lambda trials, _: able.only(trials, answer), warm=True, cannot=able.lines
+        title,
+        source,
+        lambda trials, _: coverage.answer(trials, answer),
+        warm=True,
+        cannot=coverage.lines,
     )
 
 

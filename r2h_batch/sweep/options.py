@@ -1,18 +1,20 @@
-"""The options of a sweep, from flags and from a YAML file, checked. Imports nothing heavy."""
+"""The options of a sweep: flags, `--set NAME=VALUE` and a YAML file. Imports nothing heavy."""
 
+import inspect
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+import shutil
+import sys
+import textwrap
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args, get_origin
 
 from r2h_batch.command_line import UsageError, nearest, read
 from r2h_batch.io.read import FileError
-from r2h_batch.sweep.variants import base_of
 from r2h_batch.validate import expand_home
-
-__all__ = ["KINDS", "METHODS", "Options", "UsageError", "as_yaml", "check", "load_config", "parse"]
 
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
 """Built-in methods: modules of `r2h_batch.methods` (- as _) with a `predict(trials, scene, *,
@@ -26,168 +28,244 @@ SEEN_BY = {
 """Files of networks' answers -> the methods that are shown them."""
 
 KINDS = ("details", "poses", "paths")
-"""What is stored beside the trials when asked for."""
+"""What can be stored beside the trials."""
 
 MOST = 10**12
-"""Of anything that is counted: a number beyond is a slip, and would be refused much later by
-something else."""
+"""Largest count: a larger number is a slip that something else would refuse much later."""
+
+
+def _option(default: Any, group: str, words: str) -> Any:
+    """A field of `Options`; `group` "": not a flag of the help, but of --set and --config."""
+    return field(default=default, metadata={"group": group, "help": words})
+
+
+_METHODS, _TRIALS, _VERDICT = "methods", "trials", "verdict"
+_OUTPUT, _WORK, _CONFIG = "output", "work", ""
 
 
 @dataclass(frozen=True)
 class Options:
     """Score handover methods on the benchmark's trials and print Table I."""
 
-    method: tuple[str, ...] = ()
-    """Methods to score: fc, handover-va, contact, intent, random, oracle, or your own
-    package.module:function (trials, scene, *, seed) -> Predictions. With options of its own:
-    contact,gate=ik (docs/baselines.md lists them)."""
-    predictions: tuple[str, ...] = ()
-    """Predictions files (.npz, .safetensors, .csv or .json) to score."""
-    splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1")
-    """S0 free handover, S1 functional."""
-    trials: int = 500
-    """Trials of each split."""
-    protocol: Literal["", "r2h-v0", "r2h-v1"] = ""
-    """How trials are drawn. r2h-v0 (unless the benchmark file says otherwise): hands alone, any
-    roll. r2h-v1: hands on the arms of people who reach for the object."""
-    receiver: Literal["", "hand", "body"] = ""
-    """What planning and Safe see of the receiver. hand (unless the benchmark file says otherwise),
-    as the paper; contact with the arm is stored beside Safe (body_m). body, with --protocol r2h-v1:
-    forearm, upper arm and torso too."""
-    device: str = "cpu"
-    """cpu, cuda or cuda:N."""
-    out: str = ""
-    """Run folder; runs/DATE-TIME unless given. The same command again goes on where the last one
-    stopped."""
-    force_new: bool = False
-    """If --out holds another run, write to OUT-2, OUT-3, ... instead."""
-    seed: int = 0
-    """Seed of the methods; the trials do not depend on it."""
-    predictor: str = ""
-    """Your own contact network for --method contact: a TorchScript file, VoxNet weights as
-    .safetensors, or package.module:function; the built-in VoxNet unless given."""
-    predicted_hands: str = ""
-    """Your own networks' hands, .npz or .safetensors, instead of the error model: what fc,
-    handover-va, contact, intent see."""
-    predicted_parts: str = ""
-    """Your own network's part labels or affordances of the objects' points: what handover-va
-    sees."""
-    predicted_contacts: str = ""
-    """Your own network's contact probabilities of the objects' points: what contact sees."""
-    predictor_noise: float = 1.0
-    """Factor on the error model of what the methods see (hands, part labels); 0: they see the
-    truth."""
-    hand_errors: Literal["preset", "normal", "frames", "tails"] = "preset"
-    """Error model of the target hand. normal: no outliers. frames: what published estimators were
-    off by in single frames. tails: both. preset: normal, with --preset paper tails."""
-    candidates: Literal["preset", "filtered", "as-generated"] = "preset"
-    """Grasps that methods choose from. filtered: those that this evaluator's own gripper can hold.
-    as-generated: whatever the sampler proposes, so that methods can fail Stability. preset:
-    filtered, with --preset paper as-generated."""
-    benchmark: str = ""
-    """Your own benchmark, a YAML file: objects, hands, grasps, thresholds, table and home;
-    r2h-batch benchmark show."""
-    hands: str = ""
-    """Another hand set, an .npz of r2h-batch import hands."""
-    hand_model: str = ""
-    """Another hand, MANO_RIGHT.pkl or an .npz of r2h-batch import hand: whoever uses a hand takes
-    this one."""
-    objects: str = ""
-    """Other objects instead of the benchmark's: a folder of meshes (NAME.yaml beside a mesh says
-    its split, parts, region), or a benchmark.yaml."""
-    object_mesh: tuple[str, ...] = ()
-    """Your own objects, FILE[:S0|S1[:REGION]]: they take turns with the other objects of that
-    split. REGION, what the receiver wants: a part's name, a plane such as z<0.3, or an .npy of the
-    file's faces (docs/your_data.md)."""
-    grasps: tuple[str, ...] = ()
-    """Grasp candidates of your own: NAME=FILE, a file called as its object, or a folder of these.
-    .npz or .safetensors, .h5 (ACRONYM), .npy (GraspNet), FILE.yaml:GRIPPER (isaac_grasp);
-    docs/your_data.md."""
-    trials_file: str = ""
-    """Trials of your own, .npz or .parquet, instead of the protocol's: object, T_world_hand, and
-    hand or pose, shape, side."""
-    preset: Literal["default", "paper"] = "default"
-    """default: exact planning to any branch. paper: one goal, MoveIt's edge resolution, to compare
-    with the paper."""
-    width: Literal["pads", "whole"] = "pads"
-    """Stability measures the material between the pads, or the whole object's extent along the
-    closing axis."""
-    stability: Literal["geometric", "physics"] = "geometric"
-    """physics: the object must also stay in a friction grasp through its weight and a shake along
-    three axes."""
-    object_collision: Literal["hull", "pieces"] = "hull"
-    """The attached object in planning: its convex hull (as in the paper), or its convex
-    decomposition."""
-    edge_check: Literal["preset", "exact", "moveit"] = "preset"
-    """Path edges: as the preset says, certified, or sampled at MoveIt's resolution."""
-    plan_hand: Literal["preset", "true", "estimated"] = "preset"
-    """Which hand paths keep clear of: the true one, or the one that the methods see (judged is
-    always the true one). preset: true, with --preset paper estimated."""
-    ik: Literal["fused", "pytorch-kinematics"] = "fused"
-    """Who finds joint angles: a Warp kernel, or pytorch-kinematics' batched Jacobian (slower; the
-    same verdicts)."""
-    sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
-    """Who moves the arm: MuJoCo C, MuJoCo-Warp, nobody (the motion as planned); auto: mujoco on a
-    CPU, mjwarp on CUDA."""
-    sim_model: Literal["auto", "scene", "arm"] = "auto"
-    """What is simulated. scene: everything, with contacts. arm: a rigid gripper, no contacts. auto:
-    the arm, and the whole scene again for each trial in which a contact is not ruled out."""
-    format: Literal["md", "latex", "csv", "json"] = "md"
-    """Format of the table on stdout."""
-    save_details: bool = False
-    """Also store joint goal, opening, shift and witness of every trial."""
-    no_poses: bool = False
-    """Do not store the two poses that were scored: 51 to 81 bytes a trial less, and nobody can
-    judge the rows again."""
-    save_poses: bool = False
-    """Store the poses, as is the default: for command lines from before it was. Not with
-    --no-poses."""
-    save_paths: bool = False
-    """Also store waypoints and times of every trial, its details and its poses: all that
-    r2h_batch.scene needs."""
-    quiet: bool = False
-    """Say nothing on stderr but what went wrong, whatever --verbose says."""
-    verbose: bool = False
-    """Say more on stderr: what is made ready, and every shard. log.txt in the run folder has it
-    always."""
-    threads: int | None = None
-    """CPU threads; all cores unless given."""
-    allow_empty_candidates: bool = False
-    """Count trials of objects that the gripper can hold nowhere as failures of the built-in methods
-    instead of refusing."""
-    allow_missing: bool = False
-    """Count trials that a predictions file leaves out as failures instead of refusing the file."""
-    shard: str = "1/1"
-    """I/N: score only part I of N of the shards, for job arrays; every part writes to the same
-    --out."""
-    shard_trials: int = 0
-    """Trials of a shard; 0: 100000 or a minute of work, whichever is smaller."""
-    chunk: int = 0
-    """Trials scored at once between two looks at the clock; 0: 256 on a CPU, 2048 on a GPU."""
-    engine: Literal["local", "ray"] = "local"
-    """local: this process. ray: actors of a Ray cluster, one Evaluator each."""
-    address: str = ""
-    """Ray cluster to join: auto or HOST:PORT; empty: one of its own on this machine, whatever else
-    runs there."""
-    ray_timeout: float = 30.0
-    """Seconds until a Ray cluster that does not answer is given up."""
-    workers: int = 0
-    """Ray actors; 0: one for each GPU, or one for each 4 CPUs where there is none."""
-    gpus_per_worker: float = 0.0
-    """GPUs of each actor; 0: 1 with --device cuda."""
+    method: tuple[str, ...] = _option(
+        (),
+        _METHODS,
+        "fc, handover-va, contact, intent, random, oracle, or your package.module:function(trials,"
+        " scene, *, seed); with options: contact,gate=ik",
+    )
+    predictions: tuple[str, ...] = _option(
+        (), _METHODS, "predictions files to score: .npz, .safetensors, .csv, .json"
+    )
+    seed: int = _option(0, _METHODS, "seed of the methods; the trials do not depend on it")
+    trials: int = _option(500, _TRIALS, "trials of each split")
+    splits: tuple[Literal["S0", "S1"], ...] = _option(
+        ("S0", "S1"), _TRIALS, "S0: free handover; S1: functional handover"
+    )
+    protocol: Literal["", "r2h-v0", "r2h-v1"] = _option(
+        "", _TRIALS, "r2h-v0 (default): hands alone; r2h-v1: hands of people who reach"
+    )
+    receiver: Literal["", "hand", "body"] = _option(
+        "", _TRIALS, "what planning and Safe see: hand (default), or body (with r2h-v1)"
+    )
+    trials_file: str = _option("", _TRIALS, "your own trials, .npz or .parquet")
+    benchmark: str = _option("", _TRIALS, "your own benchmark.yaml; see r2h-batch benchmark show")
+    objects: str = _option("", _TRIALS, "folder of meshes or benchmark.yaml: these objects instead")
+    object_mesh: tuple[str, ...] = _option(
+        (),
+        _TRIALS,
+        "more objects, FILE[:S0|S1[:REGION]]; REGION, the receiver's part: a part's name, a plane"
+        " such as z<0.3, or an .npy of the file's faces",
+    )
+    grasps: tuple[str, ...] = _option(
+        (), _TRIALS, "your own grasp candidates: NAME=FILE, a file, or a folder"
+    )
+    hands: str = _option("", _TRIALS, "another hand set: .npz of r2h-batch import hands")
+    hand_model: str = _option("", _TRIALS, "another hand: MANO_RIGHT.pkl, .npz of import hand")
+    preset: Literal["default", "paper"] = _option(
+        "default", _VERDICT, "default: certified planning to any branch; paper: one goal, samples"
+    )
+    sim: Literal["auto", "none", "mujoco", "mjwarp"] = _option(
+        "auto", _VERDICT, "who moves the arm; auto: mujoco on a CPU, mjwarp on CUDA"
+    )
+    out: str = _option(
+        "", _OUTPUT, "run folder, default runs/DATE-TIME; the same command goes on where it stopped"
+    )
+    format: Literal["md", "latex", "csv", "json"] = _option("md", _OUTPUT, "format of the table")
+    save_paths: bool = _option(
+        False, _OUTPUT, "store waypoints, times and details of every trial, for r2h-batch scene"
+    )
+    quiet: bool = _option(False, _OUTPUT, "print only errors on stderr")
+    device: str = _option("cpu", _WORK, "cpu, cuda or cuda:N")
+    threads: int | None = _option(None, _WORK, "CPU threads; default: all cores")
+    shard: str = _option("1/1", _WORK, "I/N: score part I of N, for job arrays with one --out")
+    shard_trials: int = _option(
+        0, _WORK, "trials of a shard; 0: 100000 or a minute of work, whichever is smaller"
+    )
+    engine: Literal["local", "ray"] = _option("local", _WORK, "this process, or a Ray cluster")
+    address: str = _option("", _WORK, "Ray cluster to join: auto or HOST:PORT; default: a new one")
+
+    predictor: str = _option(
+        "",
+        _CONFIG,
+        "contact network of method contact: a TorchScript file, VoxNet weights as .safetensors, or"
+        " package.module:function; default: the built-in VoxNet",
+    )
+    predictor_noise: float = _option(
+        1.0, _CONFIG, "factor on the error model of what the methods see; 0: they see the truth"
+    )
+    predicted_hands: str = _option(
+        "",
+        _CONFIG,
+        "hands of your own network instead of the error model, .npz or .safetensors; fc,"
+        " handover-va, contact and intent see them",
+    )
+    predicted_parts: str = _option(
+        "", _CONFIG, "part labels or affordances of your own network; handover-va sees them"
+    )
+    predicted_contacts: str = _option(
+        "", _CONFIG, "contact probabilities of your own network; contact sees them"
+    )
+    hand_errors: Literal["preset", "normal", "frames", "tails"] = _option(
+        "preset",
+        _CONFIG,
+        "error model of the target hand. normal: no outliers; frames: errors of published"
+        " estimators in single frames; tails: both; preset: normal, with preset paper tails",
+    )
+    candidates: Literal["preset", "filtered", "as-generated"] = _option(
+        "preset",
+        _CONFIG,
+        "grasps that methods choose from. filtered: those that this gripper can hold; as-generated:"
+        " all that the sampler proposes; preset: filtered, with preset paper as-generated",
+    )
+    width: Literal["pads", "whole"] = _option(
+        "pads",
+        _CONFIG,
+        "Stability measures the material between the pads, or the whole object's extent along the"
+        " closing axis",
+    )
+    stability: Literal["geometric", "physics"] = _option(
+        "geometric",
+        _CONFIG,
+        "physics: the object must also stay in a friction grasp through its weight and a shake"
+        " along three axes",
+    )
+    object_collision: Literal["hull", "pieces"] = _option(
+        "hull",
+        _CONFIG,
+        "the attached object in planning: its convex hull (as in the paper), or its convex"
+        " decomposition",
+    )
+    edge_check: Literal["preset", "exact", "moveit"] = _option(
+        "preset", _CONFIG, "edges of a path: certified, or sampled at MoveIt's resolution"
+    )
+    plan_hand: Literal["preset", "true", "estimated"] = _option(
+        "preset",
+        _CONFIG,
+        "hand that paths keep clear of: the true one, or the one that the methods see; the true one"
+        " is judged. preset: true, with preset paper estimated",
+    )
+    ik: Literal["fused", "pytorch-kinematics"] = _option(
+        "fused", _CONFIG, "inverse kinematics: a Warp kernel, or pytorch-kinematics (slower)"
+    )
+    sim_model: Literal["auto", "scene", "arm"] = _option(
+        "auto",
+        _CONFIG,
+        "scene: simulate everything, with contacts; arm: a rigid gripper, no contacts; auto: the"
+        " arm, and the scene for each trial in which a contact is possible",
+    )
+    force_new: bool = _option(
+        False, _CONFIG, "if --out holds another run, write to OUT-2, OUT-3, ... instead"
+    )
+    save_details: bool = _option(
+        False, _CONFIG, "store joint goal, opening, shift and witness of every trial"
+    )
+    no_poses: bool = _option(
+        False, _CONFIG, "do not store the scored poses: 51 to 81 bytes a trial less, no reevaluate"
+    )
+    save_poses: bool = _option(False, _CONFIG, "store the scored poses (the default)")
+    verbose: bool = _option(
+        False, _CONFIG, "print every step and shard on stderr; log.txt always has them"
+    )
+    allow_empty_candidates: bool = _option(
+        False, _CONFIG, "count trials of objects without a grasp as failures of built-in methods"
+    )
+    allow_missing: bool = _option(
+        False, _CONFIG, "count trials that a predictions file leaves out as failures"
+    )
+    chunk: int = _option(0, _CONFIG, "trials scored at once; 0: 256 on a CPU, 2048 on a GPU")
+    ray_timeout: float = _option(
+        30.0, _CONFIG, "seconds until a Ray cluster that does not answer is given up"
+    )
+    workers: int = _option(0, _CONFIG, "Ray actors; 0: one for each GPU, or for each 4 CPUs")
+    gpus_per_worker: float = _option(0.0, _CONFIG, "GPUs of each actor; 0: 1 with device cuda")
 
     @property
     def stored(self) -> list[str]:
-        """What is stored beside the trials; with paths everything, so that any trial can be opened
-        elsewhere."""
-        asked = {"details": self.save_details, "poses": not self.no_poses, "paths": self.save_paths}
-        return [kind for kind in KINDS if self.save_paths or asked[kind]]
+        """What is stored beside the trials; paths bring everything that opening a trial needs."""
+        wanted = {
+            "details": self.save_details,
+            "poses": not self.no_poses,
+            "paths": self.save_paths,
+        }
+        return [kind for kind in KINDS if self.save_paths or wanted[kind]]
 
     @property
     def part(self) -> tuple[int, int]:
         """(I, N) of --shard I/N."""
         i, _, n = self.shard.partition("/")
         return int(i), int(n)
+
+
+def help_text(prog: str) -> str:
+    """The flags in groups, each with its meaning."""
+    lines = [
+        f"usage: {prog} [--config FILE.yaml] [--set NAME=VALUE ...] [FLAGS]",
+        "",
+        str(Options.__doc__),
+    ]
+    for group in (_METHODS, _TRIALS, _VERDICT, _OUTPUT, _WORK):
+        chosen = [f for f in fields(Options) if f.metadata["group"] == group]
+        lines += ["", f"{group}:", *_described(chosen, "--")]
+    words = (
+        "a YAML file with any option; a flag wins over it",
+        "any option; `--set help` lists them",
+    )
+    config = [("--config FILE", words[0]), ("--set NAME=VALUE ...", words[1])]
+    return "\n".join([*lines, "", "more options:", *_columns(config)]) + "\n"
+
+
+def options_text() -> str:
+    """The options that only `--set` and `--config` take."""
+    chosen = [f for f in fields(Options) if f.metadata["group"] == _CONFIG]
+    head = "Options for --set NAME=VALUE or a file of --config, which takes the flags' names too:"
+    return "\n".join([head, "", *_described(chosen, "")]) + "\n"
+
+
+def _described(chosen: Sequence[Any], dashes: str) -> list[str]:
+    rows = []
+    for f in chosen:
+        kind, more = f.type, ""
+        if get_origin(kind) is tuple:
+            kind, more = get_args(kind)[0], " ..."
+        if get_origin(kind) is Literal:
+            value = "|".join(v for v in get_args(kind) if v)
+        else:
+            value = {bool: "", str: "TEXT", float: "NUMBER"}.get(kind, "INT")
+        name = f.name.replace("_", "-") if dashes else f.name
+        rows.append((f"{dashes}{name} {value}{more}".rstrip(), f.metadata["help"]))
+    return _columns(rows)
+
+
+def _columns(rows: Sequence[tuple[str, str]]) -> list[str]:
+    width, start, lines = min(shutil.get_terminal_size().columns, 100), 32, []
+    for head, words in rows:
+        wrapped = textwrap.wrap(words, max(width - start, 30), break_on_hyphens=False)
+        if len(head) + 3 > start:  # a long head has a line of its own
+            lines.append(f"  {head}")
+            head = ""
+        lines.append(f"  {head}".ljust(start) + wrapped[0])
+        lines += [" " * start + line for line in wrapped[1:]]
+    return lines
 
 
 def check(options: Options) -> Options:
@@ -290,79 +368,198 @@ def _count(text: str) -> bool:
 
 
 def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") -> Options:
-    """The checked options of a command line; raises `UsageError` with one line."""
-    arguments, path = _without_config(arguments)
-    default = Options() if path is None else load_config(Path(path))
-    prog = f"{prog} [--config FILE.yaml]" if "--help" in arguments or "-h" in arguments else prog
-    options: Options = read(Options, arguments, prog=prog, default=default, more_flags=["--config"])
+    """The checked options of a command line.
+
+    Raises:
+        UsageError: one line about the first option that cannot be.
+        SystemExit: the help is printed.
+    """
+    if "--help" in arguments or "-h" in arguments:
+        sys.stdout.write(help_text(prog))
+        raise SystemExit(0)
+    arguments, path, chosen = _without_config(arguments)
+    default = replace(Options() if path is None else load_config(Path(path)), **chosen)
+    more = ["--config", "--set"]
+    options: Options = read(Options, arguments, prog=prog, default=default, more_flags=more)
     return check(options)
 
 
 def load_config(path: Path) -> Options:
-    """Options from a YAML file with the flags' names as fields; anything unknown or mistyped is
-    refused by its path."""
+    """Options from a YAML file with the flags' names as fields.
+
+    Raises:
+        UsageError: a field is unknown or of another type; the message names it.
+    """
     import pydantic
 
-    try:
-        from r2h_batch.io.read import read_yaml
-        from r2h_batch.validate import rule_of
-    except ImportError:
-        raise UsageError("--config needs PyYAML; pip install pyyaml") from None
+    from r2h_batch.io.read import read_yaml
+    from r2h_batch.validate import rule_of
+
     try:
         data = read_yaml(path)
+        _check_names(str(path), "field", data)
+        text = json.dumps(data, default=str)
+        options = pydantic.TypeAdapter(Options).validate_json(text, strict=True)
+        return replace(options, **{k: _expanded(v) for k, v in asdict(options).items()})
     except FileError as error:
         raise UsageError(str(error)) from None
-    allowed = [f.name for f in fields(Options)]
-    for key in data:
-        if key not in allowed:
-            raise UsageError(
-                f"{path}: unknown field {key!r}{nearest(str(key), allowed)}; allowed are {', '.join(allowed)}"
-            )
-    config = pydantic.ConfigDict(extra="forbid", strict=True)
-    model: Any = pydantic.create_model(
-        "Config",
-        __config__=config,
-        **{f.name: (f.type, f.default) for f in fields(Options)},  # type: ignore[call-overload]
-    )
-    try:
-        checked = model.model_validate_json(json.dumps(data, default=str), strict=True)
     except pydantic.ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"]))
-        raise UsageError(
-            f"{path}: {where} is {repr(first['input'])[:80]}; {rule_of(first)}"
-        ) from None
-    return Options(
-        **{name: _written_out(path, name, value) for name, value in checked.model_dump().items()}
-    )
+        found = repr(first["input"])[:80]
+        raise UsageError(f"{path}: {where} is {found}; {rule_of(first)}") from None
 
 
-def _written_out(path: Path, name: str, value: Any) -> Any:
-    """A field's value with ~ written out, as in an argument."""
-    if isinstance(value, tuple):
-        return tuple(_written_out(path, name, v) for v in value)
-    if not isinstance(value, str):
-        return value
-    try:
-        return expand_home(value)
-    except FileError as error:
-        raise UsageError(f"{path}: {name}: {error}") from None
+def _check_names(where: str, kind: str, names: Iterable[Any]) -> None:
+    allowed = [f.name for f in fields(Options)]
+    for name in names:
+        if name not in allowed:
+            hint = nearest(str(name), allowed)
+            raise UsageError(
+                f"{where}: unknown {kind} {name!r}{hint}; allowed are {', '.join(allowed)}"
+            )
 
 
-def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None]:
-    """The command line without --config FILE, and FILE."""
-    kept, path, rest = [], None, iter(arguments)
-    for argument in rest:
+def _expanded(value: Any) -> Any:
+    """A value with ~ written out, as in an argument."""
+    if isinstance(value, (tuple, list)):
+        return tuple(map(_expanded, value))
+    return expand_home(value) if isinstance(value, str) else value
+
+
+def _without_config(
+    arguments: Sequence[str],
+) -> tuple[list[str], str | None, dict[str, Any]]:
+    """The command line with each `--set NAME=VALUE` as a flag, without `--config FILE`; FILE; and
+    what --set says of options that are true or false."""
+    rest, path = list(arguments), None
+    flags: list[str] = []
+    chosen: dict[str, Any] = {}
+    switches = [f.name for f in fields(Options) if f.type is bool]
+    while rest:
+        argument = rest.pop(0)
         name, equals, value = argument.partition("=")
-        if name != "--config":
-            kept.append(argument)
+        if name not in ("--config", "--set"):
+            flags.append(argument)
             continue
-        path = value if equals else next(rest, "")
-        if not path:
-            raise UsageError("--config names no file")
-    return kept, path
+        value = value if equals else rest.pop(0) if rest else ""
+        if name == "--config":
+            if not value:
+                raise UsageError("--config names no file")
+            path = value
+            continue
+        if value == "help":
+            sys.stdout.write(options_text())
+            raise SystemExit(0)
+        settings = [value]
+        while rest and not rest[0].startswith("-"):
+            settings.append(rest.pop(0))
+        for setting in settings:
+            option, equals, value = setting.partition("=")
+            if not equals:
+                raise UsageError(f"--set {setting!r}; it must be NAME=VALUE, `--set help` has them")
+            _check_names("--set", "option", [option])
+            if option not in switches:
+                flags.append(f"--{option.replace('_', '-')}={value}")
+            elif value in ("true", "false"):
+                chosen[option] = value == "true"
+            else:
+                raise UsageError(f"--set {option} is {value!r}; allowed are true, false")
+    return flags, path, chosen
 
 
 def as_yaml(options: Options) -> str:
     """The options as a file that `load_config` reads back equal."""
     return "".join(f"{key}: {json.dumps(value)}\n" for key, value in asdict(options).items())
+
+
+GIVEN = ("trials", "scene", "seed", "evaluator", "noise", "predictor", "seen", "instructions")
+"""Arguments of a method that the sweep passes; its other keyword arguments are its options:
+`--method contact,gate=ik`."""
+
+_WORDS = {"true": True, "false": False}
+
+
+def base_of(method: str) -> str:
+    """The method's name without its options."""
+    return method.partition(",")[0]
+
+
+def said_options(method: str) -> str:
+    """What stands after the name, for tables and run folders: `gate=ik, height_m=0.12`; empty
+    without options."""
+    return ", ".join(part.strip() for part in method.split(",")[1:])
+
+
+def options_of(method: str, function: Callable[..., Any], *, known: bool) -> dict[str, Any]:
+    """The options after a method's name, checked against its function.
+
+    Args:
+        method: such as `contact,gate=ik`.
+        function: its keyword-only arguments are the options.
+        known: whether types must be given (built-in methods). A user's parameter without a type
+            takes a number if the text is one.
+
+    Raises:
+        UsageError: one line about the first option that cannot be.
+    """
+    base, *parts = method.split(",")
+    if not parts:
+        return {}
+    allowed = _allowed(function)
+    found: dict[str, Any] = {}
+    for part in parts:
+        name, equals, text = (x.strip() for x in part.partition("="))
+        if name not in allowed:
+            takes = f"allowed are {', '.join(allowed)}" if allowed else "it takes none"
+            raise UsageError(
+                f"--method {base}: unknown option {name!r}{nearest(name, list(allowed))}; {takes}"
+            )
+        if not equals or not text:
+            raise UsageError(f"--method {base}: option {name} has no value; say {name}=VALUE")
+        if name in found:
+            raise UsageError(f"--method {base}: option {name} is given twice; once is enough")
+        found[name] = _value(base, name, text, allowed[name], known)
+    return found
+
+
+def _allowed(function: Callable[..., Any]) -> dict[str, Any]:
+    """Option -> its type (None: not said)."""
+    hints: Mapping[str, Any]
+    try:
+        hints = typing.get_type_hints(function)
+    except (NameError, TypeError):  # a user's annotations may name what is not there when it runs
+        hints = {}
+    takes = inspect.signature(function).parameters.values()
+    keywords = [p for p in takes if p.kind is p.KEYWORD_ONLY and p.name not in GIVEN]
+    return {p.name: hints.get(p.name) for p in keywords}
+
+
+def _value(method: str, name: str, text: str, kind: Any, known: bool) -> Any:
+    """The text as the option's type."""
+    if get_origin(kind) is Literal:
+        words = get_args(kind)
+        if text not in words:
+            raise UsageError(
+                f"--method {method}: {name} is {text!r}{nearest(text, words)}; allowed are {', '.join(words)}"
+            )
+        return text
+    if kind is bool:
+        if text not in _WORDS:
+            raise UsageError(f"--method {method}: {name} is {text!r}; allowed are true, false")
+        return _WORDS[text]
+    if kind in (int, float):
+        try:
+            number = kind(text)
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            what = "a whole number" if kind is int else "a number"
+            raise UsageError(f"--method {method}: {name} is {text!r}; it must be {what}")
+        return number
+    if kind is None and not known:
+        try:
+            return int(text) if text.lstrip("-").isdigit() else float(text)
+        except ValueError:
+            return text
+    return text

@@ -59,7 +59,7 @@ def test_the_protocols_trials_as_a_file_give_the_same_rows_and_another_benchmark
     found = rows(tmp_path / "b")
     assert len(found) == 10 and found == rows(tmp_path / "a")
     assert load_run(tmp_path / "b").header["protocol"] == "listed"
-    again = ["results", "verify", str(tmp_path / "b"), "--rejudge", "4"]
+    again = ["results", "reevaluate", str(tmp_path / "b"), "--rows", "4"]
     assert main([*again, "--trials-file", str(tmp_path / "t.npz")]) == 0
     assert "none differs" in capsys.readouterr().out
     assert main(again) == 2

@@ -14,8 +14,7 @@ from made_runs import NAMES, files_of, make_header, make_scores, make_trials, re
 
 from r2h_batch.compare.command import main as compare
 from r2h_batch.gallery.command import report_main as report
-from r2h_batch.rejudge.command import main as results
-from r2h_batch.rescore.command import main as rescore
+from r2h_batch.results.command import main as results
 from r2h_batch.runs import store as run_store
 from r2h_batch.runs.row_checks import inconsistent
 from r2h_batch.runs.rows import score_rows
@@ -26,6 +25,7 @@ COMMANDS = {
     "digest": lambda folder: results(["digest", str(folder)]),
     "report": lambda folder: report([str(folder)]),
     "compare": lambda folder: compare([str(folder)]),
+    "rethreshold": lambda folder: results(["rethreshold", str(folder)]),
 }
 ESC = "\x1b]0;owned\x07\x1b[2J"
 
@@ -339,7 +339,10 @@ def test_a_row_that_can_be_no_verdict_is_found_by_every_command(run, what, capsy
     )
     shutil.rmtree(run / "manifest" / "second")
     forge(run, change)
-    for command in (*(COMMANDS[c] for c in ("report", "compare", "digest")), lambda folder: rescore([str(folder)])):
+    for command in (
+        *(COMMANDS[c] for c in ("report", "compare", "digest")),
+        lambda folder: results(["rethreshold", str(folder)]),
+    ):
         assert command(run) == 2
         captured = capsys.readouterr()
         assert captured.out == "" and captured.err.count("\n") == 1

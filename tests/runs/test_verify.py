@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from made_runs import NAMES, OUTCOMES, files_of, make_header, make_scores, make_trials, store, write
 
-from r2h_batch.runs.command import digest, verify
+from r2h_batch.results.command import digest, verify
 from r2h_batch.runs.rows import score_rows
 from r2h_batch.runs.store import RunError, load_run, open_run, shards_of
 

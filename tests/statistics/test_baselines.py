@@ -10,7 +10,7 @@ from made_runs import make_header, make_scores, make_trials
 
 from r2h_batch.compare.command import FOLDERS, baselines_for
 from r2h_batch.compare.command import main as compare
-from r2h_batch.rejudge.again import Judge, rejudge
+from r2h_batch.results.reevaluation import Judge, reevaluate
 from r2h_batch.runs.rows import TrialNames, score_rows
 from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.schedule import PROTOCOL, trial_ids
@@ -34,7 +34,7 @@ def rejudged(n, methods):
     run = load_run(FOLDERS[0])
     judge = Judge(run)
     judge.other = judge.other or ("code",)  # the digest of the code changes with every comment
-    return [d for m in methods(run) for d in rejudge(run, m, n, judge, seed=n).differences]
+    return [d for m in methods(run) for d in reevaluate(run, m, n, judge, seed=n).differences]
 
 
 def test_a_sample_of_the_shipped_rows_is_judged_the_same_by_this_code():

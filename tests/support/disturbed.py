@@ -6,7 +6,7 @@ import sys
 import time
 from pathlib import Path
 
-from r2h_batch.runs.command import verify
+from r2h_batch.results.command import verify
 from r2h_batch.runs.store import load_run
 
 SUPPORT = Path(__file__).parent

@@ -184,6 +184,7 @@ def test_a_method_that_changes_the_directory_takes_no_shard_along(fake, tmp_path
         ("mine:number", "--method mine:number: 3 is not a callable object; it must be package.module:function"),
         ("mine:other", "--method mine:other: missing a required argument: 'c'; it must be package.module:function"),
         ("mine:none", "has no attribute 'none'; it must be package.module:function"),
+        ("no_such_module:f", "No module named 'no_such_module'; it must be package.module:function"),
         ("broken_rules:f", "--method broken_rules:f: SystemExit: 7; it must be"),
     ],
 )
@@ -194,12 +195,6 @@ def test_a_method_that_is_none_is_refused_before_any_preparation(fake, monkeypat
     assert sweep.main(["--method", spec, "--trials", "3", "--out", str(tmp_path / "run")]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
-
-
-def test_a_network_that_is_none_is_refused_before_any_preparation(monkeypatch, tmp_path, capsys):
-    monkeypatch.setattr(jobs, "prepare", lambda options: pytest.fail("prepared before the network was looked for"))
-    assert sweep.main(["--method", "contact", "--predictor", "no_net.pt", "--out", str(tmp_path / "run")]) == 2
-    assert "predictor no_net.pt" in capsys.readouterr().err
 
 
 # --- stored rows and the plan ---------------------------------------------------------------------------------------

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import re
 
 import pytest
 from sweep_command import command
@@ -82,6 +83,27 @@ def test_flags_win_over_the_file(tmp_path):
     options = parse(["--config", str(path), "--trials", "5"])
     assert (options.method, options.trials, options.seed, options.save_paths) == (("random",), 5, 4, True)
     assert parse([f"--config={path}", "--method", "oracle"]).method == ("oracle",)
+
+
+def test_every_option_can_be_set_on_the_command_line(tmp_path, capsys):
+    path = write(tmp_path, "method: [random]\nchunk: 9\nno_poses: true\n")
+    options = parse(
+        ["--config", str(path), "--set", "chunk=8", "edge_check=moveit", "--set=no_poses=false", "--seed", "4"]
+    )
+    assert (options.chunk, options.edge_check, options.no_poses, options.seed) == (8, "moveit", False, 4)
+    assert parse(["--method", "random", "--chunk", "8"]).chunk == 8  # the old flags stay for one version
+    for line, part in (
+        ("chunks=8", "unknown option 'chunks', did you mean chunk?"),
+        ("chunk=many", "'many' is no whole number"),
+        ("chunk", "it must be NAME=VALUE"),
+        ("verbose=yes", "--set verbose is 'yes'; allowed are true, false"),
+    ):
+        with pytest.raises(UsageError, match=re.escape(part)):
+            parse(["--method", "random", "--set", line])
+    with pytest.raises(SystemExit):
+        parse(["--set", "help"])
+    told = capsys.readouterr().out
+    assert "edge_check preset|exact|moveit" in told and "trials" not in re.findall(r"^  ([a-z_]+)", told, re.M)
 
 
 BILLION = "a: &a [1,1]\nb: &b [*a,*a]\n"

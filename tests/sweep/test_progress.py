@@ -5,11 +5,11 @@ import pty
 import subprocess
 import sys
 
-from r2h_batch.sweep.progress import progress
+from r2h_batch.sweep.engine import progress
 
 CODE = """
 import time
-from r2h_batch.sweep.progress import progress
+from r2h_batch.sweep.engine import progress
 with progress("oracle", 4) as advance:
     for _ in range(4):
         time.sleep(0.15)

@@ -1,7 +1,7 @@
 """The sweep command: what it refuses, prints and stores. The evaluator is a fake except at the end."""
 
 import json
-import os
+import re
 import resource
 import signal
 import subprocess
@@ -37,8 +37,10 @@ def test_help_lists_every_flag_and_answers_at_once():
     assert done.returncode == 0 and done.stderr == ""
     for name in ("method", "splits", "trials", "device", "out", "seed", "predictions", "object-mesh", "preset"):
         assert f"--{name}" in done.stdout
-    for name in ("format", "save-paths", "threads", "allow-missing", "sim"):
+    for name in ("format", "save-paths", "threads", "config", "set", "sim"):
         assert f"--{name}" in done.stdout
+    flags = re.findall(r"^  (--[a-z-]+)", done.stdout, re.M)
+    assert len(flags) == len(set(flags)) <= 28 and done.stdout.count("\n") <= 62
     assert seconds < 0.7
 
 
@@ -80,13 +82,6 @@ def test_a_bad_command_line_is_one_line_with_the_valid_names_and_exit_code_2(cap
     assert captured.err.startswith("sweep: ") and captured.err.count("\n") == 1
     for part in parts:
         assert part in captured.err
-
-
-def test_a_typing_error_on_a_plain_terminal_exits_with_2_and_one_ascii_line():
-    done = command("--methud", "random")
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.isascii() and done.stderr.count("\n") == 1
-    assert "did you mean --method?" in done.stderr
 
 
 def test_several_methods_splits_files_and_meshes_are_taken():
@@ -222,16 +217,6 @@ def test_methods_may_be_added_later_and_stored_ones_are_not_scored_again(fake, h
     assert captured.out.count("my_rules:timed") == 3
 
 
-@pytest.mark.parametrize("change", [["--trials", "4"], ["--seed", "1"], ["--save-paths"], ["--splits", "S0"]])
-def test_another_configuration_in_the_same_folder_is_refused(fake, here, tmp_path, capsys, change):
-    line = ["--method", f"{here}:best", "--trials", "3", "--out", str(tmp_path / "run")]
-    assert sweep.main(line) == 0
-    capsys.readouterr()
-    assert sweep.main([*line, *change]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == "" and "choose another --out" in captured.err and captured.err.count("\n") == 1
-
-
 def test_the_same_method_name_from_another_file_is_refused_and_the_folder_is_free_again(fake, tmp_path, capsys):
     line = ["--trials", "2", "--out", str(tmp_path / "run"), "--format", "csv"]
     for name, seed in (("a.npz", 0), ("b.npz", 1)):
@@ -240,22 +225,6 @@ def test_the_same_method_name_from_another_file_is_refused_and_the_folder_is_fre
     assert sweep.main(["--predictions", str(tmp_path / "b.npz"), *line]) == 2
     assert "already holds 'same' from another source" in capsys.readouterr().err
     assert sweep.main(["--predictions", str(tmp_path / "a.npz"), *line]) == 0
-
-
-@pytest.mark.parametrize(
-    ("name", "parts"),
-    [
-        ("no_such_module:f", ["no_such_module", "package.module:function"]),
-        ("my_rules:bset", ["bset", "package.module:function"]),
-    ],
-)
-def test_a_method_that_cannot_be_imported_is_refused(fake, here, tmp_path, capsys, name, parts):
-    assert sweep.main(["--method", name, "--trials", "3", "--out", str(tmp_path / "run")]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    for part in parts:
-        assert part in error
-    assert not (tmp_path / "run").exists()
 
 
 def test_two_files_with_one_method_name_are_refused(fake, tmp_path, capsys):
@@ -354,17 +323,6 @@ def test_force_new_takes_the_next_free_folder(fake, here, tmp_path, capsys):
     assert sweep.main([*line, "--seed", "2", "--force-new"]) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "run-2", "run-3"]
     assert [load_run(tmp_path / n).header["seed"] for n in ("run", "run-2", "run-3")] == [0, 1, 2]
-
-
-def test_a_full_disk_is_one_line_and_exit_code_1(fake, here, tmp_path, capsys, monkeypatch):
-    def full(*_, **__):
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr("r2h_batch.runs.store.sync_file", full)
-    assert sweep.main(["--method", f"{here}:best", "--trials", "3", "--out", str(tmp_path / "run")]) == 1
-    error = capsys.readouterr().err
-    assert error.splitlines()[-1] == "sweep: writing the run folder: No space left on device"
-    assert not list((tmp_path / "run").rglob("*.tmp")) and not list((tmp_path / "run").rglob("*.parquet"))
 
 
 def test_without_out_the_folder_is_named_after_the_time(fake, here, tmp_path, capsys, monkeypatch):

@@ -10,9 +10,9 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.export.command import trials_main as trials_command
-from r2h_batch.rejudge import again
-from r2h_batch.rejudge.again import Judge, configuration, rejudge
-from r2h_batch.rejudge.command import main as results
+from r2h_batch.results import reevaluation as again
+from r2h_batch.results.command import main as results
+from r2h_batch.results.reevaluation import Judge, configuration, reevaluate
 from r2h_batch.runs.store import RunError, load_run, sha256_of
 from r2h_batch.sweep.command import main as sweep
 
@@ -76,10 +76,10 @@ def as_success(row):
 
 
 def test_every_row_of_an_honest_run_comes_out_bit_for_bit(folder, capsys):
-    assert results(["verify", str(folder), "--rejudge", "200"]) == 0
+    assert results(["reevaluate", str(folder), "--rows", "200"]) == 0
     out = capsys.readouterr().out
     assert "random: 24 of 24 rows judged again" in out and "none differs, 24 are equal bit for bit" in out
-    assert results(["verify", str(folder), "--rejudge", "5", "--seed", "3"]) == 0
+    assert results(["reevaluate", str(folder), "--rows", "5", "--seed", "3"]) == 0
     assert "5 of 24 rows judged again (--seed 3): none differs, 5 are equal" in capsys.readouterr().out
 
 
@@ -95,7 +95,7 @@ def test_one_made_up_success_is_found_though_every_checksum_agrees(folder, tmp_p
 
     assert forged(folder, tmp_path / "run", one) == done and len(done) == 1
     assert results(["verify", str(tmp_path / "run")]) == 0  # a checksum sees nothing
-    assert results(["verify", str(tmp_path / "run"), "--rejudge", "24"]) == 1
+    assert results(["reevaluate", str(tmp_path / "run"), "--rows", "24"]) == 1
     out = capsys.readouterr().out
     assert "24 of 24 rows judged again" in out and ": 1 differs, 23 are equal bit for bit" in out
     assert f"trial {done[0]}: outcome is stored as success, scored again it is" in out
@@ -119,12 +119,12 @@ def test_a_margin_moved_by_a_micrometre_is_found_here_and_by_a_millimetre_anywhe
     found = {}
     assert judge.other == ()
     for name, run in (("micro", micro), ("milli", milli)):
-        found[name] = rejudge(run, "random", 24, judge).differences
+        found[name] = reevaluate(run, "random", 24, judge).differences
         assert [(d.trial_id, d.column) for d in found[name]] == [(8, "margin_stability_m")]
     elsewhere = copy(judge)
     elsewhere.other = ("processor",)
-    assert rejudge(micro, "random", 24, elsewhere).differences == ()
-    assert rejudge(milli, "random", 24, elsewhere).differences == found["milli"]
+    assert reevaluate(micro, "random", 24, elsewhere).differences == ()
+    assert reevaluate(milli, "random", 24, elsewhere).differences == found["milli"]
 
 
 def test_an_answer_that_is_said_to_be_missing_and_a_pose_that_is_not_there_are_found(folder, tmp_path, judge):
@@ -136,20 +136,20 @@ def test_an_answer_that_is_said_to_be_missing_and_a_pose_that_is_not_there_are_f
 
     forged(folder, tmp_path / "run", silent)
     run = load_run(tmp_path / "run")
-    found = rejudge(run, "random", 24, judge)
+    found = reevaluate(run, "random", 24, judge)
     assert {d.trial_id for d in found.differences if (d.column, d.stored) == ("outcome", "missing")} == {2, 4}
     assert found.scored == 24 and found.equal == 22
 
 
 def test_what_cannot_be_judged_again_is_refused_with_one_line(folder, tmp_path, capsys):
     write_run(tmp_path / "a", {"m": np.zeros(4, int)}, 2, 2)
-    assert results(["verify", str(tmp_path / "a"), "--rejudge", "5"]) == 2
-    assert "stored without poses; sweep again without --no-poses" in capsys.readouterr().err
-    assert results(["verify", str(folder), "--rejudge", "-5"]) == 2
-    assert "--rejudge is -5" in capsys.readouterr().err
-    assert results(["verify", str(folder), "--rejudge", "5", "--method", "fc"]) == 2
+    assert results(["reevaluate", str(tmp_path / "a"), "--rows", "5"]) == 2
+    assert "stored without poses; sweep again without no_poses" in capsys.readouterr().err
+    assert results(["reevaluate", str(folder), "--rows", "-5"]) == 2
+    assert "--rows is -5" in capsys.readouterr().err
+    assert results(["reevaluate", str(folder), "--rows", "5", "--method", "fc"]) == 2
     assert "no method 'fc'" in capsys.readouterr().err
-    assert results(["verify", str(folder), "--rejudge", "5", "--object-mesh", "mug.obj"]) == 2
+    assert results(["reevaluate", str(folder), "--rows", "5", "--object-mesh", "mug.obj"]) == 2
     assert "give what its sweep was given: no flag for objects" in capsys.readouterr().err
 
 
@@ -178,7 +178,7 @@ def test_people_of_r2h_v1_are_swept_judged_again_and_handed_to_methods(tmp_path)
     assert sweep(line) == 0
     run = load_run(out)
     assert run.header["protocol"] == "r2h-v1"
-    found = rejudge(run, "random", 8, Judge(run))
+    found = reevaluate(run, "random", 8, Judge(run))
     assert (found.scored, found.equal) == (8, 8)
     assert trials_command(["--protocol", "r2h-v1", "--trials", "4", "--out", str(tmp_path / "files")]) == 0
     with np.load(tmp_path / "files" / "trials.npz") as files:

@@ -1,9 +1,8 @@
-"""Score a random sample of stored rows again, from the poses stored beside them, and list every
-difference.
+"""Judge a random sample of stored rows again, from the poses stored beside them.
 
-sha256 and receipts say that a file is as it was written; whoever writes a row can write those too.
-What cannot be made up is the verdict: trials follow from their ids, poses are stored, so the
-evaluator can be asked again.
+sha256 and receipts show that a file is as it was written, but whoever writes a row can write those
+too. Nobody can make up a verdict: trials follow from their ids and poses are stored, so the
+evaluator computes it again.
 """
 
 import json
@@ -13,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import torch
 from pydantic import TypeAdapter, ValidationError
 
@@ -28,8 +28,6 @@ from r2h_batch.trials.protocol import PROTOCOLS, trials_of
 from r2h_batch.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.verdicts import SIDES
 
-__all__ = ["Difference", "Judge", "Rejudged", "rejudge"]
-
 COMPARED = tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING)
 
 LATER_OPTIONS = ("receiver", "estimate", "candidates")
@@ -43,8 +41,8 @@ by nothing."""
 
 @dataclass(frozen=True)
 class Difference:
-    """A stored value that the evaluator does not give again; `borderline`: float32 does not decide
-    that trial's verdict."""
+    """A stored value that differs from the evaluator's; `borderline`: float32 does not decide that
+    trial's verdict."""
 
     trial_id: int
     column: str
@@ -62,9 +60,16 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Rejudged:
-    """Of one method: how many rows are stored and were scored again, how many are equal bit for
-    bit, what differs."""
+class Reevaluation:
+    """What came of one method.
+
+    Args:
+        method: its name.
+        stored: rows in the run folder.
+        scored: rows that were judged again.
+        equal: rows of those that are equal bit for bit.
+        differences: the values that differ.
+    """
 
     method: str
     stored: int
@@ -74,11 +79,16 @@ class Rejudged:
 
 
 class Judge:
-    """The evaluator that a run folder describes, with its objects and hands checked against the
-    run's digests.
+    """The evaluator that a run folder describes; objects and hands must have the run's digests.
 
-    `other`: what is not as it was when the rows were scored (code, versions, processor); empty:
-    rows must come out bit for bit.
+    `other` names what has changed since the rows were scored: code, versions, processor. If it is
+    empty, every bit must agree.
+
+    Args:
+        run: what `load_run(FOLDER)` gives.
+        given: the flags that the sweep had.
+        device: cpu, cuda or cuda:N.
+        threads: CPU threads; None: all cores.
     """
 
     def __init__(
@@ -109,7 +119,7 @@ class Judge:
         """`TRIAL_SCHEMA` rows of (N,) trials answered with (N, 4, 4) poses: as the sweep stores
         them."""
         scene = self.evaluator.scene
-        trials = trials_of(self.benchmark, torch.from_numpy(np.asarray(trial_id, np.int64))).to(
+        trials = trials_of(self.benchmark, torch.from_numpy(np.array(trial_id, np.int64))).to(
             scene.device
         )
         grasp, handover = (
@@ -164,20 +174,36 @@ def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
     return (*other, *([] if same else ["processor"]))
 
 
-@check_arguments(
-    run=instance_of(Run, "what load_run(FOLDER) gives"), method=text, n=integer(0), judge=instance_of(Judge, "Judge(RUN)"),
-    seed=optional(integer(0)),
-)  # fmt: skip
-def rejudge(run: Run, method: str, n: int, judge: Judge, *, seed: int | None = None) -> Rejudged:
-    """Score `n` of a method's stored rows again, drawn without replacement; all of them where there
-    are fewer.
-
-    One shard at a time is in memory. `RunError` where the run holds no poses.
-    """
+def check_poses(run: Run) -> None:
+    """`RunError` if the run holds no poses."""
     if "poses" not in run.header["stored"]:
-        raise RunError(
-            f"{run.folder}: stored without poses; sweep again without --no-poses into another --out"
-        )
+        words = "stored without poses; sweep again without no_poses into another --out"
+        raise RunError(f"{run.folder}: {words}")
+
+
+@check_arguments(
+    run=instance_of(Run, "what load_run(FOLDER) gives"),
+    method=text,
+    n=integer(0),
+    judge=instance_of(Judge, "Judge(RUN)"),
+    seed=optional(integer(0)),
+)
+def reevaluate(
+    run: Run, method: str, n: int, judge: Judge, *, seed: int | None = None
+) -> Reevaluation:
+    """Judge `n` rows of a method again, drawn without replacement; one shard is in memory.
+
+    Args:
+        run: the stored run.
+        method: name of the method.
+        n: rows; all of them if the run has fewer.
+        judge: the evaluator of the run.
+        seed: of the draw.
+
+    Raises:
+        RunError: the run holds no poses.
+    """
+    check_poses(run)
     receipts = run.entry(method)["receipts"]
     sizes = {index: r["last"] - r["first"] for index, r in sorted(receipts.items())}
     ends = np.cumsum([0, *sizes.values()])
@@ -191,39 +217,31 @@ def rejudge(run: Run, method: str, n: int, judge: Judge, *, seed: int | None = N
             same, found = _shard_again(stored, run.shard("poses", method, index), judge)
             equal += same
             differences += found
-    return Rejudged(method, total, len(chosen), equal, tuple(differences))
+    return Reevaluation(method, total, len(chosen), equal, tuple(differences))
 
 
 def _shard_again(stored: pa.Table, poses: pa.Table, judge: Judge) -> tuple[int, list[Difference]]:
-    """How many rows are equal bit for bit, and what differs beyond what the machine explains."""
-    ids, posed = stored["trial_id"].to_numpy(), poses["trial_id"].to_numpy()
-    place = {int(trial): row for row, trial in enumerate(posed)}
-    rows = [place.get(int(i), -1) for i in ids]
-    answered = np.array(rows) >= 0
+    """How many rows are equal bit for bit, and what differs by more than the machine explains."""
+    ids = stored["trial_id"].to_numpy()
+    posed = poses.filter(pc.is_in(poses["trial_id"], stored["trial_id"]))
     again: dict[int, dict[str, Any]] = {}
-    if answered.any():
-        kept = poses.take(pa.array([r for r in rows if r >= 0]))
-        T = [_matrices(kept[k]) for k in ("T_obj_ee", "T_world_ee")]
-        again = {
-            row["trial_id"]: row
-            for row in judge.rows(ids[answered], *T).select(COMPARED).to_pylist()
-        }
-    # an older run lacks some columns, which are read as empty: they say nothing that could be wrong
+    if len(posed):
+        T = [_matrices(posed[k]) for k in ("T_obj_ee", "T_world_ee")]
+        rows = judge.rows(posed["trial_id"].to_numpy(), *T).select(COMPARED).to_pylist()
+        again = {row["trial_id"]: row for row in rows}
+    # an older run lacks some columns; they are read as null and claim nothing
     silent = [k for k in LATER_COLUMNS if stored[k].null_count == len(stored)]
     equal, found = 0, []
-    for row in stored.select(COMPARED).to_pylist():
-        other = again.get(row["trial_id"])
-        if other is None:  # no pose is stored: nobody answered, and the row must say so
-            other = dict.fromkeys(COMPARED) | {
-                k: row[k] for k in ("trial_id", "object", "split", "side")
-            }
-            other["outcome"] = "missing"
+    for trial_id, row in zip(ids, stored.select(COMPARED).to_pylist()):
+        # without a pose the method gave no answer, and the row must say so
+        same = {k: row[k] for k in ("trial_id", "object", "split", "side")}
+        other = again.get(int(trial_id), {**dict.fromkeys(COMPARED), **same, "outcome": "missing"})
         differing = [k for k in COMPARED if row[k] != other[k] and k not in silent]
         equal += not differing
-        told = [k for k in differing if not judge.other or not _close(k, row[k], other[k])]
         found += [
             Difference(row["trial_id"], k, row[k], other[k], bool(other["borderline"]))
-            for k in told
+            for k in differing
+            if not judge.other or not _close(k, row[k], other[k])
         ]
     return equal, found
 

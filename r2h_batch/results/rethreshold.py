@@ -1,5 +1,4 @@
-"""Other thresholds without simulating again: `python -m r2h_batch.rescore RUN --reach-radius
-.08:.12:.01`
+"""Rates at other thresholds, without simulation: `r2h-batch results rethreshold RUN`.
 
 Exact, trial by trial, for the poses that were scored (a method that asks the evaluator might choose
 others):
@@ -16,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.command_line import call, refuse
+from r2h_batch.command_line import refuse
 from r2h_batch.validate import parse_number
 from r2h_batch.verdicts import SPLITS, Outcome
 
@@ -68,7 +67,7 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
                         [short[method], SPLITS[k], *key, *rates, str(point.undecided[method])]
                     )
     parts = [
-        "Rates in percent of all planned trials, thresholds in metres, rescored from stored margins.",
+        "Rates in percent of all planned trials, thresholds in metres, computed from stored margins.",
         aligned(["Method", "Split", "r_h", "w_max", "safe", *shown, "undecided"], lines, 2),
     ]
     if len(methods) > 1:
@@ -89,7 +88,7 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def run(
+def rethreshold(
     run: Path,
     /,
     *,
@@ -101,14 +100,14 @@ def run(
     """Print the rates of a run folder at other thresholds, and how stable the ranks are.
 
     Args:
-        run: a run folder, as `python -m r2h_batch.sweep --out` writes it.
+        run: a run folder, as `r2h-batch sweep --out` writes it.
         reach_radius: r_h in metres, A,B,... or LOW:HIGH:STEP.
         w_max: widest material that the gripper holds, at most the run's own.
         safe_margin: distance that the robot must keep from the hand, at most 0.0499.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
     """
     from r2h_batch.runs.store import load_run
-    from r2h_batch.statistics.thresholds import rescore
+    from r2h_batch.statistics import thresholds
 
     try:
         grid = {
@@ -119,14 +118,7 @@ def run(
         stored = load_run(run).only(method)
         if not stored.methods:
             raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
-        sys.stdout.write(render(rescore(stored, **grid), stored.methods))
+        sys.stdout.write(render(thresholds.rethreshold(stored, **grid), stored.methods))
     except ValueError as error:
-        return refuse("rescore", error)
+        return refuse("results", error)
     return 0
-
-
-def main(
-    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.rescore"
-) -> int:
-    """Exit code: 0 printed, 2 refused with one line."""
-    return call(run, sys.argv[1:] if arguments is None else arguments, prog=prog, name="rescore")

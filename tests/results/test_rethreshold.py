@@ -8,7 +8,7 @@ import torch
 from made_runs import NAMES, make_header, make_scores, make_trials
 from problems import default_evaluator
 
-from r2h_batch import rescore
+from r2h_batch.results import rethreshold as thresholds
 from r2h_batch.runs.rows import score_rows
 from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.statistics import thresholds as others
@@ -40,7 +40,7 @@ def made(tmp_path_factory):
     distance = 0.2 * torch.rand(6000, generator=random)
     width = 0.12 * torch.rand(6000, generator=random)
     clearance = (0.08 * torch.rand(6000, generator=random) - 0.02).clamp(max=0.05)
-    folder = tmp_path_factory.mktemp("rescore") / "run"
+    folder = tmp_path_factory.mktemp("rethreshold") / "run"
     run = open_run(folder, make_header(3000, 3000, shard_trials=1000, **HEADER))
     scores = scored(trials, distance, width, clearance, BASE)
     for method, order in (("m", torch.arange(6000)), ("other", torch.randperm(6000, generator=random))):
@@ -57,7 +57,7 @@ def test_every_setting_counts_what_scoring_with_it_counts(made):
     run, trials, distance, width, clearance = made
     radii, widths = (0.02, 0.08, 0.1, 0.12), (0.03, 0.07, 0.085)
     grid = {"reach_radius_m": radii, "w_max_m": widths, "safe_margin_m": (0.0, 0.004, 0.045)}
-    points = others.rescore(run, **grid)
+    points = others.rethreshold(run, **grid)
     assert len(points) == 4 * 3 * 3
     seen = set()
     for point in points:
@@ -72,7 +72,7 @@ def test_every_setting_counts_what_scoring_with_it_counts(made):
 
 def test_the_runs_own_thresholds_give_back_the_stored_outcomes(made):
     run, *_ = made
-    (point,) = others.rescore(run)
+    (point,) = others.rethreshold(run)
     stored = run.trials("m")["outcome"].to_pylist()
     assert point.counts["m"][:, Outcome.SUCCESS].sum() == stored.count("success")
     assert point.counts["m"][:, Outcome.SAFE].sum() == stored.count("safe")
@@ -88,7 +88,7 @@ def test_a_grasp_that_fails_for_another_reason_than_its_width_still_fails(tmp_pa
     with run.write("m", *run.todo("m")) as writer:
         writer.append(trials=score_rows(trials, scores, NAMES))
     for w_max in (0.085, 0.08, 0.03):
-        (point,) = others.rescore(load_run(tmp_path), w_max_m=[w_max])
+        (point,) = others.rethreshold(load_run(tmp_path), w_max_m=[w_max])
         assert point.counts["m"][0, Outcome.STABILITY] == 1 and point.counts["m"][0, Outcome.SUCCESS] == 1
 
 
@@ -99,7 +99,7 @@ def test_a_trial_on_the_threshold_is_counted_as_undecided(tmp_path):
     run.register("m", {})
     with run.write("m", *run.todo("m")) as writer:
         writer.append(trials=score_rows(trials, scores, NAMES))
-    (point,) = others.rescore(load_run(tmp_path), reach_radius_m=[0.03])
+    (point,) = others.rethreshold(load_run(tmp_path), reach_radius_m=[0.03])
     assert point.undecided["m"] == 1
 
 
@@ -116,7 +116,7 @@ def test_a_trial_on_the_threshold_is_counted_as_undecided(tmp_path):
 )
 def test_what_cannot_be_rescored_exactly_is_refused_with_what_can(made, capsys, flags, parts):
     run, *_ = made
-    assert rescore.run(run.folder, **flags) == 2
+    assert thresholds.rethreshold(run.folder, **flags) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1
     for part in parts:
@@ -124,14 +124,14 @@ def test_what_cannot_be_rescored_exactly_is_refused_with_what_can(made, capsys, 
 
 
 def test_ranges_hold_both_ends():
-    assert rescore.values(".08:.12:.01", "x") == (0.08, 0.09, 0.1, 0.11, 0.12)
-    assert rescore.values(".08:.119:.01", "x") == (0.08, 0.09, 0.1, 0.11)
-    assert rescore.values(".1,.2", "x") == (0.1, 0.2) and rescore.values("1", "x") == (1.0,)
+    assert thresholds.values(".08:.12:.01", "x") == (0.08, 0.09, 0.1, 0.11, 0.12)
+    assert thresholds.values(".08:.119:.01", "x") == (0.08, 0.09, 0.1, 0.11)
+    assert thresholds.values(".1,.2", "x") == (0.1, 0.2) and thresholds.values("1", "x") == (1.0,)
 
 
 def test_the_command_prints_rates_and_rank_stability(made, capsys):
     run, *_ = made
-    assert rescore.run(run.folder, reach_radius=".02:.12:.02", safe_margin="0,.01") == 0
+    assert thresholds.rethreshold(run.folder, reach_radius=".02:.12:.02", safe_margin="0,.01") == 0
     text = capsys.readouterr().out
     assert (
         "12 settings" in text
@@ -140,7 +140,7 @@ def test_the_command_prints_rates_and_rank_stability(made, capsys):
         and "undecided" in text
         and text.isascii()
     )
-    points = others.rescore(run, reach_radius_m=rescore.values(".02:.12:.02", "r"))
+    points = others.rethreshold(run, reach_radius_m=thresholds.values(".02:.12:.02", "r"))
     ranks = others.rank_stability(points, run.methods)
     rates = np.array([[p.rate(m) for m in run.methods] for p in points])
     assert ranks[0, 0] == pytest.approx(((rates[:, 0] > rates[:, 1]) + 0.5 * (rates[:, 0] == rates[:, 1])).mean())
@@ -171,7 +171,7 @@ def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
         again = Evaluator(EvalConfig(thresholds=thresholds))
         outcome = again.score(predictions.T_obj_ee, predictions.T_world_ee, trials).outcome.numpy()
         grid = {"reach_radius_m": [radius], "w_max_m": [width], "safe_margin_m": [safe]}
-        (point,) = others.rescore(load_run(tmp_path), **grid)
+        (point,) = others.rethreshold(load_run(tmp_path), **grid)
         expected = np.stack([np.bincount(outcome[part], minlength=9) for part in (slice(0, n), slice(n, 2 * n))])
         assert np.array_equal(point.counts["random"], expected)
         assert point.undecided["random"] == 0
