@@ -15,13 +15,13 @@ from unittest import mock
 
 import numpy as np
 import torch
+from _frontier_lanes import counting
 from _report import Report
-from _waves import counting
 
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import distance, plan
-from r2h_batch.judge.wave.waves import waves_on_cpu
+from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import trials_with_ids
@@ -75,7 +75,7 @@ def longest_us(launches: list[np.ndarray]) -> float:
 def report_lanes(report: Report, trials: int) -> None:
     """Lines of one chunk of `random` trials in the GPU's form: each stage, the least useful of them, the longest chain of all.
 
-    What goes in waves is counted by _waves.py, kernels of one thread a trial row by row.
+    What goes level by level is counted by _frontier_lanes.py, kernels of one thread a trial row by row.
     """
     evaluator, lanes = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=trials), threads=1), Lanes()
     batch = trials_with_ids(torch.arange(trials), objects=evaluator.scene.objects)
@@ -83,19 +83,19 @@ def report_lanes(report: Report, trials: int) -> None:
     asked = poses.T_obj_ee, poses.T_world_ee, batch
     evaluator.score(*asked)
     with (
-        waves_on_cpu(),
-        counting() as waved,
+        planning_form("frontier"),
+        counting() as counted,
         mock.patch.object(plan, "launch_trials", lanes.launch),
         mock.patch.object(distance, "launch_trials", lanes.launch),
     ):
         evaluator.score(*asked)
     kept = {k: v for k, v in lanes.costs.items() if k not in RARE}
-    found = {name: waved.of_stage(name) for name in waved.stages()}
+    found = {name: counted.of_stage(name) for name in counted.stages()}
     found |= {name: (useful(launches), longest_us(launches)) for name, launches in kept.items()}
     for name, (share, chain) in found.items():
         report.add(f"gpu_build.useful_lanes.{name}", share)
         report.add(f"gpu_build.longest_chain_us.{name}", chain)
-    for name, share in zip(("", "_thread_a_pair", "_warp_a_problem"), waved.of_gjk(), strict=True):
+    for name, share in zip(("", "_thread_a_pair", "_warp_a_problem"), counted.of_gjk(), strict=True):
         report.add(f"gpu_build.useful_lanes_gjk{name}", share)
     for name, launches in kept.items():
         report.add(f"gpu_build.useful_lanes_packed.{name}", useful([packed(x) for x in launches]))

@@ -68,12 +68,12 @@ def let_collide(twin: oracle.MujocoScene, classes: tuple[str, ...]) -> mujoco.Mj
     of = np.zeros(m.ngeom, int)
     for i, name in enumerate(groups):
         of[[m.geom(g).id for g in twin.groups[name]]] = i
-    partners = np.zeros(len(groups), int)
+    obstacles = np.zeros(len(groups), int)
     for (a, b), k in zip(twin.pairs, twin.pair_class, strict=True):
         if oracle.CLASSES[k] in classes:
-            partners[of[a]] |= 1 << of[b]
+            obstacles[of[a]] |= 1 << of[b]
     m.geom_contype[:] = 1 << of
-    m.geom_conaffinity[:] = partners[of]
+    m.geom_conaffinity[:] = obstacles[of]
     for body in range(m.nbody):
         mine = m.geom_bodyid == body
         m.body_contype[body] = np.bitwise_or.reduce(m.geom_contype[mine], initial=0)

@@ -29,7 +29,7 @@ from _report import ROOT, Report, arguments
 from r2h_batch import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.wave.waves import waves_on_cpu
+from r2h_batch.judge.frontier.levels import FORMS, planning_form
 from r2h_batch.launch.cached import CachedLaunch
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import trials_with_ids
@@ -41,6 +41,8 @@ MARGIN_M = 1e-4
 CHUNKS = (2048, 8192, 32768)
 BLOCKS = (32, 64, 128, 256)
 WORLDS = (256, 1024, 4096, 16384)
+FORM_ROWS = 32_000
+"""Rows that decide between the two forms of planning."""
 REPEATS = 3
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 Batch = tuple[torch.Tensor, torch.Tensor, Trials]
@@ -183,7 +185,7 @@ def equal_to_cpu(bench: Bench) -> None:
     for name, batch in (("mix", bench.mix), ("random", bench.random)):
         there = bench.evaluator.score(*bench.there(batch)).to("cpu")
         here = bench.on_cpu.score(*batch)  # one thread a trial: other paths where they are searched, the same outcomes
-        with waves_on_cpu():
+        with planning_form("frontier"):
             alike = bench.on_cpu.score(*batch)
         sharp = ~(here.borderline | there.borderline)
         differ = (here.outcome != there.outcome) & sharp
@@ -239,6 +241,25 @@ def throughput(bench: Bench) -> None:
             bench.report.add(f"gpu.trials_per_s.chunk_{chunk}.block_{block}", rate)
             best = max(best, rate)
     bench.report.add("gpu.trials_per_s", best)
+
+
+def both_forms(bench: Bench) -> None:
+    """The same rows planned in both forms: level by level (kernels/frontier/), one thread a trial (kernels/plan/)."""
+    n = FORM_ROWS if bench.cuda else bench.trials
+    batch = bench.repeated(bench.mix, n)
+    evaluator = Evaluator(replace(KINEMATIC, chunk=n), device=bench.device)
+    rates: dict[str, float] = {}
+    outcomes = []
+    for form in FORMS:
+        with planning_form(form):
+            rates[form] = n / bench.seconds(partial(evaluator.score, *batch))
+            outcomes.append(evaluator.score(*batch).outcome.cpu())
+        bench.report.add(f"gpu.forms.{form}.trials_per_s", rates[form])
+    loser, winner = sorted(rates, key=lambda form: rates[form])
+    bench.report.add("gpu.forms.rows", n)
+    bench.report.add("gpu.forms.loser", loser)
+    bench.report.add("gpu.forms.winner_is_faster_by", rates[winner] / rates[loser])
+    bench.report.add("gpu.forms.outcomes_that_differ", int((outcomes[0] != outcomes[1]).sum()))
 
 
 def pose_stage(bench: Bench) -> None:
@@ -306,7 +327,7 @@ def profile(bench: Bench) -> None:
 
 
 PARTS: tuple[Callable[[Bench], None], ...] = (
-    machine, capture_first, compile_times, equal_to_cpu, equal_bits, throughput, pose_stage, worlds, profile,
+    machine, capture_first, compile_times, equal_to_cpu, equal_bits, both_forms, throughput, pose_stage, worlds, profile,
     marked_tests, memcheck,
 )  # fmt: skip
 """In the order of what is missed most when the time ends."""

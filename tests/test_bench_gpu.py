@@ -28,6 +28,10 @@ def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path,
     assert set(ends) == {p.__name__ for p in gpu.PARTS} and all(v.startswith("done") for v in ends.values())
     assert values["gpu.mix.outcomes_that_differ"] == 0 and values["gpu.mix.trials"] == 6
     assert values["gpu.same_bits.permuted"] is True and values["gpu.trials_per_s"] > 0
+    rates = {form: values[f"gpu.forms.{form}.trials_per_s"] for form in ("frontier", "one_thread")}
+    assert values["gpu.forms.loser"] == min(rates, key=rates.get) and values["gpu.forms.winner_is_faster_by"] >= 1
+    assert values["gpu.forms.rows"] == 6 and values["gpu.forms.outcomes_that_differ"] == 0
+    assert f"| gpu.forms.loser | {values['gpu.forms.loser']} |" in (tmp_path / "gpu.md").read_text()
     assert "%" in values["gpu.profile.1"] and "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
 
 

@@ -331,9 +331,9 @@ def _kernels():
 
 
 def _queues(kernel) -> set[str]:
-    """Parameters that are queues of kernels/wave/: every stage reads them and adds to them, and their type says so."""
+    """Parameters that are queues of kernels/frontier/: every stage reads them and adds to them, and their type says so."""
     kinds = {a.label: getattr(getattr(a.type, "cls", None), "__module__", "") for a in kernel.adj.args}
-    return {label for label, module in kinds.items() if module.startswith("r2h_batch.kernels.wave.")}
+    return {label for label, module in kinds.items() if module.startswith("r2h_batch.kernels.frontier.")}
 
 
 def test_what_a_kernel_writes_is_an_output():

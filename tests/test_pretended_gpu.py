@@ -10,9 +10,9 @@ from pretend_cuda import OnCuda, Seen, pretending
 
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.frontier import levels
+from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.judge.ik import home_posture
-from r2h_batch.judge.wave import waves
-from r2h_batch.judge.wave.waves import waves_on_cpu
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.scene import Scene
@@ -45,7 +45,7 @@ def scored(gpu: tuple[Seen, Evaluator], poses: Predictions, trials: Trials, stag
     for list_ in (seen.waits, seen.arrays, seen.launches):
         list_.clear()
     with mock.patch.object(
-        waves, "CUDA_LANES", 256
+        levels, "CUDA_LANES", 256
     ):  # a CPU runs them one after the other; rows do not depend on how many
         return evaluator.score(*there, stages)
 
@@ -98,7 +98,7 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
     there = scored(gpu, poses, trials, "all", plan=plan)
     assert 1 <= len(seen.waits) <= 4, seen.waits
     assert ("rrt_connect" if plan.edge_check == "moveit" else "enter_edges") in seen.launches
-    if plan.edge_check != "moveit":  # on CUDA these two sample whatever is asked (plan/edge.py `mode_of_one_thread`)
+    if plan.edge_check != "moveit":
         assert {"take_arcs", "draw_arcs"} <= {*seen.launches} and not {"rrt_connect", "shortcut"} & {*seen.launches}
     assert {"pair_distances", "face_distances"} <= {*seen.launches}
     assert not {"straight_lines", "safe_distance"} & {*seen.launches}
@@ -108,20 +108,20 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
     assert copied.asked is not None and copied.asked.trials.T_world_hand.device.type == "cpu"
     evaluator = Evaluator(replace(KINEMATIC, plan=plan))
     here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
-    assert torch.equal(copied.outcome, here.outcome)  # paths are searched in another way (tests/judge/test_waves.py)
-    with waves_on_cpu():
+    assert torch.equal(copied.outcome, here.outcome)  # paths are searched in another way (tests/judge/test_frontier.py)
+    with planning_form("frontier"):
         here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     assert bits(copied) == bits(here)
 
 
-def test_a_receivers_body_is_walked_in_waves_for_one_wait_more(gpu: tuple[Seen, Evaluator], scene: Scene) -> None:
+def test_a_receivers_body_is_walked_level_by_level_for_one_wait_more(gpu: tuple[Seen, Evaluator], scene: Scene) -> None:
     trials = make_trials(trials=16, protocol="r2h-v1")
     poses = random.predict(trials, scene, seed=0)
     there = scored(gpu, poses, trials, "all", receiver="body")
     assert len(gpu[0].waits) <= 5, gpu[0].waits
     assert "path_clearance" not in gpu[0].launches
     copied = there.to("cpu")
-    with waves_on_cpu():
+    with planning_form("frontier"):
         here = Evaluator(replace(KINEMATIC, receiver="body")).score(poses.T_obj_ee, poses.T_world_ee, trials)
     assert bits(copied) == bits(here) and (here.body_m[here.path_len > 0] <= CLEARANCE_CAP_M).sum() >= 3
 

@@ -159,10 +159,10 @@ MUTATIONS = (
         ("tests/kernels/test_collision.py::test_verdicts_on_10_000_postures_agree_with_mujoco_c",),
     ),
     Mutation(
-        "collision: a stretch is free although its bodies may still meet",
-        "kernels/plan/check.py",
-        "                if apart < margin + travel:",
-        "                if apart < margin:",
+        "collision: an interval is free although its bodies may still meet",
+        "kernels/plan/obstacles.py",
+        "    return apart >= margin + travel",
+        "    return apart >= margin",
         ("tests/kernels/test_collision.py::test_edges_certified_free_never_penetrate_when_sampled_densely",),
     ),
     Mutation(

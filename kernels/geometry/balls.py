@@ -47,7 +47,7 @@ def balls_near(
 ) -> wp.uint64:  # fmt: skip
     """Balls that may come nearer than `target` (m) to the moving capsule c0-c1 over an interval q + s d, -1 <= s <= 1.
 
-    The capsule and its motion are those of a `Mover` (plan/partners.py). A ball that is within target + tolerance in the
+    The capsule and its motion are those of a `MovingBody` (plan/obstacles.py). A ball that is within target + tolerance in the
     interval's middle keeps its bit unless `travel` alone settles it.
     """
     ...

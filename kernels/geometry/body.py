@@ -136,7 +136,7 @@ def swept_support(
         least = c + wp.dot(g, x) - body.radius * wp.length(g)
         rest = wp.min(rest, third / 6.0 - 0.5 * wp.min(least, 0.0))
     low = float(1.0e30)
-    # n . (w x x) = (n x w) . x: the moving body is asked for its support along n +- n x w
+    # n . (w x x) = (n x w) . x: it takes the moving body's support along n +- n x w
     m = wp.cross(n, w)
     for k in range(2):
         s = float(2 * k - 1)

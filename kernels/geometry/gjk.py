@@ -16,12 +16,7 @@ pairs, while |v| itself can collapse to 0 between separated thin bodies.
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import ROUNDING_M, Body, support
-from r2h_batch.kernels.geometry.simplex import (
-    ALL_OF_IT,
-    nearest_on_edge,
-    nearest_on_face,
-    nearest_on_tetrahedron,
-)
+from r2h_batch.kernels.geometry.simplex import ALL_OF_IT, nearest_on_edge, nearest_on_face, nearest_on_tetrahedron
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)
@@ -44,7 +39,7 @@ class Distance:
 # 1. w = support of A along -v less support of B along v: the point of the difference that lies farthest towards the origin;
 # 2. v . w / |v| is a bound from below, |v| one from above (the head of this file); the best of each is kept, as |v| need
 #    not fall in float32;
-# 3. stop when the bound is as large as was asked, when both agree, or when w is a vertex of s already: no progress is left;
+# 3. stop when the bound is as large as needed, when both agree, or when w is a vertex of s already: no progress is left;
 # 4. else w joins s, and s shrinks to the vertex, edge, face or tetrahedron that holds the new v (simplex.py). A
 #    tetrahedron that holds the origin itself: the cores overlap.
 #

@@ -59,7 +59,7 @@ def _nearest_on_edge_of(a: wp.vec3, b: wp.vec3, c: wp.vec3, edge: int):
 def nearest_on_face(a: wp.vec3, b: wp.vec3, c: wp.vec3):
     """Part, weights and point of a triangle, by Voronoi regions (Ericson, Real-Time Collision Detection, 5.1.5).
 
-    As triangle.py has it, for the origin; the weights va : vb : vc decide the region only.
+    As closest.py has it, for the origin; the weights va : vb : vc decide the region only.
     """
     ab = b - a
     ac = c - a

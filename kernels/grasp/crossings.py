@@ -14,7 +14,7 @@ from r2h_batch.kernels.geometry.lanes import (
     triangles_in_prism,
 )
 from r2h_batch.kernels.geometry.surface import Surfaces, line_hit
-from r2h_batch.kernels.grasp.runs import FAR, JOIN_M, MAX_RUNS, add_run
+from r2h_batch.kernels.grasp.prism import FAR, JOIN_M, MAX_RUNS, add_run
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)

@@ -24,8 +24,7 @@ from r2h_batch.kernels.geometry.lanes import (
 )
 from r2h_batch.kernels.geometry.surface import Surfaces, line_hit
 from r2h_batch.kernels.grasp.crossings import solid_along_line
-from r2h_batch.kernels.grasp.prism import corner
-from r2h_batch.kernels.grasp.runs import COVERED_M, JOIN_M, add_run, outermost
+from r2h_batch.kernels.grasp.prism import COVERED_M, JOIN_M, add_run, corner, outermost
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)

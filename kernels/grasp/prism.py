@@ -1,8 +1,4 @@
-"""The prism that the pads sweep, |x| <= half_x and z_low <= z <= z_high in the ee frame, and what a triangle leaves in it.
-
-A triangle cut to a prism along y is a polygon. Its corners are ends of what the triangle's edges have inside the prism,
-or points of the triangle on the prism's four corner lines: y, being linear on it, is extreme at one of these.
-"""
+"""The prism of the finger pads, and runs of material along its axis: disjoint intervals [low, high] of y."""
 
 import warp as wp
 
@@ -29,3 +25,52 @@ def clip_edge(p: float, q: float, low: float, high: float, t0: float, t1: float)
 def corner(i: int, half_x: float, z_low: float, z_high: float):
     """x, z of the prism's corner line i = 0 .. 3."""
     return wp.where(i < 2, -half_x, half_x), wp.where(i % 2 == 0, z_low, z_high)
+
+
+MAX_RUNS = wp.constant(24)
+JOIN_M = wp.constant(1.0e-6)
+COVERED_M = wp.constant(1.0e-7)
+FAR = wp.constant(1.0e30)
+
+
+@wp.func(inline=False)
+def add_run(low: wp.array(dtype=float), high: wp.array(dtype=float), n: int, a: float, b: float) -> int:
+    """Joins [a, b] to the runs it meets, in place; the new number of runs."""
+    i = int(0)
+    while i < n:
+        if a <= high[i] + JOIN_M and b >= low[i] - JOIN_M:
+            a = wp.min(a, low[i])
+            b = wp.max(b, high[i])
+            n -= 1
+            low[i] = low[n]
+            high[i] = high[n]
+            i = 0  # the grown run may meet one that was passed
+        else:
+            i += 1
+    if n < MAX_RUNS:
+        low[n] = a
+        high[n] = b
+        n += 1
+    else:  # no room: the nearest run takes it in
+        gap = float(FAR)
+        k = int(0)
+        for j in range(n):
+            d = wp.max(low[j] - b, a - high[j])
+            if d < gap:
+                gap = d
+                k = j
+        low[k] = wp.min(low[k], a)
+        high[k] = wp.max(high[k], b)
+    return n
+
+
+@wp.func
+def outermost(run_low: wp.array(dtype=float), run_high: wp.array(dtype=float), runs: int, half_gap: float):
+    """Lowest and highest y of the runs that meet |y| < half_gap (low > high: none)."""
+    low = float(FAR)
+    high = float(-FAR)
+    for i in range(runs):
+        if run_high[i] > -half_gap and run_low[i] < half_gap:
+            low = wp.min(low, run_low[i])
+            high = wp.max(high, run_high[i])
+    return low, high

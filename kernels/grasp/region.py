@@ -8,6 +8,7 @@ minus the primitive's inner radius. Depths are thus lower bounds on how far the 
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import BOX, SPHERE
+from r2h_batch.kernels.geometry.closest import inner_radius, signed_distance
 from r2h_batch.kernels.geometry.lanes import (
     BOX_M,
     LANES,
@@ -20,7 +21,6 @@ from r2h_batch.kernels.geometry.lanes import (
     points_near,
     triangles_near,
 )
-from r2h_batch.kernels.geometry.primitives import inner_radius, signed_distance
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose
 from r2h_batch.kernels.grasp.crossings import crossings
 from r2h_batch.kernels.grasp.triangle import GJK_M, apart, bounding_half, triangle_clearance

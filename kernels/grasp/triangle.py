@@ -7,8 +7,8 @@ inside.
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, HULL, SPHERE, Body
+from r2h_batch.kernels.geometry.closest import TOUCH_M, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
-from r2h_batch.kernels.geometry.primitives import TOUCH_M, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.options import OPTIONS
 
 wp.set_module_options(OPTIONS)

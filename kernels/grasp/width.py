@@ -7,7 +7,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.surface import Surfaces, inverse_pose
 from r2h_batch.kernels.grasp.material import material_between
-from r2h_batch.kernels.grasp.runs import FAR
+from r2h_batch.kernels.grasp.prism import FAR
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, gap_from_drive, pad_center_z_range
 

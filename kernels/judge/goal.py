@@ -1,17 +1,17 @@
-"""The goal posture of a handover pose: which branch the planner would go to first, how clear it is, how near the hand's mesh."""
+"""The goal posture of a pose: the branch that the planner would take first, its clearance, its distance to the hand."""
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.closest import TOUCH_M
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
-from r2h_batch.kernels.geometry.primitives import TOUCH_M
 from r2h_batch.kernels.judge.hand_distance import HandDistance, posture_distance
 from r2h_batch.kernels.judge.nearness import guessed_distance
 from r2h_batch.kernels.options import OPTIONS, on_cuda, opaque
-from r2h_batch.kernels.plan.check import examine
+from r2h_batch.kernels.plan.check import check_interval
 from r2h_batch.kernels.plan.codes import (
     BRANCHES,
     FREE,
-    MAX_PARTNERS,
+    MAX_OBSTACLES,
     PAIR_HAND,
     PAIR_NONE,
     PAIR_OF_OBJECT,
@@ -22,7 +22,7 @@ from r2h_batch.kernels.plan.codes import (
     REASON_OK,
     REASON_START_IN_COLLISION,
 )
-from r2h_batch.kernels.plan.partners import Query
+from r2h_batch.kernels.plan.obstacles import Query
 from r2h_batch.kernels.plan.posture import PairClearance, posture_clearance
 from r2h_batch.kernels.robot.posture import load
 from r2h_batch.kernels.robot.world import FIELDS, WRIST_3, TrialBodies, World, forward_kinematics, vec6
@@ -53,16 +53,17 @@ def _nearest_untried(q_in: wp.array2d(dtype=float), trial: int, home: vec6, trie
     return slot
 
 
-# The planner goes to the free branch that is nearest to home (joint space), and says what blocks the first valid one if
-# none is free. The same without a path, in one loop around one call of `examine` (inlined, it is most of the kernel):
+# The planner goes to the free branch that is nearest to home in joint space. If none is free, it names what blocks the first
+# valid one. This kernel does the same without a path, in one loop around one call of `check_interval` (most of its code):
 #
-# 1. the posture asked for first is home itself (slot -1). If it is not free, no path starts: that reason stands, and the
-#    branches are still tried, as the goal's clearance is measured at whichever is free;
-# 2. then the valid branches by distance from home, until one is free;
-# 3. `tried` has a bit per branch that is done with: invalid ones from the start, others once they were asked. When no bit
-#    is left the reason stays what it was: unreachable without any valid branch, else in collision;
-# 4. a branch is first asked for the one body and kind of pair that blocked the one before, which is quick: what rides on the
-#    wrist stands alike in all. Not the first valid one, as long as what blocks it is to be said: that is the first pair of all.
+# 1. home comes first (slot -1). If home is not free, that is the reason. The branches are still checked, because the goal's
+#    clearance is measured at the one that is free;
+# 2. the valid branches follow by distance from home, until one is free;
+# 3. `tried` has a bit for each branch that needs no check: invalid ones, and those that are checked. When all bits are set the
+#    reason stays: unreachable without any valid branch, else in collision;
+# 4. a branch is first checked for the body and kind of pair that blocked the one before. This is quick and often enough, because
+#    all that rides on the wrist stands in the same place in every branch. The first valid branch is checked in full order
+#    when the caller wants to know what blocks it.
 @wp.kernel
 def choose_goal(
     first: int,
@@ -107,7 +108,7 @@ def choose_goal(
     p = wp.zeros(shape=7, dtype=wp.vec3)
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
-    partner = wp.zeros(shape=MAX_PARTNERS, dtype=int)
+    obstacle = wp.zeros(shape=MAX_OBSTACLES, dtype=int)
     masks = wp.zeros(shape=3, dtype=wp.uint64)
     query = Query()  # no motion, no margins
     query.q = home
@@ -123,7 +124,7 @@ def choose_goal(
         if quick:
             for kind in range(3):
                 masks[kind] = wp.where(kind == (blocker - PAIR_HAND) % PAIR_OF_OBJECT, blocking, wp.uint64(0))
-        found = examine(world, bodies, trial, query, False, 0.0, masks, R, p, w, v, partner)
+        found = check_interval(world, bodies, trial, query, False, 0.0, masks, R, p, w, v, obstacle)
         if quick and found.status == FREE:
             blocker = PAIR_NONE
             continue
@@ -238,7 +239,7 @@ def goal_clearance(
                 best = found
                 if step < BRANCHES:
                     slot_inout[here] = step
-                # what rides on the wrist meets hand and table alike in every branch: none can be better
+                # bodies on the wrist meet hand and table in the same way in every branch: none can be better
                 if best.clearance < 0.0 and best.pair % PAIR_SELF != 0 and best.body >= world.link_first[WRIST_3]:
                     settled = True
     trial = opaque(trial)
@@ -262,10 +263,10 @@ def goal_clearance(
     point_out[trial] = R_world_hand * (best.point - bodies.p_hand_world[trial])
 
 
-# A guess (nearness.py) leaves few faces to be asked, where they would start from `cap`; it must not be told from what comes out.
-# What does not depend on where the search starts is every distance below it, and its witness. Three answers do, and are asked
-# for again from `cap`: nothing below the guess, which is rounding; a body wholly in the hand, which is as deep as what was known
-# before it is far; and bodies that only touch, whose witness is where GJK stopped.
+# A guess (nearness.py) to start from leaves fewer faces to check than `cap` does. The result must be the same as from `cap`. Any
+# distance below the start, and its witness, do not depend on the start. Three results do, and the search repeats them from `cap`:
+# nothing below the guess (rounding); a body wholly inside the hand (its depth is measured from the distance known before); bodies
+# that only touch (their witness is where GJK stopped).
 @wp.kernel
 def goal_safe_distance(
     first: int,

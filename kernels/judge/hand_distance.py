@@ -1,12 +1,12 @@
-"""Signed distance of the robot to the hand's exact mesh at a posture, and what may come nearer on a stretch around it."""
+"""Signed distance of the robot to the hand's exact mesh at a posture, and what may come nearer on an interval around it."""
 
 import warp as wp
 
 from r2h_batch.kernels.geometry.balls import balls_beside, balls_in_reach, balls_near, lowest_bit
 from r2h_batch.kernels.geometry.body import BOX, CYLINDER, HULL, Body, support
+from r2h_batch.kernels.geometry.closest import TOUCH_M, rounded
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, inside_mesh, triangle_points
-from r2h_batch.kernels.geometry.primitives import TOUCH_M, rounded
 from r2h_batch.kernels.judge.hand_bounds import (
     ASK,
     MEETS,
@@ -17,21 +17,8 @@ from r2h_batch.kernels.judge.hand_bounds import (
     link_is_clear,
 )
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.partners import Mover, swept_mover
-from r2h_batch.kernels.robot.world import (
-    CHANGES,
-    OBJECT,
-    TrialBodies,
-    World,
-    bends,
-    body_pose,
-    forward_kinematics,
-    link_frame,
-    motion,
-    robot_body,
-    twists,
-    vec6,
-)
+from r2h_batch.kernels.plan.obstacles import MovingBody, moving_body, swept_body
+from r2h_batch.kernels.robot.world import OBJECT, TrialBodies, World, forward_kinematics, link_frame, twists, vec6
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
@@ -45,35 +32,7 @@ class HandDistance:
     point: wp.vec3
     changed: int  # 1: this call found something nearer
     inside: int  # 1: a body lies wholly in the hand; how deep is then measured from the distance known before
-    open: int  # 1: something may come nearer within the stretch
-
-
-@wp.func
-def _robot_mover(
-    world: World, bodies: TrialBodies, trial: int, link: int, b: int, d: vec6,
-    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
-):  # fmt: skip
-    """Body b of a link, its twist over the stretch, how far its levers let it travel, how its path bends."""
-    out = Mover()
-    out.link = link
-    out.body = b
-    out.shape = robot_body(world, b)
-    Rb, pb = body_pose(world, bodies, trial, R, p, b)
-    out.R = Rb
-    out.p = pb
-    axis = Rb * world.cap_axis[b]
-    out.c0 = pb - axis
-    out.c1 = pb + axis
-    out.radius = world.cap_radius[b]
-    out.travel = motion(world.lever, b, 0, d)
-    second, third = bends(world.lever, b, 0, d)
-    out.second = second
-    out.third = third
-    out.w = w[link_frame(link)]
-    out.v = v[link_frame(link)]
-    out.a = w[CHANGES + link_frame(link)]
-    out.b = v[CHANGES + link_frame(link)]
-    return out
+    open: int  # 1: something may come nearer within the interval
 
 
 @wp.func
@@ -111,13 +70,13 @@ def point_of_face(point: wp.vec3, v: wp.vec3, tri: wp.array(dtype=wp.vec3)):
 
 @wp.func
 def face_may_come_nearer(
-    world: World, mover: Mover, tri: wp.array(dtype=wp.vec3), value: float, v: wp.vec3, distance: float, tolerance: float
+    world: World, body: MovingBody, tri: wp.array(dtype=wp.vec3), value: float, v: wp.vec3, distance: float, tolerance: float
 ):  # fmt: skip
-    """1 where a face may come nearer within the stretch: neither the levers nor the plane GJK found rule it out; else 0."""
-    low = value - mover.travel
+    """1 if a face may come nearer within the interval: neither the motion radii nor GJK's plane rule it out; else 0."""
+    low = value - body.travel
     if value > 0.0 and low < distance - tolerance:
         n_hat = v / wp.length(v)
-        low = swept_mover(world, mover, n_hat, mover.second, mover.third)
+        low = swept_body(world, body, n_hat, body.second, body.third)
         low = low - wp.dot(n_hat, support(triangle_body(), tri, n_hat))
     return wp.where(low < distance - tolerance, 1, 0)
 
@@ -125,19 +84,19 @@ def face_may_come_nearer(
 # For each face of the piece, with D the distance known so far and tol the tolerance:
 #
 # 1. the ball about the face: wholly behind the plane (n, beyond) that the body keeps to, by D - tol, or farther than D - tol
-#    along the whole stretch, it is settled; it may come nearer, but not in the middle: that is left to the stretch's halves
+#    along the whole interval, it is settled; it may come nearer, but not in the middle: that is left to the interval's halves
 #    (WAITS);
 # 2. GJK of body and triangle. It is asked no further than what decides: max(limit, D);
 # 3. a box or cylinder that meets the triangle is asked again as a core that is smaller by t all around and grown by t:
 #    GJK measures how far they are apart, so the core's distance less t is the overlap, while that is below t. Where an
 #    overlap is known already only deeper ones count, and the first question is left out;
-# 4. may the face come nearer within the stretch than D - tol? First as far as the levers allow, value - travel; then along
-#    the plane that GJK found (plan/edge.py), whose slack falls with the square of the stretch's length.
+# 4. may the face come nearer within the interval than D - tol? First as far as the motion radii allow, value - travel; then along
+#    the plane that GJK found (plan/edge.py), whose slack falls with the square of the interval's length.
 @wp.func
 def nearest_to_mesh(
     world: World,
     mesh: HandMesh,
-    mover: Mover,
+    body: MovingBody,
     hand: int,
     piece: int,
     n: wp.vec3,
@@ -154,7 +113,7 @@ def nearest_to_mesh(
     out = HandDistance()
     out.distance = best
     b = triangle_body()
-    shape = mover.shape
+    shape = body.shape
     edged = is_edged(shape)
     # 64 faces at a time: most are settled all at once
     start = int(mesh.piece_face[piece])
@@ -166,8 +125,8 @@ def nearest_to_mesh(
             face = start
             left = balls_in_reach(
                 mesh.face_ball, hand * mesh.n_faces + face, wp.min(64, after - face),
-                mover.shape.kind, mover.shape.size, mover.shape.radius, mover.R, mover.p,
-                out.distance - tolerance + mover.travel, n, beyond, out.distance - tolerance,
+                body.shape.kind, body.shape.size, body.shape.radius, body.R, body.p,
+                out.distance - tolerance + body.travel, n, beyond, out.distance - tolerance,
             )  # fmt: skip
             start += 64
             continue
@@ -176,20 +135,20 @@ def nearest_to_mesh(
         ball = mesh.face_ball[hand * mesh.n_faces + at]
         if beyond - wp.dot(n, wp.vec3(ball[0], ball[1], ball[2])) - ball[3] >= out.distance - tolerance:
             continue
-        bound = bound_of_face(world, mover, ball, out.distance, tolerance, out.open)
+        bound = bound_of_face(world, body, ball, out.distance, tolerance, out.open)
         if bound == WAITS:
             out.open = 1
         if bound != ASK:
             continue
         center = wp.vec3(ball[0], ball[1], ball[2])
-        limit = out.distance - tolerance + mover.travel
+        limit = out.distance - tolerance + body.travel
         triangle_points(mesh, hand, at, tri)
-        shape = mover.shape
+        shape = body.shape
         for attempt in range(2):  # as it is, then as its core
-            if attempt == 0 and mover.travel == 0.0 and out.distance < 0.0 and edged:
+            if attempt == 0 and body.travel == 0.0 and out.distance < 0.0 and edged:
                 shape = rounded(shape.kind, shape.size)  # only faces that meet it matter any more: at once how deep
                 continue
-            d = gjk(shape, mover.R, mover.p, world.points, b, tri, center, wp.max(limit, out.distance), 0.0)
+            d = gjk(shape, body.R, body.p, world.points, b, tri, center, wp.max(limit, out.distance), 0.0)
             if attempt == 0 and d.upper <= TOUCH_M and edged:
                 shape = rounded(shape.kind, shape.size)  # they meet: once more for how deep
                 continue
@@ -199,7 +158,7 @@ def nearest_to_mesh(
                 out.point = point_of_face(d.point, d.v, tri)
                 out.changed = 1
             if out.open == 0:
-                out.open = face_may_come_nearer(world, mover, tri, value, d.v, out.distance, tolerance)
+                out.open = face_may_come_nearer(world, body, tri, value, d.v, out.distance, tolerance)
             break
     return out
 
@@ -211,8 +170,8 @@ def nearest_to_mesh(
 #     body            against each piece, ball then hull    `bound_of_piece`
 #     body            against each face, ball then triangle `nearest_to_mesh`
 #
-# A bound says SETTLED, WAITS (only within the stretch, not in its middle), ASK or MEETS. A body keeps its bit in `mask`
-# exactly when something of it waits: then the caller halves the stretch. Hulls enclose the mesh and are larger: a body in a
+# A bound says SETTLED, WAITS (only within the interval, not in its middle), ASK or MEETS. A body keeps its bit in `mask`
+# exactly when something of it waits: then the caller halves the interval. Hulls enclose the mesh and are larger: a body in a
 # hull that is clear of all faces stands in a hollow of the hand, or wholly within it, which a ray decides (`inside_mesh`).
 @wp.func
 def posture_distance(
@@ -235,7 +194,7 @@ def posture_distance(
 
     A link, then a body against the ball around the hand; a body against each piece, ball and hull; against each face of
     the pieces that are left, ball and triangle. At every step the inequalities of plan/edge.py, with what is known less
-    the tolerance in place of the margin: D - travel >= known - tolerance settles a pair for the whole stretch.
+    the tolerance in place of the margin: D - travel >= known - tolerance settles a pair for the whole interval.
     """
     out = HandDistance()
     out.distance = best
@@ -260,37 +219,37 @@ def posture_distance(
             bit = wp.uint64(1) << wp.uint64(b)
             if (mask[0] & bit) == wp.uint64(0):
                 continue
-            mover = _robot_mover(world, bodies, trial, link, b, d, R, p, w, v)
-            core = rounded(mover.shape.kind, mover.shape.size)
+            body = moving_body(world, bodies, trial, link, b, d, True, R, p, w, v)
+            core = rounded(body.shape.kind, body.shape.size)
             waits = int(0)
             hulls_met = int(0)
-            bound = bound_of_hand(world, mover, hand, out.distance, tolerance)
+            bound = bound_of_hand(world, body, hand, out.distance, tolerance)
             if bound == WAITS:
                 waits = 1
             if bound == ASK and -core.radius < out.distance - tolerance:  # it cannot be met deeper than that
                 # most pieces are settled all at once
                 left = wp.uint64(0)
-                if mover.travel == 0.0:  # a posture alone
+                if body.travel == 0.0:  # a posture alone
                     left = balls_beside(
                         world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
-                        mover.c0, mover.c1, mover.radius, out.distance - tolerance,
+                        body.c0, body.c1, body.radius, out.distance - tolerance,
                     )  # fmt: skip
                 else:
                     left = balls_near(
                         world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
-                        mover.c0, mover.c1, mover.radius, mover.travel,
-                        mover.w, mover.v, mover.a, mover.b, mover.second, mover.third,
+                        body.c0, body.c1, body.radius, body.travel,
+                        body.w, body.v, body.a, body.b, body.second, body.third,
                         1, out.distance - tolerance, tolerance,
                     )  # fmt: skip
                 while left != wp.uint64(0):
                     i = lowest_bit(left)
                     left = left & (left - wp.uint64(1))
-                    bound, n, beyond = bound_of_piece(world, mover, core, hand, i, out.distance, tolerance, waits)
+                    bound, n, beyond = bound_of_piece(world, body, core, hand, i, out.distance, tolerance, waits)
                     if bound == WAITS:
                         waits = 1
                     if bound < ASK:
                         continue
-                    near = nearest_to_mesh(world, mesh, mover, hand, i, n, beyond, out.distance, tolerance, tri)
+                    near = nearest_to_mesh(world, mesh, body, hand, i, n, beyond, out.distance, tolerance, tri)
                     if near.changed == 1:
                         out.distance = near.distance
                         out.point = near.point
@@ -301,11 +260,11 @@ def posture_distance(
                     if bound == MEETS:
                         hulls_met = 1
             # in a hull but clear of all faces: in a hollow of the mesh, or wholly inside the hand
-            if hulls_met == 1 and out.distance > 0.0 and inside_mesh(mesh, hand, mover.p, tri):
+            if hulls_met == 1 and out.distance > 0.0 and inside_mesh(mesh, hand, body.p, tri):
                 out.distance = wp.min(-out.distance, -TOUCH_M)
                 out.inside = 1
                 if out.body != b:
-                    out.point = mover.p  # no face was nearer than what was already known: the body's own middle
+                    out.point = body.p  # no face was nearer than what was already known: the body's own middle
                 out.body = b
                 out.changed = 1
                 waits = 1

@@ -4,18 +4,10 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.balls import nearest_ball, nearest_center
 from r2h_batch.kernels.geometry.body import from_ball
+from r2h_batch.kernels.geometry.closest import closest_on_triangle, from_point
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
-from r2h_batch.kernels.geometry.segments import from_point
-from r2h_batch.kernels.geometry.triangle import closest_on_triangle
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.world import (
-    OBJECT,
-    TrialBodies,
-    World,
-    body_pose,
-    link_frame,
-    robot_body,
-)
+from r2h_batch.kernels.robot.world import OBJECT, TrialBodies, World, body_pose, link_frame, robot_body
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 

@@ -6,8 +6,8 @@ a verdict. Here the deepest posture is looked for: every STEP_RAD along a path, 
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.closest import signed_distance
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
-from r2h_batch.kernels.geometry.primitives import signed_distance
 from r2h_batch.kernels.grasp.triangle import triangle_clearance
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.posture import posture_clearance
@@ -17,7 +17,7 @@ from r2h_batch.kernels.robot.world import TrialBodies, World, body_pose, forward
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 STEP_RAD = wp.constant(0.04)
-"""Between two postures that are looked at, summed over the joints."""
+"""Distance between two sampled postures, summed over the joints."""
 HALVINGS = wp.constant(10)
 
 

@@ -21,7 +21,7 @@ def point_to_object(
 ):
     """Distance from a point to the object (0 inside it) and the object's nearest point, object frame.
 
-    The winding number says what is inside; outside the bounding box nobody has to ask.
+    The winding number says what is inside; outside the bounding box it is not needed.
     """
     trial = first + wp.tid()
     o = object_in[trial]

@@ -6,7 +6,7 @@ from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.judge.hand_bounds import allowed_of
 from r2h_batch.kernels.judge.hand_distance import posture_distance
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_stretch
+from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
 from r2h_batch.kernels.plan.edge import PART_RAD
 from r2h_batch.kernels.robot.posture import load_waypoint
 from r2h_batch.kernels.robot.world import FIELDS, TrialBodies, World
@@ -14,12 +14,12 @@ from r2h_batch.kernels.robot.world import FIELDS, TrialBodies, World
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
 
-# Branch and bound over time. `best` is an upper bound of the smallest distance, taken at postures, and falls; a stretch of
+# Branch and bound over time. `best` is an upper bound of the smallest distance, taken at postures, and falls; an interval of
 # the path is dropped as soon as none of its postures can be below `best` less what is allowed:
 #
 # 1. the goal posture alone (step 0), which is nearest of all most of the time;
-# 2. the segments from the last to the first; each is halved depth first (bisection.py), level and index naming a stretch;
-# 3. `stack` keeps per level the bodies that the halves have to look at: what was settled for a stretch is for its halves;
+# 2. the segments from the last to the first; each is halved depth first (bisection.py), level and index naming an interval;
+# 3. `stack` keeps per level the bodies that the halves have to look at: what was settled for an interval is for its halves;
 # 4. what is allowed grows with `best`, max(tol, 0.2 %): a distance of 5 cm need not be known to a tenth of a millimetre.
 #    Overlaps are located to half their size only: how deep is asked for a slope, not for a verdict.
 @wp.kernel
@@ -56,7 +56,7 @@ def safe_distance(
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     mask = wp.zeros(shape=1, dtype=wp.uint64)
-    stack = wp.zeros(shape=16, dtype=wp.uint64)  # per level of the bisection: the mask that its stretches start from
+    stack = wp.zeros(shape=16, dtype=wp.uint64)  # per level of the bisection: the mask that its intervals start from
     everything = (wp.uint64(1) << wp.uint64(world.n_robot)) - wp.uint64(1)
     best = float(cap)
     body = int(-1)
@@ -99,7 +99,7 @@ def safe_distance(
                 level, index = descend(level, index)
                 stack[level] = mask[0]
             else:
-                level, index = next_stretch(level, index)
+                level, index = next_interval(level, index)
                 if level == 0:
                     index = 0
                     part -= 1

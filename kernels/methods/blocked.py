@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.primitives import signed_distance
+from r2h_batch.kernels.geometry.closest import signed_distance
 from r2h_batch.kernels.geometry.surface import inverse_pose
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose

@@ -6,8 +6,8 @@ The same pieces and the same distance as the planner's: what keeps clear here ke
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import HULL, Body
+from r2h_batch.kernels.geometry.closest import eroded, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
-from r2h_batch.kernels.geometry.primitives import eroded, signed_distance
 from r2h_batch.kernels.geometry.surface import inverse_pose
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.primitives import signed_distance
+from r2h_batch.kernels.geometry.closest import signed_distance
 from r2h_batch.kernels.geometry.surface import inverse_pose
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
@@ -18,7 +18,7 @@ MOST_POINTS = 256
 #
 # A union's distance is the least of its parts', so each point keeps the least so far (`nearest`, never above the zone) and
 # parts that cannot lower it are not asked: the object only within its bounding box grown by the zone, the gripper only
-# where the point is near the stretch of the z axis about which the gripper lies at any opening (`beside`). Inside a part
+# where the point is near the interval of the z axis about which the gripper lies at any opening (`beside`). Inside a part
 # d is negative: deep points count as more than the zone is wide. Sums run over h in order: the same bits on every device.
 @wp.kernel
 def pose_cost(
@@ -26,7 +26,7 @@ def pose_cost(
     # tables
     gripper: Gripper,
     zone: float,
-    axis_low: float,  # the gripper at any opening lies within axis_radius of this stretch of ee's z axis
+    axis_low: float,  # the gripper at any opening lies within axis_radius of this interval of ee's z axis
     axis_high: float,
     axis_radius: float,
     # trials

@@ -4,7 +4,7 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import vec6d
-from r2h_batch.kernels.robot.trapezoid import duration, peak_speed
+from r2h_batch.kernels.robot.posture import duration, peak_speed
 from r2h_batch.kernels.robot.world import vec6
 
 wp.set_module_options(OPTIONS)
@@ -93,9 +93,9 @@ def path_deviation(
     first: int,
     # tables
     law: Law,
-    lever: wp.array2d(dtype=float),  # (bodies, 6)
+    motion_radius: wp.array2d(dtype=float),  # (bodies, 6)
     # trials
-    object_lever_in: wp.array2d(dtype=float),  # (B, 6)
+    object_motion_radius_in: wp.array2d(dtype=float),  # (B, 6)
     path_in: wp.array3d(dtype=float),
     time_in: wp.array2d(dtype=float),
     length_in: wp.array(dtype=int),
@@ -113,11 +113,11 @@ def path_deviation(
         held = float(0.0)
         for j in range(6):
             off[j] = float(wp.abs(f64(motion_in[trial, k, j]) - c[j]))
-            held += off[j] * object_lever_in[trial, j]
+            held += off[j] * object_motion_radius_in[trial, j]
         worst = wp.max(worst, held)
-        for b in range(lever.shape[0]):
+        for b in range(motion_radius.shape[0]):
             at = float(0.0)
             for j in range(6):
-                at += off[j] * lever[b, j]
+                at += off[j] * motion_radius[b, j]
             worst = wp.max(worst, at)
     deviation_out[trial] = worst

@@ -199,13 +199,7 @@ def start_worlds(worlds_inout: Worlds, queue: Queue, shapes: Shapes, fields_inou
 
 
 @wp.kernel
-def command_worlds(
-    law: Law,
-    worlds_inout: Worlds,
-    queue: Queue,
-    fields_inout: Fields,
-    record_out: Record,
-):
+def command_worlds(law: Law, worlds_inout: Worlds, queue: Queue, fields_inout: Fields, record_out: Record):
     """Before a step: the servos' commands. One that is not finite is noted: torque limits would hide it in the motion."""
     w = wp.tid()
     slot = worlds_inout.slot[w]

@@ -34,8 +34,7 @@
 // `x_within` of a loop's last turn in a register all the way round; a branch on the condition of
 // the `if` joins with it. GJK of listed pairs has 168 registers in place of 239.
 namespace wp {
-template <typename C, typename T>
-CUDA_CALLABLE inline T where_by_branch(const C &condition, const T &a, const T &b) {
+template <typename C, typename T> CUDA_CALLABLE inline T where_by_branch(const C &condition, const T &a, const T &b) {
     if (!!condition) {
         asm volatile(""); // empty, but no compiler moves it: the branch cannot become a select
         return a;
@@ -90,9 +89,7 @@ typedef int ints;
 struct Lane {
     int k;
     CUDA_CALLABLE inline float row(const float *p, int r) const { return p[8 * r + k]; }
-    template <typename T> CUDA_CALLABLE inline void put(T *p, int r, T x) const {
-        p[8 * r + k] = x;
-    }
+    template <typename T> CUDA_CALLABLE inline void put(T *p, int r, T x) const { p[8 * r + k] = x; }
     CUDA_CALLABLE inline int bits(int mask) const { return mask << k; }
 };
 
@@ -125,9 +122,7 @@ R2H_FUNCTION int lowest_bit(bits64 bits) {
 }
 
 // The point of one lane in rows 0 .. 2.
-R2H_FUNCTION wp::vec3 lane_point(const float *p, int lane) {
-    return wp::vec3(p[lane], p[8 + lane], p[16 + lane]);
-}
+R2H_FUNCTION wp::vec3 lane_point(const float *p, int lane) { return wp::vec3(p[lane], p[8 + lane], p[16 + lane]); }
 
 template <typename T> struct Xyz {
     T x, y, z;
@@ -148,18 +143,14 @@ R2H_FUNCTION Point cross(Point a, Point b) {
 // R x + t, of the points in rows 0 .. 2.
 R2H_FUNCTION Points placed(Lane lane, const float *p, const wp::mat33 &R, const wp::vec3 &t) {
     floats x = lane.row(p, 0), y = lane.row(p, 1), z = lane.row(p, 2);
-    auto row = [&](int i) {
-        return x * R.data[i][0] + y * R.data[i][1] + z * R.data[i][2] + t.c[i];
-    };
+    auto row = [&](int i) { return x * R.data[i][0] + y * R.data[i][1] + z * R.data[i][2] + t.c[i]; };
     return {row(0), row(1), row(2)};
 }
 
 // Half sides of boxes along the axes of the frame that R turns them to: |R| h.
 R2H_FUNCTION Points turned_sides(Lane lane, const float *p, const wp::mat33 &R) {
     floats x = lane.row(p, 0), y = lane.row(p, 1), z = lane.row(p, 2);
-    auto row = [&](int i) {
-        return x * fabsf(R.data[i][0]) + y * fabsf(R.data[i][1]) + z * fabsf(R.data[i][2]);
-    };
+    auto row = [&](int i) { return x * fabsf(R.data[i][0]) + y * fabsf(R.data[i][1]) + z * fabsf(R.data[i][2]); };
     return {row(0), row(1), row(2)};
 }
 
@@ -169,8 +160,7 @@ R2H_FUNCTION Points outside(const Points &c, const wp::vec3 &low, const wp::vec3
         floats below = low - x, above = x - high;
         return below > above ? below : above;
     };
-    return {of(c.x, low.c[0], high.c[0]), of(c.y, low.c[1], high.c[1]),
-            of(c.z, low.c[2], high.c[2])};
+    return {of(c.x, low.c[0], high.c[0]), of(c.y, low.c[1], high.c[1]), of(c.z, low.c[2], high.c[2])};
 }
 
 // The squared distance that belongs to it: the sum of the squares of what is positive.
@@ -182,9 +172,8 @@ R2H_FUNCTION floats squared_distance(const Points &d) {
 
 // Tells which of boxes i (bits `used`) each lane is near, in `near`, and which lanes are near any.
 // close(outside): whether it is, of `outside` as above.
-template <typename F> CUDA_CALLABLE inline int near_boxes(Lane lane, const Points &c,
-                                                          const wp::vec3 *low, const wp::vec3 *high,
-                                                          int used, int *near, F close) {
+template <typename F> CUDA_CALLABLE inline int near_boxes(Lane lane, const Points &c, const wp::vec3 *low,
+                                                          const wp::vec3 *high, int used, int *near, F close) {
     ints found = (ints)(0);
     for (int i = 0; used >> i != 0; ++i) {
         int bit = used & (1 << i);
@@ -200,9 +189,8 @@ template <typename F> CUDA_CALLABLE inline int near_boxes(Lane lane, const Point
 // max(low - c, c - high) - e. A ball of radius r about c is no nearer than |outside| - r. The
 // lane counts where neither bound exceeds `reach`.
 // Rows: centre x, y, z; half sides x, y, z; radius.
-R2H_FUNCTION int boxes_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t,
-                            float reach, const wp::vec3 *low, const wp::vec3 *high, int used,
-                            int *near) {
+R2H_FUNCTION int boxes_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t, float reach,
+                            const wp::vec3 *low, const wp::vec3 *high, int used, int *near) {
     int bits = each_lane([&](Lane lane) {
         Points c = placed(lane, p, R, t), e = turned_sides(lane, p + 24, R);
         floats far = lane.row(p, 6) + reach;
@@ -217,9 +205,8 @@ R2H_FUNCTION int boxes_near(const float *p, int count, const wp::mat33 &R, const
 }
 
 // As `boxes_near`, of points in rows 0 .. 2.
-R2H_FUNCTION int points_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t,
-                             float reach, const wp::vec3 *low, const wp::vec3 *high, int used,
-                             int *near) {
+R2H_FUNCTION int points_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t, float reach,
+                             const wp::vec3 *low, const wp::vec3 *high, int used, int *near) {
     int bits = each_lane([&](Lane lane) {
         float reach2 = reach * reach;
         return near_boxes(lane, placed(lane, p, R, t), low, high, used, near,
@@ -230,17 +217,15 @@ R2H_FUNCTION int points_near(const float *p, int count, const wp::mat33 &R, cons
 
 // Triangles (three points, 9 rows) whose box along the axes of R, t is within `reach` of the box
 // with half sides `half` about the origin there.
-R2H_FUNCTION int triangles_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t,
-                                const wp::vec3 &half, float reach) {
+R2H_FUNCTION int triangles_near(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t, const wp::vec3 &half,
+                                float reach) {
     int bits = each_lane([&](Lane lane) {
         floats d2 = (floats)(0.0f);
         for (int axis = 0; axis < 3; ++axis) {
-            floats low, high;
+            floats low = {}, high = {};
             for (int c = 0; c < 3; ++c) {
-                floats x = lane.row(p, 3 * c), y = lane.row(p, 3 * c + 1),
-                       z = lane.row(p, 3 * c + 2);
-                floats u =
-                    x * R.data[axis][0] + y * R.data[axis][1] + z * R.data[axis][2] + t.c[axis];
+                floats x = lane.row(p, 3 * c), y = lane.row(p, 3 * c + 1), z = lane.row(p, 3 * c + 2);
+                floats u = x * R.data[axis][0] + y * R.data[axis][1] + z * R.data[axis][2] + t.c[axis];
                 low = c == 0 ? u : (u < low ? u : low);
                 high = c == 0 ? u : (u > high ? u : high);
             }
@@ -276,8 +261,8 @@ R2H_FUNCTION floats side_along(Lane lane, const float *p, const wp::vec3 &a) {
 }
 
 // Boxes that may meet |X - x| <= half_x, |Z - z| <= half_z.
-R2H_FUNCTION int boxes_in_prism(const float *p, int count, const wp::vec3 &rx, const wp::vec3 &rz,
-                                float tx, float tz, float x, float half_x, float z, float half_z) {
+R2H_FUNCTION int boxes_in_prism(const float *p, int count, const wp::vec3 &rx, const wp::vec3 &rz, float tx, float tz,
+                                float x, float half_x, float z, float half_z) {
     int bits = each_lane([&](Lane lane) {
         auto meets = [&](const wp::vec3 &r, float t, float middle, float half) {
             floats u = along(lane, p, r, t) - middle;
@@ -300,19 +285,16 @@ R2H_FUNCTION void boxes_along(const float *p, const wp::vec3 &ry, float ty, floa
 }
 
 // Bits 0 .. 7: the rectangle [low, high] in x and z meets the prism's; bits 8 .. 15: it sticks out.
-R2H_FUNCTION int rectangle_bits(Lane lane, const floats *low, const floats *high, float x_low,
-                                float x_high, float z_low, float z_high) {
-    int meets = lane.bits((low[0] <= x_high) & (high[0] >= x_low) & (low[2] <= z_high) &
-                          (high[2] >= z_low));
-    int out =
-        lane.bits((low[0] < x_low) | (high[0] > x_high) | (low[2] < z_low) | (high[2] > z_high));
+R2H_FUNCTION int rectangle_bits(Lane lane, const floats *low, const floats *high, float x_low, float x_high,
+                                float z_low, float z_high) {
+    int meets = lane.bits((low[0] <= x_high) & (high[0] >= x_low) & (low[2] <= z_high) & (high[2] >= z_low));
+    int out = lane.bits((low[0] < x_low) | (high[0] > x_high) | (low[2] < z_low) | (high[2] > z_high));
     return meets | (out << 8);
 }
 
 // Triangles (9 rows) whose bounding rectangle in x and z meets the prism's, and which stick out.
-R2H_FUNCTION int triangles_in_prism(const float *p, int count, const wp::vec3 &rx,
-                                    const wp::vec3 &rz, float tx, float tz, float x_low,
-                                    float x_high, float z_low, float z_high) {
+R2H_FUNCTION int triangles_in_prism(const float *p, int count, const wp::vec3 &rx, const wp::vec3 &rz, float tx,
+                                    float tz, float x_low, float x_high, float z_low, float z_high) {
     int bits = each_lane([&](Lane lane) {
         floats low[3], high[3];
         for (int c = 0; c < 3; ++c)
@@ -327,9 +309,8 @@ R2H_FUNCTION int triangles_in_prism(const float *p, int count, const wp::vec3 &r
 }
 
 // The same, and writes the triangles' corners in the ee frame (9 rows) and their span of y (2).
-R2H_FUNCTION int leaf_in_prism(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t,
-                               float half_x, float z_low, float z_high, float *corners,
-                               float *span) {
+R2H_FUNCTION int leaf_in_prism(const float *p, int count, const wp::mat33 &R, const wp::vec3 &t, float half_x,
+                               float z_low, float z_high, float *corners, float *span) {
     int bits = each_lane([&](Lane lane) {
         floats low[3], high[3];
         for (int c = 0; c < 3; ++c) {
@@ -352,8 +333,8 @@ R2H_FUNCTION int leaf_in_prism(const float *p, int count, const wp::mat33 &R, co
 }
 
 // Of the lanes in `near` those whose `span` lies in none of n intervals, each `slack` longer.
-R2H_FUNCTION int outside_runs(const float *span, int near, float slack, const float *run_low,
-                              const float *run_high, int n) {
+R2H_FUNCTION int outside_runs(const float *span, int near, float slack, const float *run_low, const float *run_high,
+                              int n) {
     int within = each_lane([&](Lane lane) {
         floats low = lane.row(span, 0), high = lane.row(span, 1);
         ints within = low != low;
@@ -374,11 +355,10 @@ R2H_FUNCTION int outside_runs(const float *span, int near, float slack, const fl
 //
 // Returns in bits 8 i .. 8 i + 7 the triangles of `lanes` whose bounding rectangle holds the
 // prism's corner line i = 0 .. 3: (-x, low z), (-x, high z), (x, low z), (x, high z).
-R2H_FUNCTION int cut_to_prism(const float *corners, int lanes, float half_x, float z_low,
-                              float z_high, float *cut) {
+R2H_FUNCTION int cut_to_prism(const float *corners, int lanes, float half_x, float z_low, float z_high, float *cut) {
     int bits = each_lane([&](Lane lane) {
         floats low = (floats)(1.0e30f), high = (floats)(-1.0e30f);
-        floats x_min, x_max, z_min, z_max;
+        floats x_min = {}, x_max = {}, z_min = {}, z_max = {};
         for (int c = 0; c < 3; ++c) {
             const float *p = corners + 24 * c, *q = corners + 24 * (c == 2 ? 0 : c + 1);
             floats ax = lane.row(p, 0), ay = lane.row(p, 1), az = lane.row(p, 2);
@@ -418,8 +398,8 @@ R2H_FUNCTION int cut_to_prism(const float *corners, int lanes, float half_x, flo
         ints left = (x_min < -half_x) & (x_max > -half_x);
         ints right = (x_min < half_x) & (x_max > half_x);
         ints bottom = (z_min < z_low) & (z_max > z_low), top = (z_min < z_high) & (z_max > z_high);
-        return lane.bits(left & bottom) | (lane.bits(left & top) << 8) |
-               (lane.bits(right & bottom) << 16) | (lane.bits(right & top) << 24);
+        return lane.bits(left & bottom) | (lane.bits(left & top) << 8) | (lane.bits(right & bottom) << 16) |
+               (lane.bits(right & top) << 24);
     });
     return bits & (0x01010101 * lanes);
 }
@@ -429,8 +409,8 @@ R2H_FUNCTION int cut_to_prism(const float *corners, int lanes, float half_x, flo
 //
 // A lane's range of y is its `cut` where it is in `sticking`, else its `span`. It does nothing
 // where its span lies in the run, `slack` longer. A range within `join` of the run meets it.
-R2H_FUNCTION int grow_run(int near, int sticking, const float *span, const float *cut, float slack,
-                          float join, float *run_low, float *run_high, int n) {
+R2H_FUNCTION int grow_run(int near, int sticking, const float *span, const float *cut, float slack, float join,
+                          float *run_low, float *run_high, int n) {
     float low = run_low[0], high = run_high[0];
     while (n == 1 && near != 0) {
         int lane = first_lane(near);
@@ -480,9 +460,7 @@ R2H_FUNCTION float unit_interval(float s) { return s < 0.0f ? 0.0f : (s > 1.0f ?
 struct Segment {
     Point start, u;
     float inv;
-    CUDA_CALLABLE inline float nearest(Point from_start) const {
-        return unit_interval(dot(from_start, u) * inv);
-    }
+    CUDA_CALLABLE inline float nearest(Point from_start) const { return unit_interval(dot(from_start, u) * inv); }
 };
 
 R2H_FUNCTION Segment segment(const wp::vec3 &c0, const wp::vec3 &c1) {
@@ -499,9 +477,8 @@ R2H_FUNCTION float squared_distance(const Segment &of, Point x) {
 }
 
 // Balls within `reach` of the capsule c0-c1 of `radius`.
-R2H_FUNCTION bits64 balls_beside(const wp::vec3 *centers, const float *radii, int count,
-                                 const wp::vec3 &c0, const wp::vec3 &c1, float radius,
-                                 float reach) {
+R2H_FUNCTION bits64 balls_beside(const wp::vec3 *centers, const float *radii, int count, const wp::vec3 &c0,
+                                 const wp::vec3 &c1, float radius, float reach) {
     Segment capsule = segment(c0, c1);
     float around = reach + radius + rounding();
     return each_entry(count, [&](int i) {
@@ -512,12 +489,11 @@ R2H_FUNCTION bits64 balls_beside(const wp::vec3 *centers, const float *radii, in
 
 // Capsules within `reach` of the capsule c0-c1 of `radius`.
 //
-// The sums are those of `from_segment` (segments.py). It returns the distance of two points of
+// The sums are those of `from_segment` (closest.py). It returns the distance of two points of
 // the segments: where that is `reach` or more, so is this one, but for 10 um of rounding.
 // Segments that are nearly parallel keep their bit: `from_segment` also looks at the ends there.
-R2H_FUNCTION bits64 capsules_beside(const wp::vec3 *ends0, const wp::vec3 *ends1,
-                                    const float *radii, int count, const wp::vec3 &c0,
-                                    const wp::vec3 &c1, float radius, float reach) {
+R2H_FUNCTION bits64 capsules_beside(const wp::vec3 *ends0, const wp::vec3 *ends1, const float *radii, int count,
+                                    const wp::vec3 &c0, const wp::vec3 &c1, float radius, float reach) {
     Point u = xyz(c1) - xyz(c0);
     float a = dot(u, u);
     float of_a = a > 1.0e-12f ? 1.0f / a : 0.0f;
@@ -549,14 +525,13 @@ R2H_FUNCTION bits64 capsules_beside(const wp::vec3 *ends0, const wp::vec3 *ends1
 //
 // Two bounds on the distance (plan/edge.py has the inequalities): the distance in the middle less
 // `travel`, by which any point moves at most; and the way along n from the ball to the capsule to
-// third order (`swept_capsule`, segments.py). With n = t / |t| from the ball's centre x to the
+// third order (`swept_capsule`, closest.py). With n = t / |t| from the ball's centre x to the
 // nearest point of the segment and m = n x w, the ends of the interval have n . c +- m . c
 // +- n . v at c = c0, c1, less the radius times |n +- m| = sqrt(1 + |m|^2) <= 1 + |m|^2 / 2,
 // as m is square to n.
-R2H_FUNCTION bits64 balls_near(const wp::vec3 *centers, const float *radii, int count,
-                               const wp::vec3 &c0, const wp::vec3 &c1, float radius, float travel,
-                               const wp::vec3 &w, const wp::vec3 &v, const wp::vec3 &a,
-                               const wp::vec3 &b, float second, float third, int moving,
+R2H_FUNCTION bits64 balls_near(const wp::vec3 *centers, const float *radii, int count, const wp::vec3 &c0,
+                               const wp::vec3 &c1, float radius, float travel, const wp::vec3 &w, const wp::vec3 &v,
+                               const wp::vec3 &a, const wp::vec3 &b, float second, float third, int moving,
                                float target, float tolerance) {
     Segment capsule = segment(c0, c1);
     Point start = xyz(c0), end = xyz(c1), spin = xyz(w), swing = xyz(a);
@@ -595,9 +570,7 @@ R2H_FUNCTION bits64 balls_near(const wp::vec3 *centers, const float *radii, int 
 // and half length size[1]; a box has half sides size.
 R2H_FUNCTION bool is_box(int kind) { return kind == 3; }
 R2H_FUNCTION bool is_cylinder(int kind) { return kind == 2; }
-R2H_FUNCTION float half_length(int kind, const wp::vec3 &size) {
-    return kind == 0 ? 0.0f : size.c[1];
-}
+R2H_FUNCTION float half_length(int kind, const wp::vec3 &size) { return kind == 0 ? 0.0f : size.c[1]; }
 
 // |x|, |y|, |z| of a point in the frame R, p.
 R2H_FUNCTION Point folded(Point x, const wp::mat33 &R, const wp::vec3 &p) {
@@ -611,9 +584,9 @@ R2H_FUNCTION Point folded(Point x, const wp::mat33 &R, const wp::vec3 &p) {
 //
 // The distance is that of `from_ball` (body.py). It says nothing for a centre inside the
 // primitive, so centres within 10 um count as near.
-R2H_FUNCTION bits64 balls_in_reach(const wp::vec4 *balls, int count, int kind, const wp::vec3 &size,
-                                   float radius, const wp::mat33 &R, const wp::vec3 &p, float limit,
-                                   const wp::vec3 &n, float beyond, float known) {
+R2H_FUNCTION bits64 balls_in_reach(const wp::vec4 *balls, int count, int kind, const wp::vec3 &size, float radius,
+                                   const wp::mat33 &R, const wp::vec3 &p, float limit, const wp::vec3 &n, float beyond,
+                                   float known) {
     const float *rows = &balls[0].c[0];
     float sx = size.c[0], sy = size.c[1], sz = size.c[2], half = half_length(kind, size);
     float plane = beyond - known - rounding(), around = limit + rounding();
@@ -699,17 +672,16 @@ template <typename F> CUDA_CALLABLE inline Least least_of(int count, F value) {
 }
 
 // The least distance of balls from the segment c0-c1 (negative where it enters one), and whose.
-R2H_FUNCTION wp::vec2 nearest_ball(const wp::vec3 *centers, const float *radii, int count,
-                                   const wp::vec3 &c0, const wp::vec3 &c1) {
+R2H_FUNCTION wp::vec2 nearest_ball(const wp::vec3 *centers, const float *radii, int count, const wp::vec3 &c0,
+                                   const wp::vec3 &c1) {
     Segment axis = segment(c0, c1);
-    Least least = least_of(
-        count, [&](int i) { return sqrtf(squared_distance(axis, xyz(centers[i]))) - radii[i]; });
+    Least least = least_of(count, [&](int i) { return sqrtf(squared_distance(axis, xyz(centers[i]))) - radii[i]; });
     return wp::vec2(least.value, (float)least.at);
 }
 
 // Which of the balls' centres is nearest to the core of a primitive at R, p.
-R2H_FUNCTION int nearest_center(const wp::vec4 *balls, int count, int kind, const wp::vec3 &size,
-                                const wp::mat33 &R, const wp::vec3 &p) {
+R2H_FUNCTION int nearest_center(const wp::vec4 *balls, int count, int kind, const wp::vec3 &size, const wp::mat33 &R,
+                                const wp::vec3 &p) {
     const float *rows = &balls[0].c[0];
     float half = half_length(kind, size);
     auto squared = [&](int i) {
@@ -793,8 +765,7 @@ R2H_FUNCTION wp::vec3 farthest_in_blocks(const wp::vec3 *points, int count, cons
         }
     for (int half = 8; half > 0; half >>= 1)
         for (int k = 0; k < half; ++k) {
-            int farther =
-                (best[k + half] > best[k]) | ((best[k + half] == best[k]) & (at[k + half] < at[k]));
+            int farther = (best[k + half] > best[k]) | ((best[k + half] == best[k]) & (at[k + half] < at[k]));
             at[k] = farther ? at[k + half] : at[k];
             best[k] = farther ? best[k + half] : best[k];
         }

@@ -1,47 +1,51 @@
-"""One posture against everything: are all pairs clear, over a whole stretch of motion around it?
+"""One posture, or an interval of motion around it, against everything: are all pairs clear?
 
-`examine` serves three questions with one enumeration of pairs and one GJK call site:
-is this posture free (d = 0), is this stretch of an edge free (conservative advancement, see edge.py), and what is the
-smallest clearance (branch and bound, `track`). Masks carry what is already settled from a stretch to its halves: one
-64-bit word per kind of pair (hand, table, self), bit b for body b, and one bit for all hulls of the object.
+`check_interval` answers three questions with one enumeration of pairs and one call of GJK: is this posture free (d = 0), is
+this interval of an edge free (conservative advancement, edge.py), and what is the smallest clearance (branch and bound,
+`track`). Masks carry what is settled from an interval to its halves: one 64-bit word for each kind of pair (hand, table, self),
+bit b for body b, and one bit for all hulls of the object.
 
-From the coarse to the fine, each step only for what the one before could not settle:
+Coarse to fine, each step only for what the one before could not settle:
 
-1. a link as a whole against the ball around the hand, the table, whole links (partners.py: `link_clears_hand` ...);
-2. a body against its partners' bounding volumes: who is near at all is listed (partners.py: `pieces_near` ...);
-3. GJK for each listed pair: a certified lower bound of its distance in the middle of the stretch;
-4. if that is not enough for what the levers allow, the plane that GJK found, against where the body really goes.
+1. a link as a whole against the ball around the hand, the table and other links (obstacles.py: `link_clears_hand` ...);
+2. a body against the bounding volumes of its obstacles; those that may be near are listed (obstacles.py: `pieces_near` ...);
+3. GJK for each listed pair: a certified lower bound of its distance in the middle of the interval;
+4. `settle_pair`: does the pair keep its margin on the whole interval, along the plane that GJK found?
 
-A body's bit is cleared when all its pairs of that kind are settled. Once a bit is known to stay set the stretch has to be
-halved anyway; then only pairs that may be too near in its very middle are still asked for (MAY_MEET): they can block.
+A body's bit is cleared when all its pairs of that kind are settled. A bit that stays set means that the interval is halved. From
+then on only pairs that may meet in the middle are checked (MAY_MEET), because they can block.
 """
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.body import BLOCKS, BOX, Body, support, swept_support
+from r2h_batch.kernels.geometry.body import BLOCKS, BOX, Body
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import (
     BLOCKED,
     FREE,
+    HAND,
     OPEN,
     PAIR_HAND,
     PAIR_NONE,
     PAIR_OF_OBJECT,
     PAIR_SELF,
     PAIR_TABLE,
+    SELF,
+    TABLE,
 )
-from r2h_batch.kernels.plan.partners import (
+from r2h_batch.kernels.plan.obstacles import (
     MAY_MEET,
-    Mover,
     Near,
     Query,
     bodies_near,
-    least_rest,
     link_clears_hand,
     link_clears_table,
     links_in_reach,
+    moving_body,
+    pair_motion,
     pieces_near,
+    settle_pair,
     table_near,
 )
 from r2h_batch.kernels.robot.world import (
@@ -49,16 +53,10 @@ from r2h_batch.kernels.robot.world import (
     OBJECT,
     TrialBodies,
     World,
-    acceleration_along,
-    acceleration_seen_along,
-    bends,
     block_count,
     body_pose,
     forward_kinematics,
     link_frame,
-    motion,
-    object_body,
-    robot_body,
     twists,
 )
 
@@ -92,61 +90,19 @@ def _target(query: Query, best: float, margin: float, with_hand: bool):
     return wp.where(_tracked(query, with_hand), best - query.tolerance, margin)
 
 
-@wp.func
-def _mover(
-    world: World, bodies: TrialBodies, trial: int, query: Query, moving: bool, link: int, b: int, hull: int,
-    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), w: wp.array(dtype=wp.vec3), v: wp.array(dtype=wp.vec3),
-):  # fmt: skip
-    """Body b of a link, or a hull of the object."""
-    out = Mover()
-    out.link = link
-    out.body = b
-    Rb, pb = body_pose(world, bodies, trial, R, p, b)
-    out.R = Rb
-    out.p = pb
-    out.w = w[link_frame(link)]
-    out.v = v[link_frame(link)]
-    out.a = w[CHANGES + link_frame(link)]
-    out.b = v[CHANGES + link_frame(link)]
-    out.shape = robot_body(world, wp.min(b, world.n_robot - 1))
-    if link == OBJECT:
-        out.shape = object_body(world, hull)
-        out.c0 = Rb * world.hull_c0[hull] + pb
-        out.c1 = Rb * world.hull_c1[hull] + pb
-        out.radius = world.hull_radius[hull]
-        if moving:
-            out.travel = motion(bodies.object_lever, trial, 0, query.d)
-            second, third = bends(bodies.object_lever, trial, 0, query.d)
-            out.second = second
-            out.third = third
-    else:
-        axis = Rb * world.cap_axis[b]
-        out.c0 = pb - axis
-        out.c1 = pb + axis
-        out.radius = world.cap_radius[b]
-        if moving:
-            out.travel = motion(world.lever, b, 0, query.d)
-            second, third = bends(world.lever, b, 0, query.d)
-            out.second = second
-            out.third = third
-    return out
-
-
-# The steps of this file's head, over nine movers: links 0..7 of the robot (a link's bodies share its motion), and the object.
+# The steps of this file's head, for links 0 .. 7 of the robot (a link's bodies share its motion) and for the object.
 # For each of them:
 #
-# 1. `bits`: the bodies of this link in the masks. Nothing open in any of the three kinds: on to the next;
-# 2. the link as a whole, with a bounding capsule: hand ball, table top, capsules of other links. What is clear loses all its
-#    bits of that kind at once; `self_with` keeps the links it may meet;
-# 3. each body: partners that bounding volumes cannot settle are listed in one array, pieces, then the table, then bodies,
-#    so that all pairs go through one call of GJK below: inlined, that is most of the code of every planning kernel;
-# 4. each listed pair: BLOCKED ends the function at once, for one pair that meets is enough. Otherwise it is settled, or its
-#    kind's `*_open` gets the body's bit;
-# 5. the link's bits in the masks become what is open. A caller that halves the stretch goes on with these masks.
-#
-# It stays one function: split at 3 and 4, scratch arrays and the found pair would be handed over for each body.
+# 1. `bits`: this link's bodies in the masks. If none is open in any of the three kinds, the next link follows;
+# 2. the link's bounding capsule against the ball around the hand, the table's top and capsules of other links. A kind that is
+#    clear loses all its bits at once; `self_with` keeps the links that this one may meet;
+# 3. each body: one array lists the obstacles that bounding volumes cannot settle: pieces, the table, then bodies. So all pairs go
+#    through one call of GJK. Inlined, GJK is most of the code of every planning kernel;
+# 4. each listed pair: one that meets ends the function (BLOCKED). A pair that is not settled puts the body's bit into its
+#    kind's `*_open`;
+# 5. the link's bits in the masks become the open ones. A caller that halves the interval goes on with these masks.
 @wp.func
-def examine(
+def check_interval(
     world: World,
     bodies: TrialBodies,
     trial: int,
@@ -158,13 +114,13 @@ def examine(
     p: wp.array(dtype=wp.vec3),
     w: wp.array(dtype=wp.vec3),  # (FIELDS,) scratch: link twists and how they change
     v: wp.array(dtype=wp.vec3),
-    partner: wp.array(dtype=int),  # (MAX_PARTNERS,) scratch
+    obstacle: wp.array(dtype=int),  # (MAX_OBSTACLES,) scratch
 ):
-    """What is known of the stretch after looking at its middle: FREE, BLOCKED by a pair, or OPEN; the masks say what is open.
+    """FREE, BLOCKED by a pair or OPEN, after a look at the interval's middle; the masks keep the open bodies.
 
-    A pair has to keep `target`: its margin, or with `track` what would improve on the smallest clearance so far. BLOCKED:
-    it is nearer than that in the middle; with `track` 2 nearer than its margin. Settled: it is farther than `target` plus
-    what it may travel.
+    A pair has to keep `target`: its margin, or with `track` the smallest clearance so far less the tolerance. It blocks when
+    it is nearer than that in the middle (with `track` 2: nearer than its margin), and is settled when it is farther than
+    `target` plus what it may travel.
     """
     out = Finding()
     out.status = FREE
@@ -183,7 +139,7 @@ def examine(
     table_p = R_hand_world * world.table_center + p_hand_world
     first_hull = world.hull_first[bodies.object[trial]]
     n_hulls = world.hull_first[bodies.object[trial] + 1] - first_hull
-    # GJK may stop 5 % short of the distance where a shorter stretch asks again
+    # GJK may stop 5 % short of the distance where a shorter interval asks again
     gap = wp.where(query.track == 1, 0.0, wp.where(moving, 0.05, 0.0))
 
     for link in range(9):
@@ -252,54 +208,55 @@ def examine(
             do_self = self_on and (masks[2] & bit) != wp.uint64(0)
             if not (do_hand or do_table or do_self):
                 continue
-            mover = _mover(world, bodies, trial, query, moving, link, b, first_hull + b - world.n_robot, R, p, w, v)
+            body = moving_body(world, bodies, trial, link, b, query.d, moving, R, p, w, v)
 
-            # partners of this body that bounding volumes cannot settle
+            # obstacles of this body that bounding volumes cannot settle
             found = Near()
             if do_hand:
                 target = _target(query, out.best, query.hand_margin, True)
                 is_open = wp.where((hand_open & bit) != wp.uint64(0), 1, 0)
                 found = pieces_near(
-                    world, query, target, mover, hand, hand_center, hand_radius, moving, is_open, partner
+                    world, query, target, body, hand, hand_center, hand_radius, moving, is_open, obstacle
                 )
                 if found.open == 1:
                     hand_open = hand_open | bit
             n_hand = found.n
             target = _target(query, out.best, query.other_margin, False)
             if do_table:
-                found = table_near(world, bodies, trial, query, target, mover, up, table_p, moving, n_hand, partner)
+                found = table_near(world, bodies, trial, query, target, body, up, table_p, moving, n_hand, obstacle)
                 if found.open == 1:
                     table_open = table_open | bit
             n_table = found.n
             if do_self:
                 is_open = wp.where((self_open & bit) != wp.uint64(0), 1, 0)
                 found = bodies_near(
-                    world, bodies, trial, query, target, mover, self_with, moving, is_open, R, p, w, v, n_table, partner
+                    world, bodies, trial, query, target, body, self_with, moving, is_open, R, p, w, v, n_table, obstacle
                 )
                 if found.open == 1:
                     self_open = self_open | bit
 
             # the listed pairs, 0 .. n_hand pieces, .. n_table the table, .. found.n own bodies: GJK
             for i in range(found.n):
-                may_meet = partner[i] >= MAY_MEET
-                other = partner[i] & (MAY_MEET - 1)
+                may_meet = obstacle[i] >= MAY_MEET
+                other = obstacle[i] & (MAY_MEET - 1)
                 if moving and not may_meet:  # it cannot block, and its kind is open already
                     if i < n_hand and (hand_open & bit) != wp.uint64(0):
                         continue
                     if i >= n_table and (self_open & bit) != wp.uint64(0):
                         continue
-                # the pair as its partner sees it: the mover's pose in the partner's frame, what the pair may travel.
+                # the pair as its obstacle sees it: the moving body's pose in the obstacle's frame, what the pair may travel.
                 # Values that differ between branches are no struct: Warp would write it to memory and read it back in each
                 shape = Body()
                 center = wp.vec3(0.0, 0.0, 0.0)
-                pair_R = mover.R
-                pair_p = mover.p
-                travel = mover.travel
-                second = mover.second
-                third = mover.third
+                pair_R = body.R
+                pair_p = body.p
+                travel = body.travel
+                second = body.second
+                third = body.third
+                kind = int(HAND)
                 code = int(PAIR_HAND)
                 kept = query.other_margin
-                if i < n_hand:  # stands still in the hand's frame, which is the mover's
+                if i < n_hand:  # stands still in the hand's frame, which is the moving body's
                     piece = hand * world.n_pieces + other
                     center = world.piece_center[piece]
                     kept = query.hand_margin
@@ -308,28 +265,25 @@ def examine(
                     shape.count = block_count(world, piece)
                     shape.radius = world.piece_round[piece]
                 elif i < n_table:
+                    kind = TABLE
                     code = PAIR_TABLE
                     shape.kind = BOX
                     shape.size = world.table_half
-                    pair_R = wp.transpose(R_hand_world) * mover.R
-                    pair_p = wp.transpose(R_hand_world) * (mover.p - table_p)
+                    pair_R = wp.transpose(R_hand_world) * body.R
+                    pair_p = wp.transpose(R_hand_world) * (body.p - table_p)
                 else:
+                    kind = SELF
                     code = PAIR_SELF
                     shape.kind = world.kind[other]
                     shape.size = world.size[other]
                     shape.radius = world.radius[other]
-                    k = world.body_link[other]
                     Ro, po = body_pose(world, bodies, trial, R, p, other)
-                    pair_R = wp.transpose(Ro) * mover.R
-                    pair_p = wp.transpose(Ro) * (mover.p - po)
-                    if not moving:
-                        travel = 0.0
-                    elif link == OBJECT:
-                        travel = motion(bodies.object_lever, trial, k, query.d)
-                        second, third = bends(bodies.object_lever, trial, k, query.d)
-                    else:
-                        travel = motion(world.lever, b, k, query.d)
-                        second, third = bends(world.lever, b, k, query.d)
+                    pair_R = wp.transpose(Ro) * body.R
+                    pair_p = wp.transpose(Ro) * (body.p - po)
+                    if moving:
+                        travel, second, third = pair_motion(
+                            world, bodies, trial, link, b, world.body_link[other], query.d
+                        )
                 if link == OBJECT:
                     code = code + PAIR_OF_OBJECT
                 tracked = _tracked(query, i < n_hand)
@@ -337,7 +291,7 @@ def examine(
                 needed = margin + travel
                 if tracked:
                     needed = wp.max(needed, out.best)  # a clearance that becomes the best must have converged
-                dist = gjk(mover.shape, pair_R, pair_p, world.points, shape, world.points, center, needed, gap)
+                dist = gjk(body.shape, pair_R, pair_p, world.points, shape, world.points, center, needed, gap)
                 if tracked and (query.track == 1 or dist.lower >= kept):
                     if dist.lower < out.best:
                         # a core that is met has no clearance, only an overlap that GJK does not measure
@@ -352,37 +306,13 @@ def examine(
                     out.pair = code
                     out.body = b
                     return out
-                # settled for the whole stretch? D - L >= margin, or else along the plane that parts them in the middle
-                apart = dist.lower
-                least = margin + least_rest(second, third)
-                if moving and apart < margin + travel and apart > least and dist.upper > 0.0:
-                    # not clear of everything that the levers allow, but perhaps of where it really goes. In the hand's frame
-                    n_hat = dist.v / wp.length(dist.v)
-                    beside = wp.dot(n_hat, support(shape, world.points, n_hat)) + shape.radius
-                    wr = mover.w
-                    vr = mover.v
-                    n = n_hat
-                    g = wp.vec3(0.0, 0.0, 0.0)
-                    c = float(0.0)
-                    if i < n_table:
-                        if i >= n_hand:
-                            n = R_hand_world * n_hat
-                            beside += wp.dot(n, table_p)
-                        g, c = acceleration_along(n, mover.w, mover.a, mover.b)
-                    else:
-                        k = world.body_link[other]
-                        Ro, po = body_pose(world, bodies, trial, R, p, other)
-                        n = Ro * n_hat
-                        beside += wp.dot(n, po)
-                        wr = mover.w - w[k]
-                        vr = mover.v - v[k]
-                        g, c = acceleration_seen_along(n, mover.w, mover.v, mover.a, mover.b, k, w, v)
-                    swept = swept_support(mover.shape, mover.R, mover.p, world.points, n, wr, vr, g, c, second, third)
-                    apart = travel - beside + swept
-                if apart < margin + travel:
-                    if i < n_hand:
+                if not settle_pair(
+                    world, bodies, trial, body, kind, other, shape, dist.lower, dist.upper, dist.v,
+                    margin, travel, second, third, moving, R, p, w, v,
+                ):  # fmt: skip
+                    if kind == HAND:
                         hand_open = hand_open | bit
-                    elif i < n_table:
+                    elif kind == TABLE:
                         table_open = table_open | bit
                     else:
                         self_open = self_open | bit

@@ -5,16 +5,21 @@ The host imports the sizes; the enums of r2h_batch.types are compared with the c
 
 import warp as wp
 
-# What is known of a posture or a stretch of motion.
+# Result of a check of a posture or an interval of motion.
 FREE = wp.constant(0)  # every pair keeps its margin
 BLOCKED = wp.constant(1)  # some pair does not
-OPEN = wp.constant(2)  # undecided: the stretch is too long for its middle to speak for all of it
+OPEN = wp.constant(2)  # undecided: the interval is too long for its middle to speak for all of it
 
-# What is asked of an edge (plan/edge.py).
+# Question about an edge (plan/edge.py).
 CERTIFY = wp.constant(0)  # proven free, by conservative advancement
 SAMPLES = wp.constant(1)  # free at samples as far apart as MoveIt's
 CLEARANCE = wp.constant(2)  # the smallest clearance along it
 POSTURE = wp.constant(3)  # whether its first posture is free
+
+# What a body may meet: the kind of a pair.
+HAND = wp.constant(0)
+TABLE = wp.constant(1)
+SELF = wp.constant(2)
 
 # Which two bodies meet: r2h_batch.types.CollidingPair. The first three are met by the robot itself.
 PAIR_NONE = wp.constant(0)
@@ -35,7 +40,7 @@ WAYPOINTS = wp.constant(32)
 """Longest path that is stored; RRT-Connect's raw paths have 3 to 12."""
 BRANCHES = wp.constant(8)
 """IK branches of a pose (r2h_batch.judge.ik), and so goals of a trial."""
-MAX_PARTNERS = wp.constant(64)
+MAX_OBSTACLES = wp.constant(64)
 """What one body may be near to in `check`: the hand's pieces, the table and the arm's bodies fit (scene/tables.py)."""
 MAX_ARM_BODIES = wp.constant(24)
 """Primitives of the arm that `posture_clearance` keeps in place; a UR5e has 21. On a GPU each takes 24 bytes of stack."""

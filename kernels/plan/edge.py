@@ -1,47 +1,38 @@
 """Edges of joint space: certified free by conservative advancement, or sampled as MoveIt does; smallest clearance.
 
-A stretch of an edge is its middle posture q and half its length d: the postures q + s d with -1 <= s <= 1. A point of a
-body travels at most L = sum_j |d_j| lever_j from where it is in the middle (`motion`; lever_j: the largest distance of
-the body's points from the axis of joint j). A pair at distance D in the middle thus keeps D - L all along the stretch:
+An interval of an edge is its middle posture q and half its length d: the postures q + s d with -1 <= s <= 1. A point of a
+body travels at most L = sum_j |d_j| r_j from where it is in the middle (`motion`; r_j, the motion radius: the largest
+distance of the body's points from the axis of joint j). So a pair at distance D in the middle keeps D - L on the whole
+interval:
 
-    D - L >= margin    =>    the pair is free on the whole stretch.
+    D - L >= margin    =>    the pair is free on the whole interval.
 
-Where that fails, the way it really goes may still be clear. With n the direction from the partner to the body in the
+Where that fails, the way it really goes may still be clear. With n the direction from the obstacle to the body in the
 middle, a point x of the body has n . x(s) >= n . x + s n . v + s^2 / 2 n . a - |s|^3 / 6 T, with its velocity v and its
-acceleration a relative to the partner, both known in the middle, and T a bound on the third derivative (`bends`); or without a
+acceleration a relative to the obstacle, both known in the middle, and T a bound on the third derivative (`bends`); or without a
 and T, -s^2 / 2 C with a bound C on any acceleration. The least of it over the body and over s (`swept_support`) less the
-partner's largest n . x is a distance that holds on the whole stretch, and what the bound gives away falls with the cube of the
-stretch's length: with levers of 0.7 m and 0.4 rad to either side, summed over the joints, 56 mm with C, 7 mm with a and T.
+obstacle's largest n . x is a distance that holds on the whole interval, and what the bound gives away falls with the cube of the
+interval's length: with motion radii of 0.7 m and 0.4 rad to either side, summed over the joints, 56 mm with C, 7 mm with a and T.
 
-What neither settles is bisected. That is conservative advancement (Mirtich 1996) made to halve stretches instead of
+What neither settles is bisected. That is conservative advancement (Mirtich 1996) made to halve intervals instead of
 following time, as Schwarzer, Saha and Latombe (2005) do for articulated robots.
 """
 
 import warp as wp
 
-from r2h_batch.kernels.options import OPTIONS, on_cuda
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_stretch
-from r2h_batch.kernels.plan.check import Finding, examine
-from r2h_batch.kernels.plan.codes import BLOCKED, CERTIFY, CLEARANCE, FREE, MAX_PARTNERS, OPEN, POSTURE, SAMPLES
-from r2h_batch.kernels.plan.partners import Query
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
+from r2h_batch.kernels.plan.check import Finding, check_interval
+from r2h_batch.kernels.plan.codes import BLOCKED, CERTIFY, CLEARANCE, FREE, MAX_OBSTACLES, OPEN, POSTURE, SAMPLES
+from r2h_batch.kernels.plan.obstacles import Query
 from r2h_batch.kernels.robot.world import FIELDS, TrialBodies, World, vec6
 
 wp.set_module_options(OPTIONS)
 
 PART_RAD = wp.constant(1.6)
-"""Longest part of an edge, summed over the joints, that is looked at as one stretch: nothing was ever settled on a longer one."""
+"""Longest part of an edge, summed over the joints, that starts as one interval; longer ones were never settled."""
 MOVEIT_SEGMENT_RAD = wp.constant(0.691)
 """MoveIt's longest valid segment: 0.01 of the space's extent (69.1 rad summed over the joints of a UR5e)."""
-
-
-@wp.func
-def mode_of_one_thread(mode: int):
-    """How a search of one thread checks its edges: as the caller says on a CPU, always by samples on CUDA.
-
-    CUDA searches certified edges in waves (kernels/wave/), never here. A compiler that knows this leaves out what certifies
-    an edge: two fifths of the code.
-    """
-    return wp.where(on_cuda() == 1, SAMPLES, mode)
 
 
 @wp.func
@@ -59,21 +50,21 @@ def edge(
 ):
     """FREE or BLOCKED for the straight joint-space edge a-b; with CLEARANCE the smallest clearance along it.
 
-    CERTIFY: bisection of each part of PART_RAD; FREE when every stretch is, BLOCKED as soon as one middle is, or when a
-    stretch of 2^-14 of a part is still undecided. CLEARANCE: the same walk as branch and bound; a pair is settled when it
-    cannot come nearer than `best` less `tolerance` on the stretch, `best` falls with every middle, and what is undecided at
+    CERTIFY: bisection of each part of PART_RAD; FREE when every interval is, BLOCKED as soon as one middle is, or when a
+    interval of 2^-14 of a part is still undecided. CLEARANCE: the same walk as branch and bound; a pair is settled when it
+    cannot come nearer than `best` less `tolerance` on the interval, `best` falls with every middle, and what is undecided at
     the end counts as settled. It stops where bodies meet. SAMPLES: postures at most MOVEIT_SEGMENT_RAD apart, b included, a
     not. POSTURE: a alone, and its smallest distance to the hand if that is below `best`.
 
-    All modes share one call of `examine`: inlined, it is most of the code of a planning kernel.
+    All modes share one call of `check_interval`: inlined, it is most of the code of a planning kernel.
     """
     R = wp.zeros(shape=7, dtype=wp.mat33)
     p = wp.zeros(shape=7, dtype=wp.vec3)
     w = wp.zeros(shape=FIELDS, dtype=wp.vec3)
     v = wp.zeros(shape=FIELDS, dtype=wp.vec3)
-    partner = wp.zeros(shape=MAX_PARTNERS, dtype=int)
+    obstacle = wp.zeros(shape=MAX_OBSTACLES, dtype=int)
     masks = wp.zeros(shape=3, dtype=wp.uint64)
-    stack = wp.zeros(shape=48, dtype=wp.uint64)  # per level of the bisection: the masks that its stretches start from
+    stack = wp.zeros(shape=48, dtype=wp.uint64)  # per level of the bisection: the masks that its intervals start from
     everything = ~wp.uint64(0)
     # base and shoulder stand on the table
     tabled = everything << wp.uint64(world.table_from)
@@ -100,7 +91,7 @@ def edge(
     level = int(0)
     index = int(0)
     bisected = mode != SAMPLES and mode != POSTURE
-    # an edge is looked at in equal parts, from the middle on in leaps: what blocks it is mostly found in the first ones
+    # equal parts of the edge, in leaps from the middle on: a body that blocks it is mostly found in the first ones
     parts = int(1)
     if bisected:
         parts = wp.max(int(wp.ceil(length / PART_RAD)), 1)
@@ -125,7 +116,7 @@ def edge(
             masks[1] = stack[3 * level + 1]
             masks[2] = stack[3 * level + 2]
         moving = wp.dot(query.d, query.d) > 0.0
-        found = examine(world, bodies, trial, query, moving, result.best, masks, R, p, w, v, partner)
+        found = check_interval(world, bodies, trial, query, moving, result.best, masks, R, p, w, v, obstacle)
         if mode == CLEARANCE:
             if found.best < result.best:
                 result.best = found.best
@@ -156,7 +147,7 @@ def edge(
             result.status = BLOCKED
             running = False
         else:
-            level, index = next_stretch(level, index)
+            level, index = next_interval(level, index)
             if level == 0:
                 index = 0
                 turn += 1

@@ -13,35 +13,27 @@ they meet, and stays at -r once m is in B.
 
 s* is approached from below. At a scale s that is clear of B by g along n, the same plane still parts them at
 s + g / rho(n): each step is certified, and n converges to the normal at the touch. Where A moves by u relative to B, the
-gap grows by n . u, s* by n . u / rho(n), and the clearance by (r / rho(n)) n . u: that vector is `push`.
-"""
+gap grows by n . u, s* by n . u / rho(n), and the clearance by (r / rho(n)) n . u: that vector is `push`."""
 
 import warp as wp
 
 from r2h_batch.kernels.geometry.balls import balls_beside, capsules_beside, lowest_bit
-from r2h_batch.kernels.geometry.body import support
+from r2h_batch.kernels.geometry.body import BOX, Body, from_ball, support
+from r2h_batch.kernels.geometry.closest import TOUCH_M, from_point, from_segment, inner_radius
 from r2h_batch.kernels.geometry.gjk import gjk
-from r2h_batch.kernels.geometry.primitives import TOUCH_M
-from r2h_batch.kernels.geometry.segments import from_point, from_segment
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.beside_posture import (
-    BodyInPlace,
-    Partner,
-    arm_body,
-    bodies_below,
-    hand_piece,
-    in_place,
-    place_bodies,
-    place_links,
-    table_below,
-)
 from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, PAIR_HAND, PAIR_OF_OBJECT, PAIR_SELF, PAIR_TABLE
 from r2h_batch.kernels.robot.world import (
     GRIPPER,
     OBJECT,
     TrialBodies,
     World,
+    body_pose,
     forward_kinematics,
+    link_frame,
+    object_body,
+    piece_body,
+    robot_body,
     vec6,
 )
 
@@ -49,12 +41,178 @@ wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
 GROWTH_STEPS = wp.constant(12)
 
-# What GJK is asked about a pair, in this order (`pair_clearance`).
+# The questions to GJK about a pair, in this order (`pair_clearance`).
 MEET = wp.constant(0)  # at full size: do they meet?
 DEEPER = wp.constant(1)  # as small as the deepest overlap so far leaves it: do they meet deeper?
 AT_FLOOR = wp.constant(2)  # as small as an overlap of `floor` leaves it: do they meet as deep as that?
 GROW = wp.constant(3)  # from a scale that is clear, up to the touch
 AT_FLOOR_AGAIN = wp.constant(4)  # a little smaller still: GJK has rare false hits, a posture is given up after two
+
+
+@wp.struct
+class BodyInPlace:
+    """A body of the robot or a hull of the object, hand frame: pose, bounding capsule c0-c1, the ball that it holds."""
+
+    link: int
+    shape: Body
+    R: wp.mat33
+    p: wp.vec3
+    c0: wp.vec3
+    c1: wp.vec3
+    radius: float
+    middle: wp.vec3  # centre of that ball, in the body's frame
+    inner: float  # its radius
+
+
+@wp.struct
+class Obstacle:
+    """What a body may meet: a piece of the hand, the table, or a body of another link; its pose in the hand frame."""
+
+    near: int  # 0: bounding volumes keep it farther away than the smallest clearance so far
+    pair: int  # as if the robot itself met it
+    other: int
+    shape: Body
+    center: wp.vec3
+    R: wp.mat33
+    p: wp.vec3
+
+
+@wp.func
+def in_place(
+    world: World,
+    hull_ball: wp.array(dtype=wp.vec4),
+    bodies: TrialBodies,
+    trial: int,
+    link: int,
+    b: int,
+    hull: int,
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
+):
+    """Body b of a link, or a hull of the object."""
+    out = BodyInPlace()
+    out.link = link
+    Rb, pb = body_pose(world, bodies, trial, R, p, b)
+    out.R = Rb
+    out.p = pb
+    out.shape = robot_body(world, wp.min(b, world.n_robot - 1))
+    out.inner = inner_radius(out.shape.kind, out.shape.size)
+    if link == OBJECT:
+        out.shape = object_body(world, hull)
+        ball = hull_ball[hull]
+        out.middle = wp.vec3(ball[0], ball[1], ball[2])
+        out.inner = ball[3]
+        out.c0 = Rb * world.hull_c0[hull] + pb
+        out.c1 = Rb * world.hull_c1[hull] + pb
+        out.radius = world.hull_radius[hull]
+    else:
+        axis = Rb * world.cap_axis[b]
+        out.c0 = pb - axis
+        out.c1 = pb + axis
+        out.radius = world.cap_radius[b]
+    return out
+
+
+@wp.func
+def hand_piece(world: World, body: BodyInPlace, hand: int, i: int, known: float):
+    """Piece i of the hand, if it may be nearer than `known`: ball against capsule, then ball against primitive."""
+    out = Obstacle()
+    out.pair = PAIR_HAND
+    out.other = i
+    out.R = wp.identity(3, dtype=float)
+    piece = hand * world.n_pieces + i
+    out.center = world.piece_center[piece]
+    ball = world.piece_radius[piece]
+    if wp.length(from_point(out.center, body.c0, body.c1)) - ball - body.radius < known:
+        out.near = 1
+        if body.link < OBJECT:
+            toward = from_ball(body.shape, wp.transpose(body.R) * (out.center - body.p))
+            if wp.length(toward) - ball >= known:
+                out.near = 0
+    out.shape = piece_body(world, piece)
+    return out
+
+
+@wp.func
+def table_below(
+    world: World, body: BodyInPlace, R_hand_world: wp.mat33, table_p: wp.vec3, up: wp.vec3, top: float, known: float
+):
+    """The table, if the body's lowest point may be nearer than `known` to the height of its top."""
+    out = Obstacle()
+    out.pair = PAIR_TABLE
+    out.other = -1
+    lowest = body.R * support(body.shape, world.points, -(wp.transpose(body.R) * up)) + body.p
+    if wp.dot(up, lowest) - body.shape.radius - top - TOUCH_M < known:
+        out.near = 1
+    out.shape.kind = BOX
+    out.shape.size = world.table_half
+    out.R = R_hand_world
+    out.p = table_p
+    return out
+
+
+@wp.func
+def arm_body(
+    world: World,
+    bodies: TrialBodies,
+    trial: int,
+    body: BodyInPlace,
+    other: int,
+    known: float,
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
+):
+    """The robot's body `other`, if it may be nearer than `known`: capsule against capsule."""
+    out = Obstacle()
+    out.pair = PAIR_SELF
+    out.other = other
+    Ro, po = body_pose(world, bodies, trial, R, p, other)
+    axis = Ro * world.cap_axis[other]
+    apart = wp.length(from_segment(po - axis, po + axis, body.c0, body.c1)) - body.radius - world.cap_radius[other]
+    if apart < known:
+        out.near = 1
+    out.shape = robot_body(world, other)
+    out.R = Ro
+    out.p = po
+    return out
+
+
+@wp.func
+def bodies_below(b: int):
+    """A bit for each body before b."""
+    return (wp.uint64(1) << wp.uint64(b)) - wp.uint64(1)
+
+
+@wp.func
+def place_links(
+    world: World,
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
+    c0: wp.array(dtype=wp.vec3),
+    c1: wp.array(dtype=wp.vec3),
+):
+    """Writes the ends of the links' bounding capsules."""
+    for link in range(OBJECT):
+        k = link_frame(link)
+        c0[link] = R[k] * world.link_c0[link] + p[k]
+        c1[link] = R[k] * world.link_c1[link] + p[k]
+
+
+@wp.func
+def place_bodies(
+    world: World,
+    link: int,
+    R: wp.array(dtype=wp.mat33),
+    p: wp.array(dtype=wp.vec3),
+    c0: wp.array(dtype=wp.vec3),
+    c1: wp.array(dtype=wp.vec3),
+):
+    """Writes the ends of the bounding capsules of an arm link's bodies."""
+    for b in range(world.link_first[link], world.link_first[link + 1]):
+        pb = R[link] * world.body_p[b] + p[link]
+        axis = R[link] * (world.body_R[b] * world.cap_axis[b])
+        c0[b] = pb - axis
+        c1[b] = pb + axis
 
 
 @wp.struct
@@ -74,7 +232,7 @@ class PairClearance:
 
 @wp.struct
 class Overlap:
-    """Clearance of one pair when it is below what is known; push and point in the partner's frame."""
+    """Clearance of one pair when it is below `known`; push and point in the obstacle's frame."""
 
     clearance: float
     push: wp.vec3
@@ -93,7 +251,7 @@ class Overlap:
 #
 # Without a floor in reach of the body's ball growth starts at its centre (scale 0), which is clear unless it is inside.
 @wp.func
-def pair_clearance(world: World, body: BodyInPlace, partner: Partner, known: float, floor: float):
+def pair_clearance(world: World, body: BodyInPlace, obstacle: Obstacle, known: float, floor: float):
     """Clearance of one pair if it is below `known` (else `known`), given up when it is not above `floor`.
 
     One call site of GJK serves all questions. A pair that meets at full size (MEET), or deeper than what is known
@@ -102,9 +260,9 @@ def pair_clearance(world: World, body: BodyInPlace, partner: Partner, known: flo
     """
     out = Overlap()
     out.clearance = known
-    Rt = wp.transpose(partner.R)
-    R = Rt * body.R  # the body in its partner's frame
-    p = Rt * (body.p - partner.p)
+    Rt = wp.transpose(obstacle.R)
+    R = Rt * body.R  # the body in its obstacle's frame
+    p = Rt * (body.p - obstacle.p)
     phase = wp.where(known < 0.0, DEEPER, MEET)
     scale = wp.where(known < 0.0, 1.0 + known / body.inner, 1.0)
     shrunk = body.shape
@@ -115,7 +273,9 @@ def pair_clearance(world: World, body: BodyInPlace, partner: Partner, known: flo
         # How much GJK has to prove: no more than decides the question; how far exactly only while growing.
         needed = wp.where(phase == MEET, wp.max(known, 0.0), wp.where(phase == DEEPER, 0.0, 1.0e30))
         at_scale = p + (1.0 - scale) * (R * body.middle)
-        dist = gjk(shrunk, scale * R, at_scale, world.points, partner.shape, world.points, partner.center, needed, 0.0)
+        dist = gjk(
+            shrunk, scale * R, at_scale, world.points, obstacle.shape, world.points, obstacle.center, needed, 0.0
+        )
         if phase == MEET and dist.lower >= 0.0:
             running = False
             out.clearance = dist.lower
@@ -158,20 +318,20 @@ def pair_clearance(world: World, body: BodyInPlace, partner: Partner, known: flo
 
 
 @wp.func
-def _partner(
+def _obstacle(
     world: World, bodies: TrialBodies, trial: int, body: BodyInPlace, kind: int, i: int, hand: int,
     R_hand_world: wp.mat33, table_p: wp.vec3, up: wp.vec3, top: float, known: float,
     R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3),
 ):  # fmt: skip
-    """Partner i of a kind, as far as it may be nearer than `known`."""
-    partner = Partner()
+    """Obstacle i of a kind, as far as it may be nearer than `known`."""
+    obstacle = Obstacle()
     if kind == PAIR_HAND:
-        partner = hand_piece(world, body, hand, i, known)
+        obstacle = hand_piece(world, body, hand, i, known)
     elif kind == PAIR_TABLE:
-        partner = table_below(world, body, R_hand_world, table_p, up, top, known)
+        obstacle = table_below(world, body, R_hand_world, table_p, up, top, known)
     else:
-        partner = arm_body(world, bodies, trial, body, i, known, R, p)
-    return partner
+        obstacle = arm_body(world, bodies, trial, body, i, known, R, p)
+    return obstacle
 
 
 # Branch and bound over links, bodies and pairs. `out.clearance` starts at `cap` and falls with every nearer pair; nothing
@@ -179,12 +339,12 @@ def _partner(
 #
 # 1. gripper and object first, then the arm from the wrist down: the first are nearest mostly, and prune the rest;
 # 2. a link's capsule against the ball about the hand, the table's top, the capsules of links it may meet;
-# 3. a body's capsule against the ball about the hand; then its partners, one after the other: pieces of the hand, the
-#    table, bodies of the arm, of which bounding volumes leave a bit for each that may be near (beside.py), so that all go
+# 3. a body's capsule against the ball about the hand; then its obstacles, one after the other: pieces of the hand, the
+#    table, bodies of the arm, of which bounding volumes leave a bit for each that may be near (balls.py), so that all go
 #    through one call of `pair_clearance`;
 # 4. an overlap cannot be deeper than the radius r of the ball within the body: once a pair as deep as that is known, the
 #    body's other pairs are left out;
-# 5. at or below `floor` nobody asks how much: the caller keeps another branch. It returns at once.
+# 5. at or below `floor` the function returns at once: the caller keeps another branch.
 @wp.func
 def posture_clearance(
     world: World,
@@ -264,7 +424,7 @@ def posture_clearance(
             ball = wp.length(from_point(hand_center, body.c0, body.c1)) - hand_radius - body.radius
             on_hand = near_hand and ball < out.clearance
 
-            # its partners: pieces of the hand, the table, the arm's bodies; `left`: who may be near and is still to come
+            # its obstacles: pieces of the hand, the table, the arm's bodies; `left`: who may be near and is still to come
             kind = int(PAIR_HAND)
             left = wp.uint64(0)
             if on_hand:
@@ -284,22 +444,22 @@ def posture_clearance(
                     continue
                 i = lowest_bit(left)
                 left = left & (left - wp.uint64(1))
-                partner = _partner(
+                obstacle = _obstacle(
                     world, bodies, trial, body, kind, i, hand, R_hand_world, table_p, up, top, out.clearance, R, p
                 )
-                if partner.near == 0:
+                if obstacle.near == 0:
                     continue
-                found = pair_clearance(world, body, partner, out.clearance, floor)
+                found = pair_clearance(world, body, obstacle, out.clearance, floor)
                 if found.given_up == 1:
                     out.clearance = floor - TOUCH_M
                     return out
                 if found.clearance < out.clearance:
                     out.clearance = found.clearance
-                    out.pair = wp.where(link == OBJECT, partner.pair + PAIR_OF_OBJECT, partner.pair)
+                    out.pair = wp.where(link == OBJECT, obstacle.pair + PAIR_OF_OBJECT, obstacle.pair)
                     out.body = b
-                    out.other = partner.other
-                    out.push = partner.R * found.push
-                    out.point = partner.R * found.point + partner.p
+                    out.other = obstacle.other
+                    out.push = obstacle.R * found.push
+                    out.point = obstacle.R * found.point + obstacle.p
                     if out.clearance <= floor:
                         return out
     return out

@@ -12,7 +12,7 @@ import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import BRANCHES, FREE
-from r2h_batch.kernels.plan.edge import edge, mode_of_one_thread
+from r2h_batch.kernels.plan.edge import edge
 from r2h_batch.kernels.robot.posture import load, store_waypoint
 from r2h_batch.kernels.robot.world import TrialBodies, World, vec6
 
@@ -93,6 +93,59 @@ def write_branch(
         at += step
 
 
+@wp.func
+def random_posture(world: World, home: wp.array2d(dtype=float), number: int, state: wp.uint32):
+    """Random posture `number` of a search (rad), and the generator's next state.
+
+    It lies within half a turn of home, where paths are short; every fourth lies anywhere within the limits.
+    """
+    rng = wp.uint32(state)
+    q = vec6()
+    around = wp.where(number % 4 == 0, FULL_TURN, HALF_TURN)
+    for j in range(6):
+        lo = wp.max(world.lower[j], home[0, j] - around)
+        hi = wp.min(world.upper[j], home[0, j] + around)
+        q[j] = lo + (hi - lo) * wp.randf(rng)
+    return q, rng
+
+
+@wp.func
+def rrt_step(
+    nodes: wp.array2d(dtype=float), base: int, near: int, origin: int, target: vec6, number: int, range_rad: float
+):
+    """One step from a node towards `target`: its two ends, the node's reach (rad), and whether it gets there.
+
+    All nodes of one line hang on `origin`, where the line begins. The new posture is taken on the line from there.
+    """
+    q_near = load(nodes, base + near)
+    q_new = target
+    dist = wp.length(target - q_near)
+    reach = nodes[base + near, REACH]
+    if number % FULL_REACH == 1:
+        reach = range_rad
+    reached = dist <= reach
+    if not reached:
+        q_origin = load(nodes, base + origin)
+        whole = wp.length(target - q_origin)
+        q_new = q_origin + ((whole - dist + reach) / whole) * (target - q_origin)
+    return q_near, q_new, reach, reached
+
+
+@wp.func
+def write_path(
+    nodes: wp.array2d(dtype=float), parents: wp.array(dtype=int), base0: int, base1: int, met0: int, met1: int,
+    path: wp.array3d(dtype=float), length: wp.array(dtype=int), trial: int,
+):  # fmt: skip
+    """Writes home .. meeting posture .. goal; both trees hold the meeting posture. A path that is too long is not written."""
+    n_back = depth_of(parents, base0, met0)
+    after = parents[base1 + met1]
+    n_forth = depth_of(parents, base1, after)
+    if n_back + n_forth <= path.shape[1]:
+        write_branch(nodes, parents, base0, met0, path, trial, n_back - 1, -1)
+        write_branch(nodes, parents, base1, after, path, trial, n_back, 1)
+        length[trial] = n_back + n_forth
+
+
 # RRT-Connect (Kuffner and LaValle 2000). Tree 0 grows from home, tree 1 from all goals; edges are certified (edge.py). As
 # one loop, each turn of which adds at most one node, in one of three phases:
 #
@@ -115,9 +168,9 @@ def rrt_connect(
     iterations: int,
     capacity: int,  # nodes of one tree
     range_rad: float,
-    shorter: float,  # what is left of a node's reach when a step from it is blocked; 1: all steps have one length
+    shorter: float,  # factor on a node's reach when a step from it is blocked; 1: all steps have one length
     seed: int,
-    moveit: int,  # how edges are checked: CERTIFY or SAMPLES; on CUDA it is SAMPLES (`mode_of_one_thread`)
+    moveit: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
     world: World,
     bodies: TrialBodies,
@@ -169,29 +222,14 @@ def rrt_connect(
         if phase == EXTEND:
             count += 1
             grow = wp.where(n0 <= n1, 0, 1)
-            # mostly within half a turn of home, where paths are short; every fourth time anywhere within the limits
-            around = wp.where(count % 4 == 0, FULL_TURN, HALF_TURN)
-            for j in range(6):
-                lo = wp.max(world.lower[j], home_in[0, j] - around)
-                hi = wp.min(world.upper[j], home_in[0, j] + around)
-                target[j] = lo + (hi - lo) * wp.randf(rng)
+            target, rng = random_posture(world, home_in, count, rng)
         base = wp.where(grow == 0, base0, base1)
         n = wp.where(grow == 0, n0, n1)
         if phase != CONNECT_ON:
             near = nearest_node(nodes_scratch, base, n, target)
             origin = near
-        q_near = load(nodes_scratch, base + near)
-        q_new = target
-        dist = wp.length(target - q_near)
-        reach = nodes_scratch[base + near, REACH]
-        if count % FULL_REACH == 1:
-            reach = range_rad
-        reached = dist <= reach
-        if not reached:
-            q_origin = load(nodes_scratch, base + origin)  # all nodes of a line lie on it
-            whole = wp.length(target - q_origin)
-            q_new = q_origin + ((whole - dist + reach) / whole) * (target - q_origin)
-        found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, mode_of_one_thread(moveit))
+        q_near, q_new, reach, reached = rrt_step(nodes_scratch, base, near, origin, target, count, range_rad)
+        found = edge(world, bodies, trial, q_near, q_new, margin, 0.0, 0.0, 0.0, moveit)
         if found.status == FREE:
             add_node(nodes_scratch, parents_scratch, base + n, q_new, origin, range_rad)
             if grow == 0:
@@ -212,15 +250,5 @@ def rrt_connect(
             if phase == EXTEND and count % FULL_REACH != 1:
                 nodes_scratch[base + near, REACH] = wp.max(shorter * reach, LEAST_REACH * range_rad)
             phase = EXTEND
-    if met0 < 0:
-        return
-
-    # home .. meeting point .. goal; the two trees hold the meeting posture once each
-    n_back = depth_of(parents_scratch, base0, met0)
-    after = parents_scratch[base1 + met1]
-    n_forth = depth_of(parents_scratch, base1, after)
-    if n_back + n_forth > path_out.shape[1]:
-        return
-    write_branch(nodes_scratch, parents_scratch, base0, met0, path_out, trial, n_back - 1, -1)
-    write_branch(nodes_scratch, parents_scratch, base1, after, path_out, trial, n_back, 1)
-    length_inout[trial] = n_back + n_forth
+    if met0 >= 0:
+        write_path(nodes_scratch, parents_scratch, base0, base1, met0, met1, path_out, length_inout, trial)

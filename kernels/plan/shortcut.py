@@ -1,30 +1,29 @@
-"""Shorter paths, by the time that the time law takes for them. One thread per problem.
+"""Shorter paths, measured by the time law. One thread per problem.
 
-A path of n waypoints is first the best of all its subsets: the waypoints are numbered along it, any two may be joined by
-a straight line, and the quickest way from the first to the last is a shortest path in a graph without cycles. Whether a
-line is free costs a thousand times as much to know as how long it takes, so lines count as free until they are looked at,
-and only those are looked at that the quickest way would use (LazySP, Dellin and Srinivasa 2016).
+First a path of n waypoints becomes its quickest subset. The waypoints are numbered along the path, a straight line may join any
+two, and the quickest way from the first to the last is a shortest path in a graph without cycles. A check whether a line is free
+costs a thousand times as much as its time. So a line counts as free until it is checked, and only lines on the quickest way are
+checked (LazySP, Dellin and Srinivasa 2016).
 
-Then waypoints move: towards the line between their neighbours, all joints or some of them (partial shortcuts, Geraerts and
-Overmars 2007), and two points of different segments are joined. A path that is nearly as quick as the straight line between
-its ends is left as it is.
+Then waypoints move towards the line between their neighbours, in all joints or some (partial shortcuts, Geraerts and Overmars
+2007), and lines join points of different segments. A path that is nearly as quick as the straight line between its ends stays
+as it is.
 """
 
 import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.plan.codes import FREE
-from r2h_batch.kernels.plan.edge import edge, mode_of_one_thread
-from r2h_batch.kernels.robot.posture import load_waypoint, store_waypoint
-from r2h_batch.kernels.robot.trapezoid import duration
+from r2h_batch.kernels.plan.edge import edge
+from r2h_batch.kernels.robot.posture import duration, load_waypoint, store_waypoint
 from r2h_batch.kernels.robot.world import TrialBodies, World, vec6
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
 MOST_LINES = wp.constant(64)
-"""Lines between waypoints that are looked at in one pass at most."""
+"""Lines between waypoints that one pass checks at most."""
 LEAST_SAVED_S = wp.constant(0.001)
-"""What a change has to save to be worth a look."""
+"""Seconds that a change has to save before its edges are checked."""
 
 FIRST_SHARE = wp.constant(0.9)
 """By how much of its way a waypoint is pulled at first; half of that after each pull that is not free."""
@@ -112,7 +111,7 @@ def _quickest(
 
 @wp.func(inline=False)
 def _unknown(known: wp.array(dtype=wp.uint32), before: wp.array(dtype=int), n: int):
-    """The last line of the quickest way that nobody has looked at: the waypoint at its end, 0 where all are known."""
+    """The end waypoint of the quickest way's last unchecked line; 0 when all are checked."""
     k = int(n - 1)
     while k > 0 and (known[before[k]] >> wp.uint32(k)) & wp.uint32(1) == wp.uint32(1):
         k = before[k]
@@ -142,7 +141,7 @@ def _keep_quickest(path: wp.array3d(dtype=float), trial: int, n: int, before: wp
 #    neighbours, first in all joints, then in some; or JOIN, two random points on different segments are joined;
 # 3. SUBSET once more if something changed: a waypoint that has moved may be one to leave out.
 #
-# Time is asked before the edge: it costs nothing. What does not save any is no try, but there are at most 4 `tries` of all.
+# The time comes before the edge, because it costs nothing. A change that saves none is not a try; 4 `tries` are drawn at most.
 # A splice puts two waypoints in place of those between; where the array has no room for one more it is left out (`_splice`).
 @wp.kernel
 def shortcut(
@@ -153,7 +152,7 @@ def shortcut(
     speed: float,  # of the time law, rad/s and rad/s^2
     acceleration: float,
     seed: int,
-    moveit: int,  # how edges are checked: CERTIFY or SAMPLES; on CUDA it is SAMPLES (`mode_of_one_thread`)
+    moveit: int,  # how edges are checked: CERTIFY or SAMPLES
     # tables
     world: World,
     bodies: TrialBodies,
@@ -169,7 +168,7 @@ def shortcut(
 
     Rows with two waypoints or none are passed over.
 
-    The arm stops at waypoints, so a shortcut that adds one has to save more than a stop: asked before its edge is checked.
+    The arm stops at waypoints, so a shortcut that adds one has to save more than a stop takes.
     """
     trial = trial_in[first + wp.tid()]
     n = int(length_inout[trial])
@@ -177,7 +176,7 @@ def shortcut(
         return
     rng = wp.rand_init(seed + 1, key_in[trial])
     margin = margin_in[trial]
-    known = wp.zeros(shape=32, dtype=wp.uint32)  # bit j of entry i: somebody has looked at the line from i to j > i
+    known = wp.zeros(shape=32, dtype=wp.uint32)  # bit j of entry i: the line from i to j > i is checked
     blocked = wp.zeros(shape=32, dtype=wp.uint32)
     cost = wp.zeros(shape=32, dtype=float)
     before = wp.zeros(shape=32, dtype=int)
@@ -280,7 +279,7 @@ def shortcut(
         else:  # PULL_ON: the line from the moved waypoint
             line[FROM] = line[MOVED]
             line[TO] = load_waypoint(path_inout, trial, i + 1)
-        found = edge(world, bodies, trial, line[FROM], line[TO], margin, 0.0, 0.0, 0.0, mode_of_one_thread(moveit))
+        found = edge(world, bodies, trial, line[FROM], line[TO], margin, 0.0, 0.0, 0.0, moveit)
         free = found.status == FREE
         if phase == SUBSET:
             known[i] = known[i] | (wp.uint32(1) << wp.uint32(j))

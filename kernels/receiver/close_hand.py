@@ -232,10 +232,7 @@ def close_fingers(
 
 @wp.kernel
 def field_distance(
-    first: int,
-    field: Field,
-    point_in: wp.array(dtype=wp.vec3),
-    distance_out: wp.array(dtype=wp.float32),
+    first: int, field: Field, point_in: wp.array(dtype=wp.vec3), distance_out: wp.array(dtype=wp.float32)
 ):
     """`distance` of points."""
     i = first + wp.tid()

@@ -75,9 +75,7 @@ def ur_state(q: vec6d) -> vec12d:
 def ur_wrist_center(ur: UrParameters, s: vec12d) -> wp.vec3d:
     """The wrist centre in the shoulder frame."""
     return wp.vec3d(
-        ur.a2 * s[2] + ur.a3 * s[4] - ur.d5 * s[7],
-        ur.d4,
-        ur.d1 - ur.a2 * s[3] - ur.a3 * s[5] - ur.d5 * s[6],
+        ur.a2 * s[2] + ur.a3 * s[4] - ur.d5 * s[7], ur.d4, ur.d1 - ur.a2 * s[3] - ur.a3 * s[5] - ur.d5 * s[6]
     )
 
 

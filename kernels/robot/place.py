@@ -17,7 +17,7 @@ def _square(x: float) -> float:
 
 
 @wp.func
-def lever_of_ball(world: World, center: wp.vec3, ball_radius: float):
+def motion_radius_of_ball(world: World, center: wp.vec3, ball_radius: float):
     """Largest distance of a ball, fixed to wrist_3, from each joint's axis in any posture (r2h_batch.bodies.bounds, same bound).
 
     Turning a joint keeps the ball in a cylinder about its axis; that cylinder, seen from the joint before, fits into one
@@ -78,7 +78,7 @@ def place_bodies(
     p_wrist_grip_out: wp.array2d(dtype=wp.vec3),
     R_wrist_obj_out: wp.array(dtype=wp.mat33),
     p_wrist_obj_out: wp.array(dtype=wp.vec3),
-    lever_out: wp.array2d(dtype=float),
+    motion_radius_out: wp.array2d(dtype=float),
 ):
     """Poses of hand, fingers and attached object (`T_obj_ee_in` after closing moved the object between the pads)."""
     trial = first + wp.tid()
@@ -102,12 +102,12 @@ def place_bodies(
     po = R_wrist_ee * p_ee_obj + p_wrist_ee
     R_wrist_obj_out[trial] = Ro
     p_wrist_obj_out[trial] = po
-    lever = vec6()
+    motion_radius = vec6()
     o = object_in[trial]
     for hull in range(world.hull_first[o], world.hull_first[o + 1]):
-        a = lever_of_ball(world, Ro * world.hull_c0[hull] + po, world.hull_radius[hull])
-        b = lever_of_ball(world, Ro * world.hull_c1[hull] + po, world.hull_radius[hull])
+        a = motion_radius_of_ball(world, Ro * world.hull_c0[hull] + po, world.hull_radius[hull])
+        b = motion_radius_of_ball(world, Ro * world.hull_c1[hull] + po, world.hull_radius[hull])
         for j in range(6):
-            lever[j] = wp.max(lever[j], wp.max(a[j], b[j]))
+            motion_radius[j] = wp.max(motion_radius[j], wp.max(a[j], b[j]))
     for j in range(6):
-        lever_out[trial, j] = lever[j]
+        motion_radius_out[trial, j] = motion_radius[j]

@@ -1,4 +1,4 @@
-"""Postures (six joint angles, rad) in arrays."""
+"""Postures in arrays, and the time that the arm takes from one to another."""
 
 import warp as wp
 
@@ -27,3 +27,19 @@ def store_waypoint(path: wp.array3d(dtype=float), trial: int, k: int, q: vec6):
     """Writes waypoint k of a trial's path."""
     for j in range(6):
         path[trial, k, j] = q[j]
+
+
+@wp.func
+def peak_speed(distance: wp.Float, speed: wp.Float, acceleration: wp.Float):
+    """The speed (rad/s) that is reached over a distance (rad): at most `speed`."""
+    return wp.min(speed, wp.sqrt(acceleration * distance))
+
+
+@wp.func
+def duration(distance: wp.Float, speed: wp.Float, acceleration: wp.Float):
+    """Time (s) over a distance (rad), 0 for none. r2h_batch.motion.execute has the same law in torch."""
+    v = peak_speed(distance, speed, acceleration)
+    t = v / acceleration
+    if v > type(v)(0.0):
+        t += distance / v
+    return t

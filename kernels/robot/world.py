@@ -42,14 +42,14 @@ class World:
     cap_axis: wp.array(dtype=wp.vec3)  # from its middle to one end, in the body frame
     body_R: wp.array(dtype=wp.mat33)  # (n_arm,) in the link frame
     body_p: wp.array(dtype=wp.vec3)
-    lever: wp.array2d(
+    motion_radius: wp.array2d(
         dtype=float
     )  # (n_robot, 6) largest distance of a body's points from each joint's axis, any posture
     link_first: wp.array(dtype=int)  # (9,) bodies of link k: link_first[k] .. link_first[k + 1], k = 0..7
     link_c0: wp.array(dtype=wp.vec3)  # (8,) bounding capsule of the whole link (7 in the wrist_3 frame, any opening)
     link_c1: wp.array(dtype=wp.vec3)
     link_radius: wp.array(dtype=float)
-    link_lever: wp.array2d(dtype=float)  # (8, 6)
+    link_motion_radius: wp.array2d(dtype=float)  # (8, 6)
     self_links: wp.array(dtype=int)  # (9,) bit k of entry l: link l is checked against link k < l (8: the object)
     table_from: int  # bodies from this one on are checked against the table: base and shoulder stand on it
     table_center: wp.vec3  # world frame
@@ -89,7 +89,7 @@ class TrialBodies:
     p_wrist_grip: wp.array2d(dtype=wp.vec3)
     R_wrist_obj: wp.array(dtype=wp.mat33)
     p_wrist_obj: wp.array(dtype=wp.vec3)
-    object_lever: wp.array2d(dtype=float)  # (B, 6)
+    object_motion_radius: wp.array2d(dtype=float)  # (B, 6)
 
 
 @wp.func(inline=False)
@@ -183,28 +183,28 @@ def object_body(world: World, hull: int):
 
 
 @wp.func_native(
-    "return r2h::motion((const float*)((const char*)lever.data + row * lever.strides[0]), first_joint, d.c);"
+    "return r2h::motion((const float*)((const char*)motion_radius.data + row * motion_radius.strides[0]), first_joint, d.c);"
 )
-def motion(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> float:
-    """How far a body's points can move when the joints from `first_joint` on turn by d (rad): sum of |d_j| lever_j."""
+def motion(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> float:
+    """How far a body's points can move when the joints from `first_joint` on turn by d (rad): sum of |d_j| motion_radius_j."""
     ...
 
 
 @wp.func_native(
-    "return r2h::bends((const float*)((const char*)lever.data + row * lever.strides[0]), first_joint, d.c);"
+    "return r2h::bends((const float*)((const char*)motion_radius.data + row * motion_radius.strides[0]), first_joint, d.c);"
 )
-def _bends(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> wp.vec2: ...
+def _bends(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6) -> wp.vec2: ...
 
 
 @wp.func
-def bends(lever: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
+def bends(motion_radius: wp.array2d(dtype=float), row: int, first_joint: int, d: vec6):
     """Bounds on the second and on the third derivative of a body's points along q + s d, joints from `first_joint` on.
 
-    |d^2 x / dq_i dq_j| = |z_i x (z_j x (x - o_j))| for i <= j is at most the distance to the outer joint's axis, lever_j; the
-    same holds for three joints. With S_j = |d_0| + .. + |d_j| the pairs whose outer joint is j weigh S_j^2 - S_(j-1)^2, the
-    triples S_j^3 - S_(j-1)^3.
+    |d^2 x / dq_i dq_j| = |z_i x (z_j x (x - o_j))| for i <= j is at most the distance to the outer joint's axis,
+    r_j = motion_radius_j; the same holds for three joints. With S_j = |d_0| + .. + |d_j| the pairs whose outer joint is j
+    weigh S_j^2 - S_(j-1)^2, the triples S_j^3 - S_(j-1)^3.
     """
-    found = _bends(lever, row, first_joint, d)
+    found = _bends(motion_radius, row, first_joint, d)
     return found[0], found[1]
 
 

@@ -10,8 +10,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.angles import sin_cos
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose, line_hit
-from r2h_batch.kernels.grasp.prism import clip_edge, corner
-from r2h_batch.kernels.grasp.runs import FAR
+from r2h_batch.kernels.grasp.prism import FAR, clip_edge, corner
 from r2h_batch.kernels.grasp.width import between_gaps, close_on
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, gap_from_drive, pad_center_z_range

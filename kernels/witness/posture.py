@@ -3,8 +3,8 @@
 import warp as wp
 
 from r2h_batch.kernels.geometry.body import CAPSULE
+from r2h_batch.kernels.geometry.closest import rounded, signed_distance
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
-from r2h_batch.kernels.geometry.primitives import rounded, signed_distance
 from r2h_batch.kernels.ik.jacobian import damped_gram, joint_rate, solve_spd
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.fk import ee_and_axes

@@ -12,10 +12,9 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.angles import sin_cos
 from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, HULL, Body, from_ball
+from r2h_batch.kernels.geometry.closest import TOUCH_M, closest_on_triangle, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
-from r2h_batch.kernels.geometry.primitives import TOUCH_M, eroded, inner_radius, signed_distance
 from r2h_batch.kernels.geometry.surface import Surfaces, center, inverse_pose
-from r2h_batch.kernels.geometry.triangle import closest_on_triangle
 from r2h_batch.kernels.grasp.triangle import DEPTH_M
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import FIXED, INNER_KNUCKLE, PIN, Gripper, drive_from_gap, finger_pose
@@ -184,13 +183,7 @@ def _polished(kind: int, size: wp.vec3, x: wp.vec3, u: wp.vec3, v: wp.vec3, w: w
 
 @wp.func
 def triangle_witness(
-    points: wp.array(dtype=wp.vec3),
-    start: int,
-    kind: int,
-    size: wp.vec3,
-    R: wp.mat33,
-    p: wp.vec3,
-    best: float,
+    points: wp.array(dtype=wp.vec3), start: int, kind: int, size: wp.vec3, R: wp.mat33, p: wp.vec3, best: float
 ):
     """The triangle's point of least signed distance to a primitive, in the primitive's frame; distance `best` if not below.
 

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M
-from r2h_batch.judge.wave.safe import SafeWaves
-from r2h_batch.judge.wave.waves import Waves, in_waves
+from r2h_batch.judge.frontier.levels import Frontier, uses_frontier
+from r2h_batch.judge.frontier.safe import SafeFrontier
 from r2h_batch.kernels.judge import safe as safe_kernels
 from r2h_batch.kernels.judge.goal import goal_safe_distance
 from r2h_batch.kernels.judge.overlap import hand_overlap, path_overlap
@@ -38,7 +38,7 @@ POSTURE_CHUNK = 32
 idle at the end."""
 
 MOVED = 3
-"""A motion recorded sample by sample has so many times the room of a path in the waves' queues."""
+"""A motion recorded sample by sample has so many times the room of a path in the frontier's queues."""
 
 
 def person_distance(
@@ -80,12 +80,12 @@ def _nearest(
     meet."""
     path, length = motion["path"], motion["length"]
     b, device = len(length), path.device
-    if in_waves(on["device"]):
-        waves = Waves(
+    if uses_frontier(on["device"]):
+        frontier = Frontier(
             **tables, device=on["device"], rows=b if path.shape[1] <= WAYPOINTS else MOVED * b
         )
-        distance, pair, body = waves.clearance(path, length, SAFE_TOLERANCE_M)
-        meets = waves.rows_where((length > 0) & (distance < 0))
+        distance, pair, body = frontier.clearance(path, length, SAFE_TOLERANCE_M)
+        meets = frontier.rows_where((length > 0) & (distance < 0))
         distance = torch.where(length > 0, distance, torch.nan)
         return {
             "clearance": distance,
@@ -145,10 +145,10 @@ def hand_distance(
     motion = {"path": executed.path, "length": executed.length}
     moves = (executed.length > 0) & active
     on: dict[str, Any] = {"device": scene.device, "threads": threads}
-    if in_waves(scene.device):
-        waves = SafeWaves(scene, body_poses, **motion, tolerance=SAFE_TOLERANCE_M)
-        waves(found)
-        meets = waves.rows_where(moves & (distance < 0))
+    if uses_frontier(scene.device):
+        frontier = SafeFrontier(scene, body_poses, **motion, tolerance=SAFE_TOLERANCE_M)
+        frontier(found)
+        meets = frontier.rows_where(moves & (distance < 0))
     else:
         inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
         launch_trials(

@@ -9,24 +9,24 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
+from r2h_batch.judge.frontier.levels import Frontier, uses_frontier
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.judge.search import Search
-from r2h_batch.judge.wave.waves import Waves, in_waves
+from r2h_batch.kernels.frontier.arcs import draw_arcs
+from r2h_batch.kernels.frontier.shortcuts import take_arcs
+from r2h_batch.kernels.frontier.trees import enter_edges
 from r2h_batch.kernels.judge.overlap import path_overlap
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
-from r2h_batch.kernels.wave.arcs import draw_arcs
-from r2h_batch.kernels.wave.shortcuts import take_arcs
-from r2h_batch.kernels.wave.trees import enter_edges
 from r2h_batch.launch import launch_trials, load
 from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 
 GOAL_ROOM_M = 2e-4
-"""A path may come this much nearer to the hand than its goal does: the stretch next to the goal
+"""A path may come this much nearer to the hand than its goal does: the interval next to the goal
 must be certifiable."""
 
 
@@ -76,8 +76,8 @@ def plan_paths(
 def load_searches(device: str) -> None:
     """Compiles what only some trials need (searches, shortcuts, how deep bodies meet), or loads it
     from the kernel cache."""
-    one_thread, waves = (rrt_connect, shortcut), (enter_edges, draw_arcs, take_arcs)
-    for kernel in (*(waves if in_waves(device) else one_thread), path_overlap):
+    one_thread, frontier = (rrt_connect, shortcut), (enter_edges, draw_arcs, take_arcs)
+    for kernel in (*(frontier if uses_frontier(device) else one_thread), path_overlap):
         load(kernel, device)
 
 
@@ -123,8 +123,8 @@ def _paths(
     least, pair, body = _least_clearance(run, path, length)
     if moveit:  # sampled edges may pass through things
         _measure_overlaps(run, scene, path, length, least, pair, body)
-    elif run.waves is not None:
-        run.waves.refuse_if_full()
+    elif run.frontier is not None:
+        run.frontier.refuse_if_full()
     reason = _reasons(active, start_clear, valid, n_goals, length)
     first_valid = valid.to(torch.int8).argmax(1)
     blocked_by = goal_pair[torch.arange(b, dtype=torch.int64, device=device), first_valid]
@@ -138,8 +138,8 @@ def _least_clearance(
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Smallest clearance along each path over all pairs (-inf without one), its pair and the
     robot's body."""
-    if run.waves is not None:
-        return run.waves.clearance(path, length)
+    if run.frontier is not None:
+        return run.frontier.clearance(path, length)
     b, device = len(path), path.device
     least = torch.full((b,), -torch.inf, dtype=torch.float32, device=device)
     pair = torch.zeros(b, dtype=torch.int32, device=device)
@@ -172,8 +172,8 @@ def _measure_overlaps(
     meets = (length > 0) & (least < 0)
     rows = (
         torch.nonzero(meets).flatten().to(torch.int32)
-        if run.waves is None
-        else run.waves.rows_where(meets)
+        if run.frontier is None
+        else run.frontier.rows_where(meets)
     )
     run(
         path_overlap,
@@ -203,15 +203,15 @@ def _reasons(
 
 class Planner:
     """Runs planning kernels, which all take the scene's world and the trials' bodies; on a GPU what
-    can goes in `waves`."""
+    can goes in `frontier`."""
 
     def __init__(self, scene: Scene, body_poses: BodyPoses, threads: int | None) -> None:
         self._tables = {"world": body_poses.tables(scene), "bodies": body_poses.bodies}
         self._device = scene.device
         self._threads = threads
-        self.waves = (
-            Waves(**self._tables, device=scene.device, rows=len(body_poses.object_index))
-            if in_waves(scene.device)
+        self.frontier = (
+            Frontier(**self._tables, device=scene.device, rows=len(body_poses.object_index))
+            if uses_frontier(scene.device)
             else None
         )
 
@@ -233,8 +233,8 @@ class Planner:
     def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
         """Free or not, the pair that collides, the hand clearance up to 6.5 mm; one row per
         posture."""
-        if self.waves is not None:
-            return self.waves.check(q.contiguous(), active, per_trial)
+        if self.frontier is not None:
+            return self.frontier.check(q.contiguous(), active, per_trial)
         n = len(q)
         clear = torch.zeros(n, dtype=torch.bool, device=q.device)
         pair = torch.zeros(n, dtype=torch.int32, device=q.device)
@@ -252,8 +252,8 @@ class Planner:
         self, home: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, moveit: int
     ) -> Tensor:
         """Each row's first goal whose straight line from home is free, or -1."""
-        if self.waves is not None:
-            return self.waves.straight(home, goals, n_goals, margin, moveit)
+        if self.frontier is not None:
+            return self.frontier.straight(home, goals, n_goals, margin, moveit)
         chosen = torch.full_like(n_goals, -1)
         self(
             straight_lines,

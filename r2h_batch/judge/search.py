@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import ExecConfig, PlanConfig
-from r2h_batch.judge.wave.search import Problem, connect_in_waves
-from r2h_batch.judge.wave.shortcuts import Law, shorten_in_waves
+from r2h_batch.judge.frontier.search import Problem, connect_by_frontier
+from r2h_batch.judge.frontier.shortcuts import Law, shorten_by_frontier
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
@@ -135,11 +135,11 @@ class Search:
         # or to be blocked; how many is not bounded, so a tree that is full ends the search
         # (`rrt_connect`)
         capacity = 4 * iterations + 16
-        if self.run.waves is not None and self.config.edge_check != "moveit":
+        if self.run.frontier is not None and self.config.edge_check != "moveit":
             problem = Problem(self.home, kept, n_kept, margin, self.key)
             room = _scratch_nodes(device)
-            connect_in_waves(
-                self.run.waves,
+            connect_by_frontier(
+                self.run.frontier,
                 rows,
                 problem,
                 self.config,
@@ -183,10 +183,10 @@ class Search:
         """Shortcuts on the paths that `rows` have, as long as they save time under the arm's
         limits; in place."""
         speed, acceleration = limits(self.execute)
-        if self.run.waves is not None and self.config.edge_check != "moveit":
+        if self.run.frontier is not None and self.config.edge_check != "moveit":
             law = Law(ENOUGH, speed, acceleration)
-            shorten_in_waves(
-                self.run.waves,
+            shorten_by_frontier(
+                self.run.frontier,
                 rows,
                 law,
                 self.config.shortcuts,

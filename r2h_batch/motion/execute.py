@@ -281,7 +281,7 @@ class _Runner:
         # coming to rest
         reference_s = torch.from_numpy(self.reference_s).to(device)
         settled = (length > 0) & still & (at <= reference_s + config.settle_s)
-        lever = self.scene.levers.to(device)
+        lever = self.scene.motion_radii.to(device)
         acceleration = torch.zeros((b, 1, 6), dtype=torch.float64, device=device)
         acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)
         slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
@@ -293,7 +293,7 @@ class _Runner:
         state[rows] = torch.from_numpy(answer.failed_state).to(device)
         both = torch.maximum(
             slack,
-            (acceleration[:, 0] * self.body_poses.object_lever.to(device)).sum(-1)
+            (acceleration[:, 0] * self.body_poses.object_motion_radius.to(device)).sum(-1)
             * sample_s**2
             / 8,
         )
@@ -341,8 +341,8 @@ class _Runner:
         """Of the lines between samples from the planned path: at the samples, and what the path
         curves between two in time."""
         law = servo_law(self.config, lead_s=0.0, step_s=sample_s)
-        lever = self.scene.levers.float().to(motion.device).contiguous()
-        held = self.body_poses.object_lever
+        lever = self.scene.motion_radii.float().to(motion.device).contiguous()
+        held = self.body_poses.object_motion_radius
         deviation = torch.zeros(len(length), dtype=torch.float32, device=motion.device)
         planned, time, planned_length = self.planned
         launch_trials(
@@ -350,8 +350,8 @@ class _Runner:
             len(length),
             inputs={
                 "law": law,
-                "lever": lever,
-                "object_lever": held,
+                "motion_radius": lever,
+                "object_motion_radius": held,
                 "path": planned,
                 "time": time,
                 "length": planned_length,

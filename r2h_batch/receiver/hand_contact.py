@@ -13,8 +13,8 @@ import warp as wp
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.hand import HandModel, load_hand
-from r2h_batch.kernels.receiver.in_hand import may_be_in_hand
 from r2h_batch.kernels.receiver.point_mesh import (
+    may_be_in_hand,
     point_mesh_distance,
     point_mesh_distance_by_normal,
     wall_thickness,

@@ -117,7 +117,7 @@ def with_person(
     rows = torch.arange(b, dtype=torch.int32, device=device)
     names = ("object", "hand", *PLACED)
     owners = {**dict(zip(names, body_poses.owners[: len(names)], strict=True)), "hand": rows}
-    bodies = struct_of(TrialBodies, {**owners, "object_lever": owners["lever"]})
+    bodies = struct_of(TrialBodies, {**owners, "object_motion_radius": owners["motion_radius"]})
     return BodyPoses(bodies, body_poses.owners, world, (rows, *kept.values()))
 
 

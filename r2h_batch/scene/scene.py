@@ -40,7 +40,7 @@ PLACED = (
     "p_wrist_grip",
     "R_wrist_obj",
     "p_wrist_obj",
-    "lever",
+    "motion_radius",
 )
 """What `body_poses` writes for each trial, in the order of `BodyPoses.owners` behind object and hand."""
 
@@ -180,10 +180,10 @@ class Scene:
         )
 
     @cached_property
-    def levers(self) -> Tensor:
+    def motion_radii(self) -> Tensor:
         """(n_robot, 6) bounds in m on the distance of each robot body's points from each joint's
         axis."""
-        return torch.from_numpy(self.tables.levers)
+        return torch.from_numpy(self.tables.motion_radii)
 
     @cached_property
     def world(self) -> Any:
@@ -367,7 +367,7 @@ class Scene:
             threads=threads,
             chunk=256,
         )
-        names = {"hand": hands, "object": objects, "object_lever": out["lever"]}
+        names = {"hand": hands, "object": objects, "object_motion_radius": out["motion_radius"]}
         bodies = struct_of(TrialBodies, {**out, **names})
         return BodyPoses(bodies, (objects, hands, *out.values(), T_world_hand, opening_m))
 
@@ -421,7 +421,7 @@ class BodyPoses:
         return self.owners[1]
 
     @property
-    def object_lever(self) -> Float32[Tensor, "b 6"]:
+    def object_motion_radius(self) -> Float32[Tensor, "b 6"]:
         """Bounds in m on the distance of the object's points from each joint's axis."""
         return self.owners[8]
 

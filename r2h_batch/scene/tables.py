@@ -20,7 +20,7 @@ from r2h_batch.bodies.hand import HandModel, HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Kind, Robot
 from r2h_batch.config import Workplace
-from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, MAX_PARTNERS
+from r2h_batch.kernels.plan.codes import MAX_ARM_BODIES, MAX_OBSTACLES
 from r2h_batch.kernels.robot.world import World
 
 MIDDLE_ROOT = 4
@@ -103,10 +103,10 @@ class WorldTables:
         return np.argsort(self.robot.arm.link, kind="stable")
 
     @property
-    def levers(self) -> NDArray[np.float64]:
+    def motion_radii(self) -> NDArray[np.float64]:
         """(n_robot, 6) bounds in m on the distance of each robot body's points from each joint's
         axis."""
-        return np.asarray(self._fill_robot()["lever"][0], np.float64)
+        return np.asarray(self._fill_robot()["motion_radius"][0], np.float64)
 
     def world(self, device: str) -> Any:
         """The `World` of r2h_batch.kernels.robot.world."""
@@ -133,14 +133,14 @@ class WorldTables:
         link = np.concatenate([robot.arm.link[order], np.full(len(robot.gripper.names), 7)])
         n_arm, n_robot = len(order), len(kind)
         pieces = len(self.hands.model.piece_names)
-        if n_robot > 62 or n_arm > MAX_ARM_BODIES or pieces + 1 + n_arm > MAX_PARTNERS:
+        if n_robot > 62 or n_arm > MAX_ARM_BODIES or pieces + 1 + n_arm > MAX_OBSTACLES:
             raise ValueError(
                 f"{n_robot} robot primitives, {n_arm} of them the arm's, {pieces} hand pieces: the kernels hold fewer"
             )
         caps = [bounds.capsule_of_primitive(int(k), s) for k, s in zip(kind, size, strict=True)]
         levers = bounds.robot_levers(robot)[np.concatenate([order, np.arange(n_arm, n_robot)])]
         ends, radii = bounds.gripper_balls(robot)
-        link_caps, link_lever = [], []
+        link_caps, link_motion_radius = [], []
         for k in range(8):
             if k < 7:
                 mine = np.flatnonzero(link[:n_arm] == k)
@@ -152,7 +152,7 @@ class WorldTables:
                 mine = np.arange(n_arm, n_robot)
                 centers, radius = ends.reshape(-1, 3), np.repeat(radii, ends.shape[1])
             link_caps.append(bounds.capsule_of_balls(centers, radius))
-            link_lever.append(levers[mine].max(0))
+            link_motion_radius.append(levers[mine].max(0))
         partners = np.zeros(9, np.int32)
         for a, b in robot.self_pairs:
             partners[max(a, b)] |= 1 << int(min(a, b))
@@ -173,12 +173,12 @@ class WorldTables:
             "cap_axis": ([c[0] for c in caps], wp.vec3),
             "body_R": (robot.arm.T_link_prim[order][:, :3, :3], wp.mat33),
             "body_p": (robot.arm.T_link_prim[order][:, :3, 3], wp.vec3),
-            "lever": (levers, wp.float32),
+            "motion_radius": (levers, wp.float32),
             "link_first": (np.searchsorted(link, np.arange(9)), wp.int32),
             "link_c0": ([c[0] for c in link_caps], wp.vec3),
             "link_c1": ([c[1] for c in link_caps], wp.vec3),
             "link_radius": ([c[2] for c in link_caps], wp.float32),
-            "link_lever": (link_lever, wp.float32),
+            "link_motion_radius": (link_motion_radius, wp.float32),
             "self_links": (partners, wp.int32),
             "table_from": (int(np.searchsorted(link, robot.links.index("upper_arm"))), wp.int32),
         }

@@ -16,7 +16,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.export.mjcf import spec_of
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M, Touch, nearer_of, person_distance
-from r2h_batch.judge.wave.waves import waves_on_cpu
+from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.methods import fc
 from r2h_batch.sweep import command as sweep
 from r2h_batch.trials.protocol import make_trials
@@ -109,7 +109,7 @@ def test_the_smallest_distance_along_a_path_is_that_of_mujoco_sampled_finely(ask
             assert least < 1e-3, i
 
 
-def test_waves_find_the_distances_of_one_thread(asked):
+def test_the_frontier_finds_the_distances_of_one_thread(asked):
     """A GPU's form, on a CPU: of the answers' own motions as planned, and of each as 150 samples."""
     scene = evaluator("hand").scene
     with mock.patch.object(evaluate, "person_distance", wraps=person_distance) as asked_of:
@@ -119,7 +119,7 @@ def test_waves_find_the_distances_of_one_thread(asked):
     sampled = path[:, :1] + torch.linspace(0, 1, 151)[None, :, None] * (ends[:, None] - path[:, :1])
     for motion, n in ((path, length), (sampled, torch.where(length > 0, 151, 0).to(torch.int32))):
         here, body = person_distance(scene, body_poses, receiver, motion, n)
-        with waves_on_cpu():
+        with planning_form("frontier"):
             there, body_there = person_distance(scene, body_poses, receiver, motion, n)
         assert torch.equal(torch.isnan(here), n == 0) and torch.equal(torch.isnan(there), n == 0)
         found = n > 0

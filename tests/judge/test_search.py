@@ -10,8 +10,8 @@ from problems import Batch, Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.judge import plan, search
+from r2h_batch.judge.frontier import levels
 from r2h_batch.judge.plan import load_searches
-from r2h_batch.judge.wave import waves
 from r2h_batch.methods import random
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.sweep import engine
@@ -85,10 +85,10 @@ def test_what_only_some_trials_need_is_compiled_before_a_sweeps_clock_starts():
         load_searches("cpu")
     asked = {call.args[0].module.name.split(".kernels.")[-1] for call in loaded.call_args_list}
     assert asked == {"plan.rrt", "plan.shortcut", "judge.overlap"}
-    with mock.patch.object(plan, "load") as loaded, waves.waves_on_cpu():
+    with mock.patch.object(plan, "load") as loaded, levels.planning_form("frontier"):
         load_searches("cpu")
     asked = {call.args[0].module.name.split(".kernels.")[-1] for call in loaded.call_args_list}
-    assert asked == {"wave.trees", "wave.arcs", "wave.shortcuts", "judge.overlap"}
+    assert asked == {"frontier.trees", "frontier.arcs", "frontier.shortcuts", "judge.overlap"}
     setting = mock.Mock(planned=4)
     with mock.patch.object(engine, "load_searches") as warmed:
         engine.warm_up(mock.Mock(warm=True), setting)

@@ -39,7 +39,7 @@ def settled_and_samples(
     least_out: wp.array2d(dtype=float),
     near_out: wp.array2d(dtype=wp.bool),
 ):
-    """For an arm body's capsule: which balls it may come near, and its least distance to each at samples of the stretch."""
+    """For an arm body's capsule: which balls it may come near, and its least distance to each at samples of the interval."""
     row = first + wp.tid()
     b = body_in[row]
     k = world.body_link[b]
@@ -57,10 +57,10 @@ def settled_and_samples(
     twists(d, R, p, w, v)
     middle = R[k] * world.body_p[b] + p[k]
     axis = R[k] * world.body_R[b] * world.cap_axis[b]
-    second, third = bends(world.lever, b, 0, d)
+    second, third = bends(world.motion_radius, b, 0, d)
     left = balls_near(
         center_in, radius_in, row * count, count, middle - axis, middle + axis, world.cap_radius[b],
-        motion(world.lever, b, 0, d), w[k], v[k], w[CHANGES + k], v[CHANGES + k], second, third,
+        motion(world.motion_radius, b, 0, d), w[k], v[k], w[CHANGES + k], v[CHANGES + k], second, third,
         moving, target_in[row], 1.0e-4,
     )  # fmt: skip
     while left != wp.uint64(0):
@@ -80,7 +80,7 @@ def settled_and_samples(
 
 
 def settled(scene, rng, rows: int, count: int, reach_rad: float, target_m: np.ndarray | None = None):
-    """Random stretches and balls: the targets, the least distances (rows, count) along them, and what may come near."""
+    """Random intervals and balls: the targets, the least distances (rows, count) along them, and what may come near."""
     body = rng.integers(6, scene.world.n_arm, rows).astype(np.int32)
     q = rng.uniform(-np.pi, np.pi, (rows, 6)).astype(np.float32)
     d = rng.normal(size=(rows, 6))
@@ -107,7 +107,7 @@ def settled(scene, rng, rows: int, count: int, reach_rad: float, target_m: np.nd
 @pytest.mark.check
 @pytest.mark.parametrize("count", [1, 20, 64])
 @pytest.mark.parametrize("reach_rad", [0.0, 0.05, 0.4])
-def test_a_ball_that_is_settled_keeps_its_distance_on_the_whole_stretch(scene, count: int, reach_rad: float) -> None:
+def test_a_ball_that_is_settled_keeps_its_distance_on_the_whole_interval(scene, count: int, reach_rad: float) -> None:
     target, least, near = settled(scene, np.random.default_rng(count), 300, count, reach_rad)
     room = (least - target)[~near]
     assert room.size and room.min() >= 0.0

@@ -219,11 +219,11 @@ def test_path_clearance_is_the_smallest_sampled_one(scene):
     assert len(off) >= 15 and len(pairs) >= 3
 
 
-def test_object_levers_bound_every_point_and_match_the_robots_own_bound(scene):
+def test_object_motion_radii_bound_every_point_and_match_the_robots_own_bound(scene):
     rng = np.random.default_rng(6)
     stages, _ = oracle.random_stages(scene, rng, 24)
     body_poses = oracle.place(scene, stages)
-    lever = body_poses.object_lever.numpy()
+    motion_radius = body_poses.object_motion_radius.numpy()
     world = scene.world
     first, c0, c1, radius = (getattr(world, n).numpy() for n in ("hull_first", "hull_c0", "hull_c1", "hull_radius"))
     q = rng.uniform(-np.pi, np.pi, (400, 6))
@@ -235,14 +235,14 @@ def test_object_levers_bound_every_point_and_match_the_robots_own_bound(scene):
             for c in (c0[h], c1[h]):
                 center = T_wrist_obj[:3, :3] @ c + T_wrist_obj[:3, 3]
                 expected = np.maximum(expected, lever_bound_for_sphere(scene.robot, 6, center, float(radius[h])))
-        assert np.abs(lever[k] - expected).max() <= 1e-5
+        assert np.abs(motion_radius[k] - expected).max() <= 1e-5
         points = scene.objects[staged.object_index].hull_vertices @ T_wrist_obj[:3, :3].T + T_wrist_obj[:3, 3]
         world_points = np.einsum("qij,nj->qni", T_world_link[:, 6, :3, :3], points) + T_world_link[:, 6, None, :3, 3]
         for j in range(6):
             x = world_points - T_world_link[:, j + 1, None, :3, 3]
             axis = T_world_link[:, j + 1, None, :3, 2]
             away = np.linalg.norm(x - (x * axis).sum(-1, keepdims=True) * axis, axis=-1)
-            assert away.max() <= lever[k, j], (k, j)
+            assert away.max() <= motion_radius[k, j], (k, j)
 
 
 def boundary_points(kind, size, rng, n=400):
@@ -258,12 +258,14 @@ def distance_to_segment(x, a, b):
     return np.linalg.norm(x - a - t[:, None] * d, axis=1)
 
 
-def test_bounding_capsules_and_levers_hold_their_bodies_at_every_opening(scene):
+def test_bounding_capsules_and_motion_radii_hold_their_bodies_at_every_opening(scene):
     rng = np.random.default_rng(7)
     w, robot = scene.world, scene.robot
     kind, size, link = w.kind.numpy(), w.size.numpy().astype(np.float64), w.body_link.numpy()
-    axis, cap, lever = w.cap_axis.numpy(), w.cap_radius.numpy(), w.lever.numpy()
-    c0, c1, radius, link_lever = (getattr(w, n).numpy() for n in ("link_c0", "link_c1", "link_radius", "link_lever"))
+    axis, cap, motion_radius = w.cap_axis.numpy(), w.cap_radius.numpy(), w.motion_radius.numpy()
+    c0, c1, radius, link_motion_radius = (
+        getattr(w, n).numpy() for n in ("link_c0", "link_c1", "link_radius", "link_motion_radius")
+    )
     T_wrist_ee = robot.T_wrist3_flange @ robot.T_flange_ee
     q = rng.uniform(-np.pi, np.pi, (60, 6))
     T_world_link = forward_kinematics(robot, q)
@@ -286,7 +288,10 @@ def test_bounding_capsules_and_levers_hold_their_bodies_at_every_opening(scene):
                 r = z - T_world_link[:, j + 1, None, :3, 3]
                 a = T_world_link[:, j + 1, None, :3, 2]
                 away = np.linalg.norm(r - (r * a).sum(-1, keepdims=True) * a, axis=-1).max()
-                assert away <= lever[b, j] + 1e-7 and lever[b, j] <= link_lever[link[b], j], (b, j)
+                assert away <= motion_radius[b, j] + 1e-7 and motion_radius[b, j] <= link_motion_radius[link[b], j], (
+                    b,
+                    j,
+                )
 
 
 def test_bounding_capsules_and_balls_of_hulls_pieces_and_hands_hold_their_points(scene):

@@ -15,7 +15,7 @@ from r2h_batch.bodies.objects import OBJECT_NAMES, load_objects
 from r2h_batch.bodies.robot import Kind
 from r2h_batch.kernels.geometry import body as shapes
 from r2h_batch.kernels.geometry import gjk as kernel
-from r2h_batch.kernels.geometry.segments import from_point, from_segment
+from r2h_batch.kernels.geometry.closest import from_point, from_segment
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.launch import init_warp, launch
 

@@ -9,8 +9,8 @@ import torch
 
 from r2h_batch.bodies.robot import ee_pose, gripper_primitives_at
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M
+from r2h_batch.judge.frontier.safe import SafeFrontier
 from r2h_batch.judge.plan import Planner
-from r2h_batch.judge.wave.safe import SafeWaves
 from r2h_batch.kernels.judge.safe import safe_distance
 from r2h_batch.kernels.plan.lines import path_clearance
 from r2h_batch.scene.scene import Scene
@@ -28,7 +28,7 @@ def with_hands_scaled(factor):
 
 
 def safe_of(scene, stages, paths, threads=None, form="thread"):
-    """distance, body, segment, fraction, point of every path: one thread for each, as on a CPU, or in waves, as on a GPU."""
+    """distance, body, segment, fraction, point of every path: by one thread each (a CPU's form) or level by level (a GPU's)."""
     n, width = len(paths), max(len(p) for p in paths)
     path = torch.zeros((n, width, 6))
     for k, p in enumerate(paths):
@@ -38,10 +38,10 @@ def safe_of(scene, stages, paths, threads=None, form="thread"):
     found = {"distance": torch.full((n,), -9.0), "body": body, "segment": segment}
     found |= {"fraction": torch.zeros(n), "point": torch.zeros((n, 3))}
     body_poses = oracle.place(scene, stages)
-    if form == "waves":
-        waves = SafeWaves(scene, body_poses, path, length, SAFE_TOLERANCE_M)
-        waves(found)
-        waves.rows_where(length == 0)
+    if form == "frontier":
+        frontier = SafeFrontier(scene, body_poses, path, length, SAFE_TOLERANCE_M)
+        frontier(found)
+        frontier.rows_where(length == 0)
     else:
         motion = {"mesh": scene.hand_mesh, "path": path, "length": length}
         asked = {"cap": CAP_M, "tolerance": SAFE_TOLERANCE_M, **motion}
@@ -49,7 +49,7 @@ def safe_of(scene, stages, paths, threads=None, form="thread"):
     return [x.numpy() for x in found.values()]
 
 
-FORMS = pytest.mark.parametrize("form", ["thread", "waves"])
+FORMS = pytest.mark.parametrize("form", ["thread", "frontier"])
 
 
 def is_free(scene, stages, q):

@@ -58,7 +58,7 @@ def bound_and_samples(
     twists(d, R, p, w, v)
     shape = robot_body(world, b)
     n = R[o] * n_in[row]
-    second, third = bends(world.lever, b, o, d)
+    second, third = bends(world.motion_radius, b, o, d)
     g, c = acceleration_seen_along(n, w[k], v[k], w[CHANGES + k], v[CHANGES + k], o, w, v)
     low = swept_support(
         shape, R[k] * world.body_R[b], R[k] * world.body_p[b] + p[k], world.points, n, w[k] - w[o], v[k] - v[o], g, c,
@@ -85,7 +85,7 @@ def bound_and_samples(
 
 @pytest.mark.check
 @pytest.mark.parametrize("reach_rad", [0.02, 0.3, 1.5])
-def test_no_body_comes_lower_than_its_swept_bound_and_short_stretches_lose_little(scene, reach_rad: float) -> None:
+def test_no_body_comes_lower_than_its_swept_bound_and_short_intervals_lose_little(scene, reach_rad: float) -> None:
     rng = np.random.default_rng(int(1000 * reach_rad))
     count = 4000
     link = scene.world.body_link.numpy()

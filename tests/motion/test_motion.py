@@ -13,7 +13,7 @@ from r2h_batch.bodies.robot import ee_pose, forward_kinematics
 from r2h_batch.config import EvalConfig, ExecConfig, Thresholds
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import hand_distance
-from r2h_batch.kernels.robot.trapezoid import duration
+from r2h_batch.kernels.robot.posture import duration
 from r2h_batch.launch import init_warp, launch
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import Motion, time_at, time_path
@@ -146,7 +146,7 @@ def test_a_long_path_is_no_failure_in_any_engine(sim):
 def test_every_step_of_the_motion_lies_within_the_slack_of_the_recorded_lines():
     p = problems()
     coarse, fine = reference_run(MUJOCO), run(replace(MUJOCO, record_steps=1, dwell_s=0.5))
-    lever = default_evaluator().scene.levers.numpy()
+    lever = default_evaluator().scene.motion_radii.numpy()
     k = 4
     for row in torch.nonzero(p.plan.length > 0).flatten().tolist():
         n = min(int(coarse.length[row]), (int(fine.length[row]) - 1) // k + 1)

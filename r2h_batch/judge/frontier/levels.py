@@ -1,0 +1,365 @@
+"""Postures, straight lines and clearances level by level: the planner's form for a GPU
+(docs/gpu.md). It runs on a CPU too.
+
+A level is one level of the bisection of all edges at once, in nine launches (kernels/frontier/). A
+bisection has a fixed number of levels, so the host launches all of them and never waits for the
+device; launches with empty queues do nothing. The results are those of plan/lines.py, one thread a
+trial: the same goals and lines, clearances within the tolerance of both.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Int32, Int64
+from torch import Tensor
+
+from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M
+from r2h_batch.kernels.frontier import queues
+from r2h_batch.kernels.frontier.bodies import (
+    clear_links,
+    near_bodies,
+    near_hand,
+    near_pieces,
+    near_table,
+)
+from r2h_batch.kernels.frontier.intervals import halve, interval_frames, queue_edges, queue_paths
+from r2h_batch.kernels.frontier.pairs import pair_distances
+from r2h_batch.kernels.frontier.settle import settle_pairs
+from r2h_batch.kernels.plan.bisection import MAX_LEVEL
+from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, PAIR_OF_OBJECT, POSTURE, SAMPLES
+from r2h_batch.kernels.plan.lines import CLEARANCE_CAP
+from r2h_batch.kernels.robot.world import FIELDS
+from r2h_batch.launch import launch_trials
+from r2h_batch.launch.arguments import struct_of
+
+LANES, CUDA_LANES = 1, 1 << 16
+"""Threads of a launch on a CPU and on CUDA; thread i takes entries i, i + threads, ... of a queue."""
+PER_ROW, LEAST, LEAST_CUDA = 16, 1 << 12, 1 << 16
+"""Intervals that the queue has room for: so many a row of the batch, and so many at least. Where
+that is too little half the rows have twice as much each (r2h_batch.launch.memory)."""
+BODIES_PER_INTERVAL, PAIRS_PER_INTERVAL = 8, 6
+SEGMENTS_PER_ROW, LEAST_SEGMENTS, SEGMENTS_AT_ONCE = 4, 1 << 10, 32
+NO_PAIR = 0x7FFFFFFF
+NONE = (NO_PAIR << 32) | NO_PAIR
+"""Key of an edge that nothing blocks (kernels/frontier/queues.py)."""
+
+TOO_SHORT = "cannot allocate a longer queue of intervals: fewer rows at once have more room each"
+
+Form = Literal["frontier", "one_thread"]
+FORMS: tuple[Form, ...] = get_args(Form)
+_form: Form | None = None
+
+
+@contextmanager
+def planning_form(form: Form) -> Iterator[None]:
+    """Inside, planning and Safe take this form on every device (tests, benches; one thread of a program only).
+
+    Outside, CUDA takes "frontier", all edges level by level, and a CPU "one_thread", one thread a trial.
+    """
+    global _form
+    before, _form = _form, form
+    try:
+        yield
+    finally:
+        _form = before
+
+
+def uses_frontier(device: str) -> bool:
+    """Whether planning on this device goes level by level."""
+    return _form == "frontier" if _form else device != "cpu"
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Straight lines from `a` to `b` (rad) of `trial`s; `owner`: the row of the result that each
+    belongs to."""
+
+    trial: Int32[Tensor, " e"]
+    owner: Int32[Tensor, " e"]
+    a: Float32[Tensor, "e 6"]
+    b: Float32[Tensor, "e 6"]
+    hand_margin: Float32[Tensor, " e"]
+
+
+class Frontier:
+    """Levels over `rows` trials; `world` and `bodies` (`scene`) as the planning kernels take them.
+
+    `full` is 1 once a queue was too short: then nothing that came out counts (`refuse_if_full`).
+    """
+
+    def __init__(self, world: Any, bodies: Any, device: str, rows: int) -> None:
+        self.scene = {"world": world, "bodies": bodies}
+        self.device = device
+        least = LEAST if device == "cpu" else LEAST_CUDA
+        self._room = max(PER_ROW * rows, least)
+        self._tables = self.scene | self._queues(self._room)
+        self.full = torch.zeros(1, dtype=torch.int32, device=device)
+
+    @property
+    def _lanes(self) -> int:
+        return LANES if self.device == "cpu" else CUDA_LANES
+
+    def _new(self, *shape: int, dtype: torch.dtype = torch.int32) -> Tensor:
+        return torch.empty(shape, dtype=dtype, device=self.device)
+
+    def _queues(self, n: int) -> dict[str, Any]:
+        """Room for n intervals."""
+        new, real = self._new, torch.float32
+        m, p = BODIES_PER_INTERVAL * n, PAIRS_PER_INTERVAL * n
+        self._counts = torch.zeros(int(queues.COUNTS), dtype=torch.int32, device=self.device)
+        self.intervals = [
+            struct_of(
+                queues.Intervals,
+                {x: new(n) for x in ("edge", "part", "level", "index")}
+                | {"look": new(n, 3, dtype=torch.int64)},
+            )
+            for _ in range(2)
+        ]
+        frames = {
+            "d": new(n, 6, dtype=real), "open": new(n, 3, dtype=torch.int64),
+            "R": new(n, 7, 3, 3, dtype=real), "p": new(n, 7, 3, dtype=real),
+            "w": new(n, FIELDS, 3, dtype=real), "v": new(n, FIELDS, 3, dtype=real),
+        }  # fmt: skip
+        pairs = {x: new(p) for x in ("interval", "body", "other", "steps")}
+        pairs |= {x: new(p, dtype=real) for x in ("needed", "lower", "upper")}
+        pairs |= {
+            "R": new(p, 3, 3, dtype=real),
+            "p": new(p, 3, dtype=real),
+            "v": new(p, 3, dtype=real),
+        }
+        return {
+            "frames": struct_of(queues.Frames, frames),
+            "queue_bodies": struct_of(
+                queues.Bodies, {x: new(queues.KINDS * m) for x in ("interval", "body", "links")}
+            ),
+            "pairs": struct_of(queues.Pairs, pairs),
+            "counts": struct_of(queues.Counts, {"n": self._counts}),
+        }
+
+    def check(
+        self, q: Float32[Tensor, "n 6"], active: Bool[Tensor, " n"], per_trial: int
+    ) -> tuple[Bool[Tensor, " n"], Int32[Tensor, " n"], Float32[Tensor, " n"]]:
+        """As plan/lines.py `check_postures`: free or not, the pair that collides, the hand
+        clearance up to CLEARANCE_CAP."""
+        room = self._room // 2
+        parts = [
+            self._check(
+                q[i : i + room],
+                active[i : i + room],
+                self._arange(len(q))[i : i + room] // per_trial,
+            )
+            for i in range(0, len(q), room)
+        ]
+        clear, pair, least = (
+            torch.cat(x) if len(parts) > 1 else x[0] for x in zip(*parts, strict=True)
+        )
+        self._refuse_at_once()
+        return clear, pair, least
+
+    def _check(self, q: Tensor, active: Tensor, trial: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        lines = Lines(trial, self._arange(len(q)), q, q, torch.zeros_like(q[:, 0]))
+        blocked = self._blocked(lines, active, POSTURE)
+        clear = active & (blocked == NONE)
+        found = torch.full_like(blocked, cap_key(float(CLEARANCE_CAP)))
+        self.ask(1, 0.0)
+        self._run(self.edges(lines, found), clear, POSTURE, hand_only=1)
+        least, _, _ = self._read(found)
+        _, pair, _ = self._read(blocked)
+        return clear, pair, torch.where(clear, least, 0.0)
+
+    def straight(
+        self, home: Float32[Tensor, "1 6"], goals: Float32[Tensor, "g 6"], n_goals: Int32[Tensor, " b"],
+        margin: Float32[Tensor, "b 8"], mode: int,
+    ) -> Int32[Tensor, " b"]:  # fmt: skip
+        """As plan/lines.py `straight_lines`: the first goal whose straight line from home is free,
+        or -1.
+
+        The nearest goals first, then all others of those trials whose nearest one is no straight
+        line away.
+        """
+        b = len(n_goals)
+        rows = self._arange(b * BRANCHES)
+        lines = Lines(
+            rows // BRANCHES,
+            rows,
+            home.expand(b * BRANCHES, 6).contiguous(),
+            goals,
+            margin.reshape(-1),
+        )
+        slot = self._arange(BRANCHES)[None]
+        there = slot < n_goals[:, None]
+        nearest = there & (slot == 0)
+        free = nearest & (self._blocked(lines, nearest.reshape(-1), mode).view(b, BRANCHES) == NONE)
+        others = there & ~nearest & ~free[:, :1]
+        free |= others & (self._blocked(lines, others.reshape(-1), mode).view(b, BRANCHES) == NONE)
+        self._refuse_at_once()
+        return torch.where(free, slot, BRANCHES).amin(1).where(free.any(1), -1).to(torch.int32)
+
+    def clearance(
+        self,
+        path: Float32[Tensor, "b w 6"],
+        length: Int32[Tensor, " b"],
+        tolerance: float = CLEARANCE_TOLERANCE_M,
+    ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
+        """As plan/lines.py `path_clearance`: -inf without a path; the pair, and the robot's body.
+
+        The goals' postures first: they are mostly the tightest, so few others need a check.
+        Then the segments, of long paths (motions, sample by sample) so many at a time from the end
+        on.
+        """
+        b, segments = path.shape[0], path.shape[1] - 1
+        at_once = min(max(segments, 1), SEGMENTS_AT_ONCE)
+        rows = self._arange(b)
+        found = torch.full((b,), cap_key(CLEARANCE_CAP_M), dtype=torch.int64, device=self.device)
+        goal = path[rows.long(), (length - 1).clamp(min=0).long()]
+        room = max((SEGMENTS_PER_ROW if segments == at_once else at_once) * b, LEAST_SEGMENTS)
+        lines = Lines(rows, rows, goal, goal, torch.zeros_like(goal[:, 0]))
+        edges = self.edges(lines, found, more=room)
+        self.ask(1, tolerance)
+        self._run(edges, length > 0, POSTURE)
+        for first in reversed(range(0, segments, at_once)):
+            some = {"path": path, "length": length}
+            if segments > at_once:
+                part = path[:, first : first + at_once + 1].contiguous()
+                some = {"path": part, "length": (length - first).clamp(min=0, max=part.shape[1])}
+            self.clear()
+            self.launch(
+                queue_paths,
+                b,
+                {"parity": 0, "row": b, "edges": edges, "queue": self.intervals[0], **some},
+            )
+            self._all_frontier(edges, MAX_LEVEL, certify=0)
+        least, pair, body = self._read(found)
+        self._refuse_at_once()
+        return torch.where(length > 0, least, -torch.inf), pair, body
+
+    def ask(self, track: int, tolerance: float) -> None:
+        """What the next levels look for: the smallest clearance (1), to `tolerance`, or whether
+        margins are kept (0)."""
+        self._asked = {"track": track, "tolerance": tolerance}
+
+    def clear(self) -> None:
+        """Empties all queues."""
+        self._counts.zero_()
+
+    def note_full(self) -> None:
+        """Keeps in mind that a queue was too short."""
+        self.full |= self._counts[queues.FULL : queues.FULL + 1]
+
+    def refuse_if_full(self) -> None:
+        """Raises MemoryError when a queue was too short since these levels were made; on a GPU the
+        host waits for that."""
+        if int(self.full):
+            raise MemoryError(TOO_SHORT)
+
+    def rows_where(self, mask: Bool[Tensor, " b"]) -> Int32[Tensor, " r"]:
+        """Numbers of the rows that `mask` has, and `refuse_if_full`, for one wait."""
+        return rows_where(mask, self.full)
+
+    def _refuse_at_once(self) -> None:
+        """On a CPU, where asking costs nothing; on a GPU planning asks at its end."""
+        if self.device == "cpu":
+            self.refuse_if_full()
+
+    def _blocked(self, lines: Lines, used: Bool[Tensor, " e"], mode: int) -> Int64[Tensor, " e"]:
+        """For each line of its own owner the key of the first pair that blocks it, NONE where it is
+        free."""
+        found = torch.full((len(lines.trial),), NONE, dtype=torch.int64, device=self.device)
+        self.ask(0, 0.0)
+        self._run(self.edges(lines, found), used, mode)
+        return found
+
+    def edges(self, lines: Lines, found: Tensor, *, more: int = 0) -> Any:
+        """The lines as kernels take them, with room for more of them."""
+        tensors = {x: getattr(lines, x) for x in ("trial", "owner", "a", "b", "hand_margin")}
+        if more:
+            tensors = {
+                k: torch.cat([x, x.new_empty((more, *x.shape[1:]))]) for k, x in tensors.items()
+            }
+        left = self._new(len(tensors["trial"]))
+        return struct_of(
+            queues.Edges,
+            {k: x.contiguous() for k, x in tensors.items()} | {"found": found, "left": left},
+        )
+
+    def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
+        """Queues the edges in use, and runs all levels that they may need."""
+        self.clear()
+        asked = {"parity": 0, "mode": mode, "hand_only": hand_only, "edges": edges}
+        self.launch(
+            queue_edges, len(used), asked | {"used": used.contiguous(), "queue": self.intervals[0]}
+        )
+        single = mode in (POSTURE, SAMPLES)
+        self._all_frontier(edges, 1 if single else MAX_LEVEL, certify=int(mode == CERTIFY))
+
+    def _all_frontier(self, edges: Any, n: int, *, certify: int) -> None:
+        for level in range(n):
+            self.level(edges, level & 1, certify=certify)
+        self.note_full()
+
+    def level(self, edges: Any, parity: int, *, certify: int) -> None:
+        """One level of all intervals that are queued in `intervals[parity]`."""
+        now, later = self.intervals[parity], self.intervals[1 - parity]
+        every = {"queue": now, "edges": edges}
+        self.launch_queued(interval_frames, every | {"parity": parity})
+        self.launch_queued(clear_links, every | {"parity": parity} | self._asked)
+        for kernel in (near_hand, near_pieces, near_table, near_bodies):
+            self.launch_queued(kernel, every | self._asked)
+        self.launch(pair_distances, self._lanes, every | {"track": self._asked["track"]})
+        self.launch_queued(settle_pairs, every | self._asked)
+        more = {"parity": parity, "certify": certify, "later": later, "track": self._asked["track"]}
+        self.launch_queued(halve, every | more)
+
+    def launch_queued(self, kernel: Any, inputs: dict[str, Any]) -> None:
+        """`launch` with as many threads as there may be: each takes every so-manieth entry of the
+        kernel's queue."""
+        self.launch(kernel, self._lanes, inputs | {"lanes": self._lanes})
+
+    def launch(
+        self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Any] | None = None
+    ) -> None:
+        """With those of the tables and queues that the kernel takes; on a CPU one thread, as its
+        additions are not atomic."""
+        taken = {a.label for a in kernel.adj.args}
+        inputs = inputs | {k: v for k, v in self._tables.items() if k in taken}
+        launch_trials(
+            kernel,
+            n,
+            inputs=inputs,
+            outputs=outputs or {},
+            device=self.device,
+            threads=1,
+            uneven=True,
+        )
+
+    def _read(self, found: Int64[Tensor, " o"]) -> tuple[Tensor, Tensor, Tensor]:
+        """Value, CollidingPair and body of keys."""
+        value = (found >> 32).to(torch.int32)
+        value = torch.where(value < 0, -value | -(1 << 31), value).view(torch.float32)
+        order = found & NO_PAIR
+        body = torch.where(order >= NO_PAIR - 1, -1, order // 1024)
+        pair = order % 1024 // 256 + 1
+        hull = body >= self._tables["world"].n_robot
+        pair = torch.where(hull, pair + int(PAIR_OF_OBJECT), pair)
+        return value, torch.where(body < 0, 0, pair).to(torch.int32), body.to(torch.int32)
+
+    def _arange(self, n: int) -> Int32[Tensor, " n"]:
+        return torch.arange(n, dtype=torch.int32, device=self.device)
+
+
+def rows_where(mask: Bool[Tensor, " b"], full: Int32[Tensor, " 1"]) -> Int32[Tensor, " r"]:
+    """Numbers of the rows that `mask` has, for one wait; MemoryError when `full` says that a queue
+    was too short."""
+    found = torch.nonzero(torch.cat([mask, full.bool().expand(len(mask) + 1)])).flatten()
+    if len(found) > len(mask):
+        raise MemoryError(TOO_SHORT)
+    return found.to(torch.int32)
+
+
+def cap_key(cap: float) -> int:
+    """Key of a clearance that no pair is nearer than; `cap` above 0."""
+    return (int(np.float32(cap).view(np.int32)) << 32) | NO_PAIR

@@ -1,1 +1,0 @@
-"""Stages of judging in waves: a GPU's forms (docs/gpu.md)."""

@@ -1,0 +1,184 @@
+"""The planner level by level (a GPU's form) against one thread a trial (a CPU's): the same goals, lines, verdicts."""
+
+from functools import cache
+from types import ModuleType
+from unittest import mock
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+from problems import Problems, make_batch, solve
+
+from r2h_batch.config import CLEARANCE_TOLERANCE_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.frontier import levels
+from r2h_batch.judge.plan import Plan, Planner, _least_clearance  # of one thread, on paths that are given
+from r2h_batch.kernels.frontier.pairs import obstacle_of, shape_of
+from r2h_batch.kernels.frontier.queues import Edges, Intervals, Pairs
+from r2h_batch.kernels.geometry.gjk import gjk
+from r2h_batch.kernels.options import OPTIONS
+from r2h_batch.kernels.robot.world import TrialBodies, World
+from r2h_batch.launch import launch_trials
+from r2h_batch.methods import oracle, random
+from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.protocol import trials_with_ids
+
+wp.set_module_options(OPTIONS)
+
+PLANS = {"exact": PlanConfig(), "moveit": PlanConfig(goals="one", edge_check="moveit")}
+
+
+@cache
+def one_thread(scene: Scene, plan: str, n: int) -> Problems:
+    return solve(scene, make_batch(scene, n, random_share=0.5), PLANS[plan])
+
+
+def by_frontier(scene: Scene, plan: str, n: int, rows: slice | torch.Tensor = slice(None)) -> Plan:
+    with levels.planning_form("frontier"):
+        return solve(scene, make_batch(scene, n, random_share=0.5).rows(rows), PLANS[plan]).plan
+
+
+def same_bits(a: Plan, b: Plan, rows: slice | torch.Tensor = slice(None)) -> None:
+    for name in ("reason", "pair", "body", "clearance_m", "straight", "length"):
+        assert torch.equal(getattr(a, name)[rows], getattr(b, name)), name
+    beyond = torch.arange(a.path.shape[1])[None] >= b.length[:, None]
+    assert torch.equal(a.path[rows].masked_fill(beyond[..., None], 0), b.path.masked_fill(beyond[..., None], 0))
+
+
+def free_paths_to_goals(scene: Scene, problems: Problems, plan: Plan, rows: torch.Tensor) -> None:
+    """Paths of those rows begin at home, end in a joint solution, and keep clear of everything, as one thread sees it."""
+    least, _, _ = _least_clearance(Planner(scene, problems.body_poses, None), plan.path, plan.length)
+    assert (least[rows] > 0).all() and (least - plan.clearance_m)[rows].abs().max() <= CLEARANCE_TOLERANCE_M
+    assert torch.equal(plan.path[rows, 0], torch.tensor(HOME_Q, dtype=torch.float32).expand(int(rows.sum()), 6))
+    ends = plan.path[torch.arange(len(rows)), plan.length.long() - 1]
+    assert ((problems.ik.q == ends[:, None]).all(-1) & problems.ik.valid).any(1)[rows].all()
+    bounds = [torch.from_numpy(x).float() for x in (scene.robot.lower, scene.robot.upper)]
+    assert ((plan.path >= bounds[0]) & (plan.path <= bounds[1]))[rows].all(-1)[:, 0].all()
+
+
+def compare(scene: Scene, plan: str, n: int) -> Plan:
+    """Of n trials, half of them sensible, what one thread finds: reasons, and paths, other ones only where they were searched.
+
+    Clearances of the same path are within the tolerance of both. Sampled edges (moveit) are searched by one thread in both forms.
+    """
+    problems, there = one_thread(scene, plan, n), by_frontier(scene, plan, n)
+    here = problems.plan
+    for name in ("reason", "straight"):
+        assert torch.equal(getattr(here, name), getattr(there, name)), name
+    assert torch.equal(here.pair[here.length == 0], there.pair[here.length == 0])  # what rules a start or all goals out
+    searched = (here.length > 0) & ~here.straight
+    assert searched.sum() >= n // 50
+    if plan == "exact":
+        free_paths_to_goals(scene, problems, there, searched)
+    found = (here.length > 0) & (here.straight if plan == "exact" else True)
+    assert torch.equal(here.length[found], there.length[found])
+    assert torch.equal(here.path[found], there.path[found])
+    assert (here.clearance_m - there.clearance_m)[found].abs().max() <= CLEARANCE_TOLERANCE_M
+    assert torch.equal(here.clearance_m[found] < 0, there.clearance_m[found] < 0)
+    nearest = found & (there.clearance_m == here.clearance_m)
+    assert torch.equal(here.body[nearest], there.body[nearest])
+    return there
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("plan", PLANS)
+def test_the_frontier_finds_what_one_thread_finds(scene: Scene, plan: str) -> None:
+    found = compare(scene, plan, 96)
+    assert found.straight.sum() >= 20 and (found.length == 0).sum() >= 20
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("plan", PLANS)
+def test_the_frontier_finds_what_one_thread_finds_in_a_thousand_trials(scene: Scene, plan: str) -> None:
+    compare(scene, plan, 1024)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [random, oracle], ids=["random", "oracle"])
+def test_a_problem_that_one_form_solves_the_other_solves_too(scene: Scene, method: ModuleType) -> None:
+    """Random answers, whose searches are the hardest; an oracle's, which are the most crowded. Whoever finds no path spends
+    all rounds."""
+    trials = trials_with_ids(torch.arange(2048), objects=scene.objects)
+    poses = method.predict(trials, scene, seed=0)
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=2048))
+    here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+    with levels.planning_form("frontier"):
+        there = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+    differ = (here.outcome != there.outcome) & ~here.borderline & ~there.borderline
+    assert torch.equal(here.path_len > 0, there.path_len > 0) and not differ.any()
+    assert (here.path != there.path).flatten(1).any(1).sum() >= 100
+
+
+def test_a_row_does_not_depend_on_its_batch_its_place_or_the_number_of_lanes(scene: Scene) -> None:
+    whole = by_frontier(scene, "exact", 96)
+    order = torch.from_numpy(np.random.default_rng(1).permutation(96))
+    same_bits(whole, by_frontier(scene, "exact", 96, order), order)
+    same_bits(whole, by_frontier(scene, "exact", 96, slice(40, 47)), slice(40, 47))
+    with mock.patch.object(levels, "LANES", 7):
+        same_bits(whole, by_frontier(scene, "exact", 96))
+
+
+@wp.kernel
+def gjk_of_pairs(
+    first: int,
+    world: World,
+    bodies: TrialBodies,
+    edges: Edges,
+    queue: Intervals,
+    pairs: Pairs,
+    lower_out: wp.array(dtype=float),
+    upper_out: wp.array(dtype=float),
+    v_out: wp.array(dtype=wp.vec3),
+):
+    i = first + wp.tid()
+    trial = edges.trial[queue.edge[pairs.interval[i]]]
+    a = shape_of(world, bodies, trial, pairs.body[i])
+    b, center = obstacle_of(world, bodies, trial, pairs.other[i])
+    d = gjk(a, pairs.R[i], pairs.p[i], world.points, b, world.points, center, pairs.needed[i], 0.0)
+    lower_out[i] = d.lower
+    upper_out[i] = d.upper
+    v_out[i] = d.v
+
+
+def test_gjk_an_iteration_at_a_time_has_the_bits_of_gjk(scene: Scene) -> None:
+    """Asked of clearances, where both go on until they have converged or proved enough."""
+    checked = 0
+
+    def launch(kernel, n, *, inputs, outputs, **ways):
+        nonlocal checked
+        launch_trials(kernel, n, inputs=inputs, outputs=outputs, **ways)
+        if kernel.key == "pair_distances" and inputs["track"] == 1:
+            counts, pairs = (vars(inputs[x])["tensors"] for x in ("counts", "pairs"))
+            m = int(counts["n"][int(levels.queues.PAIRS)])
+            lower, upper, v = torch.empty(m), torch.empty(m), torch.empty(m, 3)
+            tables = {k: inputs[k] for k in ("world", "bodies", "edges", "queue", "pairs")}
+            launch_trials(
+                gjk_of_pairs, m, inputs=tables, outputs={"lower": lower, "upper": upper, "v": v}, device="cpu"
+            )
+            for name, expected in (("lower", lower), ("upper", upper), ("v", v)):
+                assert torch.equal(pairs[name][:m], expected), name
+            checked += m
+
+    with mock.patch.object(levels, "launch_trials", launch):
+        by_frontier(scene, "exact", 64)
+    assert checked > 1000
+
+
+def test_where_a_queue_is_too_short_fewer_rows_go_at_once_and_come_out_the_same(scene: Scene) -> None:
+    trials = trials_with_ids(torch.arange(48), objects=scene.objects)
+    poses = oracle.predict(trials, scene, seed=0)
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+    with levels.planning_form("frontier"):
+        whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+        with mock.patch.object(levels, "LEAST", 256), mock.patch.object(levels, "PER_ROW", 1):
+            with pytest.raises(MemoryError, match="cannot allocate"):
+                solve(scene, make_batch(scene, 96, random_share=0.0))
+            full = levels.Frontier(scene.world, None, "cpu", 1)
+            assert full.rows_where(torch.tensor([False, True])).tolist() == [1]
+            full.full.fill_(1)  # as a GPU's queues say it: with the rows that are asked for anyway
+            with pytest.raises(MemoryError, match="fewer rows at once"):
+                full.rows_where(torch.tensor([False, True]))
+            parts = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+    assert torch.equal(whole.outcome, parts.outcome)
+    assert torch.equal(whole.margin.nan_to_num(9.0), parts.margin.nan_to_num(9.0))

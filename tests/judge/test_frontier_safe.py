@@ -1,0 +1,150 @@
+"""Safe level by level (a GPU's form), on a CPU: the distances of one thread a trial, in any batch, on any number of lanes."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+from types import ModuleType
+from unittest import mock
+
+import numpy as np
+import pytest
+import torch
+
+from r2h_batch import evaluate
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.distance import SAFE_TOLERANCE_M, Touch, hand_distance
+from r2h_batch.judge.frontier import levels
+from r2h_batch.judge.frontier import safe as frontier_safe
+from r2h_batch.methods import oracle, random
+from r2h_batch.motion.execute import Executed
+from r2h_batch.scene.scene import BodyPoses, Scene
+from r2h_batch.trials.protocol import trials_with_ids
+
+
+@dataclass(frozen=True)
+class Moved:
+    """What Safe is asked about."""
+
+    scene: Scene
+    body_poses: BodyPoses
+    executed: Executed
+    active: torch.Tensor
+
+    def touch(self) -> Touch:
+        return hand_distance(self.scene, self.body_poses, self.executed, self.active)
+
+    def by_frontier(self) -> Touch:
+        with levels.planning_form("frontier"):
+            return self.touch()
+
+    def distances(
+        self, body_poses: BodyPoses | None = None, rows: slice | torch.Tensor = slice(None)
+    ) -> dict[str, torch.Tensor]:
+        """What the levels themselves write, of some rows alone, which are `body_poses` then."""
+        path, length = self.executed.path[rows].contiguous(), self.executed.length[rows].contiguous()
+        n = len(length)
+        out = {"distance": torch.zeros(n), "fraction": torch.zeros(n), "point": torch.zeros(n, 3)}
+        out |= {"body": torch.zeros(n, dtype=torch.int32), "segment": torch.zeros(n, dtype=torch.int32)}
+        run = frontier_safe.SafeFrontier(self.scene, body_poses or self.body_poses, path, length, SAFE_TOLERANCE_M)
+        run(out)
+        run.rows_where(length < 0)
+        return out
+
+    def off_its_path(self, by_rad: float) -> "Moved":
+        """Every waypoint moved at random: motions that nobody has certified, some through the hand."""
+        noise = torch.randn(self.executed.path.shape, generator=torch.Generator().manual_seed(5))
+        return replace(self, executed=replace(self.executed, path=self.executed.path + by_rad * noise))
+
+
+@cache
+def moved(method: ModuleType, n: int) -> Moved:
+    """Motions as planned of a method's first n trials."""
+    return of_rows(method, n, slice(None))
+
+
+def of_rows(method: ModuleType, n: int, rows: slice | torch.Tensor) -> Moved:
+    """Some of them in a batch of their own."""
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=n))
+    trials = trials_with_ids(torch.arange(n), objects=evaluator.scene.objects)
+    poses = method.predict(trials, evaluator.scene, seed=0)
+    with mock.patch.object(evaluate, "hand_distance", wraps=hand_distance) as asked:
+        evaluator.score(poses.T_obj_ee[rows], poses.T_world_ee[rows], trials[rows])
+    return Moved(*asked.call_args_list[0].args[:4])
+
+
+def compare(asked: Moved) -> int:
+    """The same verdicts, margins within the tolerance of both, the same witness where margins have the same bits.
+
+    Of overlaps the depth is searched from the moment that was found (kernels/judge/overlap.py), which may be another one. Gives
+    how many motions meet the hand.
+    """
+    touch, touch_there = asked.touch(), asked.by_frontier()
+    rows = ~touch.distance_m.isnan()
+    a, b = touch.distance_m[rows], touch_there.distance_m[rows]
+    assert torch.equal(rows, ~touch_there.distance_m.isnan()) and torch.equal(a > 0, b > 0)
+    apart, same = a > 0, a == b
+    assert ((a - b).abs() <= (0.002 * a).clamp(min=SAFE_TOLERANCE_M) + 1e-6)[apart].all()
+    assert (~same).sum() <= max(3, 0.05 * len(a)) and ((a - b).abs() <= 1e-5)[~apart].sum() >= 0.9 * (~apart).sum()
+    for name in ("body", "segment", "fraction", "point"):
+        x, y = (getattr(t, name)[rows][same].double().reshape(int(same.sum()), -1) for t in (touch, touch_there))
+        assert (x != y).any(1).sum() <= 0.002 * len(a), name  # two moments may be equally near
+    return int((~apart).sum())
+
+
+@pytest.mark.check
+def test_the_frontier_finds_the_distances_of_one_thread(scene: Scene) -> None:
+    asked = moved(random, 160)
+    assert int(asked.executed.length.count_nonzero()) >= 64
+    assert compare(asked) == 0  # paths are certified
+    assert compare(asked.off_its_path(0.3)) >= 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", [random, oracle], ids=["random", "oracle"])
+def test_the_frontier_finds_the_distances_of_one_thread_in_two_thousand_trials(
+    scene: Scene, method: ModuleType
+) -> None:
+    asked = moved(method, 2048)
+    compare(asked)
+    assert compare(asked.off_its_path(0.1)) >= 100
+    assert compare(asked.off_its_path(0.3)) >= 100
+
+
+def test_a_distance_does_not_depend_on_its_batch_its_place_or_the_number_of_lanes(scene: Scene) -> None:
+    asked = moved(random, 160).off_its_path(0.1)
+    whole = asked.distances()
+    order = torch.from_numpy(np.random.default_rng(1).permutation(160))
+    for rows in (order, slice(40, 47)):
+        alone = of_rows(random, 160, rows).body_poses
+        for name, found in asked.distances(alone, rows).items():
+            assert torch.equal(whole[name][rows], found), name
+    with mock.patch.object(levels, "LANES", 7):
+        for name, found in asked.distances().items():
+            assert torch.equal(whole[name], found), name
+
+
+def test_a_long_motion_is_halved_block_by_block_from_its_end(scene: Scene) -> None:
+    """As recorded sample by sample: 150 segments a motion, nearest at its end or at its start."""
+    asked = moved(oracle, 24)
+    path, length = asked.executed.path, asked.executed.length
+    ends = path[torch.arange(24), length.long() - 1]
+    s = torch.linspace(0, 1, 151)[None, :, None]
+    there = path[:, :1] + s * (ends[:, None] - path[:, :1])
+    for shape in (there, there.flip(1)):
+        length = torch.full((24,), shape.shape[1], dtype=torch.int32)
+        compare(replace(asked, executed=replace(asked.executed, path=shape.contiguous(), length=length)))
+
+
+def test_where_a_queue_is_too_short_fewer_rows_go_at_once_and_come_out_the_same(scene: Scene) -> None:
+    asked = moved(oracle, 96)
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=96))
+    trials = trials_with_ids(torch.arange(96), objects=evaluator.scene.objects)
+    poses = oracle.predict(trials, evaluator.scene, seed=0)
+    with levels.planning_form("frontier"):
+        whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+        with mock.patch.dict(frontier_safe.PER_INTERVAL, {"bodies": 1}):
+            with pytest.raises(MemoryError, match="cannot allocate"):
+                asked.touch()
+            parts = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
+    assert torch.equal(whole.outcome, parts.outcome)
+    assert torch.equal(whole.margin.nan_to_num(9.0), parts.margin.nan_to_num(9.0))
