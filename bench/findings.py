@@ -1,9 +1,9 @@
-"""The paper's eight findings against this benchmark's tables: docs/findings.md, from docs/results/*.json alone.
+"""The paper's eight findings against this benchmark's tables: docs/results/findings.md, from docs/results/*.json alone.
 
     python bench/findings.py                    # after bench/table1.py and bench/sensitivity.py
 
-A finding is a list of conditions on Table I. All hold: it appears; some: in part; none: no. What is the cause is written below by
-hand (CAUSES says when); figures come from the tables.
+A finding is a list of conditions on Table I. It appears if all of them hold, in part if some do. A person wrote the causes below
+(CAUSES has the date); all figures come from the tables.
 """
 
 import argparse
@@ -152,37 +152,36 @@ def findings() -> list[Finding]:
 
 CAUSES = [
     "Contact-Handover compares 256 poses of gripper and held object with the estimated hand. The other methods compare at"
-    " most eight, without the object. In the default preset F_safe is 0 for every method, because edges are certified"
-    " against the true hand. In preset paper paths are sampled around the estimated hand: Safe fails again, and"
-    " Contact-Handover fails least.",
-    "Its pose search sees hand and object but not the object's function. S1's long tools leave more room beside the palm"
-    " than S0's bowls, so F_plan stays or falls. Affordance gets worse in S1: the network cannot learn the contacts of"
+    " most eight, without the object. In the default preset F_safe is 0 for every method, because the planner certifies"
+    " edges against the true hand. In preset paper it samples paths around the estimated hand: motions then fail Safe, and"
+    " those of Contact-Handover fail least.",
+    "Contact-Handover's pose search sees hand and object but not the object's function. S1's long tools leave more room"
+    " beside the palm than S0's bowls, so F_plan stays or falls. F_afford rises: the network cannot learn the contacts of"
     " binoculars, trigger sprayer and power drill from the other fifteen objects"
-    " ([receivers](receivers.md#contact-network)). Stability fails only with candidates as generated: the grasp that"
-    " blocks least contact on wineglass, binoculars and toothbrush is one that this gripper cannot hold.",
+    " ([receivers](../receivers.md#contact-network)). Stability fails only with candidates as generated: for wineglass,"
+    " binoculars and toothbrush the gripper cannot hold the grasp that blocks least contact.",
     "Intent-Handover's rule knows the region. Its remaining failures are fingers that reach past the point on the"
-    " approach axis. Contact-Handover comes last, since its network never saw the object. Trained on all objects it"
-    " halves its F_afford (`contact,contacts=all` in [sensitivity](results/sensitivity.md)). A network trained on"
-    " people's contacts with many objects would lie between.",
-    "Hand, object and gripper turn as one, so Intent-Handover has one pose and searches nothing. In S0 the TCP 15 cm"
-    " above the palm leaves no room for a bowl or a cup: most Plan failures are the object in the hand. With the object's"
-    " middle there instead (`intent,at=object` in [sensitivity](results/sensitivity.md)) it ranks first. The paper's words"
-    " name the gripper ([choices](choices.md#methods)), so that stays the default. In S1 it leads.",
-    "These are the stand-ins' times: a look-up takes microseconds, a diffusion model seconds. They say nothing about the"
-    " originals. For F_safe see 1: with the estimated hand in planning, every method near the hand fails Safe sometimes.",
+    " approach axis. Contact-Handover comes last, since its network never saw the object. A network trained on all objects"
+    " halves its F_afford (`contact,contacts=all` in [sensitivity](sensitivity.md)).",
+    "Intent-Handover turns hand, object and gripper as one, so it has one pose and searches nothing. In S0 the TCP 15 cm"
+    " above the palm leaves no room for a bowl or a cup: in most Plan failures the object overlaps the hand. With the"
+    " object's middle at that place (`intent,at=object` in [sensitivity](sensitivity.md)) it ranks first. The default"
+    " follows the paper, which names the gripper ([choices](../choices.md#methods)). In S1 Intent-Handover leads.",
+    "The stand-ins' times say nothing about the originals: a look-up takes microseconds, a diffusion model seconds. Cause"
+    " 1 explains F_safe: when planning sees only the estimated hand, every method near the hand sometimes fails Safe.",
     "Reach hardly ever fails: with published errors the object comes within a few centimetres of c_h, and the ball's"
-    " radius is 10 cm. The paper's 2 to 9 % need estimates several times worse, or another rule for the object's place."
-    " Most failures are Handover-VA's, whose loops retreat from the receiver where the arm does not reach.",
-    "Contact-Handover's F_afford is mostly higher (see 3), Handover-VA's similar. FC-Handover's F_plan differs little"
-    " between the splits: it opposes the gripper to the fingers wherever they point, and most failures are the object in"
-    " the hand or the arm in the table.",
-    "FC-Handover has the lowest SR: opposed to fingers that point sideways or up, it meets hand and table. Handover-VA's"
-    " handle need not point where fingers do. Its own time is among the longest here, since it runs ICP and makes grasps"
-    " where others look up hands. In the default preset only its own grasps are unfiltered, so only it fails Stability;"
-    " with candidates as generated it fails least, as in the paper. From S0 to S1 it loses to Affordance: its grasps come"
-    " from above, at knife, pliers and toothbrush into the receiver's region.",
+    " radius is 10 cm. The paper's 2 to 9 % need errors several times larger, or another rule for the object's place."
+    " Handover-VA has most of the failures: its loops retreat from the receiver where the arm does not reach.",
+    "Contact-Handover's F_afford is mostly higher (cause 3), Handover-VA's similar. FC-Handover's F_plan differs little"
+    " between the splits: it opposes the gripper to the fingers wherever they point. In most of its failures the object"
+    " overlaps the hand or the arm overlaps the table.",
+    "FC-Handover has the lowest SR: it opposes fingers that point sideways or up and then meets hand or table."
+    " Handover-VA's handle need not point where fingers do. Its own time is among the longest, since it runs ICP and"
+    " computes grasps while the others look up hands. In the default preset only its grasps are unfiltered, so only it"
+    " fails Stability. With candidates as generated it fails least, as in the paper. From S0 to S1 it loses to Affordance:"
+    " it grasps knife, pliers and toothbrush from above, in the receiver's region.",
 ]
-"""Looked at on 2026-11-20, with 500 trials of each split."""
+"""Written on 2026-11-20 from 500 trials of each split."""
 
 
 def cells_of(data: Mapping) -> Cells:
@@ -218,7 +217,7 @@ def appearing(tables: Mapping[str, Cells]) -> list[str]:
     lines = ["| | finding | " + " | ".join(tables) + " |", "|--:|---|" + "---|" * len(tables)]
     for number, finding in enumerate(findings(), 1):
         here = [said(finding, cell) for cell in tables.values()]
-        words = [{"appears": "yes", "no": "no"}.get(word, f"in part; not: {missing}") for word, missing in here]
+        words = [{"appears": "yes", "no": "no"}.get(word, f"not: {missing}") for word, missing in here]
         lines.append(f"| {number} | {finding.text} | " + " | ".join(words) + " |")
     return lines
 
@@ -251,7 +250,7 @@ def pair_lines(tables: Mapping[str, Mapping]) -> list[str]:
 
 
 def page(results: Path) -> str:
-    """docs/findings.md."""
+    """docs/results/findings.md."""
     data = {title: json.loads((results / f"{file}.json").read_text()) for file, title in TABLES.items()}
     here = {name: cells_of(d) for name, d in data.items()}
     first = next(iter(data.values()))
@@ -259,21 +258,22 @@ def page(results: Path) -> str:
     parts = [
         "# The paper's findings, one by one",
         "This page says which findings of the paper appear in this benchmark, and why others do not. Objects, hands and"
-        " networks are stand-ins ([baselines](baselines.md)): a finding that does not appear is no evidence against the"
+        " networks are stand-ins ([baselines](../baselines.md)): a finding that does not appear is no evidence against the"
         " paper. We tuned nothing towards its table. `python bench/findings.py` makes this page from the"
-        f" [tables](results/table1-v1.md) ({first['origin']['trials']} trials, code {code}). The paper's own figures are in"
-        " `r2h_batch/study/paper/table1.csv`; [sensitivity](results/sensitivity.md) has the effect of each choice.",
+        f" [tables](table1-v1.md) ({first['origin']['trials']} trials, code {code}). The paper's own figures are in"
+        " `r2h_batch/study/paper/table1.csv`. A finding is a list of conditions: `yes` means that all hold, `no` that none"
+        " holds; `not:` names those that do not hold.",
         "\n".join(appearing(here)),
         "## Causes",
         "\n".join(f"{number}. {finding.cause}" for number, finding in enumerate(findings(), 1)),
         "## Upper bound",
-        "In the default preset the oracle solves every trial. Preset paper plans around the estimated hand with sampled"
-        " edges, which costs it a few.",
+        "In the default preset the oracle solves every trial. In preset paper the planner samples edges around the estimated"
+        " hand, and the oracle fails a few trials.",
         "\n".join(oracle_lines(data)),
         "## Who is better",
-        "The paired test (`r2h-batch compare`) on all trials of both splits: the better method of a pair and the difference in"
-        ' points of SR. "these objects": decided for the 16 objects, not for new ones'
-        " ([statistics](statistics.md#who-is-better)).",
+        "Each cell gives the better method of a pair and the difference in points of SR, over both splits (`r2h-batch"
+        ' compare`). "These objects" means that the test decides for the 16 objects, not for new ones'
+        " ([statistics](../statistics.md#who-is-better)).",
         "\n".join(pair_lines(data)),
     ]
     return "\n\n".join(parts) + "\n"
@@ -307,7 +307,7 @@ def with_table(text: str, lines: list[str]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "findings.md")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "findings.md")
     parser.add_argument("--readme", action="store_true", help="also exchange the table in README.md")
     given = parser.parse_args()
     given.out.write_text(page(given.results))
