@@ -23,14 +23,16 @@ CODE = {kind: re.findall(rf"```{kind}\n(.*?)```", PAGE, re.S) for kind in ("yaml
 pytestmark = pytest.mark.check
 
 
-def test_every_flag_of_the_page_is_one(capsys):
-    known = {f"--{f.name.replace('_', '-')}" for f in fields(Options)} | {"--rejudge", "--builtin"}
-    for line in (["import", "hand"], ["import", "hands"], ["import", "grasps"], ["trials"], ["scene"]):
+def test_every_flag_and_option_of_the_page_is_one(capsys):
+    known = {"--builtin"}
+    for line in (["sweep"], ["import", "hand"], ["import", "hands"], ["import", "grasps"], ["trials"], ["scene"]):
         with pytest.raises(SystemExit):
             main([*line, "--help"])
         known |= set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
-    said = set(re.findall(r"--[a-z][a-z-]+", re.sub(r"`python bench/.*?`", "", PAGE)))
-    assert len(said) > 20 and said <= known, said - known
+    flags = set(re.findall(r"--[a-z][a-z-]+", re.sub(r"`python bench/.*?`", "", PAGE)))
+    assert len(flags) > 20 and flags <= known, flags - known
+    options = set(re.findall(r"--set ([a-z_]+)=", PAGE))
+    assert len(options) > 3 and options <= {f.name for f in fields(Options)}
 
 
 def test_the_region_is_said_in_the_help_as_on_the_page(capsys):
