@@ -54,6 +54,7 @@ def test_poses_survive_the_generators_nine_numbers():
     torch.testing.assert_close(generator.to_pose(generator.to_numbers(T)), T, atol=1e-5, rtol=0)
 
 
+@pytest.mark.slow
 def test_flow_matching_learns_a_distribution_and_samples_it():
     Flow = import_module("generator").Flow
     torch.manual_seed(0)

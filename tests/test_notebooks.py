@@ -12,7 +12,10 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 @needs("nbclient", "viser", "pandas")
 @pytest.mark.parametrize(
     ("name", "shown"),
-    [("tutorial", ("Scores(32 rows on cpu", "srcdoc=", "Evaluator(cpu")), ("training", ("Scores(16 rows on cpu",))],
+    [
+        ("tutorial", ("Scores(32 rows on cpu", "srcdoc=", "Evaluator(cpu")),
+        pytest.param("training", ("Scores(16 rows on cpu",), marks=pytest.mark.slow),
+    ],
 )
 def test_a_notebook_runs_from_top_to_bottom(name, shown, monkeypatch):
     import nbformat

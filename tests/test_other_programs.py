@@ -169,7 +169,7 @@ def test_the_settings_for_whole_runs_reach_the_package_and_leave_the_tests_own_t
     assert mine.dtype == torch.float32 == torch.zeros(1).dtype and not mine.is_meta and program.calls >= 3
 
 
-@pytest.mark.parametrize("dtype", ["float64", "bfloat16"])
+@pytest.mark.parametrize("dtype", ["float64", pytest.param("bfloat16", marks=pytest.mark.slow)])
 def test_defaults_of_the_callers_program_change_no_bit(plain, tmp_path, dtype):
     """Trials, all methods, scores, gradients, captured calls, rewards; `meta` fails whatever lands there."""
     other = in_a_program(tmp_path, dtype, "meta")

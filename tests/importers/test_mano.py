@@ -89,7 +89,7 @@ METHODS = ("random", "oracle", "handover_va", "fc", "contact", "intent")
 
 
 @pytest.mark.parametrize("method, trials", [
-    ("random", 500), *((m, 24) for m in METHODS[1:]), *(pytest.param(m, 500, marks=pytest.mark.slow) for m in METHODS[1:])
+    *((m, 24) for m in METHODS), *(pytest.param(m, 500, marks=pytest.mark.slow) for m in METHODS)
 ])  # fmt: skip
 def test_our_hand_in_manos_layout_gets_the_same_verdicts(benches, method, trials):
     found = []

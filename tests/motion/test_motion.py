@@ -183,7 +183,11 @@ def test_safe_judges_the_recorded_motion_less_its_slack():
     assert torch.equal(worse[keep & moved], plain[keep & moved])
 
 
-@pytest.mark.parametrize("config", [MUJOCO, MJWARP, BRIEF_WARP], ids=["mujoco", "mjwarp-arm", "mjwarp"])
+@pytest.mark.parametrize(
+    "config",
+    [MUJOCO, MJWARP, pytest.param(BRIEF_WARP, marks=pytest.mark.slow)],
+    ids=["mujoco", "mjwarp-arm", "mjwarp"],
+)
 def test_rows_do_not_depend_on_their_batch(config):
     p, whole = problems(), reference_run(config)
     for rows in (torch.arange(1), torch.arange(7), torch.randperm(N, generator=torch.Generator().manual_seed(0))):

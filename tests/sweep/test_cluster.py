@@ -118,6 +118,7 @@ def test_kill_9_of_a_second_node_moves_its_shards_to_the_first(tmp_path, undistu
         cluster.shutdown()
 
 
+@pytest.mark.slow
 def test_without_an_address_a_cluster_of_its_own_is_started_and_a_refused_method_stops_no_other(tmp_path, undisturbed):
     """Whatever the environment names; a method whose answers cannot be scored is said once, and is not tried again."""
     out = tmp_path / "run"

@@ -37,7 +37,7 @@ def test_kill_9_of_the_process_loses_one_shard_at_most(tmp_path, undisturbed):
     same_rows(out, undisturbed)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_stop_signal_ends_with_130_and_the_same_command_goes_on(tmp_path, undisturbed, number):
     out = tmp_path / "run"
     first = start(tmp_path, out, SLOW, FAKE_SECONDS="0.2")
@@ -220,6 +220,7 @@ def test_a_run_inside_a_run_folder_is_refused(tmp_path, monkeypatch, capsys):
         assert not (tmp_path / "run" / inside).exists()
 
 
+@pytest.mark.slow
 def test_a_clock_that_is_set_back_between_two_sweeps_changes_nothing(tmp_path, undisturbed):
     out, year = tmp_path / "run", 365 * 86400
     first = start(tmp_path, out, SLOW, FAKE_SECONDS="0.2", FAKE_CLOCK=str(year))
