@@ -37,9 +37,8 @@ __all__ = [
 ]
 
 _root = Path(__file__).resolve().parent
-if not (
-    _root / "kernels"
-).exists():  # a checkout or an editable install: kernels/ and assets/ stand beside the package
+# a checkout or an editable install: kernels/ and assets/ stand beside the package
+if not (_root / "kernels").exists():
     __path__.append(str(_root.parent))
 
 

@@ -67,15 +67,15 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> 
     name = given[0] if given else "--help"
     if name in COMMANDS:
         if arguments is None:
+            # run.json keeps the sweep's command line as the sweep would see it
             sys.argv = [
                 sys.argv[0],
                 *given[1:],
-            ]  # run.json keeps the sweep's command line as the sweep would see it
+            ]
         try:
             return main_of(name)(given[1:], prog=f"{prog} {name}")
-        except (
-            KeyboardInterrupt
-        ):  # while the subcommand is imported; what it does itself, `answer` hears
+        # while the subcommand is imported; what it does itself, `answer` hears
+        except KeyboardInterrupt:
             return refuse(name, "interrupted", 130)
     return answer(prog, lambda: _about(name, given, prog))
 

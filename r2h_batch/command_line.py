@@ -400,9 +400,8 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
             return f"unknown flag {name}{nearest(name, flags)}; {allowed}"
     lines = [line.strip("\u2502| \n") for line in box.splitlines()]
     worded = [any(c.isalnum() for c in line) for line in lines]
-    start = (
-        worded.index(True) + 1 if any(worded) else 0
-    )  # tyro prints a title, the message, a rule or blank, hints
+    # tyro prints a title, the message, a rule or blank, hints
+    start = worded.index(True) + 1 if any(worded) else 0
     message = itertools.takewhile(
         lambda i: worded[i], itertools.dropwhile(lambda i: not worded[i], range(start, len(lines)))
     )

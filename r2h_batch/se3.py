@@ -111,9 +111,8 @@ def is_pose(T: Float[Tensor, "*b 4 4"]) -> Bool[Tensor, "*b"]:
     det = (torch.linalg.cross(x, y) * z).sum(-1)
     # without a constant row: on CUDA copying one there would wait for the device
     bottom_ok = (safe[..., 3, :3].abs() <= 1e-6).all(-1) & ((safe[..., 3, 3] - 1.0).abs() <= 1e-6)
-    in_reach = (safe[..., :3, 3].abs() < 1e3).all(
-        -1
-    )  # a kilometre away is a unit error, and float32 has lost the millimetre
+    # a kilometre away is a unit error, and float32 has lost the millimetre
+    in_reach = (safe[..., :3, 3].abs() < 1e3).all(-1)
     return finite & (gram.abs() <= ROTATION_TOLERANCE).all(-1) & (det > 0) & bottom_ok & in_reach
 
 

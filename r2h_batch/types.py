@@ -34,9 +34,8 @@ __all__ = [
 def in_one_copy(tensors: Sequence[Tensor]) -> list[Tensor]:
     """The tensors on the CPU: packed as bytes where they are, copied once, and views of that copy
     here; no gradients."""
-    by_size = sorted(
-        range(len(tensors)), key=lambda i: -tensors[i].element_size()
-    )  # views need aligned offsets
+    # views need aligned offsets
+    by_size = sorted(range(len(tensors)), key=lambda i: -tensors[i].element_size())
     flat = [tensors[i].detach().contiguous().view(-1).view(torch.uint8) for i in by_size]
     parts = torch.cat(flat).cpu().split([len(f) for f in flat])
     copied = [
@@ -80,9 +79,8 @@ class _Rows:
             every.append(value)
             return value
 
-        self._changed(
-            seen
-        )  # in the order in which they are put back; what stands beside the rows goes along
+        # in the order in which they are put back; what stands beside the rows goes along
+        self._changed(seen)
         here = {value.device.type for value in every}
         if device.type == "cpu" and here - {"cpu"}:
             copied = iter(in_one_copy(every))

@@ -112,9 +112,8 @@ class Benchmark:
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # what there was before it could be said keeps its digest
             digest.update(f"receiver {self.receiver}\n".encode())
-        if (
-            self.protocol == WITH_BODIES and self.hand_set.in_body is not None
-        ):  # it says how hands stand in these trials
+        # it says how hands stand in these trials
+        if self.protocol == WITH_BODIES and self.hand_set.in_body is not None:
             digest.update(self.hand_set.in_body.contiguous().numpy().tobytes())
         for part in (self.thresholds, self.workplace):
             digest.update(json.dumps(asdict(part), sort_keys=True).encode())

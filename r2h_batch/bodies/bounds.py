@@ -48,9 +48,8 @@ def capsule_of_balls(centers: Array, radii: Array) -> tuple[Array, Array, float]
         across = centers - along[:, None] * axis
         middle = (across.min(0) + across.max(0)) / 2
         middle = middle - (middle @ axis) * axis  # of a slanted axis' box it is not across
-        for _ in range(
-            50
-        ):  # a few steps towards the smallest enclosing circle (Badoiu and Clarkson 2003)
+        # a few steps towards the smallest enclosing circle (Badoiu and Clarkson 2003)
+        for _ in range(50):
             far = np.argmax(np.linalg.norm(across - middle, axis=1) + radii)
             middle = middle + (across[far] - middle) * 0.05
         off = np.linalg.norm(across - middle, axis=1)

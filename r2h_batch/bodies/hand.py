@@ -232,9 +232,10 @@ class HandModel:
             rest = rest + amount * self.joint_shape_basis[..., i].to(device).double()
             skin = skin + amount * self.shape_basis[..., i].to(device).double()
         if self.pose_basis is not None:
+            # (B, 135)
             feature = (rotation[:, 1:] - torch.eye(3, dtype=torch.float64, device=device)).flatten(
                 1
-            )  # (B, 135)
+            )
             for i in range(feature.shape[1]):
                 skin = (
                     skin + feature[:, i, None, None] * self.pose_basis[..., i].to(device).double()

@@ -79,9 +79,8 @@ def close_holes(vertices: F64, faces: Ids) -> Ids:
             "two faces of the hand run along one edge in the same direction: it is no surface"
         )
     open_edges = edge[~np.isin(edge[:, 1] * len(vertices) + edge[:, 0], directed)]
-    following = {
-        int(a): int(b) for b, a in open_edges
-    }  # against the faces' direction: outward for what closes the hole
+    # against the faces' direction: outward for what closes the hole
+    following = {int(a): int(b) for b, a in open_edges}
     if len(following) != len(open_edges) or set(following) != set(following.values()):
         raise ValueError("the hand's mesh is open along something else than simple loops")
     added: list[tuple[int, int, int]] = []

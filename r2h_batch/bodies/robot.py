@@ -200,9 +200,8 @@ def finger_motion(robot: Robot, motion: str, side: int, drive: ArrayLike) -> Arr
     T = _rotation(0, side * q)
     point = np.array([0.0, side * pivot[0], pivot[1]])
     T[..., :3, 3] = point - T[..., :3, :3] @ point
-    if (
-        motion == "pin"
-    ):  # the parallelogram carries inner finger and pad along the pin's arc without turning them
+    # the parallelogram carries inner finger and pad along the pin's arc without turning them
+    if motion == "pin":
         pin = point + np.array([0.0, side * link.pin_from_driver_yz[0], link.pin_from_driver_yz[1]])
         T[..., :3, 3] += T[..., :3, :3] @ pin - pin
         T[..., :3, :3] = np.eye(3)

@@ -127,9 +127,8 @@ def visual_triangles(name: str) -> Array:
         if visual is None or mesh is None:
             raise ValueError(f"{link_name} in {ARM_URDF.name} has no visual mesh")
         T, path = origin(visual), ARM_URDF.parent / mesh.attrib["filename"]
-        if (
-            name == "base"
-        ):  # named in the URDF with cable and labels: the same mesh without them, seen from base_link
+        # named in the URDF with cable and labels: the same mesh without them, seen from base_link
+        if name == "base":
             T = origin(named(urdf(ARM_URDF), "joint")["base_link-base_link_inertia"]) @ T
             path = path.with_name("base.obj")
         return _triangles(path, T)

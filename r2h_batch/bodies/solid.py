@@ -196,9 +196,8 @@ def _surface_voxels(
         face, cell = _cells_at_planes(block, normal, corners, low, span)
         n = normal[face]
         height = np.einsum("ij,ij->i", n, corners[face, 0] - (cell + 0.5))
-        rows = np.flatnonzero(
-            np.abs(height) <= 0.5 * np.abs(n).sum(axis=1)
-        )  # of the axes, the one that rules out most
+        # of the axes, the one that rules out most
+        rows = np.flatnonzero(np.abs(height) <= 0.5 * np.abs(n).sum(axis=1))
         rows = rows[~full[tuple(cell[rows].T)]]
         face, cell = face[rows], cell[rows]
         t, edge = corners[face] - (cell + 0.5)[:, None, :], edges[face]
@@ -232,9 +231,8 @@ def _cells_at_planes(
     axes = (np.abs(normal[block]).argmax(axis=1)[:, None] + np.arange(3)) % 3
     n = np.take_along_axis(normal[block], axes, 1)
     first, width = (np.take_along_axis(x[block], axes, 1) for x in (low, span))
-    flat = np.take_along_axis(
-        corners[block], axes[:, None, 1:], 2
-    )  # (faces, corner, 2) as the columns see them
+    # (faces, corner, 2) as the columns see them
+    flat = np.take_along_axis(corners[block], axes[:, None, 1:], 2)
     edge = np.roll(flat, -1, axis=1) - flat
     columns = width[:, 1] * width[:, 2]
     row = np.repeat(np.arange(len(block)), columns)
@@ -258,9 +256,8 @@ def _cells_at_planes(
     with np.errstate(divide="ignore", invalid="ignore"):
         reach = 0.5 * np.abs(n).sum(axis=1) / np.abs(n[:, 0]) + 1e-3
         middle = (height[row] - (n[row, 1:] * at).sum(axis=1)) / n[row, 0] - 0.5
-        sure = np.isfinite(middle) & np.isfinite(
-            reach[row]
-        )  # a face without area is in no plane: all its cells
+        # a face without area is in no plane: all its cells
+        sure = np.isfinite(middle) & np.isfinite(reach[row])
         begin = np.where(sure, np.maximum(begin, np.floor(middle - reach[row])), begin)
         end = np.where(sure, np.minimum(end, np.ceil(middle + reach[row])), end)
     count = np.maximum(end - begin + 1, 0).astype(np.int64)

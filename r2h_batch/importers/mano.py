@@ -264,9 +264,8 @@ def _both_sides(right: _Raw | None, left: _Raw | None) -> dict[str, NDArray[Any]
     there = right if right is not None else left
     assert there is not None
     mine = [right or there, left or there]
-    wrists = [
-        wrist(mine[s], s == LEFT) for s in (RIGHT, LEFT)
-    ]  # raw arrays are mirrored to right hands
+    # raw arrays are mirrored to right hands
+    wrists = [wrist(mine[s], s == LEFT) for s in (RIGHT, LEFT)]
     means = [postures(mine[s], (s == LEFT) != (mine[s] is left)) for s in (RIGHT, LEFT)]
     return {
         "wrist_rest": np.stack([w[0] for w in wrists]).astype(np.float32),

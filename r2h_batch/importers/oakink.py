@@ -71,9 +71,8 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
 
 
 def _source(path: Path) -> tuple[str, re.Match[str]]:
-    beside = [
-        p / "source.txt" for p in (path.parent, path.parent.parent)
-    ]  # a virtual object's grasp is one deeper
+    # a virtual object's grasp is one deeper
+    beside = [p / "source.txt" for p in (path.parent, path.parent.parent)]
     file = next((p for p in beside if p.is_file()), beside[0])
     text = read_file(file, 4096).decode("utf-8", "replace").strip()
     match = SOURCE.search(text)

@@ -136,9 +136,8 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=robot.linkage.pad_half_size, pos=frames.pad,
             contype=1, conaffinity=2, friction=[FRICTION, 0.005, 0.0001], condim=4, solref=stiff,
         )  # fmt: skip
-        tie(
-            spec, f"{name}_pad", name, -1.0, solref=stiff
-        )  # the four-bar is a parallelogram: the pad keeps upright
+        # the four-bar is a parallelogram: the pad keeps upright
+        tie(spec, f"{name}_pad", name, -1.0, solref=stiff)
         spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
             biastype=mujoco.mjtBias.mjBIAS_AFFINE, gainprm=[100, *[0] * 9], biasprm=[0, -100, -2, *[0] * 7],
@@ -164,9 +163,8 @@ def _close(
     robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None
 ) -> tuple[float, float, float]:
     m = gripper_spec(robot, model, T_obj_ee).compile()
-    m.dof_damping[-6:] = [model.mass * 50] * 3 + [
-        float(np.trace(model.inertia)) * 50
-    ] * 3  # nothing drifts off at a touch
+    # nothing drifts off at a touch
+    m.dof_damping[-6:] = [model.mass * 50] * 3 + [float(np.trace(model.inertia)) * 50] * 3
     data = mujoco.MjData(m)
     data.qpos[:4] = np.array([1, -1, 1, -1]) * float(drive_from_gap(OPEN_GAP_M))
     start = data.qpos[4:7].copy()
@@ -183,9 +181,8 @@ def _close(
         return opening, moved, float("nan")
     m.dof_damping[-6:] = 0.0
     at = data.qpos[4:7].copy()
-    for t in np.arange(
-        0.0, 0.3 + 3 * SHAKE_S, every * STEP_S
-    ):  # weight alone first, then along x, y, z
+    # weight alone first, then along x, y, z
+    for t in np.arange(0.0, 0.3 + 3 * SHAKE_S, every * STEP_S):
         shake = np.zeros(3)
         if t >= 0.3:
             axis = min(int((t - 0.3) / SHAKE_S), 2)

@@ -331,9 +331,8 @@ def reference_chain(**to: Any) -> Any:
         '<link name="ee"/><joint name="tool0-ee" type="fixed"><parent link="tool0"/><child link="ee"/>'
         f'<origin rpy="0 0 0" xyz="{x} {y} {z}"/></joint></robot>'
     )
-    text = re.sub(r'\sdrake:\w+="[^"]*"', "", text).replace(
-        "</robot>", ee
-    )  # lxml refuses the undeclared prefix
+    # lxml refuses the undeclared prefix
+    text = re.sub(r'\sdrake:\w+="[^"]*"', "", text).replace("</robot>", ee)
     chain = pytorch_kinematics.build_serial_chain_from_urdf(text.encode(), "ee", "base_link")
     return chain.to(**to) if to else chain
 

@@ -71,9 +71,8 @@ def solve_ik(
     device = T_world_ee.device
     slot = torch.arange(BRANCHES, dtype=torch.int64, device=device)
     pair = 2 * (slot // 4) + slot % 2
-    asked = (exact.status == int(ik_step.STATUS_RESCUED))[
-        :, pair
-    ]  # (b, 8): it exists and is a point, not a line
+    # (b, 8): it exists and is a point, not a line
+    asked = (exact.status == int(ik_step.STATUS_RESCUED))[:, pair]
     row, column = asked.nonzero(as_tuple=True)
     targets = se3.orthonormalise(T_world_ee.double())[row]
     signs = torch.stack(
@@ -124,9 +123,8 @@ def _search(
     q = torch.zeros((m, 6), dtype=torch.float64, device=targets.device)
     found = torch.zeros(m, dtype=torch.bool, device=targets.device)
     steps = torch.zeros(m, dtype=torch.int64, device=targets.device)
-    for (
-        seed
-    ) in seeds:  # one after the other: the first that converges counts, whoever shares the chunk
+    # one after the other: the first that converges counts, whoever shares the chunk
+    for seed in seeds:
         left = (~found).nonzero(as_tuple=True)[0]
         for i in range(0, len(left), ROWS):
             some = left[i : i + ROWS]

@@ -36,12 +36,10 @@ class Plan:
     means no path."""
 
     reason: Int32[Tensor, " b"]  # PlanReason
-    pair: Int32[
-        Tensor, " b"
-    ]  # CollidingPair that ruled a start or goal out, or that is nearest along the path
-    body: Int32[
-        Tensor, " b"
-    ]  # robot body of the nearest pair (Scene.part_names), -1: none below the cap
+    # CollidingPair that ruled a start or goal out, or that is nearest along the path
+    pair: Int32[Tensor, " b"]
+    # robot body of the nearest pair (Scene.part_names), -1: none below the cap
+    body: Int32[Tensor, " b"]
     # smallest along the path over all pairs, exact below 5 cm; of a sampled path that passes
     # through something, minus the way out of the deepest overlap found; -inf without a path
     clearance_m: Float32[Tensor, " b"]

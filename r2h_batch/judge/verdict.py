@@ -161,9 +161,8 @@ def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor, Tensor
     failed; and their state then."""
     length = executed.recorded if keep else torch.where(executed.valid, 0, executed.recorded)
     state = executed.failed_state
-    if (
-        executed.sample_s is None
-    ):  # nothing was recorded, and looking at lengths would wait for a GPU
+    # nothing was recorded, and looking at lengths would wait for a GPU
+    if executed.sample_s is None:
         empty = torch.empty((len(length), 0), dtype=torch.float64, device=length.device)
         return executed.path[:, :0].clone(), length, empty
     if state is None or executed.valid.all():

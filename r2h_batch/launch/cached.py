@@ -214,9 +214,8 @@ def _known(p: Parameter, value: Any) -> Callable[[], Any]:
     """What was packed, to be known again by identity; what owns memory is not kept alive for
     that."""
     if isinstance(value, wp.array) or _is_struct(p):
-        return weakref.ref(
-            value
-        )  # its descriptor is the one that was packed, and its memory does not move
+        # its descriptor is the one that was packed, and its memory does not move
+        return weakref.ref(value)
     if p.array is not None:
         # an array of NumPy, a tensor of a class of its own: what it says now may not hold later
         return _nothing

@@ -79,9 +79,8 @@ def share(
         for worker in range(1, workers):
             try:
                 futures.append(thread_pool(workers).submit(help_out, worker))
-            except (
-                RuntimeError
-            ):  # the interpreter is going down, or has no thread left to give: this one does it all
+            # the interpreter is going down, or has no thread left to give: this one does it all
+            except RuntimeError:
                 break
         work(0)
         for future in futures:

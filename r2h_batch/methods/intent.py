@@ -160,9 +160,8 @@ def moved_with_the_hand(
     is turned to lie as the target hand (palm normal and fingers' direction), `inward_deg` towards
     the thumb about its palm normal."""
     fingers = turned_inward(target.wrist_to_middle, target.palm_normal, target.side, inward_deg)
-    R_world_palm = approach_frames(
-        target.palm_normal, fingers
-    )  # z out of the palm, x along the fingers
+    # z out of the palm, x along the fingers
+    R_world_palm = approach_frames(target.palm_normal, fingers)
     R_obj_palm = approach_frames(taking.palm_normal, taking.wrist_to_middle)
     return se3.matmul(R_world_palm, se3.matmul(R_obj_palm.mT, T_obj_ee[:, :3, :3].double()))
 

@@ -185,9 +185,8 @@ def gripper_capsule() -> tuple[float, float, float]:
         size,
         np.stack([size[:, 0], size[:, 0], size[:, 1]], 1),
     )
-    corners = (
-        np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
-    )  # of the boxes that hold the primitives
+    # of the boxes that hold the primitives
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
     points = (p[:, :, None] + np.einsum("ngij,cgj->ngci", R, corners[:, None] * half)).reshape(
         -1, 3
     )

@@ -125,9 +125,10 @@ class _Fan:
         frame = _basis(se3.rotate(_basis(approach), _TILTS[rng.choice(tilt, TILTS)]))
         x, z = se3.rotate(frame, _ROLLS[rng.choice(roll, ROLLS)]), frame[:, :, 2]
         R = np.stack([x, np.cross(z, x), z], 2)
+        # in ee
         free = se3.rotate(
             T_obj_ee[:, :3, :3].transpose(0, 2, 1), self._free[objects] - T_obj_ee[:, :3, 3]
-        )  # in ee
+        )
         target = self._center[rows] + (NEARER_M + (FARTHER_M - NEARER_M) * far)[:, None] * normal
         T_world_ee = np.zeros((len(rows), 4, 4))
         T_world_ee[:, :3, :3] = R

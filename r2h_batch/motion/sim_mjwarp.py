@@ -123,9 +123,8 @@ class StandingWorlds:
             self.graph: Any = None
             for kernel in (command_worlds, finish_step, start_worlds):
                 wp.load_module(kernel.module, device=device)
-            mjw.step(
-                self.model, self.data
-            )  # compiles what the graph needs; the worlds start afterwards
+            # compiles what the graph needs; the worlds start afterwards
+            mjw.step(self.model, self.data)
 
     def run(self, job: Job, todo: np.ndarray) -> Run:
         """What the trials at places `todo` of the job do, and what went wrong (OVERFLOW,
@@ -306,9 +305,8 @@ def _rounded(n: int) -> int:
 
 def _for_warp(model: mujoco.MjModel) -> mujoco.MjModel:
     model = copy.copy(model)
-    model.opt.disableflags &= ~int(
-        mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    )  # it never resets, and refuses the flag
+    # it never resets, and refuses the flag
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     # boxes as in MuJoCo C, by their faces: the general routine makes one contact of four, and a
     # gripper that meets the table bounces off
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
@@ -361,9 +359,8 @@ and contacts, of which all worlds have one pool that also takes the pairs that a
 further try has four times as much."""
 
 _log = logging.getLogger(__name__)
-_one_at_a_time = (
-    threading.Lock()
-)  # on a CPU, mjw.step in two threads at once crashes (shared tile storage)
+# on a CPU, mjw.step in two threads at once crashes (shared tile storage)
+_one_at_a_time = threading.Lock()
 
 
 def simulate(job: Job, *, threads: int | None = None) -> Samples:

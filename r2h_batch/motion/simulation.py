@@ -20,9 +20,8 @@ class Job:
 
     scene: SceneModel
     law: Any  # Law of r2h_batch.kernels.motion.time_law
-    tables: tuple[
-        Any, Any, Any
-    ]  # path (B, W, 6), times (B, W), lengths (B,): Warp arrays on the engine's device
+    # path (B, W, 6), times (B, W), lengths (B,): Warp arrays on the engine's device
+    tables: tuple[Any, Any, Any]
     rows: NDArray[np.int64]
     trials: TrialScenes
     start: NDArray[np.float64]  # (n, 6) rad, at rest
@@ -38,9 +37,8 @@ class Samples:
 
     q: NDArray[np.float32]  # (n, W, 6) rad
     acceleration: NDArray[np.float64]  # (n, 6) largest change of speed per step, rad/s^2
-    sway_m: NDArray[
-        np.float64
-    ]  # (n,) how far any point of the fingers was from where their opening has it, at any step
+    # (n,) how far any point of the fingers was from where their opening has it, at any step
+    sway_m: NDArray[np.float64]
     valid: NDArray[np.bool_]
     failed_state: NDArray[np.float64]
     """(n, nq + nv) qpos and qvel as last seen before the simulator failed; NaN where it did not"""

@@ -68,15 +68,13 @@ def time_at(
     total = _duration(whole, config)
     v, a = limits(config)
     s = fraction.double() * whole
-    near = torch.minimum(s, whole - s).clamp(
-        min=0
-    )  # the trapezoid is symmetric: count from the nearer end
+    # the trapezoid is symmetric: count from the nearer end
+    near = torch.minimum(s, whole - s).clamp(min=0)
     ramp = torch.minimum(torch.full_like(whole, v * v / (2 * a)), whole / 2)
     t = torch.where(near <= ramp, (2 * near / a).sqrt(), (2 * ramp / a).sqrt() + (near - ramp) / v)
     t = torch.where(s <= whole / 2, t, total - t)
-    passed = torch.minimum(
-        (motion.time_s[rows, at] + t).float(), motion.time_s[rows, at + 1]
-    )  # never after its own end
+    # never after its own end
+    passed = torch.minimum((motion.time_s[rows, at] + t).float(), motion.time_s[rows, at + 1])
     return torch.where(length > 0, passed, torch.nan)
 
 

@@ -138,9 +138,8 @@ def predict_receiving(
             f"part is {int(labels.min())} to {int(labels.max())}; it must be -1 (any) to {names - 1}"
         )
     grasps = load_receiving(scene.objects, scene.hands.model)
-    fits = torch.ones(
-        (count, names + 1, len(grasps)), dtype=torch.bool, device="cpu"
-    )  # label -1 stands last
+    # label -1 stands last
+    fits = torch.ones((count, names + 1, len(grasps)), dtype=torch.bool, device="cpu")
     for k in range(names):
         fits[:, k] = grasps.part == k
     return _drawn(trials, scene, grasps, fits, labels.long() % (names + 1), seed, noise)

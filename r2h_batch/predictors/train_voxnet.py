@@ -204,9 +204,8 @@ def trained(run: Run) -> tuple[dict[str, Tensor], list[float], dict[str, dict[st
     name = ", ".join(objects[i].name for i in run.left_out) or "none"
     net, losses = train(part, run.steps, run.seed, report=f"left out {name}")
     if run.left_out:
-        net.load_state_dict(
-            {k: v.float() for k, v in halved(net.state_dict()).items()}
-        )  # judged as it is stored
+        # judged as it is stored
+        net.load_state_dict({k: v.float() for k, v in halved(net.state_dict()).items()})
     judged = run.left_out or range(len(objects))
     return dict(net.state_dict()), losses, {objects[i].name: figures(net, data, i) for i in judged}
 

@@ -170,9 +170,8 @@ def _tables(model: HandModel, shape: F32, turns: F64, rate: F64, limit: F64) -> 
     )
     segment = model.weights.argmax(1).numpy()
     local = rest.vertices.numpy() - rest.joints.numpy()[:, segment]
-    clusters = [
-        _clusters(local[0], np.flatnonzero(segment == j)) if j else [] for j in range(16)
-    ]  # without the palm
+    # without the palm
+    clusters = [_clusters(local[0], np.flatnonzero(segment == j)) if j else [] for j in range(16)]
     rows = [c for of_segment in clusters for c in of_segment]
     skin = local[:, np.concatenate(rows)]
     root_turn = Rotation.from_euler(

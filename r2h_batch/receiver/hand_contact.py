@@ -169,10 +169,11 @@ def measure_contact(
             else ((vertices < low) | (vertices > high)).any(axis=2)
         )
         asked = np.ones((n, count), bool) if asked is None else asked
+        # outside nobody needs a winding number
         for mine, outside in (
             (asked & ~around, False),
             (asked & around, True),
-        ):  # outside nobody needs a winding number
+        ):
             d, normal[mine], face[mine] = surface.distance(
                 vertices[mine], REACH_M, threads, quick=outside
             )

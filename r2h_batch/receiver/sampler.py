@@ -230,9 +230,8 @@ def _proposals(
     area = np.linalg.norm(cross, axis=1) * wanted
     area /= area.sum()
     named = [area * np.isin(model.face_part, i.labels) for i in intents_of(model)]
-    area = area + np.sum([a / a.sum() for a in named], 0) / len(
-        named
-    )  # small parts get their share of proposals
+    # small parts get their share of proposals
+    area = area + np.sum([a / a.sum() for a in named], 0) / len(named)
     share = np.cumsum(area) / area.sum()
     face = np.minimum(np.searchsorted(share, (np.arange(n) + rng.random(n)) / n), len(share) - 1)
     target = corner[face].mean(1)
@@ -359,9 +358,8 @@ def _diverse(
     taken: list[int] = []
     usable = np.ones(len(order), bool)
     usable[[i for i, holds in known.items() if not holds]] = False
-    for allowed, number, share in (
-        (a, n, s) for a, n in stages for s in (BEST, 1.0)
-    ):  # the poorest where the best fail
+    # the poorest where the best fail
+    for allowed, number, share in ((a, n, s) for a, n in stages for s in (BEST, 1.0)):
         mine = order[allowed[order]]
         mine = mine[: max(number, int(share * len(mine)))]
         scale = 1.0
@@ -372,9 +370,8 @@ def _diverse(
                 if i in taken or not usable[i]:
                     continue
                 apart = np.linalg.norm(palm[taken] - palm[i], axis=1) / 0.04
-                turn = (
-                    1 - np.einsum("mij,ij->m", every["R"][taken], every["R"][i]) / 3
-                )  # 0 alike, 4/3 opposite
+                # 0 alike, 4/3 opposite
+                turn = 1 - np.einsum("mij,ij->m", every["R"][taken], every["R"][i]) / 3
                 if taken and (apart + 2 * turn).min() < scale:
                     continue
                 # measured only of those that are wanted: 10 ms each, and 50 of how they cut into

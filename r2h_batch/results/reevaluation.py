@@ -168,9 +168,8 @@ def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
     mine = provenance.versions()
     other += [k for k, v in header["versions"].items() if k != "python" and mine.get(k) != v]
     here = provenance.device_name(device)
-    same = (
-        here.rpartition(",")[0] == str(header["device"]["name"]).rpartition(",")[0]
-    )  # "cpu: MODEL, N cores"
+    # "cpu: MODEL, N cores"
+    same = here.rpartition(",")[0] == str(header["device"]["name"]).rpartition(",")[0]
     return (*other, *([] if same else ["processor"]))
 
 

@@ -31,29 +31,24 @@ TRIAL_SCHEMA = pa.schema(
         pa.field("side", _NAME, nullable=False),  # of the receiving hand: right, left
         pa.field("outcome", _NAME, nullable=False),  # OUTCOME_NAMES
         *(pa.field(f"passed_{c}", pa.bool_()) for c in CRITERIA),  # null: not evaluated
-        *(
-            pa.field(f"margin_{c}_m", pa.float32()) for c in CRITERIA
-        ),  # positive: passes; null: none is defined
+        # positive: passes; null: none is defined
+        *(pa.field(f"margin_{c}_m", pa.float32()) for c in CRITERIA),
         pa.field("plan_reason", _NAME),  # verdicts.PlanReason
-        pa.field(
-            "plan_pair", _NAME
-        ),  # what met where Plan failed: verdicts.CollidingPair, null: none
-        pa.field(
-            "nearest_pair", _NAME
-        ),  # what is nearest along a path: verdicts.CollidingPair, null: none below 5 cm
+        # what met where Plan failed: verdicts.CollidingPair, null: none
+        pa.field("plan_pair", _NAME),
+        # what is nearest along a path: verdicts.CollidingPair, null: none below 5 cm
+        pa.field("nearest_pair", _NAME),
         pa.field("width_m", pa.float32()),  # of the material between the pads; null: nothing there
         pa.field("borderline", pa.bool_()),
         pa.field("presented", pa.bool_()),  # null: the object has no receiver's region
         pa.field("presented_angle_deg", pa.float32()),
         pa.field("presented_distance_m", pa.float32()),
-        pa.field(
-            "t_plan_s", pa.float32()
-        ),  # amortised: batch wall time / B; null: planning did not run
+        # amortised: batch wall time / B; null: planning did not run
+        pa.field("t_plan_s", pa.float32()),
         pa.field("t_exec_s", pa.float32()),  # null: no path
         pa.field("t_method_s", pa.float32()),  # null: not measured
-        pa.field(
-            "body_m", pa.float32()
-        ),  # robot to the receiver's arm and torso; null: no body, or no motion
+        # robot to the receiver's arm and torso; null: no body, or no motion
+        pa.field("body_m", pa.float32()),
     ]
 )
 LATER_COLUMNS = (
@@ -75,9 +70,8 @@ DETAIL_SCHEMA = pa.schema(
         pa.field("grasp_shift_m", pa.float32()),
         pa.field("slip_m", pa.float32()),  # in the shake; null: not shaken
         pa.field("q_goal", pa.list_(pa.float32(), 6)),  # rad, UR order; null: no goal
-        pa.field(
-            "witness_plan_part", _NAME
-        ),  # robot part of Plan's and of Safe's smallest clearance
+        # robot part of Plan's and of Safe's smallest clearance
+        pa.field("witness_plan_part", _NAME),
         pa.field("witness_safe_part", _NAME),
         pa.field("witness_time_s", pa.float32()),  # of Safe's
         pa.field("witness_point_m", pa.list_(pa.float32(), 3)),  # of Safe's, world frame
@@ -96,9 +90,8 @@ PATH_SCHEMA = pa.schema(
         pa.field("q_goal", pa.list_(pa.float32(), 6)),
         pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
         pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad, UR order
-        pa.field(
-            "executed_q", pa.list_(pa.list_(pa.float32(), 6))
-        ),  # every run.json motion.sample_s; null: not simulated
+        # every run.json motion.sample_s; null: not simulated
+        pa.field("executed_q", pa.list_(pa.list_(pa.float32(), 6))),
     ]
 )
 
@@ -112,15 +105,12 @@ FAILURE_SCHEMA = pa.schema(
         pa.field("T_world_ee", _POSE, nullable=False),
         pa.field("opening_m", pa.float32()),
         pa.field("time_s", pa.list_(pa.float32()), nullable=False),  # W
-        pa.field(
-            "q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False
-        ),  # W x 6 rad: the reference
-        pa.field(
-            "executed_q", pa.list_(pa.list_(pa.float32(), 6))
-        ),  # what the simulator made of it, NaN and all
-        pa.field(
-            "failed_state", pa.list_(pa.float64())
-        ),  # qpos and qvel of the model before it failed
+        # W x 6 rad: the reference
+        pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),
+        # what the simulator made of it, NaN and all
+        pa.field("executed_q", pa.list_(pa.list_(pa.float32(), 6))),
+        # qpos and qvel of the model before it failed
+        pa.field("failed_state", pa.list_(pa.float64())),
     ]
 )
 """Everything needed to run a trial again whose simulation failed, and how far it came."""

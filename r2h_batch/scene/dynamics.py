@@ -68,9 +68,10 @@ def quats_wxyz(R: Array) -> Array:
         * over[:, None]
     )
     w, (x, y, z), (xy, xz, yz) = largest, turn.T, even.T
+    # (4, n, 4)
     all_cases = np.stack(
         [np.stack(q, 1) for q in ((w, x, y, z), (x, w, xy, xz), (y, xy, w, yz), (z, xz, yz, w))]
-    )  # (4, n, 4)
+    )
     quat = all_cases[cases, np.arange(len(R))]
     return np.asarray(quat / np.linalg.norm(quat, axis=1, keepdims=True))
 
@@ -85,9 +86,8 @@ class PayloadTables:
         bare = copy.copy(model)
         bare.body_mass[last], bare.body_inertia[last] = 0.0, 0.0
         data = mujoco.MjData(bare)
-        mujoco.mj_setConst(
-            bare, data
-        )  # subtree masses without it; the data stand at the reference posture
+        # subtree masses without it; the data stand at the reference posture
+        mujoco.mj_setConst(bare, data)
         self.subtreemass = bare.body_subtreemass.copy()
         data.qpos[:] = bare.qpos0
         mujoco.mj_kinematics(bare, data)
@@ -99,9 +99,8 @@ class PayloadTables:
             data.xmat[self.carrier].reshape(3, 3).copy(),
             data.xpos[self.carrier].copy(),
         )
-        self.jacobians = np.zeros(
-            (bare.nbody, 6, bare.nv)
-        )  # at each body's centre of mass; the last: at the carrier's origin
+        # at each body's centre of mass; the last: at the carrier's origin
+        self.jacobians = np.zeros((bare.nbody, 6, bare.nv))
         for body in range(bare.nbody - 1):
             j = self.jacobians[body]
             mujoco.mj_jacBodyCom(bare, data, j[:3], j[3:], body)

@@ -264,10 +264,11 @@ def scene_model(
                 object_collision=object_collision,
                 workplace=workplace,
             )
+            # holds the objects, so that no others get their ids
             _kept[key] = (
                 tuple(objects),
                 model,
-            )  # holds the objects, so that no others get their ids
+            )
         _kept.move_to_end(key)
         while len(_kept) > KEPT:
             _kept.popitem(last=False)
@@ -295,9 +296,8 @@ def build_scene_model(
     the object is attached. `skins`: with the hands' surfaces, else one sees their convex pieces.
     """
     spec = new_spec(step_s)
-    spec.option.disableflags |= int(
-        mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
-    )  # pairs are named by a bit per body
+    # pairs are named by a bit per body
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
     look(spec)
     partners = _partners(robot)
     hand_indices = sorted(set(hand_indices))
@@ -339,9 +339,8 @@ def build_scene_model(
         )
     model = spec.compile()
     varied = np.isin(model.geom_bodyid, [model.body("hand").id, model.body("object").id])
-    model.geom_sameframe[varied] = int(
-        mujoco.mjtSameFrame.mjSAMEFRAME_NONE
-    )  # as they may be for the first meshes
+    # as they may be for the first meshes
+    model.geom_sameframe[varied] = int(mujoco.mjtSameFrame.mjSAMEFRAME_NONE)
     # body boxes are compiled for the first object in its placeholder's axes: boxes that hold any
     # object in any axes
     first, count = model.body_bvhadr[-1], model.body_bvhnum[-1]

@@ -182,9 +182,8 @@ def _add_finger_geoms(
 ) -> None:
     """Primitives and meshes of the gripper's parts, each on the body that carries it (all frames as
     at drive angle 0)."""
-    turned = np.diag(
-        [-1.0, -1.0, 1.0, 1.0]
-    )  # the left finger is the right one turned about the approach axis
+    # the left finger is the right one turned about the approach axis
+    turned = np.diag([-1.0, -1.0, 1.0, 1.0])
     seen = set()
     for i, part in enumerate(robot.gripper_part):
         side = int(robot.gripper_side[i])

@@ -63,16 +63,14 @@ def with_person(
     b, device = len(body_poses.hand_index), receiver.device
     corners, grown = piece_corners(receiver)
     R, p = (x.double()[:, None, None] for x in (body_poses.owners[2], body_poses.owners[3]))
-    local = (
-        se3.rotate(R, corners) + p
-    ).float()  # in the hand's frame, where all collision work is done
+    # in the hand's frame, where all collision work is done
+    local = (se3.rotate(R, corners) + p).float()
     low, high = local.amin(2), local.amax(2)
     center = 0.5 * (low + high)
     off = local - center[:, :, None]
     radius = se3.dot(off, off).sqrt().amax(2) + grown.float() + _ROUNDING_M
-    blocks = (
-        torch.cat([local, local], 2).transpose(2, 3).reshape(-1, 3)
-    )  # BLOCKS: 16 x, then 16 y and 16 z
+    # BLOCKS: 16 x, then 16 y and 16 z
+    blocks = torch.cat([local, local], 2).transpose(2, 3).reshape(-1, 3)
     assert 2 * local.shape[2] == BLOCK_POINTS
     first = BLOCK_POINTS * torch.arange(b * len(PIECES), dtype=torch.int32, device=device).view(
         b, -1

@@ -100,9 +100,8 @@ class Histogram:
 
 def _histogram(values: np.ndarray, low: float, high: float) -> np.ndarray:
     values = values[np.isfinite(values)]
-    place = ((values - low) * (BINS / (high - low))).clip(
-        0, BINS - 1
-    )  # before the conversion: int64 cannot hold a margin of 1e38 m
+    # before the conversion: int64 cannot hold a margin of 1e38 m
+    place = ((values - low) * (BINS / (high - low))).clip(0, BINS - 1)
     return np.bincount(place.astype(np.int64), minlength=BINS)
 
 

@@ -105,9 +105,8 @@ def _own_token() -> Iterator[None]:
     if any(os.environ.get(k) for k in ("RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")):
         yield
         return
-    os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(
-        32
-    )  # not the mode: `init` sets that, and tells its own core
+    # not the mode: `init` sets that, and tells its own core
+    os.environ["RAY_AUTH_TOKEN"] = secrets.token_hex(32)
     try:
         yield
     finally:
@@ -152,9 +151,8 @@ class Head:
             f"the Ray cluster at {printable(self.address)} has not answered for {self.timeout_s:g} s (--ray-timeout):"
             " its head or the network between is gone; complete shards are stored, the same command goes on"
         )
-        time.sleep(
-            GRACE_S
-        )  # for the main thread to say so and to leave, unless it hangs in a call of Ray's
+        # for the main thread to say so and to leave, unless it hangs in a call of Ray's
+        time.sleep(GRACE_S)
         if not self.said:
             tell(f"sweep: {self.lost}")
         sys.stderr.flush()
@@ -264,14 +262,14 @@ def _on_cluster(
         raise ClusterError(
             f"no Ray cluster could be started or joined: {printable(error)[:300]}"
         ) from None
+    # Ray puts its own in their place, which end the driver at once
     for (
         number,
         handler,
-    ) in handlers.items():  # Ray puts its own in their place, which end the driver at once
+    ) in handlers.items():
         signal.signal(number, handler)
-    watched = (
-        options.address and "://" not in options.address
-    )  # a Ray client (ray://) has no head of its own to ask
+    # a Ray client (ray://) has no head of its own to ask
+    watched = options.address and "://" not in options.address
     head = Head(ray.get_runtime_context().gcs_address if watched else "", options.ray_timeout)
     try:
         gpus = options.gpus_per_worker or (1.0 if options.device != "cpu" else 0.0)
@@ -347,9 +345,8 @@ def _feed(
                     tell(f"{name}: shard {shard.index} failed {TRIES} times")
                 continue
             pool.idle.append(actor)
-            with folder.claim(
-                name, shard
-            ):  # no other sweep takes the files for foreign ones meanwhile
+            # no other sweep takes the files for foreign ones meanwhile
+            with folder.claim(name, shard):
                 folder.commit(name, shard, writer, seconds)
             advance(shard.last - shard.first)
     if stopping():

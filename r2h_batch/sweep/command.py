@@ -180,9 +180,8 @@ def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "tuple[str
                 out, {**setting.header, "shard_trials": size}, exact=bool(options.shard_trials)
             )
         except RunError:
-            if (
-                not options.force_new or not Path(out).exists()
-            ):  # no other run in the way: no folder would do
+            # no other run in the way: no folder would do
+            if not options.force_new or not Path(out).exists():
                 raise
         number += 1
         out = f"{options.out}-{number}"

@@ -250,11 +250,12 @@ def _score_chunk(
         scores = setting.evaluator.score(
             answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep
         )
+        # one copy each from a GPU
         part, answers, scores = (
             part.to("cpu"),
             answers.to("cpu"),
             scores.to("cpu"),
-        )  # one copy each from a GPU
+        )
         scored = score_rows(part, scores, names, answers.t_method_s)
         if (scores.outcome == int(Outcome.INVALID_SIM)).any():
             tables["failures"] = failure_rows(part, answers, scores, names)

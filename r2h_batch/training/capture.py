@@ -68,9 +68,8 @@ class Captured:
             if trials is not None:
                 instance_of(Trials)("trials", trials)
                 for f in fields(Trials):
-                    if (
-                        mine := getattr(self.trials, f.name)
-                    ) is not None:  # the receiver's body decides nothing
+                    # the receiver's body decides nothing
+                    if (mine := getattr(self.trials, f.name)) is not None:
                         _copy(f"trials.{f.name}", mine, getattr(trials, f.name))
             if self._graph is not None:
                 self._graph.replay()

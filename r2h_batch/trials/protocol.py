@@ -224,15 +224,15 @@ class _Hands:
         point, normal = palm_frame(geometry.joints.double(), hand_set.side)
         self.palm_point, self.palm_normal = point.numpy(), normal.numpy()
         joints = geometry.joints.double().numpy()
+        # to the middle finger's root, in the palm's plane
         self.wrist, along = (
             joints[:, 0],
             joints[:, 4] - joints[:, 0],
-        )  # to the middle finger's root, in the palm's plane
+        )
         along = along - _dot(along, self.palm_normal)[:, None] * self.palm_normal
         self.along = along / np.sqrt(_dot(along, along))[:, None]
-        self.vertices = np.ascontiguousarray(
-            geometry.vertices.double().numpy().transpose(2, 0, 1)
-        )  # (3, H, V)
+        # (3, H, V)
+        self.vertices = np.ascontiguousarray(geometry.vertices.double().numpy().transpose(2, 0, 1))
         low, high = self.vertices.min(2), self.vertices.max(2)
         self.center = ((low + high) / 2).T
         offset = self.vertices - self.center.T[:, :, None]
@@ -307,9 +307,8 @@ def _draw_people(
         R = world[:, :, None, 0] * local[:, None, :, 0]
         for k in (1, 2):
             R = R + world[:, :, None, k] * local[:, None, :, k]
-        if (
-            hands.in_body is not None
-        ):  # of those recorded with a body the arm is the one that can have them
+        # of those recorded with a body the arm is the one that can have them
+        if hands.in_body is not None:
             known = np.isfinite(hands.in_body[hand][:, 0, 0]) & (number < recorded.GIVEN_UP)
             own = recorded.recorded_in_world(people.facing, np.nan_to_num(hands.in_body[hand]))
             R = np.where(known[:, None, None], own, R)

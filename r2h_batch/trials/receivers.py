@@ -44,6 +44,7 @@ LENGTHS_MM = {
     "wrist_circumference": (175.9, 9.0, 0.49, 154.8, 7.8, 0.54),
     "iliac_height": (1061.6, 52.0, 0.91, 995.7, 49.7, 0.92),
     "popliteal_height": (429.8, 24.8, 0.84, 388.2, 23.6, 0.81),
+    # elbow rest height + shoulder-elbow length
     "seated_shoulder": (
         608.8,
         31.6,
@@ -51,7 +52,7 @@ LENGTHS_MM = {
         566.7,
         28.3,
         0.61,
-    ),  # elbow rest height + shoulder-elbow length
+    ),
 }
 PERCENTILES = (0.05, 0.95)
 SHOES_M = 0.025
@@ -247,9 +248,8 @@ def _hand_axes(
     s, c = sine_cosine(_between(v[0], -PRONATED_DEG, SUPINATED_DEG))
     palm = c[:, None] * inwards + s[:, None] * thumb
     thumb = c[:, None] * thumb - s[:, None] * inwards
-    s, c = sine_cosine(
-        WRIST_BENT_DEG * (v[1] + v[2] - 1.0)
-    )  # two uniform numbers: most often straight
+    # two uniform numbers: most often straight
+    s, c = sine_cosine(WRIST_BENT_DEG * (v[1] + v[2] - 1.0))
     hand = c[:, None] * forearm + s[:, None] * palm
     palm = c[:, None] * palm - s[:, None] * forearm
     s, c = sine_cosine(WRIST_ASIDE_DEG * (v[3] + v[4] - 1.0))

@@ -28,9 +28,10 @@ def one_blas_thread() -> Iterator[None]:
         yield
         return
     try:
+        # looks at every library of the process: 4 ms
         from threadpoolctl import (
             ThreadpoolController,
-        )  # looks at every library of the process: 4 ms
+        )
 
         with ThreadpoolController().select(user_api="blas").limit(limits=1):
             yield

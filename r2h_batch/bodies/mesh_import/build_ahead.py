@@ -107,10 +107,11 @@ def work() -> int:
     """A worker's life; its exit code."""
     answer, sys.stdout = sys.stdout, sys.stderr  # whatever a library prints is no answer
     for line in sys.stdin:
+        # both come again where the object is asked for
         with (
             warnings.catch_warnings(),
             contextlib.suppress(Exception),
-        ):  # both come again where the object is asked for
+        ):
             warnings.simplefilter("ignore")
             build_object(**json.loads(line))
         answer.write("done\n")

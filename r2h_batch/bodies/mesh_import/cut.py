@@ -142,9 +142,8 @@ def merge_hulls(parts: Sequence[F64], most: int, spare: float = -np.inf) -> list
     and Ghorbel 2009, whose cost is another), of each and its nearest neighbours; also when there
     are few enough, while that adds less than `spare` (m^3).
     """
-    hulls = [
-        hull for part in parts if (hull := Manifold.hull_points(part)).volume() > 0
-    ]  # what is flat holds nothing
+    # what is flat holds nothing
+    hulls = [hull for part in parts if (hull := Manifold.hull_points(part)).volume() > 0]
     corners = [_corners(hull) for hull in hulls]
     volume = [float(hull.volume()) for hull in hulls]
     boxes = [np.stack([_low(c), _high(c)]) for c in corners]
@@ -196,9 +195,8 @@ def inflate_to_cover(
     rest, small = points[triangles], []
     while len(rest):
         rest = rest[~_held(found, planes, rest, allowed)]
-        edge = np.linalg.norm(
-            rest - np.roll(rest, -1, axis=1), axis=2
-        )  # edge k: from corner k to the next
+        # edge k: from corner k to the next
+        edge = np.linalg.norm(rest - np.roll(rest, -1, axis=1), axis=2)
         longest = edge.argmax(axis=1)
         long = edge.max(axis=1, initial=0.0) > apart
         small.append(rest[~long])

@@ -90,9 +90,8 @@ def _read(h5py: Any, file: Any, name: str, where: str, most: int) -> Any:
         )
     if at.size is None or at.size > most or at.dtype.itemsize > 256:
         raise ImportRefused(f"{where}: {name} has {at.size} numbers; at most {most} are allowed")
-    if at.chunks is not None and math.prod(at.chunks) > max(
-        MOST_CHUNK, at.size
-    ):  # a chunk is unpacked whole
+    # a chunk is unpacked whole
+    if at.chunks is not None and math.prod(at.chunks) > max(MOST_CHUNK, at.size):
         raise ImportRefused(
             f"{where}: {name} lies in chunks of {math.prod(at.chunks)} numbers, more than it holds"
         )
