@@ -26,7 +26,7 @@ from _report import Report, arguments
 import r2h_batch.evaluate as evaluate
 import r2h_batch.judge.attach as attach
 import r2h_batch.judge.plan as plan
-import r2h_batch.judge.verdict as verdict
+import r2h_batch.judge.scores as verdict
 import r2h_batch.launch as launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator

@@ -49,6 +49,7 @@ HALF_DEGREE = math.radians(0.5)
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, allow_inf_nan=False, description="metres")]
+GoalClearance = Annotated[float, Field(ge=0, le=0.006, description="metres")]
 Opening = Annotated[
     float, Field(gt=0, le=OPEN_GAP_M, description="metres; the open gripper's pads have this gap")
 ]
@@ -120,7 +121,8 @@ class PlanConfig(_Checked):
     # conservative advancement, or samples at MoveIt's resolution
     edge_check: Literal["exact", "moveit"] = "exact"
     object_collision: Literal["hull", "pieces"] = "hull"
-    hand_clearance_m: Length = 0.003  # kept along the path wherever the goal keeps it [choice]
+    # kept along the path wherever the goal keeps it [choice]; goals are measured up to 6.5 mm only
+    hand_clearance_m: GoalClearance = 0.003
     range_rad: Positive = 1.5  # longest RRT extension
     # iterations of each budget round
     rounds: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (

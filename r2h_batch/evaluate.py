@@ -1,5 +1,7 @@
-"""The Evaluator: a batch of handovers in, verdicts with margins and reasons out. The stages in
-order, nothing else."""
+"""The Evaluator: a batch of handovers in, verdicts with margins and reasons out.
+
+`_score_motion` and `_score_pose` call the stages in order; the rest is inputs, chunks and memory.
+"""
 
 import copy
 import time
@@ -20,13 +22,13 @@ from r2h_batch.config import EvalConfig
 from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
 from r2h_batch.judge.distance import (
-    Touch,
+    NearestApproach,
     hand_distance,
     hand_distance_at,
     nearer_of,
     person_distance,
 )
-from r2h_batch.judge.goal import judge_goals, unless_proven
+from r2h_batch.judge.goal import judge_goals, weaken_singular_reason
 from r2h_batch.judge.grasp_physics import shake
 from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
@@ -37,9 +39,9 @@ from r2h_batch.judge.inputs import (
     checked_inputs,
     warn_of_no_gradient,
 )
-from r2h_batch.judge.plan import plan_paths
+from r2h_batch.judge.plan import plan_paths, random_key
 from r2h_batch.judge.presented import presented
-from r2h_batch.judge.verdict import motion_scores, pose_scores, random_key, verdict
+from r2h_batch.judge.scores import motion_scores, pose_scores, verdict
 from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
 from r2h_batch.launch.threads import one_torch_thread
@@ -292,7 +294,7 @@ class Evaluator:
         key = random_key(trials.trial_id)
         planned = plan_paths(
             scene,
-            held.planned,
+            held.planner_poses,
             ik.q,
             branches,
             active,
@@ -302,7 +304,7 @@ class Evaluator:
             threads=threads,
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
-        planned = replace(planned, reason=unless_proven(planned.reason, ik))
+        planned = replace(planned, reason=weaken_singular_reason(planned.reason, ik))
         motion = time_path(planned.path, planned.length, config.execute)
         # sampled edges certify nothing, and paths against an estimated hand nothing of the true one
         certified = (
@@ -322,7 +324,7 @@ class Evaluator:
         )
 
         touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
-        body_m, part = self._body(held, trials, executed.path, executed.length)
+        body_m, part = self._person_distance(held, trials, executed.path, executed.length)
         body_m = body_m - executed.slack_m
         found = (planned.length > 0) & executed.settled
         clearance_m = torch.where(found, planned.clearance_m, -torch.inf)
@@ -342,10 +344,10 @@ class Evaluator:
         active = held.active
         ik, branches = self._branches(config, held)
         goal = judge_goals(
-            scene, held.planned, held.T_world_ee, ik, branches, active, threads=threads
+            scene, held.planner_poses, held.T_world_ee, ik, branches, active, threads=threads
         )
         touch = hand_distance_at(scene, held.body_poses, goal.q, active, threads=threads)
-        body_m, part = self._body(held, trials, goal.q[:, None], active.to(torch.int32))
+        body_m, part = self._person_distance(held, trials, goal.q[:, None], active.to(torch.int32))
         shared, touch = self._judge(
             held, goal.free, active, goal.clearance_m, touch, (body_m, part), None
         )
@@ -361,10 +363,10 @@ class Evaluator:
         free: Tensor,
         moves: Tensor,
         clearance_m: Tensor,
-        touch: Touch,
+        touch: NearestApproach,
         body: tuple[Tensor, Tensor],
         valid: Tensor | None,
-    ) -> tuple[dict[str, Tensor], Touch]:
+    ) -> tuple[dict[str, Tensor], NearestApproach]:
         """The fields of `Scores` that need no path, and where the robot is nearest to the
         receiver; arguments as in `Evidence` and `verdict`."""
         scene, config, threads = self.scene, self.config, self.threads
@@ -380,7 +382,7 @@ class Evaluator:
         region = presented(scene, held, config.thresholds, threads=threads)
         return verdict(metrics.judge(evidence), held, slip_m, region, valid), touch
 
-    def _body(
+    def _person_distance(
         self, held: AttachedBatch, trials: Trials, path: Tensor, length: Tensor
     ) -> tuple[Tensor, Tensor]:
         """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where

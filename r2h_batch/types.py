@@ -92,7 +92,8 @@ class _Rows:
         there."""
         return self._changed(lambda value: value.detach().clone())
 
-    # What belongs to the rows but is no tensor (names, inputs). Not a field: judging never reads it.
+    # What belongs to the rows but is no tensor (names, inputs). Not a field: judging never reads
+    # it.
     _context = None
 
     def _changed(self, change: Callable[[Tensor], Tensor]) -> Self:
@@ -221,18 +222,18 @@ class Scores(_Rows):
 
     `margin` is in metres, positive when the criterion passes. `witness_part` names the robot part
     (`Scene.part_names`) of Plan's and Safe's smallest clearance, `witness_time_s` and
-    `witness_point` (world frame) when and where Safe's occurs. `borderline` marks trials with a
-    margin within 0.1 mm of the verdict changing. `presented`: the receiver's region faces the palm
-    and lies where the hand reaches (no part of the outcome), by its angle seen from the TCP and its
-    distance from c_h; False and NaN where the object has no region. `body_m`: how near the robot
-    comes to the receiver's arm and torso (m, negative: they meet; NaN where the protocol gives no
-    body, or there is no motion), exact below 5 cm; no verdict depends on it unless
-    `EvalConfig.receiver` is "body". `slip_m`: how far the object slipped in the shake (NaN unless
-    `stability = "physics"` shook it). `motion`: the executed joint angles, one row every
-    `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the trials whose
-    simulation failed, up to the failure, and of all that moved where `score(keep_motion=True)`
-    asked for it. `failed_state`: qpos and qvel of the simulator when it failed (width 0 where none
-    did, NaN in the other rows).
+    `witness_point` (world frame) when and where Safe's occurs. `borderline`: some evaluated
+    criterion has a margin smaller than 0.1 mm, where float32 does not decide it. `presented`: the
+    receiver's region faces the palm and lies where the hand reaches (no part of the outcome), by
+    its angle seen from the TCP and its distance from c_h; False and NaN where the object has no
+    region. `body_m`: how near the robot comes to the receiver's arm and torso (m, negative: they
+    meet; NaN where the protocol gives no body, or there is no motion), exact below 5 cm; no verdict
+    depends on it unless `EvalConfig.receiver` is "body". `slip_m`: how far the object slipped in
+    the shake (NaN unless `stability = "physics"` shook it). `motion`: the executed joint angles,
+    one row every `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the
+    trials whose simulation failed, up to the failure, and of all that moved where
+    `score(keep_motion=True)` asked for it. `failed_state`: qpos and qvel of the simulator when it
+    failed (width 0 where none did, NaN in the other rows).
     """
 
     trial_id: Int64[Tensor, " b"]

@@ -35,8 +35,8 @@ REGISTRY = (
     CriterionEntry("safe", "f_safe", "F_safe", 2, "#d55e00", SPLITS, False, False),
 )
 """The criteria in the order in which the first failure is looked for. Stored columns, outcomes,
-rates, headings, charts and re-scoring follow it. A new criterion is one entry here and one function
-in `judge.metrics`."""
+rates, headings, charts and re-scoring follow it. A new criterion needs an entry here, a member of
+`Outcome` at the same place, and a function in `judge.metrics`."""
 
 CRITERIA = tuple(entry.name for entry in REGISTRY)
 """Column order of every (B, C) tensor of criteria."""

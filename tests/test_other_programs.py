@@ -21,7 +21,7 @@ from torch.utils.data import DataLoader, Dataset
 import r2h_batch
 from r2h_batch import Evaluator, make_trials
 from r2h_batch.bodies.objects import load_objects
-from r2h_batch.config import Thresholds
+from r2h_batch.config import PlanConfig, Thresholds
 from r2h_batch.judge import inputs
 from r2h_batch.launch import thread_pool
 from r2h_batch.training.torch_op import score_op
@@ -209,6 +209,10 @@ WRONG = {
     "a gripper that opens wider than it can": (
         lambda: Thresholds(w_max_m=0.3),
         "w_max_m is 0.3; it must be 0.085 or less: metres; the open",
+    ),
+    "a distance to the hand that no goal is measured to": (
+        lambda: PlanConfig(hand_clearance_m=0.01),
+        "hand_clearance_m is 0.01; it must be 0.006 or less: metres",
     ),
     "pads that give a metre": (
         lambda: Thresholds(pad_squeeze_m=1),

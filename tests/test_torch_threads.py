@@ -11,7 +11,7 @@ from problems import default_evaluator, make_batch, solve
 
 from r2h_batch import launch
 from r2h_batch.judge import attach, goal, plan
-from r2h_batch.judge.verdict import random_key
+from r2h_batch.judge.plan import random_key
 from r2h_batch.launch import threads
 from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.methods.batches import answers

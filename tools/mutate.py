@@ -32,7 +32,7 @@ class Mutation(NamedTuple):
     tests: tuple[str, ...]
 
 
-METRICS, VERDICT, ROWS = "r2h_batch/judge/metrics.py", "r2h_batch/judge/verdict.py", "kernels/judge/rows.py"
+METRICS, VERDICT, ROWS = "r2h_batch/judge/metrics.py", "r2h_batch/judge/scores.py", "kernels/judge/rows.py"
 T_METRICS, T_ROWS, T_MOTION = "tests/judge/test_metrics.py", "tests/judge/test_rows.py", "tests/motion/test_motion.py"
 T_VERDICT = f"{T_ROWS}::test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed"
 T_GRASP = f"{T_ROWS}::test_the_grasp_is_that_of_close_gripper_and_squeezed_to_the_bit"

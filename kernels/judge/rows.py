@@ -1,4 +1,4 @@
-"""What every row needs beside its geometry: poses that are poses, what closing moves, the verdict from the criteria.
+"""Clean poses and the closed gripper, row by row: which poses are valid, Stability's margin, the attached grasp, the ball.
 
 These are a few dozen multiplications a row. As tensor operations a small batch paid for some two hundred of them what all
 its geometry costs twice over. Every product is rounded before it is added (`fuse_fp` off), as in `r2h_batch.se3`, which says
@@ -167,7 +167,7 @@ def material_margin(empty: bool, width: float, w_max: float, w_min: float) -> fl
 
 @wp.func
 def squeezed(width: float, opening: float, w_max: float, pad_squeeze: float) -> float:
-    """As `r2h_batch.judge.metrics.squeezed`: the opening of fingers that hold; of a gripper that stayed open its own."""
+    """As `r2h_batch.judge.grasp.squeezed`: the opening of fingers that hold; of a gripper that stayed open its own."""
     if width <= w_max:
         return wp.max(opening - pad_squeeze, 0.0)
     return opening

@@ -11,7 +11,7 @@ from r2h_batch.kernels.robot.world import TrialBodies, World
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, the code outgrows every cache
 
 CLEARANCE_CAP = wp.constant(0.0065)
-"""A little over twice what a path has to keep (m): a goal's clearance matters below that."""
+"""Goal clearances are measured up to this value (m). It bounds `PlanConfig.hand_clearance_m`."""
 
 
 @wp.kernel

@@ -316,7 +316,7 @@ def palm_frame(
     joints: Float[Tensor, "B 16 3"], side: Int[Tensor, " B"]
 ) -> tuple[Float[Tensor, "B 3"], Float[Tensor, "B 3"]]:
     """Palm point ``p_h`` and the unit normal ``n_h`` out of the palm, in the frame of ``joints``
-    (benchmark.md)."""
+    (docs/choices.md)."""
     wrist = joints[:, 0]
     total = wrist
     for j in FINGER_ROOTS:

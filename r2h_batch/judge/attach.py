@@ -40,12 +40,13 @@ class AttachedBatch:
     hands: Int32[Tensor, " b"]
     objects: Int32[Tensor, " b"]
     grasp: Grasp
-    squeezed_m: Float32[Tensor, " b"]  # opening of the fingers that hold (`metrics.squeezed`)
+    squeezed_m: Float32[Tensor, " b"]  # opening of the fingers that hold (`judge.grasp.squeezed`)
     attached: Float32[Tensor, "b 4 4"]  # T_obj_ee once the pads have met the object
     ball: Float32[Tensor, "b 3"]  # centre of the receiver's ball in the object's frame
     body_poses: BodyPoses
-    # the same as the planner sees it: `body_poses` unless the hand is estimated, or the body there too
-    planned: BodyPoses
+    # what planning uses: with the estimated hand if plan.hand is "estimated", with arm and torso if
+    # receiver is "body"
+    planner_poses: BodyPoses
 
 
 def attach_object(
@@ -101,13 +102,13 @@ def attach_object(
     )
     grasp = Grasp(width, opening, shift, empty, cut, margin, cut_part)
     body_poses = scene.body_poses(objects, hands, attached, T_world_hand, opening, threads=threads)
-    planned = body_poses
+    planner_poses = body_poses
     if config.plan.hand == "estimated":
         T = _seen(scene, trials, hands, active, config)
-        planned = scene.body_poses(objects, hands, attached, T, opening, threads=threads)
+        planner_poses = scene.body_poses(objects, hands, attached, T, opening, threads=threads)
     if config.receiver == "body":
         assert trials.receiver is not None  # `inputs.check_receiver` has asked
-        planned = with_person(scene, planned, trials.receiver, hand=True)
+        planner_poses = with_person(scene, planner_poses, trials.receiver, hand=True)
     return AttachedBatch(
         active,
         T_obj_ee,
@@ -120,7 +121,7 @@ def attach_object(
         attached,
         ball,
         body_poses,
-        planned,
+        planner_poses,
     )
 
 

@@ -23,7 +23,7 @@ from r2h_batch.scene.scene import BodyPoses, Scene
 
 __all__ = [
     "SAFE_TOLERANCE_M",
-    "Touch",
+    "NearestApproach",
     "hand_distance",
     "hand_distance_at",
     "nearer_of",
@@ -105,7 +105,7 @@ def _nearest(
 
 
 @dataclass(frozen=True)
-class Touch:
+class NearestApproach:
     """Where the robot comes nearest to the receiver, of B motions or postures."""
 
     distance_m: Float32[Tensor, " b"]  # below 0: they overlap; NaN where the robot does not move
@@ -122,7 +122,7 @@ def hand_distance(
     active: Bool[Tensor, " b"],
     *,
     threads: int | None = None,
-) -> Touch:
+) -> NearestApproach:
     """The smallest distance of the robot from the hand over each motion.
 
     The exact mesh of the hand against the primitives of the robot, without the object. Exact below
@@ -159,7 +159,7 @@ def hand_distance(
     inputs = {**tables, "row": meets, **motion}
     launch_trials(hand_overlap, len(meets), inputs=inputs, outputs=found, chunk=1, **on)
     distance = torch.where(moves, distance - executed.slack_m, torch.nan)
-    return Touch(distance, torch.where(moves, body, -1), segment, fraction, point)
+    return NearestApproach(distance, torch.where(moves, body, -1), segment, fraction, point)
 
 
 def hand_distance_at(
@@ -169,7 +169,7 @@ def hand_distance_at(
     active: Bool[Tensor, " b"],
     *,
     threads: int | None = None,
-) -> Touch:
+) -> NearestApproach:
     """The distance of the robot from the hand at the postures `q` (rad), measured as in
     `hand_distance`."""
     b, device = len(active), active.device
@@ -192,16 +192,20 @@ def hand_distance_at(
         threads=threads,
         chunk=POSTURE_CHUNK,
     )
-    return Touch(distance, body, torch.zeros_like(body), torch.zeros_like(distance), point)
+    return NearestApproach(
+        distance, body, torch.zeros_like(body), torch.zeros_like(distance), point
+    )
 
 
-def nearer_of(hand: Touch, body_m: Float32[Tensor, " b"], part: Int32[Tensor, " b"]) -> Touch:
+def nearer_of(
+    hand: NearestApproach, body_m: Float32[Tensor, " b"], part: Int32[Tensor, " b"]
+) -> NearestApproach:
     """The nearer of the hand and the receiver's body, which is `body_m` from the robot's `part`.
 
     Where the body is nearer no point is known, and the moment remains that of the hand.
     """
     nearer = body_m < hand.distance_m
-    return Touch(
+    return NearestApproach(
         torch.minimum(hand.distance_m, body_m),  # NaN where either is NaN
         torch.where(nearer, part, hand.body),
         hand.segment,

@@ -117,7 +117,7 @@ def judge_goals(
     return goal
 
 
-def unless_proven(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[Tensor, " b"]:
+def weaken_singular_reason(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[Tensor, " b"]:
     """`reason` (PlanReason) with NO_PATH_IN_BUDGET for IK_IN_COLLISION where branches are not all
     solutions.
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float32, Int32
+from jaxtyping import Bool, Float32, Int32, Int64
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
@@ -28,6 +28,17 @@ from r2h_batch.types import PlanReason
 GOAL_ROOM_M = 2e-4
 """A path may come this much nearer to the hand than its goal does: the interval next to the goal
 must be certifiable."""
+
+
+def random_key(trial_id: Int64[Tensor, " b"]) -> Int32[Tensor, " b"]:
+    """The planner's seed of each trial: 31 mixed bits of its id.
+
+    The 32-bit integer hash with the multiplier 0x45D9F3B, applied twice.
+    """
+    x = (trial_id ^ (trial_id >> 32)) & 0xFFFFFFFF
+    for shift, factor in ((16, 0x45D9F3B), (16, 0x45D9F3B), (16, 1)):
+        x = ((x ^ (x >> shift)) * factor) & 0xFFFFFFFF
+    return (x & 0x7FFFFFFF).to(torch.int32)
 
 
 @dataclass(frozen=True)
@@ -62,7 +73,7 @@ def plan_paths(
 ) -> Plan:
     """Paths from home to the free branches `q` (rad), and why there is none where there is none.
 
-    `key` seeds a trial's random numbers. Reasons and margins as in benchmark.md; RRT-Connect
+    `key` seeds a trial's random numbers. Reasons: `PlanReason`; margins: docs/choices.md; RRT-Connect
     (Kuffner and LaValle 2000) with certified edges. Rows that are not `active` get NOT_EVALUATED.
     """
     with one_torch_thread(q.device):

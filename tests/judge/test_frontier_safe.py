@@ -12,7 +12,7 @@ import torch
 from r2h_batch import evaluate
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.distance import SAFE_TOLERANCE_M, Touch, hand_distance
+from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, hand_distance
 from r2h_batch.judge.frontier import levels
 from r2h_batch.judge.frontier import safe as frontier_safe
 from r2h_batch.methods import oracle, random
@@ -30,10 +30,10 @@ class Moved:
     executed: Executed
     active: torch.Tensor
 
-    def touch(self) -> Touch:
+    def touch(self) -> NearestApproach:
         return hand_distance(self.scene, self.body_poses, self.executed, self.active)
 
-    def by_frontier(self) -> Touch:
+    def by_frontier(self) -> NearestApproach:
         with levels.planning_form("frontier"):
             return self.touch()
 

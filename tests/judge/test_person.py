@@ -15,7 +15,7 @@ from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.export.mjcf import spec_of
 from r2h_batch.export.stored import StoredTrial
-from r2h_batch.judge.distance import SAFE_TOLERANCE_M, Touch, nearer_of, person_distance
+from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, nearer_of, person_distance
 from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.methods import fc
 from r2h_batch.sweep import command as sweep
@@ -155,7 +155,7 @@ def test_safe_counts_the_body_where_a_path_knows_nothing_of_it(asked, as_paper, 
     """The same motions: the nearer of hand and body, of what was planned without the body."""
     n = len(as_paper.body_m)
     still = torch.zeros(n, dtype=torch.int32), torch.zeros(n)
-    hand = Touch(as_paper.margin[:, SAFE], as_paper.witness_part[:, 1], *still, as_paper.witness_point)
+    hand = NearestApproach(as_paper.margin[:, SAFE], as_paper.witness_part[:, 1], *still, as_paper.witness_point)
     new = nearer_of(hand, as_paper.body_m, torch.full((n,), 5))
     moved, met = as_paper.path_len > 0, as_paper.body_m < 0
     assert torch.equal(new.distance_m[moved], torch.minimum(hand.distance_m, as_paper.body_m)[moved])

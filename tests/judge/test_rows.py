@@ -13,7 +13,7 @@ from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.grasp import attach, close_gripper, squeezed
 from r2h_batch.judge.metrics import Criterion
 from r2h_batch.judge.presented import Presented
-from r2h_batch.judge.verdict import verdict
+from r2h_batch.judge.scores import verdict
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Outcome
 

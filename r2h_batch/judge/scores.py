@@ -4,12 +4,12 @@ and witnesses."""
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Bool, Float32, Float64, Int32, Int64
+from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
 from r2h_batch.config import BORDERLINE_M, ExecConfig
 from r2h_batch.judge.attach import AttachedBatch
-from r2h_batch.judge.distance import Touch
+from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.metrics import Criterion
 from r2h_batch.judge.plan import Plan
@@ -18,7 +18,7 @@ from r2h_batch.motion.execute import Executed, executed_time_at
 from r2h_batch.motion.time_law import Motion, time_at
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
 
-__all__ = ["motion_scores", "pose_scores", "random_key", "verdict"]
+__all__ = ["motion_scores", "pose_scores", "verdict"]
 
 
 def verdict(
@@ -72,7 +72,7 @@ def motion_scores(
     planned: Plan,
     motion: Motion,
     executed: Executed,
-    touch: Touch,
+    touch: NearestApproach,
     config: ExecConfig,
     *,
     t_plan_s: float,
@@ -118,7 +118,7 @@ def pose_scores(
     trial_id: Int64[Tensor, " b"],
     shared: dict[str, Tensor],
     goal: Goal,
-    touch: Touch,
+    touch: NearestApproach,
     *,
     body_m: Float32[Tensor, " b"],
 ) -> Scores:
@@ -145,15 +145,6 @@ def pose_scores(
         failed_state=nothing.double(),
         body_m=body_m,
     )
-
-
-def random_key(trial_id: Int64[Tensor, " b"]) -> Int32[Tensor, " b"]:
-    """31 well-mixed bits of each trial id (the finaliser of splitmix64's predecessor, on 32
-    bits)."""
-    x = (trial_id ^ (trial_id >> 32)) & 0xFFFFFFFF
-    for shift, factor in ((16, 0x45D9F3B), (16, 0x45D9F3B), (16, 1)):
-        x = ((x ^ (x >> shift)) * factor) & 0xFFFFFFFF
-    return (x & 0x7FFFFFFF).to(torch.int32)
 
 
 def _kept_motion(executed: Executed, keep: bool) -> tuple[Tensor, Tensor, Tensor]:
