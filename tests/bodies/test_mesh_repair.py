@@ -107,17 +107,23 @@ def test_a_box_that_misses_a_face_becomes_a_solid_and_one_with_a_bent_rim_does_n
     assert "closed 1 flat" not in closed(bent)[1]
 
 
-def test_two_walls_without_a_lip_become_one_solid_wall():
-    """A cup whose inside and outside were drawn apart, 1 mm from each other at the rim."""
-    turned = trimesh.creation.revolve(
-        np.array([(0, -0.05), (0.03, -0.05), (0.035, 0.05), (0.034, 0.05), (0.029, -0.049), (0, -0.049)]), sections=40
-    )
-    lip = np.abs(turned.face_normals[:, 2]) > 0.99
-    lip &= turned.triangles_center[:, 2] > 0.049
+@pytest.mark.parametrize("uneven", [False, True])
+def test_two_walls_without_a_lip_become_one_solid_wall(uneven):
+    """A cup whose inside and outside were drawn apart, 1 mm from each other at the rim.
+
+    Rims that run side by side are joined exactly. An inner wall that ends 2.5 mm below leaves a gap that is too wide.
+    """
+    profile = [(0, -0.05), (0.03, -0.05), (0.035, 0.05), (0.034, 0.05), (0.034, 0.0475), (0.029, -0.049), (0, -0.049)]
+    turned = trimesh.creation.revolve(np.array(profile), sections=40)
+    middles, level = turned.triangles_center, np.abs(turned.face_normals[:, 2]) > 0.99
+    lip = level & (middles[:, 2] > 0.049)
+    if uneven:
+        lip |= (np.linalg.norm(middles[:, :2], axis=1) < 0.0342) & (middles[:, 2] > 0.0476)
     cup = trimesh.Trimesh(turned.vertices, turned.faces[~lip], process=False)
     found, said = closed(cup)
-    assert lip.sum() == 80 and "rebuilt by winding number" in said
-    assert found.mesh.volume == pytest.approx(turned.volume, rel=0.02)
+    assert lip.sum() == (160 if uneven else 80)
+    assert ("rebuilt by winding number" if uneven else "joined 1 pairs of rims") in said
+    assert found.mesh.volume == pytest.approx(turned.volume, rel=0.02 if uneven else 1e-6)
 
 
 def sheet():
