@@ -24,6 +24,7 @@ from typing import Any
 
 from _drawn import write
 from _report import made_by
+from repair import share_within, thinnest_wall
 
 os.environ.setdefault("R2H_BATCH_CACHE", "off")
 
@@ -59,6 +60,8 @@ def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
         "pieces_cpu_s": round(decomposed - built, 2),
         **held_by(pieces, model),
         "volume_cm3": round(1e6 * float(model.mesh.volume), 2),
+        "within_99_mm": round(1e3 * share_within(model.mesh, given_faces(path)), 4),
+        "thinnest_wall_mm": round(1e3 * thinnest_wall(model.mesh), 2),
     }
     if model.repair:
         given = model.repair.volume_given_m3
@@ -88,6 +91,13 @@ def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
         row[f"{method}_cpu_s"] = round(time.process_time() - begin, 1)
         row["cannot"] = [*row.get("cannot", []), *job.cannot]
     return row
+
+
+def given_faces(path: Path) -> Any:
+    """The mesh of a file as it is."""
+    from r2h_batch.bodies.mesh_import.file import load_mesh_file
+
+    return load_mesh_file(path, path.stem)
 
 
 def held_by(pieces: Sequence[tuple[Any, Any]], model: Any) -> dict[str, Any]:
@@ -138,6 +148,8 @@ def table(rows: list[dict[str, Any]], trials: int) -> str:
         "in all",
         "a face",
         "volume",
+        "99 % within",
+        "thinnest wall",
         "surface moved",
         *METHODS,
     ]
@@ -151,6 +163,7 @@ def table(rows: list[dict[str, Any]], trials: int) -> str:
         cells += [f"{r[k]} in {r[f'{k}_cpu_s']} s" for k in ("grasps", "receiving")]
         cells += [f"{r['all_cpu_s']} s", f"{1e3 * r['all_cpu_s'] / r['faces']:.2f} ms"]
         cells.append("" if change is None else f"{100 * change:+.2f} %")
+        cells += [f"{r['within_99_mm']:.3f} mm", f"{r['thinnest_wall_mm']:.2f} mm"]
         cells += [
             f"{r['moved_mm']} mm" if "moved_mm" in r else "as given",
             *(f"{r.get(m, '-')}/{trials}" for m in METHODS),

@@ -455,7 +455,7 @@ def _strip(
         if min(ahead, beside) > gap + np.linalg.norm(vertices[end] - vertices[start]):
             return None
         faces.append((a[p], a[p + 1], b[q]) if next_a else (a[p], b[q + 1], b[q]))
-        p, q = p + next_a, q + (not next_a)
+        p, q = (p + 1, q) if next_a else (p, q + 1)
     return np.array(faces, np.int64)
 
 
