@@ -13,8 +13,11 @@ from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M
 from r2h_batch.judge.grasp import CUT_CAP_M, attach, close_gripper, gripper_poses, region_distance
 from r2h_batch.kernels.geometry.surface import Surfaces, inverse_pose
 from r2h_batch.kernels.grasp.material import material_between
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.grasp_tables import grasp_tables, gripper_tables
+
+wp.set_module_options(OPTIONS)
 
 
 def _material64(

@@ -87,7 +87,7 @@ def test_wrong_arguments_are_refused_as_the_kernel_refuses_them():
         ik_jacobian.solve_ik(torch.eye(4))
     with pytest.raises(ValueError, match="seeds"):
         ik_jacobian.solve_ik(torch.eye(4)[None], seeds=np.zeros((3, 5)))
-    with pytest.raises(ValueError, match=r"IkConfig.solver is 'newton'; allowed are fused, pytorch-kinematics"):
+    with pytest.raises(ValueError, match=r"IkConfig.solver is 'newton'; allowed are 'fused' or 'pytorch-kinematics'"):
         IkConfig("newton")
 
 
