@@ -140,7 +140,7 @@ def test_a_file_beside_a_mesh_says_split_parts_and_region(tmp_path):
     for text, words in {
         "parts: ../saw_parts.npy\npart_names: [a, b]": "points outside the folder",
         "parts: /etc/passwd\npart_names: [a, b]": "points outside the folder",
-        "file: other.ply": "file has no place here",
+        "file: other.ply": "file is not allowed here",
         "colour: red": "unknown field colour",
         "split: S9": "split is 'S9'",
     }.items():
