@@ -70,7 +70,7 @@ def code_digest() -> str:
     """
     folders = [Path(p) for p in r2h_batch.__path__]
     files = {p.relative_to(folders[0]): p for p in _sources(folders[0], (".py", *DATA))}
-    for name, kinds in (("kernels", (".py",)), ("assets", DATA)):
+    for name, kinds in (("kernels", (".py", ".h")), ("assets", DATA)):
         # in a wheel inside the package, in a checkout beside it
         folder = next((f for f in folders if (f / name).is_dir()), None)
         files = {key: p for key, p in files.items() if key.parts[0] != name}

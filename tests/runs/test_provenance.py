@@ -23,6 +23,7 @@ def test_versions_name_what_runs():
 DECIDE = (
     "r2h_batch/evaluate.py", "r2h_batch/judge/plan.py", "r2h_batch/methods/fc.py", "r2h_batch/runs/rows.py",
     "r2h_batch/sweep/jobs.py", "r2h_batch/config.py", "kernels/plan/rrt.py", "kernels/geometry/gjk.py",
+    "kernels/native/lanes.h",
     "assets/robot/robot.json", "assets/hand/handset.npz", "assets/receiving/voxnet.safetensors",
 )  # fmt: skip
 READ = (
