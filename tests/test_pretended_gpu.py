@@ -105,7 +105,7 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
     seen.waits.clear()
     copied = there.to("cpu")
     assert [what for what, _ in seen.waits] == ["copy to the CPU"]
-    assert copied.asked is not None and copied.asked.trials.T_world_hand.device.type == "cpu"
+    assert copied.inputs is not None and copied.inputs.trials.T_world_hand.device.type == "cpu"
     evaluator = Evaluator(replace(KINEMATIC, plan=plan))
     here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     assert torch.equal(copied.outcome, here.outcome)  # paths are searched in another way (tests/judge/test_frontier.py)

@@ -108,7 +108,7 @@ def test_markdown_names_preset_protocol_digest_counts_and_denominators(paper):
         assert part in text
     counts = md_tables(text)[2]
     assert counts[0][:3] == ["Split", "Method", "N"]
-    assert f"r2h-batch compare {paper.folder} " in text and "r2h-batch results verify" in text
+    assert f"r2h-batch compare {paper.folder} " in text and "r2h-batch results reevaluate" in text
     assert counts[1][2] == "500" and counts[-1][2] == "1000"
     for note in report.FOOTNOTES:
         assert note in " ".join(text.replace("\n- ", "\n").split())
