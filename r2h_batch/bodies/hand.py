@@ -250,15 +250,12 @@ class HandModel:
         blended = torch.zeros(
             (len(pose), len(self.vertices), 12), dtype=torch.float64, device=device
         )
-        for k in range(self._influences[0].shape[1]):
-            bone, weight = (a.to(device)[:, k] for a in self._influences)
-            shift = [
-                world_joint[j] - se3.rotate(world_rotation[j], rest[:, j]) for j in range(JOINTS)
-            ]
-            matrix = torch.cat(
-                [torch.stack(world_rotation, 1).flatten(2), torch.stack(shift, 1)], dim=2
-            )
-            blended = blended + weight[:, None] * matrix[:, bone]
+        shift = [world_joint[j] - se3.rotate(world_rotation[j], rest[:, j]) for j in range(JOINTS)]
+        matrix = torch.cat(
+            [torch.stack(world_rotation, 1).flatten(2), torch.stack(shift, 1)], dim=2
+        )
+        for bones, weights in zip(*(a.to(device).T for a in self._influences)):
+            blended = blended + weights[:, None] * matrix[:, bones]
         posed = se3.rotate(blended[..., :9].unflatten(-1, (3, 3)), skin) + blended[..., 9:]
         joints = torch.stack(world_joint, dim=1)
         flip = torch.stack([mirror, torch.ones_like(mirror), torch.ones_like(mirror)], dim=2)
@@ -365,6 +362,12 @@ class HandSet:
 
     def __len__(self) -> int:
         return len(self.posture)
+
+    @cached_property
+    def geometry(self) -> HandGeometry:
+        """The meshes and joints of all H hands in their own frames, posed once for everything that
+        reads them (400 hands take 0.4 CPU seconds)."""
+        return self.model.pose(self.pose, self.shape, self.side)
 
 
 def load_hand(path: str | Path | None = None) -> HandModel:

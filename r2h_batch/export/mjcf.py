@@ -285,7 +285,7 @@ def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
 @lru_cache(maxsize=2)
 def _posed(hand_set: HandSet) -> Hands:
     """All hands of a set, posed once."""
-    return Hands.posed(hand_set.model, hand_set)
+    return Hands.posed(hand_set)
 
 
 def checked_pairs(robot: Robot) -> dict[frozenset[str], str]:

@@ -151,7 +151,7 @@ def _header(
 
 def _hand_arrays(hands: HandSet) -> Arrays:
     model = hands.model
-    posed = model.pose(hands.pose, hands.shape, hands.side)
+    posed = hands.geometry
     point, normal = palm_frame(posed.joints, hands.side)
     faces, tips = (x.numpy().astype(np.int32) for x in (model.faces_by_side, model.tip_vertices))
     joints = "joints in MANO's order (wrist, index, middle, pinky, ring, thumb), m, hand frame"
@@ -429,7 +429,7 @@ def _write_ply(path: Path, vertices: Array, faces: Array) -> None:
 
 def _trial_rows(benchmark: Benchmark, trials: Trials) -> list[dict[str, Any]]:
     hands = benchmark.hand_set
-    geometry = hands.model.pose(hands.pose, hands.shape, hands.side)
+    geometry = hands.geometry
     point, normal = palm_frame(geometry.joints, hands.side)
     hand = trials.hand_index.long()
     p, n = _in_world(trials.T_world_hand, point[hand], normal[hand])

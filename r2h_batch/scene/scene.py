@@ -69,7 +69,7 @@ class Scene:
         if not self.objects:
             raise ValueError("a scene needs at least one object; objects is empty")
         hand_set = hand_set or load_hand_set()
-        self.hands = Hands.posed(hand_set.model, hand_set)
+        self.hands = Hands.posed(hand_set)
         if self.device != "cpu":
             self._build_tables()
 

@@ -42,11 +42,11 @@ class Hands:
     palm_normal: Float32[Tensor, "h 3"]
 
     @staticmethod
-    def posed(model: HandModel, hand_set: HandSet) -> "Hands":
+    def posed(hand_set: HandSet) -> "Hands":
         """All hands of a set, posed once."""
-        geometry = model.pose(hand_set.pose, hand_set.shape, hand_set.side)
+        geometry = hand_set.geometry
         return Hands(
-            model,
+            hand_set.model,
             hand_set,
             geometry.vertices,
             geometry.joints,

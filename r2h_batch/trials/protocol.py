@@ -220,7 +220,7 @@ class _Hands:
     """The hands of a set as float64 arrays in their own frames."""
 
     def __init__(self, hand_set: HandSet) -> None:
-        geometry = hand_set.model.pose(hand_set.pose, hand_set.shape, hand_set.side)
+        geometry = hand_set.geometry
         point, normal = palm_frame(geometry.joints.double(), hand_set.side)
         self.palm_point, self.palm_normal = point.numpy(), normal.numpy()
         joints = geometry.joints.double().numpy()

@@ -163,9 +163,9 @@ def test_straight_lines_to_protocol_poses_take_the_papers_time():
 
 def ball_centers(trials) -> tuple[np.ndarray, np.ndarray]:
     """c_h and palm normals in the world, float64."""
-    from r2h_batch.bodies.hand import load_hand, load_hand_set
+    from r2h_batch.bodies.hand import load_hand_set
 
-    hands = Hands.posed(load_hand(), load_hand_set())
+    hands = Hands.posed(load_hand_set())
     T = trials.T_world_hand.double().numpy()
     i = trials.hand_index.long()
     point, normal = hands.palm_point[i].double().numpy(), hands.palm_normal[i].double().numpy()

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 import trimesh
 
-from r2h_batch.bodies.hand import load_hand, load_hand_set
+from r2h_batch.bodies.hand import load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, build_object
 from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
@@ -44,7 +44,7 @@ def open_hand() -> tuple[int, np.ndarray, np.ndarray, np.ndarray]:
     """Index of an open right hand; its palm point, palm normal and finger direction in the hand frame."""
     hand_set = load_hand_set()
     index = next(i for i in range(len(hand_set)) if hand_set.posture[i] == "open_flat" and int(hand_set.side[i]) == 0)
-    hands = Hands.posed(load_hand(), hand_set)
+    hands = Hands.posed(hand_set)
     joints = hands.joints[index].double().numpy()
     fingers = joints[4] - joints[0]  # wrist to the middle finger's root
     return index, hands.palm_point[index].double().numpy(), hands.palm_normal[index].double().numpy(), fingers
