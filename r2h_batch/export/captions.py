@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.export.drawing import Drawing
+from r2h_batch.report.text import plain
 from r2h_batch.verdicts import CRITERIA
 
 __all__ = ["as_html", "as_markdown", "headline", "summary", "title"]
@@ -66,10 +67,10 @@ def title(drawing: Drawing) -> str:
 
 def as_markdown(drawing: Drawing) -> str:
     """The panel of the viewer."""
-    lines = [f"**{title(drawing)}**", "", _verdict(drawing, "**"), ""]
-    lines += ["| | | margin |", "|---|---|---|"]
+    verdict = f"{plain(drawing.stored.method)}: **{plain(headline(drawing.stored.row))}**"
+    lines = [f"**{plain(title(drawing))}**", "", verdict, "", "| | | margin |", "|---|---|---|"]
     lines += [f"| {name} | {verdict} | {margin} |" for name, verdict, margin in _criteria(drawing)]
-    return "\n".join([*lines, "", *(f"- {line}" for line in _facts(drawing))])
+    return "\n".join([*lines, "", *(f"- {plain(line)}" for line in _facts(drawing))])
 
 
 def as_html(drawing: Drawing) -> str:
@@ -83,10 +84,6 @@ def as_html(drawing: Drawing) -> str:
     verdict = f"{escape(drawing.stored.method)}: <b>{escape(headline(drawing.stored.row))}</b>"
     heading = escape(title(drawing))
     return f"<h1>{heading}</h1><p>{verdict}</p><table>{rows}</table><ul>{facts}</ul>"
-
-
-def _verdict(drawing: Drawing, bold: str) -> str:
-    return f"{drawing.stored.method}: {bold}{headline(drawing.stored.row)}{bold}"
 
 
 def _criteria(drawing: Drawing) -> list[tuple[str, str, str]]:

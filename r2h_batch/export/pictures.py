@@ -13,6 +13,7 @@ from r2h_batch.export.captions import headline, title
 from r2h_batch.export.drawing import Drawing, Mark, View, view_of
 from r2h_batch.export.mjcf import MARK
 from r2h_batch.io.write import atomic_path
+from r2h_batch.report.figures import style
 from r2h_batch.scene.model_parts import SHADOW_PIXELS
 from r2h_batch.scene.offscreen import RenderError, renderer
 
@@ -115,24 +116,27 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
         raise RenderError("strips need matplotlib: pip install 'r2h_batch[view]'") from None
     view = view_of(drawings, size[0] / size[1])
     wide, tall = 2.4, 2.4 * size[1] / size[0] + 0.32  # inches of an image, and of a row
-    figure = Figure(figsize=(wide * n, tall * len(drawings) + 0.35), dpi=160)
-    heights = [0.35, *[tall] * len(drawings)]
-    heading, *rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-    heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
-    for part, drawing in zip(rows, drawings, strict=True):
-        stored, words = drawing.stored, headline(drawing.stored.row)
-        color = PASSES if stored.row["outcome"] == "success" else FAILS
-        part.text(0.005, 0.995, stored.method, ha="left", va="top", fontsize=9, weight="bold")
-        part.text(0.995, 0.995, words, ha="right", va="top", fontsize=9, color=color)
-        axes = part.subplots(1, n, gridspec_kw={"wspace": 0.02}, squeeze=False)[0]
-        part.subplots_adjust(left=0.005, right=0.995, top=1 - 0.26 / tall, bottom=0.01)
-        for axis in axes:
-            axis.set_axis_off()
-        for axis, (image, when) in zip(axes, images(drawing, size, n, view), strict=False):
-            axis.imshow(image)
-            axis.text(0.03, 0.05, when, transform=axis.transAxes, fontsize=7, color="#333333")
-    with atomic_path(out) as temporary:
-        figure.savefig(temporary, metadata={"Software": None} if out.suffix == ".png" else None)
+    with style(page=False):
+        figure = Figure(figsize=(wide * n, tall * len(drawings) + 0.35), dpi=160)
+        heights = [0.35, *[tall] * len(drawings)]
+        heading, *rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[
+            :, 0
+        ]
+        heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
+        for part, drawing in zip(rows, drawings, strict=True):
+            stored, words = drawing.stored, headline(drawing.stored.row)
+            color = PASSES if stored.row["outcome"] == "success" else FAILS
+            part.text(0.005, 0.995, stored.method, ha="left", va="top", fontsize=9, weight="bold")
+            part.text(0.995, 0.995, words, ha="right", va="top", fontsize=9, color=color)
+            axes = part.subplots(1, n, gridspec_kw={"wspace": 0.02}, squeeze=False)[0]
+            part.subplots_adjust(left=0.005, right=0.995, top=1 - 0.26 / tall, bottom=0.01)
+            for axis in axes:
+                axis.set_axis_off()
+            for axis, (image, when) in zip(axes, images(drawing, size, n, view), strict=False):
+                axis.imshow(image)
+                axis.text(0.03, 0.05, when, transform=axis.transAxes, fontsize=7, color="#333333")
+        with atomic_path(out) as temporary:
+            figure.savefig(temporary, metadata={"Software": None} if out.suffix == ".png" else None)
 
 
 def write_film(drawings: Sequence[Drawing], out: Path, *, size: tuple[int, int], fps: int) -> None:

@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -114,7 +115,7 @@ def gallery(
                         "src": _data_url(image),
                         "alt": f"trial {trial} of {method}: {words}",
                         "caption": f"{trial} {stored.row['object'].replace('_', ' ')}: {words}",
-                        "href": page.relative_to(base).as_posix(),
+                        "href": quote(page.relative_to(base).as_posix()),
                     }
                 )
             tell(f"report: {method}: {len(trials)} of {WORDS[outcome]}")

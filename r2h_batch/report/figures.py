@@ -2,10 +2,10 @@
 PDF and PNG for print."""
 
 import io
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -41,7 +41,8 @@ apart."""
 WORDS = {name: name.replace("_", " ") for name in OUTCOME_NAMES}
 
 INK, FAINT, RIDGE = "#010203", "#040506", "#040507"
-"""`svg` replaces these by the page's colours of text, rules and bars."""
+PAGE_COLORS = {INK: "currentColor", FAINT: "var(--rule)", RIDGE: "var(--bar)"}
+"""Colours that `svg` exchanges, and the page's colours of text, rules and bars."""
 
 
 def needs_matplotlib() -> None:
@@ -92,8 +93,6 @@ def _figure(width: float, height: float) -> "Figure":
 def svg(figure: "Figure", title: str) -> str:
     """The figure as one <svg> element in the page's colours, as wide as its place; screen readers
     say the title."""
-    from html import escape
-
     text = io.StringIO()
     figure.savefig(
         text,
@@ -103,20 +102,23 @@ def svg(figure: "Figure", title: str) -> str:
         pad_inches=0.03,
         metadata={"Date": None},
     )
-    found = text.getvalue()
-    body = found[found.index("<svg") :]
-    body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
-    body = re.sub(r'<g id="[^"]*"', "<g", body)  # several figures of one page would share them
-    body = (
-        body.replace(INK, "currentColor").replace(FAINT, "var(--rule)").replace(RIDGE, "var(--bar)")
-    )
-    label = f'role="img" aria-label="{escape(title, quote=True)}"'
-    return re.sub(
-        r'<svg[^>]*?(viewBox="[^"]*")[^>]*>',
-        rf'<svg xmlns="http://www.w3.org/2000/svg" \1 {label}>',
-        body,
-        count=1,
-    )
+    # A tree, not a pattern over the text: only attributes get the page's colours, whatever a name
+    # says.
+    root = ElementTree.fromstring(text.getvalue())
+    for parent in list(root.iter()):
+        parent.tag = parent.tag.rpartition("}")[2]
+        for child in list(parent):
+            if child.tag.endswith("}metadata"):
+                parent.remove(child)
+        for key, value in list(parent.attrib.items()):
+            del parent.attrib[key]
+            if (parent.tag, key) != ("g", "id"):  # several figures of one page would share them
+                for color, own in PAGE_COLORS.items():
+                    value = value.replace(color, own)
+                parent.set(key.rpartition("}")[2], value)
+    root.attrib = {"xmlns": "http://www.w3.org/2000/svg", "viewBox": root.attrib["viewBox"]}
+    root.attrib |= {"role": "img", "aria-label": title}
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> list[str]:

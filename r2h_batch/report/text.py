@@ -4,6 +4,7 @@ JSON."""
 import csv
 import io
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -81,9 +82,9 @@ def aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) 
     return "\n".join([text(headings, "|"), rule(0), *(text(line, "|") for line in lines)])
 
 
-def plain(method: str) -> str:
-    """A name for a Markdown table: a pipe in it does not end the cell."""
-    return method.replace("|", "\\|")
+def plain(text: str) -> str:
+    """A name as Markdown shows it: nothing in it is markup or HTML, and a pipe ends no cell."""
+    return re.sub(r"[\\|<&`*~\[]|(?<![^\W_])_|_(?![^\W_])", lambda found: "\\" + found[0], text)
 
 
 def notes_list(notes: Iterable[str], width: int = 98) -> str:

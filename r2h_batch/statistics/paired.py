@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from r2h_batch.io.read import printable
 from r2h_batch.runs.columns import codes
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics.common import Common, common_trials
@@ -251,7 +252,8 @@ def _names(streams: Sequence["_Stream"]) -> list[str]:
     names: list[str] = []
     for s in streams:
         taken = s.method in names or (not s.is_built_in and _plain(s.method) in own)
-        names.append(f"{s.run.folder.absolute().name}/{s.method}" if taken else s.method)
+        folder = printable(s.run.folder.absolute().name)
+        names.append(f"{folder}/{s.method}" if taken else s.method)
     return names
 
 

@@ -191,21 +191,45 @@ def page_of(drawings: Sequence[Drawing]) -> str:
 
 
 def new_server(port: int) -> Any:
-    """A viser server on 127.0.0.1; port 0: any free one.
+    """A viser server on 127.0.0.1 that only its own page can connect to; port 0: any free one.
+
+    Any page in a browser may open a websocket to this machine, and viser accepts them all. So the
+    `serve` of websockets that viser calls gets the page's Origin here.
 
     Raises:
-        UsageError: viser is missing.
+        UsageError: viser is missing, or serves in another way.
     """
     try:
         import viser
+        from websockets.asyncio import server as sockets
     except ImportError:
         raise UsageError("looking at trials needs viser: pip install 'r2h_batch[view]'") from None
     if not port:
         with closing(socket.socket()) as free:
             free.bind(("127.0.0.1", 0))
             port = int(free.getsockname()[1])
-    with _no_banner():
-        return viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+    guarded: list[int] = []
+
+    class ServeOwnPage(sockets.serve):
+        def __init__(self, handler: Any, host: str, port: int, **options: Any) -> None:
+            options["origins"] = [f"http://{name}:{port}" for name in ("127.0.0.1", "localhost")]
+            guarded.append(port)
+            super().__init__(handler, host, port, **options)
+
+    before = sockets.serve
+    sockets.serve = ServeOwnPage  # type: ignore[misc]
+    try:
+        with _no_banner():
+            server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
+    finally:
+        sockets.serve = before  # type: ignore[misc]
+    if server.get_port() not in guarded:
+        stop_server(server)
+        raise UsageError(
+            f"viser {viser.__version__} does not let the viewer refuse pages of others;"
+            " install the version in constraints.txt"
+        )
+    return server
 
 
 def stop_server(server: Any) -> None:

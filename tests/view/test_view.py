@@ -212,6 +212,61 @@ def test_the_viewer_lists_filters_steps_and_shows(reader, monkeypatch):
         viewer.stop()
 
 
+def test_only_its_own_page_may_connect_to_the_viewer():
+    """Any page in a browser can open a websocket to this machine; its Origin says whose it is."""
+    import viser
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect
+
+    from r2h_batch.view.page import new_server, stop_server
+
+    server = new_server(0)
+    try:
+        port = server.get_port()
+        how = {"subprotocols": [f"viser-v{viser.__version__}"], "open_timeout": 10, "compression": None}
+        for origin in (
+            "http://evil.example",
+            f"http://evil.example:{port}",
+            f"http://127.0.0.1:{port + 1}",
+            "null",
+            None,
+        ):
+            with pytest.raises(InvalidStatus) as refused, connect(f"ws://127.0.0.1:{port}", origin=origin, **how):
+                pass
+            assert refused.value.response.status_code == 403
+        for name in ("127.0.0.1", "localhost"):
+            with connect(f"ws://127.0.0.1:{port}", origin=f"http://{name}:{port}", max_size=None, **how) as page:
+                assert page.recv(timeout=10)
+    finally:
+        stop_server(server)
+
+
+def test_a_viser_that_serves_in_another_way_is_refused(monkeypatch):
+    import viser
+
+    from r2h_batch.command_line import UsageError
+    from r2h_batch.view.page import new_server
+
+    class Elsewhere:
+        """Never calls `serve` of websockets."""
+
+        ended = 0
+
+        def __init__(self, **_):
+            pass
+
+        def get_port(self):
+            return 8080
+
+        def stop(self):
+            Elsewhere.ended += 1
+
+    monkeypatch.setattr(viser, "ViserServer", Elsewhere)
+    with pytest.raises(UsageError, match="does not let the viewer refuse pages of others"):
+        new_server(0)
+    assert Elsewhere.ended == 1
+
+
 @pytest.mark.parametrize(
     ("line", "said"),
     [
