@@ -61,6 +61,9 @@ def variants() -> list[Variant]:
         ("intent", "at=object"),
         ("intent", "inward_deg=-15"),
         ("fc", "gate=none"),
+        ("fc", "height_m=0.15"),
+        ("fc", "at=gripper"),
+        ("fc", "at=gripper,height_m=0.15"),
     ]
     return [
         Variant("base"),

@@ -3,10 +3,10 @@ docs/baselines.md.
 
 Grasp: of the candidates whose gripper is clear of the hand on the object, the one whose approach
 axis is most opposed to the direction from that hand's wrist to its middle finger tip. Pose: the
-gripper opposed to the target hand's direction, the object's centre at the ball centre c_h.
+gripper opposed to the target hand's direction, the object's centre at the ball centre c_h (the
+paper names neither the point nor its distance: `at`, `height_m`).
 """
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -15,14 +15,14 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.placing import (
+    Anchor,
     Gate,
     approach_frames,
     candidates_clear_of,
-    centers_at,
     first_fit,
     home_x,
     least,
-    object_centers,
+    placed_above_palm,
     roll_angles,
     rolled,
     taken,
@@ -57,14 +57,16 @@ def predict(
     rolls: int = ROLLS,
     clearance_m: float = CLEARANCE_M,
     gate: Gate = "hand",
+    height_m: float | None = None,
+    at: Anchor = "object",
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
-    `gate`: what a roll about the approach axis must pass (`placing.Gate`).
+    `gate`: what a roll about the approach axis must pass (`placing.Gate`). `at`: what stands
+    `height_m` above the palm; without a height at the ball centre c_h.
     """
     threads = evaluator.threads if evaluator else None
     table = candidate_table(scene)
-    center = torch.from_numpy(object_centers(scene)).to(scene.device)
 
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
         taking = predict_receiving(part, scene, seed=seed, noise=noise, seen=seen)
@@ -77,12 +79,8 @@ def predict(
         row = taken(rows, least(score, clear, exists))
         T_obj_ee = table.T_obj_ee[row]
         frames = approach_frames(-target.wrist_to_middle, home_x(scene))
-        T_world_ee = centers_at(
-            rolled(frames, roll_angles(rolls)),
-            T_obj_ee,
-            center[part.object_index.long()],
-            target.ball_center,
-        )
+        R = rolled(frames, roll_angles(rolls))
+        T_world_ee = placed_above_palm(scene, R, T_obj_ee, part.object_index, target, height_m, at)
         return T_obj_ee, first_fit(
             scene,
             T_world_ee,

@@ -323,8 +323,11 @@ def check_choice(name: str, given: str, allowed: Any) -> None:
         raise ValueError(f"{name} is {given!r}; allowed are {', '.join(get_args(allowed))}")
 
 
-def above_palm(target: TargetHand, height_m: float) -> Float[Tensor, "b 3"]:
-    """(b, 3) float64 points `height_m` above the palm centres along the normals, world frame."""
+def above_palm(target: TargetHand, height_m: float | None) -> Float[Tensor, "b 3"]:
+    """(b, 3) points `height_m` above the palm centres along the normals, world frame; None: the
+    ball centres c_h."""
+    if height_m is None:
+        return target.ball_center
     return target.palm_point.double() + height_m * target.palm_normal.double()
 
 
@@ -334,7 +337,7 @@ def placed_above_palm(
     T_obj_ee: Float32[Tensor, "b 4 4"],
     object_index: Tensor,
     target: TargetHand,
-    height_m: float,
+    height_m: float | None,
     at: Anchor,
 ) -> Float32[Tensor, "b r 4 4"]:
     """(b, r, 4, 4) T_world_ee with these rotations that put `at` `height_m` above the palm."""

@@ -537,6 +537,8 @@ def _allowed(function: Callable[..., Any]) -> dict[str, Any]:
 
 def _value(method: str, name: str, text: str, kind: Any, known: bool) -> Any:
     """The text as the option's type."""
+    if type(None) in get_args(kind):  # `float | None`: a text is the float
+        kind = next(k for k in get_args(kind) if k is not type(None))
     if get_origin(kind) is Literal:
         words = get_args(kind)
         if text not in words:

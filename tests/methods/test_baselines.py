@@ -131,16 +131,26 @@ def test_intent_by_its_axis_opposes_the_gripper_to_the_hand_and_searches_the_rol
         assert np.abs(tries[turn] - T).max() < 2e-5
 
 
-def test_the_object_instead_of_the_gripper_can_stand_15_cm_above_the_palm():
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("contact", {"at": "object"}),
+        ("intent", {"at": "object"}),
+        ("fc", {"height_m": 0.15}),
+        ("fc", {"height_m": 0.15, "at": "gripper"}),
+    ],
+)
+def test_gripper_or_object_stand_15_cm_above_the_palm_as_they_are_told(name, options):
     target = predict_target(trials()[:4], evaluator().scene, noise=NOISE)
-    for name in ("contact", "intent"):
-        found = predict(METHODS[name], trials()[:4], at="object")
-        for i in range(4):
-            T_world_obj = found.T_world_ee[i].double().numpy() @ np.linalg.inv(found.T_obj_ee[i].double().numpy())
-            model = evaluator().scene.objects[int(trials().object_index[i])]
-            middle = T_world_obj[:3, :3] @ (model.vertices.min(0) + model.vertices.max(0)) / 2 + T_world_obj[:3, 3]
-            above = target.palm_point[i].double() + 0.15 * target.palm_normal[i].double()
-            assert np.abs(middle - above.numpy()).max() < 1e-5
+    found = predict(METHODS[name], trials()[:4], **options)
+    for i in range(4):
+        T_world_ee, T_obj_ee = (getattr(found, k)[i].double().numpy() for k in ("T_world_ee", "T_obj_ee"))
+        T_world_obj = T_world_ee @ np.linalg.inv(T_obj_ee)
+        model = evaluator().scene.objects[int(trials().object_index[i])]
+        middle = T_world_obj[:3, :3] @ (model.vertices.min(0) + model.vertices.max(0)) / 2 + T_world_obj[:3, 3]
+        above = target.palm_point[i].double() + 0.15 * target.palm_normal[i].double()
+        placed = T_world_ee[:3, 3] if options.get("at") == "gripper" else middle
+        assert np.abs(placed - above.numpy()).max() < 1e-5
 
 
 def test_without_a_gate_the_roll_nearest_home_is_taken_unseen():
