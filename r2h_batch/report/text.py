@@ -84,7 +84,9 @@ def aligned(headings: Sequence[str], lines: Sequence[Sequence[str]], left: int) 
 
 def plain(text: str) -> str:
     """A name as Markdown shows it: nothing in it is markup or HTML, and a pipe ends no cell."""
-    return re.sub(r"[\\|<&`*~\[]|(?<![^\W_])_|_(?![^\W_])", lambda found: "\\" + found[0], text)
+    return re.sub(
+        r"[\\|<`*~\[]|&(?=#?\w+;)|(?<![^\W_])_|_(?![^\W_])", lambda found: "\\" + found[0], text
+    )
 
 
 def notes_list(notes: Iterable[str], width: int = 98) -> str:

@@ -140,14 +140,6 @@ def test_short_names_fit_differ_and_say_what_they_stand_for():
     assert len(set(text_of.short_names(list(many)).values())) == 300
 
 
-def test_names_with_special_characters_are_escaped(paper):
-    row = replace(paper.rows[0], method="50%_a|b & {c}")
-    table = replace(paper, rows=(row,))
-    assert md_tables(report.render(table, "md"))[0][1][1] == r"50%_a\|b & {c}"
-    assert r"50\%\_a\textbar{}b \& \{c\}" in report.render(table, "latex")
-    assert next(csv.DictReader(io.StringIO(report.render(table, "csv"))))["method"] == row.method
-
-
 @pytest.mark.parametrize("fmt", report.FORMATS)
 @pytest.mark.parametrize(("n_s0", "n_s1", "code"), [(0, 3, 0), (3, 0, 2), (1, 1, 0), (6, 6, 2), (2, 2, 6), (2, 2, 8)])
 def test_edges_print_na_and_never_nan(tmp_path, fmt, n_s0, n_s1, code):
