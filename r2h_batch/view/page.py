@@ -217,7 +217,7 @@ def new_server(port: int) -> Any:
             super().__init__(handler, host, port, **options)
 
     before = sockets.serve
-    sockets.serve = ServeOwnPage  # type: ignore[misc]
+    sockets.serve = ServeOwnPage  # type: ignore[misc, assignment]
     try:
         with _no_banner():
             server = viser.ViserServer(host="127.0.0.1", port=port, verbose=False)
