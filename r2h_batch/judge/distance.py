@@ -33,10 +33,6 @@ __all__ = [
 SAFE_TOLERANCE_M = 2e-5
 """How exactly the smallest distance over time is located."""
 
-POSTURE_CHUNK = 32
-"""Rows that a thread takes at a time where a row costs about 10 us: more would leave other cores
-idle at the end."""
-
 MOVED = 3
 """A motion recorded sample by sample has so many times the room of a path in the frontier's queues."""
 
@@ -190,7 +186,6 @@ def hand_distance_at(
         outputs={"distance": distance, "body": body, "point": point},
         device=scene.device,
         threads=threads,
-        chunk=POSTURE_CHUNK,
     )
     return NearestApproach(
         distance, body, torch.zeros_like(body), torch.zeros_like(distance), point

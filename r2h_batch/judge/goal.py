@@ -22,11 +22,6 @@ ROTATION_LEVER_M = 0.1
 fingers' length."""
 
 
-GOAL_CHUNK = 32
-"""Rows a thread takes at a time where a row costs about 10 us: more would leave the other cores
-idle at the end."""
-
-
 @dataclass(frozen=True)
 class Goal:
     """Where B handover poses would end, and how clear that is.
@@ -95,7 +90,6 @@ def judge_goals(
             **postures,
         },
         outputs={"reason": goal.reason, "pair": goal.pair, "slot": goal.slot},
-        chunk=GOAL_CHUNK,
         **on,
     )
     # ... a posture for targets that no branch reaches ...
@@ -174,6 +168,5 @@ def _measure(
             "push": goal.push,
             "point": goal.point,
         },
-        chunk=GOAL_CHUNK,
         **on,
     )

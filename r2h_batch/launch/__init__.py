@@ -40,9 +40,10 @@ UNEVEN_BLOCK_DIM = 32
 """The same of kernels whose trials differ a hundredfold: a block keeps its registers until its last
 thread ends."""
 
-CHUNK = 32
-"""Trials a thread takes at a time: small enough that one hard trial does not leave the other core
-idle."""
+CHUNK, TURNS = 32, 16
+"""A thread takes `CHUNK` trials at a time, and in large batches a `TURNS`th of its share: small
+enough that one hard trial does not leave the other core idle, large enough that neighbours, which
+often have one object and one hand, stay in one core's cache (4,096 poses: 6 % of the time)."""
 
 
 def init_warp() -> None:
@@ -123,7 +124,7 @@ def launch_trials(
     outputs: Mapping[str, Any],
     device: str,
     threads: int | None = None,
-    chunk: int = CHUNK,
+    chunk: int | None = None,
     width: int = 1,
     first: int = 0,
     uneven: bool = False,
@@ -155,7 +156,7 @@ def _launch_on_cpu(
     inputs: Mapping[str, Any],
     outputs: Mapping[str, Any],
     threads: int | None,
-    chunk: int,
+    chunk: int | None,
     width: int,
     first: int,
 ) -> None:
@@ -169,7 +170,8 @@ def _launch_on_cpu(
             return
         _room_for(kernel.module)
         packed = cached.pack(kernel, args, inputs, outputs)
-    workers = 1 if n <= chunk else min(cpu_threads(threads), -(-n // chunk))
+    workers = max(1, min(cpu_threads(threads), -(-n // (chunk or CHUNK))))
+    chunk = chunk or max(CHUNK, n // (TURNS * workers))
     if packed is None:  # another Warp
 
         def plain(worker: int, start: int, rows: int) -> None:
