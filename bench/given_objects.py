@@ -89,7 +89,7 @@ def measure(path: Path, trials: int, methods: Sequence[str]) -> dict[str, Any]:
         scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
         row[method] = int(scores.success.sum())
         row[f"{method}_cpu_s"] = round(time.process_time() - begin, 1)
-        row["cannot"] = [*row.get("cannot", []), *job.cannot]
+        row["cannot"] = [*row.get("cannot", []), *job.lines]
     return row
 
 

@@ -1,9 +1,11 @@
 """Inside other people's programs: forks, loaders' workers, copies, pickles, other defaults of torch, wrong arguments."""
 
+import concurrent.futures.thread
 import copy
 import multiprocessing
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import warnings
@@ -83,6 +85,33 @@ def test_the_parents_pool_goes_on_after_a_fork(evaluator, batch):
     child.join(WAIT_S)
     assert child.exitcode == 0 and thread_pool(2) is pool
     outcomes(evaluator, batch, "pose")
+
+
+def test_a_handler_that_interrupts_a_call_at_its_pool_and_scores_gets_the_same_rows(evaluator, batch):
+    """The interrupted thread holds locks of the pool, which a handler of its own would wait for without end."""
+    here, inside = outcomes(evaluator, batch, "pose"), []
+
+    def handler(number, frame):
+        if number == signal.SIGALRM:
+            raise TimeoutError("the handler waits for its own thread")
+        inside.append(outcomes(evaluator, batch, "pose"))
+
+    def at_the_pool(frame, event, _):
+        if event == "call" and frame.f_code.co_filename == concurrent.futures.thread.__file__ and len(inside) < 20:
+            signal.raise_signal(signal.SIGUSR1)
+
+    before = {s: signal.signal(s, handler) for s in (signal.SIGUSR1, signal.SIGALRM)}
+    signal.alarm(60)
+    sys.setprofile(at_the_pool)
+    try:
+        rows = outcomes(evaluator, batch, "pose")
+    finally:
+        sys.setprofile(None)
+        signal.alarm(0)
+        for number, old in before.items():
+            signal.signal(number, old)
+    assert inside and all(x.tobytes() == here.tobytes() for x in [rows, *inside])
+    outcomes(evaluator, batch, "pose")  # the pool takes part again
 
 
 class Judged(Dataset):

@@ -11,7 +11,7 @@ from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast, get_args
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -28,12 +28,10 @@ from r2h_batch.command_line import UsageError
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.io.read import FileError
-from r2h_batch.predictors.noise import Errors
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.sweep.answers import AnswerError
-from r2h_batch.sweep.jobs import Setting, make_jobs
-from r2h_batch.sweep.options import METHODS, Options, check
+from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CRITERIA, SIDES
@@ -320,42 +318,12 @@ def _stored(
 def _answer_again(
     header: dict[str, Any], entry: dict[str, Any], trial: Trials, evaluator: Evaluator
 ) -> Predictions:
-    """What a built-in method of a run folder (`entry`: its stored source) answers to one trial.
-
-    A folder may come from anybody: modules and files that it names are not opened.
-    """
-    name, function = entry["name"], str(entry["source"].get("function", ""))
-    module = function.partition(":")[0].rpartition(".")[2]
-    word, predictors = module.replace("_", "-"), header.get("predictors", {})
-    built_in = function == f"r2h_batch.methods.{module}:predict" and word in METHODS
-    files = [k for k, v in predictors.items() if isinstance(v, dict) and "file" in v]
-    if not built_in or files:
-        words = "are not stored, and files of its own are not opened; sweep without --no-poses"
-        raise ExportError(f"the poses of {name!r} {words}")
-    setting = Setting(evaluator, header, lambda *_: trial.trial_id, lambda _: trial)
-    noise = predictors.get("noise_factor", 1.0)
-    options = Options(
-        method=(word,),
-        seed=header["seed"],
-        predictor_noise=noise,
-        hand_errors=_errors_of(predictors),
-    )
+    """What a built-in method of a run folder answers to one trial."""
     try:
-        return make_jobs(check(options), [], setting)[0].predict(trial, None)
+        return job_of_run(header, entry, evaluator).predict(trial, None)
     except (UsageError, AnswerError) as error:
-        words = f"{name!r} cannot answer again ({error}); sweep without --no-poses"
-        raise ExportError(words) from error
-
-
-def _errors_of(predictors: dict[str, Any]) -> Errors:
-    """The error model of the target hand that a run.json names; old runs had normal errors."""
-    noise = predictors.get("noise")
-    named = noise.get("target_errors", "normal") if isinstance(noise, dict) else "normal"
-    if named not in get_args(Errors):
-        allowed = ", ".join(get_args(Errors))
-        words = f"run.json names the error model {str(named)[:40]!r}; allowed are {allowed}"
-        raise ExportError(words)
-    return cast(Errors, named)
+        words = f"are not stored, and it cannot answer again ({error}); sweep without --no-poses"
+        raise ExportError(f"the poses of {entry['name']!r} {words}") from error
 
 
 def _rows(table: Any, trial_id: int) -> list[dict[str, Any]]:

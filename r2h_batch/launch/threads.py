@@ -8,6 +8,7 @@ torch never pay: what torch does takes 3 % of a call of 4,096 rows, and less of 
 
 import ctypes
 import os
+import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -50,6 +51,9 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
     os.register_at_fork(after_in_child=_after_fork)
 
 
+_here = threading.local()  # shares: whether this thread is inside `share`
+
+
 def share(
     run: Callable[[int, int, int], None], first: int, n: int, workers: int, chunk: int
 ) -> None:
@@ -59,7 +63,11 @@ def share(
     The calling thread is worker 0. Compiled kernels let go of the interpreter's lock: they run at
     once. However this ends, an interrupt of the calling thread included, no worker is active any
     more: the caller may free the memory.
+
+    A signal's handler may interrupt a thread that holds the pool's locks, and launch: its launches
+    are computed by its thread alone.
     """
+    outer = getattr(_here, "shares", False)
     starts = iter(range(first, first + n, chunk))  # next() is atomic
     busy: set[int] = set()
 
@@ -76,7 +84,8 @@ def share(
 
     futures = []
     try:
-        for worker in range(1, workers):
+        _here.shares = True
+        for worker in range(1, 1 if outer else workers):
             try:
                 futures.append(thread_pool(workers).submit(help_out, worker))
             # the interpreter is going down, or has no thread left to give: this one does it all
@@ -86,7 +95,10 @@ def share(
         for future in futures:
             future.result()
     finally:
-        _call_back(starts, busy)
+        try:
+            _call_back(starts, busy)
+        finally:
+            _here.shares = outer
 
 
 def _call_back(starts: Iterator[int], busy: set[int]) -> None:

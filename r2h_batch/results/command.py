@@ -73,8 +73,9 @@ def reevaluate(
 ) -> int:
     """Verify a run folder, then judge a random sample of its rows again from their stored poses.
 
-    A forged row gets another verdict, even if receipt and sha256 agree with it. Exit code 0: no
-    row differs. Exit code 1: a row differs, or a shard must be scored again.
+    A forged row gets another verdict, even if receipt and sha256 agree with it. Built-in methods
+    answer the same trials again, so the poses of another method are found; your own methods do not
+    run. Exit code 0: no row differs. Exit code 1: a row differs, or a shard must be scored again.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
@@ -117,7 +118,7 @@ def reevaluate(
             words = f"{differing or 'none'} {'differs' if differing < 2 else 'differ'}"
             print(
                 f"{name}: {found.scored} of {found.stored} rows judged again (--seed {draw}):"
-                f" {words}, {found.equal} are equal bit for bit"
+                f" {words}, {found.equal} are equal bit for bit; {found.asked}"
             )
             for difference in found.differences[:LISTED]:
                 print(f"  {difference}")

@@ -2,7 +2,8 @@
 
 sha256 and receipts show that a file is as it was written, but whoever writes a row can write those
 too. Nobody can make up a verdict: trials follow from their ids and poses are stored, so the
-evaluator computes it again.
+evaluator computes it again. Nor can anybody give a built-in method the poses of another one: it
+answers the sampled trials again. A user's method is not run: a folder may come from anybody.
 """
 
 import json
@@ -24,7 +25,10 @@ from r2h_batch.launch import cpu_threads
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import LATER_COLUMNS, TRIAL_SCHEMA, TrialNames, score_rows
 from r2h_batch.runs.store import TIMING, Run, RunError
+from r2h_batch.sweep.jobs import Job, job_of_run
+from r2h_batch.sweep.options import UsageError
 from r2h_batch.trials.protocol import PROTOCOLS, trials_of
+from r2h_batch.types import Trials
 from r2h_batch.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.verdicts import SIDES
 
@@ -37,6 +41,10 @@ MARGIN_TOLERANCE_M = BORDERLINE_M
 TIME_TOLERANCE_S = 0.05  # and for degrees
 """What stored numbers may differ by on another kind of machine or with other versions; on the same,
 by nothing."""
+
+MOST_OTHER_ANSWERS = 0.1
+"""Share of answers that may differ on another kind of machine, where a choice between two grasps of
+nearly the same cost can fall the other way. Of another method's answers nearly all differ."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +77,7 @@ class Reevaluation:
         scored: rows that were judged again.
         equal: rows of those that are equal bit for bit.
         differences: the values that differ.
+        asked: whether the method answered again, and if not, why.
     """
 
     method: str
@@ -76,6 +85,7 @@ class Reevaluation:
     scored: int
     equal: int
     differences: tuple[Difference, ...]
+    asked: str
 
 
 class Judge:
@@ -115,13 +125,15 @@ class Judge:
         )
         self.other = _other(header, device)
 
+    def trials(self, trial_id: Any) -> Trials:
+        """The trials with these ids, on the evaluator's device."""
+        ids = torch.from_numpy(np.array(trial_id, np.int64))
+        return trials_of(self.benchmark, ids).to(self.evaluator.scene.device)
+
     def rows(self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any) -> pa.Table:
         """`TRIAL_SCHEMA` rows of (N,) trials answered with (N, 4, 4) poses: as the sweep stores
         them."""
-        scene = self.evaluator.scene
-        trials = trials_of(self.benchmark, torch.from_numpy(np.array(trial_id, np.int64))).to(
-            scene.device
-        )
+        scene, trials = self.evaluator.scene, self.trials(trial_id)
         grasp, handover = (
             torch.from_numpy(np.array(T, np.float32)).to(scene.device)
             for T in (T_obj_ee, T_world_ee)
@@ -203,46 +215,92 @@ def reevaluate(
         RunError: the run holds no poses.
     """
     check_poses(run)
-    receipts = run.entry(method)["receipts"]
-    sizes = {index: r["last"] - r["first"] for index, r in sorted(receipts.items())}
+    entry = run.entry(method)
+    sizes = {index: r["last"] - r["first"] for index, r in sorted(entry["receipts"].items())}
     ends = np.cumsum([0, *sizes.values()])
     total = int(ends[-1])
     chosen = np.sort(np.random.default_rng(seed).choice(total, min(n, total), replace=False))
-    equal, differences = 0, []
+    job, asked = _who_answers(run, entry, judge)
+    differences, answers, unequal = [], [], set()
     for place, index in enumerate(sizes):
         rows = chosen[(chosen >= ends[place]) & (chosen < ends[place + 1])] - ends[place]
-        if len(rows):
-            stored = run.shard("trials", method, index).take(pa.array(rows))
-            same, found = _shard_again(stored, run.shard("poses", method, index), judge)
-            equal += same
-            differences += found
-    return Reevaluation(method, total, len(chosen), equal, tuple(differences))
+        if not len(rows):
+            continue
+        stored, poses = (run.shard(kind, method, index) for kind in ("trials", "poses"))
+        stored = stored.take(pa.array(rows))
+        poses = poses.filter(pc.is_in(poses["trial_id"], stored["trial_id"]))
+        if job is not None:
+            answers += _other_answers(job, stored["trial_id"].to_numpy(), poses, judge)
+        for difference in _other_rows(stored, poses, judge):
+            unequal.add(difference.trial_id)
+            if not judge.other or not _close(difference):
+                differences.append(difference)
+    unequal |= {d.trial_id for d in answers}
+    if not judge.other or len(answers) > MOST_OTHER_ANSWERS * len(chosen):
+        differences = [*answers, *differences]
+    return Reevaluation(
+        method, total, len(chosen), len(chosen) - len(unequal), tuple(differences), asked
+    )
 
 
-def _shard_again(stored: pa.Table, poses: pa.Table, judge: Judge) -> tuple[int, list[Difference]]:
-    """How many rows are equal bit for bit, and what differs by more than the machine explains."""
-    ids = stored["trial_id"].to_numpy()
-    posed = poses.filter(pc.is_in(poses["trial_id"], stored["trial_id"]))
+def _who_answers(run: Run, entry: Mapping[str, Any], judge: Judge) -> tuple[Job | None, str]:
+    """The built-in method to be asked again, and a phrase; `RunError` if it has another name."""
+    if "code" in judge.other:
+        return None, "not asked again: its code is not the one that answered"
+    try:
+        job = job_of_run(run.header, entry, judge.evaluator)
+    except UsageError as error:
+        return None, f"not asked again: {error}"
+    if job.name != entry["name"]:
+        function = entry["source"]["function"]
+        words = f"{entry['name']!r} is said to be {function}, which is called {job.name!r}"
+        raise RunError(f"{run.folder}: {words}")
+    return job, "asked again for the same trials"
+
+
+def _other_answers(job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge) -> list[Difference]:
+    """The trials to which the method now gives another answer than the stored one."""
+    again = job.predict(judge.trials(ids), None).to("cpu")
+    place = {int(trial_id): i for i, trial_id in enumerate(ids)}
+    rows = [place[i] for i in poses["trial_id"].to_pylist()]
+    off = np.full(len(ids), np.inf)
+    off[rows] = 0.0
+    tcp = []
+    for name, T in (("T_obj_ee", again.T_obj_ee), ("T_world_ee", again.T_world_ee)):
+        stored, new = np.full((len(ids), 4, 4), np.nan, np.float32), T.numpy()
+        stored[rows] = _matrices(poses[name])
+        apart = np.where((stored == new) | (np.isnan(stored) & np.isnan(new)), 0.0, stored - new)
+        off = np.maximum(off, np.nan_to_num(np.abs(apart), nan=np.inf).max((1, 2)))
+        tcp = [stored[:, :3, 3], new[:, :3, 3]]
+    wrong = np.flatnonzero(off > (MARGIN_TOLERANCE_M if judge.other else 0.0))
+    words = [["TCP at {:.4g}, {:.4g}, {:.4g} m".format(*p[i]) for p in tcp] for i in wrong]
+    return [
+        Difference(int(ids[i]), "answer", a, f"{b} (poses differ by {off[i]:.2g})", False)
+        for i, (a, b) in zip(wrong, words)
+    ]
+
+
+def _other_rows(stored: pa.Table, poses: pa.Table, judge: Judge) -> list[Difference]:
+    """Every stored value that the evaluator does not give again bit for bit."""
     again: dict[int, dict[str, Any]] = {}
-    if len(posed):
-        T = [_matrices(posed[k]) for k in ("T_obj_ee", "T_world_ee")]
-        rows = judge.rows(posed["trial_id"].to_numpy(), *T).select(COMPARED).to_pylist()
+    if len(poses):
+        T = [_matrices(poses[k]) for k in ("T_obj_ee", "T_world_ee")]
+        rows = judge.rows(poses["trial_id"].to_numpy(), *T).select(COMPARED).to_pylist()
         again = {row["trial_id"]: row for row in rows}
     # an older run lacks some columns; they are read as null and claim nothing
     silent = [k for k in LATER_COLUMNS if stored[k].null_count == len(stored)]
-    equal, found = 0, []
-    for trial_id, row in zip(ids, stored.select(COMPARED).to_pylist()):
+    found = []
+    for row in stored.select(COMPARED).to_pylist():
         # without a pose the method gave no answer, and the row must say so
         same = {k: row[k] for k in ("trial_id", "object", "split", "side")}
-        other = again.get(int(trial_id), {**dict.fromkeys(COMPARED), **same, "outcome": "missing"})
-        differing = [k for k in COMPARED if row[k] != other[k] and k not in silent]
-        equal += not differing
+        none = {**dict.fromkeys(COMPARED), **same, "outcome": "missing"}
+        other = again.get(row["trial_id"], none)
         found += [
             Difference(row["trial_id"], k, row[k], other[k], bool(other["borderline"]))
-            for k in differing
-            if not judge.other or not _close(k, row[k], other[k])
+            for k in COMPARED
+            if row[k] != other[k] and k not in silent
         ]
-    return equal, found
+    return found
 
 
 def _matrices(column: pa.ChunkedArray) -> np.ndarray:
@@ -250,7 +308,9 @@ def _matrices(column: pa.ChunkedArray) -> np.ndarray:
     return np.asarray(flat, np.float32).reshape(-1, 4, 4)
 
 
-def _close(column: str, a: Any, b: Any) -> bool:
+def _close(difference: Difference) -> bool:
+    """Whether another kind of processor or other versions explain the difference."""
+    a, b, column = difference.stored, difference.again, difference.column
     if not (isinstance(a, float) and isinstance(b, float)):
         return False
     lengths = column.startswith("margin_") or column == "presented_distance_m"

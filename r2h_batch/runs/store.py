@@ -24,10 +24,10 @@ import socket
 import stat
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, BinaryIO, Literal, NamedTuple
 from uuid import uuid4
 
 import numpy as np
@@ -35,7 +35,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from r2h_batch.io.read import FileError, kind_of, printable
+from r2h_batch.io.read import FileError, kind_of, printable, read_file
 from r2h_batch.io.read import read_json as read_any_json
 from r2h_batch.io.tables import check_decoded_size
 from r2h_batch.io.write import run_folder_of
@@ -195,6 +195,18 @@ def _open_own(path: Path, flags: int) -> int:
         raise OSError(error.errno, words, str(path)) from None
 
 
+_claims: set[BinaryIO] = set()  # open files of this process that may hold a lock
+
+
+def _leave_claims_to_the_parent() -> None:
+    """A fork shares its parent's locks, and would hold them after the parent's death."""
+    while _claims:
+        _claims.pop().close()
+
+
+os.register_at_fork(after_in_child=_leave_claims_to_the_parent)
+
+
 @contextmanager
 def claim(path: Path) -> Iterator[bool]:
     """Whether this process alone holds `path`, until the block ends or the process dies.
@@ -202,16 +214,28 @@ def claim(path: Path) -> Iterator[bool]:
     A claim saves double work; `link_once` decides who wins. So a file system without locks says
     yes to every process.
     """
-    with open(_open_own(path, os.O_RDWR), "w") as lock:
+    with open(_open_own(path, os.O_RDWR), "r+b", buffering=0) as lock:
+        _claims.add(lock)
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            yield False
-            return
-        except OSError as error:
-            if error.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
-                raise
-        yield True
+            own = _locked(lock)
+            if own:
+                with suppress(OSError):  # a full disk, or a pipe: only the name is missing
+                    os.ftruncate(lock.fileno(), 0)
+                    lock.write(f"process {os.getpid()} on {socket.gethostname()}".encode())
+            yield own
+        finally:
+            _claims.discard(lock)
+
+
+def _locked(lock: BinaryIO) -> bool:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError as error:
+        if error.errno not in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
+            raise
+    return True
 
 
 def _in_the_way(path: Path, *, folder: bool = False) -> str:
@@ -993,9 +1017,10 @@ class RunFolder:
                 stored = entry
             stored = stored or next(e for e in read_methods(self.folder) if e["slug"] == slug)
             if stored["name"] == method:
-                if stored["source"] != dict(source):
-                    words = f"already holds {method!r} from another source; {OTHER_OUT}"
-                    raise RunError(f"{self.folder}: {words}")
+                old = stored["source"]
+                if other := [k for k in {**old, **source} if old.get(k) != source.get(k)]:
+                    words = f"already holds {method!r}, made with another {', '.join(other)}"
+                    raise RunError(f"{self.folder}: {words}; {OTHER_OUT}")
                 self.slugs[method] = slug
                 return
         raise RunError(f"{self.folder}: no free file name for method {method!r}; {OTHER_OUT}")
@@ -1020,6 +1045,13 @@ class RunFolder:
                     for stale in (self.folder / kind / slug).glob(f".{shard.name}*.tmp"):
                         stale.unlink(missing_ok=True)
             yield own
+
+    def claimed_by(self, method: str, shard: Shard) -> str:
+        """Who works on the shard, or did last: `process 7 on HOST`; empty if that is not known."""
+        with suppress(OSError, FileError):
+            path = _claim_path(self.folder, self.slugs[method], shard.index)
+            return printable(read_file(path, 1000).decode(errors="replace"))
+        return ""
 
     def deaths(self, method: str, shard: Shard) -> int:
         """How many processes ended while they scored the shard, since a try without a death."""

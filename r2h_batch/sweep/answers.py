@@ -41,7 +41,9 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
     start = time.perf_counter()
     try:
         given = call(mine)
-    except Exception as error:  # a user's code raises what it likes; other methods go on
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit too; other methods go on
         if device_trouble(error) is not None:
             raise  # not the method's fault: no other one would fare better
         where = traceback.extract_tb(error.__traceback__)[-1]

@@ -102,13 +102,13 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
             f"ready in {time.perf_counter() - start:.1f} s: {setting.evaluator!r}, {counted(setting.planned, 'trials')}"
         )
         jobs = sweep_jobs.make_jobs(options, files, setting)
-        for line in (line for job in jobs for line in job.cannot):
-            tell(line)
         out, folder = _open(options, setting, jobs)
         log_to(folder.folder / _of_part("log.txt", options))
         for job in jobs:
             folder.register(job.name, job.source)
             note(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")
+        for line in (line for job in jobs for line in job.lines):
+            tell(line)
     except (UsageError, ClusterError, ValueError, ImportError) as error:
         return refuse("sweep", error, 2)
     except OSError as error:

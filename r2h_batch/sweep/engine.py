@@ -40,8 +40,7 @@ PROBE_TRIALS = 128
 UNPROBED_TRIALS = 1000
 """A plan this small takes less than a minute at the slowest rate seen: nothing to measure."""
 
-
-LOG_EVERY_S = 5.0
+LOG_EVERY_S = WAIT_S = 5.0
 
 
 class Stopped(Exception):
@@ -176,6 +175,7 @@ def _score_job(
     stopping: Callable[[], bool],
     advance: Callable[[int], None],
 ) -> None:
+    since, told = time.monotonic(), ""
     while todo:
         left = []
         for shard in todo:
@@ -205,7 +205,15 @@ def _score_job(
                     left.append(shard)
         if stopping():
             raise Stopped
-        if len(left) == len(todo):  # all in other hands: wait for them, or for their claims to fall
+        if len(left) < len(todo):
+            since = time.monotonic()
+        else:  # all in other hands: wait for them, or for their claims to fall
+            if time.monotonic() - since > WAIT_S:
+                who = folder.claimed_by(job.name, left[0]) or "another process"
+                words = f"{job.name}: waiting for shard {left[0].index}, which {who} scores"
+                if words != told:
+                    tell(words)
+                told = words
             time.sleep(0.5)
         todo = left
 

@@ -5,19 +5,19 @@ import inspect
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 import torch
 
 from r2h_batch.benchmark import Benchmark
 from r2h_batch.benchmark.build import BenchmarkOverrides
-from r2h_batch.command_line import tell
+from r2h_batch.command_line import counted, tell
 from r2h_batch.predictions import align, doubts, load_predictions
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import TrialNames
@@ -29,6 +29,7 @@ from r2h_batch.sweep.options import (
     Options,
     UsageError,
     base_of,
+    check,
     options_of,
     said_options,
 )
@@ -90,8 +91,8 @@ class Job:
     predict: Callable[[Trials, torch.Tensor | None], Predictions]
     rows: torch.Tensor | None = None
     warm: bool = False
-    cannot: tuple[str, ...] = ()
-    """which trials it has no answer to, for people: they count as its failures"""
+    lines: tuple[str, ...] = ()
+    """for people: what it cannot answer, or what of it is not compared on a resume"""
 
 
 def prepare(options: Options) -> Setting:
@@ -236,16 +237,19 @@ def _noise(options: Options) -> "PredictorNoise":
 
 def _predictors(options: Options) -> dict[str, Any]:
     """What the methods see: the error model, and which contact network."""
-    file = Path(options.predictor)
-    own = {"file": options.predictor} | (
-        {"sha256": provenance.file_digest([file])} if file.is_file() else {}
-    )
     return {
         "noise_factor": options.predictor_noise,
         "noise": asdict(_noise(options)),
-        "contact": own if options.predictor else {"built_in": "VoxNet"},
+        "contact": _network(options.predictor) if options.predictor else {"built_in": "VoxNet"},
         **_seen_files(options),
     }
+
+
+def _network(spec: str) -> dict[str, str]:
+    """A user's contact network: its file, or the files of its Python module."""
+    modules = [spec.partition(":")[0]]
+    files = [Path(spec)] if Path(spec).is_file() else provenance.user_files(modules).values()
+    return {"file": spec, "sha256": provenance.file_digest(files)}
 
 
 def _seen_files(options: Options) -> dict[str, Any]:
@@ -337,19 +341,27 @@ def resolve(options: Options) -> None:
         load_predictor(options.predictor)
 
 
+def _function_of(word: str) -> str:
+    """A built-in method's `module:function`."""
+    return f"r2h_batch.methods.{word.replace('-', '_')}:predict"
+
+
+_BROUGHT: dict[str, Collection[str]] = {}
+"""Module of a method -> the modules that its first import brought."""
+
+
 def _method(said: str) -> _Method:
     name = base_of(said)
     built_in = name in METHODS
-    module_name, _, function_name = (
-        (f"r2h_batch.methods.{name.replace('-', '_')}", "", "predict")
-        if built_in
-        else name.rpartition(":")
-    )
+    module_name, _, function_name = (_function_of(name) if built_in else name).rpartition(":")
     form = "it must be package.module:function that takes (trials, scene, *, seed)"
+    before = set(sys.modules)
     try:
         module = import_module(module_name)
         function = getattr(module, function_name)
-    except (Exception, SystemExit) as error:  # a user's module runs when it is imported
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a user's module runs when it is imported
         plain = isinstance(error, (ImportError, AttributeError))
         what = (
             " ".join(str(error).split())
@@ -357,6 +369,7 @@ def _method(said: str) -> _Method:
             else f"{type(error).__name__}: {' '.join(str(error).split())}"
         )
         raise UsageError(f"--method {name}: {what}; {form}") from error
+    _BROUGHT.setdefault(module_name, sys.modules.keys() - before)
     given = options_of(said, function, known=built_in) if callable(function) else {}
     try:
         signature = inspect.signature(function)
@@ -373,6 +386,16 @@ def _method(said: str) -> _Method:
     )
 
 
+def _files_of(found: _Method) -> dict[str, Path]:
+    """Name -> file of what decides a user's answers: modules, `METHOD_FILES`, files that its
+    options name."""
+    module = found.module.__name__
+    of_function = getattr(found.function, "__module__", None) or module
+    files = provenance.user_files([module, of_function, *_BROUGHT.get(module, ())])
+    values = [v for v in found.options.values() if isinstance(v, str)]
+    return files | {v: Path(v) for v in values if Path(v).is_file()}
+
+
 def _method_job(
     name: str, evaluator: "Evaluator", options: Options, seen: "Observations | None" = None
 ) -> Job:
@@ -382,12 +405,12 @@ def _method_job(
         **found.options,
         **({"evaluator": evaluator} if "evaluator" in takes else {}),
     }
-    source = {"kind": "method", "function": found.spec}
-    file = getattr(module, "__file__", None)
-    source["sha256"] = provenance.file_digest([Path(file)]) if file else ""
-    if said:
-        source["options"] = said
     title = f"{base_of(name)} ({said})" if said else name
+    source = {"kind": "method", "function": found.spec, **({"options": said} if said else {})}
+    files = {"": Path(str(module.__file__))} if built_in else _files_of(found)
+    source["sha256"] = provenance.file_digest(files.values())
+    if not built_in:
+        source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
     if "noise" in takes:
         from r2h_batch.predictors import load_predictor
 
@@ -412,22 +435,73 @@ def _method_job(
         source["predictors"] = json.dumps(_predictors(options), sort_keys=True)
 
     def answer(trials: Trials) -> Predictions:
-        return answer_of(
+        before = set(sys.modules)
+        answer = answer_of(
             title,
             trials,
             lambda mine: found.function(mine, evaluator.scene, seed=options.seed, **extra),
         )
+        late = provenance.user_files(sys.modules.keys() - before)
+        for k in late.keys() - files.keys() if not built_in else ():
+            tell(f"{title}: imported {k} when it was called; a resume does not notice its changes")
+        return answer
 
     if not built_in:
-        return Job(title, source, lambda trials, _: answer(trials))
+        words = ""
+        if not hasattr(module, "METHOD_FILES"):
+            others = counted(len(files) - 1, "modules")
+            more = f" or {others} that it imports" if len(files) > 1 else ""
+            words = (
+                f"{title}: a resume is refused once {module.__name__}{more} changes; other files"
+                f" (weights, data) are not compared: name them in METHOD_FILES of the module"
+            )
+        return Job(title, source, lambda trials, _: answer(trials), lines=(words,) if words else ())
     coverage = coverage_of(name, getattr(module, "SEES", ()), evaluator.scene, seen)
     return Job(
         title,
         source,
         lambda trials, _: coverage.answer(trials, answer),
         warm=True,
-        cannot=coverage.lines,
+        lines=coverage.lines,
     )
+
+
+def job_of_run(header: Mapping[str, Any], entry: Mapping[str, Any], evaluator: "Evaluator") -> Job:
+    """The built-in method that a run folder names, to be asked again.
+
+    A folder may come from anybody: modules and files that it names are not opened.
+
+    Args:
+        header: run.json.
+        entry: the method with its source, as `Run.entry` gives it.
+        evaluator: of the run's objects and hands.
+
+    Raises:
+        UsageError: a method or files of the user's answered.
+    """
+    from r2h_batch.predictors.noise import Errors
+
+    source, predictors = entry["source"], header.get("predictors", {})
+    function = source.get("function", "")
+    word = function.removeprefix("r2h_batch.methods.").removesuffix(":predict").replace("_", "-")
+    if function != _function_of(word) or word not in METHODS:
+        raise UsageError("only built-in methods can be asked again")
+    if files := [k for k, v in predictors.items() if isinstance(v, dict) and "file" in v]:
+        raise UsageError(f"{', '.join(files)} came from files of its own, which are not opened")
+    noise = predictors.get("noise")
+    errors = noise.get("target_errors", "normal") if isinstance(noise, dict) else "normal"
+    if errors not in get_args(Errors):
+        named, allowed = str(errors)[:40], ", ".join(get_args(Errors))
+        raise UsageError(f"run.json names the error model {named!r}; allowed are {allowed}")
+    said = source.get("options", "")
+    options = Options(
+        method=(f"{word},{said}" if said else word,),
+        seed=header["seed"],
+        predictor_noise=predictors.get("noise_factor", 1.0),
+        hand_errors=cast(Errors, errors),
+        allow_empty_candidates=True,
+    )
+    return _method_job(options.method[0], evaluator, check(options))
 
 
 SAID = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}

@@ -1,6 +1,7 @@
 """Rows that the evaluator does not give again are found, whoever wrote them and however well the folder is made up."""
 
 import json
+import shutil
 from copy import copy
 
 import numpy as np
@@ -78,7 +79,7 @@ def as_success(row):
 def test_every_row_of_an_honest_run_comes_out_bit_for_bit(folder, capsys):
     assert results(["reevaluate", str(folder), "--rows", "200"]) == 0
     out = capsys.readouterr().out
-    assert "random: 24 of 24 rows judged again" in out and "none differs, 24 are equal bit for bit" in out
+    assert "random: 24 of 24 rows judged again" in out and "none differs, 24 are equal bit for bit; asked again" in out
     assert results(["reevaluate", str(folder), "--rows", "5", "--seed", "3"]) == 0
     assert "5 of 24 rows judged again (--seed 3): none differs, 5 are equal" in capsys.readouterr().out
 
@@ -139,6 +140,37 @@ def test_an_answer_that_is_said_to_be_missing_and_a_pose_that_is_not_there_are_f
     found = reevaluate(run, "random", 24, judge)
     assert {d.trial_id for d in found.differences if (d.column, d.stored) == ("outcome", "missing")} == {2, 4}
     assert found.scored == 24 and found.equal == 22
+
+
+def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_name(folder, tmp_path, judge, capsys):
+    """Of seed 1 in the run of seed 0: verdicts, checksums and plan agree, only the method would not answer so."""
+    line = ["--method", "random", "--trials", "12", "--sim", "none", "--shard-trials", "9", "--seed", "1"]
+    assert sweep([*line, "--out", str(tmp_path / "other")]) == 0
+    run = load_run(folder)
+    shutil.copytree(folder, tmp_path / "run")
+    for kind in ("trials", "poses", "manifest"):
+        shutil.rmtree(tmp_path / "run" / kind)
+        shutil.copytree(tmp_path / "other" / kind, tmp_path / "run" / kind)
+    for receipt in (tmp_path / "run" / "manifest").rglob("*.json"):
+        receipt.write_text(json.dumps({**json.loads(receipt.read_text()), "run": run.header["hash"]}))
+    swapped = load_run(tmp_path / "run")
+    found = reevaluate(swapped, "random", 10, judge)
+    assert [d.column for d in found.differences] == ["answer"] * 10 and found.equal == 0
+    elsewhere = copy(judge)
+    elsewhere.other = ("processor",)
+    assert len(reevaluate(swapped, "random", 10, elsewhere).differences) == 10
+    elsewhere.other = ("code",)  # what another version answered is not known
+    found = reevaluate(swapped, "random", 10, elsewhere)
+    assert found.differences == () and "its code is not the one that answered" in found.asked
+    file = tmp_path / "run" / "methods" / "random.json"
+    data = json.loads(file.read_text())
+    for function, words in (("oracle:predict", "is called 'oracle'"), ("no:predict", "only built-in methods can")):
+        file.write_text(json.dumps({**data, "source": {"function": f"r2h_batch.methods.{function}"}}))
+        if words.startswith("is"):
+            with pytest.raises(RunError, match=words):
+                reevaluate(load_run(tmp_path / "run"), "random", 1, judge)
+        else:
+            assert words in reevaluate(load_run(tmp_path / "run"), "random", 1, judge).asked
 
 
 def test_what_cannot_be_judged_again_is_refused_with_one_line(folder, tmp_path, capsys):

@@ -1,8 +1,9 @@
 """Run folders: what is written is read back, whole or not at all, and never mixed with another run."""
 
 import json
-import subprocess
-import sys
+import os
+import signal
+import time
 
 import numpy as np
 import pyarrow as pa
@@ -246,7 +247,7 @@ def test_the_same_configuration_may_add_a_method_and_finds_the_stored_one(tmp_pa
 def test_a_stored_method_from_another_source_is_refused(tmp_path):
     run = open_run(tmp_path / "run", make_header(6, 6))
     run.register("a", {"kind": "predictions", "sha256": "1"})
-    with pytest.raises(RunError, match="another source"):
+    with pytest.raises(RunError, match="made with another sha256; choose"):
         run.register("a", {"kind": "predictions", "sha256": "2"})
 
 
@@ -315,22 +316,31 @@ def test_two_writers_of_one_shard_leave_the_rows_of_the_first_and_no_files_of_th
     assert len(files_of(tmp_path / "run")) == 1 and not list((tmp_path / "run").rglob("*.tmp"))
 
 
-def test_a_claim_is_given_to_one_at_a_time_and_falls_with_its_process(tmp_path):
+def test_a_claim_is_given_to_one_at_a_time_and_falls_with_its_process_though_a_child_of_that_lives(tmp_path):
+    """The child: such as a server that a method forked."""
     with run_store.claim(tmp_path / "c") as first, run_store.claim(tmp_path / "c") as second:
         assert first and not second
-    code = (
-        "import sys, time; from pathlib import Path; from r2h_batch.runs.store import claim\n"
-        "with claim(Path(sys.argv[1])) as mine:\n print(mine, flush=True); time.sleep(60)"
-    )
-    line = [sys.executable, "-c", code, str(tmp_path / "c")]
-    with subprocess.Popen(line, stdout=subprocess.PIPE, text=True) as other:
-        assert other.stdout is not None and other.stdout.readline() == "True\n"
-        with run_store.claim(tmp_path / "c") as mine:
-            assert not mine
-        other.kill()
-        other.wait()
-        with run_store.claim(tmp_path / "c") as mine:
-            assert mine
+    read, write = os.pipe()
+    holder = os.fork()
+    if not holder:
+        with run_store.claim(tmp_path / "c"):
+            child = os.fork()
+            if not child:
+                time.sleep(60)
+                os._exit(0)
+            os.write(write, str(child).encode())
+            time.sleep(60)
+    child = int(os.read(read, 100))
+    try:
+        with run_store.claim(tmp_path / "c") as own:
+            assert not own
+        os.kill(holder, signal.SIGKILL)
+        os.waitpid(holder, 0)
+        os.kill(child, 0)  # it lives
+        with run_store.claim(tmp_path / "c") as own:
+            assert own
+    finally:
+        os.kill(child, signal.SIGKILL)
 
 
 def test_a_method_that_is_not_there_is_refused_with_those_that_are(tmp_path):

@@ -36,6 +36,10 @@ def poses(trials, dtype=torch.float32):
     return torch.eye(4, dtype=dtype).repeat(len(trials), 1, 1)
 
 
+def raise_(error):
+    raise error
+
+
 WRONG = {
     "nothing": (lambda t: None, "its answer is a NoneType; it must be r2h_batch.Predictions or"),
     "one array": (lambda t: (poses(t),), "its answer is a tuple of 1"),
@@ -58,6 +62,9 @@ WRONG = {
         lambda t: Predictions(t.trial_id.flip(0), poses(t), poses(t)),
         "trial_id differs from that of the 4 trials",
     ),
+    "the end of the program": (lambda t: sys.exit(0), r"SystemExit: 0 \(.*test_answers.py, line \d+\)"),
+    "the end of a generator": (lambda t: next(x for x in ()), "StopIteration: "),
+    "an error of no kind": (lambda t: raise_(BaseException("mine")), "BaseException: mine"),
     "its own error": (lambda t: [][0], r"IndexError: list index out of range \(.*test_answers.py, line \d+\)"),
 }
 
@@ -146,11 +153,14 @@ def fake(monkeypatch):
     def late(trials, scene, *, seed):
         return *best(trials, scene, seed=seed), torch.full((len(trials),), -1.0)
 
+    def ends(trials, scene, *, seed):
+        sys.exit(0)
+
     def wanders(trials, scene, *, seed):
         os.chdir("/")
         return best(trials, scene, seed=seed)
 
-    mine.late, mine.wanders, mine.best, mine.number = late, wanders, best, 3
+    mine.late, mine.wanders, mine.best, mine.number, mine.ends = late, wanders, best, 3, ends
     mine.other = lambda a, b, c, *, seed: None
     monkeypatch.setitem(sys.modules, "mine", mine)
     monkeypatch.setattr(jobs, "prepare", prepare_fake)
@@ -171,6 +181,12 @@ def test_other_methods_finish_when_one_answers_nonsense(fake, tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
+def test_a_method_that_ends_the_program_is_no_success(fake, tmp_path, capsys):
+    assert sweep.main(["--method", "mine:ends", "--trials", "3", "--out", str(tmp_path / "run")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and "sweep: method mine:ends: SystemExit: 0 (" in captured.err
+
+
 def test_a_method_that_changes_the_directory_takes_no_shard_along(fake, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     line = ["--method", "mine:wanders", "--trials", "3", "--shard-trials", "2", "--chunk", "1", "--out", "run"]
@@ -186,10 +202,12 @@ def test_a_method_that_changes_the_directory_takes_no_shard_along(fake, tmp_path
         ("mine:none", "has no attribute 'none'; it must be package.module:function"),
         ("no_such_module:f", "No module named 'no_such_module'; it must be package.module:function"),
         ("broken_rules:f", "--method broken_rules:f: SystemExit: 7; it must be"),
+        ("worse_rules:f", "--method worse_rules:f: GeneratorExit: ; it must be"),
     ],
 )
 def test_a_method_that_is_none_is_refused_before_any_preparation(fake, monkeypatch, tmp_path, capsys, spec, words):
     (tmp_path / "broken_rules.py").write_text("raise SystemExit(7)\n")
+    (tmp_path / "worse_rules.py").write_text("raise GeneratorExit\n")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(jobs, "prepare", lambda options: pytest.fail("prepared before the method was looked for"))
     assert sweep.main(["--method", spec, "--trials", "3", "--out", str(tmp_path / "run")]) == 2

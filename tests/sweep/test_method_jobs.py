@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from problems import default_evaluator
 
+from r2h_batch.runs.provenance import file_digest
 from r2h_batch.runs.store import load_run, run_hash
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
@@ -48,7 +49,8 @@ def test_a_users_network_is_named_and_reaches_contact_alone(bench, tmp_path, mon
     monkeypatch.syspath_prepend(tmp_path)
     given = jobs.make_jobs(Options(method=("fc", "contact"), predictor="my_net:half"), [], bench)
     assert [j.name for j in given] == ["FC-Handover (oracle hand + noise)", "Contact-Handover (my_net:half + noise)"]
-    assert json.loads(given[1].source["predictors"])["contact"] == {"file": "my_net:half"}
+    contact = {"file": "my_net:half", "sha256": file_digest([tmp_path / "my_net.py"])}
+    assert json.loads(given[1].source["predictors"])["contact"] == contact
 
 
 @pytest.mark.parametrize("spec", ["no_net.pt", "no_module:net"])

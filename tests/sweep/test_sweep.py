@@ -101,14 +101,15 @@ def test_several_methods_splits_files_and_meshes_are_taken():
 
 
 class Interrupted:
-    """A method that hears a stop signal while it works."""
+    """A method that hears a stop signal when it is called for the first time."""
 
     def __init__(self, number):
         self.number, self.calls = number, 0
 
     def __call__(self, trials, scene, *, seed):
         self.calls += 1
-        signal.raise_signal(self.number)
+        if self.calls == 1:
+            signal.raise_signal(self.number)
         return fake_bench.best(trials, scene, seed=seed)
 
 
@@ -224,7 +225,7 @@ def test_the_same_method_name_from_another_file_is_refused_and_the_folder_is_fre
         write_predictions(tmp_path / name, make_predictions(make_trials(2, 2), "same", seed))
     assert sweep.main(["--predictions", str(tmp_path / "a.npz"), *line]) == 0
     assert sweep.main(["--predictions", str(tmp_path / "b.npz"), *line]) == 2
-    assert "already holds 'same' from another source" in capsys.readouterr().err
+    assert "already holds 'same', made with another file, sha256; choose another --out" in capsys.readouterr().err
     assert sweep.main(["--predictions", str(tmp_path / "a.npz"), *line]) == 0
 
 
@@ -262,7 +263,6 @@ def test_a_stop_signal_ends_with_130_after_the_chunk_and_leaves_a_folder_that_go
     assert run.methods == ("my_rules:best",) and run.unfinished == ("my_rules:stop",)
     assert not list((tmp_path / "run").rglob("*.tmp"))
     assert [signal.getsignal(s) for s in (signal.SIGTERM, signal.SIGINT)] == before
-    monkeypatch.setattr(fake_bench, "stop", fake_bench.best)
     assert sweep.main([*methods, *line]) == 0
     assert "my_rules:best: already in the run folder" in capsys.readouterr().err
     run = load_run(tmp_path / "run")
