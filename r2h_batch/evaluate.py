@@ -28,7 +28,7 @@ from r2h_batch.judge.distance import (
     nearer_of,
     person_distance,
 )
-from r2h_batch.judge.goal import judge_goals, weaken_singular_reason
+from r2h_batch.judge.goal import failed_clearance, judge_goals, weaken_singular_reason
 from r2h_batch.judge.grasp_physics import shake
 from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
@@ -304,6 +304,10 @@ class Evaluator:
             threads=threads,
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
+        missed_m = failed_clearance(
+            scene, held.planner_poses, held.T_world_ee, ik.q, branches, planned.reason,
+            threads=threads,
+        )  # fmt: skip
         planned = replace(planned, reason=weaken_singular_reason(planned.reason, ik))
         motion = time_path(planned.path, planned.length, config.execute)
         # sampled edges certify nothing, and paths against an estimated hand nothing of the true one
@@ -327,7 +331,7 @@ class Evaluator:
         body_m, part = self._person_distance(held, trials, executed.path, executed.length)
         body_m = body_m - executed.slack_m
         found = (planned.length > 0) & executed.settled
-        clearance_m = torch.where(found, planned.clearance_m, -torch.inf)
+        clearance_m = torch.where(found, planned.clearance_m, missed_m)
         moves = active & (executed.length > 0)
         shared, touch = self._judge(
             held, found, moves, clearance_m, touch, (body_m, part), executed.valid

@@ -153,7 +153,7 @@ def test_a_small_budget_gives_up_where_the_default_one_finds_a_path():
 
 
 def assert_no_path(s: Scores) -> None:
-    assert float(s.margin[0, PLAN]) == -np.inf and not s.passed[0, PLAN]
+    assert float(s.margin[0, PLAN]) < 0 and not s.passed[0, PLAN]
     assert not s.evaluated[0, SAFE] and torch.isnan(s.margin[0, SAFE])
     assert int(s.path_len[0]) == 0 and torch.isnan(s.q_goal[0]).all() and torch.isnan(s.t_exec_s[0])
     assert (

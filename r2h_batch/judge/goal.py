@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.config import CLEARANCE_CAP_M
+from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M
 from r2h_batch.judge.ik import IkResult, default_ur, home_posture
 from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
@@ -20,6 +20,14 @@ from r2h_batch.types import PlanReason
 ROTATION_LEVER_M = 0.1
 """How many metres a radian counts in the residual of an unreachable target [choice]: about the
 fingers' length."""
+
+
+MEASURED = (
+    PlanReason.START_IN_COLLISION,
+    PlanReason.IK_UNREACHABLE,
+    PlanReason.IK_IN_COLLISION,
+)
+"""Reasons of failures whose threshold is a length."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +77,9 @@ def judge_goals(
     b, device = len(active), active.device
     active = active.contiguous()
     goal = _unjudged(b, device)
-    residual = torch.empty(b, dtype=torch.float32, device=device)
-    branches = branches.contiguous()
-    postures = {"valid": branches, "q": ik.q.view(-1, 6)}
+    postures = {"valid": branches.contiguous(), "q": ik.q.view(-1, 6)}
     on: dict[str, Any] = {"device": scene.device, "threads": threads}
 
-    # Each launch goes on from what the one before wrote into `goal`: the free branch, or why there
-    # is none ...
     launch_trials(
         goal_kernels.choose_goal,
         b,
@@ -92,23 +96,35 @@ def judge_goals(
         outputs={"reason": goal.reason, "pair": goal.pair, "slot": goal.slot},
         **on,
     )
-    # ... a posture for targets that no branch reaches ...
-    launch_trials(
-        ik_nearest.nearest_posture,
-        b,
-        inputs={
-            "ur": default_ur(scene.config.workplace.home_q),
-            "rotation_lever_m": ROTATION_LEVER_M,
-            "active": active,
-            "branches": branches,
-            "T_world_ee": T_world_ee.contiguous(),
-        },
-        outputs={"q": goal.q, "residual": residual},
-        chunk=256,
-        **on,
-    )
-    _measure(goal, scene, body_poses, postures, residual, on)
+    _measure(goal, scene, body_poses, T_world_ee, postures, active, on)
     return goal
+
+
+def failed_clearance(
+    scene: Scene,
+    body_poses: BodyPoses,
+    T_world_ee: Float32[Tensor, "b 4 4"],
+    q: Float32[Tensor, "b 8 6"],
+    branches: Bool[Tensor, "b 8"],
+    reason: Int32[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> Float32[Tensor, " b"]:
+    """How far B trials without a path are from a start and a goal that are free, as a margin below
+    0 (m): `Goal.clearance_m` of the same `reason` (PlanReason), bit for bit.
+
+    -inf where no length says it: no path within the budget. Rows with a path: -inf too.
+    """
+    measured = torch.zeros_like(reason, dtype=torch.bool)
+    for why in MEASURED:
+        measured |= reason == int(why)
+    goal = _unjudged(len(reason), reason.device)
+    goal.reason.copy_(torch.where(measured, reason, int(PlanReason.NOT_EVALUATED)))
+    goal.slot.fill_(-1)
+    postures = {"valid": branches.contiguous(), "q": q.view(-1, 6)}
+    on = {"device": scene.device, "threads": threads}
+    _measure(goal, scene, body_poses, T_world_ee, postures, measured, on)
+    return torch.where(measured, goal.clearance_m.clamp(min=-FARTHEST_M), -torch.inf)
 
 
 def weaken_singular_reason(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[Tensor, " b"]:
@@ -138,21 +154,43 @@ def _measure(
     goal: Goal,
     scene: Scene,
     body_poses: BodyPoses,
+    T_world_ee: Float32[Tensor, "b 4 4"],
     postures: dict[str, Tensor],
-    residual: Float32[Tensor, " b"],
+    active: Bool[Tensor, " b"],
     on: dict[str, Any],
 ) -> None:
-    """Writes the clearance of each goal and what it is attained by; where no branch is free also
-    the posture itself."""
+    """Writes the clearance of each `active` goal, whose `reason` and `slot` are known, and what it
+    is attained by; where no branch is free also the posture itself.
+
+    Each launch goes on from what the one before wrote into `goal`.
+    """
+    b, device = len(active), active.device
+    residual = torch.empty(b, dtype=torch.float32, device=device)
+    # a posture for targets that no branch reaches ...
+    launch_trials(
+        ik_nearest.nearest_posture,
+        b,
+        inputs={
+            "ur": default_ur(scene.config.workplace.home_q),
+            "rotation_lever_m": ROTATION_LEVER_M,
+            "active": active,
+            "branches": postures["valid"],
+            "T_world_ee": T_world_ee.contiguous(),
+        },
+        outputs={"q": goal.q, "residual": residual},
+        chunk=256,
+        **on,
+    )
+    # ... and how near its bodies are to others
     launch_trials(
         goal_kernels.goal_clearance,
-        len(residual),
+        b,
         inputs={
             "cap": CLEARANCE_CAP_M,
             "world": body_poses.tables(scene),
             "hull_ball": scene.hull_balls,
             "bodies": body_poses.bodies,
-            "home": home_posture(str(residual.device), scene.config.workplace.home_q),
+            "home": home_posture(str(device), scene.config.workplace.home_q),
             "reason": goal.reason,
             **postures,
             "residual": residual,

@@ -55,7 +55,7 @@ class Evidence:
     held: AttachedBatch  # poses, the grasp, where bodies are
     free: Bool[Tensor, " b"]  # the arm came to rest at the end of a path, or the posture is free
     moves: Bool[Tensor, " b"]  # active, and with a motion; in stages="pose": active
-    clearance_m: Float32[Tensor, " b"]  # of the path, -inf without one; or of the posture
+    clearance_m: Float32[Tensor, " b"]  # of the path; without one, or without motion, of a posture
     person_m: Float32[Tensor, " b"]  # distance of the robot from the receiver
     slip_m: Float64[Tensor, " b"] | None  # in the shake, NaN where it failed; None: not shaken
     threads: int | None = None
@@ -88,8 +88,10 @@ def stability(e: Evidence) -> Criterion:
 def plan(e: Evidence) -> Criterion:
     """Plan(g, h) <=> h in S_plan(g). Margin: the smallest clearance along the path.
 
-    -inf without a path, or where the arm did not come to rest at the end of it: such a pose was
-    never presented. A path that was found passes, also where its clearance was only sampled.
+    Without a path: minus what the start, or the best branch, lacks to be free, or the target to be
+    reached (`judge.goal.Goal.clearance_m`). -inf where a search found nothing, or where the arm did
+    not come to rest at its goal: no length says by how much. A path that was found passes, also
+    where its clearance was only sampled.
     """
     active = e.held.active
     return Criterion(torch.where(active, e.clearance_m, torch.nan), e.free & active, active)

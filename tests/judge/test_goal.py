@@ -60,6 +60,10 @@ def compare(b: Batch, evaluator: Evaluator) -> tuple[Scores, Scores]:
     order = torch.where(p.outcome == 0, 9, p.outcome)
     assert (torch.where(a.outcome == 0, 9, a.outcome) <= order).all()
     judged = p.outcome < int(Outcome.INVALID_INPUT)
+    # a failure before any path is as far from its threshold in both, and so as near to flipping
+    short = judged & ~free
+    assert torch.equal(a.margin[short, PLAN], p.margin[short, PLAN])
+    assert (a.margin[later, PLAN] == -torch.inf)[free[later]].all()
     assert torch.isfinite(p.margin[judged][:, [PLAN, SAFE]]).all() and torch.isfinite(p.q_goal[judged]).all()
     assert torch.equal(p.margin[judged, PLAN] > 0, p.passed[judged, PLAN])
     same = free & (a.path_len > 0) & (a.q_goal == p.q_goal).all(1)
@@ -137,6 +141,16 @@ def test_goals_in_collision_name_the_pair_and_measure_the_overlap(pair):
     assert s.margin[0, PLAN] < -1e-4 and int(s.witness_part[0, 0]) >= 0
     deeper = GOAL[pair].but(T_world_ee=GOAL[pair].T_world_ee)
     assert_same(s, staged_evaluator().score(*batch_of([deeper]), "pose"))
+
+
+@pytest.mark.parametrize(("depth", "flagged"), [(0.00005, True), (0.005, False)])
+def test_a_goal_that_hardly_collides_is_borderline(depth, flagged):
+    """The stick's end is in the table by less, or by more, than float32 decides. An overlap's margin bounds its depth."""
+    T = GOAL["OBJECT_TABLE"].T_world_ee.copy()
+    T[2, 3] = 0.19 - depth
+    s = staged_evaluator().score(*batch_of([GOAL["OBJECT_TABLE"].but(T_world_ee=T)]))
+    assert (int(s.outcome[0]), int(s.plan_reason[0])) == (Outcome.PLAN, PlanReason.IK_IN_COLLISION)
+    assert -depth - 2e-5 < float(s.margin[0, PLAN]) < 0 and bool(s.borderline[0]) == flagged
 
 
 def test_an_overlap_costs_more_the_deeper_it_is():

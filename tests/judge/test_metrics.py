@@ -243,12 +243,14 @@ def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():
 # --- Plan, Safe ----------------------------------------------------------------------------------------------------
 
 
-def test_plans_margin_is_the_smallest_clearance_or_minus_infinity():
+def test_plans_margin_is_the_smallest_clearance_or_what_a_failure_lacks():
     _, problems, s = scored()
     found = s.path_len > 0
     assert torch.equal(found, s.plan_reason == int(PlanReason.OK))
     assert torch.equal(s.margin[found, PLAN], problems.plan.clearance_m[found])
-    assert (s.margin[~found, PLAN] == -torch.inf).all()
+    assert (s.margin[~found, PLAN] < 0).all()
+    searched = s.plan_reason == int(PlanReason.NO_PATH_IN_BUDGET)
+    assert torch.equal(s.margin[:, PLAN] == -torch.inf, searched)
     assert (s.margin[found, PLAN] > 0).all() and (s.margin[found, PLAN] <= CLEARANCE_CAP_M).all()
 
 
