@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
 from r2h_batch.benchmark import Benchmark, read_benchmark
@@ -42,17 +42,25 @@ from r2h_batch.judge.inputs import (
 from r2h_batch.judge.plan import plan_paths, random_key
 from r2h_batch.judge.presented import presented
 from r2h_batch.judge.scores import motion_scores, pose_scores, verdict
+from r2h_batch.judge.trace import (
+    Trace,
+    checked_trace,
+    executed_trace,
+    final_pose,
+    plan_of_trace,
+)
 from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
 from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
+from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import Scene
 from r2h_batch.summary import html_table
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
-from r2h_batch.types import ScoreInputs, Scores, Trials
+from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
 from r2h_batch.validate import instance_of, optional
 
 POSE_CHUNK_CUDA = 1 << 16
@@ -195,6 +203,54 @@ class Evaluator:
             return scores.with_inputs(
                 ScoreInputs(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
             )
+
+    def score_motion(
+        self,
+        T_obj_ee: Float32[Tensor, "b 4 4"],
+        q: Float[Tensor, "b w 6"],
+        time_s: Float[Tensor, "b w"] | Float[Tensor, " w"],
+        trials: Trials,
+        *,
+        length: Int[Tensor, " b"] | None = None,
+    ) -> Scores:
+        """Verdicts of B motions that you planned: the same five criteria and the same columns.
+
+        Plan: the motion collides with nothing (certified between the samples) and keeps the joint
+        limits; `plan_reason` is OK, MOTION_IN_COLLISION or BEYOND_JOINT_LIMITS. It may start
+        anywhere. Safe: along the motion as given, no simulator. The handover pose is where the
+        motion ends. `t_exec_s` is the motion's duration, `t_plan_s` NaN.
+
+        Args:
+            T_obj_ee: the grasp, ee in the object's frame, m.
+            q: joint angles of W samples, rad; joints move at a constant rate between two samples.
+            time_s: time of each sample, s; of all motions at once if it is (W,).
+            trials: B trials.
+            length: how many samples of each motion count, 2 to W; None: all W.
+
+        Returns:
+            Scores of B rows. A row with an angle or a time that is not finite, or with times that
+            go back, is INVALID_INPUT.
+
+        Raises:
+            TypeError, ValueError: shape, dtype or device do not fit; before any work.
+        """
+        instance_of(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
+        trace = checked_trace(q, time_s, length, len(trials), self.scene.device)
+        T_world_ee = final_pose(self.scene, trace)
+        T_obj_ee, T_world_ee, trials = checked_inputs(
+            self.scene, T_obj_ee, T_world_ee, trials, "all"
+        )
+        T_obj_ee = T_obj_ee.detach()
+        check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
+
+        def part(first: int, last: int) -> Scores:
+            rows = slice(first, last)
+            return self._score_trace(T_obj_ee[rows], T_world_ee[rows], trace[rows], trials[rows])
+
+        with one_torch_thread(self.scene.device):
+            check_indices(self.scene, trials)
+            scores = Scores.concatenate(in_parts(len(trials), self.rows_at_once(), part))
+            return scores.with_inputs(ScoreInputs(T_obj_ee.clone(), T_world_ee, trials, self))
 
     def __repr__(self) -> str:
         engine = self.config.execute.engine(torch.device(self.scene.device).type)
@@ -339,6 +395,29 @@ class Evaluator:
         return motion_scores(
             trials.trial_id, shared, active, planned, motion, executed, touch, config.execute,
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
+        )  # fmt: skip
+
+    def _score_trace(
+        self, T_obj_ee: Tensor, T_world_ee: Tensor, trace: Trace, trials: Trials
+    ) -> Scores:
+        """As `_score_motion`, with the motion given."""
+        scene, threads = self.scene, self.threads
+        held = attach_object(scene, T_obj_ee, T_world_ee, trials, self.config, threads=threads)
+        active, poses = held.active, held.body_poses
+        if self.config.receiver == "body":
+            assert trials.receiver is not None  # `check_receiver` has refused its absence
+            poses = with_person(scene, poses, trials.receiver, hand=True)
+        planned = plan_of_trace(scene, poses, trace, active, threads=threads)
+        executed, motion = executed_trace(trace, planned)
+        touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
+        person = self._person_distance(held, trials, executed.path, executed.length)
+        free = planned.reason == int(PlanReason.OK)
+        shared, touch = self._judge(
+            held, free, active, planned.clearance_m, touch, person, executed.valid
+        )
+        return motion_scores(
+            trials.trial_id, shared, active, planned, motion, executed, touch, None,
+            t_plan_s=float("nan"), keep_motion=False, body_m=person[0],
         )  # fmt: skip
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:

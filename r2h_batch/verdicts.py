@@ -72,6 +72,7 @@ class PlanReason(IntEnum):
     With `PlanConfig.goals = "one"` only one branch is looked at: `IK_IN_COLLISION` then says
     nothing about the others. Where the wrist is singular (sin q5 = 0) solutions are a line, of
     which points are tried: if all collide, that is no proof and the reason is `NO_PATH_IN_BUDGET`.
+    The last two are of motions that the caller gives (`Evaluator.score_motion`).
     """
 
     OK = 0
@@ -81,6 +82,8 @@ class PlanReason(IntEnum):
     NO_PATH_IN_BUDGET = 4
     NOT_EVALUATED = 5
     NOT_SETTLED = 6
+    MOTION_IN_COLLISION = 7
+    BEYOND_JOINT_LIMITS = 8
 
 
 class CollidingPair(IntEnum):

@@ -25,6 +25,8 @@ REASONS = {
     "ik_in_collision": "every posture at the target collides",
     "no_path_in_budget": "no path was found in time",
     "not_settled": "the arm did not come to rest",
+    "motion_in_collision": "the given motion collides",
+    "beyond_joint_limits": "a joint goes beyond its limit",
 }
 
 

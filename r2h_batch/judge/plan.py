@@ -168,6 +168,28 @@ def _least_clearance(
     return least, pair, body
 
 
+def path_clearances(
+    scene: Scene,
+    body_poses: BodyPoses,
+    path: Float32[Tensor, "b w 6"],
+    length: Int32[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
+    """Smallest clearance (m) along paths that were planned elsewhere, its pair and the robot's
+    body, as in `Plan`; minus the overlap where bodies meet.
+
+    A row takes part of the frontier's queues in proportion to its waypoints.
+    """
+    rooms = -(-path.shape[1] // WAYPOINTS) * len(path)
+    run = Planner(scene, body_poses, threads, rows=rooms)
+    found = _least_clearance(run, path, length)
+    _measure_overlaps(run, scene, path, length, *found)
+    if run.frontier is not None:
+        run.frontier.refuse_if_full()
+    return found
+
+
 def _measure_overlaps(
     run: "Planner",
     scene: Scene,
@@ -214,12 +236,15 @@ class Planner:
     """Runs planning kernels, which all take the scene's world and the trials' bodies; on a GPU what
     can goes in `frontier`."""
 
-    def __init__(self, scene: Scene, body_poses: BodyPoses, threads: int | None) -> None:
+    def __init__(
+        self, scene: Scene, body_poses: BodyPoses, threads: int | None, rows: int | None = None
+    ) -> None:
+        """`rows`: for how many paths of at most WAYPOINTS the frontier has room; None: one a trial."""
         self._tables = {"world": body_poses.tables(scene), "bodies": body_poses.bodies}
         self._device = scene.device
         self._threads = threads
         self.frontier = (
-            Frontier(**self._tables, device=scene.device, rows=len(body_poses.object_index))
+            Frontier(**self._tables, device=scene.device, rows=rows or len(body_poses.object_index))
             if uses_frontier(scene.device)
             else None
         )

@@ -73,13 +73,14 @@ def motion_scores(
     motion: Motion,
     executed: Executed,
     touch: NearestApproach,
-    config: ExecConfig,
+    config: ExecConfig | None,
     *,
     t_plan_s: float,
     keep_motion: bool,
     body_m: Float32[Tensor, " b"],
 ) -> Scores:
-    """`Scores` of trials that were planned and moved; `shared` from `verdict`."""
+    """`Scores` of trials that were planned and moved; `shared` from `verdict`. `config`: the time
+    law of the path, None for motions with times of their own."""
     found, witnessed = planned.length > 0, touch.body >= 0
     restless = found & executed.valid & ~executed.settled
     last = (planned.length - 1).clamp(min=0).long()

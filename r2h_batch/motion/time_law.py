@@ -59,11 +59,15 @@ def time_at(
     motion: Motion,
     segment: Int32[Tensor, " b"],
     fraction: Float32[Tensor, " b"],
-    config: ExecConfig,
+    config: ExecConfig | None,
 ) -> Float32[Tensor, " b"]:
-    """When each path passes `fraction` (0 to 1) of its `segment`, s; NaN without a path."""
+    """When each path passes `fraction` (0 to 1) of its `segment`, s; NaN without a path. `config`
+    None: each segment is passed at a constant rate."""
     rows = torch.arange(len(path), dtype=torch.int64, device=path.device)
     at = segment.long().clamp(0, path.shape[1] - 2)
+    if config is None:
+        start, end = motion.time_s[rows, at], motion.time_s[rows, at + 1]
+        return torch.where(length > 0, start + fraction * (end - start), torch.nan)
     whole = _segment_lengths(path, length)[rows, at]
     total = _duration(whole, config)
     v, a = limits(config)

@@ -1,0 +1,141 @@
+"""A motion that the caller planned: joint angles over time, judged as a planned path is.
+
+Between two samples every joint moves at a constant rate. The motion is thus a path of straight lines
+in joint space, and Plan and Safe walk these lines, certified between the samples, as they walk the
+paths of our planner.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float32, Int32
+from torch import Tensor
+
+from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.judge.plan import Plan, path_clearances
+from r2h_batch.motion.execute import Executed
+from r2h_batch.motion.time_law import Motion
+from r2h_batch.scene.scene import BodyPoses, Scene
+from r2h_batch.types import PlanReason
+from r2h_batch.validate import describe_value
+from r2h_batch.validate_tensors import check_tensor
+
+__all__ = ["Trace", "checked_trace", "executed_trace", "final_pose", "plan_of_trace"]
+
+LIMIT_TOLERANCE_RAD = 1e-5
+"""A joint may stand this far beyond its limit: what float32 makes of an angle at the limit."""
+
+
+@dataclass(frozen=True)
+class Trace:
+    """B joint motions. Samples beyond `length` repeat the last one."""
+
+    q: Float32[Tensor, "b w 6"]  # rad
+    time_s: Float32[Tensor, "b w"]
+    length: Int32[Tensor, " b"]
+    usable: Bool[Tensor, " b"]  # finite, and time never goes back
+
+    def __getitem__(self, rows: Any) -> "Trace":
+        return Trace(self.q[rows], self.time_s[rows], self.length[rows], self.usable[rows])
+
+
+def checked_trace(q: Tensor, time_s: Tensor, length: Tensor | None, n: int, device: str) -> Trace:
+    """The motions of `n` trials.
+
+    Args:
+        q: (n, W, 6) joint angles, rad, float32 or float64.
+        time_s: (n, W) or (W,) times of the samples, s.
+        length: (n,) number of samples of each motion, 2 to W; None: W.
+        n: number of trials.
+        device: where the evaluator is.
+
+    Raises:
+        TypeError, ValueError: shape, dtype or device do not fit; the line names the argument.
+    """
+    real = (torch.float32, torch.float64)
+    check_tensor("q", q, "a torch tensor (N, W, 6) of joint angles in rad")
+    if q.ndim != 3 or q.shape[0] != n or q.shape[1] < 2 or q.shape[2] != 6 or q.dtype not in real:
+        raise ValueError(
+            f"q is {describe_value(q)}; with {n} trials it must be float32 or float64 ({n}, W, 6), "
+            "W at least 2 samples"
+        )
+    w = q.shape[1]
+    check_tensor("time_s", time_s, "a torch tensor (N, W) or (W,) of seconds")
+    if time_s.shape not in ((n, w), (w,)) or time_s.dtype not in real:
+        raise ValueError(
+            f"time_s is {describe_value(time_s)}; it must be float32 or float64 ({n}, {w}) or ({w},)"
+        )
+    if length is None:
+        length = torch.full((n,), w, dtype=torch.int32, device=q.device)
+    check_tensor("length", length, f"None or a torch tensor ({n},) of whole numbers")
+    if length.shape != (n,) or length.dtype not in (torch.int32, torch.int64):
+        raise ValueError(
+            f"length is {describe_value(length)}; it must be int32 or int64 ({n},), or None"
+        )
+    for name, value in (("q", q), ("time_s", time_s), ("length", length)):
+        if value.device.type != torch.device(device).type:
+            raise ValueError(
+                f"{name} is on {value.device}, the evaluator on {device}: move one of them"
+            )
+    if n and not 2 <= int(length.min()) <= int(length.max()) <= w:
+        raise ValueError(
+            f"length goes from {int(length.min())} to {int(length.max())}; allowed is 2 to {w}, the "
+            "samples that q has"
+        )
+    last = (length.long() - 1)[:, None]
+    slot = torch.arange(w, dtype=torch.int64, device=q.device)[None].minimum(last)
+    q = q.detach().gather(1, slot[..., None].expand(-1, -1, 6))
+    time_s = time_s.detach().expand(n, w).gather(1, slot)
+    usable = q.isfinite().flatten(1).all(1) & time_s.isfinite().all(1)
+    usable = usable & (time_s[:, 1:] >= time_s[:, :-1]).all(1)
+    return Trace(q.float(), (time_s - time_s[:, :1]).float(), length.to(torch.int32), usable)
+
+
+def final_pose(scene: Scene, trace: Trace) -> Float32[Tensor, "b 4 4"]:
+    """T_world_ee at the end of each motion by forward kinematics in float64; NaN where the motion
+    is not usable."""
+    pose = ee_pose(scene.robot, np.nan_to_num(trace.q[:, -1].double().cpu().numpy()))
+    T = torch.from_numpy(pose.astype(np.float32)).to(trace.q.device)
+    return torch.where(trace.usable[:, None, None], T, torch.nan)
+
+
+def plan_of_trace(
+    scene: Scene,
+    body_poses: BodyPoses,
+    trace: Trace,
+    active: Bool[Tensor, " b"],
+    *,
+    threads: int | None = None,
+) -> Plan:
+    """What Plan says of the motions: free of collisions from the first to the last sample, and
+    within the joint limits.
+
+    `body_poses`: what the motion must keep clear of. Where bodies meet, the clearance is minus the
+    overlap, as on a sampled path.
+    """
+    length = torch.where(active, trace.length, 0)
+    q = torch.where(active[:, None, None], trace.q, 0.0).contiguous()
+    clearance, pair, body = path_clearances(scene, body_poses, q, length, threads=threads)
+    lower, upper = (
+        torch.tensor(np.array(x), dtype=torch.float64, device=q.device)
+        for x in (scene.robot.lower, scene.robot.upper)
+    )
+    beyond = torch.maximum(lower - q.double(), q.double() - upper).amax((1, 2))
+    reason = torch.where(clearance > 0, int(PlanReason.OK), int(PlanReason.MOTION_IN_COLLISION))
+    reason = torch.where(beyond > LIMIT_TOLERANCE_RAD, int(PlanReason.BEYOND_JOINT_LIMITS), reason)
+    reason = torch.where(active, reason, int(PlanReason.NOT_EVALUATED)).to(torch.int32)
+    return Plan(reason, pair, body, clearance, trace.length == 2, q, length)
+
+
+def executed_trace(trace: Trace, planned: Plan) -> tuple[Executed, Motion]:
+    """The motions as they are: exact lines between the samples, at rest at the last one."""
+    zero = torch.zeros_like(planned.clearance_m)
+    true = torch.ones_like(trace.usable)
+    t_exec_s = torch.where(planned.length > 0, trace.time_s[:, -1], torch.nan)
+    none = torch.zeros_like(planned.length)
+    executed = Executed(
+        planned.path, planned.length, t_exec_s, true, true, zero, zero, zero, none, None
+    )
+    return executed, Motion(trace.time_s, t_exec_s)
