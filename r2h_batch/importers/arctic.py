@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.reading import ImportRefused, read_npy
+from r2h_batch.importers.safe_pickle import read_npy
 from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
+from r2h_batch.io.read import FileError
 
 __all__ = ["find", "read"]
 
@@ -35,7 +36,7 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     where = f"arctic:{path.parent.name}/{stem}"
     found = read_npy(path)
     if not isinstance(found, Mapping):
-        raise ImportRefused(f"{where}: holds no dictionary; it is no sequence of ARCTIC")
+        raise FileError(f"{where}: holds no dictionary; it is no sequence of ARCTIC")
     rows = numbers(read_npy(path.with_name(f"{stem}.object.npy")), (None, 7), f"{where} object")
     T = np.tile(np.eye(4), (len(rows), 1, 1))
     T[:, :3, :3] = Rotation.from_rotvec(rows[:, 1:4]).as_matrix()
@@ -46,13 +47,13 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     for key, side in (("right", RIGHT), ("left", LEFT)):
         part = found.get(key)
         if not isinstance(part, Mapping):
-            raise ImportRefused(f"{where}: has no {key} hand")
+            raise FileError(f"{where}: has no {key} hand")
         turn, place, postures = (
             numbers(part.get(k), (None, n), f"{where} {key} {k}")
             for k, n in (("rot", 3), ("trans", 3), ("pose", 45))
         )
         if len({len(turn), len(place), len(postures), len(rows)}) != 1:
-            raise ImportRefused(f"{where}: hand and object have different numbers of frames")
+            raise FileError(f"{where}: hand and object have different numbers of frames")
         shape = numbers(part.get("shape"), (10,), f"{where} {key} shape")
         given = ManoParameters(
             turn, place, postures, shape, side, flat_hand_mean=False, components=False
@@ -76,7 +77,7 @@ def _body(path: Path, frames: int, where: str) -> tuple[np.ndarray | None, np.nd
         f"{where} body",
     )
     if len(turn) != frames:
-        raise ImportRefused(f"{where}: body and object have different numbers of frames")
+        raise FileError(f"{where}: body and object have different numbers of frames")
     R = Rotation.from_rotvec(turn).as_matrix()
     spine = R[:, :, 1].mean(0)
     axis = int(np.abs(spine).argmax())

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from r2h_batch.command_line import Command, UsageError, call, counted, failed, refuse, tell
-from r2h_batch.io.read import printable
+from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import check_output_file, check_output_folder
 
 if TYPE_CHECKING:
@@ -181,7 +181,6 @@ def objects(
 
     def run() -> None:
         from r2h_batch.importers.meshes.oakink_objects import OakObject, collect, write
-        from r2h_batch.importers.reading import ImportRefused
 
         check_output_folder(out, overwrite=None)
         found, skipped = [], 0
@@ -190,11 +189,11 @@ def objects(
                 found.append(made)
                 continue
             if strict:
-                raise ImportRefused(f"{printable(name)}: {made}")
+                raise FileError(f"{printable(name)}: {made}")
             skipped += 1
             tell(f"skipped: {name}: {made}")
         if not found:
-            raise ImportRefused(f"{printable(folder)}: none of {skipped} objects could be read")
+            raise FileError(f"{printable(folder)}: none of {skipped} objects could be read")
         write(out, found)
         held = sum(bool(o.held) for o in found)
         print(

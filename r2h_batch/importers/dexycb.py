@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
-from r2h_batch.io.read import path_within, read_npz, read_yaml
+from r2h_batch.io.read import FileError, path_within, read_npz, read_yaml
 
 __all__ = ["find", "read"]
 
@@ -40,9 +39,9 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
         or not isinstance(calibration, list)
         or len(calibration) != 1
     ):
-        raise ImportRefused(f"{where}: meta.yml names no single hand with its mano_calib")
+        raise FileError(f"{where}: meta.yml names no single hand with its mano_calib")
     if not isinstance(objects, list) or type(grasped) is not int or not 0 <= grasped < len(objects):
-        raise ImportRefused(f"{where}: meta.yml does not say which of ycb_ids is grasped")
+        raise FileError(f"{where}: meta.yml does not say which of ycb_ids is grasped")
     side = RIGHT if sides == ["right"] else LEFT
     betas = read_yaml(path_within(root / "calibration", f"mano_{calibration[0]}/mano.yml"))
     shape = numbers(betas.get("betas"), (10,), f"{where} betas")
@@ -53,10 +52,10 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     ]
     seen = np.flatnonzero((hands != 0).any(1))
     if not len(seen):
-        raise ImportRefused(f"{where}: no frame has a hand")
+        raise FileError(f"{where}: no frame has a hand")
     mine, places = hands[seen], places[seen]
     if (np.abs(np.linalg.norm(places[:, :4], axis=1) - 1) > 1e-2).any():
-        raise ImportRefused(f"{where}: pose_y holds quaternions that are no rotations")
+        raise FileError(f"{where}: pose_y holds quaternions that are no rotations")
     T = np.tile(np.eye(4), (len(seen), 1, 1))
     T[:, :3, :3] = Rotation.from_quat(places[:, :4]).as_matrix()
     T[:, :3, 3] = places[:, 4:]

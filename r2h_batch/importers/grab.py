@@ -17,9 +17,9 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.reading import ImportRefused, read_object
+from r2h_batch.importers.safe_pickle import read_pickle
 from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
-from r2h_batch.io.read import read_npz
+from r2h_batch.io.read import FileError, read_npz
 
 __all__ = ["find", "read"]
 
@@ -37,9 +37,9 @@ def find(folder: Path) -> list[Path]:
 def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     """Right and left hand of one sequence."""
     where = f"grab:{path.parent.name}/{path.stem}"
-    found = read_npz(path, objects=read_object, only=NEEDED, most=MOST)
+    found = read_npz(path, objects=read_pickle, only=NEEDED, most=MOST)
     if missing := [k for k in NEEDED if k not in found]:
-        raise ImportRefused(f"{where}: has no {missing[0]}; it is no sequence of GRAB")
+        raise FileError(f"{where}: has no {missing[0]}; it is no sequence of GRAB")
     name, intent = str(found["obj_name"]), str(found["motion_intent"])
     rate = float(numbers(found["framerate"], (), f"{where} framerate"))
     turn, place = (
@@ -56,7 +56,7 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
         columns = {k: _parameter(found[key], k, n, f"{where} {key}") for k, n in
                    (("global_orient", 3), ("transl", 3), ("fullpose", 45))}  # fmt: skip
         if len({len(turn), len(body), *map(len, columns.values())}) != 1:
-            raise ImportRefused(f"{where}: {key}, body and object have different numbers of frames")
+            raise FileError(f"{where}: {key}, body and object have different numbers of frames")
         given = ManoParameters(
             columns["global_orient"], columns["transl"], columns["fullpose"], np.zeros(10), side,
             flat_hand_mean=True, components=False,
@@ -71,5 +71,5 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
 def _parameter(found: Any, name: str, width: int, where: str) -> np.ndarray:
     parameters = found.get("params") if isinstance(found, Mapping) else None
     if not isinstance(parameters, Mapping) or name not in parameters:
-        raise ImportRefused(f"{where}: has no params/{name}")
+        raise FileError(f"{where}: has no params/{name}")
     return numbers(parameters[name], (None, width), f"{where} {name}")

@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
 from r2h_batch.io.read import FileError, read_file
 
@@ -44,7 +43,7 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     camera = np.stack([_numbers(sequence / "cam_pose" / f.name, 16).reshape(4, 4) for f in files])
     objects = np.stack([_numbers(sequence / "obj_pose_rt" / f.name, 17) for f in files])
     if np.abs(camera[:, :3, :3] @ camera[:, :3, :3].transpose(0, 2, 1) - np.eye(3)).max() > 1e-2:
-        raise ImportRefused(f"{where}: cam_pose holds something else than rigid poses")
+        raise FileError(f"{where}: cam_pose holds something else than rigid poses")
     T_world_object = camera @ objects[:, 1:].reshape(-1, 4, 4)
     hands = []
     for side, columns in ((RIGHT, rows[:, 62:]), (LEFT, rows[:, :62])):
@@ -71,7 +70,7 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
                        object_name=f"object {kind}", T_world_object=T_world_object[seen])
         )  # fmt: skip
     if not hands:
-        raise ImportRefused(f"{where}: no frame is annotated")
+        raise FileError(f"{where}: no frame is annotated")
     return hands
 
 
@@ -82,5 +81,5 @@ def _numbers(path: Path, count: int) -> np.ndarray:
     except FileError:
         raise
     except (UnicodeDecodeError, ValueError):
-        raise ImportRefused(f"{path}: holds something else than numbers") from None
+        raise FileError(f"{path}: holds something else than numbers") from None
     return numbers(values, (count,), str(path))

@@ -34,7 +34,6 @@ from r2h_batch.bodies.hand_file import in_body
 from r2h_batch.command_line import tell
 from r2h_batch.importers import arctic, dexycb, grab, h2o, oakink
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import HandMotion, receiving_frame
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import write_npz
@@ -88,11 +87,11 @@ def collect(
             text = " ".join(printable(error).split())
             line = text if text.startswith(printable(path)) else f"{printable(path)}: {text}"
             if strict:
-                raise ImportRefused(line) from None
+                raise FileError(line) from None
             skipped.append(line)
             tell(f"skipped: {line}")
     if not found:
-        raise ImportRefused(
+        raise FileError(
             f"{printable(folder)}: none of {len(paths)} files could be read; the first: {skipped[0]}"
         )
     found.sort(key=lambda f: f[0].side)  # stable: in order of the files on each side

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from r2h_batch.bodies import hand_pieces
 from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
 from r2h_batch.bodies.hand_file import check_lengths
-from r2h_batch.importers.reading import ImportRefused, read_pickle_file
-from r2h_batch.io.read import read_npz
+from r2h_batch.importers.safe_pickle import read_pickle_file
+from r2h_batch.io.read import FileError, read_npz
 
 __all__ = ["ManoHand", "hand_arrays", "load_mano"]
 
@@ -82,7 +82,7 @@ def hand_arrays(
     """Arrays in the format of `hand.npz`, which `bodies.hand.load_hand(path)` reads, with
     `wrist_rest`, `wrist_shape`."""
     if right is None and left is None:
-        raise ImportRefused("no hand model: give MANO_RIGHT.pkl, MANO_LEFT.pkl or both")
+        raise FileError("no hand model: give MANO_RIGHT.pkl, MANO_LEFT.pkl or both")
     raw = {
         s: _checked(_read(Path(p)), str(p), s)
         for s, p in ((RIGHT, right), (LEFT, left))
@@ -107,12 +107,12 @@ def hand_arrays(
             )
             arrays |= {f"left_{k}": other[k] for k in own}
     except ValueError as error:
-        raise ImportRefused(f"{right or left}: {error}") from None
+        raise FileError(f"{right or left}: {error}") from None
     arrays |= _both_sides(raw.get(RIGHT), raw.get(LEFT))
     try:
         check_lengths(arrays)
     except ValueError as error:
-        raise ImportRefused(f"{right or left}: {error}") from None
+        raise FileError(f"{right or left}: {error}") from None
     return arrays
 
 
@@ -134,7 +134,7 @@ class _Raw:
 def _read(path: Path) -> Mapping[str, Any]:
     found = read_npz(path) if path.suffix == ".npz" else read_pickle_file(path)
     if not isinstance(found, dict):
-        raise ImportRefused(
+        raise FileError(
             f"{path}: holds a {type(found).__name__}; a MANO file holds a dictionary of arrays"
         )
     return found
@@ -144,29 +144,29 @@ def _checked(found: Mapping[str, Any], where: str, side: int) -> _Raw:
     v = _numbers(found, "v_template", (None, 3), where)
     count = len(v)
     if not 100 <= count <= MAX_VERTICES:
-        raise ImportRefused(
+        raise FileError(
             f"{where}: v_template has {count} vertices; a hand has 100 to {MAX_VERTICES}"
         )
     faces = _numbers(found, "f", (None, 3), where)
     if (faces != np.round(faces)).any() or faces.min() < 0 or faces.max() >= count:
-        raise ImportRefused(f"{where}: f names other vertices than the {count} there are")
+        raise FileError(f"{where}: f names other vertices than the {count} there are")
     tree = np.asarray(_numbers(found, "kintree_table", (2, 16), where)[0]).astype(np.int64)
     if tuple(tree[1:]) != PARENTS[1:]:
-        raise ImportRefused(f"{where}: kintree_table is not MANO's (parents {PARENTS})")
+        raise FileError(f"{where}: kintree_table is not MANO's (parents {PARENTS})")
     if found.get("bs_type", "lrotmin") != "lrotmin" or found.get("bs_style", "lbs") != "lbs":
-        raise ImportRefused(f"{where}: bs_type and bs_style must be lrotmin and lbs, as in MANO")
+        raise FileError(f"{where}: bs_type and bs_style must be lrotmin and lbs, as in MANO")
     weights = _numbers(found, "weights", (count, 16), where)
     if weights.min() < -1e-9 or np.abs(weights.sum(1) - 1).max() > 1e-3:
-        raise ImportRefused(f"{where}: weights must be 0 or more and sum to 1 for every vertex")
+        raise FileError(f"{where}: weights must be 0 or more and sum to 1 for every vertex")
     shape = _numbers(found, "shapedirs", (count, 3, None), where)
     if shape.shape[2] < SHAPES:
-        raise ImportRefused(f"{where}: shapedirs has {shape.shape[2]} directions; need {SHAPES}")
+        raise FileError(f"{where}: shapedirs has {shape.shape[2]} directions; need {SHAPES}")
     pose = _numbers(found, "posedirs", (count, 3, 135), where)
     regressor = _numbers(found, "J_regressor", (16, count), where)
     points_left = float((regressor @ v)[[1, 4, 7, 10], 0].mean() - (regressor @ v)[0, 0]) > 0
     if points_left != (side == LEFT):
         names = ("right", "left")
-        raise ImportRefused(f"{where}: is a {names[points_left]} hand (its fingers point along {'+' if points_left else '-'}x)"
+        raise FileError(f"{where}: is a {names[points_left]} hand (its fingers point along {'+' if points_left else '-'}x)"
                             f"; it was given as the {names[side]} one")  # fmt: skip
     shape = shape[:, :, :SHAPES]
     if side == LEFT:
@@ -182,26 +182,26 @@ def _checked(found: Mapping[str, Any], where: str, side: int) -> _Raw:
 def _numbers(found: Mapping[str, Any], name: str, shape: tuple[int | None, ...], where: str) -> F64:
     value = found.get(name)
     if value is None:
-        raise ImportRefused(f"{where}: has no {name}; it is no MANO file")
+        raise FileError(f"{where}: has no {name}; it is no MANO file")
     fits = isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim == len(shape)
     if not fits or any(n is not None and n != m for n, m in zip(shape, value.shape)):
         wanted = " x ".join("any" if n is None else str(n) for n in shape)
         have = value.shape if isinstance(value, np.ndarray) else type(value).__name__
-        raise ImportRefused(f"{where}: {name} is {have}; need numbers, {wanted}")
+        raise FileError(f"{where}: {name} is {have}; need numbers, {wanted}")
     if not np.isfinite(value).all() or np.abs(value.astype(np.float64)).max(initial=0.0) > 1e10:
-        raise ImportRefused(f"{where}: {name} holds numbers that are not finite")
+        raise FileError(f"{where}: {name} holds numbers that are not finite")
     return value.astype(np.float64)
 
 
 def _check_alike(right: _Raw, left: _Raw, where: str) -> None:
     if right.vertices.shape != left.vertices.shape:
-        raise ImportRefused(
+        raise FileError(
             f"{where}: {len(left.vertices)} vertices; the right hand has {len(right.vertices)}"
         )
     apart = np.abs((right.vertices - right.regressor[0] @ right.vertices)
                    - (left.vertices - left.regressor[0] @ left.vertices)).max()  # fmt: skip
     if apart > ALIKE_M:
-        raise ImportRefused(
+        raise FileError(
             f"{where}: its mirror image is up to {1000 * apart:.1f} mm from the right hand; the two are no pair"
         )
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import RIGHT
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.reading import ImportRefused, read_pickle_file
+from r2h_batch.importers.safe_pickle import read_pickle_file
 from r2h_batch.importers.sequences import HandMotion, files_below, numbers
 from r2h_batch.io.read import FileError, printable, read_file
 
@@ -38,7 +38,7 @@ def find(folder: Path, *, every: bool = False) -> list[Path]:
         return paths
     receivers = [p for p in paths if _receives(p)]
     if not receivers:
-        raise ImportRefused(
+        raise FileError(
             f"{printable(folder)}: {len(paths)} grasps, none a receiver's (action 0004, _alt); --frame first takes all"
         )
     return receivers
@@ -52,11 +52,11 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     where = f"oakink:{text}"
     found = read_pickle_file(path)
     if not isinstance(found, Mapping):
-        raise ImportRefused(f"{printable(path)}: holds no dictionary; it is no grasp of OakInk")
+        raise FileError(f"{printable(path)}: holds no dictionary; it is no grasp of OakInk")
     turns = numbers(found.get("pose"), (16, 4), f"{where} pose")
     length = np.linalg.norm(turns, axis=1)
     if (np.abs(length - 1) > 1e-2).any():
-        raise ImportRefused(f"{where}: pose holds quaternions that are no rotations")
+        raise FileError(f"{where}: pose holds quaternions that are no rotations")
     R = Rotation.from_quat(turns, scalar_first=True)
     T = np.eye(4)[None].copy()
     T[0, :3, :3] = R[0].as_matrix()
@@ -77,7 +77,7 @@ def _source(path: Path) -> tuple[str, re.Match[str]]:
     text = read_file(file, 4096).decode("utf-8", "replace").strip()
     match = SOURCE.search(text)
     if match is None:
-        raise ImportRefused(
+        raise FileError(
             f"{printable(file)}: says {printable(text[:80])!r}; need STAGE/OBJECT_ACTION_SUBJECTS/TIME"
         )
     return text, match

@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
 from r2h_batch.command_line import tell
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.reading import ImportRefused
-from r2h_batch.io.read import printable
+from r2h_batch.io.read import FileError, printable
 
 __all__ = [
     "FRAME_RULES",
@@ -90,7 +89,7 @@ def motion(source: str, hand: ManoHand | None, given: ManoParameters, **more: An
     fingers = given.postures
     if given.components or not given.flat_hand_mean:
         if hand is None:
-            raise ImportRefused(
+            raise FileError(
                 f"{source}: postures are {'principal components' if given.components else 'about the mean hand'};"
                 " give MANO's file with --mano-right or --mano-left"
             )
@@ -125,9 +124,7 @@ def receiving_frame(hand: HandMotion, rule: str | int, model: HandModel | None =
     count = len(hand.fingers)
     if isinstance(rule, int):
         if not -count <= rule < count:
-            raise ImportRefused(
-                f"{hand.source}: has {count} frames; frame {rule} is not one of them"
-            )
+            raise FileError(f"{hand.source}: has {count} frames; frame {rule} is not one of them")
         return rule % count
     if rule != "aperture":
         return {"first": 0, "middle": count // 2, "last": count - 1}[rule]
@@ -160,7 +157,8 @@ def _starts_to_move(T_world_object: F64 | None) -> int | None:
 def numbers(value: Any, shape: tuple[int | None, ...], what: str) -> F64:
     """The array as float64 if it has this shape (None: any length, at most 200,000) and finite
     numbers."""
-    value = np.asarray(value) if isinstance(value, (list, np.ndarray, np.generic)) else None
+    listed = isinstance(value, list) and _size(value) <= 48 * MAX_FRAMES
+    value = np.asarray(value) if listed or isinstance(value, (np.ndarray, np.generic)) else None
     fits = value is not None and value.dtype.kind in "biuf" and value.ndim == len(shape)
     if (
         value is None
@@ -168,7 +166,7 @@ def numbers(value: Any, shape: tuple[int | None, ...], what: str) -> F64:
         or any(n is not None and n != m for n, m in zip(shape, value.shape))
     ):
         have = "missing or no numbers" if value is None else f"{value.shape} of {value.dtype}"
-        raise ImportRefused(
+        raise FileError(
             f"{what} is {have}; need {' x '.join('any' if n is None else str(n) for n in shape)}"
         )
     if value.size and (
@@ -176,8 +174,15 @@ def numbers(value: Any, shape: tuple[int | None, ...], what: str) -> F64:
         or not np.isfinite(value).all()
         or np.abs(value).max() > 1e6
     ):
-        raise ImportRefused(f"{what} has too many frames or numbers that are not finite")
+        raise FileError(f"{what} has too many frames or numbers that are not finite")
     return value.astype(np.float64)
+
+
+def _size(value: Any) -> int:
+    """How many numbers a list would have as an array: it may hold one large array many times."""
+    if isinstance(value, list):
+        return sum(_size(v) for v in value)
+    return value.size if isinstance(value, np.ndarray) else 1
 
 
 def files_below(folder: Path, pattern: str) -> list[Path]:
@@ -185,7 +190,7 @@ def files_below(folder: Path, pattern: str) -> list[Path]:
     if there is none."""
     base = folder.resolve()
     if not base.is_dir():
-        raise ImportRefused(f"{printable(folder)}: no such folder")
+        raise FileError(f"{printable(folder)}: no such folder")
     found: list[Path] = []
     outside = 0
     for path in base.glob(pattern):
@@ -194,14 +199,14 @@ def files_below(folder: Path, pattern: str) -> list[Path]:
             continue
         found.append(path)
         if len(found) > MAX_FILES:
-            raise ImportRefused(f"{printable(folder)}: more than {MAX_FILES} files {pattern}")
+            raise FileError(f"{printable(folder)}: more than {MAX_FILES} files {pattern}")
     links = f"{outside} {pattern} {'is a link that leads' if outside == 1 else 'are links that lead'} out of the folder"
     if not found and outside:
-        raise ImportRefused(
+        raise FileError(
             f"{printable(folder)}: {links} (not followed); give the folder that holds the files"
         )
     if not found:
-        raise ImportRefused(f"{printable(folder)}: holds no {pattern}; is it the right folder?")
+        raise FileError(f"{printable(folder)}: holds no {pattern}; is it the right folder?")
     if outside:
         tell(f"{printable(folder)}: {links}, left out")
     return sorted(found)

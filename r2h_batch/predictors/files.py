@@ -1,14 +1,17 @@
-"""A user's own contact predictor: a TorchScript file, weights of the built-in VoxNet, or a Python
-function."""
+"""A user's own contact predictor: an ONNX network, weights of the built-in VoxNet, a Python
+function, or, from a source that the user trusts, a TorchScript file."""
 
 from __future__ import annotations
 
 import importlib
 import io
+import os
 import zipfile
 from pathlib import Path
+from typing import Any
 
 import torch
+from torch import Tensor
 
 from r2h_batch.io.read import FileError, archive_members, open_archive, printable, read_file
 from r2h_batch.predictors.grid import ContactPredictor, PredictorError
@@ -18,69 +21,116 @@ __all__ = ["load_predictor"]
 
 MAX_BYTES = 4 << 30
 MAX_MEMBERS = 20_000
-_HOW = "give a TorchScript file (torch.jit.save), VoxNet weights as .safetensors, or package.module:function"
+_HOW = (
+    "give an ONNX file (.onnx), VoxNet weights (.safetensors), or the package.module:function of"
+    " your own code"
+)
+_TRUST = (
+    "a TorchScript file is a program, which can write any file; export the network as ONNX"
+    " (torch.onnx.export), or, if you trust its source, add --trust-code (Python: trust_code=True)"
+)
 
 
-def load_predictor(spec: str) -> ContactPredictor:
-    """The contact predictor of a TorchScript file, of a .safetensors file (VoxNet's), or
-    ``package.module:function``.
+def load_predictor(spec: str, *, trust_code: bool = False) -> ContactPredictor:
+    """The contact predictor that a file or a Python function holds.
 
-    What it takes and returns: `r2h_batch.predictors.grid`. Pickles (torch.save, .pkl) are refused:
-    they run code.
+    Files of networks are data: `.onnx` runs on the CPU through onnxruntime (extra `onnx`),
+    `.safetensors` holds weights of the built-in VoxNet. A TorchScript file is a program: it runs
+    with the rights of its user. Pickles (torch.save, .pkl) are refused.
+
+    Args:
+        spec: the file, or `package.module:function`. What a predictor takes and returns:
+            `r2h_batch.predictors.grid`.
+        trust_code: whether a TorchScript file may be loaded.
+
+    Raises:
+        PredictorError: the file or the function cannot be used.
     """
     path = Path(spec)
-    if not path.exists() and ":" in spec and not path.suffix:
+    if ":" in spec and not path.exists():
         return _function(spec)
-    if not path.exists():
-        if ":" in spec:
-            return _function(spec)
-        raise PredictorError(f"predictor {spec}: no such file; {_HOW}")
     try:
         if path.suffix == ".safetensors":
             return read_voxnet(path)
-        return _torchscript(path)
+        data = read_file(path, MAX_BYTES)
+        return _onnx(path, data) if path.suffix == ".onnx" else _script(path, data, trust_code)
     except FileError as error:
         raise PredictorError(f"predictor {error}; {_HOW}") from None
 
 
-def _torchscript(path: Path) -> ContactPredictor:
+class _OnnxNetwork:
+    """A network in onnxruntime."""
+
+    def __init__(self, session: Any) -> None:
+        self.session = session
+
+    def __call__(self, grid: Tensor) -> Tensor:
+        name = self.session.get_inputs()[0].name
+        (found,) = self.session.run(None, {name: grid.detach().cpu().numpy()})
+        return torch.from_numpy(found)
+
+
+def _onnx(path: Path, data: bytes) -> ContactPredictor:
+    """The network on one thread, so that its bits do not depend on the machine's cores."""
+    where = f"predictor {printable(path)}"
+    try:
+        import onnxruntime
+    except ImportError:
+        raise PredictorError(f"{where}: ONNX needs: pip install 'r2h_batch[onnx]'") from None
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    options.add_session_config_entry("session.load_model_format", "ONNX")
+    # weights in other files: nothing lies below a device, so every such file is refused
+    outside = "session.model_external_initializers_file_folder_path"
+    options.add_session_config_entry(outside, os.devnull)
+    try:
+        session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # its errors share no class but this one
+        if "xternal data" in str(error):
+            raise PredictorError(f"{where}: keeps weights in other files; {_HOW}") from None
+        why = " ".join(printable(error).split())[:200]
+        raise PredictorError(f"{where}: not a readable ONNX file ({why}); {_HOW}") from None
+    ends = len(session.get_inputs()), len(session.get_outputs())
+    if ends != (1, 1):
+        raise PredictorError(f"{where}: {ends[0]} inputs and {ends[1]} outputs; need one of each")
+    return _OnnxNetwork(session)
+
+
+def _script(path: Path, data: bytes, trust_code: bool) -> ContactPredictor:
     """A ScriptModule in evaluation mode on the CPU."""
-    data = read_file(path, MAX_BYTES)
+    where = f"predictor {printable(path)}"
     if not zipfile.is_zipfile(io.BytesIO(data)):
-        magic = data[:2]
-        kind = (
-            "a pickle, which runs code when read"
-            if magic[:1] == b"\x80"
-            else "neither TorchScript nor safetensors"
-        )
-        raise PredictorError(f"predictor {path}: {kind}; {_HOW}")
+        pickled = data[:1] == b"\x80"
+        kind = "a pickle, which runs code when read" if pickled else "no network that is known here"
+        raise PredictorError(f"{where}: {kind}; {_HOW}")
     with open_archive(path, MAX_BYTES) as archive:
-        names = [
-            m.filename for m in archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)
-        ]
+        members = archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)
+    names = [m.filename for m in members]
     if not any(n.endswith("constants.pkl") for n in names) or not any("/code/" in n for n in names):
-        raise PredictorError(
-            f"predictor {path}: a torch.save file (a pickle, which runs code when read); {_HOW}"
-        )
+        kind = "a torch.save file (a pickle, which runs code when read)"
+        raise PredictorError(f"{where}: {kind}; {_HOW}")
+    if not trust_code:
+        raise PredictorError(f"{where}: {_TRUST}")
     try:
         return torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
     except (RuntimeError, ValueError) as error:
         why = printable(str(error).strip().partition("\n")[0])[:200]
-        raise PredictorError(
-            f"predictor {path}: not a readable TorchScript file ({why}); {_HOW}"
-        ) from error
+        raise PredictorError(f"{where}: not a readable TorchScript file ({why}); {_HOW}") from error
 
 
 def _function(spec: str) -> ContactPredictor:
     module_name, _, name = spec.partition(":")
+    where = f"predictor {printable(spec)}"
+    if not all(part.isidentifier() for part in [*module_name.split("."), name]):
+        raise PredictorError(f"{where}: no such file, and no name of a function; {_HOW}")
     try:
         module = importlib.import_module(module_name)
-    except ImportError as error:
-        raise PredictorError(
-            f"predictor {spec}: module {module_name!r} cannot be imported ({error}); {_HOW}"
-        ) from error
+    except (Exception, SystemExit) as error:  # a user's module runs when it is imported
+        why = " ".join(f"{type(error).__name__}: {printable(error)}".split())[:200]
+        raise PredictorError(f"{where}: cannot import {module_name!r} ({why}); {_HOW}") from error
     found = getattr(module, name, None)
     if not callable(found):
         what = "has no" if found is None else f"has no function but a {type(found).__name__} called"
-        raise PredictorError(f"predictor {spec}: module {module_name} {what} {name!r}; {_HOW}")
+        raise PredictorError(f"{where}: module {module_name} {what} {name!r}; {_HOW}")
     return found

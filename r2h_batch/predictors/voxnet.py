@@ -161,8 +161,8 @@ def read_voxnet(path: str | Path) -> VoxNet:
         shape = tuple(found[name].shape) if name in found else "nothing"
         need = tuple(wanted[name].shape) if name in wanted else "no such weight"
         raise PredictorError(
-            f"predictor {path}: weight {name!r} is {shape}, VoxNet needs {need}; another network must come as TorchScript "
-            "(torch.jit.save) or as package.module:function"
+            f"predictor {path}: weight {name!r} is {shape}, VoxNet needs {need}; another network"
+            " must come as ONNX (.onnx) or as package.module:function"
         )
     net.load_state_dict(found)
     return net.eval()

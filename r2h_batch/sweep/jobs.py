@@ -338,7 +338,7 @@ def resolve(options: Options) -> None:
     if options.predictor:
         from r2h_batch.predictors import load_predictor
 
-        load_predictor(options.predictor)
+        load_predictor(options.predictor, trust_code=options.trust_code)
 
 
 def _function_of(word: str) -> str:
@@ -417,7 +417,7 @@ def _method_job(
         extra["noise"] = _noise(options)
         own = options.predictor if built_in and "predictor" in takes else ""
         if own:
-            extra["predictor"] = load_predictor(own)
+            extra["predictor"] = load_predictor(own, trust_code=options.trust_code)
         if seen is not None and "seen" in takes:
             extra["seen"] = seen
         if built_in:

@@ -107,8 +107,14 @@ class Options:
     predictor: str = _option(
         "",
         _CONFIG,
-        "contact network of method contact: a TorchScript file, VoxNet weights as .safetensors, or"
+        "contact network of method contact: .onnx, VoxNet weights as .safetensors, or"
         " package.module:function; default: the built-in VoxNet",
+    )
+    trust_code: bool = _option(
+        False,
+        _CONFIG,
+        "also accept a TorchScript file as --predictor: a program, which can write any file"
+        " (--trust-code; not in --config)",
     )
     predictor_noise: float = _option(
         1.0, _CONFIG, "factor on the error model of what the methods see; 0: they see the truth"
@@ -398,6 +404,10 @@ def load_config(path: Path) -> Options:
     try:
         data = read_yaml(path)
         _check_names(str(path), "field", data)
+        if data.get("trust_code"):  # the file may come from whoever made the network
+            raise UsageError(
+                f"{path}: trust_code is no option of a file; add the flag --trust-code"
+            )
         text = json.dumps(data, default=str)
         options = pydantic.TypeAdapter(Options).validate_json(text, strict=True)
         return replace(options, **{k: _expanded(v) for k, v in asdict(options).items()})

@@ -6,13 +6,15 @@ import os
 import pickle
 import resource
 import sys
+from collections import OrderedDict
 
 import numpy as np
 import pytest
 import scipy.sparse
 from mano_files import first_ten, with_fake_chumpy
 
-from r2h_batch.importers.safe_pickle import MAX_DEPTH, UnsafePickle, read_pickle
+from r2h_batch.importers.safe_pickle import MADE_BYTES, MAX_DEPTH, MAX_NUMBER_KEYS, MAX_STEPS, read_pickle
+from r2h_batch.io.read import FileError
 
 ARRAYS = {
     "float": np.arange(12.0).reshape(3, 4),
@@ -39,9 +41,15 @@ def equal(a, b):
 @pytest.mark.check
 @pytest.mark.parametrize("protocol", range(6))
 def test_data_comes_back_as_python_reads_it(protocol):
-    value = {**ARRAYS, "nested": [1, -(10**30), 2.5, "hörig", b"\x00\xff", (True, None, ()), {"a": {3: 4}}]}
+    shared = ["one"]
+    value = {
+        **ARRAYS,
+        "twice": [shared, shared],
+        "nested": [1, -(10**30), 2.5, "hörig", b"\x00\xff", (True, None, ()), {"a": {3: 4}}],
+    }
     raw = pickle.dumps(value, protocol)
-    assert equal(read_pickle(raw), pickle.loads(raw))
+    found = read_pickle(raw)
+    assert equal(found, pickle.loads(raw)) and found["twice"][0] is found["twice"][1]
 
 
 @pytest.mark.parametrize("protocol", (0, 2, 4))
@@ -64,15 +72,6 @@ class Runs:
         return os.system, ("touch /tmp/r2h_batch_pickle_ran",)
 
 
-class Deep:
-    def __reduce__(self):
-        return eval, ("1",)
-
-
-def memo_bomb():
-    return b"\x80\x02]r\xff\xff\xff\x7f."
-
-
 def nested(depth):
     value = []
     for _ in range(depth):
@@ -93,89 +92,114 @@ def cyclic():
     return value
 
 
-def claims(shape, raw=b"\x00" * 8, code="f8"):
-    """A pickle of an array that says another shape than its bytes have."""
-    function, arguments, _ = np.zeros(1).__reduce__()
+class Says:
+    """What a pickle of this asks for: a call, and a state."""
+
+    def __init__(self, *reduced):
+        self.reduced = reduced
+
+    def __reduce__(self):
+        return self.reduced
+
+
+def pickled(value):
     out = io.BytesIO()
-
-    class Liar:
-        def __reduce__(self):
-            return function, arguments, (1, shape, np.dtype(code), False, raw)
-
-    pickle.Pickler(out, 2).dump(Liar())
+    pickle.Pickler(out, 2).dump(value)
     return out.getvalue()
 
 
-def sparse_claims(**state):
+def array(shape, raw=b"\x00" * 8, dtype="f8"):
+    """An array that says another shape than its bytes have."""
+    function, arguments, _ = np.zeros(1).__reduce__()
+    return Says(function, arguments, (1, shape, np.dtype(dtype), False, raw))
+
+
+def sparse(**state):
     matrix = scipy.sparse.csc_matrix(np.eye(3))
     matrix.__dict__.update(state)
-    return pickle.dumps(matrix, 2)
+    return matrix
 
 
+def python2_arrays(dtype):
+    """Arrays that share one string, as Python 2 kept bytes: each makes bytes of it again."""
+    text = "A" * (1 << 20)
+    return [array((1 << 17,), text, dtype) for _ in range(9000)]
+
+
+MANY = np.zeros(4096, np.int32)
+DAG = [0] * 2000
 HOSTILE = {
-    "a call of the system": (pickle.dumps(Runs()), "asks for posix.system"),
-    "eval": (pickle.dumps(Deep()), "asks for builtins.eval"),
+    "a call of the system": (Runs(), "asks for posix.system"),
+    "eval": (Says(eval, ("1",)), "asks for __builtin__.eval"),
     "an allowed module's other name": (b"\x80\x02cnumpy\nload\n.", "asks for numpy.load"),
     "a dotted way out": (b"\x80\x04\x8c\x05numpy\x8c\x0eos.path.system\x93.", "asks for numpy.os.path.system"),
-    "a list that holds itself": (pickle.dumps(cyclic()), "contains itself"),
-    "too deep": (pickle.dumps(nested(MAX_DEPTH + 5)), "deep"),
-    "a huge shape": (claims((10**6, 10**6)), "with 8 bytes"),
-    "an overflowing shape": (claims((2**62, 4)), "with 8 bytes"),
-    "a shape of 4^30 numbers": (claims(laughs()), "shape tuple"),
-    "a negative shape": (claims((-1,)), "shape"),
-    "objects in an array of numbers": (claims((1,), code="O"), "items"),
+    "a list that holds itself": (cyclic(), "contains itself"),
+    "too deep": (nested(MAX_DEPTH + 5), "deep"),
+    "a huge shape": (array((10**6, 10**6)), "with 8 bytes"),
+    "an overflowing shape": (array((2**62, 4)), "with 8 bytes"),
+    "a shape of numbers without end": (array((1 << 90_000,)), "shape tuple"),
+    "a shape of 4^30 numbers": (array(laughs()), "shape tuple"),
+    "a negative shape": (array((-1,)), "shape"),
+    "objects in an array of numbers": (array((1,), dtype="O"), "items"),
     "a string that claims 2 GB": (b"\x80\x02T\xff\xff\xff\x7fabc.", "not a readable pickle"),
     "bytes that claim 2^60": (b"\x80\x04\x8e" + (2**60).to_bytes(8, "little") + b"abc.", "not a readable pickle"),
     "a frame without its bytes": (b"\x80\x04\x95" + (2**50).to_bytes(8, "little"), "ends before its end mark"),
-    "a sparse matrix of 10^18": (sparse_claims(_shape=(10**9, 10**9)), "unfolds to"),
-    "a sparse matrix that points outside": (sparse_claims(indices=np.array([0, 1, 99], np.int32)), "outside"),
-    "a sparse matrix with wrong starts": (sparse_claims(indptr=np.array([0, 9, 2, 3], np.int32)), "than it says"),
+    "a sparse matrix of 10^18": (sparse(_shape=(10**9, 10**9)), "makes far more bytes"),
+    "a sparse matrix of columns of columns": (
+        sparse(data=MANY * 1.0, indices=MANY[:, None], indptr=np.array([0, 4096, 4096, 4096])),
+        "without its numbers",
+    ),
+    "a sparse matrix that points outside": (sparse(indices=np.array([0, 1, 99], np.int32)), "outside"),
+    "a sparse matrix with wrong starts": (sparse(indptr=np.array([0, 9, 2, 3], np.int32)), "than it says"),
     "persistent ids": (b"P1\n.", "PERSID is not allowed"),
     "an extension code": (b"\x80\x02\x82\x01.", "EXT1 is not allowed"),
-    "a call of data": (b"\x80\x02]" + b"(tR.", "no allowed name"),
+    "a call of data": (b"\x80\x02](tR.", "no allowed name"),
     "an unhashable key": (b"\x80\x02}]K\x01s.", "key of type list"),
+    "a key without end": ({1 << 70: 1}, "key of type int, or too large"),
+    "keys whose hashes may collide": (dict.fromkeys(range(MAX_NUMBER_KEYS + 1)), "keys that are numbers"),
+    "such keys as pairs": (
+        Says(OrderedDict, ([[float(k), 0] for k in range(MAX_NUMBER_KEYS + 1)],)),
+        "keys that are numbers",
+    ),
+    "a place in the memo that is far away": (b"\x80\x02]r\xff\xff\xff\x7f.", "keeps value 2147483647"),
+    "one string in 9000 arrays": (python2_arrays("<f8"), "makes far more bytes than it holds"),
+    "one string in big-endian arrays": (python2_arrays(">f8"), "makes far more bytes"),
+    "one list in 2000 arrays": ([array((2000,), DAG, "O") for _ in range(2000)], "unfolds to more"),
+    "one tuple 4^30 times": (laughs(), "unfolds to more than"),
     "nothing": (b"", "ends before its end mark"),
     "text": (b"hello", "no pickle .it begins with b.hello"),
     "two values": (b"K\x01K\x02.", "leaves 2 values"),
+    "more instructions than are allowed": (b"N0" * (MAX_STEPS // 2) + b"N.", "has more than"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_pickles_are_refused_in_one_line(name):
-    raw, message = HOSTILE[name]
+    value, message = HOSTILE[name]
+    raw = value if isinstance(value, bytes) else pickled(value)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(UnsafePickle, match=message) as refused:
+    with pytest.raises(FileError, match=message) as refused:
         read_pickle(raw, where="hand.pkl")
     assert str(refused.value).startswith("hand.pkl: ") and "\n" not in str(refused.value)
     assert not os.path.exists("/tmp/r2h_batch_pickle_ran")
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 64 << 10  # kB
-
-
-def test_a_kept_value_with_a_huge_number_allocates_nothing():
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    assert read_pickle(memo_bomb()) == []
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 64 << 10  # kB; Python's own makes a table
-
-
-def test_a_file_beyond_the_limit_is_not_looked_at():
-    with pytest.raises(UnsafePickle, match="may have 10"):
-        read_pickle(b"x" * 11, max_bytes=10)
+    allowed = 6 * len(raw) + MADE_BYTES + (64 << 20)
+    assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) << 10 < allowed
 
 
 def test_every_cut_of_a_good_pickle_is_refused():
     raw = pickle.dumps(ARRAYS, 2)
     for end in range(0, len(raw) - 1, 7):
-        with pytest.raises(UnsafePickle):
+        with pytest.raises(FileError):
             read_pickle(raw[:end])
 
 
 def test_changed_bytes_never_raise_anything_else():
     raw = bytearray(pickle.dumps({**ARRAYS, "m": scipy.sparse.csc_matrix(np.eye(4))}, 2))
     rng = np.random.default_rng(1)
-    for _ in range(3000):
+    for _ in range(1000):
         changed = bytearray(raw)
         changed[int(rng.integers(len(raw)))] = int(rng.integers(256))
-        with contextlib.suppress(UnsafePickle):
+        with contextlib.suppress(FileError):
             read_pickle(bytes(changed))
 
 
@@ -186,11 +210,3 @@ def test_chumpy_arrays_are_read_without_chumpy():
     )
     assert "chumpy" not in sys.modules
     assert np.array_equal(read_pickle(raw)["shapedirs"], source[:, :, :10])
-
-
-def test_shared_values_stay_shared():
-    value = read_pickle(pickle.dumps(laughs(), 2))
-    for _ in range(30):
-        assert value[0] is value[3]
-        value = value[0]
-    assert value == (1,)

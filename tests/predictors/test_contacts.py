@@ -1,8 +1,7 @@
-"""The contact network: its file, its training, what is read from it, and a user's own in its place."""
+"""The contact network: its file, its training, and what is read from it."""
 
 import hashlib
 import json
-import pickle
 from importlib import resources
 
 import numpy as np
@@ -10,12 +9,12 @@ import pytest
 import torch
 
 from r2h_batch.bodies.objects import VOXELS, load_objects
-from r2h_batch.predictors import PredictorError, load_predictor, predict_contacts
+from r2h_batch.predictors import predict_contacts
 from r2h_batch.predictors.contact_maps import contact_map, touched_points
 from r2h_batch.predictors.contacts import CONTACT_THRESHOLD
 from r2h_batch.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.predictors.train_voxnet import Examples, augmented, examples, figures, train
-from r2h_batch.predictors.voxnet import VoxNet, load_voxnet, read_voxnet
+from r2h_batch.predictors.voxnet import VoxNet, load_voxnet
 from r2h_batch.receiver.receiving import CONTACT_M, load_receiving, receiving_digest
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import make_trials
@@ -36,11 +35,6 @@ def trials(scene):
 @pytest.fixture(scope="module")
 def log():
     return json.loads((FOLDER / "voxnet.json").read_text())
-
-
-def half(grid: torch.Tensor) -> torch.Tensor:
-    """A user's predictor: touched where x is positive."""
-    return (grid[:, 1] > 0).float()
 
 
 def wrong_shape(grid: torch.Tensor) -> torch.Tensor:
@@ -157,70 +151,8 @@ def test_contacts_are_read_at_the_clouds_points_and_do_not_depend_on_the_batch(s
     assert (row[handle] >= CONTACT_THRESHOLD).float().mean() > (row[~handle] >= CONTACT_THRESHOLD).float().mean()
 
 
-def test_a_python_function_takes_the_networks_place(scene, trials, monkeypatch, tmp_path) -> None:
-    (tmp_path / "own_contacts.py").write_text("def half(grid):\n    return (grid[:, 1] > 0).float()\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    found = predict_contacts(trials, scene, predictor=load_predictor("own_contacts:half"))
-    for row in (0, 20):
-        x = scene.objects[int(trials.object_index[row])].points[:, 0]
-        clear = np.abs(x) > 0.006
-        assert np.array_equal(found[row].numpy()[clear] == 1.0, x[clear] > 0)
-
-
-@pytest.mark.filterwarnings("ignore:`torch.jit:DeprecationWarning")
-def test_torchscript_and_safetensors_files_take_the_networks_place(scene, trials, tmp_path) -> None:
-    class Half(torch.nn.Module):
-        def forward(self, grid: torch.Tensor) -> torch.Tensor:
-            return (grid[:, 1] > 0).float()
-
-    torch.jit.save(torch.jit.trace(Half(), torch.zeros(1, 5, VOXELS, VOXELS, VOXELS)), tmp_path / "half.pt")
-    found = predict_contacts(trials, scene, predictor=load_predictor(str(tmp_path / "half.pt")))
-    assert torch.equal(found, predict_contacts(trials, scene, predictor=half))
-    (tmp_path / "own.safetensors").write_bytes((FOLDER / "voxnet.safetensors").read_bytes())
-    own = load_predictor(str(tmp_path / "own.safetensors"))
-    assert torch.equal(predict_contacts(trials, scene, predictor=own), predict_contacts(trials, scene, left_out=False))
-
-
 def test_wrong_answers_of_a_predictor_are_refused(scene, trials) -> None:
     with pytest.raises(ValueError, match=r"wrong_shape returned shape \(1, 64, 64\).*need a tensor \(1, 64, 64, 64\)"):
         predict_contacts(trials, scene, predictor=wrong_shape)
     with pytest.raises(ValueError, match=r"logits returned values from .*\(apply a sigmoid"):
         predict_contacts(trials, scene, predictor=logits)
-
-
-def test_pickles_and_other_files_are_refused_without_being_run(tmp_path) -> None:
-    class Trap:
-        def __reduce__(self):
-            return (open, (str(tmp_path / "ran"), "w"))
-
-    (tmp_path / "net.pkl").write_bytes(pickle.dumps(Trap()))
-    torch.save({"weight": Trap()}, tmp_path / "net.pt")
-    (tmp_path / "net.bin").write_bytes(b"hello")
-    (tmp_path / "broken.safetensors").write_bytes(b"hello")
-    for name, message in (
-        ("net.pkl", "a pickle, which runs code when read; give a TorchScript file"),
-        ("net.pt", "a torch.save file .*which runs code when read"),
-        ("net.bin", "neither TorchScript nor safetensors; give a TorchScript file"),
-        ("broken.safetensors", "not a readable .safetensors file"),
-        ("missing.pt", "no such file"),
-        (".", "not a regular file"),
-    ):
-        with pytest.raises(PredictorError, match=message):
-            load_predictor(str(tmp_path / name))
-    assert not (tmp_path / "ran").exists()
-    with pytest.raises(PredictorError, match="module 'no_such_module' cannot be imported"):
-        load_predictor("no_such_module:net")
-    with pytest.raises(PredictorError, match="has no 'missing'"):
-        load_predictor("json:missing")
-    with pytest.raises(PredictorError, match="has no function but a str called '__doc__'"):
-        load_predictor("json:__doc__")
-
-
-def test_weights_of_another_network_are_refused_by_name(tmp_path) -> None:
-    from safetensors.torch import save_file
-
-    weights = load_voxnet().state_dict()
-    del weights["out.bias"]
-    save_file({k: v.contiguous() for k, v in weights.items()}, tmp_path / "less.safetensors")
-    with pytest.raises(PredictorError, match=r"weight 'out.bias' is nothing, VoxNet needs \(1,\)"):
-        read_voxnet(tmp_path / "less.safetensors")

@@ -94,6 +94,7 @@ WANTS = {
     ),
     "clang-format": Want("clang-format", "pip install clang-format", lambda: shutil.which("clang-format") is not None),
     "h5py": _module("h5py", "import"),
+    "onnxruntime": _module("onnxruntime", "onnx"),
     "unshare": Want(
         "a way to cut the network off", "Linux with util-linux's unshare and user namespaces", _can_unshare
     ),

@@ -18,7 +18,6 @@ import numpy as np
 
 from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps
 from r2h_batch.importers.grasps.grippers import T_gripper_ee
-from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import numbers
 from r2h_batch.io.read import FileError, printable, read_file
 
@@ -39,7 +38,7 @@ def read(path: Path) -> tuple[GraspSet, int]:
     try:
         import h5py
     except ImportError:
-        raise ImportRefused("ACRONYM's .h5 needs h5py: pip install 'r2h_batch[import]'") from None
+        raise FileError("ACRONYM's .h5 needs h5py: pip install 'r2h_batch[import]'") from None
     where = printable(path)
     data = read_file(path, MOST)
     try:
@@ -57,15 +56,15 @@ def read(path: Path) -> tuple[GraspSet, int]:
         raise
     except (OSError, RuntimeError, ValueError, KeyError, TypeError, OverflowError) as error:
         text = " ".join(printable(error).split())[:120]
-        raise ImportRefused(f"{where}: not a readable HDF5 file ({text})") from None
+        raise FileError(f"{where}: not a readable HDF5 file ({text})") from None
     if not isinstance(kind, (bytes, str)):
-        raise ImportRefused(f"{where}: {KIND} is no word; ACRONYM's is 'panda'")
+        raise FileError(f"{where}: {KIND} is no word; ACRONYM's is 'panda'")
     name = kind.decode("utf-8", "replace") if isinstance(kind, bytes) else kind
     if name != "panda":
-        raise ImportRefused(f"{where}: gripper {printable(name[:40])!r}; ACRONYM's is the panda")
+        raise FileError(f"{where}: gripper {printable(name[:40])!r}; ACRONYM's is the panda")
     good = held > 0
     if not good.any():
-        raise ImportRefused(f"{where}: none of {len(T)} grasps held the object")
+        raise FileError(f"{where}: none of {len(T)} grasps held the object")
     arrays = {"T_obj_ee": T[good] @ T_gripper_ee(GRIPPER), "score": held[good]}
     return checked_grasps(arrays, where, GRIPPER), int((~good).sum())
 
@@ -75,24 +74,24 @@ def _read(h5py: Any, file: Any, name: str, where: str, most: int) -> Any:
     at = file
     for step in name.split("/"):
         if not isinstance(at, h5py.Group):
-            raise ImportRefused(f"{where}: {name} is not there")
+            raise FileError(f"{where}: {name} is not there")
         link = at.get(step, getlink=True)
         if link is None:
-            raise ImportRefused(f"{where}: has no {name}")
+            raise FileError(f"{where}: has no {name}")
         if not isinstance(link, h5py.HardLink):
-            raise ImportRefused(
+            raise FileError(
                 f"{where}: {name} is a link, perhaps to another file; only data in this file are read"
             )
         at = at[step]
     if not isinstance(at, h5py.Dataset) or at.external or at.is_virtual:
-        raise ImportRefused(
+        raise FileError(
             f"{where}: {name} keeps its numbers elsewhere; only data in this file are read"
         )
     if at.size is None or at.size > most or at.dtype.itemsize > 256:
-        raise ImportRefused(f"{where}: {name} has {at.size} numbers; at most {most} are allowed")
+        raise FileError(f"{where}: {name} has {at.size} numbers; at most {most} are allowed")
     # a chunk is unpacked whole
     if at.chunks is not None and math.prod(at.chunks) > max(MOST_CHUNK, at.size):
-        raise ImportRefused(
+        raise FileError(
             f"{where}: {name} lies in chunks of {math.prod(at.chunks)} numbers, more than it holds"
         )
     return np.asarray(at[()]) if at.shape else at[()]

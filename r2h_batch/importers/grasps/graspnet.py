@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps
 from r2h_batch.importers.grasps.grippers import PAD_HALF_M
-from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import numbers
-from r2h_batch.io.read import printable, read_npy
+from r2h_batch.io.read import FileError, printable, read_npy
 
 __all__ = ["read"]
 
@@ -28,21 +27,21 @@ def read(
     where = printable(path)
     rows = numbers(read_npy(path, most=MAX_GRASPS * 17 * 8 + 4096), (None, 17), where)
     if not len(rows):
-        raise ImportRefused(f"{where}: holds no grasp (0 x 17)")
+        raise FileError(f"{where}: holds no grasp (0 x 17)")
     if (odd := rows[:, 16] != np.round(rows[:, 16])).any():
         row = int(odd.argmax())
-        raise ImportRefused(
+        raise FileError(
             f"{where}: object {rows[row, 16]:g} of row {row}; objects are whole numbers"
         )
     mine = np.ones(len(rows), bool) if object_id is None else rows[:, 16] == object_id
     if not mine.any():
         ids = sorted({int(i) for i in rows[:, 16]})[:10]
-        raise ImportRefused(
+        raise FileError(
             f"{where}: no grasp of object {object_id}; there are objects {', '.join(map(str, ids))}"
         )
     if object_id is None and len(np.unique(rows[:, 16])) > 1:
         many = len(np.unique(rows[:, 16]))
-        raise ImportRefused(
+        raise FileError(
             f"{where}: grasps of {many} objects; choose one with --object-id of r2h-batch import grasps"
         )
     rows = rows[mine]

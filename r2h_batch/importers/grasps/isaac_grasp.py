@@ -15,9 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.grasp_set import GraspSet, checked_grasps
 from r2h_batch.importers.grasps.grippers import T_gripper_ee
-from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import numbers
-from r2h_batch.io.read import printable, read_yaml
+from r2h_batch.io.read import FileError, printable, read_yaml
 
 __all__ = ["read"]
 
@@ -29,19 +28,19 @@ def read(path: Path, gripper: str) -> tuple[GraspSet, int]:
     """The file's grasps, and 0."""
     where, found = printable(path), read_yaml(path, most=MOST, deepest=DEEPEST)
     if found.get("format") != "isaac_grasp" or float(found.get("format_version") or 0) != 1.0:
-        raise ImportRefused(f"{where}: format is no isaac_grasp 1.0")
+        raise FileError(f"{where}: format is no isaac_grasp 1.0")
     grasps = found.get("grasps")
     if not isinstance(grasps, dict) or not 1 <= len(grasps) <= MAX_GRASPS:
-        raise ImportRefused(f"{where}: needs 1 to {MAX_GRASPS} named grasps")
+        raise FileError(f"{where}: needs 1 to {MAX_GRASPS} named grasps")
     T, score = np.tile(np.eye(4), (len(grasps), 1, 1)), np.zeros(len(grasps))
     for i, (name, grasp) in enumerate(grasps.items()):
         at = f"{where}: {printable(name)[:40]}"
         turn = grasp.get("orientation") if isinstance(grasp, dict) else None
         if not isinstance(grasp, dict) or not isinstance(turn, dict):
-            raise ImportRefused(f"{at} has no orientation with w and xyz")
+            raise FileError(f"{at} has no orientation with w and xyz")
         q = numbers([*_list(turn.get("xyz")), *_list([turn.get("w")])], (4,), f"{at} orientation")
         if abs(np.linalg.norm(q) - 1) > 1e-2:
-            raise ImportRefused(f"{at} orientation is no rotation")
+            raise FileError(f"{at} orientation is no rotation")
         T[i, :3, :3] = Rotation.from_quat(q).as_matrix()
         T[i, :3, 3] = numbers(grasp.get("position"), (3,), f"{at} position")
         score[i] = float(numbers([grasp.get("confidence", 1.0)], (1,), f"{at} confidence")[0])

@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
 from r2h_batch.bodies.mesh_import.limits import ObjectMeshError
 from r2h_batch.bodies.solid import Surface
-from r2h_batch.importers.reading import ImportRefused
 from r2h_batch.importers.sequences import files_below
 from r2h_batch.io.read import FileError, path_within, printable, read_file
 
@@ -61,14 +60,14 @@ def find(folder: Path) -> list[tuple[str, str, Path]]:
         for oid, entry in _dictionary(meta, MAX_META_BYTES).items():
             name = entry.get("name") if isinstance(entry, dict) else None
             if not isinstance(name, str) or meta.name not in META:
-                raise ImportRefused(f"{printable(meta)}: {printable(oid)[:40]} has no name")
+                raise FileError(f"{printable(meta)}: {printable(oid)[:40]} has no name")
             at = path_within(base / META[meta.name], name)
             if at.is_dir():
                 found.append((oid, name, at))
             else:
                 missing += 1
     if not found:
-        raise ImportRefused(
+        raise FileError(
             f"{printable(folder)}: of {missing} objects in metaV2 no folder OakInkObjectsV2/NAME is here"
         )
     return sorted(found)
@@ -79,7 +78,7 @@ def read(oid: str, name: str, at: Path, parts: dict[str, list[Path]]) -> OakObje
     `ObjectMeshError`."""
     files = [p for kind in ("align_ds", "align") for p in _meshes(at / kind)]
     if not files:
-        raise ImportRefused(f"{printable(at)}: no .obj or .ply in align_ds or align")
+        raise FileError(f"{printable(at)}: no .obj or .ply in align_ds or align")
     mesh = load_mesh_file(files[0], printable(name))
     label, names, held = _labels(mesh, parts.get(name) or parts.get(oid) or [], printable(name))
     middle = mesh.bounds.mean(axis=0)
@@ -92,7 +91,7 @@ def part_files(folder: Path) -> dict[str, list[Path]]:
     found: dict[str, list[Path]] = {}
     try:
         files = files_below(folder, "**/part_*.json")
-    except ImportRefused:
+    except FileError:
         return {}
     for path in files:
         found.setdefault(path.parent.name, []).append(path)
@@ -113,7 +112,7 @@ def _labels(
         name = said.get("name")
         name = name[0] if isinstance(name, list) and name else name
         if not isinstance(name, str) or not isinstance(attributes, list):
-            raise ImportRefused(f"{printable(file)}: needs name and attr")
+            raise FileError(f"{printable(file)}: needs name and attr")
         part = load_mesh_file(file.with_suffix(".ply"), label)
         names.append(_name(name))
         if HELD in attributes:
@@ -122,7 +121,7 @@ def _labels(
     nearest = np.stack(distance)
     off = float(np.quantile(nearest.min(axis=0), 0.95))
     if off > ON_PART * float(mesh.extents.max()):
-        raise ImportRefused(
+        raise FileError(
             f"{label}: its parts are {1e3 * off:.1f} mm from its mesh; are both in one frame?"
         )
     kept = tuple(dict.fromkeys(names))
@@ -163,11 +162,9 @@ def _dictionary(path: Path, most: int) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         if isinstance(error, FileError):
             raise
-        raise ImportRefused(
-            f"{printable(path)}: no readable JSON ({printable(error)[:100]})"
-        ) from None
+        raise FileError(f"{printable(path)}: no readable JSON ({printable(error)[:100]})") from None
     if not isinstance(data, dict):
-        raise ImportRefused(f"{printable(path)}: holds a {type(data).__name__}; need fields")
+        raise FileError(f"{printable(path)}: holds a {type(data).__name__}; need fields")
     return data
 
 

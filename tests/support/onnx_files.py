@@ -1,0 +1,39 @@
+"""Small ONNX files. The format is protobuf: each field is its number, its length and its bytes."""
+
+
+def varint(value: int) -> bytes:
+    out = b""
+    while value > 127:
+        out, value = out + bytes([value % 128 + 128]), value // 128
+    return out + bytes([value])
+
+
+def message(*fields):
+    """A protobuf message of (number, value): whole numbers, text, or the bytes of a message inside."""
+    out = b""
+    for number, value in fields:
+        if isinstance(value, int):
+            out += varint(8 * number) + varint(value)
+        else:
+            data = value.encode() if isinstance(value, str) else value
+            out += varint(8 * number + 2) + varint(len(data)) + data
+    return out
+
+
+def numbers(name, *shape):
+    """A named input or output of float32."""
+    dims = message(*((1, message((1, n))) for n in shape))
+    return message((1, name), (2, message((1, message((1, 1), (2, dims))))))
+
+
+def contact_network(channel: int = 1, *, file: str = "", inputs: int = 1) -> bytes:
+    """The sigmoid of one channel of (1, 5, 64, 64, 64); `file`: the channel's number stands in that file."""
+    axis = message((1, "axis"), (3, 1), (20, 2))
+    pick = message((1, "grid"), (1, "channel"), (2, "picked"), (4, "Gather"), (5, axis))
+    sigmoid = message((1, "picked"), (2, "contact"), (4, "Sigmoid"))
+    here = [(9, channel.to_bytes(8, "little"))]
+    there = [(13, message((1, "location"), (2, file))), (14, 1)]
+    constant = message((2, 7), (8, "channel"), *(there if file else here))
+    grids = [(11, numbers(name, 1, 5, 64, 64, 64)) for name in ("grid", "more")[:inputs]]
+    parts = [(1, pick), (1, sigmoid), (2, "g"), (5, constant), *grids, (12, numbers("contact", 1, 64, 64, 64))]
+    return message((1, 8), (7, message(*parts)), (8, message((2, 17))))
