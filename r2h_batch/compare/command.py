@@ -43,7 +43,7 @@ def run(
         runs: run folders, as `r2h-batch sweep --out` writes them; one with several methods is
             enough. The word baselines stands for the built-in methods' rows, which ship with the
             package. Runs of different size are compared on the trials that they share.
-        seed: of the bootstrap.
+        seed: of the bootstrap that gives the ranks.
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
     """

@@ -23,7 +23,8 @@ FORMATS = ("md", "latex", "csv", "json")
 
 NOTES = (
     "Holm p: McNemar's exact test, corrected over all pairs. It decides for these objects.",
-    f"95 % new obj. and #1: a bootstrap over objects ({DRAWS} draws, percentiles). They speak about new objects.",
+    f"95 % new obj.: a t interval over objects. #1: a bootstrap over objects ({DRAWS} draws). Both speak about new"
+    " objects.",
     "better, worse: decided for these objects and for new ones. better here, worse here: decided for these objects"
     " only. tied: not decided.",
 )

@@ -1,5 +1,5 @@
-"""Which method is better, decided on the same trials: McNemar's test, Holm's correction, and a
-bootstrap over objects for intervals and ranks."""
+"""Which method is better, decided on the same trials: McNemar's test, Holm's correction, a t interval
+over objects, and a bootstrap over objects for ranks."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,6 +8,7 @@ from itertools import combinations
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+from scipy.special import stdtrit
 
 from r2h_batch.io.read import printable
 from r2h_batch.runs.columns import codes
@@ -81,7 +82,8 @@ class Pair:
         a: the first method.
         b: the second method.
         difference: of the success rates, in points.
-        low: lower end of the difference's 95 % interval for new objects; None with one object.
+        low: lower end of the difference's 95 % t interval over objects, which speaks about new
+            ones; None with one object.
         high: its upper end.
         only_a: trials that only the first solves.
         only_b: trials that only the second solves.
@@ -319,8 +321,8 @@ def compare(paired: Paired, *, draws: int = DRAWS, seed: int = 0) -> tuple[Compa
 
     Args:
         paired: what `pair_up` gives.
-        draws: of the bootstrap over objects.
-        seed: of the bootstrap.
+        draws: of the bootstrap over objects, for the ranks.
+        seed: of the bootstrap. No verdict depends on it.
     """
     groups = [(SPLITS[k], [k]) for k in range(len(SPLITS)) if paired.trials[k].any()]
     if len(groups) > 1:
@@ -338,12 +340,7 @@ def _compare(group: str, paired: Paired, splits: list[int], draws: int, seed: in
     lines = []
     for (i, j), (only_i, only_j), raw, adjusted in zip(pairs, only, p, holm(p)):
         difference = 100 * (only_i - only_j) / n
-        ends = (
-            None
-            if sampled is None
-            else np.quantile(100 * (sampled[:, i] - sampled[:, j]), [0.025, 0.975])
-        )
-        low, high = (None, None) if ends is None else (float(ends[0]), float(ends[1]))
+        low, high = _interval(paired, splits, i, j) or (None, None)
         word = "better" if difference > 0 else "worse"
         if adjusted >= ALPHA:
             word = "tied"
@@ -356,6 +353,28 @@ def _compare(group: str, paired: Paired, splits: list[int], draws: int, seed: in
     rates = tuple(float(100 * (hits / n)) for hits in paired.hits[splits].sum((0, 2)))
     rank = None if sampled is None else rank_probabilities(sampled)
     return Comparison(group, n, names, rates, tuple(lines), rank)
+
+
+def _interval(paired: Paired, splits: Sequence[int], i: int, j: int) -> tuple[float, float] | None:
+    """The 95 % t interval of the difference of two methods' rates, in points; None with one object.
+
+    It is the ratio estimator sum(d) / sum(n) over objects, as in `aggregate.clustered_rate`: the
+    splits are strata, and each object of a stratum is one draw. The degrees of freedom are objects
+    minus strata.
+    """
+    n = paired.trials[splits].astype(np.float64)
+    d = (paired.hits[splits, i] - paired.hits[splits, j]).astype(np.float64)
+    variance, freedom = 0.0, 0
+    for trials, more in zip(n, d):
+        residual = (more - d.sum() / n.sum() * trials)[trials > 0]
+        k = len(residual)
+        if k < 2:
+            return None
+        variance += k / (k - 1) * ((residual - residual.mean()) ** 2).sum()
+        freedom += k - 1
+    half = stdtrit(freedom, 1 - ALPHA / 2) * np.sqrt(variance) / n.sum()
+    middle = d.sum() / n.sum()
+    return float(100 * max(middle - half, -1.0)), float(100 * min(middle + half, 1.0))
 
 
 def _resampled_rates(

@@ -64,20 +64,31 @@ def test_words_say_what_is_decided_and_for_what():
     assert words["m0", "m3"] == "tied"
 
 
-def test_the_clustered_interval_of_the_difference_covers_the_truth_of_new_objects():
+@pytest.mark.parametrize("splits", [1, 2])
+def test_the_interval_for_new_objects_covers_the_truth_and_knows_no_seed(splits):
     """Methods whose difference varies by object: 16 drawn objects, the truth is the mean over all objects."""
     random = np.random.default_rng(2)
     hits, plain = 0, 0
-    runs, k, n = 400, 16, 40
+    runs, k, n = 300, 16, 40
+    split = np.repeat(np.arange(k) * splits // k, n)
     for _ in range(runs):
         rate = random.normal(0.55, 0.12, (2, k)).clip(0.02, 0.98)
-        success = random.random((2, k, n)) < rate[:, :, None]
-        (c,) = pairing.compare(paired(success.reshape(2, -1), np.repeat(np.arange(k), n)), draws=400)
-        (pair,) = c.pairs
+        success = (random.random((2, k, n)) < rate[:, :, None]).reshape(2, -1)
+        own = paired(success, np.repeat(np.arange(k), n), split)
+        pair, again = (pairing.compare(own, draws=2, seed=seed)[-1].pairs[0] for seed in (0, 1))
+        assert pair == again
         hits += pair.low <= 0 <= pair.high
         plain += pair.p >= 0.05
-    assert 0.88 < hits / runs < 0.97  # percentiles of 16 clusters: a little short of 95 %
+    assert 0.93 < hits / runs < 0.975
     assert plain / runs < 0.85  # McNemar speaks about these objects only and says so
+
+
+def test_the_interval_of_one_split_is_the_t_interval_of_the_objects_differences():
+    success = np.random.default_rng(3).random((2, 12 * 30)) < [[0.6], [0.4]]
+    (c,) = pairing.compare(paired(success, np.repeat(np.arange(12), 30)), draws=2)
+    means = 100 * (success[0].astype(float) - success[1]).reshape(12, 30).mean(1)
+    low, high = stats.t.interval(0.95, 11, loc=means.mean(), scale=stats.sem(means))
+    assert (c.pairs[0].low, c.pairs[0].high) == pytest.approx((low, high), abs=1e-9)
 
 
 def test_rank_probabilities_are_shares_of_draws_and_ties_share():
