@@ -18,7 +18,7 @@ from manifold3d import Manifold
 from r2h_batch.assets.objects import shapes_s0, shapes_s1, shapes_s1_goods
 from r2h_batch.assets.objects.remesh import Surface, Vec, imprint, remesh
 from r2h_batch.assets.objects.shapes import Parts, Spec
-from r2h_batch.bodies.objects import OBJECT_NAMES, ObjectModel, build_object, object_digest, read_object
+from r2h_batch.bodies.objects import OBJECT_NAMES, SAID, ObjectModel, build_object, object_digest, read_object
 
 HERE = Path(__file__).resolve().parent
 SPECS = {s.name: s for s in (*shapes_s0.SPECS, *shapes_s1.SPECS, *shapes_s1_goods.SPECS)}
@@ -137,7 +137,7 @@ def main() -> None:
     figures = json.loads(path.read_text())["objects"] if path.exists() else {}
     for name in args.names or OBJECT_NAMES:
         model = build(SPECS[name])
-        arrays = {f.name: np.asarray(getattr(model, f.name)) for f in fields(model) if f.name != "grasps"}
+        arrays = {f.name: np.asarray(getattr(model, f.name)) for f in fields(model) if f.name not in SAID}
         np.savez_compressed(args.out / f"{name}.npz", allow_pickle=False, **arrays)
         figures[name] = report(model, SPECS[name])
         print(name, {k: v for k, v in figures[name].items() if k not in ("frame", "digest", "parts")}, flush=True)

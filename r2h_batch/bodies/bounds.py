@@ -1,6 +1,8 @@
 """Bounding capsules and lever arms for the collision kernels (float64 NumPy, on loading a
 scene)."""
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog
@@ -109,30 +111,43 @@ def support_cells(points: Array) -> Array:
     """Rows (216 + n, 3) of a hull for geometry/body.py: first row and number of points of each
     direction cell, then blocks.
 
-    A cell keeps every point that can be farthest along some direction of it: those that no other
-    point beats in all four corner directions (a linear function that is smaller at the corners is
-    smaller in between).
+    A cell keeps every point that can be farthest along some direction of it (`_farthest`). Of what
+    a side of the cube keeps, its rows of cells keep a part, and of that its cells.
     """
     edges = np.linspace(-1.0, 1.0, CELLS_PER_EDGE + 1)
     header, kept, total = [], [], 6 * CELLS_PER_EDGE**2
     for axis in range(3):
         for sign in (1.0, -1.0):
-            for u in range(CELLS_PER_EDGE):
-                for v in range(CELLS_PER_EDGE):
-                    corner = np.empty((4, 3))
-                    corner[:, axis] = sign
-                    corner[:, (axis + 1) % 3] = edges[[u, u + 1, u, u + 1]]
-                    corner[:, (axis + 2) % 3] = edges[[v, v, v + 1, v + 1]]
-                    height = points @ corner.T
-                    rivals = np.unique(np.append(height.argmax(0), np.argsort(height.sum(1))[-8:]))
-                    beaten = np.any(
-                        np.all(height[:, None] < height[None, rivals] - 1e-9, axis=2), axis=1
-                    )
-                    cell = points[~beaten]
+            side = _farthest(points, axis, sign, (-1.0, 1.0), (-1.0, 1.0))
+            for u in pairwise(edges):
+                row = _farthest(side, axis, sign, u, (-1.0, 1.0))
+                for v in pairwise(edges):
+                    cell = _farthest(row, axis, sign, u, v)
                     header.append((total, len(cell), 0))
                     kept.append(point_blocks(cell))
                     total += len(kept[-1])
     return np.concatenate([np.array(header, dtype=np.float64), *kept])
+
+
+def _farthest(
+    points: Array, axis: int, sign: float, u: tuple[float, float], v: tuple[float, float]
+) -> Array:
+    """The points that can be farthest along a direction whose coordinate `axis` is `sign` and whose
+    next two lie in u and v.
+
+    Left out is what one other point beats along all four corners of these directions: a linear
+    function that is smaller at the corners is smaller in between.
+    """
+    corner = np.empty((4, 3))
+    corner[:, axis] = sign
+    corner[:, (axis + 1) % 3] = np.repeat(u, 2)
+    corner[:, (axis + 2) % 3] = np.tile(v, 2)
+    height = points @ corner.T
+    rivals = np.unique(np.append(height.argmax(0), np.argsort(height.sum(1))[-8:]))
+    beaten = np.zeros(len(points), dtype=bool)
+    for rival in rivals:
+        beaten |= (height < height[rival] - 1e-9).all(1)
+    return points[~beaten]
 
 
 def gripper_balls(robot: Robot) -> tuple[Array, Array]:

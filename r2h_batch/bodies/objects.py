@@ -84,8 +84,7 @@ class ObjectModel:
     receiver_face: NDArray[np.bool_]
     """(F,) the faces of the receiver's region G_O^H"""
     hull_vertices: NDArray[np.float32]
-    """the convex hull; where that has more than 256 vertices, a convex body of about 256 that
-    encloses it closely"""
+    """the convex hull of ``vertices``, all of its vertices"""
     hull_faces: NDArray[np.int32]
     piece_vertices: NDArray[np.float32]
     """vertices of all convex pieces; piece k has rows

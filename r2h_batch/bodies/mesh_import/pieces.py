@@ -15,7 +15,6 @@ from r2h_batch.bodies.mesh_import.manifold import simplified_to
 __all__ = ["convex_hull", "convex_pieces"]
 
 MAX_PIECES = 16
-MAX_HULL_VERTICES = 256
 FACES, DETAIL_M, COARSEST_M = 2500, 1e-4, 2.5e-4
 """A user's surface is cut with 0.1 to 0.25 mm less detail: as little less as leaves it that many
 faces."""
@@ -29,47 +28,11 @@ FINE = {"threshold": 0.04, "resolution": 2000, "mcts_iterations": 40, "max_conve
 Hull = tuple[NDArray[np.float32], NDArray[np.int32]]
 
 
-def convex_hull(points: NDArray[np.float64], most: int = MAX_HULL_VERTICES) -> Hull:
-    """The convex hull; where it has more than ``most`` vertices, a convex body of about that many
-    that encloses it."""
-    hull = trimesh.convex.convex_hull(points)
-    if len(hull.vertices) > most:
-        hull = _enclosing_body(hull.vertices, most)
-    hull = trimesh.convex.convex_hull(hull.vertices.astype(np.float32).astype(np.float64))
+def convex_hull(points: NDArray[np.float64]) -> Hull:
+    """The convex hull, its vertices rounded to float32; no vertex is left out."""
+    rounded = trimesh.convex.convex_hull(points).vertices.astype(np.float32)
+    hull = trimesh.convex.convex_hull(rounded.astype(np.float64))
     return hull.vertices.astype(np.float32), hull.faces.astype(np.int32)
-
-
-def _enclosing_body(points: NDArray[np.float64], most: int) -> trimesh.Trimesh:
-    """The hull of well spread extreme points, its vertices pushed outwards until nothing is left
-    outside."""
-    step = np.arange(most // 2) + 0.5
-    z, turn = 1 - 2 * step / len(step), np.pi * (1 + 5**0.5) * step
-    ring = np.sqrt(1 - z**2)
-    spread = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
-    kept = {
-        int(k)
-        for k in np.argmax(points @ np.concatenate([spread, np.eye(3), -np.eye(3)]).T, axis=0)
-    }
-    body = trimesh.convex.convex_hull(points[sorted(kept)])
-    while len(kept) < most:
-        outside = points @ body.face_normals.T - _offsets(body)
-        worst = np.argmax(outside, axis=0)
-        for f in np.argsort(-outside.max(axis=0), kind="stable")[: max(1, (most - len(kept)) // 4)]:
-            kept.add(int(worst[f]))
-        body = trimesh.convex.convex_hull(points[sorted(kept)])
-    for _ in range(50):
-        excess = (points @ body.face_normals.T - _offsets(body)).max(axis=0)
-        if excess.max() <= -1e-8:
-            break
-        along = np.einsum("fi,fki->fk", body.face_normals, body.vertex_normals[body.faces])
-        push = np.zeros(len(body.vertices))
-        np.maximum.at(push, body.faces, (excess[:, None] + 5e-8).clip(0) / along.clip(0.2))
-        body = trimesh.convex.convex_hull(body.vertices + push[:, None] * body.vertex_normals)
-    return body
-
-
-def _offsets(body: trimesh.Trimesh) -> NDArray[np.float64]:
-    return np.asarray(np.einsum("ij,ij->i", body.face_normals, body.triangles[:, 0]))
 
 
 def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> list[Hull]:
