@@ -27,6 +27,7 @@ from r2h_batch.judge.distance import (
     hand_distance_at,
     nearer_of,
     person_distance,
+    within_slack,
 )
 from r2h_batch.judge.goal import failed_clearance, judge_goals, weaken_singular_reason
 from r2h_batch.judge.grasp_physics import shake
@@ -385,13 +386,14 @@ class Evaluator:
 
         touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
         body_m, part = self._person_distance(held, trials, executed.path, executed.length)
-        body_m = body_m - executed.slack_m
+        body_m = within_slack(body_m, executed.slack_m)
         found = (planned.length > 0) & executed.settled
         clearance_m = torch.where(found, planned.clearance_m, missed_m)
         moves = active & (executed.length > 0)
         shared, touch = self._judge(
-            held, found, moves, clearance_m, touch, (body_m, part), executed.valid
-        )
+            held, found, moves, clearance_m, planned.reason, touch, (body_m, part),
+            executed.valid,
+        )  # fmt: skip
         return motion_scores(
             trials.trial_id, shared, active, planned, motion, executed, touch, config.execute,
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
@@ -413,7 +415,7 @@ class Evaluator:
         person = self._person_distance(held, trials, executed.path, executed.length)
         free = planned.reason == int(PlanReason.OK)
         shared, touch = self._judge(
-            held, free, active, planned.clearance_m, touch, person, executed.valid
+            held, free, active, planned.clearance_m, planned.reason, touch, person, executed.valid
         )
         return motion_scores(
             trials.trial_id, shared, active, planned, motion, executed, touch, None,
@@ -432,7 +434,7 @@ class Evaluator:
         touch = hand_distance_at(scene, held.body_poses, goal.q, active, threads=threads)
         body_m, part = self._person_distance(held, trials, goal.q[:, None], active.to(torch.int32))
         shared, touch = self._judge(
-            held, goal.free, active, goal.clearance_m, touch, (body_m, part), None
+            held, goal.free, active, goal.clearance_m, goal.reason, touch, (body_m, part), None
         )
         scores = pose_scores(trials.trial_id, shared, goal, touch, body_m=body_m)
         if torch.is_grad_enabled() and (T_obj_ee.requires_grad or T_world_ee.requires_grad):
@@ -446,6 +448,7 @@ class Evaluator:
         free: Tensor,
         moves: Tensor,
         clearance_m: Tensor,
+        reason: Tensor,
         touch: NearestApproach,
         body: tuple[Tensor, Tensor],
         valid: Tensor | None,
@@ -460,7 +463,7 @@ class Evaluator:
             rows = held.active & (held.grasp.margin_m >= 0)
             slip_m = shake(scene.objects, held.objects, held.attached, rows, threads=threads)
         evidence = metrics.Evidence(
-            scene, config, held, free, moves, clearance_m, touch.distance_m, slip_m, threads
+            scene, config, held, free, moves, clearance_m, reason, touch, slip_m, threads
         )
         region = presented(scene, held, config.thresholds, threads=threads)
         return verdict(metrics.judge(evidence), held, slip_m, region, valid), touch

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.verdicts import CRITERIA, Outcome, PlanReason
+from r2h_batch.verdicts import CRITERIA, MarginKind, Outcome, PlanReason
 
 __all__ = [
     "counted",
@@ -84,10 +84,15 @@ def scores_table(
 
 
 def scalars_of(
-    passed: Array, evaluated: Array, margin: Array, outcome: Array, times: Mapping[str, Array]
+    passed: Array,
+    evaluated: Array,
+    margin: Array,
+    kind: Array,
+    outcome: Array,
+    times: Mapping[str, Array],
 ) -> dict[str, float]:
     """Numbers for a logger: `success`, `outcome/NAME`, `passed/NAME` and `margin_m/NAME` of
-    criteria, means of times.
+    criteria, means of times. Margins that are caps are no lengths: no mean has them.
 
     Rates are of all rows (outcomes) or of those evaluated (criteria); what no row has is left out,
     so nothing is NaN.
@@ -98,10 +103,10 @@ def scalars_of(
         return {}
     found = {"success": float((codes == Outcome.SUCCESS).mean())}
     found |= {f"outcome/{o.name.lower()}": float((codes == o).mean()) for o in Outcome}
-    p, e, m = (np.reshape(x, (-1, len(CRITERIA))) for x in (passed, evaluated, margin))
+    p, e, m, kinds = (np.reshape(x, (-1, len(CRITERIA))) for x in (passed, evaluated, margin, kind))
     for k, name in enumerate(CRITERIA):
         mine = e[:, k]
-        finite = m[mine & np.isfinite(m[:, k]), k]
+        finite = m[mine & np.isfinite(m[:, k]) & (kinds[:, k] != MarginKind.CAP), k]
         if mine.any():
             found[f"passed/{name}"] = float(p[mine, k].mean())
         if len(finite):
@@ -126,6 +131,7 @@ def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
     """The columns of a frame of scores; `names(field)` gives a field of `Scores` as an array of B
     rows."""
     passed, evaluated, margin = names("passed"), names("evaluated"), names("margin")
+    kind = names("margin_kind")
     columns: dict[str, Any] = {
         "trial_id": names("trial_id"),
         "outcome": [Outcome(int(o)).name.lower() for o in names("outcome")],
@@ -138,5 +144,6 @@ def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
             bool(p) if e else None for p, e in zip(passed[:, k], evaluated[:, k])
         ]
         columns[f"margin_{name}_m"] = margin[:, k]
+        columns[f"margin_kind_{name}"] = [MarginKind(int(i)).name.lower() for i in kind[:, k]]
     times = ("t_plan_s", "t_exec_s", "width_m", "opening_m", "grasp_shift_m")
     return columns | {name: names(name) for name in times}

@@ -15,13 +15,22 @@ from r2h_batch import summary
 from r2h_batch.soft import soft_success
 from r2h_batch.validate import describe_value, instance_of, integer, sequence_of
 from r2h_batch.validate_tensors import row_index
-from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Outcome, PlanReason
+from r2h_batch.verdicts import (
+    CRITERIA,
+    SIDES,
+    SPLITS,
+    CollidingPair,
+    MarginKind,
+    Outcome,
+    PlanReason,
+)
 
 __all__ = [
     "CRITERIA",
     "SIDES",
     "SPLITS",
     "CollidingPair",
+    "MarginKind",
     "Outcome",
     "PlanReason",
     "Predictions",
@@ -220,15 +229,19 @@ class Scores(_Rows):
     """Verdicts of B trials. (B, C) columns follow `CRITERIA`; what was not evaluated is a mask, its
     margin NaN.
 
-    `margin` is in metres, positive when the criterion passes. `witness_part` names the robot part
+    `margin` is in metres, positive when the criterion passes. `margin_kind` (`MarginKind`) says what
+    it is. DISTANCE: a length, to 0.1 mm. BOUND: bodies overlap, and the margin is minus a lower
+    bound of their penetration depth, the shortest translation that parts them. CAP: the clearance
+    is this or more (5 cm; Stability 1 cm), or there is nothing to measure (-inf; nothing between
+    the pads). `witness_part` names the robot part
     (`Scene.part_names`) of Plan's and Safe's smallest clearance, `witness_time_s` and
     `witness_point` (world frame) when and where Safe's occurs. `borderline`: some evaluated
     criterion has a margin smaller than 0.1 mm, where float32 does not decide it. `presented`: the
     receiver's region faces the palm and lies where the hand reaches (no part of the outcome), by
     its angle seen from the TCP and its distance from c_h; False and NaN where the object has no
-    region. `body_m`: how near the robot comes to the receiver's arm and torso (m, negative: they
-    meet; NaN where the protocol gives no body, or there is no motion), exact below 5 cm; no verdict
-    depends on it unless `EvalConfig.receiver` is "body". `slip_m`: how far the object slipped in
+    region. `body_m`: how near the robot comes to the receiver's arm and torso (m), exact below 5 cm;
+    negative: they meet, and it is a bound as of a margin; NaN where the protocol gives no body, or
+    there is no motion. No verdict depends on it unless `EvalConfig.receiver` is "body". `slip_m`: how far the object slipped in
     the shake (NaN unless `stability = "physics"` shook it). `motion`: the executed joint angles,
     one row every `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the
     trials whose simulation failed, up to the failure, and of all that moved where
@@ -242,6 +255,7 @@ class Scores(_Rows):
     passed: Bool[Tensor, "b c"]
     evaluated: Bool[Tensor, "b c"]
     margin: Float32[Tensor, "b c"]
+    margin_kind: Int8[Tensor, "b c"]
     borderline: Bool[Tensor, " b"]
     plan_reason: Int8[Tensor, " b"]
     plan_pair: Int8[Tensor, " b"]
@@ -328,13 +342,13 @@ class Scores(_Rows):
         return "\n".join(lines)
 
     def scalars(self) -> dict[str, float]:
-        """Plain numbers for any logger: rates of outcomes and criteria, mean margins (m) and times
-        (s); none is NaN."""
-        passed, evaluated, margin, outcome = (
-            self._array(k) for k in ("passed", "evaluated", "margin", "outcome")
+        """Plain numbers for any logger: rates of outcomes and criteria, mean margins (m, without
+        those that are caps) and times (s); none is NaN."""
+        passed, evaluated, margin, kind, outcome = (
+            self._array(k) for k in ("passed", "evaluated", "margin", "margin_kind", "outcome")
         )
         times = {name: self._array(name) for name in ("t_plan_s", "t_exec_s")}
-        return summary.scalars_of(passed, evaluated, margin, outcome, times)
+        return summary.scalars_of(passed, evaluated, margin, kind, outcome, times)
 
     def to_pandas(self) -> Any:
         """A pandas DataFrame, a row for each of B (or N x K) rows, the columns of a run folder's

@@ -65,6 +65,21 @@ if tuple(Outcome.__members__)[1 : len(REGISTRY) + 1] != tuple(c.upper() for c in
     )
 
 
+class MarginKind(IntEnum):
+    """What a stored margin says (`Scores.margin_kind`). Averages of margins leave `CAP` out."""
+
+    NONE = 0
+    """Not evaluated: there is no margin."""
+    DISTANCE = 1
+    """A length, to 0.1 mm: a clearance, a width, or how far a target is out of reach."""
+    BOUND = 2
+    """Below 0: bodies overlap. The penetration depth (the length of the shortest translation that
+    parts them) is at least this."""
+    CAP = 3
+    """No length: the clearance is this or more, or there is nothing to measure (-inf; nothing
+    between the pads)."""
+
+
 class PlanReason(IntEnum):
     """Why Plan passed or failed; `IK_*` are proven, `NO_PATH_IN_BUDGET` is not; `NOT_SETTLED`: the
     motion did not come to rest.

@@ -54,12 +54,7 @@ def path_overlap(
     pair_out: wp.array(dtype=int),
     body_out: wp.array(dtype=int),
 ):
-    """Minus the way out of the deepest overlap found along each path, its pair and the robot's body.
-
-    Deepest by growth distance (plan/posture.py): -(1 - s) r. The push there has the length r / rho(n), so that divided by it
-    the clearance is -(1 - s) rho(n): how far the bodies have to be moved apart along the normal n at which they would only
-    touch. Shallow overlaps have no shorter way out; of deep ones it is a bound from above.
-    """
+    """Minus a lower bound of the deepest penetration depth along each path (plan/posture.py), its pair and the robot's body."""
     trial = row_in[first + wp.tid()]
     last = length_in[trial] - 1
     R = wp.zeros(shape=7, dtype=wp.mat33)
@@ -94,8 +89,7 @@ def path_overlap(
             at = wp.clamp(s, 0.0, float(last))
             pair_out[trial] = found.pair
             body_out[trial] = found.body
-            slope = wp.length(found.push)
-            clearance_out[trial] = best / wp.where(slope > 0.0, wp.min(slope, 1.0), 1.0)
+            clearance_out[trial] = best
         if segment < last:
             if deeper:
                 step = 0.5 / float(steps)

@@ -1,7 +1,8 @@
 """Smallest clearance of one posture over all pairs that the planner checks, with its witness; overlaps are measured too.
 
-Separated pairs have their distance. Pairs that meet have minus a lower bound of their overlap, from the growth distance
-(Ong and Gilbert 1996). Let the body A hold a ball of radius r about its centre m, and shrink it about m:
+Separated pairs have their distance. Pairs that meet have minus a lower bound of their penetration depth, which is the
+length of the shortest translation that parts them. The bound comes from the growth distance (Ong and Gilbert 1996). Let
+the body A hold a ball of radius r about its centre m, and shrink it about m:
 
     A(s) = m + s (A - m),    s* = the scale at which A(s) only touches the other body B.
 
@@ -12,7 +13,12 @@ direction, and so at least (1 - s*) r: the clearance is -(1 - s*) r. It is 0 whe
 they meet, and stays at -r once m is in B.
 
 s* is approached from below. At a scale s that is clear of B by g along n, the same plane still parts them at
-s + g / rho(n): each step is certified, and n converges to the normal at the touch. Where A moves by u relative to B, the
+s + g / rho(n): each step is certified, and n converges to the normal at the touch. A(s) is not small enough to say how deep
+they meet, but it is at most g away from B, and A(t) holds A(s) grown by (t - s) r. So they meet at t = s + g / r, and
+
+    (1 - s*) r  >=  (1 - s) r - g,
+
+with GJK's upper bound for g. Every step gives such a bound, and the largest counts. Where A moves by u relative to B, the
 gap grows by n . u, s* by n . u / rho(n), and the clearance by (r / rho(n)) n . u: that vector is `push`."""
 
 import warp as wp
@@ -247,7 +253,7 @@ class Overlap:
 #     DEEPER          scale 1 + known / r: as small as an overlap of `known` would have it. Clear: not deeper, done
 #     AT_FLOOR        scale 1 + floor / r. Clear there: growth starts from it. Else to AT_FLOOR_AGAIN
 #     AT_FLOOR_AGAIN  0.95 of that, as the rounding allowance makes a touch look like an overlap. Still met: given up
-#     GROW            scale grows by gap / rho(n) until the gap is TOUCH_M: the clearance is -(1 - scale) r
+#     GROW            scale grows by gap / rho(n) until the gap is TOUCH_M: the clearance is gap - (1 - scale) r
 #
 # Without a floor in reach of the body's ball growth starts at its centre (scale 0), which is clear unless it is inside.
 @wp.func
@@ -284,30 +290,28 @@ def pair_clearance(world: World, body: BodyInPlace, obstacle: Obstacle, known: f
                 out.point = dist.point
         elif phase == DEEPER and dist.lower >= 0.0:
             running = False
-        elif phase <= DEEPER and floor > -body.inner:
-            phase = AT_FLOOR
-            scale = 1.0 + floor / body.inner
         elif phase <= DEEPER:
-            phase = GROW
-            scale = 0.0
-            out.clearance = -body.inner
+            out.clearance = wp.min(known, 0.0)
+            phase = wp.where(floor > -body.inner, AT_FLOOR, GROW)
+            scale = wp.max(1.0 + floor / body.inner, 0.0)
         elif phase == AT_FLOOR and dist.lower <= TOUCH_M:
             phase = AT_FLOOR_AGAIN
             scale = 0.95 * scale
-        elif dist.lower <= TOUCH_M:
+        elif phase == AT_FLOOR_AGAIN and dist.lower <= TOUCH_M:
             running = False
-            if phase == AT_FLOOR_AGAIN:
-                out.given_up = 1
+            out.given_up = 1
         else:
             phase = GROW
+            # they are at least so deep, whether or not growth has come to the touch
+            out.clearance = wp.min(out.clearance, wp.max(dist.upper, 0.0) - (1.0 - scale) * body.inner)
+            running = dist.lower > TOUCH_M
             n_hat = wp.normalize(dist.v)
             d = -(wp.transpose(R) * n_hat)
             # minus rho(n)
             reach = wp.dot(n_hat, R * (support(body.shape, world.points, d) - body.middle)) - body.shape.radius
-            running = reach < -1.0e-9
+            running = running and reach < -1.0e-9
             if running:
                 scale = wp.min(scale - (dist.lower + TOUCH_M) / reach, 1.0)
-                out.clearance = -(1.0 - scale) * body.inner
                 out.push = (-body.inner / reach) * n_hat
                 out.point = dist.point
             steps += 1

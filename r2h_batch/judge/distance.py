@@ -28,10 +28,14 @@ __all__ = [
     "hand_distance_at",
     "nearer_of",
     "person_distance",
+    "within_slack",
 ]
 
 SAFE_TOLERANCE_M = 2e-5
 """How exactly the smallest distance over time is located."""
+
+TOUCH_M = 1e-6
+"""Bodies that meet have at most minus this as their distance."""
 
 MOVED = 3
 """A motion recorded sample by sample has so many times the room of a path in the frontier's queues."""
@@ -50,8 +54,8 @@ def person_distance(
     each path; the robot's body.
 
     Metres, located to 0.02 mm, exact below 5 cm, a lower bound (5 cm, body -1) above; NaN and -1
-    without a path. Where they meet: minus the way out of the deepest overlap found, as a sampled
-    path's margin of Plan is (kernels/judge/overlap.py).
+    without a path. Where they meet: minus a lower bound of the deepest penetration depth found, as
+    a sampled path's margin of Plan is (kernels/judge/overlap.py).
     """
     alone = with_person(scene, body_poses, receiver, hand=False)
     tables = {"world": alone.tables(scene), "bodies": alone.bodies}
@@ -123,8 +127,8 @@ def hand_distance(
 
     The exact mesh of the hand against the primitives of the robot, without the object. Exact below
     5 cm and a lower bound above; in an overlap minus the depth of the deepest point of the hand in
-    a primitive. Between two samples the arm may be off the line by `slack_m`: the distance is less
-    by that much.
+    a primitive, which no translation that parts them can be shorter than. Between two samples the
+    arm may be off the line by `slack_m` (`within_slack`).
     """
     b, device = len(active), active.device
     distance, fraction = torch.zeros((2, b), dtype=torch.float32, device=device).unbind(0)
@@ -154,8 +158,18 @@ def hand_distance(
     # the search for the smallest distance ends where bodies meet: how deep is a search of its own
     inputs = {**tables, "row": meets, **motion}
     launch_trials(hand_overlap, len(meets), inputs=inputs, outputs=found, chunk=1, **on)
-    distance = torch.where(moves, distance - executed.slack_m, torch.nan)
+    distance = torch.where(moves, within_slack(distance, executed.slack_m), torch.nan)
     return NearestApproach(distance, torch.where(moves, body, -1), segment, fraction, point)
+
+
+def within_slack(
+    distance_m: Float32[Tensor, " b"], slack_m: Float32[Tensor, " b"]
+) -> Float32[Tensor, " b"]:
+    """What a signed distance says of bodies that may be `slack_m` off their place: apart, they are
+    no nearer than this; where they meet, no less deep. Bodies that are apart by less than the slack
+    may meet, but not by any known depth: -1e-6 m."""
+    deep = (distance_m + slack_m).clamp(max=-TOUCH_M)
+    return torch.where(distance_m < 0, deep, (distance_m - slack_m).clamp(min=-TOUCH_M))
 
 
 def hand_distance_at(

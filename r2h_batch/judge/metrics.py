@@ -9,17 +9,18 @@ derive from the registry.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Bool, Float32, Float64, Int8, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, EvalConfig
 from r2h_batch.judge.attach import AttachedBatch
-from r2h_batch.judge.grasp import region_distance
+from r2h_batch.judge.distance import NearestApproach
+from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
 from r2h_batch.judge.grasp_physics import DROPPED_M
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.launch import launch_trials
 from r2h_batch.scene.scene import Scene
-from r2h_batch.verdicts import REGISTRY
+from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
 
 __all__ = ["Criterion", "Evidence", "affordance", "judge", "plan", "reach", "safe", "stability"]
 
@@ -34,16 +35,32 @@ class Criterion:
     margin: Float32[Tensor, " b"]  # m; NaN where not evaluated
     passed: Bool[Tensor, " b"]
     evaluated: Bool[Tensor, " b"]
+    kind: Int8[Tensor, " b"]  # MarginKind, whatever `evaluated` says
 
     @staticmethod
-    def of(name: str, margin: Float32[Tensor, " b"], evaluated: Bool[Tensor, " b"]) -> "Criterion":
-        """The criterion `name`, which passes at a margin above 0.
+    def of(
+        name: str,
+        margin: Float32[Tensor, " b"],
+        evaluated: Bool[Tensor, " b"],
+        kind: Int8[Tensor, " b"] | None = None,
+    ) -> "Criterion":
+        """The criterion `name`, which passes at a margin above 0; without `kind` it is a distance.
 
         At 0 it passes where the registry says that touching passes. An evaluated row whose margin
         is NaN fails: NaN is neither above 0 nor equal to it.
         """
         passed = (margin >= 0) if _TOUCHING_PASSES[name] else (margin > 0)
-        return Criterion(torch.where(evaluated, margin, torch.nan), passed & evaluated, evaluated)
+        if kind is None:
+            kind = torch.full_like(margin, int(MarginKind.DISTANCE), dtype=torch.int8)
+        margin = torch.where(evaluated, margin, torch.nan)
+        return Criterion(margin, passed & evaluated, evaluated, kind)
+
+
+def kind_of(clearance_m: Float32[Tensor, " b"], cap_m: float) -> Int8[Tensor, " b"]:
+    """MarginKind of clearances that count up to `cap_m`: BOUND below 0, CAP from the cap on."""
+    below, capped = clearance_m < 0, clearance_m >= cap_m
+    kind = torch.where(below, int(MarginKind.BOUND), int(MarginKind.DISTANCE))
+    return torch.where(capped, int(MarginKind.CAP), kind).to(torch.int8)
 
 
 @dataclass(frozen=True)
@@ -56,7 +73,8 @@ class Evidence:
     free: Bool[Tensor, " b"]  # the arm came to rest at the end of a path, or the posture is free
     moves: Bool[Tensor, " b"]  # active, and with a motion; in stages="pose": active
     clearance_m: Float32[Tensor, " b"]  # of the path; without one, or without motion, of a posture
-    person_m: Float32[Tensor, " b"]  # distance of the robot from the receiver
+    reason: Int32[Tensor, " b"]  # PlanReason
+    touch: NearestApproach  # of the robot to the receiver
     slip_m: Float64[Tensor, " b"] | None  # in the shake, NaN where it failed; None: not shaken
     threads: int | None = None
 
@@ -75,14 +93,20 @@ def stability(e: Evidence) -> Criterion:
     object, which counts 1 cm at most. With `stability="physics"` also 2 cm - slip: the friction
     grasp has to hold the object through its weight and a shake along three axes.
     """
-    geometric = Criterion.of("stability", e.held.grasp.margin_m, e.held.active)
+    grasp = e.held.grasp
+    held = torch.where(grasp.empty, int(MarginKind.CAP), int(MarginKind.DISTANCE)).to(torch.int8)
+    cuts = grasp.margin_m == grasp.cut_m
+    kind = torch.where(cuts, kind_of(grasp.cut_m, CUT_CAP_M), held)
+    geometric = Criterion.of("stability", grasp.margin_m, e.held.active, kind)
     if e.slip_m is None:
         return geometric
     left = torch.where(e.slip_m.isnan(), -torch.inf, DROPPED_M - e.slip_m).float()
     margin = torch.minimum(geometric.margin, left)
     # only grasps that pass geometrically were shaken
     margin = torch.where(geometric.passed, margin, geometric.margin)
-    return Criterion.of("stability", margin, e.held.active)
+    slips = torch.where(left.isinf(), int(MarginKind.CAP), int(MarginKind.DISTANCE))
+    kind = torch.where(margin < geometric.margin, slips.to(torch.int8), kind)
+    return Criterion.of("stability", margin, e.held.active, kind)
 
 
 def plan(e: Evidence) -> Criterion:
@@ -93,8 +117,12 @@ def plan(e: Evidence) -> Criterion:
     not come to rest at its goal: no length says by how much. A path that was found passes, also
     where its clearance was only sampled.
     """
-    active = e.held.active
-    return Criterion(torch.where(active, e.clearance_m, torch.nan), e.free & active, active)
+    active, kind = e.held.active, kind_of(e.clearance_m, CLEARANCE_CAP_M)
+    missed = e.reason == int(PlanReason.IK_UNREACHABLE)  # by how far
+    kind = torch.where(missed, int(MarginKind.DISTANCE), kind)
+    kind = torch.where(e.clearance_m.isinf(), int(MarginKind.CAP), kind).to(torch.int8)
+    margin = torch.where(active, e.clearance_m, torch.nan)
+    return Criterion(margin, e.free & active, active, kind)
 
 
 def reach(e: Evidence) -> Criterion:
@@ -141,7 +169,8 @@ def affordance(e: Evidence) -> Criterion:
         known=True,
         threads=e.threads,
     )
-    return Criterion.of("affordance", distance, held.active & ~torch.isnan(distance))
+    kind = kind_of(distance, CLEARANCE_CAP_M)
+    return Criterion.of("affordance", distance, held.active & ~torch.isnan(distance), kind)
 
 
 def safe(e: Evidence) -> Criterion:
@@ -150,4 +179,6 @@ def safe(e: Evidence) -> Criterion:
 
     With `receiver="body"` arm and torso of the receiver count as the hand does.
     """
-    return Criterion.of("safe", e.person_m - e.config.thresholds.safe_margin_m, e.moves)
+    distance, cap_m = e.touch.distance_m, CLEARANCE_CAP_M
+    kind = kind_of(torch.where(e.touch.body < 0, cap_m, distance), cap_m)
+    return Criterion.of("safe", distance - e.config.thresholds.safe_margin_m, e.moves, kind)

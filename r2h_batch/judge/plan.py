@@ -52,7 +52,7 @@ class Plan:
     # robot body of the nearest pair (Scene.part_names), -1: none below the cap
     body: Int32[Tensor, " b"]
     # smallest along the path over all pairs, exact below 5 cm; of a sampled path that passes
-    # through something, minus the way out of the deepest overlap found; -inf without a path
+    # through something, minus a lower bound of the deepest penetration depth; -inf without a path
     clearance_m: Float32[Tensor, " b"]
     straight: Bool[Tensor, " b"]  # the path is one straight joint-space line
     path: Float32[Tensor, "b w 6"]

@@ -16,7 +16,7 @@ from r2h_batch.judge.plan import Plan
 from r2h_batch.judge.presented import Presented
 from r2h_batch.motion.execute import Executed, executed_time_at
 from r2h_batch.motion.time_law import Motion, time_at
-from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
+from r2h_batch.types import CollidingPair, MarginKind, Outcome, PlanReason, Scores
 
 __all__ = ["motion_scores", "pose_scores", "verdict"]
 
@@ -36,7 +36,8 @@ def verdict(
     is INVALID_INPUT.
     """
     active, grasp = held.active, held.grasp
-    margin = torch.stack([c.margin for c in criteria], 1)  # (B, C), as the two below
+    margin = torch.stack([c.margin for c in criteria], 1)  # (B, C), as the three below
+    kind = torch.stack([c.kind for c in criteria], 1)
     passed = torch.stack([c.passed for c in criteria], 1)
     evaluated = torch.stack([c.evaluated for c in criteria], 1)
     if valid is not None:
@@ -54,6 +55,7 @@ def verdict(
         "passed": passed,
         "evaluated": evaluated,
         "margin": margin,
+        "margin_kind": torch.where(evaluated, kind, int(MarginKind.NONE)).to(torch.int8),
         "borderline": (evaluated & (margin.abs() < BORDERLINE_M)).any(1),
         "width_m": torch.where(active, grasp.width_m, torch.nan),
         "opening_m": torch.where(active, grasp.opening_m, torch.nan),

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Outcome, PlanReason
+from r2h_batch.verdicts import (
+    CRITERIA,
+    SIDES,
+    SPLITS,
+    CollidingPair,
+    MarginKind,
+    Outcome,
+    PlanReason,
+)
 
 if TYPE_CHECKING:  # readers of rows need no torch
     from r2h_batch.types import Predictions, Scores, Trials
@@ -19,6 +27,9 @@ of its own kind."""
 
 OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing")
 """Name of every outcome code, in order."""
+
+KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
+"""Name of every kind of margin, in order from code 1."""
 
 _NAME = pa.dictionary(pa.int32(), pa.string())
 _POSE = pa.list_(pa.float32(), 16)
@@ -33,6 +44,8 @@ TRIAL_SCHEMA = pa.schema(
         *(pa.field(f"passed_{c}", pa.bool_()) for c in CRITERIA),  # null: not evaluated
         # positive: passes; null: none is defined
         *(pa.field(f"margin_{c}_m", pa.float32()) for c in CRITERIA),
+        # distance, bound or cap (verdicts.MarginKind); null: no margin
+        *(pa.field(f"margin_kind_{c}", _NAME) for c in CRITERIA),
         pa.field("plan_reason", _NAME),  # verdicts.PlanReason
         # what met where Plan failed: verdicts.CollidingPair, null: none
         pa.field("plan_pair", _NAME),
@@ -52,6 +65,7 @@ TRIAL_SCHEMA = pa.schema(
     ]
 )
 LATER_COLUMNS = (
+    *(f"margin_kind_{c}" for c in CRITERIA),
     "nearest_pair",
     "width_m",
     "presented",
@@ -173,10 +187,8 @@ def score_rows(
     ids = _array(scores.trial_id)
     if not np.array_equal(ids, _array(trials.trial_id)):
         raise ValueError("scores and trials must have the same trial_id in the same order")
-    passed, evaluated, margin = (
-        _array(scores.passed),
-        _array(scores.evaluated),
-        _array(scores.margin),
+    passed, evaluated, margin, kind = (
+        _array(getattr(scores, k)) for k in ("passed", "evaluated", "margin", "margin_kind")
     )
     pair, has_path = _array(scores.plan_pair).astype(np.int32), _array(scores.path_len) > 0
     pairs = [p.name.lower() for p in CollidingPair]
@@ -189,6 +201,7 @@ def score_rows(
             for i, c in enumerate(CRITERIA)
         },
         **{f"margin_{c}_m": _floats(margin[:, i]) for i, c in enumerate(CRITERIA)},
+        **{f"margin_kind_{c}": _named(kind[:, i] - 1, KINDS) for i, c in enumerate(CRITERIA)},
         "plan_reason": _named(scores.plan_reason, [r.name.lower() for r in PlanReason]),
         "plan_pair": _named(np.where(has_path | (pair == CollidingPair.NONE), -1, pair), pairs),
         "nearest_pair": _named(np.where(has_path & (pair != CollidingPair.NONE), pair, -1), pairs),

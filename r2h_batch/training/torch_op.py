@@ -45,6 +45,7 @@ _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "passed": (torch.bool, (len(CRITERIA),)),
     "evaluated": (torch.bool, (len(CRITERIA),)),
     "margin": (torch.float32, (len(CRITERIA),)),
+    "margin_kind": (torch.int8, (len(CRITERIA),)),
     "borderline": (torch.bool, ()),
     "presented": (torch.bool, ()),
     "plan_reason": (torch.int8, ()),

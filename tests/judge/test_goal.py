@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 from oracle import Staged as Twin
-from oracle import hand_triangles, mujoco_scene
+from oracle import geom_depth, hand_triangles, mujoco_scene
 from problems import Batch, assert_same, default_evaluator, make_batch
 from scipy.optimize import least_squares, linprog
 from staging import GOAL, GOOD, START, batch_of, staged_evaluator
 
 from r2h_batch import se3
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
-from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.config import HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.goal import Goal, judge_goals
@@ -262,6 +262,28 @@ def test_overlaps_of_object_and_hand_are_growth_distances(judged):
             assert pieces > 0 and float(goal.clearance_m[row]) == pytest.approx(least, abs=2e-5)
             decided += 1
     assert len(rows) > 20 and decided > 3
+
+
+def test_no_overlap_is_said_to_be_deeper_than_it_is(judged):
+    """Minus the clearance of every goal in collision is at most its pair's penetration depth, as Qhull has it."""
+    scene, goal = judged.scene, judged.goal
+    rows = torch.nonzero((goal.clearance_m < 0) & (goal.body >= 0)).flatten().tolist()
+    ratio, kinds = [], set()
+    for row in rows:
+        twin, pair = mujoco_scene(scene, judged.twin(row)), CollidingPair(int(goal.nearest[row]))
+        at_home = int(goal.reason[row]) == PlanReason.START_IN_COLLISION
+        twin.clearances(HOME_Q if at_home else goal.q[row].double().numpy())  # puts the model there
+        other = int(goal.other[row])
+        names = {CollidingPair.HAND: f"hand_{other}", CollidingPair.OBJECT_HAND: f"hand_{other}"}
+        on_table = pair in (CollidingPair.TABLE, CollidingPair.OBJECT_TABLE)
+        mine = scene.part_names[int(goal.body[row])].replace("object", "object_0")
+        met = "table" if on_table else names.get(pair, scene.part_names[other])
+        depth = geom_depth(twin.model, twin.data, twin.model.geom(mine).id, twin.model.geom(met).id)
+        said = -float(goal.clearance_m[row])
+        assert said <= depth + 1e-6, (row, mine, met, said, depth)
+        ratio.append(said / depth)
+        kinds.add(pair)
+    assert len(rows) > 40 and len(kinds) >= 3 and np.median(ratio) > 0.2, (len(rows), kinds, np.median(ratio))
 
 
 def test_the_witness_says_how_the_clearance_changes_when_the_hand_moves(judged):

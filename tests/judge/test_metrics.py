@@ -16,7 +16,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.robot import Kind, gripper_primitives_at
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, EvalConfig, ExecConfig, Thresholds
 from r2h_batch.judge import metrics
-from r2h_batch.judge.distance import hand_distance
+from r2h_batch.judge.distance import hand_distance, within_slack
 from r2h_batch.judge.grasp import (
     CUT_CAP_M,
     Grasp,
@@ -28,7 +28,7 @@ from r2h_batch.judge.grasp import (
 )
 from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import time_path
-from r2h_batch.types import CRITERIA, Outcome, PlanReason, Scores
+from r2h_batch.types import CRITERIA, MarginKind, Outcome, PlanReason, Scores
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)
 N = 256
@@ -49,7 +49,7 @@ def as_planned(problems: Problems) -> Executed:
     return execute(default_evaluator().scene, problems.body_poses, plan.path, plan.length, motion, config)
 
 
-STAGES = ("clearance_m", "free", "moves", "person_m")
+STAGES = ("clearance_m", "free", "moves", "reason", "touch")
 
 
 def evidence(active: torch.Tensor, safe_margin_m: float = 0.0, **found: Any) -> Any:
@@ -305,12 +305,50 @@ def test_a_safety_margin_is_taken_off():
     active = torch.ones(N, dtype=torch.bool)
     touch = hand_distance(scene, problems.body_poses, as_planned(problems), active)
     found = s.path_len > 0
-    plain, strict = (
-        metrics.safe(evidence(active, moves=found, person_m=touch.distance_m, safe_margin_m=m)) for m in (0.0, 0.02)
-    )
+    plain, strict = (metrics.safe(evidence(active, moves=found, touch=touch, safe_margin_m=m)) for m in (0.0, 0.02))
     assert torch.equal(plain.margin[found], s.margin[found, SAFE])
     torch.testing.assert_close(strict.margin[found], plain.margin[found] - 0.02)
     assert int(strict.passed.sum()) < int(plain.passed.sum())
+
+
+def test_a_margin_says_whether_it_is_a_distance_a_bound_or_a_cap():
+    """Every margin of whole trials and of the pose stage, by what else is known of the row."""
+    batch, _, s = scored()
+    scene = default_evaluator().scene
+    p = default_evaluator().score(batch.T_obj_ee, batch.T_world_ee, batch.trials, "pose")
+    grasp = close_gripper(scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
+    distance, bound, cap = (int(k) for k in (MarginKind.DISTANCE, MarginKind.BOUND, MarginKind.CAP))
+    for scores in (s, p):
+        margin, kind = scores.margin, scores.margin_kind
+        assert torch.equal(kind == int(MarginKind.NONE), ~scores.evaluated) and torch.equal(margin.isnan(), kind == 0)
+        cuts = grasp.cut_m < torch.where(grasp.empty, -1.0, grasp.margin_m + 1e-7)
+        expected = torch.where(cuts, torch.where(grasp.cut_m < 0, bound, distance), distance)
+        expected[cuts & (grasp.cut_m == CUT_CAP_M)] = cap
+        expected[~cuts & grasp.empty] = cap
+        assert torch.equal(kind[:, STABILITY].int(), expected.int())
+        assert (kind[:, REACH] == distance).all()
+        missed = scores.plan_reason == int(PlanReason.IK_UNREACHABLE)
+        by_length = {
+            PLAN: ~missed & margin[:, PLAN].isfinite(), AFFORDANCE: scores.evaluated[:, AFFORDANCE],
+            SAFE: scores.evaluated[:, SAFE],
+        }  # fmt: skip
+        for column, rows in by_length.items():
+            m, k = margin[rows, column], kind[rows, column]
+            assert torch.equal(k == cap, m >= 0.05) and torch.equal(k == bound, m < 0)
+            assert torch.equal(k == distance, (m >= 0) & (m < 0.05))
+            assert (k == cap).any() and (k == distance).any()
+        assert (kind[margin.isinf()] == cap).all()
+        assert (kind[missed & margin[:, PLAN].isfinite(), PLAN] == distance).all()
+        finite = margin[:, PLAN][(kind[:, PLAN] != cap) & (kind[:, PLAN] != 0)].double()
+        assert scores.scalars()["margin_m/plan"] == pytest.approx(float(finite.mean()))
+    assert (p.margin_kind[:, PLAN] == bound).any() and (p.margin_kind[:, SAFE] == bound).any()
+
+
+def test_slack_takes_off_what_is_apart_and_what_is_deep_but_never_makes_an_overlap_of_a_gap():
+    distance = torch.tensor([0.03, 0.001, 0.0, -0.001, -0.03, torch.nan])
+    found = within_slack(distance, torch.full_like(distance, 0.002))
+    expected = torch.tensor([0.028, -1e-6, -1e-6, -1e-6, -0.028, torch.nan])
+    torch.testing.assert_close(found, expected, equal_nan=True)
 
 
 def test_inactive_rows_are_not_judged():
@@ -324,8 +362,8 @@ def test_inactive_rows_are_not_judged():
     touch = hand_distance(scene, problems.body_poses, as_planned(problems), none)
     found = evidence(
         none, grasp=grasp, ball=ball, objects=batch.trials.object_index, attached=problems.T_obj_ee_attached,
-        squeezed_m=grasp.opening_m, free=problems.plan.length > 0, moves=none, person_m=touch.distance_m,
-        clearance_m=problems.plan.clearance_m,
+        squeezed_m=grasp.opening_m, free=problems.plan.length > 0, moves=none, touch=touch,
+        clearance_m=problems.plan.clearance_m, reason=problems.plan.reason,
     )  # fmt: skip
     for c in metrics.judge(found):
         assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()

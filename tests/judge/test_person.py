@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
+from oracle import deepest_along
 
 from r2h_batch import evaluate
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig
@@ -107,6 +108,19 @@ def test_the_smallest_distance_along_a_path_is_that_of_mujoco_sampled_finely(ask
             assert -3e-5 < least - found < 2e-3, i
         else:
             assert least < 1e-3, i
+
+
+def test_an_overlap_with_the_body_is_said_to_be_no_deeper_than_it_is(asked, as_paper):
+    rows = torch.nonzero(as_paper.body_m < -1e-4).flatten().tolist()
+    assert len(rows) >= 4
+    ratio = []
+    for i in rows[:4]:
+        twin, path = Twin(evaluator("hand").scene, asked[2], as_paper, i), as_paper.path[i, : int(as_paper.path_len[i])]
+        pairs = np.array([(a, b) for a in twin.robot for b in twin.person])
+        depth, said = deepest_along(twin.model, twin.data, pairs, path.double().numpy()), -float(as_paper.body_m[i])
+        assert said <= depth + 1e-4, (i, said, depth)
+        ratio.append(said / depth)
+    assert np.median(ratio) > 0.1, ratio
 
 
 def test_the_frontier_finds_the_distances_of_one_thread(asked):

@@ -90,7 +90,8 @@ def test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed(simula
     for _ in range(5):
         margin = 3e-4 * torch.randn(N, generator=g)
         evaluated = torch.rand(N, generator=g) < 0.8
-        criteria.append(Criterion(torch.where(evaluated, margin, torch.nan), (margin > 0) & evaluated, evaluated))
+        kind = torch.randint(1, 4, (N,), generator=g, dtype=torch.int8)
+        criteria.append(Criterion(torch.where(evaluated, margin, torch.nan), (margin > 0) & evaluated, evaluated, kind))
     active, valid = (torch.rand(N, generator=g) < 0.8 for _ in range(2))
     lengths = {k: torch.rand(N, generator=g) for k in ("width_m", "opening_m", "shift_m")}
     held = SimpleNamespace(active=active, grasp=SimpleNamespace(**lengths))
@@ -105,6 +106,8 @@ def test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed(simula
         outcome = int(Outcome.INVALID_SIM) if not judged else outcome
         outcome = int(Outcome.INVALID_INPUT) if not active[i] else outcome
         assert int(found["outcome"][i]) == outcome and bool(found["success"][i]) == (outcome == 0)
+        kinds = [int(c.kind[i]) if a else 0 for a, c in zip(asked, criteria, strict=True)]
+        assert found["margin_kind"][i].tolist() == kinds
         assert found["evaluated"][i].tolist() == asked and found["passed"][i].tolist() == fine
         near = any(a and abs(float(c.margin[i])) < 1e-4 for a, c in zip(asked, criteria, strict=True))
         assert bool(found["borderline"][i]) == near

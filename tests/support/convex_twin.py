@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull, QhullError
 
 from r2h_batch.bodies.robot import Kind
 
@@ -106,6 +107,21 @@ def convex_distance(a: Bodies, b: Bodies, *, iterations: int = 300, gap: float =
     inside = upper <= 1e-12
     lower = np.where(inside, np.minimum(lower, 0.0), lower)
     return lower - a.ball - b.ball, upper - a.ball - b.ball
+
+
+def penetration_depth(a: Array, b: Array, grown: float = 0.0) -> float:
+    """Length of the shortest translation that parts conv(a) and conv(b), one of them grown by a ball; 0 where they are apart.
+
+    The least distance from the origin to a face of their Minkowski difference; Qhull gives all its faces.
+    """
+    try:
+        inside = -float(ConvexHull((a[:, None] - b).reshape(-1, 3)).equations[:, 3].max())
+    except QhullError:  # two segments: a flat difference, which holds no ball
+        inside = 0.0
+    if inside <= 0:  # the cores are apart: their ball reaches farther than that
+        one, other = (bodies([Kind.HULL], None, np.eye(4)[None], [x]) for x in (a, b))
+        inside = -max(float(convex_distance(one, other)[0][0]), 0.0)
+    return max(inside + grown, 0.0)
 
 
 _SUBSETS = [[i for i in range(4) if m >> i & 1] for m in range(1, 16)]

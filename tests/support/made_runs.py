@@ -89,6 +89,9 @@ def make_scores(
         passed=torch.from_numpy(passed),
         evaluated=torch.from_numpy(evaluated),
         margin=torch.from_numpy(margin),
+        margin_kind=torch.from_numpy(
+            np.select([~evaluated, np.isinf(margin), margin < 0], [0, 3, 2], 1).astype(np.int8)
+        ),
         borderline=torch.from_numpy(np.arange(n) % 7 == 0),
         plan_reason=torch.from_numpy(reason.astype(np.int8)),
         plan_pair=torch.from_numpy(pair.astype(np.int8)),

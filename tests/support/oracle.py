@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-from convex_twin import bodies, convex_distance, mesh_distance, primitive_distance, winding_number
+from convex_twin import bodies, convex_distance, mesh_distance, penetration_depth, primitive_distance, winding_number
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -29,6 +29,8 @@ __all__ = [
     "Staged",
     "bodies",
     "convex_distance",
+    "deepest_along",
+    "geom_depth",
     "hand_triangles",
     "mesh_distance",
     "mujoco_scene",
@@ -300,6 +302,74 @@ class MujocoScene:
             kind = _KIND_OF_TYPE[int(m.geom_type[g])]
             best = min(best, mesh_distance(kind, m.geom_size[g], T, triangles, cap=max(best, 0.0)))
         return best
+
+
+def geom_depth(model: mujoco.MjModel, data: mujoco.MjData, a: int, b: int) -> float:
+    """Penetration depth (m) of two geoms where they are, by Qhull; a cylinder's counts as a prism around it, 0.2 % wider."""
+    (x, grown), (y, more) = (_core(model, data, g) for g in (a, b))
+    return penetration_depth(x, y, grown + more)
+
+
+def _core(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Array, float]:
+    """Corners (n, 3) of a geom in the world, and the radius of the ball that they are grown by."""
+    size, kind = model.geom_size[geom], int(model.geom_type[geom])
+    grown, z = 0.0, np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+        mesh = int(model.geom_dataid[geom])
+        first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+        points = model.mesh_vert[first : first + count].astype(np.float64)
+        points = points[ConvexHull(points).vertices]
+    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+        points = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * size
+    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+        turn = 2 * np.pi * np.arange(48) / 48
+        ring = size[0] / np.cos(np.pi / 48) * np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
+        points = (ring[:, None] + z * size[1]).reshape(-1, 3)
+    else:
+        grown = float(size[0])
+        points = z * (size[1] if kind == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0)
+    return points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], grown
+
+
+def deepest_along(
+    model: mujoco.MjModel, data: mujoco.MjData, pairs: NDArray[np.int64], path: Array, *, step_rad: float = 0.02
+) -> float:
+    """The largest penetration depth (m) of some pair (n, 2) of geoms along a path (W, 6), searched for about the deepest sample.
+
+    MuJoCo says which pairs and samples are deepest, `geom_depth` how deep. The largest may be missed: at least this deep.
+    """
+    a, b = pairs.T
+
+    def put(s: float) -> None:
+        i = min(int(s), len(path) - 2)
+        data.qpos[:6] = path[i] + (s - i) * (path[i + 1] - path[i])
+        mujoco.mj_kinematics(model, data)
+
+    met: dict[int, tuple[float, float]] = {}
+    steps = [max(int(np.ceil(np.abs(y - x).sum() / step_rad)), 1) for x, y in pairwise(path)]
+    for s in (i + k / n for i, n in enumerate(steps) for k in range(n + 1)):
+        put(s)
+        x = np.linalg.norm(data.geom_xpos[b] - data.geom_xpos[a], axis=1)
+        for i in map(int, np.flatnonzero(x < model.geom_rbound[a] + model.geom_rbound[b] + 1e-6)):
+            found = mujoco.mj_geomDistance(model, data, a[i], b[i], 0.0, None)
+            if found < min(0.0, met.get(i, (0.0, 0.0))[0]):
+                met[i] = (found, s)
+    deepest = 0.0
+    for pair, (_, s) in sorted(met.items(), key=lambda x: x[1])[:3]:
+
+        def depth(s: float, i: int = pair) -> float:
+            put(float(np.clip(s, 0, len(path) - 1)))
+            return geom_depth(model, data, int(a[i]), int(b[i]))
+
+        here, step = depth(s), 0.5 / max(steps)
+        while step > 1e-4:
+            sides = [(depth(s + k * step), s + k * step) for k in (-1, 1)]
+            if max(sides)[0] > here:
+                here, s = max(sides)
+            else:
+                step /= 4
+        deepest = max(deepest, here)
+    return deepest
 
 
 def mujoco_scene(scene: Scene, staged: Staged) -> MujocoScene:
