@@ -1,6 +1,5 @@
 """What every run does: GPU tests are skipped where there is none, and what was left out is listed with how to get it."""
 
-import os
 import shutil
 import sys
 from collections import Counter
@@ -24,18 +23,6 @@ def scene():
     from problems import default_evaluator
 
     return default_evaluator().scene
-
-
-@pytest.fixture(scope="session", autouse=True)
-def other_program():
-    """R2H_DEFAULTS=float64, bfloat16 or meta: all tests of this run inside a program with such defaults of torch."""
-    if setting := os.environ.get("R2H_DEFAULTS"):
-        from other_program import OtherProgram
-
-        with OtherProgram(setting) as mode:
-            yield mode
-    else:
-        yield None
 
 
 @pytest.hookimpl(tryfirst=True)

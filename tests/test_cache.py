@@ -3,21 +3,14 @@
 import fcntl
 import multiprocessing
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from r2h_batch.bodies.hand import load_hand
-from r2h_batch.bodies.mesh_import.cache import FORM as OBJECT
-from r2h_batch.bodies.mesh_import.cache import SAID, kept_with_warnings
-
 # what goes to disk and back; the public way builds a mesh
-from r2h_batch.bodies.objects import ObjectModel, _as_arrays, _from_arrays, load_objects, object_digest
 from r2h_batch.io import cache as module
-from r2h_batch.io.cache import SEAL, ArraySpec, cache_folder, cached, matches
-from r2h_batch.receiver import receiving
+from r2h_batch.io.cache import SEAL, ArraySpec, cache_folder, cached
 
 KEY = "ab" * 32
 FORM = {"x": ArraySpec("float64", ("rows",)), "n": ArraySpec("text", ("names",))}
@@ -87,55 +80,6 @@ def test_an_entry_of_another_key_or_with_other_arrays_is_made_again(folder):
     assert dict(np.load(file))[SEAL] == good[SEAL]
 
 
-def test_forms_say_types_shapes_and_what_indices_may_be():
-    form = {
-        "v": ArraySpec("float32", ("v", 3)),
-        "f": ArraySpec("int32", ("f", 3), below="v"),
-        "g": ArraySpec("float32", gaps=True),
-    }
-    good = {
-        "v": np.zeros((4, 3), np.float32),
-        "f": np.array([[0, 1, 3]], np.int32),
-        "g": np.float32(np.nan).reshape(()),
-    }
-    assert matches(good, form)
-    for name, wrong in {
-        "v": [good["v"].astype(float), good["v"][:3], good["v"][:, :2], good["v"] * np.float32(np.nan)],
-        "f": [good["f"] - 1, good["f"] + 1, good["f"][0], good["f"].astype(np.int64)],
-        "g": [np.float32(np.inf).reshape(()), np.zeros(1, np.float32), np.array("a")],
-    }.items():
-        for value in wrong:
-            assert not matches({**good, name: value}, form)
-
-
-def test_an_object_that_is_none_is_built_again(folder):
-    """An entry with a right seal whose words are no repair, or whose warnings are no list: as if it were not there."""
-    (model,) = load_objects(["cup"])
-    asked = []
-
-    def built() -> dict[str, object]:
-        asked.append(1)
-        return _as_arrays(model)
-
-    def again() -> ObjectModel:
-        return _from_arrays(kept_with_warnings(KEY, built, _from_arrays))
-
-    assert object_digest(again()) == object_digest(again()) == object_digest(model) and len(asked) == 1
-    (file,) = folder.glob("objects/*.npz")
-    good = {k: v for k, v in np.load(file).items() if k != SEAL}
-    assert set(good) == set(OBJECT)
-    for change in (
-        {"repair": np.array("{}x")},
-        {"repair": np.array('{"a": 1}')},
-        {SAID: np.array("7")},
-        {"mass": good["com"]},
-    ):
-        wrong = {**good, **change}
-        np.savez(file, **wrong, **{SEAL: np.array(f"objects {KEY} {module._sha256(wrong)}")})
-        before = len(asked)
-        assert object_digest(again()) == object_digest(model) and len(asked) == before + 1
-
-
 @pytest.mark.parametrize("there", ["pipe", "link", "folder"])
 def test_what_stands_in_the_locks_place_is_neither_followed_nor_waited_for(folder, tmp_path, there):
     lock, precious = folder / "things" / f"{KEY}.lock", tmp_path / "precious"
@@ -164,18 +108,6 @@ def test_a_process_that_holds_the_lock_and_does_nothing_is_waited_for_with_a_lin
     assert capsys.readouterr().err.count("another process is making this entry") == 1
 
 
-def test_a_folder_of_a_name_too_long_is_one_warning_and_a_home_is_found(monkeypatch, tmp_path):
-    monkeypatch.setenv("R2H_BATCH_CACHE", "x" * 5000)
-    make = Maker()
-    with pytest.warns(UserWarning, match="xx...xxx*: the cache cannot be written there .File name too long") as told:
-        for _ in range(2):
-            assert cached("things", KEY, make, FORM)["x"].shape == (5,) and not module.is_cached("things", KEY)
-    assert len(told) == 1 and make.times == 2
-    monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setenv("R2H_BATCH_CACHE", "~/mine")
-    assert cache_folder() == tmp_path / "mine"
-
-
 def _one(folder: str, queue: "multiprocessing.Queue[int]") -> None:
     os.environ["R2H_BATCH_CACHE"] = folder
 
@@ -198,23 +130,3 @@ def test_of_several_processes_one_makes_it_and_the_others_wait(folder):
     for w in workers:
         w.join()
     assert len((folder / "made").read_text().splitlines()) == 1
-
-
-def test_receiving_grasps_of_a_users_object_are_sampled_once_for_each_hand_and_shape(monkeypatch):
-    asked = []
-
-    def sampled(model, *, hand):
-        asked.append((model.name, hand.digest[:4]))
-        return {k: np.zeros((1, *c.shape[1:]), c.dtype) for k, c in receiving.FORM.items()}
-
-    monkeypatch.setattr(receiving, "sample_receiving", sampled)
-    (cup,) = load_objects(["cup"])
-    own = replace(cup, vertices=(cup.vertices * np.float32(1.01)))
-    hand = load_hand()
-    other = replace(hand, vertices=hand.vertices * 1.01)
-    find = receiving._of_object.__wrapped__  # what is remembered in this process is not what is asked here
-    for _ in range(2):
-        for model, mine in ((own, hand), (own, other), (replace(own, instruction="cup please"), hand)):
-            assert set(find(model, mine)) == set(receiving.FIELDS)
-    assert len(asked) == 3
-    assert find(cup, hand)["side"].shape == (64,) and len(asked) == 3  # the built-in ones are stored

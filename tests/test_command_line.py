@@ -8,10 +8,7 @@ import pytest
 from made_runs import make_header, make_scores, make_trials
 
 from r2h_batch.__main__ import COMMANDS, main
-from r2h_batch.benchmark import built_in
-from r2h_batch.export import command as export
 from r2h_batch.runs.store import RunError, load_run, open_run
-from r2h_batch.trials.protocol import PROTOCOL, TRIALS
 
 NESTED = (
     "results verify",
@@ -62,28 +59,18 @@ def test_help_of_all_lists_the_subcommands_and_the_version_is_the_packages(capsy
     assert "--tyro" not in out
 
 
-def test_subcommands_of_results_say_their_own_words(capsys):
-    verify, digest = helped(capsys, "results", "verify"), helped(capsys, "results", "digest")
-    assert "flipped" in verify and "flipped" not in digest and "digest of each method" in digest
-
-
 @pytest.mark.parametrize(
     ("line", "parts"),
     [
         ("sweeep", ["'sweeep', did you mean sweep?", "results"]),
         ("--hepl", ["did you mean --help?"]),
-        ("results verfy x", ["did you mean verify?", "verify, digest, reevaluate"]),
         ("study papre", ["did you mean paper?"]),
         ("report x --fromat md", ["--fromat, did you mean --format?", "--by-object"]),
-        ("report x --format mdd", ["'mdd'", "'latex'", "did you mean md?"]),
-        ("compare x --sed 1", ["did you mean --seed?"]),
         ("compare", ["no run folder"]),
         ("results rethreshold x --reach-radios 1", ["did you mean --reach-radius?"]),
         ("scene --run x --trail 1 --out y", ["did you mean --trial?"]),
-        ("scene --run x --trial one --out y", ["'one'"]),
         ("trials --out x --splits S3", ["'S3'", "'S0', 'S1'"]),
         ("trials --trials 3", ["--out"]),
-        ("sweep --methud fc", ["did you mean --method?"]),
     ],
 )
 def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code_2(line, parts, capsys):
@@ -100,12 +87,6 @@ def test_completion_knows_the_flags_of_the_subcommands(capsys):
     assert not stop.value.code
     out = capsys.readouterr().out
     assert all(word in out for word in ("r2h-batch", "--save-paths", "--object-mesh", "results"))
-
-
-def test_the_trials_command_offers_the_protocol_and_its_number():
-    defaults = export.trials.__kwdefaults__
-    # not given: the benchmark says it
-    assert (defaults["protocol"], built_in().protocol, defaults["trials"]) == ("", PROTOCOL, TRIALS)
 
 
 @pytest.fixture
@@ -165,9 +146,3 @@ def test_old_names_of_commands_do_what_the_new_ones_do(run, capsys):
         assert main(new) == 0
         words = capsys.readouterr().out
         assert main(old) == 0 and capsys.readouterr().out == words
-
-
-def test_one_thing_is_said_in_the_singular() -> None:
-    from r2h_batch.command_line import counted
-
-    assert [counted(n, "hands") for n in (0, 1, 2)] == ["0 hands", "1 hand", "2 hands"]

@@ -129,6 +129,11 @@ def wrong_inputs() -> dict:
         "meta device": ((grasp.to("meta"), handover, trials), ValueError, "T_obj_ee"),
         "hand pose shape": (but(T_world_hand=trials.T_world_hand[:1]), ValueError, "T_world_hand"),
         "hand pose dtype": (but(T_world_hand=trials.T_world_hand.double()), TypeError, "T_world_hand"),
+        "trial id dtype": (
+            but(trial_id=trials.trial_id.int()),
+            ValueError,
+            r"trials\.trial_id is .* must be torch\.int64",
+        ),
         "object dtype": (but(object_index=trials.object_index.long()), (TypeError, ValueError), "object_index"),
         "object shape": (but(object_index=trials.object_index[:1]), ValueError, "object_index"),
         "object 99": (but(object_index=trials.object_index + 99), ValueError, "object_index"),

@@ -2,11 +2,10 @@
 
 import os
 import socket
-import subprocess
-import sys
 
 import pytest
 
+from r2h_batch.__main__ import main
 from r2h_batch.io.read import FileError, open_file, path_within, printable, read_file
 from r2h_batch.io.write import csv_cell
 
@@ -82,19 +81,17 @@ def test_numbers_and_names_are_left_alone(value):
     assert csv_cell(value) == value
 
 
-def test_every_command_that_takes_a_file_refuses_a_pipe_at_once(tmp_path):
-    """In processes of their own: a blocking open would hang for ever."""
-    os.mkfifo(tmp_path / "pipe.npz")
-    os.mkfifo(tmp_path / "pipe.yaml")
-    os.mkfifo(tmp_path / "pipe.csv")
+def test_every_command_that_takes_a_file_refuses_a_pipe_at_once(tmp_path, monkeypatch, capsys):
+    """A blocking open would hang for ever."""
+    monkeypatch.chdir(tmp_path)
+    for name in ("pipe.npz", "pipe.yaml", "pipe.csv"):
+        os.mkfifo(name)
     for line in (
-        ["r2h_batch.sweep", "--predictions", "pipe.npz", "--trials", "1", "--out", "run"],
-        ["r2h_batch.sweep", "--config", "pipe.yaml"],
-        ["r2h_batch.study", "ratings", "pipe.csv"],
-        ["r2h_batch.benchmark", "check", "pipe.yaml"],
+        "sweep --predictions pipe.npz --trials 1 --out run",
+        "sweep --config pipe.yaml",
+        "study ratings pipe.csv",
+        "benchmark check pipe.yaml",
     ):
-        done = subprocess.run(
-            [sys.executable, "-m", *line], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
-        )
-        assert done.returncode == 2 and done.stdout == "", line
-        assert done.stderr.count("\n") == 1 and "not a regular file" in done.stderr, done.stderr
+        assert main(line.split()) == 2, line
+        out, error = capsys.readouterr()
+        assert out == "" and error.count("\n") == 1 and "not a regular file" in error, error

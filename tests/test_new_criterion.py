@@ -16,10 +16,12 @@ def height(e: Evidence) -> Criterion:
     return Criterion.of("height", e.held.T_world_ee[:, 2, 3] - 0.3, e.held.active)
 '''
 USE = """
-import sys, torch
+import contextlib, io, sys, torch
 from r2h_batch import verdicts
+from r2h_batch.__main__ import main
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
+from r2h_batch.runs.store import load_run
 from r2h_batch.trials.protocol import trials_with_ids
 
 assert verdicts.CRITERIA[5] == "height" and verdicts.__file__.startswith(sys.argv[1])
@@ -35,6 +37,22 @@ assert (scores.outcome[alone] == verdicts.Outcome.HEIGHT).all() and not scores.s
 scores.soft(temperature_m=0.01).sum().backward()
 assert T.grad.isfinite().all()
 assert "passed/height" in scores.scalars() and "height" in scores.summary()
+
+
+def said(line):
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert main(line.split()) == 0
+    return out.getvalue()
+
+
+said("sweep --method oracle random --trials 12 --sim none --out run")
+run = load_run("run")
+rows = run.trials(run.methods[0]).to_pylist()
+assert "height" in {r["outcome"] for r in rows} and all(abs(r["margin_height_m"]) < 2 for r in rows)
+assert rows[0]["passed_height"] in (True, False)
+for form, heading in (("md", "F_height"), ("latex", "height"), ("html", "F_height")):
+    assert heading in said(f"report run --format {form}")
+assert "F_height" in said("results rethreshold run --reach-radius .08,.1")
 """
 
 
@@ -64,40 +82,8 @@ def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return top
 
 
-def python(tree: Path, *arguments: str) -> str:
-    """What the changed package prints."""
+def test_it_is_scored_last_and_rows_tables_the_page_and_rethresholding_know_it(tree: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(tree)}
-    command = [sys.executable, *arguments]
+    command = [sys.executable, "-c", USE, str(tree)]
     done = subprocess.run(command, env=environment, cwd=tree, capture_output=True, text=True, timeout=500)
     assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
-@pytest.fixture(scope="module")
-def run(tree: Path) -> Path:
-    line = ["sweep", "--method", "oracle", "random", "--trials", "12", "--sim", "none", "--out", "run"]
-    python(tree, "-m", "r2h_batch", *line)
-    return tree / "run"
-
-
-def test_it_is_scored_after_the_others_and_decides_what_they_let_pass(tree: Path) -> None:
-    python(tree, "-c", USE, str(tree))
-
-
-def test_rows_store_it(tree: Path, run: Path) -> None:
-    code = (
-        "import sys; from r2h_batch.runs.store import load_run\n"
-        "run = load_run(sys.argv[1]); rows = run.trials(run.methods[0]).to_pylist()\n"
-        "print({r['outcome'] for r in rows}, rows[0]['passed_height'], all(abs(r['margin_height_m']) < 2 for r in rows))"
-    )
-    said = python(tree, "-c", code, str(run))
-    assert "'height'" in said and "True" in said
-
-
-@pytest.mark.parametrize(("form", "words"), [("md", "F_height"), ("latex", "height"), ("html", "F_height")])
-def test_tables_and_the_page_show_it(tree: Path, run: Path, form: str, words: str) -> None:
-    assert words in python(tree, "-m", "r2h_batch", "report", str(run), "--format", form)
-
-
-def test_rescoring_counts_it(tree: Path, run: Path) -> None:
-    assert "F_height" in python(tree, "-m", "r2h_batch", "rescore", str(run), "--reach-radius", ".08,.1")

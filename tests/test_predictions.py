@@ -1,8 +1,5 @@
 """Predictions files: every fault of rows 12 to 16 of the fault matrix is refused with a line that says what to do."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import torch
@@ -14,9 +11,9 @@ from r2h_batch.types import Predictions
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
-@pytest.mark.parametrize("n", [1, 2, 33])
 @pytest.mark.parametrize("timed", [False, True])
-def test_written_predictions_are_read_back_equal(tmp_path, suffix, n, timed):
+def test_written_predictions_are_read_back_equal(tmp_path, suffix, timed):
+    n = 33
     seconds = torch.arange(n, dtype=torch.float32) if timed else None
     made = make_predictions(make_trials(n, 0), method="Contact-Handover (é)")
     made = Predictions(made.trial_id, made.T_obj_ee, made.T_world_ee, seconds, made.method)
@@ -28,12 +25,6 @@ def test_written_predictions_are_read_back_equal(tmp_path, suffix, n, timed):
         assert getattr(read, name).dtype == getattr(made, name).dtype
     assert (read.t_method_s is None) if seconds is None else torch.equal(read.t_method_s, seconds)
     assert [p.name for p in tmp_path.iterdir()] == [f"p{suffix}"]
-
-
-def test_other_suffixes_are_not_written(tmp_path):
-    with pytest.raises(PredictionsError, match=r"\.npz or \.safetensors"):
-        write_predictions(tmp_path / "p.pt", make_predictions(make_trials(1, 0)))
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -52,15 +43,12 @@ def test_fortran_order_big_endian_and_compressed_arrays_are_taken(tmp_path):
     assert np.array_equal(load_predictions(tmp_path / "p.npz").T_obj_ee.numpy(), data["T_obj_ee"])
 
 
-def test_poses_that_are_not_numbers_are_the_evaluators_business(tmp_path):
-    data = arrays()
+def test_poses_and_times_that_are_not_numbers_are_taken_as_they_are(tmp_path):
+    data = arrays(t_method_s=np.array([0.0, 1.0, np.nan, 2.0, 3.0]))
     data["T_obj_ee"][1] = np.nan
-    assert torch.isnan(load_predictions(store(tmp_path / "p.npz", data)).T_obj_ee[1]).all()
-
-
-def test_unmeasured_times_are_nan(tmp_path):
-    path = store(tmp_path / "p.npz", arrays(t_method_s=np.array([0.0, 1.0, np.nan, 2.0, 3.0])))
-    assert torch.isnan(load_predictions(path).t_method_s).tolist() == [False, False, True, False, False]
+    read = load_predictions(store(tmp_path / "p.npz", data))
+    assert torch.isnan(read.T_obj_ee[1]).all()
+    assert torch.isnan(read.t_method_s).tolist() == [False, False, True, False, False]
 
 
 # --- schema ---------------------------------------------------------------------------------------------------------
@@ -70,22 +58,16 @@ def test_unmeasured_times_are_nan(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "parts"),
     [
-        ({"trial_id": None}, ["'trial_id' is missing"]),
-        ({"T_obj_ee": None}, ["'T_obj_ee' is missing"]),
         ({"T_world_ee": None}, ["'T_world_ee' is missing"]),
         ({"T_obj_eee": np.zeros(3)}, ["unknown", "T_obj_eee", "allowed keys are trial_id"]),
         ({"T_obj_ee": np.zeros((5, 3, 4), np.float32)}, ["'T_obj_ee'", "(5, 3, 4)", "(5, 4, 4)"]),
         ({"T_world_ee": np.zeros((4, 4, 4), np.float32)}, ["'T_world_ee'", "(4, 4, 4)", "(5, 4, 4)"]),
-        ({"T_world_ee": np.zeros((4, 4), np.float32)}, ["'T_world_ee'", "(5, 4, 4)"]),
         ({"T_obj_ee": np.zeros((5, 4, 4), int)}, ["'T_obj_ee'", "int64", "float32 or float64"]),
-        ({"T_obj_ee": np.zeros((5, 4, 4), np.float16)}, ["'T_obj_ee'", "float16", "float32 or float64"]),
         ({"trial_id": np.arange(5.0)}, ["'trial_id'", "float64", "integer"]),
-        ({"trial_id": np.zeros((5, 1), int)}, ["'trial_id'", "(5, 1)", "(N,)"]),
         ({"trial_id": np.zeros(5, bool)}, ["'trial_id'", "integer"]),
         ({"trial_id": np.full(5, 2**63, np.uint64)}, ["does not fit int64"]),
         ({"t_method_s": np.zeros(4)}, ["'t_method_s'", "(4,)", "(5,)"]),
         ({"t_method_s": np.full(5, -1.0)}, ["'t_method_s'", "is -1; 0 to 1e+09"]),
-        ({"t_method_s": np.full(5, np.inf)}, ["'t_method_s'", "is inf; 0 to 1e+09"]),
     ],
     ids=str,
 )
@@ -98,19 +80,13 @@ def test_a_file_without_rows_is_refused(tmp_path, suffix):
     refused(store(tmp_path / f"p{suffix}", arrays(0)), "no rows")
 
 
-@pytest.mark.parametrize("suffix", FORMATS)
-@pytest.mark.parametrize("method", ["", "  ", "a\nb", "x" * 101])
-def test_a_method_name_that_no_table_can_show_is_refused(tmp_path, suffix, method):
-    refused(store(tmp_path / f"p{suffix}", arrays(), method), "method")
-
-
-@pytest.mark.parametrize("method", [np.array(["a", "b"]), np.array(3), np.array(b"bytes")])
-def test_a_method_that_is_not_one_string_is_refused(tmp_path, method):
+@pytest.mark.parametrize("method", [np.array(["a", "b"]), np.array(3), "", "a\nb", "x" * 101])
+def test_a_method_that_is_no_name_is_refused(tmp_path, method):
     np.savez(tmp_path / "p.npz", **arrays(), method=method)
-    refused(tmp_path / "p.npz", "'method'", "one string")
+    refused(tmp_path / "p.npz", "method")
 
 
-# --- row 12: pickles ------------------------------------------------------------------------------------------------
+# --- trials ------------------------------------------------------------------------------------------------------
 
 
 def predictions_for(ids) -> Predictions:
@@ -161,21 +137,6 @@ def test_allowed_missing_ids_have_row_minus_1():
     rows = align(predictions_for([3, 0]), torch.arange(5), source="p", allow_missing=True)
     assert rows.tolist() == [1, -1, -1, 0, -1]
     assert align(predictions_for([]), torch.arange(2), source="p", allow_missing=True).tolist() == [-1, -1]
-
-
-def test_a_large_file_is_read_in_little_more_memory_than_it_needs(tmp_path):
-    """In a process of its own: 200,000 rows hold 27 MB; reading them may peak at a few times that, not at a hundred."""
-    n = 200_000
-    store(tmp_path / "p.npz", arrays(n))
-    code = (
-        "import resource, sys; from r2h_batch.predictions import load_predictions;"
-        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss; load_predictions(sys.argv[1]);"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code, str(tmp_path / "p.npz")], capture_output=True, text=True, check=True
-    )
-    assert int(done.stdout) * 1024 < 6 * n * 136
 
 
 def test_poses_in_millimetres_and_transposed_ones_are_said_before_they_are_scored():

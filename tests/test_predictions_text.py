@@ -78,17 +78,12 @@ def lines(p, tmp_path):
 CSV = {
     "unknown column 'trial id'": lambda t: ["trial id" + t[0][8:], *t[1:]],
     "column T_world_ee_15 is missing": lambda t: [t[0].replace(",T_world_ee_15", ""), *t[1:]],
-    "column trial_id is given twice": lambda t: [t[0] + ",trial_id", *t[1:]],
     "line 3 has 35 cells; the first line has 34": lambda t: [t[0], t[1], t[2] + ",1"],
     "line 2: trial_id is 0.5": lambda t: [t[0], "0.5" + t[1][1:]],
-    "line 2: trial_id is -1": lambda t: [t[0], "-1" + t[1][1:]],
     "'=1+1'": lambda t: [t[0], t[1].replace(t[1].split(",")[5], "=1+1")],
-    "'0x10'": lambda t: [t[0], t[1].replace(t[1].split(",")[5], "0x10")],
-    "'1_0'": lambda t: [t[0], t[1].replace(t[1].split(",")[5], "1_0")],
     "T_obj_ee is empty; it must be 16 numbers": lambda t: [t[0], t[1].replace(t[1].split(",")[5], "")],
     "write commas between columns": lambda t: [x.replace(",", ";") for x in t],
     "no rows": lambda t: t[:1],
-    "longer than 10000 characters": lambda t: [t[0], t[1] + " " * 20_000],
     "no readable CSV": lambda t: [t[0], '"' + t[1]],
     "is -1; 0 to 1e+09 seconds are allowed": lambda t: [t[0], t[1].rpartition(",")[0] + ",-1"],
 }
@@ -113,15 +108,9 @@ JSON = {
     "unknown field 'methods'": lambda d: d | {"methods": "x"},
     "method must be text": lambda d: d | {"method": 3},
     "predictions.0.trial_id is True": lambda d: changed(d, trial_id=True),
-    "predictions.0.trial_id is 1.0": lambda d: changed(d, trial_id=1.0),
     "predictions.0.trial_id is 92233": lambda d: changed(d, trial_id=1 << 63),
     "predictions.0.T_obj_ee is 15 numbers; it must be 16 numbers": lambda d: changed(d, T_obj_ee=[1.0] * 15),
     "predictions.0.T_world_ee is '1'; it must be 16 numbers": lambda d: changed(d, T_world_ee=["1"] * 16),
-    "predictions.0.T_world_ee is empty; it must be 16 numbers": lambda d: changed(d, T_world_ee=None),
-    "predictions.0.t_method_s is 0 numbers; it must be a number": lambda d: changed(d, t_method_s=[]),
-    "it must be a whole number, 0 or more, of at most 18 digits": lambda d: changed(d, trial_id=10**30),
-    "unknown field 'pose'": lambda d: changed(d, pose=1),
-    "no rows": lambda d: d | {"predictions": []},
     "'method' must be": lambda d: d | {"method": ""},
 }
 

@@ -46,9 +46,9 @@ def test_every_failing_criterion_pulls_and_what_was_not_evaluated_does_not():
 
 def test_gradients_are_those_of_finite_differences_in_float64():
     g = torch.Generator().manual_seed(1)
-    margin = (0.01 * torch.randn((40, 5), generator=g)).double()
-    margin[:15] = margin[:15].abs()
-    evaluated = torch.ones(40, 5, dtype=torch.bool)
+    margin = (0.01 * torch.randn((8, 5), generator=g)).double()
+    margin[:4] = margin[:4].abs()
+    evaluated = torch.ones(8, 5, dtype=torch.bool)
     success = (margin > 0).all(1)
     margin.requires_grad_()
     for log in (False, True):

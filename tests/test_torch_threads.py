@@ -14,7 +14,6 @@ from r2h_batch.judge import attach, goal, plan
 from r2h_batch.judge.plan import random_key
 from r2h_batch.launch import threads
 from r2h_batch.launch.threads import one_torch_thread
-from r2h_batch.methods.batches import answers
 
 TASKS = Path("/proc/self/task")
 
@@ -47,22 +46,27 @@ def seen(monkeypatch) -> set[int]:
     return found
 
 
-@pytest.mark.parametrize("stages", ["pose", "all"])
-def test_a_call_works_on_one_thread_and_leaves_two(batch, seen, stages):
-    default_evaluator().score(batch.T_obj_ee, batch.T_world_ee, batch.trials, stages)
-    assert seen == {1} and torch.get_num_threads() == 2
+def score(batch, stages="pose"):
+    return default_evaluator().score(batch.T_obj_ee, batch.T_world_ee, batch.trials, stages)
 
 
-def test_so_does_a_captured_call(batch, seen):
-    default_evaluator().capture(64)(batch.T_obj_ee, batch.T_world_ee, batch.trials)
-    assert seen == {1} and torch.get_num_threads() == 2
-
-
-def test_so_does_a_call_with_gradients(batch, seen):
+def with_gradients(batch):
     T = batch.T_world_ee.clone().requires_grad_()
     scores = default_evaluator().score(batch.T_obj_ee, T, batch.trials, "pose")
-    assert torch.get_num_threads() == 2
     scores.margin[scores.evaluated].sum().backward()
+
+
+CALLS = {
+    "the pose stage": score,
+    "everything": lambda batch: score(batch, "all"),
+    "a captured call": lambda b: default_evaluator().capture(64)(b.T_obj_ee, b.T_world_ee, b.trials),
+    "gradients": with_gradients,
+}
+
+
+@pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
+def test_a_call_works_on_one_thread_and_leaves_two(batch, seen, call):
+    call(batch)
     assert seen == {1} and torch.get_num_threads() == 2
 
 
@@ -76,35 +80,14 @@ def test_so_does_the_planner_alone(scene, batch, monkeypatch):
     assert set(found) == {1} and torch.get_num_threads() == 2
 
 
-def test_so_do_methods(scene, batch):
-    found = []
-
-    def choose(trials, rows):
-        found.append(torch.get_num_threads())
-        return batch.T_obj_ee[rows], batch.T_world_ee[rows]
-
-    answers(batch.trials, scene, "watched", choose, part=32)
-    assert found == [1, 1] and torch.get_num_threads() == 2
-
-
 def test_a_refused_call_leaves_two(batch, monkeypatch):
     def refused(*args, **kwargs):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(attach, "launch_trials", refused)
     with pytest.raises(KeyboardInterrupt):
-        default_evaluator().score(batch.T_obj_ee, batch.T_world_ee, batch.trials)
+        score(batch)
     assert torch.get_num_threads() == 2
-
-
-def test_calls_within_calls_and_other_devices():
-    with one_torch_thread("cpu"):
-        with one_torch_thread(torch.device("cpu")):
-            assert torch.get_num_threads() == 1
-        assert torch.get_num_threads() == 1
-    assert torch.get_num_threads() == 2
-    with one_torch_thread("cuda:0"):  # the work is elsewhere
-        assert torch.get_num_threads() == 2
 
 
 def test_a_thread_that_begins_during_a_call_has_the_programs_number():
@@ -115,7 +98,7 @@ def test_a_thread_that_begins_during_a_call_has_the_programs_number():
 
 
 def test_calls_at_once_do_not_mix_up_their_numbers(batch):
-    evaluator, together = default_evaluator(), threading.Barrier(3)
+    together = threading.Barrier(3)
 
     def call(own: int) -> list[int]:
         torch.get_num_threads()  # torch gives a new thread the program's number at the first question, whatever was set
@@ -123,7 +106,7 @@ def test_calls_at_once_do_not_mix_up_their_numbers(batch):
         found = []
         for _ in range(5):
             together.wait()
-            evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials, "pose")
+            score(batch)
             found.append(torch.get_num_threads())
         return found
 
