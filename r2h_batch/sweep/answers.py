@@ -9,19 +9,19 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
 from r2h_batch.io.read import printable
-from r2h_batch.methods.candidates import without_candidates
-from r2h_batch.predictors import Observations
-from r2h_batch.receiver.receiving import without_receiving
-from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.options import UsageError
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import MOST_SECONDS, SIDES
+
+if TYPE_CHECKING:  # a sweep of a user's method needs no kernels of grasps and holds
+    from r2h_batch.predictors import Observations
+    from r2h_batch.scene.scene import Scene
 
 _FLOATS = (torch.float32, torch.float64)
 
@@ -142,8 +142,10 @@ class MethodCoverage:
         return Predictions(trials.trial_id, T_obj_ee, T_world_ee, seconds, method)
 
 
-def check_grasps(scene: Scene, allow_empty: bool) -> None:
+def check_grasps(scene: "Scene", allow_empty: bool) -> None:
     """Raises `UsageError` where an object has no grasp candidate and that is not allowed."""
+    from r2h_batch.methods.candidates import without_candidates
+
     empty = [scene.objects[i].name for i in without_candidates(scene)]
     if empty and not allow_empty:
         raise UsageError(
@@ -157,10 +159,13 @@ def check_grasps(scene: Scene, allow_empty: bool) -> None:
 
 
 def coverage_of(
-    name: str, sees: Sequence[str], scene: Scene, seen: Observations | None
+    name: str, sees: Sequence[str], scene: "Scene", seen: "Observations | None"
 ) -> MethodCoverage:
     """What a built-in method can answer: every object with candidates; those that look at the
     receiver's hold on it (and are not shown a network's) also need one of the hand's side."""
+    from r2h_batch.methods.candidates import without_candidates
+    from r2h_batch.receiver.receiving import without_receiving
+
     answers = torch.ones((len(scene.objects), 2), dtype=torch.bool, device="cpu")
     lines = []
     for i in without_candidates(scene):
