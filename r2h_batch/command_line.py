@@ -69,6 +69,8 @@ def read(
         arguments = [expand_home(a) for a in arguments]
     except FileError as error:
         raise UsageError(str(error)) from None
+    for argument in arguments:
+        _check_text(argument, "rename the file")
     if isinstance(command, Mapping):
         words = [a for a in arguments if not a.startswith("-")]
         completing = bool(arguments) and arguments[0].startswith("--tyro-")
@@ -97,12 +99,20 @@ def read(
         flags = [*more_flags, *(_flags(chosen) if chosen is not None else ())]
         raise UsageError(_one_line(box.getvalue(), arguments, flags)) from None
     try:
-        os.getcwd()
+        _check_text(os.getcwd(), "work in another folder")
     except OSError as error:
         raise UsageError(
             f"the current folder is gone or closed ({error.strerror}); cd to one that is there"
         ) from None
     return found
+
+
+def _check_text(path: str, how: str) -> None:
+    """`UsageError` for bytes that are no UTF-8: no file that names a path could store it."""
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        raise UsageError(f"{printable(path)}: has a byte that is no UTF-8; {how}") from None
 
 
 def _plain_numbers() -> Any:

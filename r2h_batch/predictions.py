@@ -144,15 +144,12 @@ def write_predictions(path: str | Path, predictions: Predictions) -> None:
     instance_of(Predictions, "r2h_batch.Predictions(trial_id, T_obj_ee, T_world_ee)")(
         "predictions", predictions
     )
-    for name in _NEEDED:
-        check_tensor(f"predictions.{name}", getattr(predictions, name), "a torch tensor of N rows")
-    method = text("predictions.method", predictions.method)
-    values = {name: getattr(predictions, name) for name in _WIDTHS}
-    data = {
-        k: np.ascontiguousarray(v.detach().cpu().numpy())
-        for k, v in values.items()
-        if v is not None
-    }
+    method, data = text("predictions.method", predictions.method), {}
+    for name in _WIDTHS:
+        value = getattr(predictions, name)
+        if value is not None or name in _NEEDED:
+            value = check_tensor(f"predictions.{name}", value, "a torch tensor of N rows")
+            data[name] = np.ascontiguousarray(value.detach().cpu().numpy())
     if path.suffix == ".npz":
         write_npz(path, {"method": np.array(method), **data})
     elif path.suffix == ".safetensors":

@@ -25,8 +25,7 @@ _limit = number(0, above=True, what=" metres")
 
 def _value(name: str, value: object) -> object:
     words = "a torch tensor (B,) of floats"
-    check_tensor(name, value, words)
-    assert isinstance(value, Tensor)
+    value = check_tensor(name, value, words)
     if value.ndim != 1 or not value.is_floating_point():
         raise ValueError(f"{name} is {describe_value(value)}; it must be {words}")
     return value

@@ -35,8 +35,7 @@ def _booleans(name: str, value: object) -> object:
 
 
 def _of(name: str, value: object, words: str, floats: bool) -> object:
-    check_tensor(name, value, words)
-    assert isinstance(value, Tensor)
+    value = check_tensor(name, value, words)
     if value.is_floating_point() if not floats else not (value.is_floating_point() and value.ndim):
         raise TypeError(f"{name} is {describe_value(value)}; it must be {words}")
     return value

@@ -40,16 +40,20 @@ def check_tensor_arguments(**rules: Rule) -> Callable[[Callable[P, R]], Callable
     return decorate
 
 
-def check_tensor(name: str, value: Any, words: str) -> None:
-    """Refuse what is no plain tensor in memory.
+def check_tensor(name: str, value: Any, words: str) -> Tensor:
+    """The tensor, if it is a plain one in memory, for kernels that read its memory.
 
     Args:
         name: the argument's name.
         value: the argument.
         words: what it must be, for the message.
 
+    Returns:
+        The tensor with the negative and the conjugate bit resolved: its memory holds its values.
+
     Raises:
-        TypeError: it is no tensor, not strided, or wrapped by torch.func.
+        TypeError: it is no tensor, not strided, wrapped by torch.func, or its memory is missing
+            or smaller than its shape says.
     """
     if not isinstance(value, Tensor):
         raise TypeError(f"{name} is {describe_value(value)}; it must be {words}")
@@ -58,13 +62,19 @@ def check_tensor(name: str, value: Any, words: str) -> None:
         found = f"{name} is a tensor of layout {layout}"
         raise TypeError(f"{found}; it must be {words}: call .to_dense()")
     if torch.compiler.is_compiling():
-        return
+        return value
     try:
-        value.data_ptr()
+        address = value.data_ptr()
     except RuntimeError:  # tensors that torch.func wraps have no memory of their own
         found = f"{name} is inside torch.func (vmap, grad, jvp), which cannot look into kernels"
         how = "give all rows in one call, and take gradients with torch.autograd"
         raise TypeError(f"{found}; it must be {words}: {how}") from None
+    if value.numel():
+        last = sum((n - 1) * step for n, step in zip(value.shape, value.stride(), strict=True))
+        end = (value.storage_offset() + last + 1) * value.element_size()
+        if not address or end > value.untyped_storage().nbytes():  # fake, meta, freed, shrunk
+            raise TypeError(f"{name} has no memory for its numbers; it must be {words}")
+    return value.resolve_conj().resolve_neg()
 
 
 def checked_device(device: str | torch.device) -> str:

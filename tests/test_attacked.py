@@ -126,6 +126,7 @@ PLAIN = {
     "sweep --method random --no-poses --save-poses": "--no-poses stores no poses, --save-poses stores them; leave one",
     "trials --trials 1000000000000 --out x": "--trials is 1000000000000; it must be 1 to 1000000: all are held in memory",
     "view none --port 99999": "--port is 99999; it must be 0 to 65535; 0 takes any free one",
+    "sweep --method random --out r\udcff": "r\\udcff: has a byte that is no UTF-8; rename the file",
     "report RUN --order ,": "the order ',' names no criterion; allowed are stability, plan",
 }
 
@@ -146,7 +147,11 @@ def test_the_home_folder_is_meant_by_a_wave_in_every_argument_and_field(run, tmp
     assert options.object_mesh == (f"{tmp_path}/a.obj:S1",)
 
 
-def test_a_current_folder_that_is_gone_is_said(tmp_path, monkeypatch, capsys):
+def test_a_current_folder_that_is_gone_or_has_no_name_is_said(tmp_path, monkeypatch, capsys):
+    (tmp_path / "odd\udcff").mkdir()
+    monkeypatch.chdir(tmp_path / "odd\udcff")
+    assert main(["sweep", "--method", "random"]) == 2
+    assert "odd\\udcff: has a byte that is no UTF-8; work in another folder" in capsys.readouterr().err
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()

@@ -126,7 +126,7 @@ def wrong_inputs() -> dict:
         "half": ((grasp, handover.half(), trials), TypeError, "T_world_ee"),
         "numpy": ((grasp.numpy(), handover, trials), TypeError, "T_obj_ee"),
         "none": ((grasp, None, trials), TypeError, "T_world_ee"),
-        "meta device": ((grasp.to("meta"), handover, trials), ValueError, "T_obj_ee"),
+        "meta device": ((grasp.to("meta"), handover, trials), TypeError, "T_obj_ee"),
         "hand pose shape": (but(T_world_hand=trials.T_world_hand[:1]), ValueError, "T_world_hand"),
         "hand pose dtype": (but(T_world_hand=trials.T_world_hand.double()), TypeError, "T_world_hand"),
         "trial id dtype": (
@@ -138,7 +138,7 @@ def wrong_inputs() -> dict:
         "object shape": (but(object_index=trials.object_index[:1]), ValueError, "object_index"),
         "object 99": (but(object_index=trials.object_index + 99), ValueError, "object_index"),
         "object -5": (but(object_index=trials.object_index - 5), ValueError, "object_index"),
-        "object on meta": (but(object_index=trials.object_index.to("meta")), ValueError, "object_index"),
+        "object on meta": (but(object_index=trials.object_index.to("meta")), TypeError, "object_index"),
         "hand 9999": (but(hand_index=trials.hand_index + 9999), ValueError, "hand_index"),
         "no trials": ((grasp, handover, None), TypeError, "trials"),
         "candidates of other trials": ((grasp[:1, None], handover[:1, None], trials), ValueError, "T_obj_ee"),

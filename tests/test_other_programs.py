@@ -18,6 +18,7 @@ import torch
 from other_defaults import everything
 from problems import assert_same, default_evaluator, make_batch
 from staging import Staged, batch_of, staged_evaluator
+from torch._subclasses.fake_tensor import FakeTensorMode
 from torch.utils.data import DataLoader, Dataset
 
 import r2h_batch
@@ -207,6 +208,42 @@ def test_torch_func_and_sparse_poses_are_refused_by_name():
             transform(margin)(batch.T_obj_ee[None])
     with pytest.raises(TypeError, match=r"T_obj_ee is a tensor of layout sparse_coo; .* call \.to_dense"):
         margin(batch.T_obj_ee.to_sparse())
+
+
+def without_memory(kind, T):
+    if kind == "fake":
+        with FakeTensorMode():
+            return torch.zeros(T.shape)
+    if kind == "zero":
+        return torch._efficientzerotensor(T.shape)
+    T = T.clone()
+    T.untyped_storage().resize_({"freed": 0, "shrunk": 64}[kind])
+    return T
+
+
+@pytest.mark.filterwarnings("ignore:Accessing the data pointer of FakeTensor")
+@pytest.mark.parametrize("kind", ["fake", "zero", "freed", "shrunk"])
+def test_poses_without_memory_are_refused_by_name(kind):
+    batch = make_batch(default_evaluator().scene, 4)
+    gone = without_memory(kind, batch.T_world_ee)
+    with pytest.raises(TypeError, match="T_world_ee has no memory for its numbers"):
+        default_evaluator().score(batch.T_obj_ee, gone, batch.trials, "pose")
+    trials = replace(batch.trials, T_world_hand=gone)
+    with pytest.raises(TypeError, match=r"trials\.T_world_hand has no memory for its numbers"):
+        default_evaluator().score(batch.T_obj_ee, batch.T_world_ee, trials, "pose")
+
+
+def test_a_negative_bit_is_part_of_the_number():
+    batch = make_batch(default_evaluator().scene, 8)
+    plain = default_evaluator().score(batch.T_obj_ee, batch.T_world_ee, batch.trials, "pose")
+    T_obj_ee, T_world_ee, T_world_hand, trial_id = (
+        torch._neg_view(-x)
+        for x in (batch.T_obj_ee, batch.T_world_ee, batch.trials.T_world_hand, batch.trials.trial_id)
+    )
+    trials = replace(batch.trials, T_world_hand=T_world_hand, trial_id=trial_id)
+    scores = default_evaluator().score(T_obj_ee, T_world_ee, trials, "pose")
+    assert T_obj_ee.is_neg() and trials.trial_id.is_neg()
+    assert_same(scores, plain)
 
 
 @pytest.mark.parametrize("case", WRONG)

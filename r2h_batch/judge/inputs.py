@@ -40,12 +40,14 @@ def checked_inputs(
     shape, words = (
         ((n, k, 4, 4), f"({n}, K, 4, 4)") if many else ((n, 4, 4), f"({n}, 4, 4) or ({n}, K, 4, 4)")
     )
-    for name, value, expected in (
+    poses = []
+    for name, given, expected in (
         ("T_obj_ee", T_obj_ee, shape),
         ("T_world_ee", T_world_ee, shape),
         ("trials.T_world_hand", trials.T_world_hand, (n, 4, 4)),
     ):
-        check_tensor(name, value, "a torch tensor (B, 4, 4) or (N, K, 4, 4)")
+        value = check_tensor(name, given, "a torch tensor (B, 4, 4) or (N, K, 4, 4)")
+        poses.append(value)
         if value.dtype != torch.float32:
             raise TypeError(f"{name} is {value.dtype}; it must be torch.float32: call .float()")
         if value.shape != expected:
@@ -70,6 +72,9 @@ def checked_inputs(
                 f"trials.{name} is {index.dtype} {tuple(index.shape)} on {index.device}; "
                 f"it must be {dtype} ({n},) on {device}"
             )
+    T_obj_ee, T_world_ee, _ = poses
+    if not torch.compiler.is_compiling() and any(x.is_neg() for x in trials._tensors().values()):
+        trials = trials._changed(Tensor.resolve_neg)
     if many:
         T_obj_ee, T_world_ee = T_obj_ee.reshape(n * k, 4, 4), T_world_ee.reshape(n * k, 4, 4)
         trials = repeated(trials, k)

@@ -309,7 +309,8 @@ class Scene:
         TypeError or ValueError for indices that are no hands of the scene (their values are looked
         at on a CPU only).
         """
-        check_tensor("T_world_hand", T_world_hand, "a torch tensor (n, 4, 4) of torch.float32")
+        words = "a torch tensor (n, 4, 4) of torch.float32"
+        T_world_hand = check_tensor("T_world_hand", T_world_hand, words)
         if (
             T_world_hand.ndim != 3
             or T_world_hand.shape[1:] != (4, 4)

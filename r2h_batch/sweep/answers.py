@@ -4,26 +4,29 @@ A built-in method has no answer for objects without grasps and for hands that ho
 trials get no pose and count as its failures (`invalid_input`).
 """
 
+import io
 import re
+import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
+from r2h_batch.command_line import tell
 from r2h_batch.io.read import printable
 from r2h_batch.sweep.options import UsageError
 from r2h_batch.types import Predictions, Trials
+from r2h_batch.validate_tensors import check_tensor
 from r2h_batch.verdicts import MOST_SECONDS, SIDES
 
 if TYPE_CHECKING:  # a sweep of a user's method needs no kernels of grasps and holds
     from r2h_batch.predictors import Observations
     from r2h_batch.scene.scene import Scene
-
-_FLOATS = (torch.float32, torch.float64)
 
 
 class AnswerError(ValueError):
@@ -40,7 +43,8 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
     mine = trials.clone()
     start = time.perf_counter()
     try:
-        given = call(mine)
+        with own_streams(name):
+            given = call(mine)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit too; other methods go on
@@ -56,22 +60,19 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
     seconds = (time.perf_counter() - start) / max(len(trials), 1)
     T_obj_ee, T_world_ee, own, trial_id = _parts(name, given)
     n, home = len(trials), trials.trial_id.device
-    if trial_id is not None and not (
-        isinstance(trial_id, Tensor)
-        and trial_id.shape == (n,)
-        and torch.equal(trial_id.detach().to(home), trials.trial_id)
-    ):
-        raise AnswerError(
-            f"method {name}: trial_id differs from that of the {n} trials; answer them in their order"
-        )
+    if trial_id is not None:
+        ids = _checked(name, "trial_id", trial_id, (n,), (torch.int64,)).to(home)
+        if not torch.equal(ids, trials.trial_id):
+            order = f"differs from that of the {n} trials; answer them in their order"
+            raise AnswerError(f"method {name}: trial_id {order}")
     grasp, handover = (
-        _float32(name, key, value, (n, 4, 4))
+        _checked(name, key, value, (n, 4, 4)).to(torch.float32)
         for key, value in (("T_obj_ee", T_obj_ee), ("T_world_ee", T_world_ee))
     )
     if own is None:
         t_method_s = torch.full((n,), seconds, dtype=torch.float32, device="cpu")
     else:
-        t_method_s = _float32(name, "t_method_s", own, (n,))
+        t_method_s = _checked(name, "t_method_s", own, (n,)).to(torch.float32)
         if bool((odd := (t_method_s < 0) | (t_method_s > MOST_SECONDS)).any()):
             raise AnswerError(
                 f"method {name}: t_method_s is {float(t_method_s[odd][0]):g}; 0 to {MOST_SECONDS:g} seconds are allowed, "
@@ -96,20 +97,37 @@ def _parts(name: str, given: Any) -> tuple[Any, Any, Any, Any]:
     )
 
 
-def _float32(name: str, key: str, value: Any, shape: tuple[int, ...]) -> Tensor:
-    """The numbers as they are scored. Poses that are not finite or not rigid are the evaluator's
+def _checked(
+    name: str,
+    key: str,
+    value: Any,
+    shape: tuple[int, ...],
+    dtypes: tuple[torch.dtype, ...] = (torch.float32, torch.float64),
+) -> Tensor:
+    """A copy of the numbers. Poses that are not finite or not rigid are the evaluator's
     INVALID_INPUT, by row."""
-    if not isinstance(value, Tensor):
-        raise AnswerError(
-            f"method {name}: {key} is {printable(type(value).__name__)}; it must be a tensor {shape}"
-        )
-    if tuple(value.shape) != shape or value.dtype not in _FLOATS:
-        raise AnswerError(
-            f"method {name}: {key} is {value.dtype} {tuple(value.shape)}; it must be torch.float32 or torch.float64 {shape}"
-        )
-    if value.device.type not in ("cpu", "cuda"):
-        raise AnswerError(f"method {name}: {key} is on {value.device}; it must be on cpu or cuda")
-    return value.detach().to(torch.float32).clone()
+    words = f"a tensor {shape} of {' or '.join(map(str, dtypes))}"
+    try:
+        value = check_tensor(key, value, words)
+    except TypeError as error:
+        raise AnswerError(f"method {name}: {printable(error)}") from None
+    if tuple(value.shape) != shape or value.dtype not in dtypes:
+        found = f"{value.dtype} {tuple(value.shape)}"
+        raise AnswerError(f"method {name}: {key} is {found}; it must be {words}")
+    return value.detach().clone()
+
+
+@contextmanager
+def own_streams(name: str) -> Iterator[None]:
+    """What a method prints goes to stderr: stdout is the table's. A stream that it closed or
+    replaced is put back."""
+    printed = io.StringIO()
+    try:
+        with redirect_stderr(sys.stderr), redirect_stdout(printed):
+            yield
+    finally:
+        if not printed.closed and printed.getvalue():
+            tell(f"{name} printed: {printed.getvalue().rstrip()}")
 
 
 @dataclass(frozen=True, eq=False)

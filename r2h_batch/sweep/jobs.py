@@ -22,7 +22,7 @@ from r2h_batch.predictions import align, doubts, load_predictions
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import TrialNames
 from r2h_batch.schedule import trial_ids
-from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, why_no_cuda
+from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import (
     METHODS,
     SEEN_BY,
@@ -357,7 +357,8 @@ def _method(said: str) -> _Method:
     form = "it must be package.module:function that takes (trials, scene, *, seed)"
     before = set(sys.modules)
     try:
-        module = import_module(module_name)
+        with own_streams(f"--method {name}"):
+            module = import_module(module_name)
         function = getattr(module, function_name)
     except KeyboardInterrupt:
         raise

@@ -153,7 +153,7 @@ def trials_with_ids(
     protocol: str = PROTOCOL,
 ) -> Trials:
     """The trials of these ids (0 or more), in this order."""
-    check_tensor("trial_id", trial_id, "a torch tensor (N,) of torch.int64")
+    trial_id = check_tensor("trial_id", trial_id, "a torch tensor (N,) of torch.int64")
     if trial_id.ndim != 1 or trial_id.dtype != torch.int64:
         raise TypeError(
             f"trial_id is {trial_id.dtype} {tuple(trial_id.shape)}; it must be a torch tensor (N,) of torch.int64"

@@ -1,5 +1,6 @@
 """Nobody changes what is judged: answers of methods are checked, and stored rows are those of the plan."""
 
+import io
 import json
 import os
 import sys
@@ -48,9 +49,17 @@ WRONG = {
     "3 x 4": (lambda t: (poses(t), poses(t)[:, :3]), r"T_world_ee is torch.float32 \(4, 3, 4\)"),
     "whole numbers": (lambda t: (poses(t).int(), poses(t)), "T_obj_ee is torch.int32"),
     "half precision": (lambda t: (poses(t), poses(t).half()), "T_world_ee is torch.float16"),
-    "numpy": (lambda t: (poses(t).numpy(), poses(t)), "T_obj_ee is ndarray; it must be a tensor"),
-    "meta": (lambda t: (poses(t), poses(t).to("meta")), "T_world_ee is on meta"),
-    "a list of times": (lambda t: (poses(t), poses(t), [0.1] * len(t)), "t_method_s is list; it must be a tensor"),
+    "numpy": (lambda t: (poses(t).numpy(), poses(t)), "T_obj_ee is a ndarray of shape .*; it must be a tensor"),
+    "meta": (lambda t: (poses(t), poses(t).to("meta")), "T_world_ee has no memory for its numbers"),
+    "a list of times": (
+        lambda t: (poses(t), poses(t), [0.1] * len(t)),
+        r"t_method_s is \[0.1, .*; it must be a tensor",
+    ),
+    "sparse": (lambda t: (poses(t).to_sparse(), poses(t)), r"T_obj_ee is a tensor of layout sparse_coo; .*to_dense"),
+    "sparse ids": (
+        lambda t: Predictions(t.trial_id.to_sparse(), poses(t), poses(t)),
+        "trial_id is a tensor of layout sparse_coo",
+    ),
     "one time": (lambda t: (poses(t), poses(t), torch.tensor(0.1)), r"t_method_s is torch.float32 \(\)"),
     "time runs backwards": (lambda t: (poses(t), poses(t), torch.full((4,), -1.0)), "t_method_s is -1; 0 to"),
     "for ever": (
@@ -76,6 +85,22 @@ def test_an_answer_that_cannot_be_scored_names_method_and_argument(trials, case)
     with pytest.raises(AnswerError, match=f"method mine: {words}") as error:
         answer_of("mine", trials, answer)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("what", ["none", "closed", "another"])
+def test_what_a_method_prints_goes_to_stderr_and_its_streams_end_with_its_call(trials, what, capsys):
+    def prints(mine):
+        print("hello")
+        if what == "closed":
+            sys.stdout.close()
+        sys.stdout = sys.stderr = None if what == "none" else io.StringIO()
+        return poses(mine), poses(mine)
+
+    before = sys.stdout, sys.stderr
+    answer_of("mine", trials, prints)
+    assert (sys.stdout, sys.stderr) == before
+    out, err = capsys.readouterr()
+    assert out == "" and err == ("" if what == "closed" else "mine printed: hello\n")
 
 
 def test_answers_are_what_a_file_may_hold(trials):
