@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from r2h_batch.bodies.grasp_set import GraspSet
     from r2h_batch.importers.mano import ManoHand
 
-__all__ = ["grasps", "hand", "hands", "import_main", "main", "objects"]
+__all__ = ["grasps", "hand", "hands", "import_main", "main", "objects", "trials"]
 
 Frame = Literal["aperture", "first", "middle", "last"]
 
@@ -203,6 +203,34 @@ def objects(
     return _guarded(run)
 
 
+def trials(
+    path: Annotated[Path, tyro.conf.Positional],
+    *,
+    source: Annotated[Literal["r2handoversim"], tyro.conf.arg(name="from", metavar="SOURCE")],
+    out: Path,
+) -> int:
+    """Trials of the authors' release as a benchmark with predictions and motions.
+
+    Args:
+        path: A handover.trial.v1 file, or a folder of them.
+        source: Whose they are: r2handoversim.
+        out: A new or empty folder for benchmark.yaml, predictions.npz, motions.npz and trials.csv.
+    """
+
+    def run() -> None:
+        from r2h_batch.importers import release
+
+        check_output_folder(out, overwrite=None)
+        counts = release.write(out, release.read_trials(path))
+        print(
+            f"{counted(counts['trials'], 'trials')} of {counted(counts['objects'], 'objects')} in {out},"
+            f" {counts['motions']} with a motion of our gripper; judge them with:"
+            f" r2h-batch sweep --benchmark {out / 'benchmark.yaml'} --predictions {out / 'predictions.npz'} --out RUN"
+        )
+
+    return _guarded(run)
+
+
 def _grasps(
     file: Path, source: str, gripper: str | None, object_id: int | None, pose: Path | None
 ) -> "tuple[GraspSet, int]":
@@ -236,7 +264,13 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch impor
     )
 
 
-COMMANDS: dict[str, Command] = {"hand": hand, "hands": hands, "grasps": grasps, "objects": objects}
+COMMANDS: dict[str, Command] = {
+    "hand": hand,
+    "hands": hands,
+    "grasps": grasps,
+    "objects": objects,
+    "trials": trials,
+}
 import_main = main
 
 

@@ -1,0 +1,466 @@
+"""Trials of the authors' release (GitHub robot-future/r2handoversim 0.11.0): `handover.trial.v1` files
+as a benchmark with predictions and motions of ours.
+
+Their frames: the robot's base stands at (0, 0, 0.75) m and the arm reaches to -x, hence `T_world_release`.
+Their grasp frame lies between the finger tips (+Y closes, +Z approaches), ours between the pads, which
+is `PADS_M` behind. Their hand frame lies in the palm (origin p_h, +Z along n_h, +X to the fingers).
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import torch
+import trimesh
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from r2h_batch import se3
+from r2h_batch.bodies.hand import load_hand, palm_frame
+from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.io.read import FileError, printable, read_json
+from r2h_batch.io.write import write_npz, write_text
+from r2h_batch.validate import rule_of
+from r2h_batch.verdicts import SIDES, SPLITS
+
+__all__ = ["ReleaseTrial", "read_trials", "write"]
+
+Array = NDArray[np.float64]
+
+T_world_release: Array = np.array(
+    [[-1.0, 0, 0, 0], [0, -1.0, 0, 0], [0, 0, 1.0, -0.75], [0, 0, 0, 1.0]]
+)
+PADS_M = {"asset_mesh_pad": 0.016, "": 0.01875}
+"""From the finger tips back to the middle of the pads, by the grasp's `width_policy`: the release's score
+point for widths measured on its gripper's mesh, else the pads of our gripper."""
+HOME_Q = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
+TABLE = ((-0.35, 0.0, 0.70), (0.65, 0.55, 0.035))
+"""Home and table (centre, half extents; release frame, m) of trials that name none."""
+TCP_M = 0.12
+"""The release's tool stands so far out of the flange; `T_tcp_asset_tool` corrects it for a gripper."""
+RIGID = 1e-6
+REGION_M = 1e-6
+"""A usage box is this much larger than it says: faces of the object lie on its sides."""
+END_M, END_ENTRY = 0.005, 0.01
+"""How far a motion may end from the handover pose: the release's own test of Plan."""
+MAX_BYTES = 256 << 20
+MOST_TRIALS = 100_000
+
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Row = Annotated[list[float], Field(min_length=4, max_length=4)]
+Joints = Annotated[list[float], Field(min_length=6, max_length=6)]
+
+
+def _is_rigid(T: list[list[float]]) -> list[list[float]]:
+    a = np.array(T)
+    R = a[:3, :3]
+    wrong = np.abs(a[3] - [0, 0, 0, 1]).max() > 1e-7 or np.abs(R.T @ R - np.eye(3)).max() > RIGID
+    if wrong or abs(np.linalg.det(R) - 1) > RIGID:
+        raise ValueError("must be a rigid pose, 4 x 4, row by row")
+    return T
+
+
+Pose = Annotated[list[Row], Field(min_length=4, max_length=4), AfterValidator(_is_rigid)]
+
+
+class _Entry(BaseModel):
+    """Fields that decide nothing here (provenance, displays) may stand beside those that are named."""
+
+    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+
+
+class Box(_Entry):
+    """A box in any frame, m."""
+
+    center: Vector
+    half_extents: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
+    rotation: Annotated[list[Vector], Field(min_length=3, max_length=3)] = [
+        [1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0],
+    ]  # fmt: skip
+
+    def pose(self) -> Array:
+        """T of the box, in its frame."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.rotation, self.center
+        _is_rigid(T.tolist())
+        return T
+
+
+class Mesh(_Entry):
+    """A triangle mesh, m."""
+
+    vertices: Annotated[list[Vector], Field(min_length=4)]
+    faces: Annotated[
+        list[Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=3, max_length=3)]],
+        Field(min_length=4),
+    ]
+
+
+class Receiver(_Entry):
+    """Where the hand stands; `T_world_hand` is the palm's frame."""
+
+    side: Literal["left", "right"]
+    T_world_hand: Pose
+
+
+class GraspContract(_Entry):
+    """How the release measured the grasp's width."""
+
+    width_policy: str = ""
+
+
+class TrialFile(_Entry):
+    """The fields of `handover.trial.v1` that decide what is judged."""
+
+    schema_version: Literal["handover.trial.v1"]
+    units: Literal["m"]
+    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,200}$")]
+    object_id: Annotated[str, Field(min_length=1, max_length=64)]
+    variant: Annotated[str, Field(max_length=100)] = ""
+    split: Literal["S0", "S1"]
+    T_object_gripper: Pose
+    target_T_world_gripper: Pose
+    object_boxes: Annotated[list[Box], Field(min_length=1)]
+    usage_boxes: list[Box] = []
+    object_mesh_object: Mesh | None = None
+    obstacle_boxes_world: list[Box] | None = None
+    palm_position_world: Vector
+    palm_normal_world: Vector
+    receiver: Receiver | None = None
+    reach_offset_m: Annotated[float, Field(gt=0, le=1)] = 0.12
+    reach_radius_m: Annotated[float, Field(gt=0, le=2)] = 0.10
+    max_opening_m: Annotated[float, Field(gt=0, le=0.085)] = 0.085
+    dt_s: Annotated[float, Field(gt=0, le=1)] = 1 / 60
+    planned_joints: list[Joints] = []
+    executed_joints: list[Joints] = []
+    T_tcp_asset_tool: Pose = np.eye(4).tolist()
+    grasp_contract: GraspContract = GraspContract()
+    method_geometry_invalidated: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class ReleaseTrial:
+    """A trial in our frames, m and rad."""
+
+    id: str
+    object_id: str
+    variant: str
+    split: str
+    mesh: trimesh.Trimesh
+    region: NDArray[np.bool_]  # (F,) faces of the receiver's region
+    T_obj_ee: Array
+    T_world_ee: Array
+    T_world_hand: Array
+    side: int  # 0 right, 1 left
+    place: dict[str, Any]  # thresholds, table and home, as a benchmark file says them
+    q: Array | None  # (K, 6) the executed motion; None: there is none for our gripper
+    dt_s: float
+
+
+def read_trials(path: Path) -> list[ReleaseTrial]:
+    """The trials of a file or of all .json files of a folder that are `handover.trial.v1`, by name.
+
+    Raises:
+        FileError: one line that names the file and the field.
+    """
+    files = sorted(path.glob("*.json")) if path.is_dir() else [path]
+    found: list[ReleaseTrial] = []
+    for file in files:
+        data = read_json(file, most=MAX_BYTES)
+        rows = data if isinstance(data, list) else [data]
+        for k, row in enumerate(rows):
+            where = f"{printable(file)}" + (f"[{k}]" if isinstance(data, list) else "")
+            if path.is_dir() and not _is_trial(row):
+                continue
+            found.append(_converted(_validated(row, where), where))
+            if len(found) > MOST_TRIALS:
+                raise FileError(f"{printable(path)}: more than {MOST_TRIALS} trials")
+    if not found:
+        raise FileError(f"{printable(path)}: has no handover.trial.v1 file")
+    ids = [t.id for t in found]
+    if twice := sorted({i for i in ids if ids.count(i) > 1}):
+        raise FileError(f"{printable(path)}: two trials have the id {twice[0]!r}")
+    return found
+
+
+def _is_trial(row: Any) -> bool:
+    return isinstance(row, dict) and row.get("schema_version") == "handover.trial.v1"
+
+
+def _validated(row: Any, where: str) -> TrialFile:
+    try:
+        return TrialFile.model_validate(row)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+    field = ".".join(printable(p)[:60] for p in first["loc"]) or "the file"
+    found = "is missing" if first["type"] == "missing" else f"is {printable(first['input'])[:60]}"
+    raise FileError(f"{where}: {field} {found}; {rule_of(first)}")
+
+
+def _converted(file: TrialFile, where: str) -> ReleaseTrial:
+    if file.method_geometry_invalidated:
+        raise FileError(
+            f"{where}: method_geometry_invalidated is true: its grasp is not for this object"
+        )
+    try:
+        mesh, region = _object(file, where)
+        place = _place(file, where)
+    except ValueError as error:
+        if isinstance(error, FileError):
+            raise
+        raise FileError(f"{where}: rotation of a box {error}") from None
+    back = np.eye(4)
+    back[2, 3] = -PADS_M.get(file.grasp_contract.width_policy, PADS_M[""])
+    T_world_ee = _tool_pose(file) @ back
+    side, T_world_hand = _hand(file, where)
+    return ReleaseTrial(
+        file.id, file.object_id, file.variant, file.split, mesh, region,
+        np.array(file.T_object_gripper) @ back, T_world_ee, T_world_hand, side, place,
+        _motion(file, T_world_ee), file.dt_s,
+    )  # fmt: skip
+
+
+def _tool_pose(file: TrialFile) -> Array:
+    """Where the tool ends, our world frame: at the last executed sample, as the release judges Reach;
+    at the target of a trial without a trace."""
+    if not file.executed_joints:
+        return T_world_release @ np.array(file.target_T_world_gripper)
+    robot = load_robot()
+    T_world_flange = ee_pose(robot, file.executed_joints[-1]) @ np.linalg.inv(robot.T_flange_ee)
+    T_flange_tcp = np.eye(4)
+    T_flange_tcp[2, 3] = TCP_M
+    return np.asarray(T_world_flange @ T_flange_tcp @ np.array(file.T_tcp_asset_tool))
+
+
+def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bool_]]:
+    """The mesh, or the boxes side by side, and the faces whose middle lies in a usage box."""
+    if file.object_mesh_object is not None:
+        vertices = np.array(file.object_mesh_object.vertices)
+        faces = np.array(file.object_mesh_object.faces)
+        if faces.max() >= len(vertices):
+            raise FileError(
+                f"{where}: object_mesh_object.faces names vertex {faces.max()}; there are {len(vertices)}"
+            )
+        mesh = trimesh.Trimesh(vertices, faces, process=False)
+    else:
+        mesh = trimesh.util.concatenate(
+            [
+                trimesh.creation.box(2 * np.array(b.half_extents), b.pose())
+                for b in file.object_boxes
+            ]
+        )
+    region = np.zeros(len(mesh.faces), bool)
+    if file.split == "S0":
+        return mesh, region
+    if not file.usage_boxes:
+        raise FileError(f"{where}: usage_boxes is empty; a trial of S1 needs one or more")
+    for k, box in enumerate(file.usage_boxes):
+        local = trimesh.transform_points(mesh.triangles_center, np.linalg.inv(box.pose()))
+        inside = (np.abs(local) <= np.array(box.half_extents) + REGION_M).all(1)
+        if not inside.any():
+            raise FileError(f"{where}: usage_boxes.{k} holds no face of the object")
+        region |= inside
+    return mesh, region
+
+
+def _place(file: TrialFile, where: str) -> dict[str, Any]:
+    """Thresholds, table and home as a benchmark file says them."""
+    center, half = TABLE
+    boxes = file.obstacle_boxes_world or []
+    if len(boxes) > 1:
+        raise FileError(
+            f"{where}: obstacle_boxes_world has {len(boxes)} boxes; one, the table, can be judged"
+        )
+    if boxes:
+        turned = np.abs(boxes[0].pose()[:3, :3])
+        if np.abs(turned - np.round(turned)).max() > RIGID:
+            raise FileError(
+                f"{where}: obstacle_boxes_world.0 is turned; a table lies along the world's axes"
+            )
+        center = tuple(boxes[0].center)
+        half = tuple(np.round(turned) @ boxes[0].half_extents)
+    middle = trimesh.transform_points([center], T_world_release)[0]
+    home = file.planned_joints[0] if file.planned_joints else HOME_Q
+    limits = {
+        "reach_offset_m": file.reach_offset_m,
+        "reach_radius_m": file.reach_radius_m,
+        "w_max_m": file.max_opening_m,
+    }
+    return {
+        "thresholds": limits,
+        "table": {"center": np.round(middle, 9).tolist(), "half": [float(x) for x in half]},
+        "home": [float(x) for x in home],
+    }
+
+
+def _hand(file: TrialFile, where: str) -> tuple[int, Array]:
+    """Side and T_world_hand (our wrist frame) of the flat hand whose palm lies where the trial says.
+
+    A trial without a receiver names palm point and normal only: the fingers then point along the
+    horizontal across the normal, or along x where the normal is vertical.
+    """
+    if file.receiver is not None:
+        T_world_palm = np.array(file.receiver.T_world_hand)
+        side = SIDES.index(file.receiver.side)
+    else:
+        normal = np.array(file.palm_normal_world)
+        size = np.linalg.norm(normal)
+        if size < 1e-9:
+            raise FileError(f"{where}: palm_normal_world is zero")
+        z = normal / size
+        x = np.cross([0.0, 0.0, 1.0], z)
+        x = x / np.linalg.norm(x) if np.linalg.norm(x) > 1e-6 else np.array([1.0, 0.0, 0.0])
+        x = x - (x @ z) * z
+        x = x / np.linalg.norm(x)
+        T_world_palm = np.eye(4)
+        T_world_palm[:3, :3] = np.stack([x, np.cross(z, x), z], 1)
+        T_world_palm[:3, 3] = file.palm_position_world
+        side = 0
+    return side, T_world_release @ T_world_palm @ np.linalg.inv(_palm_in_hand(side))
+
+
+def _palm_in_hand(side: int) -> Array:
+    """T_hand_palm of our flat hand: origin p_h, z = n_h, x along wrist to middle finger's root."""
+    sides = torch.tensor([side], dtype=torch.int8)
+    joints = load_hand().pose(torch.zeros(1, 48), None, sides).joints.double()
+    point, normal = (x[0].numpy() for x in palm_frame(joints, sides))
+    along = (joints[0, 4] - joints[0, 0]).numpy()
+    x = along - (along @ normal) * normal
+    x = x / np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.stack([x, np.cross(normal, x), normal], 1), point
+    return T
+
+
+def _motion(file: TrialFile, T_world_ee: Array) -> Array | None:
+    """The executed joints, or the planned ones; None where they are of another tool: with our gripper
+    they end elsewhere (the release's box gripper is 52 mm shorter)."""
+    q = np.array(file.executed_joints or file.planned_joints)
+    if len(q) < 2:
+        return None
+    end = ee_pose(load_robot(), q[-1])
+    near = np.linalg.norm(end[:3, 3] - T_world_ee[:3, 3]) <= END_M
+    return q if near and np.abs(end - T_world_ee)[:3, :3].max() <= END_ENTRY else None
+
+
+def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, int]:
+    """benchmark.yaml with meshes and trials.npz, predictions.npz, motions.npz, trials.csv in `out`.
+
+    Returns:
+        counts: trials, objects, motions.
+
+    Raises:
+        FileError: the trials differ in table, home or thresholds, which a benchmark has once.
+    """
+    place = trials[0].place
+    for t in trials:
+        if t.place != place:
+            differing = [k for k, v in place.items() if t.place[k] != v]
+            raise FileError(
+                f"{t.id} has another {differing[0]} than {trials[0].id}; a benchmark has one: import "
+                "them into folders of their own"
+            )
+    (out / "meshes").mkdir(parents=True, exist_ok=True)
+    names = _write_objects(out, trials)
+    entries = sorted(set(names.values()))
+    ordered = [t for split in SPLITS for t in trials if t.split == split]
+    ids = [
+        2 * k + s
+        for s, split in enumerate(SPLITS)
+        for k in range(sum(t.split == split for t in trials))
+    ]
+    write_npz(
+        out / "trials.npz",
+        {
+            "object": np.array([names[_key(t)] for t in ordered]),
+            "T_world_hand": np.stack([t.T_world_hand for t in ordered]),
+            "pose": np.zeros((len(ordered), 48), np.float32),
+            "shape": np.zeros((len(ordered), 10), np.float32),
+            "side": np.array([t.side for t in ordered], np.int8),
+        },
+    )
+    answers = {
+        "trial_id": np.array(ids, np.int64),
+        "T_obj_ee": _poses([t.T_obj_ee for t in ordered]),
+        "T_world_ee": _poses([t.T_world_ee for t in ordered]),
+    }
+    write_npz(out / "predictions.npz", answers)
+    moving = [k for k, t in enumerate(ordered) if t.q is not None]
+    if moving:
+        write_npz(out / "motions.npz", _motions([ordered[k] for k in moving], answers, moving))
+    with (out / "trials.csv").open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file)
+        rows.writerow(["trial_id", "id", "object_id", "variant", "split"])
+        rows.writerows(
+            [i, t.id, t.object_id, t.variant, t.split] for i, t in zip(ids, ordered, strict=True)
+        )
+    limits = "".join(f"  {k}: {v!r}\n" for k, v in place["thresholds"].items())
+    write_text(
+        out / "benchmark.yaml",
+        "trials: trials.npz\n"
+        f"thresholds:\n{limits}"
+        f"table: {{center: {place['table']['center']}, half: {place['table']['half']}}}\n"
+        f"home: {place['home']}\nobjects:\n" + "".join(_entry(out, name) for name in entries),
+    )
+    return {"trials": len(ordered), "objects": len(entries), "motions": len(moving)}
+
+
+def _key(t: ReleaseTrial) -> tuple[str, str, bytes, bytes]:
+    shape = t.mesh.vertices.tobytes() + t.mesh.faces.tobytes()
+    return t.object_id, t.split, shape, t.region.tobytes()
+
+
+def _write_objects(
+    out: Path, trials: Sequence[ReleaseTrial]
+) -> dict[tuple[str, str, bytes, bytes], str]:
+    """A mesh for each object of one shape, split and region; the name of each."""
+    names: dict[tuple[str, str, bytes, bytes], str] = {}
+    for t in trials:
+        if (key := _key(t)) in names:
+            continue
+        plain = re.sub(r"[^A-Za-z0-9_.-]+", "_", t.object_id)[:50].lstrip(".-") or "object"
+        name, k = plain, 1
+        while name in names.values():
+            k += 1
+            name = f"{plain}_{k}"
+        names[key] = name
+        ply = trimesh.exchange.ply.export_ply(t.mesh, include_attributes=False)
+        (out / "meshes" / f"{name}.ply").write_bytes(ply)
+        if t.split == "S1":
+            np.save(out / "meshes" / f"{name}_receiver.npy", t.region)
+    return names
+
+
+def _entry(out: Path, name: str) -> str:
+    held = (out / "meshes" / f"{name}_receiver.npy").exists()
+    lines = [f"- file: meshes/{name}.ply", f"  name: {json.dumps(name)}"]
+    lines.append(f"  split: {'S1' if held else 'S0'}")
+    lines += [f"  receiver: meshes/{name}_receiver.npy"] if held else []
+    return "\n".join(lines) + "\n"
+
+
+def _poses(T: Sequence[Array]) -> NDArray[np.float32]:
+    stacked = torch.from_numpy(np.stack(T)).float()
+    return se3.orthonormalise(stacked).numpy()
+
+
+def _motions(
+    trials: Sequence[ReleaseTrial], answers: dict[str, Any], rows: Sequence[int]
+) -> dict[str, Any]:
+    """What `Evaluator.score_motion` takes; samples beyond `length` repeat the last one."""
+    traces = [t.q for t in trials if t.q is not None]
+    length = np.array([len(q) for q in traces], np.int32)
+    w = int(length.max())
+    q = np.stack([np.concatenate([x, np.repeat(x[-1:], w - len(x), 0)]) for x in traces])
+    time_s = np.stack([t.dt_s * np.minimum(np.arange(w), n - 1) for t, n in zip(trials, length)])
+    return {
+        "trial_id": answers["trial_id"][rows], "T_obj_ee": answers["T_obj_ee"][rows],
+        "q": q.astype(np.float32), "time_s": time_s, "length": length,
+    }  # fmt: skip
