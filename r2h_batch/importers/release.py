@@ -250,12 +250,10 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
             )
         mesh = trimesh.Trimesh(vertices, faces, process=False)
     else:
-        mesh = trimesh.util.concatenate(
-            [
-                trimesh.creation.box(2 * np.array(b.half_extents), b.pose())
-                for b in file.object_boxes
-            ]
-        )
+        boxes = [
+            trimesh.creation.box(2 * np.array(b.half_extents), b.pose()) for b in file.object_boxes
+        ]
+        mesh = sum(boxes[1:], boxes[0])
     region = np.zeros(len(mesh.faces), bool)
     if file.split == "S0":
         return mesh, region
@@ -272,7 +270,7 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
 
 def _place(file: TrialFile, where: str) -> dict[str, Any]:
     """Thresholds, table and home as a benchmark file says them."""
-    center, half = TABLE
+    center, half = (np.array(x) for x in TABLE)
     boxes = file.obstacle_boxes_world or []
     if len(boxes) > 1:
         raise FileError(
@@ -284,8 +282,8 @@ def _place(file: TrialFile, where: str) -> dict[str, Any]:
             raise FileError(
                 f"{where}: obstacle_boxes_world.0 is turned; a table lies along the world's axes"
             )
-        center = tuple(boxes[0].center)
-        half = tuple(np.round(turned) @ boxes[0].half_extents)
+        center = np.array(boxes[0].center)
+        half = np.round(turned) @ boxes[0].half_extents
     middle = trimesh.transform_points([center], T_world_release)[0]
     home = file.planned_joints[0] if file.planned_joints else HOME_Q
     limits = {
