@@ -326,8 +326,9 @@ def _hand(file: TrialFile, where: str) -> tuple[int, Array]:
 
 def _palm_in_hand(side: int) -> Array:
     """T_hand_palm of our flat hand: origin p_h, z = n_h, x along wrist to middle finger's root."""
-    sides = torch.tensor([side], dtype=torch.int8)
-    joints = load_hand().pose(torch.zeros(1, 48), None, sides).joints.double()
+    sides = torch.tensor([side], dtype=torch.int8, device="cpu")
+    flat = torch.zeros((1, 48), dtype=torch.float32, device="cpu")
+    joints = load_hand().pose(flat, None, sides).joints.double()
     point, normal = (x[0].numpy() for x in palm_frame(joints, sides))
     along = (joints[0, 4] - joints[0, 0]).numpy()
     x = along - (along @ normal) * normal
