@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: help demo test lint check quick-tests golden baselines tables docs assets bench lock licences audit gpu clean
+.PHONY: help demo test lint check quick-tests golden tables docs assets bench lock licences audit gpu clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -29,13 +29,8 @@ quick-tests: $(VENV)/.installed-test
 golden: $(VENV)/.installed-test  ## rewrites tests/golden.json; CONTRIBUTING.md says when that is allowed
 	$(BIN)/python tests/support/golden.py --write
 
-baselines: $(VENV)/.installed-test  ## scores again the baselines that ship with the package, after anything that moves a verdict
-	$(BIN)/python bench/baselines.py
-
-tables: $(VENV)/.installed-test  ## Table I of both protocols and presets, what each choice is worth, and the findings page: half an hour
-	$(BIN)/python bench/table1.py
-	$(BIN)/python bench/sensitivity.py
-	$(BIN)/python bench/findings.py --readme
+tables: $(VENV)/.installed-test  ## all published rows, tables, findings and pictures, from a clean commit, after anything that moves a verdict
+	$(BIN)/python bench/tables.py
 
 $(SETUP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if (3, 11) <= v <= (3, 13) else f"r2h_batch needs Python 3.11 to 3.13; $(PYTHON) is {v[0]}.{v[1]}. Try: make PYTHON=python3.12 demo")'

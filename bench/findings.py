@@ -1,19 +1,14 @@
-"""The paper's eight findings against this benchmark's tables: docs/results/findings.md, from docs/results/*.json alone.
+"""The paper's eight findings against this benchmark's tables: docs/results/findings.md and README's table.
 
-    python bench/findings.py                    # after bench/table1.py and bench/sensitivity.py
-
-A finding is a list of conditions on Table I. It appears if all of them hold, in part if some do. A person wrote the causes below
-(CAUSES has the date); all figures come from the tables.
+`make tables` writes both (bench/tables.py). A finding is a list of conditions on Table I. It appears if all of them hold, in
+part if some do. A person wrote the causes below (CAUSES has the date); all figures come from the tables.
 """
 
-import argparse
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from _report import ROOT
-
+ROOT = Path(__file__).resolve().parents[1]
 TABLES = {
     "table1-v1": "r2h-v1",
     "table1-v1-paper-preset": "r2h-v1, preset paper",
@@ -153,35 +148,30 @@ def findings() -> list[Finding]:
 CAUSES = [
     "Contact-Handover compares 256 poses of gripper and held object with the estimated hand. The other methods compare at"
     " most eight, without the object. In the default preset F_safe is 0 for every method, because the planner certifies"
-    " edges against the true hand. In preset paper it samples paths around the estimated hand: motions then fail Safe, and"
-    " those of Contact-Handover fail least.",
-    "Contact-Handover's pose search sees hand and object but not the object's function. S1's long tools leave more room"
-    " beside the palm than S0's bowls, so F_plan stays or falls. F_afford rises: the network cannot learn the contacts of"
-    " binoculars, trigger sprayer and power drill from the other fifteen objects"
-    " ([receivers](../receivers.md#contact-network)). Stability fails only with candidates as generated: for wineglass,"
-    " binoculars and toothbrush the gripper cannot hold the grasp that blocks least contact.",
-    "Intent-Handover's rule knows the region. Its remaining failures are fingers that reach past the point on the"
-    " approach axis. Contact-Handover comes last, since its network never saw the object. A network trained on all objects"
-    " halves its F_afford (`contact,contacts=all` in [sensitivity](sensitivity.md)).",
+    " edges against the true hand. In preset paper it samples paths around the estimated hand, and motions then fail Safe.",
+    "Contact-Handover's pose search sees hand and object but not the object's function. F_afford rises: the network never saw"
+    " the object in whose place it is asked ([receivers](../receivers.md#contact-network)). Stability fails only with candidates"
+    " as generated (`candidates as generated` in [sensitivity](sensitivity.md)).",
+    "Intent-Handover's rule knows the region. Contact-Handover comes last, since its network never saw the object; with a"
+    " network trained on all objects its F_afford falls (`contact,contacts=all` in [sensitivity](sensitivity.md)).",
     "Intent-Handover turns hand, object and gripper as one, so it has one pose and searches nothing. In S0 the TCP 15 cm"
-    " above the palm leaves no room for a bowl or a cup: in most Plan failures the object overlaps the hand. With the"
-    " object's middle at that place (`intent,at=object` in [sensitivity](sensitivity.md)) it ranks first. The default"
-    " follows the paper, which names the gripper ([choices](../choices.md#methods)). In S1 Intent-Handover leads.",
+    " above the palm leaves little room for a bowl or a cup ([why Plan fails](table1.md#why-plan-fails)). With the object's"
+    " middle at that place (`intent,at=object` in [sensitivity](sensitivity.md)) its SR rises. The paper does not say what"
+    " stands there; we chose the gripper ([choices](../choices.md#methods)).",
     "The stand-ins' times say nothing about the originals: a look-up takes microseconds, a diffusion model seconds. Cause"
-    " 1 explains F_safe: when planning sees only the estimated hand, every method near the hand sometimes fails Safe.",
+    " 1 explains F_safe: when planning sees only the estimated hand, methods near the hand sometimes fail Safe.",
     "Reach hardly ever fails: with published errors the object comes within a few centimetres of c_h, and the ball's"
-    " radius is 10 cm. The paper's 2 to 9 % need errors several times larger, or another rule for the object's place."
-    " Handover-VA has most of the failures: its loops retreat from the receiver where the arm does not reach.",
-    "Contact-Handover's F_afford is mostly higher (cause 3), Handover-VA's similar. FC-Handover's F_plan differs little"
-    " between the splits: it opposes the gripper to the fingers wherever they point. In most of its failures the object"
-    " overlaps the hand or the arm overlaps the table.",
+    " radius is 10 cm. Twice the errors change little (`error x 2` in [sensitivity](sensitivity.md)). Handover-VA's loops retreat"
+    " from the receiver where the arm does not reach.",
+    "Contact-Handover's F_afford is mostly higher (cause 3), Handover-VA's similar. FC-Handover opposes the gripper to the"
+    " fingers wherever they point, in both splits; what stops it stands in [why Plan fails](table1.md#why-plan-fails). The"
+    " object 3 cm further from the palm halves its F_plan (`fc,height_m=0.15` in [sensitivity](sensitivity.md)).",
     "FC-Handover has the lowest SR: it opposes fingers that point sideways or up and then meets hand or table."
-    " Handover-VA's handle need not point where fingers do. Its own time is among the longest, since it runs ICP and"
-    " computes grasps while the others look up hands. In the default preset only its grasps are unfiltered, so only it"
-    " fails Stability. With candidates as generated it fails least, as in the paper. From S0 to S1 it loses to Affordance:"
-    " it grasps knife, pliers and toothbrush from above, in the receiver's region.",
+    " Handover-VA's handle need not point where fingers do. It runs ICP and computes grasps while the others look up hands. In"
+    " the default preset only its grasps are unfiltered, so only it fails Stability. From S0 to S1 it loses to Affordance"
+    " ([by object](table1.md#by-object)).",
 ]
-"""Written on 2026-11-20 from 500 trials of each split."""
+"""Read on 2026-11-21 from 500 trials of each split. `make tables` does not check them: a person does."""
 
 
 def cells_of(data: Mapping) -> Cells:
@@ -249,26 +239,26 @@ def pair_lines(tables: Mapping[str, Mapping]) -> list[str]:
     return [*lines, *(f"| {a} - {b} | " + " | ".join(cells) + " |" for (a, b), cells in found.items())]
 
 
-def page(results: Path) -> str:
-    """docs/results/findings.md."""
-    data = {title: json.loads((results / f"{file}.json").read_text()) for file, title in TABLES.items()}
+def page(tables: Mapping[str, Mapping]) -> str:
+    """docs/results/findings.md, from name -> the table's JSON."""
+    data = {title: tables[file] for file, title in TABLES.items()}
     here = {name: cells_of(d) for name, d in data.items()}
     first = next(iter(data.values()))
-    code = first["provenance"]["digests"]["code"][:16]
     parts = [
         "# The paper's findings, one by one",
         "This page says which findings of the paper appear in this benchmark, and why others do not. Objects, hands and"
         " networks are stand-ins ([baselines](../baselines.md)): a finding that does not appear is no evidence against the"
-        " paper. We tuned nothing towards its table. `python bench/findings.py` makes this page from the"
-        f" [tables](table1-v1.md) ({first['origin']['trials']} trials, code {code}). The paper's own figures are in"
-        " `r2h_batch/study/paper/table1.csv`. A finding is a list of conditions: `yes` means that all hold, `no` that none"
-        " holds; `not:` names those that do not hold.",
+        " paper. `make tables` makes this page from the"
+        f" [tables](table1-v1.md) ({first['origin']['trials']} trials, commit {first['provenance']['commit'][:12]}). The paper's"
+        " own figures are in `r2h_batch/study/paper/table1.csv`. A finding is a list of conditions: `yes` means that all hold,"
+        " `no` that none holds; `not:` names those that do not hold.",
         "\n".join(appearing(here)),
         "## Causes",
+        "Causes are a person's reading of the tables, not tests.",
         "\n".join(f"{number}. {finding.cause}" for number, finding in enumerate(findings(), 1)),
         "## Upper bound",
-        "In the default preset the oracle solves every trial. In preset paper the planner samples edges around the estimated"
-        " hand, and the oracle fails a few trials.",
+        "The oracle tries candidates until the evaluator accepts one. In preset paper the planner samples edges around the"
+        " estimated hand.",
         "\n".join(oracle_lines(data)),
         "## Who is better",
         "Each cell gives the better method of a pair and the difference in points of SR, over both splits (`r2h-batch"
@@ -302,23 +292,3 @@ def with_table(text: str, lines: list[str]) -> str:
     while after and (after[0].startswith("|") or after[0].endswith("|")):
         after.pop(0)
     return before + "\n".join([*lines, *after]) if head else text
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--results", type=Path, default=ROOT / "docs" / "results")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results" / "findings.md")
-    parser.add_argument("--readme", action="store_true", help="also exchange the table in README.md")
-    given = parser.parse_args()
-    given.out.write_text(page(given.results))
-    print(given.out)
-    if given.readme:
-        file = ROOT / "README.md"
-        file.write_text(
-            with_table(file.read_text(), readme_lines(json.loads((given.results / "table1.json").read_text())))
-        )
-        print(file)
-
-
-if __name__ == "__main__":
-    main()

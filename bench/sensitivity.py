@@ -1,24 +1,14 @@
 """What each choice is worth: the four methods with one choice changed at a time, docs/results/sensitivity.{md,json}.
 
-    python bench/sensitivity.py                  # 200 trials a split, some ten minutes on two idle cores
-    python bench/sensitivity.py --trials 50 --out /tmp/sensitivity --runs /tmp/runs
-
-Motion as planned (`--sim none`). Each variant is one sweep; run folders (--runs) are gone on with where they stopped. The paired
-test (`r2h-batch compare`) says which methods are apart in each, and the ranks how often their order is that of the base.
+`make tables` measures it (bench/tables.py). Motion as planned (`--sim none`); each variant is one sweep. The paired test
+(`r2h-batch compare`) says which methods are apart in each, and the ranks how often their order is that of the base.
 """
 
-import argparse
-import contextlib
-import io
 import json
 import shlex
-import sys
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-from _report import ROOT, hardware
 
 METHODS = ("fc", "handover-va", "contact", "intent")
 TITLES = {
@@ -82,19 +72,6 @@ def variants() -> list[Variant]:
     ]
 
 
-def swept(variant: Variant, folder: Path, trials: int) -> list[str]:
-    """Runs (or goes on with) one variant's sweep; its command."""
-    from r2h_batch.sweep.command import main as sweep
-
-    line = ["--method", *variant.methods, "--trials", str(trials), "--sim", "none", *(variant.flags or BASE)]
-    line += ["--out", str(folder)]
-    with contextlib.redirect_stdout(io.StringIO()):
-        code = sweep(line)
-    if code:
-        sys.exit(code)
-    return ["python", "-m", "r2h_batch.sweep", *line]
-
-
 def rates_of(folder: Path) -> dict[str, dict[str, dict[str, float | None]]]:
     """Method (the sweep's word) -> split -> column -> percent."""
     from r2h_batch.report.table import render, table_of
@@ -113,7 +90,7 @@ def pairs_of(folders: Sequence[Path]) -> dict[str, str]:
     from r2h_batch.runs.store import load_run
     from r2h_batch.statistics.paired import compare, pair_up
 
-    (whole,) = [c for c in compare(pair_up([load_run(f) for f in folders])) if c.group == "all"]
+    (whole,) = [c for c in compare(pair_up([load_run(f) for f in folders]), draws=1) if c.group == "all"]
     found = {}
     for p in whole.pairs:
         a, b = (name.partition(" (")[0] for name in (p.a, p.b))
@@ -169,7 +146,7 @@ def markdown(data: dict) -> str:
     best = sum(v["order"][0] == base["order"][0] for v in variants_[1:])
     parts = [
         "# What each choice is worth",
-        f"`{data['command']}`: {data['trials']} trials of each split, motion as planned, base `{' '.join(BASE)}` with the default"
+        f"`make tables`: {data['trials']} trials of each split, motion as planned, base `{' '.join(BASE)}` with the default"
         f" preset; one choice changed at a time. Commit {data['commit']}, code {data['code'][:16]}. Percent; in brackets the"
         " change against the base, of the methods that the change touches.",
         "Mean SR of both splits:",
@@ -188,49 +165,28 @@ def markdown(data: dict) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trials", type=int, default=200, help="of each split")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "results")
-    parser.add_argument("--runs", type=Path, default=ROOT / "runs" / "sensitivity", help="where the run folders are")
-    given = parser.parse_args()
+def measure(place: Path, trials: int, sweep: Callable[[list[str], Path], Path]) -> dict:
+    """Sweeps every variant into a folder of `place`; what docs/results/sensitivity.json holds."""
     from r2h_batch.runs.store import load_run
 
-    begin, found, base_folder = time.perf_counter(), [], Path()
+    found: list[dict] = []
     base_rates: dict = {}
+    header: dict = {}
     for variant in variants():
-        folder = given.runs / f"{variant.name.replace(' ', '-').replace(',', '-').replace('=', '-')}-{given.trials}"
-        line = swept(variant, folder, given.trials)
+        line = ["--method", *variant.methods, "--trials", str(trials), "--sim", "none", *(variant.flags or BASE)]
+        folder = sweep(line, place / variant.name.replace(" ", "-").replace(",", "-").replace("=", "-"))
         mine = rates_of(folder)
-        if not base_rates:
-            base_rates, base_folder = mine, folder
+        base_rates, header = base_rates or mine, header or load_run(folder).header
         rates = {**base_rates, **mine}
         order = order_of(rates)
         found.append({
             "name": variant.name,
-            "command": shlex.join(line),
+            "command": shlex.join(["r2h-batch", "sweep", *line]),
             "own": list(mine),
             "rates": rates,
             "order": order,
             "kept": kept_pairs(order, order_of(base_rates)),
             "pairs": pairs_of([folder]) if len(mine) == len(METHODS) else {},
         })  # fmt: skip
-        print(variant.name, *(f"{m} {rates[m]['Avg']['sr']:.1f}" for m in METHODS), flush=True)
-    header = load_run(base_folder).header
-    data = {
-        "command": shlex.join(["python", *sys.argv]),
-        "trials": given.trials,
-        "commit": header["git_commit"],
-        "code": header["digests"]["code"],
-        "seconds": round(time.perf_counter() - begin),
-        "hardware": hardware(),
-        "variants": found,
-    }
-    given.out.mkdir(parents=True, exist_ok=True)
-    (given.out / "sensitivity.json").write_text(json.dumps(data, indent=1) + "\n")
-    (given.out / "sensitivity.md").write_text(markdown(data))
-    print(given.out / "sensitivity.md")
-
-
-if __name__ == "__main__":
-    main()
+    origin = {"commit": header["git_commit"], "code": header["digests"]["code"], "device": header["device"]["name"]}
+    return {"trials": trials, **origin, "variants": found}

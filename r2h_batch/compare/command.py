@@ -19,7 +19,7 @@ BASELINES = "baselines"
 
 FOLDERS = tuple(Path(__file__).parent / name for name in (BASELINES, "baselines_as_planned"))
 """The shipped run folders, 500 trials of each split: moved by MuJoCo C (with poses), and with
-`--sim none`. `make baselines` scores them again."""
+`--sim none`. `make tables` scores them again."""
 
 
 def baselines_for(header: Mapping[str, Any] | None = None) -> Path:

@@ -90,20 +90,6 @@ def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, caps
     assert (margins[~np.isnan(margins)] > 0.05).all()  # the TCP is where the object is wanted
 
 
-def test_table_1s_findings_say_yes_no_or_tied(monkeypatch):
-    monkeypatch.syspath_prepend(DOCS.parent / "bench")
-    import table1
-
-    values = {"FC-Handover": 2.0, "Handover-VA": 3.0, "Contact-Handover": 3.0, "Intent-Handover": 1.0}
-    lines = table1.finding_lines(lambda split, method, column: values[method] if split != "S1" else 2 * values[method])
-    said = {line.split(" | ")[0][2:]: line.rsplit("| ", 1)[1][:-2] for line in lines[2:]}
-    assert said["Intent-Handover has the lowest F_afford in S1"] == "yes"
-    assert said["FC-Handover has the highest F_afford in S1"] == "no"
-    assert said["Contact-Handover has the best SR in S0"] == "tied" == said["Handover-VA has the highest F_plan"]
-    assert said["Handover-VA drops most from S0 to S1"] == "no"  # it rises here
-    assert len(said) == len(table1.findings()) + 1
-
-
 def test_a_methods_options_reach_it_and_stand_in_its_name(bench):
     some = ("contact", "contact,gate=ik,height_m=0.12", "oracle,rounds=8")
     given = jobs.make_jobs(Options(method=some, predictor_noise=0.0), [], bench)

@@ -1,0 +1,305 @@
+"""All published figures of the built-in methods, from one clean commit: `make tables`.
+
+    python bench/tables.py             # sweeps, then every page and picture
+    python bench/tables.py --render    # the pages again from the stored rows, after a change of words
+
+The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. Only when all are done do files change:
+
+    r2h_batch/compare/baselines*, bench/rows/*    the rows of each table, with poses
+    docs/results/table1*.{md,csv,json}            the tables
+    docs/results/sensitivity.{md,json}            what each choice is worth
+    docs/results/findings.md, README.md, docs/choices.md    what follows from the tables
+    docs/*.png, docs/pictures/*.png               pictures of runs
+    docs/results/made_from.json                   commit, golden's digest, digests of the pictures
+
+tests/test_published.py holds all of this to the present code.
+"""
+
+import argparse
+import contextlib
+import hashlib
+import io
+import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import findings
+import pictures
+import sensitivity
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = Path("docs/results")
+METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
+KEPT = ("run.json", "methods", "manifest", "trials", "poses")
+"""Of a run folder: what is stored and read again."""
+
+
+@dataclass(frozen=True)
+class Published:
+    """A table, or rows alone (without a title): the flags of its sweep and the folder of its rows."""
+
+    name: str
+    title: str
+    flags: tuple[str, ...]
+    rows: Path
+
+    def line(self, trials: int) -> list[str]:
+        """The sweep's arguments without --out."""
+        return ["--method", *METHODS, "--trials", str(trials), *self.flags]
+
+
+_SHIPPED, _OTHERS, _PAPER = Path("r2h_batch/compare"), Path("bench/rows"), ("--preset", "paper")
+_V0, _V1 = ("--protocol", "r2h-v0", "--sim", "mujoco"), ("--protocol", "r2h-v1", "--sim", "mujoco")
+PUBLISHED = (
+    Published("table1", "Table I of r2h-v0", _V0, _SHIPPED / "baselines"),
+    Published(
+        "table1-paper-preset", "Table I of r2h-v0, planned as the paper does", (*_V0, *_PAPER), _OTHERS / "paper-preset"
+    ),
+    Published("table1-v1", "Table I of r2h-v1", _V1, _OTHERS / "v1"),
+    Published(
+        "table1-v1-paper-preset",
+        "Table I of r2h-v1, planned as the paper does",
+        (*_V1, *_PAPER),
+        _OTHERS / "v1-paper-preset",
+    ),
+    Published(
+        "as-planned", "", ("--protocol", "r2h-v0", "--sim", "none", "--no-poses"), _SHIPPED / "baselines_as_planned"
+    ),
+)
+TABLES = tuple(p for p in PUBLISHED if p.title)
+
+FINGERS = {
+    "r2h-v0": "The protocol leaves a hand's roll free: fingers that point away from the robot ask FC- and Intent-Handover, which"
+    " oppose the gripper to them, for poses that no arm on this side takes.",
+    "r2h-v1": "The hand follows from a reaching arm (docs/receivers.md): few fingers point away from the robot.",
+}
+
+
+def git(*words: str) -> str:
+    """What git prints in this checkout."""
+    return subprocess.run(["git", "-C", str(ROOT), *words], check=True, capture_output=True, text=True).stdout.strip()
+
+
+def clean_commit() -> str:
+    """The commit of a clean checkout; ends the program otherwise."""
+    if changed := git("status", "--porcelain").splitlines():
+        sys.exit(f"tables: {len(changed)} files differ from the commit ({changed[0].strip()}, ...); commit them first")
+    return git("rev-parse", "HEAD")
+
+
+def golden_digest() -> str:
+    """sha256 of golden's cases: what the project calls unchanged verdicts (CONTRIBUTING.md)."""
+    cases = json.loads((ROOT / "tests" / "golden.json").read_text())["cases"]
+    return hashlib.sha256(json.dumps(cases, sort_keys=True).encode()).hexdigest()
+
+
+def swept(line: Sequence[str], folder: Path) -> Path:
+    """Runs (or goes on with) a sweep; its folder."""
+    from r2h_batch.sweep.command import main as sweep
+
+    begin = time.perf_counter()
+    with contextlib.redirect_stdout(io.StringIO()):
+        code = sweep([*line, "--out", str(folder)])
+    if code:
+        sys.exit(code)
+    print(f"{folder}: {time.perf_counter() - begin:.0f} s", flush=True)
+    return folder
+
+
+def plan_lines(run) -> list[str]:
+    """A Markdown table: why Plan fails first, percent of each method's Plan failures by split."""
+    found: dict[tuple[str, str], Counter] = {}
+    for method in run.methods:
+        columns = (run.trials(method)[c].to_pylist() for c in ("split", "outcome", "plan_reason", "plan_pair"))
+        for split, outcome, reason, pair in zip(*columns, strict=True):
+            if outcome == "plan":
+                found.setdefault((split, method), Counter())[pair or reason] += 1
+    kinds = [k for k, _ in sum(found.values(), Counter()).most_common()]
+    lines = ["| split | method | failures | " + " | ".join(kinds) + " |", "|---|---|--:|" + "--:|" * len(kinds)]
+    for (split, method), counts in sorted(found.items()):
+        n = counts.total()
+        lines.append(
+            f"| {split} | {method} | {n} | " + " | ".join(f"{100 * counts[k] / n:.0f} %" for k in kinds) + " |"
+        )
+    return lines
+
+
+def finger_lines(run) -> list[str]:
+    """F_plan by where the receiver's fingers point (in the horizontal plane's sense: towards the robot or away)."""
+    import numpy as np
+    import torch
+
+    from r2h_batch.scene.scene import Scene
+    from r2h_batch.trials.protocol import trials_with_ids
+
+    scene, tip = Scene(), 1
+    ids = np.array(run.trials(run.methods[0])["trial_id"])
+    trials = trials_with_ids(torch.from_numpy(ids.copy()), protocol=run.header["protocol"])
+    hand = trials.hand_index.long()
+    pointing = scene.hands.vertices[hand, int(scene.hands.model.tip_vertices[tip])] - scene.hands.joints[hand, 0]
+    fingers = torch.einsum("nij,nj->ni", trials.T_world_hand[:, :3, :3], pointing).double().numpy()
+    center = scene.palm(trials.hand_index, trials.T_world_hand)[2].double().numpy() * [1.0, 1.0, 0.0]
+    cos = -(fingers * center).sum(1) / np.linalg.norm(fingers, axis=1) / np.linalg.norm(center, axis=1)
+    angle = np.degrees(np.arccos(np.clip(cos, -1, 1)))
+    edges = [(0, 60), (60, 90), (90, 120), (120, 181)]
+    inside = [(angle >= a) & (angle < b) for a, b in edges]
+    heads = [f"{a}-{min(b, 180)} deg (n = {int(m.sum())})" for (a, b), m in zip(edges, inside)]
+    lines = ["| F_plan in % | " + " | ".join(heads) + " |", "|---|" + "--:|" * len(edges)]
+    for method in run.methods:
+        rows = run.trials(method)
+        failed = np.array(rows["outcome"].to_pylist()) == "plan"
+        failed = failed[np.argsort(np.array(rows["trial_id"]))][np.argsort(np.argsort(ids))]
+        lines.append(
+            f"| {method} | " + " | ".join(f"{100 * failed[m].mean():.1f}" if m.any() else "-" for m in inside) + " |"
+        )
+    return lines
+
+
+def pairs_of(run) -> list[dict[str, object]]:
+    """The paired test of the methods on all trials of each split and of both: who is apart from whom."""
+    from r2h_batch.statistics.paired import compare, pair_up
+
+    return [
+        {"group": c.group, "a": p.a, "b": p.b, "difference": p.difference, "p_holm": p.p_holm, "verdict": p.verdict}
+        for c in compare(pair_up([run]), draws=1)
+        for p in c.pairs
+    ]
+
+
+def unsolved(run) -> dict[str, list[int]]:
+    """Ids of the trials that the oracle does not solve, and of those that no method solves."""
+    solved: dict[int, set[str]] = {}
+    for method in run.methods:
+        rows = run.trials(method)
+        for trial, outcome in zip(rows["trial_id"].to_pylist(), rows["outcome"].to_pylist()):
+            solved.setdefault(trial, set()).update({method} if outcome == "success" else ())
+    oracle = [t for t, who in sorted(solved.items()) if "oracle" not in who]
+    return {"oracle_unsolved": oracle, "solved_by_nobody": [t for t, who in sorted(solved.items()) if not who]}
+
+
+def table_files(published: Published, rows: Path) -> dict[str, str]:
+    """Name -> text of the table's .md, .csv and .json, from stored rows alone."""
+    from r2h_batch.report.table import object_lines, render, table_of
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(rows)
+    table = replace(table_of(run), folder="")
+    header, split = run.header, next(iter(run.header["trials"].values()))
+    command = shlex.join(["r2h-batch", "sweep", *published.line(split), "--out", f"runs/{published.name}"])
+    origin = {"command": command, "commit": header["git_commit"], "digests": header["digests"]}
+    origin |= {"methods": {m: run.digest(m) for m in run.methods}, "predictors": header["predictors"]}
+    origin |= {"versions": header["versions"], "device": header["device"]["name"], "rows": published.rows.as_posix()}
+    versions = ", ".join(f"{k} {v}" for k, v in header["versions"].items())
+    parts = [
+        f"# {published.title}",
+        f"`{command}`; the rows are in `{published.rows.as_posix()}`.",
+        f"Commit {header['git_commit']}; code {header['digests']['code'][:16]}; versions: {versions}.",
+        render(table, "md").rstrip(),
+        "## Why Plan fails",
+        "Percent of a method's Plan failures: the pair of bodies that overlap in the posture of the last branch, or"
+        " `ik_unreachable`.",
+        "\n".join(plan_lines(run)),
+        "## Plan failures by where the receiver's fingers point",
+        "Angle between the true hand's direction (wrist to middle tip) and the horizontal direction to the robot. "
+        + FINGERS[header["protocol"]],
+        "\n".join(finger_lines(run)),
+        "## By object",
+        object_lines(run).rstrip(),
+    ]
+    data = json.loads(render(table, "json")) | {"provenance": origin, "pairs": pairs_of(run)} | unsolved(run)
+    return {
+        f"{published.name}.md": "\n\n".join(parts) + "\n",
+        f"{published.name}.csv": render(table, "csv"),
+        f"{published.name}.json": json.dumps(data, indent=1) + "\n",
+    }
+
+
+def times_text(data: dict[str, dict]) -> str:
+    """The sentence of docs/choices.md on T_exec: the range of the four methods' means in both splits."""
+
+    def ends(*names: str) -> str:
+        rows = [r for n in names for r in data[n]["rows"] if r["split"] != "Avg" and "Handover" in r["method"]]
+        times = [r["t_exec_s"] for r in rows]
+        return f"{min(times):.1f} to {max(times):.1f} s"
+
+    paper = ends("table1-paper-preset", "table1-v1-paper-preset")
+    return f"ours is {ends('table1')} in r2h-v0, {ends('table1-v1')} in r2h-v1, {paper} with preset `paper`"
+
+
+def render_all() -> dict[Path, str]:
+    """Every published text (path from the checkout's root), from the stored rows and docs/results/sensitivity.json."""
+    files = {RESULTS / name: text for p in TABLES for name, text in table_files(p, ROOT / p.rows).items()}
+    data = {p.name: json.loads(files[RESULTS / f"{p.name}.json"]) for p in TABLES}
+    files[RESULTS / "sensitivity.md"] = sensitivity.markdown(
+        json.loads((ROOT / RESULTS / "sensitivity.json").read_text())
+    )
+    files[RESULTS / "findings.md"] = findings.page(data)
+    readme = (ROOT / "README.md").read_text()
+    files[Path("README.md")] = findings.with_table(readme, findings.readme_lines(data["table1"]))
+    choices = (ROOT / "docs" / "choices.md").read_text()
+    words = re.compile(r"ours is [^.]*?\d\.\d to[^;]*?with preset\s+`paper`", re.DOTALL)
+    files[Path("docs/choices.md")] = words.sub(lambda _: times_text(data), choices, count=1)
+    return files
+
+
+def install(place: Path, commit: str) -> None:
+    """The rows from the sweeps' folders, then all that is made of them."""
+    for p in PUBLISHED:
+        target = ROOT / p.rows
+        shutil.rmtree(target, ignore_errors=True)
+        target.mkdir(parents=True)
+        for name in KEPT:
+            if (place / p.name / name).is_dir():
+                shutil.copytree(place / p.name / name, target / name)
+            elif (place / p.name / name).exists():
+                shutil.copy(place / p.name / name, target / name)
+    shutil.copy(place / "sensitivity.json", ROOT / RESULTS)
+    write(render_all())
+    made = {"commit": commit, "golden": golden_digest(), "pictures": pictures.draw(TABLES[0].rows, Path("docs"))}
+    (ROOT / RESULTS / "made_from.json").write_text(json.dumps(made, indent=1) + "\n")
+
+
+def write(files: dict[Path, str]) -> None:
+    for path, text in files.items():
+        (ROOT / path).write_text(text)
+        print(path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--render", action="store_true", help="the pages again from the stored rows")
+    parser.add_argument(
+        "--trials", type=int, default=500, help="of each split and table; sensitivity takes 2/5 of them"
+    )
+    given = parser.parse_args()
+    os.chdir(ROOT)
+    if given.render:
+        write(render_all())
+        return
+    from r2h_batch.runs.store import load_run
+
+    pictures.browser()  # ends the program before the sweeps if there is none
+    begin, commit = time.perf_counter(), clean_commit()
+    place = Path("runs") / f"tables-{commit[:12]}-{given.trials}"
+    runs = [swept(p.line(given.trials), place / p.name) for p in PUBLISHED]
+    data = sensitivity.measure(place / "sensitivity", given.trials * 2 // 5, swept)
+    (place / "sensitivity.json").write_text(json.dumps(data, indent=1) + "\n")
+    if clean_commit() != commit or {load_run(run).header["git_commit"] for run in runs} != {commit}:
+        sys.exit("tables: files changed while the sweeps ran; run the command again")
+    install(place, commit)
+    print(
+        f"{time.perf_counter() - begin:.0f} s; look at the difference, check the causes in bench/findings.py, and commit"
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""What docs publish follows from stored rows, the rows from this code, and all of it from one clean commit (bench/tables.py)."""
+
+import hashlib
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from r2h_batch.results.reevaluation import Judge, reevaluate
+from r2h_batch.runs import provenance
+from r2h_batch.runs.store import load_run
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "docs" / "results"
+NAMES = ("table1", "table1-paper-preset", "table1-v1", "table1-v1-paper-preset")
+
+
+@pytest.fixture
+def tables(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "bench")
+    import tables
+
+    return tables
+
+
+def made_from():
+    return json.loads((RESULTS / "made_from.json").read_text())
+
+
+def test_every_published_text_is_what_the_stored_rows_give(tables):
+    for path, text in tables.render_all().items():
+        assert (ROOT / path).read_text() == text, f"{path}: python bench/tables.py --render writes it again"
+
+
+def rejudged(rows, n):
+    """Differences of `n` rows of each method; which rows follows from the code, so that other code draws other ones."""
+    run = load_run(rows)
+    judge = Judge(run)
+    judge.other = judge.other or ("code",)  # the digest of the code changes with every comment
+    seed = int(provenance.code_digest()[:12], 16)
+    return [d for m in run.methods for d in reevaluate(run, m, n, judge, seed=seed).differences]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_sample_of_each_tables_rows_is_judged_the_same_by_this_code(tables, name):
+    (published,) = [p for p in tables.TABLES if p.name == name]
+    assert list(map(str, rejudged(ROOT / published.rows, 4))) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_all_published_rows_are_judged_the_same_by_this_code(tables, name):
+    (published,) = [p for p in tables.TABLES if p.name == name]
+    assert list(map(str, rejudged(ROOT / published.rows, 1000))) == []
+
+
+def test_everything_was_made_from_one_clean_commit_with_the_verdicts_of_today(tables):
+    made = made_from()
+    assert made["golden"] == tables.golden_digest(), "verdicts moved: run `make tables` on a clean commit"
+    sources = [load_run(ROOT / p.rows).header["git_commit"] for p in tables.PUBLISHED]
+    sources.append(json.loads((RESULTS / "sensitivity.json").read_text())["commit"])
+    assert {*sources} == {made["commit"]} and re.fullmatch("[0-9a-f]{40}", made["commit"])
+    codes = {load_run(ROOT / p.rows).header["digests"]["code"] for p in tables.PUBLISHED}
+    assert codes == {json.loads((RESULTS / "sensitivity.json").read_text())["code"]}
+    for name, digest in made["pictures"].items():
+        assert hashlib.sha256((ROOT / "docs" / name).read_bytes()).hexdigest() == digest, name
+
+
+def test_the_commit_is_part_of_this_history():
+    git = ["git", "-C", str(ROOT)]
+    try:
+        shallow = subprocess.run([*git, "rev-parse", "--is-shallow-repository"], capture_output=True, text=True)
+    except FileNotFoundError:
+        pytest.skip("no git")
+    if shallow.stdout.strip() != "false":
+        pytest.skip("no checkout with its history")
+    assert subprocess.run([*git, "merge-base", "--is-ancestor", made_from()["commit"], "HEAD"]).returncode == 0
+
+
+@pytest.mark.parametrize("path", sorted(p.name for p in RESULTS.glob("*") if p.is_file()))
+def test_no_published_file_names_a_place_on_a_machine_or_a_changed_checkout(path):
+    text = (RESULTS / path).read_text()
+    assert not re.search(r"(?<![\w.~])/(work|tmp|home|root|Users|mnt|opt|usr)/", text)
+    assert "-dirty" not in text and "\nNext:" not in text
+
+
+def test_a_checkout_with_changes_is_refused(tables, monkeypatch, tmp_path):
+    monkeypatch.setattr(tables, "ROOT", tmp_path)
+    for words in (
+        ["init", "-q"],
+        ["-c", "user.name=a", "-c", "user.email=b", "commit", "-q", "--allow-empty", "-m", "x"],
+    ):
+        subprocess.run(["git", "-C", str(tmp_path), *words], check=True)
+    assert re.fullmatch("[0-9a-f]{40}", tables.clean_commit())
+    (tmp_path / "new.py").write_text("")
+    with pytest.raises(SystemExit, match="1 files differ from the commit"):
+        tables.clean_commit()
+
+
+def test_the_range_of_t_exec_in_choices_is_exchanged_and_nothing_else(tables):
+    rows = [
+        {"split": s, "method": f"{m}-Handover", "t_exec_s": t} for s, m, t in (("S0", "A", 5.04), ("S1", "B", 8.96))
+    ]
+    data = {name: {"rows": [*rows, {"split": "S0", "method": "random", "t_exec_s": 99.0}]} for name in NAMES}
+    assert tables.times_text(data).startswith("ours is 5.0 to 9.0 s in r2h-v0, 5.0 to 9.0 s in r2h-v1, 5.0 to 9.0")
