@@ -6,13 +6,24 @@ a verdict. Here the deepest posture is looked for: every STEP_RAD along a path, 
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.body import ROUNDING_M
 from r2h_batch.kernels.geometry.closest import signed_distance
+from r2h_batch.kernels.geometry.depth import core_depth
+from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh, triangle_points
 from r2h_batch.kernels.grasp.triangle import triangle_clearance
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.posture import posture_clearance
+from r2h_batch.kernels.plan.codes import PAIR_HAND, PAIR_OF_OBJECT
+from r2h_batch.kernels.plan.posture import (
+    BodyInPlace,
+    Obstacle,
+    PairClearance,
+    in_place,
+    obstacle_of,
+    posture_clearance,
+)
 from r2h_batch.kernels.robot.posture import load_waypoint
-from r2h_batch.kernels.robot.world import TrialBodies, World, body_pose, forward_kinematics
+from r2h_batch.kernels.robot.world import OBJECT, TrialBodies, World, body_pose, forward_kinematics
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -30,10 +41,46 @@ def _posture(path: wp.array3d(dtype=float), trial: int, last: int, s: float):
     return a + (t - float(i)) * (load_waypoint(path, trial, i + 1) - a)
 
 
+@wp.func
+def _pair_depth(world: World, body: BodyInPlace, obstacle: Obstacle):
+    """A lower bound of how deep two bodies overlap: of their cores plus the radii, or the radii less their cores' distance."""
+    Rt = wp.transpose(obstacle.R)
+    R = Rt * body.R
+    p = Rt * (body.p - obstacle.p)
+    found = gjk(body.shape, R, p, world.points, obstacle.shape, world.points, obstacle.center, 1.0e30, 0.0)
+    depth = -found.upper - ROUNDING_M
+    core = core_depth(body.shape, R, p, obstacle.shape, world.points)
+    if core > 0.0:
+        depth = wp.max(depth, core + body.shape.radius + obstacle.shape.radius)
+    return depth
+
+
+@wp.func
+def _deepest_pair(
+    world: World, hull_ball: wp.array(dtype=wp.vec4), bodies: TrialBodies, trial: int, found: PairClearance,
+    R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    """The two bodies that `posture_clearance` found to overlap deepest, the links being at R, p."""
+    R_hand_world = bodies.R_hand_world[trial]
+    up = wp.vec3(R_hand_world[0, 2], R_hand_world[1, 2], R_hand_world[2, 2])
+    table_p = R_hand_world * world.table_center + bodies.p_hand_world[trial]
+    link = int(OBJECT)
+    if found.body < world.n_robot:
+        link = world.body_link[found.body]
+    hull = world.hull_first[bodies.object[trial]] + found.body - world.n_robot
+    body = in_place(world, hull_ball, bodies, trial, link, found.body, hull, R, p)
+    kind = PAIR_HAND + (found.pair - PAIR_HAND) % PAIR_OF_OBJECT
+    hand = bodies.hand[trial]
+    obstacle = obstacle_of(
+        world, bodies, trial, body, kind, found.other, hand, R_hand_world, table_p, up, 0.0, 1.0e30, R, p
+    )
+    return body, obstacle
+
+
 # One loop, with one call of `posture_clearance`, over postures s of the path (counted in waypoints):
 #
 # 1. along the path, segment by segment, every STEP_RAD or less. `best` is the deepest so far, in terms of growth, and only
-#    what is deeper is looked for, which is quick (posture_clearance with a `cap` below 0);
+#    what is deeper is looked for, which is quick (posture_clearance with a `cap` below 0), and its depth is measured;
 # 2. about the deepest posture `at`: a step to one side, then to the other. Where one is deeper it goes on from there, else
 #    the step is halved, HALVINGS times: 2^-10 of a first step of at most STEP_RAD / 2.
 #
@@ -54,12 +101,17 @@ def path_overlap(
     pair_out: wp.array(dtype=int),
     body_out: wp.array(dtype=int),
 ):
-    """Minus a lower bound of the deepest penetration depth along each path (plan/posture.py), its pair and the robot's body."""
+    """Minus a lower bound of the deepest penetration depth along each path, its pair and the robot's body.
+
+    The search looks for ever larger growth distances (plan/posture.py), which is quick. Of the pairs and postures on its way
+    the largest depth counts (geometry/depth.py), mostly to 1 %. Others may be deeper: it is a bound.
+    """
     trial = row_in[first + wp.tid()]
     last = length_in[trial] - 1
     R = wp.zeros(shape=7, dtype=wp.mat33)
     p = wp.zeros(shape=7, dtype=wp.vec3)
     best = float(-1.0e-7)
+    depth = float(0.0)
     at = float(-1.0)
     step = float(1.0)
     # along the path, segment by segment; then about the deepest posture, to both sides, in steps that are halved
@@ -87,9 +139,13 @@ def path_overlap(
         if deeper:
             best = found.clearance
             at = wp.clamp(s, 0.0, float(last))
-            pair_out[trial] = found.pair
-            body_out[trial] = found.body
-            clearance_out[trial] = best
+            body, obstacle = _deepest_pair(world, hull_ball, bodies, trial, found, R, p)
+            here = wp.max(_pair_depth(world, body, obstacle), -best)
+            if here > depth:
+                depth = here
+                clearance_out[trial] = -depth
+                pair_out[trial] = found.pair
+                body_out[trial] = found.body
         if segment < last:
             if deeper:
                 step = 0.5 / float(steps)

@@ -322,7 +322,7 @@ def pair_clearance(world: World, body: BodyInPlace, obstacle: Obstacle, known: f
 
 
 @wp.func
-def _obstacle(
+def obstacle_of(
     world: World, bodies: TrialBodies, trial: int, body: BodyInPlace, kind: int, i: int, hand: int,
     R_hand_world: wp.mat33, table_p: wp.vec3, up: wp.vec3, top: float, known: float,
     R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3),
@@ -448,7 +448,7 @@ def posture_clearance(
                     continue
                 i = lowest_bit(left)
                 left = left & (left - wp.uint64(1))
-                obstacle = _obstacle(
+                obstacle = obstacle_of(
                     world, bodies, trial, body, kind, i, hand, R_hand_world, table_p, up, top, out.clearance, R, p
                 )
                 if obstacle.near == 0:
