@@ -57,7 +57,7 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.predictors.train_voxnet
 
 bench: $(VENV)/.installed-test  ## all benchmarks, results under bench/results/
-	for b in collision ik plan throughput execute methods help; do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
+	for b in collision ik plan throughput execute; do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
 
 gpu: $(VENV)/.installed-test  ## everything that a machine with a GPU can show, into runs/gpu (MINUTES=25)
 	$(BIN)/python bench/gpu.py --out runs/gpu --minutes $(or $(MINUTES),25)

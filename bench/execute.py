@@ -1,6 +1,6 @@
 """How fast and how faithfully do the engines move the arm, and what does the executed motion change?
 
-python bench/execute.py [--trials N] [--ask speed queue worlds models auto parity tracking step ...] [--json FILE]
+python bench/execute.py [--trials N] [--ask speed worlds models auto parity tracking step ...] [--json FILE]
 
 Trials and predictions are those of bench/mix.npz (half oracle, half random; S0 and S1 by turns). Speed counts process time,
 so other work on the machine counts little; `trial` = the whole Evaluator.score. Tracking errors are those of the point
@@ -10,36 +10,29 @@ between the fingertips, against the reference at the same time. A trial is in th
 
 import copy
 import json
-import time
 from dataclasses import replace
 from typing import Any, Literal
 from unittest import mock
 
-import mujoco_warp as mjw
 import numpy as np
 import torch
 import warp as wp
 from _moved import Mix, changed, in_order, same, steps_of, worst_margin
 from _report import Report, arguments
 
-from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.grasp import attach, close_gripper
-from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.launch import launch_trials
-from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.motion import sim_mjwarp
 from r2h_batch.motion.time_law import servo_law
 from r2h_batch.scene.dynamics import Payload
-from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.model import MESH_FIELDS
 from r2h_batch.trials.protocol import trials_with_ids
 
 ASK = (
-    "speed", "queue", "worlds", "models", "auto", "parity", "tracking", "step", "edges", "payload", "batches", "closing",
+    "speed", "worlds", "models", "auto", "parity", "tracking", "step", "edges", "payload", "batches",
 )  # fmt: skip
 CPU_WORLDS, CUDA_WORLDS = (1, 16, 64, 256), (256, 1024, 4096, 16384)
 GRASPS = 8  # candidates of each object that are closed in physics
@@ -152,54 +145,6 @@ def auto(mix: Mix, report: Report) -> None:
     report.add("execute.auto.t_exec_max_difference_s", float(late.max()))
     report.add("execute.auto.t_exec_that_differ", int((late > 0).sum()))
     report.add("execute.auto.safe_margin_max_difference_m", worst_margin(a, b))
-
-
-def queue(mix: Mix, report: Report) -> None:
-    """Serial work of mujoco-warp's engine beside the simulation, and how often it builds worlds for four chunks of trials.
-
-    The simulation itself is left out: every world says at once that it is done.
-    """
-
-    def done(graph: Any) -> None:
-        next(reversed(sim_mjwarp._kept.values())).worlds.left.zero_()
-
-    simulate, table = sim_mjwarp.simulate, sim_mjwarp.queue_table
-    for model in ("arm", "scene"):
-        took: list[tuple[int, float]] = []
-        built_queues: list[tuple[int, float]] = []
-
-        def tabled(job: Any, todo: Any, built: list[tuple[int, float]] = built_queues) -> Any:
-            start = time.process_time()
-            answer = table(job, todo)
-            built.append((len(todo), time.process_time() - start))
-            return answer
-
-        def timed(job: Any, took: list[tuple[int, float]] = took, **k: Any) -> Any:
-            start = time.process_time()
-            answer = simulate(job, **k)
-            took.append((len(job.rows), time.process_time() - start))
-            return answer
-
-        evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="mjwarp", model=model)), device=mix.device)
-        evaluator.scene.model(mix.trials.hand_index.tolist(), ExecConfig(model=model))
-        sim_mjwarp.forget_worlds()
-        with (
-            mock.patch.object(wp, "capture_launch", done),
-            mock.patch.object(sim_mjwarp, "simulate", timed),
-            mock.patch.object(sim_mjwarp, "queue_table", tabled),
-            mock.patch.object(mjw, "put_model", wraps=mjw.put_model) as built,
-        ):
-            order = torch.randperm(mix.n, generator=torch.Generator().manual_seed(0))
-            for rows in torch.cat([order, order, order, order]).split(mix.n):
-                keep = rows[: mix.n - int(torch.randint(mix.n // 8 + 1, (1,)))]
-                evaluator.score(mix.g[keep], mix.h[keep], mix.trials[keep])
-        most = max(n for n, _ in took)
-        n, seconds = min((x for x in took if x[0] > most // 2), key=lambda x: x[1] / x[0])  # one that built nothing
-        report.add(f"execute.queue.{model}.trials", n)
-        report.add(f"execute.queue.{model}.core_ms_per_trial", seconds / n * 1e3)
-        alone = min(t / m for m, t in built_queues if m > most // 2)
-        report.add(f"execute.queue.{model}.table_core_ms_per_trial", alone * 1e3)
-        report.add(f"execute.queue.{model}.models_built_for_4_chunks", built.call_count)
 
 
 def parity(mix: Mix, report: Report) -> None:
@@ -333,29 +278,6 @@ def edges(mix: Mix, report: Report) -> None:
             low = s.margin[moved, 4]
             report.add(f"{name}.smallest_safe_margin_mm", float(low.min()) * 1e3)
             report.add(f"{name}.trials_below_1_mm", int((low < 1e-3).sum()))
-
-
-def closing(mix: Mix, report: Report) -> None:
-    """Opening at rest in physics against the geometric one, per object; friction grasps that outlast weight and shaking."""
-    objects, rng = load_objects(), np.random.default_rng(0)
-    grasps = [c.T_obj_ee[rng.permutation(len(c))[:GRASPS]] for c in candidates_of(objects)]
-    index = np.repeat(np.arange(len(objects)), [len(g) for g in grasps]).astype(np.int32)
-    T = torch.from_numpy(np.concatenate(grasps).astype(np.float32))
-    grasp = close_gripper(grasp_tables(objects, "cpu"), T, torch.from_numpy(index))
-    start = time.process_time()
-    done = close_in_physics(objects, index, attach(T, grasp.shift_m).double().numpy(), shake=True, threads=mix.threads)
-    report.add("execute.closing.core_ms_per_grasp", (time.process_time() - start) / len(index) * 1e3)
-    off = (done.opening_m - grasp.opening_m.double().numpy()) * 1e3
-    report.add("execute.closing.grasps", len(index))
-    report.add("execute.closing.within_1_mm_share", float((np.abs(off) < 1).mean()))
-    still = done.moved_m < 1e-3
-    report.add("execute.closing.not_moved_share", float(still.mean()))
-    report.add("execute.closing.not_moved_within_1_mm_share", float((np.abs(off[still]) < 1).mean()))
-    report.add("execute.closing.held_share", float(done.held.mean()))
-    for o, model in enumerate(objects):
-        mine = index == o
-        report.add(f"execute.closing.{model.name}.physics_less_geometry_mm", " ".join(f"{x:.2f}" for x in off[mine]))
-        report.add(f"execute.closing.{model.name}.slip_mm", " ".join(f"{x:.1f}" for x in done.slip_m[mine] * 1e3))
 
 
 def main() -> None:

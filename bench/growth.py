@@ -1,8 +1,9 @@
 """How a run folder grows: start of a resumed sweep, verify, report, compare, and the driver's work per shard.
 
 `python bench/growth.py --trials 2000000 20000000 --json FILE`. Rows are synthetic, half of them of each of two methods, and go
-through the real writer. Each step is a process of its own, so that its peak memory is its own. `--workers`: simulated
-Ray workers that answer at once; what is left is the driver's own time.
+through the real writer. Margins and times have full float32 mantissas and compress no better than real ones. Each step is a
+process of its own, so that its peak memory is its own. `--workers`: simulated Ray workers that answer at once; what is left is
+the driver's own time.
 """
 
 import json
@@ -15,17 +16,94 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
 from _report import ROOT, Report, arguments
+
+from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
+from r2h_batch.runs.store import SHARD_TRIALS
+from r2h_batch.schedule import PROTOCOL
+from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
 
 METHODS = ("synthetic", "other")
 LINEAR = 1.3
 """A step may take so many times its share of the smaller size's time: a busy machine, not another order of growth."""
 
 
+OBJECTS = [f"object_{i:02d}" for i in range(16)]
+BLOCK = 256  # trials that share one amortised time
+
+
+def rows(first: int, last: int, n_s0: int) -> pa.Table:
+    """Synthetic trials of a range of the plan: independent margins, so they compress no better than real ones."""
+    random = np.random.default_rng(first)
+    position = np.arange(first, last)
+    n, s1 = last - first, position >= n_s0
+    turn = np.where(s1, position - n_s0, position)
+    objects = np.where(s1, 6 + turn % 10, turn % 6)
+    scale = np.array([0.02, 0.02, 0.04, 0.02, 0.02]) * (0.5 + objects[:, None] / 16)
+    margin = (random.normal(0.6, 1.0, (n, 5)) * scale).astype(np.float32)
+    margin[:, [1, 3, 4]] = np.minimum(margin[:, [1, 3, 4]], np.float32(0.05))
+    found = margin[:, 1] > 0
+    margin[~found, 1] = -np.inf
+    evaluated = np.ones((n, 5), bool)
+    evaluated[:, 3], evaluated[:, 4] = s1, found
+    passed = evaluated & (margin > 0)
+    failed = evaluated & ~passed
+    outcome = np.where(failed.any(1), failed.argmax(1) + 1, 0)
+    block = position // BLOCK
+
+    def words(codes: np.ndarray, names: list[str]) -> pa.DictionaryArray:
+        return pa.DictionaryArray.from_arrays(pa.array(codes.astype(np.int32), mask=codes < 0), pa.array(names))
+
+    def floats(values: np.ndarray, given: np.ndarray) -> pa.Array:
+        return pa.array(values.astype(np.float32), mask=~given)
+
+    always = np.ones(n, bool)
+    reason = np.where(found, 0, random.choice([2, 3, 3, 4], n))
+    pair = np.where(reason == 3, random.integers(1, len(CollidingPair), n), -1)
+    columns = {
+        "trial_id": pa.array(2 * turn + s1),
+        "object": words(objects, OBJECTS),
+        "split": words(s1.astype(int), list(SPLITS)),
+        "side": words((turn // np.where(s1, 10, 6) + objects) % 2, list(SIDES)),
+        "outcome": words(outcome, list(OUTCOME_NAMES)),
+        **{f"passed_{c}": pa.array(passed[:, i], mask=~evaluated[:, i]) for i, c in enumerate(CRITERIA)},
+        **{f"margin_{c}_m": floats(margin[:, i], evaluated[:, i]) for i, c in enumerate(CRITERIA)},
+        "plan_reason": words(reason, [r.name.lower() for r in PlanReason]),
+        "plan_pair": words(pair, [p.name.lower() for p in CollidingPair]),
+        "nearest_pair": words(np.where(found, 1, -1), [p.name.lower() for p in CollidingPair]),
+        "width_m": floats(0.08 * random.random(n), always),
+        "borderline": pa.array((np.abs(np.where(evaluated, margin, 1)) < 1e-4).any(1)),
+        "presented": pa.array(random.random(n) < 0.8, mask=~s1),
+        "presented_angle_deg": floats(180 * random.random(n), s1),
+        "presented_distance_m": floats(0.2 * random.random(n), s1),
+        "t_plan_s": floats(1e-3 + 1e-4 * random.random(block[-1] - block[0] + 1)[block - block[0]], always),
+        "t_exec_s": floats(random.gamma(20, 0.42, n), found),
+        "t_method_s": floats(np.full(n, 0.0002), always),
+        "body_m": floats(np.full(n, np.nan), ~always),
+    }
+    return pa.table([columns[f.name] for f in TRIAL_SCHEMA], schema=TRIAL_SCHEMA)
+
+
+def header(trials: int) -> dict:
+    """run.json of the synthetic run."""
+    n_s0 = trials // 2
+    return {
+        "protocol": PROTOCOL,
+        "trials": {"S0": n_s0, "S1": trials - n_s0},
+        "objects": [{"name": n, "split": SPLITS[i >= 6], "built_in": False} for i, n in enumerate(OBJECTS)],
+        "configuration": {"name": "default"},
+        "digests": {"trials": "synthetic"},
+        "seed": 0,
+        "device": {"kind": "cpu", "name": "none"},
+        "versions": {"r2h_batch": "bench"},
+        "shard_trials": SHARD_TRIALS,
+    }
+
+
 def open_folder(folder: Path, trials: int, shard_trials: int) -> Any:
     """The synthetic run folder, with its methods."""
-    from runs import header
-
     from r2h_batch.runs.store import open_run
 
     run = open_run(folder, {**header(trials), "shard_trials": shard_trials}, exact=False)
@@ -36,8 +114,6 @@ def open_folder(folder: Path, trials: int, shard_trials: int) -> Any:
 
 def write(folder: Path, trials: int, shard_trials: int) -> dict[str, float]:
     """Through the real writer; making the rows is not counted."""
-    from runs import rows
-
     run, seconds = open_folder(folder, trials // 2, shard_trials), 0.0
     for method in METHODS:
         for shard in run.todo(method):
@@ -123,8 +199,6 @@ class Ref:
 def driver(workers: int, shards: int) -> dict[str, float]:
     """Milliseconds of the driver for each shard with so many workers: feeding, waiting, storing rows and receipt."""
     from collections import deque
-
-    from runs import rows
 
     from r2h_batch.runs.store import ShardWriter
     from r2h_batch.sweep.cluster import Pool, _feed  # the loop alone: no public way goes round Ray itself

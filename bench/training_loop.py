@@ -7,10 +7,7 @@ with random ones), repeated; `perturbed`: the oracle's half moved by 1 cm (grasp
 distributions, as a generator in training proposes them; `distinct`: 4,096 of the mix, each moved by 1 mm of its own.
 Figures of a size come from one call after another, the median of several; core_us is process time (other work on the machine
 counts little), its smallest, and candidates_per_2_core_s what two cores would do at that price with nothing else to do.
-kernel.*_us: time inside each kernel at B = 4,096, of all threads together (CUDA: around each launch); beyond_kernels_us is
-what a call takes beside them. host_us_per_call (CPU): the least thread time that a call took beside compiled code of our
-kernels, of stages "pose" and "all", on one thread, where the call before had as many rows. On CUDA there is one kind of time:
-wall, synchronised.
+On CUDA there is one kind of time: wall, synchronised.
 training: one step of a small generator (three layers of 256, Adam) on 4,096 candidates, scored each step. The peer judges the
 same candidates one by one with MuJoCo C, trimesh, FCL and ur-analytic-ik (bench/_pose_peer.py; building its MuJoCo model is
 not counted). memory: resident kB (CUDA: allocated) around 1,000 calls.
@@ -22,12 +19,9 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from threading import Lock
-from typing import Any, Literal
-from unittest import mock
+from typing import Any
 
 import numpy as np
 import torch
@@ -36,7 +30,6 @@ from _report import Report, arguments
 from r2h_batch import launch, reward
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.launch.cached import CachedLaunch
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import CRITERIA, Outcome, PlanReason, Trials
 
@@ -121,120 +114,6 @@ def sizes(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, l
         captured, c = evaluator.capture(b), repeated(mix, b)
         _, best, _ = clock.of(lambda captured=captured, c=c: captured(*c), 30)  # type: ignore[misc]
         report.add(f"training_loop.captured.b{b}.ms", 1e3 * best)
-
-
-def kernels(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, b: int) -> None:
-    """Core time inside each kernel, and what is left of the call."""
-    c = repeated(mix, b)
-    least: dict[str, float] = {}
-    calls: list[tuple[float, float]] = []
-    for _ in range(5):
-        spent: dict[str, float] = {}
-        with launches_timed(clock, spent):
-            start = clock.now()[1]
-            evaluator.score(*c, stages="pose")
-            calls.append((clock.now()[1] - start, sum(spent.values())))
-        for name, value in spent.items():
-            least[name] = min(value, least.get(name, np.inf))
-    for name, value in least.items() if b == 4096 else ():
-        report.add(f"training_loop.kernel.{name}_us", 1e6 * value / b)
-    report.add(f"training_loop.b{b}.beyond_kernels_us_per_call", 1e6 * min(a - k for a, k in calls))
-
-
-def named(kernel: Any, surface_offset: int | None) -> str:
-    """A kernel's name; the clearance kernel runs for the open gripper and for the fingers at the region."""
-    if surface_offset is None:
-        return str(kernel.key)
-    return f"{kernel.key}.{'region' if surface_offset else 'open'}"
-
-
-@contextmanager
-def launches_timed(clock: Clock, spent: dict[str, float]) -> Iterator[None]:
-    """Adds to `spent` what each kernel takes inside: on a CPU of every thread that runs it, on CUDA from launch to end."""
-    honest, lock = CachedLaunch.run, Lock()
-
-    def run(packed: CachedLaunch, *args: int) -> None:
-        start = time.thread_time()
-        honest(packed, *args)
-        took = time.thread_time() - start
-        name = named(packed.kernel, getattr(packed.arguments, "surface_offset", None))
-        with lock:
-            spent[name] = spent.get(name, 0.0) + took
-
-    def launch_on_cuda(kernel: Any, n: int, *, inputs: Any, **kw: Any) -> None:
-        start = clock.now()[1]
-        launch.launch_trials(kernel, n, inputs=inputs, **kw)
-        name = named(kernel, inputs.get("surface_offset"))
-        spent[name] = spent.get(name, 0.0) + clock.now()[1] - start
-
-    patches: list[Any] = [mock.patch.object(CachedLaunch, "run", run)]
-    if clock.cuda:
-        modules = [m for name, m in sys.modules.items() if name.startswith("r2h_batch.") and m is not launch]
-        using = [m for m in modules if getattr(m, "launch_trials", None) is launch.launch_trials]
-        patches = [mock.patch.object(m, "launch_trials", launch_on_cuda) for m in using]
-    with ExitStack() as stack:
-        for patch in patches:
-            stack.enter_context(patch)
-        yield
-
-
-def host(report: Report, mix: Candidates, device: str) -> None:
-    """What a small call costs beside compiled kernels: tensor operations, checks, packing; one thread, the least of many.
-
-    What looking at the clock around each launch costs, measured around nothing, is taken off.
-    """
-    config = EvalConfig(execute=ExecConfig(sim="none"))
-    evaluator, inside, launches = Evaluator(config, device=device, threads=1), [0.0], [0]
-    honest = CachedLaunch.run
-
-    def clocked(compiled: Any) -> Any:
-        def forward(*pointers: Any) -> Any:
-            start = time.thread_time()
-            try:
-                return compiled(*pointers)
-            finally:
-                inside[0] += time.thread_time() - start
-                launches[0] += 1
-
-        return forward
-
-    def timed(packed: CachedLaunch, *args: int) -> None:
-        """A launch whose compiled function alone is on the clock."""
-        compiled = packed.forward
-        packed.forward = clocked(compiled)
-        try:
-            honest(packed, *args)
-        finally:
-            packed.forward = compiled
-
-    def least(call: Any, repeats: int) -> float:
-        """Seconds of a call without what is inside its launches."""
-        found = []
-        for _ in range(repeats):
-            inside[0], launches[0], start = 0.0, 0, time.thread_time()
-            call()
-            found.append(time.thread_time() - start - inside[0])
-        return min(found)
-
-    def nothing(*pointers: Any) -> None:
-        pass
-
-    def many(function: Any) -> Any:
-        def call() -> None:
-            for _ in range(100):
-                function()
-
-        return call
-
-    clock = (least(many(lambda: clocked(nothing)()), 50) - least(many(nothing), 50)) / 100
-    report.add("training_loop.host_clock_us_per_launch", 1e6 * clock)
-    stages: tuple[Literal["pose", "all"], ...] = ("pose", "all")
-    for stage in stages:
-        for b in (1, 64):
-            c = repeated(mix, b)
-            with mock.patch.object(CachedLaunch, "run", timed):
-                seconds = least(lambda c=c, s=stage: evaluator.score(*c, stages=s), 400 if b == 1 else 60)  # type: ignore[misc]
-            report.add(f"training_loop.{stage}.b{b}.host_us_per_call", 1e6 * (seconds - launches[0] * clock))
 
 
 class Generator(torch.nn.Module):
@@ -368,10 +247,6 @@ def main() -> None:
     report.add("training_loop.threads", launch.cpu_threads(options.threads))
 
     sizes(report, evaluator, mix, clock, largest)
-    for b in (1, 64, 4096):
-        kernels(report, evaluator, mix, clock, b)
-    if not clock.cuda:
-        host(report, mix, options.device)
     near = repeated(candidates(evaluator, "perturbed", options.device), 4096)
     for name, c in (("perturbed", near), ("distinct", distinct(repeated(mix, 4096)))):
         median, best, core = clock.of(lambda c=c: evaluator.score(*c, stages="pose"), 5)  # type: ignore[misc]
