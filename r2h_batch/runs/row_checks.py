@@ -177,9 +177,10 @@ def _wrong_margins(
         most = thresholds.get("reach_radius_m", FARTHEST_M) + BORDERLINE_M
     if name == "plan":
         # A certified path is clear to within the tolerance of a clearance. A path that is checked
-        # at samples only may pass through something between them.
+        # at samples only may pass through something between them. A failure's margin may be as deep.
         sampled = (configuration.get("plan") or {}).get("edge_check") == "moveit"
-        good = margin > np.float32(-MOST_PASSED_M if sampled else -BORDERLINE_M)
+        deepest = np.float32(-MOST_PASSED_M if sampled else -BORDERLINE_M)
+        good = np.where(passed, margin > deepest, margin > 0)
     small = (margin < least) & ~(np.isneginf(margin) & entry.unbounded)
     return (good != passed) | (np.isnan(margin) == given) | (margin > most) | small
 

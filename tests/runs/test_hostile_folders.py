@@ -329,6 +329,19 @@ MADE_UP = {  # of six rows that are successes with margins of 1 cm: S0 0, 1, 2, 
 }  # fmt: skip
 
 
+@pytest.mark.parametrize("edges", ["exact", "moveit"])
+@pytest.mark.parametrize(("depth", "allowed"), [(-0.14, True), (-5e-5, True), (0.01, False)])
+def test_a_failure_of_plan_may_be_as_deep_as_it_is_but_not_positive(edges, depth, allowed):
+    """With sampled edges a pass may be below 0 too."""
+    trials = make_trials(2, 2)
+    table = score_rows(trials, make_scores(trials, np.array([2, 0, 0, 0])), NAMES)
+    configuration = {"plan": {"edge_check": edges}, "thresholds": LIMITS}
+    said = inconsistent({"configuration": configuration}, margin("plan", depth, 0)(table))
+    assert said == (None if allowed else f"trial 0: plan fails with a margin of {depth:g} m")
+    through = inconsistent({"configuration": configuration}, margin("plan", -0.14, 1)(table))
+    assert (through is None) == (edges == "moveit")
+
+
 @pytest.mark.parametrize("what", MADE_UP)
 def test_a_row_that_can_be_no_verdict_is_found_by_every_command(run, what, capsys):
     """Margins against verdicts, the order of criteria, times: with a right sha256, and found without judging again."""
