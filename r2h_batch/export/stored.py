@@ -34,7 +34,7 @@ from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import CRITERIA, SIDES
+from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SIDES
 
 __all__ = ["ExportError", "Reader", "StoredTrial", "judged_again"]
 
@@ -151,6 +151,9 @@ class Reader:
         trial = bench.trial(row)
         poses = _rows(self.run.poses(name), trial_id) if "poses" in stored else []
         path = _rows(self.run.paths(name), trial_id) if "paths" in stored else []
+        if not _possible(poses, path):
+            words = "no motion can be: numbers are missing, not finite or out of order"
+            raise ExportError(f"{self.where}: trial {trial_id} of {name!r} is stored as {words}")
         answer = None
         if poses:
             T = {k: _tensor(poses[0][k], torch.float32).reshape(1, 4, 4) for k in POSES}
@@ -329,6 +332,19 @@ def _answer_again(
 def _rows(table: Any, trial_id: int) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = table.filter(pc.equal(table["trial_id"], trial_id)).to_pylist()
     return rows
+
+
+def _possible(poses: Sequence[Mapping[str, Any]], paths: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether stored poses and paths of a judged trial are numbers that a motion can have."""
+    found = all(np.isfinite(row[k]).all() for row in poses for k in POSES)
+    for row in paths:
+        q, time_s = (np.array(row[k], np.float64) for k in ("q", "time_s"))
+        every = [q, time_s, np.array(row["executed_q"] or 0.0)]
+        found &= len(q) == len(time_s) > 0 and all(bool(np.isfinite(x).all()) for x in every)
+        found &= bool(
+            (np.diff(time_s, prepend=0.0) >= 0).all() and time_s.max(initial=0.0) <= MOST_SECONDS
+        )
+    return found
 
 
 def _row(table: Any, trial_id: int, where: str) -> dict[str, Any]:

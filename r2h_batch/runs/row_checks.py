@@ -191,9 +191,13 @@ def most_decoded(kind: str, trials: int) -> int:
 
 
 def wrong_rows(
-    header: Mapping[str, Any], first: int, last: int, kind: str, file: Path
+    header: Mapping[str, Any], receipt: Mapping[str, Any], kind: str, file: Path
 ) -> str | None:
     """What is wrong with the rows of a stored file; None: nothing. Reads the checked columns."""
+    first, last = receipt["first"], receipt["last"]
+    exact = last - first
+    if kind in ("details", "poses"):  # a row of each trial that was answered
+        exact -= sum(counts.get("missing", 0) for counts in receipt["outcomes"].values())
     known, trials = header["protocol"] in PROTOCOLS, kind == "trials"
     columns = [
         *(PLANNED.get(kind, ("trial_id",)) if known else ()),
@@ -202,8 +206,8 @@ def wrong_rows(
     try:
         with pq.ParquetFile(file) as stored:
             rows = stored.metadata.num_rows
-            if rows > last - first or (trials and rows != last - first):
-                return f"holds {rows} rows, planned were {last - first}"
+            if rows > exact or (kind in ("trials", "details", "poses") and rows != exact):
+                return f"holds {rows} rows, planned were {exact}"
             if missing := [c for c in columns if c not in stored.schema_arrow.names]:
                 return f"column {missing[0]!r} is missing"
             most = most_decoded(kind, last - first)

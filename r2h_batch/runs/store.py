@@ -23,6 +23,7 @@ import re
 import socket
 import stat
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -758,11 +759,12 @@ class Run:
 
     def digest(self, method: str) -> str:
         """sha256 (hex) over all rows of a method without `TIMING`: equal for any shards and
-        workers."""
+        workers. Later columns that an older run lacks are not part of its digest."""
         columns = [c for c in TRIAL_SCHEMA.names if c not in TIMING]
-        hashes = {(c, part): hashlib.sha256() for c in columns for part in ("given", "value")}
-        for table in self.shards("trials", method, columns):
-            for name in columns:
+        hashes: dict[tuple[str, str], Any] = defaultdict(hashlib.sha256)
+        for receipt in self.entry(method)["receipts"].values():
+            table = self._stored("trials", receipt, columns)
+            for name in table.column_names:
                 column = table[name].combine_chunks()
                 given = column.is_valid().to_numpy(zero_copy_only=False)
                 hashes[name, "given"].update(given.tobytes())
@@ -779,34 +781,37 @@ class Run:
     def _table(
         self, kind: str, receipt: Mapping[str, Any], columns: Sequence[str] | None = None
     ) -> pa.Table:
-        """Columns of a stored file, which holds at most the trials of its shard."""
-        path, trials = (
-            self.folder / receipt["files"][kind]["path"],
-            receipt["last"] - receipt["first"],
-        )
-        fields = [SCHEMAS[kind].field(n) for n in columns or SCHEMAS[kind].names]
+        """Columns of a stored file; later ones that an older run lacks are null."""
+        names = list(columns or SCHEMAS[kind].names)
+        table = self._stored(kind, receipt, names)
+        for name in set(names) - set(table.column_names):
+            field = SCHEMAS[kind].field(name)
+            table = table.append_column(field, pa.nulls(len(table), field.type))
+        return table.select(names)
+
+    def _stored(self, kind: str, receipt: Mapping[str, Any], columns: Sequence[str]) -> pa.Table:
+        """Those columns that a stored file has, of at most the trials of its shard."""
+        path = self.folder / receipt["files"][kind]["path"]
+        trials = receipt["last"] - receipt["first"]
         try:
             with pq.ParquetFile(path) as file:
                 rows, names = file.metadata.num_rows, file.schema_arrow.names
                 if rows > trials or (kind == "trials" and rows != trials):
                     raise RunError(f"{path}: holds {rows} rows, its receipt says {trials} trials")
-                for f in fields:
-                    if f.name not in names and f.name not in LATER_COLUMNS:
-                        words = f"column {f.name!r} is missing; format {FORMAT} has it"
-                        raise RunError(f"{path}: {words}")
-                there = [f.name for f in fields if f.name in names]
+                if lacking := set(columns) - set(names) - set(LATER_COLUMNS):
+                    words = f"column {min(lacking)!r} is missing; format {FORMAT} has it"
+                    raise RunError(f"{path}: {words}")
+                there = [c for c in columns if c in names]
                 check_decoded_size(file, most_decoded(kind, trials), str(path), there)
                 table = file.read(columns=there)
         except FileError as error:
             raise RunError(str(error)) from None
         except (OSError, pa.ArrowException) as error:
             raise RunError(f"{path}: cannot be read ({printable(error)[:300]})") from error
-        for f in fields:
-            if f.name not in names:  # an older run lacks a later column
-                table = table.append_column(f, pa.nulls(rows, f.type))
-            elif what := _wrong_column(table[f.name], f):
-                raise RunError(f"{path}: column {f.name!r} {what}")
-        return table.select([f.name for f in fields])
+        for name in there:
+            if what := _wrong_column(table[name], SCHEMAS[kind].field(name)):
+                raise RunError(f"{path}: column {name!r} {what}")
+        return table.select(there)
 
 
 def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
@@ -916,7 +921,7 @@ def problems_of(
                 file = folder / stored["path"]
                 known.add(file)
                 what = _damage(file, stored)
-                what = what or wrong_rows(header, shard.first, shard.last, kind, file)
+                what = what or wrong_rows(header, receipt, kind, file)
                 if what:
                     found.append(Problem(name, shard, file, what))
     foreign = [f for f in files if f not in known]

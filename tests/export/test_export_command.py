@@ -7,6 +7,7 @@ import sys
 
 import mujoco
 import numpy as np
+import pyarrow as pa
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
@@ -63,6 +64,24 @@ def test_what_a_folder_names_is_neither_imported_nor_opened(run, tmp_path, monke
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "evil_module.py").write_text("raise SystemExit('imported')")
     with pytest.raises(ExportError, match="sweep without --no-poses"):
+        reader.trial(0, "oracle")
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "change"),
+    [
+        ("paths", "q", lambda numbers: []),
+        ("paths", "time_s", lambda numbers: numbers[::-1]),
+        ("paths", "executed_q", lambda numbers: [[np.nan] * 6]),
+        ("poses", "T_world_ee", lambda numbers: [np.nan] * 16),
+    ],
+)
+def test_a_stored_motion_that_cannot_be_is_one_line(run, monkeypatch, kind, column, change):
+    reader = Reader(run)
+    table = getattr(reader.run, kind)("oracle")
+    forged = [{**row, column: change(row[column])} for row in table.to_pylist()]
+    monkeypatch.setattr(type(reader.run), kind, lambda *_: pa.Table.from_pylist(forged, schema=table.schema))
+    with pytest.raises(ExportError, match="trial 0 of 'oracle' is stored as no motion can be"):
         reader.trial(0, "oracle")
 
 

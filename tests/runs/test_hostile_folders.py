@@ -240,17 +240,17 @@ def test_a_run_json_that_is_no_file_or_has_no_end_is_refused_at_once(run, kind, 
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def forge(run, change):
+def forge(run, change, kind="trials", method="m"):
     """Another table under a shard's receipt, with the sha256 that it has."""
-    (path,) = files_of(run, "trials/m")
+    path = files_of(run, f"{kind}/{method}")[0]
     table = change(pq.read_table(path, partitioning=None))
     path.unlink()
     pq.write_table(table, path)
     sha = sha256_of(path)
     new = path.with_name(f"000000-{sha[:16]}.parquet")
     path.rename(new)
-    stored = {"path": f"trials/m/{new.name}", "sha256": sha, "bytes": new.stat().st_size}
-    in_file(run / "manifest" / "m" / "000000.json", lambda d: put(d, "files.trials", stored))
+    stored = {"path": f"{kind}/{method}/{new.name}", "sha256": sha, "bytes": new.stat().st_size}
+    in_file(run / "manifest" / method / "000000.json", lambda d: put(d, f"files.{kind}", stored))
 
 
 def with_words(table, name, words):
@@ -277,6 +277,14 @@ def test_a_forged_table_with_the_right_sha256_is_one_line(run, what, capsys):
         assert COMMANDS[command](run) == 2
         captured = capsys.readouterr()
         assert captured.out == "" and captured.err.count("\n") == 1 and captured.err[:-1].isprintable()
+
+
+@pytest.mark.parametrize("kind", ["details", "poses"])
+def test_details_and_poses_have_a_row_for_each_answered_trial(tmp_path, kind, capsys):
+    write(tmp_path / "run", stored=["details", "poses"])
+    forge(tmp_path / "run", lambda t: t.slice(1), kind)
+    with pytest.raises(RunError, match="holds 11 rows, planned were 12"):
+        load_run(tmp_path / "run")
 
 
 def at(row, **values):
