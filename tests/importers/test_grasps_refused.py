@@ -11,7 +11,7 @@ from needs import needs
 
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies.grasp_set import read_grasps
-from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
+from r2h_batch.importers.grasps import acronym, graspnet, hdf5, isaac_grasp
 from r2h_batch.io.read import FileError
 
 
@@ -130,6 +130,17 @@ def test_yaml_that_is_no_grasp_file_is_refused_in_one_line(tmp_path, text, messa
     with pytest.raises(FileError, match=message) as refused:
         isaac_grasp.read(path, "panda-hand")
     assert "\n" not in str(refused.value)
+
+
+@needs("h5py")
+def test_a_file_that_leads_hdf5_in_circles_is_ended_with_its_process(tmp_path, monkeypatch):
+    path = write_acronym(tmp_path / "mug.h5", poses(3), np.ones(3))
+    data = bytearray(path.read_bytes())
+    data[data.index(b"panda") - 8] = 0  # the word's length in the heap of words
+    path.write_bytes(data)
+    monkeypatch.setattr(hdf5, "MOST_SECONDS", 2)
+    with pytest.raises(FileError, match=r"mug.h5: takes more than 2 s of CPU time to read, or ends its reader"):
+        acronym.read(path)
 
 
 @needs("h5py")

@@ -9,38 +9,23 @@ r2h_batch.bodies.mesh_import.file` is the child.
 from __future__ import annotations
 
 import io
-import json
 import os
 import re
-import subprocess
 import sys
-import tempfile
-import time
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.mesh_import.limits import (
-    MOST_BYTES,
-    MOST_SECONDS,
-    SILENT_SECONDS,
-    ObjectMeshError,
-)
-from r2h_batch.command_line import tell
+from r2h_batch.bodies.mesh_import.limits import MOST_BYTES, MOST_SECONDS, ObjectMeshError
+from r2h_batch.io.child import answer_parent, read_in_child
 from r2h_batch.io.read import FileError, open_file, path_within, printable, read_file
 
 __all__ = ["labels_of", "load_mesh_file"]
 
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
-MOST_WAITS = 10
-"""The child may wait this many times longer than it may work: for a busy machine, not for ever."""
-MEMORY_BYTES = 8 << 30
-MEMORY_PER_BYTE = 40
-"""The child's address space: some for the libraries, and some for each byte of the file (text takes
-most)."""
 
 
 def load_mesh_file(path: str | Path, label: str) -> trimesh.Trimesh:
@@ -57,15 +42,21 @@ def load_mesh_file(path: str | Path, label: str) -> trimesh.Trimesh:
             f"{label}: no file {shown}; give the path of a mesh ({', '.join(SUFFIXES)})"
         )
     try:
-        with open_file(path, MOST_BYTES) as file, tempfile.TemporaryFile() as answer:
-            size = os.fstat(file.fileno()).st_size
-            if size == 0:
+        with open_file(path, MOST_BYTES) as file:
+            if os.fstat(file.fileno()).st_size == 0:
                 raise ObjectMeshError(f"{label}: {shown} is empty (0 bytes); export the mesh again")
-            said = _read_in_child(file, answer, path, size, label)
-            if said:
-                raise ObjectMeshError(f"{label}: {shown} {said}")
-            answer.seek(0)
-            vertices, faces, part, names = (np.load(answer, allow_pickle=False) for _ in range(4))
+            try:
+                vertices, faces, part, names = read_in_child(
+                    "r2h_batch.bodies.mesh_import.file",
+                    file,
+                    {"type": path.suffix[1:].lower(), "folder": str(path.parent.resolve())},
+                    count=4,
+                    seconds=MOST_SECONDS,
+                    doing=f"{label}: reading {path.name}",
+                )
+            except FileError as error:
+                how = "" if ";" in str(error) else "; export it as a plain STL or OBJ"
+                raise FileError(f"{shown} {error}{how}") from None
     except FileError as error:
         raise ObjectMeshError(f"{label}: {error}") from None
     if len(faces) == 0:
@@ -84,59 +75,10 @@ def labels_of(mesh: trimesh.Trimesh) -> tuple[NDArray[np.int64], tuple[str, ...]
     return mesh.metadata.get(LABELS)
 
 
-def _read_in_child(file: BinaryIO, answer: BinaryIO, path: Path, size: int, label: str) -> str:
-    """What the child says is wrong ("" if nothing); its arrays are in `answer`."""
-    options = {
-        "type": path.suffix[1:].lower(),
-        "folder": str(path.parent.resolve()),
-        "bytes": size,
-        "seconds": MOST_SECONDS,
-    }
-    # modules from where this process has them, and from nowhere else: the folder may be the mesh's,
-    # with a numpy.py in it
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
-    child = subprocess.Popen(
-        [sys.executable, "-P", "-m", "r2h_batch.bodies.mesh_import.file", json.dumps(options)],
-        stdin=file,
-        stdout=answer,
-        stderr=subprocess.PIPE,
-        env=environment,
-    )
-    start = time.monotonic()
-    try:
-        while True:
-            try:
-                _, said = child.communicate(timeout=SILENT_SECONDS)
-                break
-            except subprocess.TimeoutExpired:
-                waited = time.monotonic() - start
-                if waited > MOST_WAITS * MOST_SECONDS:
-                    return f"is not read after {waited:.0f} s; export it as a plain STL or OBJ"
-                tell(f"{label}: reading {path.name}, {waited:.0f} s")
-    finally:
-        if child.poll() is None:
-            child.kill()
-            child.wait()
-    if child.returncode == 0:
-        return ""
-    if child.returncode == REFUSED:
-        return said.decode("utf-8", "replace").strip().rpartition("\n")[2]
-    if child.returncode < 0:
-        return (
-            f"takes more than {MOST_SECONDS:g} s of CPU time to read, or ends its reader ({-child.returncode}); "
-            "export it as a plain STL or OBJ"
-        )
-    return (
-        "cannot be read as a mesh: its reader ended with an error; export it as a plain STL or OBJ"
-    )
-
-
 LABELS = "r2h_batch part labels"
 FROM_END = re.compile(rb"^f\s(?:.*\s)?-\d", re.MULTILINE)
 MOST_GROUPS = 64
 """Named groups of a file that are parts: more are something else, smoothing or materials."""
-REFUSED = 3
-"""The child's exit code when the last line of its stderr says what is wrong with the file."""
 
 
 class _Beside(trimesh.resolvers.Resolver):
@@ -156,20 +98,6 @@ class _Beside(trimesh.resolvers.Resolver):
 
     def namespaced(self, namespace: str) -> trimesh.resolvers.Resolver:
         return self
-
-
-def _limit(size: int, seconds: int) -> None:
-    """CPU time and address space of this process, where the system has such limits."""
-    try:
-        import resource
-    except ImportError:
-        return
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
-    memory = MEMORY_BYTES + MEMORY_PER_BYTE * size
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(
-        resource.RLIMIT_AS, (memory if hard == resource.RLIM_INFINITY else min(memory, hard), hard)
-    )
 
 
 def _read_grouped(
@@ -263,33 +191,15 @@ def _word(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9_. -]+", "_", name.strip())[:64].strip() or "part"
 
 
-def child(options: str) -> int:
-    """Exit code of the child: 0 with the vertices and faces on stdout, or `REFUSED` with one line
-    on stderr."""
-    given = json.loads(options)
-    _limit(given["bytes"], int(given["seconds"]))
-    data = io.BytesIO(sys.stdin.buffer.read())
-    answer, sys.stdout = sys.stdout.buffer, sys.stderr  # whatever a reader prints is no answer
-    try:
-        mesh, part, names = _read_grouped(data, given["type"], _Beside(given["folder"]))
-        if not isinstance(mesh, trimesh.Trimesh):
-            said = f"holds a {type(mesh).__name__}, no triangles; export a triangle mesh"
-        else:
-            np.save(answer, np.asarray(mesh.vertices, np.float64))
-            np.save(answer, np.asarray(mesh.faces, np.int64))
-            np.save(answer, part)
-            np.save(answer, np.array(names, dtype="U64"))
-            answer.flush()
-            return 0
-    except MemoryError:
-        said = (
-            "asks for more memory than any mesh of its size needs; export it as a plain STL or OBJ"
-        )
-    except Exception as error:  # trimesh's readers raise whatever their parser meets
-        said = f"cannot be read as a mesh: {type(error).__name__}: {printable(error)[:300]}"
-    sys.stderr.write(f"\n{said}")
-    return REFUSED
+def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
+    """Vertices, faces, the part of each face, the parts' names."""
+    kind, resolver = options["type"], _Beside(options["folder"])
+    mesh, part, names = _read_grouped(io.BytesIO(data), kind, resolver)
+    if not isinstance(mesh, trimesh.Trimesh):
+        raise FileError(f"holds a {type(mesh).__name__}, no triangles; export a triangle mesh")
+    vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    return [vertices, faces, part, np.array(names, dtype="U64")]
 
 
 if __name__ == "__main__":
-    sys.exit(child(sys.argv[1]))
+    sys.exit(answer_parent(_child))
