@@ -26,8 +26,8 @@ from r2h_batch.judge.distance import (
     hand_distance,
     hand_distance_at,
     nearer_of,
+    over_motion,
     person_distance,
-    within_slack,
 )
 from r2h_batch.judge.goal import failed_clearance, judge_goals, weaken_singular_reason
 from r2h_batch.judge.grasp_physics import shake
@@ -56,7 +56,7 @@ from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.motion.execute import execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.scene import Scene
+from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.summary import html_table
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured
@@ -385,8 +385,10 @@ class Evaluator:
         )
 
         touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
-        body_m, part = self._person_distance(held, trials, executed.path, executed.length)
-        body_m = within_slack(body_m, executed.slack_m)
+        body_m, part, _ = over_motion(
+            scene, held.body_poses, executed, partial(self._person_distance, trials),
+            threads=threads,
+        )  # fmt: skip
         found = (planned.length > 0) & executed.settled
         clearance_m = torch.where(found, planned.clearance_m, missed_m)
         moves = active & (executed.length > 0)
@@ -412,7 +414,7 @@ class Evaluator:
         planned = plan_of_trace(scene, poses, trace, active, threads=threads)
         executed, motion = executed_trace(trace, planned)
         touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
-        person = self._person_distance(held, trials, executed.path, executed.length)
+        person = self._person_distance(trials, held.body_poses, executed.path, executed.length)
         free = planned.reason == int(PlanReason.OK)
         shared, touch = self._judge(
             held, free, active, planned.clearance_m, planned.reason, touch, person, executed.valid
@@ -432,7 +434,9 @@ class Evaluator:
             scene, held.planner_poses, held.T_world_ee, ik, branches, active, threads=threads
         )
         touch = hand_distance_at(scene, held.body_poses, goal.q, active, threads=threads)
-        body_m, part = self._person_distance(held, trials, goal.q[:, None], active.to(torch.int32))
+        body_m, part = self._person_distance(
+            trials, held.body_poses, goal.q[:, None], active.to(torch.int32)
+        )
         shared, touch = self._judge(
             held, goal.free, active, goal.clearance_m, goal.reason, touch, (body_m, part), None
         )
@@ -469,13 +473,19 @@ class Evaluator:
         return verdict(metrics.judge(evidence), held, slip_m, region, valid), touch
 
     def _person_distance(
-        self, held: AttachedBatch, trials: Trials, path: Tensor, length: Tensor
+        self,
+        trials: Trials,
+        body_poses: BodyPoses,
+        path: Tensor,
+        length: Tensor,
+        rows: Tensor | None = None,
     ) -> tuple[Tensor, Tensor]:
         """How near the robot comes to the receiver's body, and which of its own; NaN and -1 where
-        there is none."""
+        there is none. `rows`: the trials of the paths, where these are not all."""
         if trials.receiver is not None:
+            receiver = trials.receiver if rows is None else trials.receiver[rows]
             return person_distance(
-                self.scene, held.body_poses, trials.receiver, path, length, threads=self.threads
+                self.scene, body_poses, receiver, path, length, threads=self.threads
             )
         return torch.full_like(path[:, 0, 0], torch.nan), torch.full_like(length, -1)
 

@@ -14,6 +14,8 @@ wp.set_module_options(OPTIONS)
 IDLE = wp.constant(-1)
 OVERFLOW = wp.constant(1)
 NOT_FINITE = wp.constant(2)
+WINDOW = wp.constant(8)
+"""Segments between samples that are judged together where something holds a motion up: 64 ms."""
 
 
 @wp.struct
@@ -116,11 +118,15 @@ class Fingers:
 
 @wp.struct
 class Record:
-    """What is kept of n trials."""
+    """What is kept of n trials; of `window_of` on their windows of WINDOW segments."""
 
     q: wp.array2d(dtype=float)  # (samples, 6) of all trials, each from `Queue.sample` on
     acceleration: wp.array2d(dtype=float)  # (n, 6)
     sway: wp.array(dtype=float)  # (n,)
+    bend: wp.array(dtype=float)  # (windows,) largest acceleration of any point of the robot, at most (m/s^2)
+    drive_low: wp.array(dtype=float)  # (windows,) of drivers and inner knuckles, before, at and after its steps (rad)
+    drive_high: wp.array(dtype=float)
+    pin: wp.array(dtype=float)  # (windows,) how far an inner finger turned against the gripper (rad)
     failed: wp.array(dtype=int)  # (n,) OVERFLOW, NOT_FINITE
     state: wp.array2d(dtype=float)  # (n, nq + nv) before the first step that was not finite, else after the last
 
@@ -221,6 +227,36 @@ def went_wrong(fields: Fields, w: int):
 
 
 @wp.func
+def window_of(queue: Queue, slot: int, segment: int):
+    """A trial's window in `Record`: no two trials share one, as each leaves one for the rest of a division."""
+    return queue.sample[slot] / WINDOW + slot + segment / WINDOW
+
+
+@wp.func
+def fastest_change(motion_radius: wp.array2d(dtype=float), worlds: Worlds, fields: Fields, w: int):
+    """By how much a step changed the speed of any point of the robot, at most (m/s)."""
+    most = float(0.0)
+    for b in range(motion_radius.shape[0]):
+        change = float(0.0)
+        for j in range(6):
+            change += motion_radius[b, j] * wp.abs(fields.qvel[w, j] - worlds.qvel[w, j])
+        most = wp.max(most, change)
+    return most
+
+
+@wp.func
+def note_fingers(record: Record, window: int, fields: Fields, w: int):
+    """Widens what a window knows of the finger joints (as SceneModel.fingers)."""
+    for side in range(2):
+        j = 6 + 3 * side
+        driver = fields.qpos[w, j]
+        knuckle = fields.qpos[w, j + 2]
+        record.drive_low[window] = wp.min(record.drive_low[window], wp.min(driver, knuckle))
+        record.drive_high[window] = wp.max(record.drive_high[window], wp.max(driver, knuckle))
+        record.pin[window] = wp.max(record.pin[window], wp.abs(driver + fields.qpos[w, j + 1]))
+
+
+@wp.func
 def finger_sway(fingers: Fingers, fields: Fields, drive: float, w: int):
     """How far any point of the fingers is from where drive angle `drive` has it, at most (as SceneModel.sway)."""
     worst = float(0.0)
@@ -239,6 +275,7 @@ def finish_step(
     record_steps: int,
     step_s: float,
     fingers: Fingers,
+    motion_radius: wp.array2d(dtype=float),  # (bodies, 6)
     worlds_inout: Worlds,
     queue: Queue,
     shapes: Shapes,
@@ -264,10 +301,16 @@ def finish_step(
         a = wp.abs(fields_inout.qvel[w, j] - worlds_inout.qvel[w, j]) / step_s
         if a > record_out.acceleration[slot, j]:
             record_out.acceleration[slot, j] = a
+    window = window_of(queue, slot, (step - 1) / record_steps)
+    change = fastest_change(motion_radius, worlds_inout, fields_inout, w)
+    record_out.bend[window] = wp.max(record_out.bend[window], change / step_s)
     if nq > 6:
         record_out.sway[slot] = wp.max(
             record_out.sway[slot], finger_sway(fingers, fields_inout, queue.hold[slot, 0], w)
         )
+        note_fingers(record_out, window, fields_inout, w)
+        if step % (record_steps * WINDOW) == 0 and step < queue.steps[slot]:
+            note_fingers(record_out, window + 1, fields_inout, w)
     if finite:  # the last finite state stays where it is
         for j in range(nq):
             worlds_inout.qpos[w, j] = fields_inout.qpos[w, j]

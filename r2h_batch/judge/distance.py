@@ -1,6 +1,7 @@
 """How near the robot comes to the receiver: to the hand along a motion or at one posture, and to
 arm and torso."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from r2h_batch.judge.frontier.safe import SafeFrontier
 from r2h_batch.kernels.judge import safe as safe_kernels
 from r2h_batch.kernels.judge.goal import goal_safe_distance
 from r2h_batch.kernels.judge.overlap import hand_overlap, path_overlap
+from r2h_batch.kernels.motion.worlds import WINDOW
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.kernels.plan.lines import path_clearance
 from r2h_batch.launch import launch_trials
@@ -27,6 +29,7 @@ __all__ = [
     "hand_distance",
     "hand_distance_at",
     "nearer_of",
+    "over_motion",
     "person_distance",
     "within_slack",
 ]
@@ -36,6 +39,17 @@ SAFE_TOLERANCE_M = 2e-5
 
 TOUCH_M = 1e-6
 """Bodies that meet have at most minus this as their distance."""
+
+CALM_M = 2e-5
+"""A motion that is never farther off its samples' lines, as free motions are, is judged as one."""
+
+PARTS_AT_ONCE = 8192
+"""Parts of motions that are measured together."""
+
+Measure = Callable[[BodyPoses, Tensor, Tensor, Tensor | None], tuple[Tensor, ...]]
+"""(bodies, path, length, trial) -> the smallest signed distance of the robot from other bodies
+along each path, NaN where its length is 0, and more about that moment. `trial`: the rows of the
+paths, None: all in order."""
 
 MOVED = 3
 """A motion recorded sample by sample has so many times the room of a path in the frontier's queues."""
@@ -128,38 +142,108 @@ def hand_distance(
     The exact mesh of the hand against the primitives of the robot, without the object. Exact below
     5 cm and a lower bound above; in an overlap minus the depth of the deepest point of the hand in
     a primitive, which no translation that parts them can be shorter than. Between two samples the
-    arm may be off the line by `slack_m` (`within_slack`).
+    arm may be off their line (`over_motion`).
     """
-    b, device = len(active), active.device
-    distance, fraction = torch.zeros((2, b), dtype=torch.float32, device=device).unbind(0)
-    body, segment = torch.full((2, b), -1, dtype=torch.int32, device=device).unbind(0)
-    point = torch.zeros((b, 3), dtype=torch.float32, device=device)
-    found = {
-        "distance": distance,
-        "body": body,
-        "segment": segment,
-        "fraction": fraction,
-        "point": point,
-    }
-    tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": body_poses.bodies}
-    motion = {"path": executed.path, "length": executed.length}
-    moves = (executed.length > 0) & active
+    device = active.device
     on: dict[str, Any] = {"device": scene.device, "threads": threads}
-    if uses_frontier(scene.device):
-        frontier = SafeFrontier(scene, body_poses, **motion, tolerance=SAFE_TOLERANCE_M)
-        frontier(found)
-        meets = frontier.rows_where(moves & (distance < 0))
-    else:
-        inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
-        launch_trials(
-            safe_kernels.safe_distance, b, inputs=inputs, outputs=found, chunk=16, uneven=True, **on
-        )
-        meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
-    # the search for the smallest distance ends where bodies meet: how deep is a search of its own
-    inputs = {**tables, "row": meets, **motion}
-    launch_trials(hand_overlap, len(meets), inputs=inputs, outputs=found, chunk=1, **on)
-    distance = torch.where(moves, within_slack(distance, executed.slack_m), torch.nan)
-    return NearestApproach(distance, torch.where(moves, body, -1), segment, fraction, point)
+
+    def measure(
+        bodies: BodyPoses, path: Tensor, length: Tensor, rows: Tensor | None
+    ) -> tuple[Tensor, ...]:
+        b, moves = len(length), (length > 0) & (active if rows is None else active[rows])
+        tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": bodies.bodies}
+        distance, fraction = torch.zeros((2, b), dtype=torch.float32, device=device).unbind(0)
+        body, segment = torch.full((2, b), -1, dtype=torch.int32, device=device).unbind(0)
+        point = torch.zeros((b, 3), dtype=torch.float32, device=device)
+        found = {
+            "distance": distance,
+            "body": body,
+            "segment": segment,
+            "fraction": fraction,
+            "point": point,
+        }
+        motion = {"path": path, "length": length}
+        if uses_frontier(scene.device):
+            frontier = SafeFrontier(scene, bodies, **motion, tolerance=SAFE_TOLERANCE_M)
+            frontier(found)
+            meets = frontier.rows_where(moves & (distance < 0))
+        else:
+            inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
+            launch_trials(
+                safe_kernels.safe_distance, b, inputs=inputs, outputs=found, chunk=16, uneven=True,
+                **on,
+            )  # fmt: skip
+            meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
+        # the search for the smallest distance ends where bodies meet: how deep is a search of its
+        # own
+        inputs = {**tables, "row": meets, **motion}
+        launch_trials(hand_overlap, len(meets), inputs=inputs, outputs=found, chunk=1, **on)
+        return torch.where(moves, distance, torch.nan), body, segment, fraction, point
+
+    distance, body, segment, fraction, point, begins = over_motion(
+        scene, body_poses, executed, measure, threads=threads
+    )
+    moves = (executed.length > 0) & active
+    return NearestApproach(
+        distance, torch.where(moves, body, -1), segment + begins, fraction, point
+    )
+
+
+def over_motion(
+    scene: Scene,
+    body_poses: BodyPoses,
+    executed: Executed,
+    measure: Measure,
+    *,
+    threads: int | None = None,
+) -> tuple[Tensor, ...]:
+    """A bound of a signed distance over each motion (`within_slack`), what else `measure` says of
+    it, and the first segment of the part of the motion on which it was measured.
+
+    On a part p of a motion every point of the robot is within slack_p of where the lines between
+    samples have it, with the fingers at an opening of the part's own. So
+
+        min over time >= min over parts (smallest distance along the part's lines - slack_p).
+
+    A calm motion is one part, at the trial's opening. What something holds up has parts of WINDOW
+    segments: a blow costs the part that it falls into, and fingers that are pushed are judged where
+    they are.
+    """
+    slack, opening, length = executed.window_slack_m, executed.window_opening_m, executed.length
+    start = torch.zeros_like(length)
+    if slack is None or opening is None:  # as planned
+        distance, *more = measure(body_poses, executed.path, length, None)
+        return (within_slack(distance, executed.slack_m), *more, start)
+    calm = executed.slack_m <= CALM_M
+    distance, *more = measure(body_poses, executed.path, torch.where(calm, length, 0), None)
+    best = [within_slack(distance, executed.slack_m), *more, start]
+    width, rough = int(WINDOW), torch.nonzero(~calm & (length > 1)).flatten()
+    if not len(rough):
+        return tuple(best)
+    device = length.device
+    windows = (
+        torch.arange(slack.shape[1], dtype=torch.int64, device=device) * width
+        < length[rough, None] - 1
+    )
+    at, k = torch.nonzero(windows, as_tuple=True)
+    row = rough[at]
+    left = (length[row] - k * width).clamp(max=width + 1).to(torch.int32)
+    sample = k[:, None] * width + torch.arange(width + 1, dtype=torch.int64, device=device)
+    path = executed.path[row[:, None], sample.clamp(max=executed.path.shape[1] - 1)]
+    parts: list[tuple[Tensor, ...]] = []
+    for some in torch.arange(len(row), dtype=torch.int64, device=device).split(PARTS_AT_ONCE):
+        moved = scene.reopened(body_poses, row[some], opening[row, k][some], threads=threads)
+        parts.append(measure(moved, path[some], left[some], row[some]))
+    distance, *more = (torch.cat(x) for x in zip(*parts, strict=True))
+    found = [within_slack(distance, slack[row, k]), *more, (k * width).to(torch.int32)]
+    table = torch.full(windows.shape, torch.inf, dtype=torch.float32, device=device)
+    table[at, k] = found[0].nan_to_num(nan=torch.inf)
+    places = torch.zeros(windows.shape, dtype=torch.int64, device=device)
+    places[at, k] = torch.arange(len(row), dtype=torch.int64, device=device)
+    nearest = places.gather(1, table.argmin(1, keepdim=True)).flatten()
+    for old, new in zip(best, found, strict=True):
+        old[rough] = new[nearest].to(old.dtype)
+    return tuple(best)
 
 
 def within_slack(

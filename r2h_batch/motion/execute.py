@@ -20,6 +20,7 @@ from jaxtyping import Bool, Float32, Float64, Int32
 from torch import Tensor
 from torch.nn.functional import pad
 
+from r2h_batch.bodies.robot import drive_from_gap, gap_from_drive
 from r2h_batch.config import CLEARANCE_TOLERANCE_M, ExecConfig
 from r2h_batch.kernels.motion.time_law import path_deviation
 from r2h_batch.kernels.plan.lines import path_clearance
@@ -96,7 +97,8 @@ class Executed:
     and object. `deviation_m`: a bound on how far any point of robot or object ever was from where
     the planned path has it at that time; below the path's clearance it certifies that the motion
     touched nothing of what planning checks. `failed_state`: qpos and qvel as the simulator had them
-    before it failed.
+    before it failed. `window_slack_m`: `slack_m` of each WINDOW segments, where the fingers are not
+    where the trial's opening but `window_opening_m` has them; None for motions as planned.
     """
 
     path: Float32[Tensor, "b w 6"]
@@ -110,6 +112,8 @@ class Executed:
     recorded: Int32[Tensor, " b"]
     sample_s: float | None
     failed_state: Float64[Tensor, "b s"] | None = None
+    window_slack_m: Float32[Tensor, "b k"] | None = None
+    window_opening_m: Float32[Tensor, "b k"] | None = None
 
 
 def execute(
@@ -199,7 +203,8 @@ def _with_fingers(alone: Executed, found: Bool[Tensor, " b"]) -> Executed:
         name: getattr(alone, name) + give
         for name in ("slack_m", "slack_with_object_m", "deviation_m")
     }
-    return replace(alone, **more)
+    assert alone.window_slack_m is not None
+    return replace(alone, **more, window_slack_m=alone.window_slack_m + give[:, None])
 
 
 def _merged(first: Executed, again: Executed, rows: Tensor) -> Executed:
@@ -212,6 +217,9 @@ def _merged(first: Executed, again: Executed, rows: Tensor) -> Executed:
         a, b = getattr(first, name), getattr(again, name)
         if name == "path":
             a, b = (pad(x, (0, 0, 0, width - x.shape[1])) for x in (a, b))
+        elif name.startswith("window_"):
+            windows = max(a.shape[1], b.shape[1])
+            a, b = (pad(x, (0, windows - x.shape[1])) for x in (a, b))
         elif name == "failed_state":  # the scene has more joints than the arm alone
             a, b = (pad(x, (0, state_width - x.shape[1]), value=torch.nan) for x in (a, b))
         a = a.clone()
@@ -259,7 +267,7 @@ class _Runner:
         job = Job(
             self.scene.model(self.trials.hand_index[rows], self.config), self.law, self.tables, rows, self.trials.rows(rows),
             self.path[torch.from_numpy(rows), 0].double().cpu().numpy(),
-            samples, self.config.record_steps, self.device,
+            samples, self.config.record_steps, self.device, self.scene.motion_radii.cpu().numpy(),
         )  # fmt: skip
         return self._judged(job, self.simulate(job, threads=self.threads), sample_s)
 
@@ -286,6 +294,7 @@ class _Runner:
         acceleration[rows, 0] = torch.from_numpy(np.nan_to_num(answer.acceleration)).to(device)
         slack = (acceleration * lever).sum(-1).amax(-1) * sample_s**2 / 8
         slack[rows] += torch.from_numpy(np.nan_to_num(answer.sway_m)).to(device)
+        window_slack, window_opening = self._windows(job, answer, sample_s)
         t_exec = torch.where(settled, at.float(), torch.nan)
         state = torch.full(
             (b, answer.failed_state.shape[1]), torch.nan, dtype=torch.float64, device=device
@@ -310,7 +319,32 @@ class _Runner:
             recorded,
             sample_s,
             state,
+            window_slack,
+            window_opening,
         )
+
+    def _windows(self, job: Job, answer: Samples, sample_s: float) -> tuple[Tensor, Tensor]:
+        """Slack and opening of each window, (B, K) both.
+
+        A step of h seconds moves a joint by h times its new speed: q is a line between steps, and
+        its second difference is h^2 a. After i of the m steps between two samples it is off their
+        line by at most max|a| h^2 i (m - i) / 2 <= max|a| (m h)^2 / 8, and a point of the robot by
+        the sum over the joints of that times its motion radius. The fingers are off besides, from
+        the middle of the angles that their joints took in the window.
+        """
+        slack, opening = answer.bend * sample_s**2 / 8, self.trials.opening_m[job.rows, None]
+        if job.scene.full:
+            linkage = self.scene.robot.linkage
+            middle = 0.5 * (answer.fingers[..., 0] + answer.fingers[..., 1])
+            middle = np.clip(middle, linkage.drive_lower, linkage.drive_upper)
+            opening = gap_from_drive(middle).astype(np.float32)
+            slack = slack + job.scene.levers.sway(drive_from_gap(opening), answer.fingers)
+        shape = (2, len(self.length), slack.shape[1])
+        out = torch.zeros(shape, dtype=torch.float32, device="cpu")
+        out[0, job.rows] = torch.from_numpy(slack).float()
+        out[1, job.rows] = torch.from_numpy(np.broadcast_to(opening, slack.shape).copy()).float()
+        window_slack, window_opening = out.to(self.path.device).unbind(0)
+        return window_slack, window_opening
 
     def _at_rest(self, path: Tensor, length: Tensor) -> Int32[Tensor, " b"]:
         """The sample from which each motion stays at its goal."""

@@ -21,6 +21,7 @@ import warp as wp
 from r2h_batch.kernels.motion.time_law import Law
 from r2h_batch.kernels.motion.worlds import (
     OVERFLOW,
+    WINDOW,
     Fields,
     Fingers,
     Queue,
@@ -46,6 +47,9 @@ STATE = (
     "overflow", "naconmax", "njmax",
 )  # fmt: skip
 
+ANY_DRIVE = 1e9
+"""Beyond every drive angle, rad."""
+
 POLL = 32
 """Graph launches between two looks at how many trials are left."""
 
@@ -63,6 +67,8 @@ class Run:
     q: np.ndarray  # (n, W, 6)
     acceleration: np.ndarray
     sway: np.ndarray
+    bend: np.ndarray  # (n, K), as `Samples` has them
+    fingers: np.ndarray
     failed: np.ndarray
     state: np.ndarray
 
@@ -76,8 +82,9 @@ def standing_worlds(job: Job, nworld: int, njmax: int, naconmax: int) -> "Standi
         while len(_kept) >= KEPT:
             _kept.popitem(last=False)
         worlds = _kept[key] = StandingWorlds(
-            job.scene, job.law, job.record_steps, job.device, nworld, njmax, naconmax
-        )
+            job.scene, job.law, job.record_steps, job.motion_radii, job.device, nworld, njmax,
+            naconmax,
+        )  # fmt: skip
     _kept.move_to_end(key)
     return worlds
 
@@ -95,6 +102,7 @@ class StandingWorlds:
         scene: SceneModel,
         law: Law,
         record_steps: int,
+        motion_radii: np.ndarray,
         device: str,
         nworld: int,
         njmax: int,
@@ -119,6 +127,7 @@ class StandingWorlds:
                 _fingers(scene),
             )
             self.worlds = _worlds(host, nworld)
+            self.motion_radii: Any = wp.array(motion_radii.astype(np.float32), dtype=wp.float32)
             self.room = (0, 0, 0)
             self.graph: Any = None
             for kernel in (command_worlds, finish_step, start_worlds):
@@ -140,8 +149,10 @@ class StandingWorlds:
                     getattr(self.queue, name)[: len(values)].assign(values)
             self.worlds.taken.zero_()
             self.worlds.left.fill_(n)
-            for name in ("acceleration", "sway", "failed"):
+            for name in ("acceleration", "sway", "failed", "bend", "pin"):
                 getattr(self.record, name).zero_()
+            self.record.drive_low.fill_(ANY_DRIVE)
+            self.record.drive_high.fill_(-ANY_DRIVE)
             launch(
                 start_worlds,
                 self.nworld,
@@ -153,13 +164,20 @@ class StandingWorlds:
                 for _ in range(POLL):
                     wp.capture_launch(self.graph)
             flat = self.record.q[: int((last + 1).sum())].numpy()
+            windows = {
+                k: getattr(self.record, k).numpy()
+                for k in ("bend", "drive_low", "drive_high", "pin")
+            }
             kept = {
                 k: getattr(self.record, k)[:n].numpy()
                 for k in ("acceleration", "sway", "failed", "state")
             }
         # a trial that ended early stays where it was
         place = table["sample"][:, None] + np.minimum(np.arange(int(last.max()) + 1), last[:, None])
-        return Run(flat[place], **{k: v.copy() for k, v in kept.items()})
+        return Run(
+            flat[place], **{k: v.copy() for k, v in kept.items()},
+            **_windows(windows, table["sample"], last, table["hold"]),
+        )  # fmt: skip
 
     @property
     def _written(self) -> dict[str, Any]:
@@ -207,6 +225,7 @@ class StandingWorlds:
                     "record_steps": self.record_steps,
                     "step_s": self.scene.model.opt.timestep,
                     "fingers": self.fingers,
+                    "motion_radius": self.motion_radii,
                     "queue": self.queue,
                     "shapes": self.shapes,
                 },
@@ -285,8 +304,28 @@ def _empty_record(model: mujoco.MjModel, n: int, samples: int) -> Record:
     record.q = wp.zeros((samples, 6), dtype=wp.float32)
     record.acceleration = wp.zeros((n, 6), dtype=wp.float32)
     record.sway, record.failed = wp.zeros(n, dtype=wp.float32), wp.zeros(n, dtype=wp.int32)
+    for name in ("bend", "drive_low", "drive_high", "pin"):
+        setattr(record, name, wp.zeros(samples // int(WINDOW) + n + 1, dtype=wp.float32))
     record.state = wp.zeros((n, model.nq + model.nv), dtype=wp.float32)
     return record
+
+
+def _windows(
+    record: dict[str, np.ndarray], sample: np.ndarray, last: np.ndarray, hold: np.ndarray
+) -> dict[str, np.ndarray]:
+    """`bend` and `fingers` of n trials from the windows of a record, 0 beyond a trial's end.
+
+    `sample`: place of each trial's first sample; `last`: its segments; `hold`: (n, 1) or (n, 0).
+    """
+    k = np.arange(-(-int(last.max()) // int(WINDOW)))
+    there = k * int(WINDOW) < last[:, None]
+    place = np.where(there, (sample // int(WINDOW) + np.arange(len(sample)))[:, None] + k, 0)
+    bend, low, high, pin = (np.where(there, record[name][place], 0.0) for name in record)
+    fingers = np.stack([low, high, pin], -1)
+    if hold.shape[1]:  # they begin where their motor holds them
+        fingers[:, 0, 0] = np.minimum(fingers[:, 0, 0], hold[:, 0])
+        fingers[:, 0, 1] = np.maximum(fingers[:, 0, 1], hold[:, 0])
+    return {"bend": bend, "fingers": fingers if hold.shape[1] else np.zeros_like(fingers)}
 
 
 def _worlds(model: mujoco.MjModel, nworld: int) -> Worlds:
@@ -373,11 +412,10 @@ def simulate(job: Job, *, threads: int | None = None) -> Samples:
             if not len(todo):
                 break
             run = _run_in_memory(job, todo, NJMAX * 4**turn, NACON_PER_WORLD * 4**turn)
-            out.q[todo, : run.q.shape[1]], out.acceleration[todo], out.sway_m[todo] = (
-                run.q,
-                run.acceleration,
-                run.sway,
-            )
+            out.q[todo, : run.q.shape[1]] = run.q
+            out.acceleration[todo], out.sway_m[todo] = run.acceleration, run.sway
+            out.bend[todo, : run.bend.shape[1]] = run.bend
+            out.fingers[todo, : run.bend.shape[1]] = run.fingers
             finite = (
                 np.isfinite(run.q).all((1, 2))
                 & np.isfinite(run.acceleration).all(1)

@@ -11,6 +11,7 @@ import torch
 from mujoco import rollout
 
 from r2h_batch.kernels.motion.time_law import servo_commands
+from r2h_batch.kernels.motion.worlds import WINDOW
 from r2h_batch.launch import cpu_threads, launch_trials, thread_pool
 from r2h_batch.motion.simulation import Job, Samples, warnings_unwritten
 
@@ -97,8 +98,15 @@ def _run(
     kept = q[:: job.record_steps, :6]
     out.q[i, : len(kept)] = kept
     out.q[i, len(kept) :] = kept[-1]
-    out.acceleration[i] = np.abs(np.diff(qd[:, :6], axis=0)).max(0) / model.opt.timestep
-    out.sway_m[i] = scene.sway(trial, q)
+    acceleration = np.abs(np.diff(qd[:, :6], axis=0)) / model.opt.timestep
+    out.acceleration[i], out.sway_m[i] = acceleration.max(0), scene.sway(trial, q)
+    begins = np.arange(0, len(command), job.record_steps * int(WINDOW))
+    most = np.maximum.reduceat(acceleration, begins) @ job.motion_radii.T
+    out.bend[i, : len(begins)] = most.max(1)
+    if scene.full:
+        fingers = scene.fingers(q) * [-1, 1, 1]  # the smallest angle as a maximum too
+        found = np.maximum(np.maximum.reduceat(fingers[1:], begins), fingers[begins])
+        out.fingers[i, : len(begins)] = found * [-1, 1, 1]
     # after a warning (bad position, velocity, acceleration) rollout repeats the last state: time
     # stands still
     on_time = abs(time[-1, 0] - len(command) * model.opt.timestep) < 0.5 * model.opt.timestep

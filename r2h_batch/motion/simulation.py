@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.kernels.motion.worlds import WINDOW
 from r2h_batch.scene.model import SceneModel, TrialScenes
 
 
@@ -28,6 +29,7 @@ class Job:
     samples: NDArray[np.int64]  # recorded after the start
     record_steps: int
     device: str
+    motion_radii: NDArray[np.float64]  # (bodies, 6) m a radian, of all points of the robot
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,10 @@ class Samples:
     acceleration: NDArray[np.float64]  # (n, 6) largest change of speed per step, rad/s^2
     # (n,) how far any point of the fingers was from where their opening has it, at any step
     sway_m: NDArray[np.float64]
+    # of K windows of WINDOW segments (0 beyond a trial's end): (n, K) the largest acceleration of
+    # any point of the robot, at most, m/s^2; (n, K, 3) `SceneModel.fingers`, 0 for the arm alone
+    bend: NDArray[np.float64]
+    fingers: NDArray[np.float64]
     valid: NDArray[np.bool_]
     failed_state: NDArray[np.float64]
     """(n, nq + nv) qpos and qvel as last seen before the simulator failed; NaN where it did not"""
@@ -47,9 +53,14 @@ class Samples:
     def empty(job: Job) -> "Samples":
         """Room for a job's answer."""
         n, model = len(job.rows), job.scene.model
-        q = np.full((n, int(job.samples.max(initial=0)) + 1, 6), np.nan, np.float32)
+        samples = int(job.samples.max(initial=0))
+        q = np.full((n, samples + 1, 6), np.nan, np.float32)
+        windows = (n, -(-samples // int(WINDOW)))
         state = np.full((n, model.nq + model.nv), np.nan)
-        return Samples(q, np.full((n, 6), np.nan), np.full(n, np.nan), np.zeros(n, bool), state)
+        return Samples(
+            q, np.full((n, 6), np.nan), np.full(n, np.nan), np.zeros(windows),
+            np.zeros((*windows, 3)), np.zeros(n, bool), state,
+        )  # fmt: skip
 
 
 _lock = threading.Lock()

@@ -198,6 +198,13 @@ class SceneModel:
         )
         return float(worst.max())
 
+    def fingers(self, qpos: Array) -> Array:
+        """The smallest and largest drive angle of drivers and inner knuckles, and how far an inner
+        finger is turned against the gripper, rad: (n, 3) of the states (n, nq)."""
+        angle = qpos[:, JOINTS:].reshape(-1, 2, 3)
+        drive, pin = angle[..., [0, 2]], np.abs(angle[..., 0] + angle[..., 1])
+        return np.stack([drive.min((1, 2)), drive.max((1, 2)), pin.max(1)], 1)
+
     def hold(self, trial: TrialScene | TrialScenes) -> Array:
         """What the actuators beyond the arm's are told, all the time: (nu - 6,) or (n, nu - 6)."""
         return np.repeat(np.asarray(trial.drive)[..., None], self.model.nu - JOINTS, axis=-1)

@@ -91,6 +91,14 @@ class FingerLevers:
             far["inner_knuckle"],
         )
 
+    def sway(self, drive: Array, fingers: Array) -> Array:
+        """How far any point of the fingers is from where drive angle `drive` (...) has it, at most,
+        for `SceneModel.fingers` (..., 3); m."""
+        low, high, pin = np.moveaxis(fingers, -1, 0)
+        off = np.maximum(high - drive, drive - low)
+        finger = off * max(self.driver, self.pin_arm) + pin * self.pin
+        return np.maximum(finger, off * self.inner_knuckle)
+
 
 @dataclass(frozen=True)
 class FingerFrames:

@@ -368,9 +368,22 @@ class Scene:
             threads=threads,
             chunk=256,
         )
-        names = {"hand": hands, "object": objects, "object_motion_radius": out["motion_radius"]}
-        bodies = struct_of(TrialBodies, {**out, **names})
-        return BodyPoses(bodies, (objects, hands, *out.values(), T_world_hand, opening_m))
+        return _of_owners((objects, hands, *out.values(), T_world_hand, opening_m))
+
+    def reopened(
+        self,
+        body_poses: "BodyPoses",
+        rows: Tensor,
+        opening_m: Float32[Tensor, " r"],
+        *,
+        threads: int | None = None,
+    ) -> "BodyPoses":
+        """Some rows of bodies that index the scene's tables, with the fingers at another opening;
+        the object stays in the wrist's frame."""
+        own = tuple(x[rows] for x in body_poses.owners)
+        T = torch.eye(4, dtype=torch.float32, device=opening_m.device).repeat(len(opening_m), 1, 1)
+        moved = self.body_poses(own[0], own[1], T, own[9], opening_m, threads=threads).owners
+        return _of_owners((*own[:4], *moved[4:6], *own[6:10], moved[10]))
 
 
 def _scene_of(
@@ -382,6 +395,12 @@ def _scene_of(
     """The scene that was pickled."""
     named = [load_objects([o])[0] if isinstance(o, str) else o for o in objects]
     return Scene(device, config=config, objects=named, hand_set=hand_set)
+
+
+def _of_owners(owners: tuple[Tensor, ...]) -> "BodyPoses":
+    """Objects, hands, `PLACED`, T_world_hand and opening as `BodyPoses`."""
+    names = ("object", "hand", *PLACED[:-1], "object_motion_radius")
+    return BodyPoses(struct_of(TrialBodies, dict(zip(names, owners, strict=False))), owners)
 
 
 def _listed(indices: object) -> Iterable[Any]:
