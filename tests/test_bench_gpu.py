@@ -35,31 +35,6 @@ def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path,
     assert "%" in values["gpu.profile.1"] and "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
 
 
-def test_the_stages_that_are_timed_are_there(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCH))
-    import throughput
-
-    with throughput.watched("cpu") as clock:
-        assert clock.spent == {}
-
-
-def test_a_part_that_fails_is_named_and_the_next_one_runs(gpu, tmp_path, monkeypatch, capsys):
-    def broken(bench):
-        bench.report.add("gpu.so_far", 1)
-        raise RuntimeError("2 outcomes differ")
-
-    def late(bench):
-        bench.report.add("gpu.after", 2)
-
-    monkeypatch.setattr(gpu, "PARTS", (broken, late))
-    assert gpu.main(["--device", "cpu", "--out", str(tmp_path)]) == 1
-    values = json.loads((tmp_path / "gpu.json").read_text())["values"]
-    assert values["gpu.so_far"] == 1 and values["gpu.after"] == 2
-    assert values["gpu.part.broken"] == "FAILED: RuntimeError: 2 outcomes differ"
-    assert gpu.main(["--device", "cpu", "--out", str(tmp_path), "--minutes", "0"]) == 0
-    assert "not started: out of time" in (tmp_path / "gpu.md").read_text()
-
-
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 def test_without_a_gpu_it_says_so(gpu, tmp_path, capsys):
     assert gpu.main(["--out", str(tmp_path)]) == 2

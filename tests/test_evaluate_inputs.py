@@ -117,17 +117,12 @@ def wrong_inputs() -> dict:
         return grasp, handover, replace(trials, **changes)
 
     return {
-        "single pose": ((grasp[0], handover, trials), ValueError, "T_obj_ee"),
         "3 x 4": ((grasp, handover[:, :3], trials), ValueError, "T_world_ee"),
-        "too few rows": ((grasp[:1], handover, trials), ValueError, "T_obj_ee"),
         "too many rows": ((grasp, torch.cat([handover, handover]), trials), ValueError, "T_world_ee"),
         "float64": ((grasp.double(), handover, trials), TypeError, "T_obj_ee"),
-        "integers": ((grasp, handover.int(), trials), TypeError, "T_world_ee"),
-        "half": ((grasp, handover.half(), trials), TypeError, "T_world_ee"),
         "numpy": ((grasp.numpy(), handover, trials), TypeError, "T_obj_ee"),
         "none": ((grasp, None, trials), TypeError, "T_world_ee"),
         "meta device": ((grasp.to("meta"), handover, trials), TypeError, "T_obj_ee"),
-        "hand pose shape": (but(T_world_hand=trials.T_world_hand[:1]), ValueError, "T_world_hand"),
         "hand pose dtype": (but(T_world_hand=trials.T_world_hand.double()), TypeError, "T_world_hand"),
         "trial id dtype": (
             but(trial_id=trials.trial_id.int()),
@@ -135,13 +130,10 @@ def wrong_inputs() -> dict:
             r"trials\.trial_id is .* must be torch\.int64",
         ),
         "object dtype": (but(object_index=trials.object_index.long()), (TypeError, ValueError), "object_index"),
-        "object shape": (but(object_index=trials.object_index[:1]), ValueError, "object_index"),
         "object 99": (but(object_index=trials.object_index + 99), ValueError, "object_index"),
         "object -5": (but(object_index=trials.object_index - 5), ValueError, "object_index"),
-        "object on meta": (but(object_index=trials.object_index.to("meta")), TypeError, "object_index"),
         "hand 9999": (but(hand_index=trials.hand_index + 9999), ValueError, "hand_index"),
         "no trials": ((grasp, handover, None), TypeError, "trials"),
-        "candidates of other trials": ((grasp[:1, None], handover[:1, None], trials), ValueError, "T_obj_ee"),
         "candidates for one pose only": ((grasp[:, None], handover, trials), ValueError, "T_world_ee"),
         "other numbers of candidates": (
             (grasp[:, None].expand(2, 3, 4, 4), handover[:, None].expand(2, 2, 4, 4), trials),

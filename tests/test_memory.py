@@ -48,10 +48,6 @@ def test_other_errors_and_a_single_row_that_is_too_much_are_not_swallowed() -> N
         assert judge.call_count == 1
 
 
-def test_no_rows_are_one_part() -> None:
-    assert in_parts(0, 8, lambda a, b: (a, b)) == [(0, 0)]
-
-
 def test_a_gpu_takes_what_its_memory_is_good_for() -> None:
     with pretending(), mock.patch.object(torch.cuda, "mem_get_info", lambda device: (4 << 30, 8 << 30)):
         assert rows_at_once("cuda:0", 2048, 64 << 10) == (1 << 30) // (64 << 10)

@@ -51,11 +51,6 @@ def test_what_is_in_a_runs_identity_is_in_the_lock(pins: dict[str, str]) -> None
     assert [p for p in PACKAGES if p not in pins] == []
 
 
-def test_both_commands_of_the_readme_install_by_the_lock() -> None:
-    lines = [x for x in (ROOT / "Makefile").read_text().splitlines() if "pip install" in x and "-e " in x]
-    assert len(lines) == 3 and all("-c constraints.txt" in line for line in lines)  # the third: make docs
-
-
 def test_every_package_and_every_bundled_file_stands_in_the_table_of_licences(
     supply: ModuleType, pins: dict[str, str]
 ) -> None:

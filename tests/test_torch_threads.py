@@ -1,21 +1,16 @@
 """Torch's threads: one while a call of ours works on a CPU, as many as before after it, in every thread of a program."""
 
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 import torch
-from problems import default_evaluator, make_batch, solve
+from problems import default_evaluator, make_batch
 
 from r2h_batch import launch
 from r2h_batch.judge import attach, goal, plan
-from r2h_batch.judge.plan import random_key
 from r2h_batch.launch import threads
 from r2h_batch.launch.threads import one_torch_thread
-
-TASKS = Path("/proc/self/task")
 
 
 @pytest.fixture(autouse=True)
@@ -70,16 +65,6 @@ def test_a_call_works_on_one_thread_and_leaves_two(batch, seen, call):
     assert seen == {1} and torch.get_num_threads() == 2
 
 
-def test_so_does_the_planner_alone(scene, batch, monkeypatch):
-    found = []
-    honest = plan.Planner.__call__
-    monkeypatch.setattr(
-        plan.Planner, "__call__", lambda *a, **k: (found.append(torch.get_num_threads()), honest(*a, **k))[1]
-    )
-    solve(scene, batch)
-    assert set(found) == {1} and torch.get_num_threads() == 2
-
-
 def test_a_refused_call_leaves_two(batch, monkeypatch):
     def refused(*args, **kwargs):
         raise KeyboardInterrupt
@@ -126,21 +111,3 @@ def test_without_openmp_torch_itself_is_asked(monkeypatch):
     finally:
         threads._of_this_thread.cache_clear()
     assert torch.get_num_threads() == 2
-
-
-def _own_time_s() -> dict[str, float]:
-    """Seconds that each thread of this process has worked."""
-    return {t.name: int((t / "schedstat").read_text().split()[0]) / 1e9 for t in TASKS.iterdir()}
-
-
-@pytest.mark.skipif(not (TASKS / str(threading.main_thread().native_id) / "schedstat").exists(), reason="needs /proc")
-def test_a_plan_on_one_thread_keeps_no_other_thread_busy(scene):
-    made = solve(scene, make_batch(scene, 300), threads=1)
-    active, key = torch.ones(300, dtype=torch.bool), random_key(made.batch.trials.trial_id)
-    torch.ones(1 << 20, dtype=torch.float32).exp()  # starts torch's own threads, which turn for a while
-    time.sleep(0.2)
-    before, me = _own_time_s(), str(threading.get_native_id())
-    plan.plan_paths(scene, made.body_poses, made.ik.q, made.ik.valid, active, key, scene.config.plan, threads=1)
-    spent = {name: s - before.get(name, 0.0) for name, s in _own_time_s().items()}
-    mine = spent.pop(me)
-    assert sum(spent.values()) < 0.1 * mine, (mine, spent)

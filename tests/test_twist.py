@@ -22,7 +22,7 @@ def matrix(xi: np.ndarray) -> np.ndarray:
     return np.array([[0, -z, y, v[0]], [z, 0, -x, v[1]], [-y, x, 0, v[2]], [0, 0, 0, 0]])
 
 
-@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.099, 0.101, 1.0, 3.1, 5.0])
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.099, 0.101, 3.1, 5.0])
 def test_exp_is_the_matrix_exponential(angle):
     xi = twists(20, angle)
     expected = np.stack([scipy.linalg.expm(matrix(x)) for x in xi.numpy()])

@@ -125,16 +125,10 @@ def bent(at: tuple[int, ...], value: float) -> np.ndarray:
 REFUSED = {
     "no object is called 'mug'": lambda: changed(object=["mug"] * 10),
     "T_world_hand of trial 3 is no rigid pose": lambda: changed(T_world_hand=bent((3, 0, 0), 2.0)),
-    "T_world_hand of trial 4 is not finite": lambda: changed(T_world_hand=bent((4, 0, 3), np.nan)),
     "the hand of trial 2 is more than 10 m away": lambda: changed(T_world_hand=bent((2, 0, 3), 450.0)),
-    "T_world_hand is (10, 16) float32": lambda: changed(T_world_hand=some_trials()["T_world_hand"].reshape(10, 16)),
     "has no shape; needed are": lambda: changed(shape=None),
     "give either hand": lambda: changed(hand=np.zeros(10, int)),
-    "hand goes from 0 to 400": lambda: changed(hand=np.r_[np.zeros(9, int), 400], pose=None, shape=None, side=None),
-    "side must be 0": lambda: changed(side=np.full(10, 2)),
-    "a turn is an axis times radians": lambda: changed(pose=np.full((10, 48), 180.0)),
     "unknown column 'hnad'": lambda: changed(hnad=np.zeros(10, int)),
-    "need one name for 1 to": lambda: changed(object=np.zeros(0, "U1")),
     "object is (10,) int64": lambda: changed(object=np.zeros(10, int)),
 }
 
@@ -160,14 +154,6 @@ def test_parquet_files_of_other_shapes_or_sizes_are_refused_before_they_are_read
     (tmp_path / "no.parquet").write_bytes(b"PAR1" + b"\xff" * 64 + b"PAR1")
     with pytest.raises(FileError, match="no readable Parquet"):
         read_trials_file(tmp_path / "no.parquet", base.objects, base.hand_set)
-    # a name of 20 MB that 3000 rows point to: 60 GB if it were written out
-    long = pa.DictionaryArray.from_arrays(pa.array([0] * 3000), pa.array(["x" * 20_000_000]))
-    poses = pa.array([np.eye(4).ravel().tolist()] * 3000)
-    pq.write_table(
-        pa.table({"object": long, "hand": pa.array([0] * 3000), "T_world_hand": poses}), tmp_path / "name.parquet"
-    )
-    with pytest.raises(FileError, match=r"unpacks to .* bytes; at most"):
-        read_trials_file(tmp_path / "name.parquet", base.objects, base.hand_set)
     # a thousand rows of one long list each, as small as a dictionary makes it: more values than the rows can have
     many = {"object": ["cup"] * 4, "hand": [0] * 4, "T_world_hand": [[1.0] * 100_000] * 4}
     pq.write_table(pa.table(many), tmp_path / "long.parquet", compression="zstd")
@@ -220,17 +206,13 @@ def test_what_the_flags_cannot_mean_is_refused_in_one_line(tmp_path, capsys):
     pipe = tmp_path / "pipe.npz"
     for flags, words in (
         (("--objects", tmp_path / "empty"), "no mesh"),
-        (("--objects", tmp_path / "x.obj"), "--object-mesh FILE"),
         (("--hands", pipe), "not a regular file"),
         (("--hand-model", pipe), "not a regular file"),
         (("--grasps", f"cup={pipe}"), "not a regular file"),
         (("--trials-file", pipe), "not a regular file"),
-        (("--trials-file", tmp_path / "pipe.parquet"), "not a regular file"),
         (("--benchmark", tmp_path / "pipe.yaml"), "not a regular file"),
         (("--predicted-hands", pipe), "not a regular file"),
-        (("--hands", tmp_path / "none.npz"), "none.npz"),
         (("--hand-model", tmp_path / "none.npz"), "none.npz"),
-        (("--benchmark", tmp_path / "none.yaml"), "none.yaml"),
         (("--trials-file", tmp_path / "none.csv"), ".npz or .parquet"),
     ):
         assert main(["sweep", "--method", "fc", "--trials", "1", *map(str, flags)]) == 2

@@ -1,14 +1,11 @@
 """Building on one BLAS thread, for as long as it lasts, whatever else builds meanwhile."""
 
-import threading
-
 import numpy as np
 import pytest
 import torch
 import trimesh
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.objects import build_object
 from r2h_batch.methods.grasps import sample
 from r2h_batch.receiver import sampler
@@ -28,29 +25,6 @@ def _two_threads():
     with threadpool_limits(2, user_api="blas"):
         yield
     torch.set_num_threads(threads)
-
-
-def test_blas_has_one_thread_inside_and_as_many_as_before_after_whoever_ends_first() -> None:
-    first_ended, second_in, seen = threading.Event(), threading.Event(), []
-
-    def second() -> None:
-        with one_blas_thread():
-            seen.append(blas())
-            second_in.set()
-            first_ended.wait(30)
-
-    other = threading.Thread(target=second)
-    with pytest.raises(KeyError), one_blas_thread(), one_blas_thread():
-        other.start()
-        assert second_in.wait(30) and blas() == {1}
-        raise KeyError
-    assert blas() == {2}
-    first_ended.set()
-    other.join(30)
-    assert seen == [{1}] and blas() == {2}
-    with one_blas_thread():
-        assert blas() == {1}
-    assert blas() == {2}
 
 
 def test_an_object_its_grasps_and_its_holds_are_made_on_one_thread(monkeypatch) -> None:

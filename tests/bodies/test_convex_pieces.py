@@ -9,40 +9,6 @@ from tests.support.needs import needs
 
 
 @needs("manifold3d")
-def test_parts_are_joined_where_that_adds_least() -> None:
-    from r2h_batch.bodies.mesh_import.cut import merge_hulls
-
-    box = trimesh.creation.box((0.01, 0.01, 0.01)).vertices
-    row = [box + [0.01 * i, 0, 0] for i in range(5)]
-    corner = [box + [0, 0.01 * i, 0] for i in (1, 2)]
-    flat = [np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]) * 0.01]
-    found = merge_hulls([*row, *corner, *flat], 2)
-    volumes = sorted(trimesh.convex.convex_hull(p).volume for p in found)
-    assert np.allclose(volumes, [2e-6, 5e-6])
-    assert len(merge_hulls(row, 16)) == 5
-    assert len(merge_hulls([*row, *corner], 16, 1e-9)) == 2  # what adds nothing is joined although there are few enough
-
-
-@needs("manifold3d")
-def test_a_triangle_that_sticks_out_is_taken_in_whole_by_the_nearest_piece() -> None:
-    from r2h_batch.bodies.mesh_import.cut import inflate_to_cover
-
-    box = trimesh.creation.box((0.02, 0.02, 0.02)).vertices
-    far = box + [0.1, 0, 0]
-    point = np.array(
-        [[0.11 + 0.003, 0, 0], [0.11, 0, 0], [0.09 - 4e-3, 0, 0], [0.01 + 4e-5, 0, 0], [0.01, 0, 0], [0, 0, 0]]
-    )
-    first, second = inflate_to_cover([box, far], point, np.array([[0, 1, 2], [3, 4, 5]]), 5e-5)
-    assert np.allclose(np.sort(first, axis=0), np.sort(box, axis=0))
-    assert np.isclose(second[:, 0].max(), 0.113) and np.isclose(second[:, 0].min(), 0.086)
-    between = np.array([[0.01, 0, 0], [0.09, 0, 0], [0.05, 0, 0.005]])  # corners in pieces, the middle in none
-    first, second = inflate_to_cover([box, far], between, np.array([[0, 1, 2]]), 5e-5)
-    assert first[:, 0].max() > 0.089 or second[:, 0].min() < 0.011
-    halved = inflate_to_cover([box, far], between, np.array([[0, 1, 2]]), 5e-5, 0.02)
-    assert all(np.ptp(p[:, 0]) > 0.05 for p in halved)  # each takes the triangles next to it, those held are left
-
-
-@needs("manifold3d")
 def test_a_ring_and_a_thin_cup_are_cut_though_the_first_cut_gains_nothing() -> None:
     from r2h_batch.bodies.mesh_import.cut import cut_apart, merge_hulls
 

@@ -14,12 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.assets.hand.build_handset import (
-    JOINT_RANGE_DEG,
     MAX_CUT_M,
     POSTURES,
     Judge,
-    angles_from_pose,
-    draw_hand,
     mirrored,
     pose_from_angles,
 )
@@ -27,8 +24,8 @@ from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.hand import ball_center, load_hand, load_hand_set, palm_frame, rotation_from_axis_angle
 from r2h_batch.bodies.hand_measure import sample_inside, sample_surface, winding_number
 
-SAMPLE = [pytest.param(i, marks=pytest.mark.slow if i % 3 else ()) for i in range(0, 400, 21)]
-"""20 hands: both sides, every posture. Seven of them, of both sides, are quick."""
+SAMPLE = [pytest.param(i, marks=pytest.mark.slow if i % 5 else ()) for i in range(0, 400, 21)]
+"""20 hands: both sides, every posture. Four of them, of both sides, are quick."""
 
 
 @pytest.fixture(scope="module")
@@ -83,44 +80,6 @@ def test_joint_tree_and_layout_are_mano(hand):
     assert hand.joints_rest[13, 1] < -0.005 and hand.joints_rest[15, 2] > 0.05
 
 
-def test_proportions_are_those_of_a_male_hand(hand):
-    mm, joints = hand.vertices.double().numpy() * 1000, hand.joints_rest.double().numpy() * 1000
-    assert -mm[:, 0].min() == pytest.approx(185, abs=2)
-    lengths = {1: (45, 24), 4: (47, 27), 7: (35, 20), 10: (43, 27), 13: (33, 34)}
-    for root, want in lengths.items():
-        for k, length in enumerate(want):
-            assert np.linalg.norm(joints[root + k + 1] - joints[root + k]) == pytest.approx(length, abs=0.01)
-    weights = hand.weights.numpy()
-    knuckles = (mm[:, 0] > -92) & (mm[:, 0] < -62) & (weights[:, 13:].sum(axis=1) < 0.2)
-    assert np.ptp(mm[knuckles, 2]) == pytest.approx(85, abs=2)
-    mesh = mesh_of(hand, mm)
-    for x, z in ((-60, 3), (-60, -15), (-75, 3), (-75, -15)):
-        hits, _, _ = mesh.ray.intersects_location([[x, 100, z]], [[0, -1, 0]])
-        assert np.ptp(hits[:, 1]) == pytest.approx(28, abs=2)
-    # Radii half way along the phalanges: 9-10, 7-8, 6-7 mm, the thumb's 9.
-    for joint, low, high in ((5, 7.5, 9.0), (2, 7.5, 8.8), (11, 7.2, 8.7), (8, 6.4, 8.0), (14, 8.8, 10.4)):
-        bone = joints[joint + 1] - joints[joint]
-        section = mesh.section(bone, 0.5 * (joints[joint] + joints[joint + 1]))
-        radii = np.linalg.norm(section.vertices - 0.5 * (joints[joint] + joints[joint + 1]), axis=1)
-        assert low < np.mean(radii[radii < 12]) < high
-
-
-def test_fingertips_are_the_far_ends_of_their_digits(hand):
-    tips = hand.vertices[hand.tip_vertices].double().numpy()
-    last = hand.joints_rest[[3, 6, 9, 12, 15]].double().numpy()
-    assert np.all(np.linalg.norm(tips - last, axis=1) > 0.018) and np.all(np.linalg.norm(tips - last, axis=1) < 0.03)
-
-
-def test_weights_follow_connected_bones_and_sum_to_one(hand):
-    weights = hand.weights.double().numpy()
-    assert np.all(weights >= 0) and np.abs(weights.sum(axis=1) - 1).max() < 1e-6
-    for row in weights > 0:
-        bones = set(np.flatnonzero(row).tolist())
-        roots = [b for b in bones if MANO_PARENTS[b] not in bones]
-        webbed = all(MANO_PARENTS[b] == 0 for b in roots)  # skin between two digits hangs on both
-        assert len(roots) == 1 or webbed, bones
-
-
 def test_rotations_match_scipy_from_no_turn_to_many():
     rng = np.random.default_rng(3)
     axes = rng.normal(size=(400, 3))
@@ -164,25 +123,6 @@ def test_left_hands_are_exact_mirror_images(hand):
     assert torch.equal(hand.faces_by_side[1], hand.faces.flip(1))
 
 
-def test_default_arguments_are_a_mean_right_hand_at_rest(hand):
-    rest = hand.pose(torch.zeros(2, 48))
-    assert torch.equal(rest.vertices[1], hand.vertices) and torch.equal(rest.joints[0], hand.joints_rest)
-
-
-@pytest.mark.parametrize(
-    ("pose", "shape", "side", "message"),
-    [
-        (torch.zeros(2, 45), None, None, "pose has shape"),
-        (torch.zeros(2, 48, dtype=torch.int64), None, None, "pose has shape"),
-        (torch.zeros(2, 48), torch.zeros(1, 10), None, "shape has shape"),
-        (torch.zeros(2, 48), None, torch.zeros(3, dtype=torch.int8), "side has shape"),
-    ],
-)
-def test_wrong_shapes_and_types_are_named(hand, pose, shape, side, message):
-    with pytest.raises(ValueError, match=message):
-        hand.pose(pose, shape, side)
-
-
 def test_every_hand_of_the_set_keeps_its_volume_and_orientation(hand, posed, hand_set):
     rest = mesh_of(hand, hand.vertices.numpy()).volume
     for i in range(len(hand_set)):
@@ -198,13 +138,6 @@ def test_every_hand_of_the_set_keeps_its_volume_and_orientation(hand, posed, han
                 shaped.vertices[0].double().numpy(), hand.faces.numpy(), shaped.joints[0].double().numpy()
             )
             assert np.all(np.abs(inside - 1) < 1e-6)  # joints move with the skin around them
-
-
-def test_a_larger_first_shape_parameter_is_a_longer_hand(hand):
-    shape = torch.zeros(2, 10)
-    shape[0, 0] = -1.85
-    length = -hand.pose(torch.zeros(2, 48), shape).vertices[:, :, 0].min(dim=1).values
-    assert length[0] == pytest.approx(0.168, abs=0.002) and length[1] == pytest.approx(0.185, abs=0.002)
 
 
 def test_palm_normal_points_out_of_the_palm_on_both_sides(hand, posed, hand_set):
@@ -268,16 +201,7 @@ def test_the_set_has_both_sides_and_every_posture(hand_set):
     assert len(np.unique(hand_set.pose.numpy().round(4), axis=0)) == 400
 
 
-def test_the_set_keeps_the_joint_ranges(hand, hand_set):
-    axes = hand.joint_axes.double().numpy()
-    for i in range(len(hand_set)):
-        pose = hand_set.pose[i].double().numpy()
-        angles = angles_from_pose(mirrored(pose) if hand_set.side[i] else pose, axes)
-        assert np.all(angles > JOINT_RANGE_DEG[..., 0] - 1e-3) and np.all(angles < JOINT_RANGE_DEG[..., 1] + 1e-3)
-    assert hand_set.shape.abs().max() <= 1.5
-
-
-@pytest.mark.parametrize("i", range(4, 400, 33))
+@pytest.mark.parametrize("i", range(4, 400, 99))
 def test_no_hand_cuts_deeper_than_two_millimetres_into_itself(hand, hand_set, posed, judge, i):
     vertices = posed.vertices[i].double().numpy() * (MIRROR if hand_set.side[i] else 1)
     overlap, cut = judge.cuts(vertices)
@@ -298,14 +222,6 @@ def test_a_thumb_pushed_through_the_fingers_is_found(hand, judge):
     assert max(judge.cuts(judge.vertices(pose, np.zeros(10, np.float32), 0))) > MAX_CUT_M
 
 
-def test_a_hand_is_drawn_from_its_own_counter(hand_set, judge):
-    for i in (3, 210):
-        pose, shape, posture, _, _ = draw_hand(i, judge)
-        pose = mirrored(pose).astype(np.float32) if hand_set.side[i] else pose
-        assert np.abs(pose - hand_set.pose[i].numpy()).max() < 1e-6
-        assert np.abs(shape - hand_set.shape[i].numpy()).max() < 1e-6 and posture == hand_set.posture[i]
-
-
 def test_the_digest_is_over_the_arrays_and_is_the_reported_one(hand_set, tmp_path):
     folder = resources.files("r2h_batch.assets.hand")
     report = json.loads((folder / "report.json").read_text())
@@ -323,11 +239,3 @@ def test_the_digest_is_over_the_arrays_and_is_the_reported_one(hand_set, tmp_pat
     write_npz(tmp_path / "a.npz", arrays)
     write_npz(tmp_path / "b.npz", arrays)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
-
-
-def test_the_report_keeps_what_the_hand_promises():
-    report = json.loads((resources.files("r2h_batch.assets.hand") / "report.json").read_text())
-    for part in (report["template"], report["handset"]):
-        assert part["overshoot_mean_mm"] <= 1.3 and part["overshoot_max_mm"] <= 10.9
-        assert part["inside_samples_missed"] == 0 and part["hull_vertices_max"] <= 64
-    assert report["handset"]["self_cut_max_mm"] <= 2 and report["handset"]["separate_pieces_overlap_max_mm"] <= 2

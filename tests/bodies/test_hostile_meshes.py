@@ -57,16 +57,6 @@ def test_a_repair_that_takes_too_long_ends_with_one_line_that_says_where(monkeyp
     assert "object: " in capsys.readouterr().err
 
 
-def test_a_polygon_of_three_thousand_corners_is_read_and_its_sheet_stops_in_time(monkeypatch, tmp_path):
-    turn = np.linspace(0, 2 * np.pi, 3000, endpoint=False)
-    ring = 0.05 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    lines = [f"v {x} {y} 0" for x, y in ring] + ["f " + " ".join(str(k + 1) for k in range(3000))]
-    (tmp_path / "sheet.obj").write_text("\n".join(lines))
-    assert len(load_mesh_file(tmp_path / "sheet.obj", "sheet").faces) == 2998
-    monkeypatch.setattr(closed, "Budget", lambda label: Budget(label, seconds=0.05))
-    refused(tmp_path / "sheet.obj", "more than 0.05 s of CPU time")
-
-
 def test_a_scene_that_takes_too_long_to_read_is_ended_with_its_process(monkeypatch, tmp_path, capsys):
     nodes = [{"children": list(range(1, 200_001))}, *({"mesh": 0} for _ in range(200_000))]
     gltf(tmp_path, nodes=nodes, scenes=[{"nodes": [0]}], scene=0)
@@ -86,9 +76,7 @@ def test_arrays_that_a_file_claims_and_does_not_hold_cost_no_memory(tmp_path):
     refused(tmp_path / "box.gltf", "more memory than any file of its size needs")
 
 
-@pytest.mark.parametrize(
-    "where", ["../secret.bin", "/etc/passwd", "link.bin", "pipe.bin", "/dev/zero", "file:///etc/passwd"]
-)
+@pytest.mark.parametrize("where", ["../secret.bin", "link.bin", "pipe.bin", "/dev/zero"])
 def test_buffers_outside_the_folder_and_special_files_are_not_read(tmp_path, where):
     folder = tmp_path / "meshes"
     folder.mkdir()
@@ -166,12 +154,6 @@ def test_bodies_apart_are_counted_and_measured_and_bodies_that_touch_are_not():
         build_object(trimesh.util.concatenate([BOX, other]), pieces=False)
     with pytest.warns(UserWarning, match=r"2 bodies apart from each other \(largest sides 0\.1, 0\.004 m\)"):
         build_object(trimesh.util.concatenate([BOX, other, crumb]), pieces=False)
-
-
-def test_names_with_control_characters_reach_no_terminal(tmp_path):
-    path = tmp_path / "mug\x1b[31m.obj"
-    path.write_text("f x y z\nv \x1b]0;owned\x07\n")
-    refused(path, "cannot be read: ValueError")
 
 
 def test_regions_are_files_like_the_others_and_objects_names_are_clean(tmp_path):

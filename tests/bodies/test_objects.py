@@ -24,7 +24,6 @@ TABLE = {  # scene.md: box in metres, mass in kg
     "bottle": (0.250, 0.075, 0.075, 0.6), "trigger_sprayer": (0.290, 0.100, 0.075, 0.55),
 }  # fmt: skip
 REGION_PATCHES = {"pliers": 2, "scissors": 2}
-WALLS = {"bowl": 2.8e-3, "cup": 2.4e-3, "wineglass": 2.3e-3}
 every_object = pytest.mark.parametrize("name", OBJECT_NAMES)
 
 
@@ -45,22 +44,6 @@ def surface_distance(mesh, p):
         t = np.clip(np.einsum("ij,ij->i", p - a, e) / np.einsum("ij,ij->i", e, e), 0, 1)
         best = min(best, np.linalg.norm(p - a - t[:, None] * e, axis=1).min())
     return min(best, np.abs(height[within]).min(initial=np.inf))
-
-
-def first_exit(mesh, origin, direction):
-    """(t, face) of the nearest crossing of a ray beyond 1e-5 m."""
-    a, b, c = mesh.triangles.transpose(1, 0, 2)
-    e, f = b - a, c - a
-    h = np.cross(direction, f)
-    det = np.einsum("ij,ij->i", e, h)
-    det = np.where(np.abs(det) < 1e-18, np.inf, det)
-    s = origin - a
-    u = np.einsum("ij,ij->i", s, h) / det
-    q = np.cross(s, e)
-    v = q @ direction / det
-    t = np.einsum("ij,ij->i", f, q) / det
-    t = np.where((u >= 0) & (v >= 0) & (u + v <= 1) & (t > 1e-5), t, np.inf)
-    return t.min(), int(np.argmin(t))
 
 
 def patches(mesh, chosen):
@@ -96,27 +79,6 @@ def test_each_object_is_one_closed_outward_body_of_the_tables_size_and_mass(name
 
 
 @every_object
-def test_triangles_are_even_and_no_slivers(name):
-    mesh = one(name).mesh
-    longest = mesh.edges_unique_length[mesh.faces_unique_edges].max(axis=1)
-    quality = mesh.area_faces / (longest**2 * np.sqrt(3) / 4)  # 1 for an equilateral triangle
-    assert np.median(quality) > 0.5
-    assert np.quantile(quality, 0.02) > 0.10
-    assert longest.max() < 9e-3
-
-
-@every_object
-def test_part_labels_are_clean_patches_and_all_used(name):
-    model = one(name)
-    mesh = model.mesh
-    assert len(model.face_part) == len(model.receiver_face) == len(model.faces)
-    assert set(model.face_part.tolist()) == set(range(len(model.part_names)))
-    for k, part in enumerate(model.part_names):
-        smallest = min(mesh.area_faces[p].sum() for p in patches(mesh, model.face_part == k))
-        assert smallest > 1e-6, f"{part}: a speck of {smallest * 1e6:.2f} mm^2"
-
-
-@every_object
 def test_only_s1_objects_have_a_receiver_region_and_leave_the_robot_enough(name):
     model = one(name)
     share = model.mesh.area_faces[model.receiver_face].sum() / model.mesh.area
@@ -126,21 +88,6 @@ def test_only_s1_objects_have_a_receiver_region_and_leave_the_robot_enough(name)
     assert 0.1 < share < 0.85
     assert len(patches(model.mesh, model.receiver_face)) == REGION_PATCHES.get(name, 1)
     assert model.instruction.startswith("hand over the ") and model.instruction.endswith(" to human")
-
-
-@every_object
-def test_a_gripper_of_85_mm_finds_opposite_faces_and_for_s1_a_quarter_of_them_off_the_region(name):
-    model = one(name)
-    mesh = model.mesh
-    pairs, free = 0, 0
-    for k in range(0, 2048, 8):
-        normal = model.normals[k].astype(float)
-        t, face = first_exit(mesh, model.points[k].astype(float), -normal)
-        if t <= 0.085 and mesh.face_normals[face] @ normal < -0.9:
-            pairs += 1
-            free += not (model.receiver_face[face] or model.receiver_face[model.point_face[k]])
-    assert pairs >= 20
-    assert free >= 0.25 * pairs or (name == "screwdriver" and free >= 0.1 * pairs)
 
 
 @every_object
@@ -215,19 +162,6 @@ def test_voxels_agree_with_solid_angles_and_the_surface(name):
     assert not occupancy[0].any() and not occupancy[-1].any()
 
 
-@pytest.mark.parametrize("name", WALLS)
-def test_bowl_cup_and_wineglass_are_hollow_with_thin_walls(name):
-    model = one(name)
-    z = {"bowl": 0.005, "cup": 0.0, "wineglass": 0.045}[name]
-    assert abs(winding_number(model.mesh, np.array([[0.0, 0.0, z]]))[0]) < 1e-6
-    voxel = np.floor((np.array([0.0, 0.0, z]) - model.voxel_origin) / model.voxel_pitch).astype(int)
-    assert not model.occupancy[tuple(voxel)]
-    outer = model.points[np.abs(model.points[:, 2] - z) < 0.01].astype(float)
-    normal = model.normals[np.abs(model.points[:, 2] - z) < 0.01].astype(float)
-    wall = [first_exit(model.mesh, p, -n)[0] for p, n in zip(outer, normal)]
-    assert 1.8e-3 < np.median(wall) < 3.5e-3
-
-
 @every_object
 def test_mass_center_and_inertia_agree_with_mujocos(name):
     model = one(name)
@@ -258,17 +192,9 @@ def test_the_digest_is_that_of_the_report_and_sees_one_moved_vertex():
     assert object_digest(replace(models[0], vertices=moved)) != object_digest(models[0])
 
 
-def test_arrays_are_read_only():
-    with pytest.raises(ValueError, match="read-only"):
-        one("bowl").vertices[0] = 0
-
-
 @needs("coacd", "manifold3d")
 def test_the_build_script_makes_the_committed_arrays_again():
     from r2h_batch.assets.objects.build_objects import SPECS, build
 
     assert set(SPECS) == set(OBJECT_NAMES)
     assert object_digest(build(SPECS["screwdriver"])) == object_digest(one("screwdriver"))
-
-
-# A user's own mesh

@@ -11,10 +11,8 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from scipy.spatial import cKDTree
 
 from r2h_batch.assets.robot import build_robot
-from r2h_batch.bodies import robot_visuals
 from r2h_batch.bodies.robot import (
     JOINTS,
     Kind,
@@ -136,16 +134,6 @@ def test_home_points_the_gripper_straight_down():
     np.testing.assert_allclose(forward_kinematics(robot, Q0)[7][:3, 3], [0.4206, 0.0, 0.5916], atol=1e-4)
 
 
-@pytest.mark.parametrize("batch", [(0,), (1,), (2, 33)])
-def test_batches_give_the_same_poses_as_single_configurations(batch):
-    robot = load_robot()
-    q = np.random.default_rng(2).uniform(-P, P, (*batch, JOINTS))
-    T = forward_kinematics(robot, q)
-    assert T.shape == (*batch, 8, 4, 4)
-    for index in np.ndindex(*batch):
-        np.testing.assert_array_equal(T[index], forward_kinematics(robot, q[index]))
-
-
 def test_linkage_matches_scene_md_and_inverts():
     q = np.linspace(0.0, 0.8, 81)
     gap = 2 * (0.0054058 + 0.0376 * np.cos(q) - 0.0430 * np.sin(q))
@@ -204,78 +192,6 @@ def test_arm_primitives_cover_dense_face_samples(link):
     assert union_depth(*shapes, points).max() < 0.5e-3
 
 
-def test_report_keeps_the_promised_limits():
-    report = json.loads((files("r2h_batch.assets") / "robot" / "report.json").read_text())
-    assert set(report["links"]) == {*VISUALS, "body", *FINGERS}
-    for link, row in report["links"].items():
-        assert row["primitives"] <= 5, link
-        assert row["mean_mm"] <= 3.5 and row["p95_mm"] <= 10.0 and row["max_mm"] <= 20.0, link
-        assert row["worst_protrusion_mm"] <= 0.5, link
-    assert report["all"]["mean_mm"] <= 3.0 and report["all"]["arm_mean_mm"] <= 3.0
-
-
-def test_what_the_primitives_leave_outside_is_reported():
-    robot, link = load_robot(), "inner_finger"
-    row = json.loads((files("r2h_batch.assets") / "robot" / "report.json").read_text())["links"][link]
-    mesh = gripper_mesh(f"robotiq_arg2f_85_{link}")
-    mesh.apply_translation(robot_visuals.part_origin(link))
-    chosen = np.flatnonzero([n.startswith(f"right_{link}_") for n in robot.gripper.names])
-    points, table = np.concatenate([mesh.vertices, face_samples(mesh, 50_000)]), robot.gripper
-    out = np.min([depth(table.kind[n], table.T_link_prim[n], table.size[n], points) for n in chosen], axis=0)
-    assert 0.05 < 1e3 * out.max() <= row["worst_protrusion_mm"] + 0.005  # more than the fit's own samples saw
-
-
-@pytest.mark.parametrize("link", ["shoulder", "forearm", "wrist_3", "outer_finger"])
-def test_reported_overshoot_is_found_again_by_random_sampling(link):
-    robot, rng = load_robot(), np.random.default_rng(3)
-    report = json.loads((files("r2h_batch.assets") / "robot" / "report.json").read_text())["links"][link]
-    if link in VISUALS:
-        mesh, table = arm_mesh(link), robot.arm
-        chosen = np.flatnonzero(robot.arm.link == robot.links.index(link))
-        poses = table.T_link_prim[chosen]
-    else:
-        mesh, table = gripper_mesh(f"robotiq_arg2f_85_{link}"), robot.gripper
-        mesh.apply_translation([0.0, 0.0621011, 0.050804])  # the right outer finger at drive angle 0
-        chosen = np.flatnonzero([n.startswith(f"right_{link}_") for n in table.names])
-        poses = table.T_link_prim[chosen]
-    cloud = [face_samples(mesh, 200_000)]
-    for center, normal, radius in build_robot.MOUTHS.get(link, []):
-        turn, r = rng.uniform(0, 2 * P, 20_000), radius * np.sqrt(rng.uniform(0, 1, 20_000))
-        axes = np.delete(np.eye(3), int(np.argmax(normal)), axis=0)
-        cloud.append(np.array(center) + np.column_stack([r * np.cos(turn), r * np.sin(turn)]) @ axes)
-    tree = cKDTree(np.concatenate(cloud))
-    overshoot, area = [], []
-    for i, (n, T) in enumerate(zip(chosen, poses, strict=True)):
-        size = table.size[n]
-        if table.kind[n] == Kind.BOX:
-            shape = trimesh.creation.box(extents=2 * size)
-        elif table.kind[n] == Kind.CYLINDER:
-            shape = trimesh.creation.cylinder(radius=size[0], height=2 * size[1], sections=128)
-        else:
-            shape = trimesh.creation.capsule(radius=size[0], height=2 * size[1], count=[64, 64])
-            shape.apply_translation([0, 0, -shape.bounds.mean(axis=0)[2]])
-        points, _ = trimesh.sample.sample_surface(shape.apply_transform(T), 20_000, seed=i)
-        hidden = np.zeros(len(points), bool)
-        for m, other in zip(np.delete(chosen, i), np.delete(poses, i, axis=0), strict=True):
-            hidden |= depth(table.kind[m], other, table.size[m], points) < 0
-        overshoot.append(tree.query(points[~hidden])[0])
-        area.append(np.full(len(overshoot[-1]), shape.area / len(points)))
-    values, weights = np.concatenate(overshoot), np.concatenate(area)
-    assert abs(1e3 * np.average(values, weights=weights) - report["mean_mm"]) < 0.1
-    assert abs(weights.sum() / report["surface_m2"] - 1) < 0.02
-    assert 1e3 * values.max() < report["max_mm"] + 0.5
-
-
-@pytest.mark.parametrize("link", build_robot.MOUTHS)
-def test_mouths_close_sleeves_whose_rim_is_on_the_mesh(link):
-    tree = cKDTree(face_samples(arm_mesh(link), 200_000))
-    for center, normal, radius in build_robot.MOUTHS[link]:
-        turn = np.linspace(0, 2 * P, 90)
-        axes = np.delete(np.eye(3), int(np.argmax(normal)), axis=0)
-        rim = np.array(center) + radius * np.column_stack([np.cos(turn), np.sin(turn)]) @ axes
-        assert tree.query(rim)[0].max() < 2e-3
-
-
 def test_lever_bounds_hold_everywhere_and_are_tight():
     robot, rng = load_robot(), np.random.default_rng(4)
     rho, largest = lever_bounds(robot), np.zeros((JOINTS, len(robot.arm.names)))
@@ -326,8 +242,3 @@ def test_robot_json_is_what_the_build_script_writes_and_its_digest_is_the_files_
     assert load_robot() is load_robot()
     with pytest.raises(ValueError, match="read-only"):
         load_robot().upper[0] = 0.0
-
-
-def test_wrong_configurations_are_refused():
-    with pytest.raises(ValueError, match=r"q has shape \(5,\)"):
-        forward_kinematics(load_robot(), np.zeros(5))

@@ -15,8 +15,6 @@ from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.methods.random import predict
 from r2h_batch.trials.protocol import make_trials
 
-TURN = 2 * np.pi
-
 
 @pytest.fixture(scope="module")
 def targets():
@@ -75,20 +73,11 @@ def test_turns_and_residuals_are_those_of_the_result(both, targets):
 def test_rows_do_not_depend_on_their_batch(both, targets, monkeypatch):
     _, jacobian = both
     order = torch.from_numpy(np.random.default_rng(2).permutation(len(targets)))
-    for part in (order, order[:1]):
+    for part in (order[:9], order[9:10]):
         again = ik_jacobian.solve_ik(targets[part])
         for field in dataclasses.fields(again):
             mine, whole = getattr(again, field.name), getattr(jacobian, field.name)[part]
             assert mine.numpy().tobytes() == whole.numpy().tobytes(), field.name
-
-
-def test_wrong_arguments_are_refused_as_the_kernel_refuses_them():
-    with pytest.raises(ValueError, match="T_world_ee"):
-        ik_jacobian.solve_ik(torch.eye(4))
-    with pytest.raises(ValueError, match="seeds"):
-        ik_jacobian.solve_ik(torch.eye(4)[None], seeds=np.zeros((3, 5)))
-    with pytest.raises(ValueError, match=r"IkConfig.solver is 'newton'; allowed are 'fused' or 'pytorch-kinematics'"):
-        IkConfig("newton")
 
 
 @pytest.mark.parametrize("n", [24, pytest.param(1000, marks=pytest.mark.slow)])

@@ -12,7 +12,6 @@ import trimesh
 from planning_twins import motion_samples, staged
 from problems import Batch, Problems, default_evaluator, make_batch, solve
 
-from r2h_batch import se3
 from r2h_batch.bodies.robot import Kind, gripper_primitives_at
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, EvalConfig, ExecConfig, Thresholds
 from r2h_batch.judge import metrics
@@ -75,11 +74,6 @@ def test_touching_passes_where_the_paper_says_so():
     everywhere = torch.ones(3, dtype=torch.bool)
     assert metrics.Criterion.of("reach", margin, everywhere).passed.tolist() == [True, True, False]
     assert metrics.Criterion.of("safe", margin, everywhere).passed.tolist() == [False, True, False]
-
-
-def test_what_is_not_evaluated_has_no_margin_and_does_not_pass():
-    c = metrics.Criterion.of("reach", torch.tensor([1.0, torch.nan]), torch.tensor([False, False]))
-    assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()
 
 
 def test_a_margin_that_is_not_a_number_never_passes():
@@ -349,21 +343,3 @@ def test_slack_takes_off_what_is_apart_and_what_is_deep_but_never_makes_an_overl
     found = within_slack(distance, torch.full_like(distance, 0.002))
     expected = torch.tensor([0.028, -1e-6, -1e-6, -1e-6, -0.028, torch.nan])
     torch.testing.assert_close(found, expected, equal_nan=True)
-
-
-def test_inactive_rows_are_not_judged():
-    batch, problems, _ = scored()
-    scene = default_evaluator().scene
-    none = torch.zeros(N, dtype=torch.bool)
-    grasp = close_gripper(scene.grasp_tables, batch.T_obj_ee, batch.trials.object_index)
-    _, _, center = scene.palm(batch.trials.hand_index, batch.trials.T_world_hand)
-    T_world_obj = se3.matmul(batch.T_world_ee, se3.inverse(problems.T_obj_ee_attached))
-    ball = se3.apply(se3.inverse(T_world_obj), center)
-    touch = hand_distance(scene, problems.body_poses, as_planned(problems), none)
-    found = evidence(
-        none, grasp=grasp, ball=ball, objects=batch.trials.object_index, attached=problems.T_obj_ee_attached,
-        squeezed_m=grasp.opening_m, free=problems.plan.length > 0, moves=none, touch=touch,
-        clearance_m=problems.plan.clearance_m, reason=problems.plan.reason,
-    )  # fmt: skip
-    for c in metrics.judge(found):
-        assert torch.isnan(c.margin).all() and not c.passed.any() and not c.evaluated.any()

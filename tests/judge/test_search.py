@@ -1,7 +1,6 @@
 """Searches: narrow ways out, long detours, what plain RRT-Connect finds. Problems of `random`, whose goals are anywhere."""
 
 import math
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -9,12 +8,9 @@ import torch
 from problems import Batch, Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.config import PlanConfig
-from r2h_batch.judge import plan, search
-from r2h_batch.judge.frontier import levels
-from r2h_batch.judge.plan import load_searches
+from r2h_batch.judge import search
 from r2h_batch.methods import random
 from r2h_batch.motion.time_law import time_path
-from r2h_batch.sweep import engine
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import PlanReason
 
@@ -78,18 +74,3 @@ def test_nothing_is_lost_that_plain_rrt_connect_finds_for_a_hundred_thousand_tri
         gained += ids[hard[~plain & ~none[hard]]].tolist()
     print(f"\n{searched} searched; lost {lost}, gained {gained}")
     assert searched > 5000 and not lost
-
-
-def test_what_only_some_trials_need_is_compiled_before_a_sweeps_clock_starts():
-    with mock.patch.object(plan, "load") as loaded:
-        load_searches("cpu")
-    asked = {call.args[0].module.name.split(".kernels.")[-1] for call in loaded.call_args_list}
-    assert asked == {"plan.rrt", "plan.shortcut", "judge.overlap"}
-    with mock.patch.object(plan, "load") as loaded, levels.planning_form("frontier"):
-        load_searches("cpu")
-    asked = {call.args[0].module.name.split(".kernels.")[-1] for call in loaded.call_args_list}
-    assert asked == {"frontier.trees", "frontier.arcs", "frontier.shortcuts", "judge.overlap"}
-    setting = mock.Mock(planned=4)
-    with mock.patch.object(engine, "load_searches") as warmed:
-        engine.warm_up(mock.Mock(warm=True), setting)
-    warmed.assert_called_once_with(setting.evaluator.scene.device)

@@ -7,7 +7,6 @@ import numpy as np
 import torch
 
 from r2h_batch.bodies.objects import load_objects
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.methods.box_grasps import box_grasps, depth_steps, three_boxes
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP, roles_of
 from r2h_batch.scene.scene import Scene
@@ -76,27 +75,6 @@ def twin(points: np.ndarray, seeds: np.ndarray, own: int) -> tuple[float, int, i
     return sum(room(seeds, own, R[1], d) for d in DEPTHS[:free]), -a, free // 2
 
 
-def test_the_three_boxes_hold_the_gripper_and_leave_the_space_between_the_pads():
-    finger_low, finger_high, low, high = three_boxes()
-    assert finger_low[1] == 0.0425 and finger_high[1] < 0.09 and high[2] == finger_low[2] < 0
-    assert 0.005 < finger_high[2] < 0.03 and low[2] < -0.14
-    assert (high - low)[1] > 0.13 and (finger_high - finger_low)[0] >= 2 * load_robot().linkage.pad_half_size[0] - 1e-9
-
-
-def test_every_seed_is_the_mean_of_its_voxels_functional_points():
-    rows = [0, 1, 2, 3, 4]
-    role = roles(rows)
-    found = run(rows, role)
-    for k, i in enumerate(rows):
-        points = scene().objects[i].points.astype(np.float64)
-        free = role[k].numpy() != GRASP
-        cells = np.floor((points - points.min(0)) / VOXEL + 0.5).astype(int)
-        means = np.array([points[free & (cells == c).all(1)].mean(0) for c in np.unique(cells[free], axis=0)])
-        seeds = found.seed[k][found.used[k]].double().numpy()
-        assert len(seeds) == len(means)
-        assert np.abs(means - seeds).max() < 1e-6  # both in the voxels' order
-
-
 def test_scores_azimuths_and_depths_are_those_of_the_twin():
     rows = [0, 1, 2, 3, 4, 1]
     role = roles(rows)
@@ -118,20 +96,6 @@ def test_scores_azimuths_and_depths_are_those_of_the_twin():
             compared, agree = compared + 1, agree + same
     assert compared > 80 and feasible > 20
     assert agree >= compared - 1  # a point within rounding of a face
-
-
-def test_grasps_come_from_above_and_keep_every_point_out_of_the_boxes():
-    rows = [0, 1, 2, 3, 4]
-    found = run(rows, roles(rows))
-    assert ((found.score > 0).sum(1) >= 1).all()
-    for k, i in enumerate(rows):
-        for T in found.T_obj_ee[k][found.score[k] > 0].double().numpy():
-            assert np.allclose(T[:3, 2], [0, 0, -1]) and np.linalg.det(T[:3, :3]) > 0.999
-            q = (scene().objects[i].points - T[:3, 3]) @ T[:3, :3]
-            low, high = np.array(three_boxes())[[0, 2]] + 1e-6, np.array(three_boxes())[[1, 3]] - 1e-6
-            near = (np.abs(q) < 0.08).all(1)
-            for a, b in zip(low, high, strict=True):
-                assert not ((q[near] > a) & (q[near] < b)).all(1).any()
 
 
 def test_a_trials_grasps_depend_on_its_labels_and_on_nothing_else():

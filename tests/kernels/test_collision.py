@@ -6,9 +6,7 @@ import numpy as np
 import oracle
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies import bounds
 from r2h_batch.bodies.robot import Kind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere
 from r2h_batch.judge.plan import CLEARANCE_TOLERANCE_M, Planner
 from r2h_batch.kernels.plan.lines import path_clearance, straight_lines
@@ -317,26 +315,3 @@ def test_bounding_capsules_and_balls_of_hulls_pieces_and_hands_hold_their_points
     for i in (0, 7, len(center) - 1):
         own = vertices[i // w.n_pieces, ids[hulls[i] : hulls[i + 1]]]
         assert np.array_equal(np.unique(inside[start[i] : start[i + 1]], axis=0), np.unique(own, axis=0))
-
-
-def test_capsules_of_primitives_and_balls_hold_random_ones():
-    rng = np.random.default_rng(8)
-    for _ in range(50):
-        kind, size = int(rng.integers(0, 4)), rng.uniform(0.005, 0.2, 3)
-        axis, radius = bounds.capsule_of_primitive(kind, size)
-        assert distance_to_segment(boundary_points(kind, size, rng), -axis, axis).max() <= radius + 1e-9
-        centers, radii = rng.normal(size=(12, 3)) * rng.uniform(0.01, 0.3, 3), rng.uniform(0, 0.05, 12)
-        turned = centers @ Rotation.random(random_state=rng).as_matrix()
-        a, b, r = bounds.capsule_of_balls(turned, radii)
-        assert (distance_to_segment(turned, a, b) + radii).max() <= r + 1e-9
-
-
-def test_a_posture_between_other_trials_has_the_same_bits(scene):
-    rng = np.random.default_rng(9)
-    stages, base = oracle.random_stages(scene, rng, 6)
-    q = np.stack([postures_near(rng, b, 40) for b in base])
-    whole = check(scene, oracle.place(scene, stages), q)
-    order = [4, 1, 5]
-    part = check(scene, oracle.place(scene, [stages[k] for k in order]), q[order])
-    for a, b in zip(whole, part, strict=True):
-        assert a[order].tobytes() == b.tobytes()

@@ -250,33 +250,3 @@ def test_one_lane_at_a_time_has_the_bits_of_eight_at_once(asked: SimpleNamespace
 @needs("clang-format")
 def test_the_header_is_formatted() -> None:
     subprocess.run(["clang-format", "--dry-run", "--Werror", NATIVE / "lanes.h"], check=True)
-
-
-@pytest.mark.parametrize("count", [0, 1, 8, 9, 64, 65, 600])
-def test_lanes_hold_what_the_tables_hold(count: int) -> None:
-    from r2h_batch.scene.grasp_tables import surface_tables
-
-    triangles = np.random.default_rng(count).normal(size=(count, 3, 3)).astype(np.float32)
-    other = np.random.default_rng(1).normal(size=(70, 3, 3)).astype(np.float32)
-    tables = surface_tables([other, triangles], "cpu")
-    first, node_first, leaf_first = (
-        getattr(tables, name).numpy() for name in ("surface_first", "node_first", "leaf_first")
-    )
-    points = tables.points.numpy().reshape(-1, 9)
-    lanes = tables.triangle_lanes.numpy().reshape(-1, int(TRIANGLE_ROWS), 8)
-    leaves = tables.leaf_lanes.numpy().reshape(-1, int(LEAF_ROWS), 8)
-    nodes = tables.node_lanes.numpy().reshape(-1, 10, 8)
-    groups = tables.group_first.numpy()
-    for leaf in range(len(leaf_first) - 1):
-        rows = np.minimum(leaf_first[leaf] + np.arange(8), leaf_first[leaf + 1] - 1)
-        assert (points[rows] == lanes[leaf].T).all()
-    for node in range(len(node_first) - 1):
-        rows = np.minimum(node_first[node] + np.arange(8), node_first[node + 1] - 1)
-        assert (tables.leaf_sphere.numpy()[rows, :3] == leaves[node, :3].T).all()
-        assert (tables.leaf_half.numpy()[rows] == leaves[node, 3:6].T).all()
-    for s in range(2):
-        for k, group in enumerate(range(groups[s], groups[s + 1])):
-            rows = np.minimum(first[s] + 8 * k + np.arange(8), first[s + 1] - 1)
-            assert (tables.node_sphere.numpy()[rows, :3] == nodes[group, :3].T).all()
-            assert (nodes[group, 6] == tables.node_sphere.numpy()[rows, 3]).all()
-        assert groups[s + 1] - groups[s] == -(-(first[s + 1] - first[s]) // 8)

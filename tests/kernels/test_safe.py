@@ -1,6 +1,7 @@
 """Safe: the exact hand mesh against float64, hands and robots inside one another, margins of overlaps."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import oracle
@@ -19,6 +20,7 @@ CAP_M = 0.05
 HOME = np.array([-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483])
 
 
+@cache
 def with_hands_scaled(factor):
     """A scene whose hands are `factor` times as large."""
     scene = Scene()

@@ -9,25 +9,14 @@ OBJECTS = load_objects()
 
 FREE = [
     ("Please pass me the wine glass!", "wineglass", "object", "take"),
-    ("HAND ME MY GLASSES", "eyeglasses", "object", "take"),
     ("wine glasses, by the stems", "wineglass", "stem", "take"),
-    ("could I have the headphone's ear cups?", "headphones", "cup", "take"),
     ("I'd like those scissors, I am cutting paper", "scissors", "loops", "cut"),
-    ("the claw hammer by its haft, thanks", "hammer", "handle", "take"),
     ("I need a hammer to pound nails", "hammer", "handle", "hammer"),
     ("may I borrow the box cutter for slicing this open", "knife", "handle", "cut"),
     ("bring the cordless drill, pistol grip towards me, I'm boring holes", "power_drill", "grip", "drill"),
-    ("the screw driver; I am tightening a hinge", "screwdriver", "handle", "screw"),
-    ("Gamepad please - time to play", "game_controller", "grip", "play"),
     ("a mug to drink out of", "cup", "wall", "drink"),
-    ("pass the soup bowl, I am eating", "bowl", "wall", "eat"),
     ("give me the bowl by the edge", "bowl", "rim", "take"),
-    ("Spectacles, I want to wipe them", "eyeglasses", "frame", "clean"),
-    ("spray bottle for misting", "trigger_sprayer", "grip", "spray"),
-    ("tooth brushes", "toothbrush", "handle", "take"),
     ("I will hold the binoculars by the right tube", "binoculars", "right barrel", "take"),
-    ("water bottle, lower half to me", "bottle", "body", "take"),
-    ("needle-nose pliers, handles first", "pliers", "handles", "take"),
     ("the bowl of the wineglass", "wineglass", "bowl", "take"),
 ]
 

@@ -12,23 +12,17 @@ from scipy.spatial import cKDTree
 
 from r2h_batch import se3
 from r2h_batch.bodies.arrays import arrays_digest
-from r2h_batch.bodies.hand import load_hand, palm_frame
+from r2h_batch.bodies.hand import load_hand
 from r2h_batch.bodies.hand_measure import hull_planes, sample_surface, winding_number
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.launch import init_warp
 from r2h_batch.receiver.hand_closing import (
     DEEPEST_M,
-    EXACT_M,
-    PITCH_M,
     distance_field,
     field_distance,
-    load_families,
-    mirrored,
-    posture,
 )
 from r2h_batch.receiver.hand_contact import (
     PALM,
-    REACH_M,
     REGIONS,
     THUMB,
     ObjectSurface,
@@ -42,7 +36,6 @@ from r2h_batch.receiver.sampler import sample_receiving
 
 OBJECTS = load_objects()
 TOLERANCE_M = 1e-4
-PER_SIDE = 25
 
 
 @pytest.fixture(scope="module")
@@ -117,20 +110,6 @@ def test_every_frozen_grasp_touches_and_does_not_cut(grasps) -> None:
     assert unopposed == UNOPPOSED
 
 
-def test_there_are_enough_for_every_object_and_side_and_they_differ(grasps) -> None:
-    point, normal = palm_frame(grasps.joints, grasps.side)
-    for index in range(len(OBJECTS)):
-        for side in (0, 1):
-            rows = grasps.rows_of(index, side)
-            assert len(rows) >= PER_SIDE
-            apart = torch.cdist(point[rows].double(), point[rows].double()) + 30 * 0.001 * torch.arccos(
-                (normal[rows] @ normal[rows].T).clamp(-1, 1)
-            )
-            apart.fill_diagonal_(1.0)
-            assert float(apart.min()) > 0.002  # no two alike
-            assert float(normal[rows].std(0).norm()) > 0.5  # from many directions
-
-
 def test_grasps_lie_on_the_receivers_region_and_on_every_part_that_instructions_name(grasps) -> None:
     init_warp()
     for index, model in enumerate(OBJECTS):
@@ -174,37 +153,6 @@ def test_the_files_are_the_ones_reported_and_fit_hand_and_objects(grasps) -> Non
     assert receiving_digest(grasps[:-1]) != receiving_digest()
 
 
-def test_every_grasp_has_an_intent_that_wants_its_part(grasps) -> None:
-    for index, model in enumerate(OBJECTS):
-        rows = grasps.rows_of(index)
-        for part, intent in zip(grasps.part[rows].tolist(), grasps.instruction[rows].tolist(), strict=True):
-            assert part in intents_of(model)[intent].labels or intent == len(intents_of(model)) - 1
-
-
-def test_selected_rows_keep_their_object_and_hand(grasps) -> None:
-    rows = grasps.rows_of(3, side=1)
-    picked = grasps[rows]
-    assert len(picked) == len(rows) and bool((picked.object_index == 3).all()) and bool((picked.side == 1).all())
-    assert torch.equal(picked.joints, grasps.joints[rows])
-
-
-def test_a_field_is_exact_near_the_surface_and_a_little_short_of_the_distance_elsewhere() -> None:
-    init_warp()
-    ball = trimesh.creation.icosphere(3, 0.04)
-    surface = ObjectSurface(ball.vertices.astype(np.float32), ball.faces.astype(np.int32))
-    for field, flip in ((distance_field(surface), 1.0), (mirrored(distance_field(surface)), -1.0)):
-        nodes = np.array(list(field.nodes))
-        grid = np.stack(np.meshgrid(*(np.arange(n) for n in nodes), indexing="ij"), -1).reshape(-1, 3)[::7]
-        value = field.value.numpy()[::7]
-        at = np.array(list(field.origin)) + PITCH_M * grid
-        exact, _, _ = surface.distance(at * [flip, 1, 1], 1.0)
-        near = np.abs(exact) < EXACT_M
-        assert near.sum() > 1000 and np.abs(value - exact)[near].max() < 1e-6
-        outside = exact >= EXACT_M
-        assert (value[outside] <= exact[outside] + 1e-6).all() and (exact - value)[outside].max() < 0.006
-        assert ((value < 0) == (exact < 0)).all()
-
-
 def test_what_is_in_a_hand_is_found_as_by_asking_every_point(grasps) -> None:
     init_warp()
     for row in (grasps.rows_of(3, 1)[0], grasps.rows_of(6, 0)[0]):
@@ -233,26 +181,6 @@ def test_grasps_of_a_users_object_hold_by_the_exact_meshes() -> None:
         assert (hand_depth(points, skin[found["side"] == of], of) < PENETRATION_M).all()
 
 
-def test_skins_of_closing_hands_are_the_models() -> None:
-    hand = load_hand()
-    families, rng = load_families(hand), np.random.default_rng(3)
-    which = rng.integers(0, len(families.shape), 20)
-    pose, turn = posture(hand, families.turns[which], rng.random((20, 5, 3)).astype(np.float32))
-    skin, joints = families.skins.posed(which, turn)
-    exact = hand.pose(torch.from_numpy(pose), torch.from_numpy(families.shape[which]))
-    assert np.abs(skin - exact.vertices.numpy()).max() < 5e-7 and np.abs(joints - exact.joints.numpy()).max() < 5e-7
-
-
-def test_skin_that_is_known_to_be_away_need_not_be_asked(grasps) -> None:
-    init_warp()
-    model, skin = OBJECTS[0], grasps.vertices[grasps.rows_of(0, 0)[:2]].numpy()
-    surface = ObjectSurface(model.vertices, model.faces)
-    about = field_distance(distance_field(surface), skin.reshape(-1, 3), None).reshape(skin.shape[:2])
-    every, some = measure_contact(surface, skin), measure_contact(surface, skin, asked=about < REACH_M)
-    assert (about >= REACH_M).mean() > 0.2
-    assert all(np.array_equal(getattr(every, k), getattr(some, k)) for k in vars(every))
-
-
 def test_walls_thinner_than_the_fields_nodes_are_apart_stop_fingers() -> None:
     from r2h_batch.bodies.objects import build_object
 
@@ -266,17 +194,6 @@ def test_walls_thinner_than_the_fields_nodes_are_apart_stop_fingers() -> None:
     seen = field_distance(distance_field(surface), middle.T.astype(np.float32), None)
     assert seen.max() < -DEEPEST_M
     assert len(sample_receiving(model, per_side=6)["side"]) == 12
-
-
-@pytest.mark.slow
-def test_a_users_object_gets_grasps_and_the_same_ones_again() -> None:
-    from r2h_batch.bodies.objects import build_object
-
-    stick = trimesh.creation.capsule(height=0.2, radius=0.012)
-    model = build_object(stick, "stick", "S1", receiver="z<0.4", pieces=False)
-    first, again = (sample_receiving(model, per_side=8) for _ in range(2))
-    assert (first["side"] == np.repeat([0, 1], 8)).all()
-    assert all(np.array_equal(first[k], again[k]) for k in first)
 
 
 @pytest.mark.slow

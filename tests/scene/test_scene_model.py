@@ -1,7 +1,6 @@
 """The whole scene as one model: where everything is, which pairs push, and that no trial leaves anything of itself behind."""
 
 import copy
-from collections import OrderedDict
 from functools import cache
 from unittest import mock
 
@@ -13,13 +12,12 @@ import warp as wp
 from dynamics_twin import mass_matrix, some_payload
 from problems import default_evaluator
 
-from r2h_batch.bodies.robot import drive_from_gap, ee_pose, forward_kinematics, gripper_primitives_at
+from r2h_batch.bodies.robot import ee_pose, forward_kinematics, gripper_primitives_at
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.launch import init_warp
 from r2h_batch.motion.sim_mjwarp import StandingWorlds
 from r2h_batch.motion.simulation import Job
 from r2h_batch.motion.time_law import servo_law
-from r2h_batch.scene import model as module
 from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, LINK_MASS_KG, Payload
 from r2h_batch.scene.model import SceneModel, TrialScene, TrialScenes, build_scene_model
 from r2h_batch.scene.scene import Scene
@@ -265,29 +263,3 @@ def test_the_sway_bounds_how_far_the_fingers_are_off():
         ratio.append(off / bound if bound else 1.0)
     assert np.mean(ratio) > 0.5
     assert model.sway(trial, model.start(trial, HOME_Q)[None]) == pytest.approx(0, abs=1e-12)
-
-
-def test_a_held_opening_stays_while_the_arm_jerks():
-    """The self-locking gear: ten times the accelerations of the benchmark's motion move no finger by 0.1 mm."""
-    s, model = scene(), built()
-    T = np.eye(4)
-    T[2, 3] = 0.14
-    trial = TrialScene(Payload.of(s.objects[6], T), 6, 3, np.eye(4), 0.04)
-    m, data = at(model, trial, HOME_Q)
-    data.ctrl[6:] = model.hold(trial)
-    worst = 0.0
-    for k in range(500):
-        data.ctrl[:6] = HOME_Q + 0.02 * np.sin(2 * np.pi * 3 * k * STEP_S) * np.ones(6)
-        mujoco.mj_step(m, data)
-        worst = max(worst, model.sway(trial, data.qpos[None].copy()))
-    assert 1e-7 < worst < 1e-4 and float(drive_from_gap(0.04)) == trial.drive
-
-
-def test_models_are_kept_and_grow_by_the_hands_that_come(monkeypatch):
-    monkeypatch.setattr(module, "_kept", OrderedDict())  # not what other tests have brought
-    s = scene()
-    first = s.model([3])
-    assert s.model([3]) is first and Scene().model([3]) is first  # of the process, not of the scene
-    more = s.model([3, 17])
-    assert more is not first and s.model([17]) is more and {3, 17} <= set(more.hands)
-    assert s.model([3], ExecConfig(model="arm")).full is False and s.model([3]).full

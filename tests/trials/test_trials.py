@@ -1,6 +1,5 @@
 """Trials: the generator against known answers, the reachable set, independence, and the files for methods."""
 
-import math
 import subprocess
 import sys
 from collections import Counter
@@ -14,12 +13,12 @@ from scipy import stats
 
 from r2h_batch import rng
 from r2h_batch.bodies.bounds import capsule_of_primitive
-from r2h_batch.bodies.hand import load_hand, load_hand_set, palm_frame
+from r2h_batch.bodies.hand import load_hand_set
 from r2h_batch.bodies.objects import build_object, load_objects
-from r2h_batch.bodies.robot import ee_pose, forward_kinematics, gripper_primitives_at, load_robot
+from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
 from r2h_batch.trials import protocol as trials_module
-from r2h_batch.trials.protocol import TCP_ROOM_M, make_trials, trials_digest, trials_with_ids
+from r2h_batch.trials.protocol import make_trials, trials_digest, trials_with_ids
 from r2h_batch.types import PlanReason, Trials
 
 MANY = 10_000
@@ -29,12 +28,6 @@ MANY = 10_000
 def many() -> Trials:
     """20,000 trials, generated once."""
     return make_trials(trials=MANY)
-
-
-def posed(trials: Trials, rows: slice) -> np.ndarray:
-    """Vertices of the trials' hands in the world (n, V, 3)."""
-    T = trials.T_world_hand[rows].double()
-    return (hand_vertices()[trials.hand_index[rows].long()] @ T[:, :3, :3].mT + T[:, None, :3, 3]).numpy()
 
 
 def test_objects_alternate_and_every_object_meets_both_hands_alike():
@@ -84,40 +77,6 @@ def test_poses_are_rigid_and_palms_lie_in_the_reachable_set():
     assert c[:, 2].min() < 0.105 and c[:, 2].max() > 0.595 and np.minimum(to_robot, up).max() > 74.5
 
 
-def test_ball_centre_normal_and_roll_are_uniform_before_the_hand_has_to_be_clear():
-    """Far from table, arm and TCP nothing is rejected, so there the draw is the plain one."""
-    trials = many()
-    c, n = palms(trials)
-    r, azimuth = np.hypot(c[:, 0], c[:, 1]), np.arctan2(c[:, 1], c[:, 0])
-    tcp = ee_pose(load_robot(), HOME_Q)[:3, 3]
-    far = np.linalg.norm(c - tcp, axis=1)
-    hands = load_hand_set()
-    joints = load_hand().pose(hands.pose, hands.shape, hands.side).joints.double()
-    point, normal = palm_frame(joints, hands.side)
-    span = (hand_vertices() - (point + 0.12 * normal)[:, None]).norm(dim=2).max().item()
-    assert span < 0.28
-    rows = (r > 0.72) & (far > TCP_ROOM_M + span) & (c[:, 2] > span + 0.005)
-    assert rows.sum() > 800
-    side = load_hand_set().side[trials.hand_index.long()].numpy()
-    rolled = trials.T_world_hand[:, :3, 0].double().numpy()
-    e = np.cross(n, [0.3, 0.5, 0.8])
-    e /= np.linalg.norm(e, axis=1, keepdims=True)
-    f = np.cross(n, e)
-    roll = np.arctan2((rolled * f).sum(1), (rolled * e).sum(1))
-    for s in (0, 1):
-        assert stats.kstest(roll[rows & (side == s)], "uniform", (-np.pi, 2 * np.pi)).pvalue > 1e-3
-    assert np.hypot(0.72 * math.cos(math.radians(40)) - tcp[0], 0.72 * math.sin(math.radians(40))) > TCP_ROOM_M + span
-    ring = rows & (np.abs(azimuth) > np.radians(40))  # here at every height
-    assert ring.sum() > 300
-    assert stats.kstest(c[ring, 2], "uniform", (span + 0.005, 0.595 - span)).pvalue > 1e-3
-    assert stats.kstest(r[ring] ** 2, "uniform", (0.72**2, 0.80**2 - 0.72**2)).pvalue > 1e-3
-    assert stats.kstest(np.degrees(np.abs(azimuth[ring])), "uniform", (40, 10)).pvalue > 1e-3
-    to_robot = -(c[:, 0] * n[:, 0] + c[:, 1] * n[:, 1]) / r
-    inside = ring & (to_robot > math.cos(math.radians(75)))  # a whole cone: its cosine is uniform
-    low = math.cos(math.radians(75))
-    assert stats.kstest(to_robot[inside], "uniform", (low, 1 - low)).pvalue > 1e-3
-
-
 def test_the_ball_centre_is_drawn_uniformly_in_volume():
     # no public way to 200,000 draws before a hand is placed
     inside, c = trials_module._ball_center(rng.uniforms((8, 9), np.arange(200_000), 3, purpose=0))
@@ -158,25 +117,6 @@ def test_hands_anywhere_around_the_robot_are_sorted_out_vertex_by_vertex():
     # no public way to ask about a hand that no trial has
     clear = trials_module._hand_is_clear(T, hand, trials_module._hands(load_hand_set()))
     assert np.array_equal(clear, ~(tcp | table | arm))
-
-
-def test_no_vertex_of_a_hand_is_near_the_tcp_the_table_or_the_arm_at_home():
-    tcp = ee_pose(load_robot(), HOME_Q)[:3, 3]
-    nearest = [np.inf, np.inf]
-    for first in range(0, 20_000, 2000):
-        v = posed(many(), slice(first, first + 2000, 10))
-        nearest[0] = min(nearest[0], np.linalg.norm(v - tcp, axis=2).min())
-        in_table = (v[..., 2] < 0.00499) & (v[..., 0] < 0.45499) & (np.abs(v[..., 1]) < 0.60499)
-        assert not in_table.any()
-        nearest[1] = min(nearest[1], arm_distance(v[:50]).min())
-    assert TCP_ROOM_M - 1e-6 <= nearest[0] < TCP_ROOM_M + 0.005
-    assert nearest[1] >= 0.005 - 1e-6
-
-
-def test_the_open_gripper_at_home_lies_inside_the_room_kept_around_the_tcp():
-    robot = load_robot()
-    for T, size in zip(gripper_primitives_at(robot, 0.085), robot.gripper.size, strict=True):
-        assert np.linalg.norm(T[:3, 3]) + np.linalg.norm(size) < TCP_ROOM_M
 
 
 def test_a_trial_is_the_same_alone_in_another_order_and_in_a_longer_run():
