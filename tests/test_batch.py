@@ -112,27 +112,6 @@ def test_random_numbers_follow_the_trial_id_and_not_the_row():
     assert torch.equal(s.path[straight], reference().path[straight])
 
 
-@pytest.mark.slow
-def test_two_thousand_rows_agree_with_small_batches_other_chunks_and_one_bad_row_in_4096():
-    b = batch(2048)
-    whole = score(b)
-    for rows in (slice(0, 33), slice(1000, 1033), slice(2047, 2048)):
-        assert_same(whole[rows], score(b.rows(rows)))
-    order = torch.randperm(2048, generator=torch.Generator().manual_seed(1))
-    assert_same(whole[order], score(b.rows(order), evaluator_with(500, 3)))
-    twice = Batch(
-        type(b.trials)(*(torch.cat([getattr(b.trials, f.name)] * 2) for f in fields(b.trials))),
-        torch.cat([b.T_obj_ee] * 2),
-        torch.cat([b.T_world_ee] * 2),
-    )
-    twice.T_obj_ee[2048 + 77] = 0
-    s = score(twice)
-    assert int(s.outcome[2048 + 77]) == Outcome.INVALID_INPUT
-    assert_same(s[:2048], whole)
-    keep = torch.arange(2048) != 77
-    assert_same(s[2048:][keep], whole[keep])
-
-
 @pytest.mark.parametrize("rows", [0, 1, 7])
 def test_tensors_packed_for_one_copy_come_back_as_they_were(rows):
     """What takes scores from a GPU; the packing itself runs anywhere."""
@@ -159,7 +138,8 @@ def test_tensors_of_any_kind_give_the_same_rows(stages):
     wide[:, :, ::2] = b.T_obj_ee
     late = replace(b.trials, T_world_hand=signed_late(b.trials.T_world_hand))
     twice, once_each = Batch(b.trials, b.T_obj_ee, b.T_obj_ee), Batch(b.trials, b.T_obj_ee, b.T_obj_ee.clone())
-    for mode in (torch.inference_mode, torch.no_grad, torch.enable_grad):
+    modes = (torch.inference_mode, torch.no_grad, torch.enable_grad)
+    for mode in modes if stages == "pose" else modes[:1]:
         with mode():
             assert_same(reference(stages), score(Batch(b.trials, wide[:, :, ::2], b.T_world_ee), None, stages))
             assert_same(reference(stages), score(Batch(late, signed_late(b.T_obj_ee), b.T_world_ee), None, stages))

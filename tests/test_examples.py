@@ -52,24 +52,3 @@ def test_poses_survive_the_generators_nine_numbers():
     T = generator.frame_of(z / z.norm(dim=-1, keepdim=True), towards, origin)
     assert se3.is_pose(T).all()
     torch.testing.assert_close(generator.to_pose(generator.to_numbers(T)), T, atol=1e-5, rtol=0)
-
-
-@pytest.mark.slow
-def test_flow_matching_learns_a_distribution_and_samples_it():
-    Flow = import_module("generator").Flow
-    torch.manual_seed(0)
-    g = torch.Generator().manual_seed(0)
-    flow = Flow(0)
-    adam = torch.optim.Adam(flow.parameters(), lr=2e-3)
-    code = torch.zeros(256, 128)
-    for _ in range(300):
-        target = torch.randn((256, 9), generator=g) * 0.1 + torch.where(
-            torch.rand((256, 1), generator=g) < 0.5, 1.0, -1.0
-        )
-        adam.zero_grad()
-        flow.loss(target, code, g).backward()
-        adam.step()
-    with torch.no_grad():
-        x = flow.sample(code, g)
-    assert 0.3 < (x[:, 0] > 0).float().mean() < 0.7
-    assert ((x.abs() - 1).abs() < 0.5).float().mean() > 0.8

@@ -10,7 +10,6 @@ import torch
 import trimesh
 from hand_twins import MANO_PARENTS, MIRROR, skinning_twin
 from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.assets.hand.build_handset import (
@@ -21,7 +20,7 @@ from r2h_batch.assets.hand.build_handset import (
     pose_from_angles,
 )
 from r2h_batch.bodies.arrays import arrays_digest
-from r2h_batch.bodies.hand import ball_center, load_hand, load_hand_set, palm_frame, rotation_from_axis_angle
+from r2h_batch.bodies.hand import ball_center, load_hand, load_hand_set, palm_frame
 from r2h_batch.bodies.hand_measure import sample_inside, sample_surface, winding_number
 
 SAMPLE = [pytest.param(i, marks=pytest.mark.slow if i % 5 else ()) for i in range(0, 400, 21)]
@@ -78,17 +77,6 @@ def test_joint_tree_and_layout_are_mano(hand):
     roots = hand.joints_rest[[1, 4, 10, 7]]
     assert torch.all(roots[:, 0] < -0.06) and torch.all(roots[:-1, 2] > roots[1:, 2])
     assert hand.joints_rest[13, 1] < -0.005 and hand.joints_rest[15, 2] > 0.05
-
-
-def test_rotations_match_scipy_from_no_turn_to_many():
-    rng = np.random.default_rng(3)
-    axes = rng.normal(size=(400, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    angles = np.concatenate([[0, 0, 1e-300, 1e-12, 1e-6, np.pi, 2 * np.pi, 6.28, 30.0], rng.uniform(0, 7, 391)])
-    turns = axes * angles[:, None]
-    got = rotation_from_axis_angle(torch.from_numpy(turns)).numpy()
-    assert np.array_equal(got[0], np.eye(3))
-    assert np.abs(got - Rotation.from_rotvec(turns).as_matrix()).max() < 1e-14
 
 
 def test_skinning_matches_a_matrix_twin_on_both_sides(hand):

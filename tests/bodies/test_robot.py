@@ -21,8 +21,6 @@ from r2h_batch.bodies.robot import (
     forward_kinematics,
     gap_from_drive,
     gripper_primitives_at,
-    lever_bound_for_sphere,
-    lever_bounds,
     load_robot,
     pad_center_z,
 )
@@ -190,47 +188,6 @@ def test_arm_primitives_cover_dense_face_samples(link):
     points = face_samples(arm_mesh(link), 150_000)
     shapes = robot.arm.kind[chosen], robot.arm.T_link_prim[chosen], robot.arm.size[chosen]
     assert union_depth(*shapes, points).max() < 0.5e-3
-
-
-def test_lever_bounds_hold_everywhere_and_are_tight():
-    robot, rng = load_robot(), np.random.default_rng(4)
-    rho, largest = lever_bounds(robot), np.zeros((JOINTS, len(robot.arm.names)))
-    spheres = [(link, rng.normal(0, 0.1, 3), 0.05) for link in range(1, JOINTS + 1)]
-    for n, (link, kind, T, size) in enumerate(
-        zip(robot.arm.link, robot.arm.kind, robot.arm.T_link_prim, robot.arm.size, strict=True)
-    ):
-        assert kind != Kind.BOX
-        turn = rng.uniform(0, 2 * P, 60)
-        ends = np.column_stack([size[0] * np.cos(turn), size[0] * np.sin(turn), rng.choice([-1, 1], 60) * size[1]])
-        if kind == Kind.CAPSULE:
-            ball = rng.normal(size=(60, 3))
-            ends[:, :2] = 0.0
-            ends += size[0] * ball / np.linalg.norm(ball, axis=1, keepdims=True)
-        points = ends @ T[:3, :3].T + T[:3, 3]
-        largest[:, n] = largest_levers(robot, rng, int(link), points, 2_000)  # 120,000 points a primitive
-    assert (largest <= rho + 1e-12).all()
-    moved = rho > 0
-    assert (moved == (np.arange(JOINTS)[:, None] < robot.arm.link[None])).all()
-    assert (largest[moved] / rho[moved]).min() > 0.8
-    for link, center, radius in spheres:
-        ball = rng.normal(size=(60, 3))
-        points = center + radius * ball / np.linalg.norm(ball, axis=1, keepdims=True)
-        bound = lever_bound_for_sphere(robot, link, center, radius)
-        assert (largest_levers(robot, rng, link, points, 2_000) <= bound + 1e-12).all()
-    with pytest.raises(ValueError, match="link is 7"):
-        lever_bound_for_sphere(robot, 7, np.zeros(3), 0.1)
-
-
-def largest_levers(robot, rng, link: int, points: np.ndarray, count: int) -> np.ndarray:
-    """Largest distance (6,) of link-fixed points from each joint axis that moves them, over random configurations."""
-    T = forward_kinematics(robot, rng.uniform(-P, P, (count, JOINTS)))
-    world = np.einsum("bij,pj->bpi", T[:, link, :3, :3], points) + T[:, None, link, :3, 3]
-    out = np.zeros(JOINTS)
-    for j in range(link):
-        offset = world - T[:, None, j + 1, :3, 3]
-        along = np.einsum("bpi,bi->bp", offset, T[:, j + 1, :3, 2])
-        out[j] = np.sqrt(np.maximum((offset**2).sum(-1) - along**2, 0.0)).max()
-    return out
 
 
 def test_robot_json_is_what_the_build_script_writes_and_its_digest_is_the_files_hash():

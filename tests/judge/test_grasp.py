@@ -5,19 +5,12 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-import warp as wp
 from grasp_cases import BAND, PAD_X, PAD_Z, box, model_of, pose_at, random_grasps, shapes, tables_of_shapes
 
 from r2h_batch.bodies.robot import drive_from_gap, gap_from_drive, gripper_primitives_at, load_robot, pad_center_z
 from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M
 from r2h_batch.judge.grasp import CUT_CAP_M, attach, close_gripper, gripper_poses
-from r2h_batch.kernels.geometry.surface import Surfaces, inverse_pose
-from r2h_batch.kernels.grasp.material import material_between
-from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.launch import launch_trials
 from r2h_batch.scene.grasp_tables import grasp_tables, gripper_tables
-
-wp.set_module_options(OPTIONS)
 
 
 def _material64(
@@ -51,60 +44,6 @@ def _material64(
 def _width64(mesh, T_obj_ee, gap, grow=0.0) -> float:
     held = _material64(mesh, T_obj_ee, gap, grow)
     return held[1] - held[0] if held else -1.0
-
-
-@wp.kernel
-def _material_kernel(
-    first: int,
-    surfaces: Surfaces,
-    T_obj_ee_in: wp.array(dtype=wp.mat44),
-    object_index_in: wp.array(dtype=wp.int32),
-    z_in: wp.array(dtype=wp.float32),
-    low_out: wp.array(dtype=wp.float32),
-    high_out: wp.array(dtype=wp.float32),
-):
-    trial = first + wp.tid()
-    R, t = inverse_pose(T_obj_ee_in[trial])
-    z = z_in[trial]
-    low, high = material_between(surfaces, object_index_in[trial], R, t, 0.011, z - 0.01875, z + 0.01875, 0.0425)
-    low_out[trial] = low
-    high_out[trial] = high
-
-
-@pytest.mark.parametrize("count", [140, pytest.param(500, marks=pytest.mark.slow)])
-def test_material_at_a_given_gap_is_what_manifold3d_cuts_out(count: int) -> None:
-    T, index = random_grasps(count, seed=1)
-    gap = np.random.default_rng(2).uniform(0.002, 0.085, len(T))
-    z = pad_center_z(drive_from_gap(gap)) + load_robot().T_flange_gripper[2, 3] - load_robot().T_flange_ee[2, 3]
-    low, high = torch.empty(len(T)), torch.empty(len(T))
-    surfaces = tables_of_shapes().surfaces
-    launch_trials(
-        _material_kernel,
-        len(T),
-        inputs={
-            "surfaces": surfaces,
-            "T_obj_ee": T,
-            "object_index": index,
-            "z": torch.tensor(z, dtype=torch.float32),
-        },
-        outputs={"low": low, "high": high},
-        device="cpu",
-    )
-    meshes = list(shapes().values())
-    filled, steps = 0, 0
-    for i in range(len(T)):
-        twin = _material64(meshes[index[i]], T[i].numpy(), gap[i])
-        filled += twin is not None
-        found = (float(low[i]), float(high[i])) if low[i] <= high[i] else None
-        if (twin is None) == (found is None) and (twin is None or np.allclose(twin, found, rtol=0, atol=BAND)):
-            continue
-        # a corner or a face within 0.1 mm of the prism's side: the answer lies between a thinner and a thicker prism's
-        steps += 1
-        thin, thick = (_width64(meshes[index[i]], T[i].numpy(), gap[i], grow) for grow in (-BAND, BAND))
-        width = found[1] - found[0] if found else -1.0
-        assert thin - BAND <= width <= thick + BAND, (i, twin, found)
-    assert filled > 0.6 * count
-    assert steps <= 0.02 * count, "only steps at the prism's side may differ"
 
 
 def test_opening_is_the_largest_gap_that_the_material_fills() -> None:

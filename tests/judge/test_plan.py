@@ -11,7 +11,7 @@ from problems import Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, PlanConfig
-from r2h_batch.judge.ik import one_branch, solve_ik
+from r2h_batch.judge.ik import one_branch
 from r2h_batch.judge.plan import GOAL_ROOM_M, WAYPOINTS, plan_paths, random_key
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.types import CollidingPair, PlanReason
@@ -74,13 +74,9 @@ def judge_paths(p: Problems, *, every: int = 1) -> int:
     return len(rows)
 
 
-def test_every_timed_path_is_free_in_mujoco_keeps_its_distance_and_leads_from_home_to_the_target():
-    assert judge_paths(problems(512), every=4) >= 60
-
-
-@pytest.mark.slow
-def test_two_thousand_timed_paths_are_free_in_mujoco():
-    assert judge_paths(problems(4096)) >= 2000
+@pytest.mark.parametrize(("n", "every", "least"), [(512, 4, 60), pytest.param(4096, 1, 2000, marks=pytest.mark.slow)])
+def test_every_timed_path_is_free_in_mujoco_keeps_its_distance_and_leads_from_home_to_the_target(n, every, least):
+    assert judge_paths(problems(n), every=every) >= least
 
 
 def test_the_checker_agrees_with_distance_queries_in_colliding_and_free_postures():
@@ -174,21 +170,13 @@ def only_ompl(p: Problems, *, budget_s: float) -> list[tuple[int, float]]:
     return missed
 
 
-def test_almost_nothing_that_ompl_solves_is_missed():
-    p = problems(512)
-    missed = only_ompl(p, budget_s=5.0)
+@pytest.mark.parametrize(("n", "budget_s"), [(512, 5.0), pytest.param(4096, 10.0, marks=pytest.mark.slow)])
+def test_almost_nothing_that_ompl_solves_is_missed(n, budget_s):
+    p = problems(n)
+    missed = only_ompl(p, budget_s=budget_s)
     solved = int((p.plan.length > 0).sum())
     print("solved by OMPL only (row, least clearance at the goal in m):", missed)
-    assert len(missed) <= 0.005 * (solved + len(missed)), missed
-
-
-@pytest.mark.slow
-def test_almost_nothing_that_ompl_solves_is_missed_in_thousands():
-    p = problems(4096)
-    missed = only_ompl(p, budget_s=10.0)
-    solved = int((p.plan.length > 0).sum())
-    print("solved by OMPL only (row, least clearance at the goal in m):", missed)
-    assert solved >= 2000 and len(missed) <= 0.005 * (solved + len(missed)), missed
+    assert solved >= 0.4 * n and len(missed) <= 0.005 * (solved + len(missed)), missed
 
 
 def test_ompl_itself_solves_what_we_solve():
@@ -289,12 +277,6 @@ def test_a_larger_budget_only_adds_paths_and_the_reason_for_the_lack_of_one_is_n
     assert (solve(scene, batch).plan.length > 0).all()
 
 
-def test_no_trials_no_paths():
-    scene = default_evaluator().scene
-    p = solve(scene, make_batch(scene, 8).rows(slice(0, 0))).plan
-    assert p.path.shape == (0, WAYPOINTS, 6) and len(p.reason) == 0
-
-
 def test_inactive_rows_are_not_evaluated_and_leave_the_others_alone():
     scene, p = default_evaluator().scene, problems(512)
     n = len(p.batch)
@@ -307,9 +289,3 @@ def test_inactive_rows_are_not_evaluated_and_leave_the_others_alone():
         assert torch.equal(getattr(some, name)[active], getattr(p.plan, name)[active]), name
     found = active & (some.length > 0)
     assert torch.equal(some.path[found], p.plan.path[found])
-
-
-def test_solving_ik_again_gives_the_goals_that_were_planned_to():
-    p = problems(512)
-    again = solve_ik(p.batch.T_world_ee)
-    assert torch.equal(again.valid, p.ik.valid)

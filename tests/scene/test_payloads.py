@@ -9,7 +9,7 @@ from dynamics_twin import some_payload
 from problems import default_evaluator
 
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.scene.dynamics import MassProperties, Payload, PayloadTables, load, principal, quat_wxyz, quats_wxyz
+from r2h_batch.scene.dynamics import MassProperties, Payload, PayloadTables, load, principal, quat_wxyz
 from r2h_batch.scene.model import SceneModel, TrialScenes, build_scene_model
 
 N = 24
@@ -66,13 +66,3 @@ def test_the_object_of_each_trial_is_the_one_it_holds():
         one = trials[i]
         np.testing.assert_array_equal(model.start(trials, T[:, 0, :1].repeat(6, 1))[i], model.start(one, T[i, 0, 0]))
         np.testing.assert_array_equal(model.hold(trials)[i], model.hold(one))
-
-
-def test_quaternions_are_mujocos_in_all_four_of_its_cases():
-    rng = np.random.default_rng(2)
-    half = np.array([np.diag(d) for d in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))], np.float64)
-    R = np.concatenate([rotations(rng, 500), half])
-    mine = quats_wxyz(R)
-    np.testing.assert_allclose(mine, [quat_wxyz(r) for r in R], atol=1e-15)
-    largest = np.abs(mine).argmax(1)
-    assert set(largest) == {0, 1, 2, 3}

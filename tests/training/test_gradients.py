@@ -55,19 +55,16 @@ def check_against_finite_differences(n: int, seed: int, least: dict[str, int]) -
     return shares
 
 
-def test_gradients_are_the_slopes_of_the_evaluators_own_margins():
-    shares = check_against_finite_differences(
-        100, 3, {"stability": 30, "plan": 50, "reach": 50, "affordance": 15, "safe": 15}
-    )
-    assert min(shares.values()) > 0.95, shares
-
-
-@pytest.mark.slow
-def test_gradients_of_1500_candidates_are_the_slopes_of_their_margins():
-    shares = check_against_finite_differences(
-        1500, 11, {"stability": 450, "plan": 800, "reach": 800, "affordance": 200, "safe": 200}
-    )
-    assert min(shares.values()) > 0.98, shares
+@pytest.mark.parametrize(
+    ("n", "seed", "least", "share"),
+    [
+        (100, 3, (30, 50, 50, 15, 15), 0.95),
+        pytest.param(1500, 11, (450, 800, 800, 200, 200), 0.98, marks=pytest.mark.slow),
+    ],
+)
+def test_gradients_are_the_slopes_of_the_evaluators_own_margins(n, seed, least, share):
+    shares = check_against_finite_differences(n, seed, dict(zip(CRITERIA, least, strict=True)))
+    assert min(shares.values()) > share, shares
 
 
 @pytest.mark.check
@@ -104,7 +101,8 @@ def changes_in_float64(rows: Any) -> tuple[MarginChanges, torch.Tensor, torch.Te
     return changes, changes.held.T_obj_ee, changes.held.T_world_ee
 
 
-def gradcheck(n: int) -> None:
+@pytest.mark.parametrize("n", [6, 100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_gradcheck_in_float64(n):
     changes, T_obj_ee, T_world_ee = changes_in_float64(candidates(default_evaluator(), n, seed=5))
     xi = torch.zeros(n, 12, dtype=torch.float64, requires_grad=True)
 
@@ -112,16 +110,6 @@ def gradcheck(n: int) -> None:
         return changes(twist.retract(T_obj_ee, xi[:, :6]), twist.retract(T_world_ee, xi[:, 6:]))
 
     assert torch.autograd.gradcheck(margins, xi, eps=1e-7, atol=1e-5, fast_mode=n > 8)
-
-
-def test_gradcheck_in_float64():
-    gradcheck(6)
-    gradcheck(100)
-
-
-@pytest.mark.slow
-def test_gradcheck_in_float64_of_1000_candidates():
-    gradcheck(1000)
 
 
 def rows_of(scores: Any, wanted: torch.Tensor, count: int) -> list[int]:
@@ -223,18 +211,14 @@ def check_postures(batch: Any, criterion: int, count: int) -> tuple[int, int]:
     return right, len(rows)
 
 
-def test_plan_and_safe_move_as_in_float64_twins(batch):
-    for criterion, count in ((PLAN, 10), (SAFE, 5)):
-        right, of = check_postures(batch, criterion, count)
-        assert right >= of - 1, f"{CRITERIA[criterion]}: {right} of {of}"
-
-
-@pytest.mark.slow
-def test_plan_and_safe_of_many_postures_move_as_in_float64_twins():
-    many = candidates(default_evaluator(), 600, seed=9)
-    for criterion, count in ((PLAN, 100), (SAFE, 25)):
+@pytest.mark.parametrize(
+    ("n", "seed", "counts"), [(96, 3, (10, 5)), pytest.param(600, 9, (100, 25), marks=pytest.mark.slow)]
+)
+def test_plan_and_safe_move_as_in_float64_twins(n, seed, counts):
+    many = candidates(default_evaluator(), n, seed=seed)
+    for criterion, count in zip((PLAN, SAFE), counts, strict=True):
         right, of = check_postures(many, criterion, count)
-        assert right >= 0.97 * of, f"{CRITERIA[criterion]}: {right} of {of}"
+        assert right >= of - max(1, of // 33), f"{CRITERIA[criterion]}: {right} of {of}"
 
 
 def step_along_the_gradient(n: int, seed: int, criterion: int, pose: int) -> tuple[float, int]:
@@ -259,19 +243,18 @@ def step_along_the_gradient(n: int, seed: int, criterion: int, pose: int) -> tup
     return float(((moved - 1e-3).abs() <= 5e-5).float().mean()), len(rows)
 
 
-def test_a_millimetre_along_the_gradient_is_a_millimetre_of_margin():
-    share, count = step_along_the_gradient(150, 21, REACH, 1)
-    assert count > 60 and share > 0.98, (share, count)
-    share, count = step_along_the_gradient(300, 22, AFFORDANCE, 0)
-    assert count > 12 and share > 0.85, (share, count)
-
-
-@pytest.mark.slow
-def test_a_millimetre_along_the_gradients_of_2000_candidates():
-    share, count = step_along_the_gradient(1500, 23, REACH, 1)
-    assert count > 800 and share > 0.99, (share, count)
-    share, count = step_along_the_gradient(3000, 24, AFFORDANCE, 0)
-    assert count > 150 and share > 0.93, (share, count)
+@pytest.mark.parametrize(
+    ("n", "seed", "criterion", "pose", "least", "right"),
+    [
+        (150, 21, REACH, 1, 60, 0.98),
+        (300, 22, AFFORDANCE, 0, 12, 0.85),
+        pytest.param(1500, 23, REACH, 1, 800, 0.99, marks=pytest.mark.slow),
+        pytest.param(3000, 24, AFFORDANCE, 0, 150, 0.93, marks=pytest.mark.slow),
+    ],
+)
+def test_a_millimetre_along_the_gradient_is_a_millimetre_of_margin(n, seed, criterion, pose, least, right):
+    share, count = step_along_the_gradient(n, seed, criterion, pose)
+    assert count > least and share > right, (share, count)
 
 
 def test_rows_that_are_no_poses_have_no_gradient_and_leave_the_others_alone(batch):
