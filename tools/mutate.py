@@ -56,14 +56,14 @@ MUTATIONS = (
     Mutation(
         "safe: the safety margin is added",
         METRICS,
-        "e.person_m - e.config.thresholds.safe_margin_m",
-        "e.person_m + e.config.thresholds.safe_margin_m",
+        "distance - e.config.thresholds.safe_margin_m",
+        "distance + e.config.thresholds.safe_margin_m",
         (f"{T_METRICS}::test_a_safety_margin_is_taken_off",),
     ),
     Mutation(
         "safe: the motion between samples is forgotten",
         "r2h_batch/judge/distance.py",
-        "distance - executed.slack_m, torch.nan",
+        "within_slack(distance, executed.slack_m), torch.nan",
         "distance, torch.nan",
         (f"{T_MOTION}::test_safe_judges_the_recorded_motion_less_its_slack",),
     ),
