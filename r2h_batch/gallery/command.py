@@ -2,14 +2,13 @@
 work."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import UsageError, call, refuse
-from r2h_batch.io.write import check_output_file, check_output_folder
-from r2h_batch.report import command as plain
+from r2h_batch.command_line import UsageError, call, refuse, tell
+from r2h_batch.io.write import check_output_file, check_output_folder, write_text
 
 MOST = 20
 """Pictures of one method and outcome in a gallery."""
@@ -64,16 +63,43 @@ def report(
 
     if gallery and out is not None:
         check_output_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
-    pictures = (
-        None if not gallery or out is None else _gallery_of(run, method, gallery, out, benchmark)
-    )
+    from r2h_batch.runs.store import load_run
+
     try:
-        return plain.run(
-            run, format=format, by_object=by_object, columns=columns, intervals=intervals, order=order, method=method,
-            out=out, gallery=pictures,
-        )  # fmt: skip
+        stored = load_run(run).only(method)
+        if not stored.methods:
+            raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+        if format == "html":
+            from r2h_batch.report.page import page
+
+            text = page(
+                stored,
+                _gallery_of(run, method, gallery, out, benchmark) if gallery and out else None,
+            )
+        elif by_object:
+            from r2h_batch.report.table import object_lines
+
+            text = object_lines(stored, format)
+        else:
+            from r2h_batch.report.table import render, table_of
+            from r2h_batch.statistics.breakdown import parse_order
+            from r2h_batch.verdicts import CRITERIA
+
+            table = table_of(stored, parse_order(order) if order else CRITERIA)
+            text = render(table, format, columns=columns, intervals=intervals)
     except RenderError as error:
         return refuse("report", error, 1)
+    except ValueError as error:
+        return refuse("report", error)
+    if out is None:
+        sys.stdout.write(text)
+    else:
+        write_text(out, text)
+        print(out)
+    for name in stored.unfinished:
+        missing = sum(s.last - s.first for s in stored.missing(name))
+        tell(f"report: {name} is not in the table, {missing} of its trials are not scored yet")
+    return 1 if stored.unfinished else 0
 
 
 def _pages(out: Path) -> Path:
@@ -83,22 +109,20 @@ def _pages(out: Path) -> Path:
 
 def _gallery_of(
     run: Path, method: Sequence[str], n: int, out: Path, benchmark: BenchmarkFlags
-) -> Callable[[], dict[str, list[dict[str, str]]]]:
-    def pictures() -> dict[str, list[dict[str, str]]]:
-        from r2h_batch.benchmark.build import BenchmarkOverrides
-        from r2h_batch.export.stored import Reader
-        from r2h_batch.gallery.pictures import gallery
-        from r2h_batch.scene.offscreen import ready
+) -> dict[str, list[dict[str, str]]]:
+    """The pictures of each method, with a page of each trial."""
+    from r2h_batch.benchmark.build import BenchmarkOverrides
+    from r2h_batch.export.stored import Reader
+    from r2h_batch.gallery.pictures import gallery
+    from r2h_batch.scene.offscreen import ready
 
-        ready()
-        if _pages(out).is_symlink():
-            raise UsageError(
-                f"{out.stem}_trials beside {out.name} is a link; its pages would be written elsewhere"
-            )
-        reader = Reader(run, BenchmarkOverrides.of(benchmark))
-        return gallery(reader.run.only(method), reader, n, _pages(out), out.parent)
-
-    return pictures
+    ready()
+    if _pages(out).is_symlink():
+        raise UsageError(
+            f"{out.stem}_trials beside {out.name} is a link; its pages would be written elsewhere"
+        )
+    reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    return gallery(reader.run.only(method), reader, n, _pages(out), out.parent)
 
 
 def figures(

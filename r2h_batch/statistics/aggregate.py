@@ -121,60 +121,63 @@ def wilson_interval(
     return low, high
 
 
-@check_arguments(
-    success=array("biu", 1, "booleans (N,)"),
-    cluster=array("iufUST", 1, "numbers or names (N,)"),
-    confidence=_SHARE,
-)
-def clustered_interval(
-    success: np.ndarray, cluster: np.ndarray, confidence: float = 0.95
-) -> Rate | None:
+def ratio(
+    strata: Sequence[tuple[np.ndarray, np.ndarray]], confidence: float = 0.95
+) -> tuple[float, float] | None:
+    """The ratio sum(x) / sum(n) over clusters (objects), and half of its t interval.
+
+    The error is the linearised one: the variance of the residuals x - ratio n between the clusters
+    of each stratum. The degrees of freedom are clusters minus strata.
+
+    Args:
+        strata: (x, n) of each stratum: (K,) sums and trials of its clusters; empty clusters do not
+            count.
+        confidence: between 0 and 1.
+
+    Returns:
+        Both as fractions, or None if a stratum has fewer than two clusters.
+
+    Source: Cochran 1977, Sampling Techniques, chapter 6.
+    """
+    pairs = [(x[n > 0], np.asarray(n[n > 0], np.float64)) for x, n in strata]
+    if min((len(n) for _, n in pairs), default=0) < 2:
+        return None
+    total = sum(n.sum() for _, n in pairs)
+    p = sum(x.sum() for x, _ in pairs) / total
+    variance = 0.0
+    for x, n in pairs:
+        residual, k = x - p * n, len(n)
+        variance += k / (k - 1) * np.sum((residual - residual.mean()) ** 2)
+    freedom = sum(len(n) - 1 for _, n in pairs)
+    return float(p), float(stdtrit(freedom, 0.5 + confidence / 2) * np.sqrt(variance) / total)
+
+
+@check_arguments(success=_COUNTS, total=_COUNTS, confidence=_SHARE)
+def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0.95) -> Rate | None:
     """The success rate with a t interval over clusters (objects): it speaks about new objects of
     this kind.
 
-    It is the ratio estimator sum(x) / sum(n) with the variance of its residuals between clusters
-    and k - 1 degrees of freedom. It is never narrower than the Wilson interval: with few clusters
-    the variance between them can come out as 0.
+    It is never narrower than the Wilson interval: with few clusters the variance between them can
+    come out as 0.
 
     Args:
-        success: (N,) bool.
-        cluster: (N,) number or name of each trial's cluster.
+        success: (K,) successes of each cluster.
+        total: (K,) trials of each cluster; empty clusters do not count.
         confidence: between 0 and 1.
 
     Returns:
         The rate, or None with fewer than two clusters.
     """
-    success = np.asarray(success, bool)
-    if success.shape != cluster.shape:
-        raise ValueError(
-            f"cluster is of {len(cluster)} trials, success of {len(success)}; give one for each trial"
-        )
-    index = cluster if cluster.dtype.kind in "iu" else np.unique(cluster, return_inverse=True)[1]
-    n = np.bincount(index)
-    return clustered_rate(np.bincount(index[success], minlength=len(n)), n, confidence)
-
-
-@check_arguments(success=_COUNTS, total=_COUNTS, confidence=_SHARE)
-def clustered_rate(success: np.ndarray, total: np.ndarray, confidence: float = 0.95) -> Rate | None:
-    """`clustered_interval` from (K,) successes and trials of each cluster; empty clusters do not
-    count."""
-    if np.shape(success) != np.shape(total) or (np.asarray(success) > np.asarray(total)).any():
+    x, n = np.asarray(success), np.asarray(total)
+    if x.shape != n.shape or (x > n).any():
         found = f"success is {describe_value(success)} and total {describe_value(total)}"
         raise ValueError(f"{found}; they must be successes and trials of each cluster")
-    n = np.asarray(total, np.float64)
-    x = np.asarray(success)[n > 0]
-    n = n[n > 0]
-    k = len(n)
-    if k < 2:
+    if (found_ratio := ratio([(x, n)], confidence)) is None:
         return None
-    p = x.sum() / n.sum()
-    error = np.sqrt(k / (k - 1) * np.sum((x - p * n) ** 2)) / n.sum()
-    half = stdtrit(k - 1, 0.5 + confidence / 2) * error
+    p, half = found_ratio
     wilson_low, wilson_high = wilson_interval(x.sum(), n.sum(), confidence)
-    low, high = (
-        max(min(p - half, float(wilson_low)), 0.0),
-        min(max(p + half, float(wilson_high)), 1.0),
-    )
+    low = max(min(p - half, float(wilson_low)), 0.0)
+    high = min(max(p + half, float(wilson_high)), 1.0)
     return Rate(100 * p, 100 * low, 100 * high, int(x.sum()), int(n.sum()))
 
 

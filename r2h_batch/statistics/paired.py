@@ -8,11 +8,11 @@ from itertools import combinations
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from scipy.special import stdtrit
 
 from r2h_batch.io.read import printable
 from r2h_batch.runs.columns import codes
 from r2h_batch.runs.store import Run
+from r2h_batch.statistics.aggregate import ratio
 from r2h_batch.statistics.common import Common, common_trials
 from r2h_batch.statistics.tally import check_planned
 from r2h_batch.validate import array, check_arguments, instance_of, integer, optional, sequence_of
@@ -356,25 +356,13 @@ def _compare(group: str, paired: Paired, splits: list[int], draws: int, seed: in
 
 
 def _interval(paired: Paired, splits: Sequence[int], i: int, j: int) -> tuple[float, float] | None:
-    """The 95 % t interval of the difference of two methods' rates, in points; None with one object.
-
-    It is the ratio estimator sum(d) / sum(n) over objects, as in `aggregate.clustered_rate`: the
-    splits are strata, and each object of a stratum is one draw. The degrees of freedom are objects
-    minus strata.
-    """
-    n = paired.trials[splits].astype(np.float64)
-    d = (paired.hits[splits, i] - paired.hits[splits, j]).astype(np.float64)
-    variance, freedom = 0.0, 0
-    for trials, more in zip(n, d):
-        residual = (more - d.sum() / n.sum() * trials)[trials > 0]
-        k = len(residual)
-        if k < 2:
-            return None
-        variance += k / (k - 1) * ((residual - residual.mean()) ** 2).sum()
-        freedom += k - 1
-    half = stdtrit(freedom, 1 - ALPHA / 2) * np.sqrt(variance) / n.sum()
-    middle = d.sum() / n.sum()
-    return float(100 * max(middle - half, -1.0)), float(100 * min(middle + half, 1.0))
+    """The 95 % t interval of the difference of two methods' rates, in points, with the splits as
+    strata; None with one object."""
+    more = paired.hits[:, i] - paired.hits[:, j]
+    found = ratio([(more[k], paired.trials[k]) for k in splits], 1 - ALPHA)
+    if found is None:
+        return None
+    return 100 * max(found[0] - found[1], -1.0), 100 * min(found[0] + found[1], 1.0)
 
 
 def _resampled_rates(

@@ -14,9 +14,9 @@ import pytest
 import torch
 from made_runs import make_header, make_scores, make_trials, paper_run, store, table_1, write_run
 
+from r2h_batch.gallery.command import report as main
 from r2h_batch.report import table as report
 from r2h_batch.report import text as text_of
-from r2h_batch.report.command import run as main
 from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.statistics.aggregate import RATES, Mean
 from r2h_batch.statistics.breakdown import parse_order

@@ -58,7 +58,7 @@ def test_the_clustered_interval_with_equal_objects_is_the_t_interval_of_their_ra
     rng = np.random.default_rng(3)
     rates = np.array([0.2, 0.5, 0.6, 0.9, 0.4])
     success = np.concatenate([rng.permutation(np.arange(80) < 80 * r) for r in rates])
-    found = aggregate.clustered_interval(success, np.repeat(np.arange(5), 80))
+    found = aggregate.clustered_rate(success.reshape(5, 80).sum(1), np.full(5, 80))
     expected = stats.t.interval(0.95, 4, loc=rates.mean(), scale=stats.sem(rates))
     assert found is not None
     assert found.percent == pytest.approx(100 * rates.mean())
@@ -72,7 +72,7 @@ def test_the_clustered_interval_covers_new_objects_and_wilson_does_not():
     for _ in range(runs):
         p = rng.beta(6, 4, objects)
         success = rng.random((objects, trials)) < p[:, None]
-        clustered = aggregate.clustered_interval(success.ravel(), np.repeat(np.arange(objects), trials))
+        clustered = aggregate.clustered_rate(success.sum(1), np.full(objects, trials))
         low, high = aggregate.wilson_interval(success.sum(), success.size)
         covered["wilson"] += bool(low <= 0.6 <= high)
         covered["clustered"] += clustered.low <= 60 <= clustered.high
@@ -82,14 +82,14 @@ def test_the_clustered_interval_covers_new_objects_and_wilson_does_not():
 
 @pytest.mark.parametrize("value", [False, True])
 def test_the_clustered_interval_at_0_and_100_percent_is_inside_and_not_empty(value):
-    rate = aggregate.clustered_interval(np.full(40, value), np.arange(40) % 4)
+    rate = aggregate.clustered_rate(np.full(4, 10 * value), np.full(4, 10))
     assert 0 <= rate.low < rate.high <= 100
     assert rate.percent == 100 * value
 
 
 def test_the_clustered_interval_of_one_object_or_none_is_undefined():
-    assert aggregate.clustered_interval(np.ones(9, bool), np.zeros(9)) is None
-    assert aggregate.clustered_interval(np.ones(0, bool), np.zeros(0)) is None
+    assert aggregate.clustered_rate(np.array([9]), np.array([9])) is None
+    assert aggregate.clustered_rate(np.zeros(0, int), np.zeros(0, int)) is None
 
 
 def test_the_interval_of_a_mean_rate_covers():
