@@ -3,7 +3,7 @@ object by object."""
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor, log10
 from typing import Any
 
@@ -116,7 +116,10 @@ def table_of(
     if tuple(order) != CRITERIA:
         tallies = [breakdown.in_order(t, order) for t in tallies]
         origin["order of criteria"] = ", ".join(order)
-    return Table(summarise(tallies), origin, str(run.folder))
+    rows = summarise(tallies)
+    if (configuration.get("plan") or {}).get("edge_check") != "moveit":
+        rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
+    return Table(rows, origin, str(run.folder))
 
 
 def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False) -> str:
@@ -233,6 +236,11 @@ def _md(table: Table) -> str:
             ["Body met", "95 %", "of"],
             lambda row: _share(row.body_met),
         ),
+        (
+            "Successes whose path passes through something by more than 0.1 mm between two samples (edge_check moveit).",
+            ["Through", "95 %", "of"],
+            lambda row: _share(row.through),
+        ),
     ]
     parts = ["  \n".join(f"{key}: {value}" for key, value in table.origin.items())]
     for caption, headings, cells_of in sections:
@@ -274,6 +282,7 @@ def record(row: Row) -> dict[str, Any]:
     fields |= with_ends("sr_new_objects", row.sr_new_objects)
     del fields["sr_new_objects"]  # it is "sr"
     fields |= with_ends("presented", row.presented) | with_ends("body_met", row.body_met)
+    fields |= with_ends("through", row.through)
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     return fields | {f"n_{name}": count for name, count in row.counts.items()}

@@ -21,6 +21,7 @@ from r2h_batch.benchmark.build import BenchmarkOverrides, benchmark_of_run
 from r2h_batch.benchmark.trials_file import LISTED
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.frontier.levels import Form, planning_form
 from r2h_batch.launch import cpu_threads
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import LATER_COLUMNS, TRIAL_SCHEMA, TrialNames, score_rows
@@ -124,6 +125,8 @@ class Judge:
             self.benchmark, config, device=device, threads=threads
         )
         self.other = _other(header, device)
+        # searched paths, and what depends on them, are the form's own (docs/gpu.md)
+        self.form: Form = "one_thread" if header["device"]["kind"] == "cpu" else "frontier"
 
     def trials(self, trial_id: Any) -> Trials:
         """The trials with these ids, on the evaluator's device."""
@@ -143,7 +146,9 @@ class Judge:
             object_splits=[o.split for o in scene.objects],
             hand_sides=[SIDES[s] for s in scene.hands.set.side.tolist()],
         )
-        return score_rows(trials, self.evaluator.score(grasp, handover, trials), names)
+        with planning_form(self.form):
+            scores = self.evaluator.score(grasp, handover, trials)
+        return score_rows(trials, scores, names)
 
 
 def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:

@@ -74,6 +74,8 @@ class Row:
         presented: rate of trials whose region faced the palm within reach, of S1's trials.
         body_met: rate of motions that met the receiver's arm or torso, of the motions past a
             receiver who has them.
+        through: rate of successes whose path passes through something by more than 0.1 mm, which
+            only paths can that are checked at samples.
     """
 
     split: str
@@ -86,6 +88,7 @@ class Row:
     times: Mapping[str, Mean]
     presented: Rate | None = None
     body_met: Rate | None = None
+    through: Rate | None = None
 
 
 _SHARE = number(0, 1)
@@ -250,6 +253,7 @@ def group_row(counted: Tally, split: str, name: str | None = None) -> Row:
         },
         presented=_rate(round(sums["presented"]), known["presented"]),
         body_met=_rate(round(sums["body_met"]), known["body_met"]),
+        through=_rate(round(sums["through"]), known["through"]),
     )
 
 

@@ -7,20 +7,22 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from r2h_batch.config import BORDERLINE_M
 from r2h_batch.runs.columns import codes, pattern, states
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, SPLITS
+from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
 
 SECONDS = ("t_plan_s", "t_exec_s", "t_method_s")
 """Stored times."""
 
-SUMMED = (*SECONDS, "presented", "body_met")
+SUMMED = (*SECONDS, "presented", "body_met", "through")
 """What is added up over trials: times; whether the region was presented; whether the motion met the
-receiver's arm or torso."""
+receiver's arm or torso; whether a success passed through something (by more than float32's
+doubt)."""
 
 _KEYS = ["object", "split", "outcome", *(f"passed_{c}" for c in CRITERIA)]
-_STORED = [*_KEYS, *SECONDS, "presented", "body_m"]
+_STORED = [*_KEYS, *SECONDS, "presented", "body_m", "margin_plan_m"]
 _PIECES = 64
 """Counts of shards are merged when so many wait."""
 
@@ -110,6 +112,9 @@ def check_planned(method: str, trials: Mapping[str, int], found: np.ndarray) -> 
 def _counted(table: pa.Table) -> pa.Table:
     """A shard's groups: their keys as words, trials, sums and numbers of values."""
     table = table.append_column("body_met", pc.less(table["body_m"], 0))
+    succeeds = pc.equal(table["outcome"].cast(pa.string()), Outcome.SUCCESS.name.lower())
+    through = pc.less(table["margin_plan_m"], -BORDERLINE_M)
+    table = table.append_column("through", pc.if_else(succeeds, through, None))
     found = [(name, how) for name in SUMMED for how in ("sum", "count")]
     groups = table.group_by(_KEYS, use_threads=False).aggregate([([], "count_all"), *found])
     columns = {name: groups[name] for name in groups.column_names}

@@ -7,20 +7,21 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 import torch
 from made_runs import make_header, make_scores, make_trials, paper_run, store, table_1, write_run
 
+from r2h_batch.config import PlanConfig
 from r2h_batch.gallery.command import report as main
 from r2h_batch.report import table as report
 from r2h_batch.report import text as text_of
 from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.statistics.aggregate import RATES, Mean
 from r2h_batch.statistics.breakdown import parse_order
-from r2h_batch.types import CRITERIA
+from r2h_batch.types import CRITERIA, Outcome
 
 COLUMNS = list(report.HEADINGS)
 
@@ -175,6 +176,22 @@ def test_motions_that_meet_a_receivers_body_are_a_rate_of_those_past_one(tmp_pat
     *_, met = md_tables(report.render(table, "md"))
     assert met[0] == ["Split", "Method", "Body met", "95 %", "of"] and met[1][2:] == ["50.0", "18.8-81.2", "6"]
     assert table.rows[0].body_met.percent == 50.0 and '"body_met": 50.0' in report.render(table, "json")
+
+
+@pytest.mark.parametrize("edge_check", ["moveit", "exact"])
+def test_successes_that_pass_through_something_have_a_column_where_paths_are_sampled(tmp_path, edge_check):
+    configuration = {"name": "any", "plan": asdict(PlanConfig(edge_check=edge_check))}
+    trials, run = make_trials(6, 0), open_run(tmp_path / "run", make_header(6, 0, configuration=configuration))
+    scores = make_scores(trials, np.array([0, 0, 0, 0, Outcome.REACH, 0]))
+    margin = scores.margin.clone()
+    margin[:, 1] = torch.tensor([0.02, -0.037, -5e-5, -2e-4, 0.02, 0.01])  # 1 and 3: more than float32's doubt
+    margin[:, 1] = margin[:, 1].abs() if edge_check == "exact" else margin[:, 1]
+    store(run, "m", trials, replace(scores, margin=margin))
+    text = report.render(report.table_of(load_run(tmp_path / "run")), "md")
+    assert ("Through" in text) == (edge_check == "moveit")
+    if edge_check == "moveit":
+        *_, through = md_tables(text)
+        assert through[0] == ["Split", "Method", "Through", "95 %", "of"] and through[1][2::2] == ["40.0", "5"]
 
 
 def test_missing_and_invalid_trials_are_shown(tmp_path):

@@ -11,6 +11,8 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.export.command import trials_main as trials_command
+from r2h_batch.judge.frontier.levels import planning_form
+from r2h_batch.methods import random
 from r2h_batch.results import reevaluation as again
 from r2h_batch.results.command import main as results
 from r2h_batch.results.reevaluation import Judge, configuration, reevaluate
@@ -30,6 +32,22 @@ def folder(tmp_path_factory):
 @pytest.fixture(scope="module")
 def judge(folder):
     return Judge(load_run(folder))
+
+
+def test_rows_of_a_gpu_are_planned_again_in_the_form_of_a_gpu(folder, judge):
+    """Trials of `random` without a straight line to a goal: each form of the planner finds a path of its own."""
+    ids, evaluator = np.arange(64), judge.evaluator
+    answer = random.predict(judge.trials(ids), evaluator.scene, seed=7)
+    searched = evaluator.score(answer.T_obj_ee, answer.T_world_ee, judge.trials(ids)).path_len > 2
+    ids = ids[searched.numpy()][:3]
+    poses = [x[searched][:3] for x in (answer.T_obj_ee, answer.T_world_ee)]
+    with planning_form("frontier"):
+        seconds = evaluator.score(*poses, judge.trials(ids)).t_exec_s.tolist()
+    run = copy(load_run(folder))
+    object.__setattr__(run, "header", run.header | {"device": {"kind": "cuda", "name": "a GPU"}})
+    poses = [x.numpy() for x in poses]
+    assert Judge(run).rows(ids, *poses)["t_exec_s"].to_pylist() == seconds and len(seconds) >= 2
+    assert judge.rows(ids, *poses)["t_exec_s"].to_pylist() != seconds
 
 
 def forged(folder, out, change):

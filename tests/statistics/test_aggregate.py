@@ -27,7 +27,7 @@ def table_of(outcome, split=None, objects=None, t_plan_s=None):
     }
     columns = {name: pa.array(column, pa.string()).dictionary_encode() for name, column in words.items()}
     columns |= {f"passed_{c}": pa.nulls(n, pa.bool_()) for c in CRITERIA}
-    columns |= dict.fromkeys(("t_exec_s", "t_method_s", "body_m"), pa.nulls(n, pa.float32()))
+    columns |= dict.fromkeys(("t_exec_s", "t_method_s", "body_m", "margin_plan_m"), pa.nulls(n, pa.float32()))
     columns["t_plan_s"] = pa.nulls(n, pa.float32()) if t_plan_s is None else pa.array(t_plan_s, pa.float32())
     return pa.table({**columns, "presented": pa.nulls(n, pa.bool_())})
 
