@@ -23,6 +23,10 @@ COMMANDS = {
         "r2h_batch.export.command",
         "Write one stored trial as a folder that plain MuJoCo opens.",
     ),
+    "export": (
+        "r2h_batch.export.command",
+        "Write trials of a run as files of the authors' release.",
+    ),
     "benchmark": (
         "r2h_batch.benchmark.command",
         "Show what a benchmark file may say, or check one.",

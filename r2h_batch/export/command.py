@@ -4,10 +4,13 @@ until there is work."""
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+import tyro
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import call, check_range, counted, failed, refuse
+from r2h_batch.io.read import printable
 from r2h_batch.io.write import check_output_file, check_output_folder
 
 MOST_TRIALS = 10**6
@@ -103,6 +106,54 @@ def trials(
         f"{found.protocol}: {counted(trials, 'trials')} each of {', '.join(chosen)} in {out}, digest {digest}"
     )
     return 0
+
+
+def export(
+    run: Annotated[Path, tyro.conf.Positional],
+    *,
+    to: Literal["r2handoversim"],
+    out: Path,
+    method: str = "",
+    trials: int = 100,
+    benchmark: BenchmarkFlags = BUILT_IN,
+) -> int:
+    """Write trials of a run as files of the authors' release, which replays and judges them.
+
+    Args:
+        run: run folder of a sweep; what it does not store is computed again.
+        to: whose files: r2handoversim (handover.trial.v1).
+        out: a new or empty folder.
+        method: the sweep's word (fc) or the table's name; needed where the run has several.
+        trials: of each split, from the first on.
+        benchmark: as the sweep had them; none of these where it had the built-in benchmark.
+    """
+    check_range("--trials", trials, 1, MOST_TRIALS, "")
+    check_output_folder(out, overwrite=None)
+    from r2h_batch.benchmark.build import BenchmarkOverrides
+    from r2h_batch.export.release import release_name, write_release_trial
+    from r2h_batch.export.stored import UNJUDGED, Reader
+
+    try:
+        reader = Reader(run, BenchmarkOverrides.of(benchmark))
+        name = reader.method(method or None)
+        rows = reader.rows(name).select(["trial_id", "outcome"]).to_pylist()
+        judged = sorted(r["trial_id"] for r in rows if r["outcome"] not in UNJUDGED)
+        ids = [i for s in (0, 1) for i in [i for i in judged if i % 2 == s][:trials]]
+        reader.build_for({name: ids})
+        out.mkdir(parents=True, exist_ok=True)
+        for i in ids:
+            write_release_trial(reader.trial(i, name), release_name(name, i), out)
+    except ValueError as error:
+        return refuse("export", error)
+    except OSError as error:
+        return failed("export", error, out)
+    print(f"{counted(len(ids), 'trials')} of {printable(name)} in {out}")
+    return 0
+
+
+def export_main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch export") -> int:
+    """Exit code: 0 written, 1 could not write, 2 refused with one line."""
+    return call(export, sys.argv[1:] if arguments is None else arguments, prog=prog, name="export")
 
 
 def scene_main(

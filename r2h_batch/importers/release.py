@@ -110,6 +110,27 @@ class Receiver(_Entry):
     T_world_hand: Pose
 
 
+class Own(_Entry):
+    """What our own exporter adds to a trial."""
+
+    pose: Annotated[list[float], Field(min_length=48, max_length=48)]
+    shape: Annotated[list[float], Field(min_length=10, max_length=10)]
+    T_world_hand: Pose
+    receiver_faces: list[Annotated[int, Field(ge=0)]]
+
+
+class Provenance(_Entry):
+    """Where a trial comes from."""
+
+    r2h_batch: Own | None = None
+
+
+class Planning(_Entry):
+    """What the release's planner, or another one, said."""
+
+    status: Literal["succeeded", "failed"] = "succeeded"
+
+
 class GraspContract(_Entry):
     """How the release measured the grasp's width."""
 
@@ -142,6 +163,14 @@ class TrialFile(_Entry):
     executed_joints: list[Joints] = []
     T_tcp_asset_tool: Pose = np.eye(4).tolist()
     grasp_contract: GraspContract = GraspContract()
+    planning: Planning = Planning()
+    provenance: Provenance | str | None = None
+
+    @property
+    def own(self) -> Own | None:
+        """What our own exporter wrote."""
+        return self.provenance.r2h_batch if isinstance(self.provenance, Provenance) else None
+
     method_geometry_invalidated: bool = False
 
 
@@ -159,6 +188,8 @@ class ReleaseTrial:
     T_world_ee: Array
     T_world_hand: Array
     side: int  # 0 right, 1 left
+    pose: Array  # (48,) of the hand
+    shape: Array  # (10,)
     place: dict[str, Any]  # thresholds, table and home, as a benchmark file says them
     q: Array | None  # (K, 6) the executed motion; None: there is none for our gripper
     dt_s: float
@@ -220,17 +251,21 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
     back[2, 3] = -PADS_M.get(file.grasp_contract.width_policy, PADS_M[""])
     T_world_ee = _tool_pose(file) @ back
     side, T_world_hand = _hand(file, where)
+    pose, shape = np.zeros(48), np.zeros(10)
+    if file.own is not None:
+        T_world_hand = np.array(file.own.T_world_hand)
+        pose, shape = np.array(file.own.pose), np.array(file.own.shape)
     return ReleaseTrial(
         file.id, file.object_id, file.variant, file.split, mesh, region,
-        np.array(file.T_object_gripper) @ back, T_world_ee, T_world_hand, side, place,
+        np.array(file.T_object_gripper) @ back, T_world_ee, T_world_hand, side, pose, shape, place,
         _motion(file, T_world_ee), file.dt_s,
     )  # fmt: skip
 
 
 def _tool_pose(file: TrialFile) -> Array:
     """Where the tool ends, our world frame: at the last executed sample, as the release judges Reach;
-    at the target of a trial without a trace."""
-    if not file.executed_joints:
+    at the target of a trial without a trace, or without a path."""
+    if not file.executed_joints or file.planning.status == "failed":
         return T_world_release @ np.array(file.target_T_world_gripper)
     robot = load_robot()
     T_world_flange = ee_pose(robot, file.executed_joints[-1]) @ np.linalg.inv(robot.T_flange_ee)
@@ -256,6 +291,11 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
         mesh = sum(boxes[1:], boxes[0])
     region = np.zeros(len(mesh.faces), bool)
     if file.split == "S0":
+        return mesh, region
+    if file.own is not None:
+        if max(file.own.receiver_faces, default=-1) >= len(region):
+            raise FileError(f"{where}: provenance.r2h_batch.receiver_faces names no face")
+        region[file.own.receiver_faces] = True
         return mesh, region
     if not file.usage_boxes:
         raise FileError(f"{where}: usage_boxes is empty; a trial of S1 needs one or more")
@@ -294,7 +334,7 @@ def _place(file: TrialFile, where: str) -> dict[str, Any]:
     return {
         "thresholds": limits,
         "table": {"center": np.round(middle, 9).tolist(), "half": [float(x) for x in half]},
-        "home": [float(x) for x in home],
+        "home": [round(float(x), 6) for x in home],  # float32 and float64 say one home
     }
 
 
@@ -321,14 +361,17 @@ def _hand(file: TrialFile, where: str) -> tuple[int, Array]:
         T_world_palm[:3, :3] = np.stack([x, np.cross(z, x), z], 1)
         T_world_palm[:3, 3] = file.palm_position_world
         side = 0
-    return side, T_world_release @ T_world_palm @ np.linalg.inv(_palm_in_hand(side))
-
-
-def _palm_in_hand(side: int) -> Array:
-    """T_hand_palm of our flat hand: origin p_h, z = n_h, x along wrist to middle finger's root."""
     sides = torch.tensor([side], dtype=torch.int8, device="cpu")
     flat = torch.zeros((1, 48), dtype=torch.float32, device="cpu")
-    joints = load_hand().pose(flat, None, sides).joints.double()
+    T_hand_palm = palm_in_hand(load_hand().pose(flat, None, sides).joints, side)
+    return side, T_world_release @ T_world_palm @ np.linalg.inv(T_hand_palm)
+
+
+def palm_in_hand(joints: torch.Tensor, side: int) -> Array:
+    """T_hand_palm of a hand with these joints (1, 16, 3): origin p_h, z = n_h, x along wrist to middle
+    finger's root."""
+    sides = torch.tensor([side], dtype=torch.int8, device="cpu")
+    joints = joints.double()
     point, normal = (x[0].numpy() for x in palm_frame(joints, sides))
     along = (joints[0, 4] - joints[0, 0]).numpy()
     x = along - (along @ normal) * normal
@@ -342,7 +385,7 @@ def _motion(file: TrialFile, T_world_ee: Array) -> Array | None:
     """The executed joints, or the planned ones; None where they are of another tool: with our gripper
     they end elsewhere (the release's box gripper is 52 mm shorter)."""
     q = np.array(file.executed_joints or file.planned_joints)
-    if len(q) < 2:
+    if len(q) < 2 or file.planning.status == "failed":
         return None
     end = ee_pose(load_robot(), q[-1])
     near = np.linalg.norm(end[:3, 3] - T_world_ee[:3, 3]) <= END_M
@@ -380,8 +423,8 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, int]:
         {
             "object": np.array([names[_key(t)] for t in ordered]),
             "T_world_hand": np.stack([t.T_world_hand for t in ordered]),
-            "pose": np.zeros((len(ordered), 48), np.float32),
-            "shape": np.zeros((len(ordered), 10), np.float32),
+            "pose": np.stack([t.pose for t in ordered]).astype(np.float32),
+            "shape": np.stack([t.shape for t in ordered]).astype(np.float32),
             "side": np.array([t.side for t in ordered], np.int8),
         },
     )
