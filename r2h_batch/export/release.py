@@ -52,7 +52,8 @@ def release_trial(stored: StoredTrial, name: str) -> dict[str, Any]:
     """
     model, row = stored.object_model, stored.row
     limits_of = stored.header["configuration"]["thresholds"]
-    to_release, tips = np.linalg.inv(T_world_release), _shift(PADS_M[""])
+    to_release: Array = np.linalg.inv(T_world_release).astype(np.float64)
+    tips = _shift(PADS_M[""])
     side = int(stored.hand_set.side[row["hand_index"]])
     hand = stored.hand_set.model
     rows = torch.tensor([row["hand_index"]], dtype=torch.int64, device="cpu")
