@@ -8,8 +8,6 @@ from pathlib import Path
 import pytest
 import torch
 
-from r2h_batch import se3
-
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
 
@@ -44,11 +42,3 @@ def test_a_generator_is_trained_and_judged_in_three_ways(tmp_path):
     assert list(result["rates"]) == ["plain", "best of 2", "guided, 2 steps"]
     assert all(0 <= r["low"] <= r["rate"] <= r["high"] <= 1 and r["trials"] == 6 for r in result["rates"].values())
     assert (tmp_path / "training_loop.png").stat().st_size > 5000 and (tmp_path / "weights.pt").exists()
-
-
-def test_poses_survive_the_generators_nine_numbers():
-    generator = import_module("generator")
-    z, towards, origin = torch.randn(3, 50, 3, generator=torch.Generator().manual_seed(0))
-    T = generator.frame_of(z / z.norm(dim=-1, keepdim=True), towards, origin)
-    assert se3.is_pose(T).all()
-    torch.testing.assert_close(generator.to_pose(generator.to_numbers(T)), T, atol=1e-5, rtol=0)

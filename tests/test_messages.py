@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark.trials_file import read_trials_file
-from r2h_batch.bodies.hand import load_hand_set, make_hand_set
 from r2h_batch.bodies.hand_file import read_hand_set
-from r2h_batch.bodies.objects import load_objects
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.io.read import FileError
-from r2h_batch.rng import NothingFits, accepted
 from r2h_batch.trials import make_trials
 
 NAMES = [f"{p}_{i}" for p in ("T_obj_ee", "T_world_ee") for i in range(16)]
@@ -101,26 +97,6 @@ def test_a_hand_set_in_degrees_or_of_another_type_is_refused_by_what_is_wrong(ca
     assert read_hand_set(tmp_path / "h.npz")["pose"][1, 15] == 6.28
 
 
-def test_trials_and_callers_are_held_to_the_same_turns(tmp_path):
-    own = load_hand_set()
-    with pytest.raises(ValueError, match="pose of hand 2 turns joint 0 by 90 rad"):
-        make_hand_set(own.model, turned(2, 0, 90.0), np.zeros((3, 10)), np.array([0, 0, 1]), list("abc"))
-    listed = {"object": np.array(["cup"] * 3), "T_world_hand": np.tile(np.eye(4), (3, 1, 1))}
-    bent = {k: v for k, v in hands(pose=turned(2, 7, 30.0)).items() if k != "posture"}
-    wrong = {
-        "pose of trial 2 turns joint 7 by 30 rad": {**listed, **bent},
-        "hand goes from 3 to 18446744073709551615; the hand set has 0 to": {
-            **listed, "hand": np.array([3, 4, 2**64 - 1], np.uint64),
-        },
-        "side must be 0": {**listed, **hands(side=np.array([0, 1, 2**64 - 1], np.uint64))},
-    }  # fmt: skip
-    for words, columns in wrong.items():
-        columns.pop("posture", None)
-        np.savez(tmp_path / "t.npz", **columns)
-        with pytest.raises(FileError, match=words):
-            read_trials_file(tmp_path / "t.npz", load_objects(), own)
-
-
 @pytest.mark.parametrize("protocol", ["r2h-v0", "r2h-v1"])
 def test_a_table_that_leaves_no_place_for_a_hand_is_told_in_seconds(protocol):
     everywhere = EvalConfig(workplace=Workplace(table_center=(0.6, 0.0, 0.3), table_half=(5.0, 5.0, 5.0)))
@@ -128,17 +104,3 @@ def test_a_table_that_leaves_no_place_for_a_hand_is_told_in_seconds(protocol):
         ValueError, match=r"no place for a hand where r2h-v\d draws them: .*Table \(center \(0.6, 0.0, 0.3\)"
     ):
         make_trials(("S0",), 40, config=everywhere, protocol=protocol)
-
-
-def test_a_draw_that_hardly_ever_fits_still_finds_its_rows():
-    """Looked at many attempts at once it is not hopeless, and what is drawn is each row's first that fits."""
-    got = np.zeros(2, np.int64)
-
-    def one_in_a_thousand(rows, attempt):
-        fits = np.broadcast_to((np.asarray(attempt) % 1000) == 999, rows.shape)
-        return fits, (np.broadcast_to(np.asarray(attempt), rows.shape)[fits],)
-
-    accepted(2, one_in_a_thousand, got)
-    assert got.tolist() == [999, 999]
-    with pytest.raises(NothingFits, match="2 of 2 rows found no acceptable draw in 201 attempts"):
-        accepted(2, lambda rows, attempt: (np.zeros(len(rows), bool), (np.zeros(0, np.int64),)), got)

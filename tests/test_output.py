@@ -1,7 +1,5 @@
 """What every command says when its stdout is closed, full or ASCII, and that no name in a file steers a terminal."""
 
-import csv
-import io
 import json
 import os
 import subprocess
@@ -13,7 +11,6 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.command_line import answer, tell
-from r2h_batch.report.table import render, table_of
 from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.verdicts import Outcome
 
@@ -122,20 +119,6 @@ def test_errors_of_the_work_are_told_from_errors_of_stdout(capsys):
     assert answer("sweep", work) == 1
     out, err = capsys.readouterr()
     assert err == "sweep: runs/x/shard: No space left on device\n" and out == "half an answer\n"
-
-
-def test_a_name_that_is_a_formula_is_text_in_the_csv(folder):
-    rows = list(csv.DictReader(io.StringIO(render(table_of(load_run(folder)), "csv"))))
-    assert rows and all(row["method"].startswith("'=1+2") for row in rows)
-    numbers = [v for row in rows for k, v in row.items() if k.startswith(("f_", "sr", "t_")) and v not in ("", "n/a")]
-    assert numbers and all(float(v) >= 0 for v in numbers)
-
-
-def test_a_schedules_names_that_are_formulas_are_text(capsys):
-    from r2h_batch.study.command import main
-
-    assert main(["plan", "--participants", "2", "--methods", "=a", "@b"]) == 0
-    assert {r["method"] for r in csv.DictReader(io.StringIO(capsys.readouterr().out))} == {"'=a", "'@b"}
 
 
 def test_every_print_of_the_package_goes_through_the_cleaned_ways():

@@ -35,14 +35,6 @@ def test_every_flag_and_option_of_the_page_is_one(capsys):
     assert len(options) > 3 and options <= {f.name for f in fields(Options)}
 
 
-def test_the_region_is_said_in_the_help_as_on_the_page(capsys):
-    with pytest.raises(SystemExit):
-        main(["sweep", "--help"])
-    told = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    for words in ("FILE[:S0|S1[:REGION]]", "a part's name", "a plane such as z<0.3", "an .npy of the file's faces"):
-        assert words in told
-
-
 def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_path):
     named = set()
     for i, text in enumerate(CODE["yaml"]):

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
-from mesh_twins import winding_number
 from needs import needs
 
 from r2h_batch.bodies.objects import OBJECT_NAMES, S0_NAMES, S1_NAMES, build_object, load_objects, object_digest
@@ -23,34 +22,11 @@ TABLE = {  # scene.md: box in metres, mass in kg
     "power_drill": (0.186, 0.184, 0.057, 0.895), "binoculars": (0.142, 0.109, 0.048, 0.35),
     "bottle": (0.250, 0.075, 0.075, 0.6), "trigger_sprayer": (0.290, 0.100, 0.075, 0.55),
 }  # fmt: skip
-REGION_PATCHES = {"pliers": 2, "scissors": 2}
 every_object = pytest.mark.parametrize("name", OBJECT_NAMES)
 
 
 def one(name):
     return load_objects([name])[0]
-
-
-def surface_distance(mesh, p):
-    """Distance to the nearest triangle (trimesh's closest_point is 0.7 mm off on triangles of 0.2 mm)."""
-    corners = mesh.triangles
-    height = np.einsum("ij,ij->i", p - corners[:, 0], mesh.face_normals)
-    foot = p - height[:, None] * mesh.face_normals
-    within = np.ones(len(corners), bool)
-    best = np.inf
-    for k in range(3):
-        a, e = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
-        within &= np.einsum("ij,ij->i", np.cross(e, foot - a), mesh.face_normals) >= 0
-        t = np.clip(np.einsum("ij,ij->i", p - a, e) / np.einsum("ij,ij->i", e, e), 0, 1)
-        best = min(best, np.linalg.norm(p - a - t[:, None] * e, axis=1).min())
-    return min(best, np.abs(height[within]).min(initial=np.inf))
-
-
-def patches(mesh, chosen):
-    """Faces of every connected patch of the chosen faces."""
-    pairs = mesh.face_adjacency
-    pairs = pairs[chosen[pairs].all(axis=1)]
-    return trimesh.graph.connected_components(pairs, nodes=np.flatnonzero(chosen))
 
 
 def planes(mesh):
@@ -76,18 +52,6 @@ def test_each_object_is_one_closed_outward_body_of_the_tables_size_and_mass(name
     assert 1000 <= len(mesh.faces) <= 8000
     assert model.vertices.dtype == np.float32 and model.faces.dtype == np.int32
     assert len(np.unique(model.vertices, axis=0)) == len(model.vertices)
-
-
-@every_object
-def test_only_s1_objects_have_a_receiver_region_and_leave_the_robot_enough(name):
-    model = one(name)
-    share = model.mesh.area_faces[model.receiver_face].sum() / model.mesh.area
-    if model.split == "S0":
-        assert not model.receiver_face.any()
-        return
-    assert 0.1 < share < 0.85
-    assert len(patches(model.mesh, model.receiver_face)) == REGION_PATCHES.get(name, 1)
-    assert model.instruction.startswith("hand over the ") and model.instruction.endswith(" to human")
 
 
 @every_object
@@ -125,41 +89,6 @@ def test_convex_pieces_are_few_convex_and_cover_the_mesh(name):
     hull = trimesh.Trimesh(model.hull_vertices.astype(float), model.hull_faces, process=False)
     assert model.mesh.volume < 1.001 * volume
     assert volume < max(0.6 * hull.volume, 1.25 * model.mesh.volume)
-
-
-@every_object
-def test_surface_points_lie_on_their_faces_with_their_normals_labels_and_fair_shares(name):
-    model = one(name)
-    mesh = model.mesh
-    assert model.points.shape == model.normals.shape == (2048, 3)
-    corners = mesh.triangles[model.point_face]
-    weight = trimesh.triangles.points_to_barycentric(corners, model.points.astype(float))
-    assert weight.min() > -1e-4 and weight.max() < 1 + 1e-4
-    assert np.abs(np.einsum("ij,ijk->ik", weight, corners) - model.points).max() < 1e-7
-    assert np.abs(model.normals - mesh.face_normals[model.point_face]).max() < 1e-6
-    assert (model.point_part == model.face_part[model.point_face]).all()
-    share = np.bincount(model.face_part, mesh.area_faces, len(model.part_names)) / mesh.area
-    assert np.abs(np.bincount(model.point_part, minlength=len(share)) / 2048 - share).max() < 0.012
-
-
-@every_object
-def test_voxels_agree_with_solid_angles_and_the_surface(name):
-    model = one(name)
-    occupancy = model.occupancy
-    assert occupancy.shape == (64, 64, 64) and model.voxels.nbytes == 64**3 // 8
-    rng = np.random.default_rng(3)
-    grown = np.array([np.roll(occupancy, s, axis) for axis in range(3) for s in (-1, 1)]).any(axis=0)
-    near = np.argwhere(occupancy | grown)
-    ijk = np.concatenate([near[rng.choice(len(near), 220)], rng.integers(0, 64, (40, 3))])
-    center = model.voxel_origin + (ijk + 0.5) * model.voxel_pitch
-    inside = winding_number(model.mesh, center) > 0.5
-    full = occupancy[tuple(ijk.T)]
-    assert full[inside].all()
-    for c in center[full & ~inside][:40]:
-        assert surface_distance(model.mesh, c) <= model.voxel_pitch * np.sqrt(3) / 2 + 1e-9
-    touched = np.floor((model.points - model.voxel_origin) / model.voxel_pitch).astype(int)
-    assert occupancy[tuple(touched.T)].all(), "a voxel with surface in it is empty"
-    assert not occupancy[0].any() and not occupancy[-1].any()
 
 
 @every_object

@@ -11,11 +11,11 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+from convex_twin import primitive_distance
 
 from r2h_batch.assets.robot import build_robot
 from r2h_batch.bodies.robot import (
     JOINTS,
-    Kind,
     drive_from_gap,
     ee_pose,
     forward_kinematics,
@@ -59,22 +59,10 @@ def face_samples(mesh: trimesh.Trimesh, count: int = 60_000) -> np.ndarray:
     return np.concatenate([points, mesh.vertices])
 
 
-def depth(kind: int, T: np.ndarray, size: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How far points are outside a shape (negative inside), by the textbook formulas."""
-    local = (points - T[:3, 3]) @ T[:3, :3]
-    if kind == Kind.BOX:
-        d = np.abs(local) - size
-    else:
-        radial = np.sqrt(local[:, 0] ** 2 + local[:, 1] ** 2)
-        if kind == Kind.CAPSULE:
-            along = np.clip(local[:, 2], -size[1], size[1])
-            return np.sqrt(radial**2 + (local[:, 2] - along) ** 2) - size[0]
-        d = np.column_stack([radial - size[0], np.abs(local[:, 2]) - size[1]])
-    return np.linalg.norm(np.clip(d, 0, None), axis=1) + np.clip(d.max(axis=1), None, 0)
-
-
 def union_depth(kinds, poses, sizes, points):
-    return np.min([depth(k, T, s, points) for k, T, s in zip(kinds, poses, sizes, strict=True)], axis=0)
+    """How far points are outside all shapes (negative inside)."""
+    local = [(points - T[:3, 3]) @ T[:3, :3] for T in poses]
+    return np.min([primitive_distance(k, s, x) for k, s, x in zip(kinds, sizes, local, strict=True)], axis=0)
 
 
 def urdf_model(path: str) -> mujoco.MjModel:

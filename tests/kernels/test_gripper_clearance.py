@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from convex_twin import primitive_distance, winding_number
 from grasp_cases import BAND, model_of, pose_at, random_grasps, shapes, tables_of_shapes, upper
 
 from r2h_batch.bodies.robot import Kind, gripper_primitives_at, load_robot
@@ -13,33 +14,20 @@ from r2h_batch.judge.grasp import CUT_CAP_M, close_gripper, open_clearance, regi
 from r2h_batch.scene.grasp_tables import grasp_tables
 
 
-def _signed64(kind: int, size: np.ndarray, x: np.ndarray) -> np.ndarray:
-    if kind == Kind.BOX:
-        q = np.abs(x) - size
-    elif kind == Kind.CYLINDER:
-        q = np.stack([np.hypot(x[..., 0], x[..., 1]) - size[0], np.abs(x[..., 2]) - size[1]], -1)
-    elif kind == Kind.CAPSULE:
-        end = np.stack([x[..., 0], x[..., 1], np.maximum(np.abs(x[..., 2]) - size[1], 0)], -1)
-        return np.linalg.norm(end, axis=-1) - size[0]
-    else:
-        raise AssertionError(kind)
-    return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(axis=-1), 0)
-
-
 def _clearance64(triangles: np.ndarray, kind: int, size: np.ndarray, T_ee_prim: np.ndarray, cap: float) -> float:
     """Least signed distance of the triangles' points (ee frame) to a primitive, below the cap."""
     tri = trimesh.transform_points(triangles.reshape(-1, 3), np.linalg.inv(T_ee_prim)).reshape(-1, 3, 3)
-    best = min(cap, float(_signed64(kind, size, tri).min()))
+    best = min(cap, float(primitive_distance(kind, size, tri).min()))
     middle = tri.mean(axis=1)
     radius = np.linalg.norm(tri - middle[:, None], axis=-1).max(axis=1)
-    tri = tri[_signed64(kind, size, middle) - radius < best - 1e-9]
+    tri = tri[primitive_distance(kind, size, middle) - radius < best - 1e-9]
     if len(tri) == 0:
         return best
 
     def along(u: np.ndarray) -> np.ndarray:  # least over the chord at fraction u from the first corner
         a = tri[:, 0] + u[:, None] * (tri[:, 1] - tri[:, 0])
         b = tri[:, 0] + u[:, None] * (tri[:, 2] - tri[:, 0])
-        return _golden(lambda v: _signed64(kind, size, a + v[:, None] * (b - a)), len(tri))
+        return _golden(lambda v: primitive_distance(kind, size, a + v[:, None] * (b - a)), len(tri))
 
     return min(best, float(_golden(along, len(tri)).min()))
 
@@ -76,29 +64,15 @@ def _gripper_clearance64(
     best = cap
     for i in used:  # the corners first: they spare most triangles
         x = trimesh.transform_points(corners, np.linalg.inv(T_ee_prim[i]))
-        best = min(best, float(_signed64(robot.gripper.kind[i], robot.gripper.size[i], x).min()))
+        best = min(best, float(primitive_distance(robot.gripper.kind[i], robot.gripper.size[i], x).min()))
     for i in used:
         kind = robot.gripper.kind[i]
         size = robot.gripper.size[i] if kind == Kind.BOX else robot.gripper.size[i][:2]
         best = min(best, _clearance64(triangles, kind, size, T_ee_prim[i], best))
         center = trimesh.transform_points(T_ee_prim[i][:3, 3][None], T_obj_ee.astype(np.float64))
-        if solid and _winding(mesh, center[0]) > 0.5:
+        if solid and abs(winding_number(center[0], mesh.triangles)) > 0.5:
             best = min(best, -float(size.min() if kind != Kind.CAPSULE else size[0]))
     return best
-
-
-def _winding(mesh: trimesh.Trimesh, x: np.ndarray) -> float:
-    """Solid angle of the surface seen from x over 4 pi (van Oosterom and Strackee)."""
-    a, b, c = (mesh.triangles[:, k] - x for k in range(3))
-    la, lb, lc = (np.linalg.norm(v, axis=1) for v in (a, b, c))
-    det = np.einsum("ij,ij->i", a, np.cross(b, c))
-    div = (
-        la * lb * lc
-        + np.einsum("ij,ij->i", a, b) * lc
-        + np.einsum("ij,ij->i", b, c) * la
-        + np.einsum("ij,ij->i", c, a) * lb
-    )
-    return float(np.abs(np.arctan2(det, div).sum() / (2 * np.pi)))
 
 
 @pytest.mark.parametrize("count", [28, pytest.param(84, marks=pytest.mark.slow)])
@@ -123,7 +97,9 @@ def test_cut_agrees_with_float64_and_with_fcl(count: int) -> None:
                 _fcl_hits(surface, *p) for p in zip(robot.gripper.kind, robot.gripper.size, T_ee_prim, strict=True)
             )
             centers = trimesh.transform_points(T_ee_prim[:, :3, 3], T_obj_ee)
-            assert (hits or any(_winding(mesh, x) > 0.5 for x in centers)) == (float(cut[i]) < 0), i
+            assert (hits or any(abs(winding_number(x, mesh.triangles)) > 0.5 for x in centers)) == (
+                float(cut[i]) < 0
+            ), i
     assert min(seen.values()) >= count // 10, seen
 
 
