@@ -34,7 +34,7 @@ from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SIDES
+from r2h_batch.verdicts import CRITERIA, MOST_SECONDS
 
 __all__ = ["ExportError", "Reader", "StoredTrial", "judged_again"]
 
@@ -260,7 +260,7 @@ def judged_again(
         header = {"configuration": asdict(evaluator.config), "protocol": ""}
         header["motion"] = {"sample_s": sample_s}
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trial, keep_motion=True)
-    names, path = names_of(evaluator), path_rows(scores).to_pylist()
+    names, path = TrialNames.of(evaluator.scene), path_rows(scores).to_pylist()
     again = score_rows(trial, scores, names).to_pylist()[0]
     again |= detail_rows(trial, scores, names).to_pylist()[0]
     plan = CRITERIA.index("plan")
@@ -288,17 +288,6 @@ def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:
         if (a is None) != (b is None) or (a is not None and a != b and abs(a - b) > SAME_M):
             return f"computed again here the margin of {name} is {b} m, stored is {a} m"
     return ""
-
-
-def names_of(evaluator: Evaluator) -> TrialNames:
-    """The words of rows that this evaluator judged."""
-    scene = evaluator.scene
-    return TrialNames(
-        objects=[o.name for o in scene.objects],
-        object_splits=[o.split for o in scene.objects],
-        hand_sides=[SIDES[s] for s in scene.hands.set.side.tolist()],
-        parts=scene.part_names,
-    )
 
 
 def _stored(

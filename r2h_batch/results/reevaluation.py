@@ -31,7 +31,6 @@ from r2h_batch.sweep.options import UsageError
 from r2h_batch.trials.protocol import PROTOCOLS, trials_of
 from r2h_batch.types import Trials
 from r2h_batch.validate import check_arguments, instance_of, integer, optional, text
-from r2h_batch.verdicts import SIDES
 
 COMPARED = tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING)
 
@@ -141,14 +140,9 @@ class Judge:
             torch.from_numpy(np.array(T, np.float32)).to(scene.device)
             for T in (T_obj_ee, T_world_ee)
         )
-        names = TrialNames(
-            objects=[o.name for o in scene.objects],
-            object_splits=[o.split for o in scene.objects],
-            hand_sides=[SIDES[s] for s in scene.hands.set.side.tolist()],
-        )
         with planning_form(self.form):
             scores = self.evaluator.score(grasp, handover, trials)
-        return score_rows(trials, scores, names)
+        return score_rows(trials, scores, TrialNames.of(scene))
 
 
 def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
@@ -265,7 +259,8 @@ def _who_answers(run: Run, entry: Mapping[str, Any], judge: Judge) -> tuple[Job 
 
 def _other_answers(job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge) -> list[Difference]:
     """The trials to which the method now gives another answer than the stored one."""
-    again = job.predict(judge.trials(ids), None).to("cpu")
+    with planning_form(judge.form):
+        again = job.predict(judge.trials(ids), None).to("cpu")
     place = {int(trial_id): i for i, trial_id in enumerate(ids)}
     rows = [place[i] for i in poses["trial_id"].to_pylist()]
     off = np.full(len(ids), np.inf)

@@ -140,6 +140,16 @@ class TrialNames:
     hand_sides: Sequence[str]
     parts: Sequence[str] = ()
 
+    @classmethod
+    def of(cls, scene: Any) -> "TrialNames":
+        """Of the rows that are judged in a `Scene`."""
+        return cls(
+            objects=[o.name for o in scene.objects],
+            object_splits=[o.split for o in scene.objects],
+            hand_sides=[SIDES[s] for s in scene.hands.set.side.tolist()],
+            parts=scene.part_names,
+        )
+
 
 def _array(values: Any) -> np.ndarray:
     return values.detach().cpu().numpy() if hasattr(values, "detach") else np.asarray(values)

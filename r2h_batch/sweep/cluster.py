@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from r2h_batch.command_line import refuse, tell
@@ -40,7 +41,7 @@ class ClusterError(Exception):
     """A cluster that cannot be used: one line that says what was asked for and what to do."""
 
 
-CONNECT = "import sys, ray; ray.init(address=sys.argv[1], log_to_driver=False, logging_level='ERROR'); ray.shutdown()"
+CONNECT = Path(__file__).with_name("connect.py")
 NO_TOKEN = ("InvalidAuthToken", "AuthenticationError", "Unauthenticated")
 """What Ray says when a cluster asks for a token, again and again until its own time limit."""
 
@@ -55,7 +56,7 @@ def reach(address: str, timeout_s: float) -> None:
     where = f"at --address {printable(address)}"
     todo = "start one with `ray start --head`, or leave --address out for one on this machine"
     with tempfile.TemporaryFile() as said:
-        line = [sys.executable, "-c", CONNECT, address]
+        line = [sys.executable, "-P", str(CONNECT), address]
         process = subprocess.Popen(
             line, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=said
         )

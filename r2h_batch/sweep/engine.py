@@ -16,6 +16,7 @@ import torch
 from r2h_batch.command_line import counted, is_quiet, note, refuse, tell
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.runs.rows import (
+    TrialNames,
     detail_rows,
     failure_rows,
     missing_rows,
@@ -246,7 +247,7 @@ def _score_chunk(
     answered = (
         torch.ones(len(trials), dtype=torch.bool, device="cpu") if rows is None else rows >= 0
     )
-    names, tables = setting.names, {}
+    names, tables = TrialNames.of(setting.evaluator.scene), {}
     if not answered.all():
         tables["trials"] = missing_rows(trials[~answered], names)
     if answered.any():

@@ -20,7 +20,6 @@ from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.command_line import counted, tell
 from r2h_batch.predictions import align, doubts, load_predictions
 from r2h_batch.runs import provenance
-from r2h_batch.runs.rows import TrialNames
 from r2h_batch.schedule import trial_ids
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import (
@@ -64,16 +63,6 @@ class Setting:
     @property
     def planned(self) -> int:
         return int(sum(self.header["trials"].values()))
-
-    @property
-    def names(self) -> TrialNames:
-        scene = self.evaluator.scene
-        return TrialNames(
-            objects=[o.name for o in scene.objects],
-            object_splits=[o.split for o in scene.objects],
-            hand_sides=[SIDES[s] for s in scene.hands.set.side.tolist()],
-            parts=scene.part_names,
-        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from r2h_batch.command_line import UsageError
 from r2h_batch.export.captions import as_html, title
 from r2h_batch.export.drawing import FIXED, FOV_DEG, MARKS, Drawing, Mark, View, view_of
-from r2h_batch.export.stored import StoredTrial, difference, judged_again, names_of
+from r2h_batch.export.stored import StoredTrial, difference, judged_again
 from r2h_batch.io.write import write_text
-from r2h_batch.runs.rows import detail_rows, score_rows
+from r2h_batch.runs.rows import TrialNames, detail_rows, score_rows
 from r2h_batch.types import Predictions, Scores
 from r2h_batch.validate import instance_of, integer
 
@@ -301,7 +301,7 @@ def show(scores: Scores, *, height: int = 640) -> Shown:
     again = judged_again(evaluator, trial, answer, "shown")
     note = ""
     if bool(scores.path_len[0] > 0):  # of stages="pose" only margins without a path are the same
-        names = names_of(evaluator)
+        names = TrialNames.of(evaluator.scene)
         row = score_rows(trial, scores, names).to_pylist()[0]
         row |= detail_rows(trial, scores, names).to_pylist()[0]
         note = difference(row, again.row)

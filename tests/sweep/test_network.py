@@ -103,10 +103,11 @@ def test_the_network_is_cut_between_two_nodes(tmp_path, undisturbed, nodes, driv
     same_rows(out, undisturbed)
 
 
-def test_a_cluster_that_asks_for_another_token_is_one_line_at_once(monkeypatch):
+def test_a_cluster_that_asks_for_another_token_is_one_line_at_once(tmp_path, monkeypatch):
     """Ray repeats what the cluster says until its own time limit: a stand-in for it says it once and waits."""
     words = "gcs_client.cc:210: Unauthenticated: RPC error: InvalidAuthToken: Authentication token is missing"
-    monkeypatch.setattr(cluster, "CONNECT", f"import sys, time; print({words!r}, file=sys.stderr); time.sleep(60)")
+    (tmp_path / "connect.py").write_text(f"import sys, time; print({words!r}, file=sys.stderr); time.sleep(60)")
+    monkeypatch.setattr(cluster, "CONNECT", tmp_path / "connect.py")
     start_s = time.monotonic()
     with pytest.raises(cluster.ClusterError, match=r"asks for another token .* RAY_AUTH_MODE=token") as error:
         cluster.reach("10.0.0.1:6379", 30.0)
@@ -116,7 +117,7 @@ def test_a_cluster_that_asks_for_another_token_is_one_line_at_once(monkeypatch):
 @pytest.mark.parametrize(("set_", "mode"), [({}, None), ({"RAY_AUTH_TOKEN": "a"}, "token")])
 def test_a_token_that_is_there_is_shown_and_a_mode_that_is_set_is_left_alone(tmp_path, monkeypatch, set_, mode):
     monkeypatch.setenv("HOME", str(tmp_path))
-    monkeypatch.setattr(cluster, "CONNECT", "")
+    monkeypatch.setattr(cluster, "CONNECT", os.devnull)
     for key, value in set_.items():
         monkeypatch.setenv(key, value)
     cluster.reach("10.0.0.1:6379", 30.0)

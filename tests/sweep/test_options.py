@@ -1,7 +1,6 @@
 """Options from YAML: the same fields as the flags, and one line with the field's path for everything else."""
 
 import dataclasses
-import os
 import re
 
 import pytest
@@ -224,16 +223,6 @@ def test_yaml_that_says_more_than_words_lists_and_decimal_numbers_is_refused_by_
         check(load_config(path))
     message = str(refused.value)
     assert part in message and message.isprintable() and len(message) < 700, message
-
-
-@pytest.mark.parametrize("name", ["pipe", "zero", "folder"])
-def test_special_files_are_no_configuration(tmp_path, name):
-    """Opening the pipe would wait, reading the device would fill the memory."""
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "zero").symlink_to("/dev/zero")
-    (tmp_path / "folder").mkdir()
-    with pytest.raises(UsageError, match="not a regular file"):
-        load_config(tmp_path / name)
 
 
 @pytest.mark.parametrize(

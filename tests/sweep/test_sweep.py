@@ -1,7 +1,6 @@
 """The sweep command: what it refuses, prints and stores. The evaluator is a fake except at the end."""
 
 import json
-import os
 import re
 import resource
 import signal
@@ -324,17 +323,6 @@ def test_force_new_takes_the_next_free_folder(fake, here, tmp_path, capsys):
     assert sweep.main([*line, "--seed", "2", "--force-new"]) == 0
     assert sorted(p.name for p in tmp_path.iterdir()) == ["run", "run-2", "run-3"]
     assert [load_run(tmp_path / n).header["seed"] for n in ("run", "run-2", "run-3")] == [0, 1, 2]
-
-
-def test_a_full_disk_is_one_line_and_exit_code_1(fake, here, tmp_path, capsys, monkeypatch):
-    def full(*_, **__):
-        raise OSError(28, os.strerror(28))
-
-    monkeypatch.setattr("r2h_batch.runs.store.sync_file", full)
-    assert sweep.main(["--method", f"{here}:best", "--trials", "3", "--out", str(tmp_path / "run")]) == 1
-    error = capsys.readouterr().err
-    assert error.splitlines()[-1] == "sweep: writing the run folder: No space left on device"
-    assert not list((tmp_path / "run").rglob("*.tmp")) and not list((tmp_path / "run").rglob("*.parquet"))
 
 
 def test_without_out_the_folder_is_named_after_the_time(fake, here, tmp_path, capsys, monkeypatch):

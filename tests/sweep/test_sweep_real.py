@@ -45,13 +45,6 @@ def test_a_methods_stored_poses_scored_as_a_file_give_the_same_rows(tmp_path):
     assert a.equals(b)
 
 
-def test_another_device_without_a_gpu_is_refused():
-    if torch.cuda.is_available():
-        pytest.skip("there is a GPU")
-    done = in_process("--method", "random", "--trials", 1, "--device", "cuda")
-    assert done.returncode == 2 and done.stdout == "" and "no CUDA device" in done.stderr
-
-
 @pytest.mark.slow
 def test_one_process_two_ray_workers_and_three_parts_give_the_same_digest(tmp_path):
     base = ["--method", "random", "oracle", "--trials", 30, "--threads", 1]
