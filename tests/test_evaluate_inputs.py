@@ -8,7 +8,7 @@ import torch
 from problems import assert_same, default_evaluator, make_batch
 from staging import BACK, TOOL, Staged, batch_of, hand_at, staged_evaluator
 
-from r2h_batch.types import Outcome, PlanReason, Trials
+from r2h_batch.types import CRITERIA, Outcome, PlanReason, Trials
 
 GOOD = Staged()
 every_stage = pytest.mark.parametrize("stages", ["all", "pose"])
@@ -94,6 +94,36 @@ def test_a_rotation_off_by_less_than_a_thousandth_is_accepted_as_a_rotation(how,
     assert s.outcome.tolist() == clean.outcome.tolist() == [int(Outcome.SUCCESS)]
     assert s.plan_pair.tolist() == clean.plan_pair.tolist()
     torch.testing.assert_close(s.margin, clean.margin, atol=1e-5 if how == "scaled" else 2e-3, rtol=0, equal_nan=True)
+
+
+@every_stage
+def test_denormal_numbers_are_as_good_as_zeros(stages):
+    evaluator = default_evaluator()
+    batch = make_batch(evaluator.scene, 8)
+    zero, tiny = (
+        [torch.where(T.abs() < 1e-6, torch.tensor(small), T) for T in (batch.T_obj_ee, batch.T_world_ee)]
+        for small in (0.0, 1e-41)
+    )
+    plain = evaluator.score(*zero, batch.trials, stages)
+    assert_same(evaluator.score(*tiny, batch.trials, stages), plain)
+    torch.set_flush_denormal(True)  # what a program may do for its own speed
+    try:
+        assert_same(evaluator.score(*tiny, batch.trials, stages), plain)
+    finally:
+        torch.set_flush_denormal(False)
+
+
+@every_stage
+@pytest.mark.parametrize("which", ["T_world_ee", "T_world_hand"])
+def test_rows_a_hundred_metres_away_are_judged_and_beyond_a_kilometre_are_invalid(which, stages):
+    T_obj_ee, T_world_ee, trials = batch_of([GOOD, GOOD])
+    moved = {"T_world_ee": T_world_ee.clone(), "T_world_hand": trials.T_world_hand.clone()}
+    moved[which][:, 0, 3] = torch.tensor([100.0, 2000.0])
+    trials = replace(trials, T_world_hand=moved["T_world_hand"])
+    s = staged_evaluator().score(T_obj_ee, moved["T_world_ee"], trials, stages)
+    far = Outcome.PLAN if which == "T_world_ee" else Outcome.REACH
+    assert s.outcome.tolist() == [int(far), int(Outcome.INVALID_INPUT)]
+    assert -101 < float(s.margin[0, CRITERIA.index("reach")]) < -98 and bool(s.margin[1].isnan().all())
 
 
 # --- refused before any work ---------------------------------------------------------------------------------------

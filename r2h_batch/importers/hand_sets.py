@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import HandModel, load_hand_set
-from r2h_batch.bodies.hand_file import in_body
+from r2h_batch.bodies.hand_file import check_postures, in_body
 from r2h_batch.command_line import tell
 from r2h_batch.importers import arctic, dexycb, grab, h2o, oakink
 from r2h_batch.importers.mano import ManoHand
@@ -99,12 +99,14 @@ def collect(
 
 
 def _with_frame(hand: HandMotion, frame: int) -> tuple[HandMotion, int]:
-    """The hand, held to what a hand set may know of its body and place: what --hands would refuse
-    is refused here."""
+    """The hand, held to what a hand set may hold and know of its body and place: what --hands would
+    refuse is refused here."""
     known = {"facing": hand.facing, "up": hand.up, "T_world_hand": hand.T_world_hand}
     if all(v is not None for v in known.values()):
         rows = {k: np.asarray(v)[frame if k != "up" else ...][None] for k, v in known.items()}
         in_body(rows, 1, hand.source)
+    pose = np.concatenate([np.zeros(3), hand.fingers[frame]])
+    check_postures(pose[None], hand.shape[None])
     return hand, frame
 
 

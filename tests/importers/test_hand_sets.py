@@ -171,6 +171,23 @@ def test_oakink_takes_the_receivers_of_handovers(tmp_path, capsys):
     assert "use the mug" in loaded(tmp_path / "all.npz")[0]["instruction"].tolist()
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"shape": np.full(10, 1e5)}, "shape"),
+        ({"pose": [[[0.0] * 4] * 4] * 4096}, "pose is"),
+        ({"pose": [np.zeros(1 << 20)] * 5000}, "pose is missing or no numbers"),
+    ],
+)
+def test_a_grasp_of_oakink_that_is_no_hand_is_refused_in_one_line(tmp_path, capsys, change, words):
+    path = write_oakink(tmp_path, "abcdef0123", "pass1/A01001_0004_0001_0002/2021-09-26-19-59-58_alt")
+    path.write_bytes(pickle.dumps({**pickle.loads(path.read_bytes()), **change}))
+    code, _, err = imported(capsys, tmp_path, "oakink", tmp_path / "hands.npz")
+    skipped, refused = err.strip().split("\n")
+    assert code == 2 and words in skipped and "none of 1 files could be read" in refused
+    assert not (tmp_path / "hands.npz").exists()
+
+
 def test_our_own_postures_in_the_same_form(tmp_path, capsys):
     out = tmp_path / "hands.npz"
     assert main(["import", "hands", "--from", "built-in", "--out", str(out)]) == 0

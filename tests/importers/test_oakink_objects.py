@@ -73,6 +73,25 @@ def test_what_is_not_as_it_should_be_is_named_and_skipped_or_refused(oakink, tmp
 
 
 @pytest.mark.parametrize(
+    ("vertices", "words"),
+    [
+        ("v nan 0 0\nv 1 0 0\nv 0 1 0\n", "not finite"),
+        ("v 1e30 0 0\nv 1 0 0\nv 0 1e30 0\n", "the largest side is 1e+30 m"),
+        ("v 0 0 0\n" * 3, "the largest side is 0 m"),
+    ],
+)
+def test_a_mesh_that_no_benchmark_takes_is_not_imported(tmp_path, capsys, vertices, words):
+    at = tmp_path / "shape" / "OakInkObjectsV2" / "mug" / "align"
+    at.mkdir(parents=True)
+    (tmp_path / "shape" / "metaV2").mkdir()
+    (tmp_path / "shape" / "metaV2" / "object_id.json").write_text('{"C1": {"name": "mug"}}')
+    (at / "scan.obj").write_text(f"{vertices}f 1 2 3\n")
+    assert main(["objects", str(tmp_path), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("skipped: mug: mug: ") and words in said and not (tmp_path / "mine").exists()
+
+
+@pytest.mark.parametrize(
     ("meta", "words"),
     [
         ('{"X1": {"name": "../../../etc"}}', "points outside the folder"),

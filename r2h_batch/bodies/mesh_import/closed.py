@@ -37,7 +37,7 @@ from r2h_batch.bodies.mesh_import.manifold import (
 from r2h_batch.bodies.mesh_import.winding_solid import MOST_FACES, winding_solid
 from r2h_batch.bodies.solid import Surface, sample_surface, signed_distance, winding_number
 
-__all__ = ["Closed", "ObjectMeshError", "Repair", "closed_mesh"]
+__all__ = ["Closed", "ObjectMeshError", "Repair", "check_mesh", "closed_mesh"]
 
 SMALLEST_M, LARGEST_M, FARTHEST_M = 0.01, 2.0, 10.0
 CHANGE_SAMPLES = 5000
@@ -124,7 +124,7 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
     budget = Budget(label)
     vertices = np.asarray(read.vertices, np.float64) * scale
     faces = np.asarray(read.faces, np.int64)
-    _check(vertices, faces, label)
+    check_mesh(vertices, faces, label)
     done: list[str] = []
     mesh = _merged(vertices, faces, done)
     same = len(mesh.faces) == len(faces)
@@ -572,7 +572,8 @@ def _separate_bodies(mesh: trimesh.Trimesh, budget: Budget) -> list[float]:
     return sorted(map(float, sides), reverse=True)
 
 
-def _check(vertices: NDArray[np.float64], faces: NDArray[np.int64], label: str) -> None:
+def check_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64], label: str) -> None:
+    """Raise `ObjectMeshError` for a mesh that is empty, not finite, or of no object's size."""
     if len(faces) == 0 or len(vertices) == 0:
         raise ObjectMeshError(
             f"{label}: the mesh is empty ({len(vertices)} vertices, {len(faces)} faces)"

@@ -22,6 +22,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from r2h_batch.bodies.mesh_import.closed import check_mesh
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
 from r2h_batch.bodies.mesh_import.limits import ObjectMeshError
 from r2h_batch.bodies.solid import Surface
@@ -32,7 +33,7 @@ __all__ = ["OakObject", "collect", "write"]
 
 META = {"object_id.json": "OakInkObjectsV2", "virtual_object_id.json": "OakInkVirtualObjectsV2"}
 MAX_META_BYTES, MAX_PART_BYTES = 16 << 20, 64 << 10
-HELD = "held_by_hand"
+HELD, MOST_PARTS = "held_by_hand", 64
 ON_PART = 0.02
 """A face farther from every part than this share of the object's largest side is on none of them:
 these parts are not of this mesh, or not in its frame."""
@@ -83,6 +84,7 @@ def read(oid: str, name: str, at: Path, parts: dict[str, list[Path]]) -> OakObje
     label, names, held = _labels(mesh, parts.get(name) or parts.get(oid) or [], printable(name))
     middle = mesh.bounds.mean(axis=0)
     made = trimesh.Trimesh(mesh.vertices - middle, mesh.faces, process=False)
+    check_mesh(made.vertices, made.faces, printable(name))
     return OakObject(_name(name), made, label, names, held if 0 < len(held) < len(names) else ())
 
 
@@ -105,6 +107,8 @@ def _labels(
     held."""
     if not files:
         return np.zeros(len(mesh.faces), np.int64), ("body",), ()
+    if len(files) > MOST_PARTS:
+        raise FileError(f"{label}: {len(files)} parts; at most {MOST_PARTS} are allowed")
     names, held, distance = [], [], []
     for file in files:
         said = _dictionary(file, MAX_PART_BYTES)
