@@ -7,6 +7,7 @@ derive from the registry.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from jaxtyping import Bool, Float32, Float64, Int8, Int32
@@ -24,18 +25,19 @@ from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
 
 __all__ = ["Criterion", "Evidence", "affordance", "judge", "plan", "reach", "safe", "stability"]
 
+KINDS = (MarginKind.CAP, MarginKind.BOUND, MarginKind.DISTANCE, MarginKind.CAP)
 _TOUCHING_PASSES = {entry.name: entry.touching_passes for entry in REGISTRY}
 
 
 @dataclass(frozen=True)
 class Criterion:
-    """One criterion of B handovers. A criterion that was not evaluated has no margin and does not
-    pass."""
+    """One criterion of B handovers. Where it was not evaluated, `margin`, `passed` and `kind` mean
+    nothing (`judge.scores.verdict` takes them out, of all criteria at once)."""
 
-    margin: Float32[Tensor, " b"]  # m; NaN where not evaluated
+    margin: Float32[Tensor, " b"]  # m
     passed: Bool[Tensor, " b"]
     evaluated: Bool[Tensor, " b"]
-    kind: Int8[Tensor, " b"]  # MarginKind, whatever `evaluated` says
+    kind: Int8[Tensor, " b"]  # MarginKind
 
     @staticmethod
     def of(
@@ -52,15 +54,26 @@ class Criterion:
         passed = (margin >= 0) if _TOUCHING_PASSES[name] else (margin > 0)
         if kind is None:
             kind = torch.full_like(margin, int(MarginKind.DISTANCE), dtype=torch.int8)
-        margin = torch.where(evaluated, margin, torch.nan)
-        return Criterion(margin, passed & evaluated, evaluated, kind)
+        return Criterion(margin, passed, evaluated, kind)
+
+
+@lru_cache(maxsize=256)
+def constants(device: torch.device, dtype: torch.dtype, *values: float) -> Tensor:
+    """These numbers (n,), filled in on the device: a GPU would wait for a copy from the host. Each
+    is made once: a small call is all overhead."""
+    out = torch.empty(len(values), dtype=dtype, device=device)
+    for i, value in enumerate(values):
+        out[i].fill_(value)
+    return out
 
 
 def kind_of(clearance_m: Float32[Tensor, " b"], cap_m: float) -> Int8[Tensor, " b"]:
-    """MarginKind of clearances that count up to `cap_m`: BOUND below 0, CAP from the cap on."""
-    below, capped = clearance_m < 0, clearance_m >= cap_m
-    kind = torch.where(below, int(MarginKind.BOUND), int(MarginKind.DISTANCE))
-    return torch.where(capped, int(MarginKind.CAP), kind).to(torch.int8)
+    """MarginKind of clearances that count up to `cap_m`: CAP at -inf, BOUND below 0, CAP from the
+    cap on."""
+    lowest = torch.finfo(torch.float32).min
+    edges = constants(clearance_m.device, torch.float32, lowest, 0.0, cap_m)
+    kinds = constants(clearance_m.device, torch.int8, *KINDS)
+    return kinds[torch.bucketize(clearance_m, edges, right=True)]
 
 
 @dataclass(frozen=True)
@@ -94,7 +107,11 @@ def stability(e: Evidence) -> Criterion:
     grasp has to hold the object through its weight and a shake along three axes.
     """
     grasp = e.held.grasp
-    held = torch.where(grasp.empty, int(MarginKind.CAP), int(MarginKind.DISTANCE)).to(torch.int8)
+    device = grasp.empty.device
+    cap, distance = (
+        constants(device, torch.int8, kind) for kind in (MarginKind.CAP, MarginKind.DISTANCE)
+    )
+    held = torch.where(grasp.empty, cap, distance)
     cuts = grasp.margin_m == grasp.cut_m
     kind = torch.where(cuts, kind_of(grasp.cut_m, CUT_CAP_M), held)
     geometric = Criterion.of("stability", grasp.margin_m, e.held.active, kind)
@@ -104,8 +121,7 @@ def stability(e: Evidence) -> Criterion:
     margin = torch.minimum(geometric.margin, left)
     # only grasps that pass geometrically were shaken
     margin = torch.where(geometric.passed, margin, geometric.margin)
-    slips = torch.where(left.isinf(), int(MarginKind.CAP), int(MarginKind.DISTANCE))
-    kind = torch.where(margin < geometric.margin, slips.to(torch.int8), kind)
+    kind = torch.where(margin < geometric.margin, torch.where(left.isinf(), cap, distance), kind)
     return Criterion.of("stability", margin, e.held.active, kind)
 
 
@@ -117,12 +133,10 @@ def plan(e: Evidence) -> Criterion:
     not come to rest at its goal: no length says by how much. A path that was found passes, also
     where its clearance was only sampled.
     """
-    active, kind = e.held.active, kind_of(e.clearance_m, CLEARANCE_CAP_M)
     missed = e.reason == int(PlanReason.IK_UNREACHABLE)  # by how far
-    kind = torch.where(missed, int(MarginKind.DISTANCE), kind)
-    kind = torch.where(e.clearance_m.isinf(), int(MarginKind.CAP), kind).to(torch.int8)
-    margin = torch.where(active, e.clearance_m, torch.nan)
-    return Criterion(margin, e.free & active, active, kind)
+    distance = constants(missed.device, torch.int8, MarginKind.DISTANCE)
+    kind = torch.where(missed, distance, kind_of(e.clearance_m, CLEARANCE_CAP_M))
+    return Criterion(e.clearance_m, e.free, e.held.active, kind)
 
 
 def reach(e: Evidence) -> Criterion:
@@ -180,5 +194,6 @@ def safe(e: Evidence) -> Criterion:
     With `receiver="body"` arm and torso of the receiver count as the hand does.
     """
     distance, cap_m = e.touch.distance_m, CLEARANCE_CAP_M
-    kind = kind_of(torch.where(e.touch.body < 0, cap_m, distance), cap_m)
+    far = constants(distance.device, torch.float32, cap_m)
+    kind = kind_of(torch.where(e.touch.body < 0, far, distance), cap_m)
     return Criterion.of("safe", distance - e.config.thresholds.safe_margin_m, e.moves, kind)

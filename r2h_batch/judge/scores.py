@@ -11,14 +11,18 @@ from r2h_batch.config import BORDERLINE_M, ExecConfig
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
-from r2h_batch.judge.metrics import Criterion
+from r2h_batch.judge.metrics import Criterion, constants
 from r2h_batch.judge.plan import Plan
 from r2h_batch.judge.presented import Presented
 from r2h_batch.motion.execute import Executed, executed_time_at
 from r2h_batch.motion.time_law import Motion, time_at
-from r2h_batch.types import CollidingPair, MarginKind, Outcome, PlanReason, Scores
+from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
 
 __all__ = ["motion_scores", "pose_scores", "verdict"]
+
+
+NONE_FAILED = 100
+"""More than the code of any criterion."""
 
 
 def verdict(
@@ -35,31 +39,38 @@ def verdict(
     simulator failed; such a row is judged by nothing and is INVALID_SIM. A row that is not active
     is INVALID_INPUT.
     """
-    active, grasp = held.active, held.grasp
-    margin = torch.stack([c.margin for c in criteria], 1)  # (B, C), as the three below
-    kind = torch.stack([c.kind for c in criteria], 1)
-    passed = torch.stack([c.passed for c in criteria], 1)
-    evaluated = torch.stack([c.evaluated for c in criteria], 1)
+    active, grasp, device = held.active, held.grasp, held.active.device
+    nan = constants(device, torch.float32, torch.nan)
+    success, invalid_sim, invalid_input = (
+        constants(device, torch.int8, code)
+        for code in (Outcome.SUCCESS, Outcome.INVALID_SIM, Outcome.INVALID_INPUT)
+    )
+    evaluated = torch.stack([c.evaluated for c in criteria], 1)  # (B, C), as the three below
     if valid is not None:
-        margin = torch.where(valid[:, None], margin, torch.nan)
-        passed, evaluated = passed & valid[:, None], evaluated & valid[:, None]
-    failed = evaluated & ~passed
-    first = failed.to(torch.int8).argmax(1) + 1  # of equal values argmax is the first
-    outcome = torch.where(failed.any(1), first, int(Outcome.SUCCESS))
+        evaluated = evaluated & valid[:, None]
+    passed = torch.stack([c.passed for c in criteria], 1) & evaluated
+    margin = torch.where(evaluated, torch.stack([c.margin for c in criteria], 1), nan)
+    kind = torch.stack([c.kind for c in criteria], 1) * evaluated  # MarginKind.NONE is 0
+    # of the failed ones the first, which has the smallest code; where none failed more than any
+    codes = constants(device, torch.int8, *range(1, len(criteria) + 1))
+    none = constants(device, torch.int8, NONE_FAILED)
+    first = torch.where(evaluated ^ passed, codes, none).amin(1)
+    outcome = torch.where(first == none, success, first)
     if valid is not None:
-        outcome = torch.where(valid, outcome, int(Outcome.INVALID_SIM))
-    outcome = torch.where(active, outcome, int(Outcome.INVALID_INPUT)).to(torch.int8)
+        outcome = torch.where(valid, outcome, invalid_sim)
+    outcome = torch.where(active, outcome, invalid_input)
     return {
         "outcome": outcome,
-        "success": outcome == int(Outcome.SUCCESS),
+        "success": outcome == success,
         "passed": passed,
         "evaluated": evaluated,
         "margin": margin,
-        "margin_kind": torch.where(evaluated, kind, int(MarginKind.NONE)).to(torch.int8),
-        "borderline": (evaluated & (margin.abs() < BORDERLINE_M)).any(1),
-        "width_m": torch.where(active, grasp.width_m, torch.nan),
-        "opening_m": torch.where(active, grasp.opening_m, torch.nan),
-        "grasp_shift_m": torch.where(active, grasp.shift_m, torch.nan),
+        "margin_kind": kind,
+        # NaN is not below it
+        "borderline": (margin.abs() < constants(device, torch.float32, BORDERLINE_M)).any(1),
+        "width_m": torch.where(active, grasp.width_m, nan),
+        "opening_m": torch.where(active, grasp.opening_m, nan),
+        "grasp_shift_m": torch.where(active, grasp.shift_m, nan),
         "slip_m": torch.full_like(grasp.width_m, torch.nan) if slip_m is None else slip_m.float(),
         "presented": region.presented,
         "presented_angle_deg": region.angle_deg,

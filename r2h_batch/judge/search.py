@@ -28,11 +28,12 @@ ENOUGH = 1.1
 """A path that takes at most this times the straight line between its ends is not shortened
 further."""
 TOO_LONG = 2.0
-"""A path that takes more than this times the straight line to the goal nearest in time is looked
-for again ..."""
+"""A path is a detour if it takes more than this times the straight line to the goal nearest in
+time."""
 AGAIN = 2
-"""... this many times, with other random numbers and a budget of ..."""
+"""How many more searches a detour gets, with other random numbers."""
 AGAIN_ITERATIONS = 500
+"""Budget of each of them, in random postures."""
 
 
 @dataclass(frozen=True)
