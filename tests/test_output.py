@@ -148,8 +148,8 @@ def test_a_kernel_cache_that_takes_nothing_is_one_line_and_exit_code_1(tmp_path,
     Another kernel is there already, so the cache was not full when it was begun.
     """
     full = cache == "fills up"
-    line = ["sweep", "--method", "random", "--trials", "1", "--sim", "none", "--out", str(tmp_path / "run")]
-    code = f"{FILLS_UP if full else ''}\nimport sys\nfrom r2h_batch.__main__ import main\nsys.exit(main({line}))"
+    code = f"{FILLS_UP if full else ''}\nimport sys\nfrom r2h_batch.command_line import answer\n"
+    code += "from r2h_batch.judge.plan import load_searches\nsys.exit(answer('sweep', lambda: load_searches('cpu')))"
     folder = str(tmp_path / "cache") if full else f"{cache}/x"
     environment = {**os.environ, "WARP_CACHE_PATH": folder}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)

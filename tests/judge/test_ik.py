@@ -8,7 +8,6 @@ from needs import needs
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.ik import solve_ik, ur_parameters
-from r2h_batch.kernels.ik import step as ik_step
 
 PI = np.pi
 HOME = np.array(HOME_Q)
@@ -110,32 +109,6 @@ def test_residuals_hold_for_an_independent_forward_kinematics(targets, result):
     assert np.abs(position - result.position_error_m.numpy()[valid]).max() < 1e-9
     assert np.abs(rotation - result.rotation_error_rad.numpy()[valid]).max() < 1e-9
     assert np.isnan(result.q.numpy()[~valid]).all() and np.isinf(result.position_error_m.numpy()[~valid]).all()
-
-
-def test_a_slot_is_the_label_of_its_branch(targets, result):
-    valid = result.valid.numpy()
-    row, slot = np.nonzero(valid)
-    q = result.q.numpy()[valid].astype(np.float64)
-    z = orthonormal(targets[row])
-    p5 = z[:, :3, 3] - UR.tool * z[:, :3, 2]
-    ahead = np.cos(q[:, 0]) * p5[:, 0] + np.sin(q[:, 0]) * p5[:, 1]
-    clear = (np.abs(ahead) > 1e-5) & (np.abs(np.sin(q[:, 2])) > 1e-5) & (np.abs(np.sin(q[:, 4])) > 1e-5)
-    label = 4 * (ahead < 0) + 2 * (np.sin(q[:, 2]) < 0) + (np.sin(q[:, 4]) < 0)
-    assert clear.mean() > 0.999
-    assert (label == slot)[clear].all()
-
-
-def test_damped_least_squares_does_the_work_and_the_closed_form_agrees(targets, result):
-    converged = result.status == int(ik_step.STATUS_CONVERGED)
-    assert result.rescued.sum() <= 1e-4 * converged.sum()
-    assert (result.status == int(ik_step.STATUS_EDGE)).any(1).float().mean() < 1e-3
-    assert result.steps[converged].float().mean() < 8
-    one_step = solve_ik(torch.from_numpy(targets), iterations=1)  # no seed converges: the closed form answers alone
-    assert (one_step.rescued == (converged | result.rescued)).all()
-    both = (result.valid & one_step.valid).numpy()
-    assert (result.valid == one_step.valid).all()
-    easy = both & (np.abs(np.sin(result.q.numpy()[..., 2])) > 1e-3) & (np.abs(np.sin(result.q.numpy()[..., 4])) > 1e-3)
-    assert np.abs(wrapped((result.q - one_step.q).numpy()[easy].astype(np.float64))).max() < 1e-4
 
 
 def test_joints_stand_at_the_turn_nearest_home_within_limits(result):

@@ -32,21 +32,6 @@ def compiled(name: str, folder: Path) -> Path:
     return code
 
 
-def registers(code: bytes) -> int:
-    """The largest number of registers of a module's kernels: EIATTR_REGCOUNT in the section .nv.info of its machine code."""
-    at = code.index(b"\x04\x2f\x08\x00")  # a number follows, REGCOUNT, 8 bytes: symbol, registers
-    counts = []
-    while at >= 0:
-        counts.append(int.from_bytes(code[at + 8 : at + 12], "little"))
-        at = code.find(b"\x04\x2f\x08\x00", at + 12)
-    return max(counts)
-
-
-def test_what_an_if_leaves_behind_is_not_kept_in_registers_around_a_loop(tmp_path: Path) -> None:
-    """`where` is a branch on CUDA (kernels/options.py): as a select GJK of listed pairs had 239 registers."""
-    assert 100 < registers(compiled("frontier.pairs", tmp_path).read_bytes()) < 200
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MODULES)
 def test_a_module_compiles_for_sm_90(name: str, tmp_path: Path) -> None:

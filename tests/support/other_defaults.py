@@ -20,7 +20,7 @@ def everything() -> dict[str, np.ndarray]:
     from r2h_batch.sweep.options import METHODS
     from r2h_batch.twist import exp, log
 
-    trials = make_trials(("S0", "S1"), 6)
+    trials = make_trials(("S0", "S1"), 3)
     evaluator = Evaluator(device="cpu", threads=1)
     out = dict(vars(trials))
     answers = {}

@@ -299,20 +299,6 @@ def test_gradients_do_not_depend_on_batch_order_or_threads(batch):
     assert gradients(evaluator, batch.rows(slice(0, 0)))[1].shape == (0, 5, 12)
 
 
-def test_candidates_n_by_k_and_one_pose_alone_have_gradients(batch):
-    evaluator = default_evaluator()
-    trials = batch.trials[:4]
-    pose = torch.stack([batch.T_obj_ee[:8], batch.T_world_ee[:8]]).reshape(2, 4, 2, 4, 4).clone().requires_grad_()
-    soft = evaluator.score(pose[0], pose[1], trials, stages="pose").soft(temperature_m=0.01, log=True)
-    (both,) = torch.autograd.grad(soft.sum(), pose)
-    assert both.shape == pose.shape and both[0].any() and both[1].any()
-    T_world_ee = batch.T_world_ee[:4].clone().requires_grad_()
-    reach = evaluator.score(batch.T_obj_ee[:4], T_world_ee, trials, stages="pose").margin[:, REACH]
-    assert torch.autograd.grad(reach.sum(), T_world_ee)[0].any()
-    motion = evaluator.kinematic.score(batch.T_obj_ee[:4], T_world_ee, trials, stages="all")
-    assert not motion.margin.requires_grad
-
-
 def test_an_overlap_of_hand_and_robot_is_left_along_the_gradient():
     evaluator = default_evaluator()
     batch = candidates(evaluator, 300, seed=13)
