@@ -52,7 +52,8 @@ def headline(row: dict[str, Any]) -> str:
         return f"{line}: {part} meets the hand at {row['witness_time_s']:.1f} s"
     if margin is None or not np.isfinite(margin):
         return line
-    return f"{line} by {-1e3 * margin:.1f} mm"
+    least = "at least " if row.get(f"margin_kind_{outcome}") == "bound" else ""
+    return f"{line} by {least}{-1e3 * margin:.1f} mm"
 
 
 def summary(row: dict[str, Any]) -> str:
@@ -95,7 +96,11 @@ def _criteria(drawing: Drawing) -> list[tuple[str, str, str]]:
         passed, margin = row.get(f"passed_{name}"), row.get(f"margin_{name}_m")
         verdict = "not judged" if passed is None else "passes" if passed else "fails"
         size = np.nan if margin is None else float(margin)
-        found.append((name, verdict, f"{1e3 * size:+.1f} mm" if np.isfinite(size) else "none"))
+        kind = row.get(f"margin_kind_{name}")
+        more = " or less" if kind == "bound" else " or more" if kind == "cap" and size > 0 else ""
+        found.append(
+            (name, verdict, f"{1e3 * size:+.1f} mm{more}" if np.isfinite(size) else "none")
+        )
     return found
 
 

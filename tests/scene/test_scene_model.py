@@ -190,9 +190,20 @@ def test_worlds_of_mujoco_warp_each_have_the_body_of_their_own_trial():
     order = rng.permutation(16)  # which world runs which trial
     path = [wp.zeros(shape, dtype=kind) for shape, kind in (((16, 2, 6), float), ((16, 2), float), (16, int))]
     law = servo_law(ExecConfig(), lead_s=0.0, step_s=STEP_S)
-    job = Job(model, law, tuple(path), which, trials, np.tile(q, (16, 1)), np.full(16, 2), 1, "cpu")
+    job = Job(
+        model,
+        law,
+        tuple(path),
+        which,
+        trials,
+        np.tile(q, (16, 1)),
+        np.full(16, 2),
+        1,
+        "cpu",
+        scene().motion_radii.numpy(),
+    )
     # no public way to one world of an engine: simulate() steps its own until they are empty
-    stand = StandingWorlds(model, law, 1, "cpu", 16, 512, 2048)
+    stand = StandingWorlds(model, law, 1, scene().motion_radii.numpy(), "cpu", 16, 512, 2048)
     m, d = stand.model, stand.data
     with mock.patch.object(wp, "capture_launch", lambda graph: stand.worlds.left.zero_()):
         stand.run(job, order)

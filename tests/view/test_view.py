@@ -100,6 +100,10 @@ def test_a_headline_names_the_first_failure_and_its_cause():
     for row, words in (
         (safe, "safe fails: left pad meets the hand at 4.2 s"),
         ({"outcome": "stability", "margin_stability_m": -0.0123}, "stability fails by 12.3 mm"),
+        (
+            {"outcome": "stability", "margin_stability_m": -0.0123, "margin_kind_stability": "bound"},
+            "stability fails by at least 12.3 mm",
+        ),
         ({"outcome": "reach", "margin_reach_m": -np.inf}, "reach fails"),
         (plan, "plan fails: every posture at the target collides (object and hand)"),
         ({"outcome": "success", "t_exec_s": 3.26}, "success, 3.3 s"),
