@@ -1,13 +1,22 @@
 """Sweeps of the fake bench as processes, to be killed: what they left is compared with an undisturbed run."""
 
 import os
+import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
+import fake_bench
+from fake_bench import set_clock
+
+import r2h_batch.report.table  # noqa: F401 (a fork would import it)
+from r2h_batch.judge.plan import load_searches
 from r2h_batch.results.command import verify
 from r2h_batch.runs.store import load_run
+from r2h_batch.sweep import command as sweep
+from r2h_batch.sweep import jobs
 
 SUPPORT = Path(__file__).parent
 SWEEP = [sys.executable, str(SUPPORT / "fake_bench.py"), "--trials", "60", "--shard-trials", "10", "--chunk", "5"]
@@ -21,10 +30,55 @@ def environment(tmp_path, **more):
     return {**os.environ, **extra, "TERM": "dumb", **more}
 
 
-def start(tmp_path, out, method=SLOW, *flags, **more):
+class Fork:
+    """The sweep command in a fork of this process: as good as a process of its own to be killed, and 4 CPU s cheaper."""
+
+    def __init__(self, line, env, before):
+        load_searches("cpu")  # once here, not in every fork
+        self.args, self.said = line, [tempfile.TemporaryFile("w+") for _ in range(2)]  # noqa: SIM115 (read at the end)
+        self.pid = os.fork()
+        if self.pid:
+            return
+        code = 99
+        try:
+            for number, file in enumerate(self.said, 1):
+                os.dup2(file.fileno(), number)
+            sys.stdout, sys.stderr = (os.fdopen(n, "w", buffering=1) for n in (1, 2))
+            sys.argv = line
+            os.environ.update(env)
+            set_clock(float(env.get("FAKE_CLOCK", "0")))
+            jobs.prepare = fake_bench.prepare
+            before()
+            code = sweep.main(line[1:])
+            sys.stdout.flush()
+        finally:
+            os._exit(code)
+
+    def send_signal(self, number):
+        os.kill(self.pid, number)
+
+    def kill(self):
+        self.send_signal(signal.SIGKILL)
+
+    def communicate(self, timeout):
+        end = time.monotonic() + timeout
+        while not (ended := os.waitpid(self.pid, os.WNOHANG))[0]:
+            if time.monotonic() > end:
+                raise subprocess.TimeoutExpired(self.args, timeout)
+            time.sleep(0.02)
+        self.returncode = os.waitstatus_to_exitcode(ended[1])
+        for file in self.said:
+            file.seek(0)
+        return [file.read() for file in self.said]
+
+
+def start(tmp_path, out, method=SLOW, *flags, before=lambda: None, **more):
+    """A sweep of the fake bench; `before` is called in its process first. With Ray in a process of its own."""
     methods = [method] if isinstance(method, str) else method
     line = [*SWEEP, "--method", *methods, "--out", str(out), "--format", "csv", *flags]
     env = environment(tmp_path, **more)
+    if "--engine" not in flags:
+        return Fork(line[1:], env, before)
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env)
 
 

@@ -5,16 +5,14 @@ The evaluator is a fake; processes, signals and files are real.
 
 import json
 import os
+import resource
 import signal
-import subprocess
-import sys
 import time
-from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import fake_bench
 import pytest
-from disturbed import DEADLY, SLOW, SWEEP, environment, finish, receipts, same_rows, start, wait_for
+from disturbed import DEADLY, SLOW, finish, receipts, same_rows, start, wait_for
 
 from r2h_batch.runs import store
 from r2h_batch.runs.store import load_run
@@ -79,69 +77,55 @@ def test_a_read_only_folder_is_one_line_with_what_to_do(tmp_path):
 def test_a_full_disk_is_one_line_and_the_sweep_goes_on_after_freeing(tmp_path, undisturbed):
     """A file size limit is what a quota looks like: the write fails with EFBIG instead of ENOSPC."""
     out = tmp_path / "run"
-    code = (
-        "import resource, runpy, signal, sys; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))\n"
-        "sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
-    )
-    line = [sys.executable, "-c", code, *SWEEP[1:], "--method", SLOW, "--out", str(out)]
-    done = subprocess.run(line, capture_output=True, text=True, env=environment(tmp_path), check=False, timeout=120)
-    assert done.returncode == 1 and done.stdout == "", done.stderr
-    assert done.stderr.splitlines()[-1].startswith("sweep: ") and "Traceback" not in done.stderr
+
+    def small_files():
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000))
+
+    code, table, error = finish(start(tmp_path, out, before=small_files))
+    assert code == 1 and table == "", error
+    assert error.splitlines()[-1].startswith("sweep: ") and "Traceback" not in error
     assert not list(out.rglob("*.tmp")) and not list(out.rglob("*.parquet")) and not receipts(out)
     code, _, error = finish(start(tmp_path, out, FAKE_SECONDS="0"))
     assert code == 0, error
     same_rows(out, undisturbed)
 
 
-def test_three_parts_at_once_give_the_rows_of_one_process(tmp_path, undisturbed):
+def test_parts_at_once_of_which_some_are_killed_and_started_again_give_the_rows_of_one_process(tmp_path, undisturbed):
+    """An array of jobs, of which a queue starts two again, and a sweep of all shards beside it."""
     out = tmp_path / "run"
-    parts = [start(tmp_path, out, SLOW, "--shard", f"{i}/3") for i in (1, 2, 3)]
-    results = [finish(p) for p in parts]
-    assert [code for code, _, _ in results] == [0, 0, 0], results
-    assert sum(table.startswith("split,") for _, table, _ in results) >= 1
+    parts = [start(tmp_path, out, SLOW, "--shard", f"{i}/5") for i in (1, 2, 3, 4, 5)]
+    whole = start(tmp_path, out)
+    wait_for(lambda: len(receipts(out)) >= 2, "two shards")
+    for i in (1, 3):
+        parts[i].kill()
+        finish(parts[i])
+        parts[i] = start(tmp_path, out, SLOW, "--shard", f"{i + 1}/5")
+    ends = [finish(p) for p in [*parts, whole]]
+    assert [code for code, _, _ in ends] == [0] * 6, ends
+    assert sum(table.startswith("split,") for _, table, _ in ends) >= 1
     same_rows(out, undisturbed)
 
 
-@pytest.fixture
-def forked(tmp_path, monkeypatch):
-    """Runs the sweep on the fake bench in a fork of this process: as good as a process of its own to be killed, and cheaper."""
-    for key, value in environment(tmp_path).items():
-        monkeypatch.setenv(key, value)
-
-    def run(*flags, **more):
-        said = tmp_path / "said"
-        if not (child := os.fork()):
-            code = 99
-            try:
-                os.environ.update(more)
-                jobs.prepare = fake_bench.prepare
-                with said.open("w", buffering=1) as file, redirect_stdout(file), redirect_stderr(file):
-                    code = sweep.main([*SWEEP[2:], "--format", "csv", *map(str, flags)])
-            finally:
-                os._exit(code)
-        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), said.read_text()
-
-    return run
-
-
-def test_a_shard_that_always_kills_the_sweep_comes_last_is_quarantined_listed_and_tried_again(
-    tmp_path, undisturbed, forked
-):
+def test_a_shard_that_always_kills_the_sweep_comes_last_is_quarantined_listed_and_tried_again(tmp_path, undisturbed):
     out = tmp_path / "run"
-    line = ("--method", DEADLY, "--out", out)
+
+    def once_more(deadly="47"):
+        code, table, error = finish(start(tmp_path, out, DEADLY, FAKE_DEADLY=deadly))
+        return code, table + error
+
     for deaths, stored in ((1, 4), (2, 11), (3, 11)):  # the second try stores all others before it dies again
-        code, said = forked(*line, FAKE_DEADLY="47")
+        code, said = once_more()
         assert code == -signal.SIGKILL and len(receipts(out)) == stored, said
         assert (tmp_path / "log").read_text() == "x" * deaths
-    code, said = forked(*line, FAKE_DEADLY="47")
+    code, said = once_more()
     assert code == 1 and f"{DEADLY}: quarantined after three tries: shards 4" in said, said
     assert (tmp_path / "log").read_text() == "xxx" and "split," not in said
     run = load_run(out)
     assert [s.index for s in run.missing(DEADLY)] == [s.index for s in run.quarantined(DEADLY)] == [4]
-    assert forked(*line, FAKE_DEADLY="47")[0] == -signal.SIGKILL  # tried once more
-    assert forked(*line, FAKE_DEADLY="47")[0] == 1
-    code, said = forked(*line, FAKE_DEADLY="-1")
+    assert once_more()[0] == -signal.SIGKILL  # tried once more
+    assert once_more()[0] == 1
+    code, said = once_more("-1")
     assert code == 0 and "split," in said, said
     assert not list((out / "quarantine").rglob("*.json")) and not list((out / ".claims").glob("*.begun"))
     same_rows(out, undisturbed, DEADLY)
