@@ -318,11 +318,10 @@ def write_open(folder: Path, benchmark: Benchmark, trials: Trials, answer: str) 
     for i in used:
         _write_object(folder / "objects", benchmark.objects[i], candidates[i])
     _write_json(folder / "objects.json", [_about(i, benchmark.objects[i]) for i in used])
-    _write_json(
-        folder / "hands.json",
-        _write_hands(folder / "hands", benchmark, sorted(set(trials.hand_index.tolist()))),
-    )
-    rows = _trial_rows(benchmark, trials)
+    hands = _hand_arrays(benchmark.hand_set)
+    used_hands = sorted(set(trials.hand_index.tolist()))
+    _write_json(folder / "hands.json", _write_hands(folder / "hands", benchmark, hands, used_hands))
+    rows = _trial_rows(benchmark, trials, hands)
     _write_json(folder / "trials.json", rows)
     _write_csv(
         folder / "trials.csv", _columns(rows[0]) if rows else [], (_cells(row) for row in rows)
@@ -397,22 +396,20 @@ def _about(index: int, o: ObjectModel) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _write_hands(folder: Path, benchmark: Benchmark, used: list[int]) -> list[dict[str, Any]]:
+def _write_hands(
+    folder: Path, benchmark: Benchmark, hands: Arrays, used: list[int]
+) -> list[dict[str, Any]]:
     """PLY files of the hands, and what is said of each beside its mesh."""
-    hands, model = benchmark.hand_set, benchmark.hand_set.model
-    rows = torch.tensor(used, dtype=torch.int64, device="cpu")
-    posed = model.pose(hands.pose[rows], hands.shape[rows], hands.side[rows])
-    point, normal = palm_frame(posed.joints, hands.side[rows])
-    faces = model.faces_by_side.numpy()
-    about = []
-    for k, i in enumerate(used):
-        side = int(hands.side[i])
-        _write_ply(folder / f"{i}.ply", posed.vertices[k].numpy(), faces[side])
-        about.append({
-            "hand_index": i, "mesh": f"hands/{i}.ply", "side": SIDES[side], "posture": hands.posture[i],
-            "joints_m": posed.joints[k].tolist(), "palm_point_m": point[k].tolist(), "palm_normal": normal[k].tolist(),
-            "tip_vertices": model.tip_vertices.tolist(), "pose_rad": hands.pose[i].tolist(), "shape": hands.shape[i].tolist(),
-        })  # fmt: skip
+    of, about = {name: array for name, (array, _) in hands.items()}, []
+    lists = {"joints_m": "joints", "palm_point_m": "palm_point", "palm_normal": "palm_normal"}
+    for i in used:
+        side = int(of["side"][i])
+        _write_ply(folder / f"{i}.ply", of["vertices"][i], of["faces"][side])
+        words = {"hand_index": i, "mesh": f"hands/{i}.ply", "side": SIDES[side]}
+        words["posture"] = benchmark.hand_set.posture[i]
+        words |= {name: of[key][i].tolist() for name, key in lists.items()}
+        words["tip_vertices"] = of["tip_vertices"].tolist()
+        about.append(words | {"pose_rad": of["pose"][i].tolist(), "shape": of["shape"][i].tolist()})
     return about
 
 
@@ -427,25 +424,21 @@ def _write_ply(path: Path, vertices: Array, faces: Array) -> None:
     path.write_text(f"{head}{points}\n{triangles}\n", encoding="ascii")
 
 
-def _trial_rows(benchmark: Benchmark, trials: Trials) -> list[dict[str, Any]]:
-    hands = benchmark.hand_set
-    geometry = hands.geometry
-    point, normal = palm_frame(geometry.joints, hands.side)
-    hand = trials.hand_index.long()
-    p, n = _in_world(trials.T_world_hand, point[hand], normal[hand])
-    ball = p + benchmark.thresholds.reach_offset_m * n
+def _trial_rows(benchmark: Benchmark, trials: Trials, hands: Arrays) -> list[dict[str, Any]]:
+    """The rows of trials.csv and trials.json, from the arrays of trials.npz."""
+    of = {name: array for name, (array, _) in _trial_arrays(trials, benchmark, hands).items()}
     rows: list[dict[str, Any]] = []
-    for i in range(len(trials)):
-        o, h = benchmark.objects[int(trials.object_index[i])], int(hand[i])
-        rows.append({
-            "trial_id": int(trials.trial_id[i]), "split": o.split, "object_index": int(trials.object_index[i]),
-            "object": o.name, "mesh": f"objects/{o.name}.obj", "hand_index": h, "hand_mesh": f"hands/{h}.ply",
-            "side": SIDES[int(hands.side[h])], "instruction": o.instruction,
-            "T_world_hand": trials.T_world_hand[i].flatten().tolist(), "palm_point": p[i].tolist(),
-            "palm_normal": n[i].tolist(), "ball_center": ball[i].tolist(),
-        })  # fmt: skip
-        if trials.receiver is not None:
-            rows[-1]["receiver"] = trials.receiver[i].flatten().tolist()
+    for i, (name, hand) in enumerate(zip(of["object_name"].tolist(), of["hand_index"].tolist())):
+        words = {k: of[k][i].item() for k in ("trial_id", "split", "object_index")}
+        words |= {"object": name, "mesh": f"objects/{name}.obj"}
+        words |= {
+            "hand_index": hand,
+            "hand_mesh": f"hands/{hand}.ply",
+            "side": SIDES[of["side"][i]],
+        }
+        words["instruction"] = of["instruction"][i].item()
+        lists = ("T_world_hand", "palm_point", "palm_normal", "ball_center", "receiver")
+        rows.append(words | {k: of[k][i].flatten().tolist() for k in lists if k in of})
     return rows
 
 
