@@ -14,7 +14,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle, random
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.trials.protocol import make_trials
-from r2h_batch.types import CRITERIA, Outcome, PlanReason, Predictions, Trials
+from r2h_batch.types import CRITERIA, Outcome, Predictions, Trials
 
 
 def same(a: Predictions, b: Predictions) -> bool:
@@ -114,17 +114,6 @@ def test_more_rounds_keep_what_fewer_have_solved_and_another_seed_answers_differ
     assert same(one[solved], high[solved])
     other = oracle.predict(trials[:20], evaluator().scene, evaluator=evaluator(), rounds=1, seed=1)
     assert not same(other, one[:20])
-
-
-def test_a_trial_that_nobody_can_solve_keeps_the_proposal_that_got_farthest():
-    trials = make_trials(["S0"], 4)
-    away = Trials(trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand.clone())
-    away.T_world_hand[:, 0, 3] += 5.0
-    answer = oracle.predict(away, evaluator().scene, evaluator=evaluator(), rounds=3)
-    scores = evaluator().score(answer.T_obj_ee, answer.T_world_ee, away)
-    assert scores.outcome.tolist() == [int(Outcome.PLAN)] * 4
-    assert scores.plan_reason.tolist() == [int(PlanReason.IK_UNREACHABLE)] * 4
-    assert scores.passed[:, CRITERIA.index("stability")].all()
 
 
 def test_the_proposal_that_got_farthest_is_kept_over_the_rounds():

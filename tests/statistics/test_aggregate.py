@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pyarrow as pa
 import pytest
-from made_runs import make_trials, paper_run, table_1, write_run
+from made_runs import paper_run, table_1, write_run
 from scipy import stats
 
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
@@ -117,11 +117,6 @@ def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
     assert row.counts == dict(zip(OUTCOME_NAMES, [5, 4, 3, 2, 1, 6, 7, 8, 9]))
 
 
-def test_missing_and_invalid_trials_stay_in_the_denominator():
-    row = aggregate.group_row(tally_of([0, MISSING, Outcome.INVALID_SIM, 0]), "S0")
-    assert row.rates["sr"].percent == 50
-
-
 def test_an_outcome_that_is_none_of_the_known_ones_is_refused():
     with pytest.raises(ValueError, match="outcome"):
         tally_of([0, MISSING + 1])
@@ -197,12 +192,6 @@ def test_rows_that_are_not_as_many_as_planned_are_refused(tmp_path):
     run.header["trials"]["S1"] = 4
     with pytest.raises(ValueError, match="1 rows in S1, 4 were planned"):
         tally(run, "m")
-
-
-def test_object_rows_are_the_same_function_of_fewer_trials():
-    counted = tally_of([0, 2, 0, 0, 2, 2], objects=make_trials(6, 0).object_index.numpy())
-    rates = [aggregate.group_row(counted, "S0", name).rates["sr"].percent for name in "abc"]
-    assert rates == [100, 0, 50]
 
 
 def test_a_mean_is_exact_whatever_the_shards():

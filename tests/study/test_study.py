@@ -131,30 +131,6 @@ def test_your_own_ratings_are_tested_and_incomplete_participants_counted(tmp_pat
     assert len(boxes) == len(METHODS) * 2 == len(set(boxes))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"rating": "6"}, "rating 6"),
-        ({"rating": "good"}, "line 2"),
-        ({"rating": ""}, "line 2"),
-        ({"participant": "0", "method": "x"}, "rates x twice"),
-    ],
-)
-def test_a_bad_ratings_file_is_refused_in_one_line_that_names_it(tmp_path, capsys, change, message):
-    rows = ratings()
-    file = write_csv(tmp_path / "r.csv", [{**rows[0], **change}, *rows[1:]])
-    assert study_command.main(["ratings", str(file)]) == 2
-    error = capsys.readouterr().err
-    assert message in error and str(file) in error and error.count("\n") == 1
-
-
-@pytest.mark.parametrize("content", [b"", b"a,b\n1,2\n", b"\xff\xfe", b"participant,method,dimension,rating\n"])
-def test_a_file_that_is_no_ratings_file_is_refused(tmp_path, capsys, content):
-    (tmp_path / "r.csv").write_bytes(content)
-    assert study_command.main(["ratings", str(tmp_path / "r.csv")]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
 def test_your_own_robot_against_a_run(tmp_path, capsys):
     run = paper_run(tmp_path / "run")
     names = ("FC-Handover", "Handover-VA", "Contact-Handover", "Intent-Handover")

@@ -19,9 +19,13 @@ def outcome(path, capsys, *line):
     return code, out, err
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le-mark", "utf-16-be-mark"])
-@pytest.mark.parametrize("delimiter", [",", ";", "\t"])
-@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize(
+    ("encoding", "delimiter", "end"),
+    [
+        ("utf-8", ",", "\n"), ("utf-8-sig", ";", "\r\n"), ("utf-16", "\t", "\r\n"), ("utf-16-le-mark", ",", "\r"),
+        ("utf-16-be-mark", ";", "\n"),
+    ],
+)  # fmt: skip
 def test_what_excel_and_others_write_is_read(tmp_path, encoding, delimiter, end):
     text = (HEAD + table(methods=("é", "手", "c"))).replace(",", delimiter).replace("\n", end)
     mark = {"utf-16-le-mark": b"\xff\xfe", "utf-16-be-mark": b"\xfe\xff"}.get(encoding, b"")
@@ -69,6 +73,9 @@ def test_one_bad_row_is_named_by_its_line(tmp_path, capsys, row, parts):
         ((HEAD + "p1,\xe9,comfort,3\n").encode("latin-1"), "line 2: neither UTF-8 nor UTF-16"),
         (b"participant,method,dimension,rating,rating\n1,a,b,3,4\n", "column 'rating' is there twice"),
         (b"\xef\xbb\xbf", "no rows"),
+        (b"", "no rows"),
+        (b"a,b\n1,2\n", "no column 'participant'"),
+        (HEAD.encode(), "no rows under the column names"),
         (HEAD.encode() + table(methods=("a",)).encode(), "all ratings are of a; two or more methods"),
     ],
 )
