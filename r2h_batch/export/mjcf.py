@@ -200,7 +200,7 @@ def describe(stored: StoredTrial) -> dict[str, Any]:
 
 
 def _finite(value: float | None) -> float | str | None:
-    """JSON has no infinities: Plan's margin without a path is the string "-inf"."""
+    """JSON has no infinities: a margin without a number is the string "-inf"."""
     return value if value is None or np.isfinite(value) else repr(float(value))
 
 
