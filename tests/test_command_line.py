@@ -1,5 +1,7 @@
 """One command and eight subcommands: what they are called, how they refuse, what `--help` imports."""
 
+import inspect
+import re
 import subprocess
 import sys
 
@@ -8,6 +10,7 @@ import pytest
 from made_runs import make_header, make_scores, make_trials
 
 from r2h_batch.__main__ import COMMANDS, main
+from r2h_batch.importers.command import COMMANDS as IMPORTS
 from r2h_batch.runs.store import RunError, load_run, open_run
 
 NESTED = (
@@ -79,6 +82,14 @@ def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code
     assert captured.out == "" and captured.err.count("\n") == 1
     for part in parts:
         assert part in captured.err
+
+
+@pytest.mark.parametrize("name", IMPORTS)
+def test_help_of_import_explains_every_flag(name, capsys):
+    shown = " ".join(re.sub("[│╭╮╰╯─]", " ", helped(capsys, "import", name)).split())
+    for flag in inspect.signature(IMPORTS[name]).parameters:
+        start = re.search(rf"^ +{flag}: (\S+)", str(IMPORTS[name].__doc__), re.MULTILINE)
+        assert start and start[1] in shown, flag
 
 
 def test_completion_knows_the_flags_of_the_subcommands(capsys):

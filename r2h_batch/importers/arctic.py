@@ -15,9 +15,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
+from r2h_batch.importers.arrays import numbers, rigid
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.safe_pickle import read_npy
-from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
+from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion
 from r2h_batch.io.read import FileError
 
 __all__ = ["find", "read"]
@@ -38,9 +39,7 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     if not isinstance(found, Mapping):
         raise FileError(f"{where}: holds no dictionary; it is no sequence of ARCTIC")
     rows = numbers(read_npy(path.with_name(f"{stem}.object.npy")), (None, 7), f"{where} object")
-    T = np.tile(np.eye(4), (len(rows), 1, 1))
-    T[:, :3, :3] = Rotation.from_rotvec(rows[:, 1:4]).as_matrix()
-    T[:, :3, 3] = rows[:, 4:] / 1000
+    T = rigid(Rotation.from_rotvec(rows[:, 1:4]), rows[:, 4:] / 1000)
     facing, up = _body(path.with_name(f"{stem}.smplx.npy"), len(rows), where)
     name, _, action = stem.partition("_")
     hands = []

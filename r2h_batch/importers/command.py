@@ -2,13 +2,13 @@
 import ...`."""
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from r2h_batch.command_line import Command, UsageError, call, counted, failed, refuse, tell
+from r2h_batch.command_line import Command, UsageError, call, counted, tell
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import check_output_file, check_output_folder
 
@@ -34,24 +34,24 @@ def hand(
     Args:
         out: The hand model to write, .npz. It holds MANO's data: its licence forbids to pass it on.
         mano_right: MANO_RIGHT.pkl, or the same arrays as .npz.
-        mano_left: MANO_LEFT.pkl. Without it a left hand is the right one's mirror image, and the
-        other way round. negate_left_shape: Change the sign of the left file's shapedirs[:, 0], as
-        data fitted with that repair need. overwrite: Replace a file that is there.
+        mano_left: MANO_LEFT.pkl. A side without a file is the other's mirror image.
+        negate_left_shape: Change the sign of the left file's shapedirs[:, 0], as data fitted with
+            that repair need.
+        overwrite: Replace a file that is there.
     """
 
-    def run() -> None:
-        from r2h_batch.importers.mano import hand_arrays
-        from r2h_batch.io.write import write_npz
+    from r2h_batch.importers.mano import hand_arrays
+    from r2h_batch.io.write import write_npz
 
-        target = _npz(out, overwrite)
-        arrays = hand_arrays(mano_right, mano_left, negate_left_shape=negate_left_shape)
-        write_npz(target, arrays)
-        print(
-            f"a hand of {len(arrays['vertices'])} vertices in {len(arrays['piece_names'])} convex pieces in {target};"
-            " it holds MANO's data: do not pass it on"
-        )
+    target = _npz(out, overwrite)
+    arrays = hand_arrays(mano_right, mano_left, negate_left_shape=negate_left_shape)
+    write_npz(target, arrays)
+    print(
+        f"a hand of {len(arrays['vertices'])} vertices in {len(arrays['piece_names'])} convex pieces in {target};"
+        " it holds MANO's data: do not pass it on"
+    )
 
-    return _guarded(run)
+    return 0
 
 
 def hands(
@@ -74,50 +74,45 @@ def hands(
 
     Args:
         folder: The data set as its owners give it.
-        source: Whose it is: grab, arctic, h2o, oakink, dexycb; built-in: this project's own
-        postures in the same form. out: The hand set to write, .npz; the motions go beside it as
-        NAME_motion.npz. frame: Which frame of a sequence: aperture (the widest grip of the last
-        second before the object moves), first,
-            middle, last, or a number (-1: the last). Of oakink, aperture takes the receivers'
-            hands, others take all.
+        source: Whose it is; built-in: this project's own postures in the same form.
+        out: The hand set to write, .npz; the motions go beside it as NAME_motion.npz.
+        frame: Which frame of a sequence: aperture (the widest grip of the last second before the
+            object moves), first, middle, last, or a number (-1: the last). Of oakink, aperture
+            takes the receivers' hands, others take all.
         mano_right: MANO_RIGHT.pkl, for data relative to MANO's mean hand or in its components
-        (arctic, dexycb), and for
-            the wrist's exact place.
+            (arctic, dexycb), and for the wrist's exact place.
         mano_left: MANO_LEFT.pkl.
         negate_left_shape: As for `hand`.
-        strict: Refuse a data set with a file that cannot be read, instead of naming and skipping
-        it. overwrite: Replace files that are there.
+        strict: Refuse a data set with a file that cannot be read, instead of skipping it.
+        overwrite: Replace files that are there.
     """
 
-    def run() -> None:
-        from r2h_batch.bodies.hand import load_hand_set
-        from r2h_batch.importers import hand_sets
+    from r2h_batch.bodies.hand import load_hand_set
+    from r2h_batch.importers import hand_sets
 
-        target = _npz(out, overwrite)
-        check_output_file(
-            hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in"
-        )
-        if source == "built-in":
-            hand_sets.write(target, hand_sets.built_in(), load_hand_set().pose[:, :3].numpy())
-            print(
-                f"{counted(len(load_hand_set()), 'hands')} of r2h_batch in {target}; 0 files skipped"
-            )
-            return
-        if folder is None:
-            raise UsageError(f"no folder; give that of {source}, as its owners give it")
-        rule = int(frame) if isinstance(frame, int) or str(frame).lstrip("-").isdigit() else frame
-        found = hand_sets.collect(
-            source, folder, _mano(mano_right, mano_left, negate_left_shape), rule, strict=strict
-        )
-        hand_sets.write(target, found)
-        right = sum(h.side == 0 for h in found.hands)
-        skipped = counted(len(found.skipped), "files")
-        print(
-            f"{counted(len(found.hands), 'hands')} of {source} ({right} right, {len(found.hands) - right} left) in {target},"
-            f" motions in {hand_sets.motion_file(target)}; {skipped} skipped"
-        )
+    target = _npz(out, overwrite)
+    check_output_file(
+        hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in"
+    )
+    if source == "built-in":
+        hand_sets.write(target, hand_sets.built_in(), load_hand_set().pose[:, :3].numpy())
+        print(f"{counted(len(load_hand_set()), 'hands')} of r2h_batch in {target}; 0 files skipped")
+        return 0
+    if folder is None:
+        raise UsageError(f"no folder; give that of {source}, as its owners give it")
+    rule = int(frame) if isinstance(frame, int) or str(frame).lstrip("-").isdigit() else frame
+    found = hand_sets.collect(
+        source, folder, _mano(mano_right, mano_left, negate_left_shape), rule, strict=strict
+    )
+    hand_sets.write(target, found)
+    right = sum(h.side == 0 for h in found.hands)
+    skipped = counted(len(found.skipped), "files")
+    print(
+        f"{counted(len(found.hands), 'hands')} of {source} ({right} right, {len(found.hands) - right} left) in {target},"
+        f" motions in {hand_sets.motion_file(target)}; {skipped} skipped"
+    )
 
-    return _guarded(run)
+    return 0
 
 
 def grasps(
@@ -140,26 +135,27 @@ def grasps(
 
     Args:
         file: ACRONYM's .h5, graspnetAPI's .npy (N x 17), an isaac_grasp .yaml, or our own .npz or
-        .safetensors to check. source: Whose it is: acronym, graspnet, isaac (also GraspGen), own.
-        out: The grasps to write, .npz. gripper: Whose frame an isaac_grasp file is in; needed for
-        those, see `r2h_batch.importers.grasps.grippers`. object_id: Which object's grasps of a
-        graspnet file. pose: T_obj_source, .npy of 4 x 4, for a graspnet file: the frame that the
-        network saw in the object's frame. overwrite: Replace a file that is there.
+            .safetensors to check.
+        source: Whose it is: acronym, graspnet, isaac (also GraspGen), own.
+        out: The grasps to write, .npz.
+        gripper: Whose frame an isaac_grasp file is in; needed for those.
+        object_id: Which object's grasps of a graspnet file.
+        pose: T_obj_source, .npy of 4 x 4, for a graspnet file: the frame that the network saw in
+            the object's frame.
+        overwrite: Replace a file that is there.
     """
-
-    def run() -> None:
-        target = _npz(out, overwrite)
-        found, left_out = _grasps(file, source, gripper, object_id, pose)
-        write_npz(target, {**found.arrays(), "gripper": np.array(found.gripper)})
-        print(
-            f"{counted(len(found), 'grasps')} of the {found.gripper} in {target}; {left_out} left out"
-        )
-
     import numpy as np
 
     from r2h_batch.io.write import write_npz
 
-    return _guarded(run)
+    target = _npz(out, overwrite)
+    found, left_out = _grasps(file, source, gripper, object_id, pose)
+    write_npz(target, {**found.arrays(), "gripper": np.array(found.gripper)})
+    print(
+        f"{counted(len(found), 'grasps')} of the {found.gripper} in {target}; {left_out} left out"
+    )
+
+    return 0
 
 
 def objects(
@@ -174,33 +170,34 @@ def objects(
 
     Args:
         folder: The data set as its owners give it: OakInk's with shape/metaV2; OakBase's parts
-        anywhere below it. source: Whose it is: oakink. out: A new or empty folder. It holds the
-        data set's meshes: its licence says who may have them. strict: Refuse a data set with an
-        object that cannot be read, instead of naming and skipping it.
+            anywhere below it.
+        source: Whose it is: oakink.
+        out: A new or empty folder. It holds the data set's meshes: its licence says who may have
+            them.
+        strict: Refuse a data set with an object that cannot be read, instead of skipping it.
     """
 
-    def run() -> None:
-        from r2h_batch.importers.meshes.oakink_objects import OakObject, collect, write
+    from r2h_batch.importers.meshes.oakink_objects import OakObject, collect, write
 
-        check_output_folder(out, overwrite=None)
-        found, skipped = [], 0
-        for name, made in collect(folder):
-            if isinstance(made, OakObject):
-                found.append(made)
-                continue
-            if strict:
-                raise FileError(f"{printable(name)}: {made}")
-            skipped += 1
-            tell(f"skipped: {name}: {made}")
-        if not found:
-            raise FileError(f"{printable(folder)}: none of {skipped} objects could be read")
-        write(out, found)
-        held = sum(bool(o.held) for o in found)
-        print(
-            f"{counted(len(found), 'objects')} of {source} ({held} with a receiver's region) in {out}; {skipped} skipped"
-        )
+    check_output_folder(out, overwrite=None)
+    found, skipped = [], 0
+    for name, made in collect(folder):
+        if isinstance(made, OakObject):
+            found.append(made)
+            continue
+        if strict:
+            raise FileError(f"{printable(name)}: {made}")
+        skipped += 1
+        tell(f"skipped: {name}: {made}")
+    if not found:
+        raise FileError(f"{printable(folder)}: none of {skipped} objects could be read")
+    write(out, found)
+    held = sum(bool(o.held) for o in found)
+    print(
+        f"{counted(len(found), 'objects')} of {source} ({held} with a receiver's region) in {out}; {skipped} skipped"
+    )
 
-    return _guarded(run)
+    return 0
 
 
 def trials(
@@ -217,26 +214,25 @@ def trials(
         out: A new or empty folder for benchmark.yaml, predictions.npz, motions.npz and trials.csv.
     """
 
-    def run() -> None:
-        from r2h_batch.importers import release
+    from r2h_batch.importers import release
 
-        check_output_folder(out, overwrite=None)
-        counts = release.write(out, release.read_trials(path))
-        print(
-            f"{counted(counts['trials'], 'trials')} of {counted(counts['objects'], 'objects')} in {out},"
-            f" {counts['motions']} with a motion of our gripper; judge them with:"
-            f" r2h-batch sweep --benchmark {out / 'benchmark.yaml'} --predictions {out / 'predictions.npz'} --out RUN"
-        )
+    check_output_folder(out, overwrite=None)
+    counts = release.write(out, release.read_trials(path))
+    print(
+        f"{counted(counts['trials'], 'trials')} of {counted(counts['objects'], 'objects')} in {out},"
+        f" {counts['motions']} with a motion of our gripper; judge them with:"
+        f" r2h-batch sweep --benchmark {out / 'benchmark.yaml'} --predictions {out / 'predictions.npz'} --out RUN"
+    )
 
-    return _guarded(run)
+    return 0
 
 
 def _grasps(
     file: Path, source: str, gripper: str | None, object_id: int | None, pose: Path | None
 ) -> "tuple[GraspSet, int]":
     from r2h_batch.bodies.grasp_set import read_grasps
+    from r2h_batch.importers.arrays import numbers
     from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
-    from r2h_batch.importers.sequences import numbers
     from r2h_batch.io.read import read_npy
 
     given = {"--gripper": gripper, "--object-id": object_id, "--pose": pose}
@@ -282,19 +278,6 @@ def _mano(right: Path | None, left: Path | None, negate_left_shape: bool) -> "Ma
         if right is None and left is None
         else load_mano(right, left, negate_left_shape=negate_left_shape)
     )
-
-
-def _guarded(run: Callable[[], None]) -> int:
-    """The exit code: what is refused or cannot be written is one line."""
-    from r2h_batch.io.read import FileError
-
-    try:
-        run()
-    except (UsageError, FileError) as error:
-        return refuse("import", error)
-    except OSError as error:
-        return failed("import", error, "--out")
-    return 0
 
 
 def _npz(out: Path, overwrite: bool) -> Path:

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
+from r2h_batch.importers.arrays import numbers, rigid
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
+from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion
 from r2h_batch.io.read import FileError, path_within, read_npz, read_yaml
 
 __all__ = ["find", "read"]
@@ -56,9 +57,7 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     mine, places = hands[seen], places[seen]
     if (np.abs(np.linalg.norm(places[:, :4], axis=1) - 1) > 1e-2).any():
         raise FileError(f"{where}: pose_y holds quaternions that are no rotations")
-    T = np.tile(np.eye(4), (len(seen), 1, 1))
-    T[:, :3, :3] = Rotation.from_quat(places[:, :4]).as_matrix()
-    T[:, :3, 3] = places[:, 4:]
+    T = rigid(Rotation.from_quat(places[:, :4]), places[:, 4:])
     given = ManoParameters(
         mine[:, :3], mine[:, 48:], mine[:, 3:48], shape, side, flat_hand_mean=False, components=True
     )

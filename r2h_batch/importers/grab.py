@@ -16,9 +16,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
+from r2h_batch.importers.arrays import numbers, rigid
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.safe_pickle import read_pickle
-from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
+from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion
 from r2h_batch.io.read import FileError, read_npz
 
 __all__ = ["find", "read"]
@@ -45,9 +46,7 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     turn, place = (
         _parameter(found["object"], k, 3, f"{where} object") for k in ("global_orient", "transl")
     )
-    T = np.tile(np.eye(4), (len(turn), 1, 1))
-    T[:, :3, :3] = Rotation.from_rotvec(turn).as_matrix().transpose(0, 2, 1)
-    T[:, :3, 3] = place
+    T = rigid(Rotation.from_rotvec(turn).inv(), place)
     body = Rotation.from_rotvec(
         _parameter(found["body"], "global_orient", 3, f"{where} body")
     ).as_matrix()

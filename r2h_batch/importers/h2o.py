@@ -15,8 +15,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import LEFT, RIGHT
+from r2h_batch.importers.arrays import numbers
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion, numbers
+from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion
 from r2h_batch.io.read import FileError, read_file
 
 __all__ = ["find", "read"]

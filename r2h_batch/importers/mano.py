@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from r2h_batch.bodies import hand_pieces
 from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
 from r2h_batch.bodies.hand_file import check_lengths
+from r2h_batch.importers.arrays import numbers
 from r2h_batch.importers.safe_pickle import read_pickle_file
 from r2h_batch.io.read import FileError, read_npz
 
@@ -180,17 +181,9 @@ def _checked(found: Mapping[str, Any], where: str, side: int) -> _Raw:
 
 
 def _numbers(found: Mapping[str, Any], name: str, shape: tuple[int | None, ...], where: str) -> F64:
-    value = found.get(name)
-    if value is None:
+    if found.get(name) is None:
         raise FileError(f"{where}: has no {name}; it is no MANO file")
-    fits = isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and value.ndim == len(shape)
-    if not fits or any(n is not None and n != m for n, m in zip(shape, value.shape)):
-        wanted = " x ".join("any" if n is None else str(n) for n in shape)
-        have = value.shape if isinstance(value, np.ndarray) else type(value).__name__
-        raise FileError(f"{where}: {name} is {have}; need numbers, {wanted}")
-    if not np.isfinite(value).all() or np.abs(value.astype(np.float64)).max(initial=0.0) > 1e10:
-        raise FileError(f"{where}: {name} holds numbers that are not finite")
-    return value.astype(np.float64)
+    return numbers(found[name], shape, f"{where}: {name}", most=1e10)
 
 
 def _check_alike(right: _Raw, left: _Raw, where: str) -> None:

@@ -18,9 +18,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import RIGHT
+from r2h_batch.importers.arrays import numbers, rigid
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.safe_pickle import read_pickle_file
-from r2h_batch.importers.sequences import HandMotion, files_below, numbers
+from r2h_batch.importers.sequences import HandMotion, files_below
 from r2h_batch.io.read import FileError, printable, read_file
 
 __all__ = ["find", "read"]
@@ -58,9 +59,7 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     if (np.abs(length - 1) > 1e-2).any():
         raise FileError(f"{where}: pose holds quaternions that are no rotations")
     R = Rotation.from_quat(turns, scalar_first=True)
-    T = np.eye(4)[None].copy()
-    T[0, :3, :3] = R[0].as_matrix()
-    T[0, :3, 3] = numbers(found.get("tsl"), (3,), f"{where} tsl")
+    T = rigid(R[:1], numbers(found.get("tsl"), (3,), f"{where} tsl")[None])
     verb = "receive" if match[3] == HANDOVER and RECEIVER in text else action
     return [
         HandMotion(

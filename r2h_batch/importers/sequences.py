@@ -12,29 +12,26 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
+from r2h_batch.bodies.hand import HandModel, load_hand
 from r2h_batch.command_line import tell
+from r2h_batch.importers.arrays import rigid
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.io.read import FileError, printable
 
 __all__ = [
-    "FRAME_RULES",
     "HandMotion",
     "ManoParameters",
     "files_below",
     "motion",
-    "numbers",
     "receiving_frame",
 ]
 
 F64 = NDArray[np.float64]
 
-FRAME_RULES = ("aperture", "first", "middle", "last")
 MOVED_M, TURNED_RAD = 0.005, float(np.radians(5.0))
 """An object is being carried once it is this far from where it began."""
 REACH_S = 1.0
 THUMB_TIP, INDEX_TIP = 15, 3
-MAX_FRAMES = 200_000
 MAX_FILES = 200_000
 
 
@@ -78,8 +75,6 @@ class ManoParameters:
     flat_hand_mean: bool
     components: bool
     """whether `postures` are principal components"""
-    wrist: bool = False
-    """whether `transl` is the wrist joint itself"""
 
 
 def motion(source: str, hand: ManoHand | None, given: ManoParameters, **more: Any) -> HandMotion:
@@ -104,17 +99,14 @@ def motion(source: str, hand: ManoHand | None, given: ManoParameters, **more: An
         else:
             assert model.pose_mean is not None
             fingers = given.postures + model.pose_mean.double().numpy()[given.side]
-    T = np.tile(np.eye(4), (len(given.turn), 1, 1))
-    T[:, :3, :3] = Rotation.from_rotvec(given.turn).as_matrix()
     shape = np.tile(given.shape, (len(side), 1))
-    T[:, :3, 3] = (
-        given.transl if given.wrist or hand is None else hand.wrist(given.transl, shape, side)
-    )
+    place = given.transl if hand is None else hand.wrist(given.transl, shape, side)
+    T = rigid(Rotation.from_rotvec(given.turn), place)
     return HandMotion(source, given.side, T, fingers, given.shape, **more)
 
 
 def receiving_frame(hand: HandMotion, rule: str | int, model: HandModel | None = None) -> int:
-    """The frame in which this hand receives. `rule`: a frame's number, or one of `FRAME_RULES`.
+    """The frame in which this hand receives. `rule`: a frame's number, or aperture, first, middle, last.
 
     `aperture`, the default: of the last second before the object first moves by 5 mm or 5 degrees
     (of all frames where it never does, or where nothing is known of it), the one with the widest
@@ -154,37 +146,6 @@ def _starts_to_move(T_world_object: F64 | None) -> int | None:
     return int(moved[0]) if len(moved) else None
 
 
-def numbers(value: Any, shape: tuple[int | None, ...], what: str) -> F64:
-    """The array as float64 if it has this shape (None: any length, at most 200,000) and finite
-    numbers."""
-    listed = isinstance(value, list) and _size(value) <= 48 * MAX_FRAMES
-    value = np.asarray(value) if listed or isinstance(value, (np.ndarray, np.generic)) else None
-    fits = value is not None and value.dtype.kind in "biuf" and value.ndim == len(shape)
-    if (
-        value is None
-        or not fits
-        or any(n is not None and n != m for n, m in zip(shape, value.shape))
-    ):
-        have = "missing or no numbers" if value is None else f"{value.shape} of {value.dtype}"
-        raise FileError(
-            f"{what} is {have}; need {' x '.join('any' if n is None else str(n) for n in shape)}"
-        )
-    if value.size and (
-        (value.ndim and len(value) > MAX_FRAMES)
-        or not np.isfinite(value).all()
-        or np.abs(value).max() > 1e6
-    ):
-        raise FileError(f"{what} has too many frames or numbers that are not finite")
-    return value.astype(np.float64)
-
-
-def _size(value: Any) -> int:
-    """How many numbers a list would have as an array: it may hold one large array many times."""
-    if isinstance(value, list):
-        return sum(_size(v) for v in value)
-    return value.size if isinstance(value, np.ndarray) else 1
-
-
 def files_below(folder: Path, pattern: str) -> list[Path]:
     """Files of the pattern below the folder, sorted; links that lead out of it are left out. Raises
     if there is none."""
@@ -210,8 +171,3 @@ def files_below(folder: Path, pattern: str) -> list[Path]:
     if outside:
         tell(f"{printable(folder)}: {links}, left out")
     return sorted(found)
-
-
-def side_name(side: int) -> str:
-    """right or left"""
-    return {RIGHT: "right", LEFT: "left"}[side]

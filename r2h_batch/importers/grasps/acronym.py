@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps
+from r2h_batch.importers.arrays import numbers
 from r2h_batch.importers.grasps.grippers import T_gripper_ee
 from r2h_batch.importers.grasps.hdf5 import read_datasets
-from r2h_batch.importers.sequences import numbers
 from r2h_batch.io.read import FileError, printable
 
 __all__ = ["read"]

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps
+from r2h_batch.importers.arrays import numbers, rigid
 from r2h_batch.importers.grasps.grippers import PAD_HALF_M
-from r2h_batch.importers.sequences import numbers
 from r2h_batch.io.read import FileError, printable, read_npy
 
 __all__ = ["read"]
@@ -47,9 +47,8 @@ def read(
     rows = rows[mine]
     R = rows[:, 4:13].reshape(-1, 3, 3)
     approach, closing = R[:, :, 0], R[:, :, 1]
-    T = np.tile(np.eye(4), (len(rows), 1, 1))
-    T[:, :3, :3] = np.stack([np.cross(closing, approach), closing, approach], axis=2)
-    T[:, :3, 3] = rows[:, 13:16] + (rows[:, 3] - PAD_HALF_M)[:, None] * approach
+    R = np.stack([np.cross(closing, approach), closing, approach], axis=2)
+    T = rigid(R, rows[:, 13:16] + (rows[:, 3] - PAD_HALF_M)[:, None] * approach)
     T = T if T_obj_source is None else T_obj_source @ T
     arrays = {"T_obj_ee": T, "width": rows[:, 1], "score": rows[:, 0]}
     return checked_grasps(arrays, where, "graspnet"), int((~mine).sum())

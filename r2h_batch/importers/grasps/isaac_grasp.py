@@ -14,8 +14,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.grasp_set import GraspSet, checked_grasps
+from r2h_batch.importers.arrays import numbers
 from r2h_batch.importers.grasps.grippers import T_gripper_ee
-from r2h_batch.importers.sequences import numbers
 from r2h_batch.io.read import FileError, printable, read_yaml
 
 __all__ = ["read"]

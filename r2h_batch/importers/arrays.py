@@ -1,0 +1,55 @@
+"""Arrays of other people's files: numbers of a known shape, and rigid poses."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.io.read import FileError
+
+__all__ = ["numbers", "rigid"]
+
+F64 = NDArray[np.float64]
+MAX_FRAMES = 200_000
+
+
+def rigid(turn: Rotation | F64, place: F64) -> F64:
+    """(N, 4, 4) poses of N rotations, also as matrices, and places (N, 3)."""
+    T = np.tile(np.eye(4), (len(place), 1, 1))
+    T[:, :3, :3] = turn.as_matrix() if isinstance(turn, Rotation) else turn
+    T[:, :3, 3] = place
+    return T
+
+
+def numbers(value: Any, shape: tuple[int | None, ...], what: str, *, most: float = 1e6) -> F64:
+    """The array as float64 if it has this shape (None: any length, at most 200,000) and finite
+    numbers of at most `most`."""
+    listed = isinstance(value, list) and _size(value) <= 48 * MAX_FRAMES
+    value = np.asarray(value) if listed or isinstance(value, (np.ndarray, np.generic)) else None
+    fits = value is not None and value.dtype.kind in "biuf" and value.ndim == len(shape)
+    if (
+        value is None
+        or not fits
+        or any(n is not None and n != m for n, m in zip(shape, value.shape))
+    ):
+        have = "missing or no numbers" if value is None else f"{value.shape} of {value.dtype}"
+        raise FileError(
+            f"{what} is {have}; need {' x '.join('any' if n is None else str(n) for n in shape)}"
+        )
+    if value.size and (
+        (value.ndim and len(value) > MAX_FRAMES)
+        or not np.isfinite(value).all()
+        or np.abs(value).max() > most
+    ):
+        raise FileError(f"{what} has too many frames or numbers that are not finite")
+    return value.astype(np.float64)
+
+
+def _size(value: Any) -> int:
+    """How many numbers a list would have as an array: it may hold one large array many times."""
+    if isinstance(value, list):
+        return sum(_size(v) for v in value)
+    return value.size if isinstance(value, np.ndarray) else 1
