@@ -165,8 +165,10 @@ CAUSES = [
     " from the receiver where the arm does not reach.",
     "Contact-Handover's F_afford is mostly higher (cause 3), Handover-VA's similar. FC-Handover opposes the gripper to the"
     " fingers wherever they point, in both splits; what stops it stands in [why Plan fails](table1.md#why-plan-fails). The"
-    " object 3 cm further from the palm halves its F_plan (`fc,height_m=0.15` in [sensitivity](sensitivity.md)).",
-    "FC-Handover has the lowest SR: it opposes fingers that point sideways or up and then meets hand or table."
+    " paper names neither the distance to the palm nor what keeps it: with the object 3 cm further away F_plan falls by about"
+    " half (`fc,height_m=0.15` in [sensitivity](sensitivity.md)).",
+    "FC-Handover has the lowest SR: it opposes fingers that point sideways or up and then meets hand or table. That rests on a"
+    " choice: with the object 3 cm further from the palm it ranks second ([sensitivity](sensitivity.md))."
     " Handover-VA's handle need not point where fingers do. It runs ICP and computes grasps while the others look up hands. In"
     " the default preset only its grasps are unfiltered, so only it fails Stability. From S0 to S1 it loses to Affordance"
     " ([by object](table1.md#by-object)).",
