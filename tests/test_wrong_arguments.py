@@ -99,8 +99,6 @@ CALLS = {
     "holm": (paired.holm, lambda _: {"p": [0.1, 0.2]}),
     "rank_probabilities": (paired.rank_probabilities, lambda _: {"rates": np.ones((3, 2))}),
     "wilson_interval": (aggregate.wilson_interval, lambda _: {"count": 3, "total": 5, "confidence": 0.9}),
-    "clustered_interval": (aggregate.clustered_interval, lambda _: {"success": np.ones(4, bool),
-        "cluster": np.arange(4), "confidence": 0.9}),
     "clustered_rate": (aggregate.clustered_rate, lambda _: {"success": np.ones(4, int), "total": np.ones(4, int),
         "confidence": 0.9}),
     "mean_rate": (aggregate.mean_rate, lambda _: {"rates": [aggregate.Rate(1.0, 0.0, 2.0)]}),
