@@ -154,7 +154,7 @@ def test_an_answer_that_is_said_to_be_missing_is_found_by_its_pose(folder, tmp_p
         return True
 
     forged(folder, tmp_path / "run", silent)
-    with pytest.raises(RunError, match="poses/random/.* holds 9 rows, planned were 7"):
+    with pytest.raises(RunError, match=r"poses/random/.* holds 9 rows, planned were 7"):
         reevaluate(load_run(tmp_path / "run"), "random", 24, judge)
 
 
