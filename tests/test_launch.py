@@ -415,6 +415,16 @@ def test_nobody_is_at_work_once_an_interrupt_has_left_the_call():
     assert len(chunks) == begun <= 4
 
 
+@pytest.mark.parametrize("chunk", [None, 1, 7])
+@pytest.mark.parametrize("n", [0, 1, 16, 33, 4096, 10_001])
+def test_every_trial_is_in_one_piece(n, chunk):
+    done = []
+    threads.share(lambda worker, start, rows: done.append((start, rows)), 5, n, 1, chunk)
+    assert [i for start, rows in done for i in range(start, start + rows)] == list(range(5, 5 + n))
+    sizes = [rows for _, rows in done]
+    assert sizes == sorted(sizes, reverse=True)  # small ones last: the workers end together
+
+
 def test_a_program_that_is_going_down_works_on_the_calling_thread():
     """No pool takes work then: what is scored at exit is scored all the same."""
     pool, done = ThreadPoolExecutor(2), []

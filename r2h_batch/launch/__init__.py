@@ -40,10 +40,9 @@ UNEVEN_BLOCK_DIM = 32
 """The same of kernels whose trials differ a hundredfold: a block keeps its registers until its last
 thread ends."""
 
-CHUNK, TURNS = 32, 16
-"""A thread takes `CHUNK` trials at a time, and in large batches a `TURNS`th of its share: small
-enough that one hard trial does not leave the other core idle, large enough that neighbours, which
-often have one object and one hand, stay in one core's cache (4,096 poses: 6 % of the time)."""
+CHUNK = 32
+"""Batches of at most so many trials are computed by the calling thread alone, unless a kernel's
+caller says otherwise."""
 
 
 def init_warp() -> None:
@@ -136,7 +135,8 @@ def launch_trials(
     arrays as they are. Every name and kind is checked against the kernel before anything runs
     (`r2h_batch.launch.arguments.bind`). `uneven`: some trials take a hundred times as long as
     others. Warp runs a CPU kernel as one serial loop but releases the interpreter lock, so threads
-    over chunks use all cores. Chunks only say who computes a trial: results do not depend on them.
+    over pieces use all cores. `chunk` (trials of a piece; None: trials cost alike) only says who
+    computes a trial: results do not depend on it.
     """
     if device == "cpu":
         _launch_on_cpu(kernel, n, inputs, outputs, threads, chunk, width, first)
@@ -171,7 +171,6 @@ def _launch_on_cpu(
         _room_for(kernel.module)
         packed = cached.pack(kernel, args, inputs, outputs)
     workers = max(1, min(cpu_threads(threads), -(-n // (chunk or CHUNK))))
-    chunk = chunk or max(CHUNK, n // (TURNS * workers))
     if packed is None:  # another Warp
 
         def plain(worker: int, start: int, rows: int) -> None:

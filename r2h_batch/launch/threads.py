@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache, lru_cache
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,11 +55,33 @@ if hasattr(os, "register_at_fork"):  # not on Windows, which has no fork
 _here = threading.local()  # shares: whether this thread is inside `share`
 
 
+TURNS, LEAST = 4, 16
+"""Pieces of trials that cost alike: each is a TURNS-th of a worker's share of what is left, and has
+LEAST trials at least."""
+
+
+def _pieces(first: int, n: int, workers: int, chunk: int | None) -> Iterator[tuple[int, int]]:
+    """The first trial of each piece and the one after its last; next() is atomic.
+
+    Without a `chunk` pieces get smaller (guided self-scheduling, Polychronopoulos and Kuck 1987).
+    Large ones keep neighbours, which often have one object and one hand, in one core's cache; with
+    small ones at the end the workers finish together.
+    """
+    end = first + n
+    if chunk is not None:
+        return zip(range(first, end, chunk), chain(range(first + chunk, end, chunk), [end]))
+    bounds = [first]
+    while bounds[-1] < end:
+        left = end - bounds[-1]
+        bounds.append(bounds[-1] + min(left, max(LEAST, left // (TURNS * workers))))
+    return pairwise(bounds)
+
+
 def share(
-    run: Callable[[int, int, int], None], first: int, n: int, workers: int, chunk: int
+    run: Callable[[int, int, int], None], first: int, n: int, workers: int, chunk: int | None
 ) -> None:
-    """`run(worker, start, rows)` of trials first..first+n-1 by chunks: whoever of the workers is
-    free takes the next one.
+    """`run(worker, start, rows)` of trials first..first+n-1 in pieces: whoever of the workers is
+    free takes the next one. `chunk`: trials of a piece; None: trials cost alike.
 
     The calling thread is worker 0. Compiled kernels let go of the interpreter's lock: they run at
     once. However this ends, an interrupt of the calling thread included, no worker is active any
@@ -68,12 +91,12 @@ def share(
     are computed by its thread alone.
     """
     outer = getattr(_here, "shares", False)
-    starts = iter(range(first, first + n, chunk))  # next() is atomic
+    pieces = _pieces(first, n, workers, chunk)
     busy: set[int] = set()
 
     def work(worker: int) -> None:
-        for start in starts:
-            run(worker, start, min(chunk, first + n - start))
+        for start, end in pieces:
+            run(worker, start, end - start)
 
     def help_out(worker: int) -> None:
         busy.add(worker)  # before it takes a chunk
@@ -96,18 +119,18 @@ def share(
             future.result()
     finally:
         try:
-            _call_back(starts, busy)
+            _call_back(pieces, busy)
         finally:
             _here.shares = outer
 
 
-def _call_back(starts: Iterator[int], busy: set[int]) -> None:
-    """Returns when no chunk is left and no worker is active; an interrupt meanwhile is raised after
+def _call_back(pieces: Iterator[tuple[int, int]], busy: set[int]) -> None:
+    """Returns when no piece is left and no worker is active; an interrupt meanwhile is raised after
     that."""
     interrupt = None
     while True:
         try:
-            for _ in starts:
+            for _ in pieces:
                 pass
             while busy:
                 time.sleep(1e-4)
