@@ -1,6 +1,7 @@
 """The Evaluator: a batch of handovers in, verdicts with margins and reasons out.
 
-`_score_motion` and `_score_pose` call the stages in order; the rest is inputs, chunks and memory.
+`_score_motion`, `_score_pose` and `_score_trace` call the stages in order; the rest is inputs, chunks
+and memory.
 """
 
 import copy

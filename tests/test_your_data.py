@@ -25,7 +25,8 @@ pytestmark = pytest.mark.check
 
 def test_every_flag_and_option_of_the_page_is_one(capsys):
     known = {"--builtin"}
-    for line in (["sweep"], ["import", "hand"], ["import", "hands"], ["import", "grasps"], ["trials"], ["scene"]):
+    imports = (["import", what] for what in ("hand", "hands", "grasps", "trials"))
+    for line in (["sweep"], *imports, ["trials"], ["scene"], ["export"]):
         with pytest.raises(SystemExit):
             main([*line, "--help"])
         known |= set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))

@@ -63,8 +63,8 @@ MUTATIONS = (
     Mutation(
         "safe: the motion between samples is forgotten",
         "r2h_batch/judge/distance.py",
-        "within_slack(distance, executed.slack_m), torch.nan",
-        "distance, torch.nan",
+        "(distance_m - slack_m).clamp(min=-TOUCH_M)",
+        "distance_m",
         (f"{T_MOTION}::test_safe_judges_the_recorded_motion_less_its_slack",),
     ),
     Mutation(
@@ -77,14 +77,14 @@ MUTATIONS = (
     Mutation(
         "verdict: the last failure decides",
         VERDICT,
-        "first = failed.to(torch.int8).argmax(1) + 1",
-        "first = failed.shape[1] - failed.flip(1).to(torch.int8).argmax(1)",
+        "first = torch.where(evaluated ^ passed, codes, none).amin(1)",
+        "first = torch.where(evaluated ^ passed, codes, -none).amax(1); first = torch.where(first < 0, none, first)",
         (T_VERDICT,),
     ),
     Mutation(
         "verdict: borderline on one side only",
         VERDICT,
-        "margin.abs() < BORDERLINE_M",
+        "margin.abs() < constants(device, torch.float32, BORDERLINE_M)",
         "(margin > 0) & (margin < BORDERLINE_M)",
         (T_VERDICT,),
     ),
