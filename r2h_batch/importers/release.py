@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.hand import load_hand, palm_frame
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.io.read import FileError, printable, read_json
-from r2h_batch.io.write import write_npz, write_text
+from r2h_batch.io.write import csv_cell, write_npz, write_text
 from r2h_batch.validate import rule_of
 from r2h_batch.verdicts import SIDES, SPLITS
 
@@ -73,7 +74,7 @@ Pose = Annotated[list[Row], Field(min_length=4, max_length=4), AfterValidator(_i
 class _Entry(BaseModel):
     """Fields that decide nothing here (provenance, displays) may stand beside those that are named."""
 
-    model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
+    model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
 
 
 class Box(_Entry):
@@ -119,10 +120,10 @@ class Own(_Entry):
     receiver_faces: list[Annotated[int, Field(ge=0)]]
 
 
-class Provenance(_Entry):
-    """Where a trial comes from."""
-
-    r2h_batch: Own | None = None
+def _own(provenance: Any) -> Any:
+    """What our own exporter wrote into a trial's provenance, which may be anything; else None."""
+    written = provenance.get("r2h_batch") if isinstance(provenance, dict) else None
+    return None if written is None else Own.model_validate(written)
 
 
 class Planning(_Entry):
@@ -164,14 +165,8 @@ class TrialFile(_Entry):
     T_tcp_asset_tool: Pose = np.eye(4).tolist()
     grasp_contract: GraspContract = GraspContract()
     planning: Planning = Planning()
-    provenance: Provenance | str | None = None
-
-    @property
-    def own(self) -> Own | None:
-        """What our own exporter wrote."""
-        return self.provenance.r2h_batch if isinstance(self.provenance, Provenance) else None
-
     method_geometry_invalidated: bool = False
+    own: Annotated[Any, AfterValidator(_own)] = Field(default=None, alias="provenance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,8 +210,7 @@ def read_trials(path: Path) -> list[ReleaseTrial]:
                 raise FileError(f"{printable(path)}: more than {MOST_TRIALS} trials")
     if not found:
         raise FileError(f"{printable(path)}: has no handover.trial.v1 file")
-    ids = [t.id for t in found]
-    if twice := sorted({i for i in ids if ids.count(i) > 1}):
+    if twice := sorted(i for i, k in Counter(t.id for t in found).items() if k > 1):
         raise FileError(f"{printable(path)}: two trials have the id {twice[0]!r}")
     return found
 
@@ -440,9 +434,8 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, int]:
     with (out / "trials.csv").open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(["trial_id", "id", "object_id", "variant", "split"])
-        rows.writerows(
-            [i, t.id, t.object_id, t.variant, t.split] for i, t in zip(ids, ordered, strict=True)
-        )
+        for i, t in zip(ids, ordered, strict=True):
+            rows.writerow([i, *map(csv_cell, (t.id, t.object_id, t.variant, t.split))])
     limits = "".join(f"  {k}: {v!r}\n" for k, v in place["thresholds"].items())
     write_text(
         out / "benchmark.yaml",

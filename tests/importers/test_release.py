@@ -156,6 +156,8 @@ def changed(**fields):
     [
         ({"schema_version": "handover.trial.v2"}, "schema_version is handover.trial.v2"),
         ({"units": "mm"}, "units is mm"),
+        ({"dt_s": "0.01"}, "dt_s is 0.01; it must be a number"),
+        ({"palm_position_world": [float("nan"), 0, 0]}, "palm_position_world.0 is nan; it must be a finite number"),
         ({"T_object_gripper": [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "T_object_gripper is"),
         ({"palm_normal_world": [0, 0, 0]}, "palm_normal_world is zero"),
         ({"usage_boxes": []}, "usage_boxes is empty"),
