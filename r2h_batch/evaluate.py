@@ -206,6 +206,7 @@ class Evaluator:
                 ScoreInputs(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
             )
 
+    @torch.compiler.disable  # nothing of it can be traced
     def score_motion(
         self,
         T_obj_ee: Float32[Tensor, "b 4 4"],
@@ -230,8 +231,8 @@ class Evaluator:
             length: how many samples of each motion count, 2 to W; None: all W.
 
         Returns:
-            Scores of B rows. A row with an angle or a time that is not finite, or with times that
-            go back, is INVALID_INPUT.
+            Scores of B rows. INVALID_INPUT: an angle or a time is not finite, times go back, or a
+            joint moves in no time. A motion beyond the limits is judged as one without a path.
 
         Raises:
             TypeError, ValueError: shape, dtype or device do not fit; before any work.
@@ -414,11 +415,12 @@ class Evaluator:
             poses = with_person(scene, poses, trials.receiver, hand=True)
         planned = plan_of_trace(scene, poses, trace, active, threads=threads)
         executed, motion = executed_trace(trace, planned)
+        moves = active & (planned.length > 0)
         touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
         person = self._person_distance(trials, held.body_poses, executed.path, executed.length)
         free = planned.reason == int(PlanReason.OK)
         shared, touch = self._judge(
-            held, free, active, planned.clearance_m, planned.reason, touch, person, executed.valid
+            held, free, moves, planned.clearance_m, planned.reason, touch, person, executed.valid
         )
         return motion_scores(
             trials.trial_id, shared, active, planned, motion, executed, touch, None,

@@ -42,21 +42,24 @@ PADS_M = {"asset_mesh_pad": 0.016, "": 0.01875}
 """From the finger tips back to the middle of the pads, by the grasp's `width_policy`: the release's score
 point for widths measured on its gripper's mesh, else the pads of our gripper."""
 HOME_Q = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
-TABLE = ((-0.35, 0.0, 0.70), (0.65, 0.55, 0.035))
-"""Home and table (centre, half extents; release frame, m) of trials that name none."""
+"""The posture at the start of trials without planned joints."""
 TCP_M = 0.12
 """The release's tool stands so far out of the flange; `T_tcp_asset_tool` corrects it for a gripper."""
 RIGID = 1e-6
 REGION_M = 1e-6
 """A usage box is this much larger than it says: faces of the object lie on its sides."""
+LEAST_M = 1e-3
+"""An object has a side of this length at least."""
 END_M, END_ENTRY = 0.005, 0.01
 """How far a motion may end from the handover pose: the release's own test of Plan."""
 MAX_BYTES = 256 << 20
 MOST_TRIALS = 100_000
 
-Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Metres = Annotated[float, Field(ge=-10, le=10)]
+Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
+Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 Row = Annotated[list[float], Field(min_length=4, max_length=4)]
-Joints = Annotated[list[float], Field(min_length=6, max_length=6)]
+Joints = Annotated[list[Angle], Field(min_length=6, max_length=6)]
 
 
 def _is_rigid(T: list[list[float]]) -> list[list[float]]:
@@ -65,6 +68,8 @@ def _is_rigid(T: list[list[float]]) -> list[list[float]]:
     wrong = np.abs(a[3] - [0, 0, 0, 1]).max() > 1e-7 or np.abs(R.T @ R - np.eye(3)).max() > RIGID
     if wrong or abs(np.linalg.det(R) - 1) > RIGID:
         raise ValueError("must be a rigid pose, 4 x 4, row by row")
+    if np.abs(a[:3, 3]).max() > 10:
+        raise ValueError("must lie within 10 m")
     return T
 
 
@@ -94,6 +99,10 @@ class Box(_Entry):
         return T
 
 
+TABLE_BOX = Box(center=[-0.35, 0.0, 0.70], half_extents=[0.65, 0.55, 0.035])
+"""The release's default table, of trials that name no obstacles."""
+
+
 class Mesh(_Entry):
     """A triangle mesh, m."""
 
@@ -114,8 +123,8 @@ class Receiver(_Entry):
 class Own(_Entry):
     """What our own exporter adds to a trial."""
 
-    pose: Annotated[list[float], Field(min_length=48, max_length=48)]
-    shape: Annotated[list[float], Field(min_length=10, max_length=10)]
+    pose: Annotated[list[Angle], Field(min_length=48, max_length=48)]
+    shape: Annotated[list[Metres], Field(min_length=10, max_length=10)]
     T_world_hand: Pose
     receiver_faces: list[Annotated[int, Field(ge=0)]]
 
@@ -283,11 +292,13 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
             trimesh.creation.box(2 * np.array(b.half_extents), b.pose()) for b in file.object_boxes
         ]
         mesh = sum(boxes[1:], boxes[0])
+    if np.ptp(mesh.vertices, axis=0).max() < LEAST_M:
+        raise FileError(f"{where}: object_mesh_object is smaller than {LEAST_M * 1e3:g} mm")
     region = np.zeros(len(mesh.faces), bool)
     if file.split == "S0":
         return mesh, region
     if file.own is not None:
-        if max(file.own.receiver_faces, default=-1) >= len(region):
+        if not 0 <= max(file.own.receiver_faces, default=-1) < len(region):
             raise FileError(f"{where}: provenance.r2h_batch.receiver_faces names no face")
         region[file.own.receiver_faces] = True
         return mesh, region
@@ -304,20 +315,22 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
 
 def _place(file: TrialFile, where: str) -> dict[str, Any]:
     """Thresholds, table and home as a benchmark file says them."""
-    center, half = (np.array(x) for x in TABLE)
-    boxes = file.obstacle_boxes_world or []
+    boxes = [TABLE_BOX] if file.obstacle_boxes_world is None else file.obstacle_boxes_world
+    if not boxes:
+        raise FileError(
+            f"{where}: obstacle_boxes_world is empty; a benchmark has a table: name a box"
+        )
     if len(boxes) > 1:
         raise FileError(
             f"{where}: obstacle_boxes_world has {len(boxes)} boxes; one, the table, can be judged"
         )
-    if boxes:
-        turned = np.abs(boxes[0].pose()[:3, :3])
-        if np.abs(turned - np.round(turned)).max() > RIGID:
-            raise FileError(
-                f"{where}: obstacle_boxes_world.0 is turned; a table lies along the world's axes"
-            )
-        center = np.array(boxes[0].center)
-        half = np.round(turned) @ boxes[0].half_extents
+    turned = np.abs(boxes[0].pose()[:3, :3])
+    if np.abs(turned - np.round(turned)).max() > RIGID:
+        raise FileError(
+            f"{where}: obstacle_boxes_world.0 is turned; a table lies along the world's axes"
+        )
+    center = np.array(boxes[0].center)
+    half = np.round(turned) @ boxes[0].half_extents
     middle = trimesh.transform_points([center], T_world_release)[0]
     home = file.planned_joints[0] if file.planned_joints else HOME_Q
     limits = {

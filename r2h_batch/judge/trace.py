@@ -35,7 +35,7 @@ class Trace:
     q: Float32[Tensor, "b w 6"]  # rad
     time_s: Float32[Tensor, "b w"]
     length: Int32[Tensor, " b"]
-    usable: Bool[Tensor, " b"]  # finite, and time never goes back
+    usable: Bool[Tensor, " b"]  # finite, time never goes back, and no joint moves in no time
 
     def __getitem__(self, rows: Any) -> "Trace":
         return Trace(self.q[rows], self.time_s[rows], self.length[rows], self.usable[rows])
@@ -88,9 +88,12 @@ def checked_trace(q: Tensor, time_s: Tensor, length: Tensor | None, n: int, devi
     slot = torch.arange(w, dtype=torch.int64, device=q.device)[None].minimum(last)
     q = q.detach().gather(1, slot[..., None].expand(-1, -1, 6))
     time_s = time_s.detach().expand(n, w).gather(1, slot)
+    q, time_s = q.float(), (time_s - time_s[:, :1]).float()  # float64 may be too large for it
+    takes = time_s[:, 1:] - time_s[:, :-1]
+    stays = (q[:, 1:] == q[:, :-1]).all(2)
     usable = q.isfinite().flatten(1).all(1) & time_s.isfinite().all(1)
-    usable = usable & (time_s[:, 1:] >= time_s[:, :-1]).all(1)
-    return Trace(q.float(), (time_s - time_s[:, :1]).float(), length.to(torch.int32), usable)
+    usable = usable & ((takes > 0) | ((takes == 0) & stays)).all(1)
+    return Trace(q, time_s, length.to(torch.int32), usable)
 
 
 def final_pose(scene: Scene, trace: Trace) -> Float32[Tensor, "b 4 4"]:
@@ -113,18 +116,21 @@ def plan_of_trace(
     within the joint limits.
 
     `body_poses`: what the motion must keep clear of. Where bodies meet, the clearance is minus the
-    overlap, as on a sampled path.
+    overlap, as on a sampled path; -inf, and length 0, beyond the limits.
     """
-    length = torch.where(active, trace.length, 0)
-    q = torch.where(active[:, None, None], trace.q, 0.0).contiguous()
-    clearance, pair, body = path_clearances(scene, body_poses, q, length, threads=threads)
     lower, upper = (
-        torch.tensor(np.array(x), dtype=torch.float64, device=q.device)
+        torch.tensor(np.array(x), dtype=torch.float64, device=trace.q.device)
         for x in (scene.robot.lower, scene.robot.upper)
     )
-    beyond = torch.maximum(lower - q.double(), q.double() - upper).amax((1, 2))
+    beyond = torch.maximum(lower - trace.q.double(), trace.q.double() - upper).amax((1, 2))
+    within = beyond <= LIMIT_TOLERANCE_RAD
+    # lines beyond the limits are not walked: they may be as long as numbers are
+    length = torch.where(active & within, trace.length, 0)
+    q = torch.where((active & within)[:, None, None], trace.q, 0.0).contiguous()
+    clearance, pair, body = path_clearances(scene, body_poses, q, length, threads=threads)
+    clearance = torch.where(within, clearance, -torch.inf)
     reason = torch.where(clearance > 0, int(PlanReason.OK), int(PlanReason.MOTION_IN_COLLISION))
-    reason = torch.where(beyond > LIMIT_TOLERANCE_RAD, int(PlanReason.BEYOND_JOINT_LIMITS), reason)
+    reason = torch.where(within, reason, int(PlanReason.BEYOND_JOINT_LIMITS))
     reason = torch.where(active, reason, int(PlanReason.NOT_EVALUATED)).to(torch.int32)
     return Plan(reason, pair, body, clearance, trace.length == 2, q, length)
 
