@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 
 from r2h_batch.config import ExecConfig
 from r2h_batch.export.stored import StoredTrial
-from r2h_batch.importers.release import PADS_M, T_world_release, palm_in_hand
+from r2h_batch.importers.release import PADS_M, T_world_release, along_z, palm_in_hand
 from r2h_batch.io.write import write_text
 from r2h_batch.motion.time_law import limits
 from r2h_batch.verdicts import SIDES
 
-__all__ = ["release_trial", "write_release_trial"]
+__all__ = ["release_name", "release_trial", "write_release_trial"]
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,9 @@ LEAST_HALF_M = 0.002
 TOOL_M = 0.051953
 """`T_tcp_asset_tool` along z with which the release's tool is our gripper's finger tips."""
 CELLS_OF_OBJECT = 12
+"""As many boxes along each axis of an object: its shape decides Reach and Affordance."""
+_LAW = ("scale", "max_velocity_rad_s", "max_acceleration_rad_s2")
+"""Fields of `ExecConfig` that the time law reads; a run of an older version may lack others."""
 
 
 def write_release_trial(stored: StoredTrial, name: str, folder: Path) -> Path:
@@ -53,7 +56,7 @@ def release_trial(stored: StoredTrial, name: str) -> dict[str, Any]:
     model, row = stored.object_model, stored.row
     limits_of = stored.header["configuration"]["thresholds"]
     to_release: Array = np.linalg.inv(T_world_release).astype(np.float64)
-    tips = _shift(PADS_M[""])
+    tips = along_z(PADS_M[""])
     side = int(stored.hand_set.side[row["hand_index"]])
     hand = stored.hand_set.model
     rows = torch.tensor([row["hand_index"]], dtype=torch.int64, device="cpu")
@@ -74,7 +77,7 @@ def release_trial(stored: StoredTrial, name: str) -> dict[str, Any]:
         "split": model.split,
         "T_object_gripper": (stored.T_obj_ee @ tips).tolist(),
         "target_T_world_gripper": (to_release @ stored.T_world_ee @ tips).tolist(),
-        "T_tcp_asset_tool": _shift(TOOL_M).tolist(),
+        "T_tcp_asset_tool": along_z(TOOL_M).tolist(),
         "object_boxes": _cells(_surface(model), CELLS_OF_OBJECT, "object"),
         "object_mesh_object": {
             "vertices": model.vertices.tolist(),
@@ -127,12 +130,6 @@ def release_trial(stored: StoredTrial, name: str) -> dict[str, Any]:
     }
 
 
-def _shift(z: float) -> Array:
-    T = np.eye(4)
-    T[2, 3] = z
-    return T
-
-
 def _frames(stored: StoredTrial) -> Array:
     """(K, 6) joint angles every `FRAME_S` s, the last one at the end; home alone without a path."""
     if not stored.moves:
@@ -156,9 +153,6 @@ def _frames(stored: StoredTrial) -> Array:
     s = np.where(t - stored.time_s[k] <= total / 2, s, whole - s)
     share = np.divide(s, whole, out=np.zeros_like(s), where=whole > 0).clip(0, 1)
     return np.asarray(stored.q[k] + share[:, None] * d[k])
-
-
-_LAW = ("scale", "max_velocity_rad_s", "max_acceleration_rad_s2")
 
 
 def _surface(model: Any) -> Array:

@@ -31,7 +31,7 @@ from r2h_batch.io.write import csv_cell, write_npz, write_text
 from r2h_batch.validate import rule_of
 from r2h_batch.verdicts import SIDES, SPLITS
 
-__all__ = ["ReleaseTrial", "read_trials", "write"]
+__all__ = ["ReleaseTrial", "along_z", "palm_in_hand", "read_trials", "write"]
 
 Array = NDArray[np.float64]
 
@@ -250,8 +250,7 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
         if isinstance(error, FileError):
             raise
         raise FileError(f"{where}: rotation of a box {error}") from None
-    back = np.eye(4)
-    back[2, 3] = -PADS_M.get(file.grasp_contract.width_policy, PADS_M[""])
+    back = along_z(-PADS_M.get(file.grasp_contract.width_policy, PADS_M[""]))
     T_world_ee = _tool_pose(file) @ back
     side, T_world_hand = _hand(file, where)
     pose, shape = np.zeros(48), np.zeros(10)
@@ -265,6 +264,13 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
     )  # fmt: skip
 
 
+def along_z(z: float) -> Array:
+    """The pose that is z metres along z, without a turn."""
+    T = np.eye(4)
+    T[2, 3] = z
+    return T
+
+
 def _tool_pose(file: TrialFile) -> Array:
     """Where the tool ends, our world frame: at the last executed sample, as the release judges Reach;
     at the target of a trial without a trace, or without a path."""
@@ -272,9 +278,7 @@ def _tool_pose(file: TrialFile) -> Array:
         return T_world_release @ np.array(file.target_T_world_gripper)
     robot = load_robot()
     T_world_flange = ee_pose(robot, file.executed_joints[-1]) @ np.linalg.inv(robot.T_flange_ee)
-    T_flange_tcp = np.eye(4)
-    T_flange_tcp[2, 3] = TCP_M
-    return np.asarray(T_world_flange @ T_flange_tcp @ np.array(file.T_tcp_asset_tool))
+    return np.asarray(T_world_flange @ along_z(TCP_M) @ np.array(file.T_tcp_asset_tool))
 
 
 def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bool_]]:
