@@ -3,7 +3,6 @@ function, or, from a source that the user trusts, a TorchScript file."""
 
 from __future__ import annotations
 
-import importlib
 import io
 import os
 import zipfile
@@ -16,14 +15,15 @@ from torch import Tensor
 from r2h_batch.io.read import FileError, archive_members, open_archive, printable, read_file
 from r2h_batch.predictors.grid import ContactPredictor, PredictorError
 from r2h_batch.predictors.voxnet import read_voxnet
+from r2h_batch.user_code import HOW, load_function
 
 __all__ = ["load_predictor"]
 
 MAX_BYTES = 4 << 30
 MAX_MEMBERS = 20_000
 _HOW = (
-    "give an ONNX file (.onnx), VoxNet weights (.safetensors), or the package.module:function of"
-    " your own code"
+    "give an ONNX file (.onnx), VoxNet weights (.safetensors), or a function of your own code,"
+    f" {HOW}"
 )
 _TRUST = (
     "a TorchScript file is a program, which can write any file; export the network as ONNX"
@@ -39,7 +39,7 @@ def load_predictor(spec: str, *, trust_code: bool = False) -> ContactPredictor:
     with the rights of its user. Pickles (torch.save, .pkl) are refused.
 
     Args:
-        spec: the file, or `package.module:function`. What a predictor takes and returns:
+        spec: the file, or `package.module:function`, or `FILE.py:function`. What a predictor takes and returns:
             `r2h_batch.predictors.grid`.
         trust_code: whether a TorchScript file may be loaded.
 
@@ -120,17 +120,13 @@ def _script(path: Path, data: bytes, trust_code: bool) -> ContactPredictor:
 
 
 def _function(spec: str) -> ContactPredictor:
-    module_name, _, name = spec.partition(":")
     where = f"predictor {printable(spec)}"
-    if not all(part.isidentifier() for part in [*module_name.split("."), name]):
-        raise PredictorError(f"{where}: no such file, and no name of a function; {_HOW}")
     try:
-        module = importlib.import_module(module_name)
+        found = load_function(spec).function
     except (Exception, SystemExit) as error:  # a user's module runs when it is imported
-        why = " ".join(f"{type(error).__name__}: {printable(error)}".split())[:200]
-        raise PredictorError(f"{where}: cannot import {module_name!r} ({why}); {_HOW}") from error
-    found = getattr(module, name, None)
+        kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
+        why = " ".join(f"{kind}{printable(error)}".split())[:200]
+        raise PredictorError(f"{where}: {why}; {_HOW}") from error
     if not callable(found):
-        what = "has no" if found is None else f"has no function but a {type(found).__name__} called"
-        raise PredictorError(f"{where}: module {module_name} {what} {name!r}; {_HOW}")
+        raise PredictorError(f"{where}: is a {type(found).__name__}, no function; {_HOW}")
     return found

@@ -1,24 +1,19 @@
 """What a figure was made with: versions, digest of the code and its data, commit, device. For
 run.json and bench."""
 
-import ast
 import hashlib
-import importlib.util
 import io
 import os
 import platform
 import subprocess
-import sys
-import sysconfig
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import lru_cache
 from importlib import metadata
-from importlib.machinery import PathFinder
 from pathlib import Path
 from typing import cast
 
 import r2h_batch
-from r2h_batch.io.read import FileError, open_file
+from r2h_batch.io.read import open_file
 
 PACKAGES = (
     "mujoco",
@@ -105,80 +100,6 @@ def file_digest(paths: Iterable[Path]) -> str:
                 + hashlib.file_digest(cast(io.BufferedReader, file), "sha256").digest()
             )
     return digest.hexdigest()
-
-
-def user_files(modules: Iterable[str]) -> dict[str, Path]:
-    """Name -> file of the user's modules among these and of those that they import, in functions
-    too.
-
-    The user's are those outside site-packages, the standard library and this package. Nothing is
-    imported or run: names of `import` statements are looked up. `METHOD_FILES` of a module, a
-    sequence of paths from its folder, adds the files that it reads, or folders of them.
-
-    Raises:
-        FileError: a file of `METHOD_FILES` is not there.
-    """
-    left, found = list(modules), {}
-    while left:
-        name = left.pop()
-        if name in found or (file := _module_file(name)) is None:
-            continue
-        found[name] = file
-        if file.suffix == ".py":
-            left += _imported(name, file)
-    for name, file in list(found.items()):
-        for said in getattr(sys.modules.get(name), "METHOD_FILES", ()):
-            path = file.parent / os.path.expanduser(said)
-            inside = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-            if not all(p.exists() for p in inside):
-                raise FileError(f"{path}: no such file; METHOD_FILES of {file} names it")
-            found |= {os.path.relpath(p, file.parent): p for p in inside}
-    return dict(sorted(found.items()))
-
-
-def _module_file(name: str) -> Path | None:
-    """The file of a user's module; None for other modules and for those without a file."""
-    if name.partition(".")[0] == "r2h_batch":
-        return None
-    if (module := sys.modules.get(name)) is not None:
-        file = getattr(module, "__file__", None)
-    else:  # imported in a function, so far not
-        file, path = None, None
-        for end in [i for i, c in enumerate(f"{name}.") if c == "."]:
-            try:
-                spec = PathFinder.find_spec(name[:end], path)
-            except (ImportError, ValueError):
-                spec = None
-            if spec is None:
-                return None
-            file, path = spec.origin, spec.submodule_search_locations
-    if not file or not os.path.isfile(file):
-        return None
-    found = Path(os.path.abspath(file))
-    library = [sysconfig.get_path(k) for k in ("stdlib", "platstdlib")]
-    installed = {"site-packages", "dist-packages"} & set(found.parts)
-    return None if installed or any(map(found.is_relative_to, library)) else found
-
-
-def _imported(name: str, file: Path) -> Iterator[str]:
-    """Names that the `import` statements of a module may mean, with the packages they lie in."""
-    try:
-        tree = ast.parse(file.read_bytes())
-    except (OSError, SyntaxError, ValueError):
-        return
-    package = name if file.name == "__init__.py" else name.rpartition(".")[0]
-    for node in ast.walk(tree):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            try:
-                base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
-            except ImportError:  # beyond the topmost package
-                continue
-            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
-        for full in names:
-            yield from (full[:i] for i, c in enumerate(f"{full}.") if c == ".")
 
 
 def git_commit() -> str | None:

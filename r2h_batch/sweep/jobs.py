@@ -5,12 +5,11 @@ import inspect
 import json
 import sys
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast, get_args
 
 import torch
@@ -30,9 +29,11 @@ from r2h_batch.sweep.options import (
     base_of,
     check,
     options_of,
+    own_name,
     said_options,
 )
 from r2h_batch.types import Predictions, Trials
+from r2h_batch.user_code import HOW, UserFunction, load_function, user_files
 from r2h_batch.verdicts import SIDES, SPLITS
 
 if TYPE_CHECKING:
@@ -236,8 +237,7 @@ def _predictors(options: Options) -> dict[str, Any]:
 
 def _network(spec: str) -> dict[str, str]:
     """A user's contact network: its file, or the files of its Python module."""
-    modules = [spec.partition(":")[0]]
-    files = [Path(spec)] if Path(spec).is_file() else provenance.user_files(modules).values()
+    files = [Path(spec)] if Path(spec).is_file() else load_function(spec).files().values()
     return {"file": spec, "sha256": provenance.file_digest(files)}
 
 
@@ -307,12 +307,10 @@ def _stored(predictions: Predictions, _: Trials, rows: torch.Tensor | None) -> P
 
 @dataclass(frozen=True)
 class _Method:
-    """A method that was found: its function, the module that it is in, and what it takes."""
+    """A method that was found, its parameters and the values of its options."""
 
     built_in: bool
-    spec: str
-    module: ModuleType
-    function: Callable[..., Any]
+    found: UserFunction
     takes: Mapping[str, Any]
     options: Mapping[str, Any]
 
@@ -335,31 +333,27 @@ def _function_of(word: str) -> str:
     return f"r2h_batch.methods.{word.replace('-', '_')}:predict"
 
 
-_BROUGHT: dict[str, Collection[str]] = {}
-"""Module of a method -> the modules that its first import brought."""
+def _built_in(word: str) -> UserFunction:
+    spec = _function_of(word)
+    module = import_module(spec.partition(":")[0])
+    return UserFunction(module.predict, module, spec)
 
 
 def _method(said: str) -> _Method:
     name = base_of(said)
     built_in = name in METHODS
-    module_name, _, function_name = (_function_of(name) if built_in else name).rpartition(":")
-    form = "it must be package.module:function that takes (trials, scene, *, seed)"
-    before = set(sys.modules)
+    form = f"it must be {HOW}; the function takes (trials, scene, *, seed)"
     try:
         with own_streams(f"--method {name}"):
-            module = import_module(module_name)
-        function = getattr(module, function_name)
+            found = _built_in(name) if built_in else load_function(name)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # a user's module runs when it is imported
-        plain = isinstance(error, (ImportError, AttributeError))
-        what = (
-            " ".join(str(error).split())
-            if plain
-            else f"{type(error).__name__}: {' '.join(str(error).split())}"
-        )
-        raise UsageError(f"--method {name}: {what}; {form}") from error
-    _BROUGHT.setdefault(module_name, sys.modules.keys() - before)
+        kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
+        raise UsageError(
+            f"--method {name}: {kind}{' '.join(str(error).split())}; {form}"
+        ) from error
+    function = found.function
     given = options_of(said, function, known=built_in) if callable(function) else {}
     try:
         signature = inspect.signature(function)
@@ -371,33 +365,33 @@ def _method(said: str) -> _Method:
         signature.bind(None, None, seed=0, **more, **given)
     except (TypeError, ValueError) as error:
         raise UsageError(f"--method {name}: {error}; {form}") from error
-    return _Method(
-        built_in, f"{module_name}:{function_name}", module, function, signature.parameters, given
-    )
+    return _Method(built_in, found, signature.parameters, given)
 
 
-def _files_of(found: _Method) -> dict[str, Path]:
+def _files_of(method: _Method) -> dict[str, Path]:
     """Name -> file of what decides a user's answers: modules, `METHOD_FILES`, files that its
     options name."""
-    module = found.module.__name__
-    of_function = getattr(found.function, "__module__", None) or module
-    files = provenance.user_files([module, of_function, *_BROUGHT.get(module, ())])
-    values = [v for v in found.options.values() if isinstance(v, str)]
-    return files | {v: Path(v) for v in values if Path(v).is_file()}
+    values = [v for v in method.options.values() if isinstance(v, str)]
+    return method.found.files() | {v: Path(v) for v in values if Path(v).is_file()}
 
 
 def _method_job(
     name: str, evaluator: "Evaluator", options: Options, seen: "Observations | None" = None
 ) -> Job:
-    found, said = _method(name), said_options(name)
-    module, takes, built_in = found.module, found.takes, found.built_in
+    method, said = _method(name), said_options(name)
+    module, takes, built_in = method.found.module, method.takes, method.built_in
     extra: dict[str, Any] = {
-        **found.options,
+        **method.options,
         **({"evaluator": evaluator} if "evaluator" in takes else {}),
     }
-    title = f"{base_of(name)} ({said})" if said else name
-    source = {"kind": "method", "function": found.spec, **({"options": said} if said else {})}
-    files = {"": Path(str(module.__file__))} if built_in else _files_of(found)
+    base = own_name(name) or (base_of(name) if built_in else method.found.spec)
+    title = f"{base} ({said})" if said and not own_name(name) else base
+    source = {
+        "kind": "method",
+        "function": method.found.spec,
+        **({"options": said} if said else {}),
+    }
+    files = {"": Path(str(module.__file__))} if built_in else _files_of(method)
     source["sha256"] = provenance.file_digest(files.values())
     if not built_in:
         source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
@@ -429,9 +423,9 @@ def _method_job(
         answer = answer_of(
             title,
             trials,
-            lambda mine: found.function(mine, evaluator.scene, seed=options.seed, **extra),
+            lambda mine: method.found.function(mine, evaluator.scene, seed=options.seed, **extra),
         )
-        late = provenance.user_files(sys.modules.keys() - before)
+        late = user_files(sys.modules.keys() - before)
         for k in late.keys() - files.keys() if not built_in else ():
             tell(f"{title}: imported {k} when it was called; a resume does not notice its changes")
         return answer

@@ -14,6 +14,7 @@ from typing import Any, Literal, get_args, get_origin
 
 from r2h_batch.command_line import UsageError, nearest, read
 from r2h_batch.io.read import FileError
+from r2h_batch.user_code import HOW
 from r2h_batch.validate import expand_home
 
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
@@ -50,13 +51,13 @@ class Options:
     method: tuple[str, ...] = _option(
         (),
         _METHODS,
-        "fc, handover-va, contact, intent, random, oracle, or your package.module:function(trials,"
-        " scene, *, seed); with options: contact,gate=ik",
+        "fc, handover-va, contact, intent, random, oracle; your own: package.module:function,"
+        " FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik",
     )
     predictions: tuple[str, ...] = _option(
-        (), _METHODS, "predictions files to score: .npz, .safetensors, .csv, .json"
+        (), _METHODS, "files of poses: .npz, .safetensors, .csv, .json"
     )
-    seed: int = _option(0, _METHODS, "seed of the methods; the trials do not depend on it")
+    seed: int = _option(0, _METHODS, "seed of the methods; trials have their own")
     trials: int = _option(500, _TRIALS, "trials of each split")
     splits: tuple[Literal["S0", "S1"], ...] = _option(
         ("S0", "S1"), _TRIALS, "S0: free handover; S1: functional handover"
@@ -69,46 +70,40 @@ class Options:
     )
     trials_file: str = _option("", _TRIALS, "your own trials, .npz or .parquet")
     benchmark: str = _option("", _TRIALS, "your own benchmark.yaml; see r2h-batch benchmark show")
-    objects: str = _option("", _TRIALS, "folder of meshes or benchmark.yaml: these objects instead")
+    objects: str = _option("", _TRIALS, "folder of meshes or benchmark.yaml instead")
     object_mesh: tuple[str, ...] = _option(
         (),
         _TRIALS,
-        "more objects, FILE[:S0|S1[:REGION]]; REGION, the receiver's part: a part's name, a plane"
-        " such as z<0.3, or an .npy of the file's faces",
+        "more objects, FILE[:S0|S1[:REGION]]; REGION, the receiver's part: its name, a plane such"
+        " as z<0.3, or an .npy of faces",
     )
     grasps: tuple[str, ...] = _option(
-        (), _TRIALS, "your own grasp candidates: NAME=FILE, a file, or a folder"
+        (), _TRIALS, "grasp candidates: NAME=FILE, a file, or a folder"
     )
-    hands: str = _option("", _TRIALS, "another hand set: .npz of r2h-batch import hands")
-    hand_model: str = _option("", _TRIALS, "another hand: MANO_RIGHT.pkl, .npz of import hand")
+    hands: str = _option("", _TRIALS, "another hand set: .npz of import hands")
+    hand_model: str = _option("", _TRIALS, "MANO_RIGHT.pkl, or .npz of import hand")
     preset: Literal["default", "paper"] = _option(
-        "default", _VERDICT, "default: certified planning to any branch; paper: one goal, samples"
+        "default", _VERDICT, "default: certified paths; paper: one goal, samples"
     )
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = _option(
         "auto", _VERDICT, "who moves the arm; auto: mujoco on a CPU, mjwarp on CUDA"
     )
-    out: str = _option(
-        "", _OUTPUT, "run folder, default runs/DATE-TIME; the same command goes on where it stopped"
-    )
+    out: str = _option("", _OUTPUT, "run folder; the same command goes on with it")
     format: Literal["md", "latex", "csv", "json"] = _option("md", _OUTPUT, "format of the table")
-    save_paths: bool = _option(
-        False, _OUTPUT, "store waypoints, times and details of every trial, for r2h-batch scene"
-    )
+    save_paths: bool = _option(False, _OUTPUT, "store waypoints and details, for r2h-batch scene")
     quiet: bool = _option(False, _OUTPUT, "print only errors on stderr")
     device: str = _option("cpu", _WORK, "cpu, cuda or cuda:N")
     threads: int | None = _option(None, _WORK, "CPU threads; default: all cores")
-    shard: str = _option("1/1", _WORK, "I/N: score part I of N, for job arrays with one --out")
-    shard_trials: int = _option(
-        0, _WORK, "trials of a shard; 0: 100000 or a minute of work, whichever is smaller"
-    )
+    shard: str = _option("1/1", _WORK, "I/N: part I of N, for job arrays with one --out")
+    shard_trials: int = _option(0, _WORK, "trials of a shard; 0: a minute of work")
     engine: Literal["local", "ray"] = _option("local", _WORK, "this process, or a Ray cluster")
-    address: str = _option("", _WORK, "Ray cluster to join: auto or HOST:PORT; default: a new one")
+    address: str = _option("", _WORK, "Ray cluster to join: auto or HOST:PORT")
 
     predictor: str = _option(
         "",
         _CONFIG,
         "contact network of method contact: .onnx, VoxNet weights as .safetensors, or"
-        " package.module:function; default: the built-in VoxNet",
+        " package.module:function or FILE.py:function; default: the built-in VoxNet",
     )
     trust_code: bool = _option(
         False,
@@ -285,7 +280,13 @@ def check(options: Options) -> Options:
         if name not in METHODS and ":" not in name:
             raise UsageError(
                 f"unknown method {name!r}{nearest(name, METHODS)}; allowed are {', '.join(METHODS)}"
-                " or your own package.module:function"
+                f" or your own {HOW}"
+            )
+    for name in filter(own_name, options.method):
+        if base_of(name) in METHODS:
+            raise UsageError(
+                f"--method {name}: {base_of(name)} is built in and keeps its name in tables; leave"
+                f" {own_name(name)}= out"
             )
     least = {
         "trials": 1,
@@ -491,8 +492,14 @@ _WORDS = {"true": True, "false": False}
 
 
 def base_of(method: str) -> str:
-    """The method's name without its options."""
-    return method.partition(",")[0]
+    """A built-in method or where the user's function is: without a name for tables, without
+    options."""
+    return method.partition(",")[0].rpartition("=")[2]
+
+
+def own_name(method: str) -> str:
+    """The name before `=`, which tables show; empty where none is given."""
+    return method.partition(",")[0].rpartition("=")[0]
 
 
 def said_options(method: str) -> str:

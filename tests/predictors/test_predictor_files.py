@@ -133,12 +133,13 @@ def test_files_that_are_no_network_are_refused_without_being_run(tmp_path):
 @pytest.mark.parametrize(
     ("spec", "words"),
     [
-        ("../x:y", "predictor ../x:y: no such file, and no name of a function"),
-        ("a\x1bb:y", "predictor a\\x1bb:y: no such file"),
-        ("no_such_module:net", "cannot import 'no_such_module' (ModuleNotFoundError"),
-        ("leaves:net", "cannot import 'leaves' (SystemExit: 0)"),
-        ("json:missing", "has no 'missing'"),
-        ("json:__doc__", "has no function but a str called '__doc__'"),
+        ("../x:y", "predictor ../x:y: '../x' is no name of a module, and no file that ends with .py"),
+        ("a\x1bb:y", "predictor a\\x1bb:y: 'a\\x1bb' is no name"),
+        ("gone.py:net", "gone.py: no such file"),
+        ("no_such_module:net", "No module named 'no_such_module'"),
+        ("leaves:net", "SystemExit: 0"),
+        ("json:missing", "json has no function 'missing'"),
+        ("json:__doc__", "is a str, no function"),
     ],
 )
 def test_a_function_that_is_none_is_refused(tmp_path, monkeypatch, spec, words):

@@ -224,7 +224,7 @@ def test_a_method_that_changes_the_directory_takes_no_shard_along(fake, tmp_path
     [
         ("mine:number", "--method mine:number: 3 is not a callable object; it must be package.module:function"),
         ("mine:other", "--method mine:other: missing a required argument: 'c'; it must be package.module:function"),
-        ("mine:none", "has no attribute 'none'; it must be package.module:function"),
+        ("mine:none", "mine has no function 'none'; it must be package.module:function"),
         ("no_such_module:f", "No module named 'no_such_module'; it must be package.module:function"),
         ("broken_rules:f", "--method broken_rules:f: SystemExit: 7; it must be"),
         ("worse_rules:f", "--method worse_rules:f: GeneratorExit: ; it must be"),

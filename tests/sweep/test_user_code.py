@@ -1,0 +1,100 @@
+"""How a user's method is found: beside the command, as a file, under a name of its own; also by workers of Ray."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from fake_bench import prepare as prepare_fake
+
+from r2h_batch.runs.store import load_run
+from r2h_batch.sweep import command as sweep
+from r2h_batch.sweep import jobs
+
+RULES = """
+import torch
+from {helper} import SCALE
+
+def predict(trials, scene, *, seed):
+    T = SCALE * torch.eye(4).repeat(len(trials), 1, 1)
+    return T, T
+"""
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """Two folders with a `uc_rules.py` each, and the path of modules as it was before."""
+    for folder, helper in (("here", "uc_helper"), ("there", "uc_other"), ("third", "uc_helper")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "uc_rules.py").write_text(RULES.format(helper=helper))
+        (tmp_path / folder / f"{helper}.py").write_text("SCALE = 1.0\n")
+    monkeypatch.chdir(tmp_path / "here")
+    monkeypatch.setattr(sys, "path", [p for p in sys.path if p])
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setattr(jobs, "prepare", prepare_fake)
+    yield tmp_path
+    for name in [n for n in sys.modules if n.startswith("uc_")]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize(
+    ("said", "name", "function"),
+    [
+        ("uc_rules:predict", "uc_rules:predict", "uc_rules:predict"),
+        ("../there/uc_rules.py:predict", "uc_rules.py:predict", "uc_rules.py:predict"),
+        ("mine=../there/uc_rules.py:predict", "mine", "uc_rules.py:predict"),
+    ],
+)
+def test_a_method_is_found_beside_the_command_and_as_a_file(place, said, name, function):
+    assert sweep.main(["--method", said, "--trials", "3", "--out", "run"]) == 0
+    run = load_run("run")
+    assert run.methods == (name,) and run.entry(name)["source"]["function"] == function
+    assert str(place) not in (place / "here/run/run.json").read_text().partition('"command"')[0]
+
+
+def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refused(place, capsys):
+    line = ["--method", "a=uc_rules.py:predict", "b=../there/uc_rules.py:predict", "--trials", "3", "--out", "run"]
+    assert sweep.main(line) == 0
+    run = load_run("run")
+    assert run.methods == ("a", "b") and run.entry("a")["source"]["sha256"] != run.entry("b")["source"]["sha256"]
+    capsys.readouterr()
+    assert sweep.main(["--method", "c=../third/uc_rules.py:predict", "--trials", "3", "--out", "run"]) == 2
+    error = capsys.readouterr().err
+    assert "uc_rules.py imports uc_helper, and " in error and "rename one of them" in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [
+        ("gone.py:predict", "gone.py: no such file; it must be package.module:function or FILE.py:function"),
+        ("uc_rules.py:other", "uc_rules.py has no function 'other'"),
+        ("uc_rules.txt:predict", "No module named 'uc_rules.txt'"),
+        ("near=contact", "contact is built in and keeps its name in tables; leave near= out"),
+    ],
+)
+def test_what_is_not_found_is_one_line(place, capsys, said, words):
+    assert sweep.main(["--method", said, "--trials", "3", "--out", "run"]) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+
+
+@pytest.mark.parametrize("engine", ["local", "ray"])
+def test_the_console_script_finds_a_module_in_the_current_folder(place, engine):
+    """A process of its own: nothing but the script's folder stands in its path of modules."""
+    if engine == "ray":
+        pytest.importorskip("ray")
+    program = str(Path(sys.executable).with_name("r2h-batch"))
+    line = [
+        "sweep",
+        "--method",
+        "uc_rules:predict",
+        "mine=../there/uc_rules.py:predict",
+        "--trials",
+        "3",
+        "--sim",
+        "none",
+    ]
+    more = ["--engine", "ray", "--set", "workers=1"] if engine == "ray" else []
+    done = subprocess.run([program, *line, *more, "--out", "run"], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert set(load_run("run").methods) == {"mine", "uc_rules:predict"}
