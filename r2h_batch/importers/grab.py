@@ -26,8 +26,7 @@ __all__ = ["find", "read"]
 
 NEEDED = ("rhand", "lhand", "object", "body", "obj_name", "motion_intent", "framerate")
 MOST = 2 << 30
-"""Members that are not needed (contact labels of every vertex) count too, though nothing of them is
-read."""
+"""Largest file: it also holds contact labels of every vertex, of which nothing is read."""
 
 
 def find(folder: Path) -> list[Path]:

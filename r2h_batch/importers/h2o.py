@@ -18,7 +18,7 @@ from r2h_batch.bodies.hand import LEFT, RIGHT
 from r2h_batch.importers.arrays import numbers
 from r2h_batch.importers.mano import ManoHand
 from r2h_batch.importers.sequences import HandMotion, ManoParameters, files_below, motion
-from r2h_batch.io.read import FileError, read_file
+from r2h_batch.io.read import FileError, printable, read_file
 
 __all__ = ["find", "read"]
 
@@ -29,9 +29,8 @@ MAX_FRAMES = 20_000
 
 def find(folder: Path) -> list[Path]:
     """The sequences below the folder: those of cam4, the head's camera, where there are several."""
-    folders = {p.parent for p in files_below(folder, "**/hand_pose_MANO/*.txt")}
-    head = sorted(f for f in folders if f.parent.name == "cam4")
-    return head or sorted(folders)
+    folders = files_below(folder, "**/hand_pose_[mM][aA][nN][oO]")
+    return [f for f in folders if f.parent.name == "cam4"] or folders
 
 
 def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
@@ -40,9 +39,13 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     sequence = path.parent
     where = "h2o:" + "/".join(sequence.parts[-4:])
     files = sorted(path.glob("*.txt"))[:MAX_FRAMES]
+    beside = {p.name.lower(): p for p in sequence.iterdir()}  # obj_pose_rt, or obj_pose_RT
+    if not files or (missing := {"cam_pose", "obj_pose_rt"} - beside.keys()):
+        lacks = f"{path.name}/*.txt" if not files else min(missing)
+        raise FileError(f"{printable(sequence)}: holds no {lacks}")
     rows = np.stack([_numbers(f, 124) for f in files])
-    camera = np.stack([_numbers(sequence / "cam_pose" / f.name, 16).reshape(4, 4) for f in files])
-    objects = np.stack([_numbers(sequence / "obj_pose_rt" / f.name, 17) for f in files])
+    camera = np.stack([_numbers(beside["cam_pose"] / f.name, 16).reshape(4, 4) for f in files])
+    objects = np.stack([_numbers(beside["obj_pose_rt"] / f.name, 17) for f in files])
     if np.abs(camera[:, :3, :3] @ camera[:, :3, :3].transpose(0, 2, 1) - np.eye(3)).max() > 1e-2:
         raise FileError(f"{where}: cam_pose holds something else than rigid poses")
     T_world_object = camera @ objects[:, 1:].reshape(-1, 4, 4)

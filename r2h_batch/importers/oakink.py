@@ -1,8 +1,8 @@
 """OakInk-Shape (Yang et al. 2022): oakink_shape_v2/CATEGORY/OBJECT/TAG[/VIRTUAL]/hand_param.pkl,
 right hands only.
 
-As its own tools read it: `pose` 16 quaternions (wxyz) about the flat hand, `shape` 10, `tsl` the
-wrist joint, all in the object's frame. source.txt beside the tag names
+As its own tools read it: `pose` 16 quaternions (wxyz) or axis-angle turns (48) about the flat hand,
+`shape` 10, `tsl` the wrist joint, all in the object's frame. source.txt beside the tag names
 STAGE/OBJECT_ACTION_SUBJECTS/TIME. Action 0004 is a handover, its subjects giver_receiver; a source
 with `_alt` is the receiver's hand. Those hands are the receiving ones: the only data set here that
 has hands which receive. Where there are none (`--frame` given), every grasp can be taken.
@@ -54,11 +54,15 @@ def read(path: Path, hand: ManoHand | None) -> list[HandMotion]:
     found = read_pickle_file(path)
     if not isinstance(found, Mapping):
         raise FileError(f"{printable(path)}: holds no dictionary; it is no grasp of OakInk")
-    turns = numbers(found.get("pose"), (16, 4), f"{where} pose")
-    length = np.linalg.norm(turns, axis=1)
-    if (np.abs(length - 1) > 1e-2).any():
-        raise FileError(f"{where}: pose holds quaternions that are no rotations")
-    R = Rotation.from_quat(turns, scalar_first=True)
+    turns = found.get("pose")
+    if isinstance(turns, np.ndarray) and turns.size == 48:
+        turns = numbers(turns.reshape(16, 3), (16, 3), f"{where} pose")
+        R = Rotation.from_rotvec(turns)
+    else:
+        turns = numbers(turns, (16, 4), f"{where} (48 turns or quaternions) pose")
+        if (np.abs(np.linalg.norm(turns, axis=1) - 1) > 1e-2).any():
+            raise FileError(f"{where}: pose holds quaternions that are no rotations")
+        R = Rotation.from_quat(turns, scalar_first=True)
     T = rigid(R[:1], numbers(found.get("tsl"), (3,), f"{where} tsl")[None])
     verb = "receive" if match[3] == HANDOVER and RECEIVER in text else action
     return [

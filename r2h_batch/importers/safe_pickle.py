@@ -4,8 +4,8 @@ foreign class.
 A pickle is a program for a small stack machine. Here that machine only knows data: containers,
 numbers, text, bytes, and descriptions of a few classes that the hand data sets use: numpy's arrays,
 dtypes and scalars, scipy's csc and csr matrices, chumpy's `Ch` (an array in `x`) and `Select`
-(`a.ravel()[idxs].reshape(preferred_shape)`), OrderedDict. Arrays are views of bytes that are in the
-file. Whatever else takes memory or time has a budget:
+(`a.ravel()[idxs].reshape(preferred_shape)`), OrderedDict, sets (read as lists: nothing is hashed).
+Arrays are views of bytes that are in the file. Whatever else takes memory or time has a budget:
 
 - `MAX_STEPS` instructions, and as many values in the result, shared ones counted each time;
 - bytes of text, copies and sparse matrices: three times the file's, and `MADE_BYTES`;
@@ -45,19 +45,26 @@ _ALLOWED: dict[str, tuple[str, ...]] = {
     ),
     **dict.fromkeys(("numpy.core.numeric", "numpy._core.numeric"), ("_frombuffer",)),
     "numpy": ("ndarray", "dtype"),
-    **dict.fromkeys(("scipy.sparse.csc", "scipy.sparse._csc"), ("csc_matrix",)),
-    **dict.fromkeys(("scipy.sparse.csr", "scipy.sparse._csr"), ("csr_matrix",)),
-    "scipy.sparse": ("csc_matrix", "csr_matrix"),
+    **dict.fromkeys(("scipy.sparse.csc", "scipy.sparse._csc"), ("csc_matrix", "csc_array")),
+    **dict.fromkeys(("scipy.sparse.csr", "scipy.sparse._csr"), ("csr_matrix", "csr_array")),
+    "scipy.sparse": ("csc_matrix", "csr_matrix", "csc_array", "csr_array"),
     **dict.fromkeys(("copy_reg", "copyreg"), ("_reconstructor",)),
-    **dict.fromkeys(("__builtin__", "builtins"), ("object", "bytes")),
+    **dict.fromkeys(("__builtin__", "builtins"), ("object", "bytes", "set", "frozenset")),
     **dict.fromkeys(("chumpy", "chumpy.ch", "chumpy.reordering"), ("Ch", "Select")),
     "_codecs": ("encode",),
     "collections": ("OrderedDict",),
 }
+_SPARSE = ("_shape", "shape", "data", "indices", "indptr")
+_STATE = {
+    "Ch": ("x",),
+    "Select": ("a", "idxs", "preferred_shape"),
+    **{f"cs{a}_{kind}": _SPARSE for a in "cr" for kind in ("matrix", "array")},
+}
+"""What is read of an object's state; chumpy also keeps sets of names and caches there."""
 _OPCODES = {o.code.encode("latin-1"): o for o in pickletools.opcodes}
 _CONSTANTS: dict[str, Callable[[], Any]] = {
     "NONE": lambda: None, "NEWTRUE": lambda: True, "NEWFALSE": lambda: False,
-    "EMPTY_DICT": dict, "EMPTY_LIST": list, "EMPTY_TUPLE": tuple,
+    "EMPTY_DICT": dict, "EMPTY_LIST": list, "EMPTY_TUPLE": tuple, "EMPTY_SET": list,
 }  # fmt: skip
 _PUSHES_ARGUMENT = {
     "INT", "BININT", "BININT1", "BININT2", "LONG", "LONG1", "LONG4", "FLOAT", "BINFLOAT",
@@ -194,14 +201,14 @@ class _Reader:
             case "TUPLE1" | "TUPLE2" | "TUPLE3":
                 count = int(name[-1])
                 self.stack.append(tuple([self.pop() for _ in range(count)][::-1]))
-            case "TUPLE" | "LIST":
+            case "TUPLE" | "LIST" | "FROZENSET":
                 items = self.since_mark()
                 self.stack.append(tuple(items) if name == "TUPLE" else items)
             case "DICT":
                 items = self.since_mark()
                 self.stack.append({})
                 self.set_items(items)
-            case "APPEND" | "APPENDS":
+            case "APPEND" | "APPENDS" | "ADDITEMS":
                 items = [self.pop()] if name == "APPEND" else self.since_mark()
                 self.top(list).extend(items)
             case "SETITEM" | "SETITEMS":
@@ -329,8 +336,10 @@ class _Reader:
             case "scalar":
                 dtype, raw = value.arguments
                 return self.numbers(self.plain(raw, depth), dtype, (), False)[()]
-            case "csc_matrix" | "csr_matrix":
+            case "csc_matrix" | "csr_matrix" | "csc_array" | "csr_array":
                 return self.sparse(value, depth)
+            case "set" | "frozenset":
+                return [self.plain(v, depth) for items in value.arguments[:1] for v in items]
             case "encode" | "bytes":
                 return self.encoded(*value.arguments)
             case "Ch":
@@ -346,7 +355,8 @@ class _Reader:
     def state(self, made: _Made, depth: int) -> dict[str, Any]:
         if not isinstance(made.state, dict):
             raise FileError(f"has a {made.name} without its numbers")
-        return {k: self.plain(v, depth) for k, v in made.state.items() if isinstance(k, str)}
+        kept = [k for k in _STATE[made.name] if k in made.state]
+        return {k: self.plain(made.state[k], depth) for k in kept}
 
     def encoded(self, text: Any = "", encoding: Any = "latin1") -> bytes:
         if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
@@ -398,10 +408,11 @@ class _Reader:
     def sparse(self, made: _Made, depth: int) -> NDArray[Any]:
         """The dense matrix of compressed columns, or rows."""
         state, what = self.state(made, depth), "a sparse matrix"
-        rows, columns = shape = _shape(state.get("_shape", state.get("shape")), 2)
+        rows, columns = _shape(state.get("_shape", state.get("shape")), 2)
         data = _need(state.get("data"), "biuf", what)
         index, start = (_need(state.get(k), "iu", what) for k in ("indices", "indptr"))
-        major, minor = (columns, rows) if made.name == "csc_matrix" else (rows, columns)
+        by_column = made.name.startswith("csc")
+        major, minor = (columns, rows) if by_column else (rows, columns)
         self.spend(rows * columns * data.itemsize + 32 * (index.size + start.size))
         if not data.ndim == index.ndim == start.ndim == 1:
             raise FileError(f"has {what} without its numbers")
@@ -413,9 +424,9 @@ class _Reader:
             raise FileError(f"{what} with other rows and columns than it says")
         if len(index) and (index.min() < 0 or index.max() >= minor):
             raise FileError("has a sparse matrix that points outside itself")
-        dense = np.zeros(shape[::-1] if made.name == "csc_matrix" else shape, data.dtype)
+        dense = np.zeros((major, minor), data.dtype)
         np.add.at(dense, (np.repeat(np.arange(major), steps), index.astype(np.int64)), data)
-        return dense.T if made.name == "csc_matrix" else dense
+        return dense.T if by_column else dense
 
 
 def _python2_string(line: bytes) -> str:

@@ -199,30 +199,37 @@ def open_archive(path: str | Path, most: int) -> Iterator[zipfile.ZipFile]:
 
 
 def archive_members(
-    archive: zipfile.ZipFile, path: str | Path, *, count: int, size: int
+    archive: zipfile.ZipFile,
+    path: str | Path,
+    *,
+    count: int,
+    size: int,
+    only: Collection[str] | None = None,
 ) -> list[zipfile.ZipInfo]:
-    """The members of an archive whose directory is honest.
+    """The members of an archive whose directory is honest, or those of these names.
 
-    Members may not overlap and have a bounded compression ratio. So no file unpacks to more than
-    200 times its size, except for members below 1 MiB.
+    Members may not overlap. Those that are returned have a bounded compression ratio. So no file
+    unpacks to more than 200 times its size, except for members below 1 MiB.
 
     Args:
         archive: from `open_archive`.
         path: for messages.
         count: largest number of members.
-        size: largest sum of their uncompressed sizes, bytes.
+        size: largest sum of the uncompressed sizes of the members that are returned, bytes.
+        only: names of the members to return; None returns all.
     """
     shown, members = printable(path), archive.infolist()
     if len(members) > count:
         raise FileError(f"{shown}: {len(members)} members; at most {count} are allowed")
     names = [m.orig_filename for m in members]
-    for m, name in zip(members, names, strict=True):
+    read = [m for m, name in zip(members, names, strict=True) if only is None or name in only]
+    for m in read:
         if what := _wrong_member(m):
-            raise FileError(f"{shown}: member {name!r} {what}")
+            raise FileError(f"{shown}: member {m.orig_filename!r} {what}")
     if len(set(names)) != len(names):
         twice = max(names, key=names.count)
         raise FileError(f"{shown}: duplicate member {twice!r}; every name may appear once")
-    if (total := sum(m.file_size for m in members)) > size:
+    if (total := sum(m.file_size for m in read)) > size:
         raise FileError(f"{shown}: declares {total} bytes; at most {size} are allowed: split it")
     end = archive.start_dir
     for m in sorted(members, key=lambda m: m.header_offset, reverse=True):
@@ -231,7 +238,7 @@ def archive_members(
             name = m.orig_filename
             raise FileError(f"{shown}: member {name!r} overlaps another; write the archive again")
         end = m.header_offset
-    return members
+    return read
 
 
 def _wrong_member(m: zipfile.ZipInfo) -> str:
@@ -281,19 +288,18 @@ def read_npz(
     Args:
         path: the file.
         objects: reads arrays of Python objects; None refuses them.
-        only: names of the arrays to read; None reads all. `most` counts the others too.
-        most: largest size of the file and of all its arrays together, bytes.
+        only: names of the arrays to read; None reads all. Nothing is asked of the others.
+        most: largest size of the file, and of all arrays that are read together, bytes.
         most_each: largest size of an array that is read, bytes.
     """
     found, shown = {}, printable(path)
     with open_archive(path, most) as archive:
-        for member in archive_members(archive, path, count=MAX_ARRAYS, size=most):
+        members = None if only is None else [f"{name}.npy" for name in only]
+        for member in archive_members(archive, path, count=MAX_ARRAYS, size=most, only=members):
             name, size = member.orig_filename, member.file_size
             key = name.removesuffix(".npy")
             if name == key:
                 raise FileError(f"{shown}: member {name!r} is no .npy array (is this a pickle?)")
-            if only is not None and key not in only:
-                continue
             if size > most_each:
                 raise FileError(f"{shown}: {name!r} has {size} bytes; {most_each} are allowed")
             with archive.open(member) as stream:

@@ -7,15 +7,14 @@ from importlib import import_module
 import numpy as np
 import pytest
 import torch
-from mano_files import MIRROR, mano_dictionary, write_mano
-from scipy.spatial.transform import Rotation
+from mano_files import MIRROR, mano_dictionary, mano_twin, write_mano
 
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies.hand import HandModel, load_hand, load_hand_set, make_hand_set
 from r2h_batch.bodies.hand_pieces import close_holes
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.importers.mano import PARENTS, hand_arrays, load_mano
+from r2h_batch.importers.mano import hand_arrays, load_mano
 from r2h_batch.io.read import FileError
 from r2h_batch.receiver import receiving
 from r2h_batch.receiver.sampler import NoHoldError
@@ -31,25 +30,6 @@ def files(tmp_path_factory):
 @pytest.fixture(scope="module")
 def imported(files):
     return load_mano(*files)
-
-
-def mano_twin(arrays, pose, shape):
-    """MANO's own formula in its file's own coordinates (Romero et al. 2017, eq. 2 to 4), one hand, float64."""
-    rest = arrays["v_template"] + arrays["shapedirs"][:, :, :10] @ shape
-    joints = arrays["J_regressor"] @ rest
-    turns = Rotation.from_rotvec(pose.reshape(16, 3)).as_matrix()
-    skin = rest + arrays["posedirs"] @ (turns[1:] - np.eye(3)).ravel()
-    world = np.zeros((16, 4, 4))
-    for j, parent in enumerate(PARENTS):
-        T = np.eye(4)
-        T[:3, :3] = turns[j]
-        T[:3, 3] = joints[j] - (joints[parent] if parent >= 0 else 0)
-        world[j] = T if parent < 0 else world[parent] @ T
-    out = np.zeros_like(skin)
-    for j in range(16):
-        moved = (skin - joints[j]) @ world[j, :3, :3].T + world[j, :3, 3]
-        out += arrays["weights"][:, j, None] * moved
-    return out, world[:, :3, 3]
 
 
 def test_a_flag_takes_a_file_of_mano_as_it_is(files):

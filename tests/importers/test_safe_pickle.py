@@ -53,7 +53,13 @@ def test_data_comes_back_as_python_reads_it(protocol):
 
 
 @pytest.mark.parametrize("protocol", (0, 2, 4))
-@pytest.mark.parametrize("kind", (scipy.sparse.csc_matrix, scipy.sparse.csr_matrix))
+def test_sets_come_back_as_lists_so_that_nothing_of_a_file_is_hashed(protocol):
+    found = read_pickle(pickle.dumps({"names": {"x", "a"}, "fixed": frozenset({3}), "none": set()}, protocol))
+    assert sorted(found["names"]) == ["a", "x"] and found["fixed"] == [3] and found["none"] == []
+
+
+@pytest.mark.parametrize("protocol", (0, 2, 4))
+@pytest.mark.parametrize("kind", (scipy.sparse.csc_matrix, scipy.sparse.csr_matrix, scipy.sparse.csc_array))
 def test_sparse_matrices_come_back_dense(kind, protocol):
     dense = np.where(np.random.default_rng(0).random((16, 30)) > 0.8, 1.5, 0.0)
     assert np.array_equal(read_pickle(pickle.dumps(kind(dense), protocol)), dense)

@@ -46,13 +46,14 @@ def write_grab(folder: Path, name="s1/mug_pass_1"):
                            "hand_pose": np.zeros((FRAMES, 24), np.float32),
                            "fullpose": h["fingers"].astype(np.float32)}, "vtemp": "tools/s1_rhand.ply"}  # fmt: skip
 
-    np.savez(
+    contact = {"body": np.zeros((FRAMES, 10475), np.int8), "object": np.zeros((FRAMES, 50_000), np.int8)}
+    np.savez_compressed(
         path, gender="male", sbj_id="s1", obj_name="mug", motion_intent="pass", framerate=120.0, n_frames=FRAMES,
         n_comps=24, body={"params": {"global_orient": hands[0]["body"], "transl": np.zeros((FRAMES, 3))}, "vtemp": "x.ply"},
         rhand=hand(hands[0]), lhand=hand(hands[1]),
         object={"params": {"global_orient": Rotation.from_matrix(T[:, :3, :3].transpose(0, 2, 1)).as_rotvec(),
                            "transl": T[:, :3, 3]}, "object_mesh": "tools/object_meshes/mug.ply"},
-        table={"params": {}, "table_mesh": "x.ply"}, contact={"body": np.zeros((FRAMES, 9), np.int8)},
+        table={"params": {}, "table_mesh": "x.ply"}, contact=contact,
     )  # fmt: skip
     return path
 
@@ -78,8 +79,9 @@ def write_arctic(folder: Path, mean, name="s01/box_use_01", body=True):
     return path
 
 
-def write_h2o(folder: Path, camera, name="subject1/h1/0", right_from=0):
-    """One sequence as H2O stores it: text files in the camera's frame. `camera` (F, 4, 4) camera to world."""
+def write_h2o(folder: Path, camera, name="subject1/h1/0", right_from=0, kinds=("hand_pose_mano", "obj_pose_rt")):
+    """One sequence as H2O stores it: text files in the camera's frame. `camera` (F, 4, 4) camera to world. Folders are called
+    as its loader calls them; its page says hand_pose_MANO and obj_pose_RT."""
     base = folder / name / "cam4"
     hands = [truth(s) for s in (0, 1)]
     for f in range(FRAMES):
@@ -89,12 +91,12 @@ def write_h2o(folder: Path, camera, name="subject1/h1/0", right_from=0):
             R = inverse[:3, :3] @ Rotation.from_rotvec(h["turn"][f]).as_matrix()
             place = inverse[:3, :3] @ h["place"][f] + inverse[:3, 3]
             blocks += [[seen], place, Rotation.from_matrix(R).as_rotvec(), h["fingers"][f], h["shape"]]
-        rows = {"hand_pose_MANO": np.concatenate(blocks), "cam_pose": camera[f].ravel(),
-                "obj_pose_rt": np.concatenate([[3], (inverse @ hands[0]["object"][f]).ravel()])}  # fmt: skip
+        rows = {kinds[0]: np.concatenate(blocks), "cam_pose": camera[f].ravel(),
+                kinds[1]: np.concatenate([[3], (inverse @ hands[0]["object"][f]).ravel()])}  # fmt: skip
         for kind, row in rows.items():
             (base / kind).mkdir(parents=True, exist_ok=True)
             (base / kind / f"{f:06d}.txt").write_text(" ".join(f"{x:.9f}" for x in row) + "\n")
-    return base / "hand_pose_MANO"
+    return base / kinds[0]
 
 
 def write_dexycb(folder: Path, components, mean, side=0, name="20200709-subject-01/20200709_141754"):
@@ -117,15 +119,15 @@ def write_dexycb(folder: Path, components, mean, side=0, name="20200709-subject-
     return base / "pose.npz"
 
 
-def write_oakink(folder: Path, tag, source, seed=0, virtual=None, frame=WIDEST):
-    """One grasp as OakInk-Shape stores it: quaternions (wxyz) and the wrist joint in the object's frame."""
+def write_oakink(folder: Path, tag, source, seed=0, virtual=None, frame=WIDEST, quaternions=True):
+    """One grasp as OakInk-Shape stores it: quaternions (wxyz) or axis-angle (48), the wrist joint, in the object's frame."""
     h = truth(0, seed)
     turns = np.concatenate([h["turn"][frame][None], h["fingers"][frame].reshape(15, 3)])
     base = folder / "shape" / "oakink_shape_v2" / "mug" / "A01001" / tag
     path = (base / virtual if virtual else base) / "hand_param.pkl"
     path.parent.mkdir(parents=True, exist_ok=True)
     value = {
-        "pose": Rotation.from_rotvec(turns).as_quat(scalar_first=True),
+        "pose": Rotation.from_rotvec(turns).as_quat(scalar_first=True) if quaternions else turns.ravel(),
         "shape": h["shape"],
         "tsl": h["place"][frame],
     }

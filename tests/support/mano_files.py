@@ -1,4 +1,5 @@
-"""Our own hand written as MANO writes its own: one pickle a side, with chumpy's classes and scipy's sparse matrix in it."""
+"""Our own hand written as MANO is released: one pickle a side, with chumpy's classes (their sets and caches too) and scipy's
+sparse matrix in it; and MANO's own formula."""
 
 import pickle
 import sys
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.sparse
+from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import load_hand
 
@@ -46,6 +48,25 @@ def mano_dictionary(side=0, *, shift=(0.0957, 0.0064, 0.0062), posedirs=None, fa
     }
 
 
+def mano_twin(arrays, pose, shape):
+    """MANO's own formula in its file's own coordinates (Romero et al. 2017, eq. 2 to 4), one hand, float64."""
+    rest = arrays["v_template"] + arrays["shapedirs"][:, :, :10] @ shape
+    joints = arrays["J_regressor"] @ rest
+    turns = Rotation.from_rotvec(pose.reshape(16, 3)).as_matrix()
+    skin = rest + arrays["posedirs"] @ (turns[1:] - np.eye(3)).ravel()
+    world = np.zeros((16, 4, 4))
+    for j, parent in enumerate((-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)):
+        T = np.eye(4)
+        T[:3, :3] = turns[j]
+        T[:3, 3] = joints[j] - (joints[parent] if parent >= 0 else 0)
+        world[j] = T if parent < 0 else world[parent] @ T
+    out = np.zeros_like(skin)
+    for j in range(16):
+        moved = (skin - joints[j]) @ world[j, :3, :3].T + world[j, :3, 3]
+        out += arrays["weights"][:, j, None] * moved
+    return out, world[:, :3, 3]
+
+
 def write_mano(path: Path, arrays, protocol=2) -> Path:
     """The pickle, `shapedirs` a `Select` of ten of the twenty directions of a `Ch`, written without chumpy."""
     path.write_bytes(with_fake_chumpy(lambda Ch, Select: {
@@ -68,7 +89,9 @@ def with_fake_chumpy(make, protocol=2):
 
     class Stub:
         def __init__(self, **state):
-            self.__dict__.update(state)
+            # what `Ch.__getstate__` keeps: its terms, and sets of names beside them
+            cached = {"deps": {"x", "a"}, "value": None, "out_of_date": True}
+            self.__dict__.update({"_dirty_vars": set(state), "_itr": None, "_depends_on_deps": {"r": cached}}, **state)
 
     modules, classes = {}, []
     for module, name in (("chumpy.ch", "Ch"), ("chumpy.reordering", "Select")):
