@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from r2h_batch import reward
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.scene.scene import Scene
     from r2h_batch.trials.protocol import make_trials
-    from r2h_batch.types import Predictions, Scores, Trials
+    from r2h_batch.types import CRITERIA, Outcome, PlanReason, Predictions, Scores, Trials
     from r2h_batch.view.page import show
 
 if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
@@ -26,13 +27,17 @@ if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
 __version__ = "0.1.0"
 
 __all__ = [
+    "CRITERIA",
     "EvalConfig",
     "Evaluator",
+    "Outcome",
+    "PlanReason",
     "Predictions",
     "Scene",
     "Scores",
     "Trials",
     "make_trials",
+    "reward",
     "show",
 ]
 
@@ -49,7 +54,8 @@ def lazy_names(
     first used.
 
     `--help` must not wait for torch and Warp. `home`: public name -> module, relative to the
-    package. Type checkers read the imports that stand under TYPE_CHECKING in the same file.
+    package; a module's own name stands for the module. Type checkers read the imports that stand
+    under TYPE_CHECKING in the same file.
     """
 
     def find(name: str) -> object:
@@ -57,7 +63,8 @@ def lazy_names(
             raise AttributeError(
                 f"module {package!r} has no attribute {name!r}; it has {', '.join(sorted(home))}"
             )
-        return getattr(import_module(f".{home[name]}", package), name)
+        module = import_module(f".{home[name]}", package)
+        return module if home[name] == name else getattr(module, name)
 
     return find, lambda: sorted(home)
 
@@ -66,13 +73,17 @@ if not TYPE_CHECKING:  # else any name would pass
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
+            "CRITERIA": "verdicts",
             "EvalConfig": "config",
             "Evaluator": "evaluate",
+            "Outcome": "verdicts",
+            "PlanReason": "verdicts",
             "Predictions": "types",
             "Scene": "scene.scene",
             "Scores": "types",
             "Trials": "types",
             "make_trials": "trials.protocol",
+            "reward": "reward",
             "show": "view.page",
         },
     )

@@ -39,6 +39,7 @@ from r2h_batch.judge.inputs import (
     check_receiver,
     check_stages,
     checked_inputs,
+    warn_of_doubts,
     warn_of_no_gradient,
 )
 from r2h_batch.judge.plan import plan_paths, random_key
@@ -103,6 +104,7 @@ class Evaluator:
         cpu_threads(threads)
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
         self.threads = threads
+        self.called = False
         if self.scene.device != "cpu":
             build_tables(self.scene.device, self.config.workplace.home_q)
         self.handle = torch_op.register(self)
@@ -166,9 +168,12 @@ class Evaluator:
         path.
 
         `T_obj_ee`: grasp, ee in the object's frame. `T_world_ee`: handover, ee in the world.
-        Metres; rotations off by at most 1e-3 are re-orthonormalised, rows that are no pose come
-        back as INVALID_INPUT and leave the others untouched. Rows do not depend on their batch:
-        same bits for any batch size, order, chunk and thread count on one device. `keep_motion`:
+        Tensors of float32 or float64 on the evaluator's device, NumPy arrays or nested lists;
+        judged in float32. The first call of an evaluator warns of poses that look as if in
+        millimetres, transposed or exchanged. Metres; rotations off by at most 1e-3 are
+        re-orthonormalised, rows that are no pose come back as INVALID_INPUT and leave the others
+        untouched. Rows do not depend on their batch: same bits for any batch size, order, chunk and
+        thread count on one device. `keep_motion`:
         also return the executed joint angles (24 kB for 8 s of motion). Raises ValueError,
         TypeError before any work when shape, dtype or device do not fit.
 
@@ -197,6 +202,9 @@ class Evaluator:
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
+        if not self.called:
+            self.called = True
+            warn_of_doubts(T_obj_ee, T_world_ee, trials)
         with one_torch_thread(self.scene.device):
             check_indices(self.scene, trials)
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)

@@ -192,13 +192,13 @@ def align(
     return torch.from_numpy(np.where(found, first[at], -1).astype(np.int64))
 
 
-LOOKS_RIGID, FAR_M = 1e-2, 10.0
+LOOKS_RIGID, FAR_M, OBJECT_M = 1e-2, 10.0, 0.35
 _PIECE = 65_536  # rows looked at together, which bounds the memory
 
 
 def doubts(predictions: Predictions) -> list[str]:
-    """Warnings about the poses, one line each: how many are not rigid, and how many are far away as
-    in other units."""
+    """Warnings about the poses, one line each: how many are not rigid, are far away as in other
+    units, or look as if grasp and handover were exchanged."""
     lines = []
     for name, what in (("T_obj_ee", "grasps"), ("T_world_ee", "handover poses")):
         T, n = getattr(predictions, name).numpy(), len(predictions)
@@ -213,6 +213,16 @@ def doubts(predictions: Predictions) -> list[str]:
                 first = int(predictions.trial_id[int(odd.argmax())])
                 where = f"({name}; the first of trial {first})"
                 lines.append(f"{int(odd.sum())} of {n} {what} {where} {words}")
+    grasp, handover = (
+        np.linalg.norm(T[:, :3, 3].numpy(), axis=1)
+        for T in (predictions.T_obj_ee, predictions.T_world_ee)
+    )
+    swapped = (grasp > OBJECT_M) & (handover < grasp) & (grasp < FAR_M)
+    if 2 * int(swapped.sum()) > n:
+        lines.append(
+            f"most grasps (T_obj_ee) are more than {OBJECT_M:g} m from the object's origin, and"
+            " handover poses (T_world_ee) nearer to the robot's base: exchanged?"
+        )
     return lines
 
 

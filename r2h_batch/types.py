@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 from r2h_batch import summary
 from r2h_batch.soft import soft_success
-from r2h_batch.validate import describe_value, instance_of, integer, sequence_of
+from r2h_batch.validate import describe_value, instance_of, integer, one_of, sequence_of
 from r2h_batch.validate_tensors import row_index
 from r2h_batch.verdicts import (
     CRITERIA,
@@ -280,6 +280,10 @@ class Scores(_Rows):
     failed_state: Float64[Tensor, "b s"]
     body_m: Float32[Tensor, " b"]
 
+    def failed(self, criterion: str) -> Bool[Tensor, " b"]:
+        """Rows whose first failure is this criterion, a name of `CRITERIA`: `scores.failed("plan")`."""
+        return self.outcome == CRITERIA.index(one_of(*CRITERIA)("criterion", criterion)) + 1
+
     def by_trial(self, k: int) -> Self:
         """The same rows as views (N, k, ...): k candidates for each of N trials, as they were
         scored."""
@@ -351,14 +355,28 @@ class Scores(_Rows):
         return summary.scalars_of(passed, evaluated, margin, kind, outcome, times)
 
     def to_pandas(self) -> Any:
-        """A pandas DataFrame, a row for each of B (or N x K) rows, the columns of a run folder's
-        trials (extra `pandas`)."""
+        """A pandas DataFrame, a row for each of B (or N x K) rows: the columns of a run folder's
+        trials (extra `pandas`), with split, object and side where `inputs` are known."""
         flat = (
             self
             if self.outcome.ndim == 1
             else replace(self, **{k: x.flatten(0, 1) for k, x in self._tensors().items()})
         )
-        return summary.frame_of(summary.score_columns(flat._array))
+        columns = summary.score_columns(flat._array)
+        return summary.frame_of({**(flat._names() or {}), **columns})
+
+    def _names(self) -> dict[str, Any] | None:
+        """Columns split, object and side of each row; None where the trials are not known."""
+        if self.inputs is None or len(self.inputs.trials) != len(self.outcome):
+            return None
+        trials, hands = self.inputs.trials, self.inputs.evaluator.scene.hands.set
+        objects = [o.name for o in self.inputs.evaluator.scene.objects]
+        side = hands.side.cpu()[trials.hand_index.cpu().long()]
+        return {
+            "split": trials.splits,
+            "object": [objects[i] for i in trials.object_index.tolist()],
+            "side": [SIDES[i] for i in side.tolist()],
+        }
 
     def _table(self) -> list[tuple[str, str, str, str, str]]:
         return summary.scores_table(

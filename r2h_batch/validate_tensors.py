@@ -15,7 +15,7 @@ from torch import Tensor
 from r2h_batch.validate import Rule, check_arguments, describe_value
 
 __all__ = [
-    "check_indices", "check_range", "check_tensor", "check_tensor_arguments", "checked_device", "row_index",
+    "as_numbers", "check_indices", "check_range", "check_tensor", "check_tensor_arguments", "checked_device", "row_index",
 ]  # fmt: skip
 
 _INTEGERS = (torch.int8, torch.int16, torch.int32, torch.int64, torch.uint8)
@@ -75,6 +75,42 @@ def check_tensor(name: str, value: Any, words: str) -> Tensor:
         if not address or end > value.untyped_storage().nbytes():  # fake, meta, freed, shrunk
             raise TypeError(f"{name} has no memory for its numbers; it must be {words}")
     return value.resolve_conj().resolve_neg()
+
+
+def as_numbers(name: str, value: Any, words: str, device: str | torch.device) -> Tensor:
+    """A tensor of float32 or float64 from whatever holds real numbers.
+
+    One rule for all arguments that hold measures: a torch tensor, a NumPy array, or nested lists
+    of numbers. Whole numbers become float64; half precision (steps of 0.5 mm at 1 m) is refused.
+
+    Args:
+        name: the argument's name.
+        value: the argument.
+        words: what it must be, for the message.
+        device: where arrays and lists are copied to; a tensor stays where it is.
+
+    Raises:
+        TypeError: it holds no real numbers, or is no plain tensor in memory (`check_tensor`).
+    """
+    words = f"{words} (or a NumPy array, or nested lists)"
+    if not isinstance(value, Tensor):
+        try:
+            if isinstance(value, (str, bytes)) or not isinstance(value, (Sequence, np.ndarray)):
+                raise TypeError
+            found = np.asarray(value)
+            if found.dtype.kind not in "fiu" or (
+                found.dtype.itemsize < 4 and found.dtype.kind == "f"
+            ):
+                raise TypeError
+            value = torch.tensor(found.astype(np.float64), dtype=torch.float64, device=device)
+        except (TypeError, ValueError):
+            raise TypeError(f"{name} is {describe_value(value)}; it must be {words}") from None
+    value = check_tensor(name, value, words)
+    if value.dtype in _INTEGERS:
+        value = value.double()
+    if value.dtype not in (torch.float32, torch.float64):
+        raise TypeError(f"{name} is {value.dtype}; it must be {words}: call .float()")
+    return value
 
 
 def checked_device(device: str | torch.device) -> str:

@@ -1,5 +1,6 @@
 """Bad rows, wrong arguments, strides and gradients at the Evaluator's border."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -149,8 +150,9 @@ def wrong_inputs() -> dict:
     return {
         "3 x 4": ((grasp, handover[:, :3], trials), ValueError, "T_world_ee"),
         "too many rows": ((grasp, torch.cat([handover, handover]), trials), ValueError, "T_world_ee"),
-        "float64": ((grasp.double(), handover, trials), TypeError, "T_obj_ee"),
-        "numpy": ((grasp.numpy(), handover, trials), TypeError, "T_obj_ee"),
+        "float16": ((grasp.half(), handover, trials), TypeError, "T_obj_ee"),
+        "float16 of NumPy": ((grasp.half().numpy(), handover, trials), TypeError, "T_obj_ee"),
+        "words": (([["a"]], handover, trials), TypeError, "T_obj_ee"),
         "none": ((grasp, None, trials), TypeError, "T_world_ee"),
         "meta device": ((grasp.to("meta"), handover, trials), TypeError, "T_obj_ee"),
         "hand pose dtype": (but(T_world_hand=trials.T_world_hand.double()), TypeError, "T_world_hand"),
@@ -184,6 +186,29 @@ def test_wrong_inputs_are_refused_by_name_before_any_work(case, stages, no_work)
 def test_an_unknown_stage_is_refused(no_work):
     with pytest.raises(ValueError, match="stages is 'path'; allowed are pose, all"):
         staged_evaluator().score(*batch_of([GOOD]), "path")
+
+
+@every_stage
+@pytest.mark.parametrize("kind", ["float64", "numpy", "lists"])
+def test_poses_may_be_float64_arrays_or_lists(kind, stages):
+    T_obj_ee, T_world_ee, trials = batch_of([GOOD, GOOD.but(object_index=TOOL)])
+    change = {"float64": torch.Tensor.double, "numpy": torch.Tensor.numpy, "lists": torch.Tensor.tolist}[kind]
+    evaluator = staged_evaluator()
+    plain = evaluator.score(T_obj_ee, T_world_ee, trials, stages)
+    assert_same(plain, evaluator.score(change(T_obj_ee), change(T_world_ee), trials, stages))
+
+
+def test_the_first_call_warns_of_poses_that_look_wrong():
+    T_obj_ee, T_world_ee, trials = batch_of([GOOD, GOOD])
+    millimetres, evaluator = T_world_ee.clone(), staged_evaluator()
+    millimetres[:, :3, 3] *= 1000
+    for poses, words in (((T_obj_ee, millimetres), "lengths are in metres"), ((T_world_ee, T_obj_ee), "exchanged")):
+        evaluator.called = False
+        with pytest.warns(UserWarning, match=words):
+            evaluator.score(*poses, trials, "pose")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            evaluator.score(*poses, trials, "pose")
 
 
 @every_stage

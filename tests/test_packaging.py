@@ -110,7 +110,7 @@ def test_a_type_checker_sees_the_public_names_and_every_kernel_that_is_imported(
 def test_every_public_name_can_be_imported() -> None:
     for name in r2h_batch.__all__:
         assert getattr(r2h_batch, name) is not None
-    with pytest.raises(AttributeError, match="has no attribute 'Evaluater'; it has EvalConfig, Evaluator"):
+    with pytest.raises(AttributeError, match="has no attribute 'Evaluater'; it has CRITERIA, EvalConfig, Evaluator"):
         _ = r2h_batch.Evaluater  # type: ignore[attr-defined]
 
 

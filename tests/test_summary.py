@@ -9,8 +9,7 @@ import torch
 from needs import needs
 from problems import default_evaluator, make_batch
 
-from r2h_batch import make_trials
-from r2h_batch.types import Outcome, Scores
+from r2h_batch import CRITERIA, Outcome, Scores, make_trials
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +54,13 @@ def test_a_frame_has_the_columns_of_a_run_folder(scores):
     assert (frame["outcome"] == [Outcome(o).name.lower() for o in scores.outcome.tolist()]).all()
     assert frame["passed_affordance"].isna().sum() == int((~scores.evaluated[:, 3]).sum())
     assert len(scores.by_trial(4).to_pandas()) == 24
+    trials = scores.inputs.trials
+    assert list(frame["object"]) == trials.named(default_evaluator().scene.objects).object_names
+    assert list(frame["split"]) == trials.splits and set(frame["side"]) <= {"left", "right"}
+    for name in CRITERIA:
+        assert ((frame["outcome"] == name) == scores.failed(name).numpy()).all()
+    with pytest.raises(ValueError, match="criterion is 'plam'"):
+        scores.failed("plam")
 
 
 def test_trials_know_their_objects_and_keep_them_through_selection_and_copies():

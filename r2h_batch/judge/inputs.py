@@ -4,26 +4,29 @@ else is refused by name."""
 import warnings
 from dataclasses import replace
 from functools import cache
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor
 
 from r2h_batch.config import EvalConfig
+from r2h_batch.predictions import doubts
 from r2h_batch.scene.scene import Scene
-from r2h_batch.types import Trials
+from r2h_batch.types import Predictions, Trials
 from r2h_batch.validate import describe_value, instance_of, one_of
-from r2h_batch.validate_tensors import check_range, check_tensor
+from r2h_batch.validate_tensors import as_numbers, check_range, check_tensor
 
 Stages = Literal["pose", "all"]
 """How far `Evaluator.score` goes: what needs no path, or everything."""
 
 
 def checked_inputs(
-    scene: Scene, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages
+    scene: Scene, T_obj_ee: Any, T_world_ee: Any, trials: Trials, stages: Stages
 ) -> tuple[Tensor, Tensor, Trials]:
-    """Poses (B, 4, 4) and B trials; (N, K) candidates become N K rows, each trial K times in turn.
+    """Poses (B, 4, 4) of float32 and B trials; (N, K) candidates become N K rows, each trial K
+    times in turn.
 
+    Poses may be tensors, NumPy arrays or nested lists (`as_numbers`); tensors keep their gradient.
     Raises ValueError, TypeError from shapes, dtypes and devices alone.
     """
     device = torch.device(scene.device)
@@ -35,7 +38,12 @@ def checked_inputs(
             f"trials.trial_id is {describe_value(trials.trial_id)}; it must be torch.int64 (N,)"
         )
     n = len(trials)
-    many = isinstance(T_obj_ee, Tensor) and T_obj_ee.ndim == 4
+    rule = "a torch tensor (B, 4, 4) or (N, K, 4, 4) of float32 or float64"
+    T_obj_ee, T_world_ee = (
+        as_numbers(name, value, rule, device).float()
+        for name, value in (("T_obj_ee", T_obj_ee), ("T_world_ee", T_world_ee))
+    )
+    many = T_obj_ee.ndim == 4
     k = T_obj_ee.shape[1] if many else 1
     shape, words = (
         ((n, k, 4, 4), f"({n}, K, 4, 4)") if many else ((n, 4, 4), f"({n}, 4, 4) or ({n}, K, 4, 4)")
@@ -113,6 +121,13 @@ def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tens
 def check_stages(stages: object) -> None:
     """Raises ValueError for a word that names no stages."""
     one_of(*get_args(Stages))("stages", stages)
+
+
+def warn_of_doubts(T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> None:
+    """Says what looks wrong with the poses (`predictions.doubts`): other units, transposed or
+    exchanged matrices."""
+    for line in doubts(Predictions(trials.trial_id, T_obj_ee, T_world_ee).to("cpu").clone()):
+        warnings.warn(line, stacklevel=3)
 
 
 @cache

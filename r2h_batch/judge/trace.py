@@ -20,7 +20,7 @@ from r2h_batch.motion.time_law import Motion
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 from r2h_batch.validate import describe_value
-from r2h_batch.validate_tensors import check_tensor
+from r2h_batch.validate_tensors import as_numbers, check_tensor
 
 __all__ = ["Trace", "checked_trace", "executed_trace", "final_pose", "plan_of_trace"]
 
@@ -41,11 +41,11 @@ class Trace:
         return Trace(self.q[rows], self.time_s[rows], self.length[rows], self.usable[rows])
 
 
-def checked_trace(q: Tensor, time_s: Tensor, length: Tensor | None, n: int, device: str) -> Trace:
+def checked_trace(q: Any, time_s: Any, length: Tensor | None, n: int, device: str) -> Trace:
     """The motions of `n` trials.
 
     Args:
-        q: (n, W, 6) joint angles, rad, float32 or float64.
+        q: (n, W, 6) joint angles, rad (`as_numbers`).
         time_s: (n, W) or (W,) times of the samples, s.
         length: (n,) number of samples of each motion, 2 to W; None: W.
         n: number of trials.
@@ -54,19 +54,15 @@ def checked_trace(q: Tensor, time_s: Tensor, length: Tensor | None, n: int, devi
     Raises:
         TypeError, ValueError: shape, dtype or device do not fit; the line names the argument.
     """
-    real = (torch.float32, torch.float64)
-    check_tensor("q", q, "a torch tensor (N, W, 6) of joint angles in rad")
-    if q.ndim != 3 or q.shape[0] != n or q.shape[1] < 2 or q.shape[2] != 6 or q.dtype not in real:
+    q = as_numbers("q", q, "a torch tensor (N, W, 6) of joint angles in rad", device)
+    if q.ndim != 3 or q.shape[0] != n or q.shape[1] < 2 or q.shape[2] != 6:
         raise ValueError(
-            f"q is {describe_value(q)}; with {n} trials it must be float32 or float64 ({n}, W, 6), "
-            "W at least 2 samples"
+            f"q is {describe_value(q)}; with {n} trials it must be ({n}, W, 6), W at least 2 samples"
         )
     w = q.shape[1]
-    check_tensor("time_s", time_s, "a torch tensor (N, W) or (W,) of seconds")
-    if time_s.shape not in ((n, w), (w,)) or time_s.dtype not in real:
-        raise ValueError(
-            f"time_s is {describe_value(time_s)}; it must be float32 or float64 ({n}, {w}) or ({w},)"
-        )
+    time_s = as_numbers("time_s", time_s, "a torch tensor (N, W) or (W,) of seconds", device)
+    if time_s.shape not in ((n, w), (w,)):
+        raise ValueError(f"time_s is {describe_value(time_s)}; it must be ({n}, {w}) or ({w},)")
     if length is None:
         length = torch.full((n,), w, dtype=torch.int32, device=q.device)
     check_tensor("length", length, f"None or a torch tensor ({n},) of whole numbers")

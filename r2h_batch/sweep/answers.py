@@ -21,7 +21,7 @@ from r2h_batch.command_line import tell
 from r2h_batch.io.read import printable
 from r2h_batch.sweep.options import UsageError
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.validate_tensors import check_tensor
+from r2h_batch.validate_tensors import as_numbers, check_tensor
 from r2h_batch.verdicts import MOST_SECONDS, SIDES
 
 if TYPE_CHECKING:  # a sweep of a user's method needs no kernels of grasps and holds
@@ -108,7 +108,8 @@ def _checked(
     INVALID_INPUT, by row."""
     words = f"a tensor {shape} of {' or '.join(map(str, dtypes))}"
     try:
-        value = check_tensor(key, value, words)
+        floats = torch.float32 in dtypes
+        value = as_numbers(key, value, words, "cpu") if floats else check_tensor(key, value, words)
     except TypeError as error:
         raise AnswerError(f"method {name}: {printable(error)}") from None
     if tuple(value.shape) != shape or value.dtype not in dtypes:

@@ -47,13 +47,15 @@ WRONG = {
     "four arrays": (lambda t: (poses(t),) * 4, "its answer is a tuple of 4"),
     "half of the rows": (lambda t: (poses(t)[::2], poses(t)), r"T_obj_ee is torch.float32 \(2, 4, 4\)"),
     "3 x 4": (lambda t: (poses(t), poses(t)[:, :3]), r"T_world_ee is torch.float32 \(4, 3, 4\)"),
-    "whole numbers": (lambda t: (poses(t).int(), poses(t)), "T_obj_ee is torch.int32"),
     "half precision": (lambda t: (poses(t), poses(t).half()), "T_world_ee is torch.float16"),
-    "numpy": (lambda t: (poses(t).numpy(), poses(t)), "T_obj_ee is a ndarray of shape .*; it must be a tensor"),
+    "numpy words": (
+        lambda t: (np.full((len(t), 4, 4), "a"), poses(t)),
+        "T_obj_ee is a ndarray of .*; it must be a tensor",
+    ),
     "meta": (lambda t: (poses(t), poses(t).to("meta")), "T_world_ee has no memory for its numbers"),
-    "a list of times": (
-        lambda t: (poses(t), poses(t), [0.1] * len(t)),
-        r"t_method_s is \[0.1, .*; it must be a tensor",
+    "words for times": (
+        lambda t: (poses(t), poses(t), ["0.1"] * len(t)),
+        r"t_method_s is \['0.1', .*; it must be a tensor",
     ),
     "sparse": (lambda t: (poses(t).to_sparse(), poses(t)), r"T_obj_ee is a tensor of layout sparse_coo; .*to_dense"),
     "sparse ids": (
