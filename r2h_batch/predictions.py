@@ -1,14 +1,21 @@
-"""A method's answers as a file: read with bounds, aligned to trials, written."""
+"""A method's answers as a file: read with bounds, aligned to trials, written.
 
+An answer is a handover pose, which the evaluator plans a motion to, or a motion of the caller's own
+planner, which is judged as it is.
+"""
+
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float32, Int64
 from safetensors.numpy import save_file
+from torch import Tensor
 
 from r2h_batch.io.read import FileError, open_file, printable, read_npz, read_safetensors
-from r2h_batch.io.tables import read_csv_arrays, read_json_arrays
+from r2h_batch.io.tables import open_parquet, read_csv_arrays, read_json_arrays
 from r2h_batch.io.write import atomic_path, write_npz
 from r2h_batch.types import Predictions
 from r2h_batch.validate import instance_of, text
@@ -19,11 +26,18 @@ from r2h_batch.verdicts import MOST_SECONDS
 MAX_BYTES = 8 << 30
 """Largest declared size of a file: about 60 million trials."""
 MAX_METHOD_CHARS = 100
+MOST_SAMPLES = 4_500
+"""Of one motion: 9 s at 500 Hz, 75 s at 60 Hz."""
 
 _NEEDED = ("trial_id", "T_obj_ee", "T_world_ee")
 _SHAPES = {"T_obj_ee": (4, 4), "T_world_ee": (4, 4), "t_method_s": ()}
 _WIDTHS = {"trial_id": 1, "T_obj_ee": 16, "T_world_ee": 16, "t_method_s": 1}
 _KEYS = "trial_id (N,) integer, T_obj_ee (N,4,4) and T_world_ee (N,4,4) float32; optional t_method_s (N,), method"
+_MOTION_KEYS = ("q", "time_s", "length")
+_HOW_MOTIONS = (
+    "motions need trial_id or id (N,), T_obj_ee (N,4,4), q (S,6) rad and time_s (S,) s of all "
+    "samples one after another, length (N,) samples of each; T_world_ee (N,4,4) where a length is 0"
+)
 _HOW = {
     "": "write np.savez(FILE, trial_id=..., T_obj_ee=..., T_world_ee=...) or r2h_batch.predictions.write_predictions",
     ".csv": "write the columns trial_id, T_obj_ee_0 to _15 and T_world_ee_0 to _15 (row by row), a line for each trial",
@@ -34,6 +48,48 @@ _HOW = {
 class PredictionsError(ValueError):
     """A predictions file that cannot be scored. The message says what was found and what is
     allowed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motions:
+    """Joint motions of N answers, the samples of all of them one after another."""
+
+    q: Float32[Tensor, "s 6"]  # rad
+    time_s: Float32[Tensor, " s"]  # from the motion's first sample on
+    length: Int64[Tensor, " n"]  # samples; 0: the answer is a pose
+
+    def padded(self, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """q (B, W, 6), time_s (B, W) and length (B,) of these answers, as
+        `Evaluator.score_motion` takes them: samples beyond the length repeat the last one."""
+        length, first = self.length[rows], (self.length.cumsum(0) - self.length)[rows]
+        slot = torch.arange(int(length.max()), dtype=torch.int64, device="cpu")
+        at = first[:, None] + slot.minimum(length[:, None] - 1)
+        return self.q[at], self.time_s[at], length
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """What a file answers: poses, motions or both."""
+
+    predictions: Predictions
+    motions: Motions | None = None
+    ids: tuple[str, ...] | None = None
+    """texts that name the trials; None: `predictions.trial_id` does"""
+
+    def named(self, trial_ids: dict[str, int] | None, source: str) -> "Answers":
+        """The same with the numbers of the trials that are named by text.
+
+        Raises:
+            PredictionsError: the trials have no texts, or a text names none of them.
+        """
+        if self.ids is None:
+            return self
+        if trial_ids is None:
+            raise PredictionsError(f"{source}: names trials by id; these trials have numbers only")
+        if unknown := [i for i in self.ids if i not in trial_ids]:
+            raise PredictionsError(f"{source}: no trial has the id {printable(unknown[0])[:80]!r}")
+        numbers = torch.tensor([trial_ids[i] for i in self.ids], dtype=torch.int64, device="cpu")
+        return replace(self, predictions=replace(self.predictions, trial_id=numbers), ids=None)
 
 
 def load_predictions(path: str | Path) -> Predictions:
@@ -53,12 +109,80 @@ def load_predictions(path: str | Path) -> Predictions:
     Raises:
         PredictionsError: the file cannot be scored.
     """
+    answers = load_answers(path)
+    if answers.motions is not None:
+        raise PredictionsError(f"{printable(path)}: holds motions; judge them with --motions")
+    if answers.ids is not None:
+        raise PredictionsError(f"{printable(path)}: names trials by id; give trial_id")
+    return answers.predictions
+
+
+def load_answers(path: str | Path) -> Answers:
+    """Read predictions as `load_predictions` does, or motions, from a .npz, .safetensors or
+    .parquet file (docs/run_folder.md, Motions file).
+
+    Raises:
+        PredictionsError: the file cannot be scored.
+    """
     path = path_rule("path", path)
     suffix = path.suffix.lower()
+    how = _HOW.get(suffix, _HOW[""])
     try:
-        return _checked(path, *_arrays(path, suffix))
+        arrays, method = _arrays(path, suffix)
+        shown = printable(path)
+        ids = _texts(arrays.pop("id"), shown) if "id" in arrays else None
+        if ids is not None:
+            if "trial_id" in arrays:
+                raise FileError(f"{shown}: has trial_id and id; give one of the two")
+            arrays["trial_id"] = np.arange(len(ids))
+        if not arrays.keys() & set(_MOTION_KEYS):
+            return Answers(_checked(path, arrays, method), None, ids)
+        how = _HOW_MOTIONS
+        motions = _motions(arrays, shown)
+        if "T_world_ee" not in arrays:
+            if not bool((motions.length > 0).all()):
+                raise FileError(f"{shown}: length of some trial is 0, and there is no T_world_ee")
+            arrays["T_world_ee"] = np.full((len(motions.length), 4, 4), np.nan, np.float32)
+        return Answers(_checked(path, arrays, method), motions, ids)
     except FileError as error:
-        raise PredictionsError(f"{error}; {_HOW.get(suffix, _HOW[''])}") from error
+        raise PredictionsError(f"{error}; {how}") from error
+
+
+def _texts(values: Any, shown: str) -> tuple[str, ...]:
+    if values.ndim != 1 or values.dtype.kind != "U":
+        raise FileError(f"{shown}: 'id' is {values.dtype} {values.shape}; it must be (N,) text")
+    return tuple(values.tolist())
+
+
+def _motions(arrays: dict[str, Any], shown: str) -> Motions:
+    """The motions among the arrays, which lose them."""
+    if missing := [k for k in _MOTION_KEYS if k not in arrays]:
+        raise FileError(f"{shown}: key {missing[0]!r} is missing")
+    q, time_s, length = (arrays.pop(k) for k in _MOTION_KEYS)
+    n = len(arrays.get("trial_id", ()))
+    if length.shape != (n,) or length.dtype.kind not in "iu":
+        raise FileError(
+            f"{shown}: 'length' is {length.dtype} {length.shape}; it must be ({n},) of an integer type"
+        )
+    odd = (length < 0) | (length == 1) | (length > MOST_SAMPLES)
+    if odd.any():
+        row = int(odd.argmax())
+        found = f"'length' of row {row} is {length[row]}"
+        raise FileError(f"{shown}: {found}; a motion has 2 to {MOST_SAMPLES} samples, 0: none")
+    samples = int(length.sum())
+    for key, value, shape in (("q", q, (samples, 6)), ("time_s", time_s, (samples,))):
+        if value.shape != shape or value.dtype.name not in ("float32", "float64"):
+            found = f"{key!r} is {value.dtype} {value.shape}"
+            raise FileError(
+                f"{shown}: {found}; it must be float32 or float64 {shape}, the sum of 'length'"
+            )
+    length = length.astype(np.int64)
+    first = np.repeat((np.cumsum(length) - length)[length > 0], length[length > 0])
+    with np.errstate(over="ignore", invalid="ignore"):
+        # a time of day in float32 would have steps of milliseconds
+        seconds = (time_s - time_s[first]).astype(np.float32)
+        angles = q.astype(np.float32)
+    return Motions(torch.from_numpy(angles), torch.from_numpy(seconds), torch.from_numpy(length))
 
 
 def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
@@ -69,6 +193,8 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
         arrays, words = read_json_arrays(path, _WIDTHS, ["t_method_s"], words=["method"])
         return arrays, words.get("method", path.stem)
     shown = printable(path)
+    if suffix == ".parquet":
+        return _parquet(path), path.stem
     with open_file(path, MAX_BYTES) as file:
         magic = file.read(16)
     if magic.startswith(b"PK"):
@@ -89,6 +215,33 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
     elif magic.startswith(b"\x93NUMPY"):
         what = "a single .npy array; predictions need several named ones"
     raise FileError(f"{shown}: {what}")
+
+
+def _parquet(path: Path) -> dict[str, Any]:
+    """Motions, one a row: trial_id or id, T_obj_ee (16 numbers), q (lists of 6), time_s (a list)."""
+    import pyarrow.types as types
+
+    shown = printable(path)
+    arrays: dict[str, Any] = {}
+    with open_parquet(path, most=MAX_BYTES, rows=10_000_000, text=["id"]) as file:
+        table = file.read()
+    for name in table.column_names:
+        column = table[name].combine_chunks()
+        if column.null_count:
+            raise FileError(f"{shown}: {printable(name)!r} is empty in {column.null_count} rows")
+        if name in ("q", "time_s") and types.is_list(column.type):
+            arrays.setdefault("length", column.value_lengths().to_numpy(zero_copy_only=False))
+        while types.is_list(column.type) or types.is_fixed_size_list(column.type):
+            column = column.flatten()
+        if types.is_dictionary(column.type):
+            column = column.dictionary_decode()
+        values = np.asarray(column.to_numpy(zero_copy_only=False))
+        values = values.astype(np.str_) if name == "id" else values
+        shape = {"q": (-1, 6), "T_obj_ee": (-1, 4, 4), "T_world_ee": (-1, 4, 4)}.get(name, (-1,))
+        if values.size % int(abs(np.prod(shape))):
+            raise FileError(f"{shown}: {name!r} has {values.size} numbers; its rows need {shape}")
+        arrays[name] = values.reshape(shape)
+    return arrays
 
 
 def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
@@ -196,12 +349,16 @@ LOOKS_RIGID, FAR_M, OBJECT_M = 1e-2, 10.0, 0.35
 _PIECE = 65_536  # rows looked at together, which bounds the memory
 
 
-def doubts(predictions: Predictions) -> list[str]:
+def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str]:
     """Warnings about the poses, one line each: how many are not rigid, are far away as in other
     units, or look as if grasp and handover were exchanged."""
     lines = []
-    for name, what in (("T_obj_ee", "grasps"), ("T_world_ee", "handover poses")):
-        T, n = getattr(predictions, name).numpy(), len(predictions)
+    posed = predictions if motions is None else predictions[motions.length == 0]
+    named = (("T_obj_ee", "grasps", predictions), ("T_world_ee", "handover poses", posed))
+    for name, what, given in named:
+        T, n = getattr(given, name).numpy(), len(given)
+        if not n:
+            continue
         pieces = [_odd(T[k : k + _PIECE]) for k in range(0, n, _PIECE)]
         off, transposed, far = (np.concatenate([p[i] for p in pieces]) for i in range(3))
         hint = ": transposed?" if (off & transposed).any() else ""
@@ -210,15 +367,14 @@ def doubts(predictions: Predictions) -> list[str]:
             (far, f"are more than {FAR_M:g} m away: lengths are in metres"),
         ):
             if odd.any():
-                first = int(predictions.trial_id[int(odd.argmax())])
+                first = int(given.trial_id[int(odd.argmax())])
                 where = f"({name}; the first of trial {first})"
                 lines.append(f"{int(odd.sum())} of {n} {what} {where} {words}")
     grasp, handover = (
-        np.linalg.norm(T[:, :3, 3].numpy(), axis=1)
-        for T in (predictions.T_obj_ee, predictions.T_world_ee)
+        np.linalg.norm(T[:, :3, 3].numpy(), axis=1) for T in (posed.T_obj_ee, posed.T_world_ee)
     )
     swapped = (grasp > OBJECT_M) & (handover < grasp) & (grasp < FAR_M)
-    if 2 * int(swapped.sum()) > n:
+    if 2 * int(swapped.sum()) > len(posed):
         lines.append(
             f"most grasps (T_obj_ee) are more than {OBJECT_M:g} m from the object's origin, and"
             " handover poses (T_world_ee) nearer to the robot's base: exchanged?"

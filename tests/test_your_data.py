@@ -56,6 +56,7 @@ def test_the_arrays_of_the_page_are_what_readers_take():
         "`T_world_hand`",
         "`hand`",
         "`pose`, `shape`, `side`",
+        "`id`, `variant`",
     }
     assert all(f"`{name}`" in trials for name in KNOWN)
     seen = PAGE[PAGE.index("## Predictions") :]
@@ -71,7 +72,7 @@ def test_the_python_of_the_page_writes_files_that_are_read(tmp_path, monkeypatch
         if "np.savez" in text:
             (tmp_path / "x.py").write_text(text)
             runpy.run_path("x.py")
-    trials, _ = read_trials_file(tmp_path / "two.npz", base.objects, base.hand_set)
+    trials, _, _ = read_trials_file(tmp_path / "two.npz", base.objects, base.hand_set)
     assert [base.objects[i].name for i in trials.object_index.tolist()] == ["cup", "hammer"]
     seen = read_observations(base.objects, base.hand_set.model, hands="exact.npz")
     seen.check_plan(make_trials(trials=5).trial_id.numpy())

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from r2h_batch.benchmark.trials_file import LISTED
+from r2h_batch.benchmark.trials_file import LISTED, Labels
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
@@ -52,6 +52,8 @@ class Benchmark:
     workplace: Workplace = field(default_factory=Workplace)
     listed: Trials | None = None
     """trials of its own (`trials_file.py`); None: the protocol draws them"""
+    labels: Labels | None = None
+    """what the owner of listed trials calls them; judges nothing, so the digest leaves it out"""
     drawn: str = PROTOCOL
     """the protocol that draws trials: of `schedule.PROTOCOLS`"""
     receiver: Literal["hand", "body"] = "hand"

@@ -95,12 +95,13 @@ def _read(path: str, _: str, pieces: bool, only: Only) -> Benchmark:
         names = [o.name for o in objects]
         if twice := [n for n in names if names.count(n) > 1]:
             raise FileError(f"{shown}: two objects are called {twice[0]!r}; rename one of them")
-        hand_set, listed = _hands(file, folder), None
+        hand_set, listed, labels = _hands(file, folder), None, None
         if file.trials is not None:
-            listed, hand_set = read_trials_file(path_within(folder, file.trials), objects, hand_set)
+            path_of_trials = path_within(folder, file.trials)
+            listed, hand_set, labels = read_trials_file(path_of_trials, objects, hand_set)
         place = _workplace(file, path)
         return Benchmark(
-            objects, hand_set, file.thresholds, place, listed, file.protocol, file.receiver
+            objects, hand_set, file.thresholds, place, listed, labels, file.protocol, file.receiver
         )
     except FileError:
         raise
@@ -342,9 +343,9 @@ class BenchmarkOverrides(BenchmarkFlags):
         objects = _with_grasps(objects, self.grasps)
         hand_set = self._hand_set(base.hand_set)
         other = objects != base.objects or hand_set is not base.hand_set
-        listed = base.listed
+        listed, labels = base.listed, base.labels
         if self.trials_file:
-            listed, hand_set = read_trials_file(Path(self.trials_file), objects, hand_set)
+            listed, hand_set, labels = read_trials_file(Path(self.trials_file), objects, hand_set)
         elif listed is not None and other:
             how = "lists trials of its own objects and hands; give --trials-file too"
             raise FileError(f"{printable(self.benchmark)}: {how}")
@@ -359,8 +360,9 @@ class BenchmarkOverrides(BenchmarkFlags):
         if not other and listed is base.listed and (drawn, seen) == (base.drawn, base.receiver):
             return base
         return replace(
-            base, objects=objects, hand_set=hand_set, listed=listed, drawn=drawn, receiver=seen
-        )
+            base, objects=objects, hand_set=hand_set, listed=listed, labels=labels, drawn=drawn,
+            receiver=seen,
+        )  # fmt: skip
 
     def _hand_set(self, base: HandSet) -> HandSet:
         """The hand set of --hands on the hand of --hand-model, each else as in `base`."""

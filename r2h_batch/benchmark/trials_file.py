@@ -9,6 +9,8 @@ metres |
 | `hand` | (N,) whole numbers | int | row of the hand set, right hands first |
 | `pose`, `shape`, `side` | (N, 48), (N, 10), (N,) | lists of 48 and 10, int | instead of `hand`;
 side 0 right, 1 left |
+| `id`, `variant` | (N,) text | text | optional: what its owner calls the trial, and the method behind
+it |
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from r2h_batch.io.tables import check_decoded_size, open_parquet
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
-__all__ = ["LISTED", "listed_with_ids", "read_trials_file"]
+__all__ = ["LISTED", "Labels", "listed_with_ids", "read_trials_file"]
 
 LISTED = "listed"
 """Protocol of a run whose trials a file lists."""
@@ -42,16 +44,20 @@ RIGID = 1e-3
 
 POSTURE = ("pose", "shape", "side")
 WIDTH = {"T_world_hand": 16, "pose": 48, "shape": 10}
-KNOWN = ("object", "T_world_hand", "hand", *POSTURE)
+LABELS = ("id", "variant")
+TEXTS = ("object", *LABELS)
+KNOWN = ("object", "T_world_hand", "hand", *POSTURE, *LABELS)
 
+Labels = dict[int, tuple[str, str]]
+"""Trial id -> what its owner calls the trial, and the method behind it (or "")."""
 Columns = dict[str, NDArray[Any]]
 
 
 def read_trials_file(
     path: Path, objects: Sequence[ObjectModel], hand_set: HandSet
-) -> tuple[Trials, HandSet]:
+) -> tuple[Trials, HandSet, Labels | None]:
     """The trials, S0 before S1, each split in the file's order (its i-th has the id 2 i or 2 i +
-    1), and their hands.
+    1), their hands, and their texts if they have any.
 
     Raises `FileError`, one line, for anything that is not as the table above says.
     """
@@ -80,7 +86,18 @@ def read_trials_file(
         hand_index=torch.from_numpy(hand[order].astype(np.int32)),
         T_world_hand=torch.from_numpy(T[order]),
     )
-    return trials, hand_set
+    return trials, hand_set, _labels(columns, ids, order, where)
+
+
+def _labels(columns: Columns, ids: NDArray[Any], order: NDArray[Any], where: str) -> Labels | None:
+    if "id" not in columns:
+        return None
+    texts = columns["id"][order].tolist()
+    if len(set(texts)) < len(texts):
+        twice = next(t for t in texts if texts.count(t) > 1)
+        raise FileError(f"{where}: two trials have the id {printable(twice)[:80]!r}")
+    variants = columns.get("variant", np.full(len(ids), ""))[order].tolist()
+    return {int(i): pair for i, pair in zip(ids, zip(texts, variants))}
 
 
 def listed_with_ids(listed: Trials, trial_id: torch.Tensor) -> Trials:
@@ -120,7 +137,8 @@ def _check_columns(columns: Columns, where: str) -> None:
         "shape": (n, 10),
         "side": (n,),
     }
-    kinds = {"object": "U", "hand": "iu", "side": "iu"}
+    shapes |= dict.fromkeys(LABELS, (n,))
+    kinds = {"hand": "iu", "side": "iu"} | dict.fromkeys(TEXTS, "U")
     for name, value in columns.items():
         if value.shape != shapes[name] or value.dtype.kind not in kinds.get(name, "f"):
             need = {"U": "text", "iu": "whole numbers"}.get(kinds.get(name, ""), "floats")
@@ -185,7 +203,7 @@ def _parquet(path: Path) -> Columns:
     import pyarrow.compute as pc
 
     where = printable(path)
-    with open_parquet(path, most=1 << 30, rows=MAX_TRIALS, text=["object"]) as file:
+    with open_parquet(path, most=1 << 30, rows=MAX_TRIALS, text=TEXTS) as file:
         _check_types(file.schema_arrow, where)
         check_decoded_size(file, (1 << 20) + MAX_ROW_BYTES * file.metadata.num_rows, where)
         table = file.read().unify_dictionaries()
@@ -194,8 +212,8 @@ def _parquet(path: Path) -> Columns:
         column = table[name].combine_chunks()
         if column.null_count:
             raise FileError(f"{where}: {name} is empty in {column.null_count} rows")
-        if name == "object":
-            columns[name] = _object_names(column, where)
+        if name in TEXTS:
+            columns[name] = _texts(column, name, where)
         elif name in WIDTH:
             values, width = column.flatten(), WIDTH[name]
             if (
@@ -210,11 +228,11 @@ def _parquet(path: Path) -> Columns:
     return columns
 
 
-def _object_names(column: Any, where: str) -> NDArray[Any]:
-    """Names out of a dictionary. A long name is refused before many rows repeat it in memory."""
+def _texts(column: Any, name: str, where: str) -> NDArray[Any]:
+    """Texts out of a dictionary. A long name is refused before many rows repeat it in memory."""
     words = column.dictionary.to_pylist()
     if any(len(str(w).encode("utf-8", "replace")) > MAX_NAME_BYTES for w in words):
-        raise FileError(f"{where}: object holds a name of more than {MAX_NAME_BYTES} bytes")
+        raise FileError(f"{where}: {name} holds a text of more than {MAX_NAME_BYTES} bytes")
     names = np.array([str(w) for w in words] or [""], np.str_)
     return names[column.indices.to_numpy(zero_copy_only=False)]
 
@@ -231,7 +249,7 @@ def _check_types(schema: Any, where: str) -> None:
         fits = types.is_integer(kind)
         if field.name in WIDTH:
             fits = is_list and types.is_floating(kind.value_type)
-        elif field.name == "object":
+        elif field.name in TEXTS:
             fits = types.is_dictionary(kind) and types.is_string(kind.value_type)
         if not fits:
             found = f"{field.name} is {printable(kind)[:60]}"

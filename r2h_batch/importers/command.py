@@ -1,6 +1,7 @@
 """Other people's hands, hand sets, grasps and objects as files that this package reads: `r2h-batch
 import ...`."""
 
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -218,10 +219,12 @@ def trials(
 
     check_output_folder(out, overwrite=None)
     counts = release.write(out, release.read_trials(path))
+    kind = "motions" if counts["motions"] else "predictions"
+    line = ["--benchmark", out / "benchmark.yaml", f"--{kind}", out / f"{kind}.npz", "--out", "RUN"]
     print(
         f"{counted(counts['trials'], 'trials')} of {counted(counts['objects'], 'objects')} in {out},"
         f" {counts['motions']} with a motion of our gripper; judge them with:"
-        f" r2h-batch sweep --benchmark {out / 'benchmark.yaml'} --predictions {out / 'predictions.npz'} --out RUN"
+        f" r2h-batch sweep {shlex.join(map(str, line))}"
     )
 
     return 0

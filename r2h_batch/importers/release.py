@@ -8,9 +8,13 @@ is `PADS_M` behind. Their hand frame lies in the palm (origin p_h, +Z along n_h,
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import hashlib
 import json
+import os
 import re
+import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,12 +30,13 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from r2h_batch import se3
 from r2h_batch.bodies.hand import load_hand, palm_frame
 from r2h_batch.bodies.robot import ee_pose, load_robot
-from r2h_batch.io.read import FileError, printable, read_json
+from r2h_batch.io.read import FileError, printable, read_file, read_json
 from r2h_batch.io.write import csv_cell, write_npz, write_text
+from r2h_batch.runs.store import IMPORTED
 from r2h_batch.validate import rule_of
 from r2h_batch.verdicts import SIDES, SPLITS
 
-__all__ = ["ReleaseTrial", "along_z", "palm_in_hand", "read_trials", "write"]
+__all__ = ["ReleaseTrial", "along_z", "imported", "palm_in_hand", "read_trials", "write"]
 
 Array = NDArray[np.float64]
 
@@ -437,17 +442,20 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, int]:
             "pose": np.stack([t.pose for t in ordered]).astype(np.float32),
             "shape": np.stack([t.shape for t in ordered]).astype(np.float32),
             "side": np.array([t.side for t in ordered], np.int8),
+            "id": np.array([t.id for t in ordered]),
+            "variant": np.array([t.variant for t in ordered]),
         },
     )
     answers = {
+        "method": np.array("r2handoversim"),
         "trial_id": np.array(ids, np.int64),
         "T_obj_ee": _poses([t.T_obj_ee for t in ordered]),
         "T_world_ee": _poses([t.T_world_ee for t in ordered]),
     }
     write_npz(out / "predictions.npz", answers)
-    moving = [k for k, t in enumerate(ordered) if t.q is not None]
+    moving = sum(t.q is not None for t in ordered)
     if moving:
-        write_npz(out / "motions.npz", _motions([ordered[k] for k in moving], answers, moving))
+        write_npz(out / "motions.npz", {**answers, **_motions(ordered)})
     with (out / "trials.csv").open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file)
         rows.writerow(["trial_id", "id", "object_id", "variant", "split"])
@@ -461,7 +469,7 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, int]:
         f"table: {{center: {place['table']['center']}, half: {place['table']['half']}}}\n"
         f"home: {place['home']}\nobjects:\n" + "".join(_entry(out, name) for name in entries),
     )
-    return {"trials": len(ordered), "objects": len(entries), "motions": len(moving)}
+    return {"trials": len(ordered), "objects": len(entries), "motions": moving}
 
 
 def _key(t: ReleaseTrial) -> tuple[str, str, bytes, bytes]:
@@ -503,16 +511,29 @@ def _poses(T: Sequence[Array]) -> NDArray[np.float32]:
     return se3.orthonormalise(stacked).numpy()
 
 
-def _motions(
-    trials: Sequence[ReleaseTrial], answers: dict[str, Any], rows: Sequence[int]
-) -> dict[str, Any]:
-    """What `Evaluator.score_motion` takes; samples beyond `length` repeat the last one."""
-    traces = [t.q for t in trials if t.q is not None]
-    length = np.array([len(q) for q in traces], np.int32)
-    w = int(length.max())
-    q = np.stack([np.concatenate([x, np.repeat(x[-1:], w - len(x), 0)]) for x in traces])
-    time_s = np.stack([t.dt_s * np.minimum(np.arange(w), n - 1) for t, n in zip(trials, length)])
+def _motions(trials: Sequence[ReleaseTrial]) -> dict[str, Any]:
+    """The samples of all motions one after another; a trial without one has the length 0."""
+    traces = [np.zeros((0, 6)) if t.q is None else t.q for t in trials]
     return {
-        "trial_id": answers["trial_id"][rows], "T_obj_ee": answers["T_obj_ee"][rows],
-        "q": q.astype(np.float32), "time_s": time_s, "length": length,
-    }  # fmt: skip
+        "q": np.concatenate(traces).astype(np.float32),
+        "time_s": np.concatenate([t.dt_s * np.arange(len(q)) for t, q in zip(trials, traces)]),
+        "length": np.array([len(q) for q in traces], np.int32),
+    }
+
+
+def imported(path: Path, out: Path) -> Path:
+    """The folder in `out` that holds what `write` makes of a file or folder of trials; written once,
+    and named after the files' content."""
+    files = sorted(path.glob("*.json")) if path.is_dir() else [path]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(read_file(file, MAX_BYTES))
+    folder = out / f"{IMPORTED}{digest.hexdigest()[:12]}"
+    if not folder.exists():
+        trials = read_trials(path)
+        out.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=out, prefix=".import-") as made:
+            write(Path(made) / folder.name, trials)
+            with contextlib.suppress(OSError):  # another part of the sweep was faster
+                os.rename(Path(made) / folder.name, folder)
+    return folder

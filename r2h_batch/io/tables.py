@@ -221,7 +221,10 @@ def open_parquet(
     where = printable(path)
     with open_file(path, most) as stream:
         try:
-            with pq.ParquetFile(stream, read_dictionary=list(text)) as file:
+            there = pq.read_schema(stream).names
+            stream.seek(0)
+            words = [name for name in text if name in there]
+            with pq.ParquetFile(stream, read_dictionary=words) as file:
                 if file.metadata.num_rows > rows:
                     found = file.metadata.num_rows
                     raise FileError(f"{where}: {found} rows; at most {rows} are allowed")

@@ -23,6 +23,7 @@ from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.levels import Form, planning_form
 from r2h_batch.launch import cpu_threads
+from r2h_batch.predictions import Motions
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import LATER_COLUMNS, TRIAL_SCHEMA, TrialNames, score_rows
 from r2h_batch.runs.store import TIMING, Run, RunError
@@ -132,16 +133,23 @@ class Judge:
         ids = torch.from_numpy(np.array(trial_id, np.int64))
         return trials_of(self.benchmark, ids).to(self.evaluator.scene.device)
 
-    def rows(self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any) -> pa.Table:
-        """`TRIAL_SCHEMA` rows of (N,) trials answered with (N, 4, 4) poses: as the sweep stores
-        them."""
+    def rows(
+        self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any, motions: Motions | None = None
+    ) -> pa.Table:
+        """`TRIAL_SCHEMA` rows of (N,) trials answered with (N, 4, 4) poses, or with grasps and
+        motions: as the sweep stores them."""
         scene, trials = self.evaluator.scene, self.trials(trial_id)
         grasp, handover = (
             torch.from_numpy(np.array(T, np.float32)).to(scene.device)
             for T in (T_obj_ee, T_world_ee)
         )
         with planning_form(self.form):
-            scores = self.evaluator.score(grasp, handover, trials)
+            if motions is None:
+                scores = self.evaluator.score(grasp, handover, trials)
+            else:
+                every = torch.arange(len(trials), dtype=torch.int64, device="cpu")
+                q, time_s, length = (x.to(scene.device) for x in motions.padded(every))
+                scores = self.evaluator.score_motion(grasp, q, time_s, trials, length=length)
         return score_rows(trials, scores, TrialNames.of(scene))
 
 
@@ -230,7 +238,10 @@ def reevaluate(
         poses = poses.filter(pc.is_in(poses["trial_id"], stored["trial_id"]))
         if job is not None:
             answers += _other_answers(job, stored["trial_id"].to_numpy(), poses, judge)
-        for difference in _other_rows(stored, poses, judge):
+        paths = None
+        if entry["source"].get("kind") == "motions":
+            paths = run.shard("paths", method, index)
+        for difference in _other_rows(stored, poses, paths, judge):
             unequal.add(difference.trial_id)
             if not judge.other or not _close(difference):
                 differences.append(difference)
@@ -280,13 +291,25 @@ def _other_answers(job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge) -> 
     ]
 
 
-def _other_rows(stored: pa.Table, poses: pa.Table, judge: Judge) -> list[Difference]:
-    """Every stored value that the evaluator does not give again bit for bit."""
+def _other_rows(
+    stored: pa.Table, poses: pa.Table, paths: pa.Table | None, judge: Judge
+) -> list[Difference]:
+    """Every stored value that the evaluator does not give again bit for bit; `paths`: those of a
+    file of motions. A motion was judged as it is where nothing was planned."""
     again: dict[int, dict[str, Any]] = {}
-    if len(poses):
-        T = [_matrices(poses[k]) for k in ("T_obj_ee", "T_world_ee")]
-        rows = judge.rows(poses["trial_id"].to_numpy(), *T).select(COMPARED).to_pylist()
-        again = {row["trial_id"]: row for row in rows}
+    groups: list[tuple[pa.Table, Motions | None]] = [(poses, None)]
+    if paths is not None:
+        unplanned = stored.filter(pc.is_null(stored["t_plan_s"]))["trial_id"]
+        paths = paths.filter(pc.is_in(paths["trial_id"], unplanned))
+        moved = pc.is_in(poses["trial_id"], paths["trial_id"])
+        groups = [(poses.filter(pc.invert(moved)), None), (poses.filter(moved), _motions(paths))]
+    for part, motions in groups:
+        if not len(part):
+            continue
+        grasp, handover = (_matrices(part[k]) for k in ("T_obj_ee", "T_world_ee"))
+        ids = part["trial_id"].to_numpy()
+        rows = judge.rows(ids, grasp, handover, motions).select(COMPARED).to_pylist()
+        again |= {row["trial_id"]: row for row in rows}
     # an older run lacks some columns; they are read as null and claim nothing
     silent = [k for k in LATER_COLUMNS if stored[k].null_count == len(stored)]
     found = []
@@ -301,6 +324,14 @@ def _other_rows(stored: pa.Table, poses: pa.Table, judge: Judge) -> list[Differe
             if row[k] != other[k] and k not in silent
         ]
     return found
+
+
+def _motions(paths: pa.Table) -> Motions:
+    q, time_s = (paths[k].combine_chunks() for k in ("q", "time_s"))
+    length = q.value_lengths().to_numpy(zero_copy_only=False).astype(np.int64)
+    flat = q.flatten().flatten().to_numpy(zero_copy_only=False).reshape(-1, 6)
+    seconds = time_s.flatten().to_numpy(zero_copy_only=False)
+    return Motions(*(torch.from_numpy(np.array(x)) for x in (flat, seconds, length)))
 
 
 def _matrices(column: pa.ChunkedArray) -> np.ndarray:

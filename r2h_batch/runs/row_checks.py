@@ -187,7 +187,7 @@ def _wrong_margins(
 
 def most_decoded(kind: str, trials: int) -> int:
     """Largest memory, bytes, that the columns of a shard may take."""
-    return (16 << 20) + (1 << 16 if kind == "paths" else 1 << 13) * trials
+    return (16 << 20) + (1 << 17 if kind == "paths" else 1 << 13) * trials
 
 
 def wrong_rows(

@@ -1,6 +1,8 @@
 """The run folder: what a sweep writes and every other command reads.
 
     run.json                           the run: protocol, digests, configuration, versions
+    ids.csv                            what the owner of listed trials calls them: trial_id, id, variant
+    imported-SHA/                      trials that were read from somebody's files, as a benchmark
     methods/METHOD.json                a method, and where its answers come from
     manifest/METHOD/000017.json        the receipt of a shard: range, outcomes, files, sha256
     trials/METHOD/000017-SHA.parquet   its rows; details/, poses/, paths/ beside it if stored
@@ -13,6 +15,7 @@ any number of processes can share a folder. A folder may come from anybody: each
 size limit and goes through a model with bounds before a field is used.
 """
 
+import csv
 import difflib
 import errno
 import fcntl
@@ -27,6 +30,8 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated, Any, BinaryIO, Literal, NamedTuple
 from uuid import uuid4
@@ -36,10 +41,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
-from r2h_batch.io.read import FileError, kind_of, printable, read_file
+from r2h_batch.io.read import FileError, kind_of, open_file, printable, read_file
 from r2h_batch.io.read import read_json as read_any_json
 from r2h_batch.io.tables import check_decoded_size
-from r2h_batch.io.write import run_folder_of
+from r2h_batch.io.write import atomic_path, csv_cell, run_folder_of
 from r2h_batch.runs.row_checks import inconsistent, most_decoded, not_as_planned, wrong_rows
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
@@ -88,6 +93,10 @@ TRIES = 3
 """A shard is quarantined after this many deaths or errors."""
 
 MAX_JSON_BYTES = 32 << 20  # a run.json with 100,000 objects fits
+MAX_LABELS_BYTES = 256 << 20
+LABELS = "ids.csv"
+IMPORTED = "imported-"
+"""Begins the name of a folder that holds the trials of a sweep in our form."""
 MAX_TEXT = 4096
 MAX_SHARDS = 10**6  # file names have six digits for them
 MAX_SHARD_TRIALS = 10**7  # a shard is in memory as a whole: some GB
@@ -640,6 +649,22 @@ def _read_receipt(
     return receipt
 
 
+def write_labels(folder: Path, labels: Mapping[int, tuple[str, str]]) -> None:
+    """What the owner of listed trials calls them, as a table in a run folder."""
+    with (
+        atomic_path(folder / LABELS) as temporary,
+        temporary.open("w", newline="", encoding="utf-8") as file,
+    ):
+        rows = csv.writer(file)
+        rows.writerow(["trial_id", "id", "variant"])
+        rows.writerows([i, *map(csv_cell, pair)] for i, pair in labels.items())
+
+
+def _plain_cell(text: str) -> str:
+    """The text that `csv_cell` made safe for spreadsheets."""
+    return text[1:] if csv_cell(text[1:]) == text else text
+
+
 # Reading.
 
 
@@ -661,6 +686,33 @@ class Run:
     def methods(self) -> tuple[str, ...]:
         """Names of the complete methods, in the order in which they were added."""
         return tuple(e["name"] for e in self.entries if not self.missing(e["name"]))
+
+    @cached_property
+    def labels(self) -> dict[int, tuple[str, str]]:
+        """Trial id -> what the trial's owner calls it, and the method behind it; empty where trials
+        have numbers only."""
+        path = self.folder / LABELS
+        if not path.exists():
+            return {}
+        with open_file(path, MAX_LABELS_BYTES) as stream:
+            rows = csv.DictReader(TextIOWrapper(stream, encoding="utf-8", newline=""), strict=True)
+            try:
+                return {
+                    int(r["trial_id"]): (_plain_cell(r["id"]), _plain_cell(r["variant"]))
+                    for r in rows
+                }
+            except (KeyError, TypeError, ValueError, csv.Error):
+                words = "needs the columns trial_id, id, variant; run the sweep again to write it"
+                raise RunError(f"{path}: {words}") from None
+
+    def trial_id(self, word: str) -> int:
+        """The number of a trial from its number or its owner's text."""
+        if word.isascii() and word.isdigit():
+            return int(word)
+        for number, (text_of_owner, _) in self.labels.items():
+            if text_of_owner == word:
+                return number
+        raise RunError(f"{self.folder}: no trial has the id {printable(word)[:80]!r}")
 
     @property
     def unfinished(self) -> tuple[str, ...]:
@@ -1244,7 +1296,8 @@ def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = Tru
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not os.path.lexists(path):
-            names = [p.name for p in folder.iterdir() if not p.name.startswith(".")]
+            own = (".", IMPORTED)
+            names = [p.name for p in folder.iterdir() if not p.name.startswith(own)]
             if names and not os.path.lexists(path):  # another sweep may have begun meanwhile
                 words = f"not empty and not a run folder (it has {min(names)!r}); {OTHER_OUT}"
                 raise RunError(f"{folder}: {words}")

@@ -80,7 +80,7 @@ def run(options: Options, stopping: Callable[[], bool] = lambda: False) -> int:
 def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path], None]) -> int:
     from importlib.util import find_spec
 
-    from r2h_batch.runs.store import RunError
+    from r2h_batch.runs.store import RunError, write_labels
     from r2h_batch.sweep import jobs as sweep_jobs
     from r2h_batch.sweep.cluster import ClusterError, reach
     from r2h_batch.sweep.engine import Stopped
@@ -94,6 +94,7 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
         options = replace(
             options, out=os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
         )
+        options = sweep_jobs.with_trials(options)
         files = sweep_jobs.load_files(options)
         sweep_jobs.resolve(options)
         start = time.perf_counter()
@@ -104,6 +105,8 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
         jobs = sweep_jobs.make_jobs(options, files, setting)
         out, folder = _open(options, setting, jobs)
         log_to(folder.folder / _of_part("log.txt", options))
+        if setting.labels:
+            write_labels(folder.folder, setting.labels)
         for job in jobs:
             folder.register(job.name, job.source)
             note(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")

@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import torch
 
 from r2h_batch.command_line import counted, is_quiet, note, refuse, tell
 from r2h_batch.judge.plan import load_searches
+from r2h_batch.predictions import Motions
 from r2h_batch.runs.rows import (
     TrialNames,
     detail_rows,
@@ -244,45 +246,73 @@ def _score_chunk(
 ) -> dict[str, pa.Table]:
     """Tables of a chunk in the plan's order; `rows`: the answers' rows, -1 for a trial without
     one."""
-    answered = (
-        torch.ones(len(trials), dtype=torch.bool, device="cpu") if rows is None else rows >= 0
-    )
-    names, tables = TrialNames.of(setting.evaluator.scene), {}
+    every = torch.ones(len(trials), dtype=torch.bool, device="cpu")
+    answered = every if rows is None else rows >= 0
+    moved = ~every  # whose answer is a motion
+    if rows is not None and job.motions is not None:
+        moved = answered & (job.motions.length[rows] > 0)
+    names = TrialNames.of(setting.evaluator.scene)
+    parts: list[dict[str, pa.Table]] = []
+    for chosen in (answered & ~moved, moved):
+        if chosen.any():
+            own = None if rows is None else rows[chosen]
+            motions = job.motions if chosen is moved else None
+            parts.append(_scored(job, trials[chosen], own, motions, setting, names))
     if not answered.all():
-        tables["trials"] = missing_rows(trials[~answered], names)
-    if answered.any():
-        part = trials[answered].to(setting.evaluator.scene.device)
-        answers = job.predict(part, None if rows is None else rows[answered]).to(
-            setting.evaluator.scene.device
+        parts.append({"trials": missing_rows(trials[~answered], names)})
+    kinds = dict.fromkeys(kind for part in parts for kind in part)
+    whole = {kind: pa.concat_tables([p[kind] for p in parts if kind in p]) for kind in kinds}
+    return {k: _in_order(t.unify_dictionaries(), trials.trial_id.numpy()) for k, t in whole.items()}
+
+
+def _scored(
+    job: Job,
+    part: Trials,
+    rows: torch.Tensor | None,
+    motions: Motions | None,
+    setting: Setting,
+    names: TrialNames,
+) -> dict[str, pa.Table]:
+    """Tables of answered trials; `motions`: judged as they are, else poses are planned to."""
+    evaluator, stored = setting.evaluator, setting.header["stored"]
+    device = evaluator.scene.device
+    part = part.to(device)
+    answers = job.predict(part, rows).to(device)
+    if motions is not None:
+        assert rows is not None
+        q, time_s, length = (x.to(device) for x in motions.padded(rows))
+        scores = evaluator.score_motion(answers.T_obj_ee, q, time_s, part, length=length)
+        assert scores.inputs is not None
+        answers = replace(answers, T_world_ee=scores.inputs.T_world_ee)
+        given = {"path": q, "path_time_s": time_s, "path_len": length.to(torch.int32)}
+    else:
+        scores = evaluator.score(
+            answers.T_obj_ee, answers.T_world_ee, part, keep_motion="paths" in stored
         )
-        keep = "paths" in setting.header["stored"]
-        scores = setting.evaluator.score(
-            answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep
-        )
-        # one copy each from a GPU
-        part, answers, scores = (
-            part.to("cpu"),
-            answers.to("cpu"),
-            scores.to("cpu"),
-        )
-        scored = score_rows(part, scores, names, answers.t_method_s)
-        if (scores.outcome == int(Outcome.INVALID_SIM)).any():
-            tables["failures"] = failure_rows(part, answers, scores, names)
-        tables["trials"] = pa.concat_tables(
-            [scored, *([tables["trials"]] if "trials" in tables else [])]
-        )
-        for kind in setting.header["stored"]:
-            if kind == "details":
-                tables[kind] = detail_rows(part, scores, names)
-            elif kind == "poses":
-                tables[kind] = pose_rows(answers)
-            elif kind == "paths":
-                tables[kind] = path_rows(scores)
-    order = np.argsort(
-        np.concatenate([np.flatnonzero(answered.numpy()), np.flatnonzero(~answered.numpy())])
-    )
-    tables["trials"] = tables["trials"].unify_dictionaries().take(pa.array(order))
+        given = {}
+    # one copy each from a GPU
+    part, answers, scores = part.to("cpu"), answers.to("cpu"), scores.to("cpu")
+    tables = {"trials": score_rows(part, scores, names, answers.t_method_s)}
+    if (scores.outcome == int(Outcome.INVALID_SIM)).any():
+        tables["failures"] = failure_rows(part, answers, scores, names)
+    for kind in stored:
+        if kind == "details":
+            tables[kind] = detail_rows(part, scores, names)
+        elif kind == "poses":
+            tables[kind] = pose_rows(answers)
+        elif (
+            kind == "paths"
+        ):  # a motion beyond the joint limits has no path, but can be judged again
+            given_or_path = replace(scores, **{k: v.cpu() for k, v in given.items()})
+            tables[kind] = path_rows(given_or_path)
     return tables
+
+
+def _in_order(table: pa.Table, trial_id: np.ndarray) -> pa.Table:
+    """The rows in the order of the trials."""
+    by_id = np.argsort(trial_id)
+    at = by_id[np.searchsorted(trial_id, table["trial_id"].to_numpy(), sorter=by_id)]
+    return table if (np.diff(at) > 0).all() else table.take(pa.array(np.argsort(at)))
 
 
 def warm_up(job: Job, setting: Setting, trials: int = WARM_TRIALS) -> None:

@@ -16,8 +16,9 @@ import torch
 
 from r2h_batch.benchmark import Benchmark
 from r2h_batch.benchmark.build import BenchmarkOverrides
+from r2h_batch.benchmark.trials_file import Labels
 from r2h_batch.command_line import counted, tell
-from r2h_batch.predictions import align, doubts, load_predictions
+from r2h_batch.predictions import Answers, Motions, PredictionsError, align, doubts, load_answers
 from r2h_batch.runs import provenance
 from r2h_batch.schedule import trial_ids
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
@@ -60,6 +61,12 @@ class Setting:
     header: dict[str, Any]
     ids: Callable[[int, int], torch.Tensor]
     trials: Callable[[torch.Tensor], Trials]
+    labels: Labels | None = None  # what the owner of listed trials calls them
+
+    @property
+    def names(self) -> dict[str, int] | None:
+        """Trial ids by their owner's texts."""
+        return None if self.labels is None else {text: i for i, (text, _) in self.labels.items()}
 
     @property
     def planned(self) -> int:
@@ -80,6 +87,7 @@ class Job:
     source: dict[str, str]
     predict: Callable[[Trials, torch.Tensor | None], Predictions]
     rows: torch.Tensor | None = None
+    motions: Motions | None = None  # of the answers' rows, where they are motions
     warm: bool = False
     lines: tuple[str, ...] = ()
     """for people: what it cannot answer, or what of it is not compared on a resume"""
@@ -150,7 +158,7 @@ def prepare(options: Options) -> Setting:
     def ids(first: int, last: int) -> torch.Tensor:
         return torch.from_numpy(trial_ids(plan, first, last))
 
-    return Setting(evaluator, header, ids, partial(trials_of, benchmark))
+    return Setting(evaluator, header, ids, partial(trials_of, benchmark), benchmark.labels)
 
 
 def _said_of(model: "ObjectModel") -> dict[str, Any]:
@@ -247,19 +255,41 @@ def _seen_files(options: Options) -> dict[str, Any]:
     return {k: {"file": v, "sha256": provenance.file_digest([Path(v)])} for k, v in given.items()}
 
 
-Files = list[tuple[str, str, Predictions]]
+def with_trials(options: Options) -> Options:
+    """The options with --trials-from as the benchmark and the answers that it is read into, a folder
+    in the run folder."""
+    if not options.trials_from:
+        return options
+    from r2h_batch.importers.release import imported
+
+    own = ("benchmark", "trials_file", "objects", "object_mesh", "hands", "hand_model", "protocol")
+    if taken := [name for name in own if getattr(options, name)]:
+        flag = taken[0].replace("_", "-")
+        raise UsageError(f"--{flag} and --trials-from both say the trials; give one of the two")
+    folder = imported(Path(options.trials_from), Path(options.out))
+    motions = folder / "motions.npz"
+    options = replace(options, benchmark=str(folder / "benchmark.yaml"))
+    if options.replan or not motions.exists():
+        file = str(folder / "predictions.npz")
+        return replace(options, predictions=(*options.predictions, file))
+    return replace(options, motions=(*options.motions, str(motions)))
+
+
+Files = list[tuple[str, str, Answers]]
 
 
 def load_files(options: Options) -> Files:
-    """(path, sha256, predictions) of every file: refused before anything slow starts."""
-    loaded = [(path, load_predictions(path)) for path in options.predictions]
-    for line in (
-        f"{path}: {words}" for path, predictions in loaded for words in doubts(predictions)
-    ):
-        tell(line)
-    return [
-        (path, provenance.file_digest([Path(path)]), predictions) for path, predictions in loaded
-    ]
+    """(path, sha256, answers) of every file: refused before anything slow starts."""
+    loaded = [(path, load_answers(path)) for path in (*options.predictions, *options.motions)]
+    for path, answers in loaded:
+        if (answers.motions is not None) != (path in options.motions):
+            flags = ("--predictions", "--motions")
+            flag, other = flags if path in options.predictions else flags[::-1]
+            words = f"{path}: {flag} needs {flag[2:]}, the file holds {other[2:]}; say {other}"
+            raise PredictionsError(words)
+        for words in doubts(answers.predictions, answers.motions):
+            tell(f"{path}: {words}")
+    return [(path, provenance.file_digest([Path(path)]), answers) for path, answers in loaded]
 
 
 def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
@@ -268,11 +298,13 @@ def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     if any(base_of(name) in METHODS for name in options.method):
         check_grasps(setting.evaluator.scene, options.allow_empty_candidates)
     jobs = [_method_job(name, setting.evaluator, options, seen) for name in options.method]
-    for path, digest, predictions in files:
-        planned = setting.ids(0, setting.planned)
-        rows = align(predictions, planned, source=path, allow_missing=options.allow_missing)
-        source = {"kind": "predictions", "file": path, "sha256": digest}
-        jobs.append(Job(predictions.method, source, partial(_stored, predictions), rows))
+    for path, digest, answers in files:
+        planned, answers = setting.ids(0, setting.planned), answers.named(setting.names, path)
+        given, motions = answers.predictions, answers.motions
+        rows = align(given, planned, source=path, allow_missing=options.allow_missing)
+        kind = "predictions" if motions is None else "motions"
+        source = {"kind": kind, "file": path, "sha256": digest}
+        jobs.append(Job(given.method, source, partial(_stored, given), rows, motions))
     names = [job.name for job in jobs]
     if twice := sorted({n for n in names if names.count(n) > 1}):
         raise UsageError(

@@ -57,7 +57,11 @@ class Options:
     predictions: tuple[str, ...] = _option(
         (), _METHODS, "files of poses: .npz, .safetensors, .csv, .json"
     )
+    motions: tuple[str, ...] = _option(
+        (), _METHODS, "files of joint motions, judged as they are: .npz, .parquet"
+    )
     seed: int = _option(0, _METHODS, "seed of the methods; trials have their own")
+    trials_from: str = _option("", _TRIALS, "trials and motions of the authors' release")
     trials: int = _option(500, _TRIALS, "trials of each split")
     splits: tuple[Literal["S0", "S1"], ...] = _option(
         ("S0", "S1"), _TRIALS, "S0: free handover; S1: functional handover"
@@ -95,10 +99,13 @@ class Options:
     device: str = _option("cpu", _WORK, "cpu, cuda or cuda:N")
     threads: int | None = _option(None, _WORK, "CPU threads; default: all cores")
     shard: str = _option("1/1", _WORK, "I/N: part I of N, for job arrays with one --out")
-    shard_trials: int = _option(0, _WORK, "trials of a shard; 0: a minute of work")
+    shard_trials: int = _option(0, _CONFIG, "trials of a shard; 0: a minute of work")
     engine: Literal["local", "ray"] = _option("local", _WORK, "this process, or a Ray cluster")
-    address: str = _option("", _WORK, "Ray cluster to join: auto or HOST:PORT")
+    address: str = _option("", _CONFIG, "Ray cluster to join: auto or HOST:PORT")
 
+    replan: bool = _option(
+        False, _CONFIG, "with trials_from: plan every motion anew instead of judging theirs"
+    )
     predictor: str = _option(
         "",
         _CONFIG,
@@ -208,7 +215,8 @@ class Options:
             "poses": not self.no_poses,
             "paths": self.save_paths,
         }
-        return [kind for kind in KINDS if self.save_paths or wanted[kind]]
+        every = self.save_paths or bool(self.motions or self.trials_from)  # nobody plans them again
+        return [kind for kind in KINDS if every or wanted[kind]]
 
     @property
     def part(self) -> tuple[int, int]:
@@ -271,9 +279,10 @@ def _columns(rows: Sequence[tuple[str, str]]) -> list[str]:
 
 def check(options: Options) -> Options:
     """The options, or a `UsageError` about the first that cannot be."""
-    if not options.method and not options.predictions:
+    if not (options.method or options.predictions or options.motions or options.trials_from):
         raise UsageError(
-            f"nothing to score: give --method {' '.join(METHODS)} or --predictions FILE"
+            f"nothing to score: give --method {' '.join(METHODS)}, --predictions FILE, --motions FILE"
+            " or --trials-from FILE"
         )
     bases = [base_of(name) for name in options.method]
     for name in bases:
@@ -307,7 +316,7 @@ def check(options: Options) -> Options:
     if not -(1 << 63) <= options.seed < 1 << 63:
         raise UsageError(f"--seed is {str(options.seed)[:40]}; it must fit 64 bits")
     _check_stored(options)
-    for name in ("method", "splits", "predictions"):
+    for name in ("method", "splits", "predictions", "motions"):
         given = getattr(options, name)
         if twice := [g for g in given if given.count(g) > 1]:
             raise UsageError(f"--{name} {twice[0]} is given twice; once is enough")

@@ -96,7 +96,7 @@ def test_npz_and_parquet_with_rows_of_the_hand_set_or_postures_say_the_same(tmp_
     as_parquet(tmp_path / "h.parquet", by_row)
     wanted = make_trials(trials=5)
     for name in ("p.npz", "p.parquet", "h.npz", "h.parquet"):
-        trials, hands = read_trials_file(tmp_path / name, base.objects, base.hand_set)
+        trials, hands, _ = read_trials_file(tmp_path / name, base.objects, base.hand_set)
         assert trials.trial_id.tolist() == wanted.trial_id.tolist()
         assert (trials.T_world_hand == wanted.T_world_hand).all() and (trials.object_index == wanted.object_index).all()
         for key in ("pose", "shape", "side"):

@@ -7,10 +7,12 @@ import json
 import numpy as np
 import pytest
 import torch
+from sweep_command import in_process
 
 from r2h_batch import EvalConfig, Evaluator
 from r2h_batch.benchmark import read_benchmark
 from r2h_batch.importers.command import main
+from r2h_batch.runs.store import load_run
 from r2h_batch.trials.protocol import trials_of
 from r2h_batch.types import Outcome
 from r2h_batch.verdicts import CRITERIA
@@ -114,20 +116,26 @@ def test_fixtures_get_the_margins_and_flags_that_the_release_publishes(tmp_path)
     assert scores["screwdriver_region_agnostic"].outcome == int(Outcome.AFFORDANCE)
 
 
-def test_a_trace_of_our_gripper_becomes_a_motion_and_another_tools_does_not(tmp_path):
-    (tmp_path / "box").mkdir()
-    (tmp_path / "matched").mkdir()
-    imported(tmp_path / "box", [fixture("bottle", "region_agnostic")])
-    assert not (tmp_path / "box" / "out" / "motions.npz").exists()
+def test_a_sweep_judges_their_files_in_one_step_and_keeps_their_ids(tmp_path):
+    """Of our gripper (`T_tcp_asset_tool`) the executed motion is judged, of another one the pose is planned to."""
+    (tmp_path / "in").mkdir()
     trials = [fixture("bottle", v, tool=MATCHED) for v in ("region_agnostic", "missed_delivery")]
-    names, benchmark, evaluator, _ = imported(tmp_path / "matched", trials)
-    m = {k: torch.from_numpy(v) for k, v in np.load(tmp_path / "matched" / "out" / "motions.npz").items()}
-    scores = evaluator.score_motion(
-        m["T_obj_ee"], m["q"], m["time_s"], trials_of(benchmark, m["trial_id"]), length=m["length"]
-    )  # fmt: skip
-    found = {names[i]: int(o) for i, o in zip(m["trial_id"].tolist(), scores.outcome)}
-    assert found == {"bottle_region_agnostic": int(Outcome.SUCCESS), "bottle_missed_delivery": int(Outcome.REACH)}
-    assert torch.allclose(scores.t_exec_s, torch.full((2,), 29 / 60))
+    for t in [*trials, {**fixture("bottle", "region_agnostic"), "id": "box_tool"}]:
+        (tmp_path / "in" / f"{t['id']}.json").write_text(json.dumps(t))
+    line = ["--trials-from", tmp_path / "in", "--sim", "none", "--set", "width=whole"]
+    for more, planned in (([], {"box_tool"}), (["--replan"], {"box_tool", *(t["id"] for t in trials)})):
+        out = tmp_path / f"run{len(more)}"
+        done = in_process(*line, *more, "--out", out)
+        assert done.returncode == 0, done.stderr
+        run = load_run(out)
+        rows = {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}
+        assert {k for k, r in rows.items() if r["t_plan_s"] is not None} == planned
+        assert {k: r["outcome"] for k, r in rows.items()} == {
+            "bottle_region_agnostic": "success", "bottle_missed_delivery": "reach", "box_tool": "success"
+        }  # fmt: skip
+        if not more:
+            assert rows["bottle_region_agnostic"]["t_exec_s"] == pytest.approx(29 / 60)
+            assert run.labels[run.trial_id("bottle_missed_delivery")] == ("bottle_missed_delivery", "missed_delivery")
 
 
 def test_a_receivers_palm_frame_is_where_the_hand_stands(tmp_path):

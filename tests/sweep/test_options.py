@@ -20,6 +20,9 @@ def test_every_field_comes_back_from_a_file(tmp_path):
     options = Options(
         method=("random", "contact", "my.rules:best"),
         predictions=("a.npz",),
+        motions=("m.npz",),
+        trials_from="theirs",
+        replan=True,
         splits=("S1",),
         trials=7,
         device="cuda:1",

@@ -1,0 +1,115 @@
+"""Files of joint motions and of the authors' trials, judged by the sweep."""
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from sweep_command import in_process
+
+from r2h_batch.export.stored import Reader
+from r2h_batch.results.reevaluation import Judge, reevaluate
+from r2h_batch.runs.store import load_run
+from r2h_batch.verdicts import CRITERIA
+
+TRIALS = 6
+
+
+@pytest.fixture(scope="module")
+def planned(tmp_path_factory):
+    """A run of ours without a simulator, and its motions as a file: the samples one after another."""
+    folder = tmp_path_factory.mktemp("motions")
+    done = in_process(
+        "--method", "oracle", "--trials", TRIALS, "--sim", "none", "--save-paths", "--out", folder / "own"
+    )
+    assert done.returncode == 0, done.stderr
+    run = load_run(folder / "own")
+    paths, poses = run.paths("oracle").to_pylist(), run.poses("oracle").to_pylist()
+    path_of = {p["trial_id"]: p for p in paths}
+    ids = [p["trial_id"] for p in poses]
+    q = [np.array(path_of[i]["q"], np.float32) if i in path_of else np.zeros((0, 6), np.float32) for i in ids]
+    assert any(len(x) for x in q)
+    data = {
+        "method": np.array("my planner"),
+        "trial_id": np.array(ids),
+        "T_obj_ee": np.array([p["T_obj_ee"] for p in poses], np.float32).reshape(-1, 4, 4),
+        "T_world_ee": np.array([p["T_world_ee"] for p in poses], np.float32).reshape(-1, 4, 4),
+        "q": np.concatenate(q),
+        "time_s": np.concatenate([np.array(path_of[i]["time_s"]) + 1e6 for i in ids if i in path_of]),
+        "length": np.array([len(x) for x in q]),
+    }
+    np.savez(folder / "motions.npz", **data)
+    return folder, run, data
+
+
+def judged(folder, file, out, *more):
+    line = ["--motions", file, "--trials", TRIALS, "--sim", "none", "--out", folder / out, *more]
+    done = in_process(*line)
+    assert done.returncode == 0, done.stderr
+    return load_run(folder / out)
+
+
+def test_motions_in_a_file_get_the_verdicts_of_the_same_paths_and_a_run_goes_on(planned):
+    folder, own, _ = planned
+    run = judged(folder, folder / "motions.npz", "given", "--shard-trials", 5)
+    a, b = own.trials("oracle").to_pylist(), run.trials("my planner").to_pylist()
+    for x, y in zip(a, b, strict=True):
+        assert {k: x[k] for k in ("trial_id", "outcome", "t_exec_s")} == pytest.approx(
+            {k: y[k] for k in ("trial_id", "outcome", "t_exec_s")}
+        )
+        assert (y["t_plan_s"] is None) == (x["t_exec_s"] is not None)  # what moves was not planned here
+        for c in CRITERIA:
+            assert y[f"margin_{c}_m"] == pytest.approx(x[f"margin_{c}_m"], abs=2e-5), c
+    # what is stored is enough to judge again, bit for bit, and to open a trial
+    again = reevaluate(run, "my planner", 100, Judge(run))
+    assert again.equal == again.scored == 2 * TRIALS and not again.differences
+    moves = next(r["trial_id"] for r in b if r["t_plan_s"] is None)
+    assert Reader(folder / "given").trial(moves).moves
+    # a shard that is gone is judged again
+    digest = run.digest("my planner")
+    next((folder / "given" / "manifest").rglob("000001.json")).unlink()
+    assert judged(folder, folder / "motions.npz", "given").digest("my planner") == digest
+
+
+def test_parquet_holds_the_same_motions(planned):
+    folder, _, data = planned
+    ends = np.cumsum(data["length"])
+    cut = [slice(e - n, e) for e, n in zip(ends, data["length"])]
+    table = pa.table(
+        {
+            "trial_id": data["trial_id"],
+            "T_obj_ee": data["T_obj_ee"].reshape(-1, 16).tolist(),
+            "T_world_ee": data["T_world_ee"].reshape(-1, 16).tolist(),
+            "q": [data["q"][s].tolist() for s in cut],
+            "time_s": [data["time_s"][s].tolist() for s in cut],
+        }
+    )
+    pq.write_table(table, folder / "m.parquet")
+    a = judged(folder, folder / "motions.npz", "npz").trials("my planner").drop_columns(["t_method_s", "t_plan_s"])
+    b = judged(folder, folder / "m.parquet", "parquet").trials("m").drop_columns(["t_method_s", "t_plan_s"])
+    assert a.equals(b)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"q": np.zeros((3, 6))}, "'q' is float64 (3, 6); it must be float32 or float64"),
+        ({"time_s": None}, "key 'time_s' is missing; motions need"),
+        ({"length": np.ones(2 * TRIALS, int)}, "'length' of row 0 is 1; a motion has 2 to"),
+        ({"trial_id": None, "id": np.array([f"t{k}" for k in range(2 * TRIALS)])}, "names trials by id"),
+        ({"T_world_ee": None, "q": np.zeros((2, 6)), "time_s": np.zeros(2), "length": np.eye(2 * TRIALS, dtype=int)[0] * 2},
+         "and there is no T_world_ee"),
+    ],
+)  # fmt: skip
+def test_what_is_no_motions_file_is_one_line(planned, changes, words):
+    folder, _, data = planned
+    np.savez(folder / "bad.npz", **{k: v for k, v in {**data, **changes}.items() if v is not None})
+    done = in_process("--motions", folder / "bad.npz", "--trials", TRIALS, "--sim", "none", "--out", folder / "bad")
+    assert done.returncode == 2 and words in done.stderr and "bad.npz" in done.stderr.splitlines()[-1]
+
+
+def test_a_file_of_motions_is_no_file_of_predictions(planned):
+    folder, *_ = planned
+    done = in_process("--predictions", folder / "motions.npz", "--trials", TRIALS, "--out", folder / "no")
+    assert (
+        done.returncode == 2 and "--predictions needs predictions, the file holds motions; say --motions" in done.stderr
+    )
