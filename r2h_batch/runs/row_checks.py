@@ -19,7 +19,7 @@ from r2h_batch.config import BORDERLINE_M, FARTHEST_M
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.tables import check_decoded_size
 from r2h_batch.runs.columns import codes, pattern, pattern_outcomes, verdicts
-from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
+from r2h_batch.runs.rows import KINDS, OUTCOME_NAMES, PATH_SCHEMA, POSE_SCHEMA, TRIAL_SCHEMA
 from r2h_batch.schedule import PROTOCOLS, assign_hands, assign_objects, trial_ids
 from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, REGISTRY, SIDES, SPLITS, Outcome
 
@@ -30,7 +30,10 @@ CHECKED = (
     *(f"margin_{c}_m" for c in CRITERIA),
     *SECONDS,
 )
-"""Columns of the trials that `inconsistent` looks at."""
+"""Columns of the trials that `inconsistent` looks at, and `KIND_COLUMNS` where a run has them."""
+
+KIND_COLUMNS = tuple(f"margin_kind_{c}" for c in CRITERIA)
+MOTION_COLUMNS = {"poses": ("T_obj_ee", "T_world_ee"), "paths": ("time_s", "q")}
 
 PLANNED = {
     "trials": ("trial_id", "object", "split", "side"),
@@ -123,7 +126,7 @@ def inconsistent(header: Mapping[str, Any], table: pa.Table) -> str | None:
     The outcome must be the first failure, a margin must have the sign of its verdict and a
     possible size, a time must be between 0 and 30 years.
     """
-    for name in CHECKED:
+    for name in (*CHECKED, *(c for c in KIND_COLUMNS if c in table.column_names)):
         if table.schema.field(name).type != TRIAL_SCHEMA.field(name).type:
             return f"column {name!r} is of another type than the format says"
     ids = table["trial_id"].to_numpy()
@@ -151,6 +154,12 @@ def inconsistent(header: Mapping[str, Any], table: pa.Table) -> str | None:
             row = int(wrong.argmax())
             verdict = ("is not evaluated", "fails", "passes")[states[name][row]]
             return f"trial {ids[row]}: {name} {verdict} with a margin of {margin[row]:g} m"
+        if (column := f"margin_kind_{name}") in table.column_names:
+            wrong = _wrong_kinds(table[column], margin)
+            if wrong.any():
+                row = int(wrong.argmax())
+                said = printable(table[column][row].as_py())
+                return f"trial {ids[row]}: {column} is {said} for a margin of {margin[row]:g} m"
     for name in SECONDS:
         seconds = table[name].to_numpy()
         wrong = (seconds < 0) | (seconds > MOST_SECONDS)
@@ -185,6 +194,66 @@ def _wrong_margins(
     return (good != passed) | (np.isnan(margin) == given) | (margin > most) | small
 
 
+def _wrong_kinds(column: pa.ChunkedArray, margin: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """(N,) whether a kind is none of a margin's: a bound is below 0, -inf is a cap, NaN has none.
+
+    A column without any word is that of an older run and claims nothing.
+    """
+    kind = _places(column, KINDS)
+    bound, cap = (KINDS.index(word) for word in ("bound", "cap"))
+    fits = np.where(
+        np.isneginf(margin), kind == cap, (kind >= 0) & ((kind != bound) | (margin < 0))
+    )
+    fits = np.where(np.isnan(margin), column.is_null().to_numpy(), fits)
+    return ~fits & (column.null_count < len(column))
+
+
+def _wrong_motions(kind: str, table: pa.Table, refused: NDArray[np.int64]) -> str | None:
+    """What no row of poses or paths can hold; None: nothing.
+
+    Poses are numbers, except those of the trials `refused` (outcome `invalid_input`). A path has
+    waypoints and a time for each, all numbers.
+    """
+    schema = POSE_SCHEMA if kind == "poses" else PATH_SCHEMA
+    for name in MOTION_COLUMNS[kind]:
+        if table[name].type != schema.field(name).type or table[name].null_count:
+            return f"column {name!r} is of another type than the format says"
+    ids, arrays = (
+        table["trial_id"].to_numpy(),
+        [table[name].combine_chunks() for name in MOTION_COLUMNS[kind]],
+    )
+    if kind == "poses":
+        broken = np.any([~_finite(a, np.arange(len(ids) + 1) * 16) for a in arrays], 0)
+        if (broken := broken & ~np.isin(ids, refused)).any():
+            row = int(broken.argmax())
+            return f"trial {ids[row]}: its pose has a number that is none, and it was judged"
+        return None
+    if (postures := arrays[1].flatten()).null_count:
+        return "column 'q' has empty postures"
+    time, q = (a.offsets.to_numpy() - a.offsets[0].as_py() for a in arrays)
+    broken = (np.diff(time) < 1) | (np.diff(time) != np.diff(q))
+    broken |= ~_finite(arrays[0], time) | ~_finite(postures, q * 6)
+    if broken.any():
+        row = int(broken.argmax())
+        return f"trial {ids[row]}: its path is empty or has a number that is none"
+    return None
+
+
+def _refused(trials: Path) -> NDArray[np.int64]:
+    """trial_id of the rows of a file of trials whose outcome is `invalid_input`."""
+    with pq.ParquetFile(trials) as stored:
+        check_decoded_size(stored, 1 << 30, "its trials", ("trial_id", "outcome"))
+        table = stored.read(columns=["trial_id", "outcome"])
+    return table["trial_id"].to_numpy()[_places(table["outcome"], ["invalid_input"]) == 0]
+
+
+def _finite(lists: pa.Array, offsets: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(N,) whether all numbers of each list are finite; those of list i start at `offsets[i]`."""
+    numbers = np.asarray(lists.flatten().cast(pa.float32()).fill_null(np.nan))
+    bad = np.append(0, np.cumsum(~np.isfinite(numbers)))
+    return bad[offsets[1:]] == bad[offsets[:-1]]
+
+
 def most_decoded(kind: str, trials: int) -> int:
     """Largest memory, bytes, that the columns of a shard may take."""
     return (16 << 20) + (1 << 17 if kind == "paths" else 1 << 13) * trials
@@ -202,6 +271,7 @@ def wrong_rows(
     columns = [
         *(PLANNED.get(kind, ("trial_id",)) if known else ()),
         *(CHECKED if trials else ()),
+        *(("trial_id", *MOTION_COLUMNS[kind]) if kind in MOTION_COLUMNS else ()),
     ]
     try:
         with pq.ParquetFile(file) as stored:
@@ -210,9 +280,13 @@ def wrong_rows(
                 return f"holds {rows} rows, planned were {exact}"
             if missing := [c for c in columns if c not in stored.schema_arrow.names]:
                 return f"column {missing[0]!r} is missing"
+            columns += [c for c in KIND_COLUMNS if trials and c in stored.schema_arrow.names]
             most = most_decoded(kind, last - first)
             check_decoded_size(stored, most, "its rows", columns)
             table = stored.read(columns=list(dict.fromkeys(columns)))
+        refused = np.array([], np.int64)
+        if kind == "poses":
+            refused = _refused(file.parents[2] / receipt["files"]["trials"]["path"])
     except (FileError, OSError, pa.ArrowException) as error:
         return f"cannot be read ({printable(error)[:300]})"
     if columns:
@@ -220,4 +294,6 @@ def wrong_rows(
         if ids.type != pa.int64() or ids.null_count:
             return "column 'trial_id' is not of whole numbers"
     wrong = not_as_planned(header, first, last, table, every=trials) if known else None
+    if kind in MOTION_COLUMNS:
+        wrong = wrong or _wrong_motions(kind, table, refused)
     return wrong or (inconsistent(header, table) if trials else None)

@@ -287,6 +287,30 @@ def test_details_and_poses_have_a_row_for_each_answered_trial(tmp_path, kind, ca
         load_run(tmp_path / "run")
 
 
+NOWHERE = [1.0, 0.0, 0.0, float("nan"), *np.eye(4, dtype=np.float32).ravel()[4:].tolist()]
+EMPTY = "trial 1: its path is empty or has a number that is none"
+MOVED = {
+    "a judged pose that is no number": ("poses", {"T_obj_ee": NOWHERE}, "trial 1: its pose has a number that is none"),
+    "a path without a waypoint": ("paths", {"time_s": [], "q": []}, EMPTY),
+    "a path without a time": ("paths", {"time_s": []}, EMPTY),
+    "a posture of NaN": ("paths", {"time_s": [0.0], "q": [[0.0] * 5 + [float("nan")]]}, EMPTY),
+    "no posture at all": ("paths", {"time_s": [0.0], "q": [None]}, "column 'q' has empty postures"),
+    "an endless time": ("paths", {"time_s": [float("inf")], "q": [[0.0] * 6]}, EMPTY),
+}
+
+
+@pytest.mark.parametrize("what", MOVED)
+def test_poses_and_paths_that_nobody_was_judged_by_are_found(tmp_path, what, capsys):
+    kind, values, words = MOVED[what]
+    write(tmp_path / "run", np.array([0, 0, 0, 6]), stored=["poses", "paths"])
+    forge(tmp_path / "run", at(3, T_obj_ee=NOWHERE), "poses")  # answered so: invalid_input, no forgery
+    assert COMMANDS["verify"](tmp_path / "run") == 0
+    forge(tmp_path / "run", at(1, **values), kind)
+    capsys.readouterr()
+    assert COMMANDS["verify"](tmp_path / "run") == 1
+    assert words in capsys.readouterr().out
+
+
 def at(row, **values):
     """A change of a table: other values in one row."""
 
@@ -331,6 +355,14 @@ MADE_UP = {  # of six rows that are successes with margins of 1 cm: S0 0, 1, 2, 
         "trial 4: outcome is 'success', its criteria say nothing that can be",
     ),
     "an invalid row that passes": (at(2, outcome="invalid_sim"), "trial 2: outcome is 'invalid_sim', its criteria say success"),
+    "a kind of what was not looked at": (
+        at(0, margin_kind_affordance="cap"), "trial 0: margin_kind_affordance is cap for a margin of nan m",
+    ),
+    "a margin of no kind": (at(3, margin_kind_safe=None), "trial 3: margin_kind_safe is None for a margin of 0.01 m"),
+    "a kind that is none": (at(3, margin_kind_plan="guess"), "trial 3: margin_kind_plan is guess for a margin of 0.01 m"),
+    "a bound of what does not overlap": (
+        at(3, margin_kind_plan="bound"), "trial 3: margin_kind_plan is bound for a margin of 0.01 m",
+    ),
     "a clock that runs backwards": (at(1, t_plan_s=-1.0), "trial 1: -1 s in t_plan_s; 0 to 1e.09 s are allowed"),
     "a clock that never stops": (at(1, t_exec_s=float("inf")), "trial 1: inf s in t_exec_s"),
     "a method of 1e30 years": (at(1, t_method_s=1e38), "trial 1: 1e.38 s in t_method_s"),
@@ -384,7 +416,7 @@ def test_what_a_judge_may_say_is_no_forgery(tmp_path):
     paper = {"configuration": {"plan": {"edge_check": "moveit"}}}
     good = [
         margin("plan", -1e-6, 0), margin("reach", 0.0, 0), margin("stability", 0.0, 0), margin("reach", -1e6 + 0.1, 2),
-        margin("stability", -float("inf"), 3), at(0, t_method_s=None, t_plan_s=0.0, t_exec_s=1e6),
+        at(3, margin_stability_m=-float("inf"), margin_kind_stability="cap"), at(0, t_method_s=None, t_plan_s=0.0, t_exec_s=1e6),
     ]  # fmt: skip
     assert inconsistent(run.header, table) is None
     for change in good:
