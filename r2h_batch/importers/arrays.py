@@ -1,19 +1,21 @@
-"""Arrays of other people's files: numbers of a known shape, and rigid poses."""
+"""Other people's files and arrays: those of a folder, numbers of a known shape, rigid poses."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.io.read import FileError
+from r2h_batch.command_line import tell
+from r2h_batch.io.read import FileError, printable
 
-__all__ = ["numbers", "rigid"]
+__all__ = ["files_below", "numbers", "rigid"]
 
 F64 = NDArray[np.float64]
-MAX_FRAMES = 200_000
+MAX_FRAMES = MAX_FILES = 200_000
 
 
 def rigid(turn: Rotation | F64, place: F64) -> F64:
@@ -53,3 +55,30 @@ def _size(value: Any) -> int:
     if isinstance(value, list):
         return sum(_size(v) for v in value)
     return value.size if isinstance(value, np.ndarray) else 1
+
+
+def files_below(folder: Path, pattern: str) -> list[Path]:
+    """Files of the pattern below the folder, sorted; links that lead out of it are left out. Raises
+    if there is none."""
+    base = folder.resolve()
+    if not base.is_dir():
+        raise FileError(f"{printable(folder)}: no such folder")
+    found: list[Path] = []
+    outside = 0
+    for path in base.glob(pattern):
+        if not path.resolve().is_relative_to(base):
+            outside += 1
+            continue
+        found.append(path)
+        if len(found) > MAX_FILES:
+            raise FileError(f"{printable(folder)}: more than {MAX_FILES} files {pattern}")
+    links = f"{outside} {pattern} {'is a link that leads' if outside == 1 else 'are links that lead'} out of the folder"
+    if not found and outside:
+        raise FileError(
+            f"{printable(folder)}: {links} (not followed); give the folder that holds the files"
+        )
+    if not found:
+        raise FileError(f"{printable(folder)}: holds no {pattern}; is it the right folder?")
+    if outside:
+        tell(f"{printable(folder)}: {links}, left out")
+    return sorted(found)

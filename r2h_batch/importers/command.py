@@ -67,6 +67,7 @@ def hands(
     mano_right: Path | None = None,
     mano_left: Path | None = None,
     negate_left_shape: bool = False,
+    idle: bool = False,
     strict: bool = False,
     overwrite: bool = False,
 ) -> int:
@@ -81,9 +82,10 @@ def hands(
             object moves), first, middle, last, or a number (-1: the last). Of oakink, aperture
             takes the receivers' hands, others take all.
         mano_right: MANO_RIGHT.pkl, for data relative to MANO's mean hand or in its components
-            (arctic, dexycb), and for the wrist's exact place.
+            (arctic, dexycb), for shapes of subjects (grab) and for the wrist's exact place.
         mano_left: MANO_LEFT.pkl.
         negate_left_shape: As for `hand`.
+        idle: Take hands too that never carry the object; they are left out and counted otherwise.
         strict: Refuse a data set with a file that cannot be read, instead of skipping it.
         overwrite: Replace files that are there.
     """
@@ -96,21 +98,26 @@ def hands(
         hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in"
     )
     if source == "built-in":
-        hand_sets.write(target, hand_sets.built_in(), load_hand_set().pose[:, :3].numpy())
+        hand_sets.write(target, hand_sets.built_in())
         print(f"{counted(len(load_hand_set()), 'hands')} of r2h_batch in {target}; 0 files skipped")
         return 0
     if folder is None:
         raise UsageError(f"no folder; give that of {source}, as its owners give it")
     rule = int(frame) if isinstance(frame, int) or str(frame).lstrip("-").isdigit() else frame
     found = hand_sets.collect(
-        source, folder, _mano(mano_right, mano_left, negate_left_shape), rule, strict=strict
+        source,
+        folder,
+        _mano(mano_right, mano_left, negate_left_shape),
+        rule,
+        strict=strict,
+        idle=idle,
     )
     hand_sets.write(target, found)
-    right = sum(h.side == 0 for h in found.hands)
-    skipped = counted(len(found.skipped), "files")
+    right, left = found.counts()
     print(
-        f"{counted(len(found.hands), 'hands')} of {source} ({right} right, {len(found.hands) - right} left) in {target},"
-        f" motions in {hand_sets.motion_file(target)}; {skipped} skipped"
+        f"{counted(right + left, 'hands')} of {source} ({right} right, {left} left) in {target},"
+        f" motions in {hand_sets.motion_file(target)}; {counted(found.idle, 'idle hands')} left out,"
+        f" {counted(len(found.skipped), 'files')} skipped"
     )
 
     return 0
@@ -170,15 +177,15 @@ def objects(
     labels, benchmark.yaml.
 
     Args:
-        folder: The data set as its owners give it: OakInk's with shape/metaV2; OakBase's parts
-            anywhere below it.
+        folder: The data set as its owners give it: OakInk's with shape/metaV2 or image/obj;
+            OakBase's parts anywhere below it.
         source: Whose it is: oakink.
         out: A new or empty folder. It holds the data set's meshes: its licence says who may have
             them.
         strict: Refuse a data set with an object that cannot be read, instead of skipping it.
     """
 
-    from r2h_batch.importers.meshes.oakink_objects import OakObject, collect, write
+    from r2h_batch.importers.oakink_objects import OakObject, collect, write
 
     check_output_folder(out, overwrite=None)
     found, skipped = [], 0

@@ -3,14 +3,15 @@
 hands.npz holds H hands, right ones first, as `bodies.hand.load_hand_set(path)` reads them, and what
 is known of each:
 
-    pose (H, 48)           full turns about the flat hand; the wrist's own turn is 0: trials turn
-    the whole hand
+    pose (H, 48)           full turns about the flat hand; the wrist's own turn is 0: trials turn the
+    whole hand
     shape (H, 10)  side (H,) 0 right, 1 left      posture (H,) the source's name
     source, instruction, object (H,)              text; source finds the sequence again
     frame, frames (H,)     which frame it is, of how many; rate_hz (H,) 0 where unknown
-    T_world_hand, T_world_object (H, 4, 4)        in the source's world at that frame; NaN where
-    unknown
+    T_world_hand, T_world_object (H, 4, 4)        in the source's world at that frame; NaN where unknown
     facing, up (H, 3)      the body's chest, and against gravity, in that world; NaN where unknown
+    held_s (H,)            seconds in which it carries the object; NaN where that is unknown
+    mover (H,)             whether it carries the object longest of the hands of its sequence
 
 NAME_motion.npz beside it holds N frames, hand h's from first[h] to first[h + 1]:
 
@@ -20,45 +21,86 @@ NAME_motion.npz beside it holds N frames, hand h's from first[h] to first[h + 1]
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.hand import HandModel, load_hand_set
+from r2h_batch.bodies.hand import HandModel, load_hand, load_hand_set
 from r2h_batch.bodies.hand_file import check_postures, in_body
 from r2h_batch.command_line import tell
-from r2h_batch.importers import arctic, dexycb, grab, h2o, oakink
+from r2h_batch.importers.data_sets import DATA_SETS, HandMotion, oakink_receivers
 from r2h_batch.importers.mano import ManoHand
-from r2h_batch.importers.sequences import HandMotion, receiving_frame
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import write_npz
 
-__all__ = ["SOURCES", "Collected", "built_in", "collect", "motion_file", "write"]
+__all__ = ["Collected", "built_in", "collect", "motion_file", "write"]
 
-Reader = Callable[[Path, ManoHand | None], list[HandMotion]]
-SOURCES: dict[str, tuple[Callable[[Path], list[Path]], Reader]] = {
-    "grab": (grab.find, grab.read),
-    "arctic": (arctic.find, arctic.read),
-    "h2o": (h2o.find, h2o.read),
-    "oakink": (oakink.find, oakink.read),
-    "dexycb": (dexycb.find, dexycb.read),
-}
+F64 = NDArray[np.float64]
+
+MOVED_M, TURNED_RAD = 0.005, float(np.radians(5.0))
+"""An object is being carried once it is this far from where it began."""
+REACH_S = 1.0
+THUMB_TIP, INDEX_TIP = 15, 3
+STEP_S, CARRIED_M, SLIP, NEAR_M = 0.1, 0.004, 1 / 3, 0.5
+"""A hand carries an object in a step of `STEP_S` if the object takes the wrist's place along by
+`CARRIED_M` or more, and the wrist goes elsewhere by at most `SLIP` of that. It is `NEAR_M` from the
+object's origin at most: both hands of somebody who walks move alike [choice]."""
+IDLE_S = 0.25
+"""A hand that carries the object for less takes no part."""
+WIDTHS = {"hand": (6, np.float32), "object": (6, np.float32), "fingers": (45, np.float16)}
 
 
-@dataclass(frozen=True, eq=False)
 class Collected:
-    """The hands that were read, right ones first, and their frames; names and reasons of files that
-    were not."""
+    """The hands that were read, of either side, as the files hold them; what was left out."""
 
-    hands: list[HandMotion]
-    frames: list[int]
-    posture: list[str]
-    skipped: list[str]
+    def __init__(self) -> None:
+        self.rows: tuple[list[dict[str, Any]], ...] = ([], [])
+        self.motions = tuple({k: bytearray() for k in WIDTHS} for _ in (0, 1))
+        """frames one behind the other: GRAB has 3.2 million"""
+        self.skipped: list[str] = []
+        self.idle = 0
+
+    def add(self, row: dict[str, Any], hand: HandMotion) -> None:
+        """Take a hand and what `row_of` says of it."""
+        self.rows[hand.side].append(row)
+        motion = {
+            "hand": _vectors(hand.T_world_hand, len(hand.fingers)),
+            "object": _vectors(hand.T_world_object, len(hand.fingers)),
+            "fingers": hand.fingers,
+        }
+        for name, values in motion.items():
+            self.motions[hand.side][name] += values.astype(WIDTHS[name][1]).tobytes()
+
+    @staticmethod
+    def row_of(hand: HandMotion, frame: int, posture: str, **more: Any) -> dict[str, Any]:
+        """What hands.npz says of a hand that receives as in this frame; ValueError for what --hands
+        would refuse."""
+
+        def at(value: F64 | None, shape: tuple[int, ...]) -> F64:
+            return np.full(shape, np.nan) if value is None else value[frame]
+
+        pose = np.concatenate([more.pop("wrist", np.zeros(3)), hand.fingers[frame]])
+        check_postures(pose[None], hand.shape[None])
+        row: dict[str, Any] = {
+            "T_world_hand": at(hand.T_world_hand, (4, 4)),
+            "T_world_object": at(hand.T_world_object, (4, 4)),
+            "facing": at(hand.facing, (3,)),
+            "up": np.full(3, np.nan) if hand.up is None else hand.up,
+        }
+        if np.isfinite(row["facing"]).all() and np.isfinite(row["up"]).all():
+            in_body({k: row[k][None] for k in ("T_world_hand", "facing", "up")}, 1, hand.source)
+        about = {"source": hand.source, "instruction": hand.instruction, "object": hand.object_name}
+        row |= {"pose": pose, "shape": hand.shape, "side": hand.side, "posture": posture, **about}
+        return {**row, "frame": frame, "frames": len(hand.fingers), "rate_hz": hand.rate_hz, **more}
+
+    def counts(self) -> tuple[int, int]:
+        """How many right and left hands there are."""
+        return len(self.rows[0]), len(self.rows[1])
 
 
 def collect(
@@ -68,46 +110,54 @@ def collect(
     rule: str | int = "aperture",
     *,
     strict: bool = False,
+    idle: bool = False,
 ) -> Collected:
-    """All hands of a data set's folder. A file that cannot be read is named on stderr and left out;
-    `strict`: raises."""
-    find, read = SOURCES[source]
-    paths = (
-        oakink.find(folder, every=True)
-        if source == "oakink" and rule != "aperture"
-        else find(folder)
-    )
-    model: HandModel | None = hand.model if hand else None
-    found: list[tuple[HandMotion, int]] = []
-    skipped: list[str] = []
+    """The hands of a data set's folder.
+
+    Args:
+        source: one of `DATA_SETS`.
+        folder: the data set.
+        hand: MANO, which some data sets need.
+        rule: which frame of a sequence (`receiving_frame`).
+        strict: refuse what cannot be read, instead of telling and counting it.
+        idle: take hands too that never carry the object.
+    """
+    data_set = DATA_SETS[source]
+    paths = data_set.find(folder)
+    if source == "oakink" and rule == "aperture":
+        paths = oakink_receivers(paths, folder)
+    model = hand.model if hand else None
+    found = Collected()
     for path in _shown(paths, f"reading {source}"):
         try:
-            found += [_with_frame(h, receiving_frame(h, rule, model)) for h in read(path, hand)]
+            hands = data_set.read(path, hand)
+            held = [seconds_held(h) for h in hands]
+            longest = int(np.argmax(np.nan_to_num(held, nan=-1.0)))
+            taken = [
+                (
+                    found.row_of(
+                        h, receiving_frame(h, rule, model), source, held_s=s, mover=i == longest
+                    ),
+                    h,
+                )
+                for i, (h, s) in enumerate(zip(hands, held, strict=True))
+                if idle or not s < IDLE_S
+            ]
         except (FileError, OSError, ValueError) as error:
             text = " ".join(printable(error).split())
             line = text if text.startswith(printable(path)) else f"{printable(path)}: {text}"
             if strict:
                 raise FileError(line) from None
-            skipped.append(line)
+            found.skipped.append(line)
             tell(f"skipped: {line}")
-    if not found:
-        raise FileError(
-            f"{printable(folder)}: none of {len(paths)} files could be read; the first: {skipped[0]}"
-        )
-    found.sort(key=lambda f: f[0].side)  # stable: in order of the files on each side
-    return Collected([h for h, _ in found], [k for _, k in found], [source] * len(found), skipped)
-
-
-def _with_frame(hand: HandMotion, frame: int) -> tuple[HandMotion, int]:
-    """The hand, held to what a hand set may hold and know of its body and place: what --hands would
-    refuse is refused here."""
-    known = {"facing": hand.facing, "up": hand.up, "T_world_hand": hand.T_world_hand}
-    if all(v is not None for v in known.values()):
-        rows = {k: np.asarray(v)[frame if k != "up" else ...][None] for k, v in known.items()}
-        in_body(rows, 1, hand.source)
-    pose = np.concatenate([np.zeros(3), hand.fingers[frame]])
-    check_postures(pose[None], hand.shape[None])
-    return hand, frame
+            continue
+        found.idle += len(hands) - len(taken)
+        for row, h in taken:
+            found.add(row, h)
+    if not any(found.rows):
+        why = f"the first: {found.skipped[0]}" if found.skipped else "all hands are idle (--idle)"
+        raise FileError(f"{printable(folder)}: none of {len(paths)} files could be read; {why}")
+    return found
 
 
 def _shown(paths: Sequence[Path], what: str) -> Iterator[Path]:
@@ -119,23 +169,75 @@ def _shown(paths: Sequence[Path], what: str) -> Iterator[Path]:
     yield from track(paths, what, console=console, transient=True, disable=not console.is_terminal)
 
 
+def receiving_frame(hand: HandMotion, rule: str | int, model: HandModel | None = None) -> int:
+    """The frame in which this hand receives. `rule`: a frame's number, or aperture, first, middle, last.
+
+    `aperture`, the default: of the last second before the object first moves by 5 mm or 5 degrees
+    (of all frames where it never does, or where nothing is known of it), the one with the widest
+    grip, thumb's last joint to index's. A hand that reaches for a thing opens widest shortly before
+    it closes on it (Jeannerod 1984): the posture to receive with.
+    """
+    count = len(hand.fingers)
+    if isinstance(rule, int):
+        if not -count <= rule < count:
+            raise FileError(f"{hand.source}: has {count} frames; frame {rule} is not one of them")
+        return rule % count
+    if rule != "aperture":
+        return {"first": 0, "middle": count // 2, "last": count - 1}[rule]
+    first, end = 0, count
+    if (starts := _starts_to_move(hand.T_world_object)) is not None:
+        end = max(starts, 1)
+        first = max(0, end - max(1, round(REACH_S * hand.rate_hz))) if hand.rate_hz > 0 else 0
+    grip = np.zeros((end - first, 48))
+    grip[:, 3:] = hand.fingers[first:end]
+    side = torch.full((len(grip),), hand.side, dtype=torch.int8, device="cpu")
+    shape = torch.from_numpy(np.tile(hand.shape, (len(grip), 1)))
+    joints = (
+        (model or load_hand()).pose(torch.from_numpy(grip), shape, side).joints.double().numpy()
+    )
+    return first + int(np.linalg.norm(joints[:, THUMB_TIP] - joints[:, INDEX_TIP], axis=1).argmax())
+
+
+def _starts_to_move(T_world_object: F64 | None) -> int | None:
+    if T_world_object is None:
+        return None
+    far = np.linalg.norm(T_world_object[:, :3, 3] - T_world_object[0, :3, 3], axis=1) > MOVED_M
+    turned = (
+        Rotation.from_matrix(T_world_object[:, :3, :3] @ T_world_object[0, :3, :3].T).magnitude()
+        > TURNED_RAD
+    )
+    moved = np.flatnonzero(far | turned)
+    return int(moved[0]) if len(moved) else None
+
+
+def seconds_held(hand: HandMotion) -> float:
+    """For how long this hand carries the object; NaN where no motion of an object is known."""
+    T, step = hand.T_world_object, max(1, round(STEP_S * hand.rate_hz))
+    if T is None or hand.rate_hz <= 0 or _starts_to_move(T) is None:
+        return float("nan")
+    wrist = hand.T_world_hand[:, :3, 3]
+    in_object = np.einsum("nji,nj->ni", T[:, :3, :3], wrist - T[:, :3, 3])
+    taken = np.einsum("nij,nj->ni", T[step:, :3, :3], in_object[:-step]) + T[step:, :3, 3]
+    carried = np.linalg.norm(taken - wrist[:-step], axis=1)
+    slip = np.linalg.norm(taken - wrist[step:], axis=1)
+    near = np.linalg.norm(in_object[:-step], axis=1) < NEAR_M
+    held = (carried >= CARRIED_M) & (slip <= SLIP * carried) & near
+    return float(held.sum() / hand.rate_hz)
+
+
 def built_in() -> Collected:
     """The project's own 400 postures in the same form: motions of one frame, world and body
     unknown."""
-    own = load_hand_set()
-    hands = [
-        HandMotion(
-            f"r2h_batch:{i}",
-            side,
-            np.full((1, 4, 4), np.nan),
-            pose[None, 3:].astype(np.float64),
-            shape,
-        )
-        for i, (side, pose, shape) in enumerate(
-            zip(own.side.tolist(), own.pose.numpy(), own.shape.double().numpy(), strict=True)
-        )
-    ]
-    return Collected(hands, [0] * len(hands), list(own.posture), [])
+    own, found = load_hand_set(), Collected()
+    for i, (side, pose, shape, posture) in enumerate(
+        zip(own.side.tolist(), own.pose.numpy(), own.shape.double().numpy(), own.posture)
+    ):
+        fingers = pose[None, 3:].astype(np.float64)
+        unknown = np.full((1, 4, 4), np.nan)
+        hand = HandMotion(f"r2h_batch:{i}", side, unknown, fingers, shape)
+        about = found.row_of(hand, 0, posture, wrist=pose[:3], held_s=np.nan, mover=True)
+        found.add(about, hand)
+    return found
 
 
 def motion_file(out: Path) -> Path:
@@ -143,50 +245,25 @@ def motion_file(out: Path) -> Path:
     return out.with_name(f"{out.stem}_motion.npz")
 
 
-def write(out: Path, found: Collected, wrist: NDArray[np.float32] | None = None) -> None:
-    """hands.npz and its motions. `wrist` (H, 3): turns to keep as the wrist's own, instead of 0."""
-    count = len(found.hands)
-    pose = np.zeros((count, 48), np.float32)
-    pose[:, 3:] = [h.fingers[k] for h, k in zip(found.hands, found.frames)]
-    if wrist is not None:
-        pose[:, :3] = wrist
-    arrays: dict[str, NDArray[Any]] = {
-        "pose": pose,
-        "shape": np.array([h.shape for h in found.hands], np.float32),
-        "side": np.array([h.side for h in found.hands], np.int8),
-        "posture": np.array(found.posture),
-        "source": np.array([h.source for h in found.hands]),
-        "instruction": np.array([h.instruction for h in found.hands]),
-        "object": np.array([h.object_name for h in found.hands]),
-        "frame": np.array(found.frames, np.int32),
-        "frames": np.array([len(h.fingers) for h in found.hands], np.int32),
-        "rate_hz": np.array([h.rate_hz for h in found.hands], np.float32),
-        "T_world_hand": _at([h.T_world_hand for h in found.hands], found.frames, (4, 4)),
-        "T_world_object": _at([h.T_world_object for h in found.hands], found.frames, (4, 4)),
-        "facing": _at([h.facing for h in found.hands], found.frames, (3,)),
-        "up": np.array(
-            [np.full(3, np.nan) if h.up is None else h.up for h in found.hands], np.float32
-        ),
-    }
-    motions = {
-        "first": np.cumsum([0] + [len(h.fingers) for h in found.hands]).astype(np.int64),
-        "hand": np.concatenate([_vectors(h.T_world_hand, len(h.fingers)) for h in found.hands]),
-        "object": np.concatenate([_vectors(h.T_world_object, len(h.fingers)) for h in found.hands]),
-        "fingers": np.concatenate([h.fingers for h in found.hands]).astype(np.float16),
-    }
+def write(out: Path, found: Collected) -> None:
+    """hands.npz and its motions, which leave memory on the way."""
+    rows = [*found.rows[0], *found.rows[1]]
+    whole: dict[str, Any] = {"side": np.int8, "frame": np.int32, "frames": np.int32, "mover": bool}
+    arrays = {}
+    for name in rows[0]:
+        values = np.array([row[name] for row in rows])
+        kind = whole.get(name, np.float32 if values.dtype.kind == "f" else None)
+        arrays[name] = values if kind is None else values.astype(kind)
+    motions = {"first": np.cumsum([0, *(row["frames"] for row in rows)]).astype(np.int64)}
+    right, left = found.motions
+    for name, (width, kind) in WIDTHS.items():
+        right[name] += left.pop(name)
+        motions[name] = np.frombuffer(right[name], kind).reshape(-1, width)
     write_npz(motion_file(out), motions)
     write_npz(out, arrays)
 
 
-def _at(
-    values: Sequence[NDArray[np.float64] | None], frames: Sequence[int], shape: tuple[int, ...]
-) -> NDArray[np.float32]:
-    rows = [np.full(shape, np.nan) if v is None else v[k] for v, k in zip(values, frames)]
-    return np.array(rows, np.float32).reshape(-1, *shape)
-
-
-def _vectors(T: NDArray[np.float64] | None, count: int) -> NDArray[np.float32]:
+def _vectors(T: F64 | None, count: int) -> F64:
     if T is None or np.isnan(T).any():
-        return np.full((count, 6), np.nan, np.float32)
-    turn = Rotation.from_matrix(T[:, :3, :3]).as_rotvec()
-    return np.concatenate([turn, T[:, :3, 3]], axis=1).astype(np.float32)
+        return np.full((count, 6), np.nan)
+    return np.concatenate([Rotation.from_matrix(T[:, :3, :3]).as_rotvec(), T[:, :3, 3]], axis=1)

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from r2h_batch.bodies import hand_pieces
 from r2h_batch.bodies.hand import LEFT, RIGHT, HandModel, load_hand
-from r2h_batch.bodies.hand_file import check_lengths
+from r2h_batch.bodies.hand_file import check_lengths, read_hand
 from r2h_batch.importers.arrays import numbers
 from r2h_batch.importers.safe_pickle import read_pickle_file
 from r2h_batch.io.read import FileError, read_npz
 
-__all__ = ["ManoHand", "hand_arrays", "load_mano"]
+__all__ = ["ManoHand", "hand_arrays", "hand_from", "load_mano"]
 
 F64 = NDArray[np.float64]
 
@@ -55,6 +55,19 @@ class ManoHand:
         return np.asarray(
             transl + self.wrist_rest[side] + np.einsum("nci,ni->nc", self.wrist_shape[side], shape)
         )
+
+    def shape_of(self, vertices: F64, side: int) -> tuple[F64, float]:
+        """The shape (10,) whose hand at rest is nearest to these vertices (V, 3) in MANO's own
+        coordinates, and how far a vertex of it is from them, m."""
+        if vertices.shape != tuple(self.model.vertices.shape):
+            have, need = len(vertices), len(self.model.vertices)
+            raise FileError(f"a hand of {need} vertices; the mesh has {have}")
+        own = self.model.left if side == LEFT and self.model.left is not None else self.model
+        sign = MIRROR if side == LEFT else np.ones(3)
+        rest = own.vertices.double().numpy() * sign + self.wrist_rest[side]
+        basis = own.shape_basis.double().numpy() * sign[:, None] + self.wrist_shape[side]
+        shape = np.linalg.lstsq(basis.reshape(-1, 10), (vertices - rest).ravel(), rcond=None)[0]
+        return shape, float(np.linalg.norm(rest + basis @ shape - vertices, axis=1).max())
 
 
 def load_mano(
@@ -115,6 +128,15 @@ def hand_arrays(
     except ValueError as error:
         raise FileError(f"{right or left}: {error}") from None
     return arrays
+
+
+def hand_from(path: Path) -> HandModel:
+    """The hand of a `hand.npz`, or of one of MANO's own pickles: a left one where its name says so,
+    mirrored for the other side. Raises `FileError`, one line."""
+    if path.suffix.lower() not in (".pkl", ".pickle"):
+        return HandModel.from_arrays(read_hand(path))
+    left = "left" in path.stem.lower()
+    return load_mano(left=path).model if left else load_mano(right=path).model
 
 
 @dataclass(frozen=True, eq=False)

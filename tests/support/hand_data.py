@@ -1,25 +1,27 @@
 """Small sequences in the exact formats of GRAB, ARCTIC, H2O, DexYCB and OakInk, of a motion that the tests know.
 
-The motion: 40 frames; the hand comes nearer; its grip opens until frame 20 and closes afterwards; the object lies still
-until frame 26 and is carried away then. `truth()` holds it in the world, fingers as full turns about the flat hand.
+The motion: 80 frames; the hand comes nearer; its grip opens until frame 20 and closes afterwards; the object lies still
+until frame 26 and the hand carries it away then. `truth()` holds it in the world, fingers as full turns about the flat hand.
 """
 
 import pickle
 from pathlib import Path
 
 import numpy as np
+import trimesh
+from mano_files import mano_dictionary
 from scipy.spatial.transform import Rotation
 
-FRAMES, WIDEST, LIFTED = 40, 20, 26
+FRAMES, WIDEST, LIFTED = 80, 20, 26
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def truth(side=0, seed=0):
+def truth(side=0, seed=0, idle=False):
     """Wrist turns and places, fingers (F, 45), shape (10,), object poses (F, 4, 4), body turns (F, 3)."""
     rng = np.random.default_rng(seed + side)
     t = np.arange(FRAMES)[:, None]
-    turn = rng.normal(0, 0.5, 3) + 0.01 * t * rng.normal(size=3)
-    place = np.array([0.4, 0.1, 1.0]) - 0.005 * t * np.array([1.0, 0.2, 0.3])
+    turn = rng.normal(0, 0.5, 3) + 0.01 * np.minimum(t, LIFTED) * rng.normal(size=3)
+    place = np.array([0.4, 0.1, 1.0]) - 0.005 * np.minimum(t, LIFTED) * np.array([1.0, 0.2, 0.3])
     closed = np.abs(t - WIDEST) / FRAMES  # 0: open
     fingers = np.zeros((FRAMES, 15, 3))
     sign = -1.0 if side else 1.0
@@ -29,28 +31,36 @@ def truth(side=0, seed=0):
     object_pose[:, :3, :3] = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix()
     object_pose[:, :3, 3] = [0.2, 0.1, 0.8]
     object_pose[LIFTED:, 2, 3] += 0.01 * np.arange(1, FRAMES - LIFTED + 1)
+    place[LIFTED:, 2] += 0.0 if idle else 0.01 * np.arange(1, FRAMES - LIFTED + 1)
     body = np.tile(Rotation.from_euler("xz", [np.pi / 2, 0.4]).as_rotvec(), (FRAMES, 1))  # upright: y of the root is up
     return {"turn": turn, "place": place, "fingers": fingers, "shape": rng.normal(0, 0.5, 10),
             "object": object_pose, "body": body}  # fmt: skip
 
 
-def write_grab(folder: Path, name="s1/mug_pass_1"):
-    """One sequence as GRAB stores it: dictionaries in an .npz, the object's turn transposed."""
-    hands = [truth(s) for s in (0, 1)]
+def write_grab(folder: Path, name="s1/mug_pass_1", idle=(), subjects=False):
+    """One sequence as GRAB stores it: dictionaries in an .npz, the object's turn transposed. Sides in `idle` take no part;
+    `subjects`: with the subject's hands as meshes."""
+    hands = [truth(s, idle=s in idle) for s in (0, 1)]
+    for side, part in enumerate(("rhand", "lhand")) if subjects else ():
+        mano, mesh = mano_dictionary(side), folder / "tools" / "subject_meshes" / "male" / f"s1_{part}.ply"
+        mesh.parent.mkdir(parents=True, exist_ok=True)
+        own = mano["v_template"] + mano["shapedirs"][:, :, :10] @ hands[side]["shape"]
+        trimesh.Trimesh(own, mano["f"], process=False).export(mesh)
     T = hands[0]["object"]
     path = folder / "grab" / f"{name}.npz"
     path.parent.mkdir(parents=True, exist_ok=True)
 
-    def hand(h):
+    def hand(h, side):
         return {"params": {"global_orient": h["turn"].astype(np.float32), "transl": h["place"].astype(np.float32),
                            "hand_pose": np.zeros((FRAMES, 24), np.float32),
-                           "fullpose": h["fingers"].astype(np.float32)}, "vtemp": "tools/s1_rhand.ply"}  # fmt: skip
+                           "fullpose": h["fingers"].astype(np.float32)},
+                "vtemp": f"tools/subject_meshes/male/s1_{side}.ply"}  # fmt: skip
 
     contact = {"body": np.zeros((FRAMES, 10475), np.int8), "object": np.zeros((FRAMES, 50_000), np.int8)}
     np.savez_compressed(
         path, gender="male", sbj_id="s1", obj_name="mug", motion_intent="pass", framerate=120.0, n_frames=FRAMES,
         n_comps=24, body={"params": {"global_orient": hands[0]["body"], "transl": np.zeros((FRAMES, 3))}, "vtemp": "x.ply"},
-        rhand=hand(hands[0]), lhand=hand(hands[1]),
+        rhand=hand(hands[0], "rhand"), lhand=hand(hands[1], "lhand"),
         object={"params": {"global_orient": Rotation.from_matrix(T[:, :3, :3].transpose(0, 2, 1)).as_rotvec(),
                            "transl": T[:, :3, 3]}, "object_mesh": "tools/object_meshes/mug.ply"},
         table={"params": {}, "table_mesh": "x.ply"}, contact=contact,
@@ -96,6 +106,8 @@ def write_h2o(folder: Path, camera, name="subject1/h1/0", right_from=0, kinds=("
         for kind, row in rows.items():
             (base / kind).mkdir(parents=True, exist_ok=True)
             (base / kind / f"{f:06d}.txt").write_text(" ".join(f"{x:.9f}" for x in row) + "\n")
+        (base / "action_label").mkdir(exist_ok=True)
+        (base / "action_label" / f"{f:06d}.txt").write_text("0" if f < LIFTED else "26")
     return base / kinds[0]
 
 

@@ -28,9 +28,9 @@ __all__ = ["labels_of", "load_mesh_file"]
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb", ".gltf")
 
 
-def load_mesh_file(path: str | Path, label: str) -> trimesh.Trimesh:
-    """The triangles of a mesh file as it stands; whatever is wrong with it is one
-    `ObjectMeshError`."""
+def load_mesh_file(path: str | Path, label: str, *, points: bool = False) -> trimesh.Trimesh:
+    """The triangles of a mesh file as it stands, with `points` also the vertices of a file without
+    any; whatever is wrong with it is one `ObjectMeshError`."""
     path, label = Path(path), printable(label)
     shown = printable(path)
     if path.suffix.lower() not in SUFFIXES:
@@ -49,7 +49,11 @@ def load_mesh_file(path: str | Path, label: str) -> trimesh.Trimesh:
                 vertices, faces, part, names = read_in_child(
                     "r2h_batch.bodies.mesh_import.file",
                     file,
-                    {"type": path.suffix[1:].lower(), "folder": str(path.parent.resolve())},
+                    {
+                        "type": path.suffix[1:].lower(),
+                        "folder": str(path.parent.resolve()),
+                        "points": points,
+                    },
                     count=4,
                     seconds=MOST_SECONDS,
                     doing=f"{label}: reading {path.name}",
@@ -59,7 +63,7 @@ def load_mesh_file(path: str | Path, label: str) -> trimesh.Trimesh:
                 raise FileError(f"{shown} {error}{how}") from None
     except FileError as error:
         raise ObjectMeshError(f"{label}: {error}") from None
-    if len(faces) == 0:
+    if len(faces) == 0 and not (points and len(vertices)):
         raise ObjectMeshError(
             f"{label}: {shown} is empty: no triangles in it; export a triangle mesh"
         )
@@ -195,6 +199,10 @@ def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
     """Vertices, faces, the part of each face, the parts' names."""
     kind, resolver = options["type"], _Beside(options["folder"])
     mesh, part, names = _read_grouped(io.BytesIO(data), kind, resolver)
+    if options["points"] and not len(getattr(mesh, "faces", ())):
+        mesh = trimesh.load(io.BytesIO(data), file_type=kind, process=False)
+        found = np.asarray(getattr(mesh, "vertices", np.zeros((0, 3))), np.float64)
+        return [found, np.zeros((0, 3), np.int64), part, np.array([], dtype="U64")]
     if not isinstance(mesh, trimesh.Trimesh):
         raise FileError(f"holds a {type(mesh).__name__}, no triangles; export a triangle mesh")
     vertices, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)

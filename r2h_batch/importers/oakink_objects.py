@@ -1,18 +1,17 @@
-"""OakInk-Shape's objects (Yang et al. 2022) with OakBase's parts, as a folder with a
-benchmark.yaml.
+"""OakInk's objects (Yang et al. 2022) with OakBase's parts, as a folder with a benchmark.yaml.
 
-As its own tools read them: shape/metaV2/{object_id,virtual_object_id}.json say {ID: {"name":
-NAME}}; a mesh is the one .obj or .ply in OakInkObjectsV2/NAME/align_ds (else align), virtual ones
-in OakInkVirtualObjectsV2; its loader moves the middle of the bounding box to the origin, and hands
-are given in that frame. OakBase describes parts as part_*.ply with part_*.json {name, attr: [...]}
-in a folder called after the object; a part with the attribute `held_by_hand` is one that people
-hold: the receiver's region. An object with such a part, and another, is S1, any other S0.
+As its own tools read them: OakInk-Shape lists objects in metaV2 (`data_sets.oakink_objects`); a mesh
+is the one .obj or .ply in NAME/align_ds (else align), of several the one with "align" in its name.
+OakInk-Image has image/obj/ID.obj. Both loaders move the middle of the bounding box to the origin, and
+hands are given in that frame. OakBase describes parts as part_*.ply (meshes or point clouds) with
+part_*.json {name, attr: [...]} in a folder called after the object; a part with the attribute
+`held_by_hand` is one that people hold: the receiver's region. An object with such a part, and another,
+is S1, any other S0.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,20 +20,22 @@ from typing import Any
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from r2h_batch.bodies.mesh_import.closed import check_mesh
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
 from r2h_batch.bodies.mesh_import.limits import ObjectMeshError
 from r2h_batch.bodies.solid import Surface
-from r2h_batch.importers.sequences import files_below
-from r2h_batch.io.read import FileError, path_within, printable, read_file
+from r2h_batch.importers.arrays import files_below, numbers
+from r2h_batch.importers.data_sets import name_of, oakink_objects
+from r2h_batch.io.read import FileError, printable, read_json
 
 __all__ = ["OakObject", "collect", "write"]
 
-META = {"object_id.json": "OakInkObjectsV2", "virtual_object_id.json": "OakInkVirtualObjectsV2"}
-MAX_META_BYTES, MAX_PART_BYTES = 16 << 20, 64 << 10
+MESHES = (".obj", ".ply")
+MAX_PART_BYTES = 64 << 10
 HELD, MOST_PARTS = "held_by_hand", 64
-ON_PART = 0.02
+ON_PART = 0.05
 """A face farther from every part than this share of the object's largest side is on none of them:
 these parts are not of this mesh, or not in its frame."""
 
@@ -53,20 +54,21 @@ class OakObject:
 
 
 def find(folder: Path) -> list[tuple[str, str, Path]]:
-    """(ID, name, the folder of its meshes' folders) of every object that the meta files name and
-    that is here."""
+    """(ID, name, mesh or the folder of its folders) of every object of the folder."""
     found, missing = [], 0
-    for meta in files_below(folder, "**/metaV2/*object_id.json"):
-        base = meta.parent.parent
-        for oid, entry in _dictionary(meta, MAX_META_BYTES).items():
-            name = entry.get("name") if isinstance(entry, dict) else None
-            if not isinstance(name, str) or meta.name not in META:
-                raise FileError(f"{printable(meta)}: {printable(oid)[:40]} has no name")
-            at = path_within(base / META[meta.name], name)
+    metas = list(folder.glob("**/metaV2/*.json")) if folder.is_dir() else []
+    for meta in files_below(folder, "**/metaV2/*obj*_id.json") if metas else []:
+        for oid, (name, at) in oakink_objects(meta).items():
             if at.is_dir():
                 found.append((oid, name, at))
             else:
                 missing += 1
+    if not found and not missing:
+        found = [
+            (p.stem, p.stem, p)
+            for p in files_below(folder, "**/image/obj/*.*")
+            if p.suffix in MESHES
+        ]
     if not found:
         raise FileError(
             f"{printable(folder)}: of {missing} objects in metaV2 no folder OakInkObjectsV2/NAME is here"
@@ -77,15 +79,20 @@ def find(folder: Path) -> list[tuple[str, str, Path]]:
 def read(oid: str, name: str, at: Path, parts: dict[str, list[Path]]) -> OakObject:
     """The object in a folder; `parts`: what `part_files` found. Raises `FileError` or
     `ObjectMeshError`."""
-    files = [p for kind in ("align_ds", "align") for p in _meshes(at / kind)]
-    if not files:
-        raise FileError(f"{printable(at)}: no .obj or .ply in align_ds or align")
+    kinds = ("align_ds", "align")
+    files = [at] if at.is_file() else next(filter(None, (_meshes(at / k) for k in kinds)), [])
+    if len(files) > 1:
+        files = [p for p in files if "align" in p.name]
+    if len(files) != 1:
+        raise FileError(
+            f"{printable(at)}: align_ds or align needs one .obj or .ply, or one with align in its name"
+        )
     mesh = load_mesh_file(files[0], printable(name))
     label, names, held = _labels(mesh, parts.get(name) or parts.get(oid) or [], printable(name))
     middle = mesh.bounds.mean(axis=0)
     made = trimesh.Trimesh(mesh.vertices - middle, mesh.faces, process=False)
     check_mesh(made.vertices, made.faces, printable(name))
-    return OakObject(_name(name), made, label, names, held if 0 < len(held) < len(names) else ())
+    return OakObject(name_of(name), made, label, names, held if 0 < len(held) < len(names) else ())
 
 
 def part_files(folder: Path) -> dict[str, list[Path]]:
@@ -117,11 +124,10 @@ def _labels(
         name = name[0] if isinstance(name, list) and name else name
         if not isinstance(name, str) or not isinstance(attributes, list):
             raise FileError(f"{printable(file)}: needs name and attr")
-        part = load_mesh_file(file.with_suffix(".ply"), label)
-        names.append(_name(name))
+        names.append(name_of(name))
         if HELD in attributes:
             held.append(names[-1])
-        distance.append(Surface(part).within(mesh.triangles_center, 10.0)[0])
+        distance.append(_distance(file.with_suffix(".ply"), mesh.triangles_center, label))
     nearest = np.stack(distance)
     off = float(np.quantile(nearest.min(axis=0), 0.95))
     if off > ON_PART * float(mesh.extents.max()):
@@ -153,29 +159,26 @@ def write(out: Path, objects: list[OakObject]) -> None:
     (out / "benchmark.yaml").write_text("\n".join(lines) + "\n")
 
 
-def _meshes(folder: Path) -> Iterator[Path]:
-    if folder.is_dir() and not folder.is_symlink():
-        yield from sorted(
-            p for p in folder.iterdir() if p.suffix in (".obj", ".ply") and not p.is_symlink()
-        )
+def _distance(file: Path, points: NDArray[np.float64], label: str) -> NDArray[np.float64]:
+    """How far points are from a part: from its surface, or from a cloud's nearest point."""
+    part = load_mesh_file(file, label, points=True)
+    if len(part.faces):
+        return Surface(part).within(points, 10.0)[0]
+    vertices = numbers(np.asarray(part.vertices), (None, 3), printable(file), most=1e3)
+    return np.asarray(cKDTree(vertices).query(points)[0])
+
+
+def _meshes(folder: Path) -> list[Path]:
+    if not folder.is_dir() or folder.is_symlink():
+        return []
+    return sorted(p for p in folder.iterdir() if p.suffix in MESHES and not p.is_symlink())
 
 
 def _dictionary(path: Path, most: int) -> dict[str, Any]:
-    try:
-        data = json.loads(read_file(path, most))
-    except (ValueError, RecursionError) as error:
-        if isinstance(error, FileError):
-            raise
-        raise FileError(f"{printable(path)}: no readable JSON ({printable(error)[:100]})") from None
+    data = read_json(path, most=most)
     if not isinstance(data, dict):
         raise FileError(f"{printable(path)}: holds a {type(data).__name__}; need fields")
     return data
-
-
-def _name(text: str) -> str:
-    """A name that a benchmark file allows."""
-    name = re.sub(r"[^A-Za-z0-9_.-]+", "_", text.strip())[:64]
-    return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"[:64]
 
 
 def collect(folder: Path) -> Iterator[tuple[str, OakObject | FileError | ObjectMeshError]]:
@@ -189,7 +192,7 @@ def collect(folder: Path) -> Iterator[tuple[str, OakObject | FileError | ObjectM
             continue
         if made.name in seen:
             made = OakObject(
-                _name(f"{made.name}_{oid}"), made.mesh, made.part, made.part_names, made.held
+                name_of(f"{made.name}_{oid}"), made.mesh, made.part, made.part_names, made.held
             )
         seen.add(made.name)
         yield name, made

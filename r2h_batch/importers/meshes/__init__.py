@@ -1,1 +1,0 @@
-"""Other people's objects as a folder that `--objects` takes."""
