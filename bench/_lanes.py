@@ -78,7 +78,7 @@ def report_lanes(report: Report, trials: int) -> None:
     What goes level by level is counted by _frontier_lanes.py, kernels of one thread a trial row by row.
     """
     evaluator, lanes = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=trials), threads=1), Lanes()
-    batch = trials_with_ids(torch.arange(trials), objects=evaluator.scene.objects)
+    batch = trials_with_ids(torch.arange(trials), objects=evaluator.scene.objects, protocol="r2h-v0")
     poses = random.predict(batch, evaluator.scene, seed=0)
     asked = poses.T_obj_ee, poses.T_world_ee, batch
     evaluator.score(*asked)

@@ -29,7 +29,7 @@ class Mix:
         self.device, self.threads, self.n = device, threads, n
         with np.load(MIX, allow_pickle=False) as mix:
             rows = torch.arange(n) % len(mix["trial_id"])
-            trials = trials_with_ids(torch.from_numpy(mix["trial_id"]))
+            trials = trials_with_ids(torch.from_numpy(mix["trial_id"]), protocol="r2h-v0")
             rows = rows[in_order(trials[rows])]
             self.trials = trials[rows].to(device)
             self.g, self.h = (torch.from_numpy(mix[k])[rows].to(device) for k in ("T_obj_ee", "T_world_ee"))

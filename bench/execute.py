@@ -125,7 +125,7 @@ def auto(mix: Mix, report: Report) -> None:
 
     evaluator = Evaluator(EvalConfig(), device=mix.device, threads=mix.threads)
     mix = copy.copy(mix)
-    trials = trials_with_ids(torch.arange(mix.n))
+    trials = trials_with_ids(torch.arange(mix.n), protocol="r2h-v0")
     mix.trials = trials[in_order(trials)].to(mix.device)
     answers = contact.predict(mix.trials, evaluator.scene, seed=0, evaluator=evaluator)
     mix.g, mix.h = answers.T_obj_ee.to(mix.device), answers.T_world_ee.to(mix.device)

@@ -77,7 +77,10 @@ class Bench:
         with np.load(MIX, allow_pickle=False) as data:
             rows = slice(min(self.trials, len(data["trial_id"])))
             trials = trials_with_ids(
-                torch.from_numpy(data["trial_id"][rows]), objects=scene.objects, hand_set=scene.hands.set
+                torch.from_numpy(data["trial_id"][rows]),
+                objects=scene.objects,
+                hand_set=scene.hands.set,
+                protocol="r2h-v0",
             )
             grasp, handover = (torch.from_numpy(data[k][rows]) for k in ("T_obj_ee", "T_world_ee"))
         return grasp, handover, trials
@@ -86,7 +89,9 @@ class Bench:
     def random(self) -> Batch:
         """RANDOM_TRIALS trials with the poses of the method `random`, on the CPU."""
         scene = self.on_cpu.scene
-        trials = trials_with_ids(torch.arange(min(self.trials, RANDOM_TRIALS)), objects=scene.objects)
+        trials = trials_with_ids(
+            torch.arange(min(self.trials, RANDOM_TRIALS)), objects=scene.objects, protocol="r2h-v0"
+        )
         answer = random.predict(trials, scene, seed=0)
         return answer.T_obj_ee, answer.T_world_ee, trials
 
@@ -143,7 +148,7 @@ from r2h_batch import Evaluator
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import make_trials
 evaluator = Evaluator(device=sys.argv[1])
-trials = make_trials(("S0", "S1"), 4)
+trials = make_trials(("S0", "S1"), 4, protocol="r2h-v0")
 poses = random.predict(trials, Evaluator().scene, seed=0)
 g, h, t = poses.T_obj_ee.to(sys.argv[1]), poses.T_world_ee.to(sys.argv[1]), trials.to(sys.argv[1])
 captured = evaluator.capture(8)(g, h, t)

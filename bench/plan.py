@@ -216,7 +216,9 @@ def main() -> None:
     report = Report()
     scene = Evaluator(EvalConfig(), device=options.device).scene
     with np.load(MIX, allow_pickle=False) as mix:
-        trials = trials_with_ids(torch.from_numpy(mix["trial_id"]), objects=scene.objects, hand_set=scene.hands.set)
+        trials = trials_with_ids(
+            torch.from_numpy(mix["trial_id"]), objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0"
+        )
         whole = Batch(trials, torch.from_numpy(mix["T_obj_ee"]), torch.from_numpy(mix["T_world_ee"]))
     rows, checkers, goals = free_rows(scene, solve(scene, whole), options.problems)
     batch = whole.rows(torch.tensor(rows))

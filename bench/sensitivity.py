@@ -46,14 +46,14 @@ def variants() -> list[Variant]:
         ("handover-va", "at=object"),
         ("contact", "gate=ik"),
         ("contact", "contacts=all"),
-        ("contact", "at=object"),
+        ("contact", "at=gripper"),
         ("intent", "orientation=axis"),
-        ("intent", "at=object"),
+        ("intent", "at=gripper"),
         ("intent", "inward_deg=-15"),
         ("fc", "gate=none"),
-        ("fc", "height_m=0.15"),
+        ("fc", "height_m=0.12"),
         ("fc", "at=gripper"),
-        ("fc", "at=gripper,height_m=0.15"),
+        ("fc", "at=gripper,height_m=0.12"),
     ]
     return [
         Variant("base"),

@@ -64,7 +64,7 @@ def main() -> None:
     lost, gained, ratios, none = [], [], [], []
     for first in range(options.first, options.first + options.trials, PART):
         ids = torch.arange(first, min(first + PART, options.first + options.trials))
-        trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set)
+        trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0")
         answer = random.predict(trials, scene, seed=0)
         batch = Batch(trials, answer.T_obj_ee, answer.T_world_ee)
         if first == options.first:

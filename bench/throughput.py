@@ -97,7 +97,9 @@ def freeze(evaluator: Evaluator) -> None:
     from r2h_batch.methods import oracle, random
 
     scene = evaluator.scene
-    trials = trials_with_ids(torch.arange(MIX_TRIALS), objects=scene.objects, hand_set=scene.hands.set)
+    trials = trials_with_ids(
+        torch.arange(MIX_TRIALS), objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0"
+    )
     by_oracle = torch.zeros(MIX_TRIALS, dtype=torch.bool)
     by_oracle[torch.from_numpy(np.random.default_rng(0).permutation(MIX_TRIALS)[: MIX_TRIALS // 2])] = True
     best = oracle.predict(trials[by_oracle], scene, seed=0, evaluator=evaluator)
@@ -141,7 +143,10 @@ def main() -> None:
     with np.load(MIX, allow_pickle=False) as mix:
         rows = torch.arange(options.trials) % len(mix["trial_id"])
         whole = trials_with_ids(
-            torch.from_numpy(mix["trial_id"]), objects=evaluator.scene.objects, hand_set=evaluator.scene.hands.set
+            torch.from_numpy(mix["trial_id"]),
+            objects=evaluator.scene.objects,
+            hand_set=evaluator.scene.hands.set,
+            protocol="r2h-v0",
         )
         current = trials_digest(whole) == str(mix["digest"])
         T_obj_ee, T_world_ee = (torch.from_numpy(mix[k])[rows].to(options.device) for k in ("T_obj_ee", "T_world_ee"))

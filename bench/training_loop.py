@@ -68,7 +68,7 @@ def candidates(evaluator: Evaluator, name: str, device: str) -> Candidates:
     with np.load(MIX, allow_pickle=False) as mix:
         ids, by_oracle = torch.from_numpy(mix["trial_id"]), torch.from_numpy(mix["by_oracle"])
         T_obj_ee, T_world_ee = (torch.from_numpy(mix[k]) for k in ("T_obj_ee", "T_world_ee"))
-    trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set)
+    trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0")
     if name == "perturbed":
         g = torch.Generator().manual_seed(0)
         T_obj_ee, T_world_ee, trials = T_obj_ee[by_oracle], T_world_ee[by_oracle].clone(), trials[by_oracle]

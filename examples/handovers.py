@@ -87,7 +87,7 @@ class Examples:
 def collect(evaluator: Evaluator, clouds: Clouds, count: int, objects: Tensor, generator: torch.Generator) -> Examples:
     """`count` proposals on training objects, those kept that pass the pose stage; each also held the other way round."""
     per = -(-count * len(evaluator.scene.objects) // (10 * len(objects))) * 10
-    trials = trials_with_ids(FIRST_TRAINING_ID + torch.arange(per * 2))
+    trials = trials_with_ids(FIRST_TRAINING_ID + torch.arange(per * 2), protocol="r2h-v0")
     trials = trials[torch.isin(trials.object_index, objects.int())][:count]
     T_obj_ee, T_world_ee = proposals(evaluator, trials, clouds, generator)
     scores = evaluator.score(T_obj_ee, T_world_ee, trials, stages="pose")

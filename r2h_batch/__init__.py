@@ -24,7 +24,7 @@ if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
     with suppress(ImportError):
         import triton  # noqa: F401
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "CRITERIA",

@@ -15,7 +15,7 @@ from r2h_batch.verdicts import SPLITS
 
 __all__ = ["PROTOCOL", "PROTOCOLS", "assign_hands", "assign_objects", "trial_ids"]
 
-PROTOCOL = "r2h-v0"
+PROTOCOL = "r2h-v1"
 """The default protocol."""
 PROTOCOLS = ("r2h-v0", "r2h-v1")
 """v0: hands alone, with a free roll. v1: hands on the arms of people (docs/receivers.md)."""

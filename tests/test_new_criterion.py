@@ -26,7 +26,7 @@ from r2h_batch.trials.protocol import trials_with_ids
 
 assert verdicts.CRITERIA[5] == "height" and verdicts.__file__.startswith(sys.argv[1])
 evaluator = Evaluator()
-trials = trials_with_ids(torch.arange(24), objects=evaluator.scene.objects)
+trials = trials_with_ids(torch.arange(24), objects=evaluator.scene.objects, protocol="r2h-v0")
 poses = oracle.predict(trials, evaluator.scene, seed=0)
 T = poses.T_world_ee.clone().requires_grad_()
 scores = evaluator.score(poses.T_obj_ee, T, trials, stages="pose")

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from r2h_batch.bodies.arrays import arrays_digest
-from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest
+from r2h_batch.bodies.arrays import arrays_digest, read_arrays
+from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import CLEARANCE_CAP_M, Thresholds
 from r2h_batch.judge.grasp import close_gripper, region_distance, squeezed
@@ -31,22 +31,26 @@ HERE = Path(__file__).resolve().parent
 def main() -> None:
     """Writes the files (--only filtered or as-generated: one of them) and prints a line per object."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("names", nargs="*", help="make these (NAME, or NAME_S0) and keep the others; default: all")
     parser.add_argument("--only", choices=list(STORED))
-    only = parser.parse_args().only
+    given = parser.parse_args()
+    every = stored_objects()
     for kind, file in STORED.items():
-        if only not in (None, kind):
+        if given.only not in (None, kind):
             continue
-        arrays: dict[str, np.ndarray] = {}
-        report: dict[str, object] = {}
-        for model in load_objects():
+        path = HERE / f"{Path(file).stem}_report.json"
+        arrays: dict[str, np.ndarray] = dict(read_arrays(HERE / file)) if given.names else {}
+        report: dict[str, object] = json.loads(path.read_text())["objects"] if given.names else {}
+        for name in given.names or every:
+            model = every[name]
             begin = time.process_time()
             found = sample_grasps(model) if kind == "filtered" else generate_grasps(model)
             if len(found) < COUNT:
-                raise SystemExit(f"{model.name}: {len(found)} grasps instead of {COUNT}")
+                raise SystemExit(f"{name}: {len(found)} grasps instead of {COUNT}")
             for key in ("T_obj_ee", "width", "score", "part"):
-                arrays[f"{model.name}/{key}"] = getattr(found, key)
-            report[model.name] = line = _describe(model, found) | (_judged(model, found) if kind != "filtered" else {})
-            print(f"{model.name:16s} {time.process_time() - begin:5.1f} CPU-s  {json.dumps(line)}", flush=True)
+                arrays[f"{name}/{key}"] = getattr(found, key)
+            report[name] = line = _describe(model, found) | (_judged(model, found) if kind != "filtered" else {})
+            print(f"{name:16s} {time.process_time() - begin:5.1f} CPU-s  {json.dumps(line)}", flush=True)
         np.savez_compressed(HERE / file, allow_pickle=False, **arrays)
         summary = {
             "digest": arrays_digest(arrays),
@@ -54,7 +58,7 @@ def main() -> None:
             "objects_digest": object_digest(load_objects()),
             "objects": report,
         }
-        (HERE / f"{Path(file).stem}_report.json").write_text(json.dumps(summary, indent=1) + "\n")
+        path.write_text(json.dumps(summary, indent=1) + "\n")
 
 
 def _judged(model: ObjectModel, found: Candidates) -> dict[str, object]:

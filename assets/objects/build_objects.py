@@ -1,4 +1,4 @@
-"""Builds the 16 objects (needs the ``build`` extra): ``python -m r2h_batch.assets.objects.build_objects [NAME ...]``.
+"""Builds the built-in objects (needs the ``build`` extra): ``python -m r2h_batch.assets.objects.build_objects [NAME ...]``.
 
 Solids come from the shapes_*.py files in millimetres, are remeshed to even triangles, centred on their bounding
 box, and written as ``<name>.npz``; ``report.json`` states what came out. Two runs give the same bytes.
@@ -18,7 +18,15 @@ from manifold3d import Manifold
 from r2h_batch.assets.objects import shapes_s0, shapes_s1, shapes_s1_goods
 from r2h_batch.assets.objects.remesh import Surface, Vec, imprint, remesh
 from r2h_batch.assets.objects.shapes import Parts, Spec
-from r2h_batch.bodies.objects import OBJECT_NAMES, SAID, ObjectModel, build_object, object_digest, read_object
+from r2h_batch.bodies.objects import (
+    BUILT_IN_NAMES,
+    OBJECT_NAMES,
+    SAID,
+    ObjectModel,
+    build_object,
+    object_digest,
+    read_object,
+)
 
 HERE = Path(__file__).resolve().parent
 SPECS = {s.name: s for s in (*shapes_s0.SPECS, *shapes_s1.SPECS, *shapes_s1_goods.SPECS)}
@@ -135,15 +143,15 @@ def main() -> None:
     args = parser.parse_args()
     path = args.out / "report.json"
     figures = json.loads(path.read_text())["objects"] if path.exists() else {}
-    for name in args.names or OBJECT_NAMES:
+    for name in args.names or BUILT_IN_NAMES:
         model = build(SPECS[name])
         arrays = {f.name: np.asarray(getattr(model, f.name)) for f in fields(model) if f.name not in SAID}
         np.savez_compressed(args.out / f"{name}.npz", allow_pickle=False, **arrays)
         figures[name] = report(model, SPECS[name])
         print(name, {k: v for k, v in figures[name].items() if k not in ("frame", "digest", "parts")}, flush=True)
-    ordered = {n: figures[n] for n in OBJECT_NAMES if n in figures}
-    stored = [read_object(str(args.out / f"{n}.npz")) for n in ordered]
-    total = object_digest(stored) if len(stored) == len(OBJECT_NAMES) else None
+    ordered = {n: figures[n] for n in BUILT_IN_NAMES if n in figures}
+    stored = [read_object(str(args.out / f"{n}.npz")) for n in ordered if n in OBJECT_NAMES]
+    total = object_digest(stored) if len(stored) == len(OBJECT_NAMES) else None  # of r2h-v0 and r2h-v1
     path.write_text(json.dumps({"digest": total, "objects": ordered}, indent=1) + "\n")
 
 

@@ -1,4 +1,4 @@
-"""The six objects of split S0 (millimetres; z up)."""
+"""The objects of split S0 (millimetres; z up): the six of r2h-v0 and r2h-v1, and two more of r2h-release."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from r2h_batch.assets.objects.shapes import (
     capsule,
     cylinder,
     extrude,
+    loft,
     oval,
     revolve,
     round_box,
@@ -148,6 +149,38 @@ def wineglass(part: Parts) -> Manifold:
     return part("bowl", revolve(profile, 48))
 
 
+def can(part: Parts) -> Manifold:
+    """A food can of 73 x 110 mm (400 g) with its seams and ring pull."""
+    outer = [(34.5, 0), (36.8, 0), (37.6, 0.8), (37.6, 2.6), (36.8, 3.4), (36.5, 8), (36.5, 102)]
+    seam = [(36.5, 106.6), (37.6, 107.4), (37.6, 109.2), (36.8, 110), (35.4, 110), (34.6, 109.2)]
+    lid = [(34.4, 105), (32.5, 104.4), (31, 106), (27, 106), (26, 105), (0, 105)]
+    body = part("body", revolve([(0, 3), (31, 3), (33, 1.4), *outer, *seam, *lid], 56))
+    ring = revolve([(6.4, -0.9), (9.6, -0.9), (10.4, 0), (9.6, 0.9), (6.4, 0.9), (5.6, 0)], 32).translate(
+        (0, 18, 106.2)
+    )
+    tab = box(9, 14, 1.8, 0.8, (0, 7.5, 106.2)) + cylinder((0, 3, 104), (0, 3, 107.2), 2.4, n=20)
+    return body + part("tab", ring + tab)
+
+
+def dispenser(part: Parts) -> Manifold:
+    """A soap dispenser: a round bottle with a screwed pump, its head pressed with the palm or thumb."""
+    profile = [(0, 2), (28, 2), (31, 0), (34, 0), (36.4, 3), (37, 9), (37, 92)]
+    shoulder = spline([(37, 92), (36.2, 103), (31, 114), (22, 121), (17, 126)], 14)[1:]
+    bottle = part("bottle", revolve([*profile, *shoulder, (17, 132), (0, 132)], 52))
+    t = 2 * np.pi * np.arange(32) / 32
+    rings = []
+    for z, r, ridge in ((129, 18.2, 0), (130, 19.2, 0.05), (143, 19.2, 0.05), (145, 17.8, 0), (147, 11, 0)):
+        rho = r * (1 - ridge * (np.arange(32) % 4 >= 2))
+        rings.append(np.column_stack([rho * np.cos(t), rho * np.sin(t), np.full(32, z)]))
+    pump = cylinder((0, 0, 140), (0, 0, 170), 6.5, n=28)
+    head = revolve([(0, 164), (11, 164), (13.5, 166), (14, 176), (12.5, 180), (7, 182), (0, 182.4)], 36)
+    spout = sweep(
+        spline([(0, 0, 173), (18, 0, 174), (32, 0, 172.5), (42, 0, 167)], 20),
+        [oval(a, b, 20, 2.6) for a, b in np.linspace((8, 5), (5, 3.6), 20)],
+    )
+    return bottle + part("collar", loft(rings)) + part("pump", pump + head) + part("nozzle", spout)
+
+
 SPECS = (
     Spec("game_controller", "S0", (155, 100, 55), 0.25, 4.2, ("body", "grip", "stick", "dpad", "button", "trigger"),
          game_controller, cuts=(("body", ((0.8, -0.6, 0), 38), "grip"), ("body", ((-0.8, -0.6, 0), 38), "grip")),
@@ -163,4 +196,9 @@ SPECS = (
     Spec("wineglass", "S0", (172, 71, 71), 0.15, 4.7, ("bowl", "rim", "stem", "foot"), wineglass, fine=(("stem", 3.4),),
          cuts=(("bowl", ((0, 0, 1), 164), "rim"), ("bowl", ((0, 0, -1), -78), "stem"), ("stem", ((0, 0, -1), -10), "foot")),
          frame="z out of the opening"),
+    Spec("can", "S0", (110, 75, 75), 0.455, 4.4, ("body", "lid", "base", "tab"), can, fine=(("tab", 2.2), ("lid", 3.0)),
+         cuts=(("body", ((0, 0, 1), 103.5), "lid"), ("body", ((0, 0, -1), -4), "base")), frame="z to the lid, y to the pull"),
+    Spec("dispenser", "S0", (182, 84, 74), 0.33, 4.6, ("bottle", "base", "collar", "pump", "nozzle"), dispenser,
+         cuts=(("bottle", ((0, 0, -1), -8), "base"),), fine=(("collar", 3.0), ("pump", 2.8), ("nozzle", 2.6)),
+         frame="z to the pump, x to the nozzle"),
 )  # fmt: skip

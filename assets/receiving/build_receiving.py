@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 
 from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.bodies import hand_measure as measure
-from r2h_batch.bodies.arrays import arrays_digest
+from r2h_batch.bodies.arrays import arrays_digest, read_arrays
 from r2h_batch.bodies.hand import load_hand, load_hand_set
-from r2h_batch.bodies.objects import OBJECT_NAMES, ObjectModel, load_objects, object_digest
+from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
 from r2h_batch.receiver.hand_contact import ObjectSurface, hand_depth, measure_contact
 from r2h_batch.receiver.receiving import CONTACT_M, FIELDS, ReceivingGrasps
 from r2h_batch.receiver.sampler import sample_receiving
@@ -79,9 +79,9 @@ def self_cut(skin: NDArray[np.float32], side: int) -> float:
 
 
 def made(name: str, self_cut_m: float | None) -> tuple[dict[str, NDArray[Any]], dict[str, Any], float]:
-    """Arrays and figures of one built-in object, and the CPU seconds they took."""
+    """Arrays and figures of one built-in object (NAME, or NAME_S0), and the CPU seconds they took."""
     begin = time.process_time()
-    (model,) = load_objects([name])
+    model = stored_objects()[name]
     found = sample_receiving(model, self_cut_m=self_cut_m)
     return found, describe(model, found), time.process_time() - begin
 
@@ -89,16 +89,17 @@ def made(name: str, self_cut_m: float | None) -> tuple[dict[str, NDArray[Any]], 
 def main() -> None:
     """Writes both files and prints a line per object."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("names", nargs="*", help="make these and keep the others; default: all")
     parser.add_argument("--jobs", type=int, default=1, help="objects made at a time; the result is the same")
     parser.add_argument("--self-cut-mm", type=float, help="how deep a hand may cut into itself; not asked by default")
     args = parser.parse_args()
     cut = None if args.self_cut_mm is None else args.self_cut_mm / 1000
-    arrays: dict[str, NDArray[Any]] = {}
-    report: dict[str, object] = {}
+    names = args.names or list(stored_objects())
+    path = HERE / "receiving_report.json"
+    arrays: dict[str, NDArray[Any]] = dict(read_arrays(HERE / "receiving.npz")) if args.names else {}
+    report: dict[str, object] = json.loads(path.read_text())["objects"] if args.names else {}
     with ProcessPoolExecutor(args.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for name, (found, line, seconds) in zip(
-            OBJECT_NAMES, pool.map(partial(made, self_cut_m=cut), OBJECT_NAMES), strict=True
-        ):
+        for name, (found, line, seconds) in zip(names, pool.map(partial(made, self_cut_m=cut), names), strict=True):
             arrays |= {f"{name}/{key}": value for key, value in found.items()}
             report[name] = line
             print(f"{name:16s} {seconds:5.1f} CPU-s  {json.dumps(line)}", flush=True)
@@ -110,7 +111,7 @@ def main() -> None:
         "objects_digest": object_digest(load_objects()),
         "objects": report,
     }
-    (HERE / "receiving_report.json").write_text(json.dumps(summary, indent=1) + "\n")
+    path.write_text(json.dumps(summary, indent=1) + "\n")
 
 
 if __name__ == "__main__":

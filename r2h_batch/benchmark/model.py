@@ -130,7 +130,7 @@ class BenchmarkFile(_Entry):
 
     format: Literal[1] = 1
     protocol: Literal["r2h-v0", "r2h-v1"] = Field(
-        default="r2h-v0", description="the rule that draws the trials"
+        default="r2h-v1", description="the rule that draws the trials"
     )
     receiver: Literal["hand", "body"] = Field(
         default="hand",

@@ -27,6 +27,9 @@ S0_ROLES: dict[str, dict[str, str]] = {
     "eyeglasses": {"temple": "grasp", "hinge": "grasp"},
     "cup": {"wall": "wrap", "rim": "wrap", "base": "wrap"},
     "wineglass": {"stem": "grasp", "foot": "grasp"},
+    "can": {"body": "wrap", "lid": "wrap", "base": "wrap"},
+    "dispenser": {"bottle": "grasp", "base": "grasp"},
+    "bottle": {"base": "grasp"},
 }
 """S0 has no receiver's region: the parts that people take these objects by (AffNet labels bowls and
 cups wrap-grasp)."""
@@ -107,6 +110,18 @@ THINGS: dict[str, Thing] = {
         {"stem": ("stem", "foot"), "bowl": ("bowl", "rim")},
         {"drink": "stem", "use": "stem", "clean": "bowl"},
         {"bowl": ("cup", "body", "rim"), "stem": ("foot", "base")},
+    ),
+    "can": Thing(
+        ("can", "tin", "food can", "tin can"),
+        {"body": ("body", "base"), "lid": ("lid", "tab")},
+        {"use": "body", "clean": "lid"},
+        {"lid": ("top", "ring pull", "tab")},
+    ),
+    "dispenser": Thing(
+        ("dispenser", "soap dispenser", "pump bottle", "pump dispenser"),
+        {"bottle": ("bottle", "base", "collar"), "pump": ("pump", "nozzle")},
+        {"use": "bottle", "clean": "bottle"},
+        {"bottle": ("body", "base"), "pump": ("head", "nozzle", "spout")},
     ),
     "hammer": Thing(
         ("hammer", "claw hammer", "mallet"),

@@ -13,7 +13,7 @@ import json
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from r2h_batch.benchmark.vocabulary import Thing
 
 __all__ = [
+    "BUILT_IN_NAMES",
     "OBJECT_NAMES",
     "S0_NAMES",
     "S1_NAMES",
@@ -51,6 +52,9 @@ __all__ = [
     "object_digest",
     "object_from_argument",
     "read_object",
+    "stored_key",
+    "stored_objects",
+    "without_region",
 ]
 
 S0_NAMES = ("game_controller", "bowl", "headphones", "eyeglasses", "cup", "wineglass")
@@ -59,6 +63,10 @@ S1_NAMES = (
     "scissors", "power_drill", "binoculars", "bottle", "trigger_sprayer",
 )  # fmt: skip
 OBJECT_NAMES = S0_NAMES + S1_NAMES
+"""The 16 objects of r2h-v0 and r2h-v1, in their order."""
+MORE_NAMES = ("can", "dispenser")
+"""What only r2h-release has."""
+BUILT_IN_NAMES = OBJECT_NAMES + MORE_NAMES
 
 POINTS = 2048
 VOXELS = 64
@@ -142,13 +150,13 @@ class ObjectModel:
 
 
 def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
-    """The built-in objects: all 16 in benchmark order (their position is ``object_index``), or
-    those named."""
+    """The 16 objects of r2h-v0 and r2h-v1 in their order (the position is ``object_index``), or
+    those of `BUILT_IN_NAMES` that are named."""
     wanted = OBJECT_NAMES if names is None else tuple(names)
-    unknown = [n for n in wanted if n not in OBJECT_NAMES]
+    unknown = [n for n in wanted if n not in BUILT_IN_NAMES]
     if unknown:
         raise ValueError(
-            f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(OBJECT_NAMES)}"
+            f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(BUILT_IN_NAMES)}"
         )
     return tuple(_load(n) for n in wanted)
 
@@ -156,11 +164,42 @@ def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
 def is_built_in(model: ObjectModel) -> bool:
     """Whether this is the built-in object of its name, and not a user's file that is called the
     same."""
-    if model.name not in OBJECT_NAMES:
+    if model.name not in BUILT_IN_NAMES:
         return False
     (own,) = load_objects([model.name])
     shape = ("vertices", "faces", "face_part", "receiver_face")
     return model is own or all(np.array_equal(getattr(model, k), getattr(own, k)) for k in shape)
+
+
+def without_region(model: ObjectModel) -> ObjectModel:
+    """The object in split S0: nothing of it is the receiver's, and its instruction names it whole."""
+    if model.split == "S0":
+        return model
+    region = np.zeros_like(model.receiver_face)
+    region.flags.writeable = False
+    words = f"hand over the {model.name.replace('_', ' ')} to human"
+    return replace(model, split="S0", receiver_face=region, instruction=words)
+
+
+def stored_objects() -> dict[str, ObjectModel]:
+    """`stored_key` -> object: everything that grasps and receiving hands are shipped of."""
+    (bottle,) = load_objects(["bottle"])
+    free = {"bottle_S0": without_region(bottle)}  # r2h-release hands it over freely
+    return {o.name: o for o in load_objects(BUILT_IN_NAMES)} | free
+
+
+def stored_key(model: ObjectModel) -> str | None:
+    """The name by which grasps and receiving hands of an object are stored; None where it is not a
+    built-in one. An object of S1 in split S0 has others: `NAME_S0`."""
+    if model.name not in BUILT_IN_NAMES:
+        return None
+    if is_built_in(model):
+        return model.name
+    (own,) = load_objects([model.name])
+    free = without_region(own)
+    shape = ("vertices", "faces", "face_part", "receiver_face")
+    same = all(np.array_equal(getattr(model, k), getattr(free, k)) for k in shape)
+    return f"{model.name}_S0" if same else None
 
 
 def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:

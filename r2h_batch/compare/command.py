@@ -18,15 +18,28 @@ BASELINES = "baselines"
 """The word for the shipped rows of all built-in methods: `compare runs/mine baselines`."""
 
 FOLDERS = tuple(Path(__file__).parent / name for name in (BASELINES, "baselines_as_planned"))
-"""The shipped run folders, 500 trials of each split: moved by MuJoCo C (with poses), and with
-`--sim none`. `make tables` scores them again."""
+"""The shipped run folders, 500 trials of r2h-v1 of each split: moved by MuJoCo C (with poses), and
+with `--sim none`. `make tables` scores them again."""
+
+ROWS = Path(__file__).resolve().parents[2] / "bench" / "rows"
+"""Only in a checkout: rows of the other protocols and presets, PROTOCOL[-PRESET-preset]."""
 
 
 def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
-    """The shipped run that the same engine moved as the run of this run.json; without one, the
-    simulated run."""
-    execute = (header or {}).get("configuration", {}).get("execute") or {}
-    return FOLDERS[execute.get("sim") == "none"]
+    """The stored run that the run of this run.json can be compared with: in a checkout that of its
+    protocol and preset; else the shipped one that the same engine moved, without a header the
+    simulated one."""
+    configuration = (header or {}).get("configuration", {})
+    preset, protocol = configuration.get("name", "default"), str((header or {}).get("protocol", ""))
+    name = protocol.removeprefix("r2h-") + (f"-{preset}-preset" if preset != "default" else "")
+    beside = {f.name: f for f in ROWS.iterdir()} if ROWS.is_dir() else {}
+    execute = configuration.get("execute") or {}
+    return beside.get(name, FOLDERS[execute.get("sim") == "none"])
+
+
+def stored_rows() -> tuple[Path, ...]:
+    """All folders of rows that the project's tests judge again."""
+    return (*FOLDERS, *(sorted(ROWS.iterdir()) if ROWS.is_dir() else ()))
 
 
 def run(
@@ -41,8 +54,9 @@ def run(
 
     Args:
         runs: run folders, as `r2h-batch sweep --out` writes them; one with several methods is
-            enough. The word baselines stands for the built-in methods' rows, which ship with the
-            package. Runs of different size are compared on the trials that they share.
+            enough. The word baselines stands for the built-in methods' rows of r2h-v1, which ship
+            with the package; in a checkout for those of the run's protocol and preset. Runs of
+            different size are compared on the trials that they share.
         seed: of the bootstrap that gives the ranks.
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
@@ -60,14 +74,16 @@ def run(
         like = next(iter(own.values())).header if own else None
         stored = [own[r] if r in own else load_run(baselines_for(like)) for r in runs]
         stored = _chosen(stored, method) if method else stored
-        common = common_trials(stored, proven=FOLDERS)
+        common = common_trials(stored, proven=stored_rows())
         paired = pair_up(stored, common)
         comparisons = compare(paired, seed=seed)
     except ValueError as error:
         return refuse("compare", error)
     header = stored[0].header
     origin = {
-        "runs": ", ".join(BASELINES if r.folder in FOLDERS else r.folder.name for r in stored),
+        "runs": ", ".join(
+            BASELINES if r.folder in stored_rows() else r.folder.name for r in stored
+        ),
         "protocol": str(header["protocol"]),
         "trials": ", ".join(f"{n} {split}" for split, n in common.trials.items()),
         "r2h_batch": str(header["versions"]["r2h_batch"]),

@@ -76,7 +76,7 @@ def trials(
 
     Args:
         out: a new or empty folder.
-        protocol: r2h-v0 (hands alone) or r2h-v1 (with the receivers' bodies); by default the
+        protocol: r2h-v1 (with the receivers' bodies) or r2h-v0 (hands alone); by default the
             benchmark's.
         trials: of each split, 1 or more.
         splits: S0 free handover, S1 functional.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.bodies.arrays import stored_arrays
-from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, object_digest
+from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_key
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.judge.grasp import close_gripper
@@ -173,8 +173,8 @@ def _candidates(model: ObjectModel, kind: Kind) -> Candidates:
     if model.grasps is not None:  # a user's own: none left is the user's to know
         return seat_grasps(model, model.grasps) if filtered else own_grasps(model, model.grasps)
     stored = _stored(kind)
-    if f"{model.name}/T_obj_ee" in stored and is_built_in(model):
-        values = {k: stored[f"{model.name}/{k}"] for k in ("T_obj_ee", "width", "score", "part")}
+    if f"{(own := stored_key(model))}/T_obj_ee" in stored:
+        values = {k: stored[f"{own}/{k}"] for k in ("T_obj_ee", "width", "score", "part")}
         return Candidates(**values, region_m=np.full(len(values["width"]), np.nan, np.float32))
 
     def make() -> dict[str, NDArray[Any]]:

@@ -3,7 +3,7 @@ docs/baselines.md.
 
 Grasp: DBSCAN over an object's candidates drops outliers; of the others whose gripper is clear of
 the hand on the object, the one that blocks least of the contact map (probabilities of 0.4 and
-more). Pose: 15 cm above the estimated palm, in the orientation of least collision cost with the
+more). Pose: the object's centre 15 cm above the estimated palm, in the orientation of least collision cost with the
 estimated hand; whether the arm reaches it is not asked (`gate`).
 """
 
@@ -28,7 +28,14 @@ from r2h_batch.methods.least_cost_pose import (
     ZONE_M,
     least_cost_pose,
 )
-from r2h_batch.methods.placing import Anchor, candidates_clear_of, check_choice, least, taken
+from r2h_batch.methods.placing import (
+    HEIGHT_M,
+    Anchor,
+    candidates_clear_of,
+    check_choice,
+    least,
+    taken,
+)
 from r2h_batch.predictors import (
     ContactPredictor,
     Observations,
@@ -49,9 +56,6 @@ SEES = ("receiving", "target", "contacts")
 
 THRESHOLD = 0.4
 """Contact probability from which a point counts (published)."""
-
-HEIGHT_M = 0.15
-"""The gripper's TCP above the estimated palm centre (published)."""
 
 BLOCKED_M = 0.02
 """A contact point this near to the gripper is blocked: a fingertip is 14-20 mm thick and cannot get
@@ -95,7 +99,7 @@ def predict(
     zone_m: float = ZONE_M,
     hand_points: int = HAND_POINTS,
     gate: Literal["none", "ik"] = "none",
-    at: Anchor = "gripper",
+    at: Anchor = "object",
     contacts: Contacts = "left-out",
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).

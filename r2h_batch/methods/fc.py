@@ -3,8 +3,8 @@ docs/baselines.md.
 
 Grasp: of the candidates whose gripper is clear of the hand on the object, the one whose approach
 axis is most opposed to the direction from that hand's wrist to its middle finger tip. Pose: the
-gripper opposed to the target hand's direction, the object's centre at the ball centre c_h (the
-paper names neither the point nor its distance: `at`, `height_m`).
+gripper opposed to the target hand's direction, the object's centre 15 cm above its palm (the paper
+names neither the point nor its distance: `at`, `height_m`).
 """
 
 from jaxtyping import Float
@@ -15,6 +15,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.placing import (
+    HEIGHT_M,
     Anchor,
     Gate,
     approach_frames,
@@ -57,13 +58,13 @@ def predict(
     rolls: int = ROLLS,
     clearance_m: float = CLEARANCE_M,
     gate: Gate = "hand",
-    height_m: float | None = None,
+    height_m: float = HEIGHT_M,
     at: Anchor = "object",
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
     `gate`: what a roll about the approach axis must pass (`placing.Gate`). `at`: what stands
-    `height_m` above the palm; without a height at the ball centre c_h.
+    `height_m` above the palm.
     """
     threads = evaluator.threads if evaluator else None
     table = candidate_table(scene)

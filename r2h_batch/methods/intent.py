@@ -3,8 +3,8 @@ asks for; docs/baselines.md.
 
 Grasp: of the candidates that fit the gripper and whose approach axis does not first meet the region
 named by the instruction, the least A(g) = cos(v_g, v_h) - |p_g - p_h|, as published (metres; the
-hand is the one retrieved for the instruction, on the object). Pose: 15 cm above the target palm;
-hand, object and gripper are turned as one, so that the retrieved hand lies as the target hand
+hand is the one retrieved for the instruction, on the object). Pose: the object's centre 15 cm above the target
+palm; hand, object and gripper are turned as one, so that the retrieved hand lies as the target hand
 turned 15 degrees inward in its palm plane (`orientation="transform"`), or the gripper alone is
 opposed to that direction ("axis").
 """
@@ -26,6 +26,7 @@ from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
 from r2h_batch.methods.placing import (
+    HEIGHT_M,
     Anchor,
     Gate,
     approach_frames,
@@ -59,10 +60,6 @@ SEES = ("receiving", "target")
 
 ROLLS = 8
 """Turns about the approach axis that are tried: the paper fixes none (baselines.md)."""
-
-HEIGHT_M = 0.15
-"""The gripper's TCP above the palm (published for Contact-Handover, whose position rule this
-is)."""
 
 INWARD_DEG = 15.0
 """Published. Inward is towards the thumb here: the paper does not say which way."""
@@ -98,7 +95,7 @@ def predict(
     back_off_m: float = BACK_OFF_M,
     orientation: Orientation = "transform",
     gate: Gate = "hand",
-    at: Anchor = "gripper",
+    at: Anchor = "object",
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 

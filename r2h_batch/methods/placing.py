@@ -36,6 +36,10 @@ Anchor = Literal["gripper", "object"]
 """What stands on the palm's normal: the gripper's TCP, or the centre of the object's bounding
 box."""
 
+HEIGHT_M = 0.15
+"""Of the anchor above the estimated palm centre: the paper's figure for Contact-Handover; the
+authors' release puts every method's object there (docs/baselines.md)."""
+
 
 HOME_X = (-1.0, 0.0, 0.0)
 """The gripper's x axis at the default home (world), rounded."""
@@ -323,26 +327,19 @@ def check_choice(name: str, given: str, allowed: Any) -> None:
         raise ValueError(f"{name} is {given!r}; allowed are {', '.join(get_args(allowed))}")
 
 
-def above_palm(target: TargetHand, height_m: float | None) -> Float[Tensor, "b 3"]:
-    """(b, 3) points `height_m` above the palm centres along the normals, world frame; None: the
-    ball centres c_h."""
-    if height_m is None:
-        return target.ball_center
-    return target.palm_point.double() + height_m * target.palm_normal.double()
-
-
 def placed_above_palm(
     scene: Scene,
     R_world_ee: Float[Tensor, "b r 3 3"],
     T_obj_ee: Float32[Tensor, "b 4 4"],
     object_index: Tensor,
     target: TargetHand,
-    height_m: float | None,
+    height_m: float,
     at: Anchor,
 ) -> Float32[Tensor, "b r 4 4"]:
-    """(b, r, 4, 4) T_world_ee with these rotations that put `at` `height_m` above the palm."""
+    """(b, r, 4, 4) T_world_ee with these rotations that put `at` `height_m` above the palm, along
+    its normal."""
     check_choice("at", at, Anchor)
-    point = above_palm(target, height_m)
+    point = target.palm_point.double() + height_m * target.palm_normal.double()
     if at == "gripper":
         return poses_at(R_world_ee, point)
     center = torch.from_numpy(object_centers(scene)).to(scene.device)[object_index.long()]

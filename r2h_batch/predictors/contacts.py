@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor
 
-from r2h_batch.bodies.objects import VOXELS, ObjectModel, is_built_in
+from r2h_batch.bodies.objects import OBJECT_NAMES, VOXELS, ObjectModel, stored_key
 from r2h_batch.predictors.external_predictions import Observations
 from r2h_batch.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
 from r2h_batch.predictors.voxnet import load_voxnet
@@ -56,7 +56,7 @@ def _of_objects(
         if len(_cached) >= 8:
             _cached.clear()
         networks = (
-            load_voxnet(o.name if left_out and is_built_in(o) else "")
+            load_voxnet(o.name if left_out and stored_key(o) and o.name in OBJECT_NAMES else "")
             if predictor is None
             else predictor
             for o in objects

@@ -19,7 +19,7 @@ from torch import Tensor
 from r2h_batch import se3
 from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
 from r2h_batch.bodies.hand import HandGeometry, HandModel, load_hand
-from r2h_batch.bodies.objects import ObjectModel, is_built_in, load_objects, object_digest
+from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_key
 from r2h_batch.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.receiver.instructions import intents_of
 from r2h_batch.receiver.sampler import PER_SIDE, NoHoldError, sample_receiving
@@ -191,14 +191,14 @@ def _like_own(hand: HandModel) -> bool:
 @lru_cache(maxsize=64)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     hand = load_hand() if _like_own(hand) else hand
-    if hand is load_hand() and f"{model.name}/side" in _stored() and is_built_in(model):
-        return _stored_of(model)
+    if hand is load_hand() and f"{(own := stored_key(model))}/side" in _stored():
+        return _stored_of(str(own))
 
     def make() -> dict[str, NDArray[Any]]:
         try:
             return sample_receiving(model, hand=hand)
         except NoHoldError:
-            return {k: v[:0] for k, v in _stored_of(load_objects()[0]).items()}
+            return {k: v[:0] for k, v in _stored_of(load_objects()[0].name).items()}
 
     made = cached("receiving", _made_of(model, hand), make, FORM)
     wanted = {side: PER_SIDE - int((made["side"] == side).sum()) for side in (0, 1)}
@@ -212,9 +212,9 @@ def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     return {k: made[k] for k in FIELDS}
 
 
-def _stored_of(model: ObjectModel) -> dict[str, NDArray[Any]]:
+def _stored_of(key: str) -> dict[str, NDArray[Any]]:
     stored = _stored()
-    return {k: stored[f"{model.name}/{k}"] for k in FIELDS}
+    return {k: stored[f"{key}/{k}"] for k in FIELDS}
 
 
 def _made_of(model: ObjectModel, hand: HandModel) -> str:

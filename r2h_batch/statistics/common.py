@@ -52,7 +52,10 @@ def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Comm
         if what := _differing(first, run, proven):
             advice = "sweep both methods with the same version and options"
             if {first.folder, run.folder} & set(proven):
-                advice = "the shipped baselines have the default options, with --sim mujoco and with --sim none: sweep like that"
+                advice = (
+                    "the shipped baselines have the default options and protocol, with --sim mujoco"
+                    " and with --sim none: sweep like that"
+                )
             raise ValueError(
                 f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired; {advice}"
             )

@@ -163,12 +163,12 @@ def prepare(options: Options) -> Setting:
 
 def _said_of(model: "ObjectModel") -> dict[str, Any]:
     """What run.json says of an object: a repaired mesh with what was done, and what came of it."""
-    from r2h_batch.bodies.objects import is_built_in, object_digest
+    from r2h_batch.bodies.objects import object_digest, stored_key
 
     said = {
         "name": model.name,
         "split": model.split,
-        "built_in": is_built_in(model),
+        "built_in": stored_key(model) is not None,
         "digest": object_digest(model),
     }
     return said if model.repair is None else {**said, "repair": asdict(model.repair)}

@@ -67,7 +67,7 @@ class Options:
         ("S0", "S1"), _TRIALS, "S0: free handover; S1: functional handover"
     )
     protocol: Literal["", "r2h-v0", "r2h-v1"] = _option(
-        "", _TRIALS, "r2h-v0 (default): hands alone; r2h-v1: hands of people who reach"
+        "", _TRIALS, "r2h-v1 (default): hands of people who reach; r2h-v0: hands alone"
     )
     receiver: Literal["", "hand", "body"] = _option(
         "", _TRIALS, "what planning and Safe see: hand (default), or body (with r2h-v1)"

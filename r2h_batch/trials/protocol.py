@@ -84,8 +84,8 @@ def make_trials(
 
     `objects` (default: the 16 built-in ones) is what `object_index` counts; those of a split take
     turns in it. Hands stand where `config` puts ball, table and home. `benchmark`, a file or one
-    that was read, says all three instead. `protocol`: r2h-v0 (hands alone) or r2h-v1 (with
-    `Trials.receiver`); by default the benchmark's.
+    that was read, says all three instead. `protocol`: r2h-v1 (with `Trials.receiver`) or r2h-v0
+    (hands alone); by default the benchmark's, which is r2h-v1 unless it says otherwise.
     """
     splits = sequence_of(str, f"of {', '.join(SPLITS)}")(
         "splits", [splits] if isinstance(splits, str) else splits
@@ -164,7 +164,7 @@ def trials_with_ids(
     one_of(*PROTOCOLS)("protocol", protocol)
     optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
     optional(instance_of(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
-    with_body = protocol != PROTOCOLS[0]
+    with_body = protocol == PROTOCOLS[1]
     objects, config = checked_objects(objects), config or EvalConfig()
     hands = _hands(load_hand_set() if hand_set is None else hand_set)
     object_index, side = assign_objects(ids, [o.split for o in objects])

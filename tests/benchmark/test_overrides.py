@@ -47,7 +47,7 @@ def score(out: Path, *flags: object) -> None:
 
 
 def rows(run: Path) -> list[dict]:
-    free = ("t_plan_s", "t_method_s", "hand_index")
+    free = ("t_plan_s", "t_method_s", "hand_index", "body_m")  # listed trials have no bodies
     return [{k: v for k, v in row.items() if k not in free} for row in load_run(run).trials("random").to_pylist()]
 
 

@@ -91,7 +91,7 @@ def test_the_folder_opens_elsewhere_and_names_say_what_is_what(exported):
         assert [model.joint(i).name for i in range(model.njnt)] == list(robot.joints)
         assert np.allclose(model.jnt_range, np.stack([robot.lower, robot.upper], 1))
         names = [model.geom(i).name for i in range(model.ngeom)]
-        assert {n.split("/")[0] for n in names} == {"robot", "gripper", "hand", "object", "table", "target"}
+        assert {n.split("/")[0] for n in names} == {"robot", "gripper", "hand", "object", "table", "target", "receiver"}
         found, visual = groups(model)
         assert all(model.geom_contype[i] == 0 and model.geom_conaffinity[i] == 0 for i in visual)
         assert all(model.geom_contype[i] and model.geom_conaffinity[i] for ids in found.values() for i in ids)

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from needs import needs
 
+from r2h_batch.config import CLOSED_GAP_M
 from r2h_batch.export.mjcf import export_trial
 from r2h_batch.export.stored import Reader
 
@@ -120,6 +121,7 @@ def test_stability_is_what_lies_between_the_pads_and_that_the_open_fingers_come_
         if np.ptp(y) <= row["width_m"] + 2e-4:
             judged += 1
         open_gripper = least(home.sites("coming/"), home.mesh("object_mesh", "object"))
-        margin = min(home.number("w_max_m") - row["width_m"], open_gripper, CUT_CAP_M)
+        fits = min(home.number("w_max_m") - row["width_m"], row["width_m"] - CLOSED_GAP_M)
+        margin = min(fits, open_gripper, CUT_CAP_M)
         assert abs(margin - row["margin_stability_m"]) < 2e-5
     assert judged >= 2

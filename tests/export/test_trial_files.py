@@ -26,7 +26,7 @@ def written(tmp_path_factory):
 def test_written_files_hold_what_the_manifest_says(written):
     folder, digest = written
     manifest = json.loads((folder / "manifest.json").read_text())
-    assert manifest["protocol"] == "r2h-v0" and manifest["digests"]["trials"] == digest
+    assert manifest["protocol"] == "r2h-v1" and manifest["digests"]["trials"] == digest
     assert digest == trials_digest(make_trials(trials=12)) and digest in (folder / "README.md").read_text()
     names = {f"objects/{n}.npz" for n in (*S0_NAMES, *S1_NAMES)}
     assert {str(p.relative_to(folder)) for p in folder.rglob("*.npz")} == names | {"trials.npz", "hands.npz"}
@@ -107,5 +107,5 @@ def test_a_wrong_command_line_gets_one_clear_line_and_code_2(arguments, told, tm
 def test_the_command_writes_and_says_where(tmp_path, capsys):
     assert main(["--out", str(tmp_path / "out"), "--trials", "2", "--splits", "S1"]) == 0
     captured = capsys.readouterr()
-    assert "r2h-v0" in captured.out and trials_digest(make_trials(["S1"], 2)) in captured.out
+    assert "r2h-v1" in captured.out and trials_digest(make_trials(["S1"], 2)) in captured.out
     assert len(list((tmp_path / "out" / "objects").iterdir())) == len(S1_NAMES)

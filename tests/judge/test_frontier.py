@@ -99,7 +99,7 @@ def test_the_frontier_finds_what_one_thread_finds_in_a_thousand_trials(scene: Sc
 def test_a_problem_that_one_form_solves_the_other_solves_too(scene: Scene, method: ModuleType) -> None:
     """Random answers, whose searches are the hardest; an oracle's, which are the most crowded. Whoever finds no path spends
     all rounds."""
-    trials = trials_with_ids(torch.arange(2048), objects=scene.objects)
+    trials = trials_with_ids(torch.arange(2048), objects=scene.objects, protocol="r2h-v0")
     poses = method.predict(trials, scene, seed=0)
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=2048))
     here = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
@@ -166,7 +166,7 @@ def test_gjk_an_iteration_at_a_time_has_the_bits_of_gjk(scene: Scene) -> None:
 
 
 def test_where_a_queue_is_too_short_fewer_rows_go_at_once_and_come_out_the_same(scene: Scene) -> None:
-    trials = trials_with_ids(torch.arange(48), objects=scene.objects)
+    trials = trials_with_ids(torch.arange(48), objects=scene.objects, protocol="r2h-v0")
     poses = oracle.predict(trials, scene, seed=0)
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
     with levels.planning_form("frontier"):

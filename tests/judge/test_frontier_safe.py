@@ -65,7 +65,7 @@ def moved(method: ModuleType, n: int) -> Moved:
 def of_rows(method: ModuleType, n: int, rows: slice | torch.Tensor) -> Moved:
     """Some of them in a batch of their own."""
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=n))
-    trials = trials_with_ids(torch.arange(n), objects=evaluator.scene.objects)
+    trials = trials_with_ids(torch.arange(n), objects=evaluator.scene.objects, protocol="r2h-v0")
     poses = method.predict(trials, evaluator.scene, seed=0)
     with mock.patch.object(evaluate, "hand_distance", wraps=hand_distance) as asked:
         evaluator.score(poses.T_obj_ee[rows], poses.T_world_ee[rows], trials[rows])
@@ -138,7 +138,7 @@ def test_a_long_motion_is_halved_block_by_block_from_its_end(scene: Scene) -> No
 def test_where_a_queue_is_too_short_fewer_rows_go_at_once_and_come_out_the_same(scene: Scene) -> None:
     asked = moved(oracle, 96)
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=96))
-    trials = trials_with_ids(torch.arange(96), objects=evaluator.scene.objects)
+    trials = trials_with_ids(torch.arange(96), objects=evaluator.scene.objects, protocol="r2h-v0")
     poses = oracle.predict(trials, evaluator.scene, seed=0)
     with levels.planning_form("frontier"):
         whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)

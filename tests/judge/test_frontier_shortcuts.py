@@ -132,7 +132,7 @@ def test_they_are_about_as_good_as_those_of_one_thread(first: Asked) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", [random, oracle], ids=["random", "oracle"])
 def test_they_are_about_as_good_in_two_thousand_trials(scene: Scene, method: ModuleType) -> None:
-    trials = trials_with_ids(torch.arange(2048), objects=scene.objects)
+    trials = trials_with_ids(torch.arange(2048), objects=scene.objects, protocol="r2h-v0")
     poses = method.predict(trials, scene, seed=0)
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=2048))
     asked = asked_while(lambda: evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials))

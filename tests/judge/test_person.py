@@ -201,7 +201,18 @@ def test_without_a_body_it_is_refused_in_one_line(asked, tmp_path, capsys):
         evaluator("hand").score(T_obj_ee, T_world_ee, replace(trials, receiver=trials.receiver.double()))
     with pytest.raises(ValueError, match="no gradient; score with receiver='hand'"):
         evaluator("body").score(T_obj_ee.clone().requires_grad_(), T_world_ee, trials, stages="pose")
-    line = ["--method", "random", "--trials", "2", "--receiver", "body", "--out", str(tmp_path / "run")]
+    line = [
+        "--method",
+        "random",
+        "--trials",
+        "2",
+        "--protocol",
+        "r2h-v0",
+        "--receiver",
+        "body",
+        "--out",
+        str(tmp_path / "run"),
+    ]
     assert sweep.main(line) == 2
     said = capsys.readouterr().err.strip()
     assert "--receiver body: trials of r2h-v0 have no body; take --protocol r2h-v1" in said and "\n" not in said

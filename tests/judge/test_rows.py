@@ -38,7 +38,7 @@ def poses(seed: int) -> torch.Tensor:
 @pytest.fixture(scope="module")
 def held():
     evaluator = default_evaluator()
-    trials = trials_with_ids(torch.arange(N))
+    trials = trials_with_ids(torch.arange(N), protocol="r2h-v0")
     given = poses(1), poses(2), poses(3)
     trials = replace(trials, T_world_hand=given[2])
     return given, trials, attach_object(evaluator.scene, given[0], given[1], trials, evaluator.config)

@@ -22,7 +22,7 @@ PLAIN = PlanConfig(rounds=(5000,))
 
 def random_batch(ids: torch.Tensor) -> Batch:
     scene = default_evaluator().scene
-    trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set)
+    trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0")
     answer = random.predict(trials, scene, seed=0)
     return Batch(trials, answer.T_obj_ee, answer.T_world_ee)
 

@@ -38,7 +38,7 @@ def test_methods_can_fail_stability_with_grasps_as_generated_and_not_with_filter
     report = json.loads((resources.files("r2h_batch.assets.objects") / "grasps_as_generated_report.json").read_text())
     assert judged("filtered") == [100] * 16
     raw = judged("as-generated")
-    assert raw == [o["pass_stability"] for o in report["objects"].values()]
+    assert raw == [report["objects"][o.name]["pass_stability"] for o in OBJECTS]
     assert 1400 < sum(raw) < 1600
     assert arrays_digest(stored_arrays("objects", "grasps_as_generated.npz")) == report["digest"]
 

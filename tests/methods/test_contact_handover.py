@@ -3,7 +3,20 @@
 import numpy as np
 import pytest
 import torch
-from baseline_twins import NOISE, answer, candidates, chosen_candidate, clear_of, ends, evaluator, pose, predict, trials
+from baseline_twins import (
+    NOISE,
+    above,
+    answer,
+    candidates,
+    chosen_candidate,
+    clear_of,
+    ends,
+    evaluator,
+    middle,
+    pose,
+    predict,
+    trials,
+)
 from convex_twin import primitive_distance
 from numpy.typing import NDArray
 
@@ -98,8 +111,7 @@ def test_contacts_orientation_has_the_least_cost_of_all_or_of_those_the_arm_reac
     for row, i in enumerate(some):
         k = chosen_candidate(i, answered.T_obj_ee[row])
         T_obj_ee, opening, _ = candidates(i)
-        p = (target.palm_point[i].double() + 0.15 * target.palm_normal[i].double()).numpy()
-        T = pose(fan[i], p)
+        T = pose(fan[i], above(target, i) - fan[i] @ middle(answered, row, i)[1])
         got = answered.T_world_ee[row].double().numpy()
         reached = np.ones(len(T), bool)
         if gate == "ik":

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from r2h_batch.bodies.arrays import arrays_digest
-from r2h_batch.bodies.objects import OBJECT_NAMES, ObjectModel, load_objects, object_digest
+from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
 from r2h_batch.bodies.robot import Kind, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
 from r2h_batch.methods.grasps.antipodal import FRICTION
 from r2h_batch.methods.grasps.sample import sample_grasps
@@ -33,7 +33,7 @@ def _report() -> dict:
 
 
 def _model(name: str) -> ObjectModel:
-    return load_objects([name])[0]
+    return stored_objects()[name]
 
 
 def _in_ee(model: ObjectModel, T_obj_ee: np.ndarray, faces: np.ndarray | None = None) -> trimesh.Trimesh:
@@ -81,8 +81,10 @@ def _distance(mesh: trimesh.Trimesh, gap: float, moving_only: bool, cap: float =
 
 def test_there_are_100_of_every_object_and_the_report_belongs_to_them() -> None:
     stored, report = _stored(), _report()
-    assert set(stored) == {f"{name}/{key}" for name in OBJECT_NAMES for key in ("T_obj_ee", "width", "score", "part")}
-    for name in OBJECT_NAMES:
+    assert set(stored) == {
+        f"{name}/{key}" for name in stored_objects() for key in ("T_obj_ee", "width", "score", "part")
+    }
+    for name in stored_objects():
         T, score, part = stored[f"{name}/T_obj_ee"], stored[f"{name}/score"], stored[f"{name}/part"]
         assert T.shape == (100, 4, 4) and T.dtype == np.float32 and part.dtype == np.uint8
         np.testing.assert_allclose(
@@ -96,7 +98,7 @@ def test_there_are_100_of_every_object_and_the_report_belongs_to_them() -> None:
     assert report["robot_digest"] == load_robot().digest, "the robot changed: run build_grasps.py"
 
 
-@pytest.mark.parametrize("name", OBJECT_NAMES)
+@pytest.mark.parametrize("name", stored_objects())
 def test_a_grasp_is_narrow_centred_clear_and_within_the_friction_cone(name: str) -> None:
     model, stored = _model(name), _stored()
     for i in range(0, 100, STEP):
@@ -153,7 +155,7 @@ def _along_y(triangles: np.ndarray, x: float, z: float) -> tuple[np.ndarray, np.
     return (a[:, 1] + s * (b[:, 1] - a[:, 1]) + t * (c[:, 1] - a[:, 1]))[hit], near[hit]
 
 
-@pytest.mark.parametrize("name", [n for n in OBJECT_NAMES if _model(n).split == "S1"])
+@pytest.mark.parametrize("name", [n for n in stored_objects() if _model(n).split == "S1"])
 def test_at_least_25_keep_the_fingers_off_the_receivers_region(name: str) -> None:
     model, stored = _model(name), _stored()
     passed = 0
@@ -164,7 +166,7 @@ def test_at_least_25_keep_the_fingers_off_the_receivers_region(name: str) -> Non
     assert abs(passed - _report()["objects"][name]["pass_affordance"]) <= 2
 
 
-@pytest.mark.parametrize("name", OBJECT_NAMES)
+@pytest.mark.parametrize("name", stored_objects())
 def test_grasps_are_spread_over_the_object_and_no_two_are_alike(name: str) -> None:
     T = _stored()[f"{name}/T_obj_ee"].astype(np.float64)
     place, z = T[:, :3, 3], T[:, :3, 2]

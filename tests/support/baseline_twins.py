@@ -12,9 +12,7 @@ from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import contact, fc, handover_va, intent
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.placing import gripper_clearance, posed_hand, roll_angles
-from r2h_batch.predictors import (
-    PredictorNoise,
-)
+from r2h_batch.predictors import PredictorNoise, TargetHand
 from r2h_batch.trials.protocol import make_trials
 from r2h_batch.types import Predictions, Trials
 
@@ -25,6 +23,20 @@ NOISE = PredictorNoise()
 @cache
 def trials() -> Trials:
     return make_trials(trials=N)
+
+
+def middle(found: Predictions, row: int, i: int | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The centre of the object's bounding box in the world and in the gripper's frame, of row `row` that answers trial i."""
+    T_world_ee, T_obj_ee = (getattr(found, k)[row].double().numpy() for k in ("T_world_ee", "T_obj_ee"))
+    model = evaluator().scene.objects[int(trials().object_index[row if i is None else i])]
+    box = (model.vertices.min(0).astype(np.float64) + model.vertices.max(0)) / 2
+    inside = T_obj_ee[:3, :3].T @ (box - T_obj_ee[:3, 3])
+    return T_world_ee[:3, :3] @ inside + T_world_ee[:3, 3], inside
+
+
+def above(target: TargetHand, i: int) -> NDArray[np.float64]:
+    """15 cm from the palm's centre along its normal."""
+    return (target.palm_point[i].double() + 0.15 * target.palm_normal[i].double()).numpy()
 
 
 def ends(grid: torch.Tensor) -> torch.Tensor:

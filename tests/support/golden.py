@@ -48,7 +48,20 @@ def sweep_digests(
 
     trials = KINEMATIC_TRIALS if sim == "none" else SIMULATED_TRIALS
     run = folder / sim
-    line = ["--method", *methods, *more, "--trials", str(trials // 2), "--sim", sim, "--save-paths", "--out", str(run)]
+    line = [
+        "--method",
+        *methods,
+        *more,
+        "--protocol",
+        "r2h-v0",
+        "--trials",
+        str(trials // 2),
+        "--sim",
+        sim,
+        "--save-paths",
+        "--out",
+        str(run),
+    ]
     _run(sweep, line)
     stored = load_run(run)
     found = {}
@@ -100,7 +113,7 @@ def _candidates() -> dict[str, dict[str, str]]:
         ids, T_obj_ee, T_world_ee = (
             torch.from_numpy(mix[k][:CANDIDATES]) for k in ("trial_id", "T_obj_ee", "T_world_ee")
         )
-    scores = default_evaluator().score(T_obj_ee, T_world_ee, trials_with_ids(ids), stages="pose")
+    scores = default_evaluator().score(T_obj_ee, T_world_ee, trials_with_ids(ids, protocol="r2h-v0"), stages="pose")
     names = [n for n in scores.__dataclass_fields__ if n not in NOT_COMPARED]
     parts: list[Any] = []
     for name in sorted(names):

@@ -53,7 +53,7 @@ class Problems:
 
 def make_batch(scene: Scene, n: int, *, seed: int = 0, random_share: float = 0.5) -> Batch:
     """Trials 0 to n - 1 (S0 and S1 by turns); predictions `random` (as the benchmark's bound) or sensible, by a coin."""
-    trials = trials_with_ids(torch.arange(n), objects=scene.objects, hand_set=scene.hands.set)
+    trials = trials_with_ids(torch.arange(n), protocol="r2h-v0", objects=scene.objects, hand_set=scene.hands.set)
     rng = np.random.default_rng(seed)
     random = rng.random(n) < random_share
     T_obj_ee = np.zeros((n, 4, 4), np.float32)

@@ -101,7 +101,6 @@ def test_a_methods_options_reach_it_and_stand_in_its_name(bench):
     assert [j.source.get("options") for j in given] == [None, "gate=ik, height_m=0.12", "rounds=8"]
     # no public way from a job to what its function is called with
     assert jobs._method(some[1]).options == {"gate": "ik", "height_m": 0.12}
-    assert jobs._method("fc,height_m=0.15").options == {"height_m": 0.15}  # its default is None
 
 
 def test_a_users_own_function_takes_options_too(bench, tmp_path, monkeypatch):
