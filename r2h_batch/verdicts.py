@@ -71,8 +71,7 @@ class MarginKind(IntEnum):
     NONE = 0
     """Not evaluated: there is no margin."""
     DISTANCE = 1
-    """A length, to 0.1 mm: a clearance or a width; how far a target is out of reach, to 3 % (the
-    posture that is found is not quite the nearest)."""
+    """A length, to 0.1 mm: a clearance or a width; how far a target is out of reach."""
     BOUND = 2
     """Below 0: bodies overlap. The penetration depth (the length of the shortest translation that
     parts them) is at least this."""

@@ -1,4 +1,4 @@
-"""From a UR arm's wrist centre to its posture: what the exact (closed_form.py) and the clamped form (nearest.py) share.
+"""From a UR arm's wrist centre to its posture: what closed_form.py and nearest.py share.
 
 Three steps in the notation of robot/fk.py, as in Hawkins 2013 (Analytic inverse kinematics for the Universal Robots
 UR-5/UR-10 arms), written with cosines and sines instead of angles:

@@ -8,7 +8,7 @@ import torch
 from oracle import Staged as Twin
 from oracle import geom_depth, hand_triangles, mujoco_scene
 from problems import Batch, assert_same, default_evaluator, make_batch
-from scipy.optimize import least_squares, linprog
+from scipy.optimize import linprog
 from staging import GOAL, GOOD, START, batch_of, staged_evaluator
 
 from r2h_batch import se3
@@ -320,16 +320,6 @@ def test_unreachable_targets_are_missed_by_their_margin_with_the_hand_turned_as_
         T, target = ee(s.q_goal[row].double().numpy()), judged.T_world_ee[row].double().numpy()
         assert np.abs(T[:3, :3] - target[:3, :3]).max() < 1e-5
         assert np.linalg.norm(T[:3, 3] - target[:3, 3]) == pytest.approx(-float(s.margin[row, PLAN]), abs=2e-6)
-    rng = np.random.default_rng(0)
-    for row in rows[:3]:  # nobody comes nearer: a general solver with a heavy weight on the hand's turn
-        target = judged.T_world_ee[row].double().numpy()
-
-        def miss(q: np.ndarray, target: np.ndarray = target) -> np.ndarray:
-            T = ee(q)
-            return np.r_[T[:3, 3] - target[:3, 3], 30.0 * (T[:3, :3] - target[:3, :3]).ravel()]
-
-        best = min(np.linalg.norm(least_squares(miss, rng.uniform(-3, 3, 6)).fun[:3]) for _ in range(12))
-        assert best > -float(s.margin[row, PLAN]) * 0.98 - 1e-4
 
 
 def test_no_free_pose_is_beyond_the_float64_verdict_of_mujoco(judged):

@@ -1,0 +1,106 @@
+"""The nearest pose of a target that the arm cannot reach: what it misses is the distance, by a search and by scipy."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.bodies.robot import forward_kinematics, load_robot
+from r2h_batch.config import HOME_Q
+from r2h_batch.judge.ik import default_ur, solve_ik
+from r2h_batch.kernels.ik.nearest import nearest_posture
+from r2h_batch.launch import launch_trials
+
+COUNT = 320
+UR = {k: float(getattr(default_ur(HOME_Q), k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool")}
+
+
+@pytest.fixture(scope="module")
+def missed() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unreachable targets (B, 4, 4), the postures that come nearest (B, 6), and by how much they miss (B,), m."""
+    rng = np.random.default_rng(5)
+    T = np.tile(np.eye(4), (COUNT, 1, 1))
+    R = Rotation.random(COUNT, random_state=5).as_matrix()
+    # a third points the hand horizontally, or nearly: psi3 is free there, or turns by pi within a small angle
+    flat = np.arange(COUNT) % 3 == 0
+    R[flat, 2, 2] = rng.choice([0.0, 1e-5, -1e-3, 0.02], flat.sum())
+    z = R[:, :, 2] / np.linalg.norm(R[:, :, 2], axis=1, keepdims=True)
+    y = np.cross(z, R[:, :, 0])
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    T[:, :3, :3] = np.stack([np.cross(y, z), y, z], 2)
+    T[::50, :3, :3] = np.diag([1.0, -1.0, -1.0])  # straight down: the hand's turn says nothing of joint 1
+    T[:, :3, 3] = rng.uniform(-1, 1, (COUNT, 3)) * np.where(np.arange(COUNT) % 4 == 0, 0.3, 1.5)[:, None]
+    target = torch.from_numpy(T).float()
+    valid = solve_ik(target).valid
+    q = torch.empty((COUNT, 6), dtype=torch.float32, device="cpu")
+    residual = torch.empty(COUNT, dtype=torch.float32, device="cpu")
+    launch_trials(
+        nearest_posture,
+        COUNT,
+        inputs={
+            "ur": default_ur(HOME_Q),
+            "rotation_lever_m": 0.1,
+            "active": torch.ones(COUNT, dtype=torch.bool, device="cpu"),
+            "branches": valid,
+            "T_world_ee": target,
+        },
+        outputs={"q": q, "residual": residual},
+        device="cpu",
+        threads=1,
+        chunk=256,
+    )
+    rows = ~valid.any(1)
+    assert rows.sum() > 200
+    return target[rows].double().numpy(), q[rows].double().numpy(), residual[rows].double().numpy()
+
+
+def searched(T: np.ndarray) -> float:
+    """The distance (m) of one target by 2 x 40,000 samples of joint 1 and of psi3, with the hand turned as asked."""
+    z = T[:3, 2]
+    p5 = T[:3, 3] - UR["tool"] * z
+    v = z[2] if abs(z[2]) > 1e-9 else 1e-9
+    h = np.hypot(z[0], z[1])
+    psi = np.linspace(-np.pi, np.pi, 40_000)
+    with np.errstate(divide="ignore"):
+        theta = np.arccos(np.clip(v / (h + 1e-12) / np.tan(psi), -1, 1))
+    q1 = np.arctan2(z[1], z[0]) + np.concatenate([psi, theta, -theta])
+    x, y = np.cos(q1) * p5[0] + np.sin(q1) * p5[1], np.cos(q1) * p5[1] - np.sin(q1) * p5[0]
+    forward = np.cos(q1) * z[0] + np.sin(q1) * z[1]
+    least = np.inf
+    for s5 in (np.hypot(forward, v), -np.hypot(forward, v)):
+        d = np.hypot(x - UR["d5"] * v / s5, p5[2] - UR["d1"] + UR["d5"] * forward / s5)
+        beyond = np.maximum(0, np.maximum(d - UR["a2"] - UR["a3"], abs(UR["a2"] - UR["a3"]) - d))
+        least = min(least, np.hypot(y - UR["d4"], beyond).min())
+    return least
+
+
+def test_the_margin_of_an_unreachable_target_is_its_distance_to_what_the_arm_reaches(missed) -> None:
+    T, _q, residual = missed
+    least = np.array([searched(t) for t in T])
+    assert np.abs(residual - least).max() < 5e-5, np.abs(residual - least).max()
+
+
+def test_no_general_solver_comes_nearer(missed) -> None:
+    robot = load_robot()
+    T, q, residual = missed
+    T_wrist_ee = robot.T_wrist3_flange @ robot.T_flange_ee
+    rng = np.random.default_rng(6)
+
+    def ee(at: np.ndarray) -> np.ndarray:
+        return np.asarray(forward_kinematics(robot, at)[6] @ T_wrist_ee)
+
+    for i in range(0, len(T), 4):
+        there = ee(q[i])
+        assert np.abs(there[:3, :3] - T[i, :3, :3]).max() < 1e-5
+        assert np.linalg.norm(there[:3, 3] - T[i, :3, 3]) == pytest.approx(residual[i], abs=2e-6)
+
+        def miss(at: np.ndarray, target: np.ndarray = T[i]) -> np.ndarray:
+            now = ee(at)
+            return np.r_[now[:3, 3] - target[:3, 3], 30.0 * (now[:3, :3] - target[:3, :3]).ravel()]
+
+        for start in (q[i], rng.uniform(-3, 3, 6)):
+            found = least_squares(miss, start)
+            # the weight lets the hand turn a little: what that may bring is bounded by the turn times the arm's length
+            turned = np.linalg.norm(found.fun[3:]) / 30.0
+            assert np.linalg.norm(found.fun[:3]) > residual[i] - 1e-4 - 1.3 * turned
