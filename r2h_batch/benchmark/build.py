@@ -19,6 +19,7 @@ from r2h_batch.benchmark.flags import BenchmarkFlags
 from r2h_batch.benchmark.model import (
     BUILT_IN,
     BenchmarkFile,
+    HandsEntry,
     ObjectEntry,
     read_benchmark_file,
     read_object_file,
@@ -27,7 +28,7 @@ from r2h_batch.benchmark.trials_file import LISTED, read_trials_file
 from r2h_batch.benchmark.vocabulary import S0_ROLES, THINGS, Thing
 from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.hand import HandModel, HandSet, load_hand, load_hand_set, make_hand_set
-from r2h_batch.bodies.hand_file import read_hand_set
+from r2h_batch.bodies.hand_file import HandChoice, read_hand_set
 from r2h_batch.bodies.mesh_import.build_ahead import build_ahead
 from r2h_batch.bodies.objects import (
     ObjectModel,
@@ -118,8 +119,14 @@ def _named(file: BenchmarkFile) -> list[tuple[str, str]]:
         if (name := _file_of(o, field)) is not None
     ]
     own += [("trials", file.trials)] if file.trials is not None else []
-    hands = [(field, getattr(file, field)) for field in ("hand_model", "hand_set")]
+    hands = [("hand_model", file.hand_model), *(("hand_set", e.file) for e in _hand_entries(file))]
     return own + [(field, name) for field, name in hands if name != BUILT_IN]
+
+
+def _hand_entries(file: BenchmarkFile) -> list[HandsEntry]:
+    """The hand sets that are joined."""
+    said = [file.hand_set] if isinstance(file.hand_set, str) else file.hand_set
+    return [HandsEntry(file=e) if isinstance(e, str) else e for e in said]
 
 
 def _file_of(entry: ObjectEntry, field: str) -> str | None:
@@ -148,8 +155,17 @@ def _workplace(file: BenchmarkFile, path: str) -> Workplace:
 
 def _hands(file: BenchmarkFile, folder: Path) -> HandSet:
     model = None if file.hand_model == BUILT_IN else hand_of(path_within(folder, file.hand_model))
-    own = None if file.hand_set == BUILT_IN else path_within(folder, file.hand_set)
-    return hand_set_of(own, model)
+    if file.hand_set == BUILT_IN:
+        return hand_set_of(None, model)
+    parts = []
+    for entry in _hand_entries(file):
+        if entry.file == BUILT_IN:
+            how = "r2h-batch import hands --from built-in writes its hands as a file"
+            raise FileError(f"hand_set: built-in cannot be joined; {how}")
+        choice = entry.model_dump(exclude={"file"})
+        choice["object"] = tuple(entry.object) if entry.object else None
+        parts.append((path_within(folder, entry.file), HandChoice(**choice)))
+    return hand_set_of(parts, model)
 
 
 def hand_of(path: Path) -> HandModel:
@@ -163,22 +179,27 @@ def _hand(path: str, _: str) -> HandModel:
     return hand_from(Path(path))
 
 
-def hand_set_of(path: Path | None, model: HandModel | None) -> HandSet:
-    """The postures of a file (None: the built-in ones) on a hand (None: the built-in one)."""
-    if path is None:
+def hand_set_of(
+    parts: Sequence[tuple[Path, HandChoice]] | None, model: HandModel | None
+) -> HandSet:
+    """The chosen hands of files, joined (None: the built-in ones), on a hand (None: the built-in
+    one)."""
+    if parts is None:
         return load_hand_set(None, model) if model is not None else load_hand_set()
-    return _hand_set(str(path), _digest(path), load_hand() if model is None else model)
+    known = tuple((str(path), _digest(path), choice) for path, choice in parts)
+    return _hand_set(known, load_hand() if model is None else model)
 
 
 @lru_cache(maxsize=4)
-def _hand_set(path: str, _: str, model: HandModel) -> HandSet:
-    a = read_hand_set(path)
+def _hand_set(parts: tuple[tuple[str, str, HandChoice], ...], model: HandModel) -> HandSet:
+    read = [read_hand_set(path, choice) for path, _, choice in parts]
+    a = {name: np.concatenate([r[name] for r in read]) for name in read[0]}
     try:
         return make_hand_set(
             model, a["pose"], a["shape"], a["side"], a["posture"].tolist(), a["in_body"]
         )
     except ValueError as error:
-        raise FileError(f"{printable(path)}: {printable(error)}") from None
+        raise FileError(f"{printable(parts[0][0])}: {printable(error)}") from None
 
 
 def objects_of(
@@ -368,7 +389,7 @@ class BenchmarkOverrides(BenchmarkFlags):
         """The hand set of --hands on the hand of --hand-model, each else as in `base`."""
         model = hand_of(Path(self.hand_model)) if self.hand_model else base.model
         if self.hands:
-            return hand_set_of(Path(self.hands), model)
+            return hand_set_of([(Path(self.hands), HandChoice())], model)
         if not self.hand_model:
             return base
         a = {k: getattr(base, k).numpy() for k in ("pose", "shape", "side")}

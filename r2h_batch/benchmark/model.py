@@ -19,7 +19,8 @@ from r2h_batch.io.read import FileError, printable, read_yaml
 from r2h_batch.validate import rule_of
 
 __all__ = [
-    "BUILT_IN", "BenchmarkFile", "ObjectEntry", "WordsEntry", "built_in_text", "read_benchmark_file", "read_object_file",
+    "BUILT_IN", "BenchmarkFile", "HandsEntry", "ObjectEntry", "WordsEntry", "built_in_text", "read_benchmark_file",
+    "read_object_file",
 ]  # fmt: skip
 
 BUILT_IN = "built-in"
@@ -97,6 +98,23 @@ class ObjectEntry(_Entry):
     )
 
 
+class HandsEntry(_Entry):
+    """Hands of a set, and which of them; what is left out chooses nothing."""
+
+    file: FilePath = Field(description="a hands.npz (r2h-batch import hands)")
+    side: Literal["right", "left"] | None = None
+    count: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
+        default=None, description="so many of each side, at even steps through the file"
+    )
+    object: Annotated[list[Sentence], Field(min_length=1)] | None = Field(
+        default=None, description="names of the objects that they were recorded with"
+    )
+    contact: bool | None = Field(default=None, description="whether they carry the object")
+    mover: bool | None = Field(
+        default=None, description="whether they carry it longest of the hands of their sequence"
+    )
+
+
 class TableEntry(_Entry):
     """The table as a box along the world's axes, metres."""
 
@@ -139,8 +157,11 @@ class BenchmarkFile(_Entry):
     hand_model: FilePath = Field(
         default=BUILT_IN, description="built-in, or a hand.npz (r2h-batch import hand)"
     )
-    hand_set: FilePath = Field(
-        default=BUILT_IN, description="built-in, or a hands.npz (r2h-batch import hands)"
+    hand_set: (
+        FilePath | Annotated[list[HandsEntry | FilePath], Field(min_length=1, max_length=64)]
+    ) = Field(
+        default=BUILT_IN,
+        description="built-in, a hands.npz (r2h-batch import hands), or a list of sets to join",
     )
     objects: Annotated[list[ObjectEntry], Field(min_length=1, max_length=MAX_OBJECTS)] = Field(
         default=[ObjectEntry(built_in=name) for name in OBJECT_NAMES],

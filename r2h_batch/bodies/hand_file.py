@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.io.read import FileError, printable, read_npz
 
-__all__ = ["check_lengths", "check_postures", "in_body", "read_hand", "read_hand_set"]
+__all__ = [
+    "HELD_S", "HandChoice", "check_lengths", "check_postures", "in_body", "read_hand", "read_hand_set",
+]  # fmt: skip
 
 HAND: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "vertices": ("f", ("V", 3)),
@@ -134,8 +137,75 @@ def read_hand(path: str | Path) -> dict[str, np.ndarray]:
     return {k: v for k, v in arrays.items() if k in HAND or k in given}
 
 
-def read_hand_set(path: str | Path) -> dict[str, np.ndarray]:
-    """pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set, and in_body (H, 3, 3)
+HELD_S = 0.25
+"""A hand that carries the object for this long has contact with it; `import hands` leaves others
+out."""
+
+
+@dataclass(frozen=True)
+class HandChoice:
+    """Which hands of a set are taken; None: all."""
+
+    side: Literal["right", "left"] | None = None
+    count: int | None = None
+    """so many of each side, at even steps through the file"""
+    object: tuple[str, ...] | None = None
+    """names of objects that they were recorded with"""
+    contact: bool | None = None
+    """whether they carry the object"""
+    mover: bool | None = None
+    """whether they carry it longest of the hands of their sequence"""
+
+    def rows(self, arrays: Mapping[str, Any], where: str) -> NDArray[np.int64]:
+        """The rows of these hands in a file's arrays. Raises `FileError`, one line."""
+        side, fits = arrays["side"], np.ones(len(arrays["side"]), bool)
+        known: dict[str, NDArray[Any]] = {}
+        for field, name, kind in (
+            ("object", "object", "U"), ("contact", "held_s", "f"), ("mover", "mover", "b")
+        ):  # fmt: skip
+            if getattr(self, field) is None:
+                continue
+            if name not in arrays or (arrays[name].dtype.kind, arrays[name].shape) != (
+                kind,
+                side.shape,
+            ):
+                raise FileError(
+                    f"{where}: does not know {field} of its hands (no {name}); leave it out"
+                )
+            known[field] = arrays[name]
+        if self.object is not None:
+            if missing := set(self.object) - set(known["object"].tolist()):
+                there = ", ".join(map(printable, sorted(set(known["object"].tolist()))[:20]))
+                raise FileError(
+                    f"{where}: no hand with the object {min(missing)!r}; there are {there}"
+                )
+            fits &= np.isin(known["object"], self.object)
+        if self.contact is not None:
+            held = known["contact"]
+            fits &= held >= HELD_S if self.contact else held < HELD_S
+        if self.mover is not None:
+            fits &= known["mover"] == self.mover
+        taken = []
+        for number, name in enumerate(("right", "left")):
+            rows = np.flatnonzero(fits & (side == number))
+            if self.side not in (None, name):
+                continue
+            if self.count is not None and self.side is None and not len(rows):
+                continue
+            if self.count is not None and len(rows) < self.count:
+                raise FileError(
+                    f"{where}: {len(rows)} {name} hands fit; count asks for {self.count}"
+                )
+            n = len(rows) if self.count is None else self.count
+            taken.append(rows[np.arange(n) * len(rows) // max(n, 1)])
+        chosen = np.concatenate(taken) if taken else np.zeros(0, np.int64)
+        if not len(chosen):
+            raise FileError(f"{where}: none of {len(side)} hands fit {printable(self)}")
+        return chosen
+
+
+def read_hand_set(path: str | Path, choice: HandChoice = HandChoice()) -> dict[str, np.ndarray]:
+    """Of the chosen hands: pose (H, 48), shape (H, 10), side (H,), posture (H,) of a hand set, and in_body (H, 3, 3)
     float64: how each was turned to its body (`HandSet.in_body`), NaN where the file does not know.
     Raises `FileError`, one line."""
     where, arrays = printable(path), read_npz(Path(path))
@@ -148,7 +218,8 @@ def read_hand_set(path: str | Path) -> dict[str, np.ndarray]:
         check_postures(arrays["pose"], arrays["shape"])
     except ValueError as error:
         raise FileError(f"{where}: {error}") from None
-    return {**{k: arrays[k] for k in SET}, "in_body": in_body(arrays, sizes["H"], where)}
+    turned, rows = in_body(arrays, sizes["H"], where), choice.rows(arrays, where)
+    return {k: v[rows] for k, v in {**{k: arrays[k] for k in SET}, "in_body": turned}.items()}
 
 
 def in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.hand import HandModel, load_hand, load_hand_set
-from r2h_batch.bodies.hand_file import check_postures, in_body
+from r2h_batch.bodies.hand_file import HELD_S, check_postures, in_body
 from r2h_batch.command_line import tell
 from r2h_batch.importers.data_sets import DATA_SETS, HandMotion, oakink_receivers
 from r2h_batch.importers.mano import ManoHand
@@ -50,8 +50,6 @@ STEP_S, CARRIED_M, SLIP, NEAR_M = 0.1, 0.004, 1 / 3, 0.5
 """A hand carries an object in a step of `STEP_S` if the object takes the wrist's place along by
 `CARRIED_M` or more, and the wrist goes elsewhere by at most `SLIP` of that. It is `NEAR_M` from the
 object's origin at most: both hands of somebody who walks move alike [choice]."""
-IDLE_S = 0.25
-"""A hand that carries the object for less takes no part."""
 WIDTHS = {"hand": (6, np.float32), "object": (6, np.float32), "fingers": (45, np.float16)}
 
 
@@ -141,7 +139,7 @@ def collect(
                     h,
                 )
                 for i, (h, s) in enumerate(zip(hands, held, strict=True))
-                if idle or not s < IDLE_S
+                if idle or not s < HELD_S
             ]
         except (FileError, OSError, ValueError) as error:
             text = " ".join(printable(error).split())

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 
 from r2h_batch import Evaluator, make_trials
 from r2h_batch.__main__ import main
-from r2h_batch.benchmark import built_in
+from r2h_batch.benchmark import built_in, read_benchmark
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.benchmark.trials_file import read_trials_file
 from r2h_batch.bodies.arrays import asset, read_arrays
@@ -218,3 +219,59 @@ def test_what_the_flags_cannot_mean_is_refused_in_one_line(tmp_path, capsys):
         assert main(["sweep", "--method", "fc", "--trials", "1", *map(str, flags)]) == 2
         told = capsys.readouterr()
         assert told.out == "" and len(told.err.splitlines()) == 1 and words in told.err
+
+
+@pytest.fixture
+def sets(tmp_path):
+    """Two sets of our own hands: six with what is known of them, four without."""
+    own = load_hand_set()
+    rows = np.array([0, 1, 2, 200, 201, 202])
+    known = {
+        "object": np.array(["mug", "cup", "mug", "mug", "cup", "cup"]),
+        "held_s": np.array([0.5, 0.1, 0.4, 0.3, np.nan, 2.0], np.float32),
+        "mover": np.array([True, False, True, False, True, True]),
+    }
+    for name, at, more in (("a", rows, known), ("b", np.array([7, 8, 207, 208]), {})):
+        arrays = {k: getattr(own, k).numpy()[at] for k in ("pose", "shape", "side")}
+        np.savez(tmp_path / f"{name}.npz", **arrays, posture=np.array([f"{name}{i}" for i in range(len(at))]), **more)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("said", "postures"),
+    [
+        ("[a.npz, b.npz]", "a0 a1 a2 b0 b1 a3 a4 a5 b2 b3"),
+        ("[{file: a.npz, side: left}, {file: b.npz, side: right}]", "b0 b1 a3 a4 a5"),
+        ("[{file: a.npz, count: 2}]", "a0 a1 a3 a4"),
+        ("[{file: a.npz, object: [mug]}]", "a0 a2 a3"),
+        ("[{file: a.npz, contact: true}]", "a0 a2 a3 a5"),
+        ("[{file: a.npz, mover: true, side: left, count: 1}, b.npz]", "b0 b1 a4 b2 b3"),
+    ],
+)
+def test_hand_sets_are_joined_and_chosen_from(sets, said, postures):
+    (sets / "b.yaml").write_text(f"hand_set: {said}\n")
+    found = read_benchmark(sets / "b.yaml").hand_set
+    assert " ".join(found.posture) == postures and (np.diff(found.side.numpy()) >= 0).all()
+    own = load_hand_set()
+    numbers = {"a": [0, 1, 2, 200, 201, 202], "b": [7, 8, 207, 208]}
+    rows = [numbers[p[0]][int(p[1])] for p in found.posture]
+    assert torch.equal(found.pose, own.pose[rows]) and torch.equal(found.side, own.side[rows])
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ("[{file: a.npz, side: left, count: 4}]", "a.npz: 3 left hands fit; count asks for 4"),
+        ("[{file: a.npz, object: [pan]}]", "no hand with the object 'pan'; there are cup, mug"),
+        ("[{file: b.npz, mover: true}]", "does not know mover of its hands"),
+        ("[built-in]", "built-in cannot be joined"),
+        ("[../a.npz]", "points outside the folder"),
+        ("[{file: a.npz, sid: left}]", "sid"),
+        ("[]", "hand_set"),
+    ],
+)
+def test_a_choice_of_hands_that_cannot_be_is_one_line(sets, said, why):
+    (sets / "b.yaml").write_text(f"hand_set: {said}\n")
+    with pytest.raises(FileError, match=re.escape(why)) as refused:
+        read_benchmark(sets / "b.yaml")
+    assert "\n" not in str(refused.value) and len(str(refused.value)) < 300
