@@ -41,7 +41,8 @@ from r2h_batch.bodies.objects import (
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.command_line import nearest
 from r2h_batch.config import Workplace
-from r2h_batch.importers.any_file import GRASP_FILES, grasps_from, hand_from, without_gripper
+from r2h_batch.importers.grasp_files import GRASP_FILES, grasps_from, without_gripper
+from r2h_batch.importers.mano import hand_from
 from r2h_batch.io.read import FileError, path_within, printable, read_file, read_npy
 from r2h_batch.schedule import PROTOCOLS
 

@@ -30,7 +30,10 @@ def numbers(value: Any, shape: tuple[int | None, ...], what: str, *, most: float
     """The array as float64 if it has this shape (None: any length, at most 200,000) and finite
     numbers of at most `most`."""
     listed = isinstance(value, list) and _size(value) <= 48 * MAX_FRAMES
-    value = np.asarray(value) if listed or isinstance(value, (np.ndarray, np.generic)) else None
+    try:
+        value = np.asarray(value) if listed or isinstance(value, (np.ndarray, np.generic)) else None
+    except ValueError:  # lists of different lengths
+        value = None
     fits = value is not None and value.dtype.kind in "biuf" and value.ndim == len(shape)
     if (
         value is None

@@ -14,12 +14,14 @@ from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import check_output_file, check_output_folder
 
 if TYPE_CHECKING:
-    from r2h_batch.bodies.grasp_set import GraspSet
     from r2h_batch.importers.mano import ManoHand
 
 __all__ = ["grasps", "hand", "hands", "import_main", "main", "objects", "trials"]
 
 Frame = Literal["aperture", "first", "middle", "last"]
+Gripper = Literal[
+    "acronym-panda", "panda-hand", "graspgen-franka", "graspgen-2f-140", "2f-85-base", "graspgen-2f-85", "ee"
+]  # fmt: skip
 
 
 def hand(
@@ -127,10 +129,11 @@ def grasps(
     file: Annotated[Path, tyro.conf.Positional],
     *,
     source: Annotated[
-        Literal["acronym", "graspnet", "isaac", "own"], tyro.conf.arg(name="from", metavar="SOURCE")
+        Literal["acronym", "graspnet", "graspgen", "isaac", "poses", "own"],
+        tyro.conf.arg(name="from", metavar="SOURCE"),
     ],
     out: Path,
-    gripper: Literal["acronym-panda", "panda-hand", "2f-85-base", "ee"] | None = None,
+    gripper: Gripper | None = None,
     object_id: int | None = None,
     pose: Path | None = None,
     overwrite: bool = False,
@@ -142,11 +145,11 @@ def grasps(
     are counted there.
 
     Args:
-        file: ACRONYM's .h5, graspnetAPI's .npy (N x 17), an isaac_grasp .yaml, or our own .npz or
-            .safetensors to check.
-        source: Whose it is: acronym, graspnet, isaac (also GraspGen), own.
+        file: ACRONYM's .h5, graspnetAPI's .npy (N x 17) or GraspNet's _labels.npz, an isaac_grasp
+            .yaml, GraspGen's .json, poses as .npy (N x 4 x 4), or our own .npz or .safetensors to check.
+        source: Whose it is: acronym, graspnet, graspgen, isaac (also GraspGen's predictions), poses, own.
         out: The grasps to write, .npz.
-        gripper: Whose frame an isaac_grasp file is in; needed for those.
+        gripper: Whose frame the grasps are in; graspgen, isaac and poses need it.
         object_id: Which object's grasps of a graspnet file.
         pose: T_obj_source, .npy of 4 x 4, for a graspnet file: the frame that the network saw in
             the object's frame.
@@ -154,10 +157,19 @@ def grasps(
     """
     import numpy as np
 
+    from r2h_batch.importers.arrays import numbers
+    from r2h_batch.importers.grasp_files import NEED_GRIPPER, read_file_of
+    from r2h_batch.io.read import read_npy
     from r2h_batch.io.write import write_npz
 
     target = _npz(out, overwrite)
-    found, left_out = _grasps(file, source, gripper, object_id, pose)
+    given = {"--gripper": gripper, "--object-id": object_id, "--pose": pose}
+    allowed = ["--gripper"] if source in NEED_GRIPPER else []
+    allowed = ["--object-id", "--pose"] if source == "graspnet" else allowed
+    if wrong := [k for k, v in given.items() if v is not None and k not in allowed]:
+        raise UsageError(f"{wrong[0]} says nothing about grasps from {source}")
+    T = None if pose is None else numbers(read_npy(pose, most=4096), (4, 4), str(pose))
+    found, left_out = read_file_of(source, file, gripper, object_id=object_id, T_obj_source=T)
     write_npz(target, {**found.arrays(), "gripper": np.array(found.gripper)})
     print(
         f"{counted(len(found), 'grasps')} of the {found.gripper} in {target}; {left_out} left out"
@@ -235,32 +247,6 @@ def trials(
     )
 
     return 0
-
-
-def _grasps(
-    file: Path, source: str, gripper: str | None, object_id: int | None, pose: Path | None
-) -> "tuple[GraspSet, int]":
-    from r2h_batch.bodies.grasp_set import read_grasps
-    from r2h_batch.importers.arrays import numbers
-    from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
-    from r2h_batch.io.read import read_npy
-
-    given = {"--gripper": gripper, "--object-id": object_id, "--pose": pose}
-    allowed = {"isaac": ["--gripper"], "graspnet": ["--object-id", "--pose"]}.get(source, [])
-    if wrong := [k for k, v in given.items() if v is not None and k not in allowed]:
-        raise UsageError(f"{wrong[0]} says nothing about grasps from {source}")
-    if source == "acronym":
-        return acronym.read(file)
-    if source == "graspnet":
-        T = None if pose is None else numbers(read_npy(pose, most=4096), (4, 4), str(pose))
-        return graspnet.read(file, object_id=object_id, T_obj_source=T)
-    if source == "own":
-        return read_grasps(file), 0
-    if gripper is None:
-        raise UsageError(
-            "--gripper is needed: an isaac_grasp file does not say whose frame it is in"
-        )
-    return isaac_grasp.read(file, gripper)
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch import") -> int:

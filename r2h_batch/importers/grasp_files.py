@@ -3,7 +3,7 @@
 | file | is | frame |
 |---|---|---|
 | .h5, .hdf5 | ACRONYM (Eppner et al. 2021): grasps/transforms, those that held in simulation | the Panda's hand |
-| .npy, N x 17 | graspnetAPI's arrays (Fang et al. 2020): [score, width, height, depth, R (9), t (3), object] | the network's input |
+| .npy, N x 17 | graspnetAPI (Fang et al. 2020): [score, width, height, depth, R (9), t (3), object] | the network's input |
 | .npz with points, offsets, scores | GraspNet-1Billion's grasp_label/*_labels.npz | the object's model |
 | .yaml | isaac_grasp 1.0 (Isaac Sim; GraspGen's predictions): position, orientation, confidence | GRIPPER's |
 | .json | GraspGen's data set (Murali et al. 2025): grasps/transforms, object_in_gripper | GRIPPER's |
@@ -19,8 +19,8 @@ mm (half a 2F-85 pad) behind the tips.
 | acronym-panda | +z | x | z 0.11217 m | acronym_tools/acronym.py, create_gripper_marker |
 | panda-hand | +z | y | z 0.1122 m | franka_description: fingers at z 0.0584, 0.0538 long, sliding along y |
 | graspgen-franka | +z | x | z 0.1122 m | GraspGen, franka_panda.py: the same fingers, sliding along x |
-| graspgen-robotiq | +z | x | pads at z 0.1303 m | GraspGen, robotiq_2f_85.yaml: contact points of a 2F-85 |
-| graspgen-robotiq-140 | +z | x | pads at z 0.195 m | GraspGen, robotiq_2f_140.yaml, as above |
+| graspgen-2f-85 | +z | x | pads at half stroke | GraspGen, robotiq_2f_85.yaml: open pads at z 0.1303 m, ours at 0.1308 |
+| graspgen-2f-140 | +z | x | pads at z 0.195 m | GraspGen, robotiq_2f_140.yaml: contact points |
 | 2f-85-base | +z | y | pads at half stroke | this package's robot: the gripper's base, without coupling |
 | ee | +z | y | our own frame | README |
 | (GraspNet) | +x | y | x depth | graspnetAPI, plot_gripper_pro_max: fingers end at `depth` along x |
@@ -54,11 +54,12 @@ PADS_M = {
     "acronym-panda": ("x", 0.11217 - PAD_HALF_M),
     "panda-hand": ("y", 0.1122 - PAD_HALF_M),
     "graspgen-franka": ("x", 0.1122 - PAD_HALF_M),
-    "graspgen-robotiq": ("x", 0.130324),
-    "graspgen-robotiq-140": ("x", 0.195),
+    "graspgen-2f-140": ("x", 0.195),
 }
 """Closing axis, and the middle of our pads along z."""
-GRIPPERS = (*PADS_M, "2f-85-base", "ee")
+OWN = ("2f-85-base", "graspgen-2f-85", "ee")
+"""Frames of our own gripper: its grasps stay where they are."""
+GRIPPERS = (*PADS_M, *OWN)
 YAML = (".yaml", ".yml")
 FRAMELESS = (*YAML, ".json")
 """Files that do not say whose frame they are in: FILE:GRIPPER does."""
@@ -73,21 +74,21 @@ Found = tuple[GraspSet, int]
 
 def T_gripper_ee(name: str) -> F64:
     """(4, 4) our ee frame in the frame of a gripper of `GRIPPERS`."""
-    T = np.eye(4)
-    if name == "2f-85-base":
-        T[2, 3] = float(np.asarray(pad_center_z(drive_from_gap(np.array(OPEN_GAP_M / 2)))))
-    elif name != "ee":
-        closing, T[2, 3] = PADS_M[name]
-        if closing == "x":
-            T[:3, :3] = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]  # our y is their x
+    T, half_stroke = np.eye(4), np.array(OPEN_GAP_M / 2)
+    if name == "ee":
+        return T
+    half_open = float(np.asarray(pad_center_z(drive_from_gap(half_stroke))))
+    ours = {"2f-85-base": ("y", half_open), "graspgen-2f-85": ("x", half_open)}
+    closing, T[2, 3] = {**PADS_M, **ours}[name]
+    if closing == "x":
+        T[:3, :3] = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]  # our y is their x
     return T
 
 
 def _of_gripper(T: F64, gripper: str, where: str, **more: F64) -> GraspSet:
     """Grasps of a gripper of `GRIPPERS` in its own frame."""
-    own = gripper in ("ee", "2f-85-base", "graspgen-robotiq")
     arrays = {"T_obj_ee": T @ T_gripper_ee(gripper), **more}
-    return checked_grasps(arrays, where, "2f-85" if own else gripper)
+    return checked_grasps(arrays, where, "2f-85" if gripper in OWN else gripper)
 
 
 def acronym(path: Path, **_: Any) -> Found:
@@ -172,7 +173,9 @@ def _graspnet_labels(path: Path, T_obj_source: F64 | None) -> Found:
         if name in found and found[name].dtype.kind == kind:
             continue
         if name != "collision":
-            raise FileError(f"{where}: has no {name}; it is no label of GraspNet's, nor our own format")
+            raise FileError(
+                f"{where}: has no {name}; it is no label of GraspNet's, nor our own format"
+            )
     points = numbers(found["points"], (None, 3), f"{where} points")
     grid = (len(points), VIEWS, ANGLES, DEPTHS)
     score, offsets = found["scores"], found["offsets"]
@@ -185,7 +188,7 @@ def _graspnet_labels(path: Path, T_obj_source: F64 | None) -> Found:
     best = good[np.argsort(score.ravel()[good], kind="stable")[:BEST]]
     point, view, _, _ = np.unravel_index(best, grid)
     angle, depth, width = numbers(offsets.reshape(-1, 3)[best], (None, 3), f"{where} offsets").T
-    R = _views()[view] @ Rotation.from_euler("x", angle).as_matrix()
+    R = _views()[view] @ Rotation.from_rotvec(np.outer(angle, [1.0, 0.0, 0.0])).as_matrix()
     T = _graspnet_poses(R, points[point], depth, T_obj_source)
     arrays = {"T_obj_ee": T, "width": width, "score": 1.1 - score.ravel()[best].astype(np.float64)}
     return checked_grasps(arrays, where, "graspnet"), score.size - len(best)
@@ -236,7 +239,9 @@ def graspgen(path: Path, *, gripper: str, **_: Any) -> Found:
     where, found = printable(path), read_json(path)
     grasps = found.get("grasps") if isinstance(found, dict) else None
     if not isinstance(grasps, dict):
-        raise FileError(f"{where}: has no grasps with transforms; it is no file of GraspGen's data set")
+        raise FileError(
+            f"{where}: has no grasps with transforms; it is no file of GraspGen's data set"
+        )
     T = numbers(grasps.get("transforms"), (None, 4, 4), f"{where} transforms")
     held = numbers(grasps.get("object_in_gripper"), (len(T),), f"{where} object_in_gripper")
     return _held(T, held, gripper, where)
@@ -267,7 +272,7 @@ def read_file_of(source: str, path: Path, gripper: str | None = None, **more: An
     if source in NEED_GRIPPER and gripper is None:
         allowed = ", ".join(GRIPPERS)
         raise FileError(
-            f"{printable(path)}: does not say whose frame it is in; say FILE:GRIPPER or --gripper, one of {allowed}"
+            f"{printable(path)}: does not say whose frame it is in; say --gripper, or FILE:GRIPPER, one of {allowed}"
         )
     return SOURCES[source](path, gripper=gripper, **more)
 
@@ -281,7 +286,7 @@ def grasps_from(argument: str | Path) -> GraspSet:
     kind = source.get(ending, "own")
     if ending == ".npy":
         kind = "poses" if gripper else "graspnet"
-    elif ending == ".npz" and "points" in (_names(path) or ()):
+    elif path.name.endswith("_labels.npz"):
         kind = "graspnet"
     if gripper and kind not in NEED_GRIPPER:
         raise FileError(f"{where}: says itself whose grasps it holds; leave :{gripper} out")

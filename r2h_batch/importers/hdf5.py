@@ -3,7 +3,7 @@ goes in circles.
 
 HDF5 can name other files. Every step of a path must lie in this file; datasets that keep their
 numbers elsewhere, or are put together from others, are refused. `python -m
-r2h_batch.importers.grasps.hdf5` is the child.
+r2h_batch.importers.hdf5` is the child.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def read_datasets(path: Path, most: Mapping[str, int], optional: str = "") -> di
     """
     if find_spec("h5py") is None:
         raise FileError("ACRONYM's .h5 needs h5py: pip install 'r2h_batch[import]'")
-    where, child = printable(path), "r2h_batch.importers.grasps.hdf5"
+    where, child = printable(path), "r2h_batch.importers.hdf5"
     with open_file(path, MOST) as file:
         try:
             arrays = read_in_child(

@@ -1,5 +1,6 @@
 """Grasp files of ACRONYM, GraspNet, isaac_grasp and our own: small files in their formats, one grasp type out."""
 
+import json
 import warnings
 from dataclasses import replace
 
@@ -15,8 +16,7 @@ from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies.grasp_set import GraspSet, read_grasps
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.importers.grasps import acronym, graspnet, isaac_grasp
-from r2h_batch.importers.grasps.grippers import PAD_HALF_M, T_gripper_ee
+from r2h_batch.importers.grasp_files import PAD_HALF_M, T_gripper_ee, read_file_of
 from r2h_batch.io.read import FileError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps.own import seat_grasps
@@ -33,7 +33,7 @@ def fingers(T_obj_ee, half_gap=0.02):
 @needs("h5py")
 def test_acronym_fingertips_and_approach_stay_where_they_were(tmp_path):
     T, held = poses(50), (np.arange(50) % 3 > 0).astype(np.int64)
-    found, left_out = acronym.read(write_acronym(tmp_path / "mug.h5", T, held))
+    found, left_out = read_file_of("acronym", write_acronym(tmp_path / "mug.h5", T, held))
     assert len(found) == held.sum() and left_out == (held == 0).sum() and found.gripper == "acronym-panda"
     tips, approach = fingers(found.T_obj_ee.astype(np.float64))
     theirs = np.array([[s * 0.02, 0.0, 0.11217, 1.0] for s in (1, -1)])  # the Panda of ACRONYM closes along its x
@@ -49,9 +49,9 @@ def test_graspnet_vectors_of_one_object_out_of_the_cameras_frame(tmp_path):
     rows = np.column_stack([np.linspace(1, 0.1, 8), width, np.full(8, 0.02), depth, R.reshape(8, 9), t, ids])
     np.save(tmp_path / "scene.npy", rows)
     with pytest.raises(FileError, match="2 objects; choose one with --object-id"):
-        graspnet.read(tmp_path / "scene.npy")
+        read_file_of("graspnet", tmp_path / "scene.npy")
     camera = poses(1, 9)[0]
-    found, left_out = graspnet.read(tmp_path / "scene.npy", object_id=5, T_obj_source=camera)
+    found, left_out = read_file_of("graspnet", tmp_path / "scene.npy", object_id=5, T_obj_source=camera)
     mine = ids == 5
     assert len(found) == 6 and left_out == 2 and np.allclose(found.width, width[mine])
     tips, approach = fingers(found.T_obj_ee.astype(np.float64), 0.03)
@@ -61,21 +61,72 @@ def test_graspnet_vectors_of_one_object_out_of_the_cameras_frame(tmp_path):
     assert np.abs(approach - R[mine][:, :, 0] @ camera[:3, :3].T).max() < 1e-6
 
 
-@pytest.mark.parametrize("gripper, closing", [("panda-hand", 1), ("acronym-panda", 0)])
-def test_isaac_grasp_takes_the_named_grippers_frame(tmp_path, gripper, closing):
+@pytest.mark.parametrize("gripper, closing, tip", [
+    ("panda-hand", 1, 0.1122), ("acronym-panda", 0, 0.1122), ("graspgen-franka", 0, 0.1122),
+    ("graspgen-2f-85", 0, 0.1422 + PAD_HALF_M), ("graspgen-2f-140", 0, 0.195 + PAD_HALF_M),
+])  # fmt: skip
+@pytest.mark.parametrize("kind", ["isaac", "graspgen", "poses"])
+def test_a_file_without_a_frame_takes_the_named_grippers(tmp_path, gripper, closing, tip, kind):
+    """Fingertips stand where GraspGen's robot files have them: pads of the open 2F-85 at z 0.1303, 0.1422 at half stroke."""
     T, confidence = poses(12, 3), np.linspace(1, 0, 12)
-    found, _ = isaac_grasp.read(write_isaac(tmp_path / "g.yaml", T, confidence), gripper)
+    if kind == "isaac":
+        found, _ = read_file_of(kind, write_isaac(tmp_path / "g.yaml", T, confidence), gripper)
+    elif kind == "graspgen":
+        held = np.arange(15) % 5 > 0
+        every = np.tile(np.eye(4), (15, 1, 1))
+        every[held] = T
+        file = {
+            "object": {"file": "a.obj", "scale": 0.1},
+            "grasps": {"transforms": every.tolist(), "object_in_gripper": held.tolist()},
+        }
+        (tmp_path / "g.json").write_text(json.dumps(file))
+        found, left_out = read_file_of(kind, tmp_path / "g.json", gripper)
+        assert left_out == 3
+        confidence = np.ones(12)
+    else:
+        np.save(tmp_path / "g.npy", T)
+        found, _ = read_file_of(kind, tmp_path / "g.npy", gripper)
     tips, approach = fingers(found.T_obj_ee.astype(np.float64))
     local = np.zeros((2, 4))
-    local[:, closing], local[:, 2], local[:, 3] = (0.02, -0.02), 0.1122, 1.0
+    local[:, closing], local[:, 2], local[:, 3] = (0.02, -0.02), tip, 1.0
     want = (T @ local.T).transpose(0, 2, 1)[:, :, :3]
     assert np.abs(tips - want).max() < 5e-5 and np.abs(approach - T[:, :3, 2]).max() < 1e-6
-    assert np.abs(found.score - confidence).max() < 1e-6 and found.gripper == gripper
+    assert np.abs(found.score - confidence).max() < 1e-6
+    assert found.gripper == ("2f-85" if gripper == "graspgen-2f-85" else gripper), (
+        "our own gripper's stay where they are"
+    )
+
+
+def test_labels_of_graspnet_are_the_grasps_that_graspnetAPI_makes_of_them(tmp_path):
+    """One grasp computed with graspnetAPI's recipe: the view's axis, a turn about it, a depth along it."""
+    grid = (2, 300, 12, 4)
+    scores = np.full(grid, -1.0, np.float32)
+    offsets = np.zeros((*grid, 3), np.float32)
+    collision = np.zeros(grid, bool)
+    for at, score in (((0, 40, 3, 1), 0.2), ((1, 250, 7, 3), 0.1), ((1, 9, 0, 0), 0.3), ((0, 9, 0, 0), 0.9)):
+        scores[at], offsets[at] = score, (at[2] * np.pi / 12, 0.01 * (at[3] + 1), 0.05)
+    collision[1, 9, 0, 0] = True
+    points = np.array([[0.01, 0.02, 0.03], [-0.02, 0.0, 0.01]])
+    path = tmp_path / "005_labels.npz"
+    np.savez(path, points=points, offsets=offsets, scores=scores, collision=collision)
+    found, left_out = read_file_of("graspnet", path)
+    assert len(found) == 2 and left_out == scores.size - 2 and np.allclose(found.score, [1.0, 0.9])
+    tips, approach = fingers(found.T_obj_ee.astype(np.float64))
+    for row, (point, view, angle, depth) in enumerate([(1, 250, 7, 3), (0, 40, 3, 1)]):
+        z = (2 * view + 1) / 300 - 1
+        turn = 2 * view * np.pi * (np.sqrt(5) - 1) / 2
+        axis = -np.array([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z])
+        level = np.array([-axis[1], axis[0], 0]) / np.hypot(axis[0], axis[1])
+        closing = Rotation.from_rotvec(axis * angle * np.pi / 12).apply(level)
+        end = points[point] + 0.01 * (depth + 1) * axis
+        assert np.abs(approach[row] - axis).max() < 1e-6
+        assert np.abs(tips[row] - [end + 0.02 * closing, end - 0.02 * closing]).max() < 1e-6
+    assert BenchmarkOverrides(grasps=(f"cup={path}",)).read().objects
 
 
 def test_our_own_gripper_needs_no_new_place(tmp_path):
     T = poses(3, 5)
-    found, _ = isaac_grasp.read(write_isaac(tmp_path / "g.yaml", T, np.ones(3)), "ee")
+    found, _ = read_file_of("isaac", write_isaac(tmp_path / "g.yaml", T, np.ones(3)), "ee")
     assert found.gripper == "2f-85" and np.abs(found.T_obj_ee - T).max() < 1e-6
     robot = load_robot()
     base = robot.T_flange_ee.copy()
@@ -150,11 +201,11 @@ def test_the_command_writes_a_file_that_reads_back(tmp_path, capsys):
     out = tmp_path / "mug.npz"
     assert main(["import", "grasps", str(h5), "--from", "acronym", "--out", str(out)]) == 0
     assert capsys.readouterr().out == f"20 grasps of the acronym-panda in {out}; 0 left out\n"
-    assert read_grasps(out).digest == acronym.read(h5)[0].digest
+    assert read_grasps(out).digest == read_file_of("acronym", h5)[0].digest
     capsys.readouterr()  # on a busy machine reading is told after 5 s
     for line, message in (
         (["--from", "acronym", "--gripper", "ee"], "--gripper says nothing about grasps from acronym"),
-        (["--from", "isaac"], "--gripper is needed"),
+        (["--from", "isaac"], "say --gripper, or FILE:GRIPPER, one of"),
         (["--from", "own"], "an .npz or .safetensors"),
     ):
         assert main(["import", "grasps", str(h5), "--out", str(tmp_path / "x.npz"), *line]) == 2
@@ -189,7 +240,7 @@ def test_a_flag_takes_each_format_as_it_is_and_gives_what_import_gives(tmp_path,
         assert ("1 left out" in capsys.readouterr().err) == (source == "acronym")
     (tmp_path / "b.yaml").write_text("objects: [{built_in: cup, grasps: 'mug.yaml:ee'}]\n")
     (cup,) = read_benchmark(tmp_path / "b.yaml").objects
-    assert cup.grasps.digest == isaac_grasp.read(tmp_path / "mug.yaml", "ee")[0].digest
+    assert cup.grasps.digest == read_file_of("isaac", tmp_path / "mug.yaml", "ee")[0].digest
 
 
 def test_a_name_of_another_case_is_told_the_nearest_object(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from needs import needs
 
 from r2h_batch.benchmark.build import BenchmarkOverrides
 from r2h_batch.bodies.grasp_set import read_grasps
-from r2h_batch.importers.grasps import acronym, graspnet, hdf5, isaac_grasp
+from r2h_batch.importers import hdf5
+from r2h_batch.importers.grasp_files import grasps_from, read_file_of
 from r2h_batch.io.read import FileError
 
 
@@ -55,7 +57,7 @@ def linked(tmp_path, kind):
 def test_hdf5_that_names_other_files_or_lies_about_its_size_is_refused(tmp_path, kind, message):
     path = linked(tmp_path, kind)
     with pytest.raises(FileError, match=message) as refused:
-        acronym.read(path)
+        read_file_of("acronym", path)
     assert str(refused.value).startswith(str(path)) and "\n" not in str(refused.value)
 
 
@@ -128,7 +130,7 @@ def test_yaml_that_is_no_grasp_file_is_refused_in_one_line(tmp_path, text, messa
     path = tmp_path / "g.yaml"
     path.write_text(text)
     with pytest.raises(FileError, match=message) as refused:
-        isaac_grasp.read(path, "panda-hand")
+        read_file_of("isaac", path, "panda-hand")
     assert "\n" not in str(refused.value)
 
 
@@ -140,7 +142,7 @@ def test_a_file_that_leads_hdf5_in_circles_is_ended_with_its_process(tmp_path, m
     path.write_bytes(data)
     monkeypatch.setattr(hdf5, "MOST_SECONDS", 2)
     with pytest.raises(FileError, match=r"mug.h5: takes more than 2 s of CPU time to read, or ends its reader"):
-        acronym.read(path)
+        read_file_of("acronym", path)
 
 
 @needs("h5py")
@@ -152,10 +154,10 @@ def test_acronym_of_another_gripper_or_without_success_is_refused(tmp_path):
     ):
         path = write_acronym(tmp_path / f"{name}.h5", poses(4), np.full(4, held), gripper)
         with pytest.raises(FileError, match=message):
-            acronym.read(path)
+            read_file_of("acronym", path)
     (tmp_path / "c.h5").write_bytes(os.urandom(4096))
     with pytest.raises(FileError, match="not a readable HDF5 file"):
-        acronym.read(Path(tmp_path / "c.h5"))
+        read_file_of("acronym", Path(tmp_path / "c.h5"))
 
 
 def test_graspnet_rows_that_can_be_no_grasp_are_named(tmp_path):
@@ -171,13 +173,34 @@ def test_graspnet_rows_that_can_be_no_grasp_are_named(tmp_path):
     ):
         np.save(tmp_path / "cup.npy", array)
         with pytest.raises(FileError, match=f"cup.npy: {why}"):
-            graspnet.read(tmp_path / "cup.npy")
+            read_file_of("graspnet", tmp_path / "cup.npy")
+
+
+@pytest.mark.parametrize(
+    ("name", "write", "why"),
+    [
+        ("a.json", lambda p: p.write_text('{"grasps": 3}'), "has no grasps with transforms"),
+        ("b.json", lambda p: p.write_text('{"grasps": {"transforms": [[1, 2], [3]]}}'), "transforms is"),
+        ("c.json", lambda p: p.write_text(json.dumps({"grasps": {"transforms": poses(2).tolist(), "object_in_gripper": [0, 0]}})),
+         "none of 2 grasps held"),
+        ("d.npy", lambda p: np.save(p, np.zeros((3, 3, 3))), "is (3, 3, 3) of float64; need any x 4 x 4"),
+        ("e_labels.npz", lambda p: np.savez(p, points=np.zeros((1, 3))), "has no offsets"),
+        ("f_labels.npz", lambda p: np.savez(p, points=np.zeros((1, 3)), offsets=np.zeros((1, 3)), scores=np.zeros((1, 300))),
+         "scores are (1, 300); need 1 x 300 x 12 x 4"),
+    ],
+)  # fmt: skip
+def test_files_of_graspgen_and_graspnet_that_are_none_are_one_line(tmp_path, name, write, why):
+    write(tmp_path / name)
+    said = tmp_path / name if name.endswith("npz") else f"{tmp_path / name}:graspgen-franka"
+    with pytest.raises(FileError, match=re.escape(why)) as refused:
+        grasps_from(said)
+    assert "\n" not in str(refused.value)
 
 
 def test_a_file_that_does_not_say_whose_frame_it_is_in_is_refused(tmp_path):
     write_isaac(tmp_path / "cup.yaml", poses(2), np.ones(2))
     for said, why in (
-        ("cup.yaml", "say FILE:GRIPPER, one of"),
+        ("cup.yaml", "say --gripper, or FILE:GRIPPER, one of"),
         ("cup.npz:ee", "leave :ee out"),
         ("cup.yaml:EE", "'EE' is no gripper, did you mean ee\\?; allowed are acronym-panda"),
         ("cup.yaml:", "'' is no gripper; allowed are"),
@@ -196,4 +219,4 @@ def test_a_chunk_that_is_larger_than_what_it_holds_is_refused_before_it_is_unpac
         del f["grasps/transforms"]
         f.create_dataset("grasps/transforms", data=T, chunks=(200_000, 4, 4), maxshape=(None, 4, 4), compression="gzip")
     with pytest.raises(FileError, match="lies in chunks of 3200000 numbers, more than it holds"):
-        acronym.read(tmp_path / "mug.h5")
+        read_file_of("acronym", tmp_path / "mug.h5")

@@ -1,1 +1,0 @@
-"""Grasps of other data sets and tools in our own ee frame."""
