@@ -51,6 +51,7 @@ from r2h_batch.judge.trace import (
     executed_trace,
     final_pose,
     plan_of_trace,
+    walked,
 )
 from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
@@ -65,6 +66,7 @@ from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
 from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
 from r2h_batch.validate import instance_of, optional
+from r2h_batch.validate_tensors import check_tensor
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
@@ -223,6 +225,8 @@ class Evaluator:
         trials: Trials,
         *,
         length: Int[Tensor, " b"] | None = None,
+        planned_q: Float[Tensor, "b p 6"] | None = None,
+        planned_length: Int[Tensor, " b"] | None = None,
     ) -> Scores:
         """Verdicts of B motions that you planned: the same five criteria and the same columns.
 
@@ -237,6 +241,9 @@ class Evaluator:
             time_s: time of each sample, s; of all motions at once if it is (W,).
             trials: B trials.
             length: how many samples of each motion count, 2 to W; None: all W.
+            planned_q: the plan, where q is what a robot or a simulator made of it: Plan judges the
+                plan, the other criteria judge q. None: q is the plan.
+            planned_length: as `length`, of the plan.
 
         Returns:
             Scores of B rows. INVALID_INPUT: an angle or a time is not finite, times go back, or a
@@ -247,6 +254,12 @@ class Evaluator:
         """
         instance_of(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
         trace = checked_trace(q, time_s, length, len(trials), self.scene.device)
+        plan = trace
+        if planned_q is not None:
+            check_tensor("planned_q", planned_q, "a torch tensor (N, P, 6) of joint angles in rad")
+            order = torch.arange(planned_q.shape[-2], dtype=torch.float32, device=planned_q.device)
+            plan = checked_trace(planned_q, order, planned_length, len(trials), self.scene.device)
+            trace = replace(trace, usable=trace.usable & plan.usable)
         T_world_ee = final_pose(self.scene, trace)
         T_obj_ee, T_world_ee, trials = checked_inputs(
             self.scene, T_obj_ee, T_world_ee, trials, "all"
@@ -256,7 +269,14 @@ class Evaluator:
 
         def part(first: int, last: int) -> Scores:
             rows = slice(first, last)
-            return self._score_trace(T_obj_ee[rows], T_world_ee[rows], trace[rows], trials[rows])
+            own = trace[rows]
+            return self._score_trace(
+                T_obj_ee[rows],
+                T_world_ee[rows],
+                own if plan is trace else plan[rows],
+                own,
+                trials[rows],
+            )
 
         with one_torch_thread(self.scene.device):
             check_indices(self.scene, trials)
@@ -412,16 +432,19 @@ class Evaluator:
         )  # fmt: skip
 
     def _score_trace(
-        self, T_obj_ee: Tensor, T_world_ee: Tensor, trace: Trace, trials: Trials
+        self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: Trace, trace: Trace, trials: Trials
     ) -> Scores:
-        """As `_score_motion`, with the motion given."""
+        """As `_score_motion`, with the plan and the motion given."""
         scene, threads = self.scene, self.threads
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, self.config, threads=threads)
         active, poses = held.active, held.body_poses
         if self.config.receiver == "body":
             assert trials.receiver is not None  # `check_receiver` has refused its absence
             poses = with_person(scene, poses, trials.receiver, hand=True)
-        planned = plan_of_trace(scene, poses, trace, active, threads=threads)
+        planned = plan_of_trace(scene, poses, plan, active, threads=threads)
+        if plan is not trace:
+            path, length = walked(scene, trace, active)
+            planned = replace(planned, path=path, length=length)
         executed, motion = executed_trace(trace, planned)
         moves = active & (planned.length > 0)
         touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)

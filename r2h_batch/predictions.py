@@ -34,6 +34,7 @@ _SHAPES = {"T_obj_ee": (4, 4), "T_world_ee": (4, 4), "t_method_s": ()}
 _WIDTHS = {"trial_id": 1, "T_obj_ee": 16, "T_world_ee": 16, "t_method_s": 1}
 _KEYS = "trial_id (N,) integer, T_obj_ee (N,4,4) and T_world_ee (N,4,4) float32; optional t_method_s (N,), method"
 _MOTION_KEYS = ("q", "time_s", "length")
+_LENGTH_OF = {"q": "length", "time_s": "length", "planned_q": "planned_length"}
 _HOW_MOTIONS = (
     "motions need trial_id or id (N,), T_obj_ee (N,4,4), q (S,6) rad and time_s (S,) s of all "
     "samples one after another, length (N,) samples of each; T_world_ee (N,4,4) where a length is 0"
@@ -57,14 +58,26 @@ class Motions:
     q: Float32[Tensor, "s 6"]  # rad
     time_s: Float32[Tensor, " s"]  # from the motion's first sample on
     length: Int64[Tensor, " n"]  # samples; 0: the answer is a pose
+    planned_q: Float32[Tensor, "p 6"] | None = None  # rad, of plans that the motions differ from
+    planned_length: Int64[Tensor, " n"] | None = None
 
-    def padded(self, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """q (B, W, 6), time_s (B, W) and length (B,) of these answers, as
-        `Evaluator.score_motion` takes them: samples beyond the length repeat the last one."""
-        length, first = self.length[rows], (self.length.cumsum(0) - self.length)[rows]
-        slot = torch.arange(int(length.max()), dtype=torch.int64, device="cpu")
-        at = first[:, None] + slot.minimum(length[:, None] - 1)
-        return self.q[at], self.time_s[at], length
+    def padded(self, rows: Tensor, device: Any = "cpu") -> dict[str, Tensor]:
+        """q (B, W, 6), time_s (B, W), length (B,) and, if there are plans, planned_q and
+        planned_length of these answers, as `Evaluator.score_motion` takes them: samples beyond the
+        length repeat the last one."""
+        at, length = _slots(self.length, rows)
+        found = {"q": self.q[at], "time_s": self.time_s[at], "length": length}
+        if self.planned_q is not None and self.planned_length is not None:
+            at, length = _slots(self.planned_length, rows)
+            found |= {"planned_q": self.planned_q[at], "planned_length": length}
+        return {name: value.to(device) for name, value in found.items()}
+
+
+def _slots(length: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+    """(B, W) places of the rows' samples, the last one repeated, and (B,) lengths."""
+    first, length = (length.cumsum(0) - length)[rows], length[rows]
+    slot = torch.arange(int(length.max()), dtype=torch.int64, device="cpu")
+    return first[:, None] + slot.minimum(length[:, None] - 1), length
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,31 +171,45 @@ def _motions(arrays: dict[str, Any], shown: str) -> Motions:
     """The motions among the arrays, which lose them."""
     if missing := [k for k in _MOTION_KEYS if k not in arrays]:
         raise FileError(f"{shown}: key {missing[0]!r} is missing")
-    q, time_s, length = (arrays.pop(k) for k in _MOTION_KEYS)
     n = len(arrays.get("trial_id", ()))
-    if length.shape != (n,) or length.dtype.kind not in "iu":
-        raise FileError(
-            f"{shown}: 'length' is {length.dtype} {length.shape}; it must be ({n},) of an integer type"
-        )
-    odd = (length < 0) | (length == 1) | (length > MOST_SAMPLES)
-    if odd.any():
-        row = int(odd.argmax())
-        found = f"'length' of row {row} is {length[row]}"
-        raise FileError(f"{shown}: {found}; a motion has 2 to {MOST_SAMPLES} samples, 0: none")
-    samples = int(length.sum())
-    for key, value, shape in (("q", q, (samples, 6)), ("time_s", time_s, (samples,))):
-        if value.shape != shape or value.dtype.name not in ("float32", "float64"):
-            found = f"{key!r} is {value.dtype} {value.shape}"
-            raise FileError(
-                f"{shown}: {found}; it must be float32 or float64 {shape}, the sum of 'length'"
-            )
-    length = length.astype(np.int64)
+    length = _lengths("length", arrays.pop("length"), n, shown)
+    q = _samples("q", arrays.pop("q"), (int(length.sum()), 6), "length", shown)
+    time_s = _samples("time_s", arrays.pop("time_s"), (len(q),), "length", shown)
     first = np.repeat((np.cumsum(length) - length)[length > 0], length[length > 0])
     with np.errstate(over="ignore", invalid="ignore"):
         # a time of day in float32 would have steps of milliseconds
-        seconds = (time_s - time_s[first]).astype(np.float32)
-        angles = q.astype(np.float32)
-    return Motions(torch.from_numpy(angles), torch.from_numpy(seconds), torch.from_numpy(length))
+        found = [q.astype(np.float32), (time_s - time_s[first]).astype(np.float32), length]
+        if "planned_q" in arrays or "planned_length" in arrays:
+            plan = _lengths("planned_length", arrays.pop("planned_length", np.zeros(0)), n, shown)
+            if (odd := (plan == 0) & (length > 0)).any():
+                row = int(odd.argmax())
+                raise FileError(
+                    f"{shown}: 'planned_length' of row {row} is 0; its motion has a plan"
+                )
+            planned = arrays.pop("planned_q", np.zeros(0))
+            planned = _samples("planned_q", planned, (int(plan.sum()), 6), "planned_length", shown)
+            found += [planned.astype(np.float32), plan]
+    return Motions(*map(torch.from_numpy, found))
+
+
+def _lengths(key: str, value: Any, n: int, shown: str) -> Any:
+    if value.shape != (n,) or value.dtype.kind not in "iu":
+        found = f"{key!r} is {value.dtype} {value.shape}"
+        raise FileError(f"{shown}: {found}; it must be ({n},) of an integer type")
+    odd = (value < 0) | (value == 1) | (value > MOST_SAMPLES)
+    if odd.any():
+        row = int(odd.argmax())
+        found = f"{key!r} of row {row} is {value[row]}"
+        raise FileError(f"{shown}: {found}; a motion has 2 to {MOST_SAMPLES} samples, 0: none")
+    return value.astype(np.int64)
+
+
+def _samples(key: str, value: Any, shape: tuple[int, ...], lengths: str, shown: str) -> Any:
+    if value.shape != shape or value.dtype.name not in ("float32", "float64"):
+        found = f"{key!r} is {value.dtype} {value.shape}"
+        how = f"it must be float32 or float64 {shape}, the sum of {lengths!r}"
+        raise FileError(f"{shown}: {found}; {how}")
+    return value
 
 
 def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
@@ -229,15 +256,21 @@ def _parquet(path: Path) -> dict[str, Any]:
         column = table[name].combine_chunks()
         if column.null_count:
             raise FileError(f"{shown}: {printable(name)!r} is empty in {column.null_count} rows")
-        if name in ("q", "time_s") and types.is_list(column.type):
-            arrays.setdefault("length", column.value_lengths().to_numpy(zero_copy_only=False))
+        if name in _LENGTH_OF and types.is_list(column.type):
+            counts = column.value_lengths().to_numpy(zero_copy_only=False)
+            arrays.setdefault(_LENGTH_OF[name], counts)
         while types.is_list(column.type) or types.is_fixed_size_list(column.type):
             column = column.flatten()
         if types.is_dictionary(column.type):
             column = column.dictionary_decode()
         values = np.asarray(column.to_numpy(zero_copy_only=False))
         values = values.astype(np.str_) if name == "id" else values
-        shape = {"q": (-1, 6), "T_obj_ee": (-1, 4, 4), "T_world_ee": (-1, 4, 4)}.get(name, (-1,))
+        shape = {
+            "q": (-1, 6),
+            "planned_q": (-1, 6),
+            "T_obj_ee": (-1, 4, 4),
+            "T_world_ee": (-1, 4, 4),
+        }.get(name, (-1,))
         if values.size % int(abs(np.prod(shape))):
             raise FileError(f"{shown}: {name!r} has {values.size} numbers; its rows need {shape}")
         arrays[name] = values.reshape(shape)

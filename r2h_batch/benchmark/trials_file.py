@@ -9,6 +9,9 @@ metres |
 | `hand` | (N,) whole numbers | int | row of the hand set, right hands first |
 | `pose`, `shape`, `side` | (N, 48), (N, 10), (N,) | lists of 48 and 10, int | instead of `hand`;
 side 0 right, 1 left |
+| `hand`, `skin`, `skin_side`, `T_hand_palm`, `skin_faces`, `skin_piece` | (N,), (H, V, 3), (H,),
+(H, 4, 4), (F, 3), (F,) | - | hands that are meshes: `make_skin_set` of bodies/hand.py; `hand` is a
+row of `skin` |
 | `id`, `variant` | (N,) text | text | optional: what its owner calls the trial, and the method behind
 it |
 """
@@ -23,7 +26,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.hand import HandSet, make_hand_set
+from r2h_batch.bodies.hand import MAX_SKIN_PIECES, HandSet, make_hand_set, make_skin_set
 from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.io.read import FileError, printable, read_npz
@@ -46,6 +49,7 @@ POSTURE = ("pose", "shape", "side")
 WIDTH = {"T_world_hand": 16, "pose": 48, "shape": 10}
 LABELS = ("id", "variant")
 TEXTS = ("object", *LABELS)
+SKIN = ("skin", "T_hand_palm", "skin_faces", "skin_piece", "skin_side")
 KNOWN = ("object", "T_world_hand", "hand", *POSTURE, *LABELS)
 
 Labels = dict[int, tuple[str, str]]
@@ -65,6 +69,8 @@ def read_trials_file(
     if path.suffix not in (".npz", ".parquet"):
         raise FileError(f"{where}: trials are an .npz or .parquet file")
     columns = read_npz(path, most=MAX_BYTES) if path.suffix == ".npz" else _parquet(path)
+    if "skin" in columns:
+        hand_set = _skins(columns, where)
     _check_columns(columns, where)
     T = _poses(columns["T_world_hand"], where)
     object_index = _objects(columns["object"], objects, where)
@@ -151,12 +157,12 @@ def _check_columns(columns: Columns, where: str) -> None:
             )
 
 
-def _poses(T: NDArray[Any], where: str) -> NDArray[np.float32]:
+def _poses(T: NDArray[Any], where: str, name: str = "T_world_hand") -> NDArray[np.float32]:
     R = T[:, :3, :3].astype(np.float64)
     off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > RIGID
     off |= (np.linalg.det(R) < 0) | (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) > RIGID)
     if off.any():
-        raise FileError(f"{where}: T_world_hand of trial {int(off.argmax())} is no rigid pose")
+        raise FileError(f"{where}: {name} of trial {int(off.argmax())} is no rigid pose")
     far = np.abs(T[:, :3, 3]).max(1) > FARTHEST_M
     if far.any():
         raise FileError(
@@ -196,6 +202,39 @@ def _own_hands(columns: Columns, base: HandSet, where: str) -> tuple[HandSet, ND
     except ValueError as error:
         raise FileError(f"{where}: {printable(error).replace('of hand', 'of trial', 1)}") from None
     return own, at.reshape(-1)
+
+
+def _skins(columns: Columns, where: str) -> HandSet:
+    """Hands that are meshes; their columns leave."""
+    if missing := [k for k in SKIN if k not in columns]:
+        raise FileError(f"{where}: has no {missing[0]}; with skin, {', '.join(SKIN)} are needed")
+    a = {k: columns.pop(k) for k in SKIN}
+    h, v, f = len(a["skin"]), a["skin"].shape[1] if a["skin"].ndim == 3 else 0, len(a["skin_faces"])
+    shapes = {
+        "skin": (h, v, 3), "skin_side": (h,), "T_hand_palm": (h, 4, 4), "skin_faces": (f, 3),
+        "skin_piece": (f,),
+    }  # fmt: skip
+    for name, value in a.items():
+        kind = "f" if name in ("skin", "T_hand_palm") else "iu"
+        if value.shape != shapes[name] or value.dtype.kind not in kind or not value.size:
+            need = "floats" if kind == "f" else "whole numbers"
+            found = f"{name} is {value.shape} {value.dtype}"
+            raise FileError(f"{where}: {found}; need {shapes[name]} {need}")
+        if kind == "f" and not (np.abs(value) <= FARTHEST_M).all():
+            raise FileError(f"{where}: {name} holds numbers beyond {FARTHEST_M:g} m")
+    least = min(a[k].min() for k in ("skin_faces", "skin_piece", "skin_side"))
+    if least < 0 or a["skin_faces"].max() >= v or a["skin_side"].max() > 1:
+        raise FileError(f"{where}: skin_faces, skin_piece or skin_side name what is not there")
+    pieces = np.unique(a["skin_piece"])
+    if len(pieces) != pieces[-1] + 1 or len(pieces) > MAX_SKIN_PIECES:
+        raise FileError(
+            f"{where}: skin_piece names {len(pieces)} pieces; need 0 to at most {MAX_SKIN_PIECES - 1}"
+        )
+    _poses(a["T_hand_palm"], where, "T_hand_palm")
+    try:
+        return make_skin_set(*a.values())
+    except ValueError as error:
+        raise FileError(f"{where}: {printable(error)}") from None
 
 
 def _parquet(path: Path) -> Columns:

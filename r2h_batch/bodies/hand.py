@@ -28,6 +28,7 @@ from r2h_batch.bodies.hand_file import check_postures, read_hand, read_hand_set
 from r2h_batch.config import BALL_OFFSET_M
 
 __all__ = [
+    "MAX_SKIN_PIECES",
     "HandGeometry",
     "HandModel",
     "HandSet",
@@ -35,6 +36,7 @@ __all__ = [
     "load_hand",
     "load_hand_set",
     "make_hand_set",
+    "make_skin_set",
     "palm_frame",
 ]
 
@@ -359,6 +361,8 @@ class HandSet:
     in_body: Float64[Tensor, "H 3 3"] | None = None
     """how each was turned in the frame of its body (x where the chest faces, z up), NaN where
     nobody knows; None: of none"""
+    skin: HandGeometry | None = None
+    """meshes and joints as somebody measured them; None: the model takes the postures"""
 
     def __len__(self) -> int:
         return len(self.posture)
@@ -367,7 +371,7 @@ class HandSet:
     def geometry(self) -> HandGeometry:
         """The meshes and joints of all H hands in their own frames, posed once for everything that
         reads them (400 hands take 0.4 CPU seconds)."""
-        return self.model.pose(self.pose, self.shape, self.side)
+        return self.skin or self.model.pose(self.pose, self.shape, self.side)
 
 
 def load_hand(path: str | Path | None = None) -> HandModel:
@@ -443,12 +447,14 @@ def make_hand_set(
             [str(posture[i]) for i in order], dtype=f"<U{max(16, *map(len, posture))}"
         ),
     }
-    tensors = {k: torch.from_numpy(arrays[k]) for k in ("pose", "shape", "side")}
-    vertices = model.pose(**tensors).vertices.double().numpy()
+    pose_, shape_, side_ = (torch.from_numpy(arrays[k]) for k in ("pose", "shape", "side"))
+    vertices = model.pose(pose_, shape_, side_).vertices.double().numpy()
     ids, offsets = hulls_of(vertices, [p.numpy() for p in model.pieces], model.piece_names)
     hand = {} if model is load_hand() else {"hand": np.array(model.digest)}
     return HandSet(
-        **tensors,
+        pose=pose_,
+        shape=shape_,
+        side=side_,
         posture=tuple(arrays["posture"].tolist()),
         hull_vertex_ids=torch.from_numpy(ids),
         hull_offsets=torch.from_numpy(offsets),
@@ -457,4 +463,83 @@ def make_hand_set(
         in_body=None
         if in_body is None or not np.isfinite(in_body).any()
         else torch.from_numpy(in_body[order]),
+    )
+
+
+MAX_SKIN_PIECES = 40
+"""Convex pieces of a hand: with the table and the arm they fit a word of 64 bits
+(kernels/plan/codes.py)."""
+PALM_JOINTS_M = {0: (-0.06, 0.0), 1: (0.02, -0.02), 4: (0.02, 0.0), 7: (0.02, 0.02), 10: (0.0, 0.0)}
+"""x and y of joints whose `palm_frame` is the frame that they stand in, for a right hand."""
+
+
+def make_skin_set(
+    vertices: np.ndarray,
+    T_hand_palm: np.ndarray,
+    faces: np.ndarray,
+    face_piece: np.ndarray,
+    side: np.ndarray,
+) -> HandSet:
+    """Hands that are meshes and have no posture: scanned, of another model, or made of boxes.
+
+    Palm point and normal are those of `T_hand_palm`; Plan keeps clear of the hulls of the pieces,
+    Safe measures to the faces. Methods that look at postures cannot see such hands.
+
+    Args:
+        vertices: (H, V, 3) in the hand frame, m.
+        T_hand_palm: (H, 4, 4) origin in the palm, z out of it, x to the fingers.
+        faces: (F, 3) of a right hand, counter-clockwise seen from outside; of a left hand they
+            count the other way round.
+        face_piece: (F,) the convex piece of each face, from 0.
+        side: (H,) 0 right, 1 left, in this order.
+
+    Raises:
+        ValueError: a piece has no volume, or sides are out of order.
+    """
+    from r2h_batch.bodies.hand_pieces import hulls_of
+
+    if (np.diff(side.astype(int)) < 0).any():
+        raise ValueError("right hands come before left ones")
+    count, like = len(vertices), load_hand()
+    pieces = [np.unique(faces[face_piece == k]) for k in range(int(face_piece.max()) + 1)]
+    names = tuple(f"skin_{k}" for k in range(len(pieces)))
+    ids, offsets = hulls_of(vertices.astype(np.float64), pieces, names)
+    local = np.zeros((count, JOINTS, 3))
+    for j, (x, y) in PALM_JOINTS_M.items():
+        local[:, j] = np.stack(
+            [np.full(count, x), y * np.where(side == LEFT, -1.0, 1.0), 0 * side], 1
+        )
+    T = T_hand_palm.astype(np.float64)
+    joints = np.einsum("hij,hkj->hki", T[:, :3, :3], local) + T[:, None, :3, 3]
+    one_bone = np.zeros((vertices.shape[1], JOINTS), np.float32)
+    one_bone[:, 0] = 1.0
+    arrays = {
+        "vertices": vertices[0].astype(np.float32),
+        "faces": faces.astype(np.int32),
+        "weights": one_bone,
+        "joints_rest": joints[0].astype(np.float32),
+        "shape_basis": np.zeros((vertices.shape[1], 3, SHAPE_SIZE), np.float32),
+        "joint_shape_basis": np.zeros((JOINTS, 3, SHAPE_SIZE), np.float32),
+        "parents": np.array(like.parents),
+        "joint_axes": like.joint_axes.numpy(),
+        "piece_vertices": np.concatenate(pieces).astype(np.int32),
+        "piece_offsets": np.cumsum([0, *map(len, pieces)]).astype(np.int32),
+        "piece_names": np.array(names),
+        "tip_vertices": np.zeros(5, np.int32),
+        "shape_names": np.array([], np.str_),
+    }
+    skin = HandGeometry(
+        torch.from_numpy(vertices.astype(np.float32)), torch.from_numpy(joints.astype(np.float32))
+    )
+    said = {"skin": skin.vertices.numpy(), "joints": skin.joints.numpy(), "side": side}
+    return HandSet(
+        pose=torch.zeros((count, POSE_SIZE), dtype=torch.float32, device="cpu"),
+        shape=torch.zeros((count, SHAPE_SIZE), dtype=torch.float32, device="cpu"),
+        side=torch.from_numpy(side.astype(np.int8)),
+        posture=("skin",) * count,
+        hull_vertex_ids=torch.from_numpy(ids),
+        hull_offsets=torch.from_numpy(offsets),
+        digest=arrays_digest({**said, "faces": arrays["faces"], "hull_vertex_ids": ids}),
+        model=HandModel.from_arrays(arrays),
+        skin=skin,
     )

@@ -242,7 +242,7 @@ def trials(
     line = ["--benchmark", out / "benchmark.yaml", f"--{kind}", out / f"{kind}.npz", "--out", "RUN"]
     print(
         f"{counted(counts['trials'], 'trials')} of {counted(counts['objects'], 'objects')} in {out},"
-        f" {counts['motions']} with a motion of our gripper; judge them with:"
+        f" {counts['motions']} with a motion of our gripper, hands as {counts['hands']}; judge them with:"
         f" r2h-batch sweep {shlex.join(map(str, line))}"
     )
 

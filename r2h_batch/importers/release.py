@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from r2h_batch import se3
-from r2h_batch.bodies.hand import load_hand, palm_frame
+from r2h_batch.bodies.hand import MAX_SKIN_PIECES, palm_frame
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.io.read import FileError, printable, read_file, read_json
 from r2h_batch.io.write import csv_cell, write_npz, write_text
@@ -53,6 +53,8 @@ TCP_M = 0.12
 RIGID = 1e-6
 REGION_M = 1e-6
 """A usage box is this much larger than it says: faces of the object lie on its sides."""
+FLAT_M = 1e-4
+"""Faces of a hand that lie so near one plane make no convex piece of their own."""
 LEAST_M = 1e-3
 """An object has a side of this length at least."""
 END_M, END_ENTRY = 0.005, 0.01
@@ -96,16 +98,23 @@ class Box(_Entry):
         [1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0],
     ]  # fmt: skip
 
-    def pose(self) -> Array:
-        """T of the box, in its frame."""
+    def pose(self, field: str, k: int) -> Array:
+        """T of the box, the k-th of a field, in its frame."""
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = self.rotation, self.center
-        _is_rigid(T.tolist())
+        try:
+            _is_rigid(T.tolist())
+        except ValueError:
+            raise FileError(f"{field}.{k}.rotation is no rotation, 3 x 3, row by row") from None
         return T
 
 
 TABLE_BOX = Box(center=[-0.35, 0.0, 0.70], half_extents=[0.65, 0.55, 0.035])
 """The release's default table, of trials that name no obstacles."""
+NO_TABLE = Box(center=[0.0, 0.0, -9.0], half_extents=[0.001, 0.001, 0.001])
+"""Stands for the table of trials whose list of obstacles is empty: nothing reaches it."""
+CORNERS = trimesh.creation.box((2.0, 2.0, 2.0)).vertices.view(np.ndarray)
+CORNER_FACES = trimesh.creation.box((2.0, 2.0, 2.0)).faces.view(np.ndarray)
 
 
 class Mesh(_Entry):
@@ -166,6 +175,8 @@ class TrialFile(_Entry):
     object_boxes: Annotated[list[Box], Field(min_length=1)]
     usage_boxes: list[Box] = []
     object_mesh_object: Mesh | None = None
+    hand_boxes_world: Annotated[list[Box], Field(min_length=1, max_length=1000)]
+    hand_mesh_world: Mesh | None = None
     obstacle_boxes_world: list[Box] | None = None
     palm_position_world: Vector
     palm_normal_world: Vector
@@ -195,12 +206,14 @@ class ReleaseTrial:
     region: NDArray[np.bool_]  # (F,) faces of the receiver's region
     T_obj_ee: Array
     T_world_ee: Array
-    T_world_hand: Array
+    T_world_palm: Array
     side: int  # 0 right, 1 left
-    pose: Array  # (48,) of the hand
-    shape: Array  # (10,)
+    own: Own | None  # the hand in our model, where our exporter wrote the trial
+    hand_mesh: tuple[Array, NDArray[np.int64]] | None  # vertices in the palm's frame, and faces
+    hand_boxes: Array  # (n, 8, 3) corners in the palm's frame
     place: dict[str, Any]  # thresholds, table and home, as a benchmark file says them
     q: Array | None  # (K, 6) the executed motion; None: there is none for our gripper
+    planned_q: Array  # (P, 6) the plan, where there is a motion
     dt_s: float
 
 
@@ -251,21 +264,18 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
     try:
         mesh, region = _object(file, where)
         place = _place(file, where)
-    except ValueError as error:
-        if isinstance(error, FileError):
-            raise
-        raise FileError(f"{where}: rotation of a box {error}") from None
-    back = along_z(-PADS_M.get(file.grasp_contract.width_policy, PADS_M[""]))
+        side, T_world_palm = _palm(file, where)
+        surface = _hand_surface(file, T_world_palm, side, where)
+    except FileError as error:
+        said = str(error)
+        raise FileError(said if said.startswith(where) else f"{where}: {said}") from None
+    back = _back(file)
     T_world_ee = _tool_pose(file) @ back
-    side, T_world_hand = _hand(file, where)
-    pose, shape = np.zeros(48), np.zeros(10)
-    if file.own is not None:
-        T_world_hand = np.array(file.own.T_world_hand)
-        pose, shape = np.array(file.own.pose), np.array(file.own.shape)
     return ReleaseTrial(
         file.id, file.object_id, file.variant, file.split, mesh, region,
-        np.array(file.T_object_gripper) @ back, T_world_ee, T_world_hand, side, pose, shape, place,
-        _motion(file, T_world_ee), file.dt_s,
+        np.array(file.T_object_gripper) @ back, T_world_ee, T_world_release @ T_world_palm, side,
+        file.own, *surface, place,
+        *_motion(file, T_world_ee), file.dt_s,
     )  # fmt: skip
 
 
@@ -298,7 +308,8 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
         mesh = trimesh.Trimesh(vertices, faces, process=False)
     else:
         boxes = [
-            trimesh.creation.box(2 * np.array(b.half_extents), b.pose()) for b in file.object_boxes
+            trimesh.creation.box(2 * np.array(b.half_extents), b.pose("object_boxes", k))
+            for k, b in enumerate(file.object_boxes)
         ]
         mesh = sum(boxes[1:], boxes[0])
     if np.ptp(mesh.vertices, axis=0).max() < LEAST_M:
@@ -314,7 +325,9 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
     if not file.usage_boxes:
         raise FileError(f"{where}: usage_boxes is empty; a trial of S1 needs one or more")
     for k, box in enumerate(file.usage_boxes):
-        local = trimesh.transform_points(mesh.triangles_center, np.linalg.inv(box.pose()))
+        local = trimesh.transform_points(
+            mesh.triangles_center, np.linalg.inv(box.pose("usage_boxes", k))
+        )
         inside = (np.abs(local) <= np.array(box.half_extents) + REGION_M).all(1)
         if not inside.any():
             raise FileError(f"{where}: usage_boxes.{k} holds no face of the object")
@@ -325,15 +338,12 @@ def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bo
 def _place(file: TrialFile, where: str) -> dict[str, Any]:
     """Thresholds, table and home as a benchmark file says them."""
     boxes = [TABLE_BOX] if file.obstacle_boxes_world is None else file.obstacle_boxes_world
-    if not boxes:
-        raise FileError(
-            f"{where}: obstacle_boxes_world is empty; a benchmark has a table: name a box"
-        )
+    boxes = boxes or [NO_TABLE]
     if len(boxes) > 1:
         raise FileError(
             f"{where}: obstacle_boxes_world has {len(boxes)} boxes; one, the table, can be judged"
         )
-    turned = np.abs(boxes[0].pose()[:3, :3])
+    turned = np.abs(boxes[0].pose("obstacle_boxes_world", 0)[:3, :3])
     if np.abs(turned - np.round(turned)).max() > RIGID:
         raise FileError(
             f"{where}: obstacle_boxes_world.0 is turned; a table lies along the world's axes"
@@ -354,33 +364,52 @@ def _place(file: TrialFile, where: str) -> dict[str, Any]:
     }
 
 
-def _hand(file: TrialFile, where: str) -> tuple[int, Array]:
-    """Side and T_world_hand (our wrist frame) of the flat hand whose palm lies where the trial says.
+def _palm(file: TrialFile, where: str) -> tuple[int, Array]:
+    """Side and T_world_palm of the release's world.
 
     A trial without a receiver names palm point and normal only: the fingers then point along the
     horizontal across the normal, or along x where the normal is vertical.
     """
     if file.receiver is not None:
-        T_world_palm = np.array(file.receiver.T_world_hand)
-        side = SIDES.index(file.receiver.side)
-    else:
-        normal = np.array(file.palm_normal_world)
-        size = np.linalg.norm(normal)
-        if size < 1e-9:
-            raise FileError(f"{where}: palm_normal_world is zero")
-        z = normal / size
-        x = np.cross([0.0, 0.0, 1.0], z)
-        x = x / np.linalg.norm(x) if np.linalg.norm(x) > 1e-6 else np.array([1.0, 0.0, 0.0])
-        x = x - (x @ z) * z
-        x = x / np.linalg.norm(x)
-        T_world_palm = np.eye(4)
-        T_world_palm[:3, :3] = np.stack([x, np.cross(z, x), z], 1)
-        T_world_palm[:3, 3] = file.palm_position_world
-        side = 0
-    sides = torch.tensor([side], dtype=torch.int8, device="cpu")
-    flat = torch.zeros((1, 48), dtype=torch.float32, device="cpu")
-    T_hand_palm = palm_in_hand(load_hand().pose(flat, None, sides).joints, side)
-    return side, T_world_release @ T_world_palm @ np.linalg.inv(T_hand_palm)
+        return SIDES.index(file.receiver.side), np.array(file.receiver.T_world_hand)
+    normal = np.array(file.palm_normal_world)
+    size = np.linalg.norm(normal)
+    if size < 1e-9:
+        raise FileError(f"{where}: palm_normal_world is zero")
+    z = normal / size
+    x = np.cross([0.0, 0.0, 1.0], z)
+    x = x / np.linalg.norm(x) if np.linalg.norm(x) > 1e-6 else np.array([1.0, 0.0, 0.0])
+    x = x - (x @ z) * z
+    x = x / np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.stack([x, np.cross(z, x), z], 1), file.palm_position_world
+    return 0, T
+
+
+def _hand_surface(
+    file: TrialFile, T_world_palm: Array, side: int, where: str
+) -> tuple[tuple[Array, NDArray[np.int64]] | None, Array]:
+    """The hand's mesh, if there is one, and the corners of its boxes, in the palm's frame."""
+    to_palm = np.linalg.inv(T_world_palm)
+    corners = CORNERS * ([-1, 1, 1] if side else [1, 1, 1])  # faces of left hands count backwards
+    boxes = np.array(
+        [
+            trimesh.transform_points(
+                corners * b.half_extents, to_palm @ b.pose("hand_boxes_world", k)
+            )
+            for k, b in enumerate(file.hand_boxes_world)
+        ]
+    )
+    if file.hand_mesh_world is None:
+        return None, boxes
+    vertices = np.array(file.hand_mesh_world.vertices)
+    faces = np.array(file.hand_mesh_world.faces)
+    if faces.max() >= len(vertices):
+        raise FileError(
+            f"{where}: hand_mesh_world.faces names vertex {faces.max()}; there are {len(vertices)}"
+        )
+    mesh = trimesh.transform_points(vertices, to_palm), faces[:, ::-1] if side else faces
+    return mesh, boxes
 
 
 def palm_in_hand(joints: torch.Tensor, side: int) -> Array:
@@ -397,22 +426,35 @@ def palm_in_hand(joints: torch.Tensor, side: int) -> Array:
     return T
 
 
-def _motion(file: TrialFile, T_world_ee: Array) -> Array | None:
-    """The executed joints, or the planned ones; None where they are of another tool: with our gripper
-    they end elsewhere (the release's box gripper is 52 mm shorter)."""
-    q = np.array(file.executed_joints or file.planned_joints)
-    if len(q) < 2 or file.planning.status == "failed":
-        return None
-    end = ee_pose(load_robot(), q[-1])
-    near = np.linalg.norm(end[:3, 3] - T_world_ee[:3, 3]) <= END_M
-    return q if near and np.abs(end - T_world_ee)[:3, :3].max() <= END_ENTRY else None
+def _motion(file: TrialFile, T_world_ee: Array) -> tuple[Array | None, Array]:
+    """The executed joints (else the planned ones) and the planned joints (else the executed ones).
+
+    None where our gripper cannot follow them: they are of another tool (the release's box gripper
+    is 52 mm shorter) and end elsewhere, or planning failed.
+    """
+    executed = np.array(file.executed_joints or file.planned_joints)
+    planned = np.array(file.planned_joints or file.executed_joints)
+    if min(len(executed), len(planned)) < 2 or file.planning.status == "failed":
+        return None, planned
+    target = T_world_release @ np.array(file.target_T_world_gripper) @ _back(file)
+    for q, T in ((executed[-1], T_world_ee), (planned[-1], target)):
+        end = ee_pose(load_robot(), q)
+        near = np.linalg.norm(end[:3, 3] - T[:3, 3]) <= END_M
+        if not near or np.abs(end - T)[:3, :3].max() > END_ENTRY:
+            return None, planned
+    return executed, planned
 
 
-def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, int]:
+def _back(file: TrialFile) -> Array:
+    """From the release's grasp frame to ours, along z."""
+    return along_z(-PADS_M.get(file.grasp_contract.width_policy, PADS_M[""]))
+
+
+def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, Any]:
     """benchmark.yaml with meshes and trials.npz, predictions.npz, motions.npz, trials.csv in `out`.
 
     Returns:
-        counts: trials, objects, motions.
+        counts: trials, objects, motions; hands: postures, meshes or boxes.
 
     Raises:
         FileError: the trials differ in table, home or thresholds, which a benchmark has once.
@@ -434,14 +476,12 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, int]:
         for s, split in enumerate(SPLITS)
         for k in range(sum(t.split == split for t in trials))
     ]
+    form, hands = _hands(ordered)
     write_npz(
         out / "trials.npz",
         {
             "object": np.array([names[_key(t)] for t in ordered]),
-            "T_world_hand": np.stack([t.T_world_hand for t in ordered]),
-            "pose": np.stack([t.pose for t in ordered]).astype(np.float32),
-            "shape": np.stack([t.shape for t in ordered]).astype(np.float32),
-            "side": np.array([t.side for t in ordered], np.int8),
+            **hands,
             "id": np.array([t.id for t in ordered]),
             "variant": np.array([t.variant for t in ordered]),
         },
@@ -469,7 +509,79 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, int]:
         f"table: {{center: {place['table']['center']}, half: {place['table']['half']}}}\n"
         f"home: {place['home']}\nobjects:\n" + "".join(_entry(out, name) for name in entries),
     )
-    return {"trials": len(ordered), "objects": len(entries), "motions": moving}
+    return {"trials": len(ordered), "objects": len(entries), "motions": moving, "hands": form}
+
+
+def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
+    """What the receivers are made of, and the columns of a trials file that say them: postures of
+    our model where our exporter wrote every trial, else meshes of one topology, else boxes."""
+    side = np.array([t.side for t in trials], np.int8)
+    owned = [t.own for t in trials if t.own is not None]
+    if len(owned) == len(trials):
+        return "postures", {
+            "T_world_hand": np.array([own.T_world_hand for own in owned]),
+            "pose": np.array([own.pose for own in owned], np.float32),
+            "shape": np.array([own.shape for own in owned], np.float32),
+            "side": side,
+        }
+    meshes = [t.hand_mesh for t in trials if t.hand_mesh is not None]
+    shapes = {
+        (len(v), np.sort(_from_least(f).view("i8,i8,i8"), axis=0).tobytes()) for v, f in meshes
+    }
+    if len(meshes) == len(trials) and len(shapes) == 1:
+        form, skins, faces = "meshes", np.stack([v for v, _ in meshes]), meshes[0][1]
+        piece = _pieces(skins[0], faces)
+    else:
+        form, n = "boxes", max(len(t.hand_boxes) for t in trials)
+        # a hand with fewer boxes has its last one several times
+        at = [np.minimum(np.arange(n), len(t.hand_boxes) - 1) for t in trials]
+        skins = np.stack([t.hand_boxes[k].reshape(-1, 3) for t, k in zip(trials, at)])
+        faces = (CORNER_FACES + 8 * np.arange(n)[:, None, None]).reshape(-1, 3)
+        piece = np.repeat(np.arange(n) * min(n, MAX_SKIN_PIECES) // n, len(CORNER_FACES))
+    rounded = np.concatenate([side[:, None], skins.reshape(len(skins), -1).round(6)], 1)
+    _, first, hand = np.unique(rounded, axis=0, return_index=True, return_inverse=True)
+    return form, {
+        "T_world_hand": np.stack([t.T_world_palm for t in trials]),
+        "hand": hand.reshape(-1),
+        "skin": skins[first],
+        "skin_side": side[first],
+        "T_hand_palm": np.tile(np.eye(4), (len(first), 1, 1)),
+        "skin_faces": faces,
+        "skin_piece": piece,
+    }
+
+
+def _from_least(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The same faces, each from its lowest vertex on."""
+    at = (faces.argmin(1)[:, None] + np.arange(3)) % 3
+    return np.ascontiguousarray(np.take_along_axis(faces, at, 1).astype(np.int64))
+
+
+def _pieces(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The piece of each face: cells of the finest grid that fills at most `MAX_SKIN_PIECES` of them. Flat
+    cells join the nearest one that has a volume."""
+    centre = vertices[faces].mean(1)
+    low, size = centre.min(0), np.ptp(centre, axis=0).max() / 2
+    cell = np.zeros(len(faces), np.int64)
+    while True:
+        grid = ((centre - low) / size).astype(int)
+        _, finer = np.unique(grid, axis=0, return_inverse=True)
+        if finer.max() >= MAX_SKIN_PIECES or size < LEAST_M:
+            break
+        cell, size = finer.reshape(-1), size * 0.95
+    middle = np.stack([centre[cell == k].mean(0) for k in range(cell.max() + 1)])
+    solid = np.array([_thickness(vertices[faces[cell == k]]) > FLAT_M for k in range(len(middle))])
+    if not solid.any():
+        return np.zeros(len(faces), np.int64)
+    apart = np.linalg.norm(middle[:, None] - middle[None, solid], axis=2)
+    joined = np.flatnonzero(solid)[apart.argmin(1)][cell]
+    return np.asarray(np.unique(joined, return_inverse=True)[1].reshape(-1))
+
+
+def _thickness(triangles: Array) -> float:
+    """Extent across the plane that fits points best."""
+    points = triangles.reshape(-1, 3) - triangles.reshape(-1, 3).mean(0)
+    return float(np.ptp(points @ np.linalg.svd(points, full_matrices=False)[2][2]))
 
 
 def _key(t: ReleaseTrial) -> tuple[str, str, bytes, bytes]:
@@ -513,8 +625,15 @@ def _poses(T: Sequence[Array]) -> NDArray[np.float32]:
 
 def _motions(trials: Sequence[ReleaseTrial]) -> dict[str, Any]:
     """The samples of all motions one after another; a trial without one has the length 0."""
-    traces = [np.zeros((0, 6)) if t.q is None else t.q for t in trials]
-    return {
+    none = np.zeros((0, 6))
+    traces = [none if t.q is None else t.q for t in trials]
+    plans = [none if t.q is None else t.planned_q for t in trials]
+    own = all(np.array_equal(q, plan) for q, plan in zip(traces, plans))
+    planned = {
+        "planned_q": np.concatenate(plans).astype(np.float32),
+        "planned_length": np.array([len(q) for q in plans], np.int32),
+    }
+    return ({} if own else planned) | {
         "q": np.concatenate(traces).astype(np.float32),
         "time_s": np.concatenate([t.dt_s * np.arange(len(q)) for t, q in zip(trials, traces)]),
         "length": np.array([len(q) for q in traces], np.int32),

@@ -22,7 +22,7 @@ from r2h_batch.types import PlanReason
 from r2h_batch.validate import describe_value
 from r2h_batch.validate_tensors import as_numbers, check_tensor
 
-__all__ = ["Trace", "checked_trace", "executed_trace", "final_pose", "plan_of_trace"]
+__all__ = ["Trace", "checked_trace", "executed_trace", "final_pose", "plan_of_trace", "walked"]
 
 LIMIT_TOLERANCE_RAD = 1e-5
 """A joint may stand this far beyond its limit: what float32 makes of an angle at the limit."""
@@ -100,6 +100,21 @@ def final_pose(scene: Scene, trace: Trace) -> Float32[Tensor, "b 4 4"]:
     return torch.where(trace.usable[:, None, None], T, torch.nan)
 
 
+def walked(
+    scene: Scene, trace: Trace, active: Bool[Tensor, " b"]
+) -> tuple[Float32[Tensor, "b w 6"], Int32[Tensor, " b"]]:
+    """The lines of active motions, and how many samples they have: 0 for motions beyond the joint
+    limits, whose lines may be as long as numbers are."""
+    lower, upper = (
+        torch.tensor(np.array(x), dtype=torch.float64, device=trace.q.device)
+        for x in (scene.robot.lower, scene.robot.upper)
+    )
+    beyond = torch.maximum(lower - trace.q.double(), trace.q.double() - upper).amax((1, 2))
+    keep = active & (beyond <= LIMIT_TOLERANCE_RAD)
+    q = torch.where(keep[:, None, None], trace.q, 0.0).contiguous()
+    return q, torch.where(keep, trace.length, 0)
+
+
 def plan_of_trace(
     scene: Scene,
     body_poses: BodyPoses,
@@ -114,15 +129,8 @@ def plan_of_trace(
     `body_poses`: what the motion must keep clear of. Where bodies meet, the clearance is minus the
     overlap, as on a sampled path; -inf, and length 0, beyond the limits.
     """
-    lower, upper = (
-        torch.tensor(np.array(x), dtype=torch.float64, device=trace.q.device)
-        for x in (scene.robot.lower, scene.robot.upper)
-    )
-    beyond = torch.maximum(lower - trace.q.double(), trace.q.double() - upper).amax((1, 2))
-    within = beyond <= LIMIT_TOLERANCE_RAD
-    # lines beyond the limits are not walked: they may be as long as numbers are
-    length = torch.where(active & within, trace.length, 0)
-    q = torch.where((active & within)[:, None, None], trace.q, 0.0).contiguous()
+    q, length = walked(scene, trace, active)
+    within = ~active | (length > 0)
     clearance, pair, body = path_clearances(scene, body_poses, q, length, threads=threads)
     clearance = torch.where(within, clearance, -torch.inf)
     reason = torch.where(clearance > 0, int(PlanReason.OK), int(PlanReason.MOTION_IN_COLLISION))
@@ -132,7 +140,10 @@ def plan_of_trace(
 
 
 def executed_trace(trace: Trace, planned: Plan) -> tuple[Executed, Motion]:
-    """The motions as they are: exact lines between the samples, at rest at the last one."""
+    """The motions as they are: exact lines between the samples, at rest at the last one.
+
+    `planned`: has the lines that are walked in `path` and `length`.
+    """
     zero = torch.zeros_like(planned.clearance_m)
     true = torch.ones_like(trace.usable)
     t_exec_s = torch.where(planned.length > 0, trace.time_s[:, -1], torch.nan)

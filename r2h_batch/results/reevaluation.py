@@ -148,8 +148,8 @@ class Judge:
                 scores = self.evaluator.score(grasp, handover, trials)
             else:
                 every = torch.arange(len(trials), dtype=torch.int64, device="cpu")
-                q, time_s, length = (x.to(scene.device) for x in motions.padded(every))
-                scores = self.evaluator.score_motion(grasp, q, time_s, trials, length=length)
+                given = motions.padded(every, scene.device)
+                scores = self.evaluator.score_motion(grasp, trials=trials, **given)
         return score_rows(trials, scores, TrialNames.of(scene))
 
 
@@ -327,11 +327,18 @@ def _other_rows(
 
 
 def _motions(paths: pa.Table) -> Motions:
-    q, time_s = (paths[k].combine_chunks() for k in ("q", "time_s"))
-    length = q.value_lengths().to_numpy(zero_copy_only=False).astype(np.int64)
-    flat = q.flatten().flatten().to_numpy(zero_copy_only=False).reshape(-1, 6)
-    seconds = time_s.flatten().to_numpy(zero_copy_only=False)
-    return Motions(*(torch.from_numpy(np.array(x)) for x in (flat, seconds, length)))
+    q, length = _postures(paths["q"])
+    seconds = paths["time_s"].combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    plan = () if paths["planned_q"].null_count else _postures(paths["planned_q"])
+    return Motions(q, torch.from_numpy(np.array(seconds)), length, *plan)
+
+
+def _postures(column: pa.ChunkedArray) -> tuple[torch.Tensor, torch.Tensor]:
+    """Postures of all rows one after another, and their number in each."""
+    lists = column.combine_chunks()
+    flat = lists.flatten().flatten().to_numpy(zero_copy_only=False).reshape(-1, 6)
+    counts = lists.value_lengths().to_numpy(zero_copy_only=False).astype(np.int64)
+    return torch.from_numpy(np.array(flat)), torch.from_numpy(counts)
 
 
 def _matrices(column: pa.ChunkedArray) -> np.ndarray:

@@ -106,6 +106,8 @@ PATH_SCHEMA = pa.schema(
         pa.field("q", pa.list_(pa.list_(pa.float32(), 6)), nullable=False),  # W x 6 rad, UR order
         # every run.json motion.sample_s; null: not simulated
         pa.field("executed_q", pa.list_(pa.list_(pa.float32(), 6))),
+        # of motions in a file: the plan, where q is what was executed; null: q is the plan
+        pa.field("planned_q", pa.list_(pa.list_(pa.float32(), 6))),
     ]
 )
 
@@ -267,14 +269,19 @@ def pose_rows(predictions: "Predictions") -> pa.Table:
     )
 
 
-def path_rows(scores: "Scores") -> pa.Table:
-    """Rows of `PATH_SCHEMA` for the trials that have a path."""
+def path_rows(scores: "Scores", planned: tuple[Any, Any] | None = None) -> pa.Table:
+    """Rows of `PATH_SCHEMA` for the trials that have a path; `planned`: (B, P, 6) postures and (B,)
+    lengths of the plans of motions that were given."""
     rows = np.flatnonzero(_array(scores.path_len) > 0)
     first = [
         pa.array(_array(scores.trial_id)[rows], pa.int64()),
         _vectors(_array(scores.q_goal)[rows]),
     ]
-    return pa.table([*first, *_motion_columns(scores, rows)], schema=PATH_SCHEMA)
+    last = pa.nulls(len(rows), PATH_SCHEMA.field("planned_q").type)
+    if planned is not None:
+        q, length = (_array(x)[rows] for x in planned)
+        last = _postures(q, length.astype(np.int64))
+    return pa.table([*first, *_motion_columns(scores, rows), last], schema=PATH_SCHEMA)
 
 
 def failure_rows(

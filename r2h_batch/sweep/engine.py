@@ -30,7 +30,7 @@ from r2h_batch.runs.store import SHARD_TRIALS, TRIES, RunFolder, Shard, ShardWri
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import Job, Setting
 from r2h_batch.sweep.options import Options
-from r2h_batch.types import Outcome, Trials
+from r2h_batch.types import Outcome, Scores, Trials
 
 CPU_CHUNK = 256
 """Trials between two looks at the clock on a CPU; on a GPU it is the evaluator's own chunk."""
@@ -278,18 +278,16 @@ def _scored(
     device = evaluator.scene.device
     part = part.to(device)
     answers = job.predict(part, rows).to(device)
+    given: dict[str, torch.Tensor] = {}
     if motions is not None:
         assert rows is not None
-        q, time_s, length = (x.to(device) for x in motions.padded(rows))
-        scores = evaluator.score_motion(answers.T_obj_ee, q, time_s, part, length=length)
+        given = motions.padded(rows, device)
+        scores = evaluator.score_motion(answers.T_obj_ee, trials=part, **given)
         assert scores.inputs is not None
         answers = replace(answers, T_world_ee=scores.inputs.T_world_ee)
-        given = {"path": q, "path_time_s": time_s, "path_len": length.to(torch.int32)}
     else:
-        scores = evaluator.score(
-            answers.T_obj_ee, answers.T_world_ee, part, keep_motion="paths" in stored
-        )
-        given = {}
+        keep = "paths" in stored
+        scores = evaluator.score(answers.T_obj_ee, answers.T_world_ee, part, keep_motion=keep)
     # one copy each from a GPU
     part, answers, scores = part.to("cpu"), answers.to("cpu"), scores.to("cpu")
     tables = {"trials": score_rows(part, scores, names, answers.t_method_s)}
@@ -300,12 +298,22 @@ def _scored(
             tables[kind] = detail_rows(part, scores, names)
         elif kind == "poses":
             tables[kind] = pose_rows(answers)
-        elif (
-            kind == "paths"
-        ):  # a motion beyond the joint limits has no path, but can be judged again
-            given_or_path = replace(scores, **{k: v.cpu() for k, v in given.items()})
-            tables[kind] = path_rows(given_or_path)
+        elif kind == "paths":
+            tables[kind] = path_rows(*_paths(scores, given))
     return tables
+
+
+def _paths(
+    scores: Scores, given: dict[str, torch.Tensor]
+) -> tuple[Scores, tuple[torch.Tensor, torch.Tensor] | None]:
+    """Scores with the motions that were given, and their plans: one beyond the joint limits has no
+    path, but can be judged again."""
+    if not given:
+        return scores, None
+    here = {name: value.cpu() for name, value in given.items()}
+    path, time_s, length = here["q"], here["time_s"], here["length"].int()
+    plan = (here["planned_q"], here["planned_length"]) if "planned_q" in here else None
+    return replace(scores, path=path, path_time_s=time_s, path_len=length), plan
 
 
 def _in_order(table: pa.Table, trial_id: np.ndarray) -> pa.Table:

@@ -294,6 +294,7 @@ def load_files(options: Options) -> Files:
 
 def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
     """Every method and file as a job, aligned with the plan; names must differ."""
+    _check_postures(options, setting.evaluator)
     seen = _seen(options, setting)
     if any(base_of(name) in METHODS for name in options.method):
         check_grasps(setting.evaluator.scene, options.allow_empty_candidates)
@@ -311,6 +312,20 @@ def make_jobs(options: Options, files: Files, setting: Setting) -> list[Job]:
             f"two methods are called {twice[0]!r}; give each predictions file its own method name"
         )
     return jobs
+
+
+def _check_postures(options: Options, evaluator: "Evaluator") -> None:
+    """Raises `UsageError` where hands without postures meet who needs them."""
+    if getattr(evaluator.scene.hands.set, "skin", None) is None:
+        return
+    needing = [m for m in options.method if base_of(m) in SEEN_BY["predicted_hands"]]
+    if evaluator.config.plan.hand == "estimated":
+        needing.append("plan_hand=estimated")
+    if needing:
+        raise UsageError(
+            f"{needing[0]} needs the hands' postures, and these trials have meshes of hands; take"
+            " another method, or --set plan_hand=true"
+        )
 
 
 def _seen(options: Options, setting: Setting) -> "Observations | None":

@@ -39,6 +39,25 @@ def test_trials_that_are_read_back_get_the_verdicts_that_they_had(run, written):
                     assert row[f"margin_{name}_m"] == pytest.approx(own[i][f"margin_{name}_m"], abs=atol)
 
 
+def test_a_hands_mesh_decides_safe_where_its_posture_is_unknown(run, written):
+    """The same skin without what our exporter writes for us alone: palm and skin are what they were."""
+    (written / "plain").mkdir()
+    for path in (written / "files").glob("*.json"):
+        (written / "plain" / path.name).write_text(
+            json.dumps({**json.loads(path.read_text()), "provenance": "somebody"})
+        )
+    done = in_process("--trials-from", written / "plain", "--sim", "none", "--out", written / "skins")
+    assert done.returncode == 0, done.stderr
+    own = {r["trial_id"]: r for r in load_run(run).trials("oracle").to_pylist()}
+    back = load_run(written / "skins")
+    for row in back.trials("r2handoversim").to_pylist():
+        mine = own[int(back.labels[row["trial_id"]][0].rsplit("_", 1)[1])]
+        assert row["margin_reach_m"] == pytest.approx(mine["margin_reach_m"], abs=2e-6)
+        assert row["margin_safe_m"] == pytest.approx(mine["margin_safe_m"], abs=2e-3)  # between 60 Hz samples
+    done = in_process("--trials-from", written / "plain", "--method", "fc", "--out", written / "no")
+    assert done.returncode == 2 and "fc needs the hands' postures" in done.stderr
+
+
 def test_files_keep_what_the_release_demands_of_a_trial(written):
     for path in (written / "files").glob("*.json"):
         t = json.loads(path.read_text())

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import least_squares
 from sweep_command import in_process
 
 from r2h_batch import EvalConfig, Evaluator
@@ -49,7 +50,23 @@ def tcp(q):
     return T @ shift(0.12)
 
 
-def fixture(name, variant, tool=0.0):
+def box(T, center, half):
+    return {"center": (T @ [*center, 1])[:3].tolist(), "half_extents": list(half), "rotation": T[:3, :3].tolist()}
+
+
+def posture_at(point, tool):
+    """Joints with the tool's tip at a point, near GOAL."""
+    reached = least_squares(lambda q: (tcp(q) @ shift(tool))[:3, 3] - point, GOAL, xtol=1e-12, ftol=1e-12)
+    assert np.abs(reached.fun).max() < 1e-6
+    return reached.x
+
+
+def between(a, b, n):
+    u = np.linspace(0, 1, n)[:, None]
+    return np.array(a) + (3 * u**2 - 2 * u**3) * (np.array(b) - a)
+
+
+def fixture(name, variant, tool=0.0, frames=30):
     boxes, top, side = OBJECTS[name]
     grasp = np.eye(4)
     if variant == "region_agnostic":
@@ -59,15 +76,22 @@ def fixture(name, variant, tool=0.0):
     target = tcp(GOAL) @ shift(tool)
     T_world_object = target @ np.linalg.inv(grasp)
     palm = T_world_object @ [-0.075, 0, boxes[0][0][2], 1]
-    u = np.linspace(0, 1, 30)[:, None]
-    planned = np.array(HOME) + (3 * u**2 - 2 * u**3) * (np.array(GOAL) - HOME)
-    executed = np.repeat(planned[:1], 30, 0) if variant == "missed_delivery" else planned
+    # hand: palm, four fingers, thumb
+    parts = [((-0.105, 0), (0.025, 0.038, 0.012)), ((-0.085, -0.047), (0.018, 0.008, 0.01))]
+    parts += [((-0.062, y), (0.018, 0.006, 0.009)) for y in (-0.027, -0.009, 0.009, 0.027)]
+    hand = [box(T_world_object, (*xy, boxes[0][0][2]), half) for xy, half in parts]
+    planned = executed = between(HOME, GOAL, frames)
+    if variant == "missed_delivery":
+        executed = np.repeat(planned[:1], frames, 0)
+    if variant == "execution_deviation":
+        astray = posture_at(hand[0]["center"], tool)
+        executed = np.concatenate([between(HOME, astray, frames // 2), between(astray, GOAL, frames // 2)[1:]])
     named = [{"center": list(c), "half_extents": list(h), "label": "part"} for c, h in boxes]
     return {
         "schema_version": "handover.trial.v1", "units": "m", "id": f"{name}_{variant}", "object_id": name,
         "variant": variant, "split": "S0" if name == "bottle" else "S1", "T_object_gripper": grasp.tolist(),
         "target_T_world_gripper": target.tolist(),
-        "object_boxes": named, "usage_boxes": named[:1], "hand_boxes_world": named[:1],
+        "object_boxes": named, "usage_boxes": named[:1], "hand_boxes_world": hand,
         "palm_position_world": palm[:3].tolist(), "palm_normal_world": T_world_object[:3, 0].tolist(),
         "reach_offset_m": 0.12, "reach_radius_m": 0.10, "max_opening_m": 0.085, "dt_s": 1 / 60,
         "planned_joints": planned.tolist(), "executed_joints": executed.tolist(), "T_tcp_asset_tool": shift(tool).tolist(),
@@ -116,11 +140,45 @@ def test_fixtures_get_the_margins_and_flags_that_the_release_publishes(tmp_path)
     assert scores["screwdriver_region_agnostic"].outcome == int(Outcome.AFFORDANCE)
 
 
+def test_twelve_fixtures_get_the_flags_and_first_failures_that_the_release_publishes(tmp_path):
+    """With the tool of our gripper, no table (theirs asks none of a stored plan), the hand's boxes and the hammer's two boxes
+    (its hull meets the fingers; theirs asks the object of a stored plan nothing).
+
+    One flag differs: the release spreads the hammer's fingers by the whole head (50 mm), ours touch the handle (28 mm).
+    """
+    (tmp_path / "in").mkdir()
+    variants = ("intent_aware", "region_agnostic", "execution_deviation", "missed_delivery")
+    for name in OBJECTS:
+        for variant in variants:
+            trial = fixture(name, variant, tool=MATCHED, frames=90) | {"obstacle_boxes_world": []}
+            (tmp_path / "in" / f"{trial['id']}.json").write_text(json.dumps(trial))
+    done = in_process(
+        "--trials-from", tmp_path / "in", "--sim", "none", "--set", "width=whole", "object_collision=pieces",
+        "--out", tmp_path / "run",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    run = load_run(tmp_path / "run")
+    rows = {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}
+    assert len(rows) == 12
+    for name in OBJECTS:
+        for variant in variants:
+            flags = dict.fromkeys(CRITERIA, True) | {"affordance": None if name == "bottle" else True}
+            failure = {"execution_deviation": "safe", "missed_delivery": "reach"}.get(variant)
+            if (name, variant) in (("screwdriver", "region_agnostic"), ("hammer", "region_agnostic")):
+                failure = "affordance"  # of the hammer in our definition alone
+            if failure:
+                flags[failure] = False
+            row = rows[f"{name}_{variant}"]
+            assert {c: row[f"passed_{c}"] for c in CRITERIA} == flags, (name, variant)
+            assert row["outcome"] == (failure or "success")
+
+
 def test_a_sweep_judges_their_files_in_one_step_and_keeps_their_ids(tmp_path):
     """Of our gripper (`T_tcp_asset_tool`) the executed motion is judged, of another one the pose is planned to."""
     (tmp_path / "in").mkdir()
     trials = [fixture("bottle", v, tool=MATCHED) for v in ("region_agnostic", "missed_delivery")]
-    for t in [*trials, {**fixture("bottle", "region_agnostic"), "id": "box_tool"}]:
+    trials = [t | {"obstacle_boxes_world": []} for t in trials]
+    for t in [*trials, {**fixture("bottle", "region_agnostic"), "id": "box_tool", "obstacle_boxes_world": []}]:
         (tmp_path / "in" / f"{t['id']}.json").write_text(json.dumps(t))
     line = ["--trials-from", tmp_path / "in", "--sim", "none", "--set", "width=whole"]
     for more, planned in (([], {"box_tool"}), (["--replan"], {"box_tool", *(t["id"] for t in trials)})):
@@ -174,7 +232,9 @@ def changed(**fields):
         ({"object_boxes": None}, "object_boxes is missing"),
         ({"object_mesh_object": {"vertices": [[0, 0, 0]] * 4, "faces": [[0, 1, 7]] * 4}}, "names vertex 7; there are 4"),
         ({"executed_joints": [[1e300] * 6] * 2}, "executed_joints.0.0 is 1e+300"),
-        ({"obstacle_boxes_world": []}, "obstacle_boxes_world is empty"),
+        ({"hand_boxes_world": []}, "hand_boxes_world is []"),
+        ({"usage_boxes": [{"center": [0, 0, 0], "half_extents": [1, 1, 1], "rotation": [[1, 0, 0]] * 3}]},
+         "usage_boxes.0.rotation is no rotation"),
         ({"object_mesh_object": {"vertices": [[0, 0, 0]] * 4, "faces": [[0, 1, 2]] * 4}}, "smaller than 1 mm"),
         ({"method_geometry_invalidated": True}, "method_geometry_invalidated is true"),
         ({"obstacle_boxes_world": [{"center": [0, 0, 0], "half_extents": [1, 1, 1]}] * 2}, "has 2 boxes; one, the table"),
