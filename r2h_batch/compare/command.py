@@ -49,8 +49,12 @@ def run(
     seed: int = 0,
     format: Literal["md", "latex", "csv", "json"] = "md",
     method: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--methods"])] = (),
+    all_pairs: bool = False,
 ) -> int:
-    """Compare all methods of run folders on the trials that they share.
+    """Compare the methods of run folders on the trials that they share.
+
+    With `baselines` every method of your runs is compared with each other method; otherwise every
+    method with each other one.
 
     Args:
         runs: run folders, as `r2h-batch sweep --out` writes them; one with several methods is
@@ -60,6 +64,7 @@ def run(
         seed: of the bootstrap that gives the ranks.
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
+        all_pairs: also compare the baselines with each other.
     """
     from r2h_batch.compare.text import render
     from r2h_batch.runs.store import load_run
@@ -76,7 +81,10 @@ def run(
         stored = _chosen(stored, method) if method else stored
         common = common_trials(stored, proven=stored_rows())
         paired = pair_up(stored, common)
-        comparisons = compare(paired, seed=seed)
+        shipped = [stored[k].folder in FOLDERS for k in paired.runs]
+        mine = [n for n, s in zip(paired.names, shipped, strict=True) if not s]
+        some = any(shipped) and not all_pairs
+        comparisons = compare(paired, mine=mine if some else (), seed=seed)
     except ValueError as error:
         return refuse("compare", error)
     header = stored[0].header

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
+import numpy as np
+
 from r2h_batch.report.text import (
     NA,
     aligned,
@@ -22,7 +24,7 @@ from r2h_batch.statistics.paired import ALPHA, DRAWS, Comparison
 FORMATS = ("md", "latex", "csv", "json")
 
 NOTES = (
-    "Holm p: McNemar's exact test, corrected over all pairs. It decides for these objects.",
+    "Holm p: McNemar's exact test, corrected over the pairs of its table. It decides for these objects.",
     f"95 % new obj.: a t interval over objects. #1: a bootstrap over objects ({DRAWS} draws). Both speak about new"
     " objects.",
     "better, worse: decided for these objects and for new ones. better here, worse here: decided for these objects"
@@ -72,15 +74,20 @@ def _md(comparisons: Sequence[Comparison], notes: Sequence[str]) -> str:
             lines.append([*names, *cells, f"{pair.p_holm:.2g}", pair.verdict])
         parts.append(aligned(head, lines, 2))
         if c.rank is not None:
+            ranks = dict(zip(c.ranked, c.rank, strict=True))
             table = [
-                [plain(short[name]), f"{rate:.1f}", *(f"{100 * p:.0f} %" for p in row)]
-                for name, rate, row in zip(c.names, c.rates, c.rank)
+                [plain(short[name]), f"{rate:.1f}", *_ranks(ranks.get(name), len(c.ranked))]
+                for name, rate in zip(c.names, c.rates, strict=True)
             ]
-            places = [f"#{i + 1}" for i in range(len(c.names))]
+            places = [f"#{i + 1}" for i in range(len(c.ranked))]
             parts.append(aligned(["Method", "SR", *places], table, 1))
     columns = "A-B: difference of SR in points. #1: how often a method has that rank."
     parts.append(notes_list([*map(plain, legend(short)), *notes, columns, *NOTES]))
     return "\n\n".join(parts) + "\n"
+
+
+def _ranks(row: np.ndarray | None, n: int) -> list[str]:
+    return ["bound", *[""] * (n - 1)] if row is None else [f"{100 * p:.0f} %" for p in row]
 
 
 def _latex(
@@ -126,11 +133,9 @@ def _csv(comparisons: Sequence[Comparison]) -> str:
     records = []
     for c in comparisons:
         rate = dict(zip(c.names, c.rates))
-        first = dict(
-            zip(c.names, [None] * len(c.names) if c.rank is None else c.rank[:, 0].tolist())
-        )
+        first = {} if c.rank is None else dict(zip(c.ranked, c.rank[:, 0].tolist(), strict=True))
         for pair in c.pairs:
             rates = {"sr_a": rate[pair.a], "sr_b": rate[pair.b]}
-            firsts = {"first_a": first[pair.a], "first_b": first[pair.b]}
+            firsts = {"first_a": first.get(pair.a), "first_b": first.get(pair.b)}
             records.append({"group": c.group, "n": c.n, **asdict(pair), **rates, **firsts})
     return csv_text(records)

@@ -131,9 +131,9 @@ def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, An
 
 def _rank(c: Comparison, method: str) -> dict[str, Any]:
     """The mean rank over the bootstrap's draws, and the ranks of at least one draw in twenty."""
-    share = None if c.rank is None else c.rank[c.names.index(method)]
-    if share is None:
+    if c.rank is None or method not in c.ranked:
         return {"text": NA, "value": len(c.names)}
+    share = c.rank[c.ranked.index(method)]
     likely = [i + 1 for i in np.flatnonzero(share >= 0.05).tolist()]
     text = (
         str(likely[0]) if len(likely) == 1 else f"{likely[0]}\u2013{likely[-1]}" if likely else NA

@@ -20,6 +20,7 @@ from r2h_batch.verdicts import SPLITS, Outcome
 
 ALPHA = 0.05
 DRAWS = 10_000
+BOUNDS = ("r2h_batch.methods.random:predict", "r2h_batch.methods.oracle:predict")
 _COLUMNS = ("trial_id", "split", "object", "outcome")
 PIECE = 65_536
 """Rows of every method that are in memory together."""
@@ -35,6 +36,8 @@ class Paired:
         hits: (2, M, K) trials that a method solves.
         only: (2, M, M) trials that method i solves and method j does not.
         notes: what a reader should know about the methods.
+        runs: place of each method's run among the runs given.
+        bounds: names of methods that are bounds (random, oracle); they have no rank.
     """
 
     names: tuple[str, ...]
@@ -42,6 +45,8 @@ class Paired:
     hits: np.ndarray
     only: np.ndarray
     notes: tuple[str, ...] = ()
+    runs: tuple[int, ...] = ()
+    bounds: tuple[str, ...] = ()
 
     @staticmethod
     def of(
@@ -88,7 +93,7 @@ class Pair:
         only_a: trials that only the first solves.
         only_b: trials that only the second solves.
         p: McNemar's exact p value.
-        p_holm: the same, adjusted by Holm over all pairs.
+        p_holm: the same, adjusted by Holm over the pairs that are compared.
         verdict: what `a` is. "better" or "worse": p_holm is below 0.05 and the interval, which
             speaks about new objects, leaves out 0. "better here" or "worse here": only the former
             holds, which speaks about these objects. "tied": neither.
@@ -108,16 +113,17 @@ class Pair:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All pairs of methods on a group of trials.
+    """Pairs of methods on a group of trials.
 
     Attributes:
         group: S0, S1 or all.
         n: trials.
         names: M methods.
         rates: (M,) success rates in percent.
-        pairs: every pair once.
-        rank: (M, M) probability that method i has rank j + 1 among new objects; None with one
-            object.
+        pairs: the pairs that are compared, each once.
+        ranked: R of the names: without bounds.
+        rank: (R, R) probability that method i of `ranked` has rank j + 1 among new objects; None
+            with one object.
     """
 
     group: str
@@ -125,6 +131,7 @@ class Comparison:
     names: tuple[str, ...]
     rates: tuple[float, ...]
     pairs: tuple[Pair, ...]
+    ranked: tuple[str, ...]
     rank: np.ndarray | None
 
 
@@ -201,7 +208,10 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
         )
     notes = [f"{s.run.folder}: {s.method} is given twice, and counted once." for s in left_out]
     kept = paired.only[:, once][:, :, once]
-    return Paired(tuple(names), paired.trials, paired.hits[:, once], kept, tuple(notes))
+    places = tuple(next(k for k, run in enumerate(runs) if run is streams[i].run) for i in once)
+    bounds = tuple(n for n, i in zip(names, once, strict=True) if streams[i].is_bound)
+    hits = paired.hits[:, once]
+    return Paired(tuple(names), paired.trials, hits, kept, tuple(notes), places, bounds)
 
 
 def _counted(streams: Sequence["_Stream"]) -> Paired:
@@ -270,7 +280,9 @@ class _Stream:
     def __init__(self, run: Run, method: str, trials: Mapping[str, int]) -> None:
         self.run, self.method, self.trials = run, method, trials
         entry, header = run.entry(method), run.header
-        self.is_built_in = str(entry["source"].get("function", "")).startswith("r2h_batch.methods.")
+        function = str(entry["source"].get("function", ""))
+        self.is_built_in = function.startswith("r2h_batch.methods.")
+        self.is_bound = function in BOUNDS
         # a built-in method is the same method in each release; its verdicts tell whether it answers
         # the same
         source = {k: v for k, v in entry["source"].items() if k != "sha256" or not self.is_built_in}
@@ -316,24 +328,39 @@ def _check_same_trials(streams: Sequence[_Stream], pieces: Sequence[pa.Table]) -
 @check_arguments(
     paired=instance_of(Paired, "what pair_up(RUNS) gives"), draws=integer(1, 10**7), seed=integer(0)
 )
-def compare(paired: Paired, *, draws: int = DRAWS, seed: int = 0) -> tuple[Comparison, ...]:
-    """Compare all pairs of methods on each split, and on all trials if there are two splits.
+def compare(
+    paired: Paired, *, mine: Sequence[str] = (), draws: int = DRAWS, seed: int = 0
+) -> tuple[Comparison, ...]:
+    """Compare pairs of methods on each split, and on all trials if there are two splits.
 
     Args:
         paired: what `pair_up` gives.
+        mine: only pairs with one of these methods, which stands first; empty: all pairs. Fewer
+            pairs need a smaller correction.
         draws: of the bootstrap over objects, for the ranks.
         seed: of the bootstrap. No verdict depends on it.
     """
     groups = [(SPLITS[k], [k]) for k in range(len(SPLITS)) if paired.trials[k].any()]
     if len(groups) > 1:
         groups.append(("all", list(range(len(SPLITS)))))
-    return tuple(_compare(name, paired, splits, draws, seed) for name, splits in groups)
+    own = [paired.names.index(name) for name in mine]
+    pairs = list(combinations(range(len(paired.names)), 2))
+    if own:
+        chosen = [(i, j) for i, j in pairs if i in own or j in own]
+        pairs = [(i, j) if i in own else (j, i) for i, j in chosen]
+    return tuple(_compare(name, paired, splits, pairs, draws, seed) for name, splits in groups)
 
 
-def _compare(group: str, paired: Paired, splits: list[int], draws: int, seed: int) -> Comparison:
+def _compare(
+    group: str,
+    paired: Paired,
+    splits: list[int],
+    pairs: Sequence[tuple[int, int]],
+    draws: int,
+    seed: int,
+) -> Comparison:
     names, n = paired.names, int(paired.trials[splits].sum())
     sampled = _resampled_rates(paired, splits, draws, seed)
-    pairs = list(combinations(range(len(names)), 2))
     counts = paired.only[splits].sum(0)
     only = [(int(counts[i, j]), int(counts[j, i])) for i, j in pairs]
     p = [mcnemar(*both) for both in only]
@@ -351,8 +378,10 @@ def _compare(group: str, paired: Paired, splits: list[int], draws: int, seed: in
         )
         lines.append(pair)
     rates = tuple(float(100 * (hits / n)) for hits in paired.hits[splits].sum((0, 2)))
-    rank = None if sampled is None else rank_probabilities(sampled)
-    return Comparison(group, n, names, rates, tuple(lines), rank)
+    places = [i for i, name in enumerate(names) if name not in paired.bounds]
+    ranked = tuple(names[i] for i in places)
+    rank = None if sampled is None else rank_probabilities(sampled[:, places])
+    return Comparison(group, n, names, rates, tuple(lines), ranked, rank)
 
 
 def _interval(paired: Paired, splits: Sequence[int], i: int, j: int) -> tuple[float, float] | None:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 
 import numpy as np
 import pytest
@@ -47,7 +48,12 @@ def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_
         ("random", "oracle")
     }  # the shipped random has the same answers and verdicts
     assert rows["S0", "random", "oracle"]["n"] == "12" and float(rows["S0", "random", "oracle"]["difference"]) < 0
-    assert compare([str(tmp_path / "mine"), "baselines"]) == 0
+    assert compare([str(tmp_path / "mine"), "baselines", "--format", "json"]) == 0
+    whole = json.loads(capsys.readouterr().out)[-1]
+    assert [p["a"] for p in whole["pairs"]] == ["random"] * 5 and len(whole["names"]) == 6  # each baseline once
+    assert len(whole["ranked"]) == len(whole["rank"]) == 4 and not {"random", "oracle"} & set(whole["ranked"])
+    assert all(p["p_holm"] <= 5 * p["p"] + 1e-12 for p in whole["pairs"])
+    assert compare([str(tmp_path / "mine"), "baselines", "--all-pairs"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert (
         "the first 12 S0, 12 S1, which all of them hold" in text and "random is given twice, and counted once" in text
