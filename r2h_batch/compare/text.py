@@ -133,7 +133,8 @@ def _csv(comparisons: Sequence[Comparison]) -> str:
     records = []
     for c in comparisons:
         rate = dict(zip(c.names, c.rates))
-        first = {} if c.rank is None else dict(zip(c.ranked, c.rank[:, 0].tolist(), strict=True))
+        ranks = [] if c.rank is None else c.rank.tolist()
+        first = {name: row[0] for name, row in zip(c.ranked, ranks)}
         for pair in c.pairs:
             rates = {"sr_a": rate[pair.a], "sr_b": rate[pair.b]}
             firsts = {"first_a": first.get(pair.a), "first_b": first.get(pair.b)}
