@@ -195,7 +195,7 @@ def table_files(published: Published, rows: Path) -> dict[str, str]:
     from r2h_batch.runs.store import load_run
 
     run = load_run(rows)
-    table = replace(table_of(run), folder="")
+    table = replace(table_of(run), folders="")
     header, split = run.header, next(iter(run.header["trials"].values()))
     command = shlex.join(["r2h-batch", "sweep", *published.line(split), "--out", f"runs/{published.name}"])
     origin = {"command": command, "commit": header["git_commit"], "digests": header["digests"]}

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from r2h_batch.command_line import call, check_seed, refuse, tell
+from r2h_batch.command_line import call, check_seed, nearest, refuse, tell
+from r2h_batch.io.read import printable
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
@@ -67,18 +68,12 @@ def run(
         all_pairs: also compare the baselines with each other.
     """
     from r2h_batch.compare.text import render
-    from r2h_batch.runs.store import load_run
     from r2h_batch.statistics.common import common_trials
     from r2h_batch.statistics.paired import compare, pair_up
 
     check_seed(seed)
     try:
-        if not runs:
-            raise ValueError("no run folder is given; one with several methods is enough")
-        own = {r: load_run(r) for r in runs if not _is_shipped(r)}
-        like = next(iter(own.values())).header if own else None
-        stored = [own[r] if r in own else load_run(baselines_for(like)) for r in runs]
-        stored = _chosen(stored, method) if method else stored
+        stored = load_runs(runs, method)
         common = common_trials(stored, proven=stored_rows())
         paired = pair_up(stored, common)
         shipped = [stored[k].folder in FOLDERS for k in paired.runs]
@@ -102,6 +97,25 @@ def run(
         render(comparisons, format, origin=origin, notes=(*common.notes, *paired.notes))
     )
     return 0
+
+
+def load_runs(words: Sequence[Path], method: Sequence[str] = ()) -> "list[Run]":
+    """The runs of a command line, with these methods alone; `baselines` are the shipped ones.
+
+    Raises:
+        RunError, ValueError: a folder is no run folder, or no run has a method of that name.
+    """
+    from r2h_batch.runs.store import load_run
+
+    if not words:
+        raise ValueError("no run folder is given; one with several methods is enough")
+    for word in map(str, words):
+        if not Path(word).exists() and word != BASELINES and (hint := nearest(word, [BASELINES])):
+            raise ValueError(f"{printable(word)}: no such folder{hint}")
+    own = {r: load_run(r) for r in words if not _is_shipped(r)}
+    like = next(iter(own.values())).header if own else None
+    stored = [own[r] if r in own else load_run(baselines_for(like)) for r in words]
+    return _chosen(stored, method) if method else stored
 
 
 def _is_shipped(folder: Path) -> bool:

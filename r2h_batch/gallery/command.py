@@ -4,11 +4,15 @@ work."""
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
 from r2h_batch.command_line import UsageError, call, refuse, tell
 from r2h_batch.io.write import check_output_file, check_output_folder, write_text
+
+if TYPE_CHECKING:
+    from r2h_batch.runs.store import Run
+    from r2h_batch.statistics.common import Common
 
 MOST = 20
 """Pictures of one method and outcome in a gallery."""
@@ -17,7 +21,7 @@ FIGURES, ENDINGS = ("protocol", "methods", "failures"), ("pdf", "png")
 
 
 def report(
-    run: Path,
+    runs: tuple[Path, ...],
     /,
     *,
     format: Literal["md", "latex", "csv", "json", "html"] = "md",
@@ -31,10 +35,11 @@ def report(
     overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
-    """Print the table of a run folder, or write its page.
+    """Print the table of run folders, or write their page.
 
     Args:
-        run: a run folder, as `r2h-batch sweep --out` writes it.
+        runs: run folders, as `r2h-batch sweep --out` writes them: one table for all. The word
+            baselines stands for the built-in methods' rows, which ship with the package.
         format: md, latex, csv or json; html: one page with figures and a search over trials, no
             network needed.
         by_object: each object's rates instead of Table I; in md also the criteria that fail
@@ -63,19 +68,23 @@ def report(
 
     if gallery and out is not None:
         check_output_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
-    from r2h_batch.runs.store import load_run
+    from r2h_batch.compare.command import load_runs
+    from r2h_batch.runs.store import join
 
     try:
-        stored = load_run(run).only(method)
+        loaded = load_runs(runs, method)
+        stored = join(loaded)
         if not stored.methods:
-            raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+            raise ValueError(f"{runs[0]}: no method is complete; run its sweep again to go on")
+        if gallery and len(runs) > 1:
+            raise ValueError("--gallery shows one run; give one, or leave --gallery out")
         if format == "html":
             from r2h_batch.report.page import page
 
-            text = page(
-                stored,
-                _gallery_of(run, method, gallery, out, benchmark) if gallery and out else None,
+            pictures = (
+                _gallery_of(runs[0], method, gallery, out, benchmark) if gallery and out else None
             )
+            text = page(stored, pictures, common=_common(loaded))
         elif by_object:
             from r2h_batch.report.table import object_lines
 
@@ -100,6 +109,18 @@ def report(
         missing = sum(s.last - s.first for s in stored.missing(name))
         tell(f"report: {name} is not in the table, {missing} of its trials are not scored yet")
     return 1 if stored.unfinished else 0
+
+
+def _common(runs: "Sequence[Run]") -> "Common | None":
+    """The trials that runs share; None, said in a line, where they cannot be compared."""
+    from r2h_batch.compare.command import FOLDERS
+    from r2h_batch.statistics.common import common_trials
+
+    try:
+        return common_trials(runs, proven=FOLDERS)
+    except ValueError as error:
+        tell(f"report: not compared with each other: {error}")
+        return None
 
 
 def _pages(out: Path) -> Path:

@@ -23,9 +23,10 @@ from r2h_batch.report.table import (
 )
 from r2h_batch.report.text import NA, short_names
 from r2h_batch.runs.rows import OUTCOME_NAMES
-from r2h_batch.runs.store import Run
+from r2h_batch.runs.store import JoinedRun, Run
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import FAILURES, RATES, Row
+from r2h_batch.statistics.common import Common
 from r2h_batch.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.statistics.tally import Tally, tally
 from r2h_batch.verdicts import CRITERIA
@@ -44,12 +45,18 @@ MARKS = {
 """A verdict of `compare` as one sign."""
 
 
-def page(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = None) -> str:
+def page(
+    run: Run,
+    gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = None,
+    *,
+    common: Common | None = None,
+) -> str:
     """The page as text.
 
     Args:
-        run: what `load_run` gives.
+        run: what `load_run` or `join` gives.
         gallery: method -> pictures with `src`, `alt`, `caption` and perhaps `href`.
+        common: the trials on which several runs are compared; None: they are not compared.
 
     Raises:
         ValueError: if matplotlib is missing.
@@ -60,14 +67,16 @@ def page(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = N
     counted = [tally(run, m) for m in run.methods]
     table = table_of(run, counted=counted)
     short = short_names(run.methods)
-    compared = compare(pair_up([run])) if len(run.methods) > 1 else ()
+    runs = run.runs if isinstance(run, JoinedRun) else (run,)
+    comparable = len(run.methods) > 1 and not (len(runs) > 1 and common is None)
+    compared = compare(pair_up([run], common)) if comparable else ()
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("r2h_batch.report", "."),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
     )
     return environment.get_template("page.html").render(
-        title=run.folder.resolve().name,
+        title=", ".join(r.folder.resolve().name for r in runs),
         origin=table.origin,
         short=short,
         overview=_overview(table, compared),
@@ -83,7 +92,7 @@ def page(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]] | None = N
         table=_table(table),
         headings=list(HEADINGS.values()),
         notes=[*FOOTNOTES, BEST_NOTE],
-        facts=list(_facts(run.header)),
+        facts=_all_facts(runs),
         trials=_trials(run),
     )
 
@@ -252,6 +261,19 @@ FACTS = (
     "git_commit", "command", "created", "stored", "shard_trials", "hash",
 )  # fmt: skip
 """Fields of run.json in the order in which a page shows them."""
+
+
+def _all_facts(runs: Sequence[Run]) -> list[tuple[str, str]]:
+    """Fields of each run.json; once those that are the same in all."""
+    each = [(run.folder.resolve().name, dict(_facts(run.header))) for run in runs]
+    lines = []
+    for key in dict.fromkeys(key for _, facts in each for key in facts):
+        values = [(name, facts.get(key, NA)) for name, facts in each]
+        if len({value for _, value in values}) == 1:
+            lines.append((key, values[0][1]))
+        else:
+            lines += [(f"{key} ({name})", value) for name, value in values]
+    return lines
 
 
 def _facts(header: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -22,7 +22,7 @@ from r2h_batch.report.text import (
     tex_number,
     tex_table,
 )
-from r2h_batch.runs.store import Run
+from r2h_batch.runs.store import JoinedRun, Run
 from r2h_batch.statistics import breakdown
 from r2h_batch.statistics.aggregate import FAILURES, RATES, TIMES, Mean, Rate, Row, summarise
 from r2h_batch.statistics.tally import Tally, tally
@@ -72,12 +72,12 @@ class Table:
     Attributes:
         rows: lines of the table in order.
         origin: where the rows come from: protocol, digest, preset, device, ...
-        folder: of the run, for the commands that the report names; empty: it names none.
+        folders: of the runs, as a command line names them; empty: the report names no commands.
     """
 
     rows: tuple[Row, ...]
     origin: Mapping[str, str]
-    folder: str = ""
+    folders: str = ""
 
 
 def table_of(
@@ -90,8 +90,32 @@ def table_of(
         order: of the criteria, in which the first failure is looked for.
         counted: these methods' trials, if they were counted before.
     """
-    header = run.header
     tallies = [tally(run, method) for method in run.methods] if counted is None else counted
+    runs = run.runs if isinstance(run, JoinedRun) else (run,)
+    origin = _joined([(r.folder.absolute().name, _origin(r.header)) for r in runs])
+    if tuple(order) != CRITERIA:
+        tallies = [breakdown.in_order(t, order) for t in tallies]
+        origin["order of criteria"] = ", ".join(order)
+    rows = summarise(tallies)
+    if all(
+        (r.header["configuration"].get("plan") or {}).get("edge_check") != "moveit" for r in runs
+    ):
+        rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
+    return Table(rows, origin, shlex.join(str(r.folder) for r in runs))
+
+
+def _joined(origins: Sequence[tuple[str, Mapping[str, str]]]) -> dict[str, str]:
+    """Where rows of several runs come from: once what is the same, else run by run."""
+    joined = {}
+    for key in dict.fromkeys(key for _, origin in origins for key in origin):
+        values = [(name, origin.get(key, NA)) for name, origin in origins]
+        same = len({value for _, value in values}) == 1
+        joined[key] = values[0][1] if same else "; ".join(f"{n}: {v}" for n, v in values)
+    return joined
+
+
+def _origin(header: Mapping[str, Any]) -> dict[str, str]:
+    """What run.json says of where its rows come from."""
     configuration = header["configuration"]
     origin = {
         "preset": str(configuration.get("name", "custom")),
@@ -113,13 +137,7 @@ def table_of(
         origin["paths planned against"] = f"the {hand} hand"
     if (candidates := configuration.get("candidates", "filtered")) != "filtered":
         origin["grasp candidates"] = str(candidates).replace("-", " ")
-    if tuple(order) != CRITERIA:
-        tallies = [breakdown.in_order(t, order) for t in tallies]
-        origin["order of criteria"] = ", ".join(order)
-    rows = summarise(tallies)
-    if (configuration.get("plan") or {}).get("edge_check") != "moveit":
-        rows = tuple(replace(row, through=None) for row in rows)  # certified paths meet nothing
-    return Table(rows, origin, str(run.folder))
+    return origin
 
 
 def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False) -> str:
@@ -249,7 +267,7 @@ def _md(table: Table) -> str:
         if lines:
             parts += [caption, aligned(["Split", "Method", *headings], lines, 2)]
     parts.append(notes_list([*map(plain, legend(short)), *FOOTNOTES]))
-    if table.folder:
+    if table.folders:
         parts.append(_next_commands(table))
     return "\n\n".join(parts) + "\n"
 
@@ -262,9 +280,8 @@ def _next_commands(table: Table) -> str:
         ("report", " --format html > report.html", "by object, margins, every trial"),
         ("results reevaluate", " --rows 200", "whether the rows are what the evaluator says"),
     ]
-    folder = shlex.quote(table.folder)
     return "Next:\n\n" + "\n".join(
-        f"    r2h-batch {c} {folder}{more}  # {what}" for c, more, what in lines
+        f"    r2h-batch {c} {table.folders}{more}  # {what}" for c, more, what in lines
     )
 
 

@@ -15,18 +15,20 @@ any number of processes can share a folder. A folder may come from anybody: each
 size limit and goes through a model with bounds before a field is used.
 """
 
+import contextlib
 import csv
 import difflib
 import errno
 import fcntl
 import hashlib
+import itertools
 import json
 import os
 import re
 import socket
 import stat
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -514,11 +516,33 @@ def _check_header(data: Mapping[str, Any], path: Path) -> dict[str, Any]:
     return header
 
 
+MOST_NEAR = 1000
+"""Entries of a folder among which a misspelt run is looked for."""
+
+
+def _near(folder: Path) -> str:
+    """The run that a path that is none may mean: the newest one inside it, or one of nearly its
+    name beside it; empty where there is none."""
+
+    def runs_in(place: Path) -> list[Path]:
+        with contextlib.suppress(OSError):
+            names = itertools.islice(os.scandir(place), MOST_NEAR)
+            return [place / e.name for e in names if (place / e.name / "run.json").is_file()]
+        return []
+
+    if inside := runs_in(folder):
+        return str(max(inside, key=lambda p: (p / "run.json").stat().st_mtime))
+    beside = {p.name: p for p in runs_in(folder.parent)}
+    close = difflib.get_close_matches(folder.name, list(beside), n=1)
+    return str(beside[close[0]]) if close else ""
+
+
 def read_header(folder: Path) -> dict[str, Any]:
     """run.json: of this format, with its own hash, in a folder without links."""
     path = folder / "run.json"
     if not os.path.lexists(path):
-        raise RunError(f"{printable(folder)}: no run.json, so it is not a run folder")
+        near = f"; did you mean {printable(found)}?" if (found := _near(folder)) else ""
+        raise RunError(f"{printable(folder)}: no run.json, so it is not a run folder{near}")
     data = read_json(path)
     if data.get("format") != FORMAT:
         given = f"{printable(data.get('format'))!r:.40}"
@@ -744,6 +768,11 @@ class Run:
         names = {self.named(w) for w in words}
         return replace(self, entries=tuple(e for e in self.entries if e["name"] in names))
 
+    def planned(self, method: str) -> dict[str, int]:
+        """Split -> trials that a method was asked."""
+        self.entry(method)
+        return dict(self.header["trials"])
+
     def missing(self, method: str) -> list[Shard]:
         """Shards of a method that are planned and not stored."""
         stored = self.entry(method)["receipts"]
@@ -888,6 +917,61 @@ def _plain(column: pa.Array) -> np.ndarray:
         codes = np.frombuffer(b"".join([*words, bytes(8)]), "<u8")
         return codes[column.indices.fill_null(len(words)).to_numpy()]
     return np.asarray(column.fill_null(False if pa.types.is_boolean(column.type) else 0))
+
+
+@dataclass(frozen=True)
+class JoinedRun(Run):
+    """Several runs as one, for tables and pages: what `join` gives.
+
+    Attributes:
+        runs: the runs.
+        origin: name of a method -> its run, and its name there.
+    """
+
+    runs: tuple[Run, ...]
+    origin: dict[str, tuple[Run, str]]
+
+    def planned(self, method: str) -> dict[str, int]:
+        """Split -> trials that a method was asked."""
+        self.entry(method)
+        run, name = self.origin[method]
+        return run.planned(name)
+
+    def missing(self, method: str) -> list[Shard]:
+        """Shards of a method that are planned and not stored."""
+        self.entry(method)
+        run, name = self.origin[method]
+        return run.missing(name)
+
+    def shards(
+        self, kind: str, method: str, columns: Sequence[str] | None = None
+    ) -> Iterator[pa.Table]:
+        """The tables of a kind of a method, one shard at a time."""
+        self.entry(method)
+        run, name = self.origin[method]
+        return run.shards(kind, name, columns)
+
+
+def join(runs: Sequence[Run]) -> Run:
+    """Several runs as one: a method whose name stands in several has its run's name in front.
+
+    Raises:
+        RunError: two folders of one name hold a method of one name.
+    """
+    if len(runs) == 1:
+        return runs[0]
+    names = Counter(e["name"] for run in runs for e in run.entries)
+    origin: dict[str, tuple[Run, str]] = {}
+    entries = []
+    for run in runs:
+        for entry in run.entries:
+            own = entry["name"]
+            name = own if names[own] == 1 else f"{run.folder.absolute().name}/{own}"
+            if name in origin:
+                raise RunError(f"two run folders of one name hold {name!r}; rename one of them")
+            origin[name] = (run, own)
+            entries.append({**entry, "name": name})
+    return JoinedRun(runs[0].folder, runs[0].header, tuple(entries), tuple(runs), origin)
 
 
 @check_arguments(verify=boolean)

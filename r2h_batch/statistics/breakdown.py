@@ -146,7 +146,7 @@ def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
     total, kept = 0, []
     each = max(1, limit // (MISSING + 1))
     seen = np.zeros(MISSING + 1, np.int64)
-    whole = sum(run.header["trials"].values()) <= limit
+    whole = sum(run.planned(method).values()) <= limit
     for table in run.shards("trials", method, SHOWN):
         total += len(table)
         if whole:

@@ -292,7 +292,7 @@ class _Stream:
     def pieces(self) -> Iterator[pa.Table]:
         """Columns trial_id, split, object and success in tables of `PIECE` rows; the last one may
         be shorter."""
-        planned: Mapping[str, int] = self.run.header["trials"]
+        planned = self.run.planned(self.method)
         shared = np.array([self.trials.get(split, 0) for split in SPLITS])
         found, waiting = np.zeros(len(SPLITS), np.int64), None
         for shard in self.run.shards("trials", self.method, _COLUMNS):

@@ -96,7 +96,7 @@ def tally(run: Run, method: str) -> Tally:
     Raises:
         ValueError: if a split has not as many rows as planned, or an outcome is unknown.
     """
-    trials: dict[str, int] = run.header["trials"]
+    trials = run.planned(method)
     counted = Tally.of(method, tuple(trials), run.shards("trials", method, _STORED))
     check_planned(method, trials, np.bincount(counted.split, counted.n, len(SPLITS)))
     return counted
