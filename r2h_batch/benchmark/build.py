@@ -386,6 +386,15 @@ class BenchmarkOverrides(BenchmarkFlags):
             receiver=seen,
         )  # fmt: skip
 
+    def check_splits(self, splits: Sequence[str]) -> None:
+        """Refuse splits that have no object, before a mesh is built. Raises ValueError."""
+        found = self.read(only=frozenset())
+        there = {o.split for o in found.objects}
+        if found.listed is None and (missing := [s for s in splits if s not in there]):
+            raise ValueError(
+                f"no object belongs to split {missing[0]}; give at least one, or --splits {' '.join(sorted(there))}"
+            )
+
     def _hand_set(self, base: HandSet) -> HandSet:
         """The hand set of --hands on the hand of --hand-model, each else as in `base`."""
         model = hand_of(Path(self.hand_model)) if self.hand_model else base.model

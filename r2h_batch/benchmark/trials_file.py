@@ -1,5 +1,5 @@
 """Trials of somebody's own: which object meets which hand, and where that hand stands.
-`--trials-file FILE.npz|.parquet`.
+`--trials-file FILE.npz|.parquet|.csv|.json`.
 
 | name | npz | Parquet | meaning |
 |---|---|---|---|
@@ -14,11 +14,14 @@ side 0 right, 1 left |
 row of `skin` |
 | `id`, `variant` | (N,) text | text | optional: what its owner calls the trial, and the method behind
 it |
+
+As text, with `hand`: .csv with the columns object, hand, T_world_hand_0 to _15; .json with a list
+`trials` of objects with these names.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +33,7 @@ from r2h_batch.bodies.hand import MAX_SKIN_PIECES, HandSet, make_hand_set, make_
 from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.io.read import FileError, printable, read_npz
-from r2h_batch.io.tables import check_decoded_size, open_parquet
+from r2h_batch.io.tables import check_decoded_size, open_parquet, read_csv_arrays, read_json_arrays
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
@@ -66,9 +69,9 @@ def read_trials_file(
     Raises `FileError`, one line, for anything that is not as the table above says.
     """
     where = printable(path)
-    if path.suffix not in (".npz", ".parquet"):
-        raise FileError(f"{where}: trials are an .npz or .parquet file")
-    columns = read_npz(path, most=MAX_BYTES) if path.suffix == ".npz" else _parquet(path)
+    if path.suffix not in READERS:
+        raise FileError(f"{where}: trials are an {', '.join(READERS)} file")
+    columns = READERS[path.suffix](path)
     if "skin" in columns:
         hand_set = _skins(columns, where)
     _check_columns(columns, where)
@@ -274,6 +277,25 @@ def _texts(column: Any, name: str, where: str) -> NDArray[Any]:
         raise FileError(f"{where}: {name} holds a text of more than {MAX_NAME_BYTES} bytes")
     names = np.array([str(w) for w in words] or [""], np.str_)
     return names[column.indices.to_numpy(zero_copy_only=False)]
+
+
+def _text(path: Path) -> Columns:
+    """The columns of a CSV or JSON file."""
+    widths = {"hand": 1, "object": 1, "T_world_hand": 16}
+    if path.suffix == ".csv":
+        columns = read_csv_arrays(path, widths, names=["object"])
+    else:
+        columns = read_json_arrays(path, widths, rows="trials", names=["object"])[0]
+    columns["object"] = np.array(columns["object"], np.str_)
+    return {**columns, "T_world_hand": columns["T_world_hand"].reshape(-1, 4, 4)}
+
+
+READERS: dict[str, Callable[[Path], Columns]] = {
+    ".npz": lambda path: read_npz(path, most=MAX_BYTES),
+    ".parquet": _parquet,
+    ".csv": _text,
+    ".json": _text,
+}
 
 
 def _check_types(schema: Any, where: str) -> None:

@@ -26,13 +26,16 @@ Widths = Mapping[str, int]
 Rows = Iterator[tuple[str, dict[str, Any]]]
 """For each row: its place in the file, and name -> its values."""
 
+MAX_WORD = 200
 _ID = "a whole number, 0 or more, of at most 18 digits"
 _NUMBER = re.compile(
     r"[-+]?([0-9]{1,30}(\.[0-9]{0,30})?|\.[0-9]{1,30})([eE][-+]?[0-9]{1,3})?|[-+]?(nan|inf)", re.I
 )
 
 
-def read_csv_arrays(path: Path, widths: Widths, optional: Sequence[str] = ()) -> dict[str, Any]:
+def read_csv_arrays(
+    path: Path, widths: Widths, optional: Sequence[str] = (), *, names: Sequence[str] = ()
+) -> dict[str, Any]:
     """The columns of a CSV file in UTF-8 as arrays.
 
     The first line names the columns, in any order: NAME for a width of 1, else NAME_0 to
@@ -42,9 +45,10 @@ def read_csv_arrays(path: Path, widths: Widths, optional: Sequence[str] = ()) ->
         path: the file.
         widths: name -> count of numbers in a row. The first name is an id: 0 or more.
         optional: names that may be missing. Their empty cells become NaN.
+        names: names of columns that hold a word.
 
     Returns:
-        name -> (N,) or (N, width) float64; the id (N,) int64.
+        name -> (N,) or (N, width) float64; the id (N,) int64; words (N,) text.
 
     Raises:
         FileError: the message names line and column.
@@ -54,10 +58,11 @@ def read_csv_arrays(path: Path, widths: Widths, optional: Sequence[str] = ()) ->
         try:
             text = TextIOWrapper(stream, encoding="utf-8-sig", newline="")
             lines = csv.reader(_bounded(text, where), strict=True)
-            names = [n.strip() for n in next(lines, [])]
-            places = _places(names, widths, optional, where)
+            header = [n.strip() for n in next(lines, [])]
+            places = _places(header, widths, optional, where)
             known = {name: n for name, n in widths.items() if name in places}
-            return _arrays(_csv_rows(lines, len(names), places, where), known, optional, where)
+            rows = _csv_rows(lines, len(header), places, where)
+            return _arrays(rows, known, optional, where, names)
         except (csv.Error, UnicodeDecodeError) as error:
             why = printable(error)[:200]
             raise FileError(f"{where}: no readable CSV ({why}); save it as CSV UTF-8") from None
@@ -113,7 +118,7 @@ def _cell(text: str) -> Any:
 
 def read_json_arrays(
     path: Path, widths: Widths, optional: Sequence[str] = (), *,
-    rows: str = "predictions", words: Sequence[str] = (),
+    rows: str = "predictions", words: Sequence[str] = (), names: Sequence[str] = (),
 ) -> tuple[dict[str, Any], dict[str, str]]:  # fmt: skip
     """The rows of a JSON file as arrays, as `read_csv_arrays` does.
 
@@ -126,6 +131,7 @@ def read_json_arrays(
         optional: names that may be missing.
         rows: name of the field that holds the rows.
         words: names of fields that hold text.
+        names: names of a row's fields that hold a word.
 
     Returns:
         The arrays, and the texts.
@@ -144,7 +150,8 @@ def read_json_arrays(
             raise FileError(f"{where}: unknown field {shown}; allowed are {allowed}")
         if not isinstance(value, str):
             raise FileError(f"{where}: {name} must be text")
-    return _arrays(_json_rows(data[rows], rows, widths, where), widths, optional, where), texts
+    found = _json_rows(data[rows], rows, widths, where)
+    return _arrays(found, widths, optional, where, names), texts
 
 
 def _json_rows(found: list[Any], field: str, widths: Widths, where: str) -> Rows:
@@ -163,15 +170,24 @@ def _flat(value: Any) -> list[Any]:
     return [x for part in items for x in (part if isinstance(part, list) else [part])]
 
 
-def _arrays(rows: Rows, widths: Widths, optional: Sequence[str], where: str) -> dict[str, Any]:
+def _arrays(
+    rows: Rows, widths: Widths, optional: Sequence[str], where: str, names: Sequence[str] = ()
+) -> dict[str, Any]:
     """Arrays of the rows, each value checked before it is stored."""
     import numpy as np
 
     key = next(iter(widths))
     values: dict[str, Any] = {name: array("q" if name == key else "d") for name in widths}
+    values |= {name: [] for name in names}
     for place, row in rows:
         for name, width in widths.items():
             found = row.get(name, [None])
+            if name in names:
+                if len(found) != 1 or found[0] is None or len(str(found[0])) > MAX_WORD:
+                    problem = f"no word of 1 to {MAX_WORD} characters"
+                    raise FileError(f"{where}: {place}{name} is {problem}")
+                values[name].append(str(found[0]))
+                continue
             if name in optional and found == [None]:
                 found = [math.nan] * width
             if problem := _problem(found, width, is_id=name == key):

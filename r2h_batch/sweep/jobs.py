@@ -107,6 +107,7 @@ def prepare(options: Options) -> Setting:
             f"--device {options.device}: torch sees no CUDA device ({why_no_cuda()}); use --device cpu"
         )
     given = given_of(options)
+    given.check_splits(options.splits)
     # a convex decomposition takes up to a minute: only where it is used
     benchmark = given.read(pieces=options.object_collision == "pieces")
     config, objects = benchmark.config(_configuration(options)), benchmark.objects

@@ -87,6 +87,39 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
     assert header["hands"] == ["right"] * 3
 
 
+@pytest.mark.parametrize("kind", ["csv", "json"])
+def test_trials_as_text_are_those_of_an_npz(tmp_path, kind):
+    columns, base = some_trials(), built_in()
+    columns = {k: columns[k] for k in ("object", "T_world_hand")} | {"hand": np.arange(len(columns["object"]))}
+    np.savez(tmp_path / "t.npz", **columns)
+    rows = [
+        [str(o), int(h), T.ravel().tolist()]
+        for o, h, T in zip(*(columns[k] for k in ("object", "hand", "T_world_hand")))
+    ]
+    if kind == "csv":
+        text = "object,hand," + ",".join(f"T_world_hand_{i}" for i in range(16)) + "\n"
+        text += "".join(f"{o},{h},{','.join(map(repr, T))}\n" for o, h, T in rows)
+    else:
+        text = json.dumps({"trials": [{"object": o, "hand": h, "T_world_hand": T} for o, h, T in rows]})
+    (tmp_path / f"t.{kind}").write_text(text)
+    found, wanted = (read_trials_file(tmp_path / f"t.{k}", base.objects, base.hand_set)[0] for k in (kind, "npz"))
+    for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
+        assert torch.equal(getattr(found, name), getattr(wanted, name))
+    (tmp_path / f"t.{kind}").write_text(text.replace(rows[0][0], "x" * 300, 1))
+    with pytest.raises(FileError, match=r"object is no word of 1 to 200 characters"):
+        read_trials_file(tmp_path / f"t.{kind}", base.objects, base.hand_set)
+
+
+def test_a_split_without_objects_is_refused_before_a_mesh_is_built(tmp_path, monkeypatch, capsys):
+    import r2h_batch.benchmark.build as build
+
+    monkeypatch.setattr(build, "build_ahead", lambda calls: pytest.fail("builds") if calls else None)
+    (tmp_path / "mug.obj").write_text("")
+    line = ["sweep", "--objects", str(tmp_path), "--method", "random", "--trials", "2", "--out", str(tmp_path / "r")]
+    assert main(line) == 2
+    assert "no object belongs to split S1; give at least one, or --splits S0" in capsys.readouterr().err
+
+
 def test_npz_and_parquet_with_rows_of_the_hand_set_or_postures_say_the_same(tmp_path):
     columns, base = some_trials(), built_in()
     np.savez(tmp_path / "p.npz", **columns)
@@ -214,7 +247,7 @@ def test_what_the_flags_cannot_mean_is_refused_in_one_line(tmp_path, capsys):
         (("--benchmark", tmp_path / "pipe.yaml"), "not a regular file"),
         (("--predicted-hands", pipe), "not a regular file"),
         (("--hand-model", tmp_path / "none.npz"), "none.npz"),
-        (("--trials-file", tmp_path / "none.csv"), ".npz or .parquet"),
+        (("--trials-file", tmp_path / "none.txt"), ".npz, .parquet, .csv, .json file"),
     ):
         assert main(["sweep", "--method", "fc", "--trials", "1", *map(str, flags)]) == 2
         told = capsys.readouterr()
