@@ -45,6 +45,9 @@ BORDERLINE_M = 1e-4
 PAD_SQUEEZE_CAP_M = 0.01
 """Largest deformation of both rubber pads together."""
 
+PRESETS = ("default", "paper", "release")
+"""Names of `EvalConfig.preset`."""
+
 HALF_DEGREE = math.radians(0.5)
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -183,7 +186,7 @@ class ExecConfig(_Checked):
 @dataclass(frozen=True)
 class EvalConfig(_Checked):
     """The whole configuration. `preset("paper")` differs from the default where the paper's
-    pipeline is known to differ."""
+    pipeline is known to differ, `preset("release")` where the authors' public release does."""
 
     thresholds: Thresholds = field(default_factory=Thresholds)
     ik: IkConfig = field(default_factory=IkConfig)
@@ -193,12 +196,17 @@ class EvalConfig(_Checked):
     # what planning and Safe see of the person: the hand, or arm and torso too
     receiver: Literal["hand", "body"] = "hand"
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
-    # grasps that methods choose from; no verdict depends on it
-    candidates: Literal["filtered", "as-generated"] = "filtered"
+    # grasps that methods choose from; no verdict depends on it. narrow: of the filtered ones those
+    # across which the whole object is at most as wide as the open gripper
+    candidates: Literal["filtered", "as-generated", "narrow"] = "filtered"
     # material between the pads, or the whole object's extent
     width: Literal["pads", "whole"] = "pads"
+    # Reach measures the object, or its convex hull
+    reach: Literal["solid", "hull"] = "solid"
     # physics: the friction grasp must also outlast a shake
     stability: Literal["geometric", "physics"] = "geometric"
+    # how a split's rates are averaged in tables: every trial, or every object, counts the same
+    averages: Literal["trials", "objects"] = "trials"
     chunk: Annotated[int, Field(ge=1)] = 2048  # trials held in memory at once
     name: str = "default"
 
@@ -207,10 +215,23 @@ class EvalConfig(_Checked):
         """A named configuration.
 
         Args:
-            name: `default`, or `paper` to compare with the paper's figures.
+            name: `default`, `paper` to compare with the paper's figures, or `release` for the
+                definitions of the authors' public release (docs/release.md).
         """
-        if one_of("default", "paper")("name", name) == "default":
+        if one_of(*PRESETS)("name", name) == "default":
             return EvalConfig()
+        if name == "release":
+            return EvalConfig(
+                plan=PlanConfig(hand_clearance_m=0.0, range_rad=0.25, rounds=(200,), shortcuts=0),
+                execute=ExecConfig(
+                    scale=1.0, max_velocity_rad_s=0.6, max_acceleration_rad_s2=1e3, sim="none"
+                ),
+                candidates="narrow",
+                width="whole",
+                reach="hull",
+                averages="objects",
+                name="release",
+            )
         plan = PlanConfig(goals="one", hand="estimated", edge_check="moveit", hand_clearance_m=0.0)
         return EvalConfig(
             plan=plan,

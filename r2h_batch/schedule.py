@@ -17,8 +17,10 @@ __all__ = ["PROTOCOL", "PROTOCOLS", "assign_hands", "assign_objects", "trial_ids
 
 PROTOCOL = "r2h-v1"
 """The default protocol."""
-PROTOCOLS = ("r2h-v0", "r2h-v1")
-"""v0: hands alone, with a free roll. v1: hands on the arms of people (docs/receivers.md)."""
+RELEASE = "r2h-release"
+PROTOCOLS = ("r2h-v0", "r2h-v1", RELEASE)
+"""v0: hands alone, with a free roll. v1: hands on the arms of people (docs/receivers.md). release:
+palms, objects and place of the authors' public release (docs/release.md)."""
 _HAND = 0  # purpose of the random counters
 
 

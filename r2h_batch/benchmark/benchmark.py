@@ -6,17 +6,17 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any, Literal
 
 import numpy as np
 
 from r2h_batch.benchmark.trials_file import LISTED, Labels
 from r2h_batch.bodies.given_objects import checked_objects
-from r2h_batch.bodies.hand import HandSet, load_hand_set
-from r2h_batch.bodies.objects import ObjectModel, load_objects
+from r2h_batch.bodies.hand import HandSet, load_hand_set, neutral_hand_set
+from r2h_batch.bodies.objects import ObjectModel, load_objects, without_region
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
-from r2h_batch.schedule import PROTOCOL, PROTOCOLS
+from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE
 from r2h_batch.types import Trials
 from r2h_batch.validate import instance_of, optional
 
@@ -24,6 +24,20 @@ __all__ = ["Benchmark", "built_in", "is_unbuilt", "unbuilt"]
 
 WITH_BODIES = PROTOCOLS[1]
 """The protocol whose trials have receivers with a body."""
+
+RELEASE_S0 = (
+    *("bottle", "bowl", "can", "cup"),
+    *("dispenser", "eyeglasses", "game_controller", "headphones"),
+)
+RELEASE_S1 = (
+    *("binoculars", "power_drill", "hammer", "knife"),
+    *("pliers", "scissors", "screwdriver", "toothbrush"),
+)
+"""The release's own assumption: the paper does not say which objects each split has."""
+
+RELEASE_HOME_Q = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
+RELEASE_TABLE_CENTER, RELEASE_TABLE_HALF = (0.35, 0.0, -0.05), (0.65, 0.55, 0.035)
+"""Its home and the table of its CPU planner, m: 15 mm below the base, and under the receiver."""
 
 DECIDES = (
     *(
@@ -147,9 +161,16 @@ class Benchmark:
         return replace(base, thresholds=self.thresholds, workplace=self.workplace, receiver=seen)
 
 
-def built_in() -> Benchmark:
-    """This package's own: 16 objects, 400 hands."""
-    return Benchmark(load_objects(), load_hand_set())
+@cache
+def built_in(protocol: str = PROTOCOL) -> Benchmark:
+    """This package's own benchmark of a protocol: 16 objects, 400 hands; r2h-release has objects,
+    two hands, table and home of the authors' release (docs/release.md)."""
+    if protocol != RELEASE:
+        return Benchmark(load_objects(), load_hand_set(), drawn=protocol)
+    free = tuple(map(without_region, load_objects(RELEASE_S0)))
+    place = Workplace(RELEASE_HOME_Q, RELEASE_TABLE_CENTER, RELEASE_TABLE_HALF)
+    objects = (*free, *load_objects(RELEASE_S1))
+    return Benchmark(objects, neutral_hand_set(), workplace=place, drawn=protocol)
 
 
 @lru_cache(maxsize=1024)

@@ -27,7 +27,14 @@ from r2h_batch.benchmark.model import (
 from r2h_batch.benchmark.trials_file import LISTED, read_trials_file
 from r2h_batch.benchmark.vocabulary import S0_ROLES, THINGS, Thing
 from r2h_batch.bodies.grasp_set import GraspSet
-from r2h_batch.bodies.hand import HandModel, HandSet, load_hand, load_hand_set, make_hand_set
+from r2h_batch.bodies.hand import (
+    HandModel,
+    HandSet,
+    load_hand,
+    load_hand_set,
+    make_hand_set,
+    neutral_hand_set,
+)
 from r2h_batch.bodies.hand_file import HandChoice, read_hand_set
 from r2h_batch.bodies.mesh_import.build_ahead import build_ahead
 from r2h_batch.bodies.objects import (
@@ -44,7 +51,7 @@ from r2h_batch.config import Workplace
 from r2h_batch.importers.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.importers.mano import hand_from
 from r2h_batch.io.read import FileError, path_within, printable, read_file, read_npy
-from r2h_batch.schedule import PROTOCOLS
+from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE
 
 __all__ = [
     "BenchmarkOverrides", "Only", "benchmark_of_run", "hand_of", "hand_set_of", "objects_digest", "objects_of",
@@ -93,15 +100,17 @@ def _digest(path: Path) -> str:
 def _read(path: str, _: str, pieces: bool, only: Only) -> Benchmark:
     file, folder, shown = read_benchmark_file(Path(path)), Path(path).parent, printable(path)
     try:
-        objects = objects_of(file.objects, folder, pieces, only)
+        own, objects = built_in(file.protocol), built_in(file.protocol).objects
+        if "objects" in file.model_fields_set:
+            objects = objects_of(file.objects, folder, pieces, only)
         names = [o.name for o in objects]
         if twice := [n for n in names if names.count(n) > 1]:
             raise FileError(f"{shown}: two objects are called {twice[0]!r}; rename one of them")
-        hand_set, listed, labels = _hands(file, folder), None, None
+        hand_set, listed, labels = _hands(file, folder, own), None, None
         if file.trials is not None:
             path_of_trials = path_within(folder, file.trials)
             listed, hand_set, labels = read_trials_file(path_of_trials, objects, hand_set)
-        place = _workplace(file, path)
+        place = _workplace(file, path, own.workplace)
         return Benchmark(
             objects, hand_set, file.thresholds, place, listed, labels, file.protocol, file.receiver
         )
@@ -144,20 +153,24 @@ def _grasps(folder: Path, said: str) -> GraspSet:
     return grasps_from(f"{inside}:{gripper}" if gripper else inside)
 
 
-def _workplace(file: BenchmarkFile, path: str) -> Workplace:
+def _workplace(file: BenchmarkFile, path: str, own: Workplace) -> Workplace:
     robot = load_robot()
     for i, (q, low, high) in enumerate(zip(file.home, robot.lower, robot.upper, strict=True)):
         if not low <= q <= high:
             raise FileError(
                 f"{printable(path)}: home.{i} is {q}; the robot's joint goes from {low:.4f} to {high:.4f} rad"
             )
-    return Workplace(tuple(file.home), tuple(file.table.center), tuple(file.table.half))
+    home = tuple(file.home) if "home" in file.model_fields_set else own.home_q
+    if "table" not in file.model_fields_set:
+        return replace(own, home_q=home)
+    return Workplace(home, tuple(file.table.center), tuple(file.table.half))
 
 
-def _hands(file: BenchmarkFile, folder: Path) -> HandSet:
+def _hands(file: BenchmarkFile, folder: Path, own: Benchmark) -> HandSet:
+    """The file's postures, by default those of its protocol, on the file's hand."""
     model = None if file.hand_model == BUILT_IN else hand_of(path_within(folder, file.hand_model))
     if file.hand_set == BUILT_IN:
-        return hand_set_of(None, model)
+        return neutral_hand_set(model) if own.drawn == RELEASE else hand_set_of(None, model)
     parts = []
     for entry in _hand_entries(file):
         if entry.file == BUILT_IN:
@@ -357,7 +370,7 @@ class BenchmarkOverrides(BenchmarkFlags):
         Raises:
             ValueError: one line, mostly a `FileError`.
         """
-        base = built_in()
+        base = built_in(self.protocol or PROTOCOL)
         if self.benchmark:
             base = read_benchmark(self.benchmark, pieces=pieces, only=only)
         objects = _objects_of(Path(self.objects), pieces, only) if self.objects else base.objects

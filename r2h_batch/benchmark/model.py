@@ -12,7 +12,7 @@ import yaml
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from r2h_batch.benchmark.vocabulary import S0_ROLES, THINGS, VERB_WORDS
-from r2h_batch.bodies.objects import OBJECT_NAMES, ObjectModel, load_objects
+from r2h_batch.bodies.objects import BUILT_IN_NAMES, OBJECT_NAMES, ObjectModel, load_objects
 from r2h_batch.command_line import nearest
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.io.read import FileError, printable, read_yaml
@@ -64,7 +64,7 @@ class WordsEntry(_Entry):
 class ObjectEntry(_Entry):
     """One object: a built-in one by name, or a mesh file with what is to be known of it."""
 
-    built_in: Literal[OBJECT_NAMES] | None = Field(  # type: ignore[valid-type]
+    built_in: Literal[BUILT_IN_NAMES] | None = Field(  # type: ignore[valid-type]
         default=None, description="name of a built-in object"
     )
     file: FilePath | None = Field(
@@ -143,11 +143,11 @@ Limits = Annotated[
 
 
 class BenchmarkFile(_Entry):
-    """A benchmark; what is left out is as in the built-in one. Files are named relative to this
-    one, beside or below it."""
+    """A benchmark; what is left out is as in the built-in one of its protocol. Files are named
+    relative to this one, beside or below it."""
 
     format: Literal[1] = 1
-    protocol: Literal["r2h-v0", "r2h-v1"] = Field(
+    protocol: Literal["r2h-v0", "r2h-v1", "r2h-release"] = Field(
         default="r2h-v1", description="the rule that draws the trials"
     )
     receiver: Literal["hand", "body"] = Field(

@@ -37,6 +37,7 @@ __all__ = [
     "load_hand_set",
     "make_hand_set",
     "make_skin_set",
+    "neutral_hand_set",
     "palm_frame",
 ]
 
@@ -400,6 +401,14 @@ def load_hand_set(path: str | Path | None = None, model: HandModel | None = None
     return (
         _default_hand_set() if path is None and hand is load_hand() else _other_hand_set(path, hand)
     )
+
+
+@lru_cache(maxsize=4)
+def neutral_hand_set(model: HandModel | None = None) -> HandSet:
+    """A right and a left hand in the rest posture, without shape: the receivers of r2h-release."""
+    zeros = np.zeros((2, POSE_SIZE), np.float32)
+    hand = load_hand() if model is None else model
+    return make_hand_set(hand, zeros, zeros[:, :SHAPE_SIZE], np.array([0, 1]), ["neutral"] * 2)
 
 
 @lru_cache(maxsize=4)

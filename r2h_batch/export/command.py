@@ -66,7 +66,7 @@ def scene(
 def trials(
     *,
     out: Path,
-    protocol: Literal["", "r2h-v0", "r2h-v1"] = "",
+    protocol: Literal["", "r2h-v0", "r2h-v1", "r2h-release"] = "",
     trials: int = 500,
     splits: tuple[Literal["S0", "S1"], ...] = ("S0", "S1"),
     benchmark: BenchmarkFlags = BUILT_IN,
@@ -76,7 +76,7 @@ def trials(
 
     Args:
         out: a new or empty folder.
-        protocol: r2h-v1 (with the receivers' bodies) or r2h-v0 (hands alone); by default the
+        protocol: r2h-v1 (with the receivers' bodies), r2h-v0 (hands alone) or r2h-release; by default the
             benchmark's.
         trials: of each split, 1 or more.
         splits: S0 free handover, S1 functional.

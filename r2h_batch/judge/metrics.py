@@ -140,7 +140,8 @@ def plan(e: Evidence) -> Criterion:
 
 
 def reach(e: Evidence) -> Criterion:
-    """Reach(g, h) <=> V_O(g, h) meets the ball B_h. Margin: r_h - dist(c_h, solid of the object).
+    """Reach(g, h) <=> V_O(g, h) meets the ball B_h. Margin: r_h - dist(c_h, solid of the object,
+    or its convex hull with `reach="hull"`).
 
     The mesh's tree stands in the object's frame: the ball is moved there, not the object.
     """
@@ -152,7 +153,7 @@ def reach(e: Evidence) -> Criterion:
         len(distance),
         inputs={
             "cap": FARTHEST_M,
-            "mesh": e.scene.object_mesh_ids,
+            "mesh": e.scene.reach_mesh_ids,
             "low": surfaces.low,
             "high": surfaces.high,
             "object": held.objects,

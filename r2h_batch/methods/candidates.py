@@ -34,9 +34,10 @@ __all__ = [
     "without_candidates",
 ]
 
-Kind = Literal["filtered", "as-generated"]
-"""As `EvalConfig.candidates` says it: what this evaluator's own gripper can hold, or whatever is
-proposed."""
+Kind = Literal["filtered", "as-generated", "narrow"]
+"""As `EvalConfig.candidates` says it: what this evaluator's own gripper can hold; whatever is
+proposed; or of the first those across which the whole object fits between the pads (all where none
+does)."""
 
 STORED: dict[Kind, str] = {"filtered": "grasps.npz", "as-generated": "grasps_as_generated.npz"}
 
@@ -79,7 +80,17 @@ def candidates_of(
 
     `region_m` is not stored: NaN for the built-in objects.
     """
+    if kind == "narrow":
+        return tuple(_narrow(o, c) for o, c in zip(objects, candidates_of(objects), strict=True))
     return tuple(_candidates(o, kind) for o in objects)
+
+
+def _narrow(model: ObjectModel, found: Candidates) -> Candidates:
+    """The candidates along whose closing axis the object is at most as wide as the open gripper;
+    all of them where there is none."""
+    along = model.vertices.astype(np.float64) @ found.T_obj_ee[:, :3, 1].T.astype(np.float64)
+    fits = np.ptp(along, axis=0) <= OPEN_GAP_M
+    return found.rows(fits) if fits.any() else found
 
 
 def stacked(

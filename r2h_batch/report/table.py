@@ -96,7 +96,8 @@ def table_of(
     if tuple(order) != CRITERIA:
         tallies = [breakdown.in_order(t, order) for t in tallies]
         origin["order of criteria"] = ", ".join(order)
-    rows = summarise(tallies)
+    averages = {str(r.header["configuration"].get("averages", "trials")) for r in runs}
+    rows = summarise(tallies, "objects" if averages == {"objects"} else "trials")
     if all(
         (r.header["configuration"].get("plan") or {}).get("edge_check") != "moveit" for r in runs
     ):
@@ -137,6 +138,8 @@ def _origin(header: Mapping[str, Any]) -> dict[str, str]:
         origin["paths planned against"] = f"the {hand} hand"
     if (candidates := configuration.get("candidates", "filtered")) != "filtered":
         origin["grasp candidates"] = str(candidates).replace("-", " ")
+    if (averages := configuration.get("averages", "trials")) != "trials":
+        origin["averages"] = f"{averages} of a split count the same"
     return origin
 
 

@@ -227,6 +227,24 @@ class Scene:
         ]
 
     @cached_property
+    def _hull_meshes(self) -> list[wp.Mesh]:
+        return [
+            wp.Mesh(
+                points=wp.array(o.hull_vertices, dtype=wp.vec3, device=self.device),
+                indices=wp.array(o.hull_faces.ravel(), dtype=wp.int32, device=self.device),
+                support_winding_number=True,
+            )
+            for o in self.objects
+        ]
+
+    @cached_property
+    def reach_mesh_ids(self) -> wp.array:
+        """Handles of the meshes that Reach measures: the objects, or their hulls."""
+        if self.config.reach == "solid":
+            return self.object_mesh_ids
+        return wp.array([m.id for m in self._hull_meshes], dtype=wp.uint64, device=self.device)
+
+    @cached_property
     def object_mesh_ids(self) -> wp.array:
         """Handles of the objects' meshes for Warp's mesh queries."""
         return wp.array([m.id for m in self._object_meshes], dtype=wp.uint64, device=self.device)

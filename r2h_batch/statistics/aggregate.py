@@ -1,7 +1,7 @@
 """From counted trials to Table I: rates of all trials, intervals and means. Pure functions."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -257,6 +257,34 @@ def group_row(counted: Tally, split: str, name: str | None = None) -> Row:
     )
 
 
+def over_objects(counted: Tally, split: str) -> Row:
+    """As `group_row`, but every object of the split counts the same, whatever its trials: rates
+    and times are means over the objects' own. Counts and intervals are those of the trials."""
+    whole = group_row(counted, split)
+    inside = counted.split == SPLITS.index(split)
+    names = [counted.objects[i] for i in np.unique(counted.object[inside])]
+    rows = [group_row(counted, split, name) for name in names]
+
+    def rate(of: Callable[[Row], Rate | None]) -> Rate | None:
+        known = [found.percent for found in map(of, rows) if found is not None]
+        own = of(whole)
+        return replace(own, percent=sum(known) / len(known)) if known and own else own
+
+    def mean(name: str) -> Mean:
+        values = [v for v in (r.times[name].value for r in rows) if v is not None]
+        own = whole.times[name]
+        return replace(own, value=sum(values) / len(values)) if values else own
+
+    return replace(
+        whole,
+        rates={name: rate(lambda r, k=name: r.rates[k]) for name in RATES},  # type: ignore[misc]
+        times={name: mean(name) for name in TIMES},
+        presented=rate(lambda r: r.presented),
+        body_met=rate(lambda r: r.body_met),
+        through=rate(lambda r: r.through),
+    )
+
+
 def _rate(count: int, total: int) -> Rate | None:
     """The share with its Wilson interval; None of no trials."""
     if not total:
@@ -298,12 +326,16 @@ def average_row(rows: Sequence[Row]) -> Row:
     )
 
 
-@check_arguments(methods=sequence_of(Tally, "what tally(RUN, METHOD) gives", least=0))
-def summarise(methods: Sequence[Tally]) -> tuple[Row, ...]:
+@check_arguments(
+    methods=sequence_of(Tally, "what tally(RUN, METHOD) gives", least=0),
+    averages=one_of("trials", "objects"),
+)
+def summarise(methods: Sequence[Tally], averages: str = "trials") -> tuple[Row, ...]:
     """The lines of Table I: every method on S0, then on S1, then Avg if both splits were planned.
 
     Args:
         methods: counted trials; their names differ.
+        averages: what counts the same within a split, as `EvalConfig.averages` says.
     """
     table: list[Row] = []
     by_method: dict[str, list[Row]] = {m.method: [] for m in methods}
@@ -312,7 +344,7 @@ def summarise(methods: Sequence[Tally]) -> tuple[Row, ...]:
     for split in SPLITS:
         for counted in methods:
             if split in counted.splits:
-                row = group_row(counted, split)
+                row = (group_row if averages == "trials" else over_objects)(counted, split)
                 table.append(row)
                 by_method[counted.method].append(row)
     table.extend(average_row(rows) for rows in by_method.values() if len(rows) == len(SPLITS))

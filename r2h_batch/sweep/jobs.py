@@ -209,10 +209,13 @@ def _configuration(options: Options) -> "EvalConfig":
     )
     # what nothing is judged by says nothing: two runs that differ in it can be compared
     seen = EstimateConfig(_errors(options), options.predictor_noise, options.seed)
-    execute = replace(config.execute, sim=options.sim, model=options.sim_model)
+    sim = config.execute.sim if options.sim == "auto" else options.sim
+    execute = replace(config.execute, sim=sim, model=options.sim_model)
     execute = replace(execute, sim=execute.engine(options.device))
     return replace(
-        config, ik=IkConfig(options.ik), plan=plan, execute=execute, width=options.width, stability=options.stability,
+        config, ik=IkConfig(options.ik), plan=plan, execute=execute, stability=options.stability,
+        width=config.width if options.width == "preset" else options.width,
+        reach=config.reach if options.reach == "preset" else options.reach,
         estimate=seen if hand == "estimated" else EstimateConfig(),
         candidates=config.candidates if options.candidates == "preset" else options.candidates,
     )  # fmt: skip

@@ -66,8 +66,11 @@ class Options:
     splits: tuple[Literal["S0", "S1"], ...] = _option(
         ("S0", "S1"), _TRIALS, "S0: free handover; S1: functional handover"
     )
-    protocol: Literal["", "r2h-v0", "r2h-v1"] = _option(
-        "", _TRIALS, "r2h-v1 (default): hands of people who reach; r2h-v0: hands alone"
+    protocol: Literal["", "r2h-v0", "r2h-v1", "r2h-release"] = _option(
+        "",
+        _TRIALS,
+        "r2h-v1 (default): hands of people who reach; r2h-v0: hands alone; r2h-release: palms,"
+        " objects and table of the authors' release",
     )
     receiver: Literal["", "hand", "body"] = _option(
         "", _TRIALS, "what planning and Safe see: hand (default), or body (with r2h-v1)"
@@ -86,11 +89,16 @@ class Options:
     )
     hands: str = _option("", _TRIALS, "another hand set: .npz of import hands")
     hand_model: str = _option("", _TRIALS, "MANO_RIGHT.pkl, or .npz of import hand")
-    preset: Literal["default", "paper"] = _option(
-        "default", _VERDICT, "default: certified paths; paper: one goal, samples"
+    preset: Literal["default", "paper", "release"] = _option(
+        "default",
+        _VERDICT,
+        "default: certified planning to any branch; paper: one goal, samples; release: definitions"
+        " of the authors' release",
     )
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = _option(
-        "auto", _VERDICT, "who moves the arm; auto: mujoco on a CPU, mjwarp on CUDA"
+        "auto",
+        _VERDICT,
+        "who moves the arm; auto: mujoco on a CPU, mjwarp on CUDA, none with preset release",
     )
     out: str = _option("", _OUTPUT, "run folder; the same command goes on with it")
     format: Literal["md", "latex", "csv", "json"] = _option("md", _OUTPUT, "format of the table")
@@ -139,17 +147,23 @@ class Options:
         "error model of the target hand. normal: no outliers; frames: errors of published"
         " estimators in single frames; tails: both; preset: normal, with preset paper tails",
     )
-    candidates: Literal["preset", "filtered", "as-generated"] = _option(
+    candidates: Literal["preset", "filtered", "as-generated", "narrow"] = _option(
         "preset",
         _CONFIG,
         "grasps that methods choose from. filtered: those that this gripper can hold; as-generated:"
-        " all that the sampler proposes; preset: filtered, with preset paper as-generated",
+        " all that the sampler proposes; narrow: those across which the whole object fits; preset:"
+        " filtered, with preset paper as-generated, with preset release narrow",
     )
-    width: Literal["pads", "whole"] = _option(
-        "pads",
+    width: Literal["preset", "pads", "whole"] = _option(
+        "preset",
         _CONFIG,
         "Stability measures the material between the pads, or the whole object's extent along the"
-        " closing axis",
+        " closing axis; preset: pads, with preset release whole",
+    )
+    reach: Literal["preset", "solid", "hull"] = _option(
+        "preset",
+        _CONFIG,
+        "Reach measures the object, or its convex hull; preset: solid, with preset release hull",
     )
     stability: Literal["geometric", "physics"] = _option(
         "geometric",

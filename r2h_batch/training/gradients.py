@@ -140,12 +140,15 @@ class MarginChanges:
             se3.inverse(held.T_obj_ee),
             torch.zeros_like(held.T_obj_ee[:, :3, 3]),
             held.objects,
+            scene.object_mesh_ids,
             **launch,
         )
 
         T_world_obj = se3.matmul(held.T_world_ee, se3.inverse(held.attached))
         _, _, ball = scene.palm(held.hands, held.T_world_hand)
-        self.to_palm = witnesses.nearest_to_point(scene, T_world_obj, ball, held.objects, **launch)
+        self.to_palm = witnesses.nearest_to_point(
+            scene, T_world_obj, ball, held.objects, scene.reach_mesh_ids, **launch
+        )
 
         evaluated = self.evaluated[:, CRITERIA.index("affordance")]
         near = evaluated & (affordance < CLEARANCE_CAP_M)

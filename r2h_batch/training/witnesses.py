@@ -143,10 +143,11 @@ def nearest_to_point(
     T_frame_obj: Float32[Tensor, "b 4 4"],
     point: Float32[Tensor, "b 3"],
     object_index: Int32[Tensor, " b"],
+    meshes: wp.array,
     *,
     threads: int | None = None,
 ) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
-    """The object's point nearest to `point` of some frame (object frame), and the way there (that
+    """The point of the object's mesh nearest to `point` of some frame (object frame), and the way there (that
     frame; zero inside)."""
     x = se3.apply(se3.inverse(T_frame_obj), point).contiguous()
     distance, nearest = torch.zeros(len(x), dtype=x.dtype, device=x.device), torch.zeros_like(x)
@@ -155,7 +156,7 @@ def nearest_to_point(
         len(x),
         inputs={
             "cap": FARTHEST_M,
-            "mesh": scene.object_mesh_ids,
+            "mesh": meshes,
             "low": scene.grasp_tables.surfaces.low,
             "high": scene.grasp_tables.surfaces.high,
             "object": object_index,

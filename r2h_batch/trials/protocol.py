@@ -1,11 +1,12 @@
-"""Protocols r2h-v0 and r2h-v1: which object is handed to which hand, and where that stands. `python
--m r2h_batch.trials`.
+"""Protocols r2h-v0, r2h-v1 and r2h-release: which object is handed to which hand, and where that
+stands. `python -m r2h_batch.trials`.
 
 Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. Objects of the split take turns, hands alternate
 right and left, and the hand's pose is drawn from the reachable set by rejection with counters
 (protocol, trial id, attempt): a trial is the same alone or among a million, on any machine. In
 r2h-v0 the hand floats and its roll is free; in r2h-v1 it is that of a person who reaches for the
-object (receivers.py), in the same set.
+object (receivers.py), in the same set; in r2h-release its palm lies in the box of the authors'
+release (palms.py).
 """
 
 import hashlib
@@ -21,16 +22,16 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import rng, se3
-from r2h_batch.benchmark import Benchmark, read_benchmark
+from r2h_batch.benchmark import Benchmark, built_in, read_benchmark
 from r2h_batch.benchmark.trials_file import listed_with_ids
 from r2h_batch.bodies.bounds import capsule_of_primitive
 from r2h_batch.bodies.given_objects import checked_objects
-from r2h_batch.bodies.hand import HandSet, load_hand_set, palm_frame
+from r2h_batch.bodies.hand import HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import EvalConfig, Workplace
-from r2h_batch.schedule import PROTOCOL, PROTOCOLS, assign_hands, assign_objects, trial_ids
-from r2h_batch.trials import receivers, recorded
+from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE, assign_hands, assign_objects, trial_ids
+from r2h_batch.trials import palms, receivers, recorded
 from r2h_batch.trials.distance import from_box, from_segment, from_segments
 from r2h_batch.types import Trials
 from r2h_batch.validate import instance_of, integer, one_of, optional, sequence_of
@@ -85,7 +86,8 @@ def make_trials(
     `objects` (default: the 16 built-in ones) is what `object_index` counts; those of a split take
     turns in it. Hands stand where `config` puts ball, table and home. `benchmark`, a file or one
     that was read, says all three instead. `protocol`: r2h-v1 (with `Trials.receiver`) or r2h-v0
-    (hands alone); by default the benchmark's, which is r2h-v1 unless it says otherwise.
+    (hands alone), or r2h-release (with its own objects, hands and place by default); by default the
+    benchmark's, which is r2h-v1 unless it says otherwise.
     """
     splits = sequence_of(str, f"of {', '.join(SPLITS)}")(
         "splits", [splits] if isinstance(splits, str) else splits
@@ -164,9 +166,13 @@ def trials_with_ids(
     one_of(*PROTOCOLS)("protocol", protocol)
     optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", config)
     optional(instance_of(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
-    with_body = protocol == PROTOCOLS[1]
-    objects, config = checked_objects(objects), config or EvalConfig()
-    hands = _hands(load_hand_set() if hand_set is None else hand_set)
+    with_body, own = protocol == PROTOCOLS[1], built_in(protocol)
+    objects = own.objects if objects is None else checked_objects(objects)
+    config = own.config() if config is None else config
+    hands = _hands(own.hand_set if hand_set is None else hand_set)
+    offset = np.zeros((len(objects), 3))
+    if protocol == RELEASE:
+        offset = np.array([palms.reference_offset(o) for o in objects])
     object_index, side = assign_objects(ids, [o.split for o in objects])
     hand_index = np.zeros(len(ids), np.int64)
     T_world_hand = np.zeros((len(ids), 4, 4), np.float32)
@@ -178,6 +184,10 @@ def trials_with_ids(
             if with_body:
                 T_world_hand[rows], receiver[rows] = _draw_people(
                     ids[rows], hand_index[rows], hands, config, protocol
+                )
+            elif protocol == RELEASE:
+                T_world_hand[rows] = _draw_palms(
+                    ids[rows], hand_index[rows], hands, offset[object_index[rows]]
                 )
             else:
                 T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, config)
@@ -284,6 +294,27 @@ def _draw_poses(
     return T_world_hand
 
 
+def _draw_palms(
+    ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands, offset: Array
+) -> NDArray[np.float32]:
+    """T_world_hand (n, 4, 4) of palms that `palms.draw_palms` draws; `offset` (n, 3) as there."""
+    world, palm = palms.draw_palms(rng.key_of(RELEASE), ids, offset)
+    n, a = hands.palm_normal[hand_index], hands.along[hand_index]
+    R = _from_frames(world, np.stack([a, _cross(n, a), n], 2))
+    T = np.zeros((len(ids), 4, 4), np.float32)
+    T[:, :3, :3], T[:, 3, 3] = R, 1.0
+    T[:, :3, 3] = palm - se3.rotate(R, hands.palm_point[hand_index])
+    return T
+
+
+def _from_frames(world: Array, local: Array) -> Array:
+    """R = world local^T of frames (n, 3, 3), in sums of a fixed order."""
+    R = world[:, :, None, 0] * local[:, None, :, 0]
+    for k in (1, 2):
+        R = R + world[:, :, None, k] * local[:, None, :, k]
+    return np.asarray(R)
+
+
 def _draw_people(
     ids: NDArray[np.int64],
     hand_index: NDArray[np.int64],
@@ -303,10 +334,7 @@ def _draw_people(
         n, a = hands.palm_normal[hand], hands.along[hand]
         local = np.stack([a, n, _cross(a, n)], 2)
         world = np.stack([people.hand, people.palm, _cross(people.hand, people.palm)], 2)
-        # R = world local^T, in sums of a fixed order
-        R = world[:, :, None, 0] * local[:, None, :, 0]
-        for k in (1, 2):
-            R = R + world[:, :, None, k] * local[:, None, :, k]
+        R = _from_frames(world, local)
         # of those recorded with a body the arm is the one that can have them
         if hands.in_body is not None:
             known = np.isfinite(hands.in_body[hand][:, 0, 0]) & (number < recorded.GIVEN_UP)

@@ -28,7 +28,7 @@ def view(
     frames: int = 5,
     fps: int = 25,
     predictions: tuple[str, ...] = (),
-    preset: Literal["default", "paper"] = "default",
+    preset: Literal["default", "paper", "release"] = "default",
     port: int = 8080,
     overwrite: bool = False,
     benchmark: BenchmarkFlags = BUILT_IN,
