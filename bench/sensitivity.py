@@ -50,6 +50,8 @@ def variants() -> list[Variant]:
         ("intent", "orientation=axis"),
         ("intent", "at=gripper"),
         ("intent", "inward_deg=-15"),
+        *(("intent", f"select={mode}") for mode in ("FS", "A1", "A2", "A3")),
+        ("intent", "at=ergonomic"),
         ("fc", "gate=none"),
         ("fc", "height_m=0.12"),
         ("fc", "at=gripper"),
@@ -67,7 +69,10 @@ def variants() -> list[Variant]:
         Variant("receiver with a body", (*BASE, "--receiver", "body")),
         Variant("edges sampled", (*BASE, "--edge-check", "moveit")),
         Variant("width of the whole object", (*BASE, "--width", "whole")),
+        Variant("reach of the hull", (*BASE, "--reach", "hull")),
         Variant("preset paper", (*BASE, "--preset", "paper")),
+        Variant("preset release", (*BASE, "--preset", "release")),
+        Variant("protocol r2h-release", ("--protocol", "r2h-release")),
         *(Variant(f"{m},{said}", (), ((m, said),)) for m, said in own),
     ]
 

@@ -59,6 +59,7 @@ class Published:
 
 _SHIPPED, _OTHERS, _PAPER = Path("r2h_batch/compare"), Path("bench/rows"), ("--preset", "paper")
 _V0, _V1 = ("--protocol", "r2h-v0", "--sim", "mujoco"), ("--protocol", "r2h-v1", "--sim", "mujoco")
+_RELEASE = ("--preset", "release")
 PUBLISHED = (
     Published("table1-v1", "Table I of r2h-v1", _V1, _SHIPPED / "baselines"),
     Published(
@@ -66,6 +67,18 @@ PUBLISHED = (
         "Table I of r2h-v1, planned as the paper does",
         (*_V1, *_PAPER),
         _OTHERS / "v1-paper-preset",
+    ),
+    Published(
+        "table1-v1-release-preset",
+        "Table I of r2h-v1, with the definitions of the authors' release",
+        ("--protocol", "r2h-v1", *_RELEASE),
+        _OTHERS / "v1-release-preset",
+    ),
+    Published(
+        "table1-release",
+        "Table I of r2h-release, with the definitions of the authors' release",
+        ("--protocol", "r2h-release", *_RELEASE),
+        _OTHERS / "release-release-preset",
     ),
     Published("table1-v0", "Table I of r2h-v0", _V0, _OTHERS / "v0"),
     Published(
@@ -84,6 +97,7 @@ FINGERS = {
     "r2h-v0": "The protocol leaves a hand's roll free: fingers that point away from the robot ask FC- and Intent-Handover, which"
     " oppose the gripper to them, for poses that no arm on this side takes.",
     "r2h-v1": "The hand follows from a reaching arm (docs/receivers.md): few fingers point away from the robot.",
+    "r2h-release": "Palms point up and fingers away from the robot, within 50 degrees of sideways (docs/release.md).",
 }
 
 
@@ -141,10 +155,12 @@ def finger_lines(run) -> list[str]:
     import numpy as np
     import torch
 
+    from r2h_batch.benchmark import built_in
     from r2h_batch.scene.scene import Scene
     from r2h_batch.trials.protocol import trials_with_ids
 
-    scene, tip = Scene(), 1
+    own, tip = built_in(run.header["protocol"]), 1
+    scene = Scene(objects=own.objects, hand_set=own.hand_set)
     ids = np.array(run.trials(run.methods[0])["trial_id"])
     trials = trials_with_ids(torch.from_numpy(ids.copy()), protocol=run.header["protocol"])
     hand = trials.hand_index.long()
@@ -235,7 +251,10 @@ def times_text(data: dict[str, dict]) -> str:
         return f"{min(times):.1f} to {max(times):.1f} s"
 
     paper = ends("table1-v0-paper-preset", "table1-v1-paper-preset")
-    return f"ours is {ends('table1-v1')} in r2h-v1, {ends('table1-v0')} in r2h-v0, {paper} with preset `paper`"
+    return (
+        f"ours is {ends('table1-v1')} in r2h-v1, {ends('table1-v0')} in r2h-v0,"
+        f" {ends('table1-release')} in r2h-release with preset `release`, {paper} with preset `paper`"
+    )
 
 
 def render_all() -> dict[Path, str]:

@@ -9,6 +9,7 @@ turned 15 degrees inward in its palm plane (`orientation="transform"`), or the g
 opposed to that direction ("axis").
 """
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal
@@ -27,7 +28,6 @@ from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
 from r2h_batch.methods.placing import (
     HEIGHT_M,
-    Anchor,
     Gate,
     approach_frames,
     check_choice,
@@ -39,6 +39,7 @@ from r2h_batch.methods.placing import (
     rolled,
     taken,
     turned_inward,
+    unit,
 )
 from r2h_batch.predictors import (
     Observations,
@@ -73,6 +74,17 @@ BACK_OFF_M = 0.10
 no material."""
 
 
+Select = Literal["published", "FS", "A1", "A2", "A3"]
+"""published: as the paper says it. FS: as the authors' program does: distances from the mean of the
+hand's skin, and a grasp whose axis misses the object is out. Its ablations: A1 without the region,
+A2 without the ranking (the first candidate that is left), A3 without both."""
+
+Place = Literal["object", "gripper", "ergonomic"]
+"""`placing.Anchor`, or where the receiver's arm suggests (`ergonomic_pose`)."""
+
+EXTENSION_DEG = 15.0
+"""Of the wrist in `ergonomic_pose` (published)."""
+
 Orientation = Literal["transform", "axis"]
 """transform: the predicted hand and the gripper keep their places on the object (the original's
 fixed hand-to-gripper transform). axis: the gripper's approach axis against the hand's direction,
@@ -95,23 +107,32 @@ def predict(
     back_off_m: float = BACK_OFF_M,
     orientation: Orientation = "transform",
     gate: Gate = "hand",
-    at: Anchor = "object",
+    at: Place = "object",
+    select: Select = "published",
 ) -> Predictions:
     """One grasp and handover pose a trial; hands predicted with `noise`, drawn by (seed, trial id).
 
     `instructions`: one sentence a trial; None: each object's own. `orientation`: what is turned
     (`Orientation`). With "axis" the roll about it is searched: `rolls`, `gate`, `clearance_m`.
-    `at`: what stands `height_m` above the palm.
+    `at`: what stands `height_m` above the palm; "ergonomic": nothing does, the object goes where
+    the receiver's shoulders and arm suggest (r2h-v1). `select`: which rules choose the grasp
+    (`Select`).
     """
     check_choice("orientation", orientation, Orientation)
+    check_choice("select", select, Select)
+    check_choice("at", at, Place)
+    if at == "ergonomic" and trials.receiver is None:
+        raise ValueError("at is 'ergonomic': these trials have no bodies; take protocol r2h-v1")
     threads = evaluator.threads if evaluator else None
     table, w_max = candidate_table(scene), scene.config.thresholds.w_max_m
     if instructions is not None and len(instructions) != len(trials):
         raise ValueError(
             f"{len(instructions)} instructions for {len(trials)} trials; give one for each, or None"
         )
+    place = scene.config.workplace
+    table_m = place.table_center[2] + place.table_half[2]
     named = named_parts(scene, trials, instructions).to(scene.device)
-    hit_part, hit_region = approach_hits(scene, back_off_m)
+    hit_part, hit_region, hits = approach_hits(scene, back_off_m)
 
     def choose(part: Trials, here: slice) -> tuple[Tensor, Tensor]:
         said = None if instructions is None else instructions[here]
@@ -121,10 +142,21 @@ def predict(
         # The receiver's grasp is what the instruction names: a robot grasp whose approach axis
         # enters that part there is out
         in_region = hit_region[rows] & named[here].gather(1, hit_part[rows])
-        fits = (table.width_m[rows] <= w_max) & ~in_region
-        score = affordance_score(table.T_obj_ee[rows], taking.wrist_to_middle, taking.palm_point)
+        fits = table.width_m[rows] <= w_max
+        if select in ("published", "FS", "A2"):
+            fits = fits & ~in_region
+        if select != "published":
+            fits = fits & hits[rows]
+        hand = taking.palm_point if select == "published" else taking.vertices.double().mean(1)
+        score = affordance_score(table.T_obj_ee[rows], taking.wrist_to_middle, hand)
+        if select in ("A2", "A3"):
+            score = torch.zeros_like(score)  # of equals the first
         row = taken(rows, least(score, fits & exists, exists))
         T_obj_ee = table.T_obj_ee[row]
+        if at == "ergonomic":
+            assert part.receiver is not None
+            T_world_obj = ergonomic_pose(part.receiver, taking.wrist_to_middle, table_m)
+            return T_obj_ee, se3.matmul(T_world_obj, T_obj_ee.double()).float().contiguous()
         if orientation == "transform":
             R = moved_with_the_hand(taking, target, T_obj_ee, inward_deg)[:, None]
         # the gripper comes against the hand's own direction, turned towards the thumb; home's x is
@@ -163,6 +195,55 @@ def moved_with_the_hand(
     return se3.matmul(R_world_palm, se3.matmul(R_obj_palm.mT, T_obj_ee[:, :3, :3].double()))
 
 
+def ergonomic_pose(
+    receiver: Float32[Tensor, "b 5 4"], direction: Float[Tensor, "b 3"], table_m: float
+) -> Float[Tensor, "b 4 4"]:
+    """(b, 4, 4) T_world_obj, float64: the object in front of the receiver, as far as a bent arm
+    reaches, turned so that the hand lies on it as an extended wrist would.
+
+    The authors' formulas. The origin of the object's frame stands at c_t + r f: c_t lies below the
+    middle of the shoulders, halfway to the table; f is where the chest faces; r is the hypotenuse of
+    |elbow - middle of the shoulders| and the forearm. The least rotation takes the hand's direction
+    (frame obj) to the forearm's, extended by 15 degrees. Our choice: extension is upwards, in the
+    forearm's vertical plane.
+
+    Args:
+        receiver: as `Trials.receiver`, world frame.
+        direction: of the predicted hand on the object, from the wrist to the middle finger.
+        table_m: height of the table's top.
+    """
+    given = receiver.double()
+    shoulder, elbow, wrist, torso = given[:, :4, :3].unbind(1)
+    zero = torch.zeros_like(given[:, 0, 0])
+    facing = torch.stack([given[:, 3, 3], given[:, 4, 3], zero], 1)
+    middle = torch.cat([torso[:, :2], shoulder[:, 2:]], 1)
+    upper, fore = elbow - middle, wrist - elbow
+    reach = (se3.dot(upper, upper) + se3.dot(fore, fore)).sqrt()
+    below = torch.cat([middle[:, :2], (middle[:, 2:] + table_m) / 2], 1)
+    forward = unit(fore)
+    up = torch.stack([zero, zero, zero + 1.0], 1)
+    aside = unit(se3.cross(forward, up))
+    raised = se3.cross(aside, forward)
+    c, s = (round(f(math.radians(EXTENSION_DEG)), 15) for f in (math.cos, math.sin))
+    R = least_rotation(unit(direction.double()), c * forward + s * raised)
+    return se3.from_rotation(R, below + reach[:, None] * facing)
+
+
+def least_rotation(a: Float[Tensor, "b 3"], b: Float[Tensor, "b 3"]) -> Float[Tensor, "b 3 3"]:
+    """(b, 3, 3) the smallest turn that takes unit vectors a to b; about any perpendicular axis if
+    they are opposed."""
+    cosine = se3.dot(a, b)
+    spare = torch.nn.functional.one_hot(a.abs().argmin(-1), 3).double()
+    spare = unit(spare - se3.dot(spare, a)[:, None] * a)
+    # two reflections: a to b is a turn in their plane by twice the angle from a to the half vector
+    half = a + b
+    half = unit(torch.where((cosine > -1 + 1e-12)[:, None], half, spare))
+    eye = torch.eye(3, dtype=torch.float64, device=a.device)
+    first = eye - 2 * a[:, :, None] * a[:, None, :]
+    second = eye - 2 * half[:, :, None] * half[:, None, :]
+    return se3.matmul(second, first)
+
+
 def affordance_score(
     T_obj_ee: Float[Tensor, "b k 4 4"],
     direction: Float[Tensor, "b 3"],
@@ -177,9 +258,10 @@ def affordance_score(
 @lru_cache(maxsize=4)
 def approach_hits(
     scene: Scene, back_off_m: float = BACK_OFF_M
-) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"]]:
-    """For every row of the candidate table: the part that its approach axis meets first, and
-    whether a receiver may take it there (False too where the axis meets nothing)."""
+) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"], Bool[Tensor, " m"]]:
+    """For every row of the candidate table: the part that its approach axis meets first, whether a
+    receiver may take it there (False too where the axis meets nothing), and whether it meets the
+    object."""
     table = candidate_table(scene)
     face = torch.empty(len(table.T_obj_ee), dtype=torch.int32, device=scene.device)
     launch_trials(
@@ -202,7 +284,8 @@ def approach_hits(
         if f >= 0:
             part[row] = model.face_part[f]
             region[row] = model.receiver_face[f] or not model.receiver_face.any()
-    return torch.from_numpy(part).to(scene.device), torch.from_numpy(region).to(scene.device)
+    found = (torch.from_numpy(x).to(scene.device) for x in (part, region))
+    return *found, face >= 0
 
 
 def named_parts(

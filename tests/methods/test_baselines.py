@@ -35,6 +35,7 @@ from r2h_batch.predictors import (
     predict_target,
     retrieve_receiving,
 )
+from r2h_batch.trials.protocol import make_trials
 
 
 def test_fc_takes_the_grasp_most_opposed_to_the_hand_of_those_that_do_not_touch_it():
@@ -88,6 +89,48 @@ def test_intent_takes_the_least_published_score_of_what_fits_and_keeps_off_the_n
         refused += int(score[pool].min() > score.min())
         assert pool[got] and score[got] <= score[pool].min() + 1e-6
     assert refused >= 1
+
+
+@needs("rtree")
+@pytest.mark.parametrize(("select", "constrained", "ranked"), [("FS", 1, 1), ("A1", 0, 1), ("A2", 1, 0), ("A3", 0, 0)])
+def test_intents_selection_of_the_authors_and_its_ablations(select, constrained, ranked):
+    taking = retrieve_receiving(trials(), evaluator().scene, noise=NOISE)
+    found = predict(intent, trials(), select=select)
+    for i in range(0, len(trials()), 3):
+        model = evaluator().scene.objects[int(trials().object_index[i])]
+        T = candidates(i)[0].double().numpy()
+        z, p = T[:, :3, 2], T[:, :3, 3]
+        _, ray, face = model.mesh.ray.intersects_id(p - 0.1 * z, z, multiple_hits=False, return_locations=True)[::-1]
+        ray, face = np.asarray(ray, int), np.asarray(face, int)
+        pool = np.zeros(len(T), bool)
+        pool[ray] = ~model.receiver_face[face] if constrained else True
+        hand = taking.vertices[i].double().numpy().mean(0)
+        cost = z @ taking.wrist_to_middle[i].double().numpy() - np.linalg.norm(p - hand, axis=1)
+        wanted = np.flatnonzero(pool)[cost[pool].argmin() if ranked else 0]
+        assert chosen_candidate(i, found.T_obj_ee[i]) == wanted
+
+
+def test_ergonomic_delivery_follows_shoulders_and_arm():
+    found = predict(intent, trials(), at="ergonomic")
+    taking = retrieve_receiving(trials(), evaluator().scene, noise=NOISE)
+    for i in range(len(trials())):
+        row = trials().receiver[i].double().numpy()
+        shoulder, elbow, wrist, torso = row[:4, :3]
+        facing = np.array([row[3, 3], row[4, 3], 0.0])
+        aside = np.array([-facing[1], facing[0], 0.0])
+        other = shoulder - 2 * ((shoulder - torso) @ aside) * aside  # mirrored at the body's middle plane
+        middle = (shoulder + other) / 2 - ((shoulder - torso) @ facing) * facing
+        reach = np.hypot(np.linalg.norm(elbow - middle), np.linalg.norm(wrist - elbow))
+        point = np.array([middle[0], middle[1], middle[2] / 2]) + reach * facing
+        T_world_obj = found.T_world_ee[i].double().numpy() @ np.linalg.inv(found.T_obj_ee[i].double().numpy())
+        assert np.abs(T_world_obj[:3, 3] - point).max() < 1e-5
+        v = taking.wrist_to_middle[i].double().numpy()
+        hand, fore = T_world_obj[:3, :3] @ v, (wrist - elbow) / np.linalg.norm(wrist - elbow)
+        assert np.degrees(np.arccos(hand @ fore)) == pytest.approx(15, abs=1e-2) and hand[2] > fore[2]
+        turn = np.arccos(np.clip((np.trace(T_world_obj[:3, :3]) - 1) / 2, -1, 1))
+        assert turn == pytest.approx(np.arccos(np.clip(hand @ v, -1, 1)), abs=1e-4)  # the least turn
+    with pytest.raises(ValueError, match="no bodies; take protocol r2h-v1"):
+        predict(intent, make_trials(trials=1, protocol="r2h-v0"), at="ergonomic")
 
 
 def fifteen_degrees_to_the_thumb(target, i: int):
