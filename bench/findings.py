@@ -231,12 +231,18 @@ def distance_lines(tables: Mapping[str, Cells]) -> list[str]:
     return lines
 
 
+def some_of(ids: list[int]) -> str:
+    """The ids, of many the number and the first five."""
+    shown = ", ".join(map(str, ids[:5] if len(ids) > 10 else ids))
+    return f"{len(ids)}: {shown}, ..." if len(ids) > 10 else shown
+
+
 def oracle_lines(tables: Mapping[str, Mapping]) -> list[str]:
     """A Markdown table: the oracle's success, and the trials that it does not solve."""
     lines = ["| | SR S0 | SR S1 | trials that it leaves | of these no method solves |", "|---|--:|--:|---|---|"]
     for name, data in tables.items():
         cell = cells_of(data)
-        ids = [", ".join(map(str, data[key])) for key in ("oracle_unsolved", "solved_by_nobody")]
+        ids = [some_of(data[key]) for key in ("oracle_unsolved", "solved_by_nobody")]
         lines.append(
             f"| {name} | {cell('S0', 'oracle', 'sr'):.1f} | {cell('S1', 'oracle', 'sr'):.1f} | {ids[0]} | {ids[1]} |"
         )
