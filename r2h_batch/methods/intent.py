@@ -284,8 +284,8 @@ def approach_hits(
         if f >= 0:
             part[row] = model.face_part[f]
             region[row] = model.receiver_face[f] or not model.receiver_face.any()
-    found = (torch.from_numpy(x).to(scene.device) for x in (part, region))
-    return *found, face >= 0
+    first, taken_there = (torch.from_numpy(x).to(scene.device) for x in (part, region))
+    return first, taken_there, face >= 0
 
 
 def named_parts(
