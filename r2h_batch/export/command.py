@@ -117,7 +117,8 @@ def export(
     trials: int = 100,
     benchmark: BenchmarkFlags = BUILT_IN,
 ) -> int:
-    """Write trials of a run as files of the authors' release, which replays and judges them.
+    """Write trials of a run as files of the authors' release, which replays and judges them, and the
+    run's verdicts as its results.json, results.csv and paper_table.
 
     Args:
         run: run folder of a sweep; what it does not store is computed again.
@@ -130,24 +131,40 @@ def export(
     check_range("--trials", trials, 1, MOST_TRIALS, "")
     check_output_folder(out, overwrite=None)
     from r2h_batch.benchmark.build import BenchmarkOverrides
-    from r2h_batch.export.release import release_name, write_release_trial
+    from r2h_batch.export.release import (
+        release_name,
+        write_release_results,
+        write_release_trial,
+    )
     from r2h_batch.export.stored import UNJUDGED, Reader
 
     try:
         reader = Reader(run, BenchmarkOverrides.of(benchmark))
         name = reader.method(method or None)
-        rows = reader.rows(name).select(["trial_id", "outcome"]).to_pylist()
-        judged = sorted(r["trial_id"] for r in rows if r["outcome"] not in UNJUDGED)
-        ids = [i for s in (0, 1) for i in [i for i in judged if i % 2 == s][:trials]]
+        rows = reader.rows(name).to_pylist()
+        judged = sorted(
+            (r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"]
+        )
+        labels = {i: (text, variant or name) for i, (text, variant) in reader.run.labels.items()}
+        names = {
+            r["trial_id"]: labels.get(r["trial_id"], (release_name(name, r["trial_id"]), name))
+            for r in judged
+        }
+        ids = [i for s in (0, 1) for i in [i for i in names if i % 2 == s][:trials]]
         reader.build_for({name: ids})
         out.mkdir(parents=True, exist_ok=True)
         for i in ids:
-            write_release_trial(reader.trial(i, name), release_name(name, i), out)
+            write_release_trial(reader.trial(i, name), *names[i], out)
+        write_release_results(judged, names, out)
     except ValueError as error:
         return refuse("export", error)
     except OSError as error:
         return failed("export", error, out)
-    print(f"{counted(len(ids), 'trials')} of {printable(name)} in {out}")
+    left = f"; {counted(len(rows) - len(judged), 'trials')} that were not judged are left out"
+    print(
+        f"{counted(len(ids), 'trials')} of {printable(name)} in {out}, results of {len(judged)}"
+        f"{left if len(judged) < len(rows) else ''}"
+    )
     return 0
 
 

@@ -5,8 +5,10 @@ Frames and tools as in `importers/release.py`, which reads these files back: wha
 field for (the hand's posture, the faces of the receiver's region) stands in `provenance.r2h_batch`.
 """
 
+import csv
 import json
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +20,11 @@ from numpy.typing import NDArray
 from r2h_batch.config import ExecConfig
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.importers.release import PADS_M, T_world_release, along_z, palm_in_hand
-from r2h_batch.io.write import write_text
+from r2h_batch.io.write import atomic_path, csv_cell, write_json, write_text
 from r2h_batch.motion.time_law import limits
-from r2h_batch.verdicts import SIDES
+from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS
 
-__all__ = ["release_name", "release_trial", "write_release_trial"]
+__all__ = ["release_name", "release_trial", "write_release_results", "write_release_trial"]
 
 Array = NDArray[np.float64]
 
@@ -39,19 +41,20 @@ _LAW = ("scale", "max_velocity_rad_s", "max_acceleration_rad_s2")
 """Fields of `ExecConfig` that the time law reads; a run of an older version may lack others."""
 
 
-def write_release_trial(stored: StoredTrial, name: str, folder: Path) -> Path:
+def write_release_trial(stored: StoredTrial, name: str, variant: str, folder: Path) -> Path:
     """The trial as NAME.json in the folder; its path."""
     path = folder / f"{name}.json"
-    write_text(path, json.dumps(release_trial(stored, name)))
+    write_text(path, json.dumps(release_trial(stored, name, variant)))
     return path
 
 
-def release_trial(stored: StoredTrial, name: str) -> dict[str, Any]:
+def release_trial(stored: StoredTrial, name: str, variant: str) -> dict[str, Any]:
     """The fields of `handover.trial.v1`, m and rad, in the release's frames.
 
     Args:
         stored: one trial of a run.
         name: its id.
+        variant: the method behind it.
     """
     model, row = stored.object_model, stored.row
     limits_of = stored.header["configuration"]["thresholds"]
@@ -68,12 +71,20 @@ def release_trial(stored: StoredTrial, name: str) -> dict[str, Any]:
     executed = _frames(stored)
     region = model.receiver_face
     place, moves = stored.workplace, stored.moves
+    own: dict[str, Any] = {}
+    if stored.hand_set.skin is None:  # what the release has no field for
+        own = {
+            "pose": stored.hand_set.pose[rows[0]].tolist(),
+            "shape": stored.hand_set.shape[rows[0]].tolist(),
+            "T_world_hand": stored.T_world_hand.tolist(),
+            "receiver_faces": np.flatnonzero(region).tolist(),
+        }
     return {
         "schema_version": "handover.trial.v1",
         "units": "m",
         "id": name,
         "object_id": model.name,
-        "variant": stored.method,
+        "variant": variant,
         "split": model.split,
         "T_object_gripper": (stored.T_obj_ee @ tips).tolist(),
         "target_T_world_gripper": (to_release @ stored.T_world_ee @ tips).tolist(),
@@ -103,7 +114,7 @@ def release_trial(stored: StoredTrial, name: str) -> dict[str, Any]:
         "stability_width_m": float(np.ptp(model.vertices @ stored.T_obj_ee[:3, 1])),
         "stability_width_rule": "whole object along the closing axis",
         "dt_s": FRAME_S,
-        "planned_joints": (stored.q if moves else executed).tolist(),
+        "planned_joints": _planned(stored, executed).tolist(),
         "executed_joints": executed.tolist(),
         "receiver": {
             "id": f"hand_{int(rows[0])}",
@@ -115,19 +126,23 @@ def release_trial(stored: StoredTrial, name: str) -> dict[str, Any]:
             "static_world": True,
             "source": "r2h_batch",
         },
-        "planning": {"status": "succeeded" if moves else "failed", "planner": "r2h_batch"}
-        | ({} if moves else {"reason": row["plan_reason"]}),
+        # a record of a success would have the release check the edges again, on boxes
+        **({} if moves else {"planning": _failed(row["plan_reason"])}),
         "provenance": {
-            "r2h_batch": {
-                "trial_id": row["trial_id"],
-                "outcome": row["outcome"],
-                "pose": stored.hand_set.pose[rows[0]].tolist(),
-                "shape": stored.hand_set.shape[rows[0]].tolist(),
-                "T_world_hand": stored.T_world_hand.tolist(),
-                "receiver_faces": np.flatnonzero(region).tolist(),
-            }
+            "r2h_batch": {"trial_id": row["trial_id"], "outcome": row["outcome"], **own}
         },
     }
+
+
+def _failed(reason: str) -> dict[str, Any]:
+    return {"status": "failed", "planner": "r2h_batch", "reason": reason}
+
+
+def _planned(stored: StoredTrial, executed: Array) -> Array:
+    """(P, 6) the plan."""
+    if stored.planned_q is not None:
+        return stored.planned_q
+    return stored.q if stored.moves else executed
 
 
 def _frames(stored: StoredTrial) -> Array:
@@ -139,6 +154,9 @@ def _frames(stored: StoredTrial) -> Array:
         own = step * np.arange(len(q))
         t = np.append(np.arange(0.0, own[-1], FRAME_S), own[-1])
         return np.stack([np.interp(t, own, q[:, j]) for j in range(q.shape[1])], 1)
+    if stored.given:
+        t = np.append(np.arange(0.0, stored.time_s[-1], FRAME_S), stored.time_s[-1])
+        return np.stack([np.interp(t, stored.time_s, q) for q in stored.q.T], 1)
     own = stored.header["configuration"]["execute"]
     v, a = limits(ExecConfig(**{k: own[k] for k in _LAW if k in own}))
     t = np.append(np.arange(0.0, stored.time_s[-1], FRAME_S), stored.time_s[-1])
@@ -210,3 +228,114 @@ def _table(place: Any, to_release: Array) -> dict[str, Any]:
 def release_name(method: str, trial_id: int) -> str:
     """An id that the release allows: letters, digits, - and _."""
     return f"{re.sub(r'[^A-Za-z0-9_-]+', '_', method)[:60]}_{trial_id}"
+
+
+_FLAGS = {c: f"passed_{c}" for c in CRITERIA}
+_TIMES = ("planning_time_s", "execution_time_s", "total_time_s")
+_CSV = (
+    *("trial_id", "object_id", "variant", "split", "success", "first_failure", *CRITERIA),
+    *("reference_outcome", "right_pad_distance_m", "left_pad_distance_m"),
+    *("trajectory_duration_s", *_TIMES),
+)
+_TABLE = (
+    *("variant", "split", "objects", "trials", "SR", "Tplan", "Texec", "Ttot"),
+    *("Fplan", "Freach", "Fsafe", "Fstab", "Fafford"),
+)
+_TIMES_OF = dict(zip(("Tplan", "Texec", "Ttot"), _TIMES))
+_FAILURES = {
+    "Fplan": "plan", "Freach": "reach", "Fsafe": "safe", "Fstab": "stability", "Fafford": "affordance"
+}  # fmt: skip
+
+
+def write_release_results(
+    rows: Sequence[Mapping[str, Any]], names: Mapping[int, tuple[str, str]], folder: Path
+) -> None:
+    """results.json, results.csv, paper_table.json and paper_table.csv in the release's schema.
+
+    Args:
+        rows: judged rows of a run's trials.
+        names: trial id -> its id in the release's files, and the method behind it.
+        folder: where they go.
+    """
+    found = [_result(row, *names[row["trial_id"]]) for row in rows]
+    write_json(folder / "results.json", found)
+    flat = [{**r, **r["metrics"]} for r in found]
+    _write_csv(folder / "results.csv", _CSV, flat)
+    table = _paper_table(found)
+    write_json(folder / "paper_table.json", table)
+    _write_csv(folder / "paper_table.csv", _TABLE, table)
+
+
+def _result(row: Mapping[str, Any], name: str, variant: str) -> dict[str, Any]:
+    metrics = {c: row[k] for c, k in _FLAGS.items()}
+    if (
+        metrics["safe"] is None
+    ):  # without a path the arm stays at home, which the release calls safe
+        metrics["safe"] = True
+    plan_s, exec_s = row["t_plan_s"], row["t_exec_s"]
+    total_s = None if plan_s is None or exec_s is None else plan_s + exec_s
+    return {
+        "trial_id": name,
+        "object_id": row["object"],
+        "split": row["split"],
+        "variant": variant,
+        "metrics": metrics,
+        "success": row["outcome"] == "success",
+        "first_failure": next((c for c, passed in metrics.items() if passed is False), None),
+        "width_m": row["width_m"],
+        "contact_frames": [],
+        "trajectory_duration_s": exec_s,
+        "planning_time_s": plan_s,
+        "execution_time_s": exec_s,
+        "total_time_s": total_s,
+        "scope": "r2h_batch: certified along the motion; no frames are counted",
+    }
+
+
+def _paper_table(results: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Percent and seconds by variant and split: objects count equal within a split, splits equal in
+    Avg, where S0's Affordance is 0. A mean time is null where one trial has none."""
+    table = []
+    for variant in dict.fromkeys(r["variant"] for r in results):
+        rows = []
+        for split in SPLITS:
+            if mine := [r for r in results if (r["variant"], r["split"]) == (variant, split)]:
+                rows.append(_table_row(variant, split, mine))
+        if len(rows) == len(SPLITS):
+            both = {k: [row[k] for row in rows] for k in _TABLE[4:]}
+            both["Fafford"][0] = 0.0
+            count = {k: sum(row[k] for row in rows) for k in ("objects", "trials")}
+            means = {k: None if None in v else sum(v) / len(v) for k, v in both.items()}
+            rows.append({"variant": variant, "split": "Avg", **count, **means})
+        table += rows
+    return table
+
+
+def _table_row(variant: str, split: str, results: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    objects = sorted({r["object_id"] for r in results})
+
+    def mean(values: Sequence[Any]) -> float | None:
+        if None in values:
+            return None
+        by_object = [
+            np.mean([float(v) for v, r in zip(values, results) if r["object_id"] == name])
+            for name in objects
+        ]
+        return float(np.mean(by_object))
+
+    times = {k: mean([r[name] for r in results]) for k, name in _TIMES_OF.items()}
+    failures = {
+        k: mean([100.0 * (r["first_failure"] == c) for r in results]) for k, c in _FAILURES.items()
+    }
+    if split == "S0":
+        failures["Fafford"] = None
+    rate = mean([100.0 * r["success"] for r in results])
+    sizes = {"objects": len(objects), "trials": len(results)}
+    return {"variant": variant, "split": split, **sizes, "SR": rate, **times, **failures}
+
+
+def _write_csv(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
+    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows([csv_cell(row.get(c)) for c in columns] for row in rows)

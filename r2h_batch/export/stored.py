@@ -73,12 +73,18 @@ class StoredTrial:
     receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
     asked_q: Array | None = None  # (6,) rad at the target, or the nearest to it; None: q[-1]
     asked_clearance_m: float | None = None  # of that posture, where there is no path
+    planned_q: Array | None = None  # (P, 6) rad, where q is what was executed; None: q is the plan
     note: str = ""  # where what was computed again is not what is stored
 
     @property
     def target_q(self) -> Array:
         """The posture (6,) at the target, or the one that comes nearest to it."""
         return self.q[-1] if self.asked_q is None else self.asked_q
+
+    @property
+    def given(self) -> bool:
+        """Whether the motion came from a file: joints move at a constant rate between samples."""
+        return self.moves and self.row["t_plan_s"] is None
 
     @property
     def moves(self) -> bool:
@@ -300,10 +306,12 @@ def _stored(
     q = np.array(path["q"] if path else [workplace.home_q], np.float64)
     time_s = np.array(path["time_s"] if path else [0.0], np.float64)
     executed_q = np.array(path["executed_q"], np.float64) if path and path["executed_q"] else None
+    plan = path["planned_q"] if path else None
     receiver = None if trial.receiver is None else trial.receiver[0].double().cpu().numpy()
     return StoredTrial(
         header, method, row, T_obj_ee, attached, T_world_ee, _orthonormal(trial.T_world_hand), q,
         time_s, executed_q, objects[int(trial.object_index[0])], hand_set, workplace, receiver,
+        planned_q=None if plan is None else np.array(plan, np.float64),
     )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from r2h_batch.io.write import check_output_file, check_output_folder
 if TYPE_CHECKING:
     from r2h_batch.importers.mano import ManoHand
 
-__all__ = ["grasps", "hand", "hands", "import_main", "main", "objects", "trials"]
+__all__ = ["grasps", "hand", "hands", "import_main", "main", "objects", "results", "trials"]
 
 Frame = Literal["aperture", "first", "middle", "last"]
 Gripper = Literal[
@@ -249,6 +249,32 @@ def trials(
     return 0
 
 
+def results(
+    path: Annotated[Path, tyro.conf.Positional],
+    *,
+    source: Annotated[Literal["r2handoversim"], tyro.conf.arg(name="from", metavar="SOURCE")],
+    out: Path,
+) -> int:
+    """Verdicts of the authors' release as a run folder for report and compare.
+
+    Args:
+        path: A results.json, or a folder that has one.
+        source: Whose they are: r2handoversim.
+        out: A new or empty folder.
+    """
+
+    from r2h_batch.importers import release
+
+    check_output_folder(out, overwrite=None)
+    counts = release.write_results(path, out)
+    print(
+        f"{counted(counts['trials'], 'verdicts')} of {counted(counts['variants'], 'variants')} in {out},"
+        f" as the release says them; show them with: r2h-batch report {shlex.quote(str(out))}"
+    )
+
+    return 0
+
+
 def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch import") -> int:
     """Exit code: 0 written, 1 could not write, 2 refused, with one line on stderr."""
     return call(
@@ -262,6 +288,7 @@ COMMANDS: dict[str, Command] = {
     "grasps": grasps,
     "objects": objects,
     "trials": trials,
+    "results": results,
 }
 import_main = main
 

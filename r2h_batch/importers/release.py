@@ -19,9 +19,10 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
+import pyarrow as pa
 import torch
 import trimesh
 from numpy.typing import NDArray
@@ -32,11 +33,23 @@ from r2h_batch.bodies.hand import MAX_SKIN_PIECES, palm_frame
 from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.io.read import FileError, printable, read_file, read_json
 from r2h_batch.io.write import csv_cell, write_npz, write_text
-from r2h_batch.runs.store import IMPORTED
+from r2h_batch.runs import provenance
+from r2h_batch.runs.row_checks import FOREIGN
+from r2h_batch.runs.rows import TRIAL_SCHEMA
+from r2h_batch.runs.store import IMPORTED, open_run, write_labels
+from r2h_batch.schedule import trial_ids
 from r2h_batch.validate import rule_of
-from r2h_batch.verdicts import SIDES, SPLITS
+from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SIDES, SPLITS
 
-__all__ = ["ReleaseTrial", "along_z", "imported", "palm_in_hand", "read_trials", "write"]
+__all__ = [
+    "ReleaseTrial",
+    "along_z",
+    "imported",
+    "palm_in_hand",
+    "read_trials",
+    "write",
+    "write_results",
+]
 
 Array = NDArray[np.float64]
 
@@ -146,7 +159,9 @@ class Own(_Entry):
 def _own(provenance: Any) -> Any:
     """What our own exporter wrote into a trial's provenance, which may be anything; else None."""
     written = provenance.get("r2h_batch") if isinstance(provenance, dict) else None
-    return None if written is None else Own.model_validate(written)
+    if not isinstance(written, dict) or "pose" not in written:
+        return None
+    return Own.model_validate(written)
 
 
 class Planning(_Entry):
@@ -232,7 +247,7 @@ def read_trials(path: Path) -> list[ReleaseTrial]:
             where = f"{printable(file)}" + (f"[{k}]" if isinstance(data, list) else "")
             if path.is_dir() and not _is_trial(row):
                 continue
-            found.append(_converted(_validated(row, where), where))
+            found.append(_converted(_validated(row, where, TrialFile), where))
             if len(found) > MOST_TRIALS:
                 raise FileError(f"{printable(path)}: more than {MOST_TRIALS} trials")
     if not found:
@@ -246,9 +261,12 @@ def _is_trial(row: Any) -> bool:
     return isinstance(row, dict) and row.get("schema_version") == "handover.trial.v1"
 
 
-def _validated(row: Any, where: str) -> TrialFile:
+Kind = TypeVar("Kind", bound=BaseModel)
+
+
+def _validated(row: Any, where: str, kind: type[Kind]) -> Kind:
     try:
-        return TrialFile.model_validate(row)
+        return kind.model_validate(row)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
     field = ".".join(printable(p)[:60] for p in first["loc"]) or "the file"
@@ -656,3 +674,121 @@ def imported(path: Path, out: Path) -> Path:
             with contextlib.suppress(OSError):  # another part of the sweep was faster
                 os.rename(Path(made) / folder.name, folder)
     return folder
+
+
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+Seconds = Annotated[float, Field(ge=0, le=MOST_SECONDS)]
+
+
+class Metrics(_Entry):
+    """The five flags; Affordance is null in S0."""
+
+    stability: bool
+    plan: bool
+    reach: bool
+    affordance: bool | None
+    safe: bool
+
+
+class ResultRow(_Entry):
+    """The fields of a row of results.json that decide what is counted."""
+
+    trial_id: Text
+    object_id: Annotated[str, Field(min_length=1, max_length=64)]
+    split: Literal["S0", "S1"]
+    variant: Text
+    metrics: Metrics
+    success: bool
+    first_failure: Literal["stability", "plan", "reach", "affordance", "safe"] | None
+    width_m: Annotated[float, Field(ge=0, le=10)] | None = None
+    planning_time_s: Seconds | None = None
+    execution_time_s: Seconds | None = None
+    receiver: Receiver | None = None
+
+
+def write_results(path: Path, out: Path) -> dict[str, int]:
+    """The verdicts of the release's results.json, or of the folder that has it, as a run folder: its
+    variants are the methods, for `report` and `compare`. Nothing is judged here.
+
+    Variants are paired by object: the k-th trial of an object is one trial of all variants.
+
+    Returns:
+        counts: trials of all variants, variants.
+
+    Raises:
+        FileError: one line that names the row and the field.
+    """
+    file = path / "results.json" if path.is_dir() else path
+    data, where = read_json(file, most=MAX_BYTES), printable(file)
+    if not isinstance(data, list) or not data:
+        raise FileError(f"{where}: must hold a list of results")
+    results = [_validated(row, f"{where}[{k}]", ResultRow) for k, row in enumerate(data)]
+    by_key: dict[tuple[str, str, int], dict[str, ResultRow]] = {}
+    seen: Counter[tuple[str, str, str]] = Counter()
+    for k, r in enumerate(results):
+        flags = r.metrics.model_dump()
+        failure = next((c for c in CRITERIA if flags[c] is False), None)
+        if (r.first_failure, r.success) != (failure, failure is None):
+            raise FileError(f"{where}[{k}]: first_failure or success is not what its metrics say")
+        if (flags["affordance"] is None) != (r.split == "S0"):
+            raise FileError(f"{where}[{k}]: metrics.affordance is a flag in S1 and null in S0")
+        place = (r.variant, r.split, r.object_id)
+        by_key.setdefault((r.split, r.object_id, seen[place]), {})[r.variant] = r
+        seen[place] += 1
+    keys = sorted(by_key, key=lambda key: SPLITS.index(key[0]))
+    trials = {s: n for s in SPLITS if (n := sum(key[0] == s for key in keys))}
+    objects = sorted({key[:2] for key in keys})
+    header = {
+        "protocol": FOREIGN,
+        "trials": trials,
+        "configuration": {"name": "verdicts of the release"},
+        "digests": {"trials": hashlib.sha256(json.dumps(keys).encode()).hexdigest()},
+        "seed": 0,
+        "device": {"kind": "release", "name": "r2handoversim"},
+        "versions": provenance.versions(),
+        "stored": [],
+        "objects": [{"name": o, "split": s, "built_in": False} for s, o in objects],
+    }
+    folder = open_run(out, header)
+    ids = trial_ids(trials, 0, len(keys))
+    variants = list(dict.fromkeys(r.variant for r in results))
+    for variant in variants:
+        folder.register(variant, {"kind": "results", "file": where})
+        found = [by_key[key].get(variant) for key in keys]
+        for shard in folder.todo(variant):
+            rows = slice(shard.first, shard.last)
+            with folder.write(variant, shard) as writer:
+                writer.append(trials=foreign_rows(ids[rows], keys[rows], found[rows]))
+    names = {int(i): next(iter(by_key[key].values())).trial_id for i, key in zip(ids, keys)}
+    write_labels(folder.folder, {i: (name, "") for i, name in names.items()})
+    return {"trials": len(results), "variants": len(variants)}
+
+
+def foreign_rows(
+    ids: Any, keys: Sequence[tuple[str, str, int]], results: Sequence[ResultRow | None]
+) -> pa.Table:
+    """Rows of `TRIAL_SCHEMA` of somebody else's verdicts: no margins, `missing` where there is no
+    verdict."""
+    rows = []
+    for i, (split, object_id, _), r in zip(ids.tolist(), keys, results):
+        row = {
+            "trial_id": i,
+            "object": object_id,
+            "split": split,
+            "side": "right",
+            "outcome": "missing",
+        }
+        if r is not None:
+            row |= {"side": r.receiver.side if r.receiver else "right"}
+            row |= {"outcome": r.first_failure or "success", "width_m": r.width_m}
+            row |= {f"passed_{c}": flag for c, flag in r.metrics.model_dump().items()}
+            row |= {"t_plan_s": r.planning_time_s, "t_exec_s": r.execution_time_s}
+        rows.append(row)
+    columns = []
+    for field in TRIAL_SCHEMA:
+        values = pa.array([row.get(field.name) for row in rows])
+        is_text = pa.types.is_dictionary(field.type)
+        columns.append(
+            values.cast(pa.string()).dictionary_encode() if is_text else values.cast(field.type)
+        )
+    return pa.table(columns, schema=TRIAL_SCHEMA)

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from sweep_command import in_process
 
+from r2h_batch.compare.command import main as compare_main
 from r2h_batch.export.command import export_main
+from r2h_batch.importers.command import main as import_main
+from r2h_batch.report.__main__ import main as report_main
 from r2h_batch.runs.store import load_run
 from r2h_batch.verdicts import CRITERIA
 
@@ -42,7 +45,7 @@ def test_trials_that_are_read_back_get_the_verdicts_that_they_had(run, written):
 def test_a_hands_mesh_decides_safe_where_its_posture_is_unknown(run, written):
     """The same skin without what our exporter writes for us alone: palm and skin are what they were."""
     (written / "plain").mkdir()
-    for path in (written / "files").glob("*.json"):
+    for path in (written / "files").glob("oracle_*.json"):
         (written / "plain" / path.name).write_text(
             json.dumps({**json.loads(path.read_text()), "provenance": "somebody"})
         )
@@ -59,7 +62,7 @@ def test_a_hands_mesh_decides_safe_where_its_posture_is_unknown(run, written):
 
 
 def test_files_keep_what_the_release_demands_of_a_trial(written):
-    for path in (written / "files").glob("*.json"):
+    for path in (written / "files").glob("oracle_*.json"):
         t = json.loads(path.read_text())
         T = {k: np.array(t[k]) for k in ("T_object_gripper", "target_T_world_gripper")}
         for a in (*T.values(), np.array(t["receiver"]["T_world_hand"])):
@@ -76,3 +79,56 @@ def test_files_keep_what_the_release_demands_of_a_trial(written):
             c, h = (np.array([b[k] for b in t[boxes]]) for k in ("center", "half_extents"))
             assert (np.abs(v - c) <= h + 1e-9).all(2).any(1).all()
         assert bool(t["usage_boxes"]) == (t["split"] == "S1")
+
+
+def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verdicts(run, written, tmp_path, capsys):
+    for method in ("oracle", "random"):
+        files = tmp_path / method
+        assert (
+            export_main([str(run), "--to", "r2handoversim", "--method", method, "--trials", "1", "--out", str(files)])
+            == 0
+        )
+    both = [r for m in ("oracle", "random") for r in json.loads((tmp_path / m / "results.json").read_text())]
+    assert len(both) == 8 and len({r["trial_id"] for r in both}) == 8
+    for m in ("oracle", "random"):
+        own = {f"{m}_{r['trial_id']}": r for r in load_run(run).trials(m).to_pylist()}
+        for r in both:
+            if r["variant"] == m:
+                row = own[r["trial_id"]]
+                assert r["success"] == (row["outcome"] == "success") and r["object_id"] == row["object"]
+                assert r["first_failure"] == (None if r["success"] else row["outcome"])
+                stays = row["passed_safe"] is None  # at home, without a path
+                assert r["metrics"] == {c: row[f"passed_{c}"] for c in CRITERIA} | ({"safe": True} if stays else {})
+        table = {t["split"]: t for t in json.loads((tmp_path / m / "paper_table.json").read_text())}
+        assert set(table) == {"S0", "S1", "Avg"} and table["S0"]["Fafford"] is None
+        failed = {c: table["S1"][k] for c, k in (("stability", "Fstab"), ("plan", "Fplan"), ("reach", "Freach"))}
+        rows = [r for r in both if (r["variant"], r["split"]) == (m, "S1")]  # an object each
+        assert failed == {c: 100.0 * sum(r["first_failure"] == c for r in rows) / len(rows) for c in failed}
+        assert table["Avg"]["SR"] == (table["S0"]["SR"] + table["S1"]["SR"]) / 2
+        header = (tmp_path / m / "results.csv").read_text().splitlines()[0]
+        assert header.startswith(
+            "trial_id,object_id,variant,split,success,first_failure,stability,plan,reach,affordance,safe"
+        )
+    (tmp_path / "both").mkdir()
+    (tmp_path / "both" / "results.json").write_text(json.dumps(both))
+    back = tmp_path / "back"
+    assert import_main(["results", str(tmp_path / "both"), "--from", "r2handoversim", "--out", str(back)]) == 0
+    theirs = load_run(back)
+    assert theirs.methods == ("oracle", "random") and theirs.header["protocol"] == "r2handoversim"
+    for m in theirs.methods:
+        # in S0 and S1 the trials of a run stand in the order of their ids, objects in turn
+        a, b = (
+            sorted((r["split"], r["object"], r["outcome"]) for r in x.trials(m).to_pylist())
+            for x in (theirs, load_run(run))
+        )
+        assert a == b
+    capsys.readouterr()
+    assert report_main([str(back)]) == 0 and "verdicts of the release" in capsys.readouterr().out
+    assert compare_main([str(back)]) == 0 and "oracle" in capsys.readouterr().out
+    wrong = [{**both[0], "success": not both[0]["success"]}]
+    (tmp_path / "wrong.json").write_text(json.dumps(wrong))
+    assert (
+        import_main(["results", str(tmp_path / "wrong.json"), "--from", "r2handoversim", "--out", str(tmp_path / "no")])
+        == 2
+    )
+    assert "wrong.json[0]: first_failure or success is not what its metrics say" in capsys.readouterr().err
