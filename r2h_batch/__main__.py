@@ -27,6 +27,10 @@ COMMANDS = {
         "r2h_batch.export.command",
         "Write trials of a run as files of the authors' release.",
     ),
+    "ls": (
+        "r2h_batch.ls",
+        "List methods, objects, robots, protocols or runs.",
+    ),
     "benchmark": (
         "r2h_batch.benchmark.command",
         "Show what a benchmark file may say, or check one.",
@@ -118,6 +122,7 @@ def main_of(name: str) -> Callable[..., int]:
 def _completed() -> dict[str, Command]:
     """Subcommands with all their flags, for shell completion: here every command's module is
     imported."""
+    from r2h_batch import ls
     from r2h_batch.compare import command as compare
     from r2h_batch.export import command as export
     from r2h_batch.gallery import command as gallery
@@ -142,6 +147,7 @@ def _completed() -> dict[str, Command]:
         "sweep": Options,
         "trials": export.trials,
         "scene": export.scene,
+        "ls": ls.ls,
         "benchmark": benchmark,
         "view": view.view,
         "video": view.view,

@@ -20,8 +20,8 @@ from uuid import uuid4
 from r2h_batch.io.read import FileError, printable
 
 __all__ = [
-    "atomic_path", "check_output_file", "check_output_folder", "csv_cell", "run_folder_of", "write_json", "write_npz",
-    "write_text",
+    "atomic_path", "check_output_file", "check_output_folder", "csv_cell", "json_text", "run_folder_of", "write_json",
+    "write_npz", "write_text",
 ]  # fmt: skip
 
 RUN_FOLDERS = ("trials", "details", "poses", "paths", "failures", "manifest", "methods", "quarantine")  # fmt: skip
@@ -130,9 +130,40 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+JSON_WIDTH = 150
+
+
+def json_text(data: Any, indent: int = 0) -> str:
+    """JSON in lines of about `JSON_WIDTH` characters: as many entries in a line as fit.
+
+    Raises:
+        ValueError: for NaN and infinity.
+    """
+    whole = json.dumps(data, allow_nan=False)
+    if len(whole) + indent <= JSON_WIDTH or not isinstance(data, (dict, list)):
+        return whole
+    if isinstance(data, dict):
+        names, (first, last) = [f"{json.dumps(key)}: " for key in data], "{}"
+        entries = [
+            name + json_text(v, indent + 1) for name, v in zip(names, data.values(), strict=True)
+        ]
+    else:
+        entries, (first, last) = [json_text(v, indent + 1) for v in data], "[]"
+    lines = [entries[0]]
+    for entry in entries[1:]:
+        joined = f"{lines[-1]}, {entry}"
+        if "\n" in joined or len(joined) + indent >= JSON_WIDTH:
+            lines[-1] += ","
+            lines.append(entry)
+        else:
+            lines[-1] = joined
+    pad = " " * (indent + 1)
+    return "\n".join([first, *(pad + line for line in lines), " " * indent + last])
+
+
 def write_json(path: Path, data: Any) -> None:
     """Write JSON, whole or not at all; ValueError for NaN and infinity."""
-    write_text(path, json.dumps(data, indent=1, allow_nan=False) + "\n")
+    write_text(path, json_text(data) + "\n")
 
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:

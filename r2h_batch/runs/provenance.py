@@ -50,6 +50,7 @@ ONLY_READ_ROWS = (
     "compare",
     "results",
     "gallery",
+    "ls.py",
     "command_line.py",
     "__main__.py",
 )

@@ -6,7 +6,7 @@ forged row can still hold another verdict with the margins that go with it: `res
 finds that.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +44,7 @@ PLANNED = {
 
 FOREIGN = "r2handoversim"
 """Protocol of runs that hold somebody else's verdicts (`import results`): without margins."""
+MOST_HANDS = 10**6
 MOST_PASSED_M = 1.0
 """No margin of a pass is larger, except Reach's: clearances count up to 5 cm, Stability 1 cm."""
 
@@ -100,7 +101,7 @@ def _planned_columns(
 ) -> Iterator[tuple[str, Any, NDArray[Any]]]:
     """(column, its words or None, (N,) the planned code of each trial)."""
     objects, side = assign_objects(ids, [o["split"] for o in header["objects"]])
-    hands = np.array([SIDES.index(s) for s in header.get("hands", ())], np.int64)
+    hands = _sides(header.get("hands", ()))
     if len(hands) and (hands == hands[0]).all():  # a set of one side gives that side every time
         side = np.full_like(side, hands[0])
     if "object" in names:
@@ -111,6 +112,15 @@ def _planned_columns(
         yield "side", SIDES, side
     if "hand_index" in names and len(hands):
         yield "hand_index", None, assign_hands(ids, side, hands, header["protocol"])
+
+
+def _sides(runs: Sequence[Any]) -> NDArray[np.int64]:
+    """(H,) side of each hand, from (side, number of hands) or, in older folders, each hand's side."""
+    pairs = [(run, 1) if isinstance(run, str) else run for run in runs]
+    if sum(n for _, n in pairs) > MOST_HANDS:
+        raise ValueError(f"run.json names more than {MOST_HANDS} hands")
+    sides = [SIDES.index(side) for side, _ in pairs]
+    return np.repeat(np.array(sides, np.int64), np.array([n for _, n in pairs], np.int64))
 
 
 def _places(column: pa.ChunkedArray, words: Any) -> NDArray[np.int64]:

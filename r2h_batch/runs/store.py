@@ -46,8 +46,14 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 from r2h_batch.io.read import FileError, kind_of, open_file, printable, read_file
 from r2h_batch.io.read import read_json as read_any_json
 from r2h_batch.io.tables import check_decoded_size
-from r2h_batch.io.write import atomic_path, csv_cell, run_folder_of
-from r2h_batch.runs.row_checks import inconsistent, most_decoded, not_as_planned, wrong_rows
+from r2h_batch.io.write import atomic_path, csv_cell, json_text, run_folder_of
+from r2h_batch.runs.row_checks import (
+    MOST_HANDS,
+    inconsistent,
+    most_decoded,
+    not_as_planned,
+    wrong_rows,
+)
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
     FAILURE_SCHEMA,
@@ -174,8 +180,7 @@ def _json_file(path: Path, data: Mapping[str, Any]) -> Path:
     temporary = temporary_name(path)
     try:
         with temporary.open("w", encoding="utf-8") as file:
-            json.dump(data, file, indent=1, allow_nan=False)
-            file.write("\n")
+            file.write(json_text(data) + "\n")
             file.flush()
             os.fsync(file.fileno())
     except BaseException:
@@ -372,6 +377,9 @@ class _Predictors(_Open):
     noise_factor: Annotated[float, Field(ge=0, le=1e12)]
 
 
+_Side = Literal["right", "left"]
+
+
 class Header(_Record):
     """run.json."""
 
@@ -390,9 +398,17 @@ class Header(_Record):
     motion: _Motion = _ABSENT
     objects: list[_Object] = _ABSENT
     benchmark: _Benchmark = _ABSENT
-    hands: Annotated[list[Literal["right", "left"]], Field(min_length=1, max_length=10**6)] = (
-        _ABSENT
-    )
+    # sides of the hand set in order, as (side, number of hands); older folders name each hand
+    hands: Annotated[
+        list[
+            Annotated[
+                list[_Side | Annotated[int, Field(ge=1, le=MOST_HANDS)]],
+                Field(min_length=2, max_length=2),
+            ]
+        ]
+        | list[_Side],
+        Field(min_length=1, max_length=MOST_HANDS),
+    ] = _ABSENT
     platform: Text = ""
     git_commit: Text | None = None
     command: list[Text] = []

@@ -194,6 +194,7 @@ def _finish(options: Options, out: str, names: list[str]) -> int:
     """Print the table if every method of this sweep is complete, else what is left; the exit
     code."""
     from r2h_batch.report import table as report
+    from r2h_batch.report.card import write_summary
     from r2h_batch.runs import store as results
 
     stored = results.load_run(out)
@@ -209,6 +210,8 @@ def _finish(options: Options, out: str, names: list[str]) -> int:
             code = 1
         words = ", ".join(f"{name} {n}" for name, n in left.items())
         tell(f"shards that other parts have to score: {words}; the table comes with the last")
+    if names and not stored.unfinished:
+        write_summary(stored)
     if names and not left:
         sys.stdout.write(report.render(report.table_of(stored), options.format))
         sys.stdout.flush()

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from importlib import import_module
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast, get_args
 
@@ -140,7 +141,9 @@ def prepare(options: Options) -> Setting:
             else None,
         },
         "objects": [_said_of(o) for o in objects],
-        "hands": [SIDES[s] for s in evaluator.scene.hands.set.side.tolist()],
+        "hands": [
+            [SIDES[s], len(list(g))] for s, g in groupby(evaluator.scene.hands.set.side.tolist())
+        ],
         "benchmark": {"flags": given.flags()},
         "seed": options.seed,
         "predictors": _predictors(options),

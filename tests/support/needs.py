@@ -93,6 +93,9 @@ WANTS = {
         lambda: bool(shutil.which("g++") or shutil.which("clang++")),
     ),
     "clang-format": Want("clang-format", "pip install clang-format", lambda: shutil.which("clang-format") is not None),
+    "datasets": Want(
+        "the package datasets (Hugging Face)", "pip install datasets", lambda: bool(find_spec("datasets"))
+    ),
     "h5py": _module("h5py", "import"),
     "onnxruntime": _module("onnxruntime", "onnx"),
     "unshare": Want(

@@ -1,0 +1,64 @@
+"""What a finished sweep leaves for people beside its rows: the table, the same numbers as JSON, and a
+card that makes the run folder a data set of the Hugging Face library."""
+
+import yaml
+
+from r2h_batch.io.write import write_text
+from r2h_batch.report.table import render, table_of
+from r2h_batch.report.text import plain
+from r2h_batch.runs.store import Run
+
+TABLE, RESULTS, CARD = "table.md", "results.json", "README.md"
+
+_BODY = """
+# {title}
+
+Verdicts on robot-to-human handovers by r2h_batch {version}, protocol {protocol}: {trials}.
+
+{table}
+
+## Files
+
+| | |
+|---|---|
+| trials/METHOD/*.parquet | a row for each trial: outcome, five criteria with margins (m), reasons, times (s) |
+| poses/METHOD/*.parquet | the scored poses: T_obj_ee and T_world_ee, 4 x 4 row by row, m |
+| run.json, methods/, manifest/ | configuration, digests of code and data, what answered, checksums |
+| {results}, {table_file} | the table as numbers and as text |
+
+    datasets.load_dataset(FOLDER, METHOD)      # the trials of a method; METHOD is a name under trials/
+    r2h-batch results verify FOLDER            # every file against its checksum
+    r2h-batch results reevaluate FOLDER        # rows judged again from their stored poses
+"""
+
+
+def write_summary(run: Run) -> None:
+    """Write `table.md`, `results.json` and the card `README.md` into the folder of a run.
+
+    Args:
+        run: what `load_run` gives; methods that are not complete are left out.
+    """
+    table = table_of(run)
+    text = render(table, "md")
+    write_text(run.folder / TABLE, text)
+    write_text(run.folder / RESULTS, render(table, "json"))
+    slugs = [run.entry(m)["slug"] for m in run.methods]
+    head = {
+        "pretty_name": run.folder.absolute().name,
+        "tags": ["robotics", "human-robot-interaction", "handover", "r2h_batch"],
+        "configs": [
+            {"config_name": s, "data_files": [{"split": "trials", "path": f"trials/{s}/*.parquet"}]}
+            for s in slugs
+        ],
+    }
+    body = _BODY.format(
+        title=plain(run.folder.absolute().name),
+        version=table.origin["r2h_batch"],
+        protocol=table.origin["protocol"],
+        trials=table.origin["trials"],
+        table=text.split("\n\n")[2],
+        results=RESULTS,
+        table_file=TABLE,
+    )
+    front = yaml.safe_dump(head, sort_keys=False, allow_unicode=True)
+    write_text(run.folder / CARD, f"---\n{front}---\n{body}")

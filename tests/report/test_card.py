@@ -1,0 +1,62 @@
+"""What a finished sweep leaves for people: table, numbers and a card; and what `ls` lists."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+from made_runs import write_run
+from needs import needs
+
+from r2h_batch.__main__ import main
+from r2h_batch.report.card import write_summary
+from r2h_batch.report.table import render, table_of
+from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.options import METHODS
+
+
+@pytest.fixture
+def run(tmp_path):
+    odd = "a: [b] | <c>"
+    run = write_run(tmp_path / "runs" / "mine", {"a": np.zeros(8, int), odd: np.ones(8, int)}, 4, 4)
+    write_summary(run)
+    return run
+
+
+def test_the_summary_holds_the_table_and_names_the_rows_of_every_method(run):
+    assert (run.folder / "table.md").read_text() == render(table_of(run), "md")
+    assert (
+        json.loads((run.folder / "results.json").read_text())["rows"]
+        == json.loads(render(table_of(run), "json"))["rows"]
+    )
+    front, body = (run.folder / "README.md").read_text().removeprefix("---\n").split("\n---\n", 1)
+    configs = yaml.safe_load(front)["configs"]
+    found = [sorted(run.folder.glob(c["data_files"][0]["path"])) for c in configs]
+    assert len(found) == 2 and all(found) and not set(found[0]) & set(found[1])
+    assert "Split|Method" in body and "\nS0 " in body and "r2h-batch results reevaluate" in body
+    assert load_run(run.folder).methods == run.methods  # a run folder as before
+
+
+@needs("datasets")
+def test_a_run_folder_is_a_data_set_of_the_hugging_face_library(run, tmp_path):
+    import datasets
+
+    slug = run.entry("a")["slug"]
+    rows = datasets.load_dataset(str(run.folder), slug, cache_dir=str(tmp_path / "cache"))["trials"]
+    assert rows["trial_id"] == run.trials("a")["trial_id"].to_pylist() and rows["outcome"][0] == "success"
+
+
+def test_ls_names_what_command_lines_take(run, tmp_path, monkeypatch, capsys):
+    def listed(*words):
+        assert main(["ls", *words]) == 0
+        return capsys.readouterr().out.splitlines()
+
+    assert [line.split()[0] for line in listed("methods")] == list(METHODS)
+    assert len(listed("objects")) >= 16 and any(" hammer " in line and " mm " in line for line in listed("objects"))
+    assert any(line.startswith("r2h-v1 ") and line.endswith("default") for line in listed("protocols"))
+    assert listed("robots")
+    monkeypatch.chdir(tmp_path)
+    (line,) = listed("runs")
+    assert line.startswith("runs/mine") and "4 S0, 4 S1" in line
+    assert main(["ls", "run"]) == 2
+    assert "did you mean runs?" in capsys.readouterr().err
