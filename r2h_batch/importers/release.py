@@ -17,7 +17,7 @@ import re
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -26,7 +26,14 @@ import pyarrow as pa
 import torch
 import trimesh
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+)
 
 from r2h_batch import se3
 from r2h_batch.bodies.hand import MAX_SKIN_PIECES, palm_frame
@@ -79,7 +86,35 @@ Metres = Annotated[float, Field(ge=-10, le=10)]
 Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
 Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 Row = Annotated[list[float], Field(min_length=4, max_length=4)]
-Joints = Annotated[list[Angle], Field(min_length=6, max_length=6)]
+
+
+def _rows(columns: int, low: float, high: float, *, least: int = 0, whole: bool = False) -> Any:
+    """A long list of rows of numbers, checked as one array: pydantic takes a second for each million."""
+
+    def check(value: Any) -> Any:
+        try:
+            a = np.array(value)
+        except ValueError:
+            raise ValueError(f"rows must have {columns} numbers each") from None
+        if not isinstance(value, list) or len(value) < least:
+            raise ValueError(f"must be a list of {least} or more rows")
+        if not len(value):
+            return np.zeros((0, columns))
+        if a.ndim != 2 or a.shape[1] != columns:
+            raise ValueError(f"rows must have {columns} numbers each")
+        if a.dtype.kind not in ("iu" if whole else "iuf"):
+            raise ValueError(f"must hold {'whole ' if whole else ''}numbers")
+        wrong = ~((a >= low) & (a <= high)).all(1)
+        if wrong.any():
+            row = int(wrong.argmax())
+            raise ValueError(f"row {row} is {a[row].tolist()}; {low:g} to {high:g} is allowed")
+        return a
+
+    return PlainValidator(check)
+
+
+Joints = Annotated[Array, _rows(6, -6.2832, 6.2832)]
+NO_JOINTS = np.zeros((0, 6))
 
 
 def _is_rigid(T: list[list[float]]) -> list[list[float]]:
@@ -133,11 +168,8 @@ CORNER_FACES = trimesh.creation.box((2.0, 2.0, 2.0)).faces.view(np.ndarray)
 class Mesh(_Entry):
     """A triangle mesh, m."""
 
-    vertices: Annotated[list[Vector], Field(min_length=4)]
-    faces: Annotated[
-        list[Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=3, max_length=3)]],
-        Field(min_length=4),
-    ]
+    vertices: Annotated[Array, _rows(3, -10, 10, least=4)]
+    faces: Annotated[NDArray[np.int64], _rows(3, 0, 1 << 31, least=4, whole=True)]
 
 
 class Receiver(_Entry):
@@ -200,8 +232,8 @@ class TrialFile(_Entry):
     reach_radius_m: Annotated[float, Field(gt=0, le=2)] = 0.10
     max_opening_m: Annotated[float, Field(gt=0, le=0.085)] = 0.085
     dt_s: Annotated[float, Field(gt=0, le=1)] = 1 / 60
-    planned_joints: list[Joints] = []
-    executed_joints: list[Joints] = []
+    planned_joints: Joints = NO_JOINTS
+    executed_joints: Joints = NO_JOINTS
     T_tcp_asset_tool: Pose = np.eye(4).tolist()
     grasp_contract: GraspContract = GraspContract()
     planning: Planning = Planning()
@@ -224,7 +256,9 @@ class ReleaseTrial:
     T_world_palm: Array
     side: int  # 0 right, 1 left
     own: Own | None  # the hand in our model, where our exporter wrote the trial
-    hand_mesh: tuple[Array, NDArray[np.int64]] | None  # vertices in the palm's frame, and faces
+    hand_mesh: (
+        tuple[NDArray[np.float32], NDArray[np.int32]] | None
+    )  # vertices in the palm's frame, and faces
     hand_boxes: Array  # (n, 8, 3) corners in the palm's frame
     place: dict[str, Any]  # thresholds, table and home, as a benchmark file says them
     q: Array | None  # (K, 6) the executed motion; None: there is none for our gripper
@@ -240,6 +274,7 @@ def read_trials(path: Path) -> list[ReleaseTrial]:
     """
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
     found: list[ReleaseTrial] = []
+    meshes: dict[bytes, trimesh.Trimesh] = {}
     for file in files:
         data = read_json(file, most=MAX_BYTES)
         rows = data if isinstance(data, list) else [data]
@@ -247,7 +282,10 @@ def read_trials(path: Path) -> list[ReleaseTrial]:
             where = f"{printable(file)}" + (f"[{k}]" if isinstance(data, list) else "")
             if path.is_dir() and not _is_trial(row):
                 continue
-            found.append(_converted(_validated(row, where, TrialFile), where))
+            trial = _converted(_validated(row, where, TrialFile), where)
+            # one copy in memory of an object that many trials have
+            mesh = meshes.setdefault(_shape(trial.mesh), trial.mesh)
+            found.append(replace(trial, mesh=mesh))
             if len(found) > MOST_TRIALS:
                 raise FileError(f"{printable(path)}: more than {MOST_TRIALS} trials")
     if not found:
@@ -307,7 +345,7 @@ def along_z(z: float) -> Array:
 def _tool_pose(file: TrialFile) -> Array:
     """Where the tool ends, our world frame: at the last executed sample, as the release judges Reach;
     at the target of a trial without a trace, or without a path."""
-    if not file.executed_joints or file.planning.status == "failed":
+    if not len(file.executed_joints) or file.planning.status == "failed":
         return T_world_release @ np.array(file.target_T_world_gripper)
     robot = load_robot()
     T_world_flange = ee_pose(robot, file.executed_joints[-1]) @ np.linalg.inv(robot.T_flange_ee)
@@ -317,8 +355,7 @@ def _tool_pose(file: TrialFile) -> Array:
 def _object(file: TrialFile, where: str) -> tuple[trimesh.Trimesh, NDArray[np.bool_]]:
     """The mesh, or the boxes side by side, and the faces whose middle lies in a usage box."""
     if file.object_mesh_object is not None:
-        vertices = np.array(file.object_mesh_object.vertices)
-        faces = np.array(file.object_mesh_object.faces)
+        vertices, faces = file.object_mesh_object.vertices, file.object_mesh_object.faces
         if faces.max() >= len(vertices):
             raise FileError(
                 f"{where}: object_mesh_object.faces names vertex {faces.max()}; there are {len(vertices)}"
@@ -369,7 +406,7 @@ def _place(file: TrialFile, where: str) -> dict[str, Any]:
     center = np.array(boxes[0].center)
     half = np.round(turned) @ boxes[0].half_extents
     middle = trimesh.transform_points([center], T_world_release)[0]
-    home = file.planned_joints[0] if file.planned_joints else HOME_Q
+    home = file.planned_joints[0] if len(file.planned_joints) else HOME_Q
     limits = {
         "reach_offset_m": file.reach_offset_m,
         "reach_radius_m": file.reach_radius_m,
@@ -406,7 +443,7 @@ def _palm(file: TrialFile, where: str) -> tuple[int, Array]:
 
 def _hand_surface(
     file: TrialFile, T_world_palm: Array, side: int, where: str
-) -> tuple[tuple[Array, NDArray[np.int64]] | None, Array]:
+) -> tuple[tuple[NDArray[np.float32], NDArray[np.int32]] | None, Array]:
     """The hand's mesh, if there is one, and the corners of its boxes, in the palm's frame."""
     to_palm = np.linalg.inv(T_world_palm)
     corners = CORNERS * ([-1, 1, 1] if side else [1, 1, 1])  # faces of left hands count backwards
@@ -420,14 +457,13 @@ def _hand_surface(
     )
     if file.hand_mesh_world is None:
         return None, boxes
-    vertices = np.array(file.hand_mesh_world.vertices)
-    faces = np.array(file.hand_mesh_world.faces)
+    vertices, faces = file.hand_mesh_world.vertices, file.hand_mesh_world.faces
     if faces.max() >= len(vertices):
         raise FileError(
             f"{where}: hand_mesh_world.faces names vertex {faces.max()}; there are {len(vertices)}"
         )
-    mesh = trimesh.transform_points(vertices, to_palm), faces[:, ::-1] if side else faces
-    return mesh, boxes
+    skin = trimesh.transform_points(vertices, to_palm).astype(np.float32)
+    return (skin, (faces[:, ::-1] if side else faces).astype(np.int32)), boxes
 
 
 def palm_in_hand(joints: torch.Tensor, side: int) -> Array:
@@ -450,8 +486,8 @@ def _motion(file: TrialFile, T_world_ee: Array) -> tuple[Array | None, Array]:
     None where our gripper cannot follow them: they are of another tool (the release's box gripper
     is 52 mm shorter) and end elsewhere, or planning failed.
     """
-    executed = np.array(file.executed_joints or file.planned_joints)
-    planned = np.array(file.planned_joints or file.executed_joints)
+    executed = file.executed_joints if len(file.executed_joints) else file.planned_joints
+    planned = file.planned_joints if len(file.planned_joints) else file.executed_joints
     if min(len(executed), len(planned)) < 2 or file.planning.status == "failed":
         return None, planned
     target = T_world_release @ np.array(file.target_T_world_gripper) @ _back(file)
@@ -569,13 +605,13 @@ def _hands(trials: Sequence[ReleaseTrial]) -> tuple[str, dict[str, Any]]:
     }
 
 
-def _from_least(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+def _from_least(faces: NDArray[Any]) -> NDArray[np.int64]:
     """The same faces, each from its lowest vertex on."""
     at = (faces.argmin(1)[:, None] + np.arange(3)) % 3
     return np.ascontiguousarray(np.take_along_axis(faces, at, 1).astype(np.int64))
 
 
-def _pieces(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
+def _pieces(vertices: NDArray[Any], faces: NDArray[Any]) -> NDArray[np.int64]:
     """The piece of each face: cells of the finest grid that fills at most `MAX_SKIN_PIECES` of them. Flat
     cells join the nearest one that has a volume."""
     centre = vertices[faces].mean(1)
@@ -596,15 +632,18 @@ def _pieces(vertices: Array, faces: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray(np.unique(joined, return_inverse=True)[1].reshape(-1))
 
 
-def _thickness(triangles: Array) -> float:
+def _thickness(triangles: NDArray[Any]) -> float:
     """Extent across the plane that fits points best."""
     points = triangles.reshape(-1, 3) - triangles.reshape(-1, 3).mean(0)
     return float(np.ptp(points @ np.linalg.svd(points, full_matrices=False)[2][2]))
 
 
 def _key(t: ReleaseTrial) -> tuple[str, str, bytes, bytes]:
-    shape = t.mesh.vertices.tobytes() + t.mesh.faces.tobytes()
-    return t.object_id, t.split, shape, t.region.tobytes()
+    return t.object_id, t.split, _shape(t.mesh), t.region.tobytes()
+
+
+def _shape(mesh: trimesh.Trimesh) -> bytes:
+    return hashlib.sha256(mesh.vertices.tobytes() + mesh.faces.tobytes()).digest()
 
 
 def _write_objects(
