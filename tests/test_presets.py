@@ -10,10 +10,12 @@ from problems import default_evaluator, make_batch
 
 from r2h_batch.config import OPEN_GAP_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods import fc, handover_va
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.statistics import aggregate
 from r2h_batch.sweep.command import main as sweep
+from r2h_batch.trials.protocol import make_trials
 from r2h_batch.verdicts import CRITERIA
 
 RELEASE = EvalConfig.preset("release")
@@ -81,3 +83,16 @@ def test_every_object_counts_the_same_in_its_averages(tmp_path, capsys):
     assert row.rates["f_reach"].percent == pytest.approx(100 * wanted)
     assert sum(r.percent for r in row.rates.values() if r) == pytest.approx(100) and row.n == plain.n == 13
     assert row.rates["f_reach"].percent != pytest.approx(plain.rates["f_reach"].percent) or wanted in (0, 1)
+
+
+@pytest.mark.parametrize("method", [fc, handover_va], ids=lambda m: m.TITLE)
+def test_methods_choose_narrow_grasps_wherever_there_is_one(method):
+    scene = Evaluator(replace(EvalConfig(), candidates="narrow")).scene
+    trials = make_trials(trials=16)
+    answer = method.predict(trials, scene)
+    across = [
+        np.ptp(scene.objects[o].vertices.astype(float) @ T[:3, 1].double().numpy())
+        for o, T in zip(trials.object_index.tolist(), answer.T_obj_ee, strict=True)
+    ]
+    wide = {scene.objects[o].name for o, w in zip(trials.object_index.tolist(), across, strict=True) if w > OPEN_GAP_M}
+    assert wide == {"bowl"}  # no candidate of it is narrow

@@ -114,6 +114,9 @@ def box_grasps(
             chunk=1,
             width=used.shape[1],
         )
+    if scene.config.candidates == "narrow":
+        fits = torch.from_numpy(_extents(scene, turns) <= OPEN_GAP_M).to(device)
+        score = torch.where(fits[index.long()].gather(1, turn.long()), score, -1.0)
     chosen = torch.from_numpy(turns).to(device)[turn.long()]
     down = torch.from_numpy(depth).to(device)[step.long()]
     return BoxGrasps(_poses(seed, chosen, down), score, seed, used.bool())
@@ -128,6 +131,11 @@ def _turns(azimuth_step: float) -> NDArray[np.float32]:
         )
     angle = azimuth_step * np.arange(count)
     return np.stack([np.cos(angle), np.sin(angle)], 1).astype(np.float32)
+
+
+def _extents(scene: Scene, turns: NDArray[np.float32]) -> Array:
+    """(O, A) how wide each object is along the closing axis of each azimuth, m."""
+    return np.stack([np.ptp(o.vertices[:, :2] @ turns.T, axis=0) for o in scene.objects])
 
 
 def _seeds(
