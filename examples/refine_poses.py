@@ -4,11 +4,13 @@ python examples/refine_poses.py --trials 500
 """
 
 import argparse
+import contextlib
 import time
 
 import torch
 
 from r2h_batch import Evaluator, Predictions, Trials, make_trials, twist
+from r2h_batch.loggers import LOGGERS, Logger
 from r2h_batch.methods.random import predict
 
 LEVER_M = 0.1
@@ -16,7 +18,14 @@ LEVER_M = 0.1
 
 
 def refine(
-    evaluator: Evaluator, T_obj_ee: torch.Tensor, T_world_ee: torch.Tensor, trials: Trials, *, steps: int, rate_m: float
+    evaluator: Evaluator,
+    T_obj_ee: torch.Tensor,
+    T_world_ee: torch.Tensor,
+    trials: Trials,
+    *,
+    steps: int,
+    rate_m: float,
+    logger: Logger | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The poses with the best soft score on the way up; Adam on twists, so that every iterate is a pose."""
     scale = torch.tensor([1.0, 1.0, 1.0, *[1 / LEVER_M] * 3])
@@ -26,6 +35,8 @@ def refine(
     for step in range(steps):
         pose = pose.detach().requires_grad_(True)
         scores = evaluator.score(pose[:, 0], pose[:, 1], trials, stages="pose")
+        if logger is not None:
+            logger.log(scores.scalars(), step)
         soft = scores.soft(temperature_m=0.005, log=True)
         better = soft.detach() > best
         best, best_pose = (
@@ -47,6 +58,7 @@ def main(argv: list[str] | None = None) -> tuple[float, float]:
     parser.add_argument("--trials", type=int, default=200, help="per split")
     parser.add_argument("--steps", type=int, default=80)
     parser.add_argument("--rate-m", type=float, default=0.004)
+    parser.add_argument("--log", choices=LOGGERS, help="write outcomes and margins of each step to runs/refine")
     args = parser.parse_args(argv)
     trials = make_trials(["S0", "S1"], args.trials)
     evaluator = Evaluator()
@@ -55,7 +67,10 @@ def main(argv: list[str] | None = None) -> tuple[float, float]:
     rows = ~before.success
     trials, start = trials[rows], start[rows]
     clock = time.perf_counter()
-    refined = refine(evaluator, start.T_obj_ee, start.T_world_ee, trials, steps=args.steps, rate_m=args.rate_m)
+    with Logger(args.log, "runs/refine", vars(args)) if args.log else contextlib.nullcontext() as logger:
+        refined = refine(
+            evaluator, start.T_obj_ee, start.T_world_ee, trials, steps=args.steps, rate_m=args.rate_m, logger=logger
+        )
     seconds = time.perf_counter() - clock
     after = evaluator.score(*refined, trials)
     rates = before.success.float().mean().item(), after.success.float().mean().item()

@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,8 @@ from r2h_batch.sweep.options import METHODS, Options, UsageError, parse
 
 # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
 if TYPE_CHECKING:
-    from r2h_batch.runs.store import RunFolder
+    from r2h_batch.loggers import LoggerName
+    from r2h_batch.runs.store import Run, RunFolder
     from r2h_batch.sweep.jobs import Job, Setting
 
 __all__ = ["METHODS", "Options", "UsageError", "main", "parse", "run"]
@@ -86,8 +87,12 @@ def _run(options: Options, stopping: Callable[[], bool], log_to: Callable[[Path]
     from r2h_batch.sweep.engine import Stopped
 
     try:
-        if options.engine == "ray" and find_spec("ray") is None:
-            raise UsageError("--engine ray needs Ray: pip install 'r2h_batch[ray]'")
+        for module, flag in (
+            ("ray" if options.engine == "ray" else "", "--engine ray"),
+            (options.log, f"--log {options.log}"),
+        ):
+            if module and find_spec(module) is None:
+                raise UsageError(f"{flag} needs {module}: pip install 'r2h_batch[{module}]'")
         if options.address:
             reach(options.address, options.ray_timeout)
         # a method may change the directory, when it is imported or asked
@@ -190,6 +195,19 @@ def _open(options: Options, setting: "Setting", jobs: "list[Job]") -> "tuple[str
         out = f"{options.out}-{number}"
 
 
+def _log(stored: "Run", kind: "LoggerName") -> None:
+    """The table's numbers in a logger, each as METHOD/SPLIT/NAME; what it prints goes to stderr."""
+    from r2h_batch.loggers import Logger
+    from r2h_batch.report.table import record, table_of
+
+    table = table_of(stored)
+    with redirect_stdout(sys.stderr), Logger(kind, stored.folder, table.origin) as logger:
+        for row in table.rows:
+            numbers = {k: v for k, v in record(row).items() if isinstance(v, (int, float))}
+            place = f"{row.method.partition(' (')[0]}/{row.split}"
+            logger.log({f"{place}/{name}": value for name, value in numbers.items()})
+
+
 def _finish(options: Options, out: str, names: list[str]) -> int:
     """Print the table if every method of this sweep is complete, else what is left; the exit
     code."""
@@ -212,6 +230,8 @@ def _finish(options: Options, out: str, names: list[str]) -> int:
         tell(f"shards that other parts have to score: {words}; the table comes with the last")
     if names and not stored.unfinished:
         write_summary(stored)
+        if options.log:
+            _log(stored, options.log)
     if names and not left:
         sys.stdout.write(report.render(report.table_of(stored), options.format))
         sys.stdout.flush()

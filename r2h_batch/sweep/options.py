@@ -198,6 +198,9 @@ class Options:
     force_new: bool = _option(
         False, _CONFIG, "if --out holds another run, write to OUT-2, OUT-3, ... instead"
     )
+    log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = _option(
+        "", _CONFIG, "also write the table's numbers into a logger, in the run folder (offline)"
+    )
     save_details: bool = _option(
         False, _CONFIG, "store joint goal, opening, shift and witness of every trial"
     )

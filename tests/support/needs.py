@@ -107,6 +107,7 @@ WANTS = {
     "rtree": _module("rtree", "test"),
     "importlinter": _module("importlinter", "test"),
     "setuptools": _module("setuptools", "test"),
+    "tensorboard": _module("tensorboard", "tensorboard"),
     "viser": _module("viser", "view"),
     "nbclient": _module("nbclient", "notebook"),
     "pandas": _module("pandas", "pandas"),

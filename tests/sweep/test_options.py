@@ -28,6 +28,7 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         device="cuda:1",
         out="runs/x",
         force_new=True,
+        log="mlflow",
         seed=3,
         predictor="net.pt",
         predicted_hands="h.npz",
