@@ -3,7 +3,7 @@
 `python bench/growth.py --trials 2000000 20000000 --json FILE`. Rows are synthetic, half of them of each of two methods, and go
 through the real writer. Margins and times have full float32 mantissas and compress no better than real ones. Each step is a
 process of its own, so that its peak memory is its own. `--workers`: simulated Ray workers that answer at once; what is left is
-the driver's own time.
+the driver's own time. `--sequences 1335`: instead, the import of a data set of GRAB's size: 1.62 million frames of two hands.
 """
 
 import json
@@ -228,6 +228,31 @@ def driver(workers: int, shards: int) -> dict[str, float]:
         return {"ms_per_shard": 1e3 * (time.perf_counter() - start - making[0]) / shards}
 
 
+GRAB_FRAMES, GRAB_SEQUENCES = 1_622_459, 1335
+"""Taheri et al. 2020."""
+
+
+def import_grab(sequences: int) -> dict[str, float]:
+    """Seconds and peak memory of `import hands` over so many sequences in GRAB's layout, of GRAB's mean length; their files
+    are a few, linked many times."""
+    sys.path.insert(0, str(ROOT / "tests" / "support"))
+    import hand_data
+
+    hand_data.FRAMES = GRAB_FRAMES // GRAB_SEQUENCES
+    with tempfile.TemporaryDirectory() as temporary:
+        first = hand_data.write_grab(Path(temporary))
+        for i in range(1, sequences):
+            name = (
+                first.with_name(f"mug_pass_{i // 10 + 2}.npz").parents[1]
+                / f"s{i % 10 + 1}"
+                / f"mug_pass_{i // 10 + 2}.npz"
+            )
+            name.parent.mkdir(exist_ok=True)
+            name.hardlink_to(first)
+        out = ["--out", f"{temporary}/hands.npz"]
+        return command("import", "hands", temporary, "--from", "grab", *out)
+
+
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--trials", type=int, nargs="+", default=[2_000_000, 20_000_000], help="sizes, small to large")
@@ -236,7 +261,14 @@ def main() -> None:
     parser.add_argument("--shards", type=int, default=2000, help="for the driver's work")
     parser.add_argument("--folder", type=Path, help="where the run folders are made (default: a temporary folder)")
     parser.add_argument("--step", choices=STEPS, help="run one step only and print its figures as JSON")
+    parser.add_argument("--sequences", type=int, help="measure an import of so many sequences only")
     given = parser.parse_args()
+    if given.sequences:
+        report_ = Report()
+        for name, value in import_grab(given.sequences).items():
+            report_.add(f"growth.import_{given.sequences}_sequences_{name}", value)
+        report_.write(given.json)
+        return
     if given.step:
         figures = STEPS[given.step](given.folder, given.trials[0], given.shard_trials)
         own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
