@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -236,8 +237,7 @@ def import_grab(sequences: int) -> dict[str, float]:
     """Seconds and peak memory of `import hands` over so many sequences in GRAB's layout, of GRAB's mean length; their files
     are a few, linked many times."""
     sys.path.insert(0, str(ROOT / "tests" / "support"))
-    import hand_data
-
+    hand_data: Any = import_module("hand_data")
     hand_data.FRAMES = GRAB_FRAMES // GRAB_SEQUENCES
     with tempfile.TemporaryDirectory() as temporary:
         first = hand_data.write_grab(Path(temporary))

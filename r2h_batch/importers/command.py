@@ -14,6 +14,7 @@ from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import check_output_file, check_output_folder
 
 if TYPE_CHECKING:
+    from r2h_batch.bodies.grasp_set import GraspSet
     from r2h_batch.importers.mano import ManoHand
 
 __all__ = ["grasps", "hand", "hands", "import_main", "main", "objects", "results", "trials"]
@@ -58,10 +59,10 @@ def hand(
 
 
 def hands(
-    folder: Annotated[Path | None, tyro.conf.Positional] = None,
+    folder: Annotated[tuple[Path, ...], tyro.conf.Positional] = (),
     *,
     source: Annotated[
-        Literal["grab", "arctic", "h2o", "oakink", "dexycb", "built-in"],
+        tuple[Literal["grab", "arctic", "h2o", "oakink", "dexycb", "built-in"], ...],
         tyro.conf.arg(name="from", metavar="SOURCE"),
     ],
     out: Path,
@@ -77,8 +78,8 @@ def hands(
     beside them.
 
     Args:
-        folder: The data set as its owners give it.
-        source: Whose it is; built-in: this project's own postures in the same form.
+        folder: The data set as its owners give it; several become one hand set.
+        source: Whose it is, one for each folder; built-in: this project's own postures in the same form.
         out: The hand set to write, .npz; the motions go beside it as NAME_motion.npz.
         frame: Which frame of a sequence: aperture (the widest grip of the last second before the
             object moves), first, middle, last, or a number (-1: the last). Of oakink, aperture
@@ -99,25 +100,23 @@ def hands(
     check_output_file(
         hand_sets.motion_file(target), overwrite=overwrite, flag="--out with the motions in"
     )
-    if source == "built-in":
+    if source == ("built-in",):
         hand_sets.write(target, hand_sets.built_in())
         print(f"{counted(len(load_hand_set()), 'hands')} of r2h_batch in {target}; 0 files skipped")
         return 0
-    if folder is None:
-        raise UsageError(f"no folder; give that of {source}, as its owners give it")
+    names = ", ".join(source)
+    if len(folder) != len(source) or "built-in" in source:
+        many = counted(len(folder), "folders") if folder else "no folder"
+        raise UsageError(f"{many}; give one for each of {names}, as its owners give it")
     rule = int(frame) if isinstance(frame, int) or str(frame).lstrip("-").isdigit() else frame
-    found = hand_sets.collect(
-        source,
-        folder,
-        _mano(mano_right, mano_left, negate_left_shape),
-        rule,
-        strict=strict,
-        idle=idle,
-    )
+    found = hand_sets.Collected()
+    mano = _mano(mano_right, mano_left, negate_left_shape)
+    for at, name in zip(folder, source, strict=True):
+        hand_sets.collect(name, at, mano, rule, strict=strict, idle=idle, into=found)
     hand_sets.write(target, found)
     right, left = found.counts()
     print(
-        f"{counted(right + left, 'hands')} of {source} ({right} right, {left} left) in {target},"
+        f"{counted(right + left, 'hands')} of {names} ({right} right, {left} left) in {target},"
         f" motions in {hand_sets.motion_file(target)}; {counted(found.idle, 'idle hands')} left out,"
         f" {counted(len(found.skipped), 'files')} skipped"
     )
@@ -183,10 +182,14 @@ def objects(
     *,
     source: Annotated[Literal["oakink"], tyro.conf.arg(name="from", metavar="SOURCE")],
     out: Path,
+    only: tuple[str, ...] = (),
+    grasps: Path | None = None,
+    gripper: Gripper | None = None,
+    hands: int | None = None,
     strict: bool = False,
 ) -> int:
     """A data set's objects as a folder for --objects: meshes in the frame of its hands, part
-    labels, benchmark.yaml.
+    labels, grasps, benchmark.yaml.
 
     Args:
         folder: The data set as its owners give it: OakInk's with shape/metaV2 or image/obj;
@@ -194,6 +197,11 @@ def objects(
         source: Whose it is: oakink.
         out: A new or empty folder. It holds the data set's meshes: its licence says who may have
             them.
+        only: Names or IDs of the objects to take; else all.
+        grasps: A folder of grasps in files called after the objects, in formats of `import grasps`.
+        gripper: Whose frame they are in where the files do not say it.
+        hands: Also name hand.npz and so many hands of each side of hands.npz as the benchmark's, which
+            `import hand` and `import hands` put beside them.
         strict: Refuse a data set with an object that cannot be read, instead of skipping it.
     """
 
@@ -201,7 +209,7 @@ def objects(
 
     check_output_folder(out, overwrite=None)
     found, skipped = [], 0
-    for name, made in collect(folder):
+    for name, made in collect(folder, only):
         if isinstance(made, OakObject):
             found.append(made)
             continue
@@ -211,7 +219,7 @@ def objects(
         tell(f"skipped: {name}: {made}")
     if not found:
         raise FileError(f"{printable(folder)}: none of {skipped} objects could be read")
-    write(out, found)
+    write(out, found, _grasp_files(grasps, [o.name for o in found], gripper), hands)
     held = sum(bool(o.held) for o in found)
     print(
         f"{counted(len(found), 'objects')} of {source} ({held} with a receiver's region) in {out}; {skipped} skipped"
@@ -273,6 +281,22 @@ def results(
     )
 
     return 0
+
+
+def _grasp_files(
+    folder: Path | None, names: Sequence[str], gripper: str | None
+) -> "dict[str, GraspSet]":
+    """The grasps of each of these objects that has a file."""
+    from r2h_batch.importers.grasp_files import FRAMELESS, GRASP_FILES, grasps_from
+
+    if folder is None:
+        return {}
+    known = {p.stem: p for p in sorted(folder.glob("*")) if p.suffix in (*GRASP_FILES, *FRAMELESS)}
+    if missing := [n for n in names if n not in known]:
+        raise FileError(
+            f"{printable(folder)}: no grasps of {printable(missing[0])}; files are called after objects"
+        )
+    return {n: grasps_from(f"{known[n]}:{gripper}" if gripper else known[n]) for n in names}
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch import") -> int:

@@ -109,6 +109,7 @@ def collect(
     *,
     strict: bool = False,
     idle: bool = False,
+    into: Collected | None = None,
 ) -> Collected:
     """The hands of a data set's folder.
 
@@ -119,13 +120,15 @@ def collect(
         rule: which frame of a sequence (`receiving_frame`).
         strict: refuse what cannot be read, instead of telling and counting it.
         idle: take hands too that never carry the object.
+        into: hands of other data sets that they join.
     """
     data_set = DATA_SETS[source]
     paths = data_set.find(folder)
     if source == "oakink" and rule == "aperture":
         paths = oakink_receivers(paths, folder)
     model = hand.model if hand else None
-    found = Collected()
+    found = Collected() if into is None else into
+    before, skipped = sum(found.counts()), len(found.skipped)
     for path in _shown(paths, f"reading {source}"):
         try:
             hands = data_set.read(path, hand)
@@ -152,8 +155,10 @@ def collect(
         found.idle += len(hands) - len(taken)
         for row, h in taken:
             found.add(row, h)
-    if not any(found.rows):
-        why = f"the first: {found.skipped[0]}" if found.skipped else "all hands are idle (--idle)"
+    if sum(found.counts()) == before:
+        why = "all hands are idle (--idle takes them)"
+        if found.skipped[skipped:]:
+            why = f"the first: {found.skipped[skipped]}"
         raise FileError(f"{printable(folder)}: none of {len(paths)} files could be read; {why}")
     return found
 

@@ -12,9 +12,10 @@ is S1, any other S0.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,16 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.mesh_import.closed import check_mesh
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
 from r2h_batch.bodies.mesh_import.limits import ObjectMeshError
 from r2h_batch.bodies.solid import Surface
+from r2h_batch.command_line import nearest
 from r2h_batch.importers.arrays import files_below, numbers
 from r2h_batch.importers.data_sets import name_of, oakink_objects
 from r2h_batch.io.read import FileError, printable, read_json
+from r2h_batch.io.write import write_npz
 
 __all__ = ["OakObject", "collect", "write"]
 
@@ -139,10 +143,29 @@ def _labels(
     return number[nearest.argmin(axis=0)], kept, tuple(dict.fromkeys(held))
 
 
-def write(out: Path, objects: list[OakObject]) -> None:
-    """The folder: meshes/NAME.ply, meshes/NAME_parts.npy, benchmark.yaml."""
+def write(
+    out: Path,
+    objects: list[OakObject],
+    grasps: Mapping[str, GraspSet] = MappingProxyType({}),
+    hands: int | None = None,
+) -> None:
+    """The folder: meshes/NAME.ply, meshes/NAME_parts.npy, meshes/NAME_grasps.npz, benchmark.yaml.
+
+    Args:
+        out: the folder.
+        objects: what it holds.
+        grasps: candidates of objects, by name.
+        hands: so many of each side of hands.npz, on hand.npz, are the benchmark's hands.
+    """
     (out / "meshes").mkdir(parents=True, exist_ok=True)
     lines = ["objects:"]
+    if hands is not None:
+        lines = [
+            "hand_model: hand.npz",
+            "hand_set:",
+            f"- {{file: hands.npz, count: {hands}}}",
+            *lines,
+        ]
     for o in objects:
         (out / "meshes" / f"{o.name}.ply").write_bytes(trimesh.exchange.ply.export_ply(o.mesh))
         lines += [
@@ -154,6 +177,11 @@ def write(out: Path, objects: list[OakObject]) -> None:
             np.save(out / "meshes" / f"{o.name}_parts.npy", o.part.astype(np.uint8))
             lines.append(f"  parts: meshes/{o.name}_parts.npy")
             lines.append(f"  part_names: [{', '.join(json.dumps(n) for n in o.part_names)}]")
+        if o.name in grasps:
+            own = grasps[o.name]
+            at = f"meshes/{o.name}_grasps.npz"
+            write_npz(out / at, {**own.arrays(), "gripper": np.array(own.gripper)})
+            lines.append(f"  grasps: {at}")
         if o.held:
             lines.append(f'  receiver: "{",".join(o.held)}"')
     (out / "benchmark.yaml").write_text("\n".join(lines) + "\n")
@@ -181,10 +209,20 @@ def _dictionary(path: Path, most: int) -> dict[str, Any]:
     return data
 
 
-def collect(folder: Path) -> Iterator[tuple[str, OakObject | FileError | ObjectMeshError]]:
-    """Every object, or why it is left out, by its name; two of one name get their number too."""
+def collect(
+    folder: Path, only: Sequence[str] = ()
+) -> Iterator[tuple[str, OakObject | FileError | ObjectMeshError]]:
+    """Every object (`only`: of these names or IDs), or why it is left out, by its name; two of one
+    name get their number too."""
     parts, seen = part_files(folder), set()
-    for oid, name, at in find(folder):
+    known = find(folder)
+    every = {n for oid, name, _ in known for n in (oid, name, name_of(name))}
+    if missing := [n for n in only if n not in every]:
+        hint = nearest(missing[0], sorted(every))
+        raise FileError(f"{printable(folder)}: no object is called {printable(missing[0])!r}{hint}")
+    for oid, name, at in known:
+        if only and not {oid, name, name_of(name)} & set(only):
+            continue
         try:
             made = read(oid, name, at, parts)
         except (FileError, ObjectMeshError) as error:
