@@ -15,7 +15,6 @@ TABLES = {
     "table1-v1-release-preset": "r2h-v1, preset release",
     "table1-release": "r2h-release, preset release",
     "table1-v0": "r2h-v0",
-    "table1-v0-paper-preset": "r2h-v0, preset paper",
 }
 """File -> what it is called here; r2h-v1 first, for its receivers have bodies."""
 

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 NAMES = (
     *("table1-v1", "table1-v1-paper-preset", "table1-v1-release-preset"),
-    *("table1-release", "table1-v0", "table1-v0-paper-preset"),
+    *("table1-release", "table1-v0"),
 )
 
 
