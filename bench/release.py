@@ -133,7 +133,7 @@ def import_many(report: Report, files: Path, folder: Path, count: int) -> None:
         (many / f"t{k}.json").write_text(json.dumps(trial | {"id": f"t{k}"}))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
-    release.write(folder / "imported", release.read_trials(many))
+    release.write(folder / "imported", release.read_trials(many)[0])
     report.add("release.import.trials", count)
     report.add("release.import.seconds", time.perf_counter() - start)
     report.add(

@@ -237,7 +237,8 @@ def trials(
     """Trials of the authors' release as a benchmark with predictions and motions.
 
     Args:
-        path: A handover.trial.v1 file, or a folder of them.
+        path: A file of handover.trial.v1, or of handover.experiment.v1, or a folder of trials, or
+            of selections with their scenes.
         source: Whose they are: r2handoversim.
         out: A new or empty folder for benchmark.yaml, predictions.npz, motions.npz and trials.csv.
     """
@@ -245,13 +246,15 @@ def trials(
     from r2h_batch.importers import release
 
     check_output_folder(out, overwrite=None)
-    counts = release.write(out, release.read_trials(path))
+    found, none = release.read_trials(path)
+    counts = release.write(out, found)
     kind = "motions" if counts["motions"] else "predictions"
     line = ["--benchmark", out / "benchmark.yaml", f"--{kind}", out / f"{kind}.npz", "--out", "RUN"]
     print(
         f"{counted(counts['trials'], 'trials')} of {counted(counts['objects'], 'objects')} in {out},"
         f" {counts['motions']} with a motion of our gripper, hands as {counts['hands']}; judge them with:"
         f" r2h-batch sweep {shlex.join(map(str, line))}"
+        + (f"; {counted(none, 'selections')} without a feasible grasp left out" if none else "")
     )
 
     return 0
@@ -271,10 +274,10 @@ def results(
         out: A new or empty folder.
     """
 
-    from r2h_batch.importers import release
+    from r2h_batch.importers.release_results import write_results
 
     check_output_folder(out, overwrite=None)
-    counts = release.write_results(path, out)
+    counts = write_results(path, out)
     print(
         f"{counted(counts['trials'], 'verdicts')} of {counted(counts['variants'], 'variants')} in {out},"
         f" as the release says them; show them with: r2h-batch report {shlex.quote(str(out))}"

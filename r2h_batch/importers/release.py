@@ -19,34 +19,22 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import torch
 import trimesh
 from numpy.typing import NDArray
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    ValidationError,
-)
 
 from r2h_batch import se3
 from r2h_batch.bodies.hand import MAX_SKIN_PIECES, palm_frame
 from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.importers.release_files import MAX_BYTES, RIGID, Box, Own, TrialFile, validated
+from r2h_batch.importers.release_scenes import experiment_trials, paired_trials
 from r2h_batch.io.read import FileError, printable, read_file, read_json
 from r2h_batch.io.write import csv_cell, write_npz, write_text
-from r2h_batch.runs import provenance
-from r2h_batch.runs.row_checks import FOREIGN
-from r2h_batch.runs.rows import TRIAL_SCHEMA
-from r2h_batch.runs.store import IMPORTED, open_run, write_labels
-from r2h_batch.schedule import trial_ids
-from r2h_batch.validate import rule_of
-from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SIDES, SPLITS
+from r2h_batch.runs.store import IMPORTED
+from r2h_batch.verdicts import SIDES, SPLITS
 
 __all__ = [
     "ReleaseTrial",
@@ -55,7 +43,6 @@ __all__ = [
     "palm_in_hand",
     "read_trials",
     "write",
-    "write_results",
 ]
 
 Array = NDArray[np.float64]
@@ -70,7 +57,6 @@ HOME_Q = (0.0, -1.57, 1.57, -1.57, -1.57, 0.0)
 """The posture at the start of trials without planned joints."""
 TCP_M = 0.12
 """The release's tool stands so far out of the flange; `T_tcp_asset_tool` corrects it for a gripper."""
-RIGID = 1e-6
 REGION_M = 1e-6
 """A usage box is this much larger than it says: faces of the object lie on its sides."""
 FLAT_M = 1e-4
@@ -79,83 +65,7 @@ LEAST_M = 1e-3
 """An object has a side of this length at least."""
 END_M, END_ENTRY = 0.005, 0.01
 """How far a motion may end from the handover pose: the release's own test of Plan."""
-MAX_BYTES = 256 << 20
 MOST_TRIALS = 100_000
-
-Metres = Annotated[float, Field(ge=-10, le=10)]
-Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
-Vector = Annotated[list[Metres], Field(min_length=3, max_length=3)]
-Row = Annotated[list[float], Field(min_length=4, max_length=4)]
-
-
-def _rows(columns: int, low: float, high: float, *, least: int = 0, whole: bool = False) -> Any:
-    """A long list of rows of numbers, checked as one array: pydantic takes a second for each million."""
-
-    def check(value: Any) -> Any:
-        try:
-            a = np.array(value)
-        except ValueError:
-            raise ValueError(f"rows must have {columns} numbers each") from None
-        if not isinstance(value, list) or len(value) < least:
-            raise ValueError(f"must be a list of {least} or more rows")
-        if not len(value):
-            return np.zeros((0, columns))
-        if a.ndim != 2 or a.shape[1] != columns:
-            raise ValueError(f"rows must have {columns} numbers each")
-        if a.dtype.kind not in ("iu" if whole else "iuf"):
-            raise ValueError(f"must hold {'whole ' if whole else ''}numbers")
-        wrong = ~((a >= low) & (a <= high)).all(1)
-        if wrong.any():
-            row = int(wrong.argmax())
-            raise ValueError(f"row {row} is {a[row].tolist()}; {low:g} to {high:g} is allowed")
-        return a
-
-    return PlainValidator(check)
-
-
-Joints = Annotated[Array, _rows(6, -6.2832, 6.2832)]
-NO_JOINTS = np.zeros((0, 6))
-
-
-def _is_rigid(T: list[list[float]]) -> list[list[float]]:
-    a = np.array(T)
-    R = a[:3, :3]
-    wrong = np.abs(a[3] - [0, 0, 0, 1]).max() > 1e-7 or np.abs(R.T @ R - np.eye(3)).max() > RIGID
-    if wrong or abs(np.linalg.det(R) - 1) > RIGID:
-        raise ValueError("must be a rigid pose, 4 x 4, row by row")
-    if np.abs(a[:3, 3]).max() > 10:
-        raise ValueError("must lie within 10 m")
-    return T
-
-
-Pose = Annotated[list[Row], Field(min_length=4, max_length=4), AfterValidator(_is_rigid)]
-
-
-class _Entry(BaseModel):
-    """Fields that decide nothing here (provenance, displays) may stand beside those that are named."""
-
-    model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
-
-
-class Box(_Entry):
-    """A box in any frame, m."""
-
-    center: Vector
-    half_extents: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=3, max_length=3)]
-    rotation: Annotated[list[Vector], Field(min_length=3, max_length=3)] = [
-        [1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0],
-    ]  # fmt: skip
-
-    def pose(self, field: str, k: int) -> Array:
-        """T of the box, the k-th of a field, in its frame."""
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = self.rotation, self.center
-        try:
-            _is_rigid(T.tolist())
-        except ValueError:
-            raise FileError(f"{field}.{k}.rotation is no rotation, 3 x 3, row by row") from None
-        return T
-
 
 TABLE_BOX = Box(center=[-0.35, 0.0, 0.70], half_extents=[0.65, 0.55, 0.035])
 """The release's default table, of trials that name no obstacles."""
@@ -163,82 +73,6 @@ NO_TABLE = Box(center=[0.0, 0.0, -9.0], half_extents=[0.001, 0.001, 0.001])
 """Stands for the table of trials whose list of obstacles is empty: nothing reaches it."""
 CORNERS = trimesh.creation.box((2.0, 2.0, 2.0)).vertices.view(np.ndarray)
 CORNER_FACES = trimesh.creation.box((2.0, 2.0, 2.0)).faces.view(np.ndarray)
-
-
-class Mesh(_Entry):
-    """A triangle mesh, m."""
-
-    vertices: Annotated[Array, _rows(3, -10, 10, least=4)]
-    faces: Annotated[NDArray[np.int64], _rows(3, 0, 1 << 31, least=4, whole=True)]
-
-
-class Receiver(_Entry):
-    """Where the hand stands; `T_world_hand` is the palm's frame."""
-
-    side: Literal["left", "right"]
-    T_world_hand: Pose
-
-
-class Own(_Entry):
-    """What our own exporter adds to a trial."""
-
-    pose: Annotated[list[Angle], Field(min_length=48, max_length=48)]
-    shape: Annotated[list[Metres], Field(min_length=10, max_length=10)]
-    T_world_hand: Pose
-    receiver_faces: list[Annotated[int, Field(ge=0)]]
-
-
-def _own(provenance: Any) -> Any:
-    """What our own exporter wrote into a trial's provenance, which may be anything; else None."""
-    written = provenance.get("r2h_batch") if isinstance(provenance, dict) else None
-    if not isinstance(written, dict) or "pose" not in written:
-        return None
-    return Own.model_validate(written)
-
-
-class Planning(_Entry):
-    """What the release's planner, or another one, said."""
-
-    status: Literal["succeeded", "failed"] = "succeeded"
-
-
-class GraspContract(_Entry):
-    """How the release measured the grasp's width."""
-
-    width_policy: str = ""
-
-
-class TrialFile(_Entry):
-    """The fields of `handover.trial.v1` that decide what is judged."""
-
-    schema_version: Literal["handover.trial.v1"]
-    units: Literal["m"]
-    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,200}$")]
-    object_id: Annotated[str, Field(min_length=1, max_length=64)]
-    variant: Annotated[str, Field(max_length=100)] = ""
-    split: Literal["S0", "S1"]
-    T_object_gripper: Pose
-    target_T_world_gripper: Pose
-    object_boxes: Annotated[list[Box], Field(min_length=1)]
-    usage_boxes: list[Box] = []
-    object_mesh_object: Mesh | None = None
-    hand_boxes_world: Annotated[list[Box], Field(min_length=1, max_length=1000)]
-    hand_mesh_world: Mesh | None = None
-    obstacle_boxes_world: list[Box] | None = None
-    palm_position_world: Vector
-    palm_normal_world: Vector
-    receiver: Receiver | None = None
-    reach_offset_m: Annotated[float, Field(gt=0, le=1)] = 0.12
-    reach_radius_m: Annotated[float, Field(gt=0, le=2)] = 0.10
-    max_opening_m: Annotated[float, Field(gt=0, le=0.085)] = 0.085
-    dt_s: Annotated[float, Field(gt=0, le=1)] = 1 / 60
-    planned_joints: Joints = NO_JOINTS
-    executed_joints: Joints = NO_JOINTS
-    T_tcp_asset_tool: Pose = np.eye(4).tolist()
-    grasp_contract: GraspContract = GraspContract()
-    planning: Planning = Planning()
-    method_geometry_invalidated: bool = False
-    own: Annotated[Any, AfterValidator(_own)] = Field(default=None, alias="provenance")
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,8 +100,9 @@ class ReleaseTrial:
     dt_s: float
 
 
-def read_trials(path: Path) -> list[ReleaseTrial]:
-    """The trials of a file or of all .json files of a folder that are `handover.trial.v1`, by name.
+def read_trials(path: Path) -> tuple[list[ReleaseTrial], int]:
+    """The trials of a file or of all .json files of a folder, by name: `handover.trial.v1`, or
+    selections with their scenes, or an experiment. And how many selections chose no grasp.
 
     Raises:
         FileError: one line that names the file and the field.
@@ -275,41 +110,47 @@ def read_trials(path: Path) -> list[ReleaseTrial]:
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
     found: list[ReleaseTrial] = []
     meshes: dict[bytes, trimesh.Trimesh] = {}
+    scenes: list[tuple[Any, str]] = []
+    selections: list[tuple[Any, str]] = []
+    experiments: list[tuple[Any, Path]] = []
+
+    def take(file: TrialFile, where: str) -> None:
+        trial = _converted(file, where)
+        # one copy in memory of an object that many trials have
+        mesh = meshes.setdefault(_shape(trial.mesh), trial.mesh)
+        found.append(replace(trial, mesh=mesh))
+        if len(found) > MOST_TRIALS:
+            raise FileError(f"{printable(path)}: more than {MOST_TRIALS} trials")
+
     for file in files:
         data = read_json(file, most=MAX_BYTES)
         rows = data if isinstance(data, list) else [data]
         for k, row in enumerate(rows):
             where = f"{printable(file)}" + (f"[{k}]" if isinstance(data, list) else "")
-            if path.is_dir() and not _is_trial(row):
-                continue
-            trial = _converted(_validated(row, where, TrialFile), where)
-            # one copy in memory of an object that many trials have
-            mesh = meshes.setdefault(_shape(trial.mesh), trial.mesh)
-            found.append(replace(trial, mesh=mesh))
-            if len(found) > MOST_TRIALS:
-                raise FileError(f"{printable(path)}: more than {MOST_TRIALS} trials")
+            kind = row.get("schema_version") if isinstance(row, dict) else None
+            if kind == "handover.scene.v1":
+                scenes.append((row, where))
+            elif kind == "handover.selection.v1":
+                selections.append((row, where))
+            elif kind == "handover.experiment.v1":
+                experiments.append((row, file))
+            elif kind == "handover.trial.v1" or not path.is_dir():
+                take(validated(row, where, TrialFile), where)
+    none = 0
+    made = [experiment_trials(*e) for e in experiments]
+    # an experiment says which of the scenes and selections beside it belong together
+    made += [] if experiments else [paired_trials(scenes, selections)]
+    for trials, without in made:
+        none += without
+        for trial in trials:
+            take(trial, f"{printable(path)}: {trial.id}")
     if not found:
-        raise FileError(f"{printable(path)}: has no handover.trial.v1 file")
+        raise FileError(
+            f"{printable(path)}: has no handover.trial.v1, and no selection with its scene"
+        )
     if twice := sorted(i for i, k in Counter(t.id for t in found).items() if k > 1):
         raise FileError(f"{printable(path)}: two trials have the id {twice[0]!r}")
-    return found
-
-
-def _is_trial(row: Any) -> bool:
-    return isinstance(row, dict) and row.get("schema_version") == "handover.trial.v1"
-
-
-Kind = TypeVar("Kind", bound=BaseModel)
-
-
-def _validated(row: Any, where: str, kind: type[Kind]) -> Kind:
-    try:
-        return kind.model_validate(row)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-    field = ".".join(printable(p)[:60] for p in first["loc"]) or "the file"
-    found = "is missing" if first["type"] == "missing" else f"is {printable(first['input'])[:60]}"
-    raise FileError(f"{where}: {field} {found}; {rule_of(first)}")
+    return found, none
 
 
 def _converted(file: TrialFile, where: str) -> ReleaseTrial:
@@ -706,128 +547,10 @@ def imported(path: Path, out: Path) -> Path:
         digest.update(read_file(file, MAX_BYTES))
     folder = out / f"{IMPORTED}{digest.hexdigest()[:12]}"
     if not folder.exists():
-        trials = read_trials(path)
+        trials, _ = read_trials(path)
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=out, prefix=".import-") as made:
             write(Path(made) / folder.name, trials)
             with contextlib.suppress(OSError):  # another part of the sweep was faster
                 os.rename(Path(made) / folder.name, folder)
     return folder
-
-
-Text = Annotated[str, Field(min_length=1, max_length=200)]
-Seconds = Annotated[float, Field(ge=0, le=MOST_SECONDS)]
-
-
-class Metrics(_Entry):
-    """The five flags; Affordance is null in S0."""
-
-    stability: bool
-    plan: bool
-    reach: bool
-    affordance: bool | None
-    safe: bool
-
-
-class ResultRow(_Entry):
-    """The fields of a row of results.json that decide what is counted."""
-
-    trial_id: Text
-    object_id: Annotated[str, Field(min_length=1, max_length=64)]
-    split: Literal["S0", "S1"]
-    variant: Text
-    metrics: Metrics
-    success: bool
-    first_failure: Literal["stability", "plan", "reach", "affordance", "safe"] | None
-    width_m: Annotated[float, Field(ge=0, le=10)] | None = None
-    planning_time_s: Seconds | None = None
-    execution_time_s: Seconds | None = None
-    receiver: Receiver | None = None
-
-
-def write_results(path: Path, out: Path) -> dict[str, int]:
-    """The verdicts of the release's results.json, or of the folder that has it, as a run folder: its
-    variants are the methods, for `report` and `compare`. Nothing is judged here.
-
-    Variants are paired by object: the k-th trial of an object is one trial of all variants.
-
-    Returns:
-        counts: trials of all variants, variants.
-
-    Raises:
-        FileError: one line that names the row and the field.
-    """
-    file = path / "results.json" if path.is_dir() else path
-    data, where = read_json(file, most=MAX_BYTES), printable(file)
-    if not isinstance(data, list) or not data:
-        raise FileError(f"{where}: must hold a list of results")
-    results = [_validated(row, f"{where}[{k}]", ResultRow) for k, row in enumerate(data)]
-    by_key: dict[tuple[str, str, int], dict[str, ResultRow]] = {}
-    seen: Counter[tuple[str, str, str]] = Counter()
-    for k, r in enumerate(results):
-        flags = r.metrics.model_dump()
-        failure = next((c for c in CRITERIA if flags[c] is False), None)
-        if (r.first_failure, r.success) != (failure, failure is None):
-            raise FileError(f"{where}[{k}]: first_failure or success is not what its metrics say")
-        if (flags["affordance"] is None) != (r.split == "S0"):
-            raise FileError(f"{where}[{k}]: metrics.affordance is a flag in S1 and null in S0")
-        place = (r.variant, r.split, r.object_id)
-        by_key.setdefault((r.split, r.object_id, seen[place]), {})[r.variant] = r
-        seen[place] += 1
-    keys = sorted(by_key, key=lambda key: SPLITS.index(key[0]))
-    trials = {s: n for s in SPLITS if (n := sum(key[0] == s for key in keys))}
-    objects = sorted({key[:2] for key in keys})
-    header = {
-        "protocol": FOREIGN,
-        "trials": trials,
-        "configuration": {"name": "verdicts of the release"},
-        "digests": {"trials": hashlib.sha256(json.dumps(keys).encode()).hexdigest()},
-        "seed": 0,
-        "device": {"kind": "release", "name": "r2handoversim"},
-        "versions": provenance.versions(),
-        "stored": [],
-        "objects": [{"name": o, "split": s, "built_in": False} for s, o in objects],
-    }
-    folder = open_run(out, header)
-    ids = trial_ids(trials, 0, len(keys))
-    variants = list(dict.fromkeys(r.variant for r in results))
-    for variant in variants:
-        folder.register(variant, {"kind": "results", "file": where})
-        found = [by_key[key].get(variant) for key in keys]
-        for shard in folder.todo(variant):
-            rows = slice(shard.first, shard.last)
-            with folder.write(variant, shard) as writer:
-                writer.append(trials=foreign_rows(ids[rows], keys[rows], found[rows]))
-    names = {int(i): next(iter(by_key[key].values())).trial_id for i, key in zip(ids, keys)}
-    write_labels(folder.folder, {i: (name, "") for i, name in names.items()})
-    return {"trials": len(results), "variants": len(variants)}
-
-
-def foreign_rows(
-    ids: Any, keys: Sequence[tuple[str, str, int]], results: Sequence[ResultRow | None]
-) -> pa.Table:
-    """Rows of `TRIAL_SCHEMA` of somebody else's verdicts: no margins, `missing` where there is no
-    verdict."""
-    rows = []
-    for i, (split, object_id, _), r in zip(ids.tolist(), keys, results):
-        row = {
-            "trial_id": i,
-            "object": object_id,
-            "split": split,
-            "side": "right",
-            "outcome": "missing",
-        }
-        if r is not None:
-            row |= {"side": r.receiver.side if r.receiver else "right"}
-            row |= {"outcome": r.first_failure or "success", "width_m": r.width_m}
-            row |= {f"passed_{c}": flag for c, flag in r.metrics.model_dump().items()}
-            row |= {"t_plan_s": r.planning_time_s, "t_exec_s": r.execution_time_s}
-        rows.append(row)
-    columns = []
-    for field in TRIAL_SCHEMA:
-        values = pa.array([row.get(field.name) for row in rows])
-        is_text = pa.types.is_dictionary(field.type)
-        columns.append(
-            values.cast(pa.string()).dictionary_encode() if is_text else values.cast(field.type)
-        )
-    return pa.table(columns, schema=TRIAL_SCHEMA)

@@ -211,6 +211,77 @@ def test_a_receivers_palm_frame_is_where_the_hand_stands(tmp_path):
     assert int(evaluator.scene.hands.set.side[trials.hand_index[0]]) == 1
 
 
+def scene_of(trial):
+    """The trial as a scene in the object's frame and the selection of its grasp."""
+    T_world_object = np.array(trial["target_T_world_gripper"]) @ np.linalg.inv(trial["T_object_gripper"])
+    back = np.linalg.inv(T_world_object)
+    hand = [{**b, "center": (back @ [*b["center"], 1])[:3].tolist(), "rotation": (back[:3, :3] @ b["rotation"]).tolist()}
+            for b in trial["hand_boxes_world"]]  # fmt: skip
+    grasp = {"id": "g", "T_object_gripper": trial["T_object_gripper"]}
+    scene = {
+        "schema_version": "handover.scene.v1", "units": "m", "evaluation_split": trial["split"],
+        "object": {"id": trial["object_id"], "boxes": trial["object_boxes"], "usage_regions": {"handle": trial["usage_boxes"]}},
+        "intent": {"human_region": "handle"}, "candidates": [grasp], "target_T_world_object": T_world_object.tolist(),
+        "receiving_hand": {
+            "center": (back @ [*trial["palm_position_world"], 1])[:3].tolist(), "boxes": hand,
+            "palm_normal": (back[:3, :3] @ trial["palm_normal_world"]).tolist(),
+        },
+    }  # fmt: skip
+    chosen = {
+        "schema_version": "handover.selection.v1",
+        "object_id": trial["object_id"],
+        "status": "ok",
+        "selected": "g",
+    }
+    return scene, chosen
+
+
+def test_selections_with_their_scenes_and_experiments_are_the_trials_that_they_mean(tmp_path, capsys):
+    trials = [fixture("bottle", "region_agnostic"), fixture("screwdriver", "region_agnostic")]
+    for t in trials:
+        t["planned_joints"] = t["executed_joints"] = []
+        t["id"], t["variant"] = f"{t['object_id']}_FS", "FS"
+    (tmp_path / "files").mkdir()
+    batches = []
+    for t in trials:
+        scene, chosen = scene_of(t)
+        name = t["object_id"]
+        none = {
+            "schema_version": "handover.selection.v1",
+            "object_id": name,
+            "status": "no_feasible_grasp",
+            "mode": "A1",
+        }
+        for part, data in (("scene", scene), ("FS", {**chosen, "mode": "FS"}), ("A1", none)):
+            (tmp_path / "files" / f"{name}_{part}.json").write_text(json.dumps(data))
+        modes = {mode: f"{name}_{mode}.json" for mode in ("FS", "A1")}
+        batches.append({"object_id": name, "scene": f"{name}_scene.json", "selections": modes})
+    (tmp_path / "plain").mkdir()
+    for t in trials:
+        (tmp_path / "plain" / f"{t['id']}.json").write_text(json.dumps(t))
+    experiment = tmp_path / "files" / "experiment.json"
+
+    def read(source):
+        out = tmp_path / f"out{len(list(tmp_path.glob('out*')))}"
+        assert main(["trials", str(source), "--from", "r2handoversim", "--out", str(out)]) == 0
+        return {k: np.load(out / f"{k}.npz") for k in ("predictions", "trials")}
+
+    wanted, paired = read(tmp_path / "plain"), read(tmp_path / "files")
+    assert "2 selections without a feasible grasp left out" in capsys.readouterr().out
+    experiment.write_text(json.dumps({"schema_version": "handover.experiment.v1", "objects": batches}))
+    for found in (paired, read(experiment)):
+        assert found["trials"]["id"].tolist() == wanted["trials"]["id"].tolist() == ["bottle_FS", "screwdriver_FS"]
+        for name in ("T_world_hand", "skin"):
+            assert np.allclose(found["trials"][name], wanted["trials"][name], atol=1e-6)
+        for name in ("T_obj_ee", "T_world_ee"):
+            assert np.allclose(found["predictions"][name], wanted["predictions"][name], atol=1e-6)
+    scene = json.loads((tmp_path / "files" / "bottle_scene.json").read_text())
+    del scene["target_T_world_object"]
+    (tmp_path / "files" / "bottle_scene.json").write_text(json.dumps(scene))
+    assert main(["trials", str(experiment), "--from", "r2handoversim", "--out", str(tmp_path / "no")]) == 2
+    assert "bottle_scene.json: target_T_world_object is missing" in capsys.readouterr().err
+
+
 def changed(**fields):
     trial = copy.deepcopy(fixture("hammer", "intent_aware"))
     trial.update(fields)

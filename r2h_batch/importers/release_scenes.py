@@ -1,0 +1,213 @@
+"""Scenes and selections of the authors' method (GitHub Hanxin-Zhang/intent-handover) as trials of
+their release: `handover.scene.v1` says object, hand and grasps, `handover.selection.v1` which grasp
+a mode chose, `handover.experiment.v1` which files belong together.
+
+A scene is in the object's frame. Its `target_T_world_object` puts it into the world.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from pydantic import Field
+
+from r2h_batch.importers.release_files import (
+    MAX_BYTES,
+    Box,
+    Entry,
+    GraspContract,
+    Id,
+    Mesh,
+    Name,
+    Opening,
+    Pose,
+    Receiver,
+    TrialFile,
+    Vector,
+    validated,
+)
+from r2h_batch.io.read import FileError, path_within, printable, read_json
+
+__all__ = ["experiment_trials", "paired_trials"]
+
+PALM_NORMAL = [1.0, 0.0, 0.0]
+"""Of a scene that names none, in the object's frame."""
+
+
+class _Object(Entry):
+    id: Name
+    boxes: list[Box]
+    usage_regions: dict[str, list[Box]] = Field(default={})
+    mesh: Mesh | None = None
+
+
+class _Intent(Entry):
+    human_region: str = ""
+
+
+class _Hand(Entry):
+    center: Vector
+    palm_normal: Vector = PALM_NORMAL
+    boxes: list[Box]
+    mesh: Mesh | None = None
+
+
+class _Gripper(Entry):
+    max_opening_m: Opening = 0.085
+    width_policy: str = ""
+
+
+class _Grasp(Entry):
+    id: str
+    T_object_gripper: Pose | None = None
+
+
+class SceneFile(Entry):
+    """The fields of `handover.scene.v1` that decide what is judged."""
+
+    schema_version: Literal["handover.scene.v1"]
+    units: Literal["m"]
+    object: _Object
+    intent: _Intent = _Intent()
+    receiving_hand: _Hand
+    gripper: _Gripper = _Gripper()
+    candidates: list[_Grasp] = Field(default=[])
+    evaluation_split: Literal["S0", "S1"]
+    receiver: Receiver | None = None
+    target_T_world_object: Pose
+
+
+class SelectionFile(Entry):
+    """The fields of `handover.selection.v1` that decide what is judged."""
+
+    schema_version: Literal["handover.selection.v1"]
+    object_id: Name
+    mode: Id
+    status: Literal["ok", "no_feasible_grasp"]
+    selected: str | None = None
+    candidates: list[_Grasp] = Field(default=[])
+
+
+class _Batch(Entry):
+    object_id: Name
+    scene: str
+    selections: dict[str, str]
+
+
+class ExperimentFile(Entry):
+    """The files of `handover.experiment.v1`, beside it or below."""
+
+    schema_version: Literal["handover.experiment.v1"]
+    objects: list[_Batch]
+
+
+def experiment_trials(data: Any, file: Path) -> tuple[list[TrialFile], int]:
+    """The trials of an experiment, and how many of its selections chose no grasp."""
+    where = printable(file)
+    experiment = validated(data, where, ExperimentFile)
+    found, none = [], 0
+    for batch in experiment.objects:
+        scene_file = path_within(file.parent, batch.scene)
+        scene = validated(read_json(scene_file, most=MAX_BYTES), printable(scene_file), SceneFile)
+        for mode, name in batch.selections.items():
+            chosen = path_within(file.parent, name)
+            said = validated(read_json(chosen, most=MAX_BYTES), printable(chosen), SelectionFile)
+            if said.mode != mode:
+                raise FileError(f"{printable(chosen)}: mode is {said.mode}; {where} says {mode}")
+            trial = _trial(scene, said, printable(chosen))
+            found += [] if trial is None else [trial]
+            none += trial is None
+    return found, none
+
+
+def paired_trials(
+    scenes: Sequence[tuple[Any, str]], selections: Sequence[tuple[Any, str]]
+) -> tuple[list[TrialFile], int]:
+    """The trials of selections, each with the scene of its object; (data, name of the file) of both.
+    And how many selections chose no grasp."""
+    by_object: dict[str, SceneFile] = {}
+    for data, where in scenes:
+        scene = validated(data, where, SceneFile)
+        if scene.object.id in by_object:
+            raise FileError(
+                f"{where}: object.id {scene.object.id} has two scenes; name an experiment"
+            )
+        by_object[scene.object.id] = scene
+    found, none = [], 0
+    for data, where in selections:
+        said = validated(data, where, SelectionFile)
+        if said.object_id not in by_object:
+            raise FileError(
+                f"{where}: object_id {said.object_id} has no handover.scene.v1 beside it"
+            )
+        trial = _trial(by_object[said.object_id], said, where)
+        found += [] if trial is None else [trial]
+        none += trial is None
+    return found, none
+
+
+def _trial(scene: SceneFile, said: SelectionFile, where: str) -> TrialFile | None:
+    """The selection as a trial; None where no grasp was feasible."""
+    if said.object_id != scene.object.id:
+        raise FileError(f"{where}: object_id is {said.object_id}, the scene's is {scene.object.id}")
+    if said.status != "ok":
+        return None
+    grasps = {
+        g.id: g.T_object_gripper
+        for g in (*scene.candidates, *said.candidates)
+        if g.T_object_gripper
+    }
+    if said.selected not in grasps:
+        raise FileError(
+            f"{where}: selected is {said.selected}; no candidate of this id has T_object_gripper"
+        )
+    T_world_object = np.array(scene.target_T_world_object)
+    T_object_gripper = np.array(grasps[said.selected])
+    hand, receiver = scene.receiving_hand, scene.receiver
+    palm = trimesh.transform_points([hand.center], T_world_object)[0]
+    normal = T_world_object[:3, :3] @ hand.palm_normal
+    if receiver is not None:
+        palm, normal = (
+            np.array(receiver.T_world_hand)[:3, 3],
+            np.array(receiver.T_world_hand)[:3, 2],
+        )
+    region = scene.object.usage_regions.get(scene.intent.human_region, [])
+    name = f"{scene.object.id}_{said.mode}" + (
+        f"_{receiver.id}" if receiver and receiver.id else ""
+    )
+    trial: Mapping[str, Any] = {
+        "schema_version": "handover.trial.v1",
+        "units": "m",
+        "id": name,
+        "object_id": scene.object.id,
+        "variant": said.mode,
+        "split": scene.evaluation_split,
+        "T_object_gripper": T_object_gripper.tolist(),
+        "target_T_world_gripper": (T_world_object @ T_object_gripper).tolist(),
+        "object_boxes": scene.object.boxes,
+        "object_mesh_object": scene.object.mesh,
+        "usage_boxes": region if scene.evaluation_split == "S1" else [],
+        "hand_boxes_world": [_moved(b, T_world_object, k) for k, b in enumerate(hand.boxes)],
+        "hand_mesh_world": None if hand.mesh is None else _moved_mesh(hand.mesh, T_world_object),
+        "palm_position_world": palm.tolist(),
+        "palm_normal_world": normal.tolist(),
+        "receiver": receiver,
+        "max_opening_m": scene.gripper.max_opening_m,
+        "grasp_contract": GraspContract(width_policy=scene.gripper.width_policy),
+    }
+    return validated(trial, where, TrialFile)
+
+
+def _moved(box: Box, T: NDArray[np.float64], k: int) -> Box:
+    moved = T @ box.pose("receiving_hand.boxes", k)
+    return Box(
+        center=moved[:3, 3].tolist(), half_extents=box.half_extents, rotation=moved[:3, :3].tolist()
+    )
+
+
+def _moved_mesh(mesh: Mesh, T: NDArray[np.float64]) -> dict[str, Any]:
+    vertices = trimesh.transform_points(mesh.vertices, T)
+    return {"vertices": vertices.tolist(), "faces": mesh.faces.tolist()}
