@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: help demo test lint check quick-tests golden tables docs assets bench lock licences audit gpu clean
+.PHONY: help demo test lint check quick-tests golden tables docs assets bench wheel lock licences audit gpu clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -61,6 +61,16 @@ bench: $(VENV)/.installed-test  ## all benchmarks, results under bench/results/
 
 gpu: $(VENV)/.installed-test  ## everything that a machine with a GPU can show, into runs/gpu (MINUTES=25)
 	$(BIN)/python bench/gpu.py --out runs/gpu --minutes $(or $(MINUTES),25)
+
+wheel: $(VENV)/.installed-test  ## wheel and sdist in build/dist, checked; the wheel installed and tried in an empty environment
+	rm -rf build/dist build/empty
+	$(BIN)/python -m build --no-isolation --outdir build/dist . >/dev/null
+	$(BIN)/python -m twine check --strict build/dist/*
+	du -h build/dist/*
+	$(PYTHON) -m venv build/empty
+	build/empty/bin/python -m pip install -q -c constraints.txt build/dist/*.whl
+	cd build/empty && bin/r2h-batch sweep --method random --trials 2 --out run
+	rm -rf build/empty
 
 lock: $(VENV)/.installed-test  ## rewrites constraints.txt from what is installed: every package, exact versions
 	$(BIN)/python tools/supply.py lock

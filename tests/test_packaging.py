@@ -1,5 +1,6 @@
 """The project as a package: what a wheel holds, what the public names are, what an import costs."""
 
+import json
 import os
 import re
 import subprocess
@@ -105,6 +106,20 @@ def test_a_type_checker_sees_the_public_names_and_every_kernel_that_is_imported(
         True
     ] * 3
     assert [line for line in lines if "error:" in line and not line.startswith("misspelt.py")] == []
+
+
+def test_an_editable_install_is_a_path_that_type_checkers_follow() -> None:
+    """mypy and pyright do not run the import hook that setuptools writes otherwise."""
+    assert [f for f in sys.meta_path if "r2h_batch" in getattr(f, "__module__", "")] == []
+
+
+def test_containers_run_targets_of_the_makefile() -> None:
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    container = json.loads((ROOT / ".devcontainer/devcontainer.json").read_text())
+    lines = [(ROOT / "Dockerfile").read_text().replace('["make", "test"]', "make test"), container["postCreateCommand"]]
+    named = [re.findall(r"(?:RUN|CMD|^)\s*make ([a-z]+)", line, re.MULTILINE) for line in lines]
+    assert named == [["demo", "test"], ["demo"]] and targets >= {"demo", "test"}
+    assert (ROOT / ".devcontainer" / container["build"]["dockerfile"]).resolve() == ROOT / "Dockerfile"
 
 
 def test_every_public_name_can_be_imported() -> None:

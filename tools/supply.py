@@ -36,14 +36,20 @@ class Missing(Exception):
 
 
 def roots() -> Iterator[tuple[Requirement, str]]:
-    """Every requirement of pyproject.toml with the extra that asks for it ("": the package itself)."""
+    """Every requirement of the package and of its extra `test` with the extra that asks for it ("": the package).
+
+    Extras that `test` does not name (loggers) are not installed here and not locked.
+    """
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     groups = {"": project["dependencies"], **project["optional-dependencies"]}
-    for extra, lines in groups.items():
-        for line in lines:
+    todo = ["", "test"]
+    for extra in todo:
+        for line in groups[extra]:
             requirement = Requirement(line)
             if canonicalize_name(requirement.name) != "r2h-batch":
                 yield requirement, extra
+            else:
+                todo += sorted(requirement.extras - set(todo))
 
 
 def closure() -> dict[str, tuple[Distribution, str]]:
