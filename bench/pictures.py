@@ -24,8 +24,8 @@ def browser() -> str:
     return found or sys.exit("pictures: no browser; install chromium")
 
 
-def draw(run: Path, out: Path) -> dict[str, str]:
-    """Draws all of them into `out`; file -> sha256."""
+def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
+    """Draws all of them into `out`, from rows of r2h-v1 and of r2h-release; file -> sha256."""
     from r2h_batch.__main__ import main
 
     def command(*words: object) -> None:
@@ -65,9 +65,12 @@ def draw(run: Path, out: Path) -> dict[str, str]:
         command("view", run, "--method", "fc", "handover-va", "contact", "intent", "--trial", 5, *strips)
         scene = ("--out", folder / "scene", "--render", out / "scene.png", "--overwrite")
         command("scene", "--run", run, "--method", "fc", "--trial", moved, *scene)
+        scene = ("--out", folder / "release", "--render", out / "release_scene.png", "--overwrite")
+        command("scene", "--run", release, "--method", "contact", "--trial", trials_of(release)[0], *scene)
     grasps(out / "baselines_grasps.png")
     drawn = [
-        out / f"{name}.png" for name in ("report", "gallery", "figure_protocol", "figure_failures", "strips_5", "scene")
+        out / f"{name}.png"
+        for name in ("report", "gallery", "figure_protocol", "figure_failures", "strips_5", "scene", "release_scene")
     ]
     drawn += [
         out / "baselines_grasps.png",
