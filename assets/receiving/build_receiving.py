@@ -1,10 +1,9 @@
 """Makes receiving.npz and receiving_report.json: ``python -m r2h_batch.assets.receiving.build_receiving``.
 
 receiving.npz holds, per object, ``<name>/side``, ``<name>/T_obj_hand``, ``<name>/pose``, ``<name>/shape``
-and ``<name>/part`` as in ``r2h_batch.receiving.ReceivingGrasps``. Some ten CPU minutes.
+and ``<name>/part`` as in ``r2h_batch.receiving.ReceivingGrasps``. A CPU minute; the same bytes on the same kind of machine.
 
-The file that ships was made at d4c83f0, by a sampler that proposed holds in another order: running this gives other holds as
-good as these, and with them other trials of VoxNet's training and other rows of Contact and Intent (`make golden`).
+Another set gives other trials of VoxNet's training and other rows of FC, Contact and Intent (`make golden`, `make tables`).
 """
 
 from __future__ import annotations

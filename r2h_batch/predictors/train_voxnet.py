@@ -1,5 +1,5 @@
 """Trains the built-in contact networks: ``python -m r2h_batch.predictors.train_voxnet``. Some
-twenty CPU minutes.
+thirty CPU minutes.
 
 Once with all objects, for objects of users (voxnet.safetensors). And without each object in turn,
 for that object: what a method is shown of a built-in object comes from a network that never saw it
