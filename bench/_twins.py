@@ -5,12 +5,13 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
+import grasp_cases
 import oracle
 from oracle import MujocoScene, Staged
 from planning_twins import Checker, checker_of, dense, motion_samples, ompl_solve, recheck
 from problems import Batch, Problems, make_batch, solve
 
 __all__ = [
-    "Batch", "Checker", "MujocoScene", "Problems", "Staged", "checker_of", "dense", "make_batch", "motion_samples",
+    "Batch", "Checker", "MujocoScene", "Problems", "Staged", "checker_of", "dense", "grasp_cases", "make_batch", "motion_samples",
     "ompl_solve", "oracle", "recheck", "solve",
 ]  # fmt: skip

@@ -34,11 +34,11 @@ HALVINGS = wp.constant(10)
 
 @wp.func
 def _posture(path: wp.array3d(dtype=float), trial: int, last: int, s: float):
-    """The posture at s, counted in waypoints: 0 the start, `last` the end."""
+    """The posture at s, counted in waypoints: 0 the start, `last` the end (0: the only one)."""
     t = wp.clamp(s, 0.0, float(last))
-    i = wp.min(int(t), last - 1)
+    i = wp.min(int(t), wp.max(last - 1, 0))
     a = load_waypoint(path, trial, i)
-    return a + (t - float(i)) * (load_waypoint(path, trial, i + 1) - a)
+    return a + (t - float(i)) * (load_waypoint(path, trial, wp.min(i + 1, last)) - a)
 
 
 @wp.func
@@ -108,6 +108,7 @@ def path_overlap(
     """
     trial = row_in[first + wp.tid()]
     last = length_in[trial] - 1
+    segments = wp.max(last, 1)  # a path of one posture is one segment without length
     R = wp.zeros(shape=7, dtype=wp.mat33)
     p = wp.zeros(shape=7, dtype=wp.vec3)
     best = float(-1.0e-7)
@@ -118,13 +119,13 @@ def path_overlap(
     segment = int(0)
     k = int(0)
     steps = int(0)
-    halving = int(0)
+    halving = wp.where(last == 0, HALVINGS, 0)
     side = int(0)
-    while segment < last or (at >= 0.0 and halving < HALVINGS):
+    while segment < segments or (at >= 0.0 and halving < HALVINGS):
         s = float(0.0)
-        if segment < last:
+        if segment < segments:
             if k == 0:
-                d = load_waypoint(path_in, trial, segment + 1) - load_waypoint(path_in, trial, segment)
+                d = load_waypoint(path_in, trial, wp.min(segment + 1, last)) - load_waypoint(path_in, trial, segment)
                 length = float(0.0)
                 for j in range(6):
                     length += wp.abs(d[j])
@@ -146,7 +147,7 @@ def path_overlap(
                 clearance_out[trial] = -depth
                 pair_out[trial] = found.pair
                 body_out[trial] = found.body
-        if segment < last:
+        if segment < segments:
             if deeper:
                 step = 0.5 / float(steps)
             k += 1

@@ -322,6 +322,46 @@ def test_unreachable_targets_are_missed_by_their_margin_with_the_hand_turned_as_
         assert np.linalg.norm(T[:3, 3] - target[:3, 3]) == pytest.approx(-float(s.margin[row, PLAN]), abs=2e-6)
 
 
+def test_a_branch_that_is_free_by_a_sixth_of_a_millimetre_is_free(judged):
+    """Eight hands pushed towards the object until MuJoCo says how little is left: on either side of 0 that is the verdict."""
+    near = judged.goal.free & (judged.goal.nearest == int(CollidingPair.OBJECT_HAND))
+    rows = torch.nonzero(near).flatten().tolist()[:8]
+    many = [len(judged.scene.objects[int(judged.batch.trials.object_index[r])].hull_vertices) for r in rows]
+    assert len(rows) == 8 and sum(n > 256 for n in many) >= 6
+    ik = solve_ik(judged.T_world_ee)
+
+    def found(shift: dict[int, float]) -> dict[int, tuple[float, torch.Tensor]]:
+        """Row -> the best branch's clearance in MuJoCo C, and where the hand stands."""
+        out = {}
+        for row, by in shift.items():
+            scene, q = scenes[row], ik.q[row][ik.valid[row]].double().numpy()
+            push = judged.goal.push[row]
+            there = judged.T_world_hand[row, :3, 3] + by * push / push.norm()
+            scene.model.body_pos[scene.model.body("hand").id] = there.double().numpy()
+            out[row] = max(scene.least(x, cap=0.03)[0] for x in q), there
+        return out
+
+    scenes = {row: mujoco_scene(judged.scene, judged.twin(row)) for row in rows}
+    for sign in (1, -1):
+        wanted = dict(zip(rows, sign * np.linspace(1.5e-4, 4.6e-4, 8), strict=True))
+        low, high = dict.fromkeys(rows, 0.0), dict.fromkeys(rows, 0.06)
+        for _ in range(12):
+            middle = {row: 0.5 * (low[row] + high[row]) for row in rows}
+            for row, (clear, _) in found(middle).items():
+                (low if clear > wanted[row] else high)[row] = middle[row]
+        T = judged.T_world_hand.clone()
+        left = found(low)
+        for row in rows:
+            T[row, :3, 3] = left[row][1]
+        goal = judged.goals(T)
+        for row in rows:
+            assert abs(left[row][0] - wanted[row]) < 5e-5, row
+            assert bool(goal.free[row]) is (sign > 0), (row, left[row][0], float(goal.clearance_m[row]))
+            if sign > 0:
+                best = max(float(goal.clearance_m[row]), 0.0)
+                assert best == pytest.approx(left[row][0], abs=3e-5), row
+
+
 def test_no_free_pose_is_beyond_the_float64_verdict_of_mujoco(judged):
     """Every branch of a goal in collision collides in MuJoCo C, every chosen branch of a free one does not."""
     s, goal = judged.scores, judged.goal

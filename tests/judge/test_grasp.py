@@ -1,49 +1,24 @@
 """Width, closing, cuts and region distance against manifold3d, fcl and float64 NumPy."""
 
-import manifold3d
 import numpy as np
 import pytest
 import torch
 import trimesh
-from grasp_cases import BAND, PAD_X, PAD_Z, box, model_of, pose_at, random_grasps, shapes, tables_of_shapes
+from grasp_cases import (
+    BAND,
+    material64,
+    model_of,
+    pose_at,
+    random_grasps,
+    shapes,
+    tables_of_shapes,
+    width64,
+)
 
-from r2h_batch.bodies.robot import drive_from_gap, gap_from_drive, gripper_primitives_at, load_robot, pad_center_z
+from r2h_batch.bodies.robot import gap_from_drive, gripper_primitives_at, load_robot
 from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M
 from r2h_batch.judge.grasp import CUT_CAP_M, attach, close_gripper, gripper_poses
 from r2h_batch.scene.grasp_tables import grasp_tables, gripper_tables
-
-
-def _material64(
-    mesh: trimesh.Trimesh, T_obj_ee: np.ndarray, gap: float, grow: float = 0.0
-) -> tuple[float, float] | None:
-    solid = manifold3d.Manifold(
-        manifold3d.Mesh64(
-            trimesh.transform_points(mesh.vertices, np.linalg.inv(T_obj_ee.astype(np.float64))),
-            mesh.faces.astype(np.uint64),
-        )
-    )
-    z = float(pad_center_z(drive_from_gap(gap))) + float(
-        load_robot().T_flange_gripper[2, 3] - load_robot().T_flange_ee[2, 3]
-    )
-    prism = box((2 * (PAD_X + grow), 2.0, 2 * (PAD_Z + grow)), (0, 0, z))
-    runs: list[list[float]] = []
-    for piece in (solid ^ prism).decompose():
-        sides = piece.bounding_box()
-        runs.append([sides[1], sides[4]])
-    runs.sort()
-    merged: list[list[float]] = []
-    for low, high in runs:
-        if merged and low <= merged[-1][1]:
-            merged[-1][1] = max(merged[-1][1], high)
-        else:
-            merged.append([low, high])
-    held = [r for r in merged if r[1] > -OPEN_GAP_M / 2 and r[0] < OPEN_GAP_M / 2]
-    return (held[0][0], held[-1][1]) if held else None
-
-
-def _width64(mesh, T_obj_ee, gap, grow=0.0) -> float:
-    held = _material64(mesh, T_obj_ee, gap, grow)
-    return held[1] - held[0] if held else -1.0
 
 
 def test_opening_is_the_largest_gap_that_the_material_fills() -> None:
@@ -63,20 +38,20 @@ def test_opening_is_the_largest_gap_that_the_material_fills() -> None:
             assert opening == pytest.approx(OPEN_GAP_M) and grasp.margin_m[i] < 0
             # wide at the open gap, or at the gap where the tips meet a step
             gaps = np.linspace(0.0016, OPEN_GAP_M, 40)
-            assert max(_width64(mesh, T_i, g, BAND) for g in gaps) >= width - BAND
+            assert max(width64(mesh, T_i, g, BAND) for g in gaps) >= width - BAND
             continue
         else:
             checked["held"] += 1
             stop = opening
-            at = [_width64(mesh, T_i, opening, grow) for grow in (-BAND, 0.0, BAND)]
+            at = [width64(mesh, T_i, opening, grow) for grow in (-BAND, 0.0, BAND)]
             assert max(at) >= width - BAND and min(at) <= width + BAND, (i, at, width)
             if opening > 0.0016:
                 assert width >= opening - BAND, "the pads stop where the material fills the gap"
-            low, high = _material64(mesh, T_i, opening, BAND) or (0, 0)
+            low, high = material64(mesh, T_i, opening, BAND) or (0, 0)
             if abs(width - (high - low)) < 2 * BAND:
                 assert float(grasp.shift_m[i]) == pytest.approx((low + high) / 2, abs=2 * BAND)
         for gap in np.linspace(stop + 2 * BAND, OPEN_GAP_M, 8)[:-1] if stop < OPEN_GAP_M - 1e-3 else []:
-            assert _width64(mesh, T_i, gap, -BAND) < gap + BAND, (i, gap, opening, width)
+            assert width64(mesh, T_i, gap, -BAND) < gap + BAND, (i, gap, opening, width)
     assert min(checked.values()) >= 5, checked
 
 

@@ -185,7 +185,7 @@ def test_affordance_is_the_closed_fingers_distance_to_the_region_and_only_asked_
         for i, motion in enumerate(scene.robot.gripper_motion):
             if motion != "fixed":
                 kind = int(scene.robot.gripper.kind[i])
-                least = min(least, open_surface_distance(kind, scene.robot.gripper.size[i], T[i], region, least))
+                least = min(least, oracle.open_surface_distance(kind, scene.robot.gripper.size[i], T[i], region, least))
         compared += 1
         if least <= 1e-6:
             met += 1
@@ -193,27 +193,6 @@ def test_affordance_is_the_closed_fingers_distance_to_the_region_and_only_asked_
         else:
             assert float(s.margin[row, AFFORDANCE]) == pytest.approx(least, abs=2e-5), row
     assert compared >= 50 and met >= 5
-
-
-def open_surface_distance(kind: int, size: np.ndarray, T: np.ndarray, triangles: np.ndarray, cap: float) -> float:
-    """Distance of a primitive to triangles, 0 where they meet; `cap` at most. Inside counts nothing: the patch is open."""
-    inverse = np.linalg.inv(T)
-    local = triangles @ inverse[:3, :3].T + inverse[:3, 3]
-    center = local.mean(1)
-    lower = oracle.primitive_distance(Kind(kind), size, center) - np.linalg.norm(local - center[:, None], axis=2).max(1)
-    order, best = np.argsort(lower), cap
-    for first in range(
-        0, len(order), 16
-    ):  # those that may be nearest first, until none may be nearer than what is known
-        near = order[first : first + 16]
-        near = near[lower[near] < best]
-        n = len(near)
-        if n == 0:
-            break
-        eye = np.tile(np.eye(4), (n, 1, 1))
-        a, b = oracle.bodies([kind] * n, [size] * n, eye), oracle.bodies([Kind.HULL] * n, None, eye, local[near])
-        best = min(best, float(np.maximum(oracle.convex_distance(a, b)[1], 0.0).min()))
-    return best
 
 
 def test_fingers_that_hold_the_region_itself_meet_it_by_the_pads_squeeze():

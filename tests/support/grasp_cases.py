@@ -2,16 +2,54 @@
 
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import manifold3d
 import numpy as np
 import torch
 import trimesh
 
+from r2h_batch.bodies.robot import drive_from_gap, load_robot, pad_center_z
+from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.scene.grasp_tables import grasp_tables
 
 BAND = 1e-4
 PAD_X, PAD_Z = 0.011, 0.01875
+
+
+def material64(
+    mesh: trimesh.Trimesh, T_obj_ee: np.ndarray, gap: float, grow: float = 0.0
+) -> tuple[float, float] | None:
+    """From where to where (m, along y) material lies between pads with this gap, the pads `grow` larger; None: nowhere."""
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh64(
+            trimesh.transform_points(mesh.vertices, np.linalg.inv(T_obj_ee.astype(np.float64))),
+            mesh.faces.astype(np.uint64),
+        )
+    )
+    z = float(pad_center_z(drive_from_gap(gap))) + float(
+        load_robot().T_flange_gripper[2, 3] - load_robot().T_flange_ee[2, 3]
+    )
+    prism = box((2 * (PAD_X + grow), 2.0, 2 * (PAD_Z + grow)), (0, 0, z))
+    runs: list[list[float]] = []
+    for piece in (solid ^ prism).decompose():
+        sides = piece.bounding_box()
+        runs.append([sides[1], sides[4]])
+    runs.sort()
+    merged: list[list[float]] = []
+    for low, high in runs:
+        if merged and low <= merged[-1][1]:
+            merged[-1][1] = max(merged[-1][1], high)
+        else:
+            merged.append([low, high])
+    held = [r for r in merged if r[1] > -OPEN_GAP_M / 2 and r[0] < OPEN_GAP_M / 2]
+    return (held[0][0], held[-1][1]) if held else None
+
+
+def width64(mesh, T_obj_ee, gap, grow=0.0) -> float:
+    """The width (m) of `material64`; -1: none."""
+    held = material64(mesh, T_obj_ee, gap, grow)
+    return held[1] - held[0] if held else -1.0
 
 
 def solid(shape: manifold3d.Manifold) -> trimesh.Trimesh:
@@ -48,7 +86,7 @@ def shapes() -> dict[str, trimesh.Trimesh]:
     return {name: solid(shape) for name, shape in out.items()}
 
 
-def model_of(mesh: trimesh.Trimesh, region=None) -> SimpleNamespace:
+def model_of(mesh: trimesh.Trimesh, region=None) -> Any:
     faces = np.asarray(mesh.faces, np.int32)
     receiver = np.zeros(len(faces), bool) if region is None else region(mesh)
     return SimpleNamespace(vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=receiver)

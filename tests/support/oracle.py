@@ -19,6 +19,8 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.robot import Kind, ee_pose, gripper_primitives_at
+from r2h_batch.config import HOME_Q
+from r2h_batch.judge.ik import default_ur
 from r2h_batch.scene.scene import BodyPoses, Scene
 
 Array = NDArray[np.float64]
@@ -32,8 +34,11 @@ __all__ = [
     "deepest_along",
     "geom_depth",
     "hand_triangles",
+    "kind_of",
     "mesh_distance",
     "mujoco_scene",
+    "open_surface_distance",
+    "out_of_reach",
     "place",
     "primitive_distance",
     "random_stages",
@@ -76,9 +81,15 @@ class Clearances:
 
 
 class MujocoScene:
-    """A MuJoCo C model of one trial with the pairs that planning checks."""
+    """A MuJoCo C model of one trial with the pairs that planning checks.
 
-    def __init__(self, scene: Scene, staged: Staged, *, object_collision: str = "hull") -> None:
+    A `receiver` (5, 4), as in `Trials.receiver`, stands there with arm and torso, and counts as the hand does; `person`
+    names their geoms.
+    """
+
+    def __init__(
+        self, scene: Scene, staged: Staged, *, object_collision: str = "hull", receiver: Array | None = None
+    ) -> None:
         self.robot, self.staged = scene.robot, staged
         spec = mujoco.MjSpec()
         spec.option.ccd_iterations = 500
@@ -92,6 +103,8 @@ class MujocoScene:
         self._add_hulls(spec, wrist.add_body(name="object", **_pose(T_wrist_obj)), "object", hulls)
         pieces = [scene.hands.piece_points(staged.hand_index, k) for k in range(len(scene.hands.model.piece_names))]
         self._add_hulls(spec, spec.worldbody.add_body(name="hand", **_pose(staged.T_world_hand)), "hand", pieces)
+        self.person = [] if receiver is None else self._add_person(spec, receiver)
+        self.groups["hand"] += self.person
         self.groups["table"].append("table")
         spec.worldbody.add_geom(
             name="table", type=mujoco.mjtGeom.mjGEOM_BOX, size=TABLE_HALF, pos=TABLE_POS, **_PASSIVE
@@ -138,6 +151,33 @@ class MujocoScene:
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             self.groups[group].append(name)
             body.add_geom(name=name, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, **_PASSIVE)
+
+    def _add_person(self, spec: Any, receiver: Array) -> list[str]:
+        shoulder, elbow, wrist, middle, half = receiver[:, :3]
+        x, y = receiver[3, 3], receiver[4, 3]
+        for name, a, b, radius in (
+            ("forearm", elbow, wrist, receiver[1, 3]),
+            ("upper_arm", shoulder, elbow, receiver[0, 3]),
+        ):
+            capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+            spec.worldbody.add_geom(name=name, type=capsule, fromto=[*a, *b], size=[radius, 0, 0], **_PASSIVE)
+        T = np.eye(4)
+        T[:3] = np.array([[x, -y, 0.0, middle[0]], [y, x, 0.0, middle[1]], [0.0, 0.0, 1.0, middle[2]]])
+        spec.worldbody.add_geom(name="torso", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, **_pose(T), **_PASSIVE)
+        return ["forearm", "upper_arm", "torso"]
+
+    def pairs_with_person(self) -> NDArray[np.int64]:
+        """(n, 2) geoms: the robot's, and the receiver's arm and torso."""
+        ids = [self.model.geom(n).id for link in self.robot.links for n in self.groups[link]]
+        return np.array([(a, self.model.geom(n).id) for a in ids for n in self.person])
+
+    def person_at(self, q: ArrayLike, *, cap: float = 0.05) -> float:
+        """Distance of robot and the receiver's arm and torso at a posture, exact below `cap`; negative depths are rough."""
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        pairs = self.pairs_with_person()
+        near = pairs[self._lower_bounds(*pairs.T) < cap]
+        return min((mujoco.mj_geomDistance(self.model, self.data, a, b, cap, None) for a, b in near), default=cap)
 
     def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         robot, rows = self.robot, []
@@ -246,7 +286,7 @@ class MujocoScene:
             distance, names[q.tobytes()] = self.least(q, cap=4 * cap, margins=margins)
             return distance
 
-        best, q = self._least_sample(path, step_rad, cap, at)
+        best, q = self.least_sample(path, step_rad, cap, at)
         return (best, names[q.tobytes()], q) if best < cap else (FAR_M, "", q)
 
     def safe_along(
@@ -254,9 +294,9 @@ class MujocoScene:
     ) -> tuple[float, Array]:
         """Smallest distance of robot and exact hand mesh over a polyline's samples, its posture; `mesh_distance`'s values."""
         triangles = hand_triangles(scene, self.staged)
-        return self._least_sample(path, step_rad, cap, lambda q: self.safe_at(triangles, q, cap=2 * cap), enough=0.0)
+        return self.least_sample(path, step_rad, cap, lambda q: self.safe_at(triangles, q, cap=2 * cap), enough=0.0)
 
-    def _least_sample(
+    def least_sample(
         self,
         path: ArrayLike,
         step_rad: float,
@@ -302,6 +342,53 @@ class MujocoScene:
             kind = _KIND_OF_TYPE[int(m.geom_type[g])]
             best = min(best, mesh_distance(kind, m.geom_size[g], T, triangles, cap=max(best, 0.0)))
         return best
+
+
+def open_surface_distance(kind: int, size: Array, T: Array, triangles: Array, cap: float) -> float:
+    """Distance of a primitive to triangles, 0 where they meet; `cap` at most. Inside counts nothing: the patch is open."""
+    inverse = np.linalg.inv(T)
+    local = triangles @ inverse[:3, :3].T + inverse[:3, 3]
+    center = local.mean(1)
+    lower = primitive_distance(Kind(kind), size, center) - np.linalg.norm(local - center[:, None], axis=2).max(1)
+    order, best = np.argsort(lower), cap
+    for first in range(
+        0, len(order), 16
+    ):  # those that may be nearest first, until none may be nearer than what is known
+        near = order[first : first + 16]
+        near = near[lower[near] < best]
+        n = len(near)
+        if n == 0:
+            break
+        eye = np.tile(np.eye(4), (n, 1, 1))
+        a, b = bodies([kind] * n, [size] * n, eye), bodies([Kind.HULL] * n, None, eye, local[near])
+        best = min(best, float(np.maximum(convex_distance(a, b)[1], 0.0).min()))
+    return best
+
+
+def out_of_reach(T: Array) -> float:
+    """How far (m) a target T_world_ee is from what the arm reaches: 2 x 40,000 samples of joint 1 and of psi3, hand as asked."""
+    ur = {k: float(getattr(default_ur(HOME_Q), k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool")}
+    z = T[:3, 2]
+    p5 = T[:3, 3] - ur["tool"] * z
+    v = z[2] if abs(z[2]) > 1e-9 else 1e-9
+    h = np.hypot(z[0], z[1])
+    psi = np.linspace(-np.pi, np.pi, 40_000)
+    with np.errstate(divide="ignore"):
+        theta = np.arccos(np.clip(v / (h + 1e-12) / np.tan(psi), -1, 1))
+    q1 = np.arctan2(z[1], z[0]) + np.concatenate([psi, theta, -theta])
+    x, y = np.cos(q1) * p5[0] + np.sin(q1) * p5[1], np.cos(q1) * p5[1] - np.sin(q1) * p5[0]
+    forward = np.cos(q1) * z[0] + np.sin(q1) * z[1]
+    least = np.inf
+    for s5 in (np.hypot(forward, v), -np.hypot(forward, v)):
+        d = np.hypot(x - ur["d5"] * v / s5, p5[2] - ur["d1"] + ur["d5"] * forward / s5)
+        beyond = np.maximum(0, np.maximum(d - ur["a2"] - ur["a3"], abs(ur["a2"] - ur["a3"]) - d))
+        least = min(least, np.hypot(y - ur["d4"], beyond).min())
+    return least
+
+
+def kind_of(model: mujoco.MjModel, geom: int) -> int:
+    """The project's Kind of a geom that is a primitive."""
+    return int(_KIND_OF_TYPE[int(model.geom_type[geom])])
 
 
 def geom_depth(model: mujoco.MjModel, data: mujoco.MjData, a: int, b: int) -> float:
