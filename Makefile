@@ -63,14 +63,14 @@ gpu: $(VENV)/.installed-test  ## everything that a machine with a GPU can show, 
 	$(BIN)/python bench/gpu.py --out runs/gpu --minutes $(or $(MINUTES),25)
 
 wheel: $(VENV)/.installed-test  ## wheel and sdist in build/dist, checked; the wheel installed and tried in an empty environment
-	rm -rf build/dist build/empty
+	rm -rf build/dist build/empty build/lib build/bdist*
 	$(BIN)/python -m build --no-isolation --outdir build/dist . >/dev/null
 	$(BIN)/python -m twine check --strict build/dist/*
 	du -h build/dist/*
 	$(PYTHON) -m venv build/empty
 	build/empty/bin/python -m pip install -q -c constraints.txt build/dist/*.whl
 	cd build/empty && bin/r2h-batch sweep --method random --trials 2 --out run
-	rm -rf build/empty
+	rm -rf build/empty build/lib build/bdist*
 
 lock: $(VENV)/.installed-test  ## rewrites constraints.txt from what is installed: every package, exact versions
 	$(BIN)/python tools/supply.py lock
