@@ -300,13 +300,19 @@ def page(tables: Mapping[str, Mapping]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def readme_lines(data: Mapping) -> list[str]:
-    """The table of README.md: r2h-v1, default preset."""
-    cell = cells_of(data)
-    lines = [
+def readme_lines(default: Mapping, paper: Mapping) -> list[str]:
+    """The table of README.md: r2h-v1, default preset, then the published methods of preset paper."""
+    return [
         "| | SR S0 | SR S1 | F_plan S0 / S1 | F_reach | F_safe | F_stab S1 | F_afford S1 | Presented S1 |",
         "|---|--:|--:|--:|--:|--:|--:|--:|--:|",
+        *_readme_rows(default),
+        "| *planned as the paper does:* | | | | | | | | |",
+        *_readme_rows({"rows": [r for r in paper["rows"] if "Handover" in r["method"]]}),
     ]
+
+
+def _readme_rows(data: Mapping) -> list[str]:
+    cell, lines = cells_of(data), []
     for title in dict.fromkeys(r["method"] for r in data["rows"]):
         who = SHORT.get(title.partition(" (")[0], title)
         both = [f"{cell('S0', who, c):.1f} / {cell('S1', who, c):.1f}" for c in ("f_plan", "f_reach", "f_safe")]
