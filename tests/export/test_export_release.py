@@ -1,9 +1,11 @@
 """Trials written in the form of the authors' release, and read back."""
 
 import json
+import re
 
 import numpy as np
 import pytest
+import trimesh
 from sweep_command import in_process
 
 from r2h_batch.compare.command import main as compare_main
@@ -61,24 +63,74 @@ def test_a_hands_mesh_decides_safe_where_its_posture_is_unknown(run, written):
     assert done.returncode == 2 and "fc needs the hands' postures" in done.stderr
 
 
+def validate(t):
+    """The release's rules for a trial (docs/protocol.md of r2handoversim 0.11.0)."""
+    assert t["schema_version"] == "handover.trial.v1" and t["units"] == "m" and t["split"] in ("S0", "S1")
+    assert re.fullmatch(r"[A-Za-z0-9_-]+", t["id"]) and t["object_id"] and t["variant"]
+    named = ("T_object_gripper", "target_T_world_gripper", "T_tcp_asset_tool")
+    for T in (*(np.array(t[k]) for k in named), np.array(t["receiver"]["T_world_hand"])):
+        R = T[:3, :3]
+        assert np.abs(T[3] - [0, 0, 0, 1]).max() <= 1e-7 and np.abs(R.T @ R - np.eye(3)).max() <= 1e-6
+        assert abs(np.linalg.det(R) - 1) <= 1e-6
+    boxes = [b for k in ("object_boxes", "hand_boxes_world", "obstacle_boxes_world", "usage_boxes") for b in t[k]]
+    for b in boxes:
+        assert len(b["center"]) == 3 and min(b["half_extents"]) > 0 and isinstance(b["label"], str)
+        R = np.array(b["rotation"])
+        assert np.abs(R.T @ R - np.eye(3)).max() <= 1e-6
+    assert t["object_boxes"] and t["hand_boxes_world"] and bool(t["usage_boxes"]) == (t["split"] == "S1")
+    for mesh in (t["object_mesh_object"], t["hand_mesh_world"]):
+        v, f = np.array(mesh["vertices"]), np.array(mesh["faces"])
+        assert np.isfinite(v).all() and v.shape[1] == f.shape[1] == 3 and 0 <= f.min() <= f.max() < len(v)
+    colors = np.array(t["object_mesh_object"]["colors"])
+    assert colors.shape == np.shape(t["object_mesh_object"]["vertices"]) and 0 <= colors.min() <= colors.max() <= 1
+    palm = np.array(t["receiver"]["T_world_hand"])
+    assert np.allclose(palm[:3, 3], t["palm_position_world"], rtol=0, atol=1e-8)
+    assert np.allclose(palm[:3, 2], t["palm_normal_world"], rtol=0, atol=1e-8)
+    assert t["receiver"]["side"] in ("left", "right") and t["receiver"]["static_world"] is True
+    assert 0 < t["gripper_opening_m"] <= 0.086 and 0 < t["max_opening_m"] <= 0.085 and t["dt_s"] == 1 / 60
+    for joints in (np.array(t["planned_joints"]), np.array(t["executed_joints"])):
+        assert joints.ndim == 2 and joints.shape[1] == 6 and np.abs(joints).max() <= 2 * np.pi
+    assert np.abs(np.diff(t["executed_joints"], axis=0)).max() <= 0.0101  # 0.6 rad/s at 60 Hz
+    assert "planning" not in t or t["planning"]["status"] == "failed"  # no digest of theirs is claimed
+    json.dumps(t, allow_nan=False)
+
+
 def test_files_keep_what_the_release_demands_of_a_trial(written):
     for path in (written / "files").glob("oracle_*.json"):
         t = json.loads(path.read_text())
-        T = {k: np.array(t[k]) for k in ("T_object_gripper", "target_T_world_gripper")}
-        for a in (*T.values(), np.array(t["receiver"]["T_world_hand"])):
-            assert np.abs(a[:3, :3].T @ a[:3, :3] - np.eye(3)).max() < 1e-6 and (a[3] == [0, 0, 0, 1]).all()
-        palm = np.array(t["receiver"]["T_world_hand"])
-        assert np.allclose(palm[:3, 3], t["palm_position_world"], atol=1e-8)
-        assert np.allclose(palm[:3, 2], t["palm_normal_world"], atol=1e-8)
+        validate(t)
         joints = np.array(t["executed_joints"])
-        assert joints.shape[1] == 6 and np.abs(np.diff(joints, axis=0)).max() <= 0.01  # 0.6 rad/s at 60 Hz
         assert np.allclose(joints[[0, -1]], np.array(t["planned_joints"])[[0, -1]], atol=1e-5)
         # boxes hold what they stand for
         for points, boxes in (("object_mesh_object", "object_boxes"), ("hand_mesh_world", "hand_boxes_world")):
             v = np.array(t[points]["vertices"])[:, None]
             c, h = (np.array([b[k] for b in t[boxes]]) for k in ("center", "half_extents"))
             assert (np.abs(v - c) <= h + 1e-9).all(2).any(1).all()
-        assert bool(t["usage_boxes"]) == (t["split"] == "S1")
+
+
+def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_its_joints(written, tmp_path):
+    """Hands without a posture, planned and executed joints: what came in goes out."""
+    (tmp_path / "in").mkdir()
+    theirs = {}
+    for path in sorted((written / "files").glob("oracle_*.json"))[:2]:
+        t = json.loads(path.read_text()) | {"provenance": "somebody", "variant": "FS"}
+        t["id"] = f"their-{t['id']}"
+        t["planned_joints"] = [t["executed_joints"][0], *t["executed_joints"][1::7], t["executed_joints"][-1]]
+        theirs[t["id"]] = t
+        (tmp_path / "in" / f"{t['id']}.json").write_text(json.dumps(t))
+    done = in_process("--trials-from", tmp_path / "in", "--sim", "none", "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    (imported,) = (tmp_path / "run").glob("imported-*")
+    flags = ["--to", "r2handoversim", "--benchmark", str(imported / "benchmark.yaml"), "--out", str(tmp_path / "out")]
+    assert export_main([str(tmp_path / "run"), *flags]) == 0
+    for name, t in theirs.items():
+        back = json.loads((tmp_path / "out" / f"{name}.json").read_text())
+        validate(back)
+        assert back["variant"] == "FS" and back["split"] == t["split"]
+        for key in ("planned_joints", "executed_joints", "target_T_world_gripper", "palm_position_world"):
+            assert np.allclose(back[key], t[key], atol=2e-6), key
+        mine, own = (trimesh.Trimesh(**x["hand_mesh_world"], process=False) for x in (back, t))
+        assert mine.volume == pytest.approx(own.volume, rel=1e-4) and mine.volume > 0
 
 
 def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verdicts(run, written, tmp_path, capsys):
