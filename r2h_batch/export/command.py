@@ -19,7 +19,7 @@ MOST_TRIALS = 10**6
 def scene(
     *,
     run: Path,
-    trial: int,
+    trial: str,
     out: Path,
     method: str = "",
     benchmark: BenchmarkFlags = BUILT_IN,
@@ -30,7 +30,7 @@ def scene(
 
     Args:
         run: run folder of a sweep; what it does not store is computed again.
-        trial: trial id.
+        trial: trial id, or the text that its owner gave it (ids.csv of the run).
         out: folder to write, new or empty.
         method: the sweep's word (fc) or the table's name; needed where the run has several.
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
@@ -49,7 +49,8 @@ def scene(
     from r2h_batch.scene.offscreen import RenderError
 
     try:
-        stored = Reader(run, BenchmarkOverrides.of(benchmark)).trial(trial, method or None)
+        reader = Reader(run, BenchmarkOverrides.of(benchmark))
+        stored = reader.trial(reader.run.trial_id(trial), method or None)
         folder = export_trial(stored, out)
         if render:
             write_row(Drawing(stored), render, size=(600, 600))

@@ -77,6 +77,7 @@ def release_trial(stored: StoredTrial, name: str, variant: str) -> dict[str, Any
             "pose": stored.hand_set.pose[rows[0]].tolist(),
             "shape": stored.hand_set.shape[rows[0]].tolist(),
             "T_world_hand": stored.T_world_hand.tolist(),
+            "T_world_palm": T_release_palm.tolist(),
             "receiver_faces": np.flatnonzero(region).tolist(),
         }
     return {

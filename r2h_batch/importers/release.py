@@ -168,10 +168,13 @@ def _converted(file: TrialFile, where: str) -> ReleaseTrial:
         raise FileError(said if said.startswith(where) else f"{where}: {said}") from None
     back = _back(file)
     T_world_ee = _tool_pose(file) @ back
+    own = file.own
+    if own is not None and np.abs(T_world_palm - own.T_world_palm).max() > RIGID:
+        own = None
     return ReleaseTrial(
         file.id, file.object_id, file.variant, file.split, mesh, region,
         np.array(file.T_object_gripper) @ back, T_world_ee, T_world_release @ T_world_palm, side,
-        file.own, *surface, place,
+        own, *surface, place,
         *_motion(file, T_world_ee), file.dt_s,
     )  # fmt: skip
 

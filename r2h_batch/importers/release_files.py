@@ -128,6 +128,9 @@ class Own(Entry):
     pose: Annotated[list[Angle], Field(min_length=48, max_length=48)]
     shape: Annotated[list[Metres], Field(min_length=10, max_length=10)]
     T_world_hand: Pose
+    T_world_palm: (
+        Pose  # as in `receiver` when it was written: a hand that was moved since is theirs
+    )
     receiver_faces: list[Annotated[int, Field(ge=0)]]
 
 

@@ -87,7 +87,7 @@ def test_a_stored_motion_that_cannot_be_is_one_line(run, monkeypatch, kind, colu
 
 def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):
     other = dataclasses.replace(built_in(), hand_set=dataclasses.replace(hand.load_hand_set(), digest="0" * 64))
-    monkeypatch.setattr("r2h_batch.benchmark.build.built_in", lambda: other)
+    monkeypatch.setattr("r2h_batch.benchmark.build.built_in", lambda *_: other)
     assert "hand_set" in refused(["--run", run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
 
 

@@ -9,8 +9,9 @@ import trimesh
 from sweep_command import in_process
 
 from r2h_batch.compare.command import main as compare_main
-from r2h_batch.export.command import export_main
+from r2h_batch.export.command import export_main, scene_main
 from r2h_batch.importers.command import main as import_main
+from r2h_batch.importers.release import read_trials
 from r2h_batch.report.__main__ import main as report_main
 from r2h_batch.runs.store import load_run
 from r2h_batch.verdicts import CRITERIA
@@ -95,6 +96,18 @@ def validate(t):
     json.dumps(t, allow_nan=False)
 
 
+def test_a_hand_that_was_moved_in_a_file_is_where_the_file_says(written, tmp_path):
+    (tmp_path / "in").mkdir()
+    path = next((written / "files").glob("oracle_*.json"))
+    t = json.loads(path.read_text())
+    palm = np.array(t["receiver"]["T_world_hand"])
+    palm[2, 3] += 0.05
+    t["receiver"]["T_world_hand"], t["palm_position_world"] = palm.tolist(), palm[:3, 3].tolist()
+    (tmp_path / "in" / path.name).write_text(json.dumps(t))
+    trials, _ = read_trials(tmp_path / "in")
+    assert trials[0].own is None and trials[0].T_world_palm[2, 3] == pytest.approx(palm[2, 3] - 0.75)
+
+
 def test_files_keep_what_the_release_demands_of_a_trial(written):
     for path in (written / "files").glob("oracle_*.json"):
         t = json.loads(path.read_text())
@@ -123,6 +136,9 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
     (imported,) = (tmp_path / "run").glob("imported-*")
     flags = ["--to", "r2handoversim", "--benchmark", str(imported / "benchmark.yaml"), "--out", str(tmp_path / "out")]
     assert export_main([str(tmp_path / "run"), *flags]) == 0
+    line = ["--run", str(tmp_path / "run"), *flags[2:4], "--trial"]
+    assert scene_main([*line, min(theirs), "--out", str(tmp_path / "scene")]) == 0
+    assert scene_main([*line, "nobody's", "--out", str(tmp_path / "no")]) == 2
     for name, t in theirs.items():
         back = json.loads((tmp_path / "out" / f"{name}.json").read_text())
         validate(back)
