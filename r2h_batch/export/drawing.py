@@ -160,7 +160,9 @@ class Drawing:
             return Witness((), "unreachable", -float(np.linalg.norm(line[1] - line[0])), line)
         home = reason == "start_in_collision"
         q = np.array(stored.workplace.home_q) if home else stored.target_q
-        return self._nearest_pair(q, [pair] if pair else [])
+        found = self._nearest_pair(q, [pair] if pair else [])
+        # the stored pair is the last branch's; in the drawn posture another one may overlap
+        return found if found and found.distance_m < 0 else self._nearest_pair(q, [])
 
     def _nearest_pair(self, q: Array, kinds: Collection[str]) -> Witness | None:
         """The nearest pair of bodies at posture q that planning checks, of these kinds if there are
