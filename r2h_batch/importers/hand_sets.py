@@ -52,7 +52,7 @@ STEP_S, CARRIED_M, SLIP, NEAR_M = 0.1, 0.004, 1 / 3, 0.5
 """A hand carries an object in a step of `STEP_S` if the object takes the wrist's place along by
 `CARRIED_M` or more, and the wrist goes elsewhere by at most `SLIP` of that. It is `NEAR_M` from the
 object's origin at most: both hands of somebody who walks move alike [choice]."""
-WIDTHS = {"hand": (6, np.float32), "object": (6, np.float32), "fingers": (45, np.float16)}
+KINDS = {"hand": np.float32, "object": np.float32, "fingers": np.float16}
 
 
 class Collected:
@@ -60,8 +60,10 @@ class Collected:
 
     def __init__(self) -> None:
         self.rows: tuple[list[dict[str, Any]], ...] = ([], [])
-        self.motions = tuple({k: bytearray() for k in WIDTHS} for _ in (0, 1))
-        """frames one behind the other: GRAB has 3.2 million"""
+        self.motions: tuple[dict[str, list[Any]], ...] = (
+            {k: [] for k in KINDS},
+            {k: [] for k in KINDS},
+        )
         self.skipped: list[str] = []
         self.idle = 0
 
@@ -74,7 +76,7 @@ class Collected:
             "fingers": hand.fingers,
         }
         for name, values in motion.items():
-            self.motions[hand.side][name] += values.astype(WIDTHS[name][1]).tobytes()
+            self.motions[hand.side][name].append(values.astype(KINDS[name]))
 
     @staticmethod
     def row_of(hand: HandMotion, frame: int, posture: str, **more: Any) -> dict[str, Any]:
@@ -82,7 +84,8 @@ class Collected:
         would refuse."""
 
         def at(value: F64 | None, shape: tuple[int, ...]) -> F64:
-            return np.full(shape, np.nan) if value is None else value[frame]
+            # a view would keep all frames
+            return np.full(shape, np.nan) if value is None else value[frame].copy()
 
         pose = np.concatenate([more.pop("wrist", np.zeros(3)), hand.fingers[frame]])
         check_postures(pose[None], hand.shape[None])
@@ -259,7 +262,7 @@ def motion_file(out: Path) -> Path:
 
 
 def write(out: Path, found: Collected) -> None:
-    """hands.npz and its motions, which leave memory on the way."""
+    """hands.npz and its motions."""
     rows = [*found.rows[0], *found.rows[1]]
     whole: dict[str, Any] = {"side": np.int8, "frame": np.int32, "frames": np.int32, "mover": bool}
     arrays = {}
@@ -267,11 +270,11 @@ def write(out: Path, found: Collected) -> None:
         values = np.array([row[name] for row in rows])
         kind = whole.get(name, np.float32 if values.dtype.kind == "f" else None)
         arrays[name] = values if kind is None else values.astype(kind)
-    motions = {"first": np.cumsum([0, *(row["frames"] for row in rows)]).astype(np.int64)}
+    motions: dict[str, Any] = {
+        "first": np.cumsum([0, *(row["frames"] for row in rows)]).astype(np.int64)
+    }
     right, left = found.motions
-    for name, (width, kind) in WIDTHS.items():
-        right[name] += left.pop(name)
-        motions[name] = np.frombuffer(right[name], kind).reshape(-1, width)
+    motions |= {name: right[name] + left[name] for name in KINDS}
     write_npz(motion_file(out), motions)
     write_npz(out, arrays)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import stat
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -167,11 +168,23 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:
-    """Write arrays by name, whole or not at all."""
+    """Write arrays by name, whole or not at all. A list of arrays is written one after the other, as
+    their concatenation that memory never holds."""
     import numpy as np
 
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, **arrays)
+    whole = {name: value for name, value in arrays.items() if not isinstance(value, list)}
+    with atomic_path(path) as temporary:
+        with temporary.open("wb") as stream:
+            np.savez(stream, **whole)
+        with zipfile.ZipFile(temporary, "a") as archive:
+            for name in [n for n in arrays if n not in whole]:
+                parts = arrays[name]
+                shape = (sum(map(len, parts)), *parts[0].shape[1:])
+                header = np.lib.format.header_data_from_array_1_0(parts[0]) | {"shape": shape}
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array_header_1_0(member, header)
+                    for part in parts:
+                        member.write(np.ascontiguousarray(part).tobytes())
 
 
 def csv_cell(value: object) -> object:
