@@ -27,6 +27,14 @@ COMMANDS = {
         "r2h_batch.export.command",
         "Write trials of a run as files of the authors' release.",
     ),
+    "submit": (
+        "r2h_batch.submission",
+        "Write a finished run as one checked file for a leaderboard.",
+    ),
+    "leaderboard": (
+        "r2h_batch.submission",
+        "Write a page of submissions, each judged again first.",
+    ),
     "ls": (
         "r2h_batch.ls",
         "List methods, objects, robots, protocols or runs.",
@@ -122,7 +130,7 @@ def main_of(name: str) -> Callable[..., int]:
 def _completed() -> dict[str, Command]:
     """Subcommands with all their flags, for shell completion: here every command's module is
     imported."""
-    from r2h_batch import ls
+    from r2h_batch import ls, submission
     from r2h_batch.compare import command as compare
     from r2h_batch.export import command as export
     from r2h_batch.gallery import command as gallery
@@ -147,6 +155,8 @@ def _completed() -> dict[str, Command]:
         "sweep": Options,
         "trials": export.trials,
         "scene": export.scene,
+        "submit": submission.submit,
+        "leaderboard": submission.leaderboard,
         "ls": ls.ls,
         "benchmark": benchmark,
         "view": view.view,

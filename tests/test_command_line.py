@@ -37,10 +37,21 @@ def test_help_names_the_program_as_it_was_called(name, capsys):
     assert helped(capsys, *name.split()).startswith(f"usage: r2h-batch {name} ")
 
 
+MODULES = {"import": "importers", "video": "view", "strips": "view", "figures": "report"}
+MODULES |= dict.fromkeys(("submit", "leaderboard"), "submission")
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_is_a_module_too_and_its_help_loads_nothing_heavy(name):
     # no module can be called import; some commands share one
-    name = {"import": "importers", "video": "view", "strips": "view", "figures": "report"}.get(name, name)
+    name = {
+        "import": "importers",
+        "video": "view",
+        "strips": "view",
+        "figures": "report",
+        "submit": "submission",
+        "leaderboard": "submission",
+    }.get(name, name)
     code = f"""
 import runpy, sys
 sys.argv = ["x", "--help"]

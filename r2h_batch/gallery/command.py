@@ -113,11 +113,11 @@ def report(
 
 def _common(runs: "Sequence[Run]") -> "Common | None":
     """The trials that runs share; None, said in a line, where they cannot be compared."""
-    from r2h_batch.compare.command import FOLDERS
+    from r2h_batch.compare.command import stored_rows
     from r2h_batch.statistics.common import common_trials
 
     try:
-        return common_trials(runs, proven=FOLDERS)
+        return common_trials(runs, proven=stored_rows())
     except ValueError as error:
         tell(f"report: not compared with each other: {error}")
         return None

@@ -51,6 +51,7 @@ ONLY_READ_ROWS = (
     "results",
     "gallery",
     "ls.py",
+    "submission.py",
     "loggers.py",
     "command_line.py",
     "__main__.py",

@@ -5,10 +5,8 @@ import shutil
 from copy import copy
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
-from made_runs import write_run
+from made_runs import forged, write_run
 
 from r2h_batch.export.command import trials_main as trials_command
 from r2h_batch.judge.frontier.levels import planning_form
@@ -16,7 +14,7 @@ from r2h_batch.methods import random
 from r2h_batch.results import reevaluation as again
 from r2h_batch.results.command import main as results
 from r2h_batch.results.reevaluation import Judge, configuration, reevaluate
-from r2h_batch.runs.store import RunError, load_run, sha256_of
+from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.sweep.command import main as sweep
 
 
@@ -48,41 +46,6 @@ def test_rows_of_a_gpu_are_planned_again_in_the_form_of_a_gpu(folder, judge):
     poses = [x.numpy() for x in poses]
     assert Judge(run).rows(ids, *poses)["t_exec_s"].to_pylist() == seconds and len(seconds) >= 2
     assert judge.rows(ids, *poses)["t_exec_s"].to_pylist() != seconds
-
-
-def forged(folder, out, change):
-    """A copy of the run in which `change(row) -> bool` has edited rows, with file, receipt and sha256 all agreeing."""
-    for path in folder.rglob("*"):
-        target = out / path.relative_to(folder)
-        if path.is_dir():
-            target.mkdir(parents=True, exist_ok=True)
-        else:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(path.read_bytes())
-    edited = []
-    for receipt in sorted((out / "manifest" / "random").glob("*.json")):
-        data = json.loads(receipt.read_text())
-        file = out / data["files"]["trials"]["path"]
-        table = pq.read_table(file, partitioning=None)
-        rows = table.to_pylist()
-        for row in rows:
-            before = row["outcome"]
-            if change(row):
-                edited.append(row["trial_id"])
-                counts = data["outcomes"][row["split"]]
-                counts[before] -= 1
-                counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
-        pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), file)
-        sha = sha256_of(file)
-        renamed = file.with_name(f"{file.name[:6]}-{sha[:16]}.parquet")
-        file.rename(renamed)
-        data["files"]["trials"] = {
-            "path": str(renamed.relative_to(out)),
-            "sha256": sha,
-            "bytes": renamed.stat().st_size,
-        }
-        receipt.write_text(json.dumps(data))
-    return edited
 
 
 def as_success(row):

@@ -5,6 +5,8 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import torch
 
 from r2h_batch.runs import store as results
@@ -15,7 +17,7 @@ from r2h_batch.runs.rows import (
     pose_rows,
     score_rows,
 )
-from r2h_batch.runs.store import RunFolder, open_run
+from r2h_batch.runs.store import RunFolder, open_run, sha256_of
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
 
 OBJECTS = ("bowl", "cup", "eyeglasses", "hammer", "knife", "scissors")
@@ -213,3 +215,38 @@ def write(folder, outcome=OUTCOMES, method="m", **changes):
 
 def files_of(folder, kind="trials"):
     return sorted((folder / kind).rglob("*.parquet"))
+
+
+def forged(folder, out, change):
+    """A copy of the run in which `change(row) -> bool` has edited rows, with file, receipt and sha256 all agreeing."""
+    for path in folder.rglob("*"):
+        target = out / path.relative_to(folder)
+        if path.is_dir():
+            target.mkdir(parents=True, exist_ok=True)
+        else:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(path.read_bytes())
+    edited = []
+    for receipt in sorted((out / "manifest" / "random").glob("*.json")):
+        data = json.loads(receipt.read_text())
+        file = out / data["files"]["trials"]["path"]
+        table = pq.read_table(file, partitioning=None)
+        rows = table.to_pylist()
+        for row in rows:
+            before = row["outcome"]
+            if change(row):
+                edited.append(row["trial_id"])
+                counts = data["outcomes"][row["split"]]
+                counts[before] -= 1
+                counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
+        pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), file)
+        sha = sha256_of(file)
+        renamed = file.with_name(f"{file.name[:6]}-{sha[:16]}.parquet")
+        file.rename(renamed)
+        data["files"]["trials"] = {
+            "path": str(renamed.relative_to(out)),
+            "sha256": sha,
+            "bytes": renamed.stat().st_size,
+        }
+        receipt.write_text(json.dumps(data))
+    return edited

@@ -1,0 +1,196 @@
+"""The commands `submit` and `leaderboard`: a run as one checked file, and a page of such files that
+have been judged again."""
+
+import json
+import sys
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+from r2h_batch.command_line import call, refuse, tell
+from r2h_batch.io.read import FileError, archive_members, open_archive, printable
+from r2h_batch.io.write import atomic_path, check_output_file, write_text
+
+if TYPE_CHECKING:
+    from r2h_batch.results.reevaluation import Judge
+    from r2h_batch.runs.store import Run
+
+MAX_BYTES, MAX_MEMBERS = 4 << 30, 100_000
+BUNDLE = "submission.json"
+"""Digest of each method's rows, and the versions that scored them."""
+
+
+def submit(
+    run: Path, /, *, out: Path | None = None, rows: int = 200, overwrite: bool = False
+) -> int:
+    """Write a finished run as one file for a leaderboard, after judging a sample of its rows again.
+
+    The file holds rows, scored poses, configuration, checksums and the run's card.
+
+    Args:
+        run: a run folder with poses, as `r2h-batch sweep --out` writes it.
+        out: the file to write; RUN.zip by default.
+        rows: rows of each method that are judged again first.
+        overwrite: replace a file of this name.
+    """
+    from r2h_batch.report.card import write_summary
+    from r2h_batch.runs.store import load_run
+
+    out = out or Path(f"{run}.zip")
+    check_output_file(out, overwrite=overwrite)
+    try:
+        stored = load_run(run)
+        if wrong := _judged_again(stored, rows):
+            raise ValueError(f"{run}: {wrong}; the run cannot be submitted")
+        write_summary(stored)
+        files = _files(stored)
+        digests = {m: stored.digest(m) for m in stored.methods}
+        about = {"format": 1, "rows": digests, "versions": stored.header["versions"]}
+        with atomic_path(out) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+            for file in files:
+                archive.write(stored.folder / file, f"run/{file}")
+            archive.writestr(BUNDLE, json.dumps(about, indent=1))
+    except ValueError as error:
+        return refuse("submit", error)
+    print(f"{out}: {len(digests)} methods, {len(files)} files, {out.stat().st_size:,} bytes")
+    return 0
+
+
+def _files(run: "Run") -> list[str]:
+    """What a run is read from, relative to its folder."""
+    files = ["run.json", "README.md", "table.md", "results.json"]
+    for entry in run.entries:
+        files.append(f"methods/{entry['slug']}.json")
+        for number, receipt in sorted(entry["receipts"].items()):
+            files.append(f"manifest/{entry['slug']}/{number:06d}.json")
+            files += [file["path"] for file in receipt["files"].values()]
+    return files
+
+
+def _judged_again(run: "Run", rows: int, judges: "dict[str, Judge] | None" = None) -> str:
+    """Why a run is not what the evaluator says; empty where it is.
+
+    `judges`: evaluators by run hash, which several runs share.
+    """
+    from r2h_batch.results.reevaluation import Judge, check_poses, reevaluate
+
+    if run.unfinished or not run.methods:
+        return f"{(run.unfinished or ('no method',))[0]} is not complete"
+    check_poses(run)
+    known = {} if judges is None else judges
+    key = json.dumps([run.header["configuration"], run.header["digests"]], sort_keys=True)
+    judge = known.get(key) or known.setdefault(key, Judge(run))
+    for method in run.methods:
+        found = reevaluate(run, method, rows, judge)
+        if found.differences:
+            return f"{method}: {found.differences[0]}"
+    return ""
+
+
+def leaderboard(
+    submissions: tuple[Path, ...],
+    /,
+    *,
+    out: Path = Path("leaderboard.html"),
+    rows: int = 200,
+    overwrite: bool = False,
+) -> int:
+    """Write a static page of submissions: each is verified, and a sample of its rows judged again.
+
+    A submission that does not hold is named and left out. Exit code 0: all are listed. Exit code 1:
+    some are left out.
+
+    Args:
+        submissions: files of `submit`, run folders, folders of these, or the word baselines.
+        out: the page to write.
+        rows: rows of each method that are judged again.
+        overwrite: replace a page of this name.
+    """
+    from r2h_batch.compare.command import BASELINES, baselines_for, stored_rows
+    from r2h_batch.report.page import page
+    from r2h_batch.runs.store import join, load_run
+    from r2h_batch.statistics.common import common_trials
+
+    check_output_file(out, overwrite=overwrite)
+    if not submissions:
+        return refuse("leaderboard", "no submission is given; give files of r2h-batch submit")
+    judges: dict[str, Judge] = {}
+    listed: list[Run] = []
+    left_out = 0
+    with tempfile.TemporaryDirectory() as place:
+        for number, given in enumerate(_each(submissions)):
+            try:
+                shipped = str(given) == BASELINES and not given.exists()
+                folder = baselines_for() if shipped else _unpacked(given, Path(place) / str(number))
+                stored = load_run(folder)
+                if not shipped and (wrong := _judged_again(stored, rows, judges)):
+                    raise ValueError(wrong)
+                common_trials([*listed[:1], stored], proven=stored_rows())
+                listed.append(stored)
+                tell(f"leaderboard: {given}: {', '.join(stored.methods)}")
+            except ValueError as error:
+                left_out += 1
+                tell(f"leaderboard: {printable(given)} is left out: {error}")
+        if not listed:
+            return refuse("leaderboard", "no submission holds; nothing is written", 1)
+        text = page(join(listed), common=common_trials(listed, proven=stored_rows()))
+    write_text(out, text)
+    print(out)
+    return 1 if left_out else 0
+
+
+def _each(given: Sequence[Path]) -> list[Path]:
+    """The submissions: what a folder holds that is no run folder itself."""
+    found: list[Path] = []
+    for path in given:
+        inside = path.is_dir() and not (path / "run.json").exists()
+        held = (
+            [p for p in sorted(path.iterdir()) if p.suffix == ".zip" or p.is_dir()]
+            if inside
+            else []
+        )
+        found += held if inside else [path]
+    return found
+
+
+def _unpacked(path: Path, place: Path) -> Path:
+    """The run folder of a submission; a file is unpacked below `place`."""
+    if path.is_dir():
+        return path
+    folder = place / path.stem
+    with open_archive(path, MAX_BYTES) as archive:
+        members = archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)
+        for member in members:
+            parts = PurePosixPath(member.filename).parts
+            if member.filename == BUNDLE:
+                continue
+            if parts[:1] != ("run",) or member.is_dir():
+                name = printable(member.filename)[:80]
+                raise FileError(
+                    f"{printable(path)}: member {name!r}; r2h-batch submit writes run/..."
+                )
+            target = folder.joinpath(*parts[1:])
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(member) as source, target.open("wb") as file:
+                while piece := source.read(1 << 20):
+                    file.write(piece)
+    return folder
+
+
+def submit_main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch submit") -> int:
+    """Exit code: 0 written, 2 refused with one line."""
+    return call(submit, sys.argv[1:] if arguments is None else arguments, prog=prog, name="submit")
+
+
+def leaderboard_main(
+    arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch leaderboard"
+) -> int:
+    """Exit code: 0 all are listed, 1 some are left out, 2 refused with one line."""
+    given = sys.argv[1:] if arguments is None else arguments
+    return call(leaderboard, given, prog=prog, name="leaderboard")
+
+
+if __name__ == "__main__":
+    sys.exit(submit_main(prog="python -m r2h_batch.submission"))
