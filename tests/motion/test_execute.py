@@ -140,7 +140,7 @@ def test_no_joint_exceeds_its_share_of_the_limits_and_waypoints_are_stops(scale)
 
 def test_straight_lines_to_protocol_poses_take_the_papers_time():
     """The paper's T_exec is 8.4 to 9.0 s; MoveIt 2's default scaling of 0.1 explains it (measured.md: 8.46 s)."""
-    trials = make_trials(trials=250)
+    trials = make_trials(trials=250, protocol="r2h-v0")
     rng = np.random.default_rng(3)
     T = np.tile(np.eye(4), (len(trials), 1, 1))
     ball, normal = ball_centers(trials)
