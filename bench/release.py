@@ -11,6 +11,7 @@ import io
 import json
 import resource
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -21,7 +22,6 @@ import numpy as np
 from _report import Report
 
 from r2h_batch.export.command import export_main
-from r2h_batch.importers import release
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.verdicts import CRITERIA
@@ -131,14 +131,12 @@ def import_many(report: Report, files: Path, folder: Path, count: int) -> None:
     for k in range(count):
         trial = json.loads(sources[k % len(sources)].read_text())
         (many / f"t{k}.json").write_text(json.dumps(trial | {"id": f"t{k}"}))
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
-    release.write(folder / "imported", release.read_trials(many)[0])
+    line = ["trials", str(many), "--from", "r2handoversim", "--out", str(folder / "imported")]
+    subprocess.run([sys.executable, "-m", "r2h_batch.importers", *line], check=True, stdout=subprocess.DEVNULL)
     report.add("release.import.trials", count)
     report.add("release.import.seconds", time.perf_counter() - start)
-    report.add(
-        "release.import.more_memory_mb", max(0, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    )
+    report.add("release.import.memory_mb", resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
     shutil.rmtree(many)
 
 
