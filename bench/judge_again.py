@@ -8,9 +8,8 @@ the planner's hand stood; no verdict and no margin comes from it. A margin that 
 that is a bound must be no more than the overlap that is found, one that is a cap must be no more than the clearance. A
 verdict is wrong where the other code says the opposite by more than 0.1 mm.
 
-The table gives rows, wrong verdicts, the largest difference of a distance (mm), and bounds and caps that do not bound, by
-criterion and set. Overlaps are searched for: of an overlap that a bound exceeds a deeper point may exist, so those are
-printed one by one.
+Figures are rows, wrong verdicts, the largest difference of a distance (mm), and bounds and caps that do not bound. What
+differs is printed one by one: overlaps are searched for, so of one that a bound exceeds a deeper point may exist.
 """
 
 import contextlib
@@ -60,7 +59,6 @@ class Tally:
 
     rows: int = 0
     wrong: int = 0
-    distances: int = 0
     largest: float = 0.0
     bounds: int = 0
     loose: list[float] = field(default_factory=list)
@@ -74,7 +72,6 @@ class Tally:
             self.wrong += 1
             faults.append("wrong verdict")
         if kind == "distance":
-            self.distances += 1
             self.largest = max(self.largest, 1e3 * abs(margin - true))
             if abs(margin - true) > TOLERANCE_M:
                 faults.append("not the distance")
@@ -207,8 +204,7 @@ class Again:
         least, _ = twin.least(q, cap=CLEARANCE_CAP_M)
         if least >= 0:
             return least
-        a, b = twin.pairs.T
-        m, x = twin.model, twin.data.geom_xpos
+        (a, b), m, x = twin.pairs.T, twin.model, twin.data.geom_xpos
         near = twin.pairs[np.linalg.norm(x[a] - x[b], axis=1) < m.geom_rbound[a] + m.geom_rbound[b]]
         return -max(oracle.geom_depth(m, twin.data, int(i), int(j)) for i, j in near)
 
@@ -335,23 +331,18 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("sets", nargs="*", default=list(SETS), help=f"of {', '.join(SETS)}; default: all")
     parser.add_argument("--trials", type=int, default=14, help="of each split and method")
-    args = parser.parse_args()
-    report = Report()
+    args, report = parser.parse_args(), Report()
     with tempfile.TemporaryDirectory() as kept:
         meshes = Path(kept) / "meshes"
         meshes.mkdir()
         write_drawn(meshes)
         for name in args.sets:
             for criterion, t in judge_set(name, SETS[name], Path(kept) / name, meshes, args.trials).items():
-                if t.rows:
-                    key = f"judge_again.{name}.{criterion}"
-                    report.add(f"{key}.rows", t.rows)
-                    report.add(f"{key}.wrong", t.wrong)
-                    report.add(f"{key}.largest_difference_mm", round(t.largest, 4))
-                    report.add(f"{key}.bounds", t.bounds)
-                    report.add(f"{key}.bounds_that_do_not", t.beyond)
-                    if t.loose:
-                        report.add(f"{key}.median_bound_share", round(float(np.median(t.loose)), 3))
+                figures = {"rows": t.rows, "wrong": t.wrong, "largest_difference_mm": round(t.largest, 4)}
+                figures |= {"bounds": t.bounds, "bounds_that_do_not": t.beyond}
+                figures |= {"median_bound_share": round(float(np.median(t.loose)), 3)} if t.loose else {}
+                for figure, value in figures.items() if t.rows else ():
+                    report.add(f"judge_again.{name}.{criterion}.{figure}", value)
     report.write(args.json)
 
 
