@@ -30,6 +30,13 @@ REASONS = {
 }
 
 
+FAILS = {
+    "stability": "the gripper does not hold it",
+    "reach": "the hand does not reach the object",
+    "affordance": "the gripper holds the receiver's part",
+    "safe": "the robot meets the hand",
+}
+"""What a failed criterion means; `headline` adds by how much."""
 PAIRS = {"hand": "robot and hand", "table": "robot and table", "self": "robot and robot"}
 """Pairs whose stored name (`CollidingPair`) leaves out the robot."""
 
@@ -41,19 +48,25 @@ def headline(row: dict[str, Any]) -> str:
         return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
     if outcome not in CRITERIA:
         return outcome.replace("_", " ")
-    line, margin = f"{outcome} fails", row.get(f"margin_{outcome}_m")
+    size = row.get(f"margin_{outcome}_m")
+    size = None if size is None or not np.isfinite(size) else -1e3 * size
+    least = "at least " if row.get(f"margin_kind_{outcome}") == "bound" else ""
+    by = "" if size is None else f"{least}{size:.1f} mm"
+    words = f"{outcome} fails: "
     if outcome == "plan":
-        reason = str(row["plan_reason"])
-        pair = row.get("plan_pair")
-        words = f" ({PAIRS.get(pair, pair.replace('_', ' and '))})" if pair else ""
-        return f"{line}: {REASONS.get(reason, reason.replace('_', ' '))}{words}"
+        reason, pair = str(row["plan_reason"]), row.get("plan_pair")
+        met = f" ({PAIRS.get(pair, pair.replace('_', ' and '))})" if pair else ""
+        short = f": {by} short" if by and reason == "ik_unreachable" else ""
+        return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
         part = str(row["witness_safe_part"]).replace("_", " ")
-        return f"{line}: {part} meets the hand at {row['witness_time_s']:.1f} s"
-    if margin is None or not np.isfinite(margin):
-        return line
-    least = "at least " if row.get(f"margin_kind_{outcome}") == "bound" else ""
-    return f"{line} by {least}{-1e3 * margin:.1f} mm"
+        return f"{words}{part} meets the hand at {row['witness_time_s']:.1f} s"
+    if outcome == "stability" and row.get("width_m") is not None:
+        words += f"{1e3 * row['width_m']:.1f} mm of material between the pads, "
+    said = FAILS.get(outcome)
+    if said is None or not by:
+        return f"{words}{said or ''}".rstrip(" :,")
+    return f"{words}{said}, by {by}"
 
 
 def summary(row: dict[str, Any]) -> str:
@@ -93,15 +106,20 @@ def _criteria(drawing: Drawing) -> list[tuple[str, str, str]]:
     """(name, verdict, margin in mm) of each criterion."""
     row, found = drawing.stored.row, []
     for name in CRITERIA:
-        passed, margin = row.get(f"passed_{name}"), row.get(f"margin_{name}_m")
-        verdict = "not judged" if passed is None else "passes" if passed else "fails"
-        size = np.nan if margin is None else float(margin)
-        kind = row.get(f"margin_kind_{name}")
-        more = " or less" if kind == "bound" else " or more" if kind == "cap" and size > 0 else ""
-        found.append(
-            (name, verdict, f"{1e3 * size:+.1f} mm{more}" if np.isfinite(size) else "none")
-        )
+        passed = row.get(f"passed_{name}")
+        verdict = "not evaluated" if passed is None else "passes" if passed else "fails"
+        found.append((name, verdict, _margin(row, name)))
     return found
+
+
+def _margin(row: dict[str, Any], name: str) -> str:
+    """A margin in mm. What saturates is no distance, and is not printed as one."""
+    size, kind = row.get(f"margin_{name}_m"), row.get(f"margin_kind_{name}")
+    if size is None or not np.isfinite(size):
+        return ""
+    if kind == "cap":
+        return f"more than {1e3 * size:.0f} mm" if size > 0 else ""
+    return f"{1e3 * size:+.1f} mm{' or less' if kind == 'bound' else ''}"
 
 
 def _facts(drawing: Drawing) -> list[str]:

@@ -103,12 +103,19 @@ def test_a_headline_names_the_first_failure_and_its_cause():
     plan = {"outcome": "plan", "plan_reason": "ik_in_collision", "plan_pair": "object_hand"}
     for row, words in (
         (safe, "safe fails: left pad meets the hand at 4.2 s"),
-        ({"outcome": "stability", "margin_stability_m": -0.0123}, "stability fails by 12.3 mm"),
         (
-            {"outcome": "stability", "margin_stability_m": -0.0123, "margin_kind_stability": "bound"},
-            "stability fails by at least 12.3 mm",
+            {"outcome": "stability", "margin_stability_m": -0.0123, "width_m": 0.0973},
+            "stability fails: 97.3 mm of material between the pads, the gripper does not hold it, by 12.3 mm",
         ),
-        ({"outcome": "reach", "margin_reach_m": -np.inf}, "reach fails"),
+        (
+            {"outcome": "affordance", "margin_affordance_m": -0.0123, "margin_kind_affordance": "bound"},
+            "affordance fails: the gripper holds the receiver's part, by at least 12.3 mm",
+        ),
+        ({"outcome": "reach", "margin_reach_m": -np.inf}, "reach fails: the hand does not reach the object"),
+        (
+            {"outcome": "plan", "plan_reason": "ik_unreachable", "margin_plan_m": -0.0345},
+            "plan fails: the arm cannot reach the target: 34.5 mm short",
+        ),
         (plan, "plan fails: every posture at the target collides (object and hand)"),
         ({"outcome": "success", "t_exec_s": 3.26}, "success, 3.3 s"),
         ({"outcome": "invalid_sim"}, "invalid sim"),
