@@ -44,8 +44,8 @@ def grasps():
     return load_receiving()
 
 
-UNOPPOSED = [995]
-"""The sprayer's trigger is thinner than what a finger may press in: thumb and fingers are nearest to the same side of it."""
+UNOPPOSED = [98]
+"""One hold of the bowl: thumb and fingers are nearest to the same side of its wall."""
 
 
 def report() -> dict:
