@@ -161,7 +161,7 @@ def inconsistent(header: Mapping[str, Any], table: pa.Table) -> str | None:
         return f"trial {ids[row]}: outcome is {found!r}, its criteria say {means}"
     for name, (given, passed) in judged.items():
         margin = table[f"margin_{name}_m"].to_numpy()
-        if header["protocol"] == FOREIGN and np.isnan(margin).all():
+        if header.get("protocol") == FOREIGN and np.isnan(margin).all():
             continue
         wrong = _wrong_margins(header["configuration"], name, given, passed, margin)
         if wrong.any():

@@ -329,11 +329,10 @@ def test_a_claim_is_given_to_one_at_a_time_and_falls_with_its_process_though_a_c
     holder = os.fork()
     if not holder:
         with run_store.claim(tmp_path / "c"):
-            child = os.fork()
-            if not child:
+            if not os.fork():
+                os.write(write, str(os.getpid()).encode())  # it runs: so it has closed what it inherited
                 time.sleep(60)
                 os._exit(0)
-            os.write(write, str(child).encode())
             time.sleep(60)
     child = int(os.read(read, 100))
     try:
