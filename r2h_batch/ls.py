@@ -12,6 +12,7 @@ Line = tuple[str, ...]
 ABOUT = {
     "r2h-v0": "hands alone, any roll about the palm's normal",
     "r2h-v1": "hands on the arms of people who stand and reach",
+    "r2h-release": "palms, objects, table and home of the authors' release",
 }
 """Protocol -> what its trials are."""
 

@@ -53,6 +53,7 @@ def test_ls_names_what_command_lines_take(run, tmp_path, monkeypatch, capsys):
 
     assert [line.split()[0] for line in listed("methods")] == list(METHODS)
     assert len(listed("objects")) >= 16 and any(" hammer " in line and " mm " in line for line in listed("objects"))
+    assert all(len(line.split()) > 3 for line in listed("protocols"))
     assert any(line.startswith("r2h-v1 ") and line.endswith("default") for line in listed("protocols"))
     assert listed("robots")
     monkeypatch.chdir(tmp_path)
