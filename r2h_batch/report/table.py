@@ -199,7 +199,7 @@ def interval(rate: Rate | None) -> str:
 def best_cells(table: Table) -> set[tuple[str, str, str]]:
     """Which cells are bold.
 
-    Only rates can be: all methods were asked the same trials. T_plan depends on the machine, and
+    Only rates can be, and only where all methods were asked the same trials. T_plan depends on the machine, and
     T_exec is a mean over the trials that moved.
 
     Returns:
@@ -212,7 +212,7 @@ def best_cells(table: Table) -> set[tuple[str, str, str]]:
         for column in (c for c in HEADINGS if c in RATES):
             printed = {r.method: cell(r, column) for r in rows}
             values = {method: float(text) for method, text in printed.items() if text != NA}
-            if len(set(values.values())) > 1:
+            if len(set(values.values())) > 1 and len({r.n for r in rows}) == 1:
                 top = (max if column == "sr" else min)(values.values())
                 best |= {(split, method, column) for method, v in values.items() if v == top}
     return best

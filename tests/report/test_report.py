@@ -19,7 +19,7 @@ from r2h_batch.config import PlanConfig
 from r2h_batch.gallery.command import report as main
 from r2h_batch.report import table as report
 from r2h_batch.report import text as text_of
-from r2h_batch.runs.store import load_run, open_run
+from r2h_batch.runs.store import join, load_run, open_run
 from r2h_batch.statistics.aggregate import RATES, Mean
 from r2h_batch.statistics.breakdown import parse_order
 from r2h_batch.types import CRITERIA, Outcome
@@ -282,6 +282,7 @@ def test_several_runs_are_one_table_and_one_page(tmp_path, capsys):
     out = tmp_path / "both.html"
     assert main((mine.folder, theirs.folder), format="html", out=out) == 0
     page = out.read_text()
+    assert not report.best_cells(report.table_of(join([mine, theirs])))  # other trials
     assert "<title>mine, theirs</title>" in page and "theirs/a" in page and "trials.S0 (theirs)" in page
     assert main((mine.folder, theirs.folder), format="html", gallery=1, out=tmp_path / "no.html") == 2
 
