@@ -150,12 +150,12 @@ CAUSES = [
     "Contact-Handover compares 256 poses of gripper and held object with the estimated hand. The other methods compare at"
     " most eight, without the object. In the default preset F_safe is 0 for every method, because the planner certifies"
     " edges against the true hand. In preset paper it samples paths around the estimated hand, and motions then fail Safe."
-    " In S0 Intent-Handover is ahead (cause 4).",
+    " In the default preset Intent-Handover is ahead in S0 (cause 4).",
     "Contact-Handover's pose search sees hand and object but not the object's function. F_afford rises: the network never saw"
     " the object in whose place it is asked ([receivers](../receivers.md#contact-network)). Stability fails only with candidates"
     " as generated (`candidates as generated` in [sensitivity](sensitivity.md)).",
-    "Intent-Handover's rule knows the region. Contact-Handover comes last, since its network never saw the object; with a"
-    " network trained on all objects its F_afford falls (`contact,contacts=all` in [sensitivity](sensitivity.md)).",
+    "Intent-Handover's rule knows the region. Contact-Handover's network never saw the object. With filtered candidates that"
+    " still gives the second place; with candidates as generated (preset paper) it does not.",
     "Intent-Handover turns hand, object and gripper as one: where the predicted hand and the gripper are apart, the target"
     " hand and the gripper are. With the TCP instead of the object's centre 15 cm above the palm (`intent,at=gripper` in"
     " [sensitivity](sensitivity.md)) a bowl or a cup has little room. The paper does not say what stands there; the authors'"
@@ -165,8 +165,8 @@ CAUSES = [
     "Reach hardly ever fails: with published errors the object comes within a few centimetres of c_h, and the ball's"
     " radius is 10 cm. Twice the errors change little (`error x 2` in [sensitivity](sensitivity.md)). Handover-VA's loops retreat"
     " from the receiver where the arm does not reach.",
-    "Contact-Handover's F_afford is mostly higher (cause 3), Handover-VA's similar. FC-Handover opposes the gripper to the"
-    " fingers wherever they point, in both splits; what stops it stands in [why Plan fails](table1-v1.md#why-plan-fails). The"
+    "FC-Handover opposes the gripper to the fingers wherever they point, in both splits, and knows no region; what"
+    " stops it stands in [why Plan fails](table1-v1.md#why-plan-fails). The"
     " paper names neither the distance to the palm nor what keeps it: with the object 3 cm nearer, at the ball's centre, F_plan"
     " about doubles (`fc,height_m=0.12` in [sensitivity](sensitivity.md)). In r2h-release fingers point away from the robot:"
     " FC- and Intent-Handover, which oppose the gripper to them, mostly fail Plan there.",
