@@ -84,7 +84,7 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
     assert run.header["benchmark"]["flags"] == [f"--hands {tmp_path / 'hands.npz'}"]
     assert run.header["digests"]["benchmark"] == digest != built_in().digest
     header = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert header["hands"] == ["right"] * 3
+    assert header["hands"] == [["right", 3]]
 
 
 @pytest.mark.parametrize("kind", ["csv", "json"])

@@ -38,6 +38,7 @@ class Failing(fake_bench.FakeEvaluator):
             passed=scores.passed & judged,
             evaluated=scores.evaluated & judged,
             margin=torch.where(judged, scores.margin, torch.nan),
+            margin_kind=scores.margin_kind * judged,
         )
 
 
