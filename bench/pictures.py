@@ -51,7 +51,7 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         only = "<style>body > :not(section), section:not(:has(.gallery)) { display: none !important }</style></body>"
         page = (folder / "gallery.html").read_text(encoding="utf-8").replace("</body>", only)
         (folder / "gallery.html").write_text(page, encoding="utf-8")
-        screenshot(folder / "gallery.html", out / "gallery.png", 1130, 640)
+        screenshot(folder / "gallery.html", out / "gallery.png", 940, 790)
         command("figures", run, "--method", "fc", "random", "handover-va", "--out", folder / "figures")
         for name in ("protocol", "failures"):
             shutil.copy(folder / "figures" / f"{name}.png", out / f"figure_{name}.png")

@@ -2,6 +2,7 @@
 
     python bench/tables.py             # sweeps, then every page and picture
     python bench/tables.py --render    # the pages again from the stored rows, after a change of words
+    python bench/tables.py --pictures  # the pictures again from the stored rows, after a change of drawing
 
 The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. Only when all are done do files change:
 
@@ -282,9 +283,14 @@ def install(place: Path, commit: str) -> None:
                 shutil.copy(place / p.name / name, target / name)
     shutil.copy(place / "sensitivity.json", ROOT / RESULTS)
     write(render_all())
+    draw({"commit": commit, "golden": golden_digest()})
+
+
+def draw(made: dict[str, object]) -> None:
+    """Every picture from the stored rows; their digests go into made_from.json."""
     rows = {p.name: p.rows for p in TABLES}
     drawn = pictures.draw(rows["table1-v1"], rows["table1-release"], Path("docs"))
-    made = {"commit": commit, "golden": golden_digest(), "pictures": drawn}
+    made = made | {"pictures": drawn}
     (ROOT / RESULTS / "made_from.json").write_text(json.dumps(made, indent=1) + "\n")
 
 
@@ -297,6 +303,7 @@ def write(files: dict[Path, str]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--render", action="store_true", help="the pages again from the stored rows")
+    parser.add_argument("--pictures", action="store_true", help="the pictures again from the stored rows")
     parser.add_argument(
         "--trials", type=int, default=500, help="of each split and table; sensitivity takes 2/5 of them"
     )
@@ -304,6 +311,9 @@ def main() -> None:
     os.chdir(ROOT)
     if given.render:
         write(render_all())
+        return
+    if given.pictures:
+        draw(json.loads((ROOT / RESULTS / "made_from.json").read_text()))
         return
     from r2h_batch.runs.store import load_run
 

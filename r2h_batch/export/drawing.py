@@ -31,6 +31,8 @@ FIXED = ("world", "table", "hand", "target", "target_gripper", "receiver")
 UNSEEN = ("world", "table", "receiver", "target", "target_gripper")
 """Bodies that the camera need not have in view; the target counts where nothing moves."""
 
+ROBOT, TORSO_ROOM = np.array([0.0, 0.0, 0.5]), 0.3
+"""A point of the robot that a picture shows, and by how much the torso's box counts as larger."""
 FOV_DEG = 45.0  # vertical, of every camera
 ELEVATION_DEG = -14.0
 BOUNDS_POSTURES = 12  # of a motion that the camera's bounds are made of
@@ -297,13 +299,34 @@ class Drawing:
         return np.concatenate(points)
 
     def azimuth_deg(self) -> float:
-        """From the receiver's side, where hand and gripper stand beside each other at the end."""
+        """From the receiver's side, where hand and gripper stand beside each other at the end, and
+        the receiver's torso hides neither them nor the robot."""
         data = self.at(self.stored.target_q)
-        apart = (data.geom("hand/mesh_visual").xpos - data.site("target").xpos)[:2]
+        hand, target = data.geom("hand/mesh_visual").xpos, data.site("target").xpos
+        apart = (hand - target)[:2]
         flat = apart / max(float(np.linalg.norm(apart)), 1e-6)
-        angles = np.radians(np.arange(90, 271, 5))
+        degrees = np.arange(90, 271, 5)
+        angles = np.radians(degrees)
         side = np.abs(np.cos(angles) * flat[1] - np.sin(angles) * flat[0])
-        return float(np.degrees(angles[np.argmax(side - 0.35 * np.cos(angles - np.pi) ** 2)]))
+        hidden = [self._hidden(np.stack([hand, target, ROBOT]), float(a)) for a in degrees]
+        best = side - 0.35 * np.cos(angles - np.pi) ** 2 - np.array(hidden)
+        return float(degrees[np.argmax(best)])
+
+    def _hidden(self, points: Array, azimuth_deg: float) -> int:
+        """How many of the points (N, 3) the torso hides from a camera in that direction."""
+        if self.stored.receiver is None:
+            return 0
+        receiver = np.asarray(self.stored.receiver, np.float64)
+        middle, half, x, y = receiver[3, :3], receiver[4, :3], receiver[3, 3], receiver[4, 3]
+        R_torso_world = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
+        towards = (
+            -R_torso_world @ _axes(azimuth_deg, ELEVATION_DEG)[2]
+        )  # from a point to the camera
+        start = (points - middle) @ R_torso_world.T
+        # the ray start + t towards, t > 0, meets the box where its three slabs share a piece
+        ends = (np.stack([-half, half])[:, None] * (1 + TORSO_ROOM) - start) / (towards + 1e-12)
+        first, last = ends.min(0).max(1), ends.max(0).min(1)
+        return int(((last > first) & (last > 0)).sum())
 
 
 def view_of(

@@ -455,12 +455,15 @@ def _add_receiver(spec: mujoco.MjSpec, receiver: Array, *, collides: bool) -> No
         ("upper_arm", shoulder, elbow, receiver[0, 3]),
         ("forearm", elbow, wrist, receiver[1, 3]),
     )
+    # torso and upper arm may stand before what a picture shows
+    seen_through: dict[str, Any] = {"rgba": (*color[:3], 0.35)}
     for ending, how in kinds:
         for limb, a, b, radius in limbs:
             name, size = f"receiver/{limb}{ending}", [radius, 0, 0]
-            body.add_geom(name=name, type=_CAPSULE, fromto=[*a, *b], size=size, **how)
-        name, quat = f"receiver/torso{ending}", quat_wxyz(turn)
-        body.add_geom(name=name, type=_BOX, pos=middle, quat=quat, size=half, **how)
+            look = how if limb == "forearm" else how | seen_through
+            body.add_geom(name=name, type=_CAPSULE, fromto=[*a, *b], size=size, **look)
+        name, quat, look = f"receiver/torso{ending}", quat_wxyz(turn), how | seen_through
+        body.add_geom(name=name, type=_BOX, pos=middle, quat=quat, size=half, **look)
 
 
 def _add_gripper_visuals(
