@@ -85,6 +85,8 @@ class Evaluator:
     """Judges predicted handovers on one device. Build it once: it holds the scene's tables and
     compiled kernels."""
 
+    called = False  # whether a call has looked for poses that look wrong
+
     def __init__(
         self,
         config: EvalConfig | None = None,
@@ -106,7 +108,6 @@ class Evaluator:
         cpu_threads(threads)
         self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
         self.threads = threads
-        self.called = False
         if self.scene.device != "cpu":
             build_tables(self.scene.device, self.config.workplace.home_q)
         self.handle = torch_op.register(self)
@@ -171,7 +172,7 @@ class Evaluator:
 
         `T_obj_ee`: grasp, ee in the object's frame. `T_world_ee`: handover, ee in the world.
         Tensors of float32 or float64 on the evaluator's device, NumPy arrays or nested lists;
-        judged in float32. The first call of an evaluator warns of poses that look as if in
+        judged in float32. The first call of an evaluator on a CPU warns of poses that look as if in
         millimetres, transposed or exchanged. Metres; rotations off by at most 1e-3 are
         re-orthonormalised, rows that are no pose come back as INVALID_INPUT and leave the others
         untouched. Rows do not depend on their batch: same bits for any batch size, order, chunk and
@@ -204,7 +205,7 @@ class Evaluator:
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
             return torch_op.call(self.handle, T_obj_ee, T_world_ee, trials, stages)
-        if not self.called:
+        if not self.called and not T_obj_ee.is_cuda:  # looking at values would wait for a GPU
             self.called = True
             warn_of_doubts(T_obj_ee, T_world_ee, trials)
         with one_torch_thread(self.scene.device):

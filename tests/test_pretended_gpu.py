@@ -96,7 +96,7 @@ def test_a_whole_chunk_waits_at_most_four_times_and_its_rows_leave_in_one_copy(
 ) -> None:
     seen = gpu[0]
     there = scored(gpu, poses, trials, "all", plan=plan)
-    assert 1 <= len(seen.waits) <= 4, seen.waits
+    assert 1 <= len(seen.waits) <= 4 + (trials.receiver is not None), seen.waits  # bodies have a queue of their own
     assert ("rrt_connect" if plan.edge_check == "moveit" else "enter_edges") in seen.launches
     if plan.edge_check != "moveit":
         assert {"take_arcs", "draw_arcs"} <= {*seen.launches} and not {"rrt_connect", "shortcut"} & {*seen.launches}

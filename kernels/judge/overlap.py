@@ -93,7 +93,7 @@ def path_overlap(
     hull_ball: wp.array(dtype=wp.vec4),
     bodies: TrialBodies,
     # rows
-    row_in: wp.array(dtype=int),  # (n,) trials whose path meets something
+    row_in: wp.array(dtype=int),  # (n,) trials whose path meets something; -1: none
     path_in: wp.array3d(dtype=float),  # (B, W, 6)
     length_in: wp.array(dtype=int),  # (B,)
     # out, (B,): written for these rows where an overlap is found
@@ -107,6 +107,8 @@ def path_overlap(
     the largest depth counts (geometry/depth.py), mostly to 1 %. Others may be deeper: it is a bound.
     """
     trial = row_in[first + wp.tid()]
+    if trial < 0:
+        return
     last = length_in[trial] - 1
     segments = wp.max(last, 1)  # a path of one posture is one segment without length
     R = wp.zeros(shape=7, dtype=wp.mat33)

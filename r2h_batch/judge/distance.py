@@ -91,7 +91,7 @@ def _nearest(
     tables: dict[str, Any], motion: dict[str, Tensor], on: dict[str, Any]
 ) -> tuple[dict[str, Tensor], Int32[Tensor, " m"]]:
     """Clearance, pair and body of each path, as far as bodies are apart, and the rows where they
-    meet."""
+    meet (-1: none)."""
     path, length = motion["path"], motion["length"]
     b, device = len(length), path.device
     if uses_frontier(on["device"]):
@@ -99,7 +99,12 @@ def _nearest(
             **tables, device=on["device"], rows=b if path.shape[1] <= WAYPOINTS else MOVED * b
         )
         distance, pair, body = frontier.clearance(path, length, SAFE_TOLERANCE_M)
-        meets = frontier.rows_where((length > 0) & (distance < 0))
+        deep = (length > 0) & (distance < 0)
+        if path.shape[1] == 1:  # a posture fits every queue, so nothing has to be waited for
+            rows = torch.arange(b, dtype=torch.int32, device=device)
+            meets = torch.where(deep, rows, -1)
+        else:
+            meets = frontier.rows_where(deep)
         distance = torch.where(length > 0, distance, torch.nan)
         return {
             "clearance": distance,

@@ -93,8 +93,9 @@ def with_person(
         tables = {name: torch.cat([own[name], tables[name]], 1) for name in tables}
     else:
         world.table_from = world.n_robot
-        world.self_links = wp.zeros(9, dtype=wp.int32, device=scene.device)
-        world.hull_first = wp.zeros(len(scene.objects) + 1, dtype=wp.int32, device=scene.device)
+        # no pair of links and no hull; torch makes them, so that a captured call may
+        none = {"self_links": 9, "hull_first": len(scene.objects) + 1}
+        tables |= {k: torch.zeros(n, dtype=torch.int32, device=device) for k, n in none.items()}
     low = (tables["piece_center"] - tables["piece_radius"][..., None]).amin(1)
     high = (tables["piece_center"] + tables["piece_radius"][..., None]).amax(1)
     middle = 0.5 * (low + high)
