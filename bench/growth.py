@@ -225,7 +225,7 @@ def driver(workers: int, shards: int) -> dict[str, float]:
         setting: Any = SimpleNamespace(header=run.header)
         pool = Pool(ray, ray.actor)
         start = time.perf_counter()
-        _feed(pool, workers, todo, run, setting, lambda: False, lambda n: None)
+        _feed(pool, workers, todo, run, setting, lambda: False, lambda n: None, {})
         return {"ms_per_shard": 1e3 * (time.perf_counter() - start - making[0]) / shards}
 
 

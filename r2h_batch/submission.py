@@ -127,10 +127,11 @@ def leaderboard(
                 stored = load_run(folder)
                 if not shipped and (wrong := _judged_again(stored, rows, judges)):
                     raise ValueError(wrong)
-                common_trials([*listed[:1], stored], proven=stored_rows())
+                common_trials([*listed, stored], proven=stored_rows())
+                join([*listed, stored])  # refuses a second run and method of one name
                 listed.append(stored)
                 tell(f"leaderboard: {given}: {', '.join(stored.methods)}")
-            except ValueError as error:
+            except (ValueError, MemoryError) as error:
                 left_out += 1
                 tell(f"leaderboard: {printable(given)} is left out: {error}")
         if not listed:

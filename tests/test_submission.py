@@ -56,6 +56,16 @@ def test_what_does_not_hold_is_named_and_left_out(bundle, tmp_path, capsys, chan
     assert not (tmp_path.parent / "table.md").exists()
 
 
+def test_a_submission_that_does_not_fit_the_others_is_left_out_and_ends_nothing(bundle, tmp_path, capsys):
+    again = tmp_path / "copy" / "mine.zip"
+    again.parent.mkdir()
+    again.write_bytes(bundle.read_bytes())
+    line = [str(bundle), str(again), "--rows", "2", "--out", str(tmp_path / "board.html")]
+    assert main(["leaderboard", *line]) == 1
+    error = capsys.readouterr().err
+    assert f"{again} is left out: two run folders of one name hold" in error and (tmp_path / "board.html").exists()
+
+
 def test_a_forged_row_is_found_by_judging_it_again(bundle, tmp_path, capsys):
     def reaches_further(row):
         row["margin_reach_m"] += 0.005 if row["passed_reach"] else 0.0

@@ -225,8 +225,8 @@ def _wrong_kinds(column: pa.ChunkedArray, margin: NDArray[np.float32]) -> NDArra
 def _wrong_motions(kind: str, table: pa.Table, refused: NDArray[np.int64]) -> str | None:
     """What no row of poses or paths can hold; None: nothing.
 
-    Poses are numbers, except those of the trials `refused` (outcome `invalid_input`). A path has
-    waypoints and a time for each, all numbers.
+    Poses and paths are numbers, except those of the trials `refused` (outcome `invalid_input`). A
+    path has waypoints and a time for each.
     """
     schema = POSE_SCHEMA if kind == "poses" else PATH_SCHEMA
     for name in MOTION_COLUMNS[kind]:
@@ -246,7 +246,8 @@ def _wrong_motions(kind: str, table: pa.Table, refused: NDArray[np.int64]) -> st
         return "column 'q' has empty postures"
     time, q = (a.offsets.to_numpy() - a.offsets[0].as_py() for a in arrays)
     broken = (np.diff(time) < 1) | (np.diff(time) != np.diff(q))
-    broken |= ~_finite(arrays[0], time) | ~_finite(postures, q * 6)
+    odd = ~_finite(arrays[0], time) | ~_finite(postures, q * 6)
+    broken |= odd & ~np.isin(ids, refused)
     if broken.any():
         row = int(broken.argmax())
         return f"trial {ids[row]}: its path is empty or has a number that is none"
@@ -299,7 +300,7 @@ def wrong_rows(
             check_decoded_size(stored, most, "its rows", columns)
             table = stored.read(columns=list(dict.fromkeys(columns)))
         refused = np.array([], np.int64)
-        if kind == "poses":
+        if kind in MOTION_COLUMNS:
             refused = _refused(file.parents[2] / receipt["files"]["trials"]["path"])
     except (FileError, OSError, pa.ArrowException) as error:
         return f"cannot be read ({printable(error)[:300]})"

@@ -12,7 +12,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -171,8 +171,9 @@ class Worker:
             warm_up(job, self.setting)
 
     def header(self) -> dict[str, Any]:
-        """What this node would write into run.json: the driver refuses to mix versions."""
-        return self.setting.header
+        """What this node would write into run.json, and what answers here: the driver refuses to mix
+        versions, methods or files."""
+        return self.setting.header | {"sources": {n: j.source for n, j in self.jobs.items()}}
 
     def score(self, name: str, shard: Shard) -> tuple[ShardWriter, float]:
         """A shard's rows and the seconds that they took."""
@@ -235,7 +236,8 @@ def score_on_ray(
     for name, shard in todo:
         folder.give_another_try(name, shard)
     with contextlib.redirect_stdout(sys.stderr):  # Ray's threads print; stdout is for the table
-        return _on_cluster(ray, setting, todo, folder, options, stopping, log)
+        sources = {job.name: job.source for job in jobs}
+        return _on_cluster(ray, setting, todo, folder, options, stopping, log, sources)
 
 
 def _on_cluster(
@@ -246,6 +248,7 @@ def _on_cluster(
     options: Options,
     stopping: Callable[[], bool],
     log: Log,
+    sources: Mapping[str, Mapping[str, str]],
 ) -> list[str]:
     handlers = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     # local: a cluster of its own; without an address Ray would join whatever a file in /tmp or the
@@ -283,7 +286,7 @@ def _on_cluster(
         try:
             total = sum(s.last - s.first for _, s in todo)
             with progress("all methods", total, log=log) as advance:
-                return _feed(pool, size, todo, folder, setting, stopping, advance)
+                return _feed(pool, size, todo, folder, setting, stopping, advance, sources)
         finally:
             if not head.lost:
                 pool.stop()
@@ -306,6 +309,7 @@ def _feed(
     setting: Setting,
     stopping: Callable[[], bool],
     advance: Callable[[int], None],
+    sources: Mapping[str, Mapping[str, str]],
 ) -> list[str]:
     refused: list[str] = []
     errors: dict[Task, list[str]] = {}
@@ -320,7 +324,7 @@ def _feed(
         done, _ = pool.ray.wait([*pool.starting, *pool.busy], num_returns=1, timeout=POLL_S)
         for ref in done:
             if ref in pool.starting:
-                _came_up(pool, ref, setting)
+                _came_up(pool, ref, setting, sources)
                 continue
             actor, task = pool.busy.pop(ref)
             name, shard = task
@@ -355,7 +359,9 @@ def _feed(
     return refused
 
 
-def _came_up(pool: Pool, ref: Any, setting: Setting) -> None:
+def _came_up(
+    pool: Pool, ref: Any, setting: Setting, sources: Mapping[str, Mapping[str, str]]
+) -> None:
     actor = pool.starting.pop(ref)
     try:
         header = pool.ray.get(ref)
@@ -367,6 +373,12 @@ def _came_up(pool: Pool, ref: Any, setting: Setting) -> None:
             ) from error
         return
     pool.deaths = 0
+    others = [n for n, source in header.get("sources", {}).items() if source != sources[n]]
+    if others:
+        raise ClusterError(
+            f"a Ray worker has another {others[0]} (its module, its imports or its files); copy the"
+            " same files to every node"
+        )
     if fields := differing(setting.header, {**header, "format": setting.header.get("format")}):
         raise ClusterError(
             f"a Ray worker differs in {', '.join(fields)}; install the same version on every node"

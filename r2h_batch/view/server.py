@@ -13,6 +13,7 @@ from r2h_batch.command_line import UsageError, tell
 from r2h_batch.export.captions import as_markdown, summary
 from r2h_batch.export.drawing import MARKS, Drawing
 from r2h_batch.export.stored import ExportError, Reader
+from r2h_batch.report.text import plain
 from r2h_batch.runs.store import RunError
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.page import APART_M, Drawn, aim, light, new_server, stop_server
@@ -183,7 +184,7 @@ class Viewer:
                     drawings.append(Drawing(self.reader.trial(trial, name)))
                     words.append(as_markdown(drawings[-1]))
                 except (ExportError, RunError) as error:
-                    words.append(f"{name}: {error}")
+                    words.append(plain(f"{name}: {error}"))
             if drawings:
                 aim(self.server, drawings)
             for k, drawing in enumerate(drawings):

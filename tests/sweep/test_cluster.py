@@ -4,6 +4,7 @@ import os
 import signal
 import socket
 import time
+from types import SimpleNamespace
 
 import pytest
 from disturbed import DEADLY, SLOW, finish, receipts, same_rows, start, wait_for
@@ -12,6 +13,7 @@ from needs import needs
 
 from r2h_batch.runs import store
 from r2h_batch.runs.store import load_run
+from r2h_batch.sweep import cluster
 
 pytestmark = needs("ray")
 
@@ -37,6 +39,14 @@ def test_kill_9_of_an_actor_costs_its_shard_only(tmp_path, undisturbed):
     assert code == 0 and table.startswith("split,"), error
     assert len(workers(log)) == 3
     same_rows(out, undisturbed)
+
+
+def test_a_worker_whose_method_has_other_files_is_refused():
+    answer = {"sources": {"mine": {"sha256": "b"}}}
+    ray = SimpleNamespace(get=lambda _: answer, exceptions=SimpleNamespace(RayError=OSError))
+    pool = cluster.Pool(ray, lambda: None, starting={0: "actor"})
+    with pytest.raises(cluster.ClusterError, match="a Ray worker has another mine"):
+        cluster._came_up(pool, 0, SimpleNamespace(header={}), {"mine": {"sha256": "a"}})
 
 
 @pytest.mark.slow

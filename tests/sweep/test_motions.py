@@ -107,6 +107,20 @@ def test_what_is_no_motions_file_is_one_line(planned, changes, words):
     assert done.returncode == 2 and words in done.stderr and "bad.npz" in done.stderr.splitlines()[-1]
 
 
+def test_a_motion_with_a_number_that_is_none_is_one_invalid_row(planned):
+    folder, _, data = planned
+    q = data["q"].copy()
+    row = int((data["length"] > 0).argmax())
+    q[int(data["length"][:row].sum()), 0] = np.nan
+    np.savez(folder / "nan.npz", **{**data, "q": q})
+    run = judged(folder, folder / "nan.npz", "nan")
+    run.verify()
+    outcome = dict(zip(*(run.trials("my planner")[c].to_pylist() for c in ("trial_id", "outcome")), strict=True))
+    whole = judged(folder, folder / "motions.npz", "given").trials("my planner").to_pylist()
+    expected = {r["trial_id"]: r["outcome"] for r in whole} | {int(data["trial_id"][row]): "invalid_input"}
+    assert outcome == expected and reevaluate(run, "my planner", 100, Judge(run)).differences == ()
+
+
 def test_a_file_of_motions_is_no_file_of_predictions(planned):
     folder, *_ = planned
     done = in_process("--predictions", folder / "motions.npz", "--trials", TRIALS, "--out", folder / "no")

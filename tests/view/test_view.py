@@ -15,7 +15,7 @@ from needs import CHROMIUM, needs
 from r2h_batch.__main__ import main
 from r2h_batch.export.captions import as_markdown, headline
 from r2h_batch.export.drawing import Drawing, coarse, view_of
-from r2h_batch.export.stored import Reader
+from r2h_batch.export.stored import ExportError, Reader
 from r2h_batch.scene import offscreen
 from r2h_batch.view.server import ANY, Filter
 
@@ -188,6 +188,10 @@ def test_two_methods_stand_side_by_side_and_a_failed_plan_in_red(run, reader, tm
     assert any(name.endswith("_label") for name in red) and marks(names, "/trial_1", "ball")
 
 
+def raised(error):
+    raise error
+
+
 def test_the_viewer_lists_filters_steps_and_shows(reader, monkeypatch):
     from r2h_batch.view import server
     from r2h_batch.view.server import NO_METHOD, Viewer
@@ -207,6 +211,10 @@ def test_the_viewer_lists_filters_steps_and_shows(reader, monkeypatch):
             seen.add(viewer.listed[viewer.list.value])
             assert "plan fails" in viewer.words.content
         assert seen == set(viewer.listed.values())
+        with monkeypatch.context() as patch:  # what a folder says is text, not markup
+            patch.setattr(viewer.reader, "trial", lambda *_: raised(ExportError("<img src=x onerror=alert(1)>")))
+            viewer._show()
+            assert "\\<img" in viewer.words.content and not viewer.drawn
         viewer.method.value, viewer.filters["outcome"].value = "oracle", ANY
         viewer._filter(3)
         before = viewer.drawn[0].bodies[max(viewer.drawn[0].moving)].position.copy()
