@@ -16,6 +16,8 @@ from r2h_batch.types import Predictions, Trials
 from r2h_batch.validate import describe_value, instance_of, one_of
 from r2h_batch.validate_tensors import as_numbers, check_range, check_tensor
 
+MOST_M = 1000.0
+"""No number of a receiver's body is larger; poses beyond are INVALID_INPUT."""
 Stages = Literal["pose", "all"]
 """How far `Evaluator.score` goes: what needs no path, or everything."""
 
@@ -112,6 +114,16 @@ def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tens
         raise ValueError(
             "receiver is 'body', these trials have none; take protocol r2h-v1, or receiver='hand'"
         )
+    found = trials.receiver
+    if found.is_cpu and not torch.compiler.is_compiling():  # a person that is none would never meet
+        thick = torch.cat([found[:, :2, 3], found[:, 4, :3]], 1)  # radii and half sizes, m
+        wrong = ~(found.abs() < MOST_M).all(2).all(1) | ~(thick > 0).all(1)
+        if bool(wrong.any()):
+            row = int(wrong.int().argmax())
+            raise ValueError(
+                f"trials.receiver of row {row} has a number that is none, or a size that is not above"
+                " 0; take protocol r2h-v1, or receiver='hand'"
+            )
     if torch.is_grad_enabled() and any(T.requires_grad for T in poses):
         raise ValueError(
             "receiver is 'body': its margins have no gradient; score with receiver='hand' for training"

@@ -200,3 +200,14 @@ def test_without_a_body_it_is_refused_in_one_line(asked, tmp_path, capsys):
     assert sweep.main(line) == 2
     said = capsys.readouterr().err.strip()
     assert "--receiver body: trials of r2h-v0 have no body; take --protocol r2h-v1" in said and "\n" not in said
+
+
+@pytest.mark.parametrize(
+    ("place", "value"), [((1, 0), torch.nan), ((3, 2), torch.inf), ((0, 0), 1e30), ((0, 3), -1.0), ((4, 1), 0.0)]
+)
+def test_a_body_with_a_number_that_is_none_is_refused_by_its_row(asked, place, value):
+    T_obj_ee, T_world_ee, trials = asked
+    receiver = trials.receiver.clone()
+    receiver[2, *place] = value
+    with pytest.raises(ValueError, match=r"trials\.receiver of row 2 has a number that is none"):
+        evaluator("body").score(T_obj_ee, T_world_ee, replace(trials, receiver=receiver), "pose")
