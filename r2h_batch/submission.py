@@ -72,7 +72,7 @@ def _files(run: "Run") -> list[str]:
 def _judged_again(run: "Run", rows: int, judges: "dict[str, Judge] | None" = None) -> str:
     """Why a run is not what the evaluator says; empty where it is.
 
-    `judges`: evaluators by run hash, which several runs share.
+    `judges`: evaluators by configuration and digests; runs that agree in these share one.
     """
     from r2h_batch.results.reevaluation import Judge, check_poses, reevaluate
 

@@ -319,11 +319,9 @@ class Drawing:
         receiver = np.asarray(self.stored.receiver, np.float64)
         middle, half, x, y = receiver[3, :3], receiver[4, :3], receiver[3, 3], receiver[4, 3]
         R_torso_world = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
-        towards = (
-            -R_torso_world @ _axes(azimuth_deg, ELEVATION_DEG)[2]
-        )  # from a point to the camera
+        towards = -R_torso_world @ _axes(azimuth_deg, ELEVATION_DEG)[2]
         start = (points - middle) @ R_torso_world.T
-        # the ray start + t towards, t > 0, meets the box where its three slabs share a piece
+        # from a point to the camera: the ray start + t towards, t > 0, meets the box where its three slabs share a piece
         ends = (np.stack([-half, half])[:, None] * (1 + TORSO_ROOM) - start) / (towards + 1e-12)
         first, last = ends.min(0).max(1), ends.max(0).min(1)
         return int(((last > first) & (last > 0)).sum())

@@ -21,7 +21,7 @@ from uuid import uuid4
 from r2h_batch.io.read import FileError, printable
 
 __all__ = [
-    "atomic_path", "check_output_file", "check_output_folder", "csv_cell", "json_text", "run_folder_of", "write_json",
+    "atomic_path", "check_output_file", "check_output_folder", "csv_cell", "packed_json", "run_folder_of", "write_json",
     "write_npz", "write_text",
 ]  # fmt: skip
 
@@ -134,7 +134,7 @@ def write_text(path: Path, text: str) -> None:
 JSON_WIDTH = 150
 
 
-def json_text(data: Any, indent: int = 0) -> str:
+def packed_json(data: Any, indent: int = 0) -> str:
     """JSON in lines of about `JSON_WIDTH` characters: as many entries in a line as fit.
 
     Raises:
@@ -146,10 +146,10 @@ def json_text(data: Any, indent: int = 0) -> str:
     if isinstance(data, dict):
         names, (first, last) = [f"{json.dumps(key)}: " for key in data], "{}"
         entries = [
-            name + json_text(v, indent + 1) for name, v in zip(names, data.values(), strict=True)
+            name + packed_json(v, indent + 1) for name, v in zip(names, data.values(), strict=True)
         ]
     else:
-        entries, (first, last) = [json_text(v, indent + 1) for v in data], "[]"
+        entries, (first, last) = [packed_json(v, indent + 1) for v in data], "[]"
     lines = [entries[0]]
     for entry in entries[1:]:
         joined = f"{lines[-1]}, {entry}"
@@ -164,7 +164,7 @@ def json_text(data: Any, indent: int = 0) -> str:
 
 def write_json(path: Path, data: Any) -> None:
     """Write JSON, whole or not at all; ValueError for NaN and infinity."""
-    write_text(path, json_text(data) + "\n")
+    write_text(path, packed_json(data) + "\n")
 
 
 def write_npz(path: Path, arrays: Mapping[str, Any]) -> None:

@@ -138,7 +138,7 @@ def check_stages(stages: object) -> None:
 def warn_of_doubts(T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> None:
     """Says what looks wrong with the poses (`predictions.doubts`): other units, transposed or
     exchanged matrices."""
-    for line in doubts(Predictions(trials.trial_id, T_obj_ee, T_world_ee).to("cpu").clone()):
+    for line in doubts(Predictions(trials.trial_id, T_obj_ee, T_world_ee).clone()):
         warnings.warn(line, stacklevel=3)
 
 

@@ -46,7 +46,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 from r2h_batch.io.read import FileError, kind_of, open_file, printable, read_file
 from r2h_batch.io.read import read_json as read_any_json
 from r2h_batch.io.tables import check_decoded_size
-from r2h_batch.io.write import atomic_path, csv_cell, json_text, run_folder_of
+from r2h_batch.io.write import atomic_path, csv_cell, packed_json, run_folder_of
 from r2h_batch.runs.row_checks import (
     MOST_HANDS,
     inconsistent,
@@ -180,7 +180,7 @@ def _json_file(path: Path, data: Mapping[str, Any]) -> Path:
     temporary = temporary_name(path)
     try:
         with temporary.open("w", encoding="utf-8") as file:
-            file.write(json_text(data) + "\n")
+            file.write(packed_json(data) + "\n")
             file.flush()
             os.fsync(file.fileno())
     except BaseException:
