@@ -1,6 +1,5 @@
 """Every kernel as a GPU would get it, without a GPU: CPU seconds to compile, registers, stack, spills, code size (sm_90).
 
-python bench/gpu_build.py --lanes 2048 [--json FILE]
 python bench/gpu_build.py [--modules plan.rrt judge.safe ...] [--ptxas FILE] [--json FILE] [--lines FILE]
 
 A module is compiled as a first launch on a GPU does: Warp's C++ to PTX (NVRTC, which is part of Warp), PTX to machine code
@@ -31,7 +30,6 @@ from pathlib import Path
 from types import ModuleType
 
 import warp as wp
-from _lanes import report_lanes
 from _report import Report, arguments
 
 import r2h_batch.kernels
@@ -184,15 +182,7 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--modules", nargs="+", metavar="NAME", help="only these (plan.rrt); all without")
     parser.add_argument("--ptxas", type=Path, metavar="FILE", help="the assembler; looked for without")
     parser.add_argument("--lines", type=Path, metavar="FILE", help="one JSON object a module, written as it is built")
-    parser.add_argument(
-        "--lanes", type=int, metavar="N", help="instead: lanes and chains of N trials (bench/_lanes.py)"
-    )
     options = parser.parse_args(given)
-    if options.lanes:
-        report = Report()
-        report_lanes(report, options.lanes)
-        report.write(options.json)
-        return 0
     ptxas, known = find_ptxas(options.ptxas), kernel_modules()
     if ptxas is None:
         parser.error("no ptxas here: pip install --no-deps nvidia-cuda-nvcc, or give --ptxas FILE")
