@@ -52,6 +52,7 @@ HALF_DEGREE = math.radians(0.5)
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, allow_inf_nan=False, description="metres")]
+Degrees = Annotated[float, Field(ge=0, le=180, description="degrees")]
 GoalClearance = Annotated[float, Field(ge=0, le=0.006, description="metres")]
 Opening = Annotated[
     float, Field(gt=0, le=OPEN_GAP_M, description="metres; the open gripper's pads have this gap")
@@ -151,6 +152,27 @@ class EstimateConfig(_Checked):
 
 
 @dataclass(frozen=True)
+class ExecutionError(_Checked):
+    """Standard deviations, per axis, of what a real robot adds to the poses that a method asks for
+    (`judge.execution_error`). 0: the robot does what it is asked."""
+
+    # handover pose about the hand's origin: the camera's calibration to the robot's base
+    camera_m: Length = 0.0
+    camera_deg: Degrees = 0.0
+    # drawn anew in every trial, or once: a calibration that stays wrong
+    camera_drawn: Literal["trial", "run"] = "trial"
+    # gripper in the object's frame, drawn in every trial
+    object_m: Length = 0.0
+    object_deg: Degrees = 0.0
+    seed: int = 0
+
+    @property
+    def any(self) -> bool:
+        """Whether anything is off."""
+        return any((self.camera_m, self.camera_deg, self.object_m, self.object_deg))
+
+
+@dataclass(frozen=True)
 class ExecConfig(_Checked):
     """The time law and the simulator.
 
@@ -196,6 +218,7 @@ class EvalConfig(_Checked):
     # what planning and Safe see of the person: the hand, or arm and torso too
     receiver: Literal["hand", "body"] = "hand"
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
+    execution_error: ExecutionError = field(default_factory=ExecutionError)
     # grasps that methods choose from; no verdict depends on it. narrow: of the filtered ones those
     # across which the whole object is at most as wide as the open gripper
     candidates: Literal["filtered", "as-generated", "narrow"] = "filtered"

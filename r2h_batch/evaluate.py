@@ -19,7 +19,7 @@ from torch import Tensor
 from r2h_batch.benchmark import Benchmark, read_benchmark
 from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.config import EvalConfig
+from r2h_batch.config import EvalConfig, ExecutionError
 from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
 from r2h_batch.judge.distance import (
@@ -30,6 +30,7 @@ from r2h_batch.judge.distance import (
     over_motion,
     person_distance,
 )
+from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.goal import failed_clearance, judge_goals, weaken_singular_reason
 from r2h_batch.judge.grasp_physics import shake
 from r2h_batch.judge.ik import IkResult, build_tables, one_branch, solve_ik
@@ -152,10 +153,11 @@ class Evaluator:
 
     @cached_property
     def kinematic(self) -> "Evaluator":
-        """The same evaluator with the motion taken as planned (`sim="none"`): for methods that
-        score while they search."""
+        """The same evaluator with the motion taken as planned (`sim="none"`) and no execution
+        error: for methods that score while they search."""
         twin = copy.copy(self)
-        twin.config = replace(self.config, execute=replace(self.config.execute, sim="none"))
+        execute = replace(self.config.execute, sim="none")
+        twin.config = replace(self.config, execute=execute, execution_error=ExecutionError())
         return twin
 
     def score(
@@ -254,6 +256,11 @@ class Evaluator:
             TypeError, ValueError: shape, dtype or device do not fit; before any work.
         """
         instance_of(Trials, "make_trials(...), or r2h_batch.Trials")("trials", trials)
+        if self.config.execution_error.any:
+            raise ValueError(
+                "execution_error changes poses, and motions are judged as they are; score motions"
+                " with an Evaluator without it"
+            )
         trace = checked_trace(q, time_s, length, len(trials), self.scene.device)
         plan = trace
         if planned_q is not None:
@@ -299,6 +306,11 @@ class Evaluator:
         CUDA one graph."""
         check_stages(stages)
         device, stability = torch.device(self.scene.device), self.config.stability
+        if device.type == "cuda" and self.config.execution_error.any:
+            raise ValueError(
+                "execution_error is drawn on the host and cannot be captured; perturb the poses with"
+                " judge.execution_error.executed_poses before the call"
+            )
         if device.type == "cuda" and self.config.ik.solver != "fused":
             raise ValueError(
                 "ik.solver='pytorch-kinematics' waits for the device and cannot be captured; use 'fused'"
@@ -333,6 +345,9 @@ class Evaluator:
     ) -> Scores:
         """The batch in chunks that bound the memory; rows do not depend on where the cuts are."""
         n = len(trials)
+        T_obj_ee, T_world_ee = executed_poses(
+            self.config.execution_error, T_obj_ee, T_world_ee, trials
+        )
         if stages == "all":  # a path's margins have no gradient here
             T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
         judge = (

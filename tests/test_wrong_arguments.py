@@ -11,7 +11,7 @@ from made_runs import write_run
 from problems import default_evaluator, make_batch
 
 from r2h_batch import EvalConfig, Evaluator, Predictions, Scene, make_trials, reward, show
-from r2h_batch.config import EstimateConfig, ExecConfig, IkConfig, PlanConfig, Thresholds, Workplace
+from r2h_batch.config import EstimateConfig, ExecConfig, ExecutionError, IkConfig, PlanConfig, Thresholds, Workplace
 from r2h_batch.predictions import load_predictions, write_predictions
 from r2h_batch.results.reevaluation import Judge, reevaluate
 from r2h_batch.runs.store import RunError, load_run
@@ -114,7 +114,7 @@ CALLS = {
     "reevaluate": (reevaluate, lambda tmp: {"run": _run(tmp), "method": "a", "n": 2, "judge": _Judge(), "seed": 0}),
     "EvalConfig.preset": (EvalConfig.preset, lambda _: {"name": "paper"}),
     **{c.__name__: (c, lambda _, c=c: {f: getattr(c(), f) for f in c.__dataclass_fields__})
-       for c in (EvalConfig, Thresholds, IkConfig, PlanConfig, EstimateConfig, ExecConfig, Workplace)},
+       for c in (EvalConfig, Thresholds, IkConfig, PlanConfig, EstimateConfig, ExecutionError, ExecConfig, Workplace)},
 }  # fmt: skip
 """Public function -> what it is called with: `r2h_batch.__all__`, and what docs/reference/python.md lists."""
 

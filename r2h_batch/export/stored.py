@@ -25,9 +25,10 @@ from r2h_batch.benchmark import Benchmark
 from r2h_batch.benchmark.benchmark import is_unbuilt
 from r2h_batch.benchmark.build import BenchmarkOverrides, benchmark_of_run
 from r2h_batch.command_line import UsageError
-from r2h_batch.config import EvalConfig, Workplace
+from r2h_batch.config import EvalConfig, ExecutionError, Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.io.read import FileError
+from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.sweep.answers import AnswerError
@@ -300,7 +301,10 @@ def _stored(
     header: dict[str, Any], method: str, row: dict[str, Any], path: dict[str, Any] | None,
     trial: Trials, answer: Predictions, objects: Sequence[Any], hand_set: Any, workplace: Workplace,
 ) -> StoredTrial:  # fmt: skip
-    T_obj_ee, T_world_ee = map(_orthonormal, (answer.T_obj_ee, answer.T_world_ee))
+    stored = header["configuration"].get("execution_error", {})
+    error = TypeAdapter(ExecutionError).validate_python(stored)
+    poses = executed_poses(error, answer.T_obj_ee, answer.T_world_ee, trial)
+    T_obj_ee, T_world_ee = map(_orthonormal, poses)
     attached = T_obj_ee.copy()
     attached[:3, 3] += T_obj_ee[:3, 1] * np.float32(row["grasp_shift_m"])
     q = np.array(path["q"] if path else [workplace.home_q], np.float64)

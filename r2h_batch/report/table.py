@@ -3,10 +3,11 @@ object by object."""
 
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from math import floor, log10
 from typing import Any
 
+from r2h_batch.config import ExecutionError
 from r2h_batch.report.text import (
     NA,
     aligned,
@@ -138,6 +139,8 @@ def _origin(header: Mapping[str, Any]) -> dict[str, str]:
         origin["paths planned against"] = f"the {hand} hand"
     if (candidates := configuration.get("candidates", "filtered")) != "filtered":
         origin["grasp candidates"] = str(candidates).replace("-", " ")
+    if (error := configuration.get("execution_error", none := asdict(ExecutionError()))) != none:
+        origin["execution error"] = ", ".join(f"{k} {v}" for k, v in error.items() if v)
     if (averages := configuration.get("averages", "trials")) != "trials":
         origin["averages"] = f"{averages} of a split count the same"
     return origin

@@ -35,7 +35,7 @@ from r2h_batch.validate import check_arguments, instance_of, integer, optional, 
 
 COMPARED = tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING)
 
-LATER_OPTIONS = ("receiver", "estimate", "candidates")
+LATER_OPTIONS = ("receiver", "estimate", "candidates", "execution_error")
 """Of `EvalConfig`: options that older runs do not name, for they had no other way."""
 
 MARGIN_TOLERANCE_M = BORDERLINE_M

@@ -30,6 +30,7 @@ from r2h_batch.sweep.options import (
     UsageError,
     base_of,
     check,
+    execution_error,
     options_of,
     own_name,
     said_options,
@@ -220,6 +221,7 @@ def _configuration(options: Options) -> "EvalConfig":
         width=config.width if options.width == "preset" else options.width,
         reach=config.reach if options.reach == "preset" else options.reach,
         estimate=seen if hand == "estimated" else EstimateConfig(),
+        execution_error=execution_error(options.execution_error, options.seed),
         candidates=config.candidates if options.candidates == "preset" else options.candidates,
     )  # fmt: skip
 

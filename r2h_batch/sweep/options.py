@@ -3,6 +3,7 @@
 import inspect
 import json
 import math
+import re
 import shutil
 import sys
 import textwrap
@@ -10,12 +11,15 @@ import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin
 
 from r2h_batch.command_line import UsageError, nearest, read
 from r2h_batch.io.read import FileError
 from r2h_batch.user_code import HOW
 from r2h_batch.validate import expand_home
+
+if TYPE_CHECKING:
+    from r2h_batch.config import ExecutionError
 
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent")
 """Built-in methods: modules of `r2h_batch.methods` (- as _) with a `predict(trials, scene, *,
@@ -195,6 +199,13 @@ class Options:
         "scene: simulate everything, with contacts; arm: a rigid gripper, no contacts; auto: the"
         " arm, and the scene for each trial in which a contact is possible",
     )
+    execution_error: str = _option(
+        "",
+        _CONFIG,
+        "what a robot adds to the poses, standard deviation per axis: 5mm,1deg, of the camera's"
+        " calibration and of the object in the gripper, both drawn in every trial; camera:5mm,1deg or"
+        " object:5mm,1deg: one of the two; bias:5mm,1deg: the camera's, drawn once",
+    )
     force_new: bool = _option(
         False, _CONFIG, "if --out holds another run, write to OUT-2, OUT-3, ... instead"
     )
@@ -341,6 +352,12 @@ def check(options: Options) -> Options:
         raise UsageError(
             f"--predictor-noise is {options.predictor_noise}; it must be 0 (the truth) or more, 1 is the default"
         )
+    if options.execution_error:
+        execution_error(options.execution_error)
+    if options.execution_error and (options.motions or options.trials_from):
+        raise UsageError(
+            "--execution-error changes poses, and motions are judged as they are; leave one out"
+        )
     if options.predictor and "contact" not in bases:
         raise UsageError(
             "--predictor is the contact network of --method contact; add that method, or leave it out"
@@ -382,6 +399,28 @@ def check(options: Options) -> Options:
     ):
         raise UsageError("--workers, --address and --gpus-per-worker belong to --engine ray")
     return options
+
+
+def execution_error(text: str, seed: int = 0) -> "ExecutionError":
+    """The errors that the option says; empty: none."""
+    from r2h_batch.config import ExecutionError
+
+    if not text:
+        return ExecutionError()
+    number = r"(\d+\.?\d*|\.\d+)"
+    found = re.fullmatch(rf"(?:(camera|object|bias):)?{number}mm,{number}deg", text, re.ASCII)
+    if not found:
+        raise UsageError(
+            f"--execution-error is {text!r}; it must be such as 5mm,1deg or camera:5mm,1deg,"
+            " object:5mm,1deg, bias:5mm,1deg"
+        )
+    part, size, none = found[1], (float(found[2]) / 1000, float(found[3])), (0.0, 0.0)
+    camera = none if part == "object" else size
+    held = none if part in ("camera", "bias") else size
+    try:
+        return ExecutionError(*camera, "run" if part == "bias" else "trial", *held, seed)
+    except ValueError as error:
+        raise UsageError(f"--execution-error: {error}") from None
 
 
 def _check_stored(options: Options) -> None:

@@ -40,6 +40,7 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         candidates="as-generated",
         reach="hull",
         plan_hand="true",
+        execution_error="5mm,1deg",
         object_mesh=("mug.obj:S0",),
         benchmark="mine.yaml",
         hands="hands.npz",

@@ -1,0 +1,61 @@
+"""How far the executed handover is off what the method asked for (`EvalConfig.execution_error`)."""
+
+import numpy as np
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from r2h_batch import rng, se3
+from r2h_batch.config import ExecutionError
+from r2h_batch.predictors.noise import perturbed, trial_ids
+from r2h_batch.types import Trials
+
+__all__ = ["executed_poses"]
+
+_CAMERA, _OBJECT = 0, 1  # purposes of the random counters
+
+
+def executed_poses(
+    error: ExecutionError,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    T_world_ee: Float32[Tensor, "b 4 4"],
+    trials: Trials,
+) -> tuple[Float32[Tensor, "b 4 4"], Float32[Tensor, "b 4 4"]]:
+    """The grasp and the handover pose that a robot with these errors carries out.
+
+    The camera's error turns and shifts the handover pose about the origin of the trial's hand, along
+    the world's axes. The object's turns and shifts the gripper about the TCP, in ee. Each is drawn
+    by trial id, so that all methods and all candidates of a trial meet the same.
+
+    Args:
+        error: standard deviations; without any the poses come back as they are.
+        T_obj_ee: the grasp that was asked for, m.
+        T_world_ee: the handover pose that was asked for, m.
+        trials: B trials.
+    """
+    if not error.any:
+        return T_obj_ee, T_world_ee
+    ids, key = trial_ids(trials.trial_id), rng.key_of(f"execution error {error.seed}")
+    hand = se3.translation(trials.T_world_hand[:, :3, 3])
+    T_world_ee = se3.matmul(
+        perturbed(
+            hand,
+            torch.zeros_like(hand[:, :3, 3]),
+            np.zeros_like(ids) if error.camera_drawn == "run" else ids,
+            key,
+            purpose=_CAMERA,
+            rotation_deg=error.camera_deg,
+            translation_m=error.camera_m,
+        ),
+        se3.matmul(se3.inverse(hand), T_world_ee),
+    )
+    T_obj_ee = perturbed(
+        T_obj_ee,
+        torch.zeros_like(T_obj_ee[:, :3, 3]),
+        ids,
+        key,
+        purpose=_OBJECT,
+        rotation_deg=error.object_deg,
+        translation_m=error.object_m,
+    )
+    return T_obj_ee, T_world_ee

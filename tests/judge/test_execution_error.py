@@ -1,0 +1,118 @@
+"""What a robot adds to the poses that it is asked for (`EvalConfig.execution_error`)."""
+
+import copy
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import torch
+from problems import default_evaluator
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
+from r2h_batch.judge.execution_error import executed_poses
+from r2h_batch.methods import fc, oracle
+from r2h_batch.results.reevaluation import configuration
+from r2h_batch.sweep.options import UsageError, execution_error
+from r2h_batch.trials.protocol import make_trials
+
+BOTH = ExecutionError(camera_m=0.010, camera_deg=2.0, object_m=0.005, object_deg=4.0)
+
+
+def evaluator(error):
+    """The shared evaluator's scene with these errors, the motion as planned."""
+    twin = copy.copy(default_evaluator())
+    twin.config = EvalConfig(execution_error=error, execute=ExecConfig(sim="none"))
+    return twin
+
+
+@pytest.fixture(scope="module")
+def asked():
+    trials = make_trials(trials=24)
+    answer = fc.predict(trials, default_evaluator().scene)
+    return answer.T_obj_ee, answer.T_world_ee, trials
+
+
+def drawn(error, trials):
+    """Rotation vectors (rad) and shifts (m) of the camera's and of the object's error, measured in float64."""
+    hand = trials.T_world_hand.double().numpy()
+    hand[:, :3, :3] = np.eye(3)
+    eye = torch.eye(4).expand(len(trials), 4, 4)
+    held, camera = (T.double().numpy() for T in executed_poses(error, eye, torch.from_numpy(hand).float(), trials))
+    camera = np.linalg.inv(hand) @ camera
+    return [(Rotation.from_matrix(T[:, :3, :3]).as_rotvec(), T[:, :3, 3]) for T in (camera, held)]
+
+
+@pytest.mark.check
+def test_a_run_with_errors_is_one_of_the_poses_that_the_robot_carries_out(asked):
+    T_obj_ee, T_world_ee, trials = asked
+    off = evaluator(BOTH).score(*asked)
+    moved = evaluator(ExecutionError()).score(*executed_poses(BOTH, T_obj_ee, T_world_ee, trials), trials)
+    for name in ("outcome", "margin", "path", "q_goal"):
+        assert torch.equal(getattr(off, name).nan_to_num(), getattr(moved, name).nan_to_num())
+    assert not torch.equal(off.margin.nan_to_num(), evaluator(ExecutionError()).score(*asked).margin.nan_to_num())
+    assert torch.equal(off.inputs.T_world_ee, T_world_ee)  # what is stored is the answer
+
+
+def test_errors_have_the_sizes_that_were_asked_and_are_independent():
+    trials = make_trials(trials=2000)
+    (turn, shift), (held_turn, held_shift) = drawn(BOTH, trials)
+    for found, sd in ((np.degrees(turn), 2.0), (shift, 0.010), (np.degrees(held_turn), 4.0), (held_shift, 0.005)):
+        # 4,000 draws: the deviation is within 5 %, the mean within 4 standard errors
+        assert np.allclose(found.std(0), sd, rtol=0.05) and (abs(found.mean(0)) < 4 * sd / 4000**0.5).all()
+    every = np.hstack([turn, shift, held_turn, held_shift])
+    assert abs(np.corrcoef(every.T) - np.eye(12)).max() < 0.08
+
+
+def test_the_camera_turns_the_gripper_about_the_hand_and_the_object_moves_in_the_gripper(asked):
+    T_obj_ee, T_world_ee, trials = asked
+    (turn, shift), (held_turn, held_shift) = drawn(BOTH, trials)
+    held, pose = (T.double().numpy() for T in executed_poses(BOTH, T_obj_ee, T_world_ee, trials))
+    hand, before = trials.T_world_hand[:, :3, 3].double().numpy(), T_world_ee.double().numpy()
+    R = Rotation.from_rotvec(turn)
+    assert np.allclose(pose[:, :3, 3], hand + shift + R.apply(before[:, :3, 3] - hand), atol=1e-6)
+    assert np.allclose(pose[:, :3, :3], R.as_matrix() @ before[:, :3, :3], atol=1e-6)
+    E = np.tile(np.eye(4), (len(trials), 1, 1))
+    E[:, :3, :3], E[:, :3, 3] = Rotation.from_rotvec(held_turn).as_matrix(), held_shift
+    assert np.allclose(held, T_obj_ee.double().numpy() @ E, atol=1e-6)
+
+
+def test_a_trial_meets_the_same_errors_in_any_batch_and_a_bias_is_that_of_all(asked):
+    rows = torch.tensor([7, 3])
+    whole = executed_poses(BOTH, *asked)
+    few = executed_poses(BOTH, *(x[rows] for x in asked))
+    assert all(torch.equal(a[rows], b) for a, b in zip(whole, few, strict=True))
+    bias = drawn(replace(BOTH, camera_drawn="run"), asked[2])[0]
+    assert np.ptp(bias[0], 0).max() < 1e-5 and np.ptp(bias[1], 0).max() < 1e-6 and abs(bias[1]).max() > 1e-3
+
+
+def test_a_method_that_searches_with_the_evaluator_does_not_know_the_errors():
+    trials, answers = make_trials(trials=4), []
+    for error in (ExecutionError(), BOTH):
+        judge = evaluator(error)
+        answers.append(oracle.predict(trials, judge.scene, evaluator=judge).T_world_ee)
+    assert torch.equal(*answers)
+
+
+def test_motions_are_refused_with_errors(asked):
+    q = torch.zeros(24, 2, 6)
+    with pytest.raises(ValueError, match="motions are judged as they are"):
+        evaluator(BOTH).score_motion(asked[0], q, torch.arange(2.0), asked[2])
+
+
+def test_the_option_says_which_error_has_which_size():
+    both = ExecutionError(0.005, 1.0, "trial", 0.005, 1.0, 3)
+    assert execution_error("5mm,1deg", 3) == both
+    assert execution_error("camera:5mm,1.0deg", 3) == replace(both, object_m=0.0, object_deg=0.0)
+    assert execution_error("object:5mm,1deg", 3) == replace(both, camera_m=0.0, camera_deg=0.0)
+    assert execution_error("bias:5mm,1deg", 3) == replace(both, camera_drawn="run", object_m=0.0, object_deg=0.0)
+    assert not execution_error("").any
+    for wrong in ("5mm", "5cm,1deg", "-5mm,1deg", "hand:5mm,1deg", "5mm,999deg"):
+        with pytest.raises(UsageError, match="execution-error"):
+            execution_error(wrong)
+
+
+def test_a_run_that_names_no_errors_had_none():
+    stored = asdict(EvalConfig())
+    del stored["execution_error"]
+    assert not configuration(stored, "run").execution_error.any
