@@ -15,9 +15,8 @@ from pydantic import Field
 from r2h_batch.importers.release_files import MAX_BYTES, Entry, Name, Receiver, validated
 from r2h_batch.io.read import FileError, printable, read_json
 from r2h_batch.runs import provenance
-from r2h_batch.runs.row_checks import FOREIGN
 from r2h_batch.runs.rows import TRIAL_SCHEMA
-from r2h_batch.runs.store import open_run, write_labels
+from r2h_batch.runs.store import FOREIGN, open_run, write_labels
 from r2h_batch.schedule import trial_ids
 from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SPLITS
 

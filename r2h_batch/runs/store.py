@@ -47,13 +47,6 @@ from r2h_batch.io.read import FileError, kind_of, open_file, printable, read_fil
 from r2h_batch.io.read import read_json as read_any_json
 from r2h_batch.io.tables import check_decoded_size
 from r2h_batch.io.write import atomic_path, csv_cell, packed_json, run_folder_of
-from r2h_batch.runs.row_checks import (
-    MOST_HANDS,
-    inconsistent,
-    most_decoded,
-    not_as_planned,
-    wrong_rows,
-)
 from r2h_batch.runs.rows import (
     DETAIL_SCHEMA,
     FAILURE_SCHEMA,
@@ -63,6 +56,7 @@ from r2h_batch.runs.rows import (
     POSE_SCHEMA,
     TRIAL_SCHEMA,
 )
+from r2h_batch.schedule import PROTOCOLS, trial_ids
 from r2h_batch.validate import boolean, check_arguments, rule_of, sequence_of, text
 from r2h_batch.validate import path as path_of
 
@@ -103,6 +97,8 @@ TRIES = 3
 MAX_JSON_BYTES = 32 << 20  # a run.json with 100,000 objects fits
 MAX_LABELS_BYTES = 256 << 20
 LABELS = "ids.csv"
+FOREIGN = "r2handoversim"
+"""Protocol of runs that hold somebody else's verdicts (`import results`): without margins."""
 IMPORTED = "imported-"
 """Begins the name of a folder that holds the trials of a sweep in our form."""
 MAX_TEXT = 4096
@@ -377,9 +373,6 @@ class _Predictors(_Open):
     noise_factor: Annotated[float, Field(ge=0, le=1e12)]
 
 
-_Side = Literal["right", "left"]
-
-
 class Header(_Record):
     """run.json."""
 
@@ -398,17 +391,7 @@ class Header(_Record):
     motion: _Motion = _ABSENT
     objects: list[_Object] = _ABSENT
     benchmark: _Benchmark = _ABSENT
-    # sides of the hand set in order, as (side, number of hands); older folders name each hand
-    hands: Annotated[
-        list[
-            Annotated[
-                list[_Side | Annotated[int, Field(ge=1, le=MOST_HANDS)]],
-                Field(min_length=2, max_length=2),
-            ]
-        ]
-        | list[_Side],
-        Field(min_length=1, max_length=MOST_HANDS),
-    ] = _ABSENT
+    hands: list[JsonValue] = _ABSENT  # sides of the hand set in order, as (side, number of hands)
     platform: Text = ""
     git_commit: Text | None = None
     command: list[Text] = []
@@ -899,7 +882,7 @@ class Run:
                     words = f"column {min(lacking)!r} is missing; format {FORMAT} has it"
                     raise RunError(f"{path}: {words}")
                 there = [c for c in columns if c in names]
-                check_decoded_size(file, most_decoded(kind, trials), str(path), there)
+                check_decoded_size(file, _most_decoded(kind, trials), str(path), there)
                 table = file.read(columns=there)
         except FileError as error:
             raise RunError(str(error)) from None
@@ -923,6 +906,8 @@ def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
                 w and len(w) <= 200 and w.isprintable() for w in words
             ):
                 return "holds what is no name; sweep again"
+            if field.name == "outcome" and (odd := set(words) - set(OUTCOME_NAMES)):
+                return f"holds {min(odd)!r}; known are {', '.join(OUTCOME_NAMES)}"
     return ""
 
 
@@ -1073,7 +1058,7 @@ def problems_of(
                 file = folder / stored["path"]
                 known.add(file)
                 what = _damage(file, stored)
-                what = what or wrong_rows(header, receipt, kind, file)
+                what = what or _wrong_rows(header, receipt, kind, file)
                 if what:
                     found.append(Problem(name, shard, file, what))
     foreign = [f for f in files if f not in known]
@@ -1091,6 +1076,62 @@ def _damage(file: Path, stored: Mapping[str, Any]) -> str | None:
         what = "truncated" if size < stored["bytes"] else "too long"
         return f"{what}: {size} bytes, written were {stored['bytes']}"
     return None if sha256_of(file) == stored["sha256"] else "flipped bits: differs from its sha256"
+
+
+def _wrong_rows(
+    header: Mapping[str, Any], receipt: Mapping[str, Any], kind: str, file: Path
+) -> str:
+    """What is wrong with the trials of a stored file; empty: nothing.
+
+    sha256 finds damage; this finds rows of other trials that somebody stored with a sha256 to
+    match. `results reevaluate` finds a forged verdict.
+    """
+    first, last, every = receipt["first"], receipt["last"], kind == "trials"
+    exact = last - first
+    if kind in ("details", "poses"):  # a row of each trial that was answered
+        exact -= sum(counts.get("missing", 0) for counts in receipt["outcomes"].values())
+    try:
+        with pq.ParquetFile(file) as stored:
+            rows = stored.metadata.num_rows
+            if rows > exact or (kind in ("trials", "details", "poses") and rows != exact):
+                return f"holds {rows} rows, planned were {exact}"
+            if "trial_id" not in stored.schema_arrow.names:
+                return "column 'trial_id' is missing"
+            check_decoded_size(stored, _most_decoded(kind, last - first), "its rows", ["trial_id"])
+            table = stored.read(columns=["trial_id"])
+    except (FileError, OSError, pa.ArrowException) as error:
+        return f"cannot be read ({printable(error)[:300]})"
+    if what := _wrong_column(table["trial_id"], SCHEMAS[kind].field("trial_id")):
+        return f"column 'trial_id' {what}"
+    return _not_as_planned(header, first, last, table, every=every)
+
+
+def _not_as_planned(
+    header: Mapping[str, Any], first: int, last: int, table: pa.Table, *, every: bool
+) -> str:
+    """How rows differ from positions `first` to `last` - 1 of the trial list; empty: they do not.
+
+    Args:
+        header: run.json. Nothing is known of runs of other protocols.
+        first: first position.
+        last: position after the last one.
+        table: rows with `trial_id`.
+        every: whether every planned trial must have a row.
+    """
+    if header["protocol"] not in PROTOCOLS:
+        return ""
+    planned, ids = trial_ids(header["trials"], first, last), table["trial_id"].to_numpy()
+    if len(strange := ids[~np.isin(ids, planned)]):
+        return f"trial_id {strange[0]} is not planned here"
+    if not np.array_equal(planned[np.isin(planned, ids)], ids):
+        return "its trial_id are not in the order of the plan, each once"
+    missing = len(planned) - len(ids)
+    return f"{missing} planned trials are missing" if every and missing else ""
+
+
+def _most_decoded(kind: str, trials: int) -> int:
+    """Largest memory, bytes, that the columns of a shard may take."""
+    return (16 << 20) + (1 << 17 if kind == "paths" else 1 << 13) * trials
 
 
 def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
@@ -1268,7 +1309,7 @@ class RunFolder:
             False, with nothing written, if another process stored it first.
 
         Raises:
-            RunError: the rows are not the planned ones, or can be no verdicts.
+            RunError: the rows are not the planned ones.
         """
         slug, where = self.slugs[method], f"{self.folder}: shard {shard.index} of {method!r}"
         outcomes = _count_outcomes(writer.table("trials"))
@@ -1277,9 +1318,9 @@ class RunFolder:
         if found != planned:
             raise RunError(f"{where} has {found} rows, planned were {planned}")
         for kind in SCHEMAS:
-            rows, every = writer.table(kind), kind == "trials"
-            what = not_as_planned(self.header, shard.first, shard.last, rows, every=every)
-            if what := what or (inconsistent(self.header, rows) if every else None):
+            if what := _not_as_planned(
+                self.header, shard.first, shard.last, writer.table(kind), every=kind == "trials"
+            ):
                 raise RunError(f"{where}, {kind}: {what}; nothing was stored")
         own: list[Path] = []
         receipt_path = _receipt_path(self.folder, slug, shard)

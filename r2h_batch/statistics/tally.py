@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from r2h_batch.config import BORDERLINE_M
-from r2h_batch.runs.columns import codes, pattern, states
+from r2h_batch.runs.columns import codes, pattern, pattern_outcomes, states
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
@@ -94,11 +94,19 @@ def tally(run: Run, method: str) -> Tally:
         method: its name in the run.
 
     Raises:
-        ValueError: if a split has not as many rows as planned, or an outcome is unknown.
+        ValueError: if a split has not as many rows as planned, or an outcome is unknown or not the
+            first failure.
     """
     trials = run.planned(method)
     counted = Tally.of(method, tuple(trials), run.shards("trials", method, _STORED))
     check_planned(method, trials, np.bincount(counted.split, counted.n, len(SPLITS)))
+    says = pattern_outcomes()[counted.split, counted.pattern]
+    judged = counted.outcome < Outcome.INVALID_INPUT
+    if odd := int(counted.n[judged & (counted.outcome != says)].sum()):
+        words = "rows have another outcome than their criteria say"
+        raise ValueError(
+            f"{method}: {odd} {words}; `r2h-batch results reevaluate` judges them again"
+        )
     return counted
 
 

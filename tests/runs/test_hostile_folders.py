@@ -3,21 +3,20 @@
 import contextlib
 import json
 import os
-import re
 import shutil
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import torch
 from made_runs import NAMES, files_of, make_header, make_scores, make_trials, read_json, write, write_run
 
 from r2h_batch.compare.command import main as compare
 from r2h_batch.gallery.command import report_main as report
 from r2h_batch.results.command import main as results
 from r2h_batch.runs import store as run_store
-from r2h_batch.runs.row_checks import inconsistent
-from r2h_batch.runs.rows import score_rows
+from r2h_batch.runs.rows import TRIAL_SCHEMA, score_rows
 from r2h_batch.runs.store import RunError, claim, load_run, mark_for_rerun, open_run, run_hash, sha256_of, shard_at
 
 COMMANDS = {
@@ -287,30 +286,6 @@ def test_details_and_poses_have_a_row_for_each_answered_trial(tmp_path, kind, ca
         load_run(tmp_path / "run")
 
 
-NOWHERE = [1.0, 0.0, 0.0, float("nan"), *np.eye(4, dtype=np.float32).ravel()[4:].tolist()]
-EMPTY = "trial 1: its path is empty or has a number that is none"
-MOVED = {
-    "a judged pose that is no number": ("poses", {"T_obj_ee": NOWHERE}, "trial 1: its pose has a number that is none"),
-    "a path without a waypoint": ("paths", {"time_s": [], "q": []}, EMPTY),
-    "a path without a time": ("paths", {"time_s": []}, EMPTY),
-    "a posture of NaN": ("paths", {"time_s": [0.0], "q": [[0.0] * 5 + [float("nan")]]}, EMPTY),
-    "no posture at all": ("paths", {"time_s": [0.0], "q": [None]}, "column 'q' has empty postures"),
-    "an endless time": ("paths", {"time_s": [float("inf")], "q": [[0.0] * 6]}, EMPTY),
-}
-
-
-@pytest.mark.parametrize("what", MOVED)
-def test_poses_and_paths_that_nobody_was_judged_by_are_found(tmp_path, what, capsys):
-    kind, values, words = MOVED[what]
-    write(tmp_path / "run", np.array([0, 0, 0, 6]), stored=["poses", "paths"])
-    forge(tmp_path / "run", at(3, T_obj_ee=NOWHERE), "poses")  # answered so: invalid_input, no forgery
-    assert COMMANDS["verify"](tmp_path / "run") == 0
-    forge(tmp_path / "run", at(1, **values), kind)
-    capsys.readouterr()
-    assert COMMANDS["verify"](tmp_path / "run") == 1
-    assert words in capsys.readouterr().out
-
-
 def at(row, **values):
     """A change of a table: other values in one row."""
 
@@ -325,116 +300,36 @@ def at(row, **values):
     return change
 
 
-def margin(name, value, row=3):
-    return at(row, **{f"margin_{name}_m": value})
-
-
-MADE_UP = {  # of six rows that are successes with margins of 1 cm: S0 0, 1, 2, S1 3, 4, 5
-    "a pass with a negative margin": (margin("reach", -0.01), "trial 3: reach passes with a margin of -0.01 m"),
-    "a pass without a margin": (margin("safe", None), "trial 3: safe passes with a margin of nan m"),
-    "a pass of NaN": (margin("plan", float("nan")), "trial 3: plan passes with a margin of nan m"),
-    "a pass with a margin of 1e38": (margin("stability", 1e38), "trial 3: stability passes with a margin of 1e.38 m"),
-    "a pass with an endless margin": (margin("safe", float("inf")), "trial 3: safe passes with a margin of inf m"),
-    "a pass farther than the ball": (margin("reach", 0.2), "trial 3: reach passes with a margin of 0.2 m"),
-    "a path through something": (margin("plan", -0.01), "trial 3: plan passes with a margin of -0.01 m"),
-    "touching what must not be touched": (margin("affordance", 0.0), "trial 3: affordance passes with a margin of 0 m"),
-    "a margin of what was not looked at": (
-        margin("affordance", 0.01, 0), "trial 0: affordance is not evaluated with a margin of 0.01 m",
-    ),
-    "a failure with a positive margin": (
-        at(3, passed_safe=False, outcome="safe"), "trial 3: safe fails with a margin of 0.01 m",
-    ),
-    "a failure without end": (
-        at(3, passed_safe=False, outcome="safe", margin_safe_m=-float("inf")), "trial 3: safe fails with a margin of -inf m",
-    ),
-    "another outcome than the first failure": (
-        at(3, passed_reach=False, margin_reach_m=-0.1), "trial 3: outcome is 'success', its criteria say reach",
-    ),
-    "a success without Affordance in S1": (
-        at(4, passed_affordance=None, margin_affordance_m=None),
-        "trial 4: outcome is 'success', its criteria say nothing that can be",
-    ),
-    "an invalid row that passes": (at(2, outcome="invalid_sim"), "trial 2: outcome is 'invalid_sim', its criteria say success"),
-    "a kind of what was not looked at": (
-        at(0, margin_kind_affordance="cap"), "trial 0: margin_kind_affordance is cap for a margin of nan m",
-    ),
-    "a margin of no kind": (at(3, margin_kind_safe=None), "trial 3: margin_kind_safe is None for a margin of 0.01 m"),
-    "a kind that is none": (at(3, margin_kind_plan="guess"), "trial 3: margin_kind_plan is guess for a margin of 0.01 m"),
-    "a bound of what does not overlap": (
-        at(3, margin_kind_plan="bound"), "trial 3: margin_kind_plan is bound for a margin of 0.01 m",
-    ),
-    "a clock that runs backwards": (at(1, t_plan_s=-1.0), "trial 1: -1 s in t_plan_s; 0 to 1e.09 s are allowed"),
-    "a clock that never stops": (at(1, t_exec_s=float("inf")), "trial 1: inf s in t_exec_s"),
-    "a method of 1e30 years": (at(1, t_method_s=1e38), "trial 1: 1e.38 s in t_method_s"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("edges", ["exact", "moveit"])
-@pytest.mark.parametrize(("depth", "allowed"), [(-0.14, True), (-5e-5, True), (0.01, False)])
-def test_a_failure_of_plan_may_be_as_deep_as_it_is_but_not_positive(edges, depth, allowed):
-    """With sampled edges a pass may be below 0 too."""
-    trials = make_trials(2, 2)
-    table = score_rows(trials, make_scores(trials, np.array([2, 0, 0, 0])), NAMES)
-    configuration = {"plan": {"edge_check": edges}, "thresholds": LIMITS}
-    said = inconsistent({"configuration": configuration}, margin("plan", depth, 0)(table))
-    assert said == (None if allowed else f"trial 0: plan fails with a margin of {depth:g} m")
-    through = inconsistent({"configuration": configuration}, margin("plan", -0.14, 1)(table))
-    assert (through is None) == (edges == "moveit")
+MADE_UP = {  # of six rows that are successes: S0 0, 1, 2, S1 3, 4, 5
+    "another outcome than the first failure": at(3, passed_reach=False),
+    "a success without Affordance in S1": at(4, passed_affordance=None),
+    "an outcome that no criterion says": at(2, outcome="safe"),
+}
 
 
 @pytest.mark.parametrize("what", MADE_UP)
-def test_a_row_that_can_be_no_verdict_is_found_by_every_command(run, what, capsys):
-    """Margins against verdicts, the order of criteria, times: with a right sha256, and found without judging again."""
-    change, words = MADE_UP[what]
-    in_file(run / "run.json", lambda d: put(d, "configuration.thresholds", LIMITS))
-    (run / "manifest" / "m" / "000000.json").write_text(
-        json.dumps({**read_json(run / "manifest" / "m" / "000000.json"), "run": read_json(run / "run.json")["hash"]})
-    )
-    shutil.rmtree(run / "manifest" / "second")
-    forge(run, change)
-    for command in (
-        *(COMMANDS[c] for c in ("report", "compare", "digest")),
-        lambda folder: results(["rethreshold", str(folder)]),
-    ):
-        assert command(run) == 2
-        captured = capsys.readouterr()
-        assert captured.out == "" and captured.err.count("\n") == 1
-        assert re.search(f"/trials/m/000000-[0-9a-f]{{16}}.parquet: {words}", captured.err), captured.err
-    assert COMMANDS["verify"](run) == 1
-    assert re.search(f"{words}.*; shard 0 of 'm' will be scored again", capsys.readouterr().out)
+def test_an_outcome_that_its_criteria_do_not_give_is_refused_by_every_table(run, what, capsys):
+    forge(run, MADE_UP[what])
+    assert COMMANDS["report"](run) == 2
+    captured = capsys.readouterr()
+    assert captured.out == "" and "m: 1 rows have another outcome than their criteria say" in captured.err
 
 
-LIMITS = {"reach_radius_m": 0.1, "w_max_m": 0.085, "safe_margin_m": 0.0}
-
-
-def test_what_a_judge_may_say_is_no_forgery(tmp_path):
-    """What must not be refused: paths of preset paper that pass through something, overlaps, no path, far objects, ..."""
-    n = 4
-    run = write_run(tmp_path / "run", {"m": np.array([0, 2, 3, 1, 6, 7, 8, 0])}, n, n)
-    ((path,),) = [files_of(run.folder)]
-    table = pq.read_table(path, partitioning=None)
-    paper = {"configuration": {"plan": {"edge_check": "moveit"}}}
-    good = [
-        margin("plan", -1e-6, 0), margin("reach", 0.0, 0), margin("stability", 0.0, 0), margin("reach", -1e6 + 0.1, 2),
-        at(3, margin_stability_m=-float("inf"), margin_kind_stability="cap"), at(0, t_method_s=None, t_plan_s=0.0, t_exec_s=1e6),
-    ]  # fmt: skip
-    assert inconsistent(run.header, table) is None
-    for change in good:
-        assert inconsistent(run.header, change(table)) is None
-    assert inconsistent(paper, margin("plan", -0.05, 0)(table)) is None
-    assert inconsistent(run.header, margin("plan", -0.05, 0)(table)) is not None
-    assert inconsistent(run.header, table.slice(0, 0)) is None
-
-
-def test_a_row_that_can_be_no_verdict_is_not_written(tmp_path):
-    run = open_run(tmp_path / "run", make_header(2, 0))
+@pytest.mark.parametrize("ids", [[0, 2, 2, 1, 3, 5], [0, 2, 4, 1, 3, 7], [2, 0, 4, 1, 3, 5]])
+def test_rows_of_other_trials_with_a_right_sha256_are_found_and_scored_again(tmp_path, ids, capsys):
+    n = np.zeros(6, int)
+    trials = make_trials(3, 3)
+    trials.trial_id[:] = torch.tensor([0, 2, 4, 1, 3, 5])
+    run = open_run(tmp_path / "run", make_header(3, 3, protocol="r2h-v1"))
     run.register("m", {"kind": "test"})
-    trials = make_trials(2, 0)
-    rows = score_rows(trials, make_scores(trials, np.zeros(2, int)), NAMES)
-    refused = pytest.raises(RunError, match="trial 0: reach passes with a margin of -1 m; nothing was stored")
-    with refused, run.write("m", run.todo("m")[0]) as writer:
-        writer.append(trials=margin("reach", -1.0, 0)(rows))
-    assert not files_of(tmp_path / "run")
+    with run.write("m", *run.todo("m")) as writer:
+        writer.append(trials=score_rows(trials, make_scores(trials, n), NAMES))
+    assert COMMANDS["verify"](tmp_path / "run") == 0
+    forge(tmp_path / "run", lambda t: t.set_column(0, TRIAL_SCHEMA.field("trial_id"), pa.array(ids, pa.int64())))
+    with pytest.raises(RunError, match="trial_id"):
+        load_run(tmp_path / "run")
+    assert COMMANDS["verify"](tmp_path / "run") == 1
+    assert "shard 0 of 'm' will be scored again" in capsys.readouterr().out
 
 
 def test_more_shards_than_their_numbers_have_digits_are_refused_before_anything_is_written(tmp_path):
