@@ -14,21 +14,14 @@ import copy
 import ctypes
 import sys
 import threading
-import weakref
-from collections.abc import Callable, Mapping, Sequence
-from functools import cache
-from operator import itemgetter
+from collections.abc import Mapping, Sequence
+from functools import cache, lru_cache
 from typing import Any
 
 import warp as wp
 from torch import Tensor
 
 from r2h_batch.launch.arguments import Parameter, TensorLayoutGuard, parameters
-
-MOST_KERNELS = 256
-"""A thread that has launched more kernels (tests make their own) forgets those that it did not use
-last."""
-
 
 MOST_SIZES = 64
 """Numbers of trials (with widths) whose bounds a kernel's launch remembers."""
@@ -76,25 +69,19 @@ class CachedLaunch:
         packed = self.packed.params[1:]
         self.arguments = _structure(tuple(labels), tuple(type(x) for x in packed))(*packed)
         self.copies: list[ctypes.Structure] = [self.arguments]  # each worker's
-        self.bounds: dict[tuple[int, int], Any] = {}
+        self.bounds = lru_cache(MOST_SIZES)(self._bounds)
         self.sizes = (len(inputs), len(outputs))
-        self.tensors: list[tuple[bool, Any, Any]] = []  # is written, data type, descriptor
-        self.structs: list[list[Any]] = []
-        self.others: list[list[Any]] = []
+        self.tensors: list[tuple[str, bool, Any, Any]] = []  # name, written, data type, descriptor
+        self.others: list[tuple[str, bool, Parameter]] = []
         values: list[Tensor] = []
-        names: tuple[list[str], list[str]] = ([], [])
-        for p in sorted(parameters(kernel), key=lambda p: p.written):
+        for p in parameters(kernel):
             value = (outputs if p.written else inputs)[p.name]
             here = getattr(self.arguments, p.label)
             if p.array is not None and type(value) is Tensor:
-                self.tensors.append((p.written, p.array.torch, here))
-                names[p.written].append(p.name)
+                self.tensors.append((p.name, p.written, p.array.torch, here))
                 values.append(value)
-            elif _is_struct(p):
-                self.structs.append([p.name, p.written, p, _known(p, value)])
             else:
-                self.others.append([p.name, p.written, p, _known(p, value)])
-        self.of_inputs, self.of_outputs = (_values(n) for n in names)
+                self.others.append((p.name, p.written, p))
         self._keep(values)
 
     def _keep(self, values: Sequence[Tensor]) -> None:
@@ -102,7 +89,9 @@ class CachedLaunch:
         self.shapes = [x.shape for x in values]
         self.alike = TensorLayoutGuard(values)
         written = [
-            x.shape[0] for x, (written, _, _) in zip(values, self.tensors, strict=True) if written
+            x.shape[0]
+            for x, (_, written, _, _) in zip(values, self.tensors, strict=True)
+            if written
         ]
         self.rows = min(written, default=sys.maxsize)
 
@@ -112,43 +101,30 @@ class CachedLaunch:
         if (len(inputs), len(outputs)) != self.sizes:
             return False
         try:
-            values = self.of_inputs(inputs) + self.of_outputs(outputs)
+            values = [
+                (outputs if written else inputs)[name] for name, written, _, _ in self.tensors
+            ]
         except KeyError:
             return False
         if not self.alike(values) and not self._reshape(values):
             return False
         if rows > self.rows:
             return False
-        for (_, _, descriptor), value in zip(self.tensors, values, strict=True):
+        for (*_, descriptor), value in zip(self.tensors, values, strict=True):
             descriptor.data = value.data_ptr()
-        for slot in self.structs:
-            name, written, p, known = slot
+        for name, written, p in self.others:
             value = (outputs if written else inputs).get(name)
             if value is None:
                 return False
-            if known() is not value:
-                p.pack(p, value, cpu(), rows)
-                slot[3] = _known(p, value)
-            setattr(self.arguments, p.label, value.__ctype__())  # its numbers may have changed
-        for slot in self.others:
-            name, written, p, known = slot
-            value = (outputs if written else inputs).get(name)
-            if value is None:
-                return False
-            if known() is value:
-                continue
             packed = p.pack(p, value, cpu(), rows)
-            setattr(
-                self.arguments,
-                p.label,
-                packed.__ctype__() if isinstance(packed, wp.array) else packed,
-            )
-            slot[3] = _known(p, value)
+            if hasattr(packed, "__ctype__"):  # an array or a struct
+                packed = packed.__ctype__()
+            setattr(self.arguments, p.label, packed)
         return True
 
     def _reshape(self, values: Sequence[Any]) -> bool:
         """Whether these differ in their numbers of rows alone; the descriptors have them then."""
-        for (_, dtype, descriptor), known, value in zip(
+        for (_, _, dtype, descriptor), known, value in zip(
             self.tensors, self.shapes, values, strict=True
         ):
             # a kind of tensor of its own may say anything of itself: it is looked at with care
@@ -178,20 +154,15 @@ class CachedLaunch:
         """Runs trials first..first+rows-1 on the calling thread, which is `worker` for as long."""
         arguments = self.copies[worker]
         arguments.first = first
-        self.forward(
-            self.bounds.get((rows, width)) or self._bounds(rows, width), ctypes.byref(arguments)
-        )
+        self.forward(self.bounds(rows, width), ctypes.byref(arguments))
 
     def _bounds(self, rows: int, width: int) -> Any:
         """A pointer to the bounds of so many trials, which a launch only reads; several workers may
         ask at once."""
-        if len(self.bounds) >= MOST_SIZES:
-            self.bounds.clear()
         made = copy.copy(self.packed)
         made.params = list(made.params)
         made.set_dim((rows, width) if width > 1 else rows)
-        pointer = self.bounds[rows, width] = ctypes.byref(made.bounds)
-        return pointer
+        return ctypes.byref(made.bounds)
 
 
 @cache
@@ -201,33 +172,6 @@ def _structure(labels: tuple[str, ...], kinds: tuple[type, ...]) -> type[ctypes.
     return type(
         "Arguments", (ctypes.Structure,), {"_fields_": list(zip(labels, kinds, strict=True))}
     )
-
-
-def _values(names: Sequence[str]) -> Callable[[Mapping[str, Any]], tuple[Any, ...]]:
-    """What takes these from a mapping; KeyError where one is missing."""
-    if len(names) > 1:
-        return itemgetter(*names)
-    return lambda mapping: tuple(mapping[name] for name in names)
-
-
-def _known(p: Parameter, value: Any) -> Callable[[], Any]:
-    """What was packed, to be known again by identity; what owns memory is not kept alive for
-    that."""
-    if isinstance(value, wp.array) or _is_struct(p):
-        # its descriptor is the one that was packed, and its memory does not move
-        return weakref.ref(value)
-    if p.array is not None:
-        # an array of NumPy, a tensor of a class of its own: what it says now may not hold later
-        return _nothing
-    return lambda: value
-
-
-def _is_struct(p: Parameter) -> bool:
-    return p.array is None and hasattr(p.type, "vars")
-
-
-def _nothing() -> None:
-    return None
 
 
 @cache
@@ -245,26 +189,20 @@ def refuse_graph(name: str) -> None:
         )
 
 
-_of_thread = threading.local()
+class _OfThread(threading.local):
+    def __init__(self) -> None:
+        self.kernels: dict[Any, CachedLaunch] = {}
+
+
+_of_thread = _OfThread()
 
 
 def taken(kernel: Any) -> CachedLaunch | None:
     """What this thread has packed for a kernel, if anything; its own until `kept`, so that an
     interrupt loses it only."""
-    found: CachedLaunch | None = _kernels().pop(kernel, None)
-    return found
+    return _of_thread.kernels.pop(kernel, None)
 
 
 def kept(repeated: CachedLaunch) -> None:
     """Puts it back: no launch uses its descriptors any more."""
-    kernels = _kernels()
-    while len(kernels) >= MOST_KERNELS:
-        del kernels[next(iter(kernels))]  # in the order of their last use
-    kernels[repeated.kernel] = repeated
-
-
-def _kernels() -> dict[Any, CachedLaunch]:
-    if not hasattr(_of_thread, "kernels"):
-        _of_thread.kernels = {}
-    kernels: dict[Any, CachedLaunch] = _of_thread.kernels
-    return kernels
+    _of_thread.kernels[repeated.kernel] = repeated
