@@ -62,7 +62,7 @@ COMMANDS = {
         "r2h_batch.gallery.command",
         "Draw the paper's figures of a run: protocol, methods over time, failures.",
     ),
-    "study": ("r2h_batch.study.command", "Simulation against people: the kit of the user study."),
+    "study": ("r2h_batch.study.command", "Compare simulation with people, as the user study does."),
     "compare": ("r2h_batch.compare.command", "Compare methods on the trials that they share."),
 }
 """Subcommand -> the module whose `main` (or `NAME_main`, where it holds several) it is, and what it

@@ -354,7 +354,12 @@ def _silence(stream: TextIO) -> None:
 
 
 def _deferred(function: Command) -> Command:
-    """The function with its signature and words, but a call only remembers what to call it with."""
+    """The function with its signature and words, but a call only remembers what to call it with.
+
+    The docstring is the help, and tyro prints its line breaks: the lines of a paragraph become one.
+    """
+    words = inspect.cleandoc(function.__doc__ or "")
+    function.__doc__ = re.sub(r"(?<=\S)\n(?: {8})?(?=\S)", " ", words)
 
     @wraps(function)
     def later(*args: Any, **kwargs: Any) -> Command:

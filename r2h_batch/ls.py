@@ -26,7 +26,7 @@ def ls(
 
     Args:
         what: methods, objects, robots, protocols or runs.
-        folder: where runs are looked for.
+        folder: with `runs`, the folder to search.
     """
     lines = list({
         "methods": _methods, "objects": _objects, "robots": _robots, "protocols": _protocols,

@@ -10,19 +10,19 @@ class BenchmarkFlags:
     """Which benchmark, in the words of r2h-batch sweep; all empty: the built-in one."""
 
     benchmark: str = ""
-    """A benchmark file."""
+    """Your own benchmark.yaml."""
     hands: str = ""
-    """A hand set."""
+    """A hand set: .npz of import hands."""
     hand_model: str = ""
-    """A hand."""
+    """A hand: MANO_RIGHT.pkl, or .npz of import hand."""
     objects: str = ""
-    """Folder of meshes or benchmark.yaml whose objects take the benchmark's place."""
+    """Your objects instead: a folder of meshes, or a benchmark.yaml."""
     object_mesh: tuple[str, ...] = ()
-    """The user's own objects, FILE[:S0|S1[:REGION]]."""
+    """More objects, FILE[:S0|S1[:REGION]]."""
     grasps: tuple[str, ...] = ()
-    """Grasp candidates of one's own."""
+    """Your grasp candidates: NAME=FILE, a file, or a folder."""
     trials_file: str = ""
-    """Trials of one's own."""
+    """Your trials, .npz or .parquet."""
 
     def flags(self) -> list[str]:
         """The flags that are given, as one would type them again."""

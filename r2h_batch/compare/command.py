@@ -54,8 +54,7 @@ def run(
 ) -> int:
     """Compare the methods of run folders on the trials that they share.
 
-    With `baselines` every method of your runs is compared with each other method; otherwise every
-    method with each other one.
+    It compares all pairs of methods; with `baselines` only the pairs that have a method of yours.
 
     Args:
         runs: run folders, as `r2h-batch sweep --out` writes them; one with several methods is
