@@ -83,7 +83,7 @@ def style(*, page: bool) -> Iterator[None]:
         yield
 
 
-def _figure(width: float, height: float) -> "Figure":
+def make_figure(width: float, height: float) -> "Figure":
     """A figure of this size in inches, without a window system."""
     from matplotlib.figure import Figure
 
@@ -161,7 +161,7 @@ def _bars(axes: "Axes", bars: Sequence[tuple[str, Mapping[str, int]]]) -> list[s
 def failure_bars(title: str, bars: Sequence[tuple[str, Mapping[str, int]]]) -> str:
     """A method's outcomes by split as SVG, without a legend."""
     with style(page=True):
-        figure = _figure(3.4, 0.55 + 0.24 * len(bars))
+        figure = make_figure(3.4, 0.55 + 0.24 * len(bars))
         axes = figure.add_subplot()
         _bars(axes, bars)
         axes.set_title(title)
@@ -176,7 +176,7 @@ def failure_figure(methods: Mapping[str, Sequence[tuple[str, Mapping[str, int]]]
     """The bars of all methods with one legend, for print."""
     columns = min(3, len(methods))
     rows = -(-len(methods) // columns)
-    figure = _figure(
+    figure = make_figure(
         2.35 * columns, 0.5 + rows * (0.6 + 0.22 * max(len(b) for b in methods.values()))
     )
     axes = figure.subplots(rows, columns, squeeze=False).ravel()
@@ -204,7 +204,7 @@ def ridges(
     if not known:
         return ""
     with style(page=True):
-        figure = _figure(3.4, 0.75 + 0.34 * len(known))
+        figure = make_figure(3.4, 0.75 + 0.34 * len(known))
         axes = figure.add_subplot()
         for row, (_, h) in enumerate(known.items()):
             x = scale * (h.edges[:-1] + h.edges[1:]) / 2

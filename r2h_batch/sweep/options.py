@@ -206,6 +206,12 @@ class Options:
         " calibration and of the object in the gripper, both drawn in every trial; camera:5mm,1deg or"
         " object:5mm,1deg: one of the two; bias:5mm,1deg: the camera's, drawn once",
     )
+    robustness: bool = _option(
+        False,
+        _CONFIG,
+        "a sweep at each of four execution errors and without, in folders of --out; prints how SR"
+        " falls",
+    )
     force_new: bool = _option(
         False, _CONFIG, "if --out holds another run, write to OUT-2, OUT-3, ... instead"
     )
@@ -352,6 +358,13 @@ def check(options: Options) -> Options:
         raise UsageError(
             f"--predictor-noise is {options.predictor_noise}; it must be 0 (the truth) or more, 1 is the default"
         )
+    if options.robustness:
+        others = ("execution_error", "motions", "trials_from", "force_new")
+        for name in (name for name in others if getattr(options, name)):
+            flag = name.replace("_", "-")
+            raise UsageError(f"--robustness sweeps its own execution errors; leave --{flag} out")
+        if options.format == "latex":
+            raise UsageError("--robustness writes --format md, csv or json, not latex")
     if options.execution_error:
         execution_error(options.execution_error)
     if options.execution_error and (options.motions or options.trials_from):
@@ -417,8 +430,10 @@ def execution_error(text: str, seed: int = 0) -> "ExecutionError":
     part, size, none = found[1], (float(found[2]) / 1000, float(found[3])), (0.0, 0.0)
     camera = none if part == "object" else size
     held = none if part in ("camera", "bias") else size
+    drawn: Literal["trial", "run"] = "run" if part == "bias" else "trial"
     try:
-        return ExecutionError(*camera, "run" if part == "bias" else "trial", *held, seed)
+        error = ExecutionError(*camera, drawn, *held, seed)
+        return error if error.any else ExecutionError()
     except ValueError as error:
         raise UsageError(f"--execution-error: {error}") from None
 

@@ -1,0 +1,243 @@
+"""How SR falls as the executed handover is off by more (`sweep --robustness`): curves, their area, and
+the methods paired at each level."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from r2h_batch.report.figures import make_figure, style
+from r2h_batch.report.table import HEADINGS, table_of
+from r2h_batch.report.text import (
+    NA,
+    aligned,
+    csv_text,
+    json_text,
+    legend,
+    notes_list,
+    plain,
+    short_names,
+)
+from r2h_batch.runs.store import Run
+from r2h_batch.statistics.aggregate import FAILURES, Rate, ratio
+from r2h_batch.statistics.paired import Pair, compare, pair_up
+from r2h_batch.statistics.tally import Tally, tally
+from r2h_batch.verdicts import SPLITS, Outcome
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["FORMATS", "LEVELS", "Curve", "Estimate", "Robustness", "figure", "render", "robustness"]
+
+LEVELS = ("0mm,0deg", "3mm,0.5deg", "5mm,1deg", "10mm,2deg", "20mm,3deg")
+"""Of `execution_error`; each is a run folder of this name. The first is the reference."""
+
+FORMATS = ("md", "csv", "json")
+
+NOTES = (
+    "SR: percent of all trials, mean of the splits; brackets: 95 %, Wilson. Area: mean height of the line through the SRs over"
+    " 0 to the largest error in mm. +-: 95 % t interval over objects, which speaks about new ones.",
+    "First failures: percent of all trials, as in Table I.",
+    "A-B: difference of SR in points. ** decided for these objects and for new ones, * for these objects, without a mark:"
+    " not decided (McNemar, Holm over the pairs of a level).",
+)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value in points, and half of its 95 % t interval over objects; None with one object."""
+
+    value: float
+    half: float | None
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A method at every level.
+
+    Attributes:
+        method: its name.
+        sr: success rate.
+        lost: success rate of the first level less that of each.
+        failures: rates of first failures, by key of `FAILURES`; None where nothing requires it.
+        area: mean of the success rate over the error in mm.
+    """
+
+    method: str
+    sr: tuple[Rate, ...]
+    lost: tuple[Estimate, ...]
+    failures: tuple[Mapping[str, Rate | None], ...]
+    area: Estimate
+
+
+@dataclass(frozen=True)
+class Robustness:
+    """Curves of all methods, and the pairs of methods at each level."""
+
+    levels: tuple[str, ...]
+    millimetres: tuple[float, ...]
+    curves: tuple[Curve, ...]
+    pairs: tuple[tuple[Pair, ...], ...]
+
+
+def robustness(runs: Sequence[Run]) -> Robustness:
+    """The curves of the methods that all runs hold.
+
+    Args:
+        runs: one for each level, the reference first; they differ in `execution_error` only.
+    """
+    errors = [run.header["configuration"]["execution_error"] for run in runs]
+    mm = [1000 * max(e["camera_m"], e["object_m"]) for e in errors]
+    degrees = [max(e["camera_deg"], e["object_deg"]) for e in errors]
+    weight = np.zeros(len(mm))  # of the trapezoids
+    for i, gap in enumerate(np.diff(mm)):
+        weight[i : i + 2] += gap / 2
+    counted = [{name: tally(run, name) for name in run.methods} for run in runs]
+    names = [name for name in runs[0].methods if all(name in level for level in counted)]
+    lines = []
+    for run, tallies in zip(runs, counted, strict=True):
+        rows = table_of(run, counted=[tallies[name] for name in names]).rows
+        lines.append(
+            {row.method: row for row in rows}
+        )  # the last of a method: Avg, or its only split
+    curves = []
+    for name in names:
+        own = [level[name] for level in lines]
+        cells = [_by_object(level[name]) for level in counted]
+        trials = [n for _, n in cells[0]]
+        hits = [
+            np.array([level[k][0] for level in cells]) for k in range(len(trials))
+        ]  # (levels, K)
+        curves.append(
+            Curve(
+                name,
+                tuple(_known(row.rates["sr"]) for row in own),
+                tuple(
+                    _estimate([(h[0] - h[i], n) for h, n in zip(hits, trials, strict=True)])
+                    for i in range(len(runs))
+                ),
+                tuple({key: row.rates[key] for key in FAILURES} for row in own),
+                _estimate(
+                    [(weight @ h / weight.sum(), n) for h, n in zip(hits, trials, strict=True)]
+                ),
+            )
+        )
+    pairs: tuple[tuple[Pair, ...], ...] = ((),) * len(runs)
+    if len(names) > 1:
+        pairs = tuple(compare(pair_up([run.only(names)]))[-1].pairs for run in runs)
+    labels = tuple(f"{a:g} mm, {b:g} deg" for a, b in zip(mm, degrees, strict=True))
+    return Robustness(labels, tuple(mm), tuple(curves), pairs)
+
+
+def _known(rate: Rate | None) -> Rate:
+    assert rate is not None  # a run has trials
+    return rate
+
+
+def _by_object(counted: Tally) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Successes and trials (K,) of each object, split by split; objects by name."""
+    order = np.argsort(counted.objects).argsort()
+    found = []
+    for split in counted.splits:
+        inside = counted.split == SPLITS.index(split)
+        place, n = order[counted.object[inside]], counted.n[inside]
+        solved = n * (counted.outcome[inside] == Outcome.SUCCESS)
+        found.append((np.bincount(place, solved, len(order)), np.bincount(place, n, len(order))))
+    return found
+
+
+def _estimate(splits: Sequence[tuple[np.ndarray, np.ndarray]]) -> Estimate:
+    """The mean of the splits' ratios, in points."""
+    value = float(np.mean([x.sum() / n.sum() for x, n in splits]))
+    parts = [ratio([part]) for part in splits]
+    halves = [part[1] for part in parts if part is not None]
+    half = float(np.linalg.norm(halves)) / len(splits) if len(halves) == len(splits) else None
+    return Estimate(100 * value, None if half is None else 100 * half)
+
+
+def render(found: Robustness, fmt: str = "md") -> str:
+    """The curves as text that ends in a newline.
+
+    Args:
+        found: what `robustness` gives.
+        fmt: one of `FORMATS`.
+    """
+    if fmt == "json":
+        return json_text(asdict(found))
+    if fmt == "csv":
+        return csv_text(
+            [
+                {
+                    "method": c.method,
+                    "error": level,
+                    "sr": c.sr[i].percent,
+                    "sr_low": c.sr[i].low,
+                    "sr_high": c.sr[i].high,
+                    **{key: rate and rate.percent for key, rate in c.failures[i].items()},
+                    "area": c.area.value,
+                }
+                for c in found.curves
+                for i, level in enumerate(found.levels)
+            ]
+        )
+    short = short_names([c.method for c in found.curves])
+    names = [plain(short[c.method]) for c in found.curves]
+    sr = [
+        [name, *(f"{r.percent:.1f} [{r.low:.0f}, {r.high:.0f}]" for r in c.sr), _points(c.area)]
+        for name, c in zip(names, found.curves, strict=True)
+    ]
+    lost = [[name, *map(_points, c.lost[1:])] for name, c in zip(names, found.curves, strict=True)]
+    failures = [
+        [name, level, *(f"{rate.percent:.1f}" if rate else NA for rate in c.failures[i].values())]
+        for name, c in zip(names, found.curves, strict=True)
+        for i, level in enumerate(found.levels)
+    ]
+    parts = [
+        "SR",
+        aligned(["Method", *found.levels, "area"], sr, 1),
+        "Points of SR lost",
+        aligned(["Method", *found.levels[1:]], lost, 1),
+        "First failures",
+        aligned(["Method", "error", *(HEADINGS[key] for key in FAILURES)], failures, 2),
+    ]
+    if found.pairs[0]:
+        marks = {"better": "**", "worse": "**", "better here": "*", "worse here": "*"}
+        pairs = [
+            [
+                *(plain(short[name]) for name in (level[0].a, level[0].b)),
+                *(f"{p.difference:+.1f}{marks.get(p.verdict, '')}" for p in level),
+            ]
+            for level in zip(*found.pairs, strict=True)
+        ]
+        parts += ["Pairs: A-B", aligned(["A", "B", *found.levels], pairs, 2)]
+    parts.append(notes_list([*map(plain, legend(short)), *NOTES]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _points(estimate: Estimate) -> str:
+    half = "" if estimate.half is None else f" +-{estimate.half:.1f}"
+    return f"{estimate.value:.1f}{half}"
+
+
+def figure(found: Robustness) -> "Figure":
+    """SR over the error, for print."""
+    short = short_names([c.method for c in found.curves])
+    with style(page=False):
+        drawn = make_figure(6.0, 3.4)
+        axes = drawn.add_subplot()
+        for c, marker in zip(found.curves, "osD^v<>ph*" * len(found.curves), strict=False):
+            y = np.array([r.percent for r in c.sr])
+            ends = np.array([[r.percent - r.low, r.high - r.percent] for r in c.sr]).T
+            label = f"{short[c.method]} ({c.area.value:.0f})"
+            axes.errorbar(
+                found.millimetres, y, ends, marker=marker, ms=4, lw=1.2, capsize=2, label=label
+            )
+        ticks = [level.replace(" mm, ", "\n").removesuffix(" deg") for level in found.levels]
+        axes.set_xticks(found.millimetres, ticks)
+        axes.set_ylim(0, 102)
+        axes.set_ylabel("SR, %")
+        axes.set_xlabel("execution error: mm, degrees (deviation per axis)")
+        axes.grid(axis="y")
+        drawn.legend(loc="outside right upper", frameon=False, title="method (area)")
+    return drawn

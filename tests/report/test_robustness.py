@@ -1,0 +1,80 @@
+"""Curves over the execution error, of runs made by hand."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from made_runs import write_run
+from scipy import stats
+
+from r2h_batch.config import EvalConfig
+from r2h_batch.report.robustness import figure, render, robustness
+from r2h_batch.statistics.paired import compare, pair_up
+from r2h_batch.sweep.options import execution_error
+from r2h_batch.types import Outcome
+
+LEVELS, MM = ("0mm,0deg", "5mm,1deg", "20mm,3deg"), np.array([0.0, 5.0, 20.0])
+STABILITY, SUCCESS = int(Outcome.STABILITY), int(Outcome.SUCCESS)
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """(2 methods, 3 levels, 2 splits, 60 trials): the first loses 0, 25, 50 % and more with the third object."""
+    u = np.random.default_rng(3).uniform(size=(2, 2, 60)) + 0.1 * (np.arange(60) % 3)
+    return np.stack([[u[0] > 0.0, u[0] > 0.25, u[0] > 0.5], [u[1] > 0.3] * 3])
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory, solved):
+    made = []
+    for i, level in enumerate(LEVELS):
+        config = asdict(EvalConfig(execution_error=execution_error(level)))
+        codes = np.where(solved[:, i].reshape(2, 120), SUCCESS, STABILITY)
+        folder = tmp_path_factory.mktemp("runs") / level
+        made.append(write_run(folder, dict(zip("ab", codes, strict=True)), 60, 60, configuration=config))
+    return made
+
+
+@pytest.mark.check
+def test_curves_areas_and_losses_are_those_of_the_counted_trials(runs, solved):
+    found = robustness(runs)
+    assert found.levels == ("0 mm, 0 deg", "5 mm, 1 deg", "20 mm, 3 deg") and found.millimetres == tuple(MM)
+    for curve, own in zip(found.curves, solved, strict=True):
+        sr = 100 * own.mean((1, 2))
+        assert [r.percent for r in curve.sr] == pytest.approx(sr)
+        assert curve.area.value == pytest.approx(np.trapezoid(sr, MM) / 20)
+        assert [e.value for e in curve.lost] == pytest.approx(sr[0] - sr)
+        assert [f["f_stab"].percent for f in curve.failures] == pytest.approx(100 - sr)
+        assert curve.failures[0]["f_plan"].percent == 0
+    steady = found.curves[1]
+    assert steady.area.value == pytest.approx(steady.sr[0].percent) and steady.lost[2].half == 0
+
+
+def test_intervals_are_t_intervals_over_objects_of_the_same_trials(runs, solved):
+    lost = (solved[0, 0].astype(int) - solved[0, 2]).reshape(2, 20, 3).mean(1)  # by split and object, of equal size
+    error = np.sqrt(sum(part.var(ddof=1) / 3 for part in lost)) / 2
+    assert robustness(runs).curves[0].lost[2].half == pytest.approx(100 * stats.t.ppf(0.975, 2) * error)
+
+
+def test_pairs_are_those_of_compare_at_each_level(runs):
+    found = robustness(runs)
+    for run, pairs in zip(runs, found.pairs, strict=True):
+        assert pairs == compare(pair_up([run]))[-1].pairs
+    assert found.pairs[0][0].difference > 0 > found.pairs[2][0].difference  # the order turns
+
+
+def test_one_method_has_a_curve_and_no_pairs(runs):
+    found = robustness([run.only(["b"]) for run in runs])
+    assert [c.method for c in found.curves] == ["b"] and found.pairs == ((), (), ())
+    assert "Pairs" not in render(found)
+
+
+def test_the_text_the_records_and_the_figure_hold_every_level(runs):
+    found = robustness(runs)
+    assert all(level in render(found) for level in found.levels)
+    assert len(render(found, "csv").splitlines()) == 1 + 2 * 3
+    assert json.loads(render(found, "json"))["curves"][0]["area"]["value"] == found.curves[0].area.value
+    pytest.importorskip("matplotlib")
+    (axes,) = figure(found).axes
+    assert [len(c.lines[0].get_xdata()) for c in axes.containers] == [3, 3]
