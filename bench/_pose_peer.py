@@ -66,7 +66,7 @@ class PosePeer:
 
     def _slab(self, o: int, T_obj_ee: Array, gap: float) -> tuple[float, float] | None:
         """Range of y of the pieces that reach between open pads, in a slice of the mesh at the pads' height for a gap."""
-        z = float(pad_center_z(drive_from_gap(gap))) + self.z_ee_gripper
+        z = float(pad_center_z(load_robot(), drive_from_gap(load_robot(), gap))) + self.z_ee_gripper
         vertices = trimesh.transform_points(self.objects[o].vertices, np.linalg.inv(T_obj_ee))
         faces = self.objects[o].faces
         for axis, at, half in ((0, 0.0, PAD_HALF_X), (2, z, PAD_HALF_Z)):

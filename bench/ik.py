@@ -110,7 +110,7 @@ def jacobian_solver(report: Report, targets: torch.Tensor, fused_s: float) -> No
 
 def pseudo_inverse(report: Report, targets: torch.Tensor, reachable: torch.Tensor) -> dict[int, float]:
     """Seconds per target of PseudoInverseIK by restarts; one thread, its default tolerances (1 mm and 0.01 rad)."""
-    chain = reference_chain(device=targets.device)
+    chain = reference_chain(load_robot(), device=targets.device)
     limits = torch.tensor([[-torch.pi, torch.pi]] * 6, device=targets.device)
     matrices = pytorch_kinematics.Transform3d(matrix=targets)
     seconds = {}

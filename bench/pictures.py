@@ -131,7 +131,10 @@ def held(model, T_obj_ee, opening, hand, hand_faces, size):
             mesh = spec.add_mesh(name=name, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
             mesh.uservert, mesh.userface = vertices.astype(float).ravel().tolist(), faces.astype(int).ravel().tolist()
             spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=name, rgba=rgba)
-    prims, (R, p) = load_robot().gripper, (x[0].double().numpy() for x in gripper_poses(torch.tensor([opening])))
+    prims, (R, p) = (
+        load_robot().gripper,
+        (x[0].double().numpy() for x in gripper_poses(load_robot(), torch.tensor([opening]))),
+    )
     shapes = ("SPHERE", "CAPSULE", "CYLINDER", "BOX")
     for g, kind in enumerate(prims.kind):
         q = Rotation.from_matrix(T_obj_ee[:3, :3] @ R[g]).as_quat(scalar_first=True)

@@ -168,6 +168,7 @@ def stable(mesh: Any, T_obj_ee: Any) -> Any:
     import numpy as np
     import torch
 
+    from r2h_batch.bodies.robot import load_robot
     from r2h_batch.judge.grasp import close_gripper
     from r2h_batch.scene.grasp_tables import grasp_tables
 
@@ -175,7 +176,7 @@ def stable(mesh: Any, T_obj_ee: Any) -> Any:
     model = SimpleNamespace(
         vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=np.zeros(len(faces), bool)
     )
-    tables = grasp_tables([model])  # type: ignore[list-item]
+    tables = grasp_tables([model], load_robot())  # type: ignore[list-item]
     return close_gripper(tables, T_obj_ee, torch.zeros(len(T_obj_ee), dtype=torch.int32)).margin_m.numpy()
 
 

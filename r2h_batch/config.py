@@ -5,7 +5,7 @@ The classes are frozen dataclasses. Their fields are held to their annotations w
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
@@ -232,6 +232,15 @@ class EvalConfig(_Checked):
     averages: Literal["trials", "objects"] = "trials"
     chunk: Annotated[int, Field(ge=1)] = 2048  # trials held in memory at once
     name: str = "default"
+
+    def for_robot(self, home_q: tuple[float, ...], max_velocity_rad_s: float) -> "EvalConfig":
+        """The same with a robot's home and speed in place of the UR5e's, which are the defaults."""
+        place, law = self.workplace, self.execute
+        if place.home_q == HOME_Q:
+            place = replace(place, home_q=home_q)
+        if law.max_velocity_rad_s == ExecConfig.max_velocity_rad_s:
+            law = replace(law, max_velocity_rad_s=max_velocity_rad_s)
+        return replace(self, workplace=place, execute=law)
 
     @staticmethod
     def preset(name: str) -> "EvalConfig":

@@ -19,6 +19,7 @@ from torch import Tensor
 from r2h_batch.benchmark import Benchmark, read_benchmark
 from r2h_batch.bodies.hand import HandSet
 from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import Robot
 from r2h_batch.config import EvalConfig, ExecutionError
 from r2h_batch.judge import ik_jacobian, metrics
 from r2h_batch.judge.attach import AttachedBatch, attach_object
@@ -95,6 +96,7 @@ class Evaluator:
         device: str | torch.device = "cpu",
         objects: Sequence[ObjectModel] | None = None,
         hand_set: HandSet | None = None,
+        robot: Robot | None = None,
         threads: int | None = None,
     ) -> None:
         hint = (
@@ -105,12 +107,12 @@ class Evaluator:
         optional(instance_of(EvalConfig, f"EvalConfig() or EvalConfig.preset(NAME){hint}"))(
             "config", config
         )
-        self.config = config or EvalConfig()
         cpu_threads(threads)
-        self.scene = Scene(device, config=self.config, objects=objects, hand_set=hand_set)
+        self.scene = Scene(device, config=config, objects=objects, hand_set=hand_set, robot=robot)
+        self.config = self.scene.config
         self.threads = threads
         if self.scene.device != "cpu":
-            build_tables(self.scene.device, self.config.workplace.home_q)
+            build_tables(self.scene.robot, self.config.workplace.home_q, self.scene.device)
         self.handle = torch_op.register(self)
 
     @classmethod
@@ -138,6 +140,7 @@ class Evaluator:
             device=device,
             objects=benchmark.objects,
             hand_set=benchmark.hand_set,
+            robot=benchmark.robot,
             threads=threads,
         )
 
@@ -515,7 +518,9 @@ class Evaluator:
         slip_m = None
         if config.stability == "physics":
             rows = held.active & (held.grasp.margin_m >= 0)
-            slip_m = shake(scene.objects, held.objects, held.attached, rows, threads=threads)
+            slip_m = shake(
+                scene.objects, held.objects, held.attached, rows, scene.robot, threads=threads
+            )
         evidence = metrics.Evidence(
             scene, config, held, free, moves, clearance_m, reason, touch, slip_m, threads
         )
@@ -542,8 +547,8 @@ class Evaluator:
     def _branches(self, config: EvalConfig, held: AttachedBatch) -> tuple[IkResult, Tensor]:
         """All IK branches, and which of them may be used."""
         solve = ik_jacobian.solve_ik if config.ik.solver == "pytorch-kinematics" else solve_ik
-        home = config.workplace.home_q
-        ik = solve(held.T_world_ee, active=held.active, home=home, threads=self.threads)
+        robot, home, threads = self.scene.robot, config.workplace.home_q, self.threads
+        ik = solve(held.T_world_ee, active=held.active, robot=robot, home=home, threads=threads)
         if config.plan.goals == "set":
             return ik, ik.valid
-        return ik, one_branch(ik, held.T_world_ee, home=home, threads=self.threads)
+        return ik, one_branch(ik, held.T_world_ee, robot=robot, home=home, threads=threads)

@@ -8,6 +8,7 @@ import pytest
 import torch
 from pretend_cuda import OnCuda, Seen, pretending
 
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier import levels
@@ -128,7 +129,7 @@ def test_a_receivers_body_is_walked_level_by_level_for_one_wait_more(gpu: tuple[
 
 def test_tables_that_were_made_while_pretending_do_not_outlive_it() -> None:
     with pretending():
-        home_posture("cuda:0", HOME_Q), gripper_tables("cuda:0")
+        home_posture("cuda:0", HOME_Q), gripper_tables(load_robot(), "cuda:0")
         assert home_posture.cache_info().currsize and gripper_tables.cache_info().currsize
     assert home_posture.cache_info().currsize == gripper_tables.cache_info().currsize == 0
 

@@ -15,6 +15,7 @@ from r2h_batch.benchmark.trials_file import LISTED, Labels
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set, neutral_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects, without_region
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE
 from r2h_batch.types import Trials
@@ -58,7 +59,7 @@ only where it needs them."""
 
 @dataclass(frozen=True, eq=False)
 class Benchmark:
-    """Objects, hands, limits and the place. The robot is a UR5e with a 2F-85."""
+    """Objects, hands, the robot, limits and the place."""
 
     objects: tuple[ObjectModel, ...]
     hand_set: HandSet
@@ -70,6 +71,7 @@ class Benchmark:
     """what the owner of listed trials calls them; judges nothing, so the digest leaves it out"""
     drawn: str = PROTOCOL
     """the protocol that draws trials: of `schedule.PROTOCOLS`"""
+    robot: Robot = field(default_factory=load_robot)
     receiver: Literal["hand", "body"] = "hand"
     """what planning and Safe see of the receiver, as `EvalConfig.receiver`"""
 
@@ -124,10 +126,12 @@ class Benchmark:
         return digest.hexdigest()
 
     def _without_objects(self) -> Any:
-        """Protocol, hands, receiver, limits and place, taken in by a sha256."""
+        """Protocol, hands, robot, receiver, limits and place, taken in by a sha256."""
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # what there was before it could be said keeps its digest
             digest.update(f"receiver {self.receiver}\n".encode())
+        if self.robot.name != DEFAULT_ROBOT:
+            digest.update(f"robot {self.robot.digest}\n".encode())
         # it says how hands stand in these trials
         if self.protocol == WITH_BODIES and self.hand_set.in_body is not None:
             digest.update(self.hand_set.in_body.contiguous().numpy().tobytes())

@@ -45,7 +45,6 @@ from r2h_batch.bodies.objects import (
     object_digest,
     object_from_argument,
 )
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.command_line import nearest
 from r2h_batch.config import Workplace
 from r2h_batch.importers.grasp_files import GRASP_FILES, grasps_from, without_gripper
@@ -110,9 +109,17 @@ def _read(path: str, _: str, pieces: bool, only: Only) -> Benchmark:
         if file.trials is not None:
             path_of_trials = path_within(folder, file.trials)
             listed, hand_set, labels = read_trials_file(path_of_trials, objects, hand_set)
-        place = _workplace(file, path, own.workplace)
+        place = _workplace(file, path, own)
         return Benchmark(
-            objects, hand_set, file.thresholds, place, listed, labels, file.protocol, file.receiver
+            objects,
+            hand_set,
+            file.thresholds,
+            place,
+            listed,
+            labels,
+            file.protocol,
+            own.robot,
+            file.receiver,
         )
     except FileError:
         raise
@@ -153,8 +160,8 @@ def _grasps(folder: Path, said: str) -> GraspSet:
     return grasps_from(f"{inside}:{gripper}" if gripper else inside)
 
 
-def _workplace(file: BenchmarkFile, path: str, own: Workplace) -> Workplace:
-    robot = load_robot()
+def _workplace(file: BenchmarkFile, path: str, base: Benchmark) -> Workplace:
+    robot, own = base.robot, base.workplace
     for i, (q, low, high) in enumerate(zip(file.home, robot.lower, robot.upper, strict=True)):
         if not low <= q <= high:
             raise FileError(

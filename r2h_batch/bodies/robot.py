@@ -1,21 +1,52 @@
-"""The UR5e with its 2F-85 as numbers: joint frames, primitives, finger linkage, lever bounds
-(float64 NumPy)."""
+"""A robot as numbers: arm and gripper, joint frames, primitives, finger linkage, masses, lever
+bounds (float64 NumPy)."""
 
 import hashlib
 import json
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cache
+from functools import cache, cached_property
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from r2h_batch.config import HOME_Q, OPEN_GAP_M, EvalConfig
+
 Array = NDArray[np.float64]
 
 JOINTS = 6
+DEFAULT_ROBOT = "ur5e_2f85"
 JOINT_KEYS = ("T_parent_joint", "lower", "upper", "max_velocity", "max_torque")
+
+
+# UniversalRobots/Universal_Robots_ROS2_Description, config/ur5e/physical_parameters.yaml: shoulder
+# to wrist_3.
+LINK_MASS_KG = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)
+LINK_COM_M = (
+    (0.0, -0.00193, -0.02561), (-0.2125, 0.0, 0.11336), (-0.2422, 0.0, 0.0265),
+    (0.0, -0.01634, -0.0018), (0.0, 0.01634, -0.0018), (0.0, 0.0, -0.001159),
+)  # fmt: skip
+# xx, xy, xz, yy, yz, zz (kg m^2) about the centre of mass, axes turned by LINK_ROLL about the
+# link's x
+LINK_INERTIA = (
+    (0.00700210, 0.00000073, -0.00001053, 0.00648091, 0.00049994, 0.00657286),
+    (0.01505885, -0.00005400, 0.00000563, 0.33388086, -0.00000181, 0.33247207),
+    (0.00399632, -0.00001365, 0.00137272, 0.07879254, -0.00000660, 0.07848510),
+    (0.00165491, -0.00000282, -0.00000438, 0.00135962, 0.00010157, 0.00126279),
+    (0.00135617, -0.00000274, 0.00000444, 0.00127827, -0.00005048, 0.00096614),
+    (0.00018694, 0.00000006, -0.00000017, 0.00018908, -0.00000092, 0.00025756),
+)
+LINK_ROLL = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
+
+ARMATURE = 0.1
+"""Rotor inertia behind the gear, kg m^2 [choice]: MuJoCo Menagerie's value for this arm."""
+
+KP = (10000.0, 10000.0, 10000.0, 2000.0, 2000.0, 2000.0)
+SERVO_RATE = 100.0 / 3.0
+"""Stiffness N m/rad and kp / kv in 1/s [choice]: 10 kN m/rad on the large joints is what keeps an
+industrial arm within 0.1 mm while it moves."""
 
 
 class Kind(IntEnum):
@@ -61,13 +92,40 @@ class Linkage:
 
 
 @dataclass(frozen=True)
+class Dynamics:
+    """Masses of the arm's moving links (kg, m and kg m^2 about the centre of mass, link frames) and
+    what its servos do."""
+
+    mass: Array  # (6,)
+    com: Array  # (6, 3)
+    inertia: Array  # (6, 3, 3)
+    armature: float
+    """rotor inertia behind the gear, kg m^2"""
+    stiffness: Array  # (6,) kp, N m/rad
+    servo_rate: float
+    """kp / kv in 1/s, the same for all joints: what lag there is leaves a straight joint line
+    straight"""
+
+
+@dataclass(frozen=True, eq=False)
 class Robot:
-    """Everything in robot.json.
+    """An arm and a gripper: all that the package knows of them. Equal digests are one robot.
 
     T_world_link[i + 1] = T_world_link[i] @ T_parent_joint[i] @ Rz(q_i): the axis of joint i is z of
     link i + 1.
     """
 
+    name: str
+    """in rows, tables and file names"""
+    home_q: tuple[float, ...]
+    """the posture at the start of a trial unless a benchmark has another one, rad"""
+    open_gap_m: float
+    """gap between the pads of the open gripper"""
+    table_from: int
+    """links from this on are checked against the table: those before stand on it"""
+    visuals: str
+    """the arm of airo-models whose meshes show it"""
+    dynamics: Dynamics
     links: tuple[str, ...]
     joints: tuple[str, ...]
     T_parent_joint: Array
@@ -88,10 +146,32 @@ class Robot:
     object_pairs: NDArray[np.int32]
     digest: str
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Robot) and self.digest == other.digest
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+    def fitted(self, config: EvalConfig) -> EvalConfig:
+        """The configuration with this robot's home and speed where it has the UR5e's."""
+        return config.for_robot(self.home_q, float(self.max_velocity.min()))
+
+    @property
+    def closed_gap_m(self) -> float:
+        """Gap between the pads of the closed gripper, whose linkage is at its stop."""
+        return float(gap_from_drive(self, self.linkage.drive_upper))
+
+    @cached_property
+    def T_wrist3_ee(self) -> Array:
+        """The tool: ee in the last link's frame."""
+        return np.asarray(self.T_wrist3_flange @ self.T_flange_ee)
+
 
 @cache
-def load_robot() -> Robot:
-    """The robot of assets/robot/robot.json; `digest` is that file's sha256."""
+def load_robot(name: str = DEFAULT_ROBOT) -> Robot:
+    """A robot by name; `digest` is its file's sha256."""
+    if name != DEFAULT_ROBOT:
+        raise ValueError(f"no robot is called {name!r}; built in is {DEFAULT_ROBOT}")
     raw = (files("r2h_batch.assets") / "robot" / "robot.json").read_bytes()
     data: dict[str, Any] = json.loads(raw)
     if data["format"] != 1:
@@ -105,6 +185,21 @@ def load_robot() -> Robot:
     }
     gripper_link = links.index("gripper")
     return Robot(
+        name=name,
+        home_q=HOME_Q,
+        open_gap_m=OPEN_GAP_M,
+        table_from=links.index("upper_arm"),
+        visuals="ur5e",
+        dynamics=Dynamics(
+            mass=_frozen(LINK_MASS_KG),
+            com=_frozen(LINK_COM_M),
+            inertia=_frozen(
+                [rolled(i, roll) for i, roll in zip(LINK_INERTIA, LINK_ROLL, strict=True)]
+            ),
+            armature=ARMATURE,
+            stiffness=_frozen(KP),
+            servo_rate=SERVO_RATE,
+        ),
         links=links,
         joints=tuple(j["name"] for j in joints),
         **{k: _frozen([j[k] for j in joints]) for k in JOINT_KEYS},
@@ -147,17 +242,17 @@ def ee_pose(robot: Robot, q: ArrayLike) -> Array:
     return np.asarray(forward_kinematics(robot, q)[..., JOINTS, :, :] @ T_wrist3_ee)
 
 
-def gap_from_drive(drive: ArrayLike) -> Array:
+def gap_from_drive(robot: Robot, drive: ArrayLike) -> Array:
     """Distance between the pad faces in m at a drive angle in rad."""
-    link, q = load_robot().linkage, np.asarray(drive, dtype=np.float64)
+    link, q = robot.linkage, np.asarray(drive, dtype=np.float64)
     a, b = link.pin_from_driver_yz
     return np.asarray(2.0 * (link.gap_offset_m + a * np.cos(q) - b * np.sin(q)))
 
 
-def drive_from_gap(gap_m: ArrayLike) -> Array:
-    """Drive angle in rad for a gap in m; gaps outside the linkage's range (1.5 to 86.0 mm) give its
-    nearest end."""
-    link = load_robot().linkage
+def drive_from_gap(robot: Robot, gap_m: ArrayLike) -> Array:
+    """Drive angle in rad for a gap in m; gaps outside the linkage's range (2F-85: 1.5 to 86.0 mm)
+    give its nearest end."""
+    link = robot.linkage
     a, b = link.pin_from_driver_yz
     cosine = (np.asarray(gap_m, dtype=np.float64) / 2.0 - link.gap_offset_m) / np.hypot(a, b)
     return np.clip(
@@ -165,9 +260,9 @@ def drive_from_gap(gap_m: ArrayLike) -> Array:
     )
 
 
-def pad_center_z(drive: ArrayLike) -> Array:
+def pad_center_z(robot: Robot, drive: ArrayLike) -> Array:
     """z of the pads' centres in the gripper frame, m."""
-    link, q = load_robot().linkage, np.asarray(drive, dtype=np.float64)
+    link, q = robot.linkage, np.asarray(drive, dtype=np.float64)
     a, b = link.pin_from_driver_yz
     return np.asarray(
         link.driver_pivot_yz[1] + link.pad_from_pin_yz[1] + b * np.cos(q) + a * np.sin(q)
@@ -176,7 +271,7 @@ def pad_center_z(drive: ArrayLike) -> Array:
 
 def gripper_primitives_at(robot: Robot, gap_m: ArrayLike) -> Array:
     """T_ee_prim (..., N, 4, 4) of `robot.gripper`'s shapes with the pads `gap_m` (...) apart."""
-    drive = drive_from_gap(gap_m)
+    drive = drive_from_gap(robot, gap_m)
     T_ee_gripper = np.linalg.inv(robot.T_flange_ee) @ robot.T_flange_gripper
     T = np.empty((*drive.shape, len(robot.gripper.names), 4, 4))
     for n, (motion, side) in enumerate(zip(robot.gripper_motion, robot.gripper_side, strict=True)):
@@ -280,6 +375,14 @@ def _sweep_of_cylinder(
     ends = center[:2] + np.outer([-half, half], axis[:2])
     reach = min(float(np.hypot(u, v)), float(np.hypot(ends[:, 0], ends[:, 1]).max()) + radius)
     return reach, float(center[2]) - reach_z, float(center[2]) + reach_z
+
+
+def rolled(tensor: ArrayLike, roll: float) -> Array:
+    """Inertia tensor of (xx, xy, xz, yy, yz, zz), in axes turned by `roll` about x."""
+    xx, xy, xz, yy, yz, zz = np.asarray(tensor, np.float64)
+    c, s = np.cos(roll), np.sin(roll)
+    R = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+    return np.asarray(R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T)
 
 
 def _rotation(axis: int, angle: Array) -> Array:

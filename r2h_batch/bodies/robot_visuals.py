@@ -14,7 +14,6 @@ from scipy.spatial.transform import Rotation
 Array = NDArray[np.float64]
 
 MODELS = Path(airo_models.__file__).resolve().parent
-ARM_URDF = MODELS / "arms/ur5e/ur5e.urdf"
 GRIPPER_URDF = MODELS / "grippers/robotiq_2f_85/urdf/robotiq_2f_85.urdf"
 GRIPPER_MESHES = MODELS / "grippers/robotiq_2f_85/meshes/visual"
 
@@ -22,6 +21,11 @@ ARM_LINKS = ("base", "shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "
 FINGER_PARTS = ("outer_knuckle", "outer_finger", "inner_finger", "inner_knuckle")
 GRIPPER_OFFSET_M = 0.011  # flange to gripper base: what the UR coupling adds
 COUPLING_LOW_M = -0.007  # lowest point of the coupling's mesh, which lies on the flange
+
+
+def arm_urdf(arm: str) -> Path:
+    """The URDF of an arm: ur3e or ur5e."""
+    return MODELS / f"arms/{arm}/{arm}.urdf"
 
 
 def urdf(path: Path) -> ElementTree.Element:
@@ -50,9 +54,10 @@ def exact(T: Array) -> list[list[float]]:
     return (np.round(T, 9) + 0.0).tolist()
 
 
-def joint_rows() -> tuple[list[dict[str, Any]], Array]:
+def joint_rows(arm: str = "ur5e") -> tuple[list[dict[str, Any]], Array]:
     """The six joints for robot.json, and T_wrist3_flange."""
-    joints = named(urdf(ARM_URDF), "joint")
+    path = arm_urdf(arm)
+    joints = named(urdf(path), "joint")
     names = [
         f"{j}_joint"
         for j in ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
@@ -64,7 +69,7 @@ def joint_rows() -> tuple[list[dict[str, Any]], Array]:
         axis = joints[name].find("axis")
         if limit is None or axis is None or axis.get("xyz") != "0 0 1":
             raise ValueError(
-                f"{name} in {ARM_URDF.name} has no limit or does not turn about its z axis"
+                f"{name} in {path.name} has no limit or does not turn about its z axis"
             )
         keys = {
             "lower": "lower",
@@ -117,19 +122,20 @@ def part_origin(part: str) -> Array:
     return np.sum([origin(joints[f"right_{name}_joint"])[:3, 3] for name in chain], axis=0)
 
 
-def visual_triangles(name: str) -> Array:
-    """Faces (F, 3, 3) of an arm link in its frame, of `body` in the gripper frame, of a finger part
+def visual_triangles(name: str, arm: str = "ur5e") -> Array:
+    """Faces (F, 3, 3) of a link of an arm of airo-models in its frame, of `body` in the gripper frame, of a finger part
     in its own."""
     if name in ARM_LINKS:
+        path_of_arm = arm_urdf(arm)
         link_name = "base_link_inertia" if name == "base" else f"{name}_link"
-        visual = named(urdf(ARM_URDF), "link")[link_name].find("visual")
+        visual = named(urdf(path_of_arm), "link")[link_name].find("visual")
         mesh = None if visual is None else visual.find("geometry/mesh")
         if visual is None or mesh is None:
-            raise ValueError(f"{link_name} in {ARM_URDF.name} has no visual mesh")
-        T, path = origin(visual), ARM_URDF.parent / mesh.attrib["filename"]
+            raise ValueError(f"{link_name} in {path_of_arm.name} has no visual mesh")
+        T, path = origin(visual), path_of_arm.parent / mesh.attrib["filename"]
         # named in the URDF with cable and labels: the same mesh without them, seen from base_link
         if name == "base":
-            T = origin(named(urdf(ARM_URDF), "joint")["base_link-base_link_inertia"]) @ T
+            T = origin(named(urdf(path_of_arm), "joint")["base_link-base_link_inertia"]) @ T
             path = path.with_name("base.obj")
         return _triangles(path, T)
     if name == "body":

@@ -14,7 +14,6 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.robot import load_robot
 from r2h_batch.export.mjcf import MARK, checked_pairs, spec_of, trajectory
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.scene.model_parts import VISUAL
@@ -174,7 +173,7 @@ class Drawing:
         for i in np.flatnonzero((model.geom_contype != 0) & (model.geom_conaffinity != 0)):
             of_body.setdefault(model.body(int(model.geom_bodyid[i])).name, []).append(int(i))
         best, least = None, NEAR_M
-        for pair, kind in checked_pairs(load_robot()).items():
+        for pair, kind in checked_pairs(self.stored.robot).items():
             if kinds and kind not in kinds:
                 continue
             one, two = sorted(pair)

@@ -38,10 +38,9 @@ from r2h_batch.bodies.robot import (
     drive_from_gap,
     finger_motion,
     gripper_primitives_at,
-    load_robot,
 )
 from r2h_batch.bodies.robot_visuals import part_origin
-from r2h_batch.config import OPEN_GAP_M, ExecConfig, Thresholds
+from r2h_batch.config import ExecConfig, Thresholds
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.scene.dynamics import (
     GRIPPER_MASS_KG,
@@ -60,7 +59,7 @@ from r2h_batch.scene.model_parts import (
     look,
     visual_mesh,
 )
-from r2h_batch.scene.tables import TABLE_FROM_LINK, Hands
+from r2h_batch.scene.tables import Hands
 from r2h_batch.verdicts import CRITERIA
 
 Array = NDArray[np.float64]
@@ -111,7 +110,7 @@ def export_trial(stored: StoredTrial, out: str | Path) -> Path:
     Returns:
         The folder's path.
     """
-    folder, robot = Path(out), load_robot()
+    folder, robot = Path(out), stored.robot
     folder.mkdir(parents=True, exist_ok=True)
     write_scene(folder, spec_of(stored))
     play = files("r2h_batch.export").joinpath("play.py").read_text()
@@ -241,7 +240,7 @@ def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
     Contacts are left between exactly the pairs that planning checks (MuJoCo makes none between
     bodies that both stand still, as base and hand do).
     """
-    robot = load_robot()
+    robot = stored.robot
     hands = _posed(stored.hand_set or load_hand_set())
     limits = Thresholds(**stored.header["configuration"]["thresholds"])
     home, opening_m = np.array(stored.workplace.home_q), float(stored.row["opening_m"])
@@ -294,7 +293,7 @@ def checked_pairs(robot: Robot) -> dict[frozenset[str], str]:
     found = {frozenset((robot.links[a], robot.links[b])): "self" for a, b in robot.self_pairs}
     found |= {frozenset(("object", robot.links[a])): "object_robot" for a in robot.object_pairs}
     found |= {frozenset((link, "hand")): "hand" for link in robot.links}
-    found |= {frozenset((link, "table")): "table" for link in robot.links[TABLE_FROM_LINK:]}
+    found |= {frozenset((link, "table")): "table" for link in robot.links[robot.table_from :]}
     found[frozenset(("object", "hand"))] = "object_hand"
     found[frozenset(("object", "table"))] = "object_table"
     return found
@@ -336,7 +335,7 @@ def _add_arm(spec: mujoco.MjSpec, robot: Robot, home_q: Sequence[float]) -> list
             name = f"robot/{robot.arm.names[i]}"
             add_primitive(body, robot.arm, int(i), robot.arm.T_link_prim[i], 1, 1, name)
         link = robot.links[k]
-        _add_part(spec, body, f"robot/{link}_visual", link, np.eye(4), link)
+        _add_part(spec, body, f"robot/{link}_visual", robot, link, np.eye(4), link)
     for servo, k in zip(spec.actuators, range(len(robot.joints)), strict=True):
         servo.group, servo.ctrlrange = SERVO_GROUP, [robot.lower[k], robot.upper[k]]
     return links
@@ -387,7 +386,7 @@ def _add_finger_sites(
     back[1, 3] = -float(stored.row["grasp_shift_m"] or 0.0)
     for prefix, T, gap_m in (
         ("holding", T_gripper_ee, squeezed_m),
-        ("coming", T_gripper_ee @ back, OPEN_GAP_M),
+        ("coming", T_gripper_ee @ back, robot.open_gap_m),
     ):
         poses = T @ gripper_primitives_at(robot, gap_m)
         for i, name in enumerate(robot.gripper.names):
@@ -471,16 +470,16 @@ def _add_gripper_visuals(
 ) -> None:
     """The gripper's meshes with the pads `gap_m` apart, in the gripper's body."""
     color = "target" if ghost else "gripper"
-    _add_part(spec, body, f"{prefix}body_visual", "body", np.eye(4), color, **ghost)
+    _add_part(spec, body, f"{prefix}body_visual", robot, "body", np.eye(4), color, **ghost)
     moving = zip(robot.gripper_part, robot.gripper_motion, robot.gripper_side, strict=True)
     for part, motion, side in dict.fromkeys((p, m, int(s)) for p, m, s in moving if s):
         origin = np.eye(4)
         origin[:3, 3] = part_origin(part)
-        T = finger_motion(robot, motion, side, drive_from_gap(gap_m))
+        T = finger_motion(robot, motion, side, drive_from_gap(robot, gap_m))
         T = T @ (_LEFT if side < 0 else np.eye(4)) @ origin
         name = f"{prefix}{'left' if side < 0 else 'right'}_{part}_visual"
         if part != "pad":
-            _add_part(spec, body, name, part, T, color, **ghost)
+            _add_part(spec, body, name, robot, part, T, color, **ghost)
             continue
         rgba = MARK_COLORS["target"] if ghost else (*COLORS["pad"], 1.0)
         body.add_geom(  # a box in the model it comes from
@@ -493,24 +492,26 @@ def _add_part(
     spec: mujoco.MjSpec,
     body: mujoco.MjsBody,
     name: str,
+    robot: Robot,
     part: str,
     T: Array,
     color: str,
     **how: Any,
 ) -> None:
     """A part of the robot as airo-models shows it."""
-    shape = trimesh.Trimesh(*visual_mesh(part), process=False)
-    _add_surface(spec, body, name, f"robot_{part}", shape, color, T=T, **how)
+    shape = trimesh.Trimesh(*visual_mesh(robot.visuals, part), process=False)
+    arm = robot.visuals
+    _add_surface(spec, body, name, f"robot_{part}", shape, color, T=T, arm=arm, **how)
 
 
 def _add_surface(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, mesh: str, shape: trimesh.Trimesh, color: str, *,
-    T: Array | None = None, group: int = VISUAL, alpha: float = 1.0,
+    T: Array | None = None, group: int = VISUAL, alpha: float = 1.0, arm: str | None = None,
 ) -> None:  # fmt: skip
     """A surface that is only seen, at T in the body; geoms that name the same mesh share its
-    file."""
+    file. `arm`: it is a part of that arm of airo-models."""
     T = np.eye(4) if T is None else T
-    _add_mesh(spec, mesh, shape, _SHELL)
+    _add_mesh(spec, mesh, shape, _SHELL, arm)
     rgb = MARK_COLORS[color][:3] if color in MARK_COLORS else COLORS[color]
     body.add_geom(
         name=name, type=_MESH, meshname=mesh, pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]), group=group,
@@ -529,18 +530,19 @@ def _add_convex(
 
 
 def _add_mesh(
-    spec: mujoco.MjSpec, name: str, shape: trimesh.Trimesh, inertia: mujoco.mjtMeshInertia
-) -> None:
+    spec: mujoco.MjSpec, name: str, shape: trimesh.Trimesh, inertia: mujoco.mjtMeshInertia,
+    arm: str | None = None,
+) -> None:  # fmt: skip
     file, part = f"{name}.obj", name.removeprefix("robot_")
     if file not in spec.assets:
-        spec.assets[file] = _obj_file(shape) if part == name else _robot_file(part)
+        spec.assets[file] = _obj_file(shape) if arm is None else _robot_file(arm, part)
         spec.add_mesh(name=name, file=file, inertia=inertia)
 
 
 @lru_cache(maxsize=16)
-def _robot_file(part: str) -> bytes:
+def _robot_file(arm: str, part: str) -> bytes:
     """The mesh of a part of the robot: the same in every trial, and large."""
-    return _obj_file(trimesh.Trimesh(*visual_mesh(part), process=False))
+    return _obj_file(trimesh.Trimesh(*visual_mesh(arm, part), process=False))
 
 
 def _obj_file(shape: trimesh.Trimesh) -> bytes:

@@ -24,6 +24,7 @@ from r2h_batch import se3
 from r2h_batch.benchmark import Benchmark
 from r2h_batch.benchmark.benchmark import is_unbuilt
 from r2h_batch.benchmark.build import BenchmarkOverrides, benchmark_of_run
+from r2h_batch.bodies.robot import Robot, load_robot
 from r2h_batch.command_line import UsageError
 from r2h_batch.config import EvalConfig, ExecutionError, Workplace
 from r2h_batch.evaluate import Evaluator
@@ -70,6 +71,7 @@ class StoredTrial:
     executed_q: Array | None  # (S, 6) rad every `motion.sample_s` s; None: not simulated
     object_model: Any
     hand_set: Any = None  # None: the built-in one
+    robot: Robot = field(default_factory=load_robot)
     workplace: Workplace = field(default_factory=Workplace)
     receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
     asked_q: Array | None = None  # (6,) rad at the target, or the nearest to it; None: q[-1]
@@ -167,7 +169,7 @@ class Reader:
             answer = Predictions(trial.trial_id, **T, method=name)
         if answer is not None and path and "details" in stored:
             own = bench.benchmark
-            place = (own.objects, own.hand_set, own.workplace)
+            place = (own.objects, own.hand_set, own.robot, own.workplace)
             return _stored(self.run.header, name, row, path[0], trial, answer, *place)
         try:
             header, evaluator = self.run.header, bench.evaluator
@@ -279,7 +281,7 @@ def judged_again(
     scene = evaluator.scene
     told = _stored(
         header, method, again | (row or {}), path[0] if path else None, trial, answer,
-        scene.objects, scene.hands.set, evaluator.config.workplace,
+        scene.objects, scene.hands.set, scene.robot, evaluator.config.workplace,
     )  # fmt: skip
     note = "" if row is None else difference(row, again)
     return replace(told, asked_q=q, asked_clearance_m=clearance_m, note=note)
@@ -299,7 +301,8 @@ def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:
 
 def _stored(
     header: dict[str, Any], method: str, row: dict[str, Any], path: dict[str, Any] | None,
-    trial: Trials, answer: Predictions, objects: Sequence[Any], hand_set: Any, workplace: Workplace,
+    trial: Trials, answer: Predictions, objects: Sequence[Any], hand_set: Any, robot: Robot,
+    workplace: Workplace,
 ) -> StoredTrial:  # fmt: skip
     stored = header["configuration"].get("execution_error", {})
     error = TypeAdapter(ExecutionError).validate_python(stored)
@@ -314,7 +317,7 @@ def _stored(
     receiver = None if trial.receiver is None else trial.receiver[0].double().cpu().numpy()
     return StoredTrial(
         header, method, row, T_obj_ee, attached, T_world_ee, _orthonormal(trial.T_world_hand), q,
-        time_s, executed_q, objects[int(trial.object_index[0])], hand_set, workplace, receiver,
+        time_s, executed_q, objects[int(trial.object_index[0])], hand_set, robot, workplace, receiver,
         planned_q=None if plan is None else np.array(plan, np.float64),
     )  # fmt: skip
 

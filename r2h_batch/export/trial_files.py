@@ -30,7 +30,7 @@ from r2h_batch import se3
 from r2h_batch.benchmark import Benchmark, built_in
 from r2h_batch.bodies.hand import HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel, object_digest
-from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.io.write import csv_cell
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps.candidate_set import Candidates
@@ -459,7 +459,7 @@ def _cells(row: dict[str, Any]) -> list[Any]:
 
 
 def _frames(benchmark: Benchmark) -> dict[str, Any]:
-    robot = load_robot()
+    robot = benchmark.robot
     home = benchmark.workplace.home_q
     return {
         "protocol": benchmark.protocol,

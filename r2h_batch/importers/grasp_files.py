@@ -37,9 +37,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.grasp_set import MAX_GRASPS, GraspSet, checked_grasps, read_grasps
-from r2h_batch.bodies.robot import drive_from_gap, pad_center_z
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, drive_from_gap, load_robot, pad_center_z
 from r2h_batch.command_line import nearest, tell
-from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.importers.arrays import numbers, rigid
 from r2h_batch.importers.hdf5 import read_datasets
 from r2h_batch.io.read import FileError, printable, read_json, read_npy, read_npz, read_yaml
@@ -74,10 +73,10 @@ Found = tuple[GraspSet, int]
 
 def T_gripper_ee(name: str) -> F64:
     """(4, 4) our ee frame in the frame of a gripper of `GRIPPERS`."""
-    T, half_stroke = np.eye(4), np.array(OPEN_GAP_M / 2)
+    T, robot = np.eye(4), load_robot(DEFAULT_ROBOT)
     if name == "ee":
         return T
-    half_open = float(np.asarray(pad_center_z(drive_from_gap(half_stroke))))
+    half_open = float(pad_center_z(robot, drive_from_gap(robot, robot.open_gap_m / 2)))
     ours = {"2f-85-base": ("y", half_open), "graspgen-2f-85": ("x", half_open)}
     closing, T[2, 3] = {**PADS_M, **ours}[name]
     if closing == "x":

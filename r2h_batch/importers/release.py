@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from r2h_batch import se3
 from r2h_batch.bodies.hand import MAX_SKIN_PIECES, palm_frame
-from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, ee_pose, load_robot
 from r2h_batch.importers.release_files import MAX_BYTES, RIGID, Box, Own, TrialFile, validated
 from r2h_batch.importers.release_scenes import experiment_trials, paired_trials
 from r2h_batch.io.read import FileError, printable, read_file, read_json
@@ -191,7 +191,7 @@ def _tool_pose(file: TrialFile) -> Array:
     at the target of a trial without a trace, or without a path."""
     if not len(file.executed_joints) or file.planning.status == "failed":
         return T_world_release @ np.array(file.target_T_world_gripper)
-    robot = load_robot()
+    robot = load_robot(DEFAULT_ROBOT)
     T_world_flange = ee_pose(robot, file.executed_joints[-1]) @ np.linalg.inv(robot.T_flange_ee)
     return np.asarray(T_world_flange @ along_z(TCP_M) @ np.array(file.T_tcp_asset_tool))
 
@@ -336,7 +336,7 @@ def _motion(file: TrialFile, T_world_ee: Array) -> tuple[Array | None, Array]:
         return None, planned
     target = T_world_release @ np.array(file.target_T_world_gripper) @ _back(file)
     for q, T in ((executed[-1], T_world_ee), (planned[-1], target)):
-        end = ee_pose(load_robot(), q)
+        end = ee_pose(load_robot(DEFAULT_ROBOT), q)
         near = np.linalg.norm(end[:3, 3] - T[:3, 3]) <= END_M
         if not near or np.abs(end - T)[:3, :3].max() > END_ENTRY:
             return None, planned

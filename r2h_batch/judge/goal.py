@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M
-from r2h_batch.judge.ik import IkResult, default_ur, home_posture
+from r2h_batch.judge.ik import IkResult, home_posture, ur_parameters
 from r2h_batch.kernels.ik import nearest as ik_nearest
 from r2h_batch.kernels.ik.step import STATUS_SINGULAR
 from r2h_batch.kernels.judge import goal as goal_kernels
@@ -171,7 +171,7 @@ def _measure(
         ik_nearest.nearest_posture,
         b,
         inputs={
-            "ur": default_ur(scene.config.workplace.home_q),
+            "ur": ur_parameters(scene.robot, scene.config.workplace.home_q),
             "rotation_lever_m": ROTATION_LEVER_M,
             "active": active,
             "branches": postures["valid"],

@@ -8,7 +8,8 @@ import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M, Thresholds
+from r2h_batch.bodies.robot import Robot
+from r2h_batch.config import Thresholds
 from r2h_batch.kernels.grasp import region as region_kernels
 from r2h_batch.kernels.grasp import width as width_kernels
 from r2h_batch.kernels.robot import gripper as gripper_kernels
@@ -58,8 +59,8 @@ def close_gripper(
     T_obj_ee: Float32[Tensor, "b 4 4"],
     object_index: Int32[Tensor, " b"],
     *,
-    w_max: float = OPEN_GAP_M,
-    w_min: float = CLOSED_GAP_M,
+    w_max: float | None = None,
+    w_min: float | None = None,
     mode: Literal["pads", "whole"] = "pads",
     cut_cap_m: float = CUT_CAP_M,
     known: bool = False,
@@ -71,12 +72,14 @@ def close_gripper(
     The Stability margin is the smallest of `w_max - w`, `w - w_min` and the open gripper's
     clearance to the object, which counts `cut_cap_m` at most; `-w_max` at least when nothing lies
     between the pads. 0 passes (touching). `known`: the caller has looked at both tensors (here and
-    below).
+    below). `w_max`, `w_min` are the gripper's own gaps by default.
     """
     if mode not in ("pads", "whole"):
         raise ValueError(
             f"mode is {mode!r}; allowed are 'pads' (what lies between the pads) and 'whole' (the object)"
         )
+    w_max = tables.open_gap_m if w_max is None else w_max
+    w_min = tables.closed_gap_m if w_min is None else w_min
     width, opening, shift, empty = close_pads(
         tables, T_obj_ee, object_index, mode=mode, known=known, threads=threads
     )
@@ -111,7 +114,7 @@ def close_pads(
         inputs={
             "gripper": tables.gripper,
             "surfaces": tables.surfaces,
-            "open_gap": OPEN_GAP_M,
+            "open_gap": tables.open_gap_m,
             "whole": int(mode == "whole"),
             "T_obj_ee": T_obj_ee,
             "object_index": object_index,
@@ -150,7 +153,9 @@ def open_clearance(
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Clearance of the open gripper to the object's solid (m, at most `cap_m`; negative: depth) and
     the primitive."""
-    opening = torch.full((len(T_obj_ee),), OPEN_GAP_M, dtype=torch.float32, device=tables.device)
+    opening = torch.full(
+        (len(T_obj_ee),), tables.open_gap_m, dtype=torch.float32, device=tables.device
+    )
     return _clearance(
         tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, threads, known=known
     )
@@ -166,7 +171,9 @@ def open_is_clear(
 ) -> Bool[Tensor, " b"]:
     """Whether `open_clearance` is `clearance_m` or more, without measuring how deep it cuts where
     it is not."""
-    opening = torch.full((len(T_obj_ee),), OPEN_GAP_M, dtype=torch.float32, device=tables.device)
+    opening = torch.full(
+        (len(T_obj_ee),), tables.open_gap_m, dtype=torch.float32, device=tables.device
+    )
     cap, used = 1.5 * clearance_m, tables.every
     found = _clearance(
         tables, T_obj_ee, object_index, opening, 0, used, True, cap, threads, clearance_m
@@ -263,12 +270,12 @@ def _clearance(
 
 
 def gripper_poses(
-    opening_m: Float32[Tensor, " b"], *, threads: int | None = None
+    robot: Robot, opening_m: Float32[Tensor, " b"], *, threads: int | None = None
 ) -> tuple[Float32[Tensor, "b g 3 3"], Float32[Tensor, "b g 3"]]:
     """R, p of the G gripper primitives (order of `Robot.gripper`) in the ee frame at each opening
     (m)."""
     device = str(opening_m.device)
-    g = gripper_tables(device)
+    g = gripper_tables(robot, device)
     R, p = _empty_poses(len(opening_m), g.kind.shape[0], device)
     launch_trials(
         gripper_kernels.gripper_poses,

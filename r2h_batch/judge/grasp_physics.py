@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Robot, drive_from_gap, load_robot
-from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.bodies.robot import Robot, drive_from_gap
 from r2h_batch.launch import cpu_threads, thread_pool
 from r2h_batch.motion.simulation import warnings_unwritten
 from r2h_batch.scene.dynamics import quat_wxyz
@@ -56,6 +55,7 @@ def close_in_physics(
     objects: Sequence[ObjectModel],
     object_index: Int[NDArray[np.int32], " b"],
     T_obj_ee: Float[Array, "b 4 4"],
+    robot: Robot,
     *,
     shake: bool = False,
     down_ee: Float[Array, " 3"] | None = None,
@@ -67,7 +67,6 @@ def close_in_physics(
     With `shake`: then its weight (along `down_ee`, default: out of the gripper, as at home) and a
     shake along three axes; `held` is whether it slipped by less than 2 cm.
     """
-    robot = load_robot()
     down = np.array([0.0, 0.0, 1.0]) if down_ee is None else np.asarray(down_ee, np.float64)
 
     def one(i: int) -> tuple[float, float, float]:
@@ -89,6 +88,7 @@ def shake(
     object_index: Int32[Tensor, " b"],
     T_obj_ee: Float32[Tensor, "b 4 4"],
     rows: Bool[Tensor, " b"],
+    robot: Robot,
     *,
     threads: int | None = None,
 ) -> Float64[Tensor, " b"]:
@@ -101,6 +101,7 @@ def shake(
         objects,
         object_index[rows].cpu().numpy(),
         T_obj_ee[rows].double().cpu().numpy(),
+        robot,
         shake=True,
         threads=threads,
     )
@@ -166,11 +167,13 @@ def _close(
     # nothing drifts off at a touch
     m.dof_damping[-6:] = [model.mass * 50] * 3 + [float(np.trace(model.inertia)) * 50] * 3
     data = mujoco.MjData(m)
-    data.qpos[:4] = np.array([1, -1, 1, -1]) * float(drive_from_gap(OPEN_GAP_M))
+    data.qpos[:4] = np.array([1, -1, 1, -1]) * float(drive_from_gap(robot, robot.open_gap_m))
     start = data.qpos[4:7].copy()
     every = 10
-    for k in range(round((OPEN_GAP_M / CLOSING_M_S + SETTLE_S) / STEP_S / every)):
-        data.ctrl[:] = drive_from_gap(max(OPEN_GAP_M - CLOSING_M_S * k * every * STEP_S, 0.0))
+    for k in range(round((robot.open_gap_m / CLOSING_M_S + SETTLE_S) / STEP_S / every)):
+        data.ctrl[:] = drive_from_gap(
+            robot, max(robot.open_gap_m - CLOSING_M_S * k * every * STEP_S, 0.0)
+        )
         mujoco.mj_step(m, data, every)
     pads = data.geom("right").xpos - data.geom("left").xpos
     opening, moved = (

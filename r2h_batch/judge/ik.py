@@ -15,8 +15,7 @@ import warp as wp
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from r2h_batch.bodies.robot import Robot, load_robot
-from r2h_batch.config import HOME_Q
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.ik.jacobian import first_branch
 from r2h_batch.kernels.plan.codes import BRANCHES
@@ -85,7 +84,7 @@ def solve_ik(
     *,
     active: Bool[Tensor, "b"] | None = None,
     robot: Robot | None = None,
-    home: Sequence[float] = HOME_Q,
+    home: Sequence[float] | None = None,
     seeds: Float[np.ndarray, "s 6"] | None = None,
     iterations: int = ITERATIONS,
     threads: int | None = None,
@@ -95,9 +94,11 @@ def solve_ik(
 
     Rows with `active` False, NaN or no rigid transform have no valid branch and are not proven
     unreachable. `seeds`: joint angles to start from, joint 1 relative to the wrist centre's azimuth
-    (default: the committed set).
+    (default: the committed set). `robot` (default: the UR5e) is of a UR's structure, `home` its own
+    unless given.
     """
-    robot = load_robot() if robot is None else robot
+    robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
+    home = robot.home_q if home is None else tuple(home)
     device = T_world_ee.device
     if active is None:
         active = torch.ones(T_world_ee.shape[:1], dtype=torch.bool, device=device)
@@ -114,7 +115,7 @@ def solve_ik(
         ik_step.solve_ik_kernel,
         n,
         inputs={
-            "ur": default_ur(tuple(home)) if robot is load_robot() else ur_parameters(robot, home),
+            "ur": ur_parameters(robot, home),
             "iterations": iterations,
             "position_tolerance_m": POSITION_TOLERANCE_M,
             "rotation_tolerance_rad": ROTATION_TOLERANCE_RAD,
@@ -171,7 +172,7 @@ def _check(
         raise ValueError(
             f"active is {active.dtype} {tuple(active.shape)} on {active.device}; it must be bool ({n},) on {device}"
         )
-    if not (robot is load_robot() and _is_home(tuple(home))) and not _within_limits(robot, home):
+    if not _within_limits(robot, tuple(home)):
         raise ValueError(
             f"home is {tuple(home)}; it must be 6 joint angles in rad within the robot's limits"
         )
@@ -185,14 +186,9 @@ def _check(
         )
 
 
-def _within_limits(robot: Robot, home: Sequence[float]) -> bool:
-    return len(home) == 6 and bool(((robot.lower <= home) & (home <= robot.upper)).all())
-
-
 @lru_cache(maxsize=64)
-def _is_home(home: tuple[float, ...]) -> bool:
-    """Whether the committed robot can stand there, asked once for each home."""
-    return _within_limits(load_robot(), home)
+def _within_limits(robot: Robot, home: tuple[float, ...]) -> bool:
+    return len(home) == 6 and bool(((robot.lower <= home) & (home <= robot.upper)).all())
 
 
 JACOBIAN_STEPS = 100
@@ -203,7 +199,8 @@ def one_branch(
     ik: IkResult,
     T_world_ee: Float[Tensor, "b 4 4"],
     *,
-    home: Sequence[float] = HOME_Q,
+    robot: Robot | None = None,
+    home: Sequence[float] | None = None,
     threads: int | None = None,
 ) -> Bool[Tensor, "b 8"]:
     """`ik.valid` with one branch left for each target: the one that a numerical Jacobian solver
@@ -211,8 +208,10 @@ def one_branch(
 
     As MoveIt's default solver: damped least squares on the whole arm, joints clamped to their
     limits; where it sticks it starts again, here from the committed seeds in order. If that fails
-    too, the first valid branch stands in.
+    too, the first valid branch stands in. `robot` and `home` as in `solve_ik`.
     """
+    robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
+    home = robot.home_q if home is None else tuple(home)
     n, device = len(T_world_ee), T_world_ee.device
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
     slot, start = (torch.full((n,), -1, dtype=torch.int32, device=device) for _ in range(2))
@@ -221,7 +220,7 @@ def one_branch(
         n,
         inputs=dict(
             iterations=JACOBIAN_STEPS,
-            **_jacobian_tables(tuple(home), place),
+            **_jacobian_tables(robot, home, place),
             T_world_ee=T_world_ee.contiguous(),
             q=ik.q,
             valid=ik.valid,
@@ -238,10 +237,9 @@ def one_branch(
 
 
 @lru_cache(maxsize=64)
-def _jacobian_tables(home: tuple[float, ...], device: str) -> dict[str, wp.array]:
+def _jacobian_tables(robot: Robot, home: tuple[float, ...], device: str) -> dict[str, wp.array]:
     """Joint frames (the last: the ee in wrist_3), limits and starts for `first_branch`, on a
     device."""
-    robot = load_robot()
     T = np.stack([*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee])
     starts = np.concatenate([np.array(home)[None], ik_seeds()])
     limits = {"lower": robot.lower, "upper": robot.upper, "starts": starts}
@@ -258,10 +256,10 @@ def _seed_states(device: str) -> wp.array:
     return wp.array(_cos_sin(ik_seeds()), dtype=wp.float64, device=device)
 
 
-def build_tables(device: str, home: tuple[float, ...]) -> None:
+def build_tables(robot: Robot, home: tuple[float, ...], device: str) -> None:
     """What the solvers read, on a CUDA device before this returns: see `Scene`, whose tables are
     there at once too."""
-    home_posture(device, home), _seed_states(device), _jacobian_tables(home, device)
+    home_posture(device, home), _seed_states(device), _jacobian_tables(robot, home, device)
     wp.synchronize_device(device)
 
 
@@ -269,12 +267,6 @@ def build_tables(device: str, home: tuple[float, ...]) -> None:
 def home_posture(device: str, home: tuple[float, ...]) -> Float[Tensor, "1 6"]:
     """Home's joint angles on a device."""
     return torch.from_numpy(np.array([home], np.float32)).to(device)
-
-
-@lru_cache(maxsize=64)
-def default_ur(home: tuple[float, ...] = HOME_Q) -> UrParameters:
-    """The parameters of the committed robot with this home."""
-    return ur_parameters(load_robot(), home)
 
 
 @cache
@@ -287,7 +279,8 @@ def ik_seeds() -> np.ndarray:
     return seeds
 
 
-def ur_parameters(robot: Robot, home: Sequence[float] = HOME_Q) -> UrParameters:
+@lru_cache(maxsize=64)
+def ur_parameters(robot: Robot, home: tuple[float, ...]) -> UrParameters:
     """The link lengths, limits and home that the kernels need; refuses a robot without a UR's
     structure."""
     T = [*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee]
@@ -316,8 +309,8 @@ def ur_parameters(robot: Robot, home: Sequence[float] = HOME_Q) -> UrParameters:
     return ur
 
 
-def reference_chain(**to: Any) -> Any:
-    """pytorch-kinematics' chain base_link -> ee from airo-models' URDF: reference for FK, Jacobian
+def reference_chain(robot: Robot, **to: Any) -> Any:
+    """pytorch-kinematics' chain base_link -> ee from airo-models' URDF of the arm: reference for FK, Jacobian
     and its own IK.
 
     Keyword arguments go to `chain.to` (dtype, device).
@@ -325,8 +318,8 @@ def reference_chain(**to: Any) -> Any:
     import airo_models
     import pytorch_kinematics
 
-    text = Path(airo_models.get_urdf_path("ur5e")).read_text()
-    x, y, z = load_robot().T_flange_ee[:3, 3]
+    text = Path(airo_models.get_urdf_path(robot.visuals)).read_text()
+    x, y, z = robot.T_flange_ee[:3, 3]
     ee = (
         '<link name="ee"/><joint name="tool0-ee" type="fixed"><parent link="tool0"/><child link="ee"/>'
         f'<origin rpy="0 0 0" xyz="{x} {y} {z}"/></joint></robot>'

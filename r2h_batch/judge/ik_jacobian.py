@@ -17,8 +17,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.bodies.robot import load_robot
-from r2h_batch.config import HOME_Q
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.judge import ik as fused
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.plan.codes import BRANCHES
@@ -42,7 +41,8 @@ def solve_ik(
     T_world_ee: Float[Tensor, "b 4 4"],
     *,
     active: Bool[Tensor, "b"] | None = None,
-    home: Sequence[float] = HOME_Q,
+    robot: Robot | None = None,
+    home: Sequence[float] | None = None,
     seeds: Float[np.ndarray, "s 6"] | None = None,
     iterations: int = ITERATIONS,
     threads: int | None = None,
@@ -55,10 +55,13 @@ def solve_ik(
     batch size and order (tests/judge/test_ik_jacobian.py). Raises ValueError as `judge.ik.solve_ik`
     does.
     """
+    robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
+    home = robot.home_q if home is None else tuple(home)
     start = fused.ik_seeds() if seeds is None else np.asarray(seeds, np.float64)
     exact = fused.solve_ik(
         T_world_ee,
         active=active,
+        robot=robot,
         home=home,
         seeds=start[:0],
         iterations=iterations,
@@ -78,18 +81,20 @@ def solve_ik(
     signs = torch.stack(
         [1.0 - 2.0 * (column // 4), 1.0 - 2.0 * (column // 2 % 2), 1.0 - 2.0 * (column % 2)], 1
     ).double()
-    q, found, steps = _search(targets, signs, torch.from_numpy(start.copy()).to(device), iterations)
-    return _filled(exact, row, column, pair, targets, q, found, steps, home)
+    q, found, steps = _search(
+        robot, targets, signs, torch.from_numpy(start.copy()).to(device), iterations
+    )
+    return _filled(robot, exact, row, column, pair, targets, q, found, steps, home)
 
 
 def _filled(
-    exact: fused.IkResult, row: Tensor, column: Tensor, pair: Tensor, targets: Tensor, q: Tensor, found: Tensor,
+    robot: Robot, exact: fused.IkResult, row: Tensor, column: Tensor, pair: Tensor, targets: Tensor, q: Tensor, found: Tensor,
     steps: Tensor, home: Sequence[float],
 ) -> fused.IkResult:  # fmt: skip
     """The closed form's result with the branches that were found put in: turns nearest home,
     residuals, statuses."""
-    q32 = _nearest_turns(q, home)
-    position, rotation = _residuals(q32, targets)
+    q32 = _nearest_turns(robot, q, home)
+    position, rotation = _residuals(robot, q32, targets)
     found = (
         found
         & (position <= fused.POSITION_TOLERANCE_M)
@@ -112,6 +117,7 @@ def _filled(
 
 
 def _search(
+    robot: Robot,
     targets: Float[Tensor, "m 4 4"],
     signs: Float[Tensor, "m 3"],
     seeds: Float[Tensor, "s 6"],
@@ -129,13 +135,16 @@ def _search(
         for i in range(0, len(left), ROWS):
             some = left[i : i + ROWS]
             filled = torch.cat([some, some[:1].expand(ROWS - len(some))])
-            reached, converged, used = _descend(targets[filled], signs[filled], seed, iterations)
+            reached, converged, used = _descend(
+                robot, targets[filled], signs[filled], seed, iterations
+            )
             q[some], found[some] = reached[: len(some)], converged[: len(some)]
             steps[some] += used[: len(some)]
     return q, found, steps
 
 
 def _descend(
+    robot: Robot,
     T: Float[Tensor, "n 4 4"],
     signs: Float[Tensor, "n 3"],
     seed: Float[Tensor, "6"],
@@ -147,14 +156,14 @@ def _descend(
     d = (J^T J + lambda 1)^-1 J^T e with pytorch-kinematics' geometric Jacobian; each joint turns by
     2 atan(d / 2), so that no step is above half a turn. Rows that have arrived stand still.
     """
-    chain = _chain(str(T.device))
-    tool = _tool(str(T.device))
+    ur = fused.ur_parameters(robot, robot.home_q)
+    chain, tool, links = _chain(robot, str(T.device)), float(ur.tool), (float(ur.a2), float(ur.a3))
     p5 = T[:, :3, 3] - tool * T[:, :3, 2]
     q = _seeded(seed, p5, signs)
     steps = torch.zeros(len(T), dtype=torch.int64, device=T.device)
     unit = torch.eye(6, dtype=torch.float64, device=T.device)
     for step in range(iterations + 1):
-        q = _in_branch(q, signs)
+        q = _in_branch(q, signs, links)
         J, now = chain.jacobian(q, ret_eef_pose=True)
         e, trace = _error(now, T)
         size = e.square().sum(1)
@@ -195,10 +204,12 @@ def _seeded(
     )
 
 
-def _in_branch(q: Float[Tensor, "n 6"], signs: Float[Tensor, "n 3"]) -> Float[Tensor, "n 6"]:
+def _in_branch(
+    q: Float[Tensor, "n 6"], signs: Float[Tensor, "n 3"], links: tuple[float, float]
+) -> Float[Tensor, "n 6"]:
     """The same ee poses with the asked signs of sin q3 and sin q5: the elbow mirrored, the wrist
     flipped where they are not."""
-    a2, a3 = _links()
+    a2, a3 = links
     q1, q2, q3, q4, q5, q6 = q.unbind(1)
     # the links' end seen from the shoulder has the angle phi: mirrored at that line, psi becomes 2
     # phi - psi
@@ -211,10 +222,12 @@ def _in_branch(q: Float[Tensor, "n 6"], signs: Float[Tensor, "n 3"]) -> Float[Te
     return torch.stack([q1, q2, q3, psi3 - q2 - q3, q5, q6], 1)
 
 
-def _nearest_turns(q: Float[Tensor, "m 6"], home: Sequence[float]) -> Float[Tensor, "m 6"]:
+def _nearest_turns(
+    robot: Robot, q: Float[Tensor, "m 6"], home: Sequence[float]
+) -> Float[Tensor, "m 6"]:
     """float32 angles moved by whole turns: as near to home as the limits allow, and within them
     after rounding."""
-    robot, two_pi = load_robot(), 2 * torch.pi
+    two_pi = 2 * torch.pi
     lower, upper, at = (
         torch.tensor(np.asarray(x), dtype=torch.float64, device=q.device)
         for x in (robot.lower, robot.upper, home)
@@ -227,12 +240,14 @@ def _nearest_turns(q: Float[Tensor, "m 6"], home: Sequence[float]) -> Float[Tens
     return torch.where(outside, (q * 0.9999999).float(), q32)
 
 
-def _residuals(q: Float[Tensor, "m 6"], T: Float[Tensor, "m 4 4"]) -> tuple[Tensor, Tensor]:
+def _residuals(
+    robot: Robot, q: Float[Tensor, "m 6"], T: Float[Tensor, "m 4 4"]
+) -> tuple[Tensor, Tensor]:
     """Position (m) and angle (rad) between the poses of float32 joint angles and T, by
     pytorch-kinematics in float64."""
     if len(q) == 0:
         return T.new_zeros(0), T.new_zeros(0)
-    chain = _chain(str(T.device))
+    chain = _chain(robot, str(T.device))
     parts = []
     for i in range(0, len(q), ROWS):
         some = q[i : i + ROWS].double()
@@ -243,19 +258,6 @@ def _residuals(q: Float[Tensor, "m 6"], T: Float[Tensor, "m 4 4"]) -> tuple[Tens
 
 
 @cache
-def _chain(device: str) -> Any:
+def _chain(robot: Robot, device: str) -> Any:
     """pytorch-kinematics' chain base_link -> ee in float64 on a device."""
-    return fused.reference_chain(dtype=torch.float64, device=device)
-
-
-@cache
-def _tool(device: str) -> float:
-    """Distance from the wrist centre to the ee frame's origin along its z, m."""
-    return float(fused.default_ur().tool)
-
-
-@cache
-def _links() -> tuple[float, float]:
-    """Lengths of upper arm and forearm, m."""
-    ur = fused.default_ur()
-    return float(ur.a2), float(ur.a3)
+    return fused.reference_chain(robot, dtype=torch.float64, device=device)

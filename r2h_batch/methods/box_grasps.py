@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Kind, load_robot
-from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.bodies.robot import Kind, Robot
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import box_grasps as kernels
 from r2h_batch.launch import launch_trials
@@ -42,18 +41,19 @@ class BoxGrasps:
     used: Bool[Tensor, "b s"]
 
 
-@lru_cache(maxsize=1)
-def three_boxes() -> tuple[Array, Array, Array, Array]:
+@lru_cache(maxsize=4)
+def three_boxes(robot: Robot) -> tuple[Array, Array, Array, Array]:
     """Low and high corner (3,) of the finger at +y and of the rest, m, frame ee, gripper open at 85
     mm.
 
     The finger's inner face is the pad's; where its root would reach into the rest, the rest ends
     it.
     """
-    robot = load_robot()
     R, p = (
         x[0].double().numpy()
-        for x in gripper_poses(torch.tensor([OPEN_GAP_M], dtype=torch.float32, device="cpu"))
+        for x in gripper_poses(
+            robot, torch.tensor([robot.open_gap_m], dtype=torch.float32, device="cpu")
+        )
     )
     half = np.where(
         (robot.gripper.kind == Kind.BOX)[:, None], robot.gripper.size,
@@ -64,7 +64,7 @@ def three_boxes() -> tuple[Array, Array, Array, Array]:
     mine = finger & (robot.gripper_side > 0)
     finger_low, finger_high = (p - half)[mine].min(0), (p + half)[mine].max(0)
     chassis_low, chassis_high = (p - half)[~finger].min(0), (p + half)[~finger].max(0)
-    finger_low[1], finger_low[2] = OPEN_GAP_M / 2, chassis_high[2]
+    finger_low[1], finger_low[2] = robot.open_gap_m / 2, chassis_high[2]
     return finger_low, finger_high, chassis_low, chassis_high
 
 
@@ -99,7 +99,7 @@ def box_grasps(
             kernels.top_down_grasps,
             len(index),
             inputs={
-                "boxes": _boxes(),
+                "boxes": _boxes(scene.robot),
                 "points": cloud.points,
                 "turns": wp.array(turns, dtype=wp.vec2, device=device),
                 "depths": wp.array(depth, dtype=wp.float32, device=device),
@@ -115,7 +115,7 @@ def box_grasps(
             width=used.shape[1],
         )
     if scene.config.candidates == "narrow":
-        fits = torch.from_numpy(_extents(scene, turns) <= OPEN_GAP_M).to(device)
+        fits = torch.from_numpy(_extents(scene, turns) <= scene.robot.open_gap_m).to(device)
         score = torch.where(fits[index.long()].gather(1, turn.long()), score, -1.0)
     chosen = torch.from_numpy(turns).to(device)[turn.long()]
     down = torch.from_numpy(depth).to(device)[step.long()]
@@ -183,10 +183,10 @@ def _poses(seed: Tensor, turn: Tensor, depth: Tensor) -> Tensor:
     return T
 
 
-def _boxes() -> Any:
+def _boxes(robot: Robot) -> Any:
     boxes = kernels.Boxes()
     names = ("finger_low", "finger_high", "chassis_low", "chassis_high")
-    for name, corner in zip(names, three_boxes(), strict=True):
+    for name, corner in zip(names, three_boxes(robot), strict=True):
         setattr(boxes, name, wp.vec3(*corner.astype(np.float32)))
     return boxes
 

@@ -16,10 +16,10 @@ from torch import Tensor
 
 from r2h_batch.bodies.arrays import stored_arrays
 from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_key
-from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.judge.grasp import close_gripper
-from r2h_batch.methods.grasps.candidate_set import Candidates, NoGraspError
+from r2h_batch.methods.grasps.candidate_set import OWN_ROBOT, Candidates, NoGraspError
 from r2h_batch.methods.grasps.own import own_grasps, seat_grasps
 from r2h_batch.methods.grasps.sample import generate_grasps, sample_grasps
 from r2h_batch.scene.scene import Scene
@@ -89,7 +89,7 @@ def _narrow(model: ObjectModel, found: Candidates) -> Candidates:
     """The candidates along whose closing axis the object is at most as wide as the open gripper;
     all of them where there is none."""
     along = model.vertices.astype(np.float64) @ found.T_obj_ee[:, :3, 1].T.astype(np.float64)
-    fits = np.ptp(along, axis=0) <= OPEN_GAP_M
+    fits = np.ptp(along, axis=0) <= load_robot(OWN_ROBOT).open_gap_m
     return found.rows(fits) if fits.any() else found
 
 
@@ -171,7 +171,7 @@ def candidate_table(scene: Scene) -> CandidateTable:
         torch.from_numpy(T).to(scene.device),
         torch.from_numpy(index).to(scene.device),
     )
-    held = close_gripper(scene.grasp_tables, T_obj_ee, object_index, w_max=OPEN_GAP_M)
+    held = close_gripper(scene.grasp_tables, T_obj_ee, object_index, w_max=scene.robot.open_gap_m)
     values = (np.concatenate([getattr(c, name) for c in every]) for name in ("width", "score"))
     width, score = (torch.from_numpy(v).to(scene.device) for v in values)
     places = (torch.from_numpy(v).to(scene.device) for v in (first, count))

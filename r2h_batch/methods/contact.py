@@ -185,7 +185,7 @@ def points_near_gripper(scene: Scene, radius_m: float) -> UInt8[Tensor, "m p"]:
         blocked_kernels.points_near_gripper,
         len(near),
         inputs={
-            "gripper": gripper_tables(scene.device),
+            "gripper": gripper_tables(scene.robot, scene.device),
             "radius": radius_m,
             "points": points,
             "object": table.object_index,

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from torch import Tensor
 
 from r2h_batch import se3
+from r2h_batch.bodies.robot import Robot
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.box_grasps import BoxGrasps, box_grasps, depth_steps
@@ -127,7 +128,9 @@ def predict(
             about_z = (role == WRAP).any(1)
             angles, places = added_turns(rotations), in_front_of(target, distances)
         R_world_obj = presented(axis.R_obj_template, target.palm_normal, angles, about_z)
-        return first_reached(R_world_obj, places, axis, at, grasps, feasible, threads=threads)
+        return first_reached(
+            scene.robot, R_world_obj, places, axis, at, grasps, feasible, threads=threads
+        )
 
     return answers(trials, scene, "handover-va", choose)
 
@@ -171,6 +174,7 @@ def by_score(
 
 
 def first_reached(
+    robot: Robot,
     R_world_obj: Float[Tensor, "b r 3 3"],
     places: Float[Tensor, "b d 3"],
     axis: Alignment,
@@ -192,7 +196,7 @@ def first_reached(
             break
         grasp = grasps[todo, k]
         T = carried(R[todo], _point(axis, at, grasp, todo), place[todo], grasp)
-        reached = reachable(T, threads=threads)
+        reached = reachable(robot, T, threads=threads)
         found = reached.any(1)
         rows = todo if k == 0 else todo[found]
         here = torch.ones_like(found) if k == 0 else found

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.bodies.robot import Kind, load_robot
-from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.bodies.robot import Kind, Robot
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import pose_cost as kernels
 from r2h_batch.launch import launch_trials
@@ -79,7 +78,9 @@ def least_cost_pose(
         scene, object_index, T_obj_ee, opening_m, T_world_ee, points, zone_m=zone_m, threads=threads
     )
     every = torch.ones_like(cost, dtype=torch.bool)
-    best = least(cost, reachable(T_world_ee, threads=threads) if gate == "ik" else every, every)
+    best = least(
+        cost, reachable(scene.robot, T_world_ee, threads=threads) if gate == "ik" else every, every
+    )
     return T_world_ee[torch.arange(len(best), dtype=torch.int64, device=best.device), best]
 
 
@@ -127,12 +128,12 @@ def collision_cost(
     if b == 0:
         return out
     low, high = _boxes(scene)
-    axis_low, axis_high, axis_radius = gripper_capsule()
+    axis_low, axis_high, axis_radius = gripper_capsule(scene.robot)
     launch_trials(
         kernels.pose_cost,
         b,
         inputs={
-            "gripper": gripper_tables(scene.device),
+            "gripper": gripper_tables(scene.robot, scene.device),
             "zone": zone_m,
             "axis_low": axis_low,
             "axis_high": axis_high,
@@ -168,15 +169,15 @@ def hand_sample(scene: Scene, count: int) -> Int64[Tensor, " h"]:
     return torch.tensor(taken, dtype=torch.int64, device=scene.device)
 
 
-@lru_cache(maxsize=1)
-def gripper_capsule() -> tuple[float, float, float]:
+@lru_cache(maxsize=4)
+def gripper_capsule(robot: Robot) -> tuple[float, float, float]:
     """Low and high end on ee's z axis, and radius, of a capsule that holds the gripper at any
     opening (m)."""
-    robot, slack = load_robot(), 1e-3  # what parts move between two of the openings looked at
+    slack = 1e-3  # what parts move between two of the openings looked at
     R, p = (
         x.double().numpy()
         for x in gripper_poses(
-            torch.linspace(0.0, OPEN_GAP_M, 61, dtype=torch.float32, device="cpu")
+            robot, torch.linspace(0.0, robot.open_gap_m, 61, dtype=torch.float32, device="cpu")
         )
     )
     size = robot.gripper.size

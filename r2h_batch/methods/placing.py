@@ -18,7 +18,7 @@ from torch import Tensor
 
 from r2h_batch import se3
 from r2h_batch.bodies.hand import HandModel
-from r2h_batch.bodies.robot import ee_pose
+from r2h_batch.bodies.robot import Robot, ee_pose
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.kernels.methods import hand_clearance as kernels
@@ -131,11 +131,11 @@ def poses_at(R: Float[Tensor, "b r 3 3"], p: Float[Tensor, "*#b 3"]) -> Float[Te
 
 
 def reachable(
-    T_world_ee: Float[Tensor, "b r 4 4"], *, threads: int | None = None
+    robot: Robot, T_world_ee: Float[Tensor, "b r 4 4"], *, threads: int | None = None
 ) -> Bool[Tensor, "b r"]:
     """Whether IK has a solution for each pose (world frame). Collisions are not checked."""
     flat = T_world_ee.reshape(-1, 4, 4).contiguous()
-    return solve_ik(flat, threads=threads).reachable.reshape(T_world_ee.shape[:2])
+    return solve_ik(flat, robot=robot, threads=threads).reachable.reshape(T_world_ee.shape[:2])
 
 
 def first_true(passes: Bool[Tensor, "b r"]) -> Int[Tensor, " b"]:
@@ -199,6 +199,7 @@ def posed_hand(
 
 
 def gripper_clearance(
+    robot: Robot,
     hand: PosedHand,
     T_hand_ee: Float32[Tensor, "m 4 4"],
     opening_m: Float32[Tensor, " m"],
@@ -212,6 +213,7 @@ def gripper_clearance(
     """Distance of several grippers from each hand.
 
     Args:
+        robot: with the gripper.
         hand: b hands.
         T_hand_ee: (m, 4, 4) gripper poses in the frame of a hand's vertices.
         opening_m: (m,) their openings.
@@ -232,7 +234,7 @@ def gripper_clearance(
         kernels.gripper_to_hand,
         n,
         inputs={
-            "gripper": gripper_tables(hand.device),
+            "gripper": gripper_tables(robot, hand.device),
             "hands": hand.struct,
             "cap": cap_m,
             "row": row.to(torch.int32).contiguous(),
@@ -271,7 +273,7 @@ def candidates_clear_of(
     hand = posed_hand(scene.hands.model, hand_vertices, scene.device, threads=threads)
     o = object_index.long()
     distance = gripper_clearance(
-        hand, table.T_obj_ee, table.opening_m, table.first[o], table.count[o], table.most,
+        scene.robot, hand, table.T_obj_ee, table.opening_m, table.first[o], table.count[o], table.most,
         cap_m=clearance_m + 1e-3, threads=threads,
     )  # fmt: skip
     return distance > clearance_m
@@ -307,13 +309,13 @@ def first_fit(
     b, r = T_world_ee.shape[:2]
     if gate == "none":
         return T_world_ee[:, 0].contiguous()
-    reached = reachable(T_world_ee, threads=threads)
+    reached = reachable(scene.robot, T_world_ee, threads=threads)
     passes = reached
     if hand_vertices is not None and gate == "hand":
         hand = posed_hand(scene.hands.model, hand_vertices, scene.device, threads=threads)
         row = torch.arange(b, dtype=torch.int64, device=T_world_ee.device) * r
         distance = gripper_clearance(
-            hand, T_world_ee.reshape(-1, 4, 4), opening_m.repeat_interleave(r), row, torch.full_like(row, r), r,
+            scene.robot, hand, T_world_ee.reshape(-1, 4, 4), opening_m.repeat_interleave(r), row, torch.full_like(row, r), r,
             cap_m=clearance_m + 1e-3, threads=threads,
         )  # fmt: skip
         passes = reached & (distance > clearance_m)

@@ -28,7 +28,6 @@ from r2h_batch.kernels.robot.tool import settle_sample
 from r2h_batch.launch import launch_trials
 from r2h_batch.motion.simulation import Job, Samples
 from r2h_batch.motion.time_law import Motion, limits, servo_law
-from r2h_batch.scene.dynamics import SERVO_RATE
 from r2h_batch.scene.model import TrialScenes
 from r2h_batch.scene.scene import BodyPoses, Scene
 
@@ -240,7 +239,9 @@ class _Runner:
         self.reference_s = motion.t_exec_s.double().cpu().numpy()
         module = import_module(f"r2h_batch.motion.sim_{engine}")
         self.simulate = module.simulate
-        self.law = servo_law(config, lead_s=1.0 / SERVO_RATE, step_s=config.step_s)
+        self.law = servo_law(
+            config, lead_s=1.0 / scene.robot.dynamics.servo_rate, step_s=config.step_s
+        )
         device = "cpu" if module.ON_CPU else scene.device
         self.device = device
         self.body_poses, tables = body_poses, (self.path, motion.time_s, length)
@@ -337,8 +338,10 @@ class _Runner:
             linkage = self.scene.robot.linkage
             middle = 0.5 * (answer.fingers[..., 0] + answer.fingers[..., 1])
             middle = np.clip(middle, linkage.drive_lower, linkage.drive_upper)
-            opening = gap_from_drive(middle).astype(np.float32)
-            slack = slack + job.scene.levers.sway(drive_from_gap(opening), answer.fingers)
+            opening = gap_from_drive(self.scene.robot, middle).astype(np.float32)
+            slack = slack + job.scene.levers.sway(
+                drive_from_gap(self.scene.robot, opening), answer.fingers
+            )
         shape = (2, len(self.length), slack.shape[1])
         out = torch.zeros(shape, dtype=torch.float32, device="cpu")
         out[0, job.rows] = torch.from_numpy(slack).float()

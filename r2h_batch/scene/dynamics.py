@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import JOINTS, Robot
+from r2h_batch.bodies.robot import JOINTS, Robot, rolled
 
 Array = NDArray[np.float64]
 
@@ -155,25 +155,6 @@ class PayloadTables:
         return j
 
 
-# UniversalRobots/Universal_Robots_ROS2_Description, config/ur5e/physical_parameters.yaml: shoulder
-# to wrist_3.
-LINK_MASS_KG = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)
-LINK_COM_M = (
-    (0.0, -0.00193, -0.02561), (-0.2125, 0.0, 0.11336), (-0.2422, 0.0, 0.0265),
-    (0.0, -0.01634, -0.0018), (0.0, 0.01634, -0.0018), (0.0, 0.0, -0.001159),
-)  # fmt: skip
-# xx, xy, xz, yy, yz, zz (kg m^2) about the centre of mass, axes turned by LINK_ROLL about the
-# link's x
-LINK_INERTIA = (
-    (0.00700210, 0.00000073, -0.00001053, 0.00648091, 0.00049994, 0.00657286),
-    (0.01505885, -0.00005400, 0.00000563, 0.33388086, -0.00000181, 0.33247207),
-    (0.00399632, -0.00001365, 0.00137272, 0.07879254, -0.00000660, 0.07848510),
-    (0.00165491, -0.00000282, -0.00000438, 0.00135962, 0.00010157, 0.00126279),
-    (0.00135617, -0.00000274, 0.00000444, 0.00127827, -0.00005048, 0.00096614),
-    (0.00018694, 0.00000006, -0.00000017, 0.00018908, -0.00000092, 0.00025756),
-)
-LINK_ROLL = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
-
 GRIPPER_MASS_KG = 1.05  # 2F-85 with its coupling
 GRIPPER_COM_M = (0.0, 0.0, 0.055)  # [choice] a box of the gripper's size, gripper frame
 GRIPPER_BOX_M = (0.075, 0.15, 0.14)
@@ -185,15 +166,6 @@ FINGER_MASS_KG = {
     "inner_knuckle": 0.02712,
 }
 """airo-models, robotiq_2f_85.urdf; a pad is part of its inner finger."""
-
-ARMATURE = 0.1
-"""Rotor inertia behind the gear, kg m^2 [choice]: MuJoCo Menagerie's value for this arm."""
-
-KP = (10000.0, 10000.0, 10000.0, 2000.0, 2000.0, 2000.0)
-SERVO_RATE = 100.0 / 3.0
-"""Stiffness N m/rad and kp / kv in 1/s [choice]: the same rate for all joints, so that what lag
-there is leaves a straight joint line straight. 10 kN m/rad on the large joints is what keeps an
-industrial arm within 0.1 mm while it moves."""
 
 
 @dataclass(frozen=True)
@@ -219,7 +191,7 @@ class Payload:
 
 
 def arm_model(robot: Robot, *, step_s: float, payload_known: bool = True) -> mujoco.MjModel:
-    """The UR5e with gripper and a placeholder object, as position servos: no geoms, the gripper
+    """The arm with gripper and a placeholder object, as position servos: no geoms, the gripper
     rigid.
 
     scene_model.py builds the whole scene around the same arm.
@@ -250,23 +222,22 @@ def add_arm(spec: mujoco.MjSpec, robot: Robot, parent: mujoco.MjsBody) -> list[m
     velocity servo. Weight is compensated, as the real controller does, and counts against the
     torque limits.
     """
-    bodies = [parent.add_body(name=robot.links[0])]
+    own, bodies = robot.dynamics, [parent.add_body(name=robot.links[0])]
     for i in range(JOINTS):
-        inertia = _rolled(LINK_INERTIA[i], LINK_ROLL[i])
         body = add_body(
             bodies[-1],
             robot.links[i + 1],
             robot.T_parent_joint[i],
-            LINK_MASS_KG[i],
-            LINK_COM_M[i],
-            inertia,
+            float(own.mass[i]),
+            own.com[i],
+            own.inertia[i],
         )
         torque = float(robot.max_torque[i])
         body.add_joint(
-            name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=ARMATURE,
+            name=robot.joints[i], type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1], armature=own.armature,
             range=[robot.lower[i], robot.upper[i]], actfrcrange=[-torque, torque], actgravcomp=True,
         )  # fmt: skip
-        add_servo(spec, robot.joints[i], KP[i], KP[i] / SERVO_RATE)
+        add_servo(spec, robot.joints[i], own.stiffness[i], own.stiffness[i] / own.servo_rate)
         bodies.append(body)
     return bodies
 
@@ -291,7 +262,7 @@ def add_object(gripper: mujoco.MjsBody, *, payload_known: bool) -> mujoco.MjsBod
     controller knows it."""
     # turned and shifted inertia: with a plain one the compiler would mark the frames as equal, for
     # all payloads
-    tilted = _rolled((1.0, 0.1, 0.2, 2.0, 0.3, 2.5), 0.3) * 1e-4
+    tilted = rolled((1.0, 0.1, 0.2, 2.0, 0.3, 2.5), 0.3) * 1e-4
     body = add_body(
         gripper, "object", _transform((0.1, 0.2, 0.3), 0.4), 0.1, (0.01, 0.02, 0.03), tilted
     )
@@ -343,9 +314,3 @@ def _transform(p: ArrayLike, roll: float) -> Array:
     c, s = np.cos(roll), np.sin(roll)
     T[:3, :3], T[:3, 3] = [[1, 0, 0], [0, c, -s], [0, s, c]], p
     return T
-
-
-def _rolled(tensor: ArrayLike, roll: float) -> Array:
-    xx, xy, xz, yy, yz, zz = np.asarray(tensor, np.float64)
-    R = _transform((0, 0, 0), roll)[:3, :3]
-    return np.asarray(R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T)

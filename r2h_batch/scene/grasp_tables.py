@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import load_robot
+from r2h_batch.bodies.robot import Robot
 from r2h_batch.kernels.geometry.lanes import LANES, LEAF_ROWS, NODE_ROWS, TRIANGLE_ROWS
 from r2h_batch.kernels.geometry.surface import Surfaces
 from r2h_batch.kernels.robot.gripper import Gripper
@@ -38,37 +38,39 @@ class GraspTables:
     every: int  # bit masks of gripper primitives: all of them,
     moving: int  # all but coupling and palm,
     behind_pads: int  # all but the pads
+    open_gap_m: float
+    closed_gap_m: float
     device: str
 
 
-def grasp_tables(objects: Sequence[ObjectModel], device: str = "cpu") -> GraspTables:
+def grasp_tables(objects: Sequence[ObjectModel], robot: Robot, device: str = "cpu") -> GraspTables:
     """The tables that every function here reads: built once per scene."""
     init_warp()
     triangles = [o.vertices[o.faces] for o in objects]
     regions = [t[o.receiver_face] for t, o in zip(triangles, objects, strict=True)]
-    robot = load_robot()
     if len(robot.gripper_part) > 31:
         raise ValueError(
             f"the gripper has {len(robot.gripper_part)} primitives; the kernels' bit masks hold 31"
         )
     return GraspTables(
         surfaces=surface_tables(triangles + regions, device),
-        gripper=gripper_tables(device),
+        gripper=gripper_tables(robot, device),
         objects=len(objects),
         has_region=torch.tensor([len(r) > 0 for r in regions], dtype=torch.bool, device=device),
         every=(1 << len(robot.gripper_part)) - 1,
         moving=sum(1 << i for i, motion in enumerate(robot.gripper_motion) if motion != "fixed"),
         behind_pads=sum(1 << i for i, part in enumerate(robot.gripper_part) if part != "pad"),
+        open_gap_m=robot.open_gap_m,
+        closed_gap_m=robot.closed_gap_m,
         device=device,
     )
 
 
 @lru_cache(maxsize=4)
-def gripper_tables(device: str = "cpu") -> Gripper:
-    """The gripper of robot.json for the kernels: linkage, and the primitives at drive angle 0 in
+def gripper_tables(robot: Robot, device: str = "cpu") -> Gripper:
+    """The robot's gripper for the kernels: linkage, and the primitives at drive angle 0 in
     the ee frame."""
     init_warp()
-    robot = load_robot()
     link, prims = robot.linkage, robot.gripper
     T_ee_gripper = np.linalg.inv(robot.T_flange_ee) @ robot.T_flange_gripper
     T = T_ee_gripper @ prims.T_link_prim

@@ -40,7 +40,6 @@ from r2h_batch.scene.model_parts import (
     add_visual,
     look,
 )
-from r2h_batch.scene.tables import TABLE_FROM_LINK
 
 Array = NDArray[np.float64]
 
@@ -60,11 +59,6 @@ class TrialScene:
     hand_index: int
     T_world_hand: Array
     opening_m: float
-
-    @property
-    def drive(self) -> float:
-        """Drive angle of the fingers, rad."""
-        return float(drive_from_gap(self.opening_m))
 
 
 @dataclass(frozen=True)
@@ -95,11 +89,6 @@ class TrialScenes:
         )
 
     @property
-    def drive(self) -> Array:
-        """Drive angles (n,) of the fingers, rad."""
-        return np.asarray(drive_from_gap(self.opening_m))
-
-    @property
     def held(self) -> MassProperties:
         """Mass properties of what they hold."""
         used, place = np.unique(self.object_index, return_inverse=True)
@@ -118,13 +107,15 @@ class SceneModel:
 
     def __init__(
         self,
+        robot: Robot,
         model: mujoco.MjModel,
         shapes: dict[str, Array] | None = None,
         objects: NDArray[np.int64] | None = None,
         hands: dict[int, NDArray[np.int64]] | None = None,
         levers: "FingerLevers | None" = None,
     ) -> None:
-        self.model, self.shapes, self.objects, self.hands = (
+        self.robot, self.model, self.shapes, self.objects, self.hands = (
+            robot,
             model,
             shapes or {},
             objects,
@@ -144,7 +135,7 @@ class SceneModel:
     @staticmethod
     def arm_only(robot: Robot, *, step_s: float, payload_known: bool = True) -> "SceneModel":
         """The arm alone: nothing to touch, nothing to see."""
-        return SceneModel(arm_model(robot, step_s=step_s, payload_known=payload_known))
+        return SceneModel(robot, arm_model(robot, step_s=step_s, payload_known=payload_known))
 
     def meshes(self, trial: TrialScene) -> NDArray[np.int64]:
         """The mesh of each of the `varied` geoms."""
@@ -182,15 +173,19 @@ class SceneModel:
         qpos = np.zeros((*q.shape[:-1], self.model.nq))
         qpos[..., :JOINTS] = q
         if self.full:
-            qpos[..., JOINTS:] = np.array([1, -1, 1] * 2) * np.asarray(trial.drive)[..., None]
+            qpos[..., JOINTS:] = np.array([1, -1, 1] * 2) * self._drive(trial)[..., None]
         return qpos
+
+    def _drive(self, trial: TrialScene | TrialScenes) -> Array:
+        """Drive angles of the fingers, rad: () of a trial, (n,) of many."""
+        return drive_from_gap(self.robot, trial.opening_m)
 
     def sway(self, trial: TrialScene, qpos: Array) -> float:
         """How far any point of the fingers was from where their opening has it, at most, over
         states (n, nq); m."""
         if not self.full:
             return 0.0
-        off = np.abs(qpos[:, JOINTS:].reshape(-1, 2, 3) * [1, -1, 1] - trial.drive)
+        off = np.abs(qpos[:, JOINTS:].reshape(-1, 2, 3) * [1, -1, 1] - self._drive(trial))
         driver, pin, knuckle = off[..., 0], np.abs(qpos[:, [6, 9]] + qpos[:, [7, 10]]), off[..., 2]
         at = self.levers
         worst = np.maximum(
@@ -207,7 +202,7 @@ class SceneModel:
 
     def hold(self, trial: TrialScene | TrialScenes) -> Array:
         """What the actuators beyond the arm's are told, all the time: (nu - 6,) or (n, nu - 6)."""
-        return np.repeat(np.asarray(trial.drive)[..., None], self.model.nu - JOINTS, axis=-1)
+        return np.repeat(self._drive(trial)[..., None], self.model.nu - JOINTS, axis=-1)
 
 
 _kept: "OrderedDict[tuple[Any, ...], tuple[Any, SceneModel]]" = OrderedDict()
@@ -333,9 +328,8 @@ def build_scene_model(
                 *partners[k],
                 f"robot/{robot.arm.names[i]}",
             )
-        add_visual(
-            spec, link, f"robot/{robot.links[k]}_visual", robot.links[k], np.eye(4), robot.links[k]
-        )
+        name = robot.links[k]
+        add_visual(spec, link, f"robot/{name}_visual", robot, name, np.eye(4), name)
     gripper = add_fingers(spec, links[-1], robot, partners[7])
     body = add_object(gripper, payload_known=payload_known)
     for k, mesh in enumerate(object_rows[0]):
@@ -353,7 +347,12 @@ def build_scene_model(
     first, count = model.body_bvhadr[-1], model.body_bvhnum[-1]
     model.bvh_aabb[first : first + count] = [0, 0, 0, 2, 2, 2]
     return SceneModel(
-        model, _shapes(meshes, model), np.array(object_rows), hand_rows, FingerLevers.of(robot)
+        robot,
+        model,
+        _shapes(meshes, model),
+        np.array(object_rows),
+        hand_rows,
+        FingerLevers.of(robot),
     )
 
 
@@ -414,7 +413,7 @@ def _partners(robot: Robot) -> list[tuple[int, int]]:
         conaffinity[b] |= 1 << int(a)
     for a in robot.object_pairs:
         conaffinity[a] |= 1 << 8
-    for k in range(TABLE_FROM_LINK, 8):
+    for k in range(robot.table_from, 8):
         conaffinity[k] |= 1 << 9
     return [(1 << k, c) for k, c in enumerate(conaffinity)]
 

@@ -144,7 +144,7 @@ def add_fingers(
     """The 2F-85: per side a driver, an inner finger at its pin and an inner knuckle, closed to a
     loop; one motor."""
     gripper = add_gripper(wrist, robot, GRIPPER_MASS_KG - 2 * sum(FINGER_MASS_KG.values()))
-    add_visual(spec, gripper, "gripper/body_visual", "body", np.eye(4), "gripper")
+    add_visual(spec, gripper, "gripper/body_visual", robot, "body", np.eye(4), "gripper")
     stiff = [2.5 * spec.option.timestep, 1.0]
     carriers: dict[tuple[str, int], tuple[mujoco.MjsBody, Array]] = {
         ("fixed", 0): (gripper, np.zeros(3))
@@ -213,7 +213,7 @@ def _add_finger_geoms(
                 quat=quat_wxyz(T[:3, :3]), contype=0, conaffinity=0, group=VISUAL, rgba=[*COLORS["pad"], 1],
             )  # fmt: skip
         else:
-            add_visual(spec, body, name, part, T, "gripper")
+            add_visual(spec, body, name, robot, part, T, "gripper")
 
 
 def add_primitive(
@@ -227,11 +227,17 @@ def add_primitive(
 
 
 def add_visual(
-    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, mesh: str, T: Array, color: str
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    name: str,
+    robot: Robot,
+    mesh: str,
+    T: Array,
+    color: str,
 ) -> None:
     """A part of the robot as airo-models shows it."""
     if spec.mesh(f"robot_{mesh}") is None:
-        add_mesh(spec, f"robot_{mesh}", *visual_mesh(mesh), convex=False)
+        add_mesh(spec, f"robot_{mesh}", *visual_mesh(robot.visuals, mesh), convex=False)
     add_mesh_geom(body, name, f"robot_{mesh}", color, T=T)
 
 
@@ -260,9 +266,9 @@ def add_mesh_geom(
 
 
 @lru_cache(maxsize=16)
-def visual_mesh(name: str) -> tuple[Array, NDArray[np.int64]]:
+def visual_mesh(arm: str, name: str) -> tuple[Array, NDArray[np.int64]]:
     """Vertices and faces of a part of the robot that airo-models shows."""
-    corners = np.asarray(visual_triangles(name), np.float32).reshape(-1, 3)
+    corners = np.asarray(visual_triangles(name, arm), np.float32).reshape(-1, 3)
     rows = np.ascontiguousarray(corners).view([("", np.float32)] * 3).ravel()
     _, first, index = np.unique(rows, return_index=True, return_inverse=True)
     return corners[first].astype(np.float64), index.reshape(-1, 3)

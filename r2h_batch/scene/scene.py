@@ -18,7 +18,7 @@ from r2h_batch import se3
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects
-from r2h_batch.bodies.robot import Robot, load_robot
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.robot.place import place_bodies
@@ -56,6 +56,7 @@ class Scene:
         config: EvalConfig | None = None,
         objects: Sequence[ObjectModel] | None = None,
         hand_set: HandSet | None = None,
+        robot: Robot | None = None,
     ) -> None:
         self.device = checked_device(device)
         optional(instance_of(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
@@ -63,8 +64,9 @@ class Scene:
             "config", config
         )
         init_warp()
-        self.config = config or EvalConfig()
-        self.robot: Robot = load_robot()
+        optional(instance_of(Robot, "such as load_robot(NAME)"))("robot", robot)
+        self.robot = robot or load_robot(DEFAULT_ROBOT)
+        self.config = self.robot.fitted(config or EvalConfig())
         self.objects = checked_objects(objects)
         if not self.objects:
             raise ValueError("a scene needs at least one object; objects is empty")
@@ -83,7 +85,7 @@ class Scene:
         for name, value in vars(type(self)).items():
             if isinstance(value, cached_property):
                 getattr(self, name)
-        gripper_tables(self.device)
+        gripper_tables(self.robot, self.device)
         wp.synchronize_device(self.device)
 
     @property
@@ -106,7 +108,7 @@ class Scene:
         built_in = {id(o) for o in load_objects()}
         objects = tuple(o.name if id(o) in built_in else o for o in self.objects)
         hand_set = None if self.hands.set is load_hand_set() else self.hands.set
-        return _scene_of, (self.device, self.config, objects, hand_set)
+        return _scene_of, (self.device, self.config, objects, hand_set, self.robot)
 
     def __copy__(self) -> "Scene":
         """Itself: nobody changes a scene."""
@@ -211,7 +213,7 @@ class Scene:
     @cached_property
     def grasp_tables(self) -> GraspTables:
         """Object surfaces, receiver regions and the gripper, for grasp.py."""
-        return grasp_tables(self.objects, self.device)
+        return grasp_tables(self.objects, self.robot, self.device)
 
     @cached_property
     def _object_meshes(self) -> list[wp.Mesh]:
@@ -359,7 +361,7 @@ class Scene:
         """Bodies of B trials: hand in the world, fingers at their opening, object attached (after
         closing moved it)."""
         b, device = len(object_index), object_index.device
-        gripper = gripper_tables(self.device)
+        gripper = gripper_tables(self.robot, self.device)
         count = gripper.kind.shape[0]
         sizes = ((b, 3, 3), (b, 3), (b, count, 3, 3), (b, count, 3), (b, 3, 3), (b, 3), (b, 6))
         shapes = dict(zip(PLACED, sizes, strict=True))
@@ -409,10 +411,11 @@ def _scene_of(
     config: EvalConfig,
     objects: tuple[ObjectModel | str, ...],
     hand_set: HandSet | None,
+    robot: Robot,
 ) -> Scene:
     """The scene that was pickled."""
     named = [load_objects([o])[0] if isinstance(o, str) else o for o in objects]
-    return Scene(device, config=config, objects=named, hand_set=hand_set)
+    return Scene(device, config=config, objects=named, hand_set=hand_set, robot=robot)
 
 
 def _of_owners(owners: tuple[Tensor, ...]) -> "BodyPoses":

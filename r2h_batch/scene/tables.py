@@ -25,8 +25,6 @@ from r2h_batch.kernels.robot.world import World
 
 MIDDLE_ROOT = 4
 """MANO's joint where the middle finger begins."""
-TABLE_FROM_LINK = 2
-"""Links from this on are checked against the table: base and shoulder stand on it."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +178,7 @@ class WorldTables:
             "link_radius": ([c[2] for c in link_caps], wp.float32),
             "link_motion_radius": (link_motion_radius, wp.float32),
             "self_links": (partners, wp.int32),
-            "table_from": (int(np.searchsorted(link, robot.links.index("upper_arm"))), wp.int32),
+            "table_from": (int(np.searchsorted(link, robot.table_from)), wp.int32),
         }
 
     @cached_property

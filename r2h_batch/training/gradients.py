@@ -13,8 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.bodies.robot import ee_pose, load_robot
-from r2h_batch.config import CLEARANCE_CAP_M, OPEN_GAP_M, EvalConfig, Thresholds
+from r2h_batch.bodies.robot import Robot, ee_pose
+from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, Thresholds
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.grasp import CUT_CAP_M
@@ -99,6 +99,7 @@ class MarginChanges:
         self.held, self.goal, self.evaluated = held, goal, scores.evaluated
         margin = scores.margin.detach()
         by_name = dict(zip(CRITERIA, margin.unbind(1), strict=True))
+        self.robot = scene.robot
         self._find_on_object(scene, thresholds, by_name, threads)
         safe_m = by_name["safe"] + thresholds.safe_margin_m
         self._find_between_bodies(scene, scores, safe_m, threads)
@@ -121,7 +122,7 @@ class MarginChanges:
         wider, thinner = thresholds.w_max_m - grasp.width_m, grasp.width_m - thresholds.w_min_m
         self.material = torch.where(holds & (stability == wider), -1.0, 0.0)
         self.material = torch.where(holds & (stability == thinner), 1.0, self.material)
-        opened = torch.full_like(grasp.opening_m, OPEN_GAP_M)
+        opened = torch.full_like(grasp.opening_m, scene.robot.open_gap_m)
         self.cut = witnesses.fingers(
             scene,
             held.T_obj_ee,
@@ -254,7 +255,7 @@ class MarginChanges:
         ) - first_order.carried(point, self.other, no_fingers, at_home, self.arm)
         plan = torch.where(
             self.unreachable,
-            -first_order.missed(T_world_ee, _lengths()),
+            -first_order.missed(T_world_ee, _lengths(self.robot)),
             se3.dot(self.goal.push, apart),
         )
         changes = {
@@ -277,9 +278,9 @@ def _carrier(body: Tensor, links: Tensor, n_robot: int) -> Tensor:
     )
 
 
-@lru_cache(maxsize=1)
-def _lengths() -> first_order.UrLengths:
-    ur = ur_parameters(load_robot())
+@lru_cache(maxsize=4)
+def _lengths(robot: Robot) -> first_order.UrLengths:
+    ur = ur_parameters(robot, robot.home_q)
     return first_order.UrLengths(
         *(float(getattr(ur, k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool"))
     )
@@ -288,7 +289,7 @@ def _lengths() -> first_order.UrLengths:
 @lru_cache(maxsize=4)
 def _tables(scene: Scene, device: str) -> tuple[Tensor, Tensor, Tensor]:
     """Links of the robot's bodies, home's joint angles and its ee pose, on a device."""
-    T_home = torch.from_numpy(ee_pose(load_robot(), scene.config.workplace.home_q)).float()
+    T_home = torch.from_numpy(ee_pose(scene.robot, scene.config.workplace.home_q)).float()
     return (
         torch.from_numpy(scene.body_links).to(device),
         torch.tensor(scene.config.workplace.home_q, dtype=torch.float32, device=device),

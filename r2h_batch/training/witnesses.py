@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.bodies.robot import load_robot
-from r2h_batch.config import FARTHEST_M, OPEN_GAP_M
+from r2h_batch.bodies.robot import Robot
+from r2h_batch.config import FARTHEST_M
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.witness import closing as closing_kernels
 from r2h_batch.kernels.witness import posture as posture_kernels
@@ -66,7 +66,7 @@ def closing(
         inputs={
             "gripper": tables.gripper,
             "surfaces": tables.surfaces,
-            "open_gap": OPEN_GAP_M,
+            "open_gap": scene.robot.open_gap_m,
             "whole": int(scene.config.width == "whole"),
             "T_obj_ee": T_obj_ee.contiguous(),
             "object_index": object_index.contiguous(),
@@ -84,7 +84,13 @@ def closing(
         threads=threads,
     )
     return Closing(
-        T_obj_ee, points, slope_x, slope_z, lift, state, (state > 0) & (width_m <= OPEN_GAP_M)
+        T_obj_ee,
+        points,
+        slope_x,
+        slope_z,
+        lift,
+        state,
+        (state > 0) & (width_m <= scene.robot.open_gap_m),
     )
 
 
@@ -297,7 +303,7 @@ def arm_at(scene: Scene, q: Float32[Tensor, "b 6"], *, threads: int | None = Non
         torch.zeros((b, 6, 3), dtype=torch.float32, device=device),
     )
     inverse = torch.zeros((b, 6, 6), dtype=torch.float32, device=device)
-    joint_R, joint_p = _chain(scene.device)
+    joint_R, joint_p = _chain(scene.robot, scene.device)
     launch_trials(
         posture_kernels.arm_jacobian,
         b,
@@ -311,9 +317,8 @@ def arm_at(scene: Scene, q: Float32[Tensor, "b 6"], *, threads: int | None = Non
 
 
 @lru_cache(maxsize=4)
-def _chain(device: str) -> tuple[Any, Any]:
+def _chain(robot: Robot, device: str) -> tuple[Any, Any]:
     """The arm's joint frames at q = 0, the last from wrist_3 to ee, float64."""
-    robot = load_robot()
     T = np.stack([*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee])
     R, p = np.ascontiguousarray(T[:, :3, :3]), np.ascontiguousarray(T[:, :3, 3])
     return wp.array(R, dtype=wp.mat33d, device=device), wp.array(p, dtype=wp.vec3d, device=device)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from r2h_batch import rng, se3
 from r2h_batch.bodies.arrays import stored_arrays
 from r2h_batch.bodies.objects import ObjectModel, stored_key
-from r2h_batch.bodies.robot import load_robot
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, load_robot
 from r2h_batch.trials.receivers import sine_cosine
 
 __all__ = ["HEIGHT_M", "draw_palms", "is_reachable", "reference_offset", "tool_rotation"]
@@ -94,7 +94,7 @@ def is_reachable(R_world_ee: Array, p_world_ee: Array) -> NDArray[np.bool_]:
     Each of two shoulders and two wrists leaves a distance from shoulder to wrist, which the two
     long links reach or not. Collisions are not checked.
     """
-    T = load_robot().T_wrist3_flange @ load_robot().T_flange_ee
+    T = load_robot(DEFAULT_ROBOT).T_wrist3_ee
     back = np.round(np.linalg.inv(T), 12)  # ee to wrist 3; rounded: an inverse has other last bits
     R = np.stack(
         [se3.rotate(R_world_ee, np.tile(back[:3, k], (len(R_world_ee), 1))) for k in range(3)], 2

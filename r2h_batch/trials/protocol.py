@@ -28,7 +28,7 @@ from r2h_batch.bodies.bounds import capsule_of_primitive
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
+from r2h_batch.bodies.robot import Robot, ee_pose, forward_kinematics
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE, assign_hands, assign_objects, trial_ids
 from r2h_batch.trials import palms, receivers, recorded
@@ -63,8 +63,6 @@ TCP_ROOM_M, TABLE_ROOM_M, ROBOT_ROOM_M = 0.20, 0.005, 0.005
 """What no vertex of the hand comes nearer to, with the robot at home: the TCP, the table, the arm
 [choice]."""
 
-DEFAULT = Workplace()
-
 _POSE = 1  # purpose of the random counters; `schedule` has 0
 _ROWS = 16384  # trials drawn at once
 _NEAR_ROWS = 256  # hands whose every vertex is looked at, at once: 2.7 MB an array
@@ -77,6 +75,7 @@ def make_trials(
     *,
     objects: Sequence[ObjectModel] | None = None,
     hand_set: HandSet | None = None,
+    robot: Robot | None = None,
     config: EvalConfig | None = None,
     benchmark: Benchmark | str | Path | None = None,
     protocol: str | None = None,
@@ -102,16 +101,17 @@ def make_trials(
         instance_of((Benchmark, str, Path), "a file, or read_benchmark(FILE)")(
             "benchmark", benchmark
         )
-        if objects is not None or hand_set is not None or config is not None:
+        if not all(x is None for x in (objects, hand_set, robot, config)):
             raise ValueError(
-                "benchmark says objects, hands and limits; give it alone, or the others without it"
+                "benchmark says objects, hands, robot and limits; give it alone, or the others without it"
             )
         found = read_benchmark(benchmark) if isinstance(benchmark, (str, Path)) else benchmark
         if found.listed is not None:
             return _listed(found.listed, splits, trials).named(found.objects)
-        objects, hand_set, config, protocol = (
+        objects, hand_set, robot, config, protocol = (
             found.objects,
             found.hand_set,
+            found.robot,
             found.config(),
             protocol or found.drawn,
         )
@@ -121,6 +121,7 @@ def make_trials(
         torch.from_numpy(ids),
         objects=objects,
         hand_set=hand_set,
+        robot=robot,
         config=config,
         protocol=protocol or PROTOCOL,
     )
@@ -141,6 +142,7 @@ def trials_of(benchmark: Benchmark, trial_id: Int64[Tensor, " n"]) -> Trials:
         trial_id,
         objects=benchmark.objects,
         hand_set=benchmark.hand_set,
+        robot=benchmark.robot,
         config=benchmark.config(),
         protocol=benchmark.drawn,
     )
@@ -151,6 +153,7 @@ def trials_with_ids(
     *,
     objects: Sequence[ObjectModel] | None = None,
     hand_set: HandSet | None = None,
+    robot: Robot | None = None,
     config: EvalConfig | None = None,
     protocol: str = PROTOCOL,
 ) -> Trials:
@@ -168,6 +171,7 @@ def trials_with_ids(
     optional(instance_of(HandSet, "such as load_hand_set(FILE)"))("hand_set", hand_set)
     with_body, own = protocol == PROTOCOLS[1], built_in(protocol)
     objects = own.objects if objects is None else checked_objects(objects)
+    robot = own.robot if robot is None else robot
     config = own.config() if config is None else config
     hands = _hands(own.hand_set if hand_set is None else hand_set)
     offset = np.zeros((len(objects), 3))
@@ -183,14 +187,14 @@ def trials_with_ids(
         try:
             if with_body:
                 T_world_hand[rows], receiver[rows] = _draw_people(
-                    ids[rows], hand_index[rows], hands, config, protocol
+                    ids[rows], hand_index[rows], hands, robot, config, protocol
                 )
             elif protocol == RELEASE:
                 T_world_hand[rows] = _draw_palms(
                     ids[rows], hand_index[rows], hands, offset[object_index[rows]]
                 )
             else:
-                T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, config)
+                T_world_hand[rows] = _draw_poses(ids[rows], hand_index[rows], hands, robot, config)
         except rng.NothingFits as error:
             raise ValueError(
                 f"no place for a hand where {protocol} draws them: {error}. Table (center {config.workplace.table_center}, half "
@@ -257,7 +261,11 @@ def _hands(hand_set: HandSet) -> _Hands:
 
 
 def _draw_poses(
-    ids: NDArray[np.int64], hand_index: NDArray[np.int64], hands: _Hands, config: EvalConfig
+    ids: NDArray[np.int64],
+    hand_index: NDArray[np.int64],
+    hands: _Hands,
+    robot: Robot,
+    config: EvalConfig,
 ) -> NDArray[np.float32]:
     """T_world_hand (n, 4, 4), each the first proposal of its trial that lies in the reachable
     set."""
@@ -284,7 +292,7 @@ def _draw_poses(
         T[:, :3, :3] = R
         T[:, :3, 3] = center - offset_m * normal - se3.rotate(R, hands.palm_point[hand])
         T[:, 3, 3] = 1.0
-        clear = _hand_is_clear(T.astype(np.float64), hand, hands, config.workplace)
+        clear = _hand_is_clear(T.astype(np.float64), hand, hands, robot, config.workplace)
         fits = np.zeros(len(rows), bool)
         fits[kept[clear]] = True
         return fits, (T[clear],)
@@ -319,6 +327,7 @@ def _draw_people(
     ids: NDArray[np.int64],
     hand_index: NDArray[np.int64],
     hands: _Hands,
+    robot: Robot,
     config: EvalConfig,
     protocol: str,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -350,11 +359,11 @@ def _draw_people(
         kept = np.flatnonzero(able & _in_set(center))
         kept = kept[_faces_robot_or_up(center[kept], palm[kept])]
         kept = kept[receivers.clear_of_torso(people.rows(kept))]
-        kept = kept[_arm_is_clear(people.rows(kept), at)]
+        kept = kept[_arm_is_clear(people.rows(kept), robot, at)]
         T = np.zeros((len(kept), 4, 4), np.float32)
         T[:, :3, :3], T[:, 3, 3] = R[kept], 1.0
         T[:, :3, 3] = people.wrist[kept] - se3.rotate(R[kept], hands.wrist[hand[kept]])
-        clear = _hand_is_clear(T.astype(np.float64), hand[kept], hands, at)
+        clear = _hand_is_clear(T.astype(np.float64), hand[kept], hands, robot, at)
         fits = np.zeros(len(rows), bool)
         fits[kept[clear]] = True
         return fits, T[clear]
@@ -374,10 +383,10 @@ def _in_set(center: Array) -> NDArray[np.bool_]:
     return np.asarray(ring & (z >= LOWEST_M) & (z <= HIGHEST_M))
 
 
-def _arm_is_clear(people: receivers.Person, at: Workplace) -> NDArray[np.bool_]:
+def _arm_is_clear(people: receivers.Person, robot: Robot, at: Workplace) -> NDArray[np.bool_]:
     """Whether upper arm and forearm keep off table, arm and TCP at home, asked at points along
     them."""
-    tcp, ends, radius = _home(at.home_q)
+    tcp, ends, radius = _home(robot, at.home_q)
     low, high = (
         np.round(np.array(at.table_center) + sign * np.array(at.table_half), 6) for sign in (-1, 1)
     )
@@ -426,11 +435,11 @@ def _faces_robot_or_up(center: Array, normal: Array) -> NDArray[np.bool_]:
 
 
 def _hand_is_clear(
-    T_world_hand: Array, hand: NDArray[np.int64], hands: _Hands, at: Workplace = DEFAULT
+    T_world_hand: Array, hand: NDArray[np.int64], hands: _Hands, robot: Robot, at: Workplace
 ) -> NDArray[np.bool_]:
     """Whether no vertex is near TCP, table or arm at home: the hand's bounding sphere first,
     vertices where needed."""
-    tcp, ends, radius = _home(at.home_q)
+    tcp, ends, radius = _home(robot, at.home_q)
     center = se3.rotate(T_world_hand[:, :3, :3], hands.center[hand]) + T_world_hand[:, :3, 3]
     # to a micrometre: 0.475 - 0.025 is not 0.45 in binary
     low, high = (
@@ -470,13 +479,12 @@ def _hand_is_clear(
 
 
 @lru_cache(maxsize=8)
-def _home(home_q: tuple[float, ...]) -> tuple[Array, Array, Array]:
+def _home(robot: Robot, home_q: tuple[float, ...]) -> tuple[Array, Array, Array]:
     """TCP (3,), and the arm primitives' bounding capsules: ends (n, 2, 3), radii (n,), with the
     robot at home (world).
 
     Rounded to a nanometre, so that the last bits of a machine's sine cannot decide about a trial.
     """
-    robot = load_robot()
     T = forward_kinematics(robot, home_q)[robot.arm.link] @ robot.arm.T_link_prim
     capsules = [
         capsule_of_primitive(int(k), s) for k, s in zip(robot.arm.kind, robot.arm.size, strict=True)

@@ -11,6 +11,7 @@ from convex_twin import winding_number
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.mesh_import.closed import closed_mesh
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.bodies.solid import signed_distance
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.judge.grasp import gripper_poses, open_is_clear, region_distance
@@ -155,12 +156,12 @@ def test_a_gripper_beside_an_opening_is_clear_once_it_is_closed_though_a_ray_thr
         model = SimpleNamespace(
             vertices=np.float32(mesh.vertices), faces=faces, receiver_face=np.ones(len(faces), bool)
         )
-        tables = grasp_tables([model])
+        tables = grasp_tables([model], load_robot())
         clear.append(open_is_clear(tables, poses, none, clearance_m=0.001).numpy())
         shell.append(region_distance(tables, poses, none, torch.full((len(T),), OPEN_GAP_M))[0].numpy())
     only_after = clear[0] & ~clear[1]
     assert only_after.sum() > 10 and (shell[1][only_after] > 0.0009).all()  # fingers that touch neither
-    place = gripper_poses(torch.full((int(only_after.sum()),), OPEN_GAP_M))[1].numpy()
+    place = gripper_poses(load_robot(), torch.full((int(only_after.sum()),), OPEN_GAP_M))[1].numpy()
     middles = np.einsum("nij,ngj->ngi", T[only_after][:, :3, :3], place) + T[only_after][:, None, :3, 3]
     for mesh in (repaired.mesh, repaired.given):  # and are in neither, by solid angles in float64
         assert max(winding_number(x, mesh.triangles) for x in middles.reshape(-1, 3).astype(float)) < 0.5

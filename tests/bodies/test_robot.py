@@ -123,12 +123,14 @@ def test_home_points_the_gripper_straight_down():
 def test_linkage_matches_scene_md_and_inverts():
     q = np.linspace(0.0, 0.8, 81)
     gap = 2 * (0.0054058 + 0.0376 * np.cos(q) - 0.0430 * np.sin(q))
-    np.testing.assert_allclose(gap_from_drive(q), gap, atol=2e-7)
-    np.testing.assert_allclose(pad_center_z(q), 0.087324 + 0.0430 * np.cos(q) + 0.0376 * np.sin(q), atol=1e-9)
-    np.testing.assert_allclose(drive_from_gap(gap_from_drive(q)), q, atol=1e-12)
-    np.testing.assert_array_equal(drive_from_gap([1.0, -1.0]), [0.0, 0.8])
+    np.testing.assert_allclose(gap_from_drive(load_robot(), q), gap, atol=2e-7)
+    np.testing.assert_allclose(
+        pad_center_z(load_robot(), q), 0.087324 + 0.0430 * np.cos(q) + 0.0376 * np.sin(q), atol=1e-9
+    )
+    np.testing.assert_allclose(drive_from_gap(load_robot(), gap_from_drive(load_robot(), q)), q, atol=1e-12)
+    np.testing.assert_array_equal(drive_from_gap(load_robot(), [1.0, -1.0]), [0.0, 0.8])
     robot = load_robot()
-    ee_z = float(pad_center_z(drive_from_gap(0.0425))) + robot.T_flange_gripper[2, 3]
+    ee_z = float(pad_center_z(load_robot(), drive_from_gap(load_robot(), 0.0425))) + robot.T_flange_gripper[2, 3]
     assert abs(ee_z - robot.T_flange_ee[2, 3]) < 1e-7
 
 
@@ -136,7 +138,7 @@ def test_linkage_matches_scene_md_and_inverts():
 def test_gripper_shapes_cover_the_finger_meshes_where_the_urdf_puts_them(gap_m):
     robot, model = load_robot(), urdf_model("grippers/robotiq_2f_85/urdf/robotiq_2f_85.urdf")
     data = mujoco.MjData(model)
-    drive = float(drive_from_gap(gap_m))
+    drive = float(drive_from_gap(load_robot(), gap_m))
     for joint in range(model.njnt):  # the mimic tags: inner fingers turn back, all others go along
         data.qpos[joint] = -drive if "inner_finger" in model.joint(joint).name else drive
     mujoco.mj_kinematics(model, data)
@@ -156,7 +158,7 @@ def test_gripper_shapes_cover_the_finger_meshes_where_the_urdf_puts_them(gap_m):
         T_pad = T_gripper_world @ body_pose(data, f"{side}_inner_finger_pad")
         np.testing.assert_allclose(poses[pad][:3, 3], T_pad[:3, 3], atol=1e-9)
         np.testing.assert_allclose(robot.gripper.size[pad], [0.011, 0.003175, 0.01875], atol=1e-12)
-        assert abs(abs(poses[pad][1, 3]) - 0.003175 - float(gap_from_drive(drive)) / 2) < 1e-12
+        assert abs(abs(poses[pad][1, 3]) - 0.003175 - float(gap_from_drive(load_robot(), drive)) / 2) < 1e-12
 
 
 def test_body_shapes_cover_gripper_base_and_coupling():

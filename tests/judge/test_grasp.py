@@ -88,8 +88,10 @@ def test_nothing_between_the_pads_is_empty_and_fails_by_the_whole_stroke() -> No
 
 @pytest.mark.parametrize(("thick_m", "holds"), [(0.0004, False), (0.001505, False), (0.00152, True), (0.004, True)])
 def test_what_is_thinner_than_the_closed_pads_gap_is_not_held(thick_m: float, holds: bool) -> None:
-    assert float(gap_from_drive(load_robot().linkage.drive_upper)) == pytest.approx(CLOSED_GAP_M, abs=1e-7)
-    tables = grasp_tables([model_of(trimesh.creation.box((0.1, thick_m, 0.004)))])
+    assert float(gap_from_drive(load_robot(), load_robot().linkage.drive_upper)) == pytest.approx(
+        CLOSED_GAP_M, abs=1e-7
+    )
+    tables = grasp_tables([model_of(trimesh.creation.box((0.1, thick_m, 0.004)))], load_robot())
     T = torch.tensor(np.linalg.inv(pose_at(z=0.01))[None], dtype=torch.float32)
     grasp = close_gripper(tables, T, torch.zeros(1, dtype=torch.int32))
     assert grasp.width_m.item() == pytest.approx(thick_m, abs=1e-6) and not grasp.empty
@@ -131,8 +133,8 @@ def test_closing_moves_the_object_to_the_middle_of_the_pads() -> None:
 
 def test_finger_poses_agree_with_the_robots_own() -> None:
     opening = torch.linspace(0.0, 0.087, 200)
-    R, p = gripper_poses(opening)
+    R, p = gripper_poses(load_robot(), opening)
     T = gripper_primitives_at(load_robot(), opening.double().numpy())
     np.testing.assert_allclose(R.numpy(), T[..., :3, :3], atol=1e-6)
     np.testing.assert_allclose(p.numpy(), T[..., :3, 3], atol=1e-6)
-    assert gripper_tables("cpu").kind.shape[0] == T.shape[1]
+    assert gripper_tables(load_robot(), "cpu").kind.shape[0] == T.shape[1]

@@ -42,7 +42,7 @@ def parts():
 def geometric(index: np.ndarray, T_obj_ee: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Opening and attached grasps from the exact geometry."""
     T = torch.from_numpy(T_obj_ee.astype(np.float32))
-    g = close_gripper(grasp_tables(parts(), "cpu"), T, torch.from_numpy(index.astype(np.int32)))
+    g = close_gripper(grasp_tables(parts(), load_robot()), T, torch.from_numpy(index.astype(np.int32)))
     assert (g.margin_m >= 0).all()
     return g.opening_m.numpy(), attach(T, g.shift_m).numpy().astype(np.float64)
 
@@ -52,7 +52,7 @@ def test_rigid_convex_parts_stop_the_fingers_at_their_geometric_width(off_m):
     index = np.arange(len(parts()))
     T = np.stack([frame(Z, Y, np.array([0.0, off_m * (p.name != "box_80"), 0.0])) for p in parts()])
     opening, _ = geometric(index, T)
-    closed = close_in_physics(parts(), index, T)
+    closed = close_in_physics(parts(), index, T, load_robot())
     # contacts are soft: pads sink in by 0.3 mm where they lie on edges or faces, by 0.6 mm at the ball's two points
     np.testing.assert_allclose(closed.opening_m, opening, atol=6e-4)
     assert np.abs(closed.opening_m - opening)[:5].max() < 5e-4
@@ -63,8 +63,11 @@ def test_rigid_convex_parts_stop_the_fingers_at_their_geometric_width(off_m):
 
 def test_without_an_object_between_them_the_pads_close_to_the_linkages_end():
     far = frame(Z, Y, np.array([0.0, 0.0, 0.5]))  # the part is half a metre behind the gripper
-    closed = close_in_physics(parts(), np.array([0]), far[None])
-    assert closed.opening_m[0] == pytest.approx(float(gap_from_drive(0.8)), abs=5e-4) and closed.moved_m[0] < 1e-9
+    closed = close_in_physics(parts(), np.array([0]), far[None], load_robot())
+    assert (
+        closed.opening_m[0] == pytest.approx(float(gap_from_drive(load_robot(), 0.8)), abs=5e-4)
+        and closed.moved_m[0] < 1e-9
+    )
 
 
 def test_the_closing_fingers_move_as_the_linkage_says():
@@ -72,11 +75,11 @@ def test_the_closing_fingers_move_as_the_linkage_says():
     m = gripper_spec(robot, parts()[0], frame(Z, Y, np.array([0.0, 0.0, 0.5]))).compile()
     data = mujoco.MjData(m)
     for gap in (0.085, 0.05, 0.02, 0.002):
-        drive = float(drive_from_gap(gap))
+        drive = float(drive_from_gap(load_robot(), gap))
         data.qpos[:4] = np.array([1, -1, 1, -1]) * drive
         mujoco.mj_kinematics(m, data)
         for name, side in (("left", -1), ("right", 1)):
-            want = [0, side * (gap / 2 + robot.linkage.pad_half_size[1]), float(pad_center_z(drive))]
+            want = [0, side * (gap / 2 + robot.linkage.pad_half_size[1]), float(pad_center_z(load_robot(), drive))]
             np.testing.assert_allclose(data.geom(name).xpos, want, atol=1e-9)
             np.testing.assert_allclose(data.geom(name).xmat, np.eye(3).ravel(), atol=1e-12)
 
@@ -86,18 +89,22 @@ def test_a_light_part_is_held_through_the_shake_and_a_heavy_one_drops():
     light = replace(box, mass=0.1, inertia=box.inertia * (0.1 / box.mass))
     heavy = replace(box, mass=12.0, inertia=box.inertia * (12.0 / box.mass))
     T = np.stack([frame(Z, Y, np.zeros(3))] * 2)
-    closed = close_in_physics((light, heavy), np.array([0, 1]), T, shake=True)
+    closed = close_in_physics((light, heavy), np.array([0, 1]), T, load_robot(), shake=True)
     assert closed.held.tolist() == [True, False]
     assert closed.slip_m[0] < 1e-3 and closed.slip_m[1] > 0.05
-    assert np.isnan(close_in_physics((light,), np.array([0]), T[:1]).slip_m).all()  # not shaken: nothing is said
+    unshaken = close_in_physics((light,), np.array([0]), T[:1], load_robot())
+    assert np.isnan(unshaken.slip_m).all()
 
 
 def test_rows_do_not_depend_on_their_batch_and_an_empty_one_is_empty():
     index = np.arange(3)
     T = np.stack([frame(Z, Y, np.zeros(3))] * 3)
-    whole, alone = close_in_physics(parts(), index, T), close_in_physics(parts(), index[1:2], T[1:2], threads=1)
+    whole, alone = (
+        close_in_physics(parts(), index, T, load_robot()),
+        close_in_physics(parts(), index[1:2], T[1:2], load_robot(), threads=1),
+    )
     assert whole.opening_m[1] == alone.opening_m[0]
-    assert close_in_physics(parts(), index[:0], T[:0]).opening_m.shape == (0,)
+    assert close_in_physics(parts(), index[:0], T[:0], load_robot()).opening_m.shape == (0,)
 
 
 def test_stability_by_physics_fails_what_drops_and_tells_the_slip_in_its_margin():

@@ -11,7 +11,7 @@ from r2h_batch.judge.ik import solve_ik, ur_parameters
 
 PI = np.pi
 HOME = np.array(HOME_Q)
-UR = ur_parameters(load_robot())
+UR = ur_parameters(load_robot(), HOME_Q)
 N = 10_000
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from r2h_batch.bodies.objects import load_objects
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.methods.box_grasps import box_grasps, depth_steps, three_boxes
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP, roles_of
 from r2h_batch.scene.scene import Scene
@@ -39,7 +40,7 @@ def run(rows: list[int], role: torch.Tensor):
 
 def in_boxes(q: np.ndarray) -> np.ndarray:
     """Which points (..., 3) in a grasp's frame lie in a finger or in the rest."""
-    finger_low, finger_high, low, high = (c.astype(np.float32) for c in three_boxes())
+    finger_low, finger_high, low, high = (c.astype(np.float32) for c in three_boxes(load_robot()))
     mirrored = q * np.array([1, -1, 1], np.float32)
     boxes = [(q, finger_low, finger_high), (mirrored, finger_low, finger_high), (q, low, high)]
     return np.any([((p >= a) & (p <= b)).all(-1) for p, a, b in boxes], axis=0)
@@ -47,7 +48,7 @@ def in_boxes(q: np.ndarray) -> np.ndarray:
 
 def room(seeds: np.ndarray, own: int, y: np.ndarray, depth: float) -> float:
     """Distance from the nearer finger's centre to the nearest other seed, at most CROP."""
-    finger_low, finger_high, _, _ = three_boxes()
+    finger_low, finger_high, _, _ = three_boxes(load_robot())
     middle = (finger_low + finger_high) / 2
     others = np.delete(seeds, own, axis=0)
     centers = [seeds[own] + s * middle[1] * y - [0, 0, middle[2] + depth] for s in (1, -1)]

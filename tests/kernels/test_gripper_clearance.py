@@ -136,7 +136,7 @@ def test_a_pad_wholly_inside_the_object_and_an_object_wholly_inside_the_palm_are
 
 
 def test_touching_pads_pass_and_deeper_cuts_have_smaller_margins() -> None:
-    tables = grasp_tables([model_of(trimesh.creation.box((0.02, 0.03, 0.02)))])
+    tables = grasp_tables([model_of(trimesh.creation.box((0.02, 0.03, 0.02)))], load_robot())
     # the box reaches y = offset + 15 mm; the pad begins at 42.5 mm
     offsets = [0.0, 0.022, 0.027, 0.02749, 0.027501, 0.0276, 0.029, 0.0305]
     T = torch.tensor(np.stack([np.linalg.inv(pose_at(y=y)) for y in offsets]), dtype=torch.float32)

@@ -38,7 +38,14 @@ def run(rows: list[int]) -> torch.Tensor:
     hand = posed_hand(load_hand(), vertices[rows], "cpu")
     first = torch.arange(len(rows)) * 24
     return gripper_clearance(
-        hand, T[rows].reshape(-1, 4, 4), opening[rows].reshape(-1), first, torch.full_like(first, 24), 24, cap_m=CAP
+        load_robot(),
+        hand,
+        T[rows].reshape(-1, 4, 4),
+        opening[rows].reshape(-1),
+        first,
+        torch.full_like(first, 24),
+        24,
+        cap_m=CAP,
     )
 
 
@@ -46,7 +53,7 @@ def twin(i: int, k: int) -> float:
     """Least distance of all primitives to all pieces, capped, 0 where any two meet."""
     vertices, T, opening = stage()
     model, robot = load_hand(), load_robot()
-    R, p = (x[0].double().numpy() for x in gripper_poses(opening[i, k].reshape(1)))
+    R, p = (x[0].double().numpy() for x in gripper_poses(load_robot(), opening[i, k].reshape(1)))
     T_hand_ee = T[i, k].double().numpy()
     G, P = len(p), len(model.pieces)
     prims = np.tile(np.eye(4), (G, 1, 1))
@@ -76,8 +83,10 @@ def test_rows_do_not_depend_on_the_batch_and_missing_candidates_count_as_touchin
     assert torch.equal(run([5, 2]), whole[[5, 2]])
     vertices, T, opening = stage()
     hand = posed_hand(load_hand(), vertices[:2], "cpu")
-    some = gripper_clearance(hand, T[0], opening[0], torch.tensor([0, 3]), torch.tensor([24, 5]), 24, cap_m=CAP)
+    some = gripper_clearance(
+        load_robot(), hand, T[0], opening[0], torch.tensor([0, 3]), torch.tensor([24, 5]), 24, cap_m=CAP
+    )
     assert torch.equal(some[0], whole[0]) and (some[1, 5:] == 0).all()
     empty = posed_hand(load_hand(), vertices[:0], "cpu")
     none = torch.zeros(0, dtype=torch.int64)
-    assert gripper_clearance(empty, T[0], opening[0], none, none, 24, cap_m=CAP).shape == (0, 24)
+    assert gripper_clearance(load_robot(), empty, T[0], opening[0], none, none, 24, cap_m=CAP).shape == (0, 24)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.robot import forward_kinematics, load_robot
 from r2h_batch.config import HOME_Q
-from r2h_batch.judge.ik import default_ur, solve_ik
+from r2h_batch.judge.ik import solve_ik, ur_parameters
 from r2h_batch.kernels.ik.nearest import nearest_posture
 from r2h_batch.launch import launch_trials
 
@@ -39,7 +39,7 @@ def missed() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         nearest_posture,
         COUNT,
         inputs={
-            "ur": default_ur(HOME_Q),
+            "ur": ur_parameters(load_robot(), HOME_Q),
             "rotation_lever_m": 0.1,
             "active": torch.ones(COUNT, dtype=torch.bool, device="cpu"),
             "branches": valid,

@@ -13,6 +13,7 @@ from problems import default_evaluator
 from r2h_batch.bodies.arrays import arrays_digest, stored_arrays
 from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.objects import load_objects
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.box_grasps import three_boxes
@@ -44,7 +45,7 @@ def test_methods_can_fail_stability_with_grasps_as_generated_and_not_with_filter
 
 
 def test_no_cloud_point_lies_in_the_boxes_of_the_open_gripper():
-    low, high, rest_low, rest_high = three_boxes()
+    low, high, rest_low, rest_high = three_boxes(load_robot())
     for model, c in zip(OBJECTS[::5], candidates_of(OBJECTS, "as-generated")[::5], strict=True):
         for T in c.T_obj_ee.astype(np.float64)[::9]:
             p = (model.points.astype(np.float64) - T[:3, 3]) @ T[:3, :3]

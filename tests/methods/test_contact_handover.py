@@ -37,7 +37,7 @@ def near_gripper(i: int) -> NDArray[np.bool_]:
     """(K, P) cloud points nearer than 2 cm to each candidate's gripper."""
     model, robot = evaluator().scene.objects[int(trials().object_index[i])], load_robot()
     T, opening, _ = candidates(i)
-    R, p = (x.double().numpy() for x in gripper_poses(opening))
+    R, p = (x.double().numpy() for x in gripper_poses(load_robot(), opening))
     out = np.zeros((len(T), len(model.points)), bool)
     for k, T_obj_ee in enumerate(T.double().numpy()):
         in_ee = (model.points - T_obj_ee[:3, 3]) @ T_obj_ee[:3, :3]
@@ -125,7 +125,7 @@ def test_contacts_orientation_has_the_least_cost_of_all_or_of_those_the_arm_reac
         assert np.abs(T[mine] - got).max() < 1e-5
         assert reached[mine] and cost[mine] <= cost[reached].min() + 1e-9
         assert mine == np.flatnonzero(reached & (cost == cost[mine]))[0]  # of equals the first of the fan
-        R, q = (x[0].double().numpy() for x in gripper_poses(opening[k : k + 1]))
+        R, q = (x[0].double().numpy() for x in gripper_poses(load_robot(), opening[k : k + 1]))
         mesh = scene.objects[int(o)].mesh
         for m in (0, 60, 111, 200):
             x = (hand.double().numpy() - T[m, :3, 3]) @ T[m, :3, :3]
@@ -139,9 +139,9 @@ def test_contacts_orientation_has_the_least_cost_of_all_or_of_those_the_arm_reac
 
 
 def test_the_grippers_capsule_holds_it_at_any_opening():
-    low, high, radius = gripper_capsule()
+    low, high, radius = gripper_capsule(load_robot())
     robot = load_robot()
-    R, p = (x.double().numpy() for x in gripper_poses(torch.tensor([0.0, 0.0137, 0.0411, 0.085])))
+    R, p = (x.double().numpy() for x in gripper_poses(load_robot(), torch.tensor([0.0, 0.0137, 0.0411, 0.085])))
     axis = np.array([[0.0, 0.0, z] for z in np.linspace(low, high, 400)])
     d = np.random.default_rng(0).normal(size=(300, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)

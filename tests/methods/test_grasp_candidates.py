@@ -43,7 +43,8 @@ def _in_ee(model: ObjectModel, T_obj_ee: np.ndarray, faces: np.ndarray | None = 
 
 def _pad_z(gap: float) -> float:
     robot = load_robot()
-    return float(pad_center_z(drive_from_gap(gap)) + robot.T_flange_gripper[2, 3] - robot.T_flange_ee[2, 3])
+    z = pad_center_z(robot, drive_from_gap(robot, gap))
+    return float(z + robot.T_flange_gripper[2, 3] - robot.T_flange_ee[2, 3])
 
 
 def _distance(mesh: trimesh.Trimesh, gap: float, moving_only: bool, cap: float = 2e-3) -> float:

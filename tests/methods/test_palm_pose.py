@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.placing import (
     approach_frames,
@@ -100,7 +101,7 @@ def test_poses_are_reachable_where_the_arm_has_a_solution():
     R = approach_frames(torch.tensor([[0.0, 0.0, -1.0], [0.0, 0.0, -1.0]]), -X)
     T = poses_at(rolled(R, roll_angles(8)), torch.tensor([[0.42, 0.0, 0.45], [3.0, 0.0, 0.45]]))
     assert T.dtype == torch.float32 and T.shape == (2, 8, 4, 4)
-    assert reachable(T).tolist() == [[True] * 8, [False] * 8]
+    assert reachable(load_robot(), T).tolist() == [[True] * 8, [False] * 8]
     heights = torch.tensor([[[0.42, 0.0, z] for z in (0.1, 0.9, 1.2)]] * 2)
     each = poses_at(R[:, None].expand(2, 3, 3, 3), heights)
-    assert torch.equal(reachable(each).flatten(), solve_ik(each.reshape(-1, 4, 4).contiguous()).reachable)
+    assert torch.equal(reachable(load_robot(), each).flatten(), solve_ik(each.reshape(-1, 4, 4).contiguous()).reachable)

@@ -12,7 +12,6 @@ from r2h_batch.bodies.robot import forward_kinematics
 from r2h_batch.config import HOME_Q
 from r2h_batch.scene.dynamics import (
     GRIPPER_MASS_KG,
-    LINK_MASS_KG,
     Payload,
     arm_model,
     loaded_model,
@@ -62,7 +61,7 @@ def test_a_loaded_model_is_a_copy_and_carries_what_the_compiler_would_derive():
     payload = Payload.of(load_objects(["hammer"])[0], np.eye(4))
     model = loaded_model(base, payload, mujoco.MjData(base))
     assert np.array_equal(base.body_mass, before[0]) and np.array_equal(base.body_subtreemass, before[1])
-    total = sum(LINK_MASS_KG) + GRIPPER_MASS_KG + payload.mass
+    total = ROBOT.dynamics.mass.sum() + GRIPPER_MASS_KG + payload.mass
     assert model.body_subtreemass[2] == pytest.approx(total, abs=1e-8)
     assert model.body_subtreemass[-1] == pytest.approx(0.665)
     assert (model.dof_invweight0 < base.dof_invweight0).any()

@@ -12,16 +12,15 @@ import warp as wp
 from dynamics_twin import mass_matrix, some_payload
 from problems import default_evaluator
 
-from r2h_batch.bodies.robot import ee_pose, forward_kinematics, gripper_primitives_at
+from r2h_batch.bodies.robot import ee_pose, forward_kinematics, gripper_primitives_at, load_robot
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.launch import init_warp
 from r2h_batch.motion.sim_mjwarp import StandingWorlds
 from r2h_batch.motion.simulation import Job
 from r2h_batch.motion.time_law import servo_law
-from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, LINK_MASS_KG, Payload
+from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, Payload
 from r2h_batch.scene.model import SceneModel, TrialScene, TrialScenes, build_scene_model
 from r2h_batch.scene.scene import Scene
-from r2h_batch.scene.tables import TABLE_FROM_LINK
 
 HANDS = (3, 250, 17)
 STEP_S = 0.002
@@ -130,7 +129,7 @@ def test_masses_are_those_of_the_arm_with_a_rigid_gripper():
     M = np.zeros((m.nv, m.nv))
     mujoco.mj_fullM(m, data, M)
     assert m.body_subtreemass[m.body("shoulder").id] == pytest.approx(
-        sum(LINK_MASS_KG) + GRIPPER_MASS_KG + payload.mass
+        load_robot().dynamics.mass.sum() + GRIPPER_MASS_KG + payload.mass
     )
     np.testing.assert_allclose(M[:6, :6], mass_matrix(q, payload), atol=0.012)  # the fingers' 0.14 kg are elsewhere
     np.testing.assert_allclose(data.qfrc_gravcomp, data.qfrc_bias, atol=1e-9)  # all weight is carried, the fingers' too
@@ -149,7 +148,7 @@ def test_exactly_the_pairs_that_planning_checks_may_push_less_the_hand():
                 found.add(frozenset(body.get(x.split("_")[0], x) for x in pair))
     wanted = {frozenset(s.robot.links[k] for k in pair) for pair in s.robot.self_pairs}
     wanted |= {frozenset(("object", s.robot.links[k])) for k in s.robot.object_pairs}
-    wanted |= {frozenset(("table", link)) for link in s.robot.links[TABLE_FROM_LINK:]}
+    wanted |= {frozenset(("table", link)) for link in s.robot.links[s.robot.table_from :]}
     assert found == wanted and set(names) >= {x for pair in found for x in pair}
 
 

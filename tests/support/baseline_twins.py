@@ -8,6 +8,7 @@ import torch
 from numpy.typing import NDArray
 from problems import default_evaluator as evaluator
 
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods import contact, fc, handover_va, intent
 from r2h_batch.methods.candidates import candidate_table
@@ -69,7 +70,9 @@ def clear_of(vertices: torch.Tensor, T: torch.Tensor, opening: torch.Tensor) -> 
     """Whether each gripper T, opening is clear of one hand."""
     hand = posed_hand(evaluator().scene.hands.model, vertices[None], "cpu")
     first, count = torch.zeros(1, dtype=torch.int32), torch.tensor([len(T)], dtype=torch.int32)
-    distance = gripper_clearance(hand, T.contiguous(), opening.contiguous(), first, count, len(T), cap_m=1e-3)
+    distance = gripper_clearance(
+        load_robot(), hand, T.contiguous(), opening.contiguous(), first, count, len(T), cap_m=1e-3
+    )
     return (distance[0] > 0).numpy()
 
 

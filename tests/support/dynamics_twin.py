@@ -2,16 +2,19 @@
 
 import numpy as np
 
-from r2h_batch.bodies.robot import forward_kinematics, load_robot
-from r2h_batch.scene.dynamics import (
+from r2h_batch.bodies.robot import (
     ARMATURE,
-    GRIPPER_BOX_M,
-    GRIPPER_COM_M,
-    GRIPPER_MASS_KG,
     LINK_COM_M,
     LINK_INERTIA,
     LINK_MASS_KG,
     LINK_ROLL,
+    forward_kinematics,
+    load_robot,
+)
+from r2h_batch.scene.dynamics import (
+    GRIPPER_BOX_M,
+    GRIPPER_COM_M,
+    GRIPPER_MASS_KG,
     Payload,
 )
 

@@ -27,7 +27,7 @@ def material64(
             mesh.faces.astype(np.uint64),
         )
     )
-    z = float(pad_center_z(drive_from_gap(gap))) + float(
+    z = float(pad_center_z(load_robot(), drive_from_gap(load_robot(), gap))) + float(
         load_robot().T_flange_gripper[2, 3] - load_robot().T_flange_ee[2, 3]
     )
     prism = box((2 * (PAD_X + grow), 2.0, 2 * (PAD_Z + grow)), (0, 0, z))
@@ -99,7 +99,9 @@ def upper(mesh: trimesh.Trimesh) -> np.ndarray:
 @cache
 def tables_of_shapes():
     """The shapes for the kernels; every other one has its upper half as the receiver region."""
-    return grasp_tables([model_of(m, upper if i % 2 == 0 else None) for i, m in enumerate(shapes().values())])
+    return grasp_tables(
+        [model_of(m, upper if i % 2 == 0 else None) for i, m in enumerate(shapes().values())], load_robot()
+    )
 
 
 def random_grasps(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.bodies.robot import Kind, ee_pose, gripper_primitives_at
+from r2h_batch.bodies.robot import Kind, ee_pose, gripper_primitives_at, load_robot
 from r2h_batch.config import HOME_Q
-from r2h_batch.judge.ik import default_ur
+from r2h_batch.judge.ik import ur_parameters
 from r2h_batch.scene.scene import BodyPoses, Scene
 
 Array = NDArray[np.float64]
@@ -367,7 +367,7 @@ def open_surface_distance(kind: int, size: Array, T: Array, triangles: Array, ca
 
 def out_of_reach(T: Array) -> float:
     """How far (m) a target T_world_ee is from what the arm reaches: 2 x 40,000 samples of joint 1 and of psi3, hand as asked."""
-    ur = {k: float(getattr(default_ur(HOME_Q), k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool")}
+    ur = {k: float(getattr(ur_parameters(load_robot(), HOME_Q), k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool")}
     z = T[:3, 2]
     p5 = T[:3, 3] - ur["tool"] * z
     v = z[2] if abs(z[2]) > 1e-9 else 1e-9

@@ -8,10 +8,10 @@ import warp as wp
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import drive_from_gap, pad_center_z
-from r2h_batch.config import OPEN_GAP_M
+from r2h_batch.bodies.robot import drive_from_gap, load_robot, pad_center_z
 from r2h_batch.kernels.methods import antipodal
 from r2h_batch.launch import launch_trials
+from r2h_batch.methods.grasps.candidate_set import OWN_ROBOT
 
 __all__ = ["FRICTION", "WIDEST_M", "pad_height", "proposals"]
 
@@ -83,4 +83,6 @@ def proposals(
 
 def pad_height(gap: NDArray[Any]) -> NDArray[np.float64]:
     """Height of the pads' centres in the ee frame at a gap."""
-    return pad_center_z(drive_from_gap(gap)) - pad_center_z(drive_from_gap(OPEN_GAP_M / 2))
+    robot = load_robot(OWN_ROBOT)
+    z, middle = (pad_center_z(robot, drive_from_gap(robot, g)) for g in (gap, robot.open_gap_m / 2))
+    return z - middle

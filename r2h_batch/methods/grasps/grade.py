@@ -26,7 +26,7 @@ from r2h_batch.judge.grasp import (
 from r2h_batch.kernels.methods import antipodal
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods.grasps.antipodal import FRICTION, WIDEST_M, pad_height
-from r2h_batch.methods.grasps.candidate_set import Candidates
+from r2h_batch.methods.grasps.candidate_set import OWN_ROBOT, Candidates
 from r2h_batch.scene.grasp_tables import GraspTables
 
 __all__ = ["REACH_M", "device_mesh", "graded", "pad_contact", "scored", "zeros"]
@@ -129,7 +129,7 @@ def pad_contact(
     model: ObjectModel, mesh: wp.Mesh, T: F32, width: F32, opening: F32, threads: int | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int32]]:
     """What `antipodal.pad_contact` says: share of the lesser pad, mean cosine, part."""
-    link = load_robot().linkage
+    link = load_robot(OWN_ROBOT).linkage
     share, cosine, part = (
         np.zeros(len(T), np.float32),
         np.zeros(len(T), np.float32),

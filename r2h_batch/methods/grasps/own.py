@@ -8,9 +8,16 @@ import torch
 
 from r2h_batch.bodies.grasp_set import GraspSet
 from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.grasp import close_pads
 from r2h_batch.launch import init_warp
-from r2h_batch.methods.grasps.candidate_set import OWN_GRIPPER, Candidates, NoGraspError, joined
+from r2h_batch.methods.grasps.candidate_set import (
+    OWN_GRIPPER,
+    OWN_ROBOT,
+    Candidates,
+    NoGraspError,
+    joined,
+)
 from r2h_batch.methods.grasps.grade import device_mesh, graded, zeros
 from r2h_batch.scene.grasp_tables import grasp_tables
 
@@ -26,7 +33,10 @@ def own_grasps(model: ObjectModel, grasps: GraspSet, *, threads: int | None = No
     order = np.argsort(-grasps.score, kind="stable")
     T = np.ascontiguousarray(grasps.T_obj_ee[order])
     width = close_pads(
-        grasp_tables([model]), torch.from_numpy(T), zeros(torch.from_numpy(T)), threads=threads
+        grasp_tables([model], load_robot(OWN_ROBOT)),
+        torch.from_numpy(T),
+        zeros(torch.from_numpy(T)),
+        threads=threads,
     )[0]
     part, nan = (
         np.maximum(grasps.part[order], 0).astype(np.uint8),
@@ -47,7 +57,7 @@ def seat_grasps(
     how many dropped is one warning; none left raises.
     """
     init_warp()
-    tables, mesh = grasp_tables([model]), device_mesh(model)
+    tables, mesh = grasp_tables([model], load_robot(OWN_ROBOT)), device_mesh(model)
     depths = (0.0,) if grasps.gripper == OWN_GRIPPER else SEATS_M
     seated: dict[int, tuple[Candidates, float]] = {}
     for depth in depths:

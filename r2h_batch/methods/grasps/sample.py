@@ -10,12 +10,17 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import load_robot
-from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.launch import init_warp
 from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.methods.box_grasps import three_boxes
 from r2h_batch.methods.grasps.antipodal import pad_height, proposals
-from r2h_batch.methods.grasps.candidate_set import OWN_GRIPPER, Candidates, NoGraspError, joined
+from r2h_batch.methods.grasps.candidate_set import (
+    OWN_GRIPPER,
+    OWN_ROBOT,
+    Candidates,
+    NoGraspError,
+    joined,
+)
 from r2h_batch.methods.grasps.diverse import REGION_CLEARANCE_M, diverse
 from r2h_batch.methods.grasps.grade import REACH_M, device_mesh, graded, pad_contact, scored
 from r2h_batch.scene.grasp_tables import grasp_tables
@@ -44,7 +49,7 @@ def sample_grasps(
     shapes' overshoot). At least 40 % of an S1 object's keep 1 mm from the receiver's region, if
     that many were found.
     """
-    tables = grasp_tables([model])
+    tables = grasp_tables([model], load_robot(OWN_ROBOT))
     mesh = device_mesh(model)
     key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
     pool: list[Candidates] = []
@@ -64,7 +69,7 @@ def sample_grasps(
                 break
     every = joined(pool)
     if len(every) == 0:
-        stroke = f"{1e3 * OPEN_GAP_M:.0f} mm"
+        stroke = f"{1e3 * load_robot(OWN_ROBOT).open_gap_m:.0f} mm"
         raise NoGraspError(
             f"{model.name}: no grasp found; the gripper needs a part narrower than {stroke} that it can reach"
         )
@@ -121,7 +126,9 @@ def generate_grasps(
 def _boxes_clear(model: ObjectModel, T: F32) -> NDArray[np.bool_]:
     """Whether no point of the object's cloud lies in the open gripper as three boxes: two fingers,
     and the rest."""
-    finger_low, finger_high, rest_low, rest_high = (x.astype(np.float32) for x in three_boxes())
+    finger_low, finger_high, rest_low, rest_high = (
+        x.astype(np.float32) for x in three_boxes(load_robot(OWN_ROBOT))
+    )
     clear = np.ones(len(T), bool)
     for first in range(0, len(T), 256):
         x, y, z = _in_gripper(model, T[first : first + 256])
@@ -135,7 +142,7 @@ def _boxes_clear(model: ObjectModel, T: F32) -> NDArray[np.bool_]:
 
 def _on_region(model: ObjectModel, T: F32, width: F32) -> NDArray[np.bool_]:
     """Whether pads `width` apart touch a cloud point of the receiver's region."""
-    link = load_robot().linkage
+    link = load_robot(OWN_ROBOT).linkage
     pad_z = pad_height(width).astype(np.float32)
     region = model.receiver_face[model.point_face]
     touches = np.zeros(len(T), bool)
