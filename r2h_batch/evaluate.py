@@ -49,11 +49,12 @@ from r2h_batch.judge.presented import presented
 from r2h_batch.judge.scores import motion_scores, pose_scores, verdict
 from r2h_batch.judge.trace import (
     Trace,
+    checked_plan,
     checked_trace,
     executed_trace,
     final_pose,
     plan_of_trace,
-    walked,
+    worse_plan,
 )
 from r2h_batch.launch import cpu_threads
 from r2h_batch.launch.memory import in_parts, rows_at_once
@@ -68,7 +69,6 @@ from r2h_batch.training.capture import Captured
 from r2h_batch.training.gradients import differentiable
 from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
 from r2h_batch.validate import instance_of, optional
-from r2h_batch.validate_tensors import check_tensor
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
@@ -236,10 +236,10 @@ class Evaluator:
     ) -> Scores:
         """Verdicts of B motions that you planned: the same five criteria and the same columns.
 
-        Plan: the motion collides with nothing (certified between the samples) and keeps the joint
-        limits; `plan_reason` is OK, MOTION_IN_COLLISION or BEYOND_JOINT_LIMITS. It may start
-        anywhere. Safe: along the motion as given, no simulator. The handover pose is where the
-        motion ends. `t_exec_s` is the motion's duration, `t_plan_s` NaN.
+        Plan: the motion collides with nothing (certified between the samples) and keeps the robot's
+        limits of angles and speeds; `plan_reason` is OK, MOTION_IN_COLLISION, BEYOND_JOINT_LIMITS
+        or BEYOND_SPEED_LIMITS. It may start anywhere. Safe: along the motion as given, no
+        simulator. The handover pose is where the motion ends. `t_exec_s` is the motion's duration, `t_plan_s` NaN.
 
         Args:
             T_obj_ee: the grasp, ee in the object's frame, m.
@@ -247,13 +247,15 @@ class Evaluator:
             time_s: time of each sample, s; of all motions at once if it is (W,).
             trials: B trials.
             length: how many samples of each motion count, 2 to W; None: all W.
-            planned_q: the plan, where q is what a robot or a simulator made of it: Plan judges the
-                plan, the other criteria judge q. None: q is the plan.
+            planned_q: the plan, where q is what a robot or a simulator made of it: Plan judges
+                both (the plan alone where Safe fails, which judges q), the other criteria judge q.
+                None: q is the plan.
             planned_length: as `length`, of the plan.
 
         Returns:
-            Scores of B rows. INVALID_INPUT: an angle or a time is not finite, times go back, or a
-            joint moves in no time. A motion beyond the limits is judged as one without a path.
+            Scores of B rows. INVALID_INPUT: an angle or a time is not finite, times go back, a
+            joint moves in no time, or the plan begins more than 0.1 rad beside the motion. A motion
+            beyond the limits of angles is judged as one without a path.
 
         Raises:
             TypeError, ValueError: shape, dtype or device do not fit; before any work.
@@ -267,9 +269,7 @@ class Evaluator:
         trace = checked_trace(q, time_s, length, len(trials), self.scene.device)
         plan = trace
         if planned_q is not None:
-            check_tensor("planned_q", planned_q, "a torch tensor (N, P, 6) of joint angles in rad")
-            order = torch.arange(planned_q.shape[-2], dtype=torch.float32, device=planned_q.device)
-            plan = checked_trace(planned_q, order, planned_length, len(trials), self.scene.device)
+            plan = checked_plan(planned_q, planned_length, trace, self.scene.device)
             trace = replace(trace, usable=trace.usable & plan.usable)
         T_world_ee = final_pose(self.scene, trace)
         T_obj_ee, T_world_ee, trials = checked_inputs(
@@ -460,14 +460,14 @@ class Evaluator:
         if self.config.receiver == "body":
             assert trials.receiver is not None  # `check_receiver` has refused its absence
             poses = with_person(scene, poses, trials.receiver, hand=True)
-        planned = plan_of_trace(scene, poses, plan, active, threads=threads)
-        if plan is not trace:
-            path, length = walked(scene, trace, active)
-            planned = replace(planned, path=path, length=length)
+        planned = plan_of_trace(scene, poses, trace, active, threads=threads)
         executed, motion = executed_trace(trace, planned)
         moves = active & (planned.length > 0)
         touch = hand_distance(scene, held.body_poses, executed, active, threads=threads)
         person = self._person_distance(trials, held.body_poses, executed.path, executed.length)
+        if plan is not trace:
+            own = plan_of_trace(scene, poses, plan, active, threads=threads)
+            planned = worse_plan(own, planned, touch.distance_m <= 0)
         free = planned.reason == int(PlanReason.OK)
         shared, touch = self._judge(
             held, free, moves, planned.clearance_m, planned.reason, touch, person, executed.valid

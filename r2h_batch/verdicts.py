@@ -87,7 +87,7 @@ class PlanReason(IntEnum):
     With `PlanConfig.goals = "one"` only one branch is looked at: `IK_IN_COLLISION` then says
     nothing about the others. Where the wrist is singular (sin q5 = 0) solutions are a line, of
     which points are tried: if all collide, that is no proof and the reason is `NO_PATH_IN_BUDGET`.
-    The last two are of motions that the caller gives (`Evaluator.score_motion`).
+    The last three are of motions that the caller gives (`Evaluator.score_motion`).
     """
 
     OK = 0
@@ -99,6 +99,7 @@ class PlanReason(IntEnum):
     NOT_SETTLED = 6
     MOTION_IN_COLLISION = 7
     BEYOND_JOINT_LIMITS = 8
+    BEYOND_SPEED_LIMITS = 9
 
 
 class CollidingPair(IntEnum):

@@ -27,6 +27,7 @@ REASONS = {
     "not_settled": "the arm did not come to rest",
     "motion_in_collision": "the given motion collides",
     "beyond_joint_limits": "a joint goes beyond its limit",
+    "beyond_speed_limits": "a joint turns faster than it can",
 }
 
 

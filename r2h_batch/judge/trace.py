@@ -5,7 +5,7 @@ in joint space, and Plan and Safe walk these lines, certified between the sample
 paths of our planner.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,11 +21,20 @@ from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
 from r2h_batch.validate import describe_value
 from r2h_batch.validate_tensors import as_numbers, check_tensor
+from r2h_batch.verdicts import MOST_SECONDS
 
-__all__ = ["Trace", "checked_trace", "executed_trace", "final_pose", "plan_of_trace", "walked"]
+__all__ = [
+    "Trace", "checked_plan", "checked_trace", "executed_trace", "final_pose", "plan_of_trace", "worse_plan",
+]  # fmt: skip
 
 LIMIT_TOLERANCE_RAD = 1e-5
-"""A joint may stand this far beyond its limit: what float32 makes of an angle at the limit."""
+"""A joint may stand this far beyond its limit, or turn this much farther between two samples: what
+float32 makes of an angle at the limit."""
+SPEED_TOLERANCE = 1e-3
+"""Of a joint's largest speed: what float32 makes of times."""
+Q_WORDS = "a torch tensor (N, W, 6) of joint angles in rad"
+START_RAD = 0.1
+"""A plan of a motion begins this near to it, joint by joint."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,20 @@ class Trace:
         return Trace(self.q[rows], self.time_s[rows], self.length[rows], self.usable[rows])
 
 
-def checked_trace(q: Any, time_s: Any, length: Tensor | None, n: int, device: str) -> Trace:
+def checked_plan(planned_q: Any, length: Tensor | None, trace: Trace, device: str) -> Trace:
+    """The plans of executed motions: as `checked_trace`, at rest for ever at each sample, for a plan
+    has no times. Usable where the plan begins at the motion's first sample."""
+    planned_q = as_numbers("planned_q", planned_q, Q_WORDS, device)
+    samples = planned_q.shape[-2] if planned_q.ndim > 1 else 0
+    times = torch.arange(samples, dtype=torch.float32, device=planned_q.device) * MOST_SECONDS
+    plan = checked_trace(planned_q, times, length, len(trace.q), device, prefix="planned_")
+    near = ((plan.q[:, 0] - trace.q[:, 0]).abs() <= START_RAD).all(1)
+    return replace(plan, usable=plan.usable & near)
+
+
+def checked_trace(
+    q: Any, time_s: Any, length: Tensor | None, n: int, device: str, *, prefix: str = ""
+) -> Trace:
     """The motions of `n` trials.
 
     Args:
@@ -50,14 +72,15 @@ def checked_trace(q: Any, time_s: Any, length: Tensor | None, n: int, device: st
         length: (n,) number of samples of each motion, 2 to W; None: W.
         n: number of trials.
         device: where the evaluator is.
+        prefix: of `q` and `length` in messages.
 
     Raises:
         TypeError, ValueError: shape, dtype or device do not fit; the line names the argument.
     """
-    q = as_numbers("q", q, "a torch tensor (N, W, 6) of joint angles in rad", device)
+    q = as_numbers(f"{prefix}q", q, Q_WORDS, device)
     if q.ndim != 3 or q.shape[0] != n or q.shape[1] < 2 or q.shape[2] != 6:
         raise ValueError(
-            f"q is {describe_value(q)}; with {n} trials it must be ({n}, W, 6), W at least 2 samples"
+            f"{prefix}q is {describe_value(q)}; with {n} trials it must be ({n}, W, 6), W at least 2 samples"
         )
     w = q.shape[1]
     time_s = as_numbers("time_s", time_s, "a torch tensor (N, W) or (W,) of seconds", device)
@@ -65,20 +88,20 @@ def checked_trace(q: Any, time_s: Any, length: Tensor | None, n: int, device: st
         raise ValueError(f"time_s is {describe_value(time_s)}; it must be ({n}, {w}) or ({w},)")
     if length is None:
         length = torch.full((n,), w, dtype=torch.int32, device=q.device)
-    check_tensor("length", length, f"None or a torch tensor ({n},) of whole numbers")
+    check_tensor(f"{prefix}length", length, f"None or a torch tensor ({n},) of whole numbers")
     if length.shape != (n,) or length.dtype not in (torch.int32, torch.int64):
         raise ValueError(
-            f"length is {describe_value(length)}; it must be int32 or int64 ({n},), or None"
+            f"{prefix}length is {describe_value(length)}; it must be int32 or int64 ({n},), or None"
         )
-    for name, value in (("q", q), ("time_s", time_s), ("length", length)):
+    for name, value in ((f"{prefix}q", q), ("time_s", time_s), (f"{prefix}length", length)):
         if value.device.type != torch.device(device).type:
             raise ValueError(
                 f"{name} is on {value.device}, the evaluator on {device}: move one of them"
             )
     if n and not 2 <= int(length.min()) <= int(length.max()) <= w:
         raise ValueError(
-            f"length goes from {int(length.min())} to {int(length.max())}; allowed is 2 to {w}, the "
-            "samples that q has"
+            f"{prefix}length goes from {int(length.min())} to {int(length.max())}; allowed is 2 to {w}, the "
+            f"samples that {prefix}q has"
         )
     last = (length.long() - 1)[:, None]
     slot = torch.arange(w, dtype=torch.int64, device=q.device)[None].minimum(last)
@@ -124,19 +147,37 @@ def plan_of_trace(
     threads: int | None = None,
 ) -> Plan:
     """What Plan says of the motions: free of collisions from the first to the last sample, and
-    within the joint limits.
+    within the robot's limits of angles and speeds.
 
     `body_poses`: what the motion must keep clear of. Where bodies meet, the clearance is minus the
-    overlap, as on a sampled path; -inf, and length 0, beyond the limits.
+    overlap, as on a sampled path; -inf beyond the limits, and length 0 beyond those of angles.
     """
     q, length = walked(scene, trace, active)
     within = ~active | (length > 0)
+    speed = (1 + SPEED_TOLERANCE) * np.array(scene.robot.max_velocity)
+    most = torch.tensor(speed, dtype=torch.float32, device=q.device)
+    takes = (trace.time_s[:, 1:] - trace.time_s[:, :-1])[..., None]
+    turns = (q[:, 1:] - q[:, :-1]).abs()
+    slow = ~active | (turns <= most * takes + LIMIT_TOLERANCE_RAD).flatten(1).all(1)
     clearance, pair, body = path_clearances(scene, body_poses, q, length, threads=threads)
-    clearance = torch.where(within, clearance, -torch.inf)
+    clearance = torch.where(within & slow, clearance, -torch.inf)
     reason = torch.where(clearance > 0, int(PlanReason.OK), int(PlanReason.MOTION_IN_COLLISION))
+    reason = torch.where(slow, reason, int(PlanReason.BEYOND_SPEED_LIMITS))
     reason = torch.where(within, reason, int(PlanReason.BEYOND_JOINT_LIMITS))
     reason = torch.where(active, reason, int(PlanReason.NOT_EVALUATED)).to(torch.int32)
     return Plan(reason, pair, body, clearance, trace.length == 2, q, length)
+
+
+def worse_plan(plan: Plan, followed: Plan, touches: Bool[Tensor, " b"]) -> Plan:
+    """What Plan says of plans that a robot or a simulator executed: the plan must be free, and so
+    must be what was made of it, whose path it is. `touches`: rows in which the robot touches the hand
+    and that fail by Safe; there Plan judges the plan alone, as the authors' release does."""
+    worse = (followed.clearance_m < plan.clearance_m) & ~touches
+    columns = {
+        name: torch.where(worse, getattr(followed, name), getattr(plan, name))
+        for name in ("reason", "pair", "body", "clearance_m")
+    }
+    return replace(followed, **columns)
 
 
 def executed_trace(trace: Trace, planned: Plan) -> tuple[Executed, Motion]:

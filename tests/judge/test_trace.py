@@ -35,7 +35,7 @@ def planned(evaluator):
 def moved(evaluator: Evaluator, planned, **changes) -> Scores:
     T_obj_ee, trials, scores = planned
     given = {"q": scores.path, "time_s": scores.path_time_s, "length": scores.path_len} | changes
-    return evaluator.score_motion(T_obj_ee, given["q"], given["time_s"], trials, length=given["length"])
+    return evaluator.score_motion(T_obj_ee, given.pop("q"), given.pop("time_s"), trials, **given)
 
 
 def test_a_path_of_our_planner_gets_the_verdict_that_it_had(evaluator, planned):
@@ -84,7 +84,15 @@ def test_any_motion_passes_plan_where_mujoco_sees_no_contact_along_it(evaluator)
     over = torch.from_numpy(rng.uniform(np.maximum(robot.lower, -2.5), np.minimum(robot.upper, 2.5), (len(rows), 6)))
     goal = p.plan.path[rows, (p.plan.length[rows] - 1).long()]
     q = torch.stack([p.plan.path[rows, 0], over.float(), goal], 1)
-    scores = evaluator.score_motion(p.batch.T_obj_ee[rows], q, torch.tensor([0.0, 1.0, 2.0]), p.batch.trials[rows])
+    times = torch.tensor([0.0, 9.0, 18.0])
+    scores = evaluator.score_motion(p.batch.T_obj_ee[rows], q, times, p.batch.trials[rows])
+    # No plan makes more of them, be it one that stays at home or a free one to the same goal.
+    for plan, length in ((q[:, :1].repeat(1, 2, 1), None), (p.plan.path[rows], p.plan.length[rows])):
+        forged = evaluator.score_motion(
+            p.batch.T_obj_ee[rows], q, times, p.batch.trials[rows], planned_q=plan, planned_length=length
+        )  # fmt: skip
+        assert torch.equal(forged.success, scores.success)
+        assert torch.equal(forged.passed[:, PLAN], scores.passed[:, PLAN] | ~forged.passed[:, SAFE])
     judged = 0
     for i, row in enumerate(rows.tolist()):
         seen = recheck(checker_of(evaluator.scene, p, row), dense(q[i].double().numpy(), 1 / 160))
@@ -120,9 +128,30 @@ def test_rows_that_are_no_motion_are_invalid_and_limits_are_a_reason(evaluator, 
     assert large.outcome[0] == int(Outcome.INVALID_INPUT)
 
 
+def test_a_joint_that_turns_faster_than_it_can_fails_plan(evaluator, planned):
+    """The limit is 180 degrees a second, of each joint and between any two samples."""
+    _, _, own = planned
+    turns = (own.path[:, 1:] - own.path[:, :-1]).abs().amax(2)
+    turns = torch.where(torch.arange(1, own.path.shape[1]) < own.path_len[:, None], turns, 0.0).amax(1)
+    slow = torch.arange(own.path.shape[1]) * (turns[:, None] / torch.pi)
+    scores = moved(evaluator, planned, time_s=slow)
+    assert torch.equal(scores.outcome, own.outcome)
+    scores = moved(evaluator, planned, time_s=0.99 * slow)
+    assert (scores.plan_reason == int(PlanReason.BEYOND_SPEED_LIMITS)).all() and not scores.passed[:, PLAN].any()
+
+
+def test_a_plan_begins_where_its_motion_does(evaluator, planned):
+    _, _, own = planned
+    for off, outcome in ((0.09, own.outcome), (0.11, torch.full_like(own.outcome, int(Outcome.INVALID_INPUT)))):
+        plan = own.path.numpy().copy()
+        plan[:, 0, 5] += off
+        assert torch.equal(moved(evaluator, planned, planned_q=plan, planned_length=own.path_len).outcome, outcome)
+
+
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
+        ({"planned_q": torch.zeros(6)}, r"^planned_q is .*; with \d+ trials it must be \(\d+, W, 6\)"),
         ({"q": torch.zeros(3, 2, 6)}, r"^q is .*; with \d+ trials it must be \(\d+, W, 6\)"),
         ({"time_s": torch.zeros(5)}, r"^time_s is .*; it must be \(\d+, \d+\) or \(\d+,\)$"),
         ({"length": torch.ones(3)}, r"^length is .*; it must be int32 or int64 \(\d+,\), or None$"),
