@@ -1,11 +1,13 @@
 """The commands `submit` and `leaderboard`: a run as one checked file, and a page of such files that
 have been judged again."""
 
+import contextlib
 import json
 import sys
 import tempfile
 import zipfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
@@ -17,9 +19,11 @@ if TYPE_CHECKING:
     from r2h_batch.results.reevaluation import Judge
     from r2h_batch.runs.store import Run
 
+JUDGED_BY = ("protocol", "configuration", "digests", "versions", "device", "benchmark", "objects")
+"""Fields of run.json that an evaluator, and what it may compare bit for bit, depend on."""
 MAX_BYTES, MAX_MEMBERS = 4 << 30, 100_000
 BUNDLE = "submission.json"
-"""Digest of each method's rows, and the versions that scored them."""
+"""Digest of each method's rows, the versions that scored them, and which methods are built in."""
 
 
 def submit(
@@ -42,12 +46,15 @@ def submit(
     check_output_file(out, overwrite=overwrite)
     try:
         stored = load_run(run)
-        if wrong := _judged_again(stored, rows):
-            raise ValueError(f"{run}: {wrong}; the run cannot be submitted")
+        try:
+            built_in = _judged_again(stored, rows, {})
+        except ValueError as error:
+            raise ValueError(f"{run}: {error}; the run cannot be submitted") from None
         write_summary(stored)
         files = _files(stored)
         digests = {m: stored.digest(m) for m in stored.methods}
         about = {"format": 1, "rows": digests, "versions": stored.header["versions"]}
+        about["built_in"] = built_in
         with atomic_path(out) as temporary, zipfile.ZipFile(temporary, "w") as archive:
             for file in files:
                 archive.write(stored.folder / file, f"run/{file}")
@@ -69,24 +76,55 @@ def _files(run: "Run") -> list[str]:
     return files
 
 
-def _judged_again(run: "Run", rows: int, judges: "dict[str, Judge] | None" = None) -> str:
-    """Why a run is not what the evaluator says; empty where it is.
+def _judged_again(run: "Run", rows: int, judges: "dict[str, Judge]") -> list[str]:
+    """The run's built-in methods, which answered again; ValueError where a row is not what the
+    evaluator says.
 
-    `judges`: evaluators by configuration and digests; runs that agree in these share one.
+    `judges`: evaluators by what they depend on (`JUDGED_BY`); runs that agree in these share one.
     """
     from r2h_batch.results.reevaluation import Judge, check_poses, reevaluate
 
     if run.unfinished or not run.methods:
-        return f"{(run.unfinished or ('no method',))[0]} is not complete"
+        raise ValueError(f"{(run.unfinished or ('no method',))[0]} is not complete")
     check_poses(run)
-    known = {} if judges is None else judges
-    key = json.dumps([run.header["configuration"], run.header["digests"]], sort_keys=True)
-    judge = known.get(key) or known.setdefault(key, Judge(run))
-    for method in run.methods:
-        found = reevaluate(run, method, rows, judge)
-        if found.differences:
-            return f"{method}: {found.differences[0]}"
-    return ""
+    key = json.dumps({k: run.header.get(k) for k in JUDGED_BY}, sort_keys=True)
+    judge = judges.get(key) or judges.setdefault(key, Judge(run))
+    found = [reevaluate(run, method, rows, judge) for method in run.methods]
+    for method in found:
+        if method.differences:
+            raise ValueError(f"{method.method}: {method.differences[0]}")
+    return [method.method for method in found if method.built_in]
+
+
+def _marked(run: "Run", built_in: Sequence[str]) -> "Run":
+    """The run with `(submitted)` behind the names of all methods but the built-in ones: a name says
+    nothing of who answered."""
+    entries = (
+        e if e["name"] in built_in else {**e, "name": f"{e['name']} (submitted)"}
+        for e in run.entries
+    )
+    return replace(run, entries=tuple(entries))
+
+
+def _largest(runs: "Sequence[Run]") -> "list[Run]":
+    """Of runs that were not all judged alike those with the shipped rows among them, else the most;
+    ValueError where two groups are as large."""
+    from r2h_batch.compare.command import stored_rows
+    from r2h_batch.statistics.common import common_trials
+
+    groups: list[list[Run]] = []
+    for run in runs:
+        for group in groups:
+            with contextlib.suppress(ValueError):
+                common_trials([*group, run], proven=stored_rows())
+                group.append(run)
+                break
+        else:
+            groups.append([run])
+    sizes = [(any(r.folder in stored_rows() for r in group), len(group)) for group in groups]
+    if sizes.count(max(sizes)) > 1:
+        common_trials(runs, proven=stored_rows())  # says what differs
+    return groups[sizes.index(max(sizes))]
 
 
 def leaderboard(
@@ -99,8 +137,9 @@ def leaderboard(
 ) -> int:
     """Write a static page of submissions: each is verified, and a sample of its rows judged again.
 
-    A submission that does not hold is named and left out. Exit code 0: all are listed. Exit code 1:
-    some are left out.
+    Methods that did not answer again carry `(submitted)`. A submission that does not hold is named
+    and left out, and one that was not judged as the shipped rows or, without them, as most others.
+    Exit code 0: all are listed. Exit code 1: some are left out.
 
     Args:
         submissions: files of `submit`, run folders, folders of these, or the word baselines.
@@ -117,7 +156,7 @@ def leaderboard(
     if not submissions:
         return refuse("leaderboard", "no submission is given; give files of r2h-batch submit")
     judges: dict[str, Judge] = {}
-    listed: list[Run] = []
+    held: dict[str, Run] = {}
     left_out = 0
     with tempfile.TemporaryDirectory() as place:
         for number, given in enumerate(_each(submissions)):
@@ -125,17 +164,27 @@ def leaderboard(
                 shipped = str(given) == BASELINES and not given.exists()
                 folder = baselines_for() if shipped else _unpacked(given, Path(place) / str(number))
                 stored = load_run(folder)
-                if not shipped and (wrong := _judged_again(stored, rows, judges)):
-                    raise ValueError(wrong)
-                common_trials([*listed, stored], proven=stored_rows())
-                join([*listed, stored])  # refuses a second run and method of one name
-                listed.append(stored)
-                tell(f"leaderboard: {given}: {', '.join(stored.methods)}")
+                built_in = stored.methods if shipped else _judged_again(stored, rows, judges)
+                stored = _marked(stored, built_in)
+                join([*held.values(), stored])  # refuses a second run and method of one name
+                held[printable(given)] = stored
             except (ValueError, MemoryError) as error:
                 left_out += 1
                 tell(f"leaderboard: {printable(given)} is left out: {error}")
-        if not listed:
+        if not held:
             return refuse("leaderboard", "no submission holds; nothing is written", 1)
+        try:
+            listed = _largest(list(held.values()))
+        except ValueError as error:
+            return refuse("leaderboard", f"{error}, or add the word {BASELINES}", 1)
+        for name, run in held.items():
+            if run in listed:
+                tell(f"leaderboard: {name}: {', '.join(run.methods)}")
+            else:
+                left_out += 1
+                tell(
+                    f"leaderboard: {name} is left out: it was not judged as the {len(listed)} listed"
+                )
         text = page(join(listed), common=common_trials(listed, proven=stored_rows()))
     write_text(out, text)
     print(out)

@@ -1,5 +1,6 @@
 """A run as one file, and a page that lists what holds when it is judged again."""
 
+import json
 import zipfile
 
 import pytest
@@ -64,6 +65,24 @@ def test_a_submission_that_does_not_fit_the_others_is_left_out_and_ends_nothing(
     assert main(["leaderboard", *line]) == 1
     error = capsys.readouterr().err
     assert f"{again} is left out: two run folders of one name hold" in error and (tmp_path / "board.html").exists()
+
+
+def test_a_built_in_name_is_only_a_built_in_methods_and_the_first_file_decides_nothing(bundle, tmp_path, monkeypatch):
+    (tmp_path / "mine_too.py").write_text("from r2h_batch.methods.random import predict as mine\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    line = ["--trials", "6", "--sim", "none", "--shard-trials", "5"]
+    assert sweep(["--method", "oracle=mine_too:mine", *line, "--out", str(tmp_path / "theirs")]) == 0
+    assert sweep(["--method", "random", *line, "--preset", "paper", "--out", str(tmp_path / "paper")]) == 0
+    assert main(["submit", str(tmp_path / "theirs"), "--rows", "2"]) == 0
+    found = {}
+    for path in (bundle, tmp_path / "theirs.zip"):
+        with zipfile.ZipFile(path) as archive:
+            found[path.stem] = json.loads(archive.read("submission.json"))["built_in"]
+    assert found == {"mine": ["random"], "theirs": []}
+    given = [str(tmp_path / name) for name in ("paper", "theirs.zip")] + [str(bundle)]
+    assert main(["leaderboard", *given, "--rows", "2", "--out", str(tmp_path / "board.html")]) == 1
+    page = (tmp_path / "board.html").read_text()
+    assert "oracle (submitted)" in page and "random" in page and "<title>theirs, mine</title>" in page
 
 
 def test_a_forged_row_is_found_by_judging_it_again(bundle, tmp_path, capsys):

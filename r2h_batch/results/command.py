@@ -109,7 +109,7 @@ def reevaluate(
         if judge.other:
             print(
                 f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared"
-                " exactly, margins to 0.1 mm, times to 0.05 s"
+                " exactly, lengths to 0.1 mm, times to 0.02 s"
             )
         for name in names:
             found = again.reevaluate(run, name, rows, judge, seed=draw)

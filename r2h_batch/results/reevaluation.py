@@ -7,7 +7,7 @@ answers the sampled trials again. A user's method is not run: a folder may come 
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,27 +25,34 @@ from r2h_batch.judge.frontier.levels import Form, planning_form
 from r2h_batch.launch import cpu_threads
 from r2h_batch.predictions import Motions
 from r2h_batch.runs import provenance
-from r2h_batch.runs.rows import LATER_COLUMNS, TRIAL_SCHEMA, TrialNames, score_rows
+from r2h_batch.runs.rows import DETAIL_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
 from r2h_batch.runs.store import TIMING, Run, RunError
-from r2h_batch.sweep.jobs import Job, job_of_run
+from r2h_batch.sweep.engine import judged_tables
+from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
 from r2h_batch.sweep.options import UsageError
 from r2h_batch.trials.protocol import PROTOCOLS, trials_of
-from r2h_batch.types import Trials
+from r2h_batch.types import Predictions, Trials
 from r2h_batch.validate import check_arguments, instance_of, integer, optional, text
 
-COMPARED = tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING)
+COMPARED = {
+    "trials": tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING),
+    "details": tuple(DETAIL_SCHEMA.names),
+    "paths": tuple(PATH_SCHEMA.names),
+}
+"""Columns that are judged again; poses are what they are judged from."""
 
 LATER_OPTIONS = ("receiver", "estimate", "candidates", "execution_error")
 """Of `EvalConfig`: options that older runs do not name, for they had no other way."""
 
-MARGIN_TOLERANCE_M = BORDERLINE_M
-TIME_TOLERANCE_S = 0.05  # and for degrees
-"""What stored numbers may differ by on another kind of machine or with other versions; on the same,
-by nothing."""
+TOLERANCES = {"_m": BORDERLINE_M, "_deg": 0.05, "_s": 0.02, "q": 1e-3, "q_goal": 1e-3}
+"""What stored numbers may differ by on another kind of machine or with other versions, by the end of
+the column's name: m, degrees, s (two samples of a motion and rounding), rad. On the same, nothing."""
 
-MOST_OTHER_ANSWERS = 0.1
-"""Share of answers that may differ on another kind of machine, where a choice between two grasps of
-nearly the same cost can fall the other way. Of another method's answers nearly all differ."""
+MOST_OTHER_CHOICES = 0.1
+"""Share of rows in which choices may differ there: between two grasps of nearly the same cost, or
+two places that are nearly as near. Of another method's answers nearly all differ."""
+
+CHOICES = ("answer", "nearest_pair", *(n for n in DETAIL_SCHEMA.names if n.startswith("witness_")))
 
 
 @dataclass(frozen=True)
@@ -61,7 +68,7 @@ class Difference:
 
     def __str__(self) -> str:
         words = [
-            f"{v:.6g}" if isinstance(v, float) else "none" if v is None else v
+            f"{v:.6g}" if isinstance(v, float) else "none" if v is None else str(v)[:200]
             for v in (self.stored, self.again)
         ]
         mark = " (borderline: float32 does not decide this trial)" if self.borderline else ""
@@ -78,7 +85,8 @@ class Reevaluation:
         scored: rows that were judged again.
         equal: rows of those that are equal bit for bit.
         differences: the values that differ.
-        asked: whether the method answered again, and if not, why.
+        built_in: whether it is a built-in method, which answered again.
+        asked: the same in words, and if it did not, why.
     """
 
     method: str
@@ -86,6 +94,7 @@ class Reevaluation:
     scored: int
     equal: int
     differences: tuple[Difference, ...]
+    built_in: bool
     asked: str
 
 
@@ -133,24 +142,28 @@ class Judge:
         ids = torch.from_numpy(np.array(trial_id, np.int64))
         return trials_of(self.benchmark, ids).to(self.evaluator.scene.device)
 
-    def rows(
-        self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any, motions: Motions | None = None
-    ) -> pa.Table:
-        """`TRIAL_SCHEMA` rows of (N,) trials answered with (N, 4, 4) poses, or with grasps and
-        motions: as the sweep stores them."""
+    def tables(
+        self,
+        trial_id: Any,
+        T_obj_ee: Any,
+        T_world_ee: Any,
+        motions: Motions | None = None,
+        stored: Sequence[str] = (),
+    ) -> dict[str, pa.Table]:
+        """Tables of (N,) trials answered with (N, 4, 4) poses, or with grasps and motions, and of
+        the kinds `stored`: as the sweep stores them."""
         scene, trials = self.evaluator.scene, self.trials(trial_id)
         grasp, handover = (
             torch.from_numpy(np.array(T, np.float32)).to(scene.device)
             for T in (T_obj_ee, T_world_ee)
         )
+        answers = Predictions(trials.trial_id, grasp, handover)
+        every = torch.arange(len(trials), dtype=torch.int64, device="cpu")
+        given = None if motions is None else motions.padded(every, scene.device)
         with planning_form(self.form):
-            if motions is None:
-                scores = self.evaluator.score(grasp, handover, trials)
-            else:
-                every = torch.arange(len(trials), dtype=torch.int64, device="cpu")
-                given = motions.padded(every, scene.device)
-                scores = self.evaluator.score_motion(grasp, trials=trials, **given)
-        return score_rows(trials, scores, TrialNames.of(scene))
+            return judged_tables(
+                self.evaluator, trials, answers, given, stored, TrialNames.of(scene)
+            )
 
 
 def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
@@ -228,39 +241,41 @@ def reevaluate(
     total = int(ends[-1])
     chosen = np.sort(np.random.default_rng(seed).choice(total, min(n, total), replace=False))
     job, asked = _who_answers(run, entry, judge)
-    differences, answers, unequal = [], [], set()
+    differences: list[Difference] = []
     for place, index in enumerate(sizes):
         rows = chosen[(chosen >= ends[place]) & (chosen < ends[place + 1])] - ends[place]
         if not len(rows):
             continue
-        stored, poses = (run.shard(kind, method, index) for kind in ("trials", "poses"))
-        stored = stored.take(pa.array(rows))
-        poses = poses.filter(pc.is_in(poses["trial_id"], stored["trial_id"]))
+        files = entry["receipts"][index]["files"]
+        kinds = [k for k in ("trials", "poses", "details", "paths") if k in files]
+        stored = {kind: run.shard(kind, method, index) for kind in kinds}
+        ids = stored["trials"]["trial_id"].take(pa.array(rows))
+        stored = {k: table.filter(pc.is_in(table["trial_id"], ids)) for k, table in stored.items()}
         if job is not None:
-            answers += _other_answers(job, stored["trial_id"].to_numpy(), poses, judge)
-        paths = None
-        if entry["source"].get("kind") == "motions":
-            paths = run.shard("paths", method, index)
-        for difference in _other_rows(stored, poses, paths, judge):
-            unequal.add(difference.trial_id)
-            if not judge.other or not _close(difference):
-                differences.append(difference)
-    unequal |= {d.trial_id for d in answers}
-    if not judge.other or len(answers) > MOST_OTHER_ANSWERS * len(chosen):
-        differences = [*answers, *differences]
+            differences += _other_answers(job, ids.to_numpy(), stored["poses"], judge)
+        given = entry["source"].get("kind") == "motions"
+        differences += _other_rows(run, stored, given, judge)
+    unequal = {d.trial_id for d in differences}
+    if judge.other:
+        differences = [d for d in differences if not _close(d)]
+        loose = [d for d in differences if d.column.rpartition(" ")[2] in CHOICES]
+        if len({d.trial_id for d in loose}) <= MOST_OTHER_CHOICES * len(chosen):
+            differences = [d for d in differences if d not in loose]
+    equal = len(chosen) - len(unequal)
     return Reevaluation(
-        method, total, len(chosen), len(chosen) - len(unequal), tuple(differences), asked
+        method, total, len(chosen), equal, tuple(differences), job is not None, asked
     )
 
 
 def _who_answers(run: Run, entry: Mapping[str, Any], judge: Judge) -> tuple[Job | None, str]:
-    """The built-in method to be asked again, and a phrase; `RunError` if it has another name."""
-    if "code" in judge.other:
-        return None, "not asked again: its code is not the one that answered"
+    """The built-in method to be asked again, and a phrase; `RunError` if it has another name, or
+    options that it does not take."""
     try:
         job = job_of_run(run.header, entry, judge.evaluator)
-    except UsageError as error:
+    except NotBuiltIn as error:
         return None, f"not asked again: {error}"
+    except UsageError as error:
+        raise RunError(f"{run.folder}: {entry['name']!r} cannot be asked again: {error}") from None
     if job.name != entry["name"]:
         function = entry["source"]["function"]
         words = f"{entry['name']!r} is said to be {function}, which is called {job.name!r}"
@@ -283,7 +298,7 @@ def _other_answers(job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge) -> 
         apart = np.where((stored == new) | (np.isnan(stored) & np.isnan(new)), 0.0, stored - new)
         off = np.maximum(off, np.nan_to_num(np.abs(apart), nan=np.inf).max((1, 2)))
         tcp = [stored[:, :3, 3], new[:, :3, 3]]
-    wrong = np.flatnonzero(off > (MARGIN_TOLERANCE_M if judge.other else 0.0))
+    wrong = np.flatnonzero(off > (BORDERLINE_M if judge.other else 0.0))
     words = [["TCP at {:.4g}, {:.4g}, {:.4g} m".format(*p[i]) for p in tcp] for i in wrong]
     return [
         Difference(int(ids[i]), "answer", a, f"{b} (poses differ by {off[i]:.2g})", False)
@@ -292,15 +307,16 @@ def _other_answers(job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge) -> 
 
 
 def _other_rows(
-    stored: pa.Table, poses: pa.Table, paths: pa.Table | None, judge: Judge
-) -> list[Difference]:
-    """Every stored value that the evaluator does not give again bit for bit; `paths`: those of a
-    file of motions. A motion was judged as it is where nothing was planned."""
-    again: dict[int, dict[str, Any]] = {}
+    run: Run, stored: Mapping[str, pa.Table], given: bool, judge: Judge
+) -> Iterator[Difference]:
+    """Every stored value that the evaluator does not give again bit for bit; `given`: of a file of
+    motions. A motion was judged as it is where nothing was planned."""
+    again: dict[str, dict[int, dict[str, Any]]] = {kind: {} for kind in COMPARED}
+    poses, rows = stored["poses"], stored["trials"]
     groups: list[tuple[pa.Table, Motions | None]] = [(poses, None)]
-    if paths is not None:
-        unplanned = stored.filter(pc.is_null(stored["t_plan_s"]))["trial_id"]
-        paths = paths.filter(pc.is_in(paths["trial_id"], unplanned))
+    if given:
+        unplanned = rows.filter(pc.is_null(rows["t_plan_s"]))["trial_id"]
+        paths = stored["paths"].filter(pc.is_in(stored["paths"]["trial_id"], unplanned))
         moved = pc.is_in(poses["trial_id"], paths["trial_id"])
         groups = [(poses.filter(pc.invert(moved)), None), (poses.filter(moved), _motions(paths))]
     for part, motions in groups:
@@ -308,22 +324,33 @@ def _other_rows(
             continue
         grasp, handover = (_matrices(part[k]) for k in ("T_obj_ee", "T_world_ee"))
         ids = part["trial_id"].to_numpy()
-        rows = judge.rows(ids, grasp, handover, motions).select(COMPARED).to_pylist()
-        again |= {row["trial_id"]: row for row in rows}
-    # an older run lacks some columns; they are read as null and claim nothing
-    silent = [k for k in LATER_COLUMNS if stored[k].null_count == len(stored)]
-    found = []
-    for row in stored.select(COMPARED).to_pylist():
-        # without a pose the method gave no answer, and the row must say so
-        same = {k: row[k] for k in ("trial_id", "object", "split", "side")}
-        none = {**dict.fromkeys(COMPARED), **same, "outcome": "missing"}
-        other = again.get(row["trial_id"], none)
-        found += [
-            Difference(row["trial_id"], k, row[k], other[k], bool(other["borderline"]))
-            for k in COMPARED
-            if row[k] != other[k] and k not in silent
-        ]
-    return found
+        tables = judge.tables(ids, grasp, handover, motions, tuple(stored))
+        for kind in again.keys() & tables.keys():
+            again[kind] |= _by_id(tables[kind], kind)
+    unsure = {i for i, row in again["trials"].items() if row["borderline"]}
+    for kind, table in stored.items():
+        if kind not in COMPARED:
+            continue
+        # a run of another version may lack columns; a column of this one, or a null, is a claim
+        silent = set(COMPARED[kind]) - set(table.column_names)
+        if silent and "code" not in judge.other:
+            raise RunError(f"{run.folder}: its {kind} lack column {min(silent)!r}; sweep again")
+        found = _by_id(table, kind)
+        for trial_id in sorted(found.keys() | again[kind].keys()):
+            # without a pose the method gave no answer, and the row must say so
+            row = found.get(trial_id, {"trial_id": None})
+            same = {k: row.get(k) for k in ("trial_id", "object", "split", "side")}
+            none = dict.fromkeys(COMPARED[kind]) | same | {"outcome": "missing"}
+            other = again[kind].get(trial_id, none if kind == "trials" else {"trial_id": None})
+            for k in row.keys() & other.keys() - silent:
+                if row[k] != other[k] and repr(row[k]) != repr(other[k]):  # a nan is one
+                    name = k if kind == "trials" else f"{kind} {k}"
+                    yield Difference(trial_id, name, row[k], other[k], trial_id in unsure)
+
+
+def _by_id(table: pa.Table, kind: str) -> dict[int, dict[str, Any]]:
+    names = [n for n in COMPARED[kind] if n in table.column_names]
+    return {row["trial_id"]: row for row in table.select(names).to_pylist()}
 
 
 def _motions(paths: pa.Table) -> Motions:
@@ -349,9 +376,13 @@ def _matrices(column: pa.ChunkedArray) -> np.ndarray:
 def _close(difference: Difference) -> bool:
     """Whether another kind of processor or other versions explain the difference."""
     a, b, column = difference.stored, difference.again, difference.column
+    if a is None or b is None:
+        return False
     if column.startswith("margin_kind_"):  # it follows from the margin, which is compared
         return True
-    if not (isinstance(a, float) and isinstance(b, float)):
+    ends = [most for end, most in TOLERANCES.items() if column.endswith(end)]
+    try:
+        apart = np.abs(np.subtract(a, b, dtype=np.float64))
+    except (TypeError, ValueError):  # words, or postures of other numbers
         return False
-    lengths = column.startswith("margin_") or column == "presented_distance_m"
-    return abs(a - b) <= (MARGIN_TOLERANCE_M if lengths else TIME_TOLERANCE_S)
+    return bool(ends) and bool((apart <= ends[0]).all())

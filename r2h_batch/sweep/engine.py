@@ -5,16 +5,17 @@ import contextlib
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
 import torch
 
 from r2h_batch.command_line import counted, is_quiet, note, refuse, tell
+from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.predictions import Motions
 from r2h_batch.runs.rows import (
@@ -30,7 +31,7 @@ from r2h_batch.runs.store import SHARD_TRIALS, TRIES, RunFolder, Shard, ShardWri
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import Job, Setting
 from r2h_batch.sweep.options import Options
-from r2h_batch.types import Outcome, Scores, Trials
+from r2h_batch.types import Outcome, Predictions, Scores, Trials
 
 CPU_CHUNK = 256
 """Trials between two looks at the clock on a CPU; on a GPU it is the evaluator's own chunk."""
@@ -274,14 +275,26 @@ def _scored(
     names: TrialNames,
 ) -> dict[str, pa.Table]:
     """Tables of answered trials; `motions`: judged as they are, else poses are planned to."""
-    evaluator, stored = setting.evaluator, setting.header["stored"]
-    device = evaluator.scene.device
+    device = setting.evaluator.scene.device
     part = part.to(device)
     answers = job.predict(part, rows).to(device)
-    given: dict[str, torch.Tensor] = {}
-    if motions is not None:
-        assert rows is not None
-        given = motions.padded(rows, device)
+    given = None if motions is None else motions.padded(cast(torch.Tensor, rows), device)
+    return judged_tables(setting.evaluator, part, answers, given, setting.header["stored"], names)
+
+
+def judged_tables(
+    evaluator: Evaluator,
+    part: Trials,
+    answers: Predictions,
+    given: dict[str, torch.Tensor] | None,
+    stored: Sequence[str],
+    names: TrialNames,
+) -> dict[str, pa.Table]:
+    """Tables of trials and of the kinds `stored`, as a run folder has them.
+
+    `given`: motions in place of the handover poses, as `Evaluator.score_motion` takes them.
+    """
+    if given is not None:
         scores = evaluator.score_motion(answers.T_obj_ee, trials=part, **given)
         assert scores.inputs is not None
         answers = replace(answers, T_world_ee=scores.inputs.T_world_ee)
@@ -299,7 +312,7 @@ def _scored(
         elif kind == "poses":
             tables[kind] = pose_rows(answers)
         elif kind == "paths":
-            tables[kind] = path_rows(*_paths(scores, given))
+            tables[kind] = path_rows(*_paths(scores, given or {}))
     return tables
 
 

@@ -506,6 +506,10 @@ def _method_job(
     )
 
 
+class NotBuiltIn(UsageError):
+    """A method, or files of its networks, are the user's: they are not run or opened again."""
+
+
 def job_of_run(header: Mapping[str, Any], entry: Mapping[str, Any], evaluator: "Evaluator") -> Job:
     """The built-in method that a run folder names, to be asked again.
 
@@ -517,7 +521,8 @@ def job_of_run(header: Mapping[str, Any], entry: Mapping[str, Any], evaluator: "
         evaluator: of the run's objects and hands.
 
     Raises:
-        UsageError: a method or files of the user's answered.
+        NotBuiltIn: a method or files of the user's answered.
+        UsageError: the built-in method takes no such options.
     """
     from r2h_batch.predictors.noise import Errors
 
@@ -525,9 +530,9 @@ def job_of_run(header: Mapping[str, Any], entry: Mapping[str, Any], evaluator: "
     function = source.get("function", "")
     word = function.removeprefix("r2h_batch.methods.").removesuffix(":predict").replace("_", "-")
     if function != _function_of(word) or word not in METHODS:
-        raise UsageError("only built-in methods can be asked again")
+        raise NotBuiltIn("only built-in methods can be asked again")
     if files := [k for k, v in predictors.items() if isinstance(v, dict) and "file" in v]:
-        raise UsageError(f"{', '.join(files)} came from files of its own, which are not opened")
+        raise NotBuiltIn(f"{', '.join(files)} came from files of its own, which are not opened")
     noise = predictors.get("noise")
     errors = noise.get("target_errors", "normal") if isinstance(noise, dict) else "normal"
     if errors not in get_args(Errors):

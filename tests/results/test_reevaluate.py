@@ -14,6 +14,7 @@ from r2h_batch.methods import random
 from r2h_batch.results import reevaluation as again
 from r2h_batch.results.command import main as results
 from r2h_batch.results.reevaluation import Judge, configuration, reevaluate
+from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.sweep.command import main as sweep
 
@@ -22,7 +23,19 @@ from r2h_batch.sweep.command import main as sweep
 def folder(tmp_path_factory):
     """24 rows of `random` in 3 shards, as a sweep stores them unless told otherwise."""
     out = tmp_path_factory.mktemp("rejudge") / "run"
-    line = ["--method", "random", "--trials", "12", "--sim", "none", "--shard-trials", "9", "--out", str(out)]
+    line = [
+        "--method",
+        "random",
+        "--trials",
+        "12",
+        "--sim",
+        "none",
+        "--shard-trials",
+        "9",
+        "--save-paths",
+        "--out",
+        str(out),
+    ]
     assert sweep(line) == 0
     return out
 
@@ -44,8 +57,8 @@ def test_rows_of_a_gpu_are_planned_again_in_the_form_of_a_gpu(folder, judge):
     run = copy(load_run(folder))
     object.__setattr__(run, "header", run.header | {"device": {"kind": "cuda", "name": "a GPU"}})
     poses = [x.numpy() for x in poses]
-    assert Judge(run).rows(ids, *poses)["t_exec_s"].to_pylist() == seconds and len(seconds) >= 2
-    assert judge.rows(ids, *poses)["t_exec_s"].to_pylist() != seconds
+    assert Judge(run).tables(ids, *poses)["trials"]["t_exec_s"].to_pylist() == seconds and len(seconds) >= 2
+    assert judge.tables(ids, *poses)["trials"]["t_exec_s"].to_pylist() != seconds
 
 
 def as_success(row):
@@ -109,6 +122,35 @@ def test_a_margin_moved_by_a_micrometre_is_found_here_and_by_a_millimetre_anywhe
     assert reevaluate(milli, "random", 24, elsewhere).differences == found["milli"]
 
 
+CHANGES = {
+    "body_m": ("trials", lambda row: row | {"body_m": 0.01}),
+    "width_m": ("trials", lambda row: row | {"width_m": row["width_m"] + 2e-4}),
+    "t_exec_s": ("trials", lambda row: row | {"t_exec_s": row["t_exec_s"] and row["t_exec_s"] + 0.05}),
+    "presented_distance_m": ("trials", lambda row: row | {"presented_distance_m": None}),
+    "opening_m": ("details", lambda row: row | {"opening_m": row["opening_m"] + 2e-4}),
+    "q_goal": ("details", lambda row: row | {"q_goal": row["q_goal"] and [x + 0.01 for x in row["q_goal"]]}),
+    "witness_plan_part": ("details", lambda row: row | {"witness_plan_part": "shoulder"}),
+    "q": ("paths", lambda row: row | {"q": [[x + 0.01 for x in q] for q in row["q"]]}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("column", CHANGES)
+def test_what_is_judged_again_is_compared_whatever_versions_the_run_names(folder, tmp_path, judge, column):
+    kind, change = CHANGES[column]
+
+    def one(row):
+        new = change(row)
+        return new != dict(row) and not row.update(new)
+
+    edited = forged(folder, tmp_path / "run", one, kind)
+    elsewhere = copy(judge)
+    elsewhere.other = ("code", "torch", "processor")
+    found = reevaluate(load_run(tmp_path / "run"), "random", 24, elsewhere).differences
+    assert edited and {d.trial_id for d in found} == {*edited}
+    assert {d.column.rpartition(" ")[2] for d in found} == {column}
+    assert reevaluate(load_run(folder), "random", 24, elsewhere).differences == ()
+
+
 def test_an_answer_that_is_said_to_be_missing_is_found_by_its_pose(folder, tmp_path, judge):
     def silent(row):
         if row["trial_id"] not in (2, 4):
@@ -117,17 +159,29 @@ def test_an_answer_that_is_said_to_be_missing_is_found_by_its_pose(folder, tmp_p
         return True
 
     forged(folder, tmp_path / "run", silent)
-    with pytest.raises(RunError, match=r"poses/random/.* holds 9 rows, planned were 7"):
+    with pytest.raises(RunError, match=r"details/random/.* holds 9 rows, planned were 7"):
         reevaluate(load_run(tmp_path / "run"), "random", 24, judge)
 
 
 def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_name(folder, tmp_path, judge, capsys):
     """Of seed 1 in the run of seed 0: verdicts, checksums and plan agree, only the method would not answer so."""
-    line = ["--method", "random", "--trials", "12", "--sim", "none", "--shard-trials", "9", "--seed", "1"]
+    line = [
+        "--method",
+        "random",
+        "--trials",
+        "12",
+        "--sim",
+        "none",
+        "--shard-trials",
+        "9",
+        "--save-paths",
+        "--seed",
+        "1",
+    ]
     assert sweep([*line, "--out", str(tmp_path / "other")]) == 0
     run = load_run(folder)
     shutil.copytree(folder, tmp_path / "run")
-    for kind in ("trials", "poses", "manifest"):
+    for kind in ("trials", "details", "poses", "paths", "manifest"):
         shutil.rmtree(tmp_path / "run" / kind)
         shutil.copytree(tmp_path / "other" / kind, tmp_path / "run" / kind)
     for receipt in (tmp_path / "run" / "manifest").rglob("*.json"):
@@ -138,9 +192,8 @@ def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_nam
     elsewhere = copy(judge)
     elsewhere.other = ("processor",)
     assert len(reevaluate(swapped, "random", 10, elsewhere).differences) == 10
-    elsewhere.other = ("code",)  # what another version answered is not known
-    found = reevaluate(swapped, "random", 10, elsewhere)
-    assert found.differences == () and "its code is not the one that answered" in found.asked
+    elsewhere.other = ("code", "torch")
+    assert len(reevaluate(swapped, "random", 10, elsewhere).differences) == 10
     file = tmp_path / "run" / "methods" / "random.json"
     data = json.loads(file.read_text())
     for function, words in (("oracle:predict", "is called 'oracle'"), ("no:predict", "only built-in methods can")):
@@ -150,6 +203,10 @@ def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_nam
                 reevaluate(load_run(tmp_path / "run"), "random", 1, judge)
         else:
             assert words in reevaluate(load_run(tmp_path / "run"), "random", 1, judge).asked
+    source = {"function": "r2h_batch.methods.fc:predict", "options": "bogus=1"}
+    file.write_text(json.dumps({**data, "source": source}))
+    with pytest.raises(RunError, match=r"'random' cannot be asked again: .*bogus"):
+        reevaluate(load_run(tmp_path / "run"), "random", 1, elsewhere)
 
 
 def test_what_cannot_be_judged_again_is_refused_with_one_line(folder, tmp_path, capsys):
@@ -180,7 +237,7 @@ def test_a_configuration_comes_back_as_it_was_or_is_refused(tmp_path):
     data.pop("stability")
     with pytest.raises(RunError, match="of another version: stability"):
         configuration(data, "run")
-    assert set(again.COMPARED) == set(again.TRIAL_SCHEMA.names) - {"t_plan_s", "t_method_s"}
+    assert set(again.COMPARED["trials"]) == set(TRIAL_SCHEMA.names) - {"t_plan_s", "t_method_s"}
 
 
 def test_people_of_r2h_v1_are_swept_judged_again_and_handed_to_methods(tmp_path):

@@ -217,7 +217,7 @@ def files_of(folder, kind="trials"):
     return sorted((folder / kind).rglob("*.parquet"))
 
 
-def forged(folder, out, change):
+def forged(folder, out, change, kind="trials"):
     """A copy of the run in which `change(row) -> bool` has edited rows, with file, receipt and sha256 all agreeing."""
     for path in folder.rglob("*"):
         target = out / path.relative_to(folder)
@@ -229,13 +229,15 @@ def forged(folder, out, change):
     edited = []
     for receipt in sorted((out / "manifest" / "random").glob("*.json")):
         data = json.loads(receipt.read_text())
-        file = out / data["files"]["trials"]["path"]
+        file = out / data["files"][kind]["path"]
         table = pq.read_table(file, partitioning=None)
         rows = table.to_pylist()
         for row in rows:
-            before = row["outcome"]
+            before = row.get("outcome")
             if change(row):
                 edited.append(row["trial_id"])
+                if kind != "trials":
+                    continue
                 counts = data["outcomes"][row["split"]]
                 counts[before] -= 1
                 counts[row["outcome"]] = counts.get(row["outcome"], 0) + 1
@@ -243,7 +245,7 @@ def forged(folder, out, change):
         sha = sha256_of(file)
         renamed = file.with_name(f"{file.name[:6]}-{sha[:16]}.parquet")
         file.rename(renamed)
-        data["files"]["trials"] = {
+        data["files"][kind] = {
             "path": str(renamed.relative_to(out)),
             "sha256": sha,
             "bytes": renamed.stat().st_size,
