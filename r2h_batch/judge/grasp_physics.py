@@ -42,12 +42,13 @@ DROPPED_M = 0.02
 
 @dataclass(frozen=True)
 class Closed:
-    """How B grasps ended: gap at rest (m), how far the object moved while closing and, if shaken,
-    slipped after (m)."""
+    """How B grasps ended: gap at rest (m), how far the object moved while closing and, if its weight
+    acted, slipped (m) and turned (rad) after."""
 
     opening_m: Float[Array, " b"]
     moved_m: Float[Array, " b"]
     slip_m: Float[Array, " b"]
+    turned_rad: Float[Array, " b"]
     held: NDArray[np.bool_]
 
 
@@ -58,29 +59,33 @@ def close_in_physics(
     robot: Robot,
     *,
     shake: bool = False,
-    down_ee: Float[Array, " 3"] | None = None,
+    shake_m_s2: float = SHAKE_M_S2,
+    down_ee: Float[Array, "*b 3"] | None = None,
     threads: int | None = None,
 ) -> Closed:
     """Closes the gripper on each object, standing as `T_obj_ee` says and free to move, until the
     fingers rest.
 
-    With `shake`: then its weight (along `down_ee`, default: out of the gripper, as at home) and a
-    shake along three axes; `held` is whether it slipped by less than 2 cm.
+    With `shake`: then its weight (along `down_ee`, of all or of each; default: out of the gripper, as
+    at home) and a shake of `shake_m_s2` along three axes, 0: the weight alone for as long; `held` is
+    whether it slipped by less than 2 cm.
     """
     down = np.array([0.0, 0.0, 1.0]) if down_ee is None else np.asarray(down_ee, np.float64)
+    down = np.broadcast_to(down, (len(object_index), 3))
 
-    def one(i: int) -> tuple[float, float, float]:
+    def one(i: int) -> tuple[float, float, float, float]:
         return _close(
             robot,
             objects[int(object_index[i])],
             np.asarray(T_obj_ee[i], np.float64),
-            down if shake else None,
+            down[i] if shake else None,
+            shake_m_s2,
         )
 
     with warnings_unwritten():
         rows = list(thread_pool(cpu_threads(threads)).map(one, range(len(object_index))))
-    opening, moved, slip = np.array(rows, np.float64).reshape(-1, 3).T
-    return Closed(opening, moved, slip, np.isfinite(slip) & (slip < DROPPED_M))
+    opening, moved, slip, turned = np.array(rows, np.float64).reshape(-1, 4).T
+    return Closed(opening, moved, slip, turned, np.isfinite(slip) & (slip < DROPPED_M))
 
 
 def shake(
@@ -161,8 +166,8 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
 
 
 def _close(
-    robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None
-) -> tuple[float, float, float]:
+    robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None, shake_m_s2: float
+) -> tuple[float, float, float, float]:
     m = gripper_spec(robot, model, T_obj_ee).compile()
     # nothing drifts off at a touch
     m.dof_damping[-6:] = [model.mass * 50] * 3 + [float(np.trace(model.inertia)) * 50] * 3
@@ -181,15 +186,16 @@ def _close(
         float(np.linalg.norm(data.qpos[4:7] - start)),
     )
     if down is None or not np.isfinite(data.qpos).all():
-        return opening, moved, float("nan")
+        return opening, moved, float("nan"), float("nan")
     m.dof_damping[-6:] = 0.0
-    at = data.qpos[4:7].copy()
+    at, turn = np.split(data.qpos[4:].copy(), [3])
     # weight alone first, then along x, y, z
     for t in np.arange(0.0, 0.3 + 3 * SHAKE_S, every * STEP_S):
         shake = np.zeros(3)
         if t >= 0.3:
             axis = min(int((t - 0.3) / SHAKE_S), 2)
-            shake[axis] = SHAKE_M_S2 * np.sin(2 * np.pi * SHAKE_HZ * (t - 0.3))
+            shake[axis] = shake_m_s2 * np.sin(2 * np.pi * SHAKE_HZ * (t - 0.3))
         m.opt.gravity[:] = G * down + shake
         mujoco.mj_step(m, data, every)
-    return opening, moved, float(np.linalg.norm(data.qpos[4:7] - at))
+    cosine = min(abs(float(turn @ data.qpos[7:])), 1.0)
+    return opening, moved, float(np.linalg.norm(data.qpos[4:7] - at)), 2 * float(np.arccos(cosine))

@@ -9,12 +9,15 @@ import torch
 from problems import default_evaluator
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
+from r2h_batch.export.stored import judged_again
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.methods import fc, oracle
 from r2h_batch.results.reevaluation import configuration
 from r2h_batch.sweep.options import UsageError, execution_error
 from r2h_batch.trials.protocol import make_trials
+from r2h_batch.types import Predictions
 
 BOTH = ExecutionError(camera_m=0.010, camera_deg=2.0, object_m=0.005, object_deg=4.0)
 
@@ -92,6 +95,17 @@ def test_a_method_that_searches_with_the_evaluator_does_not_know_the_errors():
         judge = evaluator(error)
         answers.append(oracle.predict(trials, judge.scene, evaluator=judge).T_world_ee)
     assert torch.equal(*answers)
+
+
+def test_a_trial_is_shown_as_it_was_carried_out(asked):
+    T_obj_ee, T_world_ee, trials = asked
+    judge = evaluator(BOTH)
+    row = int((judge.score(*asked).path_len > 0).nonzero()[0])
+    trial = trials[row : row + 1].named(judge.scene.objects)
+    answer = Predictions(trial.trial_id, T_obj_ee[row : row + 1], T_world_ee[row : row + 1])
+    shown = judged_again(judge, trial, answer, "fc")
+    assert np.allclose(ee_pose(load_robot(), shown.q[-1]), shown.T_world_ee, atol=1e-4)
+    assert abs(shown.T_world_ee - T_world_ee[row].numpy()).max() > 1e-3
 
 
 def test_motions_are_refused_with_errors(asked):
