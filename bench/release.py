@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from _report import Report
 
-from r2h_batch.export.command import export_main
+from r2h_batch.__main__ import main as r2h_batch_main
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.verdicts import CRITERIA
@@ -133,7 +133,7 @@ def import_many(report: Report, files: Path, folder: Path, count: int) -> None:
         (many / f"t{k}.json").write_text(json.dumps(trial | {"id": f"t{k}"}))
     start = time.perf_counter()
     line = ["trials", str(many), "--from", "r2handoversim", "--out", str(folder / "imported")]
-    subprocess.run([sys.executable, "-m", "r2h_batch.importers", *line], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-m", "r2h_batch", "import", *line], check=True, stdout=subprocess.DEVNULL)
     report.add("release.import.trials", count)
     report.add("release.import.seconds", time.perf_counter() - start)
     report.add("release.import.memory_mb", resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
@@ -157,7 +157,7 @@ def main() -> None:
         quietly(sweep, "--method", args.method, "--trials", args.trials, "--sim", "none", "--save-paths", "--out", own)
         report.add(
             "release.export.seconds",
-            quietly(export_main, own, "--to", "r2handoversim", "--trials", args.trials, "--out", files),
+            quietly(r2h_batch_main, "export", own, "--to", "r2handoversim", "--trials", args.trials, "--out", files),
         )
         for name, more in (("given", []), ("replanned", ["--set", "replan=true"])):
             quietly(sweep, "--trials-from", files, "--sim", "none", *more, "--out", folder / name)

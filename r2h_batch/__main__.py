@@ -1,99 +1,129 @@
 """The one command: `r2h-batch SUBCOMMAND ...`, or `python -m r2h_batch SUBCOMMAND ...`; `--version`
 names the version."""
 
+import re
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import r2h_batch
-from r2h_batch.command_line import Command, answer, failed, nearest, read, refuse
+from r2h_batch.command_line import Command, answer, call, failed, nearest, read, refuse
 
 COMMANDS = {
     "sweep": (
-        "r2h_batch.sweep.command",
+        "sweep.command:main",
         "Score methods or predictions files on the trials and print Table I.",
     ),
     "trials": (
-        "r2h_batch.export.command",
+        "export.command:trials",
         "Write the trials and everything that a method may read.",
     ),
     "scene": (
-        "r2h_batch.export.command",
+        "export.command:scene",
         "Write one stored trial as a folder that plain MuJoCo opens.",
     ),
     "export": (
-        "r2h_batch.export.command",
+        "export.command:export",
         "Write trials of a run as files of the authors' release.",
     ),
     "submit": (
-        "r2h_batch.submission",
+        "submission:submit",
         "Write a finished run as one checked file for a leaderboard.",
     ),
     "leaderboard": (
-        "r2h_batch.submission",
+        "submission:leaderboard",
         "Write a page of submissions, each judged again first.",
     ),
     "ls": (
-        "r2h_batch.ls",
+        "ls:ls",
         "List methods, objects, robots, protocols or runs.",
     ),
     "benchmark": (
-        "r2h_batch.benchmark.command",
+        "benchmark.command:COMMANDS",
         "Show what a benchmark file may say, or check one.",
     ),
     "view": (
-        "r2h_batch.view.command",
+        "view.command:view",
         "Look at trials in three dimensions, or write one as a page, a film or strips.",
     ),
-    "video": ("r2h_batch.view.command", "The former name of view --video."),
-    "strips": ("r2h_batch.view.command", "The former name of view --strips."),
     "import": (
-        "r2h_batch.importers.command",
+        "importers.command:COMMANDS",
         "Turn other people's hands and grasps into files that sweeps read.",
     ),
     "results": (
-        "r2h_batch.results.command",
+        "results.command:COMMANDS",
         "Check a run folder, judge its rows again, or count them at other thresholds.",
     ),
-    "report": ("r2h_batch.gallery.command", "Print the table of a run folder, or write its page."),
+    "report": (
+        "gallery.command:report",
+        "Print the table of a run folder, or write its page.",
+    ),
     "figures": (
-        "r2h_batch.gallery.command",
+        "gallery.command:figures",
         "Draw the paper's figures of a run: protocol, methods over time, failures.",
     ),
-    "study": ("r2h_batch.study.command", "Compare simulation with people, as the user study does."),
-    "compare": ("r2h_batch.compare.command", "Compare methods on the trials that they share."),
+    "study": (
+        "study.command:COMMANDS",
+        "Compare simulation with people, as the user study does.",
+    ),
+    "compare": (
+        "compare.command:compare",
+        "Compare methods on the trials that they share.",
+    ),
 }
-"""Subcommand -> the module whose `main` (or `NAME_main`, where it holds several) it is, and what it
-does.
+"""Subcommand -> the function that it is, or its subcommands' dict, and what it does.
 
-A module is imported when its subcommand is chosen, not before.
+A module is imported when its subcommand is chosen, not before. `sweep` reads its command line
+itself.
 """
 
-
-ALIASES = {"rescore": ("results", "rethreshold")}
-"""Old name of a subcommand -> what it is called now; old names stay for one version."""
+OLD_NAMES: dict[tuple[str, ...], tuple[list[str], dict[str, str]]] = {
+    ("rescore",): (["results", "rethreshold"], {}),
+    ("video",): (["view"], {"--out": "--video"}),
+    ("strips",): (["view"], {"--out": "--strips"}),
+    ("results", "verify", "--rejudge"): (["results", "reevaluate"], {"--rejudge": "--rows"}),
+}
+"""Commands of version 0.1, and a flag that marks one -> what they and their flags are called now."""
 
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> int:
     """Exit code of the chosen subcommand; 2 with one line where there is no such."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    given = [*ALIASES.get(given[0], given[:1]), *given[1:]] if given else given
+    given = with_new_names(sys.argv[1:] if arguments is None else arguments)
     name = given[0] if given else "--help"
-    if name in COMMANDS:
-        if arguments is None:
-            # run.json keeps the sweep's command line as the sweep would see it
-            sys.argv = [
-                sys.argv[0],
-                *given[1:],
-            ]
-        try:
-            return main_of(name)(given[1:], prog=f"{prog} {name}")
-        # while the subcommand is imported; what it does itself, `answer` hears
-        except KeyboardInterrupt:
-            return refuse(name, "interrupted", 130)
-    return answer(prog, lambda: _about(name, given, prog))
+    if name not in COMMANDS:
+        return answer(prog, lambda: _about(name, given, prog))
+    if arguments is None:
+        # run.json keeps the sweep's command line as the sweep would see it
+        sys.argv = [sys.argv[0], *given[1:]]
+    try:
+        command = command_of(name)
+    except KeyboardInterrupt:  # while it is imported; what it does itself, `answer` hears
+        return refuse(name, "interrupted", 130)
+    if name == "sweep":
+        return int(command(given[1:], prog=f"{prog} {name}"))
+    rest = given[1:] or (["paper"] if name == "study" else [])
+    return call(command, rest, prog=f"{prog} {name}", name=name)
+
+
+def with_new_names(words: Sequence[str]) -> list[str]:
+    """A command line with today's names in place of those of version 0.1."""
+    flags = [word.partition("=")[0] for word in words]
+    for (*old, last), (new, renamed) in OLD_NAMES.items():
+        named = [*old, *([] if last.startswith("-") else [last])]
+        if flags[: len(named)] == named and last in flags:
+            rest = words[len(named) :]
+            for before, now in renamed.items():
+                rest = [re.sub(f"^{before}(?==|$)", now, word) for word in rest]
+            return [*new, *rest]
+    return list(words)
+
+
+def command_of(name: str) -> Any:
+    """The function or the dict of functions that a subcommand is."""
+    module, _, attribute = COMMANDS[name][0].partition(":")
+    return getattr(import_module(f"r2h_batch.{module}"), attribute)
 
 
 def _about(name: str, given: Sequence[str], prog: str) -> int:
@@ -120,55 +150,21 @@ def _about(name: str, given: Sequence[str], prog: str) -> int:
     )
 
 
-def main_of(name: str) -> Callable[..., int]:
-    """The `main(arguments, prog=...)` of a subcommand."""
-    module = import_module(COMMANDS[name][0])
-    found: Callable[..., int] = getattr(module, f"{name}_main", None) or module.main
-    return found
-
-
 def _completed() -> dict[str, Command]:
     """Subcommands with all their flags, for shell completion: here every command's module is
     imported."""
-    from r2h_batch import ls, submission
-    from r2h_batch.compare import command as compare
-    from r2h_batch.export import command as export
-    from r2h_batch.gallery import command as gallery
     from r2h_batch.sweep.options import Options
-    from r2h_batch.view import command as view
 
-    def results(
-        command: Literal["verify", "digest", "reevaluate", "rethreshold"], folder: Path, /
-    ) -> None: ...
+    commands = {name: command_of(name) for name in COMMANDS}
+    nested = {k: _chooser(tuple(c)) for k, c in commands.items() if isinstance(c, dict)}
+    return {**commands, **nested, "sweep": Options}
 
-    def study(
-        command: Literal["paper", "ratings", "real", "plan"], files: tuple[Path, ...], /
-    ) -> None: ...
 
-    def import_(
-        command: Literal["hand", "hands", "grasps"], files: tuple[Path, ...], /
-    ) -> None: ...
+def _chooser(words: tuple[str, ...]) -> Command:
+    def choose(command: str, files: tuple[Path, ...], /) -> None: ...
 
-    def benchmark(command: Literal["show", "check"], files: tuple[Path, ...], /) -> None: ...
-
-    return {
-        "sweep": Options,
-        "trials": export.trials,
-        "scene": export.scene,
-        "submit": submission.submit,
-        "leaderboard": submission.leaderboard,
-        "ls": ls.ls,
-        "benchmark": benchmark,
-        "view": view.view,
-        "video": view.view,
-        "strips": view.view,
-        "import": import_,
-        "results": results,
-        "report": gallery.report,
-        "figures": gallery.figures,
-        "study": study,
-        "compare": compare.run,
-    }
+    choose.__annotations__["command"] = Literal[words]
+    return choose
 
 
 def _described(text: str) -> Callable[[], None]:

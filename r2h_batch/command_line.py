@@ -42,6 +42,10 @@ class UsageError(Exception):
     """A command line that cannot be run: one line that says what was given and what is allowed."""
 
 
+class MachineError(RuntimeError):
+    """Work that this machine cannot do, in one line; a command ends with exit code 1."""
+
+
 def nearest(name: str, allowed: Sequence[str]) -> str:
     """`, did you mean X?` for the allowed word nearest to a misspelt one; empty where none is
     near."""
@@ -152,9 +156,16 @@ def check_seed(seed: int) -> None:
 def call(
     command: Command | Mapping[str, Command], arguments: Sequence[str], *, prog: str, name: str
 ) -> int:
-    """Exit code of a function or of one of several; 2 with one line on stderr where the command
-    line is refused."""
-    return answer(name, lambda: int(read(command, arguments, prog=prog)()))
+    """Exit code of a function or of one of several; 2 with one line on stderr where it refuses its
+    command line or a file (`ValueError`)."""
+
+    def work() -> int:
+        try:
+            return int(read(command, arguments, prog=prog)())
+        except ValueError as error:
+            return refuse(name, error)
+
+    return answer(name, work)
 
 
 def answer(name: str, work: Callable[[], int]) -> int:
@@ -175,6 +186,8 @@ def answer(name: str, work: Callable[[], int]) -> int:
             code = work()
     except (UsageError, FileError) as error:
         code = refuse(name, error)
+    except MachineError as error:
+        code = refuse(name, error, 1)
     except OSError as error:
         code = failed(name, error)
     except KeyboardInterrupt:

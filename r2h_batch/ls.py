@@ -1,11 +1,9 @@
 """The command `ls`: what can be named on a command line. Light until there is work."""
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal
-
-from r2h_batch.command_line import call
 
 Line = tuple[str, ...]
 
@@ -80,12 +78,3 @@ def _runs(folder: Path) -> Iterator[Line]:
         trials = ", ".join(f"{n} {split}" for split, n in run.header["trials"].items())
         methods = [*run.methods, *(f"{m} (not complete)" for m in run.unfinished)]
         yield str(place), str(run.header["protocol"]), trials, "; ".join(methods)
-
-
-def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch ls") -> int:
-    """Exit code: 0 listed, 2 refused with one line."""
-    return call(ls, sys.argv[1:] if arguments is None else arguments, prog=prog, name="ls")
-
-
-if __name__ == "__main__":
-    sys.exit(main(prog="python -m r2h_batch.ls"))

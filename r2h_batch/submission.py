@@ -3,7 +3,6 @@ have been judged again."""
 
 import contextlib
 import json
-import sys
 import tempfile
 import zipfile
 from collections.abc import Sequence
@@ -11,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
-from r2h_batch.command_line import call, refuse, tell
+from r2h_batch.command_line import UsageError, refuse, tell
 from r2h_batch.io.read import FileError, archive_members, open_archive, printable
 from r2h_batch.io.write import atomic_path, check_output_file, write_text
 
@@ -44,23 +43,20 @@ def submit(
 
     out = out or Path(f"{run}.zip")
     check_output_file(out, overwrite=overwrite)
+    stored = load_run(run)
     try:
-        stored = load_run(run)
-        try:
-            built_in = _judged_again(stored, rows, {})
-        except ValueError as error:
-            raise ValueError(f"{run}: {error}; the run cannot be submitted") from None
-        write_summary(stored)
-        files = _files(stored)
-        digests = {m: stored.digest(m) for m in stored.methods}
-        about = {"format": 1, "rows": digests, "versions": stored.header["versions"]}
-        about["built_in"] = built_in
-        with atomic_path(out) as temporary, zipfile.ZipFile(temporary, "w") as archive:
-            for file in files:
-                archive.write(stored.folder / file, f"run/{file}")
-            archive.writestr(BUNDLE, json.dumps(about, indent=1))
+        built_in = _judged_again(stored, rows, {})
     except ValueError as error:
-        return refuse("submit", error)
+        raise ValueError(f"{run}: {error}; the run cannot be submitted") from None
+    write_summary(stored)
+    files = _files(stored)
+    digests = {m: stored.digest(m) for m in stored.methods}
+    about = {"format": 1, "rows": digests, "versions": stored.header["versions"]}
+    about["built_in"] = built_in
+    with atomic_path(out) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for file in files:
+            archive.write(stored.folder / file, f"run/{file}")
+        archive.writestr(BUNDLE, json.dumps(about, indent=1))
     print(f"{out}: {len(digests)} methods, {len(files)} files, {out.stat().st_size:,} bytes")
     return 0
 
@@ -154,7 +150,7 @@ def leaderboard(
 
     check_output_file(out, overwrite=overwrite)
     if not submissions:
-        return refuse("leaderboard", "no submission is given; give files of r2h-batch submit")
+        raise UsageError("no submission is given; give files of r2h-batch submit")
     judges: dict[str, Judge] = {}
     held: dict[str, Run] = {}
     left_out = 0
@@ -227,20 +223,3 @@ def _unpacked(path: Path, place: Path) -> Path:
                 while piece := source.read(1 << 20):
                     file.write(piece)
     return folder
-
-
-def submit_main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch submit") -> int:
-    """Exit code: 0 written, 2 refused with one line."""
-    return call(submit, sys.argv[1:] if arguments is None else arguments, prog=prog, name="submit")
-
-
-def leaderboard_main(
-    arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch leaderboard"
-) -> int:
-    """Exit code: 0 all are listed, 1 some are left out, 2 refused with one line."""
-    given = sys.argv[1:] if arguments is None else arguments
-    return call(leaderboard, given, prog=prog, name="leaderboard")
-
-
-if __name__ == "__main__":
-    sys.exit(submit_main(prog="python -m r2h_batch.submission"))

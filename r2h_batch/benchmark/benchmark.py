@@ -6,8 +6,8 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache, cached_property, lru_cache
-from typing import Any, Literal
+from functools import cache, cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE
 from r2h_batch.types import Trials
 from r2h_batch.validate import instance_of, optional
 
-__all__ = ["Benchmark", "built_in", "is_unbuilt", "unbuilt"]
+__all__ = ["Benchmark", "built_in"]
 
 WITH_BODIES = PROTOCOLS[1]
 """The protocol whose trials have receivers with a body."""
@@ -99,34 +99,6 @@ class Benchmark:
     def digest(self) -> str:
         """sha256 (hex) over everything that decides what is asked and how it is judged, whatever
         file said it."""
-        digest = self._without_objects()
-        for o in self.objects:
-            if is_unbuilt(o):
-                raise ValueError(
-                    f"{o.name}: was not built, so this benchmark has no digest; read it whole"
-                )
-            for name in DECIDES:
-                value = np.ascontiguousarray(getattr(o, name))
-                digest.update(f"{name}:{value.dtype.str}:{value.shape}:".encode() + value.tobytes())
-            said = {
-                "grasps": None if o.grasps is None else o.grasps.digest,
-                "roles": None if o.roles is None else dict(o.roles),
-                "words": None if o.words is None else asdict(o.words),
-            }
-            digest.update(json.dumps(said, sort_keys=True).encode())
-        self._add_listed(digest)
-        return digest.hexdigest()
-
-    @cached_property
-    def apart_from_objects(self) -> str:
-        """sha256 (hex) as `digest`, over everything but the objects; of listed trials their
-        objects' places are in it."""
-        digest = self._without_objects()
-        self._add_listed(digest)
-        return digest.hexdigest()
-
-    def _without_objects(self) -> Any:
-        """Protocol, hands, robot, receiver, limits and place, taken in by a sha256."""
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # what there was before it could be said keeps its digest
             digest.update(f"receiver {self.receiver}\n".encode())
@@ -137,12 +109,20 @@ class Benchmark:
             digest.update(self.hand_set.in_body.contiguous().numpy().tobytes())
         for part in (self.thresholds, self.workplace):
             digest.update(json.dumps(asdict(part), sort_keys=True).encode())
-        return digest
-
-    def _add_listed(self, digest: Any) -> None:
+        for o in self.objects:
+            for name in DECIDES:
+                value = np.ascontiguousarray(getattr(o, name))
+                digest.update(f"{name}:{value.dtype.str}:{value.shape}:".encode() + value.tobytes())
+            said = {
+                "grasps": None if o.grasps is None else o.grasps.digest,
+                "roles": None if o.roles is None else dict(o.roles),
+                "words": None if o.words is None else asdict(o.words),
+            }
+            digest.update(json.dumps(said, sort_keys=True).encode())
         if self.listed is not None:
             for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
                 digest.update(getattr(self.listed, name).contiguous().numpy().tobytes())
+        return digest.hexdigest()
 
     def config(self, base: EvalConfig | None = None) -> EvalConfig:
         """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home, and what it
@@ -175,24 +155,3 @@ def built_in(protocol: str = PROTOCOL) -> Benchmark:
     place = Workplace(RELEASE_HOME_Q, RELEASE_TABLE_CENTER, RELEASE_TABLE_HALF)
     objects = (*free, *load_objects(RELEASE_S1))
     return Benchmark(objects, neutral_hand_set(), workplace=place, drawn=protocol)
-
-
-@lru_cache(maxsize=1024)
-def unbuilt(name: str, split: str) -> ObjectModel:
-    """An object without a face: it can be counted, not handed over. One for each name and split."""
-    shapes = {
-        "vertices": ("f4", (0, 3)), "faces": ("i4", (0, 3)), "face_part": ("u1", (0,)), "receiver_face": ("?", (0,)),
-        "hull_vertices": ("f4", (0, 3)), "hull_faces": ("i4", (0, 3)), "piece_vertices": ("f4", (0, 3)),
-        "piece_faces": ("i4", (0, 3)), "piece_vertex_offsets": ("i4", (1,)), "piece_face_offsets": ("i4", (1,)),
-        "points": ("f4", (0, 3)), "normals": ("f4", (0, 3)), "point_part": ("u1", (0,)), "point_face": ("i4", (0,)),
-        "voxels": ("u1", (0,)), "voxel_origin": ("f8", (3,)), "com": ("f8", (3,)), "inertia": ("f8", (3, 3)),
-    }  # fmt: skip
-    arrays: dict[str, Any] = {k: np.zeros(shape, kind) for k, (kind, shape) in shapes.items()}
-    for array in arrays.values():
-        array.flags.writeable = False
-    return ObjectModel(name, split, "", part_names=(), voxel_pitch=0.0, mass=0.0, **arrays)
-
-
-def is_unbuilt(model: ObjectModel) -> bool:
-    """Whether this is only a name and a split."""
-    return len(model.faces) == 0

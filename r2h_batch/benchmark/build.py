@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.benchmark.benchmark import WITH_BODIES, Benchmark, built_in, is_unbuilt, unbuilt
+from r2h_batch.benchmark.benchmark import WITH_BODIES, Benchmark, built_in
 from r2h_batch.benchmark.flags import BenchmarkFlags
 from r2h_batch.benchmark.model import (
     BUILT_IN,
@@ -53,18 +53,15 @@ from r2h_batch.io.read import FileError, path_within, printable, read_file, read
 from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE
 
 __all__ = [
-    "BenchmarkOverrides", "Only", "benchmark_of_run", "hand_of", "hand_set_of", "objects_digest", "objects_of",
+    "BenchmarkOverrides", "benchmark_of_run", "hand_of", "hand_set_of", "objects_of",
     "read_benchmark",
 ]  # fmt: skip
 
 MAX_FILE_BYTES = 1 << 30
 MAX_LABELS_BYTES = 64 << 20
 
-Only = frozenset[str] | None
-"""Names of the meshes that are built; None: all."""
 
-
-def read_benchmark(path: str | Path, *, pieces: bool = False, only: Only = None) -> Benchmark:
+def read_benchmark(path: str | Path, *, pieces: bool = False) -> Benchmark:
     """Read a benchmark file with all files that it names.
 
     The result is remembered until this file or a file that it names changes.
@@ -72,8 +69,6 @@ def read_benchmark(path: str | Path, *, pieces: bool = False, only: Only = None)
     Args:
         path: a benchmark.yaml.
         pieces: whether meshes get their convex decomposition (up to a minute each).
-        only: names of the meshes that are built; None builds all. Of the others only name and split
-            are known (`unbuilt`).
 
     Raises:
         FileError, ObjectMeshError: one line.
@@ -88,7 +83,7 @@ def read_benchmark(path: str | Path, *, pieces: bool = False, only: Only = None)
             digest.update(bytes.fromhex(_digest(path_within(path.parent, name))))
         except FileError as error:
             raise FileError(f"{printable(path)}: {field}: {error}") from None
-    return _read(str(path.resolve()), digest.hexdigest(), pieces, only)
+    return _read(str(path.resolve()), digest.hexdigest(), pieces)
 
 
 def _digest(path: Path) -> str:
@@ -96,12 +91,12 @@ def _digest(path: Path) -> str:
 
 
 @lru_cache(maxsize=8)
-def _read(path: str, _: str, pieces: bool, only: Only) -> Benchmark:
+def _read(path: str, _: str, pieces: bool) -> Benchmark:
     file, folder, shown = read_benchmark_file(Path(path)), Path(path).parent, printable(path)
     try:
         own, objects = built_in(file.protocol), built_in(file.protocol).objects
         if "objects" in file.model_fields_set:
-            objects = objects_of(file.objects, folder, pieces, only)
+            objects = objects_of(file.objects, folder, pieces)
         names = [o.name for o in objects]
         if twice := [n for n in names if names.count(n) > 1]:
             raise FileError(f"{shown}: two objects are called {twice[0]!r}; rename one of them")
@@ -224,22 +219,13 @@ def _hand_set(parts: tuple[tuple[str, str, HandChoice], ...], model: HandModel) 
 
 
 def objects_of(
-    entries: Sequence[ObjectEntry], folder: Path, pieces: bool, only: Only = None
+    entries: Sequence[ObjectEntry], folder: Path, pieces: bool
 ) -> tuple[ObjectModel, ...]:
-    """The objects of entries whose files lie in the folder or below.
-
-    Several meshes are built at a time, `only` those of these names unless None.
-    """
-    names = [printable(e.name or Path(str(e.file)).stem) for e in entries]
-    meshes = [e.file is not None and e.built_in is None for e in entries]
-    built = [only is None or not m or n in only for m, n in zip(meshes, names, strict=True)]
-    build_ahead(
-        [_own_call(e, folder, pieces) for e, m, b in zip(entries, meshes, built) if m and b]
-    )
-    return tuple(
-        _object(e, folder, pieces) if b else unbuilt(name, e.split or "S0")
-        for e, name, b in zip(entries, names, built, strict=True)
-    )
+    """The objects of entries whose files lie in the folder or below; several meshes are built at a
+    time."""
+    meshes = [e for e in entries if e.file is not None and e.built_in is None]
+    build_ahead([_own_call(e, folder, pieces) for e in meshes])
+    return tuple(_object(e, folder, pieces) for e in entries)
 
 
 def _object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
@@ -371,17 +357,17 @@ class BenchmarkOverrides(BenchmarkFlags):
         """The same flags, with `protocol` instead of the benchmark's."""
         return cls(**asdict(flags), protocol=protocol)
 
-    def read(self, *, pieces: bool = False, only: Only = None) -> Benchmark:
-        """The benchmark; `pieces` and `only` as `read_benchmark` takes them.
+    def read(self, *, pieces: bool = False) -> Benchmark:
+        """The benchmark; `pieces` as `read_benchmark` takes it.
 
         Raises:
             ValueError: one line, mostly a `FileError`.
         """
         base = built_in(self.protocol or PROTOCOL)
         if self.benchmark:
-            base = read_benchmark(self.benchmark, pieces=pieces, only=only)
-        objects = _objects_of(Path(self.objects), pieces, only) if self.objects else base.objects
-        objects = (*objects, *_own_meshes(self.object_mesh, pieces, only))
+            base = read_benchmark(self.benchmark, pieces=pieces)
+        objects = _objects_of(Path(self.objects), pieces) if self.objects else base.objects
+        objects = (*objects, *_own_meshes(self.object_mesh, pieces))
         objects = _with_grasps(objects, self.grasps)
         hand_set = self._hand_set(base.hand_set)
         other = objects != base.objects or hand_set is not base.hand_set
@@ -406,15 +392,6 @@ class BenchmarkOverrides(BenchmarkFlags):
             receiver=seen,
         )  # fmt: skip
 
-    def check_splits(self, splits: Sequence[str]) -> None:
-        """Refuse splits that have no object, before a mesh is built. Raises ValueError."""
-        found = self.read(only=frozenset())
-        there = {o.split for o in found.objects}
-        if found.listed is None and (missing := [s for s in splits if s not in there]):
-            raise ValueError(
-                f"no object belongs to split {missing[0]}; give at least one, or --splits {' '.join(sorted(there))}"
-            )
-
     def _hand_set(self, base: HandSet) -> HandSet:
         """The hand set of --hands on the hand of --hand-model, each else as in `base`."""
         model = hand_of(Path(self.hand_model)) if self.hand_model else base.model
@@ -427,23 +404,18 @@ class BenchmarkOverrides(BenchmarkFlags):
         return make_hand_set(model, **a, posture=base.posture, in_body=turned)
 
 
-def _own_meshes(arguments: Sequence[str], pieces: bool, only: Only) -> list[ObjectModel]:
+def _own_meshes(arguments: Sequence[str], pieces: bool) -> list[ObjectModel]:
     """The objects of --object-mesh, several built at a time."""
     calls = [call_of(mesh, pieces=pieces) for mesh in arguments]
-    names = [printable(Path(call["mesh"]).stem) for call in calls]
-    wanted = [only is None or name in only for name in names]
-    build_ahead([call for call, built in zip(calls, wanted, strict=True) if built])
-    return [
-        object_from_argument(argument, pieces=pieces) if built else unbuilt(name, call["split"])
-        for argument, call, name, built in zip(arguments, calls, names, wanted, strict=True)
-    ]
+    build_ahead(calls)
+    return [object_from_argument(argument, pieces=pieces) for argument in arguments]
 
 
-def _objects_of(path: Path, pieces: bool, only: Only) -> tuple[ObjectModel, ...]:
+def _objects_of(path: Path, pieces: bool) -> tuple[ObjectModel, ...]:
     """Objects of a benchmark file, or of a folder: its benchmark.yaml, else every mesh in it."""
     file = path / "benchmark.yaml" if path.is_dir() else path
     if file.suffix.lower() in (".yaml", ".yml") and (file == path or file.exists()):
-        return read_benchmark(file, pieces=pieces, only=only).objects
+        return read_benchmark(file, pieces=pieces).objects
     shown = printable(path)
     if file == path:
         how = "takes a folder of meshes or a benchmark.yaml; one mesh: --object-mesh FILE"
@@ -458,7 +430,7 @@ def _objects_of(path: Path, pieces: bool, only: Only) -> tuple[ObjectModel, ...]
         if name.lower().endswith((".yaml", ".yml")) and name not in about:
             how = "is about no mesh of this folder; MESH.yaml goes with MESH.obj"
             raise FileError(f"{printable(path / name)}: {how}")
-    return objects_of([_entry(mesh) for mesh in meshes], path, pieces, only)
+    return objects_of([_entry(mesh) for mesh in meshes], path, pieces)
 
 
 def _entry(file: Path) -> ObjectEntry:
@@ -492,10 +464,7 @@ def _with_grasps(
                 )
             files[name] = file
     return tuple(
-        replace(o, grasps=grasps_from(files[o.name]))
-        if o.name in files and not is_unbuilt(o)
-        else o
-        for o in objects
+        replace(o, grasps=grasps_from(files[o.name])) if o.name in files else o for o in objects
     )
 
 
@@ -524,14 +493,7 @@ def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | P
     return files
 
 
-def objects_digest(digests: Iterable[str]) -> str:
-    """sha256 (hex) over the digests of a run's objects, in their order."""
-    return hashlib.sha256("\n".join(digests).encode()).hexdigest()
-
-
-def benchmark_of_run(
-    header: Mapping[str, Any], given: BenchmarkOverrides, where: str, only: Only = None
-) -> Benchmark:
+def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkOverrides, where: str) -> Benchmark:
     """The benchmark of a stored run, from the flags that the user gives again.
 
     No file that run.json names is opened: a run folder may come from anybody.
@@ -540,8 +502,6 @@ def benchmark_of_run(
         header: run.json.
         given: the flags.
         where: the run folder, for messages.
-        only: names of the meshes that are built and compared; the others stay `unbuilt`. Older runs
-            have no digest of every object: all are built.
 
     Raises:
         FileError: the flags give another benchmark; the message says what to give.
@@ -556,18 +516,19 @@ def benchmark_of_run(
     if header["configuration"].get("receiver") == "body":
         given = replace(given, receiver="body")
     pieces = header["configuration"]["plan"]["object_collision"] == "pieces"
-    if not _has_object_digests(header, where):
-        only = None
-    benchmark = given.read(pieces=pieces, only=only)
-    found = {"objects": object_digest(benchmark.objects)} if only is None else {}
-    found["hand_set"] = benchmark.hand_set.digest
-    if only is not None:
-        found["apart_from_objects"] = benchmark.apart_from_objects
-    elif "benchmark" in digests:  # older runs lack it
+    benchmark = given.read(pieces=pieces)
+    found = {
+        "objects": object_digest(benchmark.objects),
+        "hand_set": benchmark.hand_set.digest,
+    }
+    if "benchmark" in digests:  # older runs lack it
         found["benchmark"] = benchmark.digest
     differing = [k for k, v in found.items() if digests.get(k) != v]
-    if only is not None:
-        differing += _differing_objects(header["objects"], benchmark.objects)
+    pairs = zip(header.get("objects", ()), benchmark.objects, strict=False)
+    if other := [o.name for said, o in pairs if said.get("digest", "") != object_digest(o)]:
+        differing = [
+            f"objects ({', '.join(other[:10])})" if k == "objects" else k for k in differing
+        ]
     if differing:
         files = f"; its sweep was given {flags}" if flags else ""
         version = f"{header['versions'].get('r2h_batch')} at commit {header.get('git_commit')}"
@@ -594,25 +555,3 @@ def _check_flags(header: Mapping[str, Any], given: BenchmarkOverrides, where: st
         how = " ".join(flags) or "no flag for objects or hands"
         raise FileError(f"{where}: give what its sweep was given: {how}")
     return " ".join(flags)
-
-
-def _has_object_digests(header: Mapping[str, Any], where: str) -> bool:
-    """Whether run.json has the digest of every object; `FileError` where its hash differs."""
-    whole = header["digests"].get("each_object")
-    if whole is None:
-        return False
-    if whole != objects_digest(str(o.get("digest")) for o in header["objects"]):
-        found = "run.json's objects are not those of its digest each_object"
-        raise FileError(f"{where}: {found}; restore it")
-    return True
-
-
-def _differing_objects(
-    stored: Sequence[Mapping[str, Any]], found: Sequence[ObjectModel]
-) -> list[str]:
-    """What differs between a run's objects and these. Only built objects are compared whole."""
-    if [(o["name"], o["split"]) for o in stored] != [(o.name, o.split) for o in found]:
-        return ["objects"]
-    pairs = zip(stored, found, strict=True)
-    other = [o.name for s, o in pairs if not is_unbuilt(o) and object_digest(o) != s["digest"]]
-    return [f"objects ({', '.join(other[:10])})"] if other else []

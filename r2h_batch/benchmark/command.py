@@ -1,12 +1,11 @@
 """The command `benchmark` (a benchmark file's schema, the built-in one as a file, a check)."""
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from r2h_batch.command_line import call, failed, refuse, tell
+from r2h_batch.command_line import failed, refuse, tell
 
-__all__ = ["check", "main", "show"]
+__all__ = ["COMMANDS", "check", "show"]
 
 
 def show(*, builtin: bool = False) -> int:
@@ -76,7 +75,4 @@ def check(file: Path, /) -> int:
     return 0
 
 
-def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch benchmark") -> int:
-    """Exit code: 0 read or printed, 1 could not read, 2 refused with one line."""
-    given = sys.argv[1:] if arguments is None else arguments
-    return call({"show": show, "check": check}, given, prog=prog, name="benchmark")
+COMMANDS = {"show": show, "check": check}

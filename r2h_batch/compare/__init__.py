@@ -1,1 +1,1 @@
-"""Methods paired on the trials that they share. `python -m r2h_batch.compare --help`."""
+"""Methods paired on the trials that they share."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from r2h_batch.command_line import call, check_seed, nearest, refuse, tell
+from r2h_batch.command_line import check_seed, nearest, tell
 from r2h_batch.io.read import printable
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def stored_rows() -> tuple[Path, ...]:
     return (*FOLDERS, *(sorted(ROWS.iterdir()) if ROWS.is_dir() else ()))
 
 
-def run(
+def compare(
     runs: tuple[Path, ...],
     /,
     *,
@@ -67,20 +67,17 @@ def run(
         all_pairs: also compare the baselines with each other.
     """
     from r2h_batch.compare.text import render
+    from r2h_batch.statistics import paired as statistics
     from r2h_batch.statistics.common import common_trials
-    from r2h_batch.statistics.paired import compare, pair_up
 
     check_seed(seed)
-    try:
-        stored = load_runs(runs, method)
-        common = common_trials(stored, proven=stored_rows())
-        paired = pair_up(stored, common)
-        shipped = [stored[k].folder in FOLDERS for k in paired.runs]
-        mine = [n for n, s in zip(paired.names, shipped, strict=True) if not s]
-        some = any(shipped) and not all_pairs
-        comparisons = compare(paired, mine=mine if some else (), seed=seed)
-    except ValueError as error:
-        return refuse("compare", error)
+    stored = load_runs(runs, method)
+    common = common_trials(stored, proven=stored_rows())
+    paired = statistics.pair_up(stored, common)
+    shipped = [stored[k].folder in FOLDERS for k in paired.runs]
+    mine = [n for n, s in zip(paired.names, shipped, strict=True) if not s]
+    some = any(shipped) and not all_pairs
+    comparisons = statistics.compare(paired, mine=mine if some else (), seed=seed)
     header = stored[0].header
     origin = {
         "runs": ", ".join(
@@ -139,10 +136,3 @@ def _chosen(runs: "list[Run]", words: Sequence[str]) -> "list[Run]":
         if word not in known:
             runs[0].named(word)
     return kept
-
-
-def main(
-    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.compare"
-) -> int:
-    """Exit code: 0 compared, 2 refused with one line."""
-    return call(run, sys.argv[1:] if arguments is None else arguments, prog=prog, name="compare")

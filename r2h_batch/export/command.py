@@ -1,15 +1,13 @@
 """The commands `scene` (one stored trial as MJCF) and `trials` (what a method may read). Light
 until there is work."""
 
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import call, check_range, counted, failed, refuse
+from r2h_batch.command_line import UsageError, check_range, counted
 from r2h_batch.io.read import printable
 from r2h_batch.io.write import check_output_file, check_output_folder
 
@@ -46,20 +44,12 @@ def scene(
     from r2h_batch.export.mjcf import export_trial
     from r2h_batch.export.pictures import write_row
     from r2h_batch.export.stored import Reader
-    from r2h_batch.scene.offscreen import RenderError
 
-    try:
-        reader = Reader(run, BenchmarkOverrides.of(benchmark))
-        stored = reader.trial(reader.run.trial_id(trial), method or None)
-        folder = export_trial(stored, out)
-        if render:
-            write_row(Drawing(stored), render, size=(600, 600))
-    except RenderError as error:
-        return refuse("scene", error, 1)
-    except ValueError as error:  # ExportError, RunError, FileError, ObjectMeshError
-        return refuse("scene", error)
-    except OSError as error:
-        return failed("scene", error, out)
+    reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    stored = reader.trial(reader.run.trial_id(trial), method or None)
+    folder = export_trial(stored, out)
+    if render:
+        write_row(Drawing(stored), render, size=(600, 600))
     print(folder)
     return 0
 
@@ -86,23 +76,18 @@ def trials(
     """
     check_range("--trials", trials, 1, MOST_TRIALS, ": all are held in memory")
     if not splits:
-        return refuse("trials", "--splits names no split; allowed are S0, S1")
+        raise UsageError("--splits names no split; allowed are S0, S1")
     check_output_folder(out, overwrite=None)
     from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.export.trial_files import write_trials
     from r2h_batch.verdicts import SPLITS
 
-    try:
-        chosen = [s for s in SPLITS if s in splits]
-        given = BenchmarkOverrides.of(benchmark, protocol=protocol)
-        found = given.read()
-        digest = write_trials(
-            out, chosen, trials, benchmark=found, open_formats=open_formats, flags=given.flags()
-        )
-    except (FileExistsError, ValueError) as error:
-        return refuse("trials", error)
-    except OSError as error:
-        return failed("trials", error, out)
+    chosen = [s for s in SPLITS if s in splits]
+    given = BenchmarkOverrides.of(benchmark, protocol=protocol)
+    found = given.read()
+    digest = write_trials(
+        out, chosen, trials, benchmark=found, open_formats=open_formats, flags=given.flags()
+    )
     print(
         f"{found.protocol}: {counted(trials, 'trials')} each of {', '.join(chosen)} in {out}, digest {digest}"
     )
@@ -139,50 +124,23 @@ def export(
     )
     from r2h_batch.export.stored import UNJUDGED, Reader
 
-    try:
-        reader = Reader(run, BenchmarkOverrides.of(benchmark))
-        name = reader.method(method or None)
-        rows = reader.rows(name).to_pylist()
-        judged = sorted(
-            (r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"]
-        )
-        labels = {i: (text, variant or name) for i, (text, variant) in reader.run.labels.items()}
-        names = {
-            r["trial_id"]: labels.get(r["trial_id"], (release_name(name, r["trial_id"]), name))
-            for r in judged
-        }
-        ids = [i for s in (0, 1) for i in [i for i in names if i % 2 == s][:trials]]
-        reader.build_for({name: ids})
-        out.mkdir(parents=True, exist_ok=True)
-        for i in ids:
-            write_release_trial(reader.trial(i, name), *names[i], out)
-        write_release_results(judged, names, out)
-    except ValueError as error:
-        return refuse("export", error)
-    except OSError as error:
-        return failed("export", error, out)
+    reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    name = reader.method(method or None)
+    rows = reader.rows(name).to_pylist()
+    judged = sorted((r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"])
+    labels = {i: (text, variant or name) for i, (text, variant) in reader.run.labels.items()}
+    names = {
+        r["trial_id"]: labels.get(r["trial_id"], (release_name(name, r["trial_id"]), name))
+        for r in judged
+    }
+    ids = [i for s in (0, 1) for i in [i for i in names if i % 2 == s][:trials]]
+    out.mkdir(parents=True, exist_ok=True)
+    for i in ids:
+        write_release_trial(reader.trial(i, name), *names[i], out)
+    write_release_results(judged, names, out)
     left = f"; {counted(len(rows) - len(judged), 'trials')} that were not judged are left out"
     print(
         f"{counted(len(ids), 'trials')} of {printable(name)} in {out}, results of {len(judged)}"
         f"{left if len(judged) < len(rows) else ''}"
     )
     return 0
-
-
-def export_main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch export") -> int:
-    """Exit code: 0 written, 1 could not write, 2 refused with one line."""
-    return call(export, sys.argv[1:] if arguments is None else arguments, prog=prog, name="export")
-
-
-def scene_main(
-    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.scene"
-) -> int:
-    """Exit code: 0 written, 1 could not write, 2 refused with one line."""
-    return call(scene, sys.argv[1:] if arguments is None else arguments, prog=prog, name="scene")
-
-
-def trials_main(
-    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.trials"
-) -> int:
-    """Exit code: 0 written, 1 could not write, 2 refused with one line."""
-    return call(trials, sys.argv[1:] if arguments is None else arguments, prog=prog, name="trials")

@@ -138,31 +138,44 @@ def trajectory(stored: StoredTrial, rate_hz: float = RATE_HZ) -> tuple[Array, Ar
     Returns:
         Times (N,) s and postures (N, 6) rad.
     """
-    execute = stored.header["configuration"]["execute"]
-    limits = ("max_velocity_rad_s", "max_acceleration_rad_s2")
-    speed, gain = (execute["scale"] * execute[k] for k in limits)
-    times, postures, start = [0.0], [stored.q[0]], 0.0
-    for a, b in zip(stored.q[:-1], stored.q[1:], strict=True):
-        far = float(np.abs(b - a).max())
-        duration = far / speed + speed / gain if far >= speed**2 / gain else 2 * (far / gain) ** 0.5
-        first = int(np.floor(start * rate_hz)) + 1
-        inner = np.arange(first, int(np.ceil((start + duration) * rate_hz))) / rate_hz - start
-        inner = inner[(inner > 1e-6) & (inner < duration - 1e-6)]
-        for t in inner:
-            times.append(start + t)
-            postures.append(a + (b - a) * (_travelled(t, far, duration, speed, gain) / far))
-        start += duration
-        times.append(start)
-        postures.append(b)
-    return np.array(times), np.array(postures)
+    if not stored.moves:
+        return np.zeros(1), stored.q
+    ends = _waypoint_times(stored)
+    even = np.arange(1, int(np.ceil(ends[-1] * rate_hz))) / rate_hz
+    even = even[np.abs(even[:, None] - ends).min(1) > 1e-6]
+    times = np.sort(np.concatenate([ends, even]))
+    return times, posture_at(stored, times)
 
 
-def _travelled(t: float, far: float, duration: float, speed: float, gain: float) -> float:
-    """How far (rad) the joint that sets the pace has come at time t of a trapezoid of speed."""
-    if t > duration / 2:
-        return far - _travelled(duration - t, far, duration, speed, gain)
-    ramp = min(speed / gain, duration / 2)
-    return 0.5 * gain * t * t if t <= ramp else 0.5 * gain * ramp * ramp + speed * (t - ramp)
+def posture_at(stored: StoredTrial, t: Array) -> Array:
+    """Postures (N, 6) rad of the planned motion at times (N,) s."""
+    speed, gain = _limits(stored)
+    ends, d = _waypoint_times(stored), np.diff(stored.q, axis=0)
+    k = np.clip(np.searchsorted(ends, t, side="right") - 1, 0, len(d) - 1)
+    whole, total, passed = np.abs(d).max(1)[k], np.diff(ends)[k], t - ends[k]
+    # a trapezoid of speed is symmetric: count from the nearer end
+    near = np.minimum(passed, total - passed).clip(0)
+    ramp = np.minimum(speed / gain, total / 2)
+    s = np.where(near <= ramp, gain * near**2 / 2, gain * ramp**2 / 2 + speed * (near - ramp))
+    s = np.where(passed <= total / 2, s, whole - s)
+    share = np.divide(s, whole, out=np.zeros_like(s), where=whole > 0).clip(0, 1)
+    return np.where(
+        passed[:, None] >= total[:, None], stored.q[k + 1], stored.q[k] + share[:, None] * d[k]
+    )
+
+
+def _waypoint_times(stored: StoredTrial) -> Array:
+    """When the planned motion reaches each waypoint, s, in float64."""
+    speed, gain = _limits(stored)
+    d = np.abs(np.diff(stored.q, axis=0)).max(1)
+    duration = np.where(d >= speed**2 / gain, d / speed + speed / gain, 2 * np.sqrt(d / gain))
+    return np.concatenate([[0.0], np.cumsum(duration)])
+
+
+def _limits(stored: StoredTrial) -> tuple[float, float]:
+    """Speed (rad/s) and acceleration (rad/s^2) of the time law."""
+    own = stored.header["configuration"]["execute"]
+    return own["scale"] * own["max_velocity_rad_s"], own["scale"] * own["max_acceleration_rad_s2"]
 
 
 def describe(stored: StoredTrial) -> dict[str, Any]:

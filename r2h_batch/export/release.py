@@ -17,11 +17,10 @@ import torch
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.config import ExecConfig
+from r2h_batch.export.mjcf import posture_at
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.importers.release import PADS_M, T_world_release, along_z, palm_in_hand
 from r2h_batch.io.write import atomic_path, csv_cell, write_json, write_text
-from r2h_batch.motion.time_law import limits
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS
 
 __all__ = ["release_name", "release_trial", "write_release_results", "write_release_trial"]
@@ -37,8 +36,6 @@ TOOL_M = 0.051953
 """`T_tcp_asset_tool` along z with which the release's tool is our gripper's finger tips."""
 CELLS_OF_OBJECT = 12
 """As many boxes along each axis of an object: its shape decides Reach and Affordance."""
-_LAW = ("scale", "max_velocity_rad_s", "max_acceleration_rad_s2")
-"""Fields of `ExecConfig` that the time law reads; a run of an older version may lack others."""
 
 
 def write_release_trial(stored: StoredTrial, name: str, variant: str, folder: Path) -> Path:
@@ -150,28 +147,14 @@ def _frames(stored: StoredTrial) -> Array:
     """(K, 6) joint angles every `FRAME_S` s, the last one at the end; home alone without a path."""
     if not stored.moves:
         return stored.q[:1].repeat(2, 0)
+    own, q = stored.time_s, stored.q
     if stored.executed_q is not None:
-        q, step = stored.executed_q, stored.header["motion"]["sample_s"]
-        own = step * np.arange(len(q))
-        t = np.append(np.arange(0.0, own[-1], FRAME_S), own[-1])
-        return np.stack([np.interp(t, own, q[:, j]) for j in range(q.shape[1])], 1)
-    if stored.given:
-        t = np.append(np.arange(0.0, stored.time_s[-1], FRAME_S), stored.time_s[-1])
-        return np.stack([np.interp(t, stored.time_s, q) for q in stored.q.T], 1)
-    own = stored.header["configuration"]["execute"]
-    v, a = limits(ExecConfig(**{k: own[k] for k in _LAW if k in own}))
-    t = np.append(np.arange(0.0, stored.time_s[-1], FRAME_S), stored.time_s[-1])
-    k = np.clip(np.searchsorted(stored.time_s, t, side="right") - 1, 0, len(stored.q) - 2)
-    d = np.diff(stored.q, axis=0)
-    whole = np.abs(d).max(1)[k]
-    total = np.diff(stored.time_s)[k]
-    # a trapezoid of speed is symmetric: s from the nearer end
-    near = np.minimum(t - stored.time_s[k], stored.time_s[k + 1] - t).clip(0)
-    ramp = np.minimum(v / a, total / 2)
-    s = np.where(near <= ramp, a * near**2 / 2, a * ramp**2 / 2 + a * ramp * (near - ramp))
-    s = np.where(t - stored.time_s[k] <= total / 2, s, whole - s)
-    share = np.divide(s, whole, out=np.zeros_like(s), where=whole > 0).clip(0, 1)
-    return np.asarray(stored.q[k] + share[:, None] * d[k])
+        q = stored.executed_q
+        own = stored.header["motion"]["sample_s"] * np.arange(len(q))
+    t = np.append(np.arange(0.0, own[-1], FRAME_S), own[-1])
+    if stored.executed_q is None and not stored.given:
+        return posture_at(stored, t)
+    return np.stack([np.interp(t, own, joint) for joint in q.T], 1)
 
 
 def _surface(model: Any) -> Array:

@@ -7,14 +7,12 @@ from the stored one (another machine, another version).
 
 import json
 from collections.abc import Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 import torch
 from numpy.typing import NDArray
@@ -22,7 +20,6 @@ from pydantic import TypeAdapter
 
 from r2h_batch import se3
 from r2h_batch.benchmark import Benchmark
-from r2h_batch.benchmark.benchmark import is_unbuilt
 from r2h_batch.benchmark.build import BenchmarkOverrides, benchmark_of_run
 from r2h_batch.bodies.robot import Robot, load_robot
 from r2h_batch.command_line import UsageError
@@ -96,14 +93,12 @@ class StoredTrial:
 
 
 class Reader:
-    """Trials of one run folder, one after the other. Of the user's meshes it builds only those that
-    a trial needs, each once."""
+    """Trials of one run folder, one after the other."""
 
     def __init__(self, run: str | Path, given: BenchmarkOverrides | None = None) -> None:
         self.where = str(run)
         self.run: Run = load_run(run)
         self.given = given or BenchmarkOverrides()
-        self._benches: dict[str, _Bench] = {}
         self._rows: dict[str, Any] = {}
 
     def method(self, word: str | None = None) -> str:
@@ -132,16 +127,6 @@ class Reader:
             self._rows[method] = self.run.trials(method)
         return self._rows[method]
 
-    def build_for(self, trials: Mapping[str, Sequence[int]]) -> None:
-        """Builds the objects of these trials (ids by method) together, on all cores."""
-        names: set[str] = set()
-        for method, ids in trials.items():
-            table = self.rows(self.method(method))
-            wanted = pc.is_in(table["trial_id"], pa.array(ids, pa.int64()))
-            names |= set(table.filter(wanted)["object"].to_pylist())
-        if missing := names & self._own - self._benches.keys():
-            self._build(missing)
-
     def trial(self, trial_id: int, method: str | None = None) -> StoredTrial:
         """The trial as it was scored.
 
@@ -156,8 +141,7 @@ class Reader:
             raise ExportError(f"trial {trial_id} of {name!r} {words}")
         for details in _rows(self.run.details(name), trial_id) if "details" in stored else ():
             row |= details
-        bench = self._benches.get(row["object"]) or self._build(self._own & {row["object"]})
-        trial = bench.trial(row)
+        trial = self._trial(row)
         poses = _rows(self.run.poses(name), trial_id) if "poses" in stored else []
         path = _rows(self.run.paths(name), trial_id) if "paths" in stored else []
         if not _possible(poses, path):
@@ -168,63 +152,39 @@ class Reader:
             T = {k: _tensor(poses[0][k], torch.float32).reshape(1, 4, 4) for k in POSES}
             answer = Predictions(trial.trial_id, **T, method=name)
         if answer is not None and path and "details" in stored:
-            own = bench.benchmark
+            own = self.benchmark
             place = (own.objects, own.hand_set, own.robot, own.workplace)
             return _stored(self.run.header, name, row, path[0], trial, answer, *place)
         try:
-            header, evaluator = self.run.header, bench.evaluator
+            header, evaluator = self.run.header, self.evaluator
             answer = answer or _answer_again(header, self.run.entry(name), trial, evaluator)
         except ExportError as error:
             raise ExportError(f"{self.where}: {error}") from error
         return judged_again(evaluator, trial, answer, name, row=row, header=header)
 
     @cached_property
-    def _own(self) -> frozenset[str]:
-        """Names of the run's objects that are not built in."""
+    def benchmark(self) -> Benchmark:
+        """The run's benchmark, compared with the run's digests."""
         header = self.run.header
         parts = {"plan", "execute"} <= header["configuration"].keys()
         if not {"objects", "motion", "seed"} <= header.keys() or not parts:
             words = "run.json lacks objects or configuration; it was not made by a sweep"
             raise ExportError(f"{self.where}: {words}")
-        return frozenset(o["name"] for o in header["objects"] if not o["built_in"])
-
-    def _build(self, own: AbstractSet[str]) -> "_Bench":
-        """The run's benchmark with the built-in objects and these of the user's, compared with the
-        run's digests; kept for all objects that it has."""
-        header, only = self.run.header, None
-        if self._own:
-            only = frozenset({o["name"] for o in header["objects"]} - self._own | own)
         try:
-            benchmark = benchmark_of_run(header, self.given, self.where, only)
+            benchmark = benchmark_of_run(header, self.given, self.where)
         except FileError as error:
             raise ExportError(str(error)) from None
-        if not self._benches:  # the next one has the same names, hands and places
-            _check_trials(header, benchmark, self.where)
-        bench = _Bench(header, benchmark, self.where)
-        self._benches = {o.name: bench for o in bench.benchmark.objects} | self._benches
-        return bench
-
-
-class _Bench:
-    """A run's benchmark with the objects that are built: trials are drawn from `whole` and judged
-    on `benchmark`."""
-
-    def __init__(self, header: dict[str, Any], benchmark: Benchmark, where: str) -> None:
-        self.header, self.where, self.whole, self.benchmark = header, where, benchmark, benchmark
-        built = [i for i, o in enumerate(benchmark.objects) if not is_unbuilt(o)]
-        self._place = torch.full((len(benchmark.objects),), -1, dtype=torch.int32, device="cpu")
-        self._place[built] = torch.arange(len(built), dtype=torch.int32, device="cpu")
-        if len(built) < len(benchmark.objects):
-            objects = tuple(benchmark.objects[i] for i in built)
-            self.benchmark = replace(benchmark, objects=objects, listed=None)
+        _check_trials(header, benchmark, self.where)
+        return benchmark
 
     @cached_property
     def evaluator(self) -> Evaluator:
         """An evaluator on the CPU with the run's configuration."""
+        header = self.run.header
         try:
-            text = json.dumps(self.header["configuration"])
+            text = json.dumps(header["configuration"])
             config = TypeAdapter(EvalConfig).validate_json(text, strict=True)
-            if config.execute.sim == "mjwarp" and self.header["device"]["kind"] != "cpu":
+            if config.execute.sim == "mjwarp" and header["device"]["kind"] != "cpu":
                 config = replace(config, execute=replace(config.execute, sim="mujoco"))
             return Evaluator.from_benchmark(self.benchmark, config)
         except ValueError as error:  # pydantic's ValidationError is one
@@ -232,16 +192,15 @@ class _Bench:
             words = f"its configuration cannot be judged by this version ({what})"
             raise ExportError(f"{self.where}: {words}") from None
 
-    def trial(self, row: dict[str, Any]) -> Trials:
-        """This row's trial, made from the protocol; its object as `benchmark` counts them."""
-        trial = trials_of(self.whole, _tensor([row["trial_id"]], torch.int64))
-        hand, name = int(trial.hand_index[0]), self.whole.objects[int(trial.object_index[0])].name
+    def _trial(self, row: dict[str, Any]) -> Trials:
+        """This row's trial, made from the protocol."""
+        objects = self.benchmark.objects
+        trial = trials_of(self.benchmark, _tensor([row["trial_id"]], torch.int64))
+        hand, name = int(trial.hand_index[0]), objects[int(trial.object_index[0])].name
         if name != row["object"] or hand != row.get("hand_index", hand):
-            protocol = self.header["protocol"]
-            words = f"trial {row['trial_id']} is not the one of {protocol!r}"
+            words = f"trial {row['trial_id']} is not the one of {self.run.header['protocol']!r}"
             raise ExportError(f"{self.where}: {words}")
-        own = replace(trial, object_index=self._place[trial.object_index.long()])
-        return own.named(self.benchmark.objects)
+        return trial.named(objects)
 
 
 def judged_again(

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import UsageError, call, refuse, tell
+from r2h_batch.command_line import UsageError, tell
 from r2h_batch.io.write import check_output_file, check_output_folder, write_text
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ def report(
     by_object: bool = False,
     columns: Literal[1, 2] = 2,
     intervals: bool = False,
-    order: str = "",
     method: tuple[str, ...] = (),
     gallery: int = 0,
     out: Path | None = None,
@@ -47,7 +46,6 @@ def report(
         columns: latex: all of Table I over both columns of a page (2), or each split's SR in one
             (1).
         intervals: latex: 95 % intervals below the rates; the other formats always have them.
-        order: look for the first failure in another order, such as reach,plan (the others follow).
         method: only these methods, by the sweep's word (fc) or the table's name; all by default.
         gallery: html: pictures of this many successes and failures of each kind and method, each
             with a page of its trial in three dimensions in a folder beside --out.
@@ -56,50 +54,39 @@ def report(
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
     if not 0 <= gallery <= MOST:
-        return refuse("report", f"--gallery is {gallery}; it must be 0 to {MOST}")
+        raise UsageError(f"--gallery is {gallery}; it must be 0 to {MOST}")
     if gallery and (format != "html" or out is None):
-        return refuse(
-            "report",
-            "--gallery needs --format html and --out FILE.html, for the pages of its trials",
+        raise UsageError(
+            "--gallery needs --format html and --out FILE.html, for the pages of its trials"
         )
     if out is not None:
         check_output_file(out, overwrite=overwrite)
-    from r2h_batch.scene.offscreen import RenderError
-
     if gallery and out is not None:
         check_output_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
     from r2h_batch.compare.command import load_runs
     from r2h_batch.runs.store import join
 
-    try:
-        loaded = load_runs(runs, method)
-        stored = join(loaded)
-        if not stored.methods:
-            raise ValueError(f"{runs[0]}: no method is complete; run its sweep again to go on")
-        if gallery and len(runs) > 1:
-            raise ValueError("--gallery shows one run; give one, or leave --gallery out")
-        if format == "html":
-            from r2h_batch.report.page import page
+    loaded = load_runs(runs, method)
+    stored = join(loaded)
+    if not stored.methods:
+        raise ValueError(f"{runs[0]}: no method is complete; run its sweep again to go on")
+    if gallery and len(runs) > 1:
+        raise ValueError("--gallery shows one run; give one, or leave --gallery out")
+    if format == "html":
+        from r2h_batch.report.page import page
 
-            pictures = (
-                _gallery_of(runs[0], method, gallery, out, benchmark) if gallery and out else None
-            )
-            text = page(stored, pictures, common=_common(loaded))
-        elif by_object:
-            from r2h_batch.report.table import object_lines
+        pictures = (
+            _gallery_of(runs[0], method, gallery, out, benchmark) if gallery and out else None
+        )
+        text = page(stored, pictures, common=_common(loaded))
+    elif by_object:
+        from r2h_batch.report.table import object_lines
 
-            text = object_lines(stored, format)
-        else:
-            from r2h_batch.report.table import render, table_of
-            from r2h_batch.statistics.breakdown import parse_order
-            from r2h_batch.verdicts import CRITERIA
+        text = object_lines(stored, format)
+    else:
+        from r2h_batch.report.table import render, table_of
 
-            table = table_of(stored, parse_order(order) if order else CRITERIA)
-            text = render(table, format, columns=columns, intervals=intervals)
-    except RenderError as error:
-        return refuse("report", error, 1)
-    except ValueError as error:
-        return refuse("report", error)
+        text = render(table_of(stored), format, columns=columns, intervals=intervals)
     if out is None:
         sys.stdout.write(text)
     else:
@@ -170,49 +157,28 @@ def figures(
         benchmark: as the sweep had them; none of these where it had the built-in benchmark.
     """
     from r2h_batch.benchmark.build import BenchmarkOverrides
-    from r2h_batch.bodies.mesh_import.closed import ObjectMeshError
-    from r2h_batch.export.stored import ExportError, Reader
+    from r2h_batch.export.stored import Reader
     from r2h_batch.report.figures import needs_matplotlib
-    from r2h_batch.scene.offscreen import RenderError, ready
+    from r2h_batch.scene.offscreen import ready
 
     for name in FIGURES:
         for ending in ENDINGS:
             check_output_file(out / f"{name}.{ending}", overwrite=overwrite)
-    try:
-        needs_matplotlib()
-        reader = Reader(run, BenchmarkOverrides.of(benchmark))
-        stored = reader.run.only(method)
-        if not stored.methods:
-            raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
-        ready()
-        from r2h_batch.gallery import pictures
+    needs_matplotlib()
+    reader = Reader(run, BenchmarkOverrides.of(benchmark))
+    stored = reader.run.only(method)
+    if not stored.methods:
+        raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+    ready()
+    from r2h_batch.gallery import pictures
 
-        shown = stored.named(method[0]) if method else stored.methods[0]
-        drawn = (
-            pictures.protocol(stored, reader, shown, trial),
-            pictures.methods_over_time(stored, reader, stored.methods, trial),
-            pictures.failures(stored, reader, stored.methods),
-        )
-        for name, (figure, said) in zip(FIGURES, drawn, strict=True):
-            pdf, png = pictures.write(figure, out, name)
-            print(f"{pdf}, {png.name}: {said}")
-    except RenderError as error:
-        return refuse("figures", error, 1)
-    except (UsageError, ExportError, ObjectMeshError, ValueError) as error:
-        return refuse("figures", error)
-    return 0
-
-
-def report_main(
-    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.report"
-) -> int:
-    """Exit code: 0 printed, 1 a method is not complete or nothing draws here, 2 refused with one
-    line."""
-    return call(report, sys.argv[1:] if arguments is None else arguments, prog=prog, name="report")
-
-
-def figures_main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch figures") -> int:
-    """Exit code: 0 written, 1 could not draw or write, 2 refused with one line."""
-    return call(
-        figures, sys.argv[1:] if arguments is None else arguments, prog=prog, name="figures"
+    shown = stored.named(method[0]) if method else stored.methods[0]
+    drawn = (
+        pictures.protocol(stored, reader, shown, trial),
+        pictures.methods_over_time(stored, reader, stored.methods, trial),
+        pictures.failures(stored, reader, stored.methods),
     )
+    for name, (figure, said) in zip(FIGURES, drawn, strict=True):
+        pdf, png = pictures.write(figure, out, name)
+        print(f"{pdf}, {png.name}: {said}")
+    return 0

@@ -101,7 +101,6 @@ def gallery(
     """
     found: dict[str, list[dict[str, str]]] = {}
     shown = {method: first_of_each_outcome(run, method, n) for method in run.methods}
-    reader.build_for({m: [k for ids in by.values() for k in ids] for m, by in shown.items()})
     for method in run.methods:
         found[method], slug = [], re.sub(r"[^A-Za-z0-9._-]+", "_", run.entry(method)["slug"])
         for outcome, trials in shown[method].items():

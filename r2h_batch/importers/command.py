@@ -2,14 +2,13 @@
 import ...`."""
 
 import shlex
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from r2h_batch.command_line import Command, UsageError, call, counted, tell
+from r2h_batch.command_line import Command, UsageError, counted, tell
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.io.write import check_output_file, check_output_folder
 
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from r2h_batch.bodies.grasp_set import GraspSet
     from r2h_batch.importers.mano import ManoHand
 
-__all__ = ["grasps", "hand", "hands", "import_main", "main", "objects", "results", "trials"]
+__all__ = ["grasps", "hand", "hands", "objects", "results", "trials"]
 
 Frame = Literal["aperture", "first", "middle", "last"]
 Gripper = Literal[
@@ -302,13 +301,6 @@ def _grasp_files(
     return {n: grasps_from(f"{known[n]}:{gripper}" if gripper else known[n]) for n in names}
 
 
-def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch import") -> int:
-    """Exit code: 0 written, 1 could not write, 2 refused, with one line on stderr."""
-    return call(
-        COMMANDS, list(sys.argv[1:] if arguments is None else arguments), prog=prog, name="import"
-    )
-
-
 COMMANDS: dict[str, Command] = {
     "hand": hand,
     "hands": hands,
@@ -317,7 +309,6 @@ COMMANDS: dict[str, Command] = {
     "trials": trials,
     "results": results,
 }
-import_main = main
 
 
 def _mano(right: Path | None, left: Path | None, negate_left_shape: bool) -> "ManoHand | None":

@@ -1,1 +1,1 @@
-"""Tables, charts, pages of a run folder. `python -m r2h_batch.report --help`."""
+"""Tables, charts, pages of a run folder."""

@@ -81,22 +81,16 @@ class Table:
     folders: str = ""
 
 
-def table_of(
-    run: Run, order: Sequence[str] = CRITERIA, counted: Sequence[Tally] | None = None
-) -> Table:
+def table_of(run: Run, counted: Sequence[Tally] | None = None) -> Table:
     """The table of every complete method of a run folder.
 
     Args:
         run: what `load_run` gives.
-        order: of the criteria, in which the first failure is looked for.
         counted: these methods' trials, if they were counted before.
     """
     tallies = [tally(run, method) for method in run.methods] if counted is None else counted
     runs = run.runs if isinstance(run, JoinedRun) else (run,)
     origin = _joined([(r.folder.absolute().name, _origin(r.header)) for r in runs])
-    if tuple(order) != CRITERIA:
-        tallies = [breakdown.in_order(t, order) for t in tallies]
-        origin["order of criteria"] = ", ".join(order)
     averages = {str(r.header["configuration"].get("averages", "trials")) for r in runs}
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials")
     if all(
@@ -387,21 +381,19 @@ def object_lines(run: Run, fmt: str = "md") -> str:
 
     Args:
         run: what `load_run` gives.
-        fmt: one of `FORMATS`. Markdown also says which criteria fail together.
+        fmt: md, csv or json. Markdown also says which criteria fail together.
     """
     counted = [tally(run, method) for method in run.methods]
     lines = [line for t in counted for line in breakdown.by_object(t)]
     if fmt == "md":
         return _objects_md(counted, lines)
-    if fmt == "latex":
-        return _objects_latex(table_of(run, counted=counted), lines)
     records = [{"object": name} | record(row) for name, row in lines]
     if fmt == "csv":
         return csv_text(records)
     if fmt == "json":
         origin = dict(table_of(run, counted=counted).origin)
         return json_text({"format": 1, "origin": origin, "rows": records})
-    raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
+    raise ValueError(f"no table of objects in format {fmt!r}; allowed are md, csv, json")
 
 
 def _objects_md(counted: Sequence[Tally], lines: Sequence[tuple[str, Row]]) -> str:
@@ -429,27 +421,3 @@ def _objects_md(counted: Sequence[Tally], lines: Sequence[tuple[str, Row]]) -> s
                 aligned(["", *CRITERIA], pairs, 1),
             ]
     return "\n\n".join(parts) + "\n"
-
-
-def _objects_latex(table: Table, lines: Sequence[tuple[str, Row]]) -> str:
-    """SR of every object (rows) and method (columns) over both columns of a page."""
-    methods = short_names([row.method for _, row in lines])
-    cells = {(row.split, name, row.method): row for name, row in lines}
-    groups: dict[str, list[str]] = {}
-    for split, name in dict.fromkeys((row.split, name) for name, row in lines):
-        own = groups.setdefault(split, [])
-        found = [cells.get((split, name, m)) for m in methods]
-        n = max(r.n for r in found if r)
-        first = ["" if own else split, tex(name.replace("_", " ")), str(n)]
-        values = [tex_cell(cell(r, "sr") if r else NA) for r in found]
-        own.append(" & ".join([*first, *values]) + r" \\")
-    spec = ["l", "l", "r", *[tex_number(3, 1)] * len(methods)]
-    head = ["", "Object", "$N$"]
-    head += [rf"{{\rotatebox{{60}}{{{tex(m)}}}}}" for m in methods.values()]
-    notes = [
-        r"and \usepackage{graphicx}",
-        "SR in percent of N trials of each object",
-        *legend(methods),
-    ]
-    comments = tex_comments(table.origin, notes)
-    return "\n".join([*comments, *tex_table(spec, head, groups.values())]) + "\n"

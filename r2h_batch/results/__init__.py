@@ -1,4 +1,4 @@
-"""Stored rows checked, judged again and counted again: `python -m r2h_batch.results --help`."""
+"""Stored rows checked, judged again and counted again."""
 
 from typing import TYPE_CHECKING
 

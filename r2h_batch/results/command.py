@@ -6,12 +6,10 @@ reevaluate RUN    judge a sample of stored rows again from their stored poses
 rethreshold RUN   print the rates at other thresholds
 """
 
-import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from r2h_batch.benchmark.flags import BUILT_IN, BenchmarkFlags
-from r2h_batch.command_line import call, check_seed, refuse
+from r2h_batch.command_line import UsageError, check_seed
 from r2h_batch.results.rethreshold import rethreshold
 
 LISTED = 200
@@ -29,12 +27,9 @@ def verify(folder: Path, /) -> int:
     """
     from r2h_batch.runs.store import load_run, mark_for_rerun, read_header, shards_of
 
-    try:
-        lines = mark_for_rerun(folder, read_header(folder))
-        print("\n".join(lines or [f"{folder}: every stored shard is as it was written"]))
-        run = load_run(folder, verify=False)
-    except ValueError as error:
-        return refuse("results", error)
+    lines = mark_for_rerun(folder, read_header(folder))
+    print("\n".join(lines or [f"{folder}: every stored shard is as it was written"]))
+    run = load_run(folder, verify=False)
     for name in run.unfinished:
         missing = [str(s.index) for s in run.missing(name)]
         shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
@@ -51,13 +46,10 @@ def digest(folder: Path, /) -> int:
     """
     from r2h_batch.runs.store import load_run
 
-    try:
-        run = load_run(folder)
-        for name in (e["name"] for e in run.entries):
-            left = len(run.missing(name))
-            print(f"{run.digest(name)}  {name}" + (f" (without {left} shards)" if left else ""))
-    except ValueError as error:
-        return refuse("results", error)
+    run = load_run(folder)
+    for name in (e["name"] for e in run.entries):
+        left = len(run.missing(name))
+        print(f"{run.digest(name)}  {name}" + (f" (without {left} shards)" if left else ""))
     return 0
 
 
@@ -88,59 +80,47 @@ def reevaluate(
     import numpy as np
 
     if rows < 0:
-        return refuse("results", f"--rows is {rows}; it must be 0 or more")
+        raise UsageError(f"--rows is {rows}; it must be 0 or more")
     if seed is not None:
         check_seed(seed)
     code = verify(folder)
-    if code > 1 or not rows:
+    if not rows:
         return code
     from r2h_batch.benchmark.build import BenchmarkOverrides
     from r2h_batch.results import reevaluation as again
     from r2h_batch.runs.store import RunError, load_run
 
-    try:
-        run = load_run(folder, verify=False).only(method)
-        names = [e["name"] for e in run.entries if e["receipts"]]
-        if not names:
-            raise RunError(f"{folder}: no shard of any method is stored")
-        again.check_poses(run)
-        draw = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-        judge = again.Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
-        if judge.other:
-            print(
-                f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared"
-                " exactly, lengths to 0.1 mm, times to 0.02 s"
-            )
-        for name in names:
-            found = again.reevaluate(run, name, rows, judge, seed=draw)
-            code = 1 if found.differences else code
-            differing = len({d.trial_id for d in found.differences})
-            words = f"{differing or 'none'} {'differs' if differing < 2 else 'differ'}"
-            print(
-                f"{name}: {found.scored} of {found.stored} rows judged again (--seed {draw}):"
-                f" {words}, {found.equal} are equal bit for bit; {found.asked}"
-            )
-            for difference in found.differences[:LISTED]:
-                print(f"  {difference}")
-            if (more := len(found.differences) - LISTED) > 0:
-                print(f"  and {more} more differences")
-    except ValueError as error:
-        return refuse("results", error)
+    run = load_run(folder, verify=False).only(method)
+    names = [e["name"] for e in run.entries if e["receipts"]]
+    if not names:
+        raise RunError(f"{folder}: no shard of any method is stored")
+    again.check_poses(run)
+    draw = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
+    judge = again.Judge(run, given=BenchmarkOverrides.of(benchmark), device=device)
+    if judge.other:
+        print(
+            f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared"
+            " exactly, lengths to 0.1 mm, times to 0.02 s"
+        )
+    for name in names:
+        found = again.reevaluate(run, name, rows, judge, seed=draw)
+        code = 1 if found.differences else code
+        differing = len({d.trial_id for d in found.differences})
+        words = f"{differing or 'none'} {'differs' if differing < 2 else 'differ'}"
+        print(
+            f"{name}: {found.scored} of {found.stored} rows judged again (--seed {draw}):"
+            f" {words}, {found.equal} are equal bit for bit; {found.asked}"
+        )
+        for difference in found.differences[:LISTED]:
+            print(f"  {difference}")
+        if (more := len(found.differences) - LISTED) > 0:
+            print(f"  and {more} more differences")
     return code
 
 
-def main(
-    arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.results"
-) -> int:
-    """Exit code of a subcommand; 2 with one line if the command line is refused."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
-    if given[:1] == ["verify"] and any(a.partition("=")[0] == "--rejudge" for a in given):
-        # the old name for one version
-        given = ["reevaluate", *(a.replace("--rejudge", "--rows") for a in given[1:])]
-    commands = {
-        "verify": verify,
-        "digest": digest,
-        "reevaluate": reevaluate,
-        "rethreshold": rethreshold,
-    }
-    return call(commands, given, prog=prog, name="results")
+COMMANDS = {
+    "verify": verify,
+    "digest": digest,
+    "reevaluate": reevaluate,
+    "rethreshold": rethreshold,
+}

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.command_line import refuse
 from r2h_batch.validate import parse_number
 from r2h_batch.verdicts import SPLITS, Outcome
 
@@ -109,16 +108,13 @@ def rethreshold(
     from r2h_batch.runs.store import load_run
     from r2h_batch.statistics import thresholds
 
-    try:
-        grid = {
-            "reach_radius_m": values(reach_radius, "reach-radius") if reach_radius else (),
-            "w_max_m": values(w_max, "w-max") if w_max else (),
-            "safe_margin_m": values(safe_margin, "safe-margin") if safe_margin else (),
-        }
-        stored = load_run(run).only(method)
-        if not stored.methods:
-            raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
-        sys.stdout.write(render(thresholds.rethreshold(stored, **grid), stored.methods))
-    except ValueError as error:
-        return refuse("results", error)
+    grid = {
+        "reach_radius_m": values(reach_radius, "reach-radius") if reach_radius else (),
+        "w_max_m": values(w_max, "w-max") if w_max else (),
+        "safe_margin_m": values(safe_margin, "safe-margin") if safe_margin else (),
+    }
+    stored = load_run(run).only(method)
+    if not stored.methods:
+        raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+    sys.stdout.write(render(thresholds.rethreshold(stored, **grid), stored.methods))
     return 0

@@ -1,4 +1,4 @@
-"""Rows, shards, manifests, provenance: what is stored. `python -m r2h_batch.runs --help`."""
+"""Rows, shards, manifests, provenance: what is stored."""
 
 from typing import TYPE_CHECKING
 

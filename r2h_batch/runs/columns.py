@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
 
@@ -18,49 +19,22 @@ PATTERNS = np.array(np.unravel_index(np.arange(3 ** len(CRITERIA)), (3,) * len(C
 trials have row 0."""
 
 
-def codes(table: pa.Table, name: str, order: Sequence[str], *, grow: bool = False) -> np.ndarray:
-    """(N,) int64 places in `order` of a column's words; new words extend `order` (a list) if it may
-    `grow`."""
+def codes(table: pa.Table, name: str, order: Sequence[str]) -> np.ndarray:
+    """(N,) int64 places in `order` of a column's words."""
     column = table[name].combine_chunks()
     words = column.dictionary.to_pylist()
     place = {w: i for i, w in enumerate(order)}
-    if grow and isinstance(order, list):
-        new = [w for w in dict.fromkeys(words) if w not in place]
-        place |= {w: len(order) + i for i, w in enumerate(new)}
-        order.extend(new)
     if unknown := [w for w in words if w not in place]:
         raise ValueError(f"{name} holds {unknown[0]!r}; known are {', '.join(order)}")
-    return np.array([place[w] for w in words], np.int64)[
-        column.indices.to_numpy(zero_copy_only=False)
-    ]
-
-
-def verdicts(table: pa.Table) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Criterion -> (N,) bool: evaluated, and passed (False where it was not evaluated), from the
-    columns `passed_*`."""
-    found = {}
-    for c in CRITERIA:
-        column = table[f"passed_{c}"].combine_chunks()
-        given, value = (_bits(buffer, column) for buffer in column.buffers())
-        found[c] = given, value & given
-    return found
-
-
-def _bits(buffer: pa.Buffer | None, column: pa.BooleanArray) -> np.ndarray:
-    """(N,) bool of a bitmap; no bitmap: all of them."""
-    if buffer is None:
-        return np.ones(len(column), bool)
-    whole = np.unpackbits(
-        np.frombuffer(buffer, np.uint8), count=column.offset + len(column), bitorder="little"
-    )
-    return whole[column.offset :].view(bool)
+    found = np.array([place[w] for w in words], np.int64)
+    return found[column.indices.to_numpy(zero_copy_only=False)]
 
 
 def states(table: pa.Table) -> dict[str, np.ndarray]:
     """Criterion -> (N,) uint8 `UNEVALUATED`, `FAILED` or `PASSED`, from the columns `passed_*`."""
+    columns = {c: table[f"passed_{c}"].cast(pa.uint8()) for c in CRITERIA}
     return {
-        c: given.view(np.uint8) + passed.view(np.uint8)
-        for c, (given, passed) in verdicts(table).items()
+        c: pc.add(v, np.uint8(FAILED)).fill_null(UNEVALUATED).to_numpy() for c, v in columns.items()
     }
 
 
@@ -73,20 +47,12 @@ def pattern(state: dict[str, np.ndarray]) -> np.ndarray:
     return number
 
 
-def pattern_outcomes(order: Sequence[str] = CRITERIA) -> np.ndarray:
-    """(2, 243) outcome of every pattern on S0 and on S1 for an order of the criteria; -1: a needed
-    one was not looked at."""
-    if sorted(order) != sorted(CRITERIA):
-        raise ValueError(
-            f"an order of criteria is {', '.join(order)}; it must hold each of {', '.join(CRITERIA)} once"
-        )
-    columns = [CRITERIA.index(c) for c in order]
-    failed = PATTERNS[:, columns] == FAILED
-    codes_ = np.array([Outcome[c.upper()] for c in order], np.int8)
-    first = np.where(failed.any(1), codes_[failed.argmax(1)], np.int8(Outcome.SUCCESS)).astype(
-        np.int8
-    )
-    table = np.tile(first, (2, 1))
+def pattern_outcomes() -> np.ndarray:
+    """(2, 243) outcome of every pattern on S0 and on S1; -1: a needed one was not looked at."""
+    failed = PATTERNS == FAILED
+    names = np.array([Outcome[c.upper()] for c in CRITERIA], np.int8)
+    first = np.where(failed.any(1), names[failed.argmax(1)], np.int8(Outcome.SUCCESS))
+    table = np.tile(first, (2, 1)).astype(np.int8)
     for k, required in enumerate((REQUIRED, np.ones(len(CRITERIA), bool))):
         unseen = ((PATTERNS == UNEVALUATED) & required).any(1)
         table[k, (first == Outcome.SUCCESS) & unseen] = -1

@@ -1,4 +1,4 @@
-"""Bodies as tables on a device, and as one MuJoCo model. `python -m r2h_batch.scene --help`."""
+"""Bodies as tables on a device, and as one MuJoCo model."""
 
 from typing import TYPE_CHECKING
 

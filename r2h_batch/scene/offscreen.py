@@ -13,6 +13,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from r2h_batch.command_line import MachineError
+
 __all__ = ["RenderError", "ready", "renderer"]
 
 BACKENDS = ("egl", "osmesa", "glfw")
@@ -25,7 +27,7 @@ _TRY = (
 )
 
 
-class RenderError(RuntimeError):
+class RenderError(MachineError):
     """Nothing draws on this machine: one line that says what to install."""
 
 

@@ -1,18 +1,17 @@
-"""Other views of a run's rows: by object, criteria that fail together, another order of the
-criteria, histograms, examples."""
+"""Other views of a run's rows: by object, criteria that fail together, histograms, examples."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.runs.columns import FAILED, PATTERNS, UNEVALUATED, codes, pattern_outcomes
+from r2h_batch.runs.columns import FAILED, PATTERNS, UNEVALUATED, codes
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.statistics.aggregate import Row, group_row
 from r2h_batch.statistics.tally import Tally
-from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
+from r2h_batch.verdicts import CRITERIA, SPLITS
 
 
 @dataclass(frozen=True)
@@ -41,22 +40,6 @@ def co_failures(counted: Tally, split: str | None = None) -> CoFailures:
     )
 
 
-def in_order(counted: Tally, order: Sequence[str]) -> Tally:
-    """The trials with the first failure looked for in another order of the criteria.
-
-    The success rate does not depend on the order.
-    """
-    judged = counted.outcome < Outcome.INVALID_INPUT
-    outcome = np.where(
-        judged, pattern_outcomes(order)[counted.split, counted.pattern], counted.outcome
-    )
-    if unseen := int(counted.n[outcome < 0].sum()):
-        raise ValueError(
-            f"{counted.method}: {unseen} rows have no failure but a criterion that was not evaluated"
-        )
-    return replace(counted, outcome=outcome)
-
-
 def by_object(counted: Tally) -> tuple[tuple[str, Row], ...]:
     """(object, its line of the table) split by split; objects in alphabetical order."""
     lines = []
@@ -65,20 +48,6 @@ def by_object(counted: Tally) -> tuple[tuple[str, Row], ...]:
         for name in sorted(counted.objects[code] for code in present):
             lines.append((name, group_row(counted, split, name)))
     return tuple(lines)
-
-
-def parse_order(text: str) -> tuple[str, ...]:
-    """An order of criteria from `plan,reach,...`; the others follow in the paper's order."""
-    first = [name.strip().lower() for name in text.split(",") if name.strip()]
-    if not first:
-        raise ValueError(
-            f"the order {text!r} names no criterion; allowed are {', '.join(CRITERIA)}"
-        )
-    if unknown := [n for n in first if n not in CRITERIA]:
-        raise ValueError(f"unknown criterion {unknown[0]!r}; allowed are {', '.join(CRITERIA)}")
-    if len(set(first)) != len(first):
-        raise ValueError(f"the order {text!r} names a criterion twice")
-    return (*first, *(c for c in CRITERIA if c not in first))
 
 
 BINS = 60

@@ -1,12 +1,10 @@
 """The command `study`: simulation against people. Without arguments it shows the paper's own study."""
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
-from r2h_batch.command_line import Command, call, check_seed, failed, refuse
+from r2h_batch.command_line import Command
 from r2h_batch.io.write import check_output_file, write_text
-from r2h_batch.verdicts import SPLITS
 
 MOST_TRIALS = 10**9
 
@@ -72,49 +70,4 @@ def real(run: Path, file: Path, /, *, trials: int) -> int:
     return 0
 
 
-def plan(
-    *,
-    participants: int = 30,
-    s0: int = 2,
-    s1: int = 3,
-    methods: tuple[str, ...] = (
-        "FC-Handover",
-        "Handover-VA",
-        "Contact-Handover",
-        "Intent-Handover",
-    ),
-    seed: int = 0,
-) -> int:
-    """Write a within-subject schedule as CSV: the paper's by default.
-
-    Args:
-        participants: how many people take part.
-        s0: objects of S0 that each participant is handed.
-        s1: objects of S1.
-        methods: names of the methods; everybody meets all of them, with the same objects.
-        seed: of the shuffling.
-    """
-    from r2h_batch.bodies.objects import load_objects
-    from r2h_batch.report.text import csv_text
-    from r2h_batch.study.plan import schedule
-
-    check_seed(seed)
-    built_in = load_objects()
-    objects = {split: [o.name for o in built_in if o.split == split] for split in SPLITS}
-    rows = schedule(participants, methods, objects, {"S0": s0, "S1": s1}, seed=seed)
-    sys.stdout.write(csv_text(rows))
-    return 0
-
-
-COMMANDS: dict[str, Command] = {"paper": paper, "ratings": ratings, "real": real, "plan": plan}
-
-
-def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_batch.study") -> int:
-    """Exit code: 0, or 2 with one line if something cannot be used."""
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    try:
-        return call(COMMANDS, words or ["paper"], prog=prog, name="study")
-    except ValueError as error:
-        return refuse("study", error)
-    except OSError as error:
-        return failed("study", error)
+COMMANDS: dict[str, Command] = {"paper": paper, "ratings": ratings, "real": real}

@@ -3,21 +3,20 @@ and the column."""
 
 import csv
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.io.read import FileError, printable, read_file
+from r2h_batch.io.read import printable, read_file
 from r2h_batch.study.stats import StudyError
+from r2h_batch.validate import parse_number, parse_whole_number
 
 MAX_BYTES = 64 << 20
 MAX_CELL = 200
 """Characters of a cell; no name of a person or a method is longer."""
 LINE = "line"
 """Key of a row's line in the file, for errors that come later."""
-
-_NUMBER = re.compile(r"[-+]?[0-9]{1,15}(\.[0-9]{0,15})?([eE][-+]?[0-9]{1,2})?")
 
 
 @dataclass(frozen=True)
@@ -43,9 +42,7 @@ class Number:
         """The number, or a ValueError."""
         signed = self.percent and cell.endswith("%")
         cell = cell.removesuffix("%").rstrip() if signed else cell
-        if not _NUMBER.fullmatch(cell):
-            raise ValueError
-        value = int(cell) if self.whole else float(cell)
+        value = parse_whole_number(cell) if self.whole else parse_number(cell)
         unclear = self.percent and not signed and 0 < value <= 1
         if unclear or not self.low <= value <= self.high:
             raise ValueError
@@ -82,16 +79,13 @@ def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[st
     Raises:
         StudyError: in one line, with the file, the line, the column and what is allowed.
     """
-    text = _text(path)
     # comments become empty lines, so that the reader counts the lines of the file
     lines = [
         "" if line.startswith(("#", "sep=")) else f"{line}\n"
-        for line in re.split(r"\r\n|\r|\n", text)
+        for line in re.split(r"\r\n|\r|\n", _text(path))
     ]
-    head = next((line for line in lines if line.strip()), "")
-    delimiter = max(",;\t", key=head.count)
+    delimiter = max(",;\t", key=next((line for line in lines if line.strip()), "").count)
     reader = csv.reader(lines, delimiter=delimiter)
-    before = csv.field_size_limit(len(text) + 1)  # a long cell is refused below, with its line
     records, line = [], 1
     try:
         for cells in reader:
@@ -100,65 +94,43 @@ def read_table(path: Path, columns: Mapping[str, Number | Text]) -> list[dict[st
             line = reader.line_num + 1
     except csv.Error as error:
         raise StudyError(f"{path}: line {line}: no CSV ({printable(error)})") from None
-    finally:
-        csv.field_size_limit(before)
-    if not records:
-        raise StudyError(f"{path}: no rows; needed are the columns {', '.join(columns)}")
-    names = [name.strip() for name in records[0][1]]
+    names = [name.strip() for name in records[0][1]] if records else []
     for c in columns:
-        if c not in names:
-            raise StudyError(f"{path}: no column {c!r}; needed are {', '.join(columns)}")
-        if names.count(c) > 1:
-            raise StudyError(f"{path}: column {c!r} is there twice; once is enough")
+        if names.count(c) != 1:
+            what = f"column {c!r} is there twice" if c in names else f"no column {c!r}"
+            raise StudyError(f"{path}: {what}; needed are {', '.join(columns)}, each once")
     if not records[1:]:
         raise StudyError(f"{path}: no rows under the column names")
-    return [_row(path, line, cells, names, columns, delimiter) for line, cells in records[1:]]
-
-
-def _row(
-    path: Path,
-    line: int,
-    cells: Sequence[str],
-    names: Sequence[str],
-    columns: Mapping[str, Number | Text],
-    delimiter: str,
-) -> dict[str, Any]:
-    if len(cells) > len(names):
-        raise StudyError(f"{path}: line {line}: {len(cells)} cells under {len(names)} columns")
-    row: dict[str, Any] = {LINE: line}
-    for name, kind in columns.items():
-        place = names.index(name)
-        cell = cells[place].strip() if place < len(cells) else ""
-        try:
-            if len(cell) > MAX_CELL:
-                raise ValueError
+    rows = []
+    for line, cells in records[1:]:
+        if len(cells) > len(names):
+            raise StudyError(f"{path}: line {line}: {len(cells)} cells under {len(names)} columns")
+        row: dict[str, Any] = {LINE: line}
+        for name, kind in columns.items():
+            place = names.index(name)
+            cell = cells[place].strip() if place < len(cells) else ""
             if isinstance(kind, Number) and not kind.whole and delimiter != ",":
                 cell = cell.replace(",", ".")
-            row[name] = kind.read(cell)
-        except ValueError:
-            shown = printable(cell[:40]) + ("..." if len(cell) > 40 else "") or "(empty)"
-            raise StudyError(
-                f"{path}: line {line}, column {place + 1}: {name} {shown}; allowed are {kind.allowed}"
-            ) from None
-    return row
+            try:
+                row[name] = kind.read(cell[: MAX_CELL + 1])
+                if len(cell) > MAX_CELL:
+                    raise ValueError
+            except ValueError:
+                shown = printable(cell[:40]) + ("..." if len(cell) > 40 else "") or "(empty)"
+                raise StudyError(
+                    f"{path}: line {line}, column {place + 1}: {name} {shown}; allowed are {kind.allowed}"
+                ) from None
+        rows.append(row)
+    return rows
 
 
 def _text(path: Path) -> str:
-    try:
-        data = read_file(path, MAX_BYTES)
-    except FileError as error:
-        raise StudyError(str(error)) from None
+    data = read_file(path, MAX_BYTES)
     marked = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     try:
         text = data.decode("utf-16" if marked else "utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
-        raise StudyError(
-            f"{path}: line {line}: neither UTF-8 nor UTF-16 ({error.reason}); save it as 'CSV UTF-8'"
-        ) from None
-    if "\0" in text:
-        line = text[: text.index("\0")].count("\n") + 1
-        raise StudyError(
-            f"{path}: line {line}: zero bytes, UTF-16 without its mark perhaps; save it as 'CSV UTF-8'"
-        )
-    return text
+        if "\0" not in text:
+            return text
+    except UnicodeDecodeError:
+        pass
+    raise StudyError(f"{path}: neither UTF-8 nor UTF-16 with its mark; save it as 'CSV UTF-8'")

@@ -99,7 +99,6 @@ def prepare(options: Options) -> Setting:
     """The setting that the options describe."""
     import platform
 
-    from r2h_batch.benchmark.build import objects_digest
     from r2h_batch.bodies.objects import object_digest
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.trials.protocol import make_trials, trials_digest, trials_of
@@ -109,7 +108,6 @@ def prepare(options: Options) -> Setting:
             f"--device {options.device}: torch sees no CUDA device ({why_no_cuda()}); use --device cpu"
         )
     given = given_of(options)
-    given.check_splits(options.splits)
     # a convex decomposition takes up to a minute: only where it is used
     benchmark = given.read(pieces=options.object_collision == "pieces")
     config, objects = benchmark.config(_configuration(options)), benchmark.objects
@@ -127,9 +125,7 @@ def prepare(options: Options) -> Setting:
         "digests": {
             "trials": trials_digest(first_trials, objects=objects),
             "benchmark": benchmark.digest,
-            "apart_from_objects": benchmark.apart_from_objects,
             "objects": object_digest(objects),
-            "each_object": objects_digest(object_digest(o) for o in objects),
             "hand_set": evaluator.scene.hands.set.digest,
             "code": provenance.code_digest(),
         },
@@ -182,6 +178,11 @@ def _said_of(model: "ObjectModel") -> dict[str, Any]:
 def _plan(options: Options, benchmark: Benchmark) -> dict[str, int]:
     """Split -> trials of it."""
     splits = [str(s) for s in SPLITS if s in options.splits]
+    there = {o.split for o in benchmark.objects}
+    if benchmark.listed is None and (missing := [s for s in splits if s not in there]):
+        raise UsageError(
+            f"no object belongs to split {missing[0]}; give at least one, or --splits {' '.join(sorted(there))}"
+        )
     if benchmark.listed is None:
         return dict.fromkeys(splits, options.trials)
     if options.trials != Options.trials:

@@ -1,4 +1,4 @@
-"""Which object goes to which hand, and where it stands. `python -m r2h_batch.trials --help`."""
+"""Which object goes to which hand, and where it stands."""
 
 from typing import TYPE_CHECKING
 

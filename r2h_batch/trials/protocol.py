@@ -1,5 +1,5 @@
 """Protocols r2h-v0, r2h-v1 and r2h-release: which object is handed to which hand, and where that
-stands. `python -m r2h_batch.trials`.
+stands.
 
 Trial i of S0 has the id 2 i, of S1 the id 2 i + 1. Objects of the split take turns, hands alternate
 right and left, and the hand's pose is drawn from the reachable set by rejection with counters

@@ -60,6 +60,8 @@ def serve(reader: Reader, methods: Sequence[str], trial: int | None, port: int) 
     tell(f"view: {viewer.address} (Ctrl-C ends)")
     try:
         viewer.run()
+    except KeyboardInterrupt:
+        tell("view: ended")
     finally:
         viewer.stop()
 

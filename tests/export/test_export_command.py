@@ -12,9 +12,9 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 
+from r2h_batch.__main__ import main
 from r2h_batch.benchmark import built_in
 from r2h_batch.bodies import hand
-from r2h_batch.export import command as export_command
 from r2h_batch.export.stored import ExportError, Reader
 from r2h_batch.sweep import command as sweep
 
@@ -22,7 +22,7 @@ TIMES = ("t_plan_s", "t_method_s")
 
 
 def refused(arguments, capsys):
-    assert export_command.scene_main([str(a) for a in arguments]) == 2
+    assert main(["scene", *map(str, arguments)]) == 2
     out = capsys.readouterr()
     assert out.out == "" and out.err.count("\n") == 1
     return out.err
@@ -102,7 +102,7 @@ def test_a_users_own_mesh_is_asked_for_and_comes_along(tmp_path, capsys):
     command = ["--run", folder, "--trial", 12, "--out", tmp_path / "x"]
     message = refused(command, capsys)
     assert "brick" in message and "--object-mesh" in message
-    assert export_command.scene_main([*map(str, command), "--object-mesh", str(file)]) == 0
+    assert main(["scene", *map(str, command), "--object-mesh", str(file)]) == 0
     capsys.readouterr()
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
     trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().subdivide().export(file)
@@ -123,7 +123,7 @@ def test_a_run_of_another_benchmark_comes_with_its_hands_home_and_table(tmp_path
     command = ["--run", folder, "--trial", 2, "--out", tmp_path / "x"]
     message = refused(command, capsys)
     assert "benchmark" in message and f"--benchmark {file}" in message
-    assert export_command.scene_main([*map(str, command), "--benchmark", str(file)]) == 0
+    assert main(["scene", *map(str, command), "--benchmark", str(file)]) == 0
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "x" / "scene.xml"))
     assert np.allclose(model.key("home").qpos, home) and np.allclose(model.geom("table/top").size, [0.4, 0.5, 0.03])
     told = json.loads((tmp_path / "x" / "trial.json").read_text())
@@ -142,7 +142,8 @@ def test_the_command_of_the_readme_works(run, tmp_path):
     command = [
         sys.executable,
         "-m",
-        "r2h_batch.scene",
+        "r2h_batch",
+        "scene",
         "--run",
         str(run),
         "--trial",

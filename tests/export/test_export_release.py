@@ -8,11 +8,8 @@ import pytest
 import trimesh
 from sweep_command import in_process
 
-from r2h_batch.compare.command import main as compare_main
-from r2h_batch.export.command import export_main, scene_main
-from r2h_batch.importers.command import main as import_main
+from r2h_batch.__main__ import main
 from r2h_batch.importers.release import read_trials
-from r2h_batch.report.__main__ import main as report_main
 from r2h_batch.runs.store import load_run
 from r2h_batch.verdicts import CRITERIA
 
@@ -21,7 +18,9 @@ from r2h_batch.verdicts import CRITERIA
 def written(run, tmp_path_factory):
     """Two trials of each split in the release's form."""
     folder = tmp_path_factory.mktemp("release")
-    assert export_main([str(run), "--to", "r2handoversim", "--method", "oracle", "--out", str(folder / "files")]) == 0
+    assert (
+        main(["export", str(run), "--to", "r2handoversim", "--method", "oracle", "--out", str(folder / "files")]) == 0
+    )
     return folder
 
 
@@ -135,10 +134,10 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
     assert done.returncode == 0, done.stderr
     (imported,) = (tmp_path / "run").glob("imported-*")
     flags = ["--to", "r2handoversim", "--benchmark", str(imported / "benchmark.yaml"), "--out", str(tmp_path / "out")]
-    assert export_main([str(tmp_path / "run"), *flags]) == 0
+    assert main(["export", str(tmp_path / "run"), *flags]) == 0
     line = ["--run", str(tmp_path / "run"), *flags[2:4], "--trial"]
-    assert scene_main([*line, min(theirs), "--out", str(tmp_path / "scene")]) == 0
-    assert scene_main([*line, "nobody's", "--out", str(tmp_path / "no")]) == 2
+    assert main(["scene", *line, min(theirs), "--out", str(tmp_path / "scene")]) == 0
+    assert main(["scene", *line, "nobody's", "--out", str(tmp_path / "no")]) == 2
     for name, t in theirs.items():
         back = json.loads((tmp_path / "out" / f"{name}.json").read_text())
         validate(back)
@@ -153,7 +152,9 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
     for method in ("oracle", "random"):
         files = tmp_path / method
         assert (
-            export_main([str(run), "--to", "r2handoversim", "--method", method, "--trials", "1", "--out", str(files)])
+            main(
+                ["export", str(run), "--to", "r2handoversim", "--method", method, "--trials", "1", "--out", str(files)]
+            )
             == 0
         )
     both = [r for m in ("oracle", "random") for r in json.loads((tmp_path / m / "results.json").read_text())]
@@ -180,7 +181,7 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
     (tmp_path / "both").mkdir()
     (tmp_path / "both" / "results.json").write_text(json.dumps(both))
     back = tmp_path / "back"
-    assert import_main(["results", str(tmp_path / "both"), "--from", "r2handoversim", "--out", str(back)]) == 0
+    assert main(["import", "results", str(tmp_path / "both"), "--from", "r2handoversim", "--out", str(back)]) == 0
     theirs = load_run(back)
     assert theirs.methods == ("oracle", "random") and theirs.header["protocol"] == "r2handoversim"
     for m in theirs.methods:
@@ -191,12 +192,22 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
         )
         assert a == b
     capsys.readouterr()
-    assert report_main([str(back)]) == 0 and "verdicts of the release" in capsys.readouterr().out
-    assert compare_main([str(back)]) == 0 and "oracle" in capsys.readouterr().out
+    assert main(["report", str(back)]) == 0 and "verdicts of the release" in capsys.readouterr().out
+    assert main(["compare", str(back)]) == 0 and "oracle" in capsys.readouterr().out
     wrong = [{**both[0], "success": not both[0]["success"]}]
     (tmp_path / "wrong.json").write_text(json.dumps(wrong))
     assert (
-        import_main(["results", str(tmp_path / "wrong.json"), "--from", "r2handoversim", "--out", str(tmp_path / "no")])
+        main(
+            [
+                "import",
+                "results",
+                str(tmp_path / "wrong.json"),
+                "--from",
+                "r2handoversim",
+                "--out",
+                str(tmp_path / "no"),
+            ]
+        )
         == 2
     )
     assert "wrong.json[0]: first_failure or success is not what its metrics say" in capsys.readouterr().err

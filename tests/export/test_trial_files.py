@@ -7,9 +7,9 @@ import pytest
 import torch
 from hand_twins import hand_vertices, palms
 
+from r2h_batch.__main__ import main
 from r2h_batch.bodies.hand import load_hand
 from r2h_batch.bodies.objects import S0_NAMES, S1_NAMES, load_objects
-from r2h_batch.export.command import trials_main as main
 from r2h_batch.export.trial_files import write_trials
 from r2h_batch.predictions import align, load_predictions
 from r2h_batch.trials.protocol import make_trials, trials_digest
@@ -95,7 +95,7 @@ def test_a_wrong_command_line_gets_one_clear_line_and_code_2(arguments, told, tm
     (tmp_path / "full" / "mine.txt").write_text("keep me")
     arguments = [a.format(full=tmp_path / "full") for a in arguments]
     try:
-        code = main(arguments)
+        code = main(["trials", *arguments])
     except SystemExit as stop:
         code = stop.code
     captured = capsys.readouterr()
@@ -105,7 +105,7 @@ def test_a_wrong_command_line_gets_one_clear_line_and_code_2(arguments, told, tm
 
 
 def test_the_command_writes_and_says_where(tmp_path, capsys):
-    assert main(["--out", str(tmp_path / "out"), "--trials", "2", "--splits", "S1"]) == 0
+    assert main(["trials", "--out", str(tmp_path / "out"), "--trials", "2", "--splits", "S1"]) == 0
     captured = capsys.readouterr()
     assert "r2h-v1" in captured.out and trials_digest(make_trials(["S1"], 2)) in captured.out
     assert len(list((tmp_path / "out" / "objects").iterdir())) == len(S1_NAMES)

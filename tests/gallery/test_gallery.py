@@ -7,8 +7,9 @@ import pytest
 from made_runs import write_run
 from needs import needs
 
+from r2h_batch.__main__ import main
 from r2h_batch.benchmark.build import BenchmarkOverrides
-from r2h_batch.gallery import command, pictures
+from r2h_batch.gallery import pictures
 from r2h_batch.gallery.pictures import first_of_each_outcome, shared_trial
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
@@ -55,11 +56,7 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
             assert given == BenchmarkOverrides()
             self.run = load_run(folder)
 
-        def build_for(self, shown):
-            self.built = {(method, trial) for method, trials in shown.items() for trial in trials}
-
         def trial(self, trial, method):
-            assert (method, trial) in self.built  # objects are built together, before any picture
             rows = self.run.trials(method).to_pylist()
             return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial))
 
@@ -70,7 +67,7 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
     monkeypatch.setattr(pictures, "image_at_end", lambda drawing, size, close: np.zeros((8, 8, 3), np.uint8))
     out = tmp_path / "a" / "report.html"
     line = [str(run.folder), "--format", "html", "--gallery", "1", "--out", str(out)]
-    assert command.report_main(line) == 0 and capsys.readouterr().out == f"{out}\n"
+    assert main(["report", *line]) == 0 and capsys.readouterr().out == f"{out}\n"
     text = out.read_text()
     links = [part.partition('"')[0] for part in text.split('<a href="')[1:]]
     assert len(links) == 6 + 4 == len(set(links)) and all((out.parent / link).is_file() for link in links)
@@ -86,11 +83,11 @@ def test_what_a_gallery_needs_is_said_in_one_line(run, tmp_path, capsys):
             "--gallery is 99; it must be 0 to 20",
         ),
     ):
-        assert command.report_main([str(run.folder), *line]) == 2
+        assert main(["report", str(run.folder), *line]) == 2
         assert words in capsys.readouterr().err
-    assert command.figures_main([str(run.folder), "--out", str(tmp_path)]) == 2
+    assert main(["figures", str(run.folder), "--out", str(tmp_path)]) == 2
     assert "not made by a sweep" in capsys.readouterr().err
-    assert command.report_main([str(run.folder), "--format", "csv", "--out", str(tmp_path / "t.csv")]) == 0
+    assert main(["report", str(run.folder), "--format", "csv", "--out", str(tmp_path / "t.csv")]) == 0
     assert (tmp_path / "t.csv").read_text().startswith("split,method,n,")
 
 
@@ -99,14 +96,12 @@ def test_what_a_gallery_needs_is_said_in_one_line(run, tmp_path, capsys):
 def test_the_papers_figures_and_a_gallery_of_a_real_run(tmp_path, capsys):
     line = ["--method", "random", "oracle", "--trials", "8", "--sim", "none", "--out", str(tmp_path / "run")]
     assert sweep(line) == 0
-    assert (
-        command.figures_main([str(tmp_path / "run"), "--method", "oracle", "random", "--out", str(tmp_path / "f")]) == 0
-    )
+    assert main(["figures", str(tmp_path / "run"), "--method", "oracle", "random", "--out", str(tmp_path / "f")]) == 0
     for name in ("protocol", "methods", "failures"):
         assert (tmp_path / "f" / f"{name}.pdf").read_bytes().startswith(b"%PDF")
         assert (tmp_path / "f" / f"{name}.png").stat().st_size > 30_000
     out = tmp_path / "report.html"
-    assert command.report_main([str(tmp_path / "run"), "--format", "html", "--gallery", "1", "--out", str(out)]) == 0
+    assert main(["report", str(tmp_path / "run"), "--format", "html", "--gallery", "1", "--out", str(out)]) == 0
     pages = list((tmp_path / "report_trials").glob("*.html"))
     assert len(pages) >= 3 and all(p.stat().st_size > 500_000 for p in pages)
     assert 30_000 < out.stat().st_size < 5 << 20

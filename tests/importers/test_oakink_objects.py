@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from r2h_batch.__main__ import main
 from r2h_batch.benchmark.build import BenchmarkOverrides
-from r2h_batch.importers.command import main
 
 
 def block(x0, x1):
@@ -47,7 +47,7 @@ def oakink(tmp_path):
 
 def test_objects_come_in_the_frame_of_the_hands_with_parts_and_region(oakink, tmp_path, capsys):
     out = tmp_path / "mine"
-    assert main(["objects", str(oakink), "--from", "oakink", "--out", str(out)]) == 0
+    assert main(["import", "objects", str(oakink), "--from", "oakink", "--out", str(out)]) == 0
     said = capsys.readouterr()
     assert "3 objects of oakink (1 with a receiver's region)" in said.out
     assert "C9 has no name; left out" in said.err and "points outside" in said.err
@@ -64,7 +64,7 @@ def test_objects_come_in_the_frame_of_the_hands_with_parts_and_region(oakink, tm
 def test_parts_as_point_clouds_label_the_same_faces(oakink, tmp_path):
     for file in (oakink / "OakBase" / "knife" / "knife 1").glob("*.ply"):
         trimesh.PointCloud(trimesh.load_mesh(file).sample(4000)).export(file)
-    assert main(["objects", str(oakink), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 0
+    assert main(["import", "objects", str(oakink), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 0
     knife = next(o for o in BenchmarkOverrides(objects=str(tmp_path / "mine")).read().objects if o.name == "knife_1")
     x = knife.mesh.triangles_center[:, 0]
     clear = np.abs(x - 0.01) > 0.003
@@ -74,7 +74,7 @@ def test_parts_as_point_clouds_label_the_same_faces(oakink, tmp_path):
 def test_objects_of_the_images_are_called_by_their_number(tmp_path, capsys):
     (tmp_path / "image" / "obj").mkdir(parents=True)
     block(-0.1, 0.08).export(tmp_path / "image" / "obj" / "A01001.obj")
-    assert main(["objects", str(tmp_path), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 0
+    assert main(["import", "objects", str(tmp_path), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 0
     (found,) = BenchmarkOverrides(objects=str(tmp_path / "mine")).read().objects
     assert found.name == "A01001" and np.abs(found.mesh.bounds.mean(axis=0)).max() < 1e-7
 
@@ -87,12 +87,12 @@ def test_what_is_not_as_it_should_be_is_named_and_skipped_or_refused(oakink, tmp
     other = part.with_name("part_01.ply")
     far.export(other)
     line = ["objects", str(oakink), "--from", "oakink", "--out", str(tmp_path / "mine")]
-    assert main([*line, "--strict"]) == 2
+    assert main(["import", *line, "--strict"]) == 2
     assert "its parts are" in capsys.readouterr().err and not (tmp_path / "mine").exists()
-    assert main(line) == 0
+    assert main(["import", *line]) == 0
     said = capsys.readouterr()
     assert "skipped: knife 1: knife 1: its parts are" in said.err and "1 skipped" in said.out
-    assert main(line) == 2
+    assert main(["import", *line]) == 2
     assert "new or empty folder" in capsys.readouterr().err
 
 
@@ -110,7 +110,7 @@ def test_a_mesh_that_no_benchmark_takes_is_not_imported(tmp_path, capsys, vertic
     (tmp_path / "shape" / "metaV2").mkdir()
     (tmp_path / "shape" / "metaV2" / "object_id.json").write_text('{"C1": {"name": "mug"}}')
     (at / "scan.obj").write_text(f"{vertices}f 1 2 3\n")
-    assert main(["objects", str(tmp_path), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 2
+    assert main(["import", "objects", str(tmp_path), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 2
     said = capsys.readouterr().err
     assert said.startswith("skipped: mug: mug: ") and words in said and not (tmp_path / "mine").exists()
 
@@ -129,7 +129,7 @@ def test_a_mesh_that_no_benchmark_takes_is_not_imported(tmp_path, capsys, vertic
 def test_hostile_and_empty_lists_of_objects_are_one_line(tmp_path, capsys, meta, words):
     (tmp_path / "metaV2").mkdir()
     (tmp_path / "metaV2" / "object_id.json").write_text(meta)
-    assert main(["objects", str(tmp_path), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 2
+    assert main(["import", "objects", str(tmp_path), "--from", "oakink", "--out", str(tmp_path / "mine")]) == 2
     said = capsys.readouterr().err
     *entries, refused = said.splitlines()
     assert words in said and len(entries) <= 1 and refused.startswith("import: ")

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from sweep_command import in_process
 
 from r2h_batch import EvalConfig, Evaluator
+from r2h_batch.__main__ import main
 from r2h_batch.benchmark import read_benchmark
-from r2h_batch.importers.command import main
 from r2h_batch.runs.store import load_run
 from r2h_batch.trials.protocol import trials_of
 from r2h_batch.types import Outcome
@@ -102,7 +102,7 @@ def imported(folder, trials):
     (folder / "in").mkdir()
     for t in trials:
         (folder / "in" / f"{t['id']}.json").write_text(json.dumps(t))
-    assert main(["trials", str(folder / "in"), "--from", "r2handoversim", "--out", str(folder / "out")]) == 0
+    assert main(["import", "trials", str(folder / "in"), "--from", "r2handoversim", "--out", str(folder / "out")]) == 0
     with (folder / "out" / "trials.csv").open() as file:
         names = {int(row["trial_id"]): row["id"] for row in csv.DictReader(file)}
     benchmark = read_benchmark(folder / "out" / "benchmark.yaml")
@@ -263,7 +263,7 @@ def test_selections_with_their_scenes_and_experiments_are_the_trials_that_they_m
 
     def read(source):
         out = tmp_path / f"out{len(list(tmp_path.glob('out*')))}"
-        assert main(["trials", str(source), "--from", "r2handoversim", "--out", str(out)]) == 0
+        assert main(["import", "trials", str(source), "--from", "r2handoversim", "--out", str(out)]) == 0
         return {k: np.load(out / f"{k}.npz") for k in ("predictions", "trials")}
 
     wanted, paired = read(tmp_path / "plain"), read(tmp_path / "files")
@@ -278,7 +278,7 @@ def test_selections_with_their_scenes_and_experiments_are_the_trials_that_they_m
     scene = json.loads((tmp_path / "files" / "bottle_scene.json").read_text())
     del scene["target_T_world_object"]
     (tmp_path / "files" / "bottle_scene.json").write_text(json.dumps(scene))
-    assert main(["trials", str(experiment), "--from", "r2handoversim", "--out", str(tmp_path / "no")]) == 2
+    assert main(["import", "trials", str(experiment), "--from", "r2handoversim", "--out", str(tmp_path / "no")]) == 2
     assert "bottle_scene.json: target_T_world_object is missing" in capsys.readouterr().err
 
 
@@ -313,6 +313,8 @@ def changed(**fields):
 )  # fmt: skip
 def test_what_is_no_trial_is_refused_in_one_line_that_names_the_field(tmp_path, capsys, fields, line):
     (tmp_path / "t.json").write_text(json.dumps(changed(**fields)))
-    code = main(["trials", str(tmp_path / "t.json"), "--from", "r2handoversim", "--out", str(tmp_path / "out")])
+    code = main(
+        ["import", "trials", str(tmp_path / "t.json"), "--from", "r2handoversim", "--out", str(tmp_path / "out")]
+    )
     said = capsys.readouterr().err
     assert code == 2 and said.count("\n") == 1 and line in said and "t.json" in said, said

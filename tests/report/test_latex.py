@@ -10,7 +10,6 @@ from needs import needs
 
 from r2h_batch.compare.text import render as render_comparison
 from r2h_batch.report import table as report
-from r2h_batch.report.table import object_lines
 from r2h_batch.statistics.paired import compare, pair_up
 
 COLUMNS = list(report.HEADINGS)
@@ -94,7 +93,7 @@ def test_all_tables_compile_and_fit_their_columns(run, paper, tmp_path):
     rows = tuple(replace(row, method=name if row.method == "FC-Handover" else row.method) for row in paper.rows)
     hostile = replace(paper, rows=rows)
     pairs = render_comparison(compare(pair_up([run]), draws=200), "latex", origin=paper.origin)
-    wide = [report.render(hostile, "latex", intervals=i) for i in (False, True)] + [object_lines(run, "latex"), pairs]
+    wide = [report.render(hostile, "latex", intervals=i) for i in (False, True)] + [pairs]
     narrow = [report.render(hostile, "latex", columns=1, intervals=i) for i in (False, True)]
     parts = {}
     for word, tables, kind in (("WIDE", wide, "table*"), ("NARROW", narrow, "table")):

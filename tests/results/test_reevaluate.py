@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from made_runs import forged, write_run
 
-from r2h_batch.export.command import trials_main as trials_command
+from r2h_batch.__main__ import main
 from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.methods import random
 from r2h_batch.results import reevaluation as again
-from r2h_batch.results.command import main as results
 from r2h_batch.results.reevaluation import Judge, configuration, reevaluate
 from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.store import RunError, load_run
@@ -71,10 +70,10 @@ def as_success(row):
 
 
 def test_every_row_of_an_honest_run_comes_out_bit_for_bit(folder, capsys):
-    assert results(["reevaluate", str(folder), "--rows", "200"]) == 0
+    assert main(["results", "reevaluate", str(folder), "--rows", "200"]) == 0
     out = capsys.readouterr().out
     assert "random: 24 of 24 rows judged again" in out and "none differs, 24 are equal bit for bit; asked again" in out
-    assert results(["reevaluate", str(folder), "--rows", "5", "--seed", "3"]) == 0
+    assert main(["results", "reevaluate", str(folder), "--rows", "5", "--seed", "3"]) == 0
     assert "5 of 24 rows judged again (--seed 3): none differs, 5 are equal" in capsys.readouterr().out
 
 
@@ -89,8 +88,8 @@ def test_one_made_up_success_is_found_though_every_checksum_agrees(folder, tmp_p
         return True
 
     assert forged(folder, tmp_path / "run", one) == done and len(done) == 1
-    assert results(["verify", str(tmp_path / "run")]) == 0  # a checksum sees nothing
-    assert results(["reevaluate", str(tmp_path / "run"), "--rows", "24"]) == 1
+    assert main(["results", "verify", str(tmp_path / "run")]) == 0  # a checksum sees nothing
+    assert main(["results", "reevaluate", str(tmp_path / "run"), "--rows", "24"]) == 1
     out = capsys.readouterr().out
     assert "24 of 24 rows judged again" in out and ": 1 differs, 23 are equal bit for bit" in out
     assert f"trial {done[0]}: outcome is stored as success, scored again it is" in out
@@ -211,13 +210,13 @@ def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_nam
 
 def test_what_cannot_be_judged_again_is_refused_with_one_line(folder, tmp_path, capsys):
     write_run(tmp_path / "a", {"m": np.zeros(4, int)}, 2, 2)
-    assert results(["reevaluate", str(tmp_path / "a"), "--rows", "5"]) == 2
+    assert main(["results", "reevaluate", str(tmp_path / "a"), "--rows", "5"]) == 2
     assert "stored without poses; sweep again without no_poses" in capsys.readouterr().err
-    assert results(["reevaluate", str(folder), "--rows", "-5"]) == 2
+    assert main(["results", "reevaluate", str(folder), "--rows", "-5"]) == 2
     assert "--rows is -5" in capsys.readouterr().err
-    assert results(["reevaluate", str(folder), "--rows", "5", "--method", "fc"]) == 2
+    assert main(["results", "reevaluate", str(folder), "--rows", "5", "--method", "fc"]) == 2
     assert "no method 'fc'" in capsys.readouterr().err
-    assert results(["reevaluate", str(folder), "--rows", "5", "--object-mesh", "mug.obj"]) == 2
+    assert main(["results", "reevaluate", str(folder), "--rows", "5", "--object-mesh", "mug.obj"]) == 2
     assert "give what its sweep was given: no flag for objects" in capsys.readouterr().err
 
 
@@ -248,7 +247,7 @@ def test_people_of_r2h_v1_are_swept_judged_again_and_handed_to_methods(tmp_path)
     assert run.header["protocol"] == "r2h-v1"
     found = reevaluate(run, "random", 8, Judge(run))
     assert (found.scored, found.equal) == (8, 8)
-    assert trials_command(["--protocol", "r2h-v1", "--trials", "4", "--out", str(tmp_path / "files")]) == 0
+    assert main(["trials", "--protocol", "r2h-v1", "--trials", "4", "--out", str(tmp_path / "files")]) == 0
     with np.load(tmp_path / "files" / "trials.npz") as files:
         assert files["receiver"].shape == (8, 5, 4)
     assert run.header["digests"]["trials"] in (tmp_path / "files" / "README.md").read_text()

@@ -12,19 +12,17 @@ import pytest
 import torch
 from made_runs import NAMES, files_of, make_header, make_scores, make_trials, read_json, write, write_run
 
-from r2h_batch.compare.command import main as compare
-from r2h_batch.gallery.command import report_main as report
-from r2h_batch.results.command import main as results
+from r2h_batch.__main__ import main
 from r2h_batch.runs import store as run_store
 from r2h_batch.runs.rows import TRIAL_SCHEMA, score_rows
 from r2h_batch.runs.store import RunError, claim, load_run, mark_for_rerun, open_run, run_hash, sha256_of, shard_at
 
 COMMANDS = {
-    "verify": lambda folder: results(["verify", str(folder)]),
-    "digest": lambda folder: results(["digest", str(folder)]),
-    "report": lambda folder: report([str(folder)]),
-    "compare": lambda folder: compare([str(folder)]),
-    "rethreshold": lambda folder: results(["rethreshold", str(folder)]),
+    "verify": lambda folder: main(["results", "verify", str(folder)]),
+    "digest": lambda folder: main(["results", "digest", str(folder)]),
+    "report": lambda folder: main(["report", str(folder)]),
+    "compare": lambda folder: main(["compare", str(folder)]),
+    "rethreshold": lambda folder: main(["results", "rethreshold", str(folder)]),
 }
 ESC = "\x1b]0;owned\x07\x1b[2J"
 

@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from made_runs import NAMES, OUTCOMES, files_of, make_header, make_scores, make_trials, store, write
 
-from r2h_batch.results.command import digest, verify
+from r2h_batch.__main__ import main
 from r2h_batch.runs.rows import score_rows
 from r2h_batch.runs.store import RunError, load_run, open_run, shards_of
 
@@ -35,7 +35,7 @@ def test_a_damaged_shard_is_named_verify_marks_it_and_only_it_is_written_again(t
     damage(bad, how)
     with pytest.raises(RunError, match=f"{bad.name}: {DAMAGE[how]}.*results verify"):
         load_run(folder)
-    assert verify(folder) == 1
+    assert main(["results", "verify", str(folder)]) == 1
     out = capsys.readouterr().out
     assert str(bad) in out and DAMAGE[how] in out and "m: 1 of 3 shards to be scored: 1" in out
     run = load_run(folder)
@@ -43,7 +43,7 @@ def test_a_damaged_shard_is_named_verify_marks_it_and_only_it_is_written_again(t
     again = open_run(folder, make_header(6, 6))
     store(again, "m", trials, scores)
     assert load_run(folder).digest("m") == digest
-    assert verify(folder) == 0
+    assert main(["results", "verify", str(folder)]) == 0
     assert "as it was written" in capsys.readouterr().out
 
 
@@ -56,7 +56,7 @@ def test_a_shard_of_another_run_or_method_is_foreign(tmp_path, capsys):
             (tmp_path / "a" / kind / "m" / file.name).write_bytes(file.read_bytes())
     with pytest.raises(RunError, match="foreign"):
         load_run(tmp_path / "a")
-    assert verify(tmp_path / "a") == 1
+    assert main(["results", "verify", str(tmp_path / "a")]) == 1
     assert "foreign" in capsys.readouterr().out
     trials = make_trials(6, 6)
     run = open_run(tmp_path / "a", make_header(6, 6))
@@ -70,16 +70,16 @@ def test_a_file_that_no_receipt_names_is_set_aside(tmp_path, capsys):
     stray = tmp_path / "run" / "trials" / "m" / "000007-0123456789abcdef.parquet"
     stray.write_bytes(files_of(tmp_path / "run")[0].read_bytes())
     load_run(tmp_path / "run")  # it is no part of the run
-    assert verify(tmp_path / "run") == 1
+    assert main(["results", "verify", str(tmp_path / "run")]) == 1
     assert "foreign: no receipt names it; set aside" in capsys.readouterr().out
     assert not stray.exists() and len(files_of(tmp_path / "run")) == 1
 
 
 def test_the_digest_command_prints_what_the_library_says(tmp_path, capsys):
     write(tmp_path / "run")
-    assert digest(tmp_path / "run") == 0
+    assert main(["results", "digest", str(tmp_path / "run")]) == 0
     assert capsys.readouterr().out == f"{load_run(tmp_path / 'run').digest('m')}  m\n"
-    assert digest(tmp_path) == 2
+    assert main(["results", "digest", str(tmp_path)]) == 2
     assert "no run.json" in capsys.readouterr().err
 
 

@@ -9,8 +9,8 @@ import pytest
 import torch
 from made_runs import make_header, make_scores, make_trials
 
+from r2h_batch.__main__ import main
 from r2h_batch.compare.command import FOLDERS, baselines_for, stored_rows
-from r2h_batch.compare.command import main as compare
 from r2h_batch.runs.rows import TrialNames, score_rows
 from r2h_batch.runs.store import load_run, open_run
 from r2h_batch.schedule import PROTOCOL, trial_ids
@@ -42,18 +42,20 @@ def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_
     assert sweep(line) == 0
     capsys.readouterr()
     monkeypatch.chdir(tmp_path)
-    assert compare([str(tmp_path / "mine"), "baselines", "--methods", "random", "oracle", "--format", "csv"]) == 0
+    assert (
+        main(["compare", str(tmp_path / "mine"), "baselines", "--methods", "random", "oracle", "--format", "csv"]) == 0
+    )
     rows = {(r["group"], r["a"], r["b"]): r for r in csv.DictReader(io.StringIO(capsys.readouterr().out))}
     assert {(a, b) for _, a, b in rows} == {
         ("random", "oracle")
     }  # the shipped random has the same answers and verdicts
     assert rows["S0", "random", "oracle"]["n"] == "12" and float(rows["S0", "random", "oracle"]["difference"]) < 0
-    assert compare([str(tmp_path / "mine"), "baselines", "--format", "json"]) == 0
+    assert main(["compare", str(tmp_path / "mine"), "baselines", "--format", "json"]) == 0
     whole = json.loads(capsys.readouterr().out)[-1]
     assert [p["a"] for p in whole["pairs"]] == ["random"] * 5 and len(whole["names"]) == 6  # each baseline once
     assert len(whole["ranked"]) == len(whole["rank"]) == 4 and not {"random", "oracle"} & set(whole["ranked"])
     assert all(p["p_holm"] <= 5 * p["p"] + 1e-12 for p in whole["pairs"])
-    assert compare([str(tmp_path / "mine"), "baselines", "--all-pairs"]) == 0
+    assert main(["compare", str(tmp_path / "mine"), "baselines", "--all-pairs"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert (
         "the first 12 S0, 12 S1, which all of them hold" in text and "random is given twice, and counted once" in text

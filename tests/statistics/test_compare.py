@@ -8,12 +8,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
-from made_runs import write_run
+from made_runs import command, write_run
 from scipy import stats
 from statsmodels.stats.contingency_tables import mcnemar as reference_mcnemar
 from statsmodels.stats.multitest import multipletests
 
-from r2h_batch.compare import command as compare
 from r2h_batch.compare.text import render
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.statistics import paired as pairing
@@ -129,14 +128,14 @@ def test_two_runs_of_the_same_trials_are_compared_split_by_split_and_together(tm
     for name in ("a", "b"):
         write_run(tmp_path / name, {"m": random.choice([0, 2], 120), f"only {name}": np.zeros(120, int)}, 60, 60)
     folders = (tmp_path / "a", tmp_path / "b")
-    assert compare.run(folders, format="json") == 0
+    assert command("compare", *folders, format="json") == 0
     groups = json.loads(capsys.readouterr().out)
     assert [g["group"] for g in groups] == ["S0", "S1", "all"] and [g["n"] for g in groups] == [60, 60, 120]
     assert groups[0]["names"] == ["m", "only a", "b/m", "only b"] and len(groups[0]["pairs"]) == 6
-    assert compare.run(folders) == 0
+    assert command("compare", *folders) == 0
     text = capsys.readouterr().out
     assert "Holm p" in text and "#4" in text and text.isascii() and max(map(len, text.splitlines())) <= 100
-    assert compare.run(folders, seed=0) == 0
+    assert command("compare", *folders, seed=0) == 0
     assert capsys.readouterr().out == text
 
 
@@ -149,7 +148,7 @@ def test_a_run_that_is_given_twice_is_counted_once(tmp_path, capsys):
     (tmp_path / "link").symlink_to(first)
     write_run(tmp_path / "again", rows, 30, 30, shard_trials=7)
     write_run(tmp_path / "other", {"m": rows["m"][::-1]}, 30, 30)
-    assert compare.run((first,), format="json") == 0
+    assert command("compare", first, format="json") == 0
     once = json.loads(capsys.readouterr().out)
     for second in (
         first,
@@ -158,14 +157,14 @@ def test_a_run_that_is_given_twice_is_counted_once(tmp_path, capsys):
         tmp_path / "copy",
         tmp_path / "again",
     ):
-        assert compare.run((first, second), format="json") == 0
+        assert command("compare", first, second, format="json") == 0
         captured = capsys.readouterr()
         assert json.loads(captured.out) == once and captured.err.count("is given twice") == 2
-    assert compare.run((first, tmp_path / "copy")) == 0
+    assert command("compare", first, tmp_path / "copy") == 0
     assert " ".join(capsys.readouterr().out.split()).count("is given twice, and counted once") == 2
-    assert compare.run((first, tmp_path / "other"), format="json") == 0
+    assert command("compare", first, tmp_path / "other", format="json") == 0
     assert json.loads(capsys.readouterr().out)[2]["names"] == ["m", "n", "other/m"]
-    assert compare.run((first, tmp_path / "copy"), method=("m",)) == 2
+    assert command("compare", first, tmp_path / "copy", method="m") == 2
     assert "'m' is given 2 times" in capsys.readouterr().err
 
 
@@ -179,7 +178,7 @@ def test_a_method_that_is_called_as_one_of_the_package_shows_its_run(tmp_path, c
     ):  # fmt: skip
         write_run(tmp_path / folder, {name: np.random.default_rng(len(name)).choice([0, 2], 20)}, 10, 10)
         with_source(tmp_path / folder, function)
-    assert compare.run((tmp_path / "mine", tmp_path / "theirs"), format="json") == 0
+    assert command("compare", tmp_path / "mine", tmp_path / "theirs", format="json") == 0
     assert json.loads(capsys.readouterr().out)[0]["names"] == ["mine/FC-Handover", "FC-Handover (oracle hand)"]
 
 
@@ -190,7 +189,7 @@ def test_folders_with_other_shards_are_paired_row_by_row(tmp_path, capsys):
         folders = tuple(tmp_path / f"{sizes[0]}-{sizes[1]}" / name for name in "xy")
         write_run(folders[0], {"a": outcomes["a"]}, 70, 70, shard_trials=sizes[0])
         write_run(folders[1], {m: outcomes[m] for m in "bc"}, 70, 70, shard_trials=sizes[1])
-        assert compare.run(folders, format="json") == 0
+        assert command("compare", *folders, format="json") == 0
         texts.append(capsys.readouterr().out)
     assert texts[0] == texts[1] == texts[2]
     pair = json.loads(texts[0])[2]["pairs"][0]
@@ -228,7 +227,7 @@ def test_methods_that_answered_other_trials_are_refused(tmp_path, capsys, monkey
 def test_runs_that_were_not_asked_the_same_are_refused(tmp_path, capsys, change, what):
     write_run(tmp_path / "a", {"m": np.zeros(4, int)}, 2, 2)
     write_run(tmp_path / "b", {"n": np.zeros(4, int)}, 2, 2, **change)
-    assert compare.run((tmp_path / "a", tmp_path / "b")) == 2
+    assert command("compare", tmp_path / "a", tmp_path / "b") == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     with pytest.raises(ValueError, match=f"differ in {what}: their trials cannot be paired"):
@@ -237,5 +236,5 @@ def test_runs_that_were_not_asked_the_same_are_refused(tmp_path, capsys, change,
 
 def test_one_method_is_nothing_to_compare(tmp_path, capsys):
     write_run(tmp_path / "a", {"m": np.zeros(4, int)}, 2, 2)
-    assert compare.run((Path(tmp_path / "a"),)) == 2
+    assert command("compare", Path(tmp_path / "a")) == 2
     assert "nothing to compare" in capsys.readouterr().err

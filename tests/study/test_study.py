@@ -1,10 +1,8 @@
 """The study kit: the paper's figures through it, tests against scipy and statsmodels, schedules counted."""
 
 import csv
-import io
 import xml.etree.ElementTree as ET
-from collections import Counter
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -12,10 +10,9 @@ from made_runs import paper_run
 from scipy import stats
 from statsmodels.stats.multitest import multipletests
 
-from r2h_batch.study import command as study_command
+from r2h_batch.__main__ import main
 from r2h_batch.study import report as study
 from r2h_batch.study import stats as study_stats
-from r2h_batch.study.plan import schedule, williams_square
 
 OBJECTS = {"S0": [f"a{i}" for i in range(6)], "S1": [f"b{i}" for i in range(10)]}
 METHODS = ("w", "x", "y", "z")
@@ -119,7 +116,7 @@ def ratings():
 def test_your_own_ratings_are_tested_and_incomplete_participants_counted(tmp_path, capsys):
     rows = [r for r in ratings() if not (r["participant"] == 3 and r["method"] == "x" and r["dimension"] == "trust")]
     file = write_csv(tmp_path / "r.csv", rows)
-    assert study_command.main(["ratings", str(file), "--box", str(tmp_path / "box.svg")]) == 0
+    assert main(["study", "ratings", str(file), "--box", str(tmp_path / "box.svg")]) == 0
     text = capsys.readouterr().out
     assert "comfort: 12 complete participants, 0 left out" in text
     assert "trust: 11 complete participants, 1 left out" in text
@@ -136,73 +133,9 @@ def test_your_own_robot_against_a_run(tmp_path, capsys):
     names = ("FC-Handover", "Handover-VA", "Contact-Handover", "Intent-Handover")
     rows = [{"method": m, "real_sr": sr, "real_t_tot_s": 13.0} for m, sr in zip(names, (63.3, 60.0, 56.7, 73.3))]
     file = write_csv(tmp_path / "real.csv", rows)
-    assert study_command.main(["real", str(run.folder), str(file), "--trials", "150"]) == 0
+    assert main(["study", "real", str(run.folder), str(file), "--trials", "150"]) == 0
     text = capsys.readouterr().out
     assert "-9.5" in text and "+5.4" in text and "+0.40" in text
     write_csv(file, [{**rows[0], "method": "Nobody"}])
-    assert study_command.main(["real", str(run.folder), str(file), "--trials", "150"]) == 2
+    assert main(["study", "real", str(run.folder), str(file), "--trials", "150"]) == 2
     assert "no method 'Nobody'" in capsys.readouterr().err
-
-
-# --- schedules ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("n", [2, 3, 4, 5, 6, 7])
-def test_a_williams_square_balances_places_and_neighbours(n):
-    square = williams_square(n)
-    rows = len(square)
-    for place in range(n):
-        assert set(Counter(square[:, place]).values()) == {rows // n}
-    neighbours = Counter((int(a), int(b)) for row in square for a, b in pairwise(row))
-    assert len(neighbours) == n * (n - 1) and len(set(neighbours.values())) == 1
-
-
-@pytest.mark.parametrize("participants", [1, 2, 30, 33])
-def test_everybody_meets_every_method_with_the_same_objects_in_a_balanced_order(participants):
-    rows = schedule(participants, METHODS, OBJECTS, {"S0": 2, "S1": 3}, seed=1)
-    assert len(rows) == participants * 4 * 5
-    use = Counter()
-    for person in range(1, participants + 1):
-        mine = [r for r in rows if r["participant"] == person]
-        by_method = {m: sorted(r["object"] for r in mine if r["method"] == m) for m in METHODS}
-        assert len({tuple(v) for v in by_method.values()}) == 1
-        assert Counter(r["split"] for r in mine) == {"S0": 8, "S1": 12}
-        assert len(set(by_method["w"])) == 5
-        assert sorted({(r["place"], r["method"]) for r in mine})[0][0] == 1
-        use.update(by_method["w"])
-    for names in OBJECTS.values():
-        counts = [use[n] for n in names]
-        assert max(counts) - min(counts) <= 1
-    places = Counter((r["place"], r["method"]) for r in rows if r["trial"] == 1)
-    for place in range(1, 5):
-        counts = [places[place, m] for m in METHODS]
-        assert max(counts) - min(counts) <= 1 + (participants % 4 > 1)
-
-
-def test_the_seed_decides_the_schedule():
-    take = {"S0": 2, "S1": 3}
-    one, same, other = (schedule(12, METHODS, OBJECTS, take, seed=s) for s in (3, 3, 4))
-    assert one == same and one != other
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"participants": 0}, "--participants is 0"),
-        ({"methods": ("a",)}, "two or more"),
-        ({"methods": ("a", "a")}, "different"),
-        ({"take": {"S0": 7, "S1": 0}}, "S0 has 6 objects"),
-        ({"take": {"S0": 0, "S1": 0}}, "both 0"),
-    ],
-)
-def test_a_schedule_that_cannot_be_is_refused(change, message):
-    given = {"participants": 4, "methods": METHODS, "take": {"S0": 2, "S1": 3}, **change}
-    with pytest.raises(ValueError, match=message):
-        schedule(given["participants"], given["methods"], OBJECTS, given["take"], seed=0)
-
-
-def test_the_plan_command_writes_the_papers_schedule(capsys):
-    assert study_command.main(["plan", "--seed", "2"]) == 0
-    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
-    assert len(rows) == 600 and len({r["participant"] for r in rows}) == 30
-    assert {r["split"] for r in rows if r["object"] in ("bowl", "cup")} == {"S0"}

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import torch
 
+from r2h_batch.__main__ import main
 from r2h_batch.runs import store as results
 from r2h_batch.runs.rows import (
     TrialNames,
@@ -252,3 +253,9 @@ def forged(folder, out, change, kind="trials"):
         }
         receipt.write_text(json.dumps(data))
     return edited
+
+
+def command(name: str, *runs: Path | str, **options: object) -> int:
+    """The exit code of a command on run folders; options as the command has them in Python."""
+    flags = [[f"--{k.replace('_', '-')}", *([] if v is True else [str(v)])] for k, v in options.items()]
+    return main([name, *map(str, runs), *(word for flag in flags for word in flag)])
