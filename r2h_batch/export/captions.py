@@ -1,15 +1,16 @@
 """What is said beside a picture of a trial: its verdict in words and the five margins."""
 
+from collections.abc import Collection, Sequence
 from html import escape
 from typing import Any
 
 import numpy as np
 
-from r2h_batch.export.drawing import Drawing
+from r2h_batch.export.drawing import MARKS, Drawing
 from r2h_batch.report.text import plain
 from r2h_batch.verdicts import CRITERIA
 
-__all__ = ["as_html", "as_markdown", "headline", "summary", "title"]
+__all__ = ["as_html", "as_markdown", "headline", "legend", "summary", "title"]
 
 MEANING = {
     "stability": "room left between the pads and at the ends of their stroke",
@@ -40,6 +41,27 @@ FAILS = {
 """What a failed criterion means; `headline` adds by how much."""
 PAIRS = {"hand": "robot and hand", "table": "robot and table", "self": "robot and robot"}
 """Pairs whose stored name (`CollidingPair`) leaves out the robot."""
+
+
+LEGEND = {
+    "target": "requested pose",
+    "region": "the receiver's part",
+    "ball": "where the object must be",
+    "palm": "out of the palm",
+    "width": "between the pads",
+    "witness": "what fails",
+}
+"""What the marks of each group of `MARKS` show."""
+
+
+def legend(drawings: Sequence[Drawing], groups: Collection[str] = MARKS) -> list[tuple[str, str]]:
+    """(#rrggbb, words) of the marks that these trials have, of these groups."""
+    colors = {m.group: m.rgba[:3] for d in drawings for m in d.marks if m.group in groups}
+    return [
+        ("#" + "".join(f"{round(255 * c):02x}" for c in colors[group]), LEGEND[group])
+        for group in MARKS
+        if group in colors
+    ]
 
 
 def headline(row: dict[str, Any]) -> str:
@@ -100,7 +122,13 @@ def as_html(drawing: Drawing) -> str:
     facts = "".join(f"<li>{escape(line)}</li>" for line in _facts(drawing))
     verdict = f"{escape(drawing.stored.method)}: <b>{escape(headline(drawing.stored.row))}</b>"
     heading = escape(title(drawing))
-    return f"<h1>{heading}</h1><p>{verdict}</p><table>{rows}</table><ul>{facts}</ul>"
+    groups = [g for g in MARKS if g != "target" or not drawing.stored.moves]
+    marks = "".join(
+        f'<span><b style="color: {color}">\u25a0</b> {escape(words)}</span> '
+        for color, words in legend([drawing], groups)
+    )
+    verdict, margins = f"<p>{verdict}</p>", f"<table>{rows}</table><ul>{facts}</ul>"
+    return f'<h1>{heading}</h1>{verdict}{margins}<p class="legend">{marks}</p>'
 
 
 def _criteria(drawing: Drawing) -> list[tuple[str, str, str]]:

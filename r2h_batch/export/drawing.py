@@ -5,9 +5,10 @@ and films; `view/page.py` draws it with viser into a browser.
 """
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import product
 
 import mujoco
 import numpy as np
@@ -24,7 +25,9 @@ Color = tuple[float, float, float, float]
 MARKS = ("target", "region", "ball", "palm", "width", "witness")
 """Groups of marks that a viewer can show or hide."""
 RED: Color = (0.86, 0.10, 0.10, 0.85)
+SPOT_M = 0.03  # radius of the red ball where the table is met
 YELLOW: Color = (0.95, 0.80, 0.10, 0.6)
+REGION = "object/region_visual"
 FIXED = ("world", "table", "hand", "target", "target_gripper", "receiver")
 """Bodies that stand still while the arm moves."""
 UNSEEN = ("world", "table", "receiver", "target", "target_gripper")
@@ -82,14 +85,14 @@ class View:
 
 @dataclass(frozen=True)
 class Witness:
-    """Why a posture at the target is refused.
+    """What the first failure is seen by.
 
-    Two bodies that overlap or are nearest to each other; or, of kind `unreachable`, the line from
-    the gripper to a target that it does not reach.
+    Two bodies that overlap or are nearest to each other. Of kind `unreachable` it is the line from
+    the gripper to a target that it does not reach, of kind `reach` the gap from object to ball.
     """
 
-    geoms: tuple[str, ...]  # names of the two collision geoms; none where unreachable
-    kind: str  # of pair, as `CollidingPair` names it
+    geoms: tuple[str, ...]  # names of the two collision geoms; none of a line alone
+    kind: str  # of pair, as `CollidingPair` names it, `unreachable`, `reach` or `affordance`
     distance_m: float  # negative: they overlap by that, or the target is that far away
     line: Array  # (2, 3) the nearest points, world, m
 
@@ -98,6 +101,10 @@ class Witness:
         """What overlaps what, or is how far from it, in one line."""
         if self.kind == "unreachable":
             return f"the gripper stays {-1e3 * self.distance_m:.1f} mm from its target"
+        if self.kind == "reach":
+            return f"{1e3 * self.distance_m:.1f} mm from the object to the ball"
+        if self.kind == "affordance":
+            return f"{_geom_name(self.geoms[0])} on the receiver's part"
         a, b = map(_geom_name, self.geoms)
         if self.distance_m < 0:
             return f"{a} and {b} overlap by {-1e3 * self.distance_m:.1f} mm"
@@ -136,58 +143,85 @@ class Drawing:
         return trajectory(stored)
 
     def moments(self, n: int) -> list[tuple[float, Array, bool]]:
-        """`n` even times (s) from the start to rest, their postures (6,), and whether the robot
-        touches the hand then.
+        """`n` even times (s) from the start to rest, their postures (6,), and whether the failure
+        is seen then.
 
-        Where Safe fails, the nearest of the times is moved to the touch.
+        Reach and Affordance fail at the end. Where Safe fails, the nearest of the times is moved to
+        the touch.
         """
         row, (times, q) = self.stored.row, self.motion()
         at = np.linspace(0.0, min(row.get("t_exec_s") or times[-1], times[-1]), n)
-        touch = row.get("witness_time_s") if row["outcome"] == "safe" else None
-        if touch is not None:
-            at[np.abs(at - touch).argmin()] = touch
-        return [(float(t), q[np.abs(times - t).argmin()], t == touch) for t in at]
+        seen = at[-1] if self.witness is not None else None
+        if row["outcome"] == "safe" and (touch := row.get("witness_time_s")) is not None:
+            seen = at[np.abs(at - touch).argmin()] = touch
+        return [(float(t), q[np.abs(times - t).argmin()], bool(t == seen)) for t in at]
 
     @cached_property
     def witness(self) -> Witness | None:
-        """What speaks against the posture at the target; None where the arm moves there."""
+        """What speaks against the posture at the target; None where nothing does but a width or a
+        touch on the way."""
         stored = self.stored
         reason, pair = (stored.row.get(k) for k in ("plan_reason", "plan_pair"))
         if stored.moves:
-            return None
+            seen = {"reach": self._gap, "affordance": self._finger_on_region}
+            return seen[stored.row["outcome"]]() if stored.row["outcome"] in seen else None
         if reason == "ik_unreachable":
             data = self.at(stored.target_q)
             line = np.stack([data.site("ee").xpos, data.site("target").xpos])
             return Witness((), "unreachable", -float(np.linalg.norm(line[1] - line[0])), line)
         home = reason == "start_in_collision"
         q = np.array(stored.workplace.home_q) if home else stored.target_q
-        found = self._nearest_pair(q, [pair] if pair else [])
+        of_body = self._collision_geoms()
+        pairs = [
+            (a, b, kind)
+            for both, kind in checked_pairs(stored.robot).items()
+            for a, b in product(*(of_body.get(name, []) for name in sorted(both)))
+        ]
+        found = self._nearest(q, [p for p in pairs if p[2] == pair])
         # the stored pair is the last branch's; in the drawn posture another one may overlap
-        return found if found and found.distance_m < 0 else self._nearest_pair(q, [])
+        return found if found and found.distance_m < 0 else self._nearest(q, pairs)
 
-    def _nearest_pair(self, q: Array, kinds: Collection[str]) -> Witness | None:
-        """The nearest pair of bodies at posture q that planning checks, of these kinds if there are
-        any; None where all are farther apart than NEAR_M."""
+    def _collision_geoms(self) -> dict[str, list[int]]:
+        """Body -> its geoms that can collide."""
+        model, found = self.model, dict[str, list[int]]()
+        for g in np.flatnonzero((model.geom_contype != 0) & (model.geom_conaffinity != 0)):
+            found.setdefault(self.body_of(int(g)), []).append(int(g))
+        return found
+
+    def _nearest(self, q: Array, pairs: Iterable[tuple[int, int, str]]) -> Witness | None:
+        """The nearest of these pairs of geoms (with its kind) at posture q; None where all are
+        farther apart than NEAR_M."""
         model, data = self.model, self.at(q)
-        of_body: dict[str, list[int]] = {}
-        for i in np.flatnonzero((model.geom_contype != 0) & (model.geom_conaffinity != 0)):
-            of_body.setdefault(model.body(int(model.geom_bodyid[i])).name, []).append(int(i))
         best, least = None, NEAR_M
-        for pair, kind in checked_pairs(self.stored.robot).items():
-            if kinds and kind not in kinds:
+        for a, b, kind in pairs:
+            apart = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
+            if apart - model.geom_rbound[a] - model.geom_rbound[b] > least:
                 continue
-            one, two = sorted(pair)
-            for a in of_body.get(one, ()):
-                for b in of_body.get(two, ()):
-                    apart = float(np.linalg.norm(data.geom_xpos[a] - data.geom_xpos[b]))
-                    if apart - model.geom_rbound[a] - model.geom_rbound[b] > least:
-                        continue
-                    line = np.zeros(6)
-                    distance = mujoco.mj_geomDistance(model, data, a, b, NEAR_M, line)
-                    if distance < least:
-                        names, least = (model.geom(a).name, model.geom(b).name), float(distance)
-                        best = Witness(names, kind, least, line.reshape(2, 3))
+            line = np.zeros(6)
+            distance = mujoco.mj_geomDistance(model, data, a, b, NEAR_M, line)
+            if distance < least:
+                names, least = (model.geom(a).name, model.geom(b).name), float(distance)
+                best = Witness(names, kind, least, line.reshape(2, 3))
         return best
+
+    def _gap(self) -> Witness:
+        """From the object's nearest point to the ball that it should meet."""
+        data, g = self.at(self.stored.target_q), int(self.model.geom("object/mesh_visual").id)
+        body, made = data.body(self.body_of(g)), self.surface(g)
+        corners = made.vertices @ body.xmat.reshape(3, 3).T + body.xpos
+        center, radius = data.site("ball").xpos.copy(), float(self.model.site("ball").size[0])
+        everywhere = np.broadcast_to(center, (len(made.faces), 3))
+        points = trimesh.triangles.closest_point(corners[made.faces], everywhere)
+        apart = np.linalg.norm(points - center, axis=1)
+        point, distance = points[apart.argmin()], float(apart.min())
+        end = center + radius / distance * (point - center)
+        return Witness((), "reach", distance - radius, np.stack([point, end]))
+
+    def _finger_on_region(self) -> Witness | None:
+        """The part of the gripper that is nearest to the receiver's part, or deepest in its hull."""
+        region = int(self.model.geom(REGION).id)
+        pairs = [(g, region, "affordance") for g in self._collision_geoms()["gripper"]]
+        return self._nearest(self.stored.target_q, pairs)
 
     def surface(self, geom: int) -> Surface:
         """A geom of the model in the frame of its body."""
@@ -231,9 +265,10 @@ class Drawing:
         """All marks of the trial.
 
         The ghost at the target, the part that the receiver wants, the ball and the palm's normal,
-        the material between the pads, and the witness of a failed Plan or Safe.
+        the material between the pads, and in red what the first failure is seen by. Only this mark,
+        or the width where Stability fails, has words: so no two labels overlap.
         """
-        model, row = self.model, self.stored.row
+        model, row, witness = self.model, self.stored.row, self.witness
         data, found = self.at(self.stored.target_q), []
 
         def surface(group: str, geom: str, rgba: Color | None = None) -> None:
@@ -244,7 +279,7 @@ class Drawing:
             name = model.geom(g).name
             if name.startswith("target/"):
                 surface("target", name)
-            elif name == "object/region_visual":
+            elif name == REGION and (witness is None or name not in witness.geoms):
                 surface("region", name)
         green = _color(model.site("ball").rgba)[:3]
         ball, palm = data.site("ball").xpos.copy(), data.site("palm")
@@ -260,14 +295,18 @@ class Drawing:
             width = row["width_m"]
             a, b = (model.geom(pad).pos for pad in pads)
             half = width / 2 * (b - a) / np.linalg.norm(b - a)
-            line, text = np.stack([(a + b) / 2 - half, (a + b) / 2 + half]), f"{1e3 * width:.1f} mm"
+            line = np.stack([(a + b) / 2 - half, (a + b) / 2 + half])
+            text = f"{1e3 * width:.1f} mm" if row["outcome"] == "stability" else ""
             body = self.body_of(int(model.geom(pads[0]).id))
             found.append(Mark("width", YELLOW, body, points=line, radius_m=0.0015, text=text))
-        if self.witness is not None:
-            for name in self.witness.geoms:
-                surface("witness", name, RED)
-            line, text = self.witness.line, self.witness.caption
-            found.append(Mark("witness", RED, points=line, text=text))
+        if witness is not None:
+            for name, point in zip(witness.geoms, witness.line, strict=False):
+                if name.startswith("table"):  # where it is met, not all of it
+                    found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
+                else:
+                    surface("witness", name, RED)
+            text = witness.caption if row["outcome"] != "stability" else ""
+            found.append(Mark("witness", RED, points=witness.line, text=text))
         elif row["outcome"] == "safe" and row.get("witness_point_m"):
             point = np.array(row["witness_point_m"], np.float64)[None]
             part = str(row.get("witness_safe_part")).replace("_", " ")

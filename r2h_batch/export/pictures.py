@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.export.captions import headline, title
+from r2h_batch.export.captions import headline, legend, title
 from r2h_batch.export.drawing import Drawing, Mark, View, view_of
 from r2h_batch.export.mjcf import MARK
 from r2h_batch.io.write import atomic_path
@@ -20,6 +20,10 @@ from r2h_batch.scene.offscreen import RenderError, renderer
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+SEEN = ("target", "region", "witness")
+"""Marks of a trial without a motion."""
+SEEN_AT_FAILURE = ("region", "ball", "witness")
+"""Marks of the moment at which a motion fails."""
 STILL_S = 3.0  # a film of a trial without a motion: half from far, half from near
 REST_S = 0.7  # a film goes on after the motion
 PASSES, FAILS = "#1b6e3c", "#a3262a"
@@ -27,14 +31,13 @@ PASSES, FAILS = "#1b6e3c", "#a3262a"
 
 @contextmanager
 def painter(drawing: Drawing, size: tuple[int, int], view: View) -> Iterator[Callable[..., Image]]:
-    """Gives `paint(q, marks=False)`: an image (height, width, 3) of the trial at posture q (6,).
+    """Gives `paint(q, *groups)`: an image (height, width, 3) of the trial at posture q (6,), with
+    the marks of these groups of `MARKS`.
 
     Args:
         drawing: the trial.
         size: width and height, pixels.
         view: the camera.
-
-    With `marks` the image shows the ghost at the target, the receiver's part and the witness.
 
     Raises:
         RenderError: nothing draws on this machine.
@@ -49,12 +52,15 @@ def painter(drawing: Drawing, size: tuple[int, int], view: View) -> Iterator[Cal
     model.vis.quality.shadowsize = min(SHADOW_PIXELS, 4 * max(width, height))
     with renderer(model, width, height) as drawer:
 
-        def paint(q: Array, marks: bool = False) -> Image:
+        def paint(q: Array, *groups: str) -> Image:
             option.geomgroup[:] = [1, 1, 1, 0, 0, 0]
-            option.geomgroup[MARK] = marks
+            option.geomgroup[MARK] = True
+            for mark in drawing.marks:
+                if mark.geom >= 0 and model.geom_group[mark.geom] == MARK:
+                    model.geom_rgba[mark.geom, 3] = mark.rgba[3] if mark.group in groups else 0.0
             drawer.update_scene(drawing.at(q), camera, option)
-            for mark in drawing.marks if marks else ():
-                if mark.group == "witness" and mark.points is not None:
+            for mark in drawing.marks:
+                if mark.group in groups and mark.body == "world":
                     _add_mark(drawer.scene, mark)
             return np.array(drawer.render())
 
@@ -86,17 +92,26 @@ def images(
     aspect = size[0] / size[1]
     with painter(drawing, size, view or view_of([drawing], aspect)) as paint:
         if drawing.stored.moves:
-            return [(paint(q, touch), f"{t:.1f} s") for t, q, touch in drawing.moments(n)]
-        home = np.array(drawing.stored.workplace.home_q)
-        found = [(paint(home, True), "home"), (paint(drawing.stored.target_q, True), "target")]
+            moments = drawing.moments(n)
+            return [
+                (paint(q, *SEEN_AT_FAILURE if fails else ()), f"{t:.1f} s")
+                for t, q, fails in moments
+            ]
+        home, target_q = np.array(drawing.stored.workplace.home_q), drawing.stored.target_q
+        at_home = drawing.stored.row.get("plan_reason") == "start_in_collision"
+        groups = SEEN if at_home else SEEN[:2]
+        found = [(paint(home, *groups), "home"), (paint(target_q, *SEEN), "target")]
     with painter(drawing, size, view_of([drawing], aspect, close=True)) as paint:
-        return [*found, (paint(drawing.stored.target_q, True), "target, near")][:n]
+        return [*found, (paint(target_q, *SEEN), "target, near")][:n]
 
 
 def image_at_end(drawing: Drawing, size: tuple[int, int], *, close: bool = False) -> Image:
-    """Where the motion ends; without a motion the target with the marks that say why."""
+    """Where the motion ends, or the robot meets the hand; without a motion the target. Of a failure
+    with the marks that say why."""
+    _, q, fails = max(drawing.moments(2), key=lambda moment: moment[2:] + moment[:1])
+    groups = SEEN_AT_FAILURE if fails else ()
     with painter(drawing, size, view_of([drawing], size[0] / size[1], close=close)) as paint:
-        return paint(drawing.motion()[1][-1], not drawing.stored.moves)
+        return paint(q, *groups if drawing.stored.moves else SEEN)
 
 
 def write_row(drawing: Drawing, file: Path, *, n: int = 3, size: tuple[int, int]) -> None:
@@ -112,16 +127,22 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
     """
     try:
         from matplotlib.figure import Figure
+        from matplotlib.patches import Patch
     except ImportError:
         raise RenderError("strips need matplotlib: pip install 'r2h_batch[view]'") from None
     view = view_of(drawings, size[0] / size[1])
     wide, tall = 2.4, 2.4 * size[1] / size[0] + 0.32  # inches of an image, and of a row
     with style(page=False):
-        figure = Figure(figsize=(wide * n, tall * len(drawings) + 0.35), dpi=160)
-        heights = [0.35, *[tall] * len(drawings)]
-        heading, *rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[
-            :, 0
-        ]
+        heights = [0.35, *[tall] * len(drawings), 0.3]
+        figure = Figure(figsize=(wide * n, sum(heights)), dpi=160)
+        parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
+        heading, *rows, foot = parts[:, 0]
+        still = [d for d in drawings if not d.stored.moves]
+        groups = SEEN if still else SEEN_AT_FAILURE
+        failed = still or [d for d in drawings if any(fails for *_, fails in d.moments(n))]
+        patches = [Patch(color=c, label=words) for c, words in legend(failed, groups)]
+        if patches:
+            foot.legend(handles=patches, loc="center", ncols=4, frameon=False, fontsize=7)
         heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
         for part, drawing in zip(rows, drawings, strict=True):
             stored, words = drawing.stored, headline(drawing.stored.row)
@@ -134,7 +155,8 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
                 axis.set_axis_off()
             for axis, (image, when) in zip(axes, images(drawing, size, n, view), strict=False):
                 axis.imshow(image)
-                axis.text(0.03, 0.05, when, transform=axis.transAxes, fontsize=7, color="#333333")
+                plate = {"color": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0}
+                axis.text(0.03, 0.05, when, transform=axis.transAxes, fontsize=7, bbox=plate)
         with atomic_path(out) as temporary:
             figure.savefig(temporary, metadata={"Software": None} if out.suffix == ".png" else None)
 
@@ -168,7 +190,7 @@ def _film(drawing: Drawing, size: tuple[int, int], fps: int, view: View) -> Iter
         return
     for camera in (view, view_of([drawing], size[0] / size[1], close=True)):
         with painter(drawing, size, camera) as paint:
-            image = paint(drawing.stored.target_q, True)
+            image = paint(drawing.stored.target_q, *SEEN)
         yield from [image] * max(1, round(STILL_S * fps / 2))
 
 

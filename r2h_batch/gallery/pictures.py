@@ -145,7 +145,7 @@ def protocol(run: Run, reader: Reader, method: str, trial: int | None) -> tuple[
     home = np.array(stored.workplace.home_q)
     moments = drawing.moments(4)[1:]
     with painter(drawing, SIZE, view_of([drawing], aspect)) as paint:
-        panels: list[Panel] = [(paint(home), "start"), (paint(home, True), "target")]
+        panels: list[Panel] = [(paint(home), "start"), (paint(home, "target"), "target")]
         for (t, q, _), words in zip(moments, ("approach, ", "", "handover, "), strict=True):
             panels.append((paint(q), f"{words}{t:.1f} s"))
     with painter(drawing, SIZE, view_of([drawing], aspect, close=True)) as paint:

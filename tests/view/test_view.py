@@ -14,7 +14,7 @@ from needs import CHROMIUM, needs
 
 from r2h_batch.__main__ import main
 from r2h_batch.export.captions import as_markdown, headline
-from r2h_batch.export.drawing import Drawing, coarse, view_of
+from r2h_batch.export.drawing import Drawing, Witness, coarse, view_of
 from r2h_batch.export.stored import ExportError, Reader
 from r2h_batch.scene import offscreen
 from r2h_batch.view.server import ANY, Filter
@@ -96,6 +96,28 @@ def test_a_failed_plan_is_shown_with_what_speaks_against_it(reader):
     ):
         panel = as_markdown(drawing)
         assert all(name in panel for name in names) and panel.count("| fails |") + panel.count("| passes |") >= 2
+
+
+def test_a_failed_reach_shows_the_gap_and_a_failed_affordance_the_part_on_the_region(reader):
+    for outcome in ("reach", "affordance"):
+        drawing = Drawing(first(reader, outcome=outcome))
+        witness, row = drawing.witness, drawing.stored.row
+        if outcome == "reach":
+            assert abs(witness.distance_m + row["margin_reach_m"]) < 1e-4
+        else:
+            assert witness.geoms[0].startswith("gripper/") and witness.geoms[1] == "object/region_visual"
+        assert [m.text for m in drawing.marks if m.text] == [witness.caption]
+        assert drawing.moments(3)[-1][2] and not drawing.moments(3)[0][2]
+
+
+def test_of_a_table_only_the_touched_spot_is_red(reader):
+    drawing = Drawing(first(reader, plan_reason="ik_in_collision"))
+    line = np.array([[0.4, 0.1, 0.0], [0.4, 0.1, -0.01]])
+    drawing.witness = Witness(("robot/forearm_0", "table/top"), "table", -0.01, line)
+    del drawing.marks
+    red = [m for m in drawing.marks if m.group == "witness"]
+    assert [drawing.model.geom(m.geom).name for m in red if m.geom >= 0] == ["robot/forearm_0"]
+    assert [m.points.tolist() for m in red if m.points is not None] == [line[1:].tolist(), line.tolist()]
 
 
 def test_a_headline_names_the_first_failure_and_its_cause():
@@ -334,9 +356,9 @@ def test_a_film_and_strips_show_the_motion(run, reader, tmp_path):
     assert main([*line, *small]) == 0
     both = imageio.imread(strips)[..., :3].astype(int)
     red = (both[..., 0] > 130) & (both[..., 1] < 60) & (both[..., 2] < 60)
-    tall, wide = red.shape
-    near, other = red[: tall // 2, 2 * wide // 5 : 3 * wide // 5], red[tall // 2 + tall // 8 :]
-    assert near.any() and not other.any()
+    (tall, wide), legend = red.shape, 48
+    near, other = red[: tall // 2, 2 * wide // 5 : 3 * wide // 5], red[tall // 2 + tall // 8 : -legend]
+    assert near.any() and not other.any() and red[-legend:].any()
 
 
 @needs("gl")
