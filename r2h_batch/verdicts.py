@@ -24,15 +24,14 @@ class CriterionEntry(NamedTuple):
     color: str  # in charts
     splits: tuple[str, ...]  # in which every success must have been judged by it
     touching_passes: bool  # whether a margin of exactly 0 passes
-    unbounded: bool  # whether a failure may have the margin -inf: there is no size to state
 
 
 REGISTRY = (
-    CriterionEntry("stability", "f_stab", "F_stab", 3, "#e69f00", SPLITS, True, True),
-    CriterionEntry("plan", "f_plan", "F_plan", 0, "#0072b2", SPLITS, False, True),
-    CriterionEntry("reach", "f_reach", "F_reach", 1, "#56b4e9", SPLITS, True, False),
-    CriterionEntry("affordance", "f_afford", "F_afford", 4, "#cc79a7", ("S1",), False, False),
-    CriterionEntry("safe", "f_safe", "F_safe", 2, "#d55e00", SPLITS, False, False),
+    CriterionEntry("stability", "f_stab", "F_stab", 3, "#e69f00", SPLITS, True),
+    CriterionEntry("plan", "f_plan", "F_plan", 0, "#0072b2", SPLITS, False),
+    CriterionEntry("reach", "f_reach", "F_reach", 1, "#56b4e9", SPLITS, True),
+    CriterionEntry("affordance", "f_afford", "F_afford", 4, "#cc79a7", ("S1",), False),
+    CriterionEntry("safe", "f_safe", "F_safe", 2, "#d55e00", SPLITS, False),
 )
 """The criteria in the order in which the first failure is looked for. Stored columns, outcomes,
 rates, headings, charts and re-scoring follow it. A new criterion needs an entry here, a member of

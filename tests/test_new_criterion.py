@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "r2h_batch"
-ENTRY = '    CriterionEntry("height", "f_height", "F_height", 5, "#666666", SPLITS, True, False),\n'
+ENTRY = '    CriterionEntry("height", "f_height", "F_height", 5, "#666666", SPLITS, True),\n'
 FUNCTION = '''
 
 def height(e: Evidence) -> Criterion:

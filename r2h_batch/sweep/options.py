@@ -559,11 +559,6 @@ def _without_config(
     return flags, path, chosen
 
 
-def as_yaml(options: Options) -> str:
-    """The options as a file that `load_config` reads back equal."""
-    return "".join(f"{key}: {json.dumps(value)}\n" for key, value in asdict(options).items())
-
-
 GIVEN = ("trials", "scene", "seed", "evaluator", "noise", "predictor", "seen", "instructions")
 """Arguments of a method that the sweep passes; its other keyword arguments are its options:
 `--method contact,gate=ik`."""
