@@ -12,7 +12,7 @@ from r2h_batch import se3
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, close_pads, open_clearance
 from r2h_batch.kernels.judge import rows as row_kernels
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.predictors.hands import estimated_hand
 from r2h_batch.predictors.noise import PredictorNoise
 from r2h_batch.scene.person import with_person
@@ -69,11 +69,7 @@ def attach_object(
         scene.grasp_tables, T_obj_ee, objects, mode=config.width, **on
     )
     cut, cut_part = open_clearance(scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M, **on)
-    margin, squeezed = torch.empty(
-        (2, len(active)), dtype=torch.float32, device=active.device
-    ).unbind(0)
-    attached = torch.empty_like(T_obj_ee)
-    ball = torch.empty((attached.shape[0], 3), dtype=attached.dtype, device=attached.device)
+    made = new_outputs(row_kernels.close_rows, len(active), scene.device)
     point, normal = scene.palms
     launch_trials(
         row_kernels.close_rows,
@@ -95,12 +91,13 @@ def attach_object(
             "empty": empty,
             "cut": cut,
         },
-        outputs={"margin": margin, "squeezed": squeezed, "attached": attached, "ball": ball},
+        outputs=made,
         device=scene.device,
         threads=threads,
         chunk=ROWS_CHUNK,
     )
-    grasp = Grasp(width, opening, shift, empty, cut, margin, cut_part)
+    grasp = Grasp(width, opening, shift, empty, cut, made["margin"], cut_part)
+    attached = made["attached"]
     body_poses = scene.body_poses(objects, hands, attached, T_world_hand, opening, threads=threads)
     planner_poses = body_poses
     if config.plan.hand == "estimated":
@@ -117,9 +114,9 @@ def attach_object(
         hands,
         objects,
         grasp,
-        squeezed,
+        made["squeezed"],
         attached,
-        ball,
+        made["ball"],
         body_poses,
         planner_poses,
     )
@@ -148,10 +145,8 @@ def _usable(
     have waited.
     """
     given = [(T.detach() if T.requires_grad else T).contiguous() for T in poses]
-    b, device = len(given[0]), given[0].device
-    clean = torch.empty((3, b, 4, 4), dtype=torch.float32, device=device)
-    objects, hands = (torch.empty_like(x) for x in (trials.object_index, trials.hand_index))
-    active = torch.empty(b, dtype=torch.bool, device=device)
+    b = len(given[0])
+    made = new_outputs(row_kernels.usable_rows, b, scene.device)
     launch_trials(
         row_kernels.usable_rows,
         b,
@@ -164,14 +159,10 @@ def _usable(
             "object": trials.object_index.contiguous(),
             "hand": trials.hand_index.contiguous(),
         },
-        outputs={
-            "active": active,
-            **dict(zip(("T_obj_ee", "T_world_ee", "T_world_hand"), clean.unbind(0), strict=True)),
-            "object": objects,
-            "hand": hands,
-        },
+        outputs=made,
         device=scene.device,
         threads=threads,
         chunk=ROWS_CHUNK,
     )
-    return active, clean.unbind(0), objects, hands
+    clean = tuple(made[k] for k in ("T_obj_ee", "T_world_ee", "T_world_hand"))
+    return made["active"], clean, made["object"], made["hand"]

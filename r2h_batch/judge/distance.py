@@ -18,7 +18,7 @@ from r2h_batch.kernels.judge.overlap import hand_overlap, path_overlap
 from r2h_batch.kernels.motion.worlds import WINDOW
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.kernels.plan.lines import path_clearance
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
@@ -111,16 +111,12 @@ def _nearest(
             "pair": pair,
             "body": torch.where(length > 0, body, -1),
         }, meets
-    distance = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
-    body = torch.full((b,), -1, dtype=torch.int32, device=device)
-    found = {
-        "clearance": distance,
-        "pair": torch.zeros(b, dtype=torch.int32, device=device),
-        "body": body,
-    }
+    found = new_outputs(path_clearance, b, device)
+    found["clearance"].fill_(torch.nan)
+    found["body"].fill_(-1)
     asked = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
     launch_trials(path_clearance, b, inputs=asked, outputs=found, chunk=8, **on)
-    return found, torch.nonzero((length > 0) & (distance < 0)).flatten().to(torch.int32)
+    return found, torch.nonzero((length > 0) & (found["clearance"] < 0)).flatten().to(torch.int32)
 
 
 @dataclass(frozen=True)
@@ -149,7 +145,6 @@ def hand_distance(
     a primitive, which no translation that parts them can be shorter than. Between two samples the
     arm may be off their line (`over_motion`).
     """
-    device = active.device
     on: dict[str, Any] = {"device": scene.device, "threads": threads}
 
     def measure(
@@ -157,16 +152,10 @@ def hand_distance(
     ) -> tuple[Tensor, ...]:
         b, moves = len(length), (length > 0) & (active if rows is None else active[rows])
         tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": bodies.bodies}
-        distance, fraction = torch.zeros((2, b), dtype=torch.float32, device=device).unbind(0)
-        body, segment = torch.full((2, b), -1, dtype=torch.int32, device=device).unbind(0)
-        point = torch.zeros((b, 3), dtype=torch.float32, device=device)
-        found = {
-            "distance": distance,
-            "body": body,
-            "segment": segment,
-            "fraction": fraction,
-            "point": point,
-        }
+        found = new_outputs(safe_kernels.safe_distance, b, scene.device)
+        found["body"].fill_(-1)
+        found["segment"].fill_(-1)
+        distance = found["distance"]
         motion = {"path": path, "length": length}
         if uses_frontier(scene.device):
             frontier = SafeFrontier(scene, bodies, **motion, tolerance=SAFE_TOLERANCE_M)
@@ -183,7 +172,8 @@ def hand_distance(
         # own
         inputs = {**tables, "row": meets, **motion}
         launch_trials(hand_overlap, len(meets), inputs=inputs, outputs=found, chunk=1, **on)
-        return torch.where(moves, distance, torch.nan), body, segment, fraction, point
+        more = (found[k] for k in ("body", "segment", "fraction", "point"))
+        return torch.where(moves, distance, torch.nan), *more
 
     distance, body, segment, fraction, point, begins = over_motion(
         scene, body_poses, executed, measure, threads=threads
@@ -271,13 +261,10 @@ def hand_distance_at(
 ) -> NearestApproach:
     """The distance of the robot from the hand at the postures `q` (rad), measured as in
     `hand_distance`."""
-    b, device = len(active), active.device
-    distance = torch.empty(b, dtype=torch.float32, device=device)
-    body = torch.empty(b, dtype=torch.int32, device=device)
-    point = torch.empty((b, 3), dtype=torch.float32, device=device)
+    made = new_outputs(goal_safe_distance, len(active), scene.device)
     launch_trials(
         goal_safe_distance,
-        b,
+        len(active),
         inputs={
             "cap": CLEARANCE_CAP_M,
             "world": scene.world,
@@ -286,12 +273,13 @@ def hand_distance_at(
             "active": active.contiguous(),
             "q": q,
         },
-        outputs={"distance": distance, "body": body, "point": point},
+        outputs=made,
         device=scene.device,
         threads=threads,
     )
+    distance, body = made["distance"], made["body"]
     return NearestApproach(
-        distance, body, torch.zeros_like(body), torch.zeros_like(distance), point
+        distance, body, torch.zeros_like(body), torch.zeros_like(distance), made["point"]
     )
 
 

@@ -13,7 +13,7 @@ from r2h_batch.config import Thresholds
 from r2h_batch.kernels.grasp import region as region_kernels
 from r2h_batch.kernels.grasp import width as width_kernels
 from r2h_batch.kernels.robot import gripper as gripper_kernels
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.scene.grasp_tables import GraspTables, gripper_tables
 
 __all__ = [
@@ -105,9 +105,7 @@ def close_pads(
     """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open
     gripper cuts."""
     n = _checked(tables, T_obj_ee, object_index, known)
-    width, opening, shift = torch.empty((3, n), dtype=torch.float32, device=tables.device).unbind(0)
-    empty = torch.empty(n, dtype=torch.bool, device=tables.device)
-    steps = torch.empty(n, dtype=torch.int32, device=tables.device)
+    made = new_outputs(width_kernels.close_gripper, n, tables.device)
     launch_trials(
         width_kernels.close_gripper,
         n,
@@ -119,17 +117,11 @@ def close_pads(
             "T_obj_ee": T_obj_ee,
             "object_index": object_index,
         },
-        outputs={
-            "width": width,
-            "opening": opening,
-            "shift": shift,
-            "empty": empty,
-            "steps": steps,
-        },
+        outputs=made,
         device=tables.device,
         threads=threads,
     )
-    return width, opening, shift, empty
+    return made["width"], made["opening"], made["shift"], made["empty"]
 
 
 def attach(
@@ -243,12 +235,10 @@ def _clearance(
     known: bool = False,
 ) -> tuple[Tensor, Tensor]:
     n = _checked(tables, T_obj_ee, object_index, known)
-    count = tables.gripper.kind.shape[0]
-    R, p = _empty_poses(n, count, tables.device)
-    distance = torch.empty(n, dtype=torch.float32, device=tables.device)
-    part = torch.empty(n, dtype=torch.int32, device=tables.device)
+    kernel, count = region_kernels.primitives_clearance, tables.gripper.kind.shape[0]
+    made = new_outputs(kernel, n, tables.device, R=count, p=count)
     launch_trials(
-        region_kernels.primitives_clearance,
+        kernel,
         n,
         inputs={
             "gripper": tables.gripper,
@@ -262,11 +252,11 @@ def _clearance(
             "object_index": object_index,
             "opening": opening_m,
         },
-        outputs={"R": R, "p": p, "clearance": distance, "witness": part},
+        outputs=made,
         device=tables.device,
         threads=threads,
     )
-    return distance, part
+    return made["clearance"], made["witness"]
 
 
 def gripper_poses(
@@ -276,21 +266,17 @@ def gripper_poses(
     (m)."""
     device = str(opening_m.device)
     g = gripper_tables(robot, device)
-    R, p = _empty_poses(len(opening_m), g.kind.shape[0], device)
+    count = g.kind.shape[0]
+    made = new_outputs(gripper_kernels.gripper_poses, len(opening_m), device, R=count, p=count)
     launch_trials(
         gripper_kernels.gripper_poses,
         len(opening_m),
         inputs={"gripper": g, "opening": opening_m},
-        outputs={"R": R, "p": p},
+        outputs=made,
         device=device,
         threads=threads,
     )
-    return R, p
-
-
-def _empty_poses(n: int, count: int, device: str) -> tuple[Tensor, Tensor]:
-    R = torch.empty((n, count, 3, 3), dtype=torch.float32, device=device)
-    return R, torch.empty((n, count, 3), dtype=torch.float32, device=device)
+    return made["R"], made["p"]
 
 
 def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known: bool) -> int:

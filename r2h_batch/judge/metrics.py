@@ -19,7 +19,7 @@ from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
 from r2h_batch.judge.grasp_physics import DROPPED_M
 from r2h_batch.kernels.judge import reach as reach_kernels
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import REGISTRY, MarginKind, PlanReason
 
@@ -146,11 +146,11 @@ def reach(e: Evidence) -> Criterion:
     The mesh's tree stands in the object's frame: the ball is moved there, not the object.
     """
     held = e.held
-    distance, nearest = torch.empty_like(held.ball[:, 0]), torch.empty_like(held.ball)
+    made = new_outputs(reach_kernels.point_to_object, len(held.ball), e.scene.device)
     surfaces = e.scene.grasp_tables.surfaces
     launch_trials(
         reach_kernels.point_to_object,
-        len(distance),
+        len(held.ball),
         inputs={
             "cap": FARTHEST_M,
             "mesh": e.scene.reach_mesh_ids,
@@ -159,12 +159,12 @@ def reach(e: Evidence) -> Criterion:
             "object": held.objects,
             "point": held.ball,
         },
-        outputs={"distance": distance, "nearest": nearest},
+        outputs=made,
         device=e.scene.device,
         threads=e.threads,
         chunk=64,
     )
-    return Criterion.of("reach", e.config.thresholds.reach_radius_m - distance, held.active)
+    return Criterion.of("reach", e.config.thresholds.reach_radius_m - made["distance"], held.active)
 
 
 def affordance(e: Evidence) -> Criterion:

@@ -20,7 +20,7 @@ from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
-from r2h_batch.launch import launch_trials, load
+from r2h_batch.launch import launch_trials, load, new_outputs
 from r2h_batch.launch.threads import one_torch_thread
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import PlanReason
@@ -149,10 +149,10 @@ def _least_clearance(
     robot's body."""
     if run.frontier is not None:
         return run.frontier.clearance(path, length)
-    b, device = len(path), path.device
-    least = torch.full((b,), -torch.inf, dtype=torch.float32, device=device)
-    pair = torch.zeros(b, dtype=torch.int32, device=device)
-    body = torch.full((b,), -1, dtype=torch.int32, device=device)
+    b = len(path)
+    made = new_outputs(path_clearance, b, path.device)
+    made["clearance"].fill_(-torch.inf)
+    made["body"].fill_(-1)
     run(
         path_clearance,
         b,
@@ -162,10 +162,10 @@ def _least_clearance(
             "path": path,
             "length": length,
         },
-        outputs={"clearance": least, "pair": pair, "body": body},
+        outputs=made,
         chunk=8,
     )
-    return least, pair, body
+    return made["clearance"], made["pair"], made["body"]
 
 
 def path_clearances(
@@ -270,17 +270,15 @@ class Planner:
         if self.frontier is not None:
             return self.frontier.check(q.contiguous(), active, per_trial)
         n = len(q)
-        clear = torch.zeros(n, dtype=torch.bool, device=q.device)
-        pair = torch.zeros(n, dtype=torch.int32, device=q.device)
-        clearance = torch.zeros(n, dtype=torch.float32, device=q.device)
+        made = new_outputs(check_postures, n, q.device)
         self(
             check_postures,
             n,
             inputs={"per_trial": per_trial, "active": active.contiguous(), "q": q.contiguous()},
-            outputs={"clear": clear, "pair": pair, "hand_clearance": clearance},
+            outputs=made,
             chunk=64,
         )
-        return clear, pair, clearance
+        return made["clear"], made["pair"], made["hand_clearance"]
 
     def straight(
         self, home: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, moveit: int

@@ -3,14 +3,13 @@ the verdict."""
 
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
 
 from r2h_batch.config import FARTHEST_M, Thresholds
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.kernels.judge import presented as kernels
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.scene.scene import Scene
 
 __all__ = ["FACING_DEG", "Presented", "presented"]
@@ -37,10 +36,7 @@ def presented(
     the ball's radius of c_h."""
     meshes, center = scene.regions
     point, _ = scene.palms
-    angle, distance = torch.empty(
-        (2, len(held.active)), dtype=torch.float32, device=held.active.device
-    ).unbind(0)
-    found = Presented(angle, distance, torch.empty_like(held.active))
+    made = new_outputs(kernels.region_presented, len(held.active), scene.device)
     launch_trials(
         kernels.region_presented,
         len(held.active),
@@ -59,13 +55,9 @@ def presented(
             "T_world_hand": held.T_world_hand,
             "ball": held.ball,
         },
-        outputs={
-            "presented": found.presented,
-            "angle": found.angle_deg,
-            "distance": found.distance_m,
-        },
+        outputs=made,
         device=scene.device,
         threads=threads,
         chunk=64,
     )
-    return found
+    return Presented(made["angle"], made["distance"], made["presented"])

@@ -14,7 +14,7 @@ import torch
 import warp as wp
 
 from r2h_batch.launch import cached
-from r2h_batch.launch.arguments import bind
+from r2h_batch.launch.arguments import bind, new_outputs
 from r2h_batch.launch.threads import cpu_threads, share, thread_pool
 
 __all__ = [
@@ -29,6 +29,7 @@ __all__ = [
     "launch",
     "launch_trials",
     "load",
+    "new_outputs",
     "thread_pool",
 ]
 

@@ -161,6 +161,25 @@ def bind(
         raise _wrong_names(signature, inputs, outputs) from None
 
 
+def new_outputs(kernel: Any, n: int, device: Any, **sizes: int) -> dict[str, Tensor]:
+    """Memory of `n` rows for each array that a kernel over trials writes and does not read, by the
+    names of `bind`.
+
+    Args:
+        kernel: its parameters that end in `_out` (zeros) or `_scratch` (no numbers yet).
+        n: rows.
+        device: of torch or by name.
+        sizes: of each array with a second dimension, how large that is.
+    """
+    made = {}
+    for p in parameters(kernel):
+        if p.array is not None and p.label.endswith(("_out", "_scratch")):
+            shape = (n, *((sizes[p.name],) if p.array.ndim > 1 else ()), *p.array.item)
+            new = torch.zeros if p.label.endswith("_out") else torch.empty
+            made[p.name] = new(shape, dtype=p.array.torch, device=device)
+    return made
+
+
 def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
     """A `kind` (of wp.struct) whose arrays are these tensors' memory, which it keeps. They lie on
     one device.

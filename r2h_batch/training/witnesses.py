@@ -17,7 +17,7 @@ from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.kernels.witness import closing as closing_kernels
 from r2h_batch.kernels.witness import posture as posture_kernels
 from r2h_batch.kernels.witness import surface as kernels
-from r2h_batch.launch import launch_trials
+from r2h_batch.launch import launch_trials, new_outputs
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training.first_order import Arm, Closing, Contact
 
@@ -51,17 +51,11 @@ def closing(
 ) -> Closing:
     """What the pads met, where the evaluator found these (width NaN: nothing); `T_obj_ee` before
     the object moved."""
-    b, device = len(T_obj_ee), T_obj_ee.device
-    points = torch.zeros((b, 4, 3), dtype=torch.float32, device=device)
-    slope_x, slope_z, lift = (
-        torch.zeros((b, 4), dtype=torch.float32, device=device),
-        torch.zeros((b, 4), dtype=torch.float32, device=device),
-        torch.zeros(b, dtype=torch.float32, device=device),
-    )
-    state = torch.zeros(b, dtype=torch.int32, device=device)
+    kernel, b = closing_kernels.closing_witness, len(T_obj_ee)
+    made = new_outputs(kernel, b, scene.device, point=4, slope_x=4, slope_z=4)
     tables = scene.grasp_tables
     launch_trials(
-        closing_kernels.closing_witness,
+        kernel,
         b,
         inputs={
             "gripper": tables.gripper,
@@ -73,24 +67,15 @@ def closing(
             "width": width_m.contiguous(),
             "opening": opening_m.contiguous(),
         },
-        outputs={
-            "point": points,
-            "slope_x": slope_x,
-            "slope_z": slope_z,
-            "lift": lift,
-            "state": state,
-        },
+        outputs=made,
         device=scene.device,
         threads=threads,
     )
     return Closing(
-        T_obj_ee,
-        points,
-        slope_x,
-        slope_z,
-        lift,
-        state,
-        (state > 0) & (width_m <= scene.robot.open_gap_m),
+        T_obj_ee=T_obj_ee,
+        point_obj=made.pop("point"),
+        centred=(made["state"] > 0) & (width_m <= scene.robot.open_gap_m),
+        **made,
     )
 
 
@@ -111,13 +96,9 @@ def fingers(
     `distance_m`: the evaluator's distance. The fingers count for the region, the whole gripper for
     the object.
     """
-    b, device, tables = len(T_obj_ee), T_obj_ee.device, scene.grasp_tables
-    bound = torch.where(wanted, distance_m + SLACK_M, -torch.inf)
-    part = torch.full((b,), -1, dtype=torch.int32, device=device)
-    distance = torch.zeros(b, dtype=torch.float32, device=device)
-    point, normal, finger = (
-        torch.zeros((b, 3), dtype=torch.float32, device=device) for _ in range(3)
-    )
+    b, tables = len(T_obj_ee), scene.grasp_tables
+    made = new_outputs(kernels.surface_witness, b, scene.device)
+    made["part"].fill_(-1)
     launch_trials(
         kernels.surface_witness,
         b,
@@ -129,19 +110,13 @@ def fingers(
             "T_obj_ee": T_obj_ee.contiguous(),
             "object_index": object_index,
             "opening": opening_m.contiguous(),
-            "bound": bound,
+            "bound": torch.where(wanted, distance_m + SLACK_M, -torch.inf),
         },
-        outputs={
-            "part": part,
-            "distance": distance,
-            "point": point,
-            "normal": normal,
-            "finger": finger,
-        },
+        outputs=made,
         device=scene.device,
         threads=threads,
     )
-    return Contact(point, normal, finger, part >= 0)
+    return Contact(made["point"], made["normal"], made["finger"], made["part"] >= 0)
 
 
 def nearest_to_point(
@@ -156,7 +131,7 @@ def nearest_to_point(
     """The point of the object's mesh nearest to `point` of some frame (object frame), and the way there (that
     frame; zero inside)."""
     x = se3.apply(se3.inverse(T_frame_obj), point).contiguous()
-    distance, nearest = torch.zeros(len(x), dtype=x.dtype, device=x.device), torch.zeros_like(x)
+    made = new_outputs(reach_kernels.point_to_object, len(x), scene.device)
     launch_trials(
         reach_kernels.point_to_object,
         len(x),
@@ -168,11 +143,12 @@ def nearest_to_point(
             "object": object_index,
             "point": x,
         },
-        outputs={"distance": distance, "nearest": nearest},
+        outputs=made,
         device=scene.device,
         threads=threads,
         chunk=256,
     )
+    distance, nearest = made["distance"], made["nearest"]
     away = se3.apply(T_frame_obj, nearest) - point
     outside = (distance > 0)[:, None]
     return nearest, torch.where(
@@ -196,7 +172,7 @@ def off_region(
     """
     points, free = _sample_points(scene)
     x = T_obj_ee[:, :3, 3].clone(memory_format=torch.contiguous_format)
-    nearest, found = torch.zeros_like(x), torch.zeros(len(x), dtype=torch.bool, device=x.device)
+    made = new_outputs(kernels.nearest_of_points, len(x), scene.device)
     launch_trials(
         kernels.nearest_of_points,
         len(x),
@@ -207,11 +183,12 @@ def off_region(
             "wanted": wanted.contiguous(),
             "x": x,
         },
-        outputs={"found": found, "nearest": nearest},
+        outputs=made,
         device=scene.device,
         threads=threads,
         chunk=256,
     )
+    nearest, found = made["nearest"], made["found"]
     way = se3.apply(se3.inverse(T_obj_ee), nearest)
     length = (way[:, 0].square() + way[:, 1].square() + way[:, 2].square()).sqrt()[:, None]
     return nearest, torch.where(found[:, None] & (length > 0), way / length.clamp(min=1e-9), 0.0)
@@ -243,15 +220,10 @@ def hand_contact(
     `distance_m`: the evaluator's. The normal points from the robot to the hand: that way the
     distance grows.
     """
-    b, device = len(body), body.device
-    found = torch.zeros(b, dtype=torch.bool, device=device)
-    point, normal = (
-        torch.zeros((b, 3), dtype=torch.float32, device=device),
-        torch.zeros((b, 3), dtype=torch.float32, device=device),
-    )
+    made = new_outputs(posture_kernels.hand_witness, len(body), scene.device)
     launch_trials(
         posture_kernels.hand_witness,
-        b,
+        len(body),
         inputs={
             "world": scene.world,
             "mesh": scene.hand_mesh,
@@ -260,12 +232,12 @@ def hand_contact(
             "body": body.contiguous(),
             "distance": distance_m.contiguous(),
         },
-        outputs={"found": found, "point": point, "normal": normal},
+        outputs=made,
         device=scene.device,
         threads=threads,
         chunk=64,
     )
-    return found, point, normal
+    return made["found"], made["point"], made["normal"]
 
 
 def finger_motion(
@@ -277,7 +249,7 @@ def finger_motion(
     threads: int | None = None,
 ) -> Float32[Tensor, "b 3"]:
     """How points of gripper primitives (-1: none) move per metre of opening, ee frame."""
-    velocity = torch.zeros_like(point_ee, memory_format=torch.contiguous_format)
+    made = new_outputs(posture_kernels.finger_velocities, len(part), scene.device)
     launch_trials(
         posture_kernels.finger_velocities,
         len(part),
@@ -287,12 +259,12 @@ def finger_motion(
             "opening": opening_m.contiguous(),
             "point": point_ee.contiguous(),
         },
-        outputs={"velocity": velocity},
+        outputs=made,
         device=scene.device,
         threads=threads,
         chunk=256,
     )
-    return velocity
+    return made["velocity"]
 
 
 def arm_at(scene: Scene, q: Float32[Tensor, "b 6"], *, threads: int | None = None) -> Arm:
