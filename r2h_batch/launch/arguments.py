@@ -171,13 +171,36 @@ def new_outputs(kernel: Any, n: int, device: Any, **sizes: int) -> dict[str, Ten
         device: of torch or by name.
         sizes: of each array with a second dimension, how large that is.
     """
-    made = {}
-    for p in parameters(kernel):
-        if p.array is not None and p.label.endswith(("_out", "_scratch")):
-            shape = (n, *((sizes[p.name],) if p.array.ndim > 1 else ()), *p.array.item)
-            new = torch.zeros if p.label.endswith("_out") else torch.empty
-            made[p.name] = new(shape, dtype=p.array.torch, device=device)
-    return made
+    return {
+        p.name: _new_array(p, n, device, sizes, zeros=p.label.endswith("_out"))
+        for p in parameters(kernel)
+        if p.array is not None and p.label.endswith(("_out", "_scratch"))
+    }
+
+
+def new_struct(
+    kind: Any, n: int, device: Any, given: Mapping[str, Tensor] | None = None, **sizes: int
+) -> Any:
+    """A `kind` (of wp.struct) with memory of `n` rows for each array; there are no numbers in it yet.
+
+    Args:
+        kind: what is made; `struct_of` says how.
+        n: rows.
+        device: of torch or by name.
+        given: tensors that stand in their arrays' places.
+        sizes: of each other array with a second dimension, how large that is.
+    """
+    given = given or {}
+    new = {name: _new_array(p, n, device, sizes) for name, p in _fields(kind) if name not in given}
+    return struct_of(kind, {**new, **given})
+
+
+def _new_array(
+    p: Parameter, n: int, device: Any, sizes: Mapping[str, int], *, zeros: bool = False
+) -> Tensor:
+    assert p.array is not None
+    shape = (n, *((sizes[p.name],) if p.array.ndim > 1 else ()), *p.array.item)
+    return (torch.zeros if zeros else torch.empty)(shape, dtype=p.array.torch, device=device)
 
 
 def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:

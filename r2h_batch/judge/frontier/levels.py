@@ -10,6 +10,7 @@ trial: the same goals and lines, clearances within the tolerance of both.
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -34,7 +35,7 @@ from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, PAIR_OF_OBJECT, POST
 from r2h_batch.kernels.plan.lines import CLEARANCE_CAP
 from r2h_batch.kernels.robot.world import FIELDS
 from r2h_batch.launch import launch_trials
-from r2h_batch.launch.arguments import struct_of
+from r2h_batch.launch.arguments import new_struct, parameters, struct_of
 
 LANES, CUDA_LANES = 1, 1 << 16
 """Threads of a launch on a CPU and on CUDA; thread i takes entries i, i + threads, ... of a queue."""
@@ -85,59 +86,81 @@ class Lines:
     hand_margin: Float32[Tensor, " e"]
 
 
-class Frontier:
-    """Levels over `rows` trials; `world` and `bodies` (`scene`) as the planning kernels take them.
+class Levels:
+    """Kernels that take what they need of `tables`, and the queues that they fill on a device.
 
     `full` is 1 once a queue was too short: then nothing that came out counts (`refuse_if_full`).
     """
 
+    def __init__(self, tables: dict[str, Any], device: str) -> None:
+        self.device = device
+        self.lanes, self.least = (LANES, LEAST) if device == "cpu" else (CUDA_LANES, LEAST_CUDA)
+        self.full = torch.zeros(1, dtype=torch.int32, device=device)
+        self.counts = torch.zeros(int(queues.COUNTS), dtype=torch.int32, device=device)
+        self.tables = tables | {"counts": struct_of(queues.Counts, {"n": self.counts})}
+
+    def launch(
+        self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Any] | None = None
+    ) -> None:
+        """With those of the tables and queues that the kernel takes; on a CPU one thread, as its
+        additions are not atomic."""
+        inputs = {k: v for k, v in self.tables.items() if k in _taken(kernel)} | inputs
+        launch_trials(
+            kernel,
+            n,
+            inputs=inputs,
+            outputs=outputs or {},
+            device=self.device,
+            threads=1,
+            uneven=True,
+        )
+
+    def clear(self) -> None:
+        """Empties all queues."""
+        self.counts.zero_()
+
+    def note_full(self) -> None:
+        """Keeps in mind that a queue was too short."""
+        self.full |= self.counts[queues.FULL : queues.FULL + 1]
+
+    def refuse_if_full(self) -> None:
+        """Raises MemoryError when a queue was too short since these levels were made; on a GPU the
+        host waits for that."""
+        if int(self.full):
+            raise MemoryError(TOO_SHORT)
+
+    def rows_where(self, mask: Bool[Tensor, " b"]) -> Int32[Tensor, " r"]:
+        """Numbers of the rows that `mask` has, and `refuse_if_full`, for one wait."""
+        found = torch.nonzero(torch.cat([mask, self.full.bool().expand(len(mask) + 1)])).flatten()
+        if len(found) > len(mask):
+            raise MemoryError(TOO_SHORT)
+        return found.to(torch.int32)
+
+
+@cache
+def _taken(kernel: Any) -> frozenset[str]:
+    """Names of a kernel's inputs."""
+    return frozenset(p.name for p in parameters(kernel) if not p.written)
+
+
+class Frontier(Levels):
+    """Levels over `rows` trials; `world` and `bodies` (`scene`) as the planning kernels take them."""
+
     def __init__(self, world: Any, bodies: Any, device: str, rows: int) -> None:
         self.scene = {"world": world, "bodies": bodies}
-        self.device = device
-        least = LEAST if device == "cpu" else LEAST_CUDA
-        self._room = max(PER_ROW * rows, least)
-        self._tables = self.scene | self._queues(self._room)
-        self.full = torch.zeros(1, dtype=torch.int32, device=device)
-
-    @property
-    def _lanes(self) -> int:
-        return LANES if self.device == "cpu" else CUDA_LANES
-
-    def _new(self, *shape: int, dtype: torch.dtype = torch.int32) -> Tensor:
-        return torch.empty(shape, dtype=dtype, device=self.device)
+        super().__init__(self.scene, device)
+        self._room = max(PER_ROW * rows, self.least)
+        self.tables |= self._queues(self._room)
 
     def _queues(self, n: int) -> dict[str, Any]:
         """Room for n intervals."""
-        new, real = self._new, torch.float32
-        m, p = BODIES_PER_INTERVAL * n, PAIRS_PER_INTERVAL * n
-        self._counts = torch.zeros(int(queues.COUNTS), dtype=torch.int32, device=self.device)
-        self.intervals = [
-            struct_of(
-                queues.Intervals,
-                {x: new(n) for x in ("edge", "part", "level", "index")}
-                | {"look": new(n, 3, dtype=torch.int64)},
-            )
-            for _ in range(2)
-        ]
-        frames = {
-            "d": new(n, 6, dtype=real), "open": new(n, 3, dtype=torch.int64),
-            "R": new(n, 7, 3, 3, dtype=real), "p": new(n, 7, 3, dtype=real),
-            "w": new(n, FIELDS, 3, dtype=real), "v": new(n, FIELDS, 3, dtype=real),
-        }  # fmt: skip
-        pairs = {x: new(p) for x in ("interval", "body", "other", "steps")}
-        pairs |= {x: new(p, dtype=real) for x in ("needed", "lower", "upper")}
-        pairs |= {
-            "R": new(p, 3, 3, dtype=real),
-            "p": new(p, 3, dtype=real),
-            "v": new(p, 3, dtype=real),
-        }
+        device = self.device
+        self.intervals = [new_struct(queues.Intervals, n, device, look=3) for _ in range(2)]
+        bodies = int(queues.KINDS) * BODIES_PER_INTERVAL * n
         return {
-            "frames": struct_of(queues.Frames, frames),
-            "queue_bodies": struct_of(
-                queues.Bodies, {x: new(queues.KINDS * m) for x in ("interval", "body", "links")}
-            ),
-            "pairs": struct_of(queues.Pairs, pairs),
-            "counts": struct_of(queues.Counts, {"n": self._counts}),
+            "frames": new_frames(n, device),
+            "queue_bodies": new_struct(queues.Bodies, bodies, device),
+            "pairs": new_struct(queues.Pairs, PAIRS_PER_INTERVAL * n, device),
         }
 
     def check(
@@ -242,24 +265,6 @@ class Frontier:
         margins are kept (0)."""
         self._asked = {"track": track, "tolerance": tolerance}
 
-    def clear(self) -> None:
-        """Empties all queues."""
-        self._counts.zero_()
-
-    def note_full(self) -> None:
-        """Keeps in mind that a queue was too short."""
-        self.full |= self._counts[queues.FULL : queues.FULL + 1]
-
-    def refuse_if_full(self) -> None:
-        """Raises MemoryError when a queue was too short since these levels were made; on a GPU the
-        host waits for that."""
-        if int(self.full):
-            raise MemoryError(TOO_SHORT)
-
-    def rows_where(self, mask: Bool[Tensor, " b"]) -> Int32[Tensor, " r"]:
-        """Numbers of the rows that `mask` has, and `refuse_if_full`, for one wait."""
-        return rows_where(mask, self.full)
-
     def _refuse_at_once(self) -> None:
         """On a CPU, where asking costs nothing; on a GPU planning asks at its end."""
         if self.device == "cpu":
@@ -280,11 +285,8 @@ class Frontier:
             tensors = {
                 k: torch.cat([x, x.new_empty((more, *x.shape[1:]))]) for k, x in tensors.items()
             }
-        left = self._new(len(tensors["trial"]))
-        return struct_of(
-            queues.Edges,
-            {k: x.contiguous() for k, x in tensors.items()} | {"found": found, "left": left},
-        )
+        given = {k: x.contiguous() for k, x in tensors.items()} | {"found": found}
+        return new_struct(queues.Edges, len(given["trial"]), self.device, given)
 
     def _run(self, edges: Any, used: Tensor, mode: int, *, hand_only: int = 0) -> None:
         """Queues the edges in use, and runs all levels that they may need."""
@@ -309,7 +311,7 @@ class Frontier:
         self.launch_queued(clear_links, every | {"parity": parity} | self._asked)
         for kernel in (near_hand, near_pieces, near_table, near_bodies):
             self.launch_queued(kernel, every | self._asked)
-        self.launch(pair_distances, self._lanes, every | {"track": self._asked["track"]})
+        self.launch(pair_distances, self.lanes, every | {"track": self._asked["track"]})
         self.launch_queued(settle_pairs, every | self._asked)
         more = {"parity": parity, "certify": certify, "later": later, "track": self._asked["track"]}
         self.launch_queued(halve, every | more)
@@ -317,24 +319,7 @@ class Frontier:
     def launch_queued(self, kernel: Any, inputs: dict[str, Any]) -> None:
         """`launch` with as many threads as there may be: each takes every so-manieth entry of the
         kernel's queue."""
-        self.launch(kernel, self._lanes, inputs | {"lanes": self._lanes})
-
-    def launch(
-        self, kernel: Any, n: int, inputs: dict[str, Any], outputs: dict[str, Any] | None = None
-    ) -> None:
-        """With those of the tables and queues that the kernel takes; on a CPU one thread, as its
-        additions are not atomic."""
-        taken = {a.label for a in kernel.adj.args}
-        inputs = inputs | {k: v for k, v in self._tables.items() if k in taken}
-        launch_trials(
-            kernel,
-            n,
-            inputs=inputs,
-            outputs=outputs or {},
-            device=self.device,
-            threads=1,
-            uneven=True,
-        )
+        self.launch(kernel, self.lanes, inputs | {"lanes": self.lanes})
 
     def _read(self, found: Int64[Tensor, " o"]) -> tuple[Tensor, Tensor, Tensor]:
         """Value, CollidingPair and body of keys."""
@@ -343,7 +328,7 @@ class Frontier:
         order = found & NO_PAIR
         body = torch.where(order >= NO_PAIR - 1, -1, order // 1024)
         pair = order % 1024 // 256 + 1
-        hull = body >= self._tables["world"].n_robot
+        hull = body >= self.tables["world"].n_robot
         pair = torch.where(hull, pair + int(PAIR_OF_OBJECT), pair)
         return value, torch.where(body < 0, 0, pair).to(torch.int32), body.to(torch.int32)
 
@@ -351,13 +336,9 @@ class Frontier:
         return torch.arange(n, dtype=torch.int32, device=self.device)
 
 
-def rows_where(mask: Bool[Tensor, " b"], full: Int32[Tensor, " 1"]) -> Int32[Tensor, " r"]:
-    """Numbers of the rows that `mask` has, for one wait; MemoryError when `full` says that a queue
-    was too short."""
-    found = torch.nonzero(torch.cat([mask, full.bool().expand(len(mask) + 1)])).flatten()
-    if len(found) > len(mask):
-        raise MemoryError(TOO_SHORT)
-    return found.to(torch.int32)
+def new_frames(n: int, device: str) -> Any:
+    """Room for the link frames of n intervals."""
+    return new_struct(queues.Frames, n, device, d=6, open=3, R=7, p=7, w=FIELDS, v=FIELDS)
 
 
 def cap_key(cap: float) -> int:

@@ -20,7 +20,7 @@ from r2h_batch.kernels.frontier.trees import (
     next_edges,
     plant_trees,
 )
-from r2h_batch.launch.arguments import struct_of
+from r2h_batch.launch.arguments import new_struct
 
 FEWEST, MOST = 16, 128
 """Lanes of a problem: an eighth of the iterations, between these. The more, the less each knows of
@@ -85,32 +85,19 @@ class _Search:
         self._iterations, self._lanes, self._capacity = iterations, lanes, _capacity(iterations)
         device, n, all_lanes = rows.device, len(rows), len(rows) * lanes
 
-        def new(*shape: int, dtype: torch.dtype = torch.int32) -> Tensor:
-            return torch.empty(shape, dtype=dtype, device=device)
-
         nodes = n * 2 * self._capacity
-        self._state = new(n)
         trees = {
-            "trial": rows, "nodes": new(nodes, 7, dtype=torch.float32), "parents": new(nodes),
-            "size": new(n, 2), "drawn": new(n), "state": self._state,
-        }  # fmt: skip
-        names = ("phase", "grow", "asking", "number", "near", "origin", "node", "reached")
-        growers = {x: new(all_lanes) for x in names}
-        growers |= {
-            "reach": new(all_lanes, dtype=torch.float32),
-            "target": new(all_lanes, 6, dtype=torch.float32),
+            "trial": rows,
+            "nodes": torch.empty((nodes, 7), dtype=torch.float32, device=device),
+            "parents": torch.empty(nodes, dtype=torch.int32, device=device),
         }
-        growers |= {"nearest": new(all_lanes, dtype=torch.int64)}
-        edges = {x: new(all_lanes) for x in ("trial", "owner", "left")} | {
-            "a": new(all_lanes, 6, dtype=torch.float32), "b": new(all_lanes, 6, dtype=torch.float32),
-            "hand_margin": new(all_lanes, dtype=torch.float32), "found": new(all_lanes, dtype=torch.int64),
-        }  # fmt: skip
-        self._edges = struct_of(Edges, edges)
+        self._edges = new_struct(Edges, all_lanes, device, a=6, b=6)
         self._tables: dict[str, Any] = {
             "edges": self._edges,
-            "trees": struct_of(Trees, trees),
-            "growers": struct_of(Growers, growers),
+            "trees": new_struct(Trees, n, device, trees, size=2),
+            "growers": new_struct(Growers, all_lanes, device, target=6),
         }
+        self._state = self._tables["trees"].tensors["state"]
 
     def __call__(self, seed: int, shorter: float, path: Tensor, length: Tensor) -> None:
         frontier, p = self._frontier, self._problem

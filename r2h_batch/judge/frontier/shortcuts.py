@@ -13,7 +13,7 @@ from r2h_batch.kernels.frontier.arcs import LANES, Arcs, Paths, draw_arcs
 from r2h_batch.kernels.frontier.queues import Edges
 from r2h_batch.kernels.frontier.shortcuts import begin_shortcuts, take_arcs
 from r2h_batch.kernels.plan.codes import WAYPOINTS
-from r2h_batch.launch.arguments import struct_of
+from r2h_batch.launch.arguments import new_struct
 
 ROUNDS_OF_LINES, TRIES_A_ROUND = 2, 4
 """Rounds: so many, and one more for every so many tries that one thread would have."""
@@ -61,29 +61,16 @@ class _Shortcuts:
             **frontier.scene, device=frontier.device, rows=-(-lanes * ROOM // PER_ROW)
         )
 
-        def new(*shape: int, dtype: torch.dtype = torch.int32) -> Tensor:
-            return torch.empty(shape, dtype=dtype, device=device)
-
-        self._state = new(n)
-        paths = {
-            "trial": rows, "state": self._state, "rounds": new(n),
-            "known": new(n, WAYPOINTS, dtype=torch.int64), "copy": new(n, WAYPOINTS, 6, dtype=torch.float32),
-        }  # fmt: skip
-        arcs = {x: new(lanes) for x in ("kind", "number", "lo", "hi", "n", "asking")}
-        arcs |= {
-            "point": new(2 * lanes, 6, dtype=torch.float32),
-            "time": new(lanes, dtype=torch.float32),
-        }
-        edges = {x: new(2 * lanes) for x in ("trial", "owner", "left")} | {
-            "a": new(2 * lanes, 6, dtype=torch.float32), "b": new(2 * lanes, 6, dtype=torch.float32),
-            "hand_margin": new(2 * lanes, dtype=torch.float32), "found": new(lanes, dtype=torch.int64),
-        }  # fmt: skip
-        self._edges = struct_of(Edges, edges)
+        copy = torch.empty((n, WAYPOINTS, 6), dtype=torch.float32, device=device)
+        point = torch.empty((2 * lanes, 6), dtype=torch.float32, device=device)
+        found = torch.empty(lanes, dtype=torch.int64, device=device)
+        self._edges = new_struct(Edges, 2 * lanes, device, {"found": found}, a=6, b=6)
         self._tables: dict[str, Any] = {
             "edges": self._edges,
-            "paths": struct_of(Paths, paths),
-            "arcs": struct_of(Arcs, arcs),
+            "paths": new_struct(Paths, n, device, {"trial": rows, "copy": copy}, known=WAYPOINTS),
+            "arcs": new_struct(Arcs, lanes, device, {"point": point}),
         }
+        self._state = self._tables["paths"].tensors["state"]
 
     def __call__(
         self, law: Law, tries: int, drawn: dict[str, Any], margin: Tensor, inout: dict[str, Tensor]
