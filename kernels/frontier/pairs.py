@@ -137,7 +137,6 @@ def pair_distances(
             pairs.lower[i] = low
             pairs.upper[i] = high
             pairs.v[i] = best_v
-            pairs.steps[i] = steps
             edge = queue.edge[pairs.interval[i]]
             margin = wp.where(pairs.other[i] < 256, edges.hand_margin[edge], 0.0)
             order = order_of(pairs.body[i], pairs.other[i])

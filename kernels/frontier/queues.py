@@ -103,7 +103,6 @@ class Pairs:
     lower: wp.array(dtype=float)
     upper: wp.array(dtype=float)
     v: wp.array(dtype=wp.vec3)
-    steps: wp.array(dtype=int)  # iterations of GJK
 
 
 @wp.func

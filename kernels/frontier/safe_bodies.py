@@ -96,7 +96,6 @@ def pieces_left(world: World, body: MovingBody, hand: int, known: float, allowed
 def safe_first_points(
     first: int,
     lanes: int,
-    tolerance: float,
     world: World,
     mesh: HandMesh,
     bodies: TrialBodies,

@@ -64,7 +64,6 @@ def hull_distances(first: int, tolerance: float, world: World, queue_bodies: Bod
     upper = float(0.0)
     n = int(0)
     steps = int(0)
-    total = int(0)
     s0 = wp.vec3()
     s1 = wp.vec3()
     s2 = wp.vec3()
@@ -83,7 +82,6 @@ def hull_distances(first: int, tolerance: float, world: World, queue_bodies: Bod
                 known = queue_bodies.known[m]
                 limit = known - allowed_of(tolerance, known) + queue_bodies.travel[m]
                 needed = wp.max(limit, known)
-                total = 0
             v = first_direction(p, center)
             best_v = v
             lower = -1.0e30
@@ -91,7 +89,6 @@ def hull_distances(first: int, tolerance: float, world: World, queue_bodies: Bod
             n = 0
             steps = 0
         steps += 1
-        total += 1
         w = R * support(a, world.points, wp.transpose(R) * (-v)) + p
         w = w - support(b, world.points, v)
         radii = a.radius + b.radius
@@ -109,7 +106,6 @@ def hull_distances(first: int, tolerance: float, world: World, queue_bodies: Bod
                 pieces.meets[i] = wp.where(met or cored == 1, 1, 0)
                 pieces.lower[i] = lower - radii - ROUNDING_M
                 pieces.v[i] = best_v
-                pieces.steps[i] = total
                 cored = 0
 
 
@@ -154,7 +150,6 @@ def face_distances(
     upper = float(0.0)
     n = int(0)
     steps = int(0)
-    total = int(0)
     s0 = wp.vec3()
     s1 = wp.vec3()
     s2 = wp.vec3()
@@ -183,7 +178,6 @@ def face_distances(
                 if travel == 0.0 and known < 0.0 and is_edged(a):
                     cored = 1
                     a = rounded(a.kind, a.size)
-                total = 0
             again = 0
             v = first_direction(p, center)
             best_v = v
@@ -192,7 +186,6 @@ def face_distances(
             n = 0
             steps = 0
         steps += 1
-        total += 1
         w = R * support(a, world.points, wp.transpose(R) * (-v)) + p
         w = w - farthest_corner(x, y, z, v)
         fresh, v, best_v, lower, upper, n, s0, s1, s2 = iterate(
@@ -209,7 +202,6 @@ def face_distances(
                 value = face_distance(lower - a.radius - ROUNDING_M, high, a.radius, cored)
                 faces.value[i] = value
                 faces.v[i] = best_v
-                faces.steps[i] = total
                 m = faces.of[i]
                 wp.atomic_min(queue_bodies.nearest, m, value)
                 wp.atomic_min(nearest.distance, queue.trial[queue_bodies.interval[m]], value)

@@ -80,7 +80,6 @@ class Pieces:
     meets: wp.array(dtype=int)  # 1: the body meets the hull; then GJK's numbers are those of its core
     lower: wp.array(dtype=float)
     v: wp.array(dtype=wp.vec3)
-    steps: wp.array(dtype=int)  # iterations of GJK
 
 
 @wp.struct
@@ -103,7 +102,6 @@ class Faces:
     known: wp.array(dtype=float)  # what the face was compared with
     value: wp.array(dtype=float)
     v: wp.array(dtype=wp.vec3)
-    steps: wp.array(dtype=int)
 
 
 # From the highest bits: the block of segments (later blocks come first, as smaller numbers are of later levels), the level

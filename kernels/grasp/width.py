@@ -25,7 +25,6 @@ class Closing:
     high: float
     opening: float
     found: int
-    steps: int
 
 
 @wp.func
@@ -134,7 +133,6 @@ def close_on(g: Gripper, surfaces: Surfaces, s: int, R: wp.mat33, t: wp.vec3, op
     out.high = high
     out.opening = k.top
     out.found = k.found
-    out.steps = k.steps
     return out
 
 
@@ -172,7 +170,6 @@ def close_gripper(
     opening_out: wp.array(dtype=wp.float32),
     shift_out: wp.array(dtype=wp.float32),
     empty_out: wp.array(dtype=wp.bool),
-    steps_out: wp.array(dtype=wp.int32),
 ):
     """Width, opening, shift (m) of each trial's grasp; empty: NaN, open gap, 0; too wide: w, open gap, 0.
 
@@ -197,4 +194,3 @@ def close_gripper(
     opening_out[trial] = opening
     shift_out[trial] = shift
     empty_out[trial] = c.found == 0
-    steps_out[trial] = c.steps

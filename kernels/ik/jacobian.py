@@ -155,12 +155,10 @@ def first_branch(
     valid_in: wp.array2d(dtype=wp.bool),
     # out
     slot_out: wp.array(dtype=int),
-    start_out: wp.array(dtype=int),
 ):
-    """The slot of the branch that the solver reaches, and from which start; -1 where it reaches none."""
+    """The slot of the branch that the solver reaches; -1 where it reaches none."""
     trial = first + wp.tid()
     slot_out[trial] = -1
-    start_out[trial] = -1
     any_branch = bool(False)
     for k in range(8):
         if valid_in[trial, k]:
@@ -182,5 +180,4 @@ def first_branch(
             slot = branch_of(q, q_in, valid_in, trial)
             if slot >= 0:
                 slot_out[trial] = slot
-                start_out[trial] = s
                 return

@@ -123,9 +123,8 @@ def role_means(
     object_in: wp.array(dtype=int),
     role_in: wp.array2d(dtype=wp.uint8),
     mean_out: wp.array(dtype=wp.vec3),
-    count_out: wp.array(dtype=int),
 ):
-    """Mean of the points with a role, and how many they are; the mean of all points where there are none."""
+    """Mean of the points with a role; the mean of all points where there are none."""
     trial = first + wp.tid()
     o = object_in[trial]
     total = wp.vec3d()
@@ -141,4 +140,3 @@ def role_means(
     if count > 0:
         mean = total / wp.float64(count)
     mean_out[trial] = wp.vec3(mean)
-    count_out[trial] = count

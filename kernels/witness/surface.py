@@ -263,7 +263,6 @@ def surface_witness(
     bound_in: wp.array(dtype=wp.float32),
     # out
     part_out: wp.array(dtype=wp.int32),
-    distance_out: wp.array(dtype=wp.float32),
     point_out: wp.array(dtype=wp.vec3),
     normal_out: wp.array(dtype=wp.vec3),
     finger_out: wp.array(dtype=wp.vec3),
@@ -302,7 +301,6 @@ def surface_witness(
                                     point = wp.transpose(R) * (near.x - p)
                                     normal = Rg * near.n
     part_out[trial] = part
-    distance_out[trial] = best
     point_out[trial] = point
     normal_out[trial] = normal
     if part >= 0:

@@ -20,7 +20,7 @@ from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.ik.jacobian import first_branch
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.robot.fk import UrParameters, vec6d
-from r2h_batch.launch import init_warp, launch_trials
+from r2h_batch.launch import init_warp, launch_trials, new_outputs
 
 ITERATIONS = 20
 """Damped least squares steps per seed; the mean is 7."""
@@ -214,7 +214,7 @@ def one_branch(
     home = robot.home_q if home is None else tuple(home)
     n, device = len(T_world_ee), T_world_ee.device
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
-    slot, start = (torch.full((n,), -1, dtype=torch.int32, device=device) for _ in range(2))
+    made = new_outputs(first_branch, n, device)
     launch_trials(
         first_branch,
         n,
@@ -225,14 +225,15 @@ def one_branch(
             q=ik.q,
             valid=ik.valid,
         ),
-        outputs={"slot": slot, "start": start},
+        outputs=made,
         device=place,
         threads=threads,
         chunk=64,
     )
     # argmax of 0 and 1 is the first 1: the first valid branch (slot 0 where there is none; `&
     # ik.valid` drops it)
-    slot = torch.where(slot >= 0, slot.long(), ik.valid.to(torch.int8).argmax(1))
+    slot = made["slot"].long()
+    slot = torch.where(slot >= 0, slot, ik.valid.to(torch.int8).argmax(1))
     return ik.valid & (torch.arange(BRANCHES, dtype=torch.int64, device=device) == slot[:, None])
 
 

@@ -86,7 +86,7 @@ def align_templates(
         torch.zeros((b, 3), dtype=kind, device=device) for kind in (torch.float64, torch.float32)
     )
     error = torch.zeros(b, dtype=torch.float64, device=device)
-    steps, count = (torch.zeros(b, dtype=torch.int32, device=device) for _ in range(2))
+    steps = torch.zeros(b, dtype=torch.int32, device=device)
     result = Alignment(R, p, error, steps, scale, handle)
     if b == 0:
         return result
@@ -117,7 +117,7 @@ def align_templates(
         kernels.role_means,
         b,
         inputs={"points": points, "wanted": GRASP, "object": o, "role": role},
-        outputs={"mean": handle, "count": count},
+        outputs={"mean": handle},
         device=device,
         threads=threads,
         chunk=64,

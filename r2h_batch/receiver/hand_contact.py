@@ -16,7 +16,6 @@ from r2h_batch.bodies.hand import HandModel, load_hand
 from r2h_batch.kernels.receiver.point_mesh import (
     may_be_in_hand,
     point_mesh_distance,
-    point_mesh_distance_by_normal,
     wall_thickness,
 )
 from r2h_batch.launch import launch_trials
@@ -90,9 +89,14 @@ class ObjectSurface:
         distance, normal = np.empty(len(flat), np.float32), np.empty((len(flat), 3), np.float32)
         face = np.empty(len(flat), np.int32)
         launch_trials(
-            point_mesh_distance_by_normal if quick else point_mesh_distance,
+            point_mesh_distance,
             len(flat),
-            inputs={"mesh": self.mesh.id, "reach": reach, "point": flat},
+            inputs={
+                "mesh": self.mesh.id,
+                "reach": reach,
+                "by_normal": int(quick),
+                "point": flat,
+            },
             outputs={"distance": distance, "normal": normal, "face": face},
             device="cpu",
             threads=threads,

@@ -89,17 +89,8 @@ def score_op(
 
 
 @score_op.register_fake
-def _(
-    T_obj_ee: Tensor,
-    T_world_ee: Tensor,
-    trial_id: Tensor,
-    object_index: Tensor,
-    hand_index: Tensor,
-    T_world_hand: Tensor,
-    evaluator: int,
-    stages: str,
-) -> list[Tensor]:
-    out = []
+def _(T_obj_ee: Tensor, *others: Any) -> list[Tensor]:
+    out, stages = [], others[-1]
     for name in RETURNED:
         dtype, shape = _SHAPES.get(name, (torch.float32, ()))
         row = [PATH_WIDTH[stages] if n == -1 else n for n in shape]
@@ -139,16 +130,7 @@ def score_backward_op(
 
 
 @score_backward_op.register_fake
-def _(
-    T_obj_ee: Tensor,
-    T_world_ee: Tensor,
-    trial_id: Tensor,
-    object_index: Tensor,
-    hand_index: Tensor,
-    T_world_hand: Tensor,
-    margin_gradient: Tensor,
-    evaluator: int,
-) -> list[Tensor]:
+def _(T_obj_ee: Tensor, T_world_ee: Tensor, *others: Any) -> list[Tensor]:
     return [T_obj_ee.new_empty(T_obj_ee.shape), T_world_ee.new_empty(T_world_ee.shape)]
 
 

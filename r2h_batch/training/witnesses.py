@@ -98,7 +98,6 @@ def fingers(
     """
     b, tables = len(T_obj_ee), scene.grasp_tables
     made = new_outputs(kernels.surface_witness, b, scene.device)
-    made["part"].fill_(-1)
     launch_trials(
         kernels.surface_witness,
         b,

@@ -33,13 +33,8 @@ from r2h_batch.scene.scene import BodyPoses, Scene
 PER_ROW, PER_MOVED_ROW = 8, 40
 """Intervals that the queue has room for, for each motion as planned, and for each that was recorded
 sample by sample."""
-PER_INTERVAL = {
-    "queue_bodies": (safe_queues.Bodies, 18),
-    "pieces": (safe_queues.Pieces, 5),
-    "sets": (safe_queues.Sets, 14),
-    "faces": (safe_queues.Faces, 12),
-}
-"""The other queues, and their room for each interval."""
+PER_INTERVAL = {"bodies": 18, "pieces": 5, "sets": 14, "faces": 12}
+"""Room in the other queues."""
 
 
 class SafeFrontier(levels.Levels):
@@ -69,7 +64,10 @@ class SafeFrontier(levels.Levels):
         return {
             "nearest": new_struct(safe_queues.Nearest, self._rows, device),
             "frames": levels.new_frames(n, device),
-            **{x: new_struct(kind, k * n, device) for x, (kind, k) in PER_INTERVAL.items()},
+            "queue_bodies": new_struct(safe_queues.Bodies, PER_INTERVAL["bodies"] * n, device),
+            "pieces": new_struct(safe_queues.Pieces, PER_INTERVAL["pieces"] * n, device),
+            "sets": new_struct(safe_queues.Sets, PER_INTERVAL["sets"] * n, device),
+            "faces": new_struct(safe_queues.Faces, PER_INTERVAL["faces"] * n, device),
         }
 
     def __call__(self, outputs: dict[str, Tensor]) -> None:
