@@ -4,6 +4,7 @@ An answer is a handover pose, which the evaluator plans a motion to, or a motion
 planner, which is judged as it is.
 """
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from jaxtyping import Float32, Int64
 from safetensors.numpy import save_file
 from torch import Tensor
 
+from r2h_batch.io.arrays import Spec, check_array, check_arrays, not_rigid
 from r2h_batch.io.read import FileError, open_file, printable, read_npz, read_safetensors
-from r2h_batch.io.tables import open_parquet, read_csv_arrays, read_json_arrays
+from r2h_batch.io.tables import read_csv_arrays, read_json_arrays, read_parquet_arrays
 from r2h_batch.io.write import atomic_path, write_npz
 from r2h_batch.types import Predictions
 from r2h_batch.validate import instance_of, text
@@ -30,9 +32,17 @@ MOST_SAMPLES = 4_500
 """Of one motion: 9 s at 500 Hz, 75 s at 60 Hz."""
 
 _NEEDED = ("trial_id", "T_obj_ee", "T_world_ee")
-_SHAPES = {"T_obj_ee": (4, 4), "T_world_ee": (4, 4), "t_method_s": ()}
+_SPECS: dict[str, Spec] = {
+    "trial_id": ("iu", ("N",)),
+    "T_obj_ee": ("f", ("N", 4, 4)),
+    "T_world_ee": ("f", ("N", 4, 4)),
+    "t_method_s": ("f", ("N",)),
+}
 _WIDTHS = {"trial_id": 1, "T_obj_ee": 16, "T_world_ee": 16, "t_method_s": 1}
-_KEYS = "trial_id (N,) integer, T_obj_ee (N,4,4) and T_world_ee (N,4,4) float32; optional t_method_s (N,), method"
+_PARQUET_SHAPES = {
+    **dict.fromkeys(("q", "planned_q"), (-1, 6)),
+    **dict.fromkeys(("T_obj_ee", "T_world_ee"), (-1, 4, 4)),
+}
 _MOTION_KEYS = ("q", "time_s", "length")
 _LENGTH_OF = {"q": "length", "time_s": "length", "planned_q": "planned_length"}
 _HOW_MOTIONS = (
@@ -143,8 +153,10 @@ def load_answers(path: str | Path) -> Answers:
     try:
         arrays, method = _arrays(path, suffix)
         shown = printable(path)
-        ids = _texts(arrays.pop("id"), shown) if "id" in arrays else None
-        if ids is not None:
+        ids = None
+        if "id" in arrays:
+            check_array(f"{shown}: id", arrays["id"], ("U", ("N",)))
+            ids = tuple(arrays.pop("id").tolist())
             if "trial_id" in arrays:
                 raise FileError(f"{shown}: has trial_id and id; give one of the two")
             arrays["trial_id"] = np.arange(len(ids))
@@ -161,16 +173,10 @@ def load_answers(path: str | Path) -> Answers:
         raise PredictionsError(f"{error}; {how}") from error
 
 
-def _texts(values: Any, shown: str) -> tuple[str, ...]:
-    if values.ndim != 1 or values.dtype.kind != "U":
-        raise FileError(f"{shown}: 'id' is {values.dtype} {values.shape}; it must be (N,) text")
-    return tuple(values.tolist())
-
-
 def _motions(arrays: dict[str, Any], shown: str) -> Motions:
     """The motions among the arrays, which lose them."""
     if missing := [k for k in _MOTION_KEYS if k not in arrays]:
-        raise FileError(f"{shown}: key {missing[0]!r} is missing")
+        raise FileError(f"{shown}: has no {missing[0]}")
     n = len(arrays.get("trial_id", ()))
     length = _lengths("length", arrays.pop("length"), n, shown)
     q = _samples("q", arrays.pop("q"), (int(length.sum()), 6), "length", shown)
@@ -193,9 +199,7 @@ def _motions(arrays: dict[str, Any], shown: str) -> Motions:
 
 
 def _lengths(key: str, value: Any, n: int, shown: str) -> Any:
-    if value.shape != (n,) or value.dtype.kind not in "iu":
-        found = f"{key!r} is {value.dtype} {value.shape}"
-        raise FileError(f"{shown}: {found}; it must be ({n},) of an integer type")
+    check_array(f"{shown}: {key}", value, ("iu", (n,)))
     odd = (value < 0) | (value == 1) | (value > MOST_SAMPLES)
     if odd.any():
         row = int(odd.argmax())
@@ -205,11 +209,15 @@ def _lengths(key: str, value: Any, n: int, shown: str) -> Any:
 
 
 def _samples(key: str, value: Any, shape: tuple[int, ...], lengths: str, shown: str) -> Any:
-    if value.shape != shape or value.dtype.name not in ("float32", "float64"):
-        found = f"{key!r} is {value.dtype} {value.shape}"
-        how = f"it must be float32 or float64 {shape}, the sum of {lengths!r}"
-        raise FileError(f"{shown}: {found}; {how}")
+    what = f"{shown}: {key} (its rows are the sum of {lengths})"
+    check_array(what, value, ("f", shape), gaps=True)
+    _check_precision(key, value, shown)
     return value
+
+
+def _check_precision(key: str, value: Any, shown: str) -> None:
+    if value.dtype.itemsize < 4:  # steps of 0.5 mm at 1 m
+        raise FileError(f"{shown}: {key} is {value.dtype}; it must be float32 or float64")
 
 
 def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
@@ -246,34 +254,16 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
 
 def _parquet(path: Path) -> dict[str, Any]:
     """Motions, one a row: trial_id or id, T_obj_ee (16 numbers), q (lists of 6), time_s (a list)."""
-    import pyarrow.types as types
-
-    shown = printable(path)
-    arrays: dict[str, Any] = {}
-    with open_parquet(path, most=MAX_BYTES, rows=10_000_000, text=["id"]) as file:
-        table = file.read()
-    for name in table.column_names:
-        column = table[name].combine_chunks()
-        if column.null_count:
-            raise FileError(f"{shown}: {printable(name)!r} is empty in {column.null_count} rows")
-        if name in _LENGTH_OF and types.is_list(column.type):
-            counts = column.value_lengths().to_numpy(zero_copy_only=False)
-            arrays.setdefault(_LENGTH_OF[name], counts)
-        while types.is_list(column.type) or types.is_fixed_size_list(column.type):
-            column = column.flatten()
-        if types.is_dictionary(column.type):
-            column = column.dictionary_decode()
-        values = np.asarray(column.to_numpy(zero_copy_only=False))
-        values = values.astype(np.str_) if name == "id" else values
-        shape = {
-            "q": (-1, 6),
-            "planned_q": (-1, 6),
-            "T_obj_ee": (-1, 4, 4),
-            "T_world_ee": (-1, 4, 4),
-        }.get(name, (-1,))
-        if values.size % int(abs(np.prod(shape))):
-            raise FileError(f"{shown}: {name!r} has {values.size} numbers; its rows need {shape}")
-        arrays[name] = values.reshape(shape)
+    arrays, counts = read_parquet_arrays(path, most=MAX_BYTES, rows=10_000_000, text=["id"])
+    for name, length in _LENGTH_OF.items():
+        if name in counts:
+            arrays.setdefault(length, counts[name])
+    for name in arrays.keys() & _PARQUET_SHAPES.keys():
+        shape, size = _PARQUET_SHAPES[name], arrays[name].size
+        if size % abs(math.prod(shape)):
+            need = f"{name!r} has {size} numbers; its rows need {shape}"
+            raise FileError(f"{printable(path)}: {need}")
+        arrays[name] = arrays[name].reshape(shape)
     return arrays
 
 
@@ -282,27 +272,18 @@ def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
     for name in ("T_obj_ee", "T_world_ee"):
         if path.suffix.lower() in (".csv", ".json") and name in arrays:
             arrays[name] = arrays[name].reshape(-1, 4, 4)
-    if unknown := sorted(set(arrays) - set(_WIDTHS)):
-        raise FileError(f"{shown}: unknown key {unknown[0]!r}; allowed keys are {_KEYS}")
-    if missing := [k for k in _NEEDED if k not in arrays]:
-        raise FileError(f"{shown}: key {missing[0]!r} is missing; needed are {_KEYS}")
     if not method.strip() or len(method) > MAX_METHOD_CHARS or not method.isprintable():
         found = f"method {printable(method[:120])!r}"
         raise FileError(f"{shown}: {found} must be 1 to {MAX_METHOD_CHARS} printable characters")
+    optional, poses = ("t_method_s",), ("T_obj_ee", "T_world_ee", "t_method_s")
+    n = check_arrays(arrays, _SPECS, shown, optional=optional, only=True, gaps=poses)["N"]
     ids = arrays.pop("trial_id")
-    if ids.ndim != 1 or ids.dtype.kind not in "iu":
-        found = f"'trial_id' is {ids.dtype} {ids.shape}"
-        raise FileError(f"{shown}: {found}; it must be (N,) of an integer type")
-    n = len(ids)
     if n == 0:
         raise FileError(f"{shown}: no rows; give one row for each planned trial")
     if ids.dtype == np.uint64 and ids.max() > np.iinfo(np.int64).max:
         raise FileError(f"{shown}: 'trial_id' {ids.max()} does not fit int64")
     for key, value in arrays.items():
-        allowed = (n, *_SHAPES[key])
-        if value.shape != allowed or value.dtype.name not in ("float32", "float64"):
-            found = f"{key!r} is {value.dtype} {value.shape}"
-            raise FileError(f"{shown}: {found}; it must be float32 or float64 {allowed}")
+        _check_precision(key, value, shown)
     if (seconds := arrays.get("t_method_s")) is not None:
         odd = (seconds < 0) | (seconds > MOST_SECONDS)
         if odd.any():
@@ -418,13 +399,9 @@ def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str
 def _odd(T: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of (n, 4, 4) poses (n,) masks: not rigid; with the translation in the last row; rigid and far
     away."""
-    with np.errstate(all="ignore"):
-        R = T[:, :3, :3].astype(np.float64)
-        error = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2))
-        last_row = np.abs(T[:, 3] - [0, 0, 0, 1]).max(1)
-        rigid = (error < LOOKS_RIGID) & (last_row < LOOKS_RIGID) & (np.linalg.det(R) > 0)
-        transposed = (T[:, :3, 3] == 0).all(1) & (T[:, 3, :3] != 0).any(1)
-        return ~rigid, transposed, rigid & (np.abs(T[:, :3, 3]).max(1) > FAR_M)
+    off = not_rigid(T, LOOKS_RIGID)
+    transposed = (T[:, :3, 3] == 0).all(1) & (T[:, 3, :3] != 0).any(1)
+    return off, transposed, ~off & (np.abs(T[:, :3, 3]).max(1, initial=0.0) > FAR_M)
 
 
 def _refuse(source: str, what: str, ids: np.ndarray, how: str) -> None:

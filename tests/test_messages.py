@@ -83,7 +83,7 @@ HANDS = {
         hands(pose=turned(1, 5, 45.0)),
         "pose of hand 1 turns joint 5 by 45 rad; .* If these are degrees, multiply",
     ),
-    "another shape": (hands(pose=np.zeros((3, 45))), r"pose is \(3, 45\); its shape must be H x 48"),
+    "another shape": (hands(pose=np.zeros((3, 45))), r"pose is \(3, 45\) float64; need H x 48 floats"),
 }
 
 

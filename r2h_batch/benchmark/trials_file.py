@@ -32,8 +32,9 @@ from numpy.typing import NDArray
 from r2h_batch.bodies.hand import MAX_SKIN_PIECES, HandSet, make_hand_set, make_skin_set
 from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.io.arrays import Spec, check_arrays, check_poses
 from r2h_batch.io.read import FileError, printable, read_npz
-from r2h_batch.io.tables import check_decoded_size, open_parquet, read_csv_arrays, read_json_arrays
+from r2h_batch.io.tables import read_csv_arrays, read_json_arrays, read_parquet_arrays
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 
@@ -44,16 +45,28 @@ LISTED = "listed"
 
 MAX_BYTES, MAX_ROW_BYTES = 256 << 20, 2048
 MAX_TRIALS = 1_000_000
-MAX_NAME_BYTES = 200
 FARTHEST_M = 10.0
-RIGID = 1e-3
 
 POSTURE = ("pose", "shape", "side")
 WIDTH = {"T_world_hand": 16, "pose": 48, "shape": 10}
 LABELS = ("id", "variant")
 TEXTS = ("object", *LABELS)
-SKIN = ("skin", "T_hand_palm", "skin_faces", "skin_piece", "skin_side")
-KNOWN = ("object", "T_world_hand", "hand", *POSTURE, *LABELS)
+SKIN: dict[str, Spec] = {
+    "skin": ("f", ("H", "V", 3)),
+    "T_hand_palm": ("f", ("H", 4, 4)),
+    "skin_faces": ("iu", ("F", 3)),
+    "skin_piece": ("iu", ("F",)),
+    "skin_side": ("iu", ("H",)),
+}
+SPECS: dict[str, Spec] = {
+    "object": ("U", ("N",)),
+    "T_world_hand": ("f", ("N", 4, 4)),
+    "hand": ("iu", ("N",)),
+    "pose": ("f", ("N", 48)),
+    "shape": ("f", ("N", 10)),
+    "side": ("iu", ("N",)),
+    **dict.fromkeys(LABELS, ("U", ("N",))),
+}
 
 Labels = dict[int, tuple[str, str]]
 """Trial id -> what its owner calls the trial, and the method behind it (or "")."""
@@ -75,7 +88,8 @@ def read_trials_file(
     if "skin" in columns:
         hand_set = _skins(columns, where)
     _check_columns(columns, where)
-    T = _poses(columns["T_world_hand"], where)
+    check_poses(f"{where}: T_world_hand", columns["T_world_hand"])
+    T = np.ascontiguousarray(columns["T_world_hand"], np.float32)
     object_index = _objects(columns["object"], objects, where)
     if "hand" in columns:
         hand = columns["hand"]  # compared as it is: what does not fit int64 would wrap
@@ -123,55 +137,13 @@ def listed_with_ids(listed: Trials, trial_id: torch.Tensor) -> Trials:
 
 def _check_columns(columns: Columns, where: str) -> None:
     """Names, kinds and shapes; all of one length."""
-    if unknown := sorted(set(columns) - set(KNOWN)):
-        raise FileError(
-            f"{where}: unknown column {printable(unknown[0])!r}; allowed are {', '.join(KNOWN)}"
-        )
     hands = [n for n in POSTURE if n in columns]
     if ("hand" in columns) == bool(hands):
         raise FileError(f"{where}: give either hand (rows of the hand set) or pose, shape and side")
-    needed = ("object", "T_world_hand", *(("hand",) if "hand" in columns else POSTURE))
-    if missing := [n for n in needed if n not in columns]:
-        raise FileError(f"{where}: has no {missing[0]}; needed are {', '.join(needed)}")
-    n = len(columns["object"]) if columns["object"].ndim == 1 else 0
+    optional = (*LABELS, *(POSTURE if "hand" in columns else ("hand",)))
+    n = check_arrays(columns, SPECS, where, optional=optional, only=True)["N"]
     if not 1 <= n <= MAX_TRIALS:
-        raise FileError(
-            f"{where}: object has the shape {columns['object'].shape}; need one name for 1 to {MAX_TRIALS} trials"
-        )
-    shapes = {
-        "object": (n,),
-        "T_world_hand": (n, 4, 4),
-        "hand": (n,),
-        "pose": (n, 48),
-        "shape": (n, 10),
-        "side": (n,),
-    }
-    shapes |= dict.fromkeys(LABELS, (n,))
-    kinds = {"hand": "iu", "side": "iu"} | dict.fromkeys(TEXTS, "U")
-    for name, value in columns.items():
-        if value.shape != shapes[name] or value.dtype.kind not in kinds.get(name, "f"):
-            need = {"U": "text", "iu": "whole numbers"}.get(kinds.get(name, ""), "floats")
-            raise FileError(
-                f"{where}: {name} is {value.shape} {value.dtype}; need {shapes[name]} {need}"
-            )
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
-            raise FileError(
-                f"{where}: {name} of trial {int(np.argwhere(~np.isfinite(value))[0][0])} is not finite"
-            )
-
-
-def _poses(T: NDArray[Any], where: str, name: str = "T_world_hand") -> NDArray[np.float32]:
-    R = T[:, :3, :3].astype(np.float64)
-    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > RIGID
-    off |= (np.linalg.det(R) < 0) | (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) > RIGID)
-    if off.any():
-        raise FileError(f"{where}: {name} of trial {int(off.argmax())} is no rigid pose")
-    far = np.abs(T[:, :3, 3]).max(1) > FARTHEST_M
-    if far.any():
-        raise FileError(
-            f"{where}: the hand of trial {int(far.argmax())} is more than {FARTHEST_M:g} m away; lengths are in metres"
-        )
-    return np.ascontiguousarray(T, np.float32)
+        raise FileError(f"{where}: {n} trials; 1 to {MAX_TRIALS} are allowed")
 
 
 def _objects(given: NDArray[Any], objects: Sequence[ObjectModel], where: str) -> NDArray[np.int64]:
@@ -209,22 +181,13 @@ def _own_hands(columns: Columns, base: HandSet, where: str) -> tuple[HandSet, ND
 
 def _skins(columns: Columns, where: str) -> HandSet:
     """Hands that are meshes; their columns leave."""
-    if missing := [k for k in SKIN if k not in columns]:
-        raise FileError(f"{where}: has no {missing[0]}; with skin, {', '.join(SKIN)} are needed")
-    a = {k: columns.pop(k) for k in SKIN}
-    h, v, f = len(a["skin"]), a["skin"].shape[1] if a["skin"].ndim == 3 else 0, len(a["skin_faces"])
-    shapes = {
-        "skin": (h, v, 3), "skin_side": (h,), "T_hand_palm": (h, 4, 4), "skin_faces": (f, 3),
-        "skin_piece": (f,),
-    }  # fmt: skip
-    for name, value in a.items():
-        kind = "f" if name in ("skin", "T_hand_palm") else "iu"
-        if value.shape != shapes[name] or value.dtype.kind not in kind or not value.size:
-            need = "floats" if kind == "f" else "whole numbers"
-            found = f"{name} is {value.shape} {value.dtype}"
-            raise FileError(f"{where}: {found}; need {shapes[name]} {need}")
-        if kind == "f" and not (np.abs(value) <= FARTHEST_M).all():
-            raise FileError(f"{where}: {name} holds numbers beyond {FARTHEST_M:g} m")
+    a = {k: columns.pop(k) for k in SKIN if k in columns}
+    lengths = check_arrays(a, SKIN, where)
+    if not all(lengths.values()):
+        raise FileError(f"{where}: skin has no hand, vertex or face")
+    v = lengths["V"]
+    if max(np.abs(a[k]).max() for k in ("skin", "T_hand_palm")) > FARTHEST_M:
+        raise FileError(f"{where}: skin or T_hand_palm holds numbers beyond {FARTHEST_M:g} m")
     least = min(a[k].min() for k in ("skin_faces", "skin_piece", "skin_side"))
     if least < 0 or a["skin_faces"].max() >= v or a["skin_side"].max() > 1:
         raise FileError(f"{where}: skin_faces, skin_piece or skin_side name what is not there")
@@ -233,7 +196,7 @@ def _skins(columns: Columns, where: str) -> HandSet:
         raise FileError(
             f"{where}: skin_piece names {len(pieces)} pieces; need 0 to at most {MAX_SKIN_PIECES - 1}"
         )
-    _poses(a["T_hand_palm"], where, "T_hand_palm")
+    check_poses(f"{where}: T_hand_palm", a["T_hand_palm"])
     try:
         return make_skin_set(*a.values())
     except ValueError as error:
@@ -241,42 +204,16 @@ def _skins(columns: Columns, where: str) -> HandSet:
 
 
 def _parquet(path: Path) -> Columns:
-    """The columns of a Parquet file, whose types and sizes are checked before anything is read."""
-    import pyarrow.compute as pc
-
-    where = printable(path)
-    with open_parquet(path, most=1 << 30, rows=MAX_TRIALS, text=TEXTS) as file:
-        _check_types(file.schema_arrow, where)
-        check_decoded_size(file, (1 << 20) + MAX_ROW_BYTES * file.metadata.num_rows, where)
-        table = file.read().unify_dictionaries()
-    columns: Columns = {}
-    for name in table.column_names:
-        column = table[name].combine_chunks()
-        if column.null_count:
-            raise FileError(f"{where}: {name} is empty in {column.null_count} rows")
-        if name in TEXTS:
-            columns[name] = _texts(column, name, where)
-        elif name in WIDTH:
-            values, width = column.flatten(), WIDTH[name]
-            if (
-                values.null_count
-                or not pc.all(pc.equal(pc.list_value_length(column), width)).as_py()
-            ):
-                raise FileError(f"{where}: {name} must be a list of {width} numbers in every row")
-            shape = (-1, 4, 4) if name == "T_world_hand" else (-1, width)
-            columns[name] = values.to_numpy(zero_copy_only=False).reshape(shape)
-        else:
-            columns[name] = column.to_numpy(zero_copy_only=False)
+    """The columns of a Parquet file, whose sizes are checked before anything is read."""
+    columns, counts = read_parquet_arrays(
+        path, most=1 << 30, rows=MAX_TRIALS, text=TEXTS, row_bytes=MAX_ROW_BYTES
+    )
+    for name in columns.keys() & WIDTH.keys():
+        width = WIDTH[name]
+        if not (counts.get(name, np.zeros(1)) == width).all():
+            raise FileError(f"{printable(path)}: {name} must be a list of {width} numbers a row")
+        columns[name] = columns[name].reshape(-1, *SPECS[name][1][1:])
     return columns
-
-
-def _texts(column: Any, name: str, where: str) -> NDArray[Any]:
-    """Texts out of a dictionary. A long name is refused before many rows repeat it in memory."""
-    words = column.dictionary.to_pylist()
-    if any(len(str(w).encode("utf-8", "replace")) > MAX_NAME_BYTES for w in words):
-        raise FileError(f"{where}: {name} holds a text of more than {MAX_NAME_BYTES} bytes")
-    names = np.array([str(w) for w in words] or [""], np.str_)
-    return names[column.indices.to_numpy(zero_copy_only=False)]
 
 
 def _text(path: Path) -> Columns:
@@ -296,22 +233,3 @@ READERS: dict[str, Callable[[Path], Columns]] = {
     ".csv": _text,
     ".json": _text,
 }
-
-
-def _check_types(schema: Any, where: str) -> None:
-    import pyarrow.types as types
-
-    for field in schema:
-        kind = field.type
-        is_list = types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)
-        if field.name not in KNOWN:
-            shown = repr(printable(field.name))
-            raise FileError(f"{where}: unknown column {shown}; allowed are {', '.join(KNOWN)}")
-        fits = types.is_integer(kind)
-        if field.name in WIDTH:
-            fits = is_list and types.is_floating(kind.value_type)
-        elif field.name in TEXTS:
-            fits = types.is_dictionary(kind) and types.is_string(kind.value_type)
-        if not fits:
-            found = f"{field.name} is {printable(kind)[:60]}"
-            raise FileError(f"{where}: {found}; see docs/your_data.md, Trials")

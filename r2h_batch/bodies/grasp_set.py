@@ -12,14 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.arrays import arrays_digest
+from r2h_batch.io.arrays import Spec, check_arrays, check_poses
 from r2h_batch.io.read import FileError, printable, read_npz, read_safetensors
 
 __all__ = ["ANY_PART", "GraspSet", "read_grasps"]
 
 ANY_PART = -1
 MAX_GRASPS = 100_000
-RIGID = 1e-3
 WIDEST_M = 10.0
+SPECS: dict[str, Spec] = {
+    "T_obj_ee": ("f", ("N", 4, 4)),
+    "width": ("fiu", ("N",)),
+    "score": ("fiu", ("N",)),
+    "part": ("iu", ("N",)),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,57 +86,21 @@ def read_grasps(path: str | Path) -> GraspSet:
 
 def checked_grasps(found: Mapping[str, Any], where: str, gripper: str) -> GraspSet:
     """The set of these arrays; `FileError` where they are no grasps."""
-    T = found.get("T_obj_ee")
-    if (
-        not isinstance(T, np.ndarray)
-        or T.dtype.kind != "f"
-        or T.shape[1:] != (4, 4)
-        or not 1 <= len(T) <= MAX_GRASPS
-    ):
-        have = f"{T.shape} {T.dtype}" if isinstance(T, np.ndarray) else "missing"
-        raise FileError(
-            f"{where}: T_obj_ee is {have}; need N x 4 x 4 floats, N from 1 to {MAX_GRASPS}"
-        )
-    if unknown := sorted(set(found) - {"T_obj_ee", "width", "score", "part"}):
-        raise FileError(
-            f"{where}: unknown array {printable(unknown[0])!r}; allowed are T_obj_ee, width, score, part"
-        )
-    defaults = {
-        "width": np.zeros(len(T)),
-        "score": np.ones(len(T)),
-        "part": np.full(len(T), ANY_PART),
-    }
-    columns = {k: found.get(k, v) for k, v in defaults.items()}
-    for name, value in columns.items():
-        kinds = "iu" if name == "part" else "fiu"
-        if (
-            value.shape != (len(T),)
-            or value.dtype.kind not in kinds
-            or not np.isfinite(value).all()
-        ):
-            raise FileError(
-                f"{where}: {name} is {value.shape} {value.dtype}; need {len(T)} finite numbers"
-            )
-    if columns["width"].min() < 0 or columns["width"].max() > WIDEST_M:
-        row = int(((columns["width"] < 0) | (columns["width"] > WIDEST_M)).argmax())
-        raise FileError(
-            f"{where}: width of grasp {row} is {columns['width'][row]:g}; 0 to {WIDEST_M:g} m are allowed"
-        )
-    R = T[:, :3, :3].astype(np.float64)
-    rigid = (
-        np.isfinite(T).all()
-        and (np.abs(T[:, 3] - [0, 0, 0, 1]) < RIGID).all()
-        and np.abs(T).max() < 100
-    )
-    if (
-        not rigid
-        or np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max() > RIGID
-        or (np.linalg.det(R) < 0).any()
-    ):
-        raise FileError(f"{where}: T_obj_ee holds something else than rigid poses in metres")
-    if columns["part"].min() < ANY_PART or columns["part"].max() > 255:
+    n, defaults = len(np.atleast_1d(found.get("T_obj_ee", ()))), {"width": 0.0, "score": 1.0}
+    filled = {k: np.full(n, v) for k, v in {**defaults, "part": ANY_PART}.items()}
+    columns = {**filled, **found}
+    check_arrays(columns, SPECS, where, only=True)
+    T, width, part = columns["T_obj_ee"], columns["width"], columns["part"]
+    if not 1 <= n <= MAX_GRASPS:
+        raise FileError(f"{where}: {n} grasps; 1 to {MAX_GRASPS} are allowed")
+    if ((width < 0) | (width > WIDEST_M)).any():
+        row = int(((width < 0) | (width > WIDEST_M)).argmax())
+        allowed = f"0 to {WIDEST_M:g} m are allowed"
+        raise FileError(f"{where}: width of grasp {row} is {width[row]:g}; {allowed}")
+    check_poses(f"{where}: T_obj_ee", T)
+    if part.min() < ANY_PART or part.max() > 255:
         raise FileError(f"{where}: part is an index into the object's parts, or -1")
     return GraspSet(
-        T.astype(np.float32), columns["width"].astype(np.float32), columns["score"].astype(np.float32),
-        columns["part"].astype(np.int32), gripper,
+        T.astype(np.float32), width.astype(np.float32), columns["score"].astype(np.float32),
+        part.astype(np.int32), gripper,
     )  # fmt: skip

@@ -11,13 +11,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.io.arrays import Spec, check_arrays, not_rigid
 from r2h_batch.io.read import FileError, printable, read_npz
 
 __all__ = [
     "HELD_S", "HandChoice", "check_lengths", "check_postures", "in_body", "read_hand", "read_hand_set",
 ]  # fmt: skip
 
-HAND: dict[str, tuple[str, tuple[str | int, ...]]] = {
+HAND: dict[str, Spec] = {
     "vertices": ("f", ("V", 3)),
     "faces": ("iu", ("F", 3)),
     "weights": ("f", ("V", 16)),
@@ -34,24 +35,24 @@ HAND: dict[str, tuple[str, tuple[str | int, ...]]] = {
 }
 PARENTS = (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
 MAX_VERTICES, MAX_HANDS = 20_000, 100_000
-OPTIONAL: dict[str, tuple[str, tuple[str | int, ...]]] = {
+OPTIONAL: dict[str, Spec] = {
     "pose_basis": ("f", ("V", 3, 135)),
     "pose_mean": ("f", (2, 45)),
     "pose_components": ("f", (2, 45, 45)),
 }
-SET: dict[str, tuple[str, tuple[str | int, ...]]] = {
+SET: dict[str, Spec] = {
     "pose": ("f", ("H", 48)),
     "shape": ("f", ("H", 10)),
     "side": ("iu", ("H",)),
     "posture": ("U", ("H",)),
 }
 
-BODY: dict[str, tuple[int, ...]] = {"facing": (3,), "up": (3,), "T_world_hand": (4, 4)}
+BODY: dict[str, Spec] = {
+    "facing": ("f", ("H", 3)),
+    "up": ("f", ("H", 3)),
+    "T_world_hand": ("f", ("H", 4, 4)),
+}
 """What a hand set may know of a hand's body and place when it was recorded, in one world."""
-RIGID = 1e-3
-
-
-KINDS = {"f": "floats (float32 or float64)", "iu": "whole numbers", "U": "text"}
 
 MOST_TURN_RAD = 2 * math.pi
 MOST_SHAPE = 100.0
@@ -109,7 +110,7 @@ def read_hand(path: str | Path) -> dict[str, np.ndarray]:
     where, arrays = printable(path), read_npz(Path(path))
     left = {f"left_{k}": v for k, v in {**HAND, **OPTIONAL}.items()}
     given = {k: v for k, v in {**OPTIONAL, **left}.items() if k in arrays}
-    sizes = _check(arrays, {**HAND, **given}, where)
+    sizes = check_arrays(arrays, {**HAND, **given}, where)
     if sizes["V"] > MAX_VERTICES:
         raise FileError(f"{where}: {sizes['V']} vertices; a hand may have {MAX_VERTICES}")
     if tuple(arrays["parents"].tolist()) != PARENTS:
@@ -209,7 +210,7 @@ def read_hand_set(path: str | Path, choice: HandChoice = HandChoice()) -> dict[s
     float64: how each was turned to its body (`HandSet.in_body`), NaN where the file does not know.
     Raises `FileError`, one line."""
     where, arrays = printable(path), read_npz(Path(path))
-    sizes = _check(arrays, SET, where)
+    sizes = check_arrays(arrays, SET, where)
     if not 1 <= sizes["H"] <= MAX_HANDS:
         raise FileError(f"{where}: {sizes['H']} hands; a set may have 1 to {MAX_HANDS}")
     if not np.isin(arrays["side"], (0, 1)).all():
@@ -228,52 +229,21 @@ def in_body(arrays: Mapping[str, Any], count: int, where: str) -> np.ndarray:
     out = np.full((count, 3, 3), np.nan)
     if not all(name in arrays for name in BODY):
         return out
-    for name, shape in BODY.items():
-        value = arrays[name]
-        if value.shape != (count, *shape) or value.dtype.kind != "f":
-            need = " x ".join(map(str, (count, *shape)))
-            raise FileError(
-                f"{where}: {name} is {value.shape} {value.dtype}; need {need}, NaN where unknown"
-            )
+    specs: dict[str, Spec] = {k: (kind, (count, *shape[1:])) for k, (kind, shape) in BODY.items()}
+    check_arrays(arrays, specs, where, gaps=specs)
     facing, up, T = (arrays[name].astype(np.float64) for name in BODY)
     known = np.isfinite(facing).all(1) & np.isfinite(up).all(1) & np.isfinite(T).all((1, 2))
-    facing, up, R = facing[known], up[known], T[known, :3, :3]
+    facing, up, T = facing[known], up[known], T[known]
     with np.errstate(divide="ignore", invalid="ignore"):
         z = up / np.sqrt((up * up).sum(1, keepdims=True))
         x = facing - (facing * z).sum(1, keepdims=True) * z
         x = x / np.sqrt((x * x).sum(1, keepdims=True))
         body = np.stack([x, np.cross(z, x), z], 2)
-    off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > RIGID
-    bad = off | ~np.isfinite(body).all((1, 2)) | (np.linalg.det(R) < 0)
+    bad = not_rigid(T) | ~np.isfinite(body).all((1, 2))
     if bad.any():
         i = int(np.flatnonzero(known)[bad.argmax()])
         raise FileError(
             f"{where}: T_world_hand, facing and up of hand {i} are no rotation and two directions that differ"
         )
-    out[known] = body.transpose(0, 2, 1) @ R
+    out[known] = body.transpose(0, 2, 1) @ T[:, :3, :3]
     return out
-
-
-def _check(
-    arrays: Mapping[str, Any], wanted: Mapping[str, tuple[str, tuple[str | int, ...]]], where: str
-) -> dict[str, int]:
-    """Kinds and shapes of all wanted arrays; the sizes that letters stand for."""
-    sizes: dict[str, int] = {}
-    for name, (kind, shape) in wanted.items():
-        if name not in arrays:
-            raise FileError(f"{where}: has no {name}; needed are {', '.join(wanted)}")
-        value = arrays[name]
-        expected = tuple(sizes.get(n, n) if isinstance(n, str) else n for n in shape)
-        fits = value.ndim == len(shape) and all(
-            isinstance(n, str) or n == m for n, m in zip(expected, value.shape)
-        )
-        if value.dtype.kind not in kind:
-            raise FileError(f"{where}: {name} is of type {value.dtype}; it must be {KINDS[kind]}")
-        if not fits:
-            raise FileError(
-                f"{where}: {name} is {value.shape}; its shape must be {' x '.join(map(str, expected))}"
-            )
-        sizes |= {n: m for n, m in zip(shape, value.shape) if isinstance(n, str)}
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
-            raise FileError(f"{where}: {name} holds numbers that are not finite")
-    return sizes

@@ -7,7 +7,6 @@ import math
 import re
 from array import array
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,7 +16,7 @@ from r2h_batch.io.read import FileError, open_file, printable, read_json
 if TYPE_CHECKING:
     import pyarrow.parquet as pq
 
-__all__ = ["check_decoded_size", "open_parquet", "read_csv_arrays", "read_json_arrays"]
+__all__ = ["check_decoded_size", "read_csv_arrays", "read_json_arrays", "read_parquet_arrays"]
 
 MAX_CSV_BYTES = 1 << 30
 MAX_LINE, MAX_ROWS = 10_000, 10_000_000
@@ -213,11 +212,10 @@ def _problem(found: list[Any], width: int, *, is_id: bool) -> str:
     return ""
 
 
-@contextmanager
-def open_parquet(
-    path: Path, *, most: int, rows: int, text: Collection[str] = ()
-) -> Iterator[pq.ParquetFile]:
-    """A Parquet file whose decoded size is bounded before anything is decoded.
+def read_parquet_arrays(
+    path: Path, *, most: int, rows: int, text: Collection[str] = (), row_bytes: int | None = None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The columns of a Parquet file as flat arrays, after its decoded size is bounded.
 
     The footer says how many values each column has. A column of text with few different words takes
     little space in the file, and much in memory: such columns are read as dictionaries.
@@ -227,28 +225,66 @@ def open_parquet(
         most: largest decoded size of all columns, bytes.
         rows: largest number of rows.
         text: names of the columns of text, read as dictionaries.
+        row_bytes: largest decoded size of a row, beside 1 MiB for all; None: `most` alone.
+
+    Returns:
+        name -> the numbers or texts of all rows one after another, and, of columns of lists, name ->
+        how many each row has.
 
     Raises:
-        FileError: it is damaged, a link leads nowhere, or it is too large.
+        FileError: it is damaged, a link leads nowhere, it is too large, or a value is missing.
     """
     import pyarrow as pa
+    import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
     where = printable(path)
+    found: dict[str, Any] = {}
+    counts: dict[str, Any] = {}
     with open_file(path, most) as stream:
         try:
             there = pq.read_schema(stream).names
             stream.seek(0)
             words = [name for name in text if name in there]
             with pq.ParquetFile(stream, read_dictionary=words) as file:
-                if file.metadata.num_rows > rows:
-                    found = file.metadata.num_rows
-                    raise FileError(f"{where}: {found} rows; at most {rows} are allowed")
+                if (n := file.metadata.num_rows) > rows:
+                    raise FileError(f"{where}: {n} rows; at most {rows} are allowed")
+                most = most if row_bytes is None else min(most, (1 << 20) + row_bytes * n)
                 check_decoded_size(file, most, where)
-                yield file
+                table = file.read().unify_dictionaries()
+            for name in table.column_names:
+                column = table[name].combine_chunks()
+                if column.null_count:
+                    shown = printable(name)[:60]
+                    raise FileError(f"{where}: {shown!r} is empty in {column.null_count} rows")
+                if _is_list(column.type):
+                    counts[name] = pc.list_value_length(column).to_numpy(zero_copy_only=False)
+                while _is_list(column.type):
+                    column = column.flatten()
+                if name in words:
+                    found[name] = _texts(column, f"{where}: {name}")
+                else:
+                    found[name] = column.to_numpy(zero_copy_only=False)
         except (OSError, pa.ArrowException) as error:
             why = printable(error)[:300]
             raise FileError(f"{where}: no readable Parquet file ({why}); copy it again") from error
+    return found, counts
+
+
+def _is_list(kind: Any) -> bool:
+    import pyarrow.types as types
+
+    return types.is_list(kind) or types.is_fixed_size_list(kind) or types.is_large_list(kind)
+
+
+def _texts(column: Any, what: str) -> Any:
+    """Texts out of a dictionary. A long one is refused before many rows repeat it in memory."""
+    import numpy as np
+
+    words = [str(w) for w in column.dictionary.to_pylist()] if hasattr(column, "dictionary") else []
+    if any(len(w) > MAX_WORD for w in words) or len(words) < min(1, len(column)):
+        raise FileError(f"{what} is no text of at most {MAX_WORD} characters")
+    return np.array(words or [""], np.str_)[column.indices.to_numpy(zero_copy_only=False)]
 
 
 _VALUE_BYTES = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "INT96": 12}

@@ -38,8 +38,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from r2h_batch.bodies.hand import HandGeometry, HandModel
-from r2h_batch.bodies.hand_file import KINDS, check_postures
+from r2h_batch.bodies.hand_file import check_postures
 from r2h_batch.bodies.objects import ObjectModel
+from r2h_batch.io.arrays import Spec, check_arrays, check_poses
 from r2h_batch.io.read import FileError, printable, read_npz, read_safetensors
 from r2h_batch.types import Trials
 
@@ -50,7 +51,6 @@ FARTHEST_M = 10.0
 HAND_M = (0.05, 0.5)
 """Smallest and largest side of a hand's bounding box: what lies outside is in other units."""
 MOST_POINTS = 100_000
-RIGID = 1e-3
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -195,37 +195,20 @@ def _read(path: Path, allowed: Sequence[str]) -> tuple[Arrays, str]:
     if not name.strip() or len(name) > 60 or not name.isprintable():
         raise FileError(f"{where}: source is no name; give 1 to 60 printable characters")
     if unknown := sorted(set(arrays) - set(allowed)):
-        raise FileError(
-            f"{where}: unknown array {printable(unknown[0])!r}; allowed are {', '.join(allowed)}, source"
-        )
-    for key, value in arrays.items():
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
-            row = int(np.argwhere(~np.isfinite(value))[0][0])
-            raise FileError(f"{where}: {key} holds a number that is not finite in row {row}")
+        shown = repr(printable(unknown[0])[:60])
+        raise FileError(f"{where}: unknown array {shown}; allowed are {', '.join(allowed)}, source")
     return arrays, name
 
 
-def _need(
-    where: str, arrays: Arrays, name: str, shape: tuple[int | None, ...], kinds: str
-) -> NDArray[Any]:
-    """The array of this name, of this shape (None: any) and kind."""
-    value = arrays.get(name)
-    letters = iter("NMK")
-    size = " x ".join(next(letters) if n is None else str(n) for n in shape)
-    words = f"{size} {KINDS.get(kinds, 'numbers')}"
-    if value is None:
-        raise FileError(f"{where}: has no {name}; need {words}")
-    fits = value.ndim == len(shape) and all(
-        n in (None, m) for n, m in zip(shape, value.shape, strict=True)
-    )
-    if not fits or value.dtype.kind not in kinds:
-        raise FileError(f"{where}: {name} is {value.shape} {value.dtype}; need {words}")
-    return value
+def _need(where: str, arrays: Arrays, name: str, spec: Spec) -> NDArray[Any]:
+    """The array of this name, as specified."""
+    check_arrays(arrays, {name: spec}, where)
+    return arrays[name]
 
 
 def _trial_ids(where: str, arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """The ids, sorted, and the order that sorts them."""
-    ids = _need(where, arrays, "trial_id", (None,), "iu")
+    ids = _need(where, arrays, "trial_id", ("iu", ("N",)))
     if not len(ids):
         raise FileError(f"{where}: no rows; give one for each planned trial")
     if ids.min() < 0 or int(ids.max()) > np.iinfo(np.int64).max:
@@ -272,30 +255,21 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
             f"{where}: give either {frame} with pose (and shape), or joints with vertices"
         )
     if posed:
-        T = _need(where, a, frame, (n, 4, 4), "f")
-        R = T[:, :3, :3].astype(np.float64)
-        off = (np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) > RIGID) | (
-            np.linalg.det(R) < 0
-        )
-        off |= (np.abs(T[:, 3] - [0, 0, 0, 1]).max(1) > RIGID) | (
-            np.abs(T[:, :3, 3]).max(1) > FARTHEST_M
-        )
-        if off.any():
-            raise FileError(
-                f"{where}: {frame} of row {int(off.argmax())} is no rigid pose in metres"
-            )
-        pose = _need(where, a, "pose", (n, 48), "f")
-        shape = (
-            _need(where, a, "shape", (n, 10), "f")
-            if "shape" in a
-            else np.zeros((n, 10), np.float32)
-        )
+        a = {"shape": np.zeros((n, 10), np.float32), **a}
+        wanted: dict[str, Spec] = {
+            frame: ("f", (n, 4, 4)),
+            "pose": ("f", (n, 48)),
+            "shape": ("f", (n, 10)),
+        }
+        check_arrays(a, wanted, where)
+        check_poses(f"{where}: {frame}", a[frame])
+        T, pose, shape = (a[name] for name in wanted)
         try:
             check_postures(pose, shape)
         except ValueError as error:
             raise FileError(f"{where}: {error}") from None
         return {"T": T, "pose": pose, "shape": shape}
-    vertices = _need(where, a, "vertices", (n, None, 3), "f")
+    vertices = _need(where, a, "vertices", ("f", (n, "V", 3)))
     if vertices.shape[1] != len(model.vertices):
         raise FileError(
             f"{where}: a skin of {vertices.shape[1]} vertices; the benchmark's hand has {len(model.vertices)}:"
@@ -308,7 +282,7 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
         raise FileError(
             f"{where}: the hand of row {row} is {side[row]:.3g} m large; lengths are in metres"
         )
-    joints = _need(where, a, "joints", (n, None, 3), "f")
+    joints = _need(where, a, "joints", ("f", (n, "V", 3)))
     if joints.shape[1] not in (16, 21):
         raise FileError(f"{where}: {joints.shape[1]} joints; need MANO's 16 or OpenPose's 21")
     joints = joints[:, MANO_OF_OPENPOSE] if joints.shape[1] == 21 else joints
@@ -333,7 +307,7 @@ def _parts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
     most = 2 if "role" in arrays else max(len(o.part_names) for o in objects) - 1
     for name in names:
         high = 1 if name == "usage" else most
-        value = _need(where, arrays, name, (None, None), "iub")
+        value = _need(where, arrays, name, ("iub", ("N", "P")))
         if value.size and not 0 <= int(value.min()) <= int(value.max()) <= high:
             raise FileError(
                 f"{where}: {name} goes from {value.min()} to {value.max()}; allowed are 0 to {high}"
@@ -344,7 +318,7 @@ def _parts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
 def _contacts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
     arrays, source = _read(path, ("trial_id", "object", "object_index", "points", "probability"))
     where = printable(path)
-    value = _need(where, arrays, "probability", (None, None), "f")
+    value = _need(where, arrays, "probability", ("f", ("N", "P")))
     if value.size and not 0 <= value.min() <= value.max() <= 1:
         raise FileError(
             f"{where}: probability goes from {value.min():.3g} to {value.max():.3g}; need 0 to 1 (a sigmoid?)"
@@ -374,15 +348,16 @@ def _by_key(
                 f"{where}: points go with rows by object; rows by trial are on the objects' own clouds"
             )
         values = {
-            k: _need(where, arrays, k, (len(ids), own), "fiub")[order].astype(dtype) for k in names
+            k: _need(where, arrays, k, ("fiub", (len(ids), own)))[order].astype(dtype)
+            for k in names
         }
         return ExternalPoints(source, ids, values)
     rows = _object_rows(where, arrays, objects)
     k = len(arrays[keys[0]])
     if "points" not in arrays:
-        values = {n: _need(where, arrays, n, (k, own), "fiub")[rows].astype(dtype) for n in names}
+        values = {n: _need(where, arrays, n, ("fiub", (k, own)))[rows].astype(dtype) for n in names}
         return ExternalPoints(source, None, values)
-    points = _need(where, arrays, "points", (k, None, 3), "f")
+    points = _need(where, arrays, "points", ("f", (k, "P", 3)))
     if not 1 <= points.shape[1] <= MOST_POINTS:
         raise FileError(
             f"{where}: {points.shape[1]} points an object; 1 to {MOST_POINTS} are allowed"
@@ -399,7 +374,7 @@ def _by_key(
     near = np.stack(
         [cKDTree(points[row]).query(o.points)[1] for row, o in zip(rows, objects, strict=True)]
     )
-    values = {n: _need(where, arrays, n, (k, points.shape[1]), "fiub")[rows] for n in names}
+    values = {n: _need(where, arrays, n, ("fiub", (k, points.shape[1])))[rows] for n in names}
     return ExternalPoints(
         source, None, {n: np.take_along_axis(v, near, 1).astype(dtype) for n, v in values.items()}
     )
@@ -408,10 +383,10 @@ def _by_key(
 def _object_rows(where: str, arrays: Arrays, objects: Sequence[ObjectModel]) -> NDArray[np.int64]:
     """The row of each of the benchmark's objects."""
     if "object" in arrays:
-        names = [str(n) for n in _need(where, arrays, "object", (None,), "U")]
+        names = [str(n) for n in _need(where, arrays, "object", ("U", ("N",)))]
         wanted: Sequence[Any] = [o.name for o in objects]
     else:
-        names = _need(where, arrays, "object_index", (None,), "iu").tolist()
+        names = _need(where, arrays, "object_index", ("iu", ("N",))).tolist()
         wanted = range(len(objects))
     if twice := [n for n in names if names.count(n) > 1]:
         raise FileError(f"{where}: object {printable(twice[0])} is given more than once")

@@ -156,11 +156,11 @@ def bent(at: tuple[int, ...], value: float) -> np.ndarray:
 
 REFUSED = {
     "no object is called 'mug'": lambda: changed(object=["mug"] * 10),
-    "T_world_hand of trial 3 is no rigid pose": lambda: changed(T_world_hand=bent((3, 0, 0), 2.0)),
-    "the hand of trial 2 is more than 10 m away": lambda: changed(T_world_hand=bent((2, 0, 3), 450.0)),
+    "T_world_hand of row 3 is no rigid pose": lambda: changed(T_world_hand=bent((3, 0, 0), 2.0)),
+    "T_world_hand of row 2 is more than 10 m away": lambda: changed(T_world_hand=bent((2, 0, 3), 450.0)),
     "has no shape; needed are": lambda: changed(shape=None),
     "give either hand": lambda: changed(hand=np.zeros(10, int)),
-    "unknown column 'hnad'": lambda: changed(hnad=np.zeros(10, int)),
+    "unknown array 'hnad'": lambda: changed(hnad=np.zeros(10, int)),
     "object is (10,) int64": lambda: changed(object=np.zeros(10, int)),
 }
 
@@ -178,7 +178,7 @@ def test_parquet_files_of_other_shapes_or_sizes_are_refused_before_they_are_read
     base, good = built_in(), some_trials()
     cases = {
         "T_world_hand must be a list of 16": {**good, "T_world_hand": good["T_world_hand"][:, :3]},
-        "object is int64": {**good, "object": np.arange(10)},
+        "object is no text": {**good, "object": np.arange(10)},
     }
     for words, columns in cases.items():
         with pytest.raises(FileError, match=words):

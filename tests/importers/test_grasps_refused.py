@@ -81,12 +81,12 @@ def pose_entry(shape, offsets):
 
 
 OWN = {
-    "no poses.npz": (bad_npz(width=np.ones(3)), "T_obj_ee is missing"),
-    "sheared.npz": (bad_npz(T_obj_ee=np.ones((2, 4, 4))), "rigid poses"),
-    "mirrored.npz": (bad_npz(T_obj_ee=np.diag([1.0, 1, -1, 1])[None]), "rigid poses"),
-    "millimetres.npz": (bad_npz(T_obj_ee=poses(2) * 1.0 + np.eye(4, k=3) * 500), "rigid poses"),
+    "no poses.npz": (bad_npz(width=np.ones(3)), "has no T_obj_ee"),
+    "sheared.npz": (bad_npz(T_obj_ee=np.ones((2, 4, 4))), "no rigid pose"),
+    "mirrored.npz": (bad_npz(T_obj_ee=np.diag([1.0, 1, -1, 1])[None]), "no rigid pose"),
+    "millimetres.npz": (bad_npz(T_obj_ee=poses(2) * 1.0 + np.eye(4, k=3) * 500), "more than 10 m away"),
     "short width.npz": (bad_npz(T_obj_ee=poses(2), width=np.ones(3)), "width is"),
-    "nan score.npz": (bad_npz(T_obj_ee=poses(2), score=np.full(2, np.nan)), "score is"),
+    "nan score.npz": (bad_npz(T_obj_ee=poses(2), score=np.full(2, np.nan)), "score holds a number that is not finite in row 0"),
     "negative width.npz": (bad_npz(T_obj_ee=poses(2), width=np.array([0.1, -1.0])), "width of grasp 1 is -1; 0 to 10 m"),
     "another array.npz": (bad_npz(T_obj_ee=poses(2), grip=np.ones(2)), "unknown array 'grip'"),
     "objects.npz": (bad_npz(T_obj_ee=np.array([{}], object)), "Python objects"),

@@ -188,7 +188,7 @@ def test_files_that_are_no_predictions_are_refused_in_one_line(scene, asked, tmp
     nan = np.full((n, 48), np.nan, np.float32)
     cases = {
         "unknown array 'pose'": ("hands", broken(scene, asked, pose=nan)),
-        "receiving_pose holds a number that is not finite in row 0": (
+        "receiving hands: pose holds a number that is not finite in row 0": (
             "hands",
             broken(scene, asked, receiving_pose=nan),
         ),
