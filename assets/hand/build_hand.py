@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from r2h_batch.assets.hand.measure import piece_report
 from r2h_batch.assets.hand.remesh import marching_tetrahedra, remesh
 from r2h_batch.assets.hand.surface import (
     AXES,
@@ -26,7 +27,6 @@ from r2h_batch.assets.hand.surface import (
     digit_field,
     skin,
 )
-from r2h_batch.bodies.hand_measure import piece_report
 
 HERE = Path(__file__).parent
 EDGE_FINGER, EDGE_PALM, EDGE_WRIST = 4.8, 8.2, 12.5

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 from manifold3d import Manifold
 
@@ -22,7 +24,24 @@ from r2h_batch.assets.objects.shapes import (
     sweep,
     union,
 )
-from r2h_batch.bodies.solid import level_set_solid
+
+
+def level_set_solid(
+    inside: Callable[[np.ndarray], np.ndarray],
+    bounds: Sequence[float],
+    edge: float,
+) -> Manifold:
+    """manifold3d's solid where a vectorised field (N, 3) -> (N,) is positive: the grid is recorded
+    first, then used."""
+    seen: list[tuple[float, float, float]] = []
+
+    def record(x: float, y: float, z: float) -> float:
+        seen.append((x, y, z))
+        return -1.0
+
+    Manifold.level_set(record, bounds, edge)
+    value = dict(zip(seen, inside(np.array(seen)).tolist(), strict=True))
+    return Manifold.level_set(lambda x, y, z: value[x, y, z], bounds, edge)
 
 
 def game_controller(part: Parts) -> Manifold:

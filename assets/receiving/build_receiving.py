@@ -13,7 +13,6 @@ import json
 import multiprocessing
 import time
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from r2h_batch.assets.hand import measure
 from r2h_batch.assets.hand.build_hand import write_npz
-from r2h_batch.bodies import hand_measure as measure
 from r2h_batch.bodies.arrays import arrays_digest, read_arrays
 from r2h_batch.bodies.hand import load_hand, load_hand_set
 from r2h_batch.bodies.objects import ObjectModel, load_objects, object_digest, stored_objects
@@ -77,11 +76,11 @@ def self_cut(skin: NDArray[np.float32], side: int) -> float:
     return measure.self_cut(right, hand.faces.numpy(), [measure.hull_planes(right[p]) for p in pieces], pieces)
 
 
-def made(name: str, self_cut_m: float | None) -> tuple[dict[str, NDArray[Any]], dict[str, Any], float]:
+def made(name: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any], float]:
     """Arrays and figures of one built-in object (NAME, or NAME_S0), and the CPU seconds they took."""
     begin = time.process_time()
     model = stored_objects()[name]
-    found = sample_receiving(model, self_cut_m=self_cut_m)
+    found = sample_receiving(model)
     return found, describe(model, found), time.process_time() - begin
 
 
@@ -90,15 +89,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("names", nargs="*", help="make these and keep the others; default: all")
     parser.add_argument("--jobs", type=int, default=1, help="objects made at a time; the result is the same")
-    parser.add_argument("--self-cut-mm", type=float, help="how deep a hand may cut into itself; not asked by default")
     args = parser.parse_args()
-    cut = None if args.self_cut_mm is None else args.self_cut_mm / 1000
     names = args.names or list(stored_objects())
     path = HERE / "receiving_report.json"
     arrays: dict[str, NDArray[Any]] = dict(read_arrays(HERE / "receiving.npz")) if args.names else {}
     report: dict[str, object] = json.loads(path.read_text())["objects"] if args.names else {}
     with ProcessPoolExecutor(args.jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for name, (found, line, seconds) in zip(names, pool.map(partial(made, self_cut_m=cut), names), strict=True):
+        for name, (found, line, seconds) in zip(names, pool.map(made, names), strict=True):
             arrays |= {f"{name}/{key}": value for key, value in found.items()}
             report[name] = line
             print(f"{name:16s} {seconds:5.1f} CPU-s  {json.dumps(line)}", flush=True)

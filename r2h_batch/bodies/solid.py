@@ -1,4 +1,4 @@
-"""What solids are made of and asked about: signed distance, winding number, voxels, level sets."""
+"""What solids are made of and asked about: signed distance, winding number, voxels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 __all__ = [
     "Surface",
-    "level_set_solid",
     "sample_surface",
     "signed_distance",
     "solid_occupancy",
@@ -269,26 +268,6 @@ def _cells_at_planes(
     found = np.concatenate([along_column[:, None], at[column] - 0.5], axis=1)
     np.put_along_axis(cell, axes[row[column]], np.round(found).astype(np.int64), 1)
     return block[row[column]], cell
-
-
-def level_set_solid(
-    inside: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    bounds: Sequence[float],
-    edge: float,
-) -> Any:
-    """manifold3d's solid where a vectorised field (N, 3) -> (N,) is positive: the grid is recorded
-    first, then used."""
-    from manifold3d import Manifold
-
-    seen: list[tuple[float, float, float]] = []
-
-    def record(x: float, y: float, z: float) -> float:
-        seen.append((x, y, z))
-        return -1.0
-
-    Manifold.level_set(record, bounds, edge)
-    value = dict(zip(seen, inside(np.array(seen)).tolist(), strict=True))
-    return Manifold.level_set(lambda x, y, z: value[x, y, z], bounds, edge)
 
 
 def sample_surface(

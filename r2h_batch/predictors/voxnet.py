@@ -118,7 +118,7 @@ def load_voxnet(left_out: str = "") -> VoxNet:
     """The network trained on all built-in objects; or, by the name of one, the network that never
     saw that object.
 
-    How they were made: `r2h_batch.predictors.train_voxnet`.
+    How they were made: `r2h_batch.assets.receiving.train_voxnet`.
     """
     if not left_out:
         with resources.as_file(_asset(STORED_FILE)) as path:

@@ -12,11 +12,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.hand import HandModel, load_hand
-from r2h_batch.bodies.hand_measure import hull_planes, self_cut
 from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.launch import init_warp
@@ -81,22 +79,19 @@ def sample_receiving(
     *,
     hand: HandModel | None = None,
     per_side: int = PER_SIDE,
-    self_cut_m: float | None = None,
     threads: int | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Arrays as in `receiving.FIELDS`: up to `per_side` right-hand and left-hand holds; the same
     object, the same holds.
 
     Each holds with thumb and a finger from opposite sides and with three regions of the hand or
-    more. `self_cut_m`: how deep a hand may cut into itself where digits press on each other; None:
-    not asked. Raises `NoHoldError` where an object has none at all.
+    more. Raises `NoHoldError` where an object has none at all.
     """
     init_warp()
     hand = load_hand() if hand is None else hand
     field = distance_field(ObjectSurface(model.vertices, model.faces), threads)
     right, left = (
-        _holds(model, hand, mirror, field, per_side, self_cut_m, threads)
-        for mirror in (False, True)
+        _holds(model, hand, mirror, field, per_side, threads) for mirror in (False, True)
     )
     if not len(right["side"]) + len(left["side"]):
         raise NoHoldError(
@@ -112,7 +107,6 @@ def _holds(
     mirror: bool,
     field: Any,
     count: int,
-    self_cut_m: float | None,
     threads: int | None,
 ) -> dict[str, NDArray[Any]]:
     flip = np.array([-1.0 if mirror else 1.0, 1.0, 1.0], np.float32)
@@ -134,7 +128,7 @@ def _holds(
         if not (enough or last):
             continue
         every = {k: np.concatenate([p[k] for p in pool]) for k in pool[0]}
-        chosen = _diverse(side, every, count, self_cut_m, known)
+        chosen = _diverse(side, every, count, known)
         if last or len(chosen) == count:
             break
     return _as_arrays(hand, every, chosen, flip)
@@ -338,7 +332,6 @@ def _diverse(
     side: _Side,
     every: dict[str, NDArray[Any]],
     count: int,
-    self_cut_m: float | None,
     known: dict[int, bool],
 ) -> NDArray[np.int64]:
     """Rows of the best scores that hold, none too like one already taken; that bar falls until
@@ -374,31 +367,13 @@ def _diverse(
                 turn = 1 - np.einsum("mij,ij->m", every["R"][taken], every["R"][i]) / 3
                 if taken and (apart + 2 * turn).min() < scale:
                     continue
-                # measured only of those that are wanted: 10 ms each, and 50 of how they cut into
-                # themselves
-                if i not in known:
-                    known[i] = side.holds(every["skin"][i], every["about"][i]) and (
-                        self_cut_m is None
-                        or _self_cut(side.hand, every["pose"][i], every["family"][i]) <= self_cut_m
-                    )
+                if i not in known:  # measured only of those that are wanted: 10 ms each
+                    known[i] = side.holds(every["skin"][i], every["about"][i])
                 usable[i] = known[i]
                 if usable[i]:
                     taken.append(i)
             scale *= 0.75
     return np.array(taken, np.int64)
-
-
-def _self_cut(hand: HandModel, pose: F32, family: int) -> float:
-    """How deep (m) a right hand's skin cuts into itself."""
-    shape = load_families(hand).shape[family]
-    skin = (
-        hand.pose(torch.from_numpy(pose)[None], torch.from_numpy(shape)[None])
-        .vertices[0]
-        .double()
-        .numpy()
-    )
-    pieces = [p.numpy() for p in hand.pieces]
-    return self_cut(skin, hand.faces.numpy(), [hull_planes(skin[p]) for p in pieces], pieces)
 
 
 def _as_arrays(

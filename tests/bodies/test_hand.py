@@ -18,9 +18,9 @@ from r2h_batch.assets.hand.build_handset import (
     mirrored,
     pose_from_angles,
 )
+from r2h_batch.assets.hand.measure import sample_inside, sample_surface
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.hand import ball_center, load_hand, load_hand_set, palm_frame
-from r2h_batch.bodies.hand_measure import sample_inside, sample_surface
 
 SAMPLE = [pytest.param(i, marks=pytest.mark.slow if i % 5 else ()) for i in range(0, 400, 21)]
 """20 hands: both sides, every posture. Four of them, of both sides, are quick."""

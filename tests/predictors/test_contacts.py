@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from r2h_batch.assets.receiving.contact_maps import contact_map, touched_points
+from r2h_batch.assets.receiving.train_voxnet import Examples, augmented, examples, figures, train
 from r2h_batch.bodies.objects import VOXELS, load_objects
 from r2h_batch.predictors import predict_contacts
-from r2h_batch.predictors.contact_maps import contact_map, touched_points
 from r2h_batch.predictors.contacts import CONTACT_THRESHOLD
 from r2h_batch.predictors.grid import contact_grids, voxel_of_points
-from r2h_batch.predictors.train_voxnet import Examples, augmented, examples, figures, train
 from r2h_batch.predictors.voxnet import VoxNet, load_voxnet
 from r2h_batch.receiver.receiving import CONTACT_M, load_receiving, receiving_digest
 from r2h_batch.scene.scene import Scene

@@ -12,9 +12,9 @@ from hand_twins import skinning_twin
 from scipy.spatial import cKDTree
 
 from r2h_batch import se3
+from r2h_batch.assets.hand.measure import hull_planes, sample_surface, winding_number
 from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.hand import load_hand
-from r2h_batch.bodies.hand_measure import hull_planes, sample_surface, winding_number
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.launch import init_warp
 from r2h_batch.receiver.hand_closing import (

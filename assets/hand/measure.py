@@ -26,9 +26,7 @@ def winding_number(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) 
         la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
         volume = np.einsum("nfc,nfc->nf", a, np.cross(b, c))
         dot = [np.einsum("nfc,nfc->nf", x, y) for x, y in ((a, b), (b, c), (c, a))]
-        total[chunk] = np.arctan2(
-            volume, la * lb * lc + dot[0] * lc + dot[1] * la + dot[2] * lb
-        ).sum(1) / (2 * np.pi)
+        total[chunk] = np.arctan2(volume, la * lb * lc + dot[0] * lc + dot[1] * la + dot[2] * lb).sum(1) / (2 * np.pi)
     return total
 
 
@@ -55,9 +53,7 @@ def sample_inside(vertices: np.ndarray, faces: np.ndarray, count: int, seed: int
     return found[:count]
 
 
-def piece_report(
-    vertices: np.ndarray, faces: np.ndarray, pieces: Sequence[np.ndarray], names: Sequence[str]
-) -> dict:
+def piece_report(vertices: np.ndarray, faces: np.ndarray, pieces: Sequence[np.ndarray], names: Sequence[str]) -> dict:
     """Figures in mm: how far the union of the pieces' hulls stands out of the mesh, per piece and
     over all."""
     mesh = trimesh.Trimesh(vertices, faces, process=False)
@@ -69,9 +65,7 @@ def piece_report(
         outer = np.ones(len(points), bool)
         for other in range(len(hulls)):
             if other != k:
-                outer &= np.any(
-                    points @ planes[other][:, :3].T + planes[other][:, 3] > 1e-9, axis=1
-                )
+                outer &= np.any(points @ planes[other][:, :3].T + planes[other][:, 3] > 1e-9, axis=1)
         points = points[outer]  # what the outside world can touch
         _, distance, _ = trimesh.proximity.closest_point(mesh, points)
         distance = np.where(winding_number(vertices, faces, points) > 0.5, 0.0, distance)
@@ -123,9 +117,7 @@ def distance_to_triangles(points: np.ndarray, triangles: np.ndarray) -> np.ndarr
         for u, v in ((a, b), (b, c), (c, a)):
             line = v - u
             within &= np.einsum("tc,tc->t", np.cross(line, foot - u), normal) >= 0
-            t = np.clip(
-                np.einsum("tc,tc->t", p - u, line) / np.einsum("tc,tc->t", line, line), 0, 1
-            )
+            t = np.clip(np.einsum("tc,tc->t", p - u, line) / np.einsum("tc,tc->t", line, line), 0, 1)
             edge = np.minimum(edge, np.linalg.norm(u + t[:, None] * line - p, axis=1))
         best[i] = np.where(within, np.abs(height), edge).min()
     return best
@@ -167,9 +159,7 @@ def separate_pairs(pieces: Sequence[np.ndarray]) -> list[tuple[int, int]]:
     return [(a, b) for a in range(len(sets)) for b in range(a) if not sets[a] & sets[b]]
 
 
-def hull_overlap(
-    vertices: np.ndarray, hulls: Sequence[np.ndarray], pairs: Sequence[tuple[int, int]]
-) -> float:
+def hull_overlap(vertices: np.ndarray, hulls: Sequence[np.ndarray], pairs: Sequence[tuple[int, int]]) -> float:
     """Largest penetration depth (m) over pairs of convex hulls; hulls[k] holds the vertex ids on
     hull k.
 

@@ -26,16 +26,10 @@ def touched_points(model: ObjectModel) -> NDArray[np.bool_]:
     grasps = load_receiving([model])
     faces = grasps.hand.faces_by_side.numpy()
     touched = np.zeros((len(grasps), len(model.points)), bool)
-    for i, (skin, side) in enumerate(
-        zip(grasps.vertices.numpy(), grasps.side.tolist(), strict=True)
-    ):
-        near = (
-            (model.points > skin.min(0) - CONTACT_M) & (model.points < skin.max(0) + CONTACT_M)
-        ).all(1)
+    for i, (skin, side) in enumerate(zip(grasps.vertices.numpy(), grasps.side.tolist(), strict=True)):
+        near = ((model.points > skin.min(0) - CONTACT_M) & (model.points < skin.max(0) + CONTACT_M)).all(1)
         if near.any():
-            distance, _, _ = ObjectSurface(skin, faces[side]).distance(
-                model.points[near], 2 * CONTACT_M
-            )
+            distance, _, _ = ObjectSurface(skin, faces[side]).distance(model.points[near], 2 * CONTACT_M)
             touched[i, near] = distance <= CONTACT_M
     return touched
 

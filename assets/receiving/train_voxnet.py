@@ -1,4 +1,4 @@
-"""Trains the built-in contact networks: ``python -m r2h_batch.predictors.train_voxnet``. Some
+"""Trains the built-in contact networks: ``python -m r2h_batch.assets.receiving.train_voxnet``. Some
 thirty CPU minutes.
 
 Once with all objects, for objects of users (voxnet.safetensors). And without each object in turn,
@@ -29,9 +29,9 @@ from safetensors.torch import save_file
 from scipy.stats import rankdata
 from torch import Tensor
 
+from r2h_batch.assets.receiving.contact_maps import contact_map
 from r2h_batch.bodies.objects import OBJECT_NAMES, VOXELS, ObjectModel, load_objects
 from r2h_batch.command_line import tell
-from r2h_batch.predictors.contact_maps import contact_map
 from r2h_batch.predictors.contacts import CONTACT_THRESHOLD
 from r2h_batch.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.predictors.voxnet import LEFT_OUT_FILE, STORED_FILE, VoxNet, halved
@@ -48,7 +48,7 @@ what is to be known needs it."""
 SIZE = (0.8, 1.25)
 """Objects are also taken as larger or smaller than they are: a person holds them at the same
 places."""
-OUT = Path(__file__).resolve().parents[2] / "assets" / "receiving"
+OUT = Path(__file__).resolve().parent
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,7 @@ def train(data: Examples, steps: int, seed: int, *, report: str = "") -> tuple[V
     net = VoxNet()
     torch.nn.init.constant_(net.out.bias, float(torch.logit(data.contact.mean())))  # type: ignore[arg-type]
     optimizer = torch.optim.AdamW(net.parameters(), lr=RATE, weight_decay=1e-3)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, RATE, total_steps=steps, pct_start=0.15
-    )
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimizer, RATE, total_steps=steps, pct_start=0.15)
     order = torch.zeros(0, dtype=torch.int64, device="cpu")
     losses: list[float] = []
     begin = time.perf_counter()
@@ -88,9 +86,7 @@ def train(data: Examples, steps: int, seed: int, *, report: str = "") -> tuple[V
             order = torch.cat(
                 [
                     order,
-                    torch.randperm(
-                        len(data.grid), generator=generator, dtype=torch.int64, device="cpu"
-                    ),
+                    torch.randperm(len(data.grid), generator=generator, dtype=torch.int64, device="cpu"),
                 ]
             )
         rows, order = order[:BATCH], order[BATCH:]
@@ -106,9 +102,7 @@ def train(data: Examples, steps: int, seed: int, *, report: str = "") -> tuple[V
         losses.append(float(loss.detach()))
         if report and (step + 1) % 50 == 0:
             rate = (time.perf_counter() - begin) / (step + 1)
-            tell(
-                f"{report}: step {step + 1}, loss {np.mean(losses[-50:]):.4f}, {rate:.2f} s a step"
-            )
+            tell(f"{report}: step {step + 1}, loss {np.mean(losses[-50:]):.4f}, {rate:.2f} s a step")
     return net.eval(), losses
 
 
@@ -123,9 +117,7 @@ def augmented(data: Examples, i: int, generator: torch.Generator) -> tuple[Tenso
     if u[6] < ANY_ORIENTATION_SHARE:
         mirrored = torch.rand(3, generator=generator, dtype=torch.float32, device="cpu") < 0.5
         flip = 1.0 - 2.0 * mirrored.float()
-        frame = torch.diag(flip)[
-            torch.randperm(3, generator=generator, dtype=torch.int64, device="cpu")
-        ]
+        frame = torch.diag(flip)[torch.randperm(3, generator=generator, dtype=torch.int64, device="cpu")]
     elif u[7] < 0.5:
         frame[1, 1] = -1.0
     turn = torch.nn.functional.normalize(u[:3] - 0.5, dim=0) * np.radians(TILT_DEG) * (2 * u[3] - 1)
@@ -137,12 +129,8 @@ def augmented(data: Examples, i: int, generator: torch.Generator) -> tuple[Tenso
     # grid_sample's x is the last axis
     theta = torch.zeros(1, 3, 4, dtype=torch.float32, device="cpu")
     theta[0, :, :3] = back.flip(0).flip(1)
-    where = torch.nn.functional.affine_grid(
-        theta, [1, 1, VOXELS, VOXELS, VOXELS], align_corners=False
-    )
-    occupancy = torch.nn.functional.grid_sample(
-        data.grid[i : i + 1, :1], where, align_corners=False
-    )[0, 0]
+    where = torch.nn.functional.affine_grid(theta, [1, 1, VOXELS, VOXELS, VOXELS], align_corners=False)
+    occupancy = torch.nn.functional.grid_sample(data.grid[i : i + 1, :1], where, align_corners=False)[0, 0]
     grid = data.grid[i].clone()
     grid[0] = (occupancy > 0.4).float()
     grid[4] = grid[4] * (SIZE[0] + (SIZE[1] - SIZE[0]) * u[5]) / zoom
@@ -176,9 +164,7 @@ def _auc(score: Any, positive: Any) -> float:
 
 def _skew(v: Tensor) -> Tensor:
     x, y, z = v.tolist()
-    return torch.tensor(
-        [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float32, device="cpu"
-    )
+    return torch.tensor([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]], dtype=torch.float32, device="cpu")
 
 
 @dataclass(frozen=True)
@@ -197,9 +183,7 @@ def trained(run: Run) -> tuple[dict[str, Tensor], list[float], dict[str, dict[st
     torch.use_deterministic_algorithms(True)
     objects = load_objects()
     data = examples(objects)
-    kept = torch.tensor(
-        [i for i in range(len(objects)) if i not in run.left_out], dtype=torch.int64, device="cpu"
-    )
+    kept = torch.tensor([i for i in range(len(objects)) if i not in run.left_out], dtype=torch.int64, device="cpu")
     part = Examples(data.grid[kept], data.voxel[kept], data.contact[kept])
     name = ", ".join(objects[i].name for i in run.left_out) or "none"
     net, losses = train(part, run.steps, run.seed, report=f"left out {name}")
@@ -242,21 +226,13 @@ def main(argv: Sequence[str] | None = None) -> None:
         "machine": platform.machine(),
     }
     log_file = args.out / "voxnet.json"
-    log = (
-        json.loads(log_file.read_text())
-        if args.left_out_only
-        else _stored(args, *results.pop(0), cost)
-    )
+    log = json.loads(log_file.read_text()) if args.left_out_only else _stored(args, *results.pop(0), cost)
     log |= _left_out(args, results, cost)
     log_file.write_text(json.dumps(log, indent=1) + "\n")
     for name in OBJECT_NAMES:
         left, stored = (json.dumps(log[k][name]) for k in ("left_out_figures", "stored_weights"))
         print(f"{name:16s} left out {left}  stored weights {stored}")
-    print(
-        json.dumps(
-            {k: log[k] for k in ("left_out_mean", "stored_weights_mean", "cost", "left_out_cost")}
-        )
-    )
+    print(json.dumps({k: log[k] for k in ("left_out_mean", "stored_weights_mean", "cost", "left_out_cost")}))
 
 
 Figures = dict[str, dict[str, float]]
