@@ -7,11 +7,11 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
 import grasp_cases
 import oracle
-from oracle import MujocoScene, Staged
+from oracle import MujocoScene, Staged, winding_number
 from planning_twins import Checker, checker_of, dense, motion_samples, ompl_solve, recheck
 from problems import Batch, Problems, make_batch, solve
 
 __all__ = [
     "Batch", "Checker", "MujocoScene", "Problems", "Staged", "checker_of", "dense", "grasp_cases", "make_batch", "motion_samples",
-    "ompl_solve", "oracle", "recheck", "solve",
+    "ompl_solve", "oracle", "recheck", "solve", "winding_number",
 ]  # fmt: skip

@@ -1,0 +1,302 @@
+"""Somebody's meshes through import, grasps and every method: `python bench/meshes.py [DIR] [--json OUT] [--docs]`.
+
+Drawn here, so that anybody can measure them again: a mug, a wrench, a knife and a clamp with two slivers glued on, a bottle
+as it is (mug and bottle of some 20,000 faces), and wrench and knife without the faces that look down. Then every mesh of DIR.
+Objects that OUT holds already are not measured again. `--docs` puts both tables into docs/results/objects.md.
+
+Measured, with nothing kept on disk and kernels compiled: CPU seconds (all threads) of the import, of the convex
+decomposition, of grasp candidates and of receiving grasps; how many of `--trials` trials (S0, built-in hands, motion as
+planned) each method solves; against the drawn mesh as it was, or a file's own faces: the volume, the distance within which 99
+% of the surface lies (also without what replaces missing faces), how much of space is inside one of the two alone (float64),
+and how many of `--grasps` grasps pass Stability on one of the two alone; the thinnest wall (the first percentile of the
+depths behind 2,000 points).
+"""
+
+import json
+import os
+import sys
+import time
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import igl
+import manifold3d
+import numpy as np
+import torch
+import trimesh
+from _report import ROOT, arguments, made_by
+from _twins import winding_number
+from numpy.typing import NDArray
+
+os.environ["R2H_BATCH_CACHE"] = "off"
+
+from r2h_batch import Evaluator, make_trials
+from r2h_batch.bodies.mesh_import.file import load_mesh_file
+from r2h_batch.bodies.mesh_import.pieces import convex_pieces
+from r2h_batch.bodies.objects import ObjectMeshError, build_object
+from r2h_batch.judge.grasp import close_gripper
+from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.receiver.receiving import load_receiving
+from r2h_batch.scene.grasp_tables import grasp_tables
+from r2h_batch.sweep.jobs import Setting, make_jobs
+from r2h_batch.sweep.options import Options
+
+METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
+SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
+MOST_S = 5.0
+"""What an object of 20,000 faces may take."""
+PAGE, WITHIN = ROOT / "docs/results/objects.md", f"Within {MOST_S:g} s: "
+
+
+def drawn() -> dict[str, trimesh.Trimesh]:
+    """Closed meshes of five things, in metres."""
+    solid, flat = manifold3d.Manifold, manifold3d.CrossSection
+
+    def block(size: tuple[float, float, float], at: tuple[float, float, float]) -> Any:
+        return solid.cube(size, True).translate(at)
+
+    cup = [(0, -0.045), (0.04, -0.045), (0.04, 0.045), (0.037, 0.045), (0.037, -0.042), (0, -0.042)]
+    outer = [(0, 0), (0.03, 0), (0.0325, 0.004), (0.0325, 0.13), (0.028, 0.15), (0.014, 0.175), (0.0135, 0.22)]
+    inner = [(0.0115, 0.22), (0.012, 0.175), (0.026, 0.15), (0.0305, 0.13), (0.0305, 0.006), (0, 0.002)]
+    ring = solid.revolve(flat([[(0.02, -0.005), (0.028, -0.005), (0.028, 0.005), (0.02, 0.005)]]), 48)
+    handle = ring.rotate((90, 0, 0)).translate((0.05, 0, 0)) - solid.cylinder(0.2, 0.0385, 0.0385, 64, True)
+    jaw = solid.cylinder(0.01, 0.022, 0.022, 48, True).translate((0.09, 0, 0))
+    blade = solid.extrude(flat([[(0.0, -0.014), (0.14, -0.01), (0.16, 0.012), (0.0, 0.014)]]), 0.0018)
+    things = {
+        "mug": (solid.revolve(flat([cup]), 64) + handle, 0.01),
+        "bottle": (solid.revolve(flat([[*outer, *inner]]), 40), 0.0125),
+        "wrench": (block((0.17, 0.02, 0.008), (0, 0, 0)) + jaw - block((0.04, 0.016, 0.02), (0.105, 0, 0)), 0.008),
+        "knife": (blade.translate((0.04, 0, -0.0009)) + block((0.11, 0.022, 0.016), (-0.01, 0, 0)), 0.008),
+        "clamp": (
+            block((0.02, 0.016, 0.11), (0, 0, 0))
+            + block((0.07, 0.016, 0.014), (0.035, 0, 0.048))
+            + block((0.05, 0.016, 0.014), (0.025, 0, -0.048))
+            + solid.cylinder(0.05, 0.005, 0.005, 32, True).translate((0.06, 0, 0.02)),
+            0.008,
+        ),
+    }
+    out = {}
+    for name, (thing, longest_m) in things.items():
+        mesh = thing.to_mesh()
+        vertices = np.asarray(mesh.vert_properties, np.float64)[:, :3]
+        made = trimesh.Trimesh(vertices, np.asarray(mesh.tri_verts, np.int64), process=True)
+        out[f"drawn_{name}"] = made.subdivide_to_size(longest_m)
+    return out
+
+
+def spoiled(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh with two slivers of two faces each, on edges that four faces then share."""
+    n = len(mesh.vertices)
+    (a, b), (c, d) = mesh.edges[len(mesh.edges) // 5], mesh.edges[4 * len(mesh.edges) // 5]
+    points = mesh.vertices[[a, c]] + [[0, 0, 4e-4], [3e-4, 0, 0]]
+    faces = [[a, b, n], [b, a, n], [c, d, n + 1], [d, c, n + 1]]
+    return trimesh.Trimesh(np.vstack([mesh.vertices, points]), np.vstack([mesh.faces, faces]), process=False)
+
+
+def without_underside(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh without the faces that look down, as a scanner from above leaves it."""
+    return trimesh.Trimesh(mesh.vertices, mesh.faces[mesh.face_normals[:, 2] > -0.9], process=False)
+
+
+def share_within(mesh: trimesh.Trimesh, other: trimesh.Trimesh, given: trimesh.Trimesh) -> tuple[float, float]:
+    """The distance (m) from `other` within which 99 % of 5,000 samples of `mesh` lie: of all samples, and of those
+    whose nearest point of `other` lies on `given`."""
+
+    def nearest(points: Any, to: Any) -> tuple[Any, Any]:
+        squared, _, near = igl.point_mesh_squared_distance(points, np.array(to.vertices), np.array(to.faces, np.int64))
+        return squared**0.5, near
+
+    distance, near = nearest(np.asarray(trimesh.sample.sample_surface(mesh, 5000, seed=7)[0]), other)
+    kept = distance[nearest(near, given)[0] < 1e-6]
+    return float(np.quantile(distance, 0.99)), float(np.quantile(kept, 0.99))
+
+
+def thinnest_wall(mesh: trimesh.Trimesh, most: float = 5e-3) -> float:
+    """The first percentile of depths (m) of the inside behind 2,000 points of a closed surface, in steps of 0.02 mm."""
+    points, face = trimesh.sample.sample_surface(mesh, 2000, seed=7)
+    tree = igl.FastWindingNumberBVH()
+    tree.init(np.array(mesh.vertices), np.array(mesh.faces, np.int64), 1)
+    depth, left = np.full(len(points), most), np.arange(len(points))
+    for step in np.arange(1e-5, most, 2e-5):
+        behind = np.ascontiguousarray(points[left] - step * mesh.face_normals[face[left]])
+        inside = tree.winding_number(behind, 2.0) > 0.5
+        depth[left[~inside]] = step
+        left = left[inside]
+        if not len(left):
+            break
+    return float(np.quantile(depth, 0.01))
+
+
+def random_grasps(mesh: trimesh.Trimesh, count: int) -> torch.Tensor:
+    """(count, 4, 4) poses whose pads face a point of the surface, half of them square with it, half up to 25 degrees off."""
+    rng = np.random.default_rng(13)
+    points, face = trimesh.sample.sample_surface(mesh, count, seed=13)
+    y = mesh.face_normals[face] + np.where(np.arange(count) % 2, 0.45, 0.0)[:, None] * rng.uniform(-1, 1, (count, 3))
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    z = np.cross(y, rng.normal(size=(count, 3)))
+    z /= np.linalg.norm(z, axis=1, keepdims=True)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = np.stack([np.cross(y, z), y, z], axis=2)
+    T[:, :3, 3] = points - y * rng.uniform(0, 0.04, (count, 1)) - z * rng.uniform(-0.012, 0.015, (count, 1))
+    return torch.tensor(T, dtype=torch.float32)
+
+
+def stable(mesh: trimesh.Trimesh, T_obj_ee: torch.Tensor) -> NDArray[np.bool_]:
+    """(count,) whether grasps pass Stability on a surface as it is."""
+    faces = np.asarray(mesh.faces, np.int32)
+    region = np.zeros(len(faces), bool)
+    model = SimpleNamespace(vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=region)
+    tables = grasp_tables([model])  # type: ignore[list-item]
+    return close_gripper(tables, T_obj_ee, torch.zeros(len(T_obj_ee), dtype=torch.int32)).margin_m.numpy() >= 0
+
+
+def changed(
+    model: Any, other: trimesh.Trimesh, given: trimesh.Trimesh, volume: float | None, count: int
+) -> dict[str, Any]:
+    """What the import did to a surface: against `other`, whose volume is `volume`; None: it is open."""
+    mesh, rng = model.mesh, np.random.default_rng(5)
+    low, high = np.minimum(mesh.bounds[0], other.bounds[0]), np.maximum(mesh.bounds[1], other.bounds[1])
+    points = rng.uniform(low, high, (1500, 3))
+    inside, before = (np.array([winding_number(x, m.triangles) > 0.5 for x in points]) for m in (mesh, other))
+    everywhere, kept = share_within(mesh, other, given)
+    T = random_grasps(mesh, count)
+    one, two = stable(mesh, T), stable(other, T)
+    return {
+        "steps": list(model.repair.steps) if model.repair else [],
+        "moved_mm": round(1e3 * model.repair.moved_m, 3) if model.repair else 0.0,
+        "volume_cm3": round(1e6 * float(mesh.volume), 3),
+        "volume_change": None if not volume else round(float(mesh.volume / volume - 1), 6),
+        "within_99_mm": round(1e3 * everywhere, 4),
+        "within_99_kept_mm": round(1e3 * kept, 4),
+        "thinnest_wall_mm": round(1e3 * thinnest_wall(mesh), 2),
+        "differs_inside": round(float((inside != before).sum() / max(int(inside.sum()), 1)), 5),
+        "grasps_tried": count,
+        "stable": int(one.sum()),
+        "flips": int((one != two).sum()),
+    }
+
+
+def measure(
+    name: str, source: Path | trimesh.Trimesh, clean: trimesh.Trimesh | None, n: int, count: int
+) -> dict[str, Any]:
+    """The figures of one mesh; `clean`: as it was drawn."""
+    spent, before = {}, time.process_time()
+
+    def took(step: str) -> None:
+        nonlocal before
+        now = time.process_time()
+        spent[f"{step}_cpu_s"], before = round(now - before, 2), now
+
+    try:
+        model = build_object(source, name, pieces=False)
+    except ObjectMeshError as error:
+        return {"object": name, "refused": str(error)}
+    took("build")
+    convex_pieces(model.mesh, model.name)
+    took("pieces")
+    grasps = len(candidates_of((model,))[0])
+    took("grasps")
+    receiving = len(load_receiving((model,)))
+    took("receiving")
+    row: dict[str, Any] = {"object": name, "faces": len(model.faces), "grasps": grasps, "receiving": receiving, **spent}
+    row["all_cpu_s"] = round(sum(spent.values()), 2)
+    given = source if isinstance(source, trimesh.Trimesh) else load_mesh_file(source, name)
+    volume = clean.volume if clean is not None else model.repair.volume_given_m3 if model.repair else model.mesh.volume
+    row |= changed(model, given if clean is None else clean, given, volume, count)
+    evaluator, trials = Evaluator(objects=[model]), make_trials(["S0"], n, objects=[model])
+    setting = Setting(evaluator, {}, lambda first, last: trials.trial_id[first:last], lambda ids: trials)
+    for method in METHODS if grasps else ():
+        (job,) = make_jobs(Options(method=(method,)), [], setting)
+        answer = job.predict(trials, None)
+        row[method] = int(evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials).success.sum())
+    return row
+
+
+def markdown(head: list[str], rows: list[list[Any]]) -> str:
+    lines = [head, ["---"] * len(head), *rows]
+    return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+
+
+def tables(rows: list[dict[str, Any]], n: int) -> dict[str, str]:
+    """Both tables as Markdown, by the first words of their headings."""
+    built = [r for r in rows if "refused" not in r]
+    refused = [[r["object"], f"refused: {r['refused']}"] for r in rows if "refused" in r]
+    made, repaired = [], []
+    for r in built:
+        name = r["object"].removeprefix("sh3d_")
+        made.append([name, r["faces"], f"{r['build_cpu_s']} s", f"{r['pieces_cpu_s']} s"])
+        made[-1] += [f"{r[k]} in {r[f'{k}_cpu_s']} s" for k in ("grasps", "receiving")]
+        made[-1] += [f"{r['all_cpu_s']} s", *(f"{r.get(m, '-')}/{n}" for m in METHODS)]
+        change = r["volume_change"]
+        repaired.append([name, "; ".join(r["steps"]) or "as given"])
+        repaired[-1] += ["open as given" if change is None else f"{100 * change:+.2f} %"]
+        repaired[-1] += [
+            f"{r['within_99_mm']:.3f} mm ({r['within_99_kept_mm']:.3f} mm)",
+            f"{r['thinnest_wall_mm']:.2f} mm",
+        ]
+        repaired[-1] += [f"{r['moved_mm']:.3f} mm", f"{100 * r['differs_inside']:.2f} %"]
+        repaired[-1] += [f"{r['flips']} of {r['grasps_tried']} ({r['stable']} hold)"]
+    one = ["object", "faces", "build", "pieces", "grasps", "receiving", "in all", *METHODS]
+    two = [
+        "object",
+        "how it was made solid",
+        "volume",
+        "99 % within (without patches)",
+        "thinnest wall",
+        "surface moved",
+    ]
+    over = sorted((r for r in built if r["all_cpu_s"] > MOST_S), key=lambda r: -r["all_cpu_s"])
+    others = ", ".join(f"{r['object'].removeprefix('sh3d_')} {r['all_cpu_s']} s" for r in over)
+    said = f"{WITHIN}{len(built) - len(over)} of {len(built)} objects" + (f"; {others}." if others else ".")
+    return {
+        "| object | faces |": markdown(one, made + refused),
+        "| object | how ": markdown([*two, "inside of one alone", "grasps that flip"], repaired),
+        WITHIN: said,
+    }
+
+
+def write_docs(found: dict[str, str]) -> None:
+    """Puts tables and summary in the place of those that the page has."""
+    lines = PAGE.read_text().splitlines()
+    for head, text in found.items():
+        first = next(i for i, line in enumerate(lines) if line.startswith(head))
+        last = next((i for i in range(first + 1, len(lines)) if not lines[i].startswith("|")), len(lines))
+        lines[first:last] = text.splitlines()
+    PAGE.write_text("\n".join(lines) + "\n")
+
+
+def main() -> None:
+    parser = arguments(__doc__)
+    parser.add_argument("folder", type=Path, nargs="?")
+    parser.add_argument("--trials", type=int, default=20)
+    parser.add_argument("--grasps", type=int, default=4000)
+    parser.add_argument("--docs", action="store_true")
+    asked = parser.parse_args()
+    warnings.simplefilter("ignore")
+    out: Path | None = asked.json
+    stored: dict[str, Any] = json.loads(out.read_text()) if out is not None and out.exists() else made_by()
+    rows, things = stored.get("objects", []), drawn()
+    todo: list[tuple[str, Any, Any]] = [(n, m if n == "drawn_bottle" else spoiled(m), m) for n, m in things.items()]
+    todo += [(f"open_{n}", without_underside(things[f"drawn_{n}"]), things[f"drawn_{n}"]) for n in ("wrench", "knife")]
+    if asked.folder is not None:
+        todo += [(p.stem, p, None) for p in sorted(asked.folder.iterdir()) if p.suffix.lower() in SUFFIXES]
+    todo = [x for x in todo if x[0] not in {row["object"] for row in rows}]
+    opened = trimesh.creation.box((0.05, 0.06, 0.1))
+    opened.update_faces(np.arange(len(opened.faces)) > 0)
+    for box in (trimesh.creation.box((0.05, 0.06, 0.1)), opened) if todo else ():
+        measure("box", box, None, 1, 8)  # compiles or loads every kernel
+    for name, source, clean in todo:
+        rows.append(measure(name, source, clean, asked.trials, asked.grasps))
+        print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
+        if out is not None:
+            out.write_text(json.dumps({**stored, "trials": asked.trials, "objects": rows}, indent=1) + "\n")
+    found = tables(rows, asked.trials)
+    print(*found.values(), sep="\n\n")
+    if asked.docs:
+        write_docs(found)
+
+
+if __name__ == "__main__":
+    main()
