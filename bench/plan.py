@@ -1,25 +1,31 @@
 """How many problems does the planner solve, how fast, and are its paths free? Against OMPL's RRTConnect on MuJoCo C.
 
 python bench/plan.py [--problems N] [--device cpu|cuda:0] [--json FILE]
+python bench/plan.py --tail 2048 [--json FILE]
 
 Problems: rows of the frozen mix (bench/mix.npz, see throughput.py) whose start and at least one IK branch are free in
 MuJoCo C; both planners get the same start and goals. Ours is timed over the batch with everything from placing the
 bodies on (goal checks, search, shortcuts, smallest clearance; IK apart); OMPL inside solve() only, without simplification,
 its model made beforehand. OMPL's states are checked by MuJoCo C through a Python callback; us_per_check says what one
 costs with the callback. Its edges are sampled every 1/64 rad. A problem counts as solved by OMPL if its path passes the
-re-check at 1/320 rad. Our paths are certified between samples too, are shortened, and carry their smallest clearance;
-us_search_core leaves those two extras out.
+re-check at 1/320 rad. Our paths are certified between samples too, are shortened, and carry their smallest clearance.
 
 detour_*: T_exec over the time of the straight line from home to the path's own end; over_bound_*: to the free goal that a
-straight line reaches soonest; over all paths. bench/tail.py has them over thousands of trials.
+straight line reaches soonest; over all paths.
 
 ratio_to_ompl: process times, one core each, the median of OMPL over our mean per problem: other work on the machine counts
-little. ratio_to_ompl_wall: wall times, ours on all cores. ratio_to_ompl_search: with us_search_core. ratio_to_ompl_fine:
-OMPL's edges sampled every 1/320 rad, as finely as the re-check.
+little. ratio_to_ompl_wall: wall times, ours on all cores.
+
+--tail: instead, how long does the longest problem take, and what does the search miss that plain RRT-Connect finds in 5,000
+iterations? The first N trials of r2h-v0 with the predictions of `random`, whose goals are anywhere: one search in a thousand is
+hard. longest_ms: process time of all searches and shortcuts of one problem, the largest, that a GPU or the last core waits
+for it. searched: problems without a free straight line. lost, gained: trials that have a path with `rounds=(5000,)` (steps of one
+length, all goals) and not by default, and the other way round.
 """
 
 import statistics
 import time
+from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,22 +33,53 @@ from unittest import mock
 
 import numpy as np
 import torch
-from _detours import detours, report_detours
 from _report import Report, arguments
 from _twins import Batch, Checker, Problems, checker_of, dense, motion_samples, ompl_solve, recheck, solve
 from numpy.typing import NDArray
 
-from r2h_batch.config import HOME_Q, EvalConfig
+from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import plan
-from r2h_batch.judge.ik import solve_ik
+from r2h_batch.judge.ik import home_posture, solve_ik
+from r2h_batch.judge.plan import BRANCHES, Planner
+from r2h_batch.judge.search import straight_time
 from r2h_batch.launch import launch_trials
+from r2h_batch.methods import random
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch.types import PlanReason
 
 MIX = Path(__file__).with_name("mix.npz")
 REPEATS = 3
+
+
+def detours(scene: Scene, problems: Problems) -> NDArray[np.float64]:
+    """(n, 2) T_exec of each path over the time of the straight line to its own end, and of that to the free goal which a
+    straight line reaches soonest; NaN without a path.
+    """
+    execute, n = scene.config.execute, len(problems.batch)
+    home = home_posture(str(scene.device), scene.config.workplace.home_q)
+    q, valid = problems.ik.q.reshape(-1, 6), problems.ik.valid.reshape(-1)
+    free = Planner(scene, problems.body_poses, None).check(q, valid, BRANCHES)[0].view(n, BRANCHES)
+    order = torch.where(free, 0, 1).argsort(dim=1, stable=True)
+    rows = torch.arange(n, device=q.device)
+    goals = problems.ik.q[rows[:, None], order].reshape(-1, 6)
+    line = straight_time(home, goals, free.sum(1).to(torch.int32), execute)
+    path, length = problems.plan.path, problems.plan.length
+    time = time_path(path, length, execute).t_exec_s
+    ends = path[rows, (length - 1).clamp(min=0).long()]
+    own = straight_time(home, ends[:, None].expand(n, BRANCHES, 6).reshape(-1, 6), torch.ones_like(length), execute)
+    return torch.stack([time / own, time / line], 1).double().cpu().numpy()
+
+
+def report_detours(report: Report, prefix: str, ratio: NDArray[np.float64]) -> None:
+    """Quantiles over all paths: against the line to the path's own end (detour) and to the nearest goal (over_bound)."""
+    found = np.isfinite(ratio[:, 0])
+    for name, these in (("detour", ratio[found, 0]), ("over_bound", ratio[found, 1])):
+        for quantile in (0.5, 0.95, 0.99):
+            report.add(f"{prefix}.{name}_p{100 * quantile:.0f}", float(np.quantile(these, quantile)))
+        report.add(f"{prefix}.{name}_above_2", int((these > 2).sum()))
 
 
 def free_rows(scene: Scene, problems: Problems, wanted: int) -> tuple[list[int], list[Checker], list[np.ndarray]]:
@@ -74,28 +111,13 @@ def planned(scene: Scene, batch: Batch, threads: int | None, clock) -> tuple[Pro
     return problems, best
 
 
-def kernel_seconds(scene: Scene, batch: Batch) -> dict[str, float]:
-    """Process time in each planning kernel, one thread, seconds for the batch."""
-    spent: dict[str, float] = {}
-
-    def timed(kernel, *args, **kwargs) -> None:
-        start = time.process_time()
-        launch_trials(kernel, *args, **kwargs)
-        spent[kernel.key] = spent.get(kernel.key, 0.0) + time.process_time() - start
-
-    with mock.patch.object(plan, "launch_trials", timed):
-        solve(scene, batch, threads=1)
-    return spent
-
-
 @dataclass(frozen=True)
 class OwnTimes:
-    """Our plans of n problems, and the seconds they took: process time of all, of the search alone, wall time."""
+    """Our plans of n problems, and the seconds they took: process time and wall time."""
 
     problems: Problems
     n: int
     seconds: float
-    search: float
     wall: float
     found: NDArray[np.bool_]
 
@@ -106,11 +128,6 @@ def own_times(report: Report, scene: Scene, batch: Batch) -> OwnTimes:
     problems, seconds = planned(scene, batch, 1, time.process_time)
     _, wall = planned(scene, batch, None, time.perf_counter)
     report.add("plan.us_per_problem_core", seconds / n * 1e6)
-    kernels = kernel_seconds(scene, batch)
-    for name, spent in sorted(kernels.items()):
-        report.add(f"plan.kernel.{name}_us", spent / n * 1e6)
-    search = seconds - kernels.get("path_clearance", 0.0) - kernels.get("shortcut", 0.0)
-    report.add("plan.us_search_core", search / n * 1e6)
     report.add("plan.problems_per_s_core", n / seconds)
     report.add("plan.problems_per_s_wall", n / wall)
     found = (problems.plan.length > 0).cpu().numpy()
@@ -120,20 +137,7 @@ def own_times(report: Report, scene: Scene, batch: Batch) -> OwnTimes:
     if len(hard):
         _, seconds_hard = planned(scene, batch.rows(hard), 1, time.process_time)
         report.add("plan.us_per_searched_problem_core", seconds_hard / len(hard) * 1e6)
-    return OwnTimes(problems, n, seconds, search, wall, found)
-
-
-def latencies(report: Report, scene: Scene, batch: Batch) -> None:
-    """One problem at a time."""
-    n = len(batch)
-    latency = []
-    for row in range(min(n, 150)):
-        one = batch.rows(slice(row, row + 1))
-        start = time.perf_counter()
-        solve(scene, one, threads=1)
-        latency.append(time.perf_counter() - start)
-    report.add("plan.latency_ms_median", statistics.median(latency) * 1e3)
-    report.add("plan.latency_ms_p95", float(np.quantile(latency, 0.95)) * 1e3)
+    return OwnTimes(problems, n, seconds, wall, found)
 
 
 def recheck_paths(report: Report, scene: Scene, own: OwnTimes, checkers: list[Checker]) -> None:
@@ -162,7 +166,7 @@ def compare_with_ompl(
 ) -> None:
     """The same problems by OMPL with the oracle's checks. `made`: checker and goals of each problem."""
     checkers, goals = made
-    n, seconds, search, wall, found = own.n, own.seconds, own.search, own.wall, own.found
+    n, seconds, wall, found = own.n, own.seconds, own.wall, own.found
     cpu, walls, checks, solved, invalid, only = [], [], 0, 0, 0, []
     for row in range(n):
         before = time.process_time()
@@ -190,21 +194,56 @@ def compare_with_ompl(
     report.add("plan.ompl_checks_per_problem", checks / n)
     report.add("plan.ompl_us_per_check", sum(cpu) / checks * 1e6)
     report.add("plan.ratio_to_ompl", statistics.median(cpu) / (seconds / n))
-    report.add("plan.ratio_to_ompl_search", statistics.median(cpu) / (search / n))
     report.add("plan.ratio_to_ompl_wall", statistics.median(walls) / (wall / n))
-    fine = []
-    for row in range(0, n, 4):
-        before = time.process_time()
-        ompl_solve(
-            checkers[row],
-            goals[row],
-            scene.robot.lower,
-            scene.robot.upper,
-            budget_s=options.budget_s,
-            resolution_rad=1 / 320,
-        )
-        fine.append(time.process_time() - before)
-    report.add("plan.ratio_to_ompl_fine", statistics.median(fine) / (seconds / n))
+
+
+def timed(scene: Scene, batch: Batch) -> tuple[Problems, dict[int, float]]:
+    """The batch planned on one thread, and the seconds that each searched problem took by trial id."""
+    spent: dict[int, float] = defaultdict(float)
+
+    def one_by_one(kernel: Any, n: int, **kwargs: Any) -> None:
+        rows = kwargs["inputs"].get("trial")
+        if rows is None:
+            launch_trials(kernel, n, **kwargs)
+            return
+        for i in range(n):
+            start = time.process_time()
+            launch_trials(kernel, 1, **{**kwargs, "first": i})
+            spent[int(batch.trials.trial_id[int(rows[i])])] += time.process_time() - start
+
+    with mock.patch.object(plan, "launch_trials", one_by_one):
+        return solve(scene, batch, threads=1), spent
+
+
+def tail(report: Report, scene: Scene, n: int) -> None:
+    """The longest search of the first n trials of `random`, and what plain RRT-Connect finds beside it."""
+    spent: dict[int, float] = {}
+    lost, gained, ratios, none = [], [], [], []
+    for ids in torch.arange(n).split(20_000):
+        trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0")
+        answer = random.predict(trials, scene, seed=0)
+        batch = Batch(trials, answer.T_obj_ee, answer.T_world_ee)
+        if not spent:
+            solve(scene, batch.rows(slice(0, 64)), threads=1)  # kernels are compiled or loaded here
+        ours, seconds = timed(scene, batch)
+        spent |= seconds
+        found = ours.plan.length > 0
+        hard = torch.nonzero(torch.isin(ids, torch.tensor(sorted(seconds)))).flatten()  # no straight line
+        plain = solve(scene, batch.rows(hard), PlanConfig(rounds=(5000,)), threads=1).plan.length > 0
+        lost += ids[hard[plain & ~found[hard]]].tolist()
+        gained += ids[hard[~plain & found[hard]]].tolist()
+        none += ids[ours.plan.reason == int(PlanReason.NO_PATH_IN_BUDGET)].tolist()
+        ratios.append(detours(scene, ours))
+    longest = max(spent, key=lambda i: spent[i])
+    report.add("tail.trials", n)
+    report.add("tail.searched", len(spent))
+    report.add("tail.longest_ms", 1e3 * spent[longest])
+    report.add("tail.longest_trial_id", longest)
+    report.add("tail.search_ms_mean", 1e3 * sum(spent.values()) / len(spent))
+    for name, found in (("no_path_in_budget", none), ("lost", lost), ("gained", gained)):
+        report.add(f"tail.{name}", len(found))
+        report.add(f"tail.{name}_trial_ids", " ".join(map(str, found)) or "none")
+    report_detours(report, "tail", np.concatenate(ratios))
 
 
 def main() -> None:
@@ -212,9 +251,16 @@ def main() -> None:
     parser.add_argument("--problems", type=int, default=300)
     parser.add_argument("--budget-s", type=float, default=10.0, help="OMPL's time for one problem")
     parser.add_argument("--resolution-rad", type=float, default=1 / 64, help="OMPL's edge resolution")
+    parser.add_argument(
+        "--tail", type=int, metavar="N", help="of so many trials: the longest search, and what is missed"
+    )
     options = parser.parse_args()
     report = Report()
     scene = Evaluator(EvalConfig(), device=options.device).scene
+    if options.tail:
+        tail(report, scene, options.tail)
+        report.write(options.json)
+        return
     with np.load(MIX, allow_pickle=False) as mix:
         trials = trials_with_ids(
             torch.from_numpy(mix["trial_id"]), objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0"
@@ -226,7 +272,6 @@ def main() -> None:
 
     own = own_times(report, scene, batch)
     report_detours(report, "plan", detours(scene, own.problems))
-    latencies(report, scene, batch)
     recheck_paths(report, scene, own, checkers)
     compare_with_ompl(report, scene, batch, own, (checkers, goals), options)
     report.write(options.json)

@@ -4,19 +4,21 @@ docs/receivers_angles.png (how hands point and where they are), and prints perce
 import argparse
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import torch
+from PIL import Image
 
 from r2h_batch.bodies.hand import load_hand_set, palm_frame
-from r2h_batch.bodies.robot import Kind, forward_kinematics, gripper_primitives_at, load_robot
-from r2h_batch.config import HOME_Q, OPEN_GAP_M, TABLE_CENTER, TABLE_HALF
+from r2h_batch.config import HOME_Q
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.export.drawing import Drawing, View
+from r2h_batch.export.pictures import painter
+from r2h_batch.export.stored import judged_again
+from r2h_batch.methods import random
 from r2h_batch.trials.protocol import make_trials, trials_digest
 from r2h_batch.types import Trials
 
 DOCS = Path(__file__).parents[1] / "docs"
-GEOMS = {Kind.SPHERE: "SPHERE", Kind.CAPSULE: "CAPSULE", Kind.CYLINDER: "CYLINDER", Kind.BOX: "BOX"}
-SKIN, CLOTH, STEEL, WOOD = (0.85, 0.65, 0.5, 1), (0.35, 0.45, 0.6, 1), (0.7, 0.72, 0.75, 1), (0.55, 0.45, 0.35, 1)
 
 
 def angles(trials: Trials) -> dict[str, np.ndarray]:
@@ -56,72 +58,16 @@ def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
-def scene_of(trials: Trials, row: int) -> mujoco.MjModel:
-    """A trial with its receiver, the robot at home."""
-    spec = mujoco.MjSpec()
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = 640, 560
-    spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.45] * 3, [0.5] * 3
-    spec.add_texture(
-        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-        rgb1=[1, 1, 1], rgb2=[1, 1, 1], width=8, height=48,
-    )  # fmt: skip
-    world = spec.worldbody
-
-    def add(kind: str, pos: np.ndarray, size: list[float], rgba: tuple, R: np.ndarray | None = None) -> None:
-        geom = world.add_geom(type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"), pos=pos, size=size, rgba=rgba)
-        if R is not None:
-            quat = np.zeros(4)
-            mujoco.mju_mat2Quat(quat, R.ravel())
-            geom.quat = quat
-
-    def capsule(a: np.ndarray, b: np.ndarray, radius: float, rgba: tuple) -> None:
-        world.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[radius, 0, 0], rgba=rgba
-        )  # fmt: skip
-
-    add("PLANE", np.array([0, 0, -0.74]), [2, 2, 0.1], (0.9, 0.9, 0.88, 1))
-    add("BOX", np.array(TABLE_CENTER), list(TABLE_HALF), WOOD)
-    robot = load_robot()
-    links = forward_kinematics(robot, HOME_Q)
-    grip = links[6] @ robot.T_wrist3_flange @ robot.T_flange_ee @ gripper_primitives_at(robot, OPEN_GAP_M)
-    for table, poses in ((robot.arm, links[robot.arm.link] @ robot.arm.T_link_prim), (robot.gripper, grip)):
-        for kind, size, T in zip(table.kind, table.size, poses, strict=True):
-            add(GEOMS[Kind(int(kind))], T[:3, 3], list(size), STEEL, np.ascontiguousarray(T[:3, :3]))
-    assert trials.receiver is not None
-    r = trials.receiver[row].double().numpy()
-    capsule(r[0, :3], r[1, :3], r[0, 3], SKIN)
-    capsule(r[1, :3], r[2, :3], r[1, 3], SKIN)
-    c, s = r[3, 3], r[4, 3]
-    add("BOX", r[3, :3], list(r[4, :3]), CLOTH, np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]))
-    add("SPHERE", r[3, :3] + [0, 0, r[4, 2] + 0.17], [0.1, 0, 0], SKIN)  # for the eye alone: nothing knows of a head
-    hands = load_hand_set()
-    i = int(trials.hand_index[row])
-    posed = hands.model.pose(hands.pose[i : i + 1], hands.shape[i : i + 1], hands.side[i : i + 1])
-    T = trials.T_world_hand[row].double().numpy()
-    v = posed.vertices[0].double().numpy() @ T[:3, :3].T + T[:3, 3]
-    faces = hands.model.faces.numpy()
-    faces = faces if int(hands.side[i]) == 0 else faces[:, ::-1]
-    spec.add_mesh(name="hand", uservert=v.ravel(), userface=faces.ravel().astype(np.int32))
-    world.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="hand", rgba=SKIN)
-    return spec.compile()
-
-
 def people(trials: Trials, rows: list[int], path: Path) -> None:
-    """Pictures of trials from the side, four in a line."""
-    from PIL import Image
-
+    """Trials from the side of the receiver's arm, four in a line, with the robot at home and a random object in it."""
+    evaluator = Evaluator().kinematic
     images = []
     for row in rows:
-        model = scene_of(trials, row)
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
-        camera = mujoco.MjvCamera()
-        left = int(load_hand_set().side[trials.hand_index[row].long()]) == 1  # seen from the arm's side
-        camera.lookat[:], camera.distance, camera.elevation = [0.4, 0, 0.15], 2.4, -12
-        camera.azimuth = 112 if left else -112
-        with mujoco.Renderer(model, 420, 480) as renderer:
-            renderer.update_scene(data, camera)
-            images.append(renderer.render())
+        trial = trials[row : row + 1]
+        drawing = Drawing(judged_again(evaluator, trial, random.predict(trial, evaluator.scene, seed=0), "random"))
+        left = int(evaluator.scene.hands.set.side[trial.hand_index.long()]) == 1
+        with painter(drawing, (480, 420), View(np.array([0.4, 0, 0.15]), 112 if left else -112, -12, 2.4)) as paint:
+            images.append(paint(np.array(HOME_Q)))
     lines = [np.concatenate(images[k : k + 4], 1) for k in range(0, len(images), 4)]
     Image.fromarray(np.concatenate(lines, 0)).quantize(128).save(path, optimize=True)
 
