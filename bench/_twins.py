@@ -7,7 +7,8 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
 import grasp_cases
 import oracle
-from oracle import MujocoScene, Staged, winding_number
+from convex_twin import winding_number
+from oracle import MujocoScene, Staged
 from planning_twins import Checker, checker_of, dense, motion_samples, ompl_solve, recheck
 from problems import Batch, Problems, make_batch, solve
 

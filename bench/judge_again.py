@@ -26,7 +26,7 @@ import trimesh
 import ur_analytic_ik
 from _drawn import write as write_drawn
 from _report import Report, arguments
-from _twins import MujocoScene, Staged, grasp_cases, oracle
+from _twins import MujocoScene, Staged, grasp_cases, oracle, winding_number
 from numpy.typing import NDArray
 
 from r2h_batch.benchmark.build import BenchmarkFlags, BenchmarkOverrides
@@ -217,7 +217,7 @@ class Again:
         normal *= (-1.0 if int(hands.set.side[index]) else 1.0) / np.linalg.norm(normal)
         center = joints[[0, 1, 4, 7, 10]].mean(0) + limits.reach_offset_m * normal
         x = self.attached @ np.linalg.inv(self.T_world_ee) @ staged.T_world_hand @ np.append(center, 1.0)
-        inside = abs(oracle.winding_number(x[:3], self.mesh.triangles)) > 0.5
+        inside = abs(winding_number(x[:3], self.mesh.triangles)) > 0.5
         apart = 0.0 if inside else float(trimesh.proximity.closest_point_naive(self.mesh, x[None, :3])[1][0])
         return limits.reach_radius_m - apart
 

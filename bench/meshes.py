@@ -47,7 +47,7 @@ METHODS = ("oracle", "random", "fc", "handover-va", "contact", "intent")
 SUFFIXES = (".obj", ".stl", ".ply", ".off", ".glb")
 MOST_S = 5.0
 """What an object of 20,000 faces may take."""
-PAGE, WITHIN = ROOT / "docs/results/objects.md", f"Within {MOST_S:g} s: "
+PAGE, WITHIN = ROOT / "docs/results/objects.md", f"Within {MOST_S:g} s:"
 
 
 def drawn() -> dict[str, trimesh.Trimesh]:
@@ -249,7 +249,7 @@ def tables(rows: list[dict[str, Any]], n: int) -> dict[str, str]:
     ]
     over = sorted((r for r in built if r["all_cpu_s"] > MOST_S), key=lambda r: -r["all_cpu_s"])
     others = ", ".join(f"{r['object'].removeprefix('sh3d_')} {r['all_cpu_s']} s" for r in over)
-    said = f"{WITHIN}{len(built) - len(over)} of {len(built)} objects" + (f"; {others}." if others else ".")
+    said = f"{WITHIN} {len(built) - len(over)} of {len(built)} objects" + (f"; {others}." if others else ".")
     return {
         "| object | faces |": markdown(one, made + refused),
         "| object | how ": markdown([*two, "inside of one alone", "grasps that flip"], repaired),

@@ -119,6 +119,7 @@ def test_unstable_grasps_are_dropped(item, width, margin):
 def test_a_start_in_collision_names_the_pair(pair):
     s = judge(START[pair])
     assert verdict(s) == ("PLAN", "START_IN_COLLISION", pair)
+    assert_known_without_a_path(START[pair], s)
     assert twin_of(START[pair]).classes(HOME_Q) == {pair.lower()}
     assert_no_path(s)
 
@@ -127,6 +128,7 @@ def test_a_start_in_collision_names_the_pair(pair):
 def test_goals_in_collision_name_the_pair_and_every_branch_collides_in_mujoco(pair):
     s = judge(GOAL[pair])
     assert verdict(s) == ("PLAN", "IK_IN_COLLISION", pair)
+    assert_known_without_a_path(GOAL[pair], s)
     twin = twin_of(GOAL[pair])
     assert twin.valid(HOME_Q)
     ik = solve_ik(batch_of([GOAL[pair]])[1])
@@ -150,6 +152,14 @@ def test_a_small_budget_gives_up_where_the_default_one_finds_a_path():
     assert_no_path(s)
     s = judge(item)
     assert verdict(s)[:2] == ("REACH", "OK") and int(s.path_len[0]) > 2
+
+
+def assert_known_without_a_path(item: Staged, s: Scores) -> None:
+    """The pose stage says the same, how deep, and between which parts."""
+    p = staged_evaluator().score(*batch_of([item]), "pose")
+    assert verdict(p)[1:] == verdict(s)[1:] and torch.equal(p.margin[:, PLAN], s.margin[:, PLAN])
+    assert p.margin[0, PLAN] < (-1e-4 if item in GOAL.values() else 0) and torch.isfinite(p.q_goal).all()
+    assert int(p.witness_part[0, 0]) >= 0 or item not in GOAL.values()
 
 
 def assert_no_path(s: Scores) -> None:

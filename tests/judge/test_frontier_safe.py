@@ -5,7 +5,6 @@ from functools import cache
 from types import ModuleType
 from unittest import mock
 
-import numpy as np
 import pytest
 import torch
 
@@ -37,19 +36,6 @@ class Moved:
         with levels.planning_form("frontier"):
             return self.touch()
 
-    def distances(
-        self, body_poses: BodyPoses | None = None, rows: slice | torch.Tensor = slice(None)
-    ) -> dict[str, torch.Tensor]:
-        """What the levels themselves write, of some rows alone, which are `body_poses` then."""
-        path, length = self.executed.path[rows].contiguous(), self.executed.length[rows].contiguous()
-        n = len(length)
-        out = {"distance": torch.zeros(n), "fraction": torch.zeros(n), "point": torch.zeros(n, 3)}
-        out |= {"body": torch.zeros(n, dtype=torch.int32), "segment": torch.zeros(n, dtype=torch.int32)}
-        run = frontier_safe.SafeFrontier(self.scene, body_poses or self.body_poses, path, length, SAFE_TOLERANCE_M)
-        run(out)
-        run.rows_where(length < 0)
-        return out
-
     def off_its_path(self, by_rad: float) -> "Moved":
         """Every waypoint moved at random: motions that nobody has certified, some through the hand."""
         noise = torch.randn(self.executed.path.shape, generator=torch.Generator().manual_seed(5))
@@ -59,16 +45,11 @@ class Moved:
 @cache
 def moved(method: ModuleType, n: int) -> Moved:
     """Motions as planned of a method's first n trials."""
-    return of_rows(method, n, slice(None))
-
-
-def of_rows(method: ModuleType, n: int, rows: slice | torch.Tensor) -> Moved:
-    """Some of them in a batch of their own."""
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=n))
     trials = trials_with_ids(torch.arange(n), objects=evaluator.scene.objects, protocol="r2h-v0")
     poses = method.predict(trials, evaluator.scene, seed=0)
     with mock.patch.object(evaluate, "hand_distance", wraps=hand_distance) as asked:
-        evaluator.score(poses.T_obj_ee[rows], poses.T_world_ee[rows], trials[rows])
+        evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
     return Moved(*asked.call_args_list[0].args[:4])
 
 
@@ -110,19 +91,6 @@ def test_the_frontier_finds_the_distances_of_one_thread_in_two_thousand_trials(
     assert compare(asked.off_its_path(0.3)) >= 100
 
 
-def test_a_distance_does_not_depend_on_its_batch_its_place_or_the_number_of_lanes(scene: Scene) -> None:
-    asked = moved(random, 160).off_its_path(0.1)
-    whole = asked.distances()
-    order = torch.from_numpy(np.random.default_rng(1).permutation(160))
-    for rows in (order, slice(40, 47)):
-        alone = of_rows(random, 160, rows).body_poses
-        for name, found in asked.distances(alone, rows).items():
-            assert torch.equal(whole[name][rows], found), name
-    with mock.patch.object(levels, "LANES", 7):
-        for name, found in asked.distances().items():
-            assert torch.equal(whole[name], found), name
-
-
 def test_a_long_motion_is_halved_block_by_block_from_its_end(scene: Scene) -> None:
     """As recorded sample by sample: 150 segments a motion, nearest at its end or at its start."""
     asked = moved(oracle, 24)
@@ -135,16 +103,10 @@ def test_a_long_motion_is_halved_block_by_block_from_its_end(scene: Scene) -> No
         compare(replace(asked, executed=replace(asked.executed, path=shape.contiguous(), length=length)))
 
 
-def test_where_a_queue_is_too_short_fewer_rows_go_at_once_and_come_out_the_same(scene: Scene) -> None:
-    asked = moved(oracle, 96)
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=96))
-    trials = trials_with_ids(torch.arange(96), objects=evaluator.scene.objects, protocol="r2h-v0")
-    poses = oracle.predict(trials, evaluator.scene, seed=0)
-    with levels.planning_form("frontier"):
-        whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
-        with mock.patch.dict(frontier_safe.PER_INTERVAL, {"bodies": 1}):
-            with pytest.raises(MemoryError, match="cannot allocate"):
-                asked.touch()
-            parts = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
-    assert torch.equal(whole.outcome, parts.outcome)
-    assert torch.equal(whole.margin.nan_to_num(9.0), parts.margin.nan_to_num(9.0))
+def test_a_queue_that_is_too_short_ends_the_batch_and_says_so() -> None:
+    asked = moved(oracle, 24)
+    with (
+        mock.patch.dict(frontier_safe.PER_INTERVAL, {"bodies": 1}),
+        pytest.raises(MemoryError, match="cannot allocate"),
+    ):
+        asked.by_frontier()

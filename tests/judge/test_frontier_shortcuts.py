@@ -37,14 +37,13 @@ class Asked:
     path_of_one: torch.Tensor
     length_of_one: torch.Tensor
 
-    def by_frontier(self, rows: torch.Tensor | None = None, **config: object) -> tuple[torch.Tensor, torch.Tensor]:
-        """Those `rows`, or all."""
+    def by_frontier(self, **config: object) -> tuple[torch.Tensor, torch.Tensor]:
         path, length = self.path.clone(), self.length.clone()
         with levels.planning_form("frontier"):
             run = copy(self.search.run)
             run.frontier = levels.Frontier(**run._tables, device="cpu", rows=len(length))
             search = replace(self.search, run=run, config=replace(self.search.config, **config))
-            search._shorten(self.rows if rows is None else rows, self.seed, self.margin, path, length)
+            search._shorten(self.rows, self.seed, self.margin, path, length)
         return path, length
 
     def times(self, path: torch.Tensor, length: torch.Tensor) -> torch.Tensor:
@@ -140,26 +139,6 @@ def test_they_are_about_as_good_in_two_thousand_trials(scene: Scene, method: Mod
     as_good(asked)
     for one in asked:
         assert all_certified(one, *one.by_frontier(), less=1e-5)
-
-
-def test_a_path_does_not_depend_on_its_batch_its_place_or_the_number_of_lanes(first: Asked) -> None:
-    path, length = first.by_frontier()
-
-    def same(rows: torch.Tensor, found: tuple[torch.Tensor, torch.Tensor]) -> None:
-        rows = rows.long()
-        assert torch.equal(found[1][rows], length[rows])
-        for row in rows.tolist():
-            assert torch.equal(found[0][row, : length[row]], path[row, : length[row]])
-
-    turned = first.rows[torch.from_numpy(np.random.default_rng(2).permutation(len(first.rows)))]
-    same(first.rows, first.by_frontier(turned))
-    same(first.rows[5:8], first.by_frontier(first.rows[5:8]))
-    with mock.patch.object(levels, "LANES", 7):
-        same(first.rows, first.by_frontier())
-    with mock.patch.object(frontier_shortcuts, "LANES_AT_ONCE", 24):  # three paths at once, then the next
-        same(first.rows, first.by_frontier())
-    other = replace(first, seed=first.seed + 1).by_frontier()
-    assert not torch.equal(other[0], path)
 
 
 def test_without_tries_waypoints_are_left_out_and_nothing_else(first: Asked) -> None:

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from oracle import Staged as Twin
 from oracle import geom_depth, hand_triangles, mujoco_scene
-from problems import Batch, assert_same, default_evaluator, make_batch
+from planning_twins import staged
+from problems import Batch, default_evaluator, make_batch
 from scipy.optimize import linprog
-from staging import GOAL, GOOD, START, batch_of, staged_evaluator
+from staging import GOAL, batch_of, staged_evaluator
 
 from r2h_batch import se3
 from r2h_batch.bodies.robot import ee_pose, forward_kinematics, load_robot
@@ -127,22 +127,6 @@ def test_a_hundred_thousand_candidates_of_all_objects_agree():
     assert int(seen.sum()) == 100_000 and len(objects) == 16 and (seen[:4] > 0).all()
 
 
-@pytest.mark.parametrize("pair", START)
-def test_a_start_in_collision_is_known_without_a_path(pair):
-    s = staged_evaluator().score(*batch_of([START[pair]]), "pose")
-    assert (int(s.plan_reason[0]), int(s.plan_pair[0])) == (PlanReason.START_IN_COLLISION, CollidingPair[pair])
-    assert s.margin[0, PLAN] < 0 and torch.isfinite(s.q_goal).all()
-
-
-@pytest.mark.parametrize("pair", GOAL)
-def test_goals_in_collision_name_the_pair_and_measure_the_overlap(pair):
-    s = staged_evaluator().score(*batch_of([GOAL[pair]]), "pose")
-    assert (int(s.plan_reason[0]), int(s.plan_pair[0])) == (PlanReason.IK_IN_COLLISION, CollidingPair[pair])
-    assert s.margin[0, PLAN] < -1e-4 and int(s.witness_part[0, 0]) >= 0
-    deeper = GOAL[pair].but(T_world_ee=GOAL[pair].T_world_ee)
-    assert_same(s, staged_evaluator().score(*batch_of([deeper]), "pose"))
-
-
 @pytest.mark.parametrize(("depth", "flagged"), [(0.00005, True), (0.005, False)])
 def test_a_goal_that_hardly_collides_is_borderline(depth, flagged):
     """The stick's end is in the table by less, or by more, than float32 decides. An overlap's margin bounds its depth."""
@@ -182,28 +166,17 @@ class Judged:
             se3.orthonormalise(T).contiguous() for T in (b.T_obj_ee, b.T_world_ee, b.trials.T_world_hand)
         )
         grasp = close_gripper(self.scene.grasp_tables, T_obj_ee, b.trials.object_index)
-        self.attached, self.opening_m, self.T_world_hand = (
-            attach(T_obj_ee, grasp.shift_m),
-            grasp.opening_m,
-            T_world_hand,
-        )
+        self.T_obj_ee_attached, self.opening_m = attach(T_obj_ee, grasp.shift_m), grasp.opening_m
+        self.T_world_hand = T_world_hand
         self.goal = self.goals(T_world_hand)
 
     def goals(self, T_world_hand: torch.Tensor) -> Goal:
         t = self.batch.trials
-        body_poses = self.scene.body_poses(t.object_index, t.hand_index, self.attached, T_world_hand, self.opening_m)
+        body_poses = self.scene.body_poses(
+            t.object_index, t.hand_index, self.T_obj_ee_attached, T_world_hand, self.opening_m
+        )
         ik = solve_ik(self.T_world_ee)
         return judge_goals(self.scene, body_poses, self.T_world_ee, ik, ik.valid, torch.ones(len(t), dtype=torch.bool))
-
-    def twin(self, row: int) -> Twin:
-        t = self.batch.trials
-        return Twin(
-            int(t.object_index[row]),
-            int(t.hand_index[row]),
-            self.attached[row].double().numpy(),
-            self.T_world_hand[row].double().numpy(),
-            float(self.opening_m[row]),
-        )
 
 
 @pytest.fixture(scope="module")
@@ -217,7 +190,7 @@ def test_clearance_and_safe_of_free_goals_agree_with_mujoco_and_a_float64_mesh_d
     assert len(rows) > 25
     near = 0
     for row in rows:
-        twin, q = judged.twin(row), s.q_goal[row].double().numpy()
+        twin, q = staged(judged, row), s.q_goal[row].double().numpy()
         scene = mujoco_scene(judged.scene, twin)
         found = scene.clearances(q)
         assert float(s.margin[row, PLAN]) == pytest.approx(found.least, abs=3e-5)
@@ -246,7 +219,7 @@ def test_overlaps_of_object_and_hand_are_growth_distances(judged):
     for row in rows[:40]:
         o, hand = int(judged.batch.trials.object_index[row]), int(judged.batch.trials.hand_index[row])
         ee = forward_kinematics(robot, goal.q[row].double().numpy())[6] @ scene.T_wrist_ee
-        T = ee @ np.linalg.inv(judged.attached[row].double().numpy())
+        T = ee @ np.linalg.inv(judged.T_obj_ee_attached[row].double().numpy())
         a = scene.objects[o].hull_vertices.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
         middle, radius = T[:3, :3] @ balls[o, :3] + T[:3, 3], float(balls[o, 3])
         H = judged.T_world_hand[row].double().numpy()
@@ -270,7 +243,7 @@ def test_no_overlap_is_said_to_be_deeper_than_it_is(judged):
     rows = torch.nonzero((goal.clearance_m < 0) & (goal.body >= 0)).flatten().tolist()
     ratio, kinds = [], set()
     for row in rows:
-        twin, pair = mujoco_scene(scene, judged.twin(row)), CollidingPair(int(goal.nearest[row]))
+        twin, pair = mujoco_scene(scene, staged(judged, row)), CollidingPair(int(goal.nearest[row]))
         at_home = int(goal.reason[row]) == PlanReason.START_IN_COLLISION
         twin.clearances(HOME_Q if at_home else goal.q[row].double().numpy())  # puts the model there
         other = int(goal.other[row])
@@ -341,7 +314,7 @@ def test_a_branch_that_is_free_by_a_sixth_of_a_millimetre_is_free(judged):
             out[row] = max(scene.least(x, cap=0.03)[0] for x in q), there
         return out
 
-    scenes = {row: mujoco_scene(judged.scene, judged.twin(row)) for row in rows}
+    scenes = {row: mujoco_scene(judged.scene, staged(judged, row)) for row in rows}
     for sign in (1, -1):
         wanted = dict(zip(rows, sign * np.linspace(1.5e-4, 4.6e-4, 8), strict=True))
         low, high = dict.fromkeys(rows, 0.0), dict.fromkeys(rows, 0.06)
@@ -360,20 +333,3 @@ def test_a_branch_that_is_free_by_a_sixth_of_a_millimetre_is_free(judged):
             if sign > 0:
                 best = max(float(goal.clearance_m[row]), 0.0)
                 assert best == pytest.approx(left[row][0], abs=3e-5), row
-
-
-def test_no_free_pose_is_beyond_the_float64_verdict_of_mujoco(judged):
-    """Every branch of a goal in collision collides in MuJoCo C, every chosen branch of a free one does not."""
-    s, goal = judged.scores, judged.goal
-    assert torch.equal(s.margin[:, PLAN], goal.clearance_m) and torch.equal(s.q_goal, goal.q)
-    ik = solve_ik(judged.T_world_ee)
-    rows = torch.nonzero(s.plan_reason == int(PlanReason.IK_IN_COLLISION)).flatten().tolist()[:12]
-    for row in rows:
-        scene = mujoco_scene(judged.scene, judged.twin(row))
-        for q in ik.q[row][ik.valid[row]].double().numpy():
-            assert scene.least(q, cap=1e-3)[0] < 1e-4
-    config = replace(default_evaluator().config, chunk=50)
-    other = default_evaluator().__class__(config, threads=1)
-    b = judged.batch
-    assert_same(other.score(b.T_obj_ee, b.T_world_ee, b.trials, "pose"), s)
-    assert GOOD.object_index == 0

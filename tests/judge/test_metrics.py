@@ -9,10 +9,11 @@ import oracle
 import pytest
 import torch
 import trimesh
-from planning_twins import motion_samples, staged
+from convex_twin import winding_number
+from planning_twins import motion_samples, posture_at, staged
 from problems import Batch, Problems, default_evaluator, make_batch, solve
 
-from r2h_batch.bodies.robot import Kind, gripper_primitives_at
+from r2h_batch.bodies.robot import gripper_primitives_at
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, EvalConfig, ExecConfig, Thresholds
 from r2h_batch.judge import metrics
 from r2h_batch.judge.distance import hand_distance, within_slack
@@ -127,7 +128,7 @@ def test_reach_is_the_balls_radius_less_its_centres_distance_to_the_solid():
         x = np.linalg.inv(T_world_obj) @ np.append(center[row].double().numpy(), 1.0)
         mesh = of_object(row)
         distance = float(trimesh.proximity.closest_point_naive(mesh, x[None, :3])[1][0])
-        if abs(oracle.winding_number(x[:3], mesh.triangles)) > 0.5:
+        if abs(winding_number(x[:3], mesh.triangles)) > 0.5:
             distance, inside = 0.0, inside + 1
         assert float(s.margin[row, REACH]) == pytest.approx(0.10 - distance, abs=3e-5), row
     assert inside >= 5
@@ -245,31 +246,9 @@ def test_safe_is_the_smallest_distance_of_the_timed_motion_and_the_witness_says_
         assert there == pytest.approx(float(s.margin[row, SAFE]), abs=1e-4)
         samples = motion_samples(path, times, evaluator.config.execute, step_rad=1 / 20)
         assert min(twin.safe_at(triangles, x, cap=0.2) for x in samples[::3]) >= float(s.margin[row, SAFE]) - 1e-4
-        name = evaluator.scene.part_names[int(s.witness_part[row, 1])]
-        geom = twin.model.geom(name)
         twin.safe_at(triangles, q)  # puts the model there
-        x = twin.data.geom_xmat[geom.id].reshape(3, 3).T @ (
-            s.witness_point[row].double().numpy() - twin.data.geom_xpos[geom.id]
-        )
-        kind = Kind.BOX if int(geom.type[0]) == 6 else (Kind.CYLINDER if int(geom.type[0]) == 5 else Kind.CAPSULE)
-        assert float(oracle.primitive_distance(kind, geom.size, x)) == pytest.approx(
-            float(s.margin[row, SAFE]), abs=1e-4
-        )
-
-
-def posture_at(path: np.ndarray, times: np.ndarray, when: float, config) -> np.ndarray:
-    """The motion's posture at a time, by the trapezoid in float64."""
-    v, a = config.scale * config.max_velocity_rad_s, config.scale * config.max_acceleration_rad_s2
-    k = int(np.clip(np.searchsorted(times, when, side="right") - 1, 0, len(path) - 2))
-    delta, total, t = path[k + 1] - path[k], times[k + 1] - times[k], when - times[k]
-    whole, ramp = np.abs(delta).max(), min(v / a, total / 2)
-    t = np.clip(t, 0, total)
-    s = a * ramp * ramp / 2 + a * ramp * (t - ramp)
-    if t < ramp:
-        s = a * t * t / 2
-    elif total - t < ramp:
-        s = whole - a * (total - t) ** 2 / 2
-    return path[k] + s / whole * delta
+        name = evaluator.scene.part_names[int(s.witness_part[row, 1])]
+        assert twin.distance_to(name, s.witness_point[row]) == pytest.approx(float(s.margin[row, SAFE]), abs=1e-4)
 
 
 def test_a_safety_margin_is_taken_off():

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 from convex_twin import primitive_distance
-from oracle import Staged, deepest_along, hand_triangles, mujoco_scene
+from oracle import deepest_along, hand_triangles, kind_of, mujoco_scene
+from planning_twins import staged
 from problems import Problems, default_evaluator, make_batch, solve
 
-from r2h_batch.bodies.robot import Kind
 from r2h_batch.config import BORDERLINE_M, PlanConfig
 from r2h_batch.judge.distance import hand_distance
 from r2h_batch.motion.execute import Executed
@@ -19,14 +19,6 @@ SAMPLED = PlanConfig(goals="one", edge_check="moveit", hand_clearance_m=0.0)
 def sampled() -> Problems:
     scene = default_evaluator().scene
     return solve(scene, make_batch(scene, 256, random_share=0.3), SAMPLED)
-
-
-def staged(p: Problems, row: int) -> Staged:
-    t = p.batch.trials
-    return Staged(
-        int(t.object_index[row]), int(t.hand_index[row]), p.T_obj_ee_attached[row].double().numpy(),
-        t.T_world_hand[row].double().numpy(), float(p.opening_m[row]),
-    )  # fmt: skip
 
 
 def test_a_sampled_path_says_how_deep_it_passes_through_things(sampled):
@@ -68,8 +60,7 @@ def test_safe_says_how_deep_the_hand_is_in_the_robot(sampled):
         m, depth = twin.model, np.inf
         for link in scene.robot.links:
             for name in twin.groups[link]:
-                g = m.geom(name)
-                kind = {6: Kind.BOX, 5: Kind.CYLINDER}.get(int(g.type[0]), Kind.CAPSULE)
-                local = (points - twin.data.geom_xpos[g.id]) @ twin.data.geom_xmat[g.id].reshape(3, 3)
-                depth = min(depth, float(primitive_distance(kind, g.size, local).min()))
+                g = m.geom(name).id
+                local = (points - twin.data.geom_xpos[g]) @ twin.data.geom_xmat[g].reshape(3, 3)
+                depth = min(depth, float(primitive_distance(kind_of(m, g), m.geom_size[g], local).min()))
         assert depth < 0 and float(touch.distance_m[row]) == pytest.approx(depth, abs=max(1.5e-4, 0.05 * abs(depth)))

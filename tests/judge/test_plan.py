@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 import torch
 from oracle import mujoco_scene
-from planning_twins import HAND_MARGIN_M, checker_of, dense, motion_samples, ompl_solve, recheck, staged
+from planning_twins import (
+    HAND_MARGIN_M,
+    checker_of,
+    dense,
+    jacobian_ik,
+    motion_samples,
+    ompl_solve,
+    recheck,
+    staged,
+)  # fmt: skip
 from problems import Problems, default_evaluator, make_batch, solve
 
 from r2h_batch.bodies.robot import ee_pose
@@ -218,32 +227,6 @@ def test_one_goal_is_the_branch_a_jacobian_solver_reaches_from_home():
             np.nanargmin(np.where(p.ik.valid[row].numpy(), apart, np.nan)) == int(one[row].to(torch.int8).argmax())
         )
     assert checked > 40 and same >= 0.95 * checked
-
-
-def jacobian_ik(robot, target: np.ndarray) -> np.ndarray | None:
-    """Damped least squares from home with a Jacobian by central differences; None where it does not converge."""
-    from scipy.spatial.transform import Rotation
-
-    def error(q):
-        at = ee_pose(robot, q)
-        return np.concatenate(
-            [target[:3, 3] - at[:3, 3], Rotation.from_matrix(target[:3, :3] @ at[:3, :3].T).as_rotvec()]
-        )
-
-    def motion(q, j):
-        h = np.zeros(6)
-        h[j] = 1e-6
-        a, b = ee_pose(robot, q - h), ee_pose(robot, q + h)
-        return np.concatenate([b[:3, 3] - a[:3, 3], Rotation.from_matrix(b[:3, :3] @ a[:3, :3].T).as_rotvec()]) / 2e-6
-
-    q = HOME.copy()
-    for _ in range(100):
-        e = error(q)
-        if np.abs(e).max() < 1e-6:
-            return q
-        J = np.stack([motion(q, j) for j in range(6)], 1)
-        q = np.clip(q + J.T @ np.linalg.solve(J @ J.T + (1e-2 * e @ e + 1e-6) * np.eye(6), e), robot.lower, robot.upper)
-    return None
 
 
 def test_moveits_edge_resolution_lets_paths_through_the_hand_and_the_exact_check_does_not():

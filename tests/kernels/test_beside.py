@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
+from convex_twin import point_to_segment
 
 from r2h_batch.kernels.geometry.balls import balls_in_reach, capsules_beside
 from r2h_batch.kernels.geometry.body import BOX, CAPSULE, CYLINDER, SPHERE
@@ -54,17 +55,17 @@ def _asked(kernel: wp.Kernel, inputs: dict) -> np.ndarray:
     return (words[:, :, None] >> np.arange(32) & 1 == 1).reshape(COUNT, 64)
 
 
-def _from_point(x: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    u = b - a
-    s = np.clip(((x - a) * u).sum(-1) / np.maximum((u * u).sum(-1), 1e-30), 0, 1)
-    return np.linalg.norm(a + s[..., None] * u - x, axis=-1)
-
-
 def _segments(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> np.ndarray:
     """Distance of segments: at an end of one of them, or inside both, where it is square to both."""
     a0, a1, b0, b1 = np.broadcast_arrays(a0, a1, b0, b1)
     least = np.min(
-        [_from_point(a0, b0, b1), _from_point(a1, b0, b1), _from_point(b0, a0, a1), _from_point(b1, a0, a1)], 0
+        [
+            point_to_segment(a0, b0, b1),
+            point_to_segment(a1, b0, b1),
+            point_to_segment(b0, a0, a1),
+            point_to_segment(b1, a0, a1),
+        ],
+        0,
     )
     u, v, r = a1 - a0, b1 - b0, a0 - b0
     uu, vv, uv, ur, vr = ((x * y).sum(-1) for x, y in ((u, u), (v, v), (u, v), (u, r), (v, r)))

@@ -2,7 +2,7 @@
 
 import numpy as np
 import warp as wp
-from convex_twin import penetration_depth
+from convex_twin import core_of, penetration_depth
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.bodies.robot import Kind
@@ -14,7 +14,6 @@ from r2h_batch.launch import init_warp, launch
 wp.set_module_options(OPTIONS)
 init_warp()
 COUNT = 240
-RIM = 2 * np.pi * np.arange(96) / 96
 
 
 @wp.kernel
@@ -34,19 +33,6 @@ def depths(
     b.start = start[i, 1]
     b.count = count[i, 1]
     depth_out[i] = core_depth(a, R[i], p[i], b, points)
-
-
-def around(kind: int, size: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Corners of a body; of a prism around a cylinder, 0.06 % wider."""
-    z = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]) * size[1]
-    if kind == Kind.HULL:
-        return points
-    if kind == Kind.BOX:
-        return np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * size
-    if kind == Kind.CYLINDER:
-        ring = size[0] / np.cos(np.pi / 96) * np.stack([np.cos(RIM), np.sin(RIM), 0 * RIM], 1)
-        return (ring[:, None] + z).reshape(-1, 3)
-    return z
 
 
 def test_the_depth_of_cores_is_from_below_and_within_two_per_cent() -> None:
@@ -72,7 +58,7 @@ def test_the_depth_of_cores_is_from_below_and_within_two_per_cent() -> None:
     launch(depths, COUNT, inputs=inputs, outputs={"depth": found}, device="cpu")
     true = np.empty(COUNT)
     for i in range(COUNT):
-        a, b = (around(int(kinds[i, k]), size[i, k].astype(float), clouds[2 * i + k].astype(float)) for k in (0, 1))
+        a, b = (core_of(int(kinds[i, k]), size[i, k].astype(float), clouds[2 * i + k], sides=48)[0] for k in (0, 1))
         true[i] = penetration_depth(a @ R[i].T.astype(float) + p[i], b)
     assert (found <= true + 1e-7).all(), (found - true).max()
     deep = true > 1e-4

@@ -5,7 +5,6 @@ import itertools
 import convex_twin
 import mujoco
 import numpy as np
-import oracle
 import pytest
 import warp as wp
 from scipy.spatial.transform import Rotation
@@ -111,19 +110,19 @@ class Pairs:
     def twin(self):
         n = len(self)
         T = np.tile(np.eye(4), (n, 1, 1))
-        b = oracle.bodies(self.kinds[1], self.sizes[1], T, self.points[1])
+        b = convex_twin.bodies(self.kinds[1], self.sizes[1], T, self.points[1])
         T[:, :3, :3], T[:, :3, 3] = self.R, self.p
-        return oracle.bodies(self.kinds[0], self.sizes[0], T, self.points[0]), b
+        return convex_twin.bodies(self.kinds[0], self.sizes[0], T, self.points[0]), b
 
     def truth(self):
-        lower, upper = oracle.convex_distance(*self.twin())
+        lower, upper = convex_twin.convex_distance(*self.twin())
         return lower, upper
 
     def put_at(self, gap):
         """Moves body a along the line between nearest points (or centres, when they meet) to the wanted gap."""
         for _ in range(3):
             a, b = self.twin()
-            d, _ = oracle.convex_distance(a, b)
+            d, _ = convex_twin.convex_distance(a, b)
             line = self.p.astype(np.float64) - 0.0
             line /= np.maximum(np.linalg.norm(line, axis=1), 1e-9)[:, None]
             self.p = (self.p + (gap - d)[:, None] * line).astype(np.float32)
@@ -262,7 +261,7 @@ def test_the_nearest_points_are_points_of_the_bodies_at_that_distance():
         T = np.tile(np.eye(4), (n, 1, 1))
         T[:, :3, 3] = x
         core = convex_twin.Bodies(body.points, body.disc, np.zeros(n), body.R, body.p)
-        _, off = oracle.convex_distance(oracle.bodies([0] * n, np.zeros((n, 3)), T), core)
+        _, off = convex_twin.convex_distance(convex_twin.bodies([0] * n, np.zeros((n, 3)), T), core)
         assert off[apart].max() <= 5e-6
 
 
@@ -373,9 +372,9 @@ def test_segment_distance_is_never_above_the_truth_even_for_nearly_parallel_segm
         device="cpu",
     )
     T = np.tile(np.eye(4), (n, 1, 1))
-    hull = lambda *x: oracle.bodies([4] * n, None, T, np.stack(x, 1))  # noqa: E731
-    _, truth = oracle.convex_distance(hull(*ends[:2]), hull(*ends[2:]), gap=1e-9)
-    _, point = oracle.convex_distance(hull(ends[0]), hull(*ends[2:]), gap=1e-9)
+    hull = lambda *x: convex_twin.bodies([4] * n, None, T, np.stack(x, 1))  # noqa: E731
+    _, truth = convex_twin.convex_distance(hull(*ends[:2]), hull(*ends[2:]), gap=1e-9)
+    _, point = convex_twin.convex_distance(hull(ends[0]), hull(*ends[2:]), gap=1e-9)
     print(f"segments: above truth by at most {(out[0].numpy() - truth).max():.2e} m")
     assert np.abs(out[1].numpy() - point).max() <= 1e-6
     assert (out[0].numpy() - truth).max() <= 2e-6

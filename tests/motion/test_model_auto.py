@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from motions import ARM, BRIEF, MUJOCO, N, into_the_table, problems, reference_run, run
+from motions import ARM, BRIEF, MUJOCO, N, into_the_table, placed, problems, reference_run, run
 from problems import default_evaluator
 
 import r2h_batch.motion.execute as module
@@ -28,16 +28,11 @@ def auto(clearance_m: torch.Tensor, rows: torch.Tensor | None = None) -> Execute
     """With nothing to go by but the clearance: the walk along the motion rules nothing out."""
     p = problems()
     rows = torch.arange(N) if rows is None else rows
-    trials = p.batch.trials
-    body_poses = default_evaluator().scene.body_poses(
-        trials.object_index[rows], trials.hand_index[rows], p.T_obj_ee_attached[rows], trials.T_world_hand[rows],
-        p.opening_m[rows],
-    )  # fmt: skip
     path, length = p.plan.path[rows], p.plan.length[rows]
     motion = time_path(path, length, AUTO)
     near, never = clearance_m[rows], mock.Mock(return_value=torch.zeros_like(length, dtype=torch.bool))
     with mock.patch.object(module, "nothing_pushes", never):
-        return execute(default_evaluator().scene, body_poses, path, length, motion, AUTO, clearance_m=near)
+        return execute(default_evaluator().scene, placed(rows), path, length, motion, AUTO, clearance_m=near)
 
 
 def same(a: Executed, b: Executed, i: int, j: int) -> bool:
@@ -85,10 +80,7 @@ def test_what_is_said_not_to_push_touches_nothing_in_mujoco_and_the_rest_does():
     rng, n, steps = np.random.default_rng(5), 40, 200
     rows = torch.arange(n) % N
     trials = p.batch.trials
-    body_poses = scene.body_poses(
-        trials.object_index[rows], trials.hand_index[rows], p.T_obj_ee_attached[rows], trials.T_world_hand[rows],
-        p.opening_m[rows],
-    )  # fmt: skip
+    body_poses = placed(rows)
     home = p.plan.path[0, 0].numpy()
     goal = home + rng.uniform(-1.8, 1.8, (n, 6))
     path = torch.from_numpy((home + np.linspace(0, 1, 26)[:, None] * (goal - home)[:, None]).astype(np.float32))

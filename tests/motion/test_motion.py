@@ -19,6 +19,7 @@ from motions import (
     N,
     commands,
     into_the_table,
+    placed,
     problems,
     reference_run,
     run,
@@ -218,7 +219,7 @@ def test_a_motion_that_is_held_up_keeps_its_margin_at_every_step_of_mujoco(besid
     there = ee_pose(scene.robot, q[-1, :6])[:3, 3] + [0, beside, 0.05]
     palm = scene.hands.vertices[trials.hand_index[row]].mean(0)
     hand[row, :3, 3] = torch.from_numpy(there).float() - palm
-    body_poses = scene.body_poses(trials.object_index, trials.hand_index, p.T_obj_ee_attached, hand, p.opening_m)
+    body_poses = placed(T_world_hand=hand)
     active = torch.ones(N, dtype=torch.bool)
     margin = float(hand_distance(scene, body_poses, e, active).distance_m[row])
 
@@ -250,14 +251,9 @@ def test_a_motion_that_is_held_up_keeps_its_margin_at_every_step_of_mujoco(besid
 def test_rows_do_not_depend_on_their_batch(config):
     p, whole = problems(), reference_run(config)
     for rows in (torch.arange(1), torch.arange(7), torch.randperm(N, generator=torch.Generator().manual_seed(0))):
-        body_poses = default_evaluator().scene.body_poses(
-            p.batch.trials.object_index[rows], p.batch.trials.hand_index[rows], p.T_obj_ee_attached[rows],
-            p.batch.trials.T_world_hand[rows], p.opening_m[rows],
-        )  # fmt: skip
         path, length = p.plan.path[rows], p.plan.length[rows]
-        e = execute(
-            default_evaluator().scene, body_poses, path, length, time_path(path, length, config), config, threads=1
-        )
+        motion = time_path(path, length, config)
+        e = execute(default_evaluator().scene, placed(rows), path, length, motion, config, threads=1)
         for i, row in enumerate(rows.tolist()):
             n = int(whole.length[row])
             assert int(e.length[i]) == n and torch.equal(e.path[i, :n], whole.path[row, :n])

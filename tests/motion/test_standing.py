@@ -15,6 +15,13 @@ from r2h_batch.motion.time_law import time_path
 ARM = replace(BRIEF_WARP, model="arm")
 
 
+@pytest.fixture(autouse=True)
+def fresh_worlds():
+    sim_mjwarp.forget_worlds()
+    yield
+    sim_mjwarp.forget_worlds()
+
+
 def some_paths(keep: list[int]) -> tuple[torch.Tensor, torch.Tensor]:
     """The problems' paths, of which only those at `keep` are moved."""
     p = problems()
@@ -28,7 +35,6 @@ def test_a_second_batch_builds_nothing_and_moves_as_if_it_were_the_first(config)
     found = torch.nonzero(problems().plan.length > 0).flatten().tolist()
     assert len(found) >= 8
     batches = [found[:7], found[1:6], found[3:8], found[2:7]]  # each in four worlds
-    sim_mjwarp.forget_worlds()
     with (
         mock.patch.object(mjw, "put_model", wraps=mjw.put_model) as models,
         mock.patch.object(wp, "ScopedCapture", wraps=wp.ScopedCapture) as graphs,
@@ -36,13 +42,12 @@ def test_a_second_batch_builds_nothing_and_moves_as_if_it_were_the_first(config)
         kept = [run(config, *some_paths(rows)) for rows in batches]
     assert (
         models.call_count == 1 and graphs.call_count <= 2
-    )  # the first has the most trials; samples may need more room once
+    )  # the first has the most trials; samples need more room once
     for rows, e in zip(batches, kept, strict=True):
         sim_mjwarp.forget_worlds()
         fresh = run(config, *some_paths(rows))
         assert torch.equal(e.path, fresh.path) and torch.equal(e.length, fresh.length)
         assert torch.equal(e.slack_m, fresh.slack_m) and torch.equal(e.settled, fresh.settled)
-    sim_mjwarp.forget_worlds()
 
 
 @pytest.mark.parametrize("config", [ARM, BRIEF_WARP], ids=["arm", "scene"])
@@ -62,31 +67,26 @@ def test_what_failed_in_a_world_is_gone_with_the_next_trial(config, monkeypatch)
             n = int(good.length[other])
             assert not e.valid[row] and e.valid[other] and torch.equal(e.path[other, :n], good.path[other, :n])
     assert torch.equal(run(config, path, length).path, good.path)
-    sim_mjwarp.forget_worlds()
 
 
 def test_more_trials_than_there_was_room_for_find_more(monkeypatch):
     whole = reference_run(ARM)
     found = torch.nonzero(problems().plan.length > 0).flatten().tolist()
-    sim_mjwarp.forget_worlds()
     monkeypatch.setitem(sim_mjwarp.MAX_WORLDS, "cpu", 1)  # one world for any number of trials
     for rows in (found[:1], found):
         e = run(ARM, *some_paths(rows))
         for i in rows:
             n = int(whole.length[i])
             assert int(e.length[i]) == n and torch.equal(e.path[i, :n], whole.path[i, :n])
-    sim_mjwarp.forget_worlds()
 
 
 def test_only_so_many_sets_of_worlds_are_kept(monkeypatch):
     monkeypatch.setattr(sim_mjwarp, "KEPT", 2)
-    sim_mjwarp.forget_worlds()
     found = torch.nonzero(problems().plan.length > 0).flatten().tolist()
     for worlds in (1, 2, 3):
         monkeypatch.setitem(sim_mjwarp.MAX_WORLDS, "cpu", worlds)
         run(ARM, *some_paths(found[:5]))
     assert len(sim_mjwarp._kept) == 2
-    sim_mjwarp.forget_worlds()
 
 
 @pytest.mark.parametrize(

@@ -41,34 +41,40 @@ class Bodies:
         return np.einsum("nij,nj->ni", self.R, best) + self.p
 
 
+def core_of(kind: int, size: Any, points: Any = None, sides: int = 0) -> tuple[Array, float, float]:
+    """Corners (P, 3) of a body, and the radii of the disc about z and of the ball that they are swept by.
+
+    A cylinder with `sides` is a prism around it instead, so many sides: corners alone.
+    """
+    z = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    if kind == Kind.SPHERE:
+        return np.zeros((1, 3)), 0.0, float(size[0])
+    if kind == Kind.CAPSULE:
+        return z * size[1], 0.0, float(size[0])
+    if kind == Kind.BOX:
+        return np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * size, 0.0, 0.0
+    if kind != Kind.CYLINDER:
+        return np.asarray(points, np.float64), 0.0, 0.0
+    if not sides:
+        return z * size[1], float(size[0]), 0.0
+    turn = 2 * np.pi * np.arange(sides) / sides
+    ring = size[0] / np.cos(np.pi / sides) * np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
+    return (ring[:, None] + z * size[1]).reshape(-1, 3), 0.0, 0.0
+
+
 def bodies(kinds: ArrayLike, sizes: Any, T: Array, points: Any = None) -> Bodies:
     """Bodies from kinds, MuJoCo-like sizes and poses (N, 4, 4); `points[i]` are a HULL's points."""
-    cores, disc, ball = [], [], []
-    for i, kind in enumerate(np.asarray(kinds)):
-        size = np.zeros(3) if sizes is None else np.asarray(sizes[i], np.float64)
-        z = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-        core, d, b = np.zeros((1, 3)), 0.0, 0.0
-        if kind == Kind.SPHERE:
-            b = size[0]
-        elif kind == Kind.CAPSULE:
-            core, b = z * size[1], size[0]
-        elif kind == Kind.CYLINDER:
-            core, d = z * size[1], size[0]
-        elif kind == Kind.BOX:
-            core = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * size
-        else:
-            core = np.asarray(points[i], np.float64)
-        cores.append(core)
-        disc.append(d)
-        ball.append(b)
-    most = max((len(c) for c in cores), default=1)
-    padded = (
-        np.stack([np.concatenate([c, np.repeat(c[:1], most - len(c), 0)]) for c in cores])
-        if cores
-        else np.zeros((0, 1, 3))
-    )
-    T = np.asarray(T, np.float64)
-    return Bodies(padded, np.array(disc), np.array(ball), T[:, :3, :3].copy(), T[:, :3, 3].copy())
+    found = [
+        core_of(
+            int(k), None if sizes is None else np.asarray(sizes[i], np.float64), None if points is None else points[i]
+        )
+        for i, k in enumerate(np.asarray(kinds))
+    ]
+    cores = [core for core, _, _ in found]
+    most = max(map(len, cores), default=1)
+    padded = [np.concatenate([c, np.repeat(c[:1], most - len(c), 0)]) for c in cores]
+    T, disc, ball = np.asarray(T, np.float64), np.array([d for _, d, _ in found]), np.array([b for _, _, b in found])
+    return Bodies(np.array(padded).reshape(len(cores), most, 3), disc, ball, T[:, :3, :3].copy(), T[:, :3, 3].copy())
 
 
 def convex_distance(a: Bodies, b: Bodies, *, iterations: int = 300, gap: float = 1e-10) -> tuple[Array, Array]:
@@ -171,6 +177,13 @@ def primitive_distance(kind: int, size: Any, x: Array) -> Array:
         return np.linalg.norm(np.maximum(q, 0), axis=-1) + np.minimum(q.max(-1), 0)
     along = np.clip(x[..., 2], -size[1], size[1]) if kind == Kind.CAPSULE else 0.0 * x[..., 2]
     return np.linalg.norm(x - along[..., None] * np.array([0.0, 0.0, 1.0]), axis=-1) - size[0]
+
+
+def point_to_segment(x: Array, a: Array, b: Array) -> Array:
+    """Distance of points x (..., 3) to segments from a to b."""
+    u = b - a
+    s = np.clip(((x - a) * u).sum(-1) / np.maximum((u * u).sum(-1), 1e-30), 0, 1)
+    return np.linalg.norm(a + s[..., None] * u - x, axis=-1)
 
 
 def winding_number(x: Array, triangles: Array) -> float:

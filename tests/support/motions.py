@@ -12,6 +12,7 @@ from r2h_batch.kernels.motion.time_law import Law, servo_commands
 from r2h_batch.launch import init_warp, launch_trials
 from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import time_path
+from r2h_batch.scene.scene import BodyPoses
 
 MUJOCO, PLANNED = ExecConfig(sim="mujoco", model="scene"), ExecConfig(sim="none")
 ARM, MJWARP = ExecConfig(sim="mujoco", model="arm"), ExecConfig(sim="mjwarp", model="arm")
@@ -26,6 +27,15 @@ N = 16
 def problems(n: int = N):
     evaluator = default_evaluator()
     return solve(evaluator.scene, make_batch(evaluator.scene, n, seed=3, random_share=0.3))
+
+
+def placed(rows: torch.Tensor | slice = slice(None), T_world_hand: torch.Tensor | None = None) -> BodyPoses:
+    """The bodies of those problems; `T_world_hand`: with their hands there."""
+    p = problems()
+    t = p.batch.trials[rows]
+    hand = t.T_world_hand if T_world_hand is None else T_world_hand
+    attached, opening = p.T_obj_ee_attached[rows], p.opening_m[rows]
+    return default_evaluator().scene.body_poses(t.object_index, t.hand_index, attached, hand, opening)
 
 
 def into_the_table() -> tuple[torch.Tensor, torch.Tensor, int]:

@@ -13,7 +13,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-from convex_twin import bodies, convex_distance, mesh_distance, penetration_depth, primitive_distance, winding_number
+from convex_twin import bodies, convex_distance, core_of, mesh_distance, penetration_depth, primitive_distance
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
@@ -24,27 +24,6 @@ from r2h_batch.judge.ik import ur_parameters
 from r2h_batch.scene.scene import BodyPoses, Scene
 
 Array = NDArray[np.float64]
-
-__all__ = [
-    "CLASSES",
-    "MujocoScene",
-    "Staged",
-    "bodies",
-    "convex_distance",
-    "deepest_along",
-    "geom_depth",
-    "hand_triangles",
-    "kind_of",
-    "mesh_distance",
-    "mujoco_scene",
-    "open_surface_distance",
-    "out_of_reach",
-    "place",
-    "primitive_distance",
-    "random_stages",
-    "samples",
-    "winding_number",
-]
 
 CLASSES = ("hand", "table", "self", "object_hand", "object_table", "object_robot")
 """Names of r2h_batch.types.CollidingPair 1..6, lower case, in that order."""
@@ -178,6 +157,12 @@ class MujocoScene:
         pairs = self.pairs_with_person()
         near = pairs[self._lower_bounds(*pairs.T) < cap]
         return min((mujoco.mj_geomDistance(self.model, self.data, a, b, cap, None) for a, b in near), default=cap)
+
+    def distance_to(self, name: str, x: ArrayLike) -> float:
+        """Signed distance of a point of the world to a primitive where it is now."""
+        g = self.model.geom(name).id
+        local = (np.asarray(x, np.float64) - self.data.geom_xpos[g]) @ self.data.geom_xmat[g].reshape(3, 3)
+        return float(primitive_distance(kind_of(self.model, g), self.model.geom_size[g], local))
 
     def _pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         robot, rows = self.robot, []
@@ -399,23 +384,16 @@ def geom_depth(model: mujoco.MjModel, data: mujoco.MjData, a: int, b: int) -> fl
 
 def _core(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> tuple[Array, float]:
     """Corners (n, 3) of a geom in the world, and the radius of the ball that they are grown by."""
-    size, kind = model.geom_size[geom], int(model.geom_type[geom])
-    grown, z = 0.0, np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
+    kind, points = Kind.HULL, None
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
         mesh = int(model.geom_dataid[geom])
         first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
         points = model.mesh_vert[first : first + count].astype(np.float64)
         points = points[ConvexHull(points).vertices]
-    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
-        points = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * size
-    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        turn = 2 * np.pi * np.arange(48) / 48
-        ring = size[0] / np.cos(np.pi / 48) * np.stack([np.cos(turn), np.sin(turn), 0 * turn], 1)
-        points = (ring[:, None] + z * size[1]).reshape(-1, 3)
     else:
-        grown = float(size[0])
-        points = z * (size[1] if kind == mujoco.mjtGeom.mjGEOM_CAPSULE else 0.0)
-    return points @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], grown
+        kind = Kind(kind_of(model, geom))
+    corners, _, grown = core_of(kind, model.geom_size[geom], points, sides=48)
+    return corners @ data.geom_xmat[geom].reshape(3, 3).T + data.geom_xpos[geom], grown
 
 
 def deepest_along(

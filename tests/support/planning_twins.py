@@ -16,7 +16,9 @@ from ompl import base as ob
 from ompl import geometric as og
 from ompl import util as ou
 from oracle import CLASSES, MujocoScene, Staged, mujoco_scene, samples
+from scipy.spatial.transform import Rotation
 
+from r2h_batch.bodies.robot import Robot, ee_pose
 from r2h_batch.config import HOME_Q, ExecConfig
 from r2h_batch.scene.scene import Scene
 
@@ -117,27 +119,31 @@ def recheck(checker: Checker, postures: Array) -> Rechecked:
     return Rechecked(len(postures), bad, where, hand)
 
 
-def motion_samples(path: Array, times: Array, config: ExecConfig, step_rad: float = 1 / 320) -> Array:
-    """Postures of the timed motion, evenly spaced in time within each segment, neighbours at most `step_rad` apart (L2).
+def posture_at(path: Array, times: Array, when: ArrayLike, config: ExecConfig) -> Array:
+    """Postures (..., 6) of the timed motion at times (...): an own trapezoid in float64.
 
-    Own trapezoid in float64: only the waypoints and the times at which they are reached are taken from the project.
+    Only the waypoints and the times at which they are reached are taken from the project.
     """
     v, a = config.scale * config.max_velocity_rad_s, config.scale * config.max_acceleration_rad_s2
-    out = [path[:1]]
-    for k in range(len(path) - 1):
-        delta = path[k + 1] - path[k]
-        whole, length = np.abs(delta).max(), np.linalg.norm(delta)
-        total = times[k + 1] - times[k]
-        if whole == 0:
-            continue
-        n = int(np.ceil(v * total / whole * length / step_rad)) + 1  # v: the fastest joint's largest step in time
-        t = np.linspace(0, total, n + 1)[1:]
-        ramp = min(v / a, total / 2)
-        back = total - t
-        cruise = a * ramp * ramp / 2 + a * ramp * (t - ramp)
-        s = np.where(t < ramp, a * t * t / 2, np.where(back < ramp, whole - a * back * back / 2, cruise))
-        out.append(path[k] + (s / whole)[:, None] * delta)
-    return np.concatenate(out)
+    when = np.asarray(when, np.float64)
+    k = np.clip(np.searchsorted(times, when, side="right") - 1, 0, len(path) - 2)
+    delta, total = path[k + 1] - path[k], times[k + 1] - times[k]
+    t = np.clip(when - times[k], 0, total)
+    whole, ramp, back = np.abs(delta).max(-1), np.minimum(v / a, total / 2), total - t
+    cruise = a * ramp * ramp / 2 + a * ramp * (t - ramp)
+    s = np.where(t < ramp, a * t * t / 2, np.where(back < ramp, whole - a * back * back / 2, cruise))
+    return path[k] + (s / np.maximum(whole, 1e-30))[..., None] * delta
+
+
+def motion_samples(path: Array, times: Array, config: ExecConfig, step_rad: float = 1 / 320) -> Array:
+    """Postures of the timed motion, evenly spaced in time within each segment, neighbours at most `step_rad` apart (L2)."""
+    v, at = config.scale * config.max_velocity_rad_s, [times[:1]]
+    for k, delta in enumerate(np.diff(path, axis=0)):
+        whole = np.abs(delta).max()
+        if whole > 0:  # v: the fastest joint's largest step in time
+            n = int(np.ceil(v * (times[k + 1] - times[k]) / whole * np.linalg.norm(delta) / step_rad)) + 1
+            at.append(np.linspace(times[k], times[k + 1], n + 1)[1:])
+    return posture_at(path, times, np.concatenate(at), config)
 
 
 @dataclass(frozen=True)
@@ -213,6 +219,25 @@ def staged(problems, row: int) -> Staged:
         t.T_world_hand[row].double().numpy(),
         float(problems.opening_m[row]),
     )
+
+
+def jacobian_ik(robot: Robot, target: Array, start: ArrayLike = HOME_Q, *, within: float = 1e-6) -> Array | None:
+    """The joint angles near `start` that reach a pose (4, 4), by damped least squares with a Jacobian of central differences.
+
+    Errors are metres and radians, float64; None where 100 steps do not come within `within`.
+    """
+
+    def error(to: Array, at: Array) -> Array:
+        return np.r_[to[:3, 3] - at[:3, 3], Rotation.from_matrix(to[:3, :3] @ at[:3, :3].T).as_rotvec()]
+
+    q = np.array(start, np.float64)
+    for _ in range(100):
+        e = error(target, ee_pose(robot, q))
+        if np.abs(e).max() < within:
+            return q
+        J = np.stack([error(ee_pose(robot, q + h), ee_pose(robot, q - h)) / 2e-6 for h in 1e-6 * np.eye(6)], 1)
+        q = np.clip(q + J.T @ np.linalg.solve(J @ J.T + 1e-2 * (e @ e + 1e-9) * np.eye(6), e), robot.lower, robot.upper)
+    return None
 
 
 def checker_of(scene: Scene, problems, row: int) -> Checker:

@@ -9,11 +9,11 @@ import pytest
 import torch
 import trimesh
 from oracle import Staged, hand_triangles, mujoco_scene
+from planning_twins import jacobian_ik
 from problems import assert_same, default_evaluator
 from slopes import candidates, gradients, measured_slopes
 
 from r2h_batch import se3, twist
-from r2h_batch.bodies.robot import ee_pose
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.goal import judge_goals
 from r2h_batch.training.gradients import HELD_M, MarginChanges
@@ -154,31 +154,6 @@ def test_reach_moves_as_the_exact_mesh_in_float64(batch):
     assert wrong <= 1  # the nearest of two points changes within the step
 
 
-def branch_near(q0: np.ndarray, T_world_ee: np.ndarray) -> np.ndarray:
-    """The joint angles near q0 that reach a pose: Newton steps on the float64 kinematics."""
-    scene, q = default_evaluator().scene, q0.copy()
-    for _ in range(8):
-        T = ee_pose(scene.robot, q)
-        J = np.zeros((6, 6))
-        for j in range(6):
-            e = np.zeros(6)
-            e[j] = 1e-6
-            J[:, j] = difference(ee_pose(scene.robot, q + e), ee_pose(scene.robot, q - e)) / 2e-6
-        q = q + np.linalg.solve(J, difference(T_world_ee, T))
-    assert np.abs(difference(T_world_ee, ee_pose(scene.robot, q))).max() < 1e-10
-    return q
-
-
-def difference(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    turn = a[:3, :3] @ b[:3, :3].T
-    return np.concatenate(
-        [
-            a[:3, 3] - b[:3, 3],
-            0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]),
-        ]
-    )
-
-
 def check_postures(batch: Any, criterion: int, count: int) -> tuple[int, int]:
     """How many of the first separated rows have the slopes of MuJoCo C (Plan) or the exact mesh (Safe) in float64."""
     evaluator, scene = default_evaluator(), default_evaluator().scene
@@ -201,7 +176,7 @@ def check_postures(batch: Any, criterion: int, count: int) -> tuple[int, int]:
         )
 
         def margin(T_world_ee: np.ndarray, twin=twin, triangles=triangles, q0=q0) -> float:
-            q = branch_near(q0, T_world_ee)
+            q = jacobian_ik(scene.robot, T_world_ee, q0, within=1e-10)
             return twin.least(q)[0] if criterion == PLAN else twin.safe_at(triangles, q)
 
         T_world_ee = batch.T_world_ee[i].double().numpy()
