@@ -24,7 +24,7 @@ import torch
 import warp as wp
 from _is_free import is_free
 from _report import Report, arguments
-from _twins import make_batch, oracle, solve
+from _twins import let_collide, make_batch, oracle, solve, staged
 
 from r2h_batch.config import HOME_Q, EvalConfig
 from r2h_batch.launch import launch_trials
@@ -51,36 +51,11 @@ def configurations(scene: Scene, n: int, per_trial: int, seed: int = 0):
     return problems, q.astype(np.float32).astype(np.float64)
 
 
-def twin_of(scene: Scene, problems, row: int) -> oracle.MujocoScene:
-    t = problems.batch.trials
-    double = lambda T: T[row].double().numpy()  # noqa: E731
-    staged = oracle.Staged(
-        int(t.object_index[row]), int(t.hand_index[row]), double(problems.T_obj_ee_attached), double(t.T_world_hand),
-        float(problems.opening_m[row]),
-    )  # fmt: skip
-    return oracle.mujoco_scene(scene, staged)
-
-
-def let_collide(twin: oracle.MujocoScene, classes: tuple[str, ...]) -> mujoco.MjModel:
-    """The twin's model with contacts between exactly the pairs of these classes (MuJoCo's bit masks)."""
-    m = twin.model
-    groups = [*twin.robot.links, "object", "hand", "table"]
-    of = np.zeros(m.ngeom, int)
-    for i, name in enumerate(groups):
-        of[[m.geom(g).id for g in twin.groups[name]]] = i
-    obstacles = np.zeros(len(groups), int)
-    for (a, b), k in zip(twin.pairs, twin.pair_class, strict=True):
-        if oracle.CLASSES[k] in classes:
-            obstacles[of[a]] |= 1 << of[b]
-    m.geom_contype[:] = 1 << of
-    m.geom_conaffinity[:] = obstacles[of]
-    for body in range(m.nbody):
-        mine = m.geom_bodyid == body
-        m.body_contype[body] = np.bitwise_or.reduce(m.geom_contype[mine], initial=0)
-        m.body_conaffinity[body] = np.bitwise_or.reduce(m.geom_conaffinity[mine], initial=0)
-    m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
-    m.opt.ccd_iterations, m.opt.ccd_tolerance = 35, 1e-6  # MuJoCo's own defaults
-    return m
+def contacts_of(twin: oracle.MujocoScene, classes: tuple[str, ...]) -> mujoco.MjModel:
+    """The twin's model with contacts between exactly the pairs of these classes, with MuJoCo's own defaults."""
+    let_collide(twin, classes)
+    twin.model.opt.ccd_iterations, twin.model.opt.ccd_tolerance = 35, 1e-6
+    return twin.model
 
 
 def run_c(models, datas, q, free) -> None:
@@ -174,7 +149,7 @@ def main() -> None:
     problems, q = configurations(scene, args.trials, args.per_trial)
     count = q.shape[0] * q.shape[1]
     report.add("collision.configs", count)
-    twins = [twin_of(scene, problems, k) for k in range(args.trials)]
+    twins = [oracle.mujoco_scene(scene, staged(problems, k)) for k in range(args.trials)]
     least = [[t.least(x, cap=2e-3) for x in rows] for t, rows in zip(twins, q, strict=True)]
     truth = np.array([[x[0] for x in rows] for rows in least])
     report.add("collision.free_share", float((truth > 0).mean()))
@@ -195,7 +170,7 @@ class Engines:
     """Every engine on the same configurations and pairs, each run once: compiled, and with its answers at hand."""
 
     def __init__(self, scene: Scene, problems, twins, classes, q: np.ndarray, *, with_warp: bool) -> None:
-        self.models = [let_collide(t, classes) for t in twins]
+        self.models = [contacts_of(t, classes) for t in twins]
         self.datas = [t.data for t in twins]
         self.q, self.scene, self.bodies = q, scene, problems.body_poses.bodies
         self.flat: Any = wp.array(q.reshape(-1, 6).astype(np.float32), dtype=float, device="cpu")

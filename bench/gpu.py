@@ -24,6 +24,7 @@ from unittest import mock
 import numpy as np
 import torch
 import warp as wp
+from _mix import Poses, load_mix, on, repeated
 from _report import ROOT, Report, arguments
 
 from r2h_batch import launch
@@ -33,9 +34,7 @@ from r2h_batch.judge.frontier.levels import FORMS, planning_form
 from r2h_batch.launch.cached import CachedLaunch
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import trials_with_ids
-from r2h_batch.types import Trials
 
-MIX = Path(__file__).with_name("mix.npz")
 RANDOM_TRIALS = 2048
 MARGIN_M = 1e-4
 CHUNKS = (2048, 8192, 32768)
@@ -45,7 +44,6 @@ FORM_ROWS = 32_000
 """Rows that decide between the two forms of planning."""
 REPEATS = 3
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
-Batch = tuple[torch.Tensor, torch.Tensor, Trials]
 
 
 @dataclass
@@ -71,22 +69,12 @@ class Bench:
         return Evaluator(KINEMATIC)
 
     @cached_property
-    def mix(self) -> Batch:
+    def mix(self) -> Poses:
         """The frozen mix of bench/throughput.py, on the CPU."""
-        scene = self.on_cpu.scene
-        with np.load(MIX, allow_pickle=False) as data:
-            rows = slice(min(self.trials, len(data["trial_id"])))
-            trials = trials_with_ids(
-                torch.from_numpy(data["trial_id"][rows]),
-                objects=scene.objects,
-                hand_set=scene.hands.set,
-                protocol="r2h-v0",
-            )
-            grasp, handover = (torch.from_numpy(data[k][rows]) for k in ("T_obj_ee", "T_world_ee"))
-        return grasp, handover, trials
+        return load_mix(self.on_cpu.scene, min(self.trials, 1024))[0]
 
     @cached_property
-    def random(self) -> Batch:
+    def random(self) -> Poses:
         """RANDOM_TRIALS trials with the poses of the method `random`, on the CPU."""
         scene = self.on_cpu.scene
         trials = trials_with_ids(
@@ -95,15 +83,12 @@ class Bench:
         answer = random.predict(trials, scene, seed=0)
         return answer.T_obj_ee, answer.T_world_ee, trials
 
-    def there(self, batch: Batch) -> Batch:
-        grasp, handover, trials = batch
-        return grasp.to(self.device), handover.to(self.device), trials.to(self.device)
+    def there(self, batch: Poses) -> Poses:
+        return on(batch, self.device)
 
-    def repeated(self, batch: Batch, n: int) -> Batch:
+    def repeated(self, batch: Poses, n: int) -> Poses:
         """The batch again and again until it has n rows, on the device."""
-        grasp, handover, trials = self.there(batch)
-        rows = torch.arange(n, device=self.device) % len(trials)
-        return grasp[rows], handover[rows], trials[rows]
+        return repeated(on(batch, self.device), n)
 
     def seconds(self, run: Callable[[], object]) -> float:
         """The median wall time of a call after one to warm up, waiting for the device."""

@@ -27,12 +27,12 @@ import statistics
 import time
 from collections import defaultdict
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
 import torch
+from _mix import load_mix
 from _report import Report, arguments
 from _twins import Batch, Checker, Problems, checker_of, dense, motion_samples, ompl_solve, recheck, solve
 from numpy.typing import NDArray
@@ -50,7 +50,6 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import PlanReason
 
-MIX = Path(__file__).with_name("mix.npz")
 REPEATS = 3
 
 
@@ -261,11 +260,8 @@ def main() -> None:
         tail(report, scene, options.tail)
         report.write(options.json)
         return
-    with np.load(MIX, allow_pickle=False) as mix:
-        trials = trials_with_ids(
-            torch.from_numpy(mix["trial_id"]), objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0"
-        )
-        whole = Batch(trials, torch.from_numpy(mix["T_obj_ee"]), torch.from_numpy(mix["T_world_ee"]))
+    (T_obj_ee, T_world_ee, trials), _ = load_mix(scene)
+    whole = Batch(trials, T_obj_ee, T_world_ee)
     rows, checkers, goals = free_rows(scene, solve(scene, whole), options.problems)
     batch = whole.rows(torch.tensor(rows))
     report.add("plan.problems", len(batch))

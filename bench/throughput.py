@@ -15,12 +15,12 @@ import statistics
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import Any
 from unittest import mock
 
 import numpy as np
 import torch
+from _mix import MIX, load_mix
 from _report import Report, arguments
 
 import r2h_batch.evaluate as evaluate
@@ -34,7 +34,6 @@ from r2h_batch.trials.protocol import trials_digest, trials_with_ids
 from r2h_batch.types import Outcome, PlanReason, Scores
 
 REPEATS = 5
-MIX = Path(__file__).with_name("mix.npz")
 MIX_TRIALS = 1024
 STAGES: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
     ("grasp", attach, ("close_pads", "open_clearance")),
@@ -140,18 +139,10 @@ def main() -> None:
     if options.freeze:
         freeze(evaluator)
         return
+    (T_obj_ee, T_world_ee, trials), by_oracle = load_mix(evaluator.scene, options.trials)
     with np.load(MIX, allow_pickle=False) as mix:
-        rows = torch.arange(options.trials) % len(mix["trial_id"])
-        whole = trials_with_ids(
-            torch.from_numpy(mix["trial_id"]),
-            objects=evaluator.scene.objects,
-            hand_set=evaluator.scene.hands.set,
-            protocol="r2h-v0",
-        )
-        current = trials_digest(whole) == str(mix["digest"])
-        T_obj_ee, T_world_ee = (torch.from_numpy(mix[k])[rows].to(options.device) for k in ("T_obj_ee", "T_world_ee"))
-        by_oracle = torch.from_numpy(mix["by_oracle"])[rows]
-    trials = whole[rows].to(options.device)
+        whole, _ = load_mix(evaluator.scene)
+        current = trials_digest(whole[2].to("cpu")) == str(mix["digest"])
     report.add("throughput.setup_s", time.perf_counter() - start)
     report.add("throughput.trials", options.trials)
     report.add("throughput.sim", options.sim)

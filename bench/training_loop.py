@@ -25,17 +25,15 @@ from typing import Any
 
 import numpy as np
 import torch
+from _mix import Poses, load_mix, on, repeated
 from _report import Report, arguments
 
 from r2h_batch import launch, reward
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.trials.protocol import trials_with_ids
-from r2h_batch.types import CRITERIA, Outcome, PlanReason, Trials
+from r2h_batch.types import CRITERIA, Outcome, PlanReason
 
-MIX = Path(__file__).with_name("mix.npz")
 SIZES = (1, 64, 4096, 65536)
-Candidates = tuple[torch.Tensor, torch.Tensor, Trials]
 
 
 class Clock:
@@ -62,23 +60,19 @@ class Clock:
         return statistics.median(wall), min(wall), min(core)
 
 
-def candidates(evaluator: Evaluator, name: str, device: str) -> Candidates:
+def candidates(evaluator: Evaluator, name: str) -> Poses:
     """The 1,024 (perturbed: 512) candidates of a mix."""
-    scene = evaluator.scene
-    with np.load(MIX, allow_pickle=False) as mix:
-        ids, by_oracle = torch.from_numpy(mix["trial_id"]), torch.from_numpy(mix["by_oracle"])
-        T_obj_ee, T_world_ee = (torch.from_numpy(mix[k]) for k in ("T_obj_ee", "T_world_ee"))
-    trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0")
-    if name == "perturbed":
-        g = torch.Generator().manual_seed(0)
-        T_obj_ee, T_world_ee, trials = T_obj_ee[by_oracle], T_world_ee[by_oracle].clone(), trials[by_oracle]
-        n = len(trials)
-        T_obj_ee = T_obj_ee.clone()
-        T_obj_ee[:, :3, 3] += 0.01 * torch.randn(n, 3, generator=g)
-        T_world_ee[:, :3, 3] += 0.03 * torch.randn(n, 3, generator=g)
-        turn = torch.linalg.matrix_exp(np.radians(10) * _skew(torch.randn(n, 3, generator=g)))
-        T_world_ee[:, :3, :3] = turn @ T_world_ee[:, :3, :3]
-    return T_obj_ee.to(device), T_world_ee.to(device), trials.to(device)
+    mix, by_oracle = load_mix(evaluator.scene)
+    if name == "mix":
+        return mix
+    device, g = str(evaluator.scene.device), torch.Generator().manual_seed(0)
+    T_obj_ee, T_world_ee, trials = (x[by_oracle].clone() for x in on(mix, "cpu"))
+    n = len(trials)
+    T_obj_ee[:, :3, 3] += 0.01 * torch.randn(n, 3, generator=g)
+    T_world_ee[:, :3, 3] += 0.03 * torch.randn(n, 3, generator=g)
+    turn = torch.linalg.matrix_exp(np.radians(10) * _skew(torch.randn(n, 3, generator=g)))
+    T_world_ee[:, :3, :3] = turn @ T_world_ee[:, :3, :3]
+    return on((T_obj_ee, T_world_ee, trials), device)
 
 
 def _skew(w: torch.Tensor) -> torch.Tensor:
@@ -87,12 +81,7 @@ def _skew(w: torch.Tensor) -> torch.Tensor:
     return torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).view(-1, 3, 3)
 
 
-def repeated(c: Candidates, b: int) -> Candidates:
-    rows = torch.arange(b, device=c[0].device) % len(c[2])
-    return c[0][rows], c[1][rows], c[2][rows]
-
-
-def distinct(c: Candidates) -> Candidates:
+def distinct(c: Poses) -> Poses:
     """The same candidates, no two of them alike: repeated rows could be cheaper than what anybody asks for."""
     T_obj_ee, T_world_ee, g = c[0].clone(), c[1].clone(), torch.Generator().manual_seed(0)
     for T in (T_obj_ee, T_world_ee):
@@ -100,7 +89,7 @@ def distinct(c: Candidates) -> Candidates:
     return T_obj_ee, T_world_ee, c[2]
 
 
-def sizes(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, largest: int) -> None:
+def sizes(report: Report, evaluator: Evaluator, mix: Poses, clock: Clock, largest: int) -> None:
     for b in sorted({*(s for s in SIZES if s <= largest), largest}):
         c = repeated(mix, b)
         repeats = 30 if b < 1000 else 5 if b < 10000 else 2
@@ -130,7 +119,7 @@ class Generator(torch.nn.Module):
         return self.net(torch.cat([T_world_hand.flatten(1), noise], 1))
 
 
-def training(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock, b: int) -> None:
+def training(report: Report, evaluator: Evaluator, mix: Poses, clock: Clock, b: int) -> None:
     """Share of a step that the reward takes: score-function gradient on translations around the candidates."""
     T_obj_ee, T_world_ee, trials = repeated(mix, b)
     generator = Generator().to(T_obj_ee.device)
@@ -160,7 +149,7 @@ def training(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock
     report.add("training_loop.training.share_of_scoring", spent[0] / total)
 
 
-def memory(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock) -> None:
+def memory(report: Report, evaluator: Evaluator, mix: Poses, clock: Clock) -> None:
     """Growth over 1,000 calls, and the peak that a candidate of a large call adds."""
 
     def used_kb() -> float:
@@ -188,7 +177,7 @@ def memory(report: Report, evaluator: Evaluator, mix: Candidates, clock: Clock) 
     report.add("training_loop.memory.peak_kb_per_candidate", peak / b)
 
 
-def print_peak(evaluator: Evaluator, mix: Candidates, b: int) -> None:
+def print_peak(evaluator: Evaluator, mix: Poses, b: int) -> None:
     """How much resident memory (kB) rises at most in one call of size b, after a small one."""
     evaluator.score(*mix, stages="pose")
     c = repeated(mix, b)
@@ -200,7 +189,7 @@ def print_peak(evaluator: Evaluator, mix: Candidates, b: int) -> None:
     print(peak - before if len(scores) == b else "failed")
 
 
-def peer(report: Report, evaluator: Evaluator, mix: Candidates, n: int) -> None:
+def peer(report: Report, evaluator: Evaluator, mix: Poses, n: int) -> None:
     """The same candidates one by one; where its verdicts differ although ours are not borderline, by criterion."""
     from _pose_peer import PosePeer
 
@@ -240,14 +229,14 @@ def main() -> None:
     report, clock = Report(), Clock(options.device)
     largest = options.largest or (65536 if options.device == "cpu" else 1 << 20)
     evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")), device=options.device, threads=options.threads)
-    mix = candidates(evaluator, "mix", options.device)
+    mix = candidates(evaluator, "mix")
     if options.peak_of:
         print_peak(evaluator, mix, options.peak_of)
         return
     report.add("training_loop.threads", launch.cpu_threads(options.threads))
 
     sizes(report, evaluator, mix, clock, largest)
-    near = repeated(candidates(evaluator, "perturbed", options.device), 4096)
+    near = repeated(candidates(evaluator, "perturbed"), 4096)
     for name, c in (("perturbed", near), ("distinct", distinct(repeated(mix, 4096)))):
         median, best, core = clock.of(lambda c=c: evaluator.score(*c, stages="pose"), 5)  # type: ignore[misc]
         report.add(f"training_loop.{name}.b4096.candidates_per_s", 4096 / median)

@@ -185,17 +185,19 @@ def test_gjk_an_iteration_at_a_time_has_the_bits_of_gjk(scene: Scene) -> None:
     assert checked > 1000
 
 
-def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(scene: Scene) -> None:
-    trials = trials_with_ids(torch.arange(48), objects=scene.objects, protocol="r2h-v0")
+@pytest.mark.parametrize("what", SHORT)
+def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(
+    scene: Scene, what: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none"), chunk=96))
+    trials = trials_with_ids(torch.arange(96), objects=scene.objects, protocol="r2h-v0")
     poses = oracle.predict(trials, scene, seed=0)
-    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
-    with levels.planning_form("frontier"):
+    with levels.planning_form("frontier"), ExitStack() as patched:
         whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials)
-        for changes in SHORT.values():
-            with ExitStack() as patched:
-                for (module, name), value in changes.items():
-                    patched.enter_context(mock.patch.object(module, name, value))
-                assert_same(evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials), whole)
+        for (module, name), value in SHORT[what].items():
+            patched.enter_context(mock.patch.object(module, name, value))
+        assert_same(evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials), whole)
+    assert "out of memory with 96 rows" in caplog.text
 
 
 def test_a_queue_that_is_too_short_ends_the_batch_and_says_so(scene: Scene) -> None:

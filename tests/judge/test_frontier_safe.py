@@ -13,7 +13,6 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, hand_distance
 from r2h_batch.judge.frontier import levels
-from r2h_batch.judge.frontier import safe as frontier_safe
 from r2h_batch.methods import oracle, random
 from r2h_batch.motion.execute import Executed
 from r2h_batch.scene.scene import BodyPoses, Scene
@@ -101,12 +100,3 @@ def test_a_long_motion_is_halved_block_by_block_from_its_end(scene: Scene) -> No
     for shape in (there, there.flip(1)):
         length = torch.full((24,), shape.shape[1], dtype=torch.int32)
         compare(replace(asked, executed=replace(asked.executed, path=shape.contiguous(), length=length)))
-
-
-def test_a_queue_that_is_too_short_ends_the_batch_and_says_so() -> None:
-    asked = moved(oracle, 24)
-    with (
-        mock.patch.dict(frontier_safe.PER_INTERVAL, {"bodies": 1}),
-        pytest.raises(MemoryError, match="cannot allocate"),
-    ):
-        asked.by_frontier()

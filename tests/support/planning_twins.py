@@ -27,32 +27,39 @@ HAND_MARGIN_M = 0.004
 """Distances to the hand are seen below this."""
 
 
+def let_collide(twin: MujocoScene, classes: Sequence[str] = CLASSES) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Makes exactly the pairs of these classes collide, by MuJoCo's bit masks.
+
+    Returns each geom's group (the robot's links, object, hand, table), and the class of each pair of groups (-1: none).
+    """
+    m = twin.model
+    groups = [*twin.robot.links, "object", "hand", "table"]
+    group = np.zeros(m.ngeom, int)
+    for i, name in enumerate(groups):
+        group[[m.geom(g).id for g in twin.groups[name]]] = i
+    partners, kinds = np.zeros(len(groups), int), np.full((len(groups), len(groups)), -1)
+    for (a, b), kind in zip(twin.pairs, twin.pair_class, strict=True):
+        if CLASSES[kind] in classes:
+            partners[group[a]] |= 1 << group[b]
+            kinds[group[a], group[b]] = kinds[group[b], group[a]] = kind
+    m.geom_contype[:], m.geom_conaffinity[:] = 1 << group, partners[group]
+    for body in range(m.nbody):
+        own = m.geom_bodyid == body
+        m.body_contype[body] = np.bitwise_or.reduce(m.geom_contype[own], initial=0)
+        m.body_conaffinity[body] = np.bitwise_or.reduce(m.geom_conaffinity[own], initial=0)
+    m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
+    return group, kinds
+
+
 class Checker:
     """Contacts of one trial in MuJoCo C, float64, for the pairs that planning checks."""
 
     def __init__(self, twin: MujocoScene) -> None:
         self.twin, self.model, self.data = twin, twin.model, twin.data
         m = self.model
-        groups = [*twin.robot.links, "object", "hand", "table"]
-        of = {g: i for i, g in enumerate(groups)}
-        self.group = np.zeros(m.ngeom, int)
-        for name, geoms in twin.groups.items():
-            self.group[[m.geom(g).id for g in geoms]] = of[name]
-        partners = np.zeros(len(groups), int)
-        self.kind = np.full((len(groups), len(groups)), -1)
-        for (a, b), kind in zip(twin.pairs, twin.pair_class, strict=True):
-            i, j = self.group[a], self.group[b]
-            partners[i] |= 1 << j
-            self.kind[i, j] = self.kind[j, i] = kind
-        m.geom_contype[:] = 1 << self.group
-        m.geom_conaffinity[:] = partners[self.group]
-        for body in range(m.nbody):
-            mine = m.geom_bodyid == body
-            m.body_contype[body] = np.bitwise_or.reduce(m.geom_contype[mine], initial=0)
-            m.body_conaffinity[body] = np.bitwise_or.reduce(m.geom_conaffinity[mine], initial=0)
-        m.geom_margin[self.group == of["hand"]] = HAND_MARGIN_M
+        self.group, self.kind = let_collide(twin)
+        m.geom_margin[self.group == len(twin.robot.links) + 1] = HAND_MARGIN_M
         m.body_margin[:] = HAND_MARGIN_M
-        m.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_FILTERPARENT
         self.held = self._held_pairs()
         self.checks = 0
 
