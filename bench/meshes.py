@@ -36,6 +36,7 @@ from r2h_batch import Evaluator, make_trials
 from r2h_batch.bodies.mesh_import.file import load_mesh_file
 from r2h_batch.bodies.mesh_import.pieces import convex_pieces
 from r2h_batch.bodies.objects import ObjectMeshError, build_object
+from r2h_batch.bodies.robot import load_robot
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.receiver.receiving import load_receiving
@@ -148,7 +149,7 @@ def stable(mesh: trimesh.Trimesh, T_obj_ee: torch.Tensor) -> NDArray[np.bool_]:
     faces = np.asarray(mesh.faces, np.int32)
     region = np.zeros(len(faces), bool)
     model = SimpleNamespace(vertices=np.asarray(mesh.vertices, np.float32), faces=faces, receiver_face=region)
-    tables = grasp_tables([model])  # type: ignore[list-item]
+    tables = grasp_tables([model], load_robot())  # type: ignore[list-item]
     return close_gripper(tables, T_obj_ee, torch.zeros(len(T_obj_ee), dtype=torch.int32)).margin_m.numpy() >= 0
 
 
