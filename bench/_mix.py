@@ -17,9 +17,10 @@ Poses = tuple[torch.Tensor, torch.Tensor, Trials]
 def load_mix(scene: Scene, n: int | None = None) -> tuple[Poses, torch.Tensor]:
     """Its first n rows on the scene's device (more than it has: the mix again), and which poses are the oracle's."""
     with np.load(MIX, allow_pickle=False) as mix:
-        ids, by_oracle, *poses = (torch.from_numpy(mix[k]) for k in ("trial_id", "by_oracle", "T_obj_ee", "T_world_ee"))
+        ids, by_oracle = (torch.from_numpy(mix[k]) for k in ("trial_id", "by_oracle"))
+        T_obj_ee, T_world_ee = (torch.from_numpy(mix[k]) for k in ("T_obj_ee", "T_world_ee"))
     trials = trials_with_ids(ids, objects=scene.objects, hand_set=scene.hands.set, protocol="r2h-v0")
-    whole = repeated((*poses, trials), len(ids) if n is None else n)
+    whole = repeated((T_obj_ee, T_world_ee, trials), len(ids) if n is None else n)
     return on(whole, str(scene.device)), by_oracle[torch.arange(len(whole[2])) % len(ids)]
 
 

@@ -78,7 +78,7 @@ def drawn() -> dict[str, trimesh.Trimesh]:
             0.008,
         ),
     }
-    out = {}
+    out: dict[str, Any] = {}
     for name, (thing, longest_m) in things.items():
         mesh = thing.to_mesh()
         vertices = np.asarray(mesh.vert_properties, np.float64)[:, :3]

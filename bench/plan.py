@@ -239,9 +239,9 @@ def tail(report: Report, scene: Scene, n: int) -> None:
     report.add("tail.longest_ms", 1e3 * spent[longest])
     report.add("tail.longest_trial_id", longest)
     report.add("tail.search_ms_mean", 1e3 * sum(spent.values()) / len(spent))
-    for name, found in (("no_path_in_budget", none), ("lost", lost), ("gained", gained)):
-        report.add(f"tail.{name}", len(found))
-        report.add(f"tail.{name}_trial_ids", " ".join(map(str, found)) or "none")
+    for name, those in (("no_path_in_budget", none), ("lost", lost), ("gained", gained)):
+        report.add(f"tail.{name}", len(those))
+        report.add(f"tail.{name}_trial_ids", " ".join(map(str, those)) or "none")
     report_detours(report, "tail", np.concatenate(ratios))
 
 

@@ -66,7 +66,8 @@ def candidates(evaluator: Evaluator, name: str) -> Poses:
     if name == "mix":
         return mix
     device, g = str(evaluator.scene.device), torch.Generator().manual_seed(0)
-    T_obj_ee, T_world_ee, trials = (x[by_oracle].clone() for x in on(mix, "cpu"))
+    g_all, h_all, all_trials = on(mix, "cpu")
+    T_obj_ee, T_world_ee, trials = g_all[by_oracle], h_all[by_oracle], all_trials[by_oracle]
     n = len(trials)
     T_obj_ee[:, :3, 3] += 0.01 * torch.randn(n, 3, generator=g)
     T_world_ee[:, :3, 3] += 0.03 * torch.randn(n, 3, generator=g)
