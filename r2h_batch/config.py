@@ -79,14 +79,23 @@ class _Checked:
 
 @dataclass(frozen=True)
 class Thresholds(_Checked):
-    """Where a criterion turns from pass to fail (paper, Sec. Evaluation Metrics)."""
+    """Where a criterion turns from pass to fail (paper, Sec. Evaluation Metrics).
+
+    Attributes:
+        w_max_m: widest material that the pads take, m.
+        w_min_m: thinnest material that the closed pads reach, m.
+        reach_radius_m: radius r_h of the ball that the object must meet, m.
+        reach_offset_m: distance of the ball's centre from the palm along its normal, m.
+        safe_margin_m: distance that a hand must keep to count as untouched, m.
+        pad_squeeze_m: how much the rubber pads give in total, m [choice]: so fingers that hold a
+            region meet it.
+    """
 
     w_max_m: Opening = OPEN_GAP_M
-    w_min_m: Length = CLOSED_GAP_M  # the closed pads do not reach thinner material
-    reach_radius_m: Positive = 0.10  # r_h
+    w_min_m: Length = CLOSED_GAP_M
+    reach_radius_m: Positive = 0.10
     reach_offset_m: Positive = BALL_OFFSET_M
-    safe_margin_m: KeptClear = 0.0  # distance a hand must keep to count as untouched
-    # [choice] the rubber pads give this much in total: fingers that hold a region meet it
+    safe_margin_m: KeptClear = 0.0
     pad_squeeze_m: Squeeze = 0.001
 
     def __post_init__(self) -> None:
@@ -98,15 +107,24 @@ class Thresholds(_Checked):
 
 @dataclass(frozen=True)
 class IkConfig(_Checked):
-    """The solver of a pose's joint angles. The closed form proves which branches exist in both."""
+    """The solver of a pose's joint angles. The closed form proves which branches exist in both.
 
-    # a Warp kernel; or that package's batched Jacobian, 300 times slower
+    Attributes:
+        solver: a Warp kernel, or that package's batched Jacobian, 300 times slower.
+    """
+
     solver: Literal["fused", "pytorch-kinematics"] = "fused"
 
 
 @dataclass(frozen=True)
 class Workplace(_Checked):
-    """The arm's posture at the start, rad, and the table, metres in the world's frame."""
+    """The arm's posture at the start and the table.
+
+    Attributes:
+        home_q: joint angles at the start, rad.
+        table_center: centre of the table's box in the world, m.
+        table_half: its half sides, m.
+    """
 
     home_q: Annotated[tuple[Angle, ...], Field(min_length=6, max_length=6)] = HOME_Q
     table_center: Annotated[tuple[Coordinate, ...], Field(min_length=3, max_length=3)] = (
@@ -117,25 +135,34 @@ class Workplace(_Checked):
 
 @dataclass(frozen=True)
 class PlanConfig(_Checked):
-    """The search for a path from home to the handover pose."""
+    """The search for a path from home to the handover pose.
 
-    goals: Literal["set", "one"] = "set"  # all collision-free branches, or the paper's single one
-    # which hand paths keep clear of; all else is judged on the true one
+    Attributes:
+        goals: all collision-free branches, or the paper's single one.
+        hand: which hand paths keep clear of; everything else is judged on the true one.
+        edge_check: conservative advancement, or samples at MoveIt's resolution.
+        object_collision: the object's convex hull, or its convex pieces.
+        hand_clearance_m: kept along the path where the goal keeps it, m [choice]; goals are measured
+            up to 6.5 mm only.
+        range_rad: longest extension of RRT, rad.
+        rounds: iterations of each round.
+        shortcuts: waypoints pulled and segments joined after the quickest subset of the waypoints is
+            found.
+        seed: of the random postures.
+    """
+
+    goals: Literal["set", "one"] = "set"
     hand: Literal["true", "estimated"] = "true"
-    # conservative advancement, or samples at MoveIt's resolution
     edge_check: Literal["exact", "moveit"] = "exact"
     object_collision: Literal["hull", "pieces"] = "hull"
-    # kept along the path wherever the goal keeps it [choice]; goals are measured up to 6.5 mm only
     hand_clearance_m: GoalClearance = 0.003
-    range_rad: Positive = 1.5  # longest RRT extension
-    # iterations of each budget round
+    range_rad: Positive = 1.5
     rounds: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (
         50,
         500,
         3000,
         5000,
     )
-    # waypoints pulled and segments joined, after the quickest subset of the waypoints is found
     shortcuts: Annotated[int, Field(ge=0)] = 8
     seed: int = 0
 
@@ -143,25 +170,36 @@ class PlanConfig(_Checked):
 @dataclass(frozen=True)
 class EstimateConfig(_Checked):
     """The hand that a planner with `PlanConfig.hand = "estimated"` sees. `predict_target` of
-    `predictors` gives the same hand for the same numbers."""
+    `predictors` gives the same hand for the same numbers.
 
-    errors: Literal["normal", "frames", "tails"] = "normal"  # `PredictorNoise.target_errors`
-    # scales all errors; 0: the truth
+    Attributes:
+        errors: `PredictorNoise.target_errors`.
+        factor: scales all errors; 0: the truth.
+        seed: of the methods: they and the planner see the same hand.
+    """
+
+    errors: Literal["normal", "frames", "tails"] = "normal"
     factor: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 1.0
-    seed: int = 0  # of the methods: they and the planner see the same hand
+    seed: int = 0
 
 
 @dataclass(frozen=True)
 class ExecutionError(_Checked):
     """Standard deviations, per axis, of what a real robot adds to the poses that a method asks for
-    (`judge.execution_error`). 0: the robot does what it is asked."""
+    (`judge.execution_error`). 0: the robot does what it is asked.
 
-    # handover pose about the hand's origin: the camera's calibration to the robot's base
+    Attributes:
+        camera_m: handover pose about the hand's origin: the camera's calibration to the base, m.
+        camera_deg: the same, degrees.
+        camera_drawn: anew in every trial, or once: a calibration that stays wrong.
+        object_m: gripper in the object's frame, drawn in every trial, m.
+        object_deg: the same, degrees.
+        seed: of the random numbers.
+    """
+
     camera_m: Length = 0.0
     camera_deg: Degrees = 0.0
-    # drawn anew in every trial, or once: a calibration that stays wrong
     camera_drawn: Literal["trial", "run"] = "trial"
-    # gripper in the object's frame, drawn in every trial
     object_m: Length = 0.0
     object_deg: Degrees = 0.0
     seed: int = 0
@@ -177,25 +215,35 @@ class ExecConfig(_Checked):
     """The time law and the simulator.
 
     The time law is a trapezoid per segment, all joints together, at a fraction of the joint limits.
+
+    Attributes:
+        scale: that fraction; MoveIt 2's default is 0.1.
+        max_velocity_rad_s: velocity limit of the joints, rad/s.
+        max_acceleration_rad_s2: acceleration limit of the joints, rad/s^2.
+        sim: who moves the arm. auto: mujoco on a CPU, mjwarp on CUDA; none: nobody, as planned.
+        model: the whole scene; the arm with a rigid gripper and no contacts; auto: the arm, and
+            again the whole scene where a contact is not ruled out (docs/motion.md).
+        step_s: step of simulator and servos, s: the real controller's 500 Hz.
+        record_steps: steps between two samples of the executed motion.
+        payload: whether the controller compensates the object's weight.
+        settle_position_m: at rest the ee stays this near to the goal, m.
+        settle_rotation_rad: at rest the ee is turned by no more than this, rad.
+        settle_s: at rest later than this after its reference has ended, s: `not_settled`.
+        dwell_s: the arm is watched this long after its reference has ended, s, and must rest for
+            half of it.
     """
 
-    scale: Positive = 0.1  # MoveIt 2's default velocity and acceleration scaling
+    scale: Positive = 0.1
     max_velocity_rad_s: Positive = math.pi
     max_acceleration_rad_s2: Positive = 5.0
-    # auto: mujoco on a CPU, mjwarp on CUDA; none: kinematic
     sim: Literal["auto", "none", "mujoco", "mjwarp"] = "auto"
-    # What is simulated: the whole scene; the arm with a rigid gripper and no contacts; auto: the
-    # arm, and again the whole scene where a contact is not ruled out (docs/choices.md).
     model: Literal["auto", "scene", "arm"] = "auto"
-    step_s: Positive = 0.002  # of simulator and servos: the real controller's 500 Hz
-    record_steps: Annotated[int, Field(ge=1)] = 4  # between two samples of the executed motion
-    # whether the controller compensates the object's weight
+    step_s: Positive = 0.002
+    record_steps: Annotated[int, Field(ge=1)] = 4
     payload: Literal["known", "unknown"] = "known"
-    settle_position_m: Positive = 0.001  # at rest: the ee stays this near to the goal,
-    settle_rotation_rad: Positive = HALF_DEGREE  # and turned by no more than this
-    # at rest later than this after its reference has ended: Plan failure, not_settled
+    settle_position_m: Positive = 0.001
+    settle_rotation_rad: Positive = HALF_DEGREE
     settle_s: Positive = 12.0
-    # the arm is watched this long after its reference has ended, and must rest for half of it
     dwell_s: Positive = 0.5
 
     def engine(self, device: str) -> Literal["none", "mujoco", "mjwarp"]:
@@ -208,29 +256,42 @@ class ExecConfig(_Checked):
 @dataclass(frozen=True)
 class EvalConfig(_Checked):
     """The whole configuration. `preset("paper")` differs from the default where the paper's
-    pipeline is known to differ, `preset("release")` where the authors' public release does."""
+    pipeline is known to differ, `preset("release")` where the authors' public release does.
+
+    Attributes:
+        thresholds: where a criterion turns from pass to fail.
+        ik: the solver of joint angles.
+        plan: the search for a path.
+        execute: time law and simulator.
+        workplace: home and table.
+        receiver: what planning and Safe see of the person: the hand, or arm and torso too.
+        estimate: the hand that a planner may see.
+        execution_error: what a real robot adds to the poses.
+        candidates: grasps that methods choose from; no verdict depends on it. narrow: of the
+            filtered ones those across which the whole object fits into the open gripper.
+        width: Stability measures the material between the pads, or the whole object's extent.
+        reach: Reach measures the object, or its convex hull.
+        stability: physics: the friction grasp must also outlast a shake.
+        averages: how a split's rates are averaged in tables: each trial, or each object, counts the
+            same.
+        chunk: trials held in memory at once.
+        name: of the preset.
+    """
 
     thresholds: Thresholds = field(default_factory=Thresholds)
     ik: IkConfig = field(default_factory=IkConfig)
     plan: PlanConfig = field(default_factory=PlanConfig)
     execute: ExecConfig = field(default_factory=ExecConfig)
     workplace: Workplace = field(default_factory=Workplace)
-    # what planning and Safe see of the person: the hand, or arm and torso too
     receiver: Literal["hand", "body"] = "hand"
     estimate: EstimateConfig = field(default_factory=EstimateConfig)
     execution_error: ExecutionError = field(default_factory=ExecutionError)
-    # grasps that methods choose from; no verdict depends on it. narrow: of the filtered ones those
-    # across which the whole object is at most as wide as the open gripper
     candidates: Literal["filtered", "as-generated", "narrow"] = "filtered"
-    # material between the pads, or the whole object's extent
     width: Literal["pads", "whole"] = "pads"
-    # Reach measures the object, or its convex hull
     reach: Literal["solid", "hull"] = "solid"
-    # physics: the friction grasp must also outlast a shake
     stability: Literal["geometric", "physics"] = "geometric"
-    # how a split's rates are averaged in tables: every trial, or every object, counts the same
     averages: Literal["trials", "objects"] = "trials"
-    chunk: Annotated[int, Field(ge=1)] = 2048  # trials held in memory at once
+    chunk: Annotated[int, Field(ge=1)] = 2048
     name: str = "default"
 
     def for_robot(self, home_q: tuple[float, ...], max_velocity_rad_s: float) -> "EvalConfig":

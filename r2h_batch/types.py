@@ -128,13 +128,18 @@ class _Rows:
 
 @dataclass(frozen=True)
 class Trials(_Rows):
-    """N trials: which object is handed to which hand, and where that hand stands (world frame,
-    metres).
+    """N trials: which object is handed to which hand, and where that hand stands.
 
-    `receiver`, where the protocol gives hands a body: rows (x, y, z, w) of the shoulder with the
-    upper arm's radius w, the elbow with the forearm's, the wrist, the torso box's middle, its half
-    sizes along its facing, sideways and up; w of the last two are x and y of the unit vector it
-    faces. No verdict depends on it but with `EvalConfig.receiver = "body"`.
+    Attributes:
+        trial_id: number of each trial in its protocol; 2 i in S0, 2 i + 1 in S1.
+        object_index: row of `Scene.objects`.
+        hand_index: row of the hand set, `Scene.hands`.
+        T_world_hand: pose of the hand in the world, m.
+        receiver: the receiver's body where the protocol gives hands one: rows (x, y, z, w) in the
+            world, m. Shoulder with the upper arm's radius w; elbow with the forearm's; wrist; middle
+            of the torso box; its half sizes along its facing, sideways and up. In the last two rows
+            w is x and y of the unit vector that the torso faces. Verdicts depend on it with
+            `EvalConfig.receiver = "body"` alone.
     """
 
     trial_id: Int64[Tensor, " n"]
@@ -214,8 +219,15 @@ class ScoreInputs(_Rows):
 
 @dataclass(frozen=True)
 class Predictions(_Rows):
-    """A method's answer for N trials: grasp pose in the object frame and handover pose in the world
-    (metres)."""
+    """A method's answer for N trials.
+
+    Attributes:
+        trial_id: number of each trial.
+        T_obj_ee: grasp pose, the gripper in the object's frame, m.
+        T_world_ee: handover pose, the gripper in the world, m.
+        t_method_s: the method's own time for each trial, s; NaN: not measured.
+        method: name in tables.
+    """
 
     trial_id: Int64[Tensor, " n"]
     T_obj_ee: Float32[Tensor, "n 4 4"]
@@ -226,27 +238,47 @@ class Predictions(_Rows):
 
 @dataclass(frozen=True)
 class Scores(_Rows):
-    """Verdicts of B trials. (B, C) columns follow `CRITERIA`; what was not evaluated is a mask, its
-    margin NaN.
+    """Verdicts of B trials. Columns of (B, C) follow `CRITERIA`.
 
-    `margin` is in metres, positive when the criterion passes. `margin_kind` (`MarginKind`) says what
-    it is. DISTANCE: a length, to 0.1 mm. BOUND: bodies overlap, and the margin is minus a lower
-    bound of their penetration depth, the shortest translation that parts them. CAP: the clearance
-    is this or more (5 cm; Stability 1 cm), or there is nothing to measure (-inf; nothing between
-    the pads). `witness_part` names the robot part
-    (`Scene.part_names`) of Plan's and Safe's smallest clearance, `witness_time_s` and
-    `witness_point` (world frame) when and where Safe's occurs. `borderline`: some evaluated
-    criterion has a margin smaller than 0.1 mm, where float32 does not decide it. `presented`: the
-    receiver's region faces the palm and lies where the hand reaches (no part of the outcome), by
-    its angle seen from the TCP and its distance from c_h; False and NaN where the object has no
-    region. `body_m`: how near the robot comes to the receiver's arm and torso (m), exact below 5 cm;
-    negative: they meet, and it is a bound as of a margin; NaN where the protocol gives no body, or
-    there is no motion. No verdict depends on it unless `EvalConfig.receiver` is "body". `slip_m`: how far the object slipped in
-    the shake (NaN unless `stability = "physics"` shook it). `motion`: the executed joint angles,
-    one row every `ExecConfig.step_s * record_steps`, the first `motion_len` of which count: of the
-    trials whose simulation failed, up to the failure, and of all that moved where
-    `score(keep_motion=True)` asked for it. `failed_state`: qpos and qvel of the simulator when it
-    failed (width 0 where none did, NaN in the other rows).
+    Attributes:
+        trial_id: number of each trial.
+        outcome: `Outcome`: success, or the first failure.
+        success: whether all criteria pass.
+        passed: whether each criterion passes.
+        evaluated: whether each criterion was evaluated.
+        margin: m, positive when the criterion passes; NaN where it was not evaluated.
+        margin_kind: `MarginKind`. DISTANCE: a length, to 0.1 mm. BOUND: bodies overlap, and the
+            margin is minus a lower bound of their penetration depth, the shortest translation that
+            parts them. CAP: the clearance is this or more (5 cm; Stability 1 cm), or there is
+            nothing to measure (-inf; nothing between the pads).
+        borderline: an evaluated margin is smaller than 0.1 mm, where float32 does not decide it.
+        plan_reason: `PlanReason`: why there is no path.
+        plan_pair: `CollidingPair`: what collides at start or goal.
+        witness_part: robot part (`Scene.part_names`) of Plan's and of Safe's smallest clearance.
+        witness_time_s: time of Safe's smallest clearance, s.
+        witness_point: point of Safe's smallest clearance in the world, m.
+        t_plan_s: planning, amortised over the batch, s.
+        t_exec_s: time until the arm stays at its goal, s.
+        q_goal: joint angles at the goal, rad.
+        width_m: extent along y of the material between the pads, m.
+        opening_m: gap between the closed pads, m.
+        grasp_shift_m: how far closing moves the object along y, m.
+        slip_m: slip of the object in the shake, m; NaN unless `stability = "physics"` shook it.
+        presented: the receiver's region faces the palm within reach (no part of the outcome); False
+            where the object has no region.
+        presented_angle_deg: angle of region and palm, seen from the TCP; NaN without a region.
+        presented_distance_m: distance from c_h to the region, m; NaN without a region.
+        path: waypoints, rad; the first `path_len` count.
+        path_time_s: times of the waypoints, s.
+        path_len: number of waypoints; 0: no path.
+        motion: executed joint angles, rad, every `ExecConfig.step_s * record_steps`: of trials whose
+            simulation failed, up to the failure; with `score(keep_motion=True)` of all that moved.
+        motion_len: number of rows of `motion` that count.
+        failed_state: qpos and qvel of the simulator when it failed; width 0 where none did, NaN in
+            the other rows.
+        body_m: distance of the robot to the receiver's arm and torso, m, exact below 5 cm; negative:
+            a bound of their overlap; NaN without a body or a motion. Verdicts depend on it with
+            `EvalConfig.receiver = "body"` alone.
     """
 
     trial_id: Int64[Tensor, " b"]

@@ -1,5 +1,6 @@
 """The documentation: links lead somewhere, and the site builds strictly without network."""
 
+import dataclasses
 import re
 import subprocess
 import sys
@@ -8,7 +9,11 @@ from pathlib import Path
 import pytest
 from needs import is_here, needs
 
+from r2h_batch import config
+from r2h_batch.types import Predictions, Scores, Trials
+
 ROOT = Path(__file__).resolve().parents[1]
+CONFIGS = [k for k, v in vars(config).items() if dataclasses.is_dataclass(v) and not k.startswith("_")]
 
 
 @pytest.mark.check
@@ -17,6 +22,14 @@ def test_every_link_of_a_page_beside_the_site_leads_to_a_file(page):
     links = re.findall(r"\]\(([^)#\s]+)\)", (ROOT / page).read_text(encoding="utf-8"))
     assert len(links) > (10 if page == "README.md" else -1)
     assert [link for link in links if "://" not in link and not (ROOT / link).exists()] == []
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("kind", [Trials, Predictions, Scores, *(getattr(config, name) for name in CONFIGS)])
+def test_the_reference_explains_every_field(kind):
+    words = kind.__doc__.partition("Attributes:\n")[2]
+    named = re.findall(r"^ {8}(\w+): ", words, re.MULTILINE)
+    assert named == [f.name for f in dataclasses.fields(kind) if not f.name.startswith("_")]
 
 
 @needs("mkdocs")
