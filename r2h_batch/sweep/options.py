@@ -367,10 +367,10 @@ def check(options: Options) -> Options:
             raise UsageError("--robustness writes --format md, csv or json, not latex")
     if options.execution_error:
         execution_error(options.execution_error)
-    if options.execution_error and (options.motions or options.trials_from):
-        raise UsageError(
-            "--execution-error changes poses, and motions are judged as they are; leave one out"
-        )
+        if options.motions or options.trials_from:
+            raise UsageError(
+                "--execution-error changes poses, and motions are judged as they are; leave one out"
+            )
     if options.predictor and "contact" not in bases:
         raise UsageError(
             "--predictor is the contact network of --method contact; add that method, or leave it out"

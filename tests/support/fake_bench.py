@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,6 +16,7 @@ import torch
 from made_runs import NAMES, make_header, make_scores, make_trials
 
 from r2h_batch.sweep.jobs import Setting
+from r2h_batch.sweep.options import execution_error
 from r2h_batch.types import Outcome, Predictions
 
 
@@ -54,7 +55,9 @@ def prepare(options) -> Setting:
     n = {s: options.trials if s in options.splits else 0 for s in ("S0", "S1")}
     planned = {s: k for s, k in n.items() if k}
     versions = {"r2h_batch": os.environ.get("FAKE_VERSION", "0.1.0")}
-    header = make_header(0, 0, trials=planned, seed=options.seed, stored=options.stored, versions=versions)
+    config = {"name": "default", "execution_error": asdict(execution_error(options.execution_error))}
+    more = {"seed": options.seed, "stored": options.stored, "versions": versions, "configuration": config}
+    header = make_header(0, 0, trials=planned, **more)
     trials = make_trials(n["S0"], n["S1"])
     return Setting(FakeEvaluator(), header, lambda first, last: torch.arange(first, last), lambda ids: trials[ids])
 
