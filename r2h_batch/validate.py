@@ -62,7 +62,10 @@ def describe_value(value: object) -> str:
     shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
     if shape and dtype is not None:
         return f"a {type(value).__name__} of shape {tuple(shape)} and type {dtype}"
-    words = " ".join(repr(value).split())
+    try:
+        words = " ".join(repr(value).split())
+    except RecursionError:
+        return f"a {type(value).__name__} of lists in lists, too deep to read"
     return words if len(words) <= 80 else f"{words[:60]}... ({type(value).__name__})"
 
 

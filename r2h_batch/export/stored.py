@@ -293,6 +293,8 @@ def _answer_again(
 
 
 def _rows(table: Any, trial_id: int) -> list[dict[str, Any]]:
+    if trial_id >= 1 << 63:  # no id is, and Arrow compares no such number
+        return []
     rows: list[dict[str, Any]] = table.filter(pc.equal(table["trial_id"], trial_id)).to_pylist()
     return rows
 

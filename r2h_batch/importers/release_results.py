@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import pyarrow as pa
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from r2h_batch.importers.release_files import MAX_BYTES, Entry, Name, Receiver, validated
+from r2h_batch.importers.release_files import Entry, Name, Receiver, validated
 from r2h_batch.io.read import FileError, printable, read_json
 from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import TRIAL_SCHEMA
@@ -22,7 +22,17 @@ from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SPLITS
 
 __all__ = ["write_results"]
 
-Text = Annotated[str, Field(min_length=1, max_length=200)]
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must be printable characters in one line")
+    return text
+
+
+MAX_BYTES = 32 << 20
+"""Of a results.json: 100,000 trials. Reading takes up to 28 bytes of memory for each."""
+
+Text = Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)]
 Seconds = Annotated[float, Field(ge=0, le=MOST_SECONDS)]
 
 
@@ -40,7 +50,7 @@ class ResultRow(Entry):
     """The fields of a row of results.json that decide what is counted."""
 
     trial_id: Text
-    object_id: Name
+    object_id: Annotated[Name, AfterValidator(_printable)]
     split: Literal["S0", "S1"]
     variant: Text
     metrics: Metrics

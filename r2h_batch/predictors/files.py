@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import io
 import os
+import threading
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +23,8 @@ __all__ = ["load_predictor"]
 
 MAX_BYTES = 4 << 30
 MAX_MEMBERS = 20_000
+MOST_SECONDS = 600.0
+"""Of one call of an ONNX network."""
 _HOW = (
     "give an ONNX file (.onnx), VoxNet weights (.safetensors), or a function of your own code,"
     f" {HOW}"
@@ -59,15 +63,28 @@ def load_predictor(spec: str, *, trust_code: bool = False) -> ContactPredictor:
 
 
 class _OnnxNetwork:
-    """A network in onnxruntime."""
+    """A network in onnxruntime. A call that takes longer than `seconds` is ended: a graph may loop
+    for ever."""
 
-    def __init__(self, session: Any) -> None:
-        self.session = session
+    def __init__(self, session: Any, options: Callable[[], Any], where: str) -> None:
+        self.session, self.options, self.where = session, options, where
+        self.seconds = MOST_SECONDS
 
     def __call__(self, grid: Tensor) -> Tensor:
+        options = self.options()
+        timer = threading.Timer(self.seconds, setattr, (options, "terminate", True))
+        timer.start()
         name = self.session.get_inputs()[0].name
-        (found,) = self.session.run(None, {name: grid.detach().cpu().numpy()})
-        return torch.from_numpy(found)
+        try:
+            (found,) = self.session.run(None, {name: grid.detach().cpu().numpy()}, options)
+            return torch.as_tensor(found)
+        except Exception as error:  # its errors share no class but this one
+            why = " ".join(printable(error).split())[:200]
+            if options.terminate:
+                why = f"takes more than {self.seconds:g} s for {len(grid)} grids"
+            raise PredictorError(f"{self.where}: {why}; {_HOW}") from None
+        finally:
+            timer.cancel()
 
 
 def _onnx(path: Path, data: bytes) -> ContactPredictor:
@@ -94,7 +111,9 @@ def _onnx(path: Path, data: bytes) -> ContactPredictor:
     ends = len(session.get_inputs()), len(session.get_outputs())
     if ends != (1, 1):
         raise PredictorError(f"{where}: {ends[0]} inputs and {ends[1]} outputs; need one of each")
-    return _OnnxNetwork(session)
+    if (kind := session.get_inputs()[0].type) != "tensor(float)":
+        raise PredictorError(f"{where}: its input is a {kind}; it must be a tensor(float)")
+    return _OnnxNetwork(session, onnxruntime.RunOptions, where)
 
 
 def _script(path: Path, data: bytes, trust_code: bool) -> ContactPredictor:

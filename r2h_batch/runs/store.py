@@ -577,8 +577,12 @@ class Shard:
 
 def shards_of(header: Mapping[str, Any]) -> list[Shard]:
     """All shards in order: the same for every process that reads the same run.json."""
-    count = -(-sum(header["trials"].values()) // header["shard_trials"])
-    return [shard for i in range(count) if (shard := shard_at(header, i))]
+    return [shard for i in range(shard_count(header)) if (shard := shard_at(header, i))]
+
+
+def shard_count(header: Mapping[str, Any]) -> int:
+    """Number of shards of a method."""
+    return int(-(-sum(header["trials"].values()) // header["shard_trials"]))
 
 
 def shard_at(header: Mapping[str, Any], index: int) -> Shard | None:
@@ -708,7 +712,11 @@ class Run:
     @property
     def methods(self) -> tuple[str, ...]:
         """Names of the complete methods, in the order in which they were added."""
-        return tuple(e["name"] for e in self.entries if not self.missing(e["name"]))
+        return tuple(e["name"] for e in self.entries if self._complete(e["name"]))
+
+    def _complete(self, method: str) -> bool:
+        """Whether every shard is stored; run.json may claim a million, so none is listed."""
+        return len(self.entry(method)["receipts"]) == shard_count(self.header)
 
     @cached_property
     def labels(self) -> dict[int, tuple[str, str]]:
@@ -740,7 +748,7 @@ class Run:
     @property
     def unfinished(self) -> tuple[str, ...]:
         """Names of the methods with shards still to score."""
-        return tuple(e["name"] for e in self.entries if self.missing(e["name"]))
+        return tuple(e["name"] for e in self.entries if not self._complete(e["name"]))
 
     def named(self, word: str) -> str:
         """The full name of a method from that name or from the sweep's word (fc)."""
@@ -937,6 +945,11 @@ class JoinedRun(Run):
         self.entry(method)
         run, name = self.origin[method]
         return run.planned(name)
+
+    def _complete(self, method: str) -> bool:
+        """Whether every shard of a method is stored."""
+        run, name = self.origin[method]
+        return run._complete(name)
 
     def missing(self, method: str) -> list[Shard]:
         """Shards of a method that are planned and not stored."""

@@ -138,6 +138,7 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
     line = ["--run", str(tmp_path / "run"), *flags[2:4], "--trial"]
     assert main(["scene", *line, min(theirs), "--out", str(tmp_path / "scene")]) == 0
     assert main(["scene", *line, "nobody's", "--out", str(tmp_path / "no")]) == 2
+    assert main(["scene", *line, "9" * 20, "--out", str(tmp_path / "no")]) == 2
     for name, t in theirs.items():
         back = json.loads((tmp_path / "out" / f"{name}.json").read_text())
         validate(back)
@@ -211,3 +212,8 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
         == 2
     )
     assert "wrong.json[0]: first_failure or success is not what its metrics say" in capsys.readouterr().err
+    (tmp_path / "wrong.json").write_text(json.dumps([{**both[0], "variant": "a\nb"}]))
+    wrong = ["results", str(tmp_path / "wrong.json"), "--from", "r2handoversim", "--out", str(tmp_path / "no")]
+    assert main(["import", *wrong]) == 2
+    error = capsys.readouterr().err
+    assert "wrong.json[0]: variant" in error and error.count("\n") == 1

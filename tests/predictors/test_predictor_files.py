@@ -8,11 +8,11 @@ from importlib import resources
 import pytest
 import torch
 from needs import needs
-from onnx_files import contact_network
+from onnx_files import contact_network, looping_network
 from safetensors.torch import save_file
 
 from r2h_batch.bodies.objects import load_objects
-from r2h_batch.predictors import PredictorError, load_predictor, predict_contacts
+from r2h_batch.predictors import PredictorError, files, load_predictor, predict_contacts
 from r2h_batch.predictors.grid import contact_grids
 from r2h_batch.predictors.voxnet import load_voxnet
 from r2h_batch.scene.scene import Scene
@@ -74,6 +74,20 @@ def test_an_onnx_network_answers_and_takes_its_weights_from_no_other_file(tmp_pa
     for data in (b"", b"hello", contact_network()[:90], pickle.dumps(1)):
         (tmp_path / "net.onnx").write_bytes(data)
         refused("net.onnx", "not a readable ONNX file", "give an ONNX file")
+
+
+@needs("onnxruntime")
+def test_a_network_that_never_answers_is_ended_and_one_of_another_type_is_refused_by_its_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(files, "MOST_SECONDS", 0.5)
+    grid = contact_grids(load_objects(["cup"]))
+    (tmp_path / "net.onnx").write_bytes(looping_network(3))
+    assert torch.equal(load_predictor("net.onnx")(grid), grid)
+    (tmp_path / "net.onnx").write_bytes(looping_network(1 << 62))
+    with pytest.raises(PredictorError, match=r"net.onnx: takes more than 0.5 s for 1 grids"):
+        load_predictor("net.onnx")(grid)
+    (tmp_path / "net.onnx").write_bytes(looping_network(3, kind=7))
+    refused("net.onnx", "its input is a tensor(int64); it must be a tensor(float)")
 
 
 def test_safetensors_and_a_python_function_take_the_networks_place(tmp_path, monkeypatch):

@@ -27,6 +27,7 @@ from r2h_batch.runs import store as run_store
 from r2h_batch.runs.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA, pose_rows, score_rows
 from r2h_batch.runs.store import RunError, load_run, open_run, shards_of
 from r2h_batch.types import CRITERIA, Outcome
+from r2h_batch.validate_tensors import as_numbers
 
 ALL = ["details", "poses", "paths"]
 
@@ -380,3 +381,22 @@ def test_a_writer_that_was_killed_between_a_files_two_names_leaves_nothing_behin
     assert folder.todo("m") == []
     assert not any(second.exists() for second in twice) and half_done.exists()
     assert all(path.exists() for path in finished)
+
+
+def test_a_run_that_claims_a_million_shards_is_listed_at_once(tmp_path):
+    run = open_run(tmp_path / "run", make_header(10**6, 0, shard_trials=1))
+    for k in range(4):
+        run.register(f"m{k}", {"kind": "test"})
+    start = time.process_time()
+    found = load_run(tmp_path / "run")
+    assert found.methods == () and found.unfinished == ("m0", "m1", "m2", "m3")
+    assert time.process_time() - start < 0.5
+    assert len(found.missing("m0")) == 10**6
+
+
+def test_numbers_and_lists_of_any_size_are_refused_by_name():
+    deep = []
+    for _ in range(100_000):
+        deep = [deep]
+    with pytest.raises(TypeError, match=r"^q is a list of lists in lists, too deep to read; it must be numbers"):
+        as_numbers("q", deep, "numbers", "cpu")

@@ -20,10 +20,23 @@ def message(*fields):
     return out
 
 
-def numbers(name, *shape):
-    """A named input or output of float32."""
+def numbers(name, *shape, kind=1):
+    """A named input or output of float32, or of another kind (7 int64, 9 bool)."""
     dims = message(*((1, message((1, n))) for n in shape))
-    return message((1, name), (2, message((1, message((1, 1), (2, dims))))))
+    return message((1, name), (2, message((1, message((1, kind), (2, dims))))))
+
+
+def looping_network(trips: int, *, kind: int = 1) -> bytes:
+    """A Loop that hands the grid on so many times."""
+    grid = (1, 5, 64, 64, 64)
+    steps = [(1, message((1, f"{x}_in"), (2, f"{x}_out"), (4, "Identity"))) for x in ("go", "x")]
+    ends = [(11, numbers("i", kind=7)), (11, numbers("go_in", kind=9)), (11, numbers("x_in", *grid, kind=kind))]
+    ends += [(12, numbers("go_out", kind=9)), (12, numbers("x_out", *grid, kind=kind))]
+    body = message((1, "body"), (6, message(*steps, (2, "body"), *ends)), (20, 5))
+    loop = message((1, "trips"), (1, ""), (1, "grid"), (2, "out"), (4, "Loop"), (5, body))
+    constant = message((2, 7), (8, "trips"), (9, trips.to_bytes(8, "little")))
+    ends = [(11, numbers("grid", *grid, kind=kind)), (12, numbers("out", *grid, kind=kind))]
+    return message((1, 8), (7, message((1, loop), (2, "g"), (5, constant), *ends)), (8, message((2, 17))))
 
 
 def contact_network(channel: int = 1, *, file: str = "", inputs: int = 1) -> bytes:
