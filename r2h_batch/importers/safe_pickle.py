@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import scipy.sparse
 from numpy.typing import NDArray
 
 from r2h_batch.io import read as files
@@ -73,7 +74,6 @@ _PUSHES_ARGUMENT = {
 }  # fmt: skip
 _STARTS = (b"\x80", b"(", b"c", b"}", b"]", b")")
 """First bytes of pickles; all pickles end with a full stop."""
-_KEPT_NOTHING = object()
 
 
 def read_pickle_file(path: Path) -> Any:
@@ -95,16 +95,15 @@ def read_pickle(data: bytes, where: str = "pickle") -> Any:
     """
     try:
         return _Reader(data).read()
-    except FileError as error:
-        if data and data[:1] not in _STARTS and not data.rstrip().endswith(b"."):
-            what = f"no pickle (it begins with {data[:16]!r}); give the file as its owners give it"
-            raise FileError(f"{where}: {what}") from None
-        raise FileError(f"{where}: {error}") from None
     except (
         *(ValueError, IndexError, KeyError, TypeError, AttributeError),
         *(OverflowError, EOFError, RecursionError),
     ) as error:
         what = f"not a readable pickle ({type(error).__name__}: {_short(error)})"
+        if isinstance(error, FileError):
+            what = str(error)
+        if data and data[:1] not in _STARTS and not data.rstrip().endswith(b"."):
+            what = f"no pickle (it begins with {data[:16]!r}); give the file as its owners give it"
         raise FileError(f"{where}: {what}") from None
 
 
@@ -141,7 +140,7 @@ class _Reader:
         self.stack: list[Any] = []
         self.below: list[list[Any]] = []
         """stacks below the marks"""
-        self.memo: list[Any] = []
+        self.memo: dict[int, Any] = {}
         self.bytes_left = 3 * len(data) + MADE_BYTES
         self.number_keys = 0
         self.values = 0
@@ -193,14 +192,14 @@ class _Reader:
                 self.below.append(self.stack)
                 self.stack = []
             case "PUT" | "BINPUT" | "LONG_BINPUT" | "MEMOIZE":
-                self.keep(len(self.memo) if argument is None else int(argument))
+                self.memo[len(self.memo) if argument is None else int(argument)] = self.stack[-1]
             case "GET" | "BINGET" | "LONG_BINGET":
-                self.stack.append(self.kept(int(argument)))
+                self.stack.append(self.memo[int(argument)])
             case "POP":
-                self.pop() if self.stack else self.since_mark()
+                self.stack.pop() if self.stack else self.since_mark()
             case "TUPLE1" | "TUPLE2" | "TUPLE3":
                 count = int(name[-1])
-                self.stack.append(tuple([self.pop() for _ in range(count)][::-1]))
+                self.stack.append(tuple([self.stack.pop() for _ in range(count)][::-1]))
             case "TUPLE" | "LIST" | "FROZENSET":
                 items = self.since_mark()
                 self.stack.append(tuple(items) if name == "TUPLE" else items)
@@ -209,20 +208,22 @@ class _Reader:
                 self.stack.append({})
                 self.set_items(items)
             case "APPEND" | "APPENDS" | "ADDITEMS":
-                items = [self.pop()] if name == "APPEND" else self.since_mark()
+                items = [self.stack.pop()] if name == "APPEND" else self.since_mark()
                 self.top(list).extend(items)
             case "SETITEM" | "SETITEMS":
                 one = name == "SETITEM"
-                self.set_items([self.pop(), self.pop()][::-1] if one else self.since_mark())
+                self.set_items(
+                    [self.stack.pop(), self.stack.pop()][::-1] if one else self.since_mark()
+                )
             case "GLOBAL":
                 self.name(*argument.split(" ", 1))
             case "STACK_GLOBAL":
-                word, module = self.pop(), self.pop()
+                word, module = self.stack.pop(), self.stack.pop()
                 self.name(module, word)
             case "REDUCE" | "NEWOBJ":
                 self.make()
             case "BUILD":
-                state, made = self.pop(), self.top(_Made)
+                state, made = self.stack.pop(), self.top(_Made)
                 if made.state is not None:
                     raise FileError("sets the state of one object twice")
                 made.state = state
@@ -234,32 +235,14 @@ class _Reader:
             case _:
                 raise FileError(f"instruction {name} is not allowed")
 
-    def pop(self) -> Any:
-        if not self.stack:
-            raise FileError("takes a value that is not there")
-        return self.stack.pop()
-
     def top(self, kind: type | tuple[type, ...]) -> Any:
         if not self.stack or not isinstance(self.stack[-1], kind):
             raise FileError("adds to something that takes no items")
         return self.stack[-1]
 
     def since_mark(self) -> list[Any]:
-        if not self.below:
-            raise FileError("takes values up to a mark that is not there")
         items, self.stack = self.stack, self.below.pop()
         return items
-
-    def keep(self, number: int) -> None:
-        if not 0 <= number < MAX_STEPS:
-            raise FileError(f"keeps value {_short(number)}; 0 to {MAX_STEPS - 1} are allowed")
-        self.memo += [_KEPT_NOTHING] * (number + 1 - len(self.memo))
-        self.memo[number] = self.top(object)
-
-    def kept(self, number: int) -> Any:
-        if not 0 <= number < len(self.memo) or self.memo[number] is _KEPT_NOTHING:
-            raise FileError(f"recalls value {_short(number)}, which was never kept")
-        return self.memo[number]
 
     def name(self, module: Any, name: Any) -> None:
         words = isinstance(module, str) and isinstance(name, str)
@@ -269,7 +252,7 @@ class _Reader:
         self.stack.append(_Name(name))
 
     def make(self) -> None:
-        arguments, name = self.pop(), self.pop()
+        arguments, name = self.stack.pop(), self.stack.pop()
         known = isinstance(name, _Name) and isinstance(arguments, tuple)
         if known and name.name == "_reconstructor":  # copyreg: (class, base, state)
             name, arguments = (arguments or (None,))[0], ()
@@ -408,25 +391,14 @@ class _Reader:
     def sparse(self, made: _Made, depth: int) -> NDArray[Any]:
         """The dense matrix of compressed columns, or rows."""
         state, what = self.state(made, depth), "a sparse matrix"
-        rows, columns = _shape(state.get("_shape", state.get("shape")), 2)
+        shape = _shape(state.get("_shape", state.get("shape")), 2)
         data = _need(state.get("data"), "biuf", what)
         index, start = (_need(state.get(k), "iu", what) for k in ("indices", "indptr"))
-        by_column = made.name.startswith("csc")
-        major, minor = (columns, rows) if by_column else (rows, columns)
-        self.spend(rows * columns * data.itemsize + 32 * (index.size + start.size))
-        if not data.ndim == index.ndim == start.ndim == 1:
-            raise FileError(f"has {what} without its numbers")
-        start = start.astype(np.int64)
-        steps = np.diff(start)
-        ends = len(start) == major + 1 and start[0] == 0 and start[-1] == len(index) == len(data)
-        if not ends or (steps < 0).any():
-            what = f"has a sparse matrix of {rows} x {columns}"
-            raise FileError(f"{what} with other rows and columns than it says")
-        if len(index) and (index.min() < 0 or index.max() >= minor):
-            raise FileError("has a sparse matrix that points outside itself")
-        dense = np.zeros((major, minor), data.dtype)
-        np.add.at(dense, (np.repeat(np.arange(major), steps), index.astype(np.int64)), data)
-        return dense.T if by_column else dense
+        self.spend(math.prod(shape) * data.itemsize + 32 * (index.size + start.size))
+        kind = scipy.sparse.csc_array if made.name.startswith("csc") else scipy.sparse.csr_array
+        matrix = kind((data, index, start), shape=shape)
+        matrix.check_format(full_check=True)
+        return np.asarray(matrix.toarray())
 
 
 def _python2_string(line: bytes) -> str:

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from r2h_batch.bodies.hand import HandModel, load_hand
-from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.launch import init_warp
 from r2h_batch.launch.threads import one_torch_thread
@@ -72,7 +72,7 @@ class NoHoldError(ValueError):
     """An object that neither hand can hold, as far as was found."""
 
 
-@one_blas_thread()
+@threadpool_limits.wrap(1, user_api="blas")
 @one_torch_thread("cpu")
 def sample_receiving(
     model: ObjectModel,

@@ -9,7 +9,6 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.mesh_import.manifold import simplified_to
 
 __all__ = ["convex_hull", "convex_pieces"]
@@ -56,7 +55,6 @@ def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> 
     return _fine(solid) if fine else _quick(solid)
 
 
-@one_blas_thread()
 def _quick(solid: trimesh.Trimesh) -> list[Hull]:
     from r2h_batch.bodies.mesh_import.cut import cut_apart, inflate_to_cover, merge_hulls
 

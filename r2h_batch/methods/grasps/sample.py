@@ -6,8 +6,8 @@ import warnings
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
-from r2h_batch.bodies.mesh_import.blas import one_blas_thread
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import load_robot
 from r2h_batch.launch import init_warp
@@ -53,7 +53,7 @@ def sample_grasps(
     mesh = device_mesh(model)
     key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
     pool: list[Candidates] = []
-    with one_blas_thread(), one_torch_thread("cpu"):
+    with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
         for turn in range(ROUNDS):
             rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
             pool.append(
@@ -101,7 +101,7 @@ def generate_grasps(
     mesh = device_mesh(model)
     key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
     pool: list[Candidates] = []
-    with one_blas_thread(), one_torch_thread("cpu"):
+    with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
         for turn in range(ROUNDS):
             rng = np.random.Generator(np.random.Philox(key=np.array([key, turn], np.uint64)))
             T, width = proposals(model, mesh, rng, threads)
