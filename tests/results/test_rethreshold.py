@@ -8,6 +8,7 @@ import torch
 from made_runs import NAMES, make_header, make_scores, make_trials
 from problems import default_evaluator
 
+from r2h_batch.__main__ import main
 from r2h_batch.results import rethreshold as thresholds
 from r2h_batch.runs.rows import score_rows
 from r2h_batch.runs.store import load_run, open_run
@@ -116,7 +117,8 @@ def test_a_trial_on_the_threshold_is_counted_as_undecided(tmp_path):
 )
 def test_what_cannot_be_rescored_exactly_is_refused_with_what_can(made, capsys, flags, parts):
     run, *_ = made
-    assert thresholds.rethreshold(run.folder, **flags) == 2
+    line = [f"--{flag.replace('_', '-')}={value}" for flag, value in flags.items()]
+    assert main(["results", "rethreshold", str(run.folder), *line]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1
     for part in parts:
