@@ -41,7 +41,7 @@ PAYLOAD = """
 
 A grasp holds force and moment up to friction's limit: two pads, {grip:g} N each, friction {mu:g}, the whole pad in contact
 (`r2h_batch.judge.payload`). Shares of the grasps that pass Stability and turn or slip under 1, 2 and 3 times the object's
-weight; "on the way": in the worst direction of gravity.
+weight; "any posture": in the worst direction of gravity.
 
 {table}
 
@@ -176,7 +176,7 @@ def markdown(data: dict[str, Any]) -> str:
         ]
         for name, p in data["payload"].items()
     ]
-    head = ["Method", "grasps", "lever, mm", "moment, N m", "at the pose, %", "on the way, %"]
+    head = ["Method", "grasps", "lever, mm", "moment, N m", "at the pose, %", "any posture, %"]
     every = [row for rows in data["physics"].values() for row in rows]
     factor = np.array([row["factor"] for row in every])
     turned, slip = (np.array([row[k] for row in every]) for k in ("turned_deg", "slip_m"))
