@@ -184,12 +184,7 @@ class Engines:
         launch_trials(
             is_free,
             len(self.flat),
-            inputs={
-                "per_trial": self.q.shape[1],
-                "world": self.scene.world,
-                "bodies": self.bodies,
-                "q": self.flat,
-            },
+            inputs={"per_trial": self.q.shape[1], "world": self.scene.world, "bodies": self.bodies, "q": self.flat},
             outputs={"free": self.own},
             device="cpu",
             threads=1,

@@ -250,11 +250,7 @@ def batches(mix: Mix, report: Report) -> None:
         evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim=engine)), device=mix.device, threads=mix.threads)
         whole = evaluator.score(mix.g[:n], mix.h[:n], mix.trials[:n])
         order = torch.randperm(n, generator=torch.Generator().manual_seed(0))
-        cases = {
-            "permuted": [order],
-            "7": torch.arange(n).split(7),
-            "1": torch.arange(min(n, 24)).split(1),
-        }
+        cases = {"permuted": [order], "7": torch.arange(n).split(7), "1": torch.arange(min(n, 24)).split(1)}
         for name, parts in cases.items():
             differ = 0
             for rows in parts:

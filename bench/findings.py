@@ -72,10 +72,7 @@ def _of_contact() -> list[Finding]:
             "Functional awareness lowers F_afford in S1: Intent-Handover first, Contact-Handover second",
             (
                 ("Intent lowest", extreme("S1", "f_afford", "Intent", -1)),
-                (
-                    "Contact second",
-                    lambda cell: sorted(four, key=lambda m: cell("S1", m, "f_afford"))[1] == "Contact",
-                ),
+                ("Contact second", lambda cell: sorted(four, key=lambda m: cell("S1", m, "f_afford"))[1] == "Contact"),
             ),
             CAUSES[2],
         ),
@@ -113,16 +110,11 @@ def _of_fc_and_va() -> list[Finding]:
     four = tuple(SHORT.values())
     return [
         Finding(
-            "FC-Handover has the lowest F_reach",
-            (("lowest F_reach", extreme("Avg", "f_reach", "FC", -1)),),
-            CAUSES[5],
+            "FC-Handover has the lowest F_reach", (("lowest F_reach", extreme("Avg", "f_reach", "FC", -1)),), CAUSES[5]
         ),
         Finding(
             "FC-Handover has the highest F_afford in S1, and its F_plan rises there: its orientation does not know the region",
-            (
-                ("highest F_afford", extreme("S1", "f_afford", "FC", 1)),
-                ("F_plan rises", rises("FC", "f_plan")),
-            ),
+            (("highest F_afford", extreme("S1", "f_afford", "FC", 1)), ("F_plan rises", rises("FC", "f_plan"))),
             CAUSES[6],
         ),
         Finding(

@@ -11,12 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 METHODS = ("fc", "handover-va", "contact", "intent")
-TITLES = {
-    "fc": "FC-Handover",
-    "handover-va": "Handover-VA",
-    "contact": "Contact-Handover",
-    "intent": "Intent-Handover",
-}
+TITLES = {"fc": "FC-Handover", "handover-va": "Handover-VA", "contact": "Contact-Handover", "intent": "Intent-Handover"}
 COLUMNS = ("sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
 BASE = ("--protocol", "r2h-v1")
 

@@ -14,10 +14,7 @@ from r2h_batch.runs.store import load_run
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-NAMES = (
-    *("table1-v1", "table1-v1-paper-preset", "table1-v1-release-preset"),
-    *("table1-release", "table1-v0"),
-)
+NAMES = (*("table1-v1", "table1-v1-paper-preset", "table1-v1-release-preset"), *("table1-release", "table1-v0"))
 
 
 @pytest.fixture

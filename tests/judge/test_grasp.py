@@ -4,16 +4,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from grasp_cases import (
-    BAND,
-    material64,
-    model_of,
-    pose_at,
-    random_grasps,
-    shapes,
-    tables_of_shapes,
-    width64,
-)
+from grasp_cases import BAND, material64, model_of, pose_at, random_grasps, shapes, tables_of_shapes, width64
 
 from r2h_batch.bodies.robot import gap_from_drive, gripper_primitives_at, load_robot
 from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M

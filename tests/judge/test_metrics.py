@@ -17,15 +17,7 @@ from r2h_batch.bodies.robot import gripper_primitives_at
 from r2h_batch.config import BORDERLINE_M, CLEARANCE_CAP_M, EvalConfig, ExecConfig, Thresholds
 from r2h_batch.judge import metrics
 from r2h_batch.judge.distance import hand_distance, within_slack
-from r2h_batch.judge.grasp import (
-    CUT_CAP_M,
-    Grasp,
-    attach,
-    close_gripper,
-    open_clearance,
-    region_distance,
-    squeezed,
-)
+from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, attach, close_gripper, open_clearance, region_distance, squeezed
 from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import time_path
 from r2h_batch.types import CRITERIA, MarginKind, Outcome, PlanReason, Scores

@@ -7,16 +7,7 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.balls import balls_near, lowest_bit
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.robot.world import (
-    CHANGES,
-    FIELDS,
-    World,
-    bends,
-    forward_kinematics,
-    motion,
-    twists,
-    vec6,
-)
+from r2h_batch.kernels.robot.world import CHANGES, FIELDS, World, bends, forward_kinematics, motion, twists, vec6
 from r2h_batch.launch import launch_trials
 
 wp.set_module_options(OPTIONS)

@@ -244,9 +244,7 @@ def test_a_motion_that_is_held_up_keeps_its_margin_at_every_step_of_mujoco(besid
 
 
 @pytest.mark.parametrize(
-    "config",
-    [MUJOCO, MJWARP, pytest.param(BRIEF_WARP, marks=pytest.mark.slow)],
-    ids=["mujoco", "mjwarp-arm", "mjwarp"],
+    "config", [MUJOCO, MJWARP, pytest.param(BRIEF_WARP, marks=pytest.mark.slow)], ids=["mujoco", "mjwarp-arm", "mjwarp"]
 )
 def test_rows_do_not_depend_on_their_batch(config):
     p, whole = problems(), reference_run(config)

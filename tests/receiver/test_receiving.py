@@ -17,11 +17,7 @@ from r2h_batch.bodies.arrays import arrays_digest
 from r2h_batch.bodies.hand import load_hand
 from r2h_batch.bodies.objects import load_objects, object_digest
 from r2h_batch.launch import init_warp
-from r2h_batch.receiver.hand_closing import (
-    DEEPEST_M,
-    distance_field,
-    field_distance,
-)
+from r2h_batch.receiver.hand_closing import DEEPEST_M, distance_field, field_distance
 from r2h_batch.receiver.hand_contact import (
     PALM,
     REGIONS,

@@ -10,12 +10,7 @@ from dynamics_twin import ROBOT, bodies, centers, mass_matrix, some_payload
 from r2h_batch.bodies.objects import load_objects
 from r2h_batch.bodies.robot import forward_kinematics
 from r2h_batch.config import HOME_Q
-from r2h_batch.scene.dynamics import (
-    GRIPPER_MASS_KG,
-    Payload,
-    arm_model,
-    loaded_model,
-)
+from r2h_batch.scene.dynamics import GRIPPER_MASS_KG, Payload, arm_model, loaded_model
 
 G = 9.81
 STEP_S = 0.002

@@ -11,12 +11,7 @@ from r2h_batch.bodies.robot import (
     forward_kinematics,
     load_robot,
 )
-from r2h_batch.scene.dynamics import (
-    GRIPPER_BOX_M,
-    GRIPPER_COM_M,
-    GRIPPER_MASS_KG,
-    Payload,
-)
+from r2h_batch.scene.dynamics import GRIPPER_BOX_M, GRIPPER_COM_M, GRIPPER_MASS_KG, Payload
 
 ROBOT = load_robot()
 

@@ -11,13 +11,7 @@ import torch
 
 from r2h_batch.__main__ import main
 from r2h_batch.runs import store as results
-from r2h_batch.runs.rows import (
-    TrialNames,
-    detail_rows,
-    path_rows,
-    pose_rows,
-    score_rows,
-)
+from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, pose_rows, score_rows
 from r2h_batch.runs.store import RunFolder, open_run, sha256_of
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
 
@@ -50,12 +44,7 @@ def make_predictions(trials: Trials, method: str = "made", seed: int = 0) -> Pre
 
 
 def make_scores(
-    trials: Trials,
-    outcome: np.ndarray,
-    *,
-    t_plan_s: float = 0.1,
-    t_exec_s: float = 8.5,
-    s1: np.ndarray | None = None,
+    trials: Trials, outcome: np.ndarray, *, t_plan_s: float = 0.1, t_exec_s: float = 8.5, s1: np.ndarray | None = None
 ) -> Scores:
     """Scores whose first failure is `outcome`; Stability and Plan failures fail Reach too, times vary. `s1`: whose
     Affordance is looked at (default: of `OBJECTS`)."""
@@ -246,11 +235,7 @@ def forged(folder, out, change, kind="trials"):
         sha = sha256_of(file)
         renamed = file.with_name(f"{file.name[:6]}-{sha[:16]}.parquet")
         file.rename(renamed)
-        data["files"][kind] = {
-            "path": str(renamed.relative_to(out)),
-            "sha256": sha,
-            "bytes": renamed.stat().st_size,
-        }
+        data["files"][kind] = {"path": str(renamed.relative_to(out)), "sha256": sha, "bytes": renamed.stat().st_size}
         receipt.write_text(json.dumps(data))
     return edited
 
