@@ -21,8 +21,8 @@ Array = TypeVar("Array", Tensor, NDArray[np.float64])
 """What works on either is written once."""
 
 
-def dot(a: Float[Tensor, "*#b 3"], b: Float[Tensor, "*#b 3"]) -> Float[Tensor, "*b"]:
-    """a . b, term by term."""
+def dot(a: Array, b: Array) -> Array:
+    """a . b of vectors (..., 3), torch or numpy, term by term."""
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]
 
 

@@ -68,8 +68,7 @@ def draw_palms(key: tuple[int, int], ids: NDArray[np.int64], offset: Array) -> t
 def tool_rotation(R_world_palm: Array) -> Array:
     """(n, 3, 3) how the release turns the tool: z against the palm's normal, x along the fingers."""
     x, z = R_world_palm[:, :, 0], -R_world_palm[:, :, 2]
-    i, j = [1, 2, 0], [2, 0, 1]
-    return np.stack([x, z[:, i] * x[:, j] - z[:, j] * x[:, i], z], 2)
+    return np.stack([x, np.cross(z, x), z], 2)
 
 
 @lru_cache(maxsize=256)

@@ -243,8 +243,8 @@ class _Hands:
             joints[:, 0],
             joints[:, 4] - joints[:, 0],
         )
-        along = along - _dot(along, self.palm_normal)[:, None] * self.palm_normal
-        self.along = along / np.sqrt(_dot(along, along))[:, None]
+        along = along - se3.dot(along, self.palm_normal)[:, None] * self.palm_normal
+        self.along = along / np.sqrt(se3.dot(along, along))[:, None]
         # (3, H, V)
         self.vertices = np.ascontiguousarray(geometry.vertices.double().numpy().transpose(2, 0, 1))
         low, high = self.vertices.min(2), self.vertices.max(2)
@@ -308,7 +308,7 @@ def _draw_palms(
     """T_world_hand (n, 4, 4) of palms that `palms.draw_palms` draws; `offset` (n, 3) as there."""
     world, palm = palms.draw_palms(rng.key_of(RELEASE), ids, offset)
     n, a = hands.palm_normal[hand_index], hands.along[hand_index]
-    R = _from_frames(world, np.stack([a, _cross(n, a), n], 2))
+    R = _from_frames(world, np.stack([a, np.cross(n, a), n], 2))
     T = np.zeros((len(ids), 4, 4), np.float32)
     T[:, :3, :3], T[:, 3, 3] = R, 1.0
     T[:, :3, 3] = palm - se3.rotate(R, hands.palm_point[hand_index])
@@ -341,8 +341,8 @@ def _draw_people(
     ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
         hand, palm, able = hand_index[rows], people.palm, np.ones(len(rows), bool)
         n, a = hands.palm_normal[hand], hands.along[hand]
-        local = np.stack([a, n, _cross(a, n)], 2)
-        world = np.stack([people.hand, people.palm, _cross(people.hand, people.palm)], 2)
+        local = np.stack([a, n, np.cross(a, n)], 2)
+        world = np.stack([people.hand, people.palm, np.cross(people.hand, people.palm)], 2)
         R = _from_frames(world, local)
         # of those recorded with a body the arm is the one that can have them
         if hands.in_body is not None:
@@ -402,27 +402,16 @@ def _arm_is_clear(people: receivers.Person, robot: Robot, at: Workplace) -> NDAr
     return clear
 
 
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    i, j = [1, 2, 0], [2, 0, 1]
-    return np.asarray(a[:, i] * b[:, j] - a[:, j] * b[:, i])
-
-
 def _ball_center(u: Array) -> tuple[NDArray[np.bool_], Array]:
     """c_h (n, 3) uniform in a box, and whether it lies in the sector of a ring that the box
     encloses."""
-    slope = round(math.tan(math.radians(SECTOR_DEG)), 12)
     x_low = round(NEAREST_M * math.cos(math.radians(SECTOR_DEG)), 12)
     y_high = round(FARTHEST_M * math.sin(math.radians(SECTOR_DEG)), 12)
     x = x_low + (FARTHEST_M - x_low) * u[0]
     y = y_high * (2.0 * u[1] - 1.0)
     z = LOWEST_M + (HIGHEST_M - LOWEST_M) * u[2]
-    square = x * x + y * y
-    inside = (square >= NEAREST_M**2) & (square <= FARTHEST_M**2) & (np.abs(y) <= slope * x)
-    return inside, np.stack([x, y, z], axis=1)
+    center = np.stack([x, y, z], axis=1)
+    return _in_set(center), center
 
 
 def _faces_robot_or_up(center: Array, normal: Array) -> NDArray[np.bool_]:

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch import rng
+from r2h_batch import rng, se3
 
 __all__ = [
     "Person",
@@ -195,8 +195,8 @@ def propose(u: Array, v: Array, side: NDArray[np.int64], table_edge_m: float) ->
     to_wrist = (c_el * c_az)[:, None] * forward + (c_el * s_az)[:, None] * out - s_el[:, None] * up
     along = (upper * upper - lower * lower + reach * reach) / (2.0 * reach)
     beside = np.sqrt(np.maximum(upper * upper - along * along, 0.0))
-    hanging = _unit(-up - _dot(-up, to_wrist)[:, None] * to_wrist)
-    aside = outwards[:, None] * _cross(to_wrist, hanging)
+    hanging = _unit(-up - se3.dot(-up, to_wrist)[:, None] * to_wrist)
+    aside = outwards[:, None] * np.cross(to_wrist, hanging)
     s_sw, c_sw = sine_cosine(_between(v[6], *SWIVEL_DEG))
     elbow_way = c_sw[:, None] * hanging + s_sw[:, None] * aside
     elbow = shoulder + along[:, None] * to_wrist + beside[:, None] * elbow_way
@@ -263,8 +263,8 @@ def arm_axes(
     away from the upper arm, and towards the body's middle. `outwards` (n,): -1 of right arms, 1 of
     left ones."""
     upper, forearm = _unit(elbow - shoulder), _unit(wrist - elbow)
-    thumb = _unit(_dot(upper, forearm)[:, None] * forearm - upper)
-    return forearm, thumb, -outwards[:, None] * _cross(thumb, forearm)
+    thumb = _unit(se3.dot(upper, forearm)[:, None] * forearm - upper)
+    return forearm, thumb, -outwards[:, None] * np.cross(thumb, forearm)
 
 
 def limbs(people: Person) -> list[tuple[Array, Array]]:
@@ -335,20 +335,5 @@ def _between(u: Array, low: float, high: float) -> Array:
     return low + (high - low) * u
 
 
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.stack(
-        [
-            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-        ],
-        1,
-    )
-
-
 def _unit(a: Array) -> Array:
-    return np.asarray(a / np.sqrt(_dot(a, a))[:, None])
+    return np.asarray(a / np.sqrt(se3.dot(a, a))[:, None])

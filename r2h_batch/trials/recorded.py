@@ -7,6 +7,7 @@ Only +, -, *, / and sqrt, as in receivers.py.
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch import se3
 from r2h_batch.trials.receivers import (
     PRONATED_DEG,
     SUPINATED_DEG,
@@ -45,11 +46,7 @@ def arm_can(
         people.shoulder, people.elbow, people.wrist, np.where(side == 0, -1.0, 1.0)
     )
     (_, (bent, aside)) = sine_cosine(np.array([WRIST_BENT_DEG, WRIST_ASIDE_DEG]))
-    straight = _dot(forearm, along) >= bent * aside
-    c, s = _dot(palm, inwards), _dot(palm, thumb)
+    straight = se3.dot(forearm, along) >= bent * aside
+    c, s = se3.dot(palm, inwards), se3.dot(palm, thumb)
     (s_low, s_high), (c_low, c_high) = sine_cosine(np.array([-PRONATED_DEG, SUPINATED_DEG]))
     return np.asarray(straight & (c_low * s - s_low * c >= 0.0) & (c * s_high - s * c_high >= 0.0))
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
