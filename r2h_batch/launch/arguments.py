@@ -172,10 +172,26 @@ def new_outputs(kernel: Any, n: int, device: Any, **sizes: int) -> dict[str, Ten
         sizes: of each array with a second dimension, how large that is.
     """
     return {
-        p.name: _new_array(p, n, device, sizes, zeros=p.label.endswith("_out"))
+        name: new((n, sizes[name], *item) if further else (n, *item), dtype=dtype, device=device)
+        for name, new, further, item, dtype in _written(kernel)
+    }
+
+
+@cache
+def _written(kernel: Any) -> tuple[tuple[str, Any, bool, tuple[int, ...], torch.dtype], ...]:
+    """What `new_outputs` makes: name, by which function, whether there is a second dimension, the
+    dimensions of an element, type of a number."""
+    return tuple(
+        (
+            p.name,
+            torch.zeros if p.label.endswith("_out") else torch.empty,
+            p.array.ndim > 1,
+            p.array.item,
+            p.array.torch,
+        )
         for p in parameters(kernel)
         if p.array is not None and p.label.endswith(("_out", "_scratch"))
-    }
+    )
 
 
 def new_struct(
@@ -191,16 +207,12 @@ def new_struct(
         sizes: of each other array with a second dimension, how large that is.
     """
     given = given or {}
-    new = {name: _new_array(p, n, device, sizes) for name, p in _fields(kind) if name not in given}
+    new = {}
+    for name, p in _fields(kind):
+        if name not in given and p.array is not None:
+            shape = (n, *((sizes[name],) if p.array.ndim > 1 else ()), *p.array.item)
+            new[name] = torch.empty(shape, dtype=p.array.torch, device=device)
     return struct_of(kind, {**new, **given})
-
-
-def _new_array(
-    p: Parameter, n: int, device: Any, sizes: Mapping[str, int], *, zeros: bool = False
-) -> Tensor:
-    assert p.array is not None
-    shape = (n, *((sizes[p.name],) if p.array.ndim > 1 else ()), *p.array.item)
-    return (torch.zeros if zeros else torch.empty)(shape, dtype=p.array.torch, device=device)
 
 
 def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
