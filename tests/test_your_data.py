@@ -13,7 +13,7 @@ from r2h_batch import make_trials
 from r2h_batch.__main__ import main
 from r2h_batch.benchmark import built_in
 from r2h_batch.benchmark.model import BenchmarkFile, read_benchmark_file, read_object_file
-from r2h_batch.benchmark.trials_file import KNOWN, read_trials_file
+from r2h_batch.benchmark.trials_file import POSTURE, TEXTS, WIDTH, read_trials_file
 from r2h_batch.predictors import read_observations
 from r2h_batch.sweep.options import Options
 
@@ -58,7 +58,7 @@ def test_the_arrays_of_the_page_are_what_readers_take():
         "`pose`, `shape`, `side`",
         "`id`, `variant`",
     }
-    assert all(f"`{name}`" in trials for name in KNOWN)
+    assert all(f"`{name}`" in trials for name in (*TEXTS, *POSTURE, *WIDTH, "hand"))
     seen = PAGE[PAGE.index("## Predictions") :]
     for name in ("receiving_T_obj_hand", "receiving_pose", "receiving_shape", "target_T_world_hand", "label", "usage", "role",
                  "probability", "object_index", "trial_id", "source", "points"):  # fmt: skip
