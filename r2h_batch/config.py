@@ -132,6 +132,15 @@ class Workplace(_Checked):
     )
     table_half: Annotated[tuple[HalfLength, ...], Field(min_length=3, max_length=3)] = TABLE_HALF
 
+    def scaled(self, factor: float) -> "Workplace":
+        """The same with a table `factor` times as long and wide, as high as before."""
+        (x, y, z), (a, b, c) = self.table_center, self.table_half
+        return replace(
+            self,
+            table_center=(factor * x, factor * y, z),
+            table_half=(factor * a, factor * b, c),
+        )
+
 
 @dataclass(frozen=True)
 class PlanConfig(_Checked):

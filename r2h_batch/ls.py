@@ -55,7 +55,15 @@ def _objects() -> Iterator[Line]:
 
 
 def _robots() -> Iterator[Line]:
-    yield "ur5e", "UR5e with Robotiq 2F-85"
+    from r2h_batch.bodies.robot import ROBOTS, load_robot
+
+    for name in ROBOTS:
+        robot = load_robot(name)
+        yield (
+            name,
+            f"reach {1e3 * robot.reach_m:.0f} mm",
+            f"open gap {1e3 * robot.open_gap_m:.0f} mm",
+        )
 
 
 def _protocols() -> Iterator[Line]:

@@ -7,7 +7,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, cached_property
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -72,6 +72,9 @@ class Benchmark:
     drawn: str = PROTOCOL
     """the protocol that draws trials: of `schedule.PROTOCOLS`"""
     robot: Robot = field(default_factory=load_robot)
+    persons: Literal["for-robot", "as-for-ur5e"] = "for-robot"
+    """where persons stand: as the protocol places them for the robot's home and reach, or for the
+    UR5e's"""
     receiver: Literal["hand", "body"] = "hand"
     """what planning and Safe see of the receiver, as `EvalConfig.receiver`"""
 
@@ -103,7 +106,7 @@ class Benchmark:
         if self.receiver != "hand":  # what there was before it could be said keeps its digest
             digest.update(f"receiver {self.receiver}\n".encode())
         if self.robot.name != DEFAULT_ROBOT:
-            digest.update(f"robot {self.robot.digest}\n".encode())
+            digest.update(f"robot {self.robot.digest} {self.persons}\n".encode())
         # it says how hands stand in these trials
         if self.protocol == WITH_BODIES and self.hand_set.in_body is not None:
             digest.update(self.hand_set.in_body.contiguous().numpy().tobytes())
@@ -124,6 +127,19 @@ class Benchmark:
                 digest.update(getattr(self.listed, name).contiguous().numpy().tobytes())
         return digest.hexdigest()
 
+    def on(self, robot: Robot, persons: Literal["for-robot", "as-for-ur5e"] = "for-robot") -> Self:
+        """The same benchmark for another robot, which starts at its own home.
+
+        With `persons` "for-robot" the table's sides are as long as that robot's reach asks for: it
+        is to the UR5e's as the reaches are.
+        """
+        place = self.workplace
+        if place.home_q == self.robot.home_q:
+            place = replace(place, home_q=robot.home_q)
+        if persons == "for-robot" and self.listed is None:
+            place = place.scaled(robot.reach_m / self.robot.reach_m)
+        return replace(self, robot=robot, persons=persons, workplace=place)
+
     def config(self, base: EvalConfig | None = None) -> EvalConfig:
         """`base` (default: `EvalConfig()`) with the benchmark's limits, table and home, and what it
         sees of the receiver.
@@ -132,10 +148,11 @@ class Benchmark:
         tell which were meant.
         """
         optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))("config", base)
-        base = base or EvalConfig()
+        base = self.robot.fitted(base or EvalConfig())
+        usual = self.robot.fitted(EvalConfig())
         for name, own in (("thresholds", self.thresholds), ("workplace", self.workplace)):
             given = getattr(base, name)
-            if given not in (type(own)(), own):
+            if given not in (getattr(usual, name), own):
                 raise ValueError(
                     f"config.{name} is {given}, the benchmark has {own}; say it in one place"
                 )

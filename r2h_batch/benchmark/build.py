@@ -45,6 +45,7 @@ from r2h_batch.bodies.objects import (
     object_digest,
     object_from_argument,
 )
+from r2h_batch.bodies.robot import ROBOTS, Robot, load_robot, read_robot
 from r2h_batch.command_line import nearest
 from r2h_batch.config import Workplace
 from r2h_batch.importers.grasp_files import GRASP_FILES, grasps_from, without_gripper
@@ -94,7 +95,11 @@ def _digest(path: Path) -> str:
 def _read(path: str, _: str, pieces: bool) -> Benchmark:
     file, folder, shown = read_benchmark_file(Path(path)), Path(path).parent, printable(path)
     try:
-        own, objects = built_in(file.protocol), built_in(file.protocol).objects
+        own = built_in(file.protocol)
+        if "robot" in file.model_fields_set or "persons" in file.model_fields_set:
+            beside = file.robot if file.robot in ROBOTS else str(path_within(folder, file.robot))
+            own = own.on(robot_of(beside), file.persons)
+        objects = own.objects
         if "objects" in file.model_fields_set:
             objects = objects_of(file.objects, folder, pieces)
         names = [o.name for o in objects]
@@ -114,6 +119,7 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
             labels,
             file.protocol,
             own.robot,
+            own.persons,
             file.receiver,
         )
     except FileError:
@@ -166,6 +172,16 @@ def _workplace(file: BenchmarkFile, path: str, base: Benchmark) -> Workplace:
     if "table" not in file.model_fields_set:
         return replace(own, home_q=home)
     return Workplace(home, tuple(file.table.center), tuple(file.table.half))
+
+
+def robot_of(name: str) -> Robot:
+    """A built-in robot by its name, or the robot of a folder."""
+    if name in ROBOTS:
+        return load_robot(name)
+    if not Path(name).is_dir():
+        how = f"allowed are {', '.join(ROBOTS)} and folders of r2h-batch import robot"
+        raise FileError(f"robot {printable(name)!r} is none of them; {how}")
+    return read_robot(name)
 
 
 def _hands(file: BenchmarkFile, folder: Path, own: Benchmark) -> HandSet:
@@ -385,12 +401,15 @@ class BenchmarkOverrides(BenchmarkFlags):
             named = "listed trials" if listed is not None else f"trials of {drawn}"
             how = f"take --protocol {WITH_BODIES}, or --receiver hand"
             raise FileError(f"--receiver body: {named} have no body; {how}")
-        if not other and listed is base.listed and (drawn, seen) == (base.drawn, base.receiver):
-            return base
-        return replace(
-            base, objects=objects, hand_set=hand_set, listed=listed, labels=labels, drawn=drawn,
-            receiver=seen,
-        )  # fmt: skip
+        if other or listed is not base.listed or (drawn, seen) != (base.drawn, base.receiver):
+            base = replace(
+                base, objects=objects, hand_set=hand_set, listed=listed, labels=labels, drawn=drawn,
+                receiver=seen,
+            )  # fmt: skip
+        persons = self.persons or base.persons
+        if self.robot or persons != base.persons:
+            base = base.on(robot_of(self.robot) if self.robot else base.robot, persons)
+        return base
 
     def _hand_set(self, base: HandSet) -> HandSet:
         """The hand set of --hands on the hand of --hand-model, each else as in `base`."""

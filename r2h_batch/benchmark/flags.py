@@ -1,6 +1,7 @@
 """The flags that choose a benchmark. Imports nothing heavy."""
 
 from dataclasses import asdict, dataclass
+from typing import Literal
 
 __all__ = ["BUILT_IN", "BenchmarkFlags"]
 
@@ -23,6 +24,10 @@ class BenchmarkFlags:
     """Your grasp candidates: NAME=FILE, a file, or a folder."""
     trials_file: str = ""
     """Your trials, .npz or .parquet."""
+    robot: str = ""
+    """A built-in robot, or a folder of import robot."""
+    persons: Literal["", "for-robot", "as-for-ur5e"] = ""
+    """Where persons stand: for that robot (default), or where they do for the UR5e."""
 
     def flags(self) -> list[str]:
         """The flags that are given, as one would type them again."""

@@ -13,6 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from r2h_batch.benchmark.vocabulary import S0_ROLES, THINGS, VERB_WORDS
 from r2h_batch.bodies.objects import BUILT_IN_NAMES, OBJECT_NAMES, ObjectModel, load_objects
+from r2h_batch.bodies.robot import DEFAULT_ROBOT
 from r2h_batch.command_line import nearest
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.io.read import FileError, printable, read_yaml
@@ -172,6 +173,14 @@ class BenchmarkFile(_Entry):
         description="trials of your own, .npz or .parquet; else the protocol draws them",
     )
     thresholds: Limits = Thresholds()
+    robot: FilePath = Field(
+        default=DEFAULT_ROBOT,
+        description="ur5e_2f85, ur3e_2f85, or a folder of import robot beside this file",
+    )
+    persons: Literal["for-robot", "as-for-ur5e"] = Field(
+        default="for-robot",
+        description="where persons stand: for the robot's home and reach, or where they do for the UR5e",
+    )
     table: TableEntry = Field(default=TableEntry())
     home: Annotated[
         list[Annotated[float, Field(ge=-6.2832, le=6.2832)]], Field(min_length=6, max_length=6)

@@ -3,21 +3,29 @@ bounds (float64 NumPy)."""
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cache, cached_property
 from importlib.resources import files
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+import yaml
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from r2h_batch.config import HOME_Q, OPEN_GAP_M, EvalConfig
+from r2h_batch.io.arrays import Spec, check_arrays, check_poses
+from r2h_batch.io.read import FileError, printable, read_npz, read_yaml
+from r2h_batch.io.write import write_npz
 
 Array = NDArray[np.float64]
 
 JOINTS = 6
 DEFAULT_ROBOT = "ur5e_2f85"
+ROBOTS = (DEFAULT_ROBOT, "ur3e_2f85")
+"""What is built in."""
 JOINT_KEYS = ("T_parent_joint", "lower", "upper", "max_velocity", "max_torque")
 
 
@@ -162,16 +170,28 @@ class Robot:
         return float(gap_from_drive(self, self.linkage.drive_upper))
 
     @cached_property
+    def reach_m(self) -> float:
+        """From the shoulder to the wrist of the stretched arm."""
+        lengths = ur_lengths(self)
+        return lengths.a2 + lengths.a3
+
+    @cached_property
     def T_wrist3_ee(self) -> Array:
         """The tool: ee in the last link's frame."""
         return np.asarray(self.T_wrist3_flange @ self.T_flange_ee)
 
 
-@cache
 def load_robot(name: str = DEFAULT_ROBOT) -> Robot:
-    """A robot by name; `digest` is its file's sha256."""
+    """A built-in robot, the same object for the same name; `digest` is its files' sha256."""
+    return _load_robot(name)
+
+
+@cache
+def _load_robot(name: str) -> Robot:
     if name != DEFAULT_ROBOT:
-        raise ValueError(f"no robot is called {name!r}; built in is {DEFAULT_ROBOT}")
+        if name not in ROBOTS:
+            raise ValueError(f"no robot is called {name!r}; built in are {', '.join(ROBOTS)}")
+        return read_robot(Path(str(files("r2h_batch.assets") / "robot" / name)))
     raw = (files("r2h_batch.assets") / "robot" / "robot.json").read_bytes()
     data: dict[str, Any] = json.loads(raw)
     if data["format"] != 1:
@@ -181,7 +201,7 @@ def load_robot(name: str = DEFAULT_ROBOT) -> Robot:
     links = tuple(data["links"])
     joints, gripper = data["joints"], data["gripper_primitives"]
     linkage: dict[str, Any] = {
-        k: _frozen(v) if isinstance(v, list) else float(v) for k, v in data["linkage"].items()
+        k: frozen(v) if isinstance(v, list) else float(v) for k, v in data["linkage"].items()
     }
     gripper_link = links.index("gripper")
     return Robot(
@@ -191,35 +211,70 @@ def load_robot(name: str = DEFAULT_ROBOT) -> Robot:
         table_from=links.index("upper_arm"),
         visuals="ur5e",
         dynamics=Dynamics(
-            mass=_frozen(LINK_MASS_KG),
-            com=_frozen(LINK_COM_M),
-            inertia=_frozen(
+            mass=frozen(LINK_MASS_KG),
+            com=frozen(LINK_COM_M),
+            inertia=frozen(
                 [rolled(i, roll) for i, roll in zip(LINK_INERTIA, LINK_ROLL, strict=True)]
             ),
             armature=ARMATURE,
-            stiffness=_frozen(KP),
+            stiffness=frozen(KP),
             servo_rate=SERVO_RATE,
         ),
         links=links,
         joints=tuple(j["name"] for j in joints),
-        **{k: _frozen([j[k] for j in joints]) for k in JOINT_KEYS},
-        **{k: _frozen(data[k]) for k in ("T_wrist3_flange", "T_flange_ee", "T_flange_gripper")},
+        **{k: frozen([j[k] for j in joints]) for k in JOINT_KEYS},
+        **{k: frozen(data[k]) for k in ("T_wrist3_flange", "T_flange_ee", "T_flange_gripper")},
         arm=_primitives(
             data["arm_primitives"], [links.index(p["link"]) for p in data["arm_primitives"]]
         ),
         gripper=_primitives(gripper, [gripper_link] * len(gripper)),
         gripper_part=tuple(p["part"] for p in gripper),
         gripper_motion=tuple(p["motion"] for p in gripper),
-        gripper_side=_frozen(
+        gripper_side=frozen(
             [{"left": -1, "none": 0, "right": 1}[p["side"]] for p in gripper], np.int32
         ),
         linkage=Linkage(**linkage),
-        self_pairs=_frozen(
+        self_pairs=frozen(
             [[links.index(a), links.index(b)] for a, b in data["self_pairs"]], np.int32
         ),
-        object_pairs=_frozen([links.index(a) for a in data["object_pairs"]], np.int32),
+        object_pairs=frozen([links.index(a) for a in data["object_pairs"]], np.int32),
         digest=hashlib.sha256(raw).hexdigest(),
     )
+
+
+class UrLengths(NamedTuple):
+    """A UR's lengths in m: d and a of Denavit and Hartenberg 1955; `tool`: wrist centre to ee."""
+
+    d1: float
+    a2: float
+    a3: float
+    d4: float
+    d5: float
+    tool: float
+
+
+def ur_lengths(robot: Robot) -> UrLengths:
+    """The six lengths of a robot of a UR's structure; raises ValueError for any other."""
+    T = [*robot.T_parent_joint, robot.T_wrist3_ee]
+    # T[i] takes joint i's frame to the one before. A UR's six lengths stand in known entries; what
+    # else the frames hold must be quarter turns, or the closed form is that of another arm.
+    d1, a2, a3 = T[0][2, 3], -T[2][0, 3], -T[3][0, 3]
+    d4, d5, d6, tool = T[3][2, 3], -T[4][1, 3], T[5][1, 3], T[5][1, 3] + T[6][2, 3]
+    straight, half = np.eye(3), np.diag([-1.0, -1.0, 1.0])
+    up, down = (
+        np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
+        np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
+    )
+    rotations = [half, up, straight, straight, up, down, straight]
+    origins = [
+        [0, 0, d1], [0, 0, 0], [-a2, 0, 0], [-a3, 0, d4], [0, -d5, 0], [0, d6, 0], [0, 0, tool - d6]
+    ]  # fmt: skip
+    for i, (R, p) in enumerate(zip(rotations, origins, strict=True)):
+        if np.abs(T[i][:3, :3] - R).max() > 1e-9 or np.abs(T[i][:3, 3] - p).max() > 1e-9:
+            raise ValueError(
+                f"robot frame {i} is not that of a UR arm with a straight tool: the IK kernel cannot be used"
+            )
+    return UrLengths(*map(float, (d1, a2, a3, d4, d5, tool)))
 
 
 def forward_kinematics(robot: Robot, q: ArrayLike) -> Array:
@@ -408,13 +463,219 @@ def _primitives(rows: list[dict[str, Any]], link: list[int]) -> Primitives:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
         T[n, :3, 3] = row["pos"]
-    kind = _frozen([Kind[row["kind"].upper()] for row in rows], np.int32)
+    kind = frozen([Kind[row["kind"].upper()] for row in rows], np.int32)
     return Primitives(
-        tuple(row["name"] for row in rows), _frozen(link, np.int32), kind, _frozen(T), _frozen(size)
+        tuple(row["name"] for row in rows), frozen(link, np.int32), kind, frozen(T), frozen(size)
     )
 
 
-def _frozen(value: Any, dtype: Any = np.float64) -> Any:
+def frozen(value: Any, dtype: Any = np.float64) -> Any:
+    """A copy as an array that nobody can write into."""
     array = np.array(value, dtype=dtype)
     array.setflags(write=False)
     return array
+
+
+# ---- robot.yaml, which a person edits, and robot.npz, which the import writes. The gripper goes by
+# name: its shapes and its linkage are those of the built-in robot that carries it.
+
+MAX_BYTES = 1 << 20
+"""Of robot.npz: 24 primitives of the arm have 5 kB."""
+MAX_BODIES = 24
+"""As kernels/plan/codes.py, MAX_ARM_BODIES."""
+
+Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,64}$")]
+Angle = Annotated[float, Field(ge=-6.2832, le=6.2832)]
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+Six = Field(min_length=JOINTS, max_length=JOINTS)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class Servo(_Part):
+    """Position and velocity servos: force = kp (ctrl - q) - kp / rate qd."""
+
+    stiffness_nm_rad: Annotated[list[Positive], Six]
+    rate_per_s: Positive
+    armature_kg_m2: Annotated[float, Field(ge=0, le=10)]
+
+
+class Arm(_Part):
+    """The arm: six joints of a UR's structure."""
+
+    family: Literal["ur"]
+    links: Annotated[list[Word], Field(min_length=JOINTS + 1, max_length=JOINTS + 1)]
+    joints: Annotated[list[Word], Six]
+    home_rad: Annotated[list[Angle], Six]
+    lower_rad: Annotated[list[Angle], Six]
+    upper_rad: Annotated[list[Angle], Six]
+    max_velocity_rad_s: Annotated[list[Positive], Six]
+    max_torque_nm: Annotated[list[Positive], Six]
+    servo: Servo
+    table_from: Annotated[int, Field(ge=1, le=JOINTS)]
+    visuals: Annotated[str, Field(pattern=r"^[A-Za-z0-9_]{0,32}$")] = ""
+
+
+class RobotFile(_Part):
+    """robot.yaml."""
+
+    format: Literal[1]
+    name: Word
+    arm: Arm
+    gripper: Literal["2f-85"]
+
+
+SPECS: dict[str, Spec] = {
+    "T_parent_joint": ("f", (JOINTS, 4, 4)), "T_wrist3_flange": ("f", (4, 4)),
+    "mass": ("f", (JOINTS,)), "com": ("f", (JOINTS, 3)), "inertia": ("f", (JOINTS, 3, 3)),
+    "kind": ("iu", ("bodies",)), "link": ("iu", ("bodies",)),
+    "T_link_prim": ("f", ("bodies", 4, 4)), "size": ("f", ("bodies", 3)),
+    "self_pairs": ("iu", ("pairs", 2)), "object_pairs": ("iu", ("links",)),
+}  # fmt: skip
+"""robot.npz."""
+
+
+def read_robot(folder: str | Path) -> Robot:
+    """The robot of a folder with robot.yaml and robot.npz.
+
+    Raises:
+        FileError: one line that names the file and what is wrong with it.
+    """
+    text, packed = Path(folder) / "robot.yaml", Path(folder) / "robot.npz"
+    data = read_yaml(text)
+    try:
+        file = RobotFile.model_validate_json(json.dumps(data), strict=True)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(printable, first["loc"]))
+        raise FileError(f"{printable(text)}: {where}: {first['msg'][:200]}") from None
+    arrays, where = read_npz(packed, most=MAX_BYTES), printable(packed)
+    check_arrays(arrays, SPECS, where, only=True)
+    for name in ("T_parent_joint", "T_link_prim"):
+        check_poses(f"{where}: {name}", arrays[name])
+    check_poses(f"{where}: T_wrist3_flange", arrays["T_wrist3_flange"][None])
+    arrays = {name: arrays[name] for name in SPECS}
+    robot = _robot(file, arrays, Path(folder) / "visual")
+    try:
+        ur_lengths(robot)
+        _check(robot)
+    except ValueError as error:
+        raise FileError(f"{printable(folder)}: {error}") from None
+    return robot
+
+
+def _check(robot: Robot) -> None:
+    """What shapes of arrays do not say."""
+    n, arm = len(robot.arm.kind), robot.arm
+    if n > MAX_BODIES:
+        raise ValueError(f"{n} collision bodies; the kernels hold {MAX_BODIES} of an arm")
+    if not np.isin(arm.kind, (Kind.CAPSULE, Kind.CYLINDER, Kind.BOX)).all():
+        raise ValueError("kind must be 1 (capsule), 2 (cylinder) or 3 (box)")
+    if set(arm.link.tolist()) != set(range(JOINTS + 1)):
+        raise ValueError(f"every link, 0 to {JOINTS}, needs a collision body")
+    used = arm.size[arm.kind != Kind.BOX, :2].ravel().tolist()
+    used += arm.size[arm.kind == Kind.BOX].ravel().tolist()
+    if not all(1e-4 <= x <= 2 for x in used):
+        raise ValueError("sizes of collision bodies must lie between 0.1 mm and 2 m")
+    pairs = robot.self_pairs.ravel().tolist() + robot.object_pairs.tolist()
+    if not all(0 <= k <= JOINTS + 1 for k in pairs):
+        raise ValueError(f"pairs name links 0 to {JOINTS + 1} (the gripper)")
+    if not ((robot.lower <= robot.home_q) & (robot.home_q <= robot.upper)).all():
+        raise ValueError("home_rad is outside the joint limits")
+    moments = np.linalg.eigvalsh(robot.dynamics.inertia)
+    if (robot.dynamics.mass <= 0).any() or (moments <= 0).any():
+        raise ValueError("masses and moments of inertia must be above 0")
+    if (moments[:, 2] > moments[:, 0] + moments[:, 1] + 1e-6).any():
+        raise ValueError("an inertia is that of no body (one moment exceeds the sum of the others)")
+
+
+def _robot(file: RobotFile, a: dict[str, Array], shown: Path) -> Robot:
+    arm, own = file.arm, load_robot(DEFAULT_ROBOT)
+    digest = hashlib.sha256(json.dumps(file.model_dump(), sort_keys=True).encode())
+    for array in a.values():
+        digest.update(np.ascontiguousarray(array).tobytes())
+    count = [0] * len(arm.links)
+    names = []
+    for link in a["link"].tolist():
+        inside = 0 <= link < len(count)
+        names.append(f"{arm.links[link]}_{count[link]}" if inside else "")
+        count[link if inside else 0] += 1
+    return replace(
+        own,
+        name=file.name,
+        home_q=tuple(arm.home_rad),
+        table_from=arm.table_from,
+        visuals=str(shown) if not arm.visuals and shown.is_dir() else arm.visuals,
+        dynamics=Dynamics(
+            frozen(a["mass"]),
+            frozen(a["com"]),
+            frozen(a["inertia"]),
+            arm.servo.armature_kg_m2,
+            frozen(arm.servo.stiffness_nm_rad),
+            arm.servo.rate_per_s,
+        ),
+        links=(*arm.links, own.links[-1]),
+        joints=tuple(arm.joints),
+        T_parent_joint=frozen(a["T_parent_joint"]),
+        lower=frozen(arm.lower_rad),
+        upper=frozen(arm.upper_rad),
+        max_velocity=frozen(arm.max_velocity_rad_s),
+        max_torque=frozen(arm.max_torque_nm),
+        T_wrist3_flange=frozen(a["T_wrist3_flange"]),
+        arm=Primitives(
+            tuple(names),
+            frozen(a["link"], np.int32),
+            frozen(a["kind"], np.int32),
+            frozen(a["T_link_prim"]),
+            frozen(a["size"]),
+        ),
+        self_pairs=frozen(a["self_pairs"], np.int32),
+        object_pairs=frozen(a["object_pairs"], np.int32),
+        digest=digest.hexdigest(),
+    )
+
+
+def robot_arrays(robot: Robot) -> dict[str, Array]:
+    """What robot.npz holds of a robot."""
+    arm, own = robot.arm, robot.dynamics
+    found = {
+        "T_parent_joint": robot.T_parent_joint, "T_wrist3_flange": robot.T_wrist3_flange,
+        "mass": own.mass, "com": own.com, "inertia": own.inertia, "kind": arm.kind, "link": arm.link,
+        "T_link_prim": arm.T_link_prim, "size": arm.size, "self_pairs": robot.self_pairs,
+        "object_pairs": robot.object_pairs,
+    }  # fmt: skip
+    kinds = {"f": "<f8", "iu": "<i4"}
+    return {k: np.ascontiguousarray(v, kinds[SPECS[k][0]]) for k, v in found.items()}
+
+
+def write_robot(folder: Path, robot: Robot) -> None:
+    """Writes robot.yaml and robot.npz, which `read_robot` reads as the same robot."""
+    own = robot.dynamics
+    file = RobotFile(
+        format=1,
+        name=robot.name,
+        arm=Arm(
+            family="ur",
+            links=list(robot.links[:-1]),
+            joints=list(robot.joints),
+            home_rad=list(robot.home_q),
+            lower_rad=robot.lower.tolist(),
+            upper_rad=robot.upper.tolist(),
+            max_velocity_rad_s=robot.max_velocity.tolist(),
+            max_torque_nm=robot.max_torque.tolist(),
+            servo=Servo(
+                stiffness_nm_rad=own.stiffness.tolist(),
+                rate_per_s=own.servo_rate,
+                armature_kg_m2=own.armature,
+            ),
+            table_from=robot.table_from,
+            visuals=robot.visuals if robot.visuals.isidentifier() else "",
+        ),
+        gripper="2f-85",
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    text = yaml.safe_dump(file.model_dump(), sort_keys=False, default_flow_style=None, width=98)
+    (folder / "robot.yaml").write_text(text, encoding="utf-8")
+    write_npz(folder / "robot.npz", robot_arrays(robot))

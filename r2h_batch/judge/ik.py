@@ -15,7 +15,7 @@ import warp as wp
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, load_robot, ur_lengths
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.ik.jacobian import first_branch
 from r2h_batch.kernels.plan.codes import BRANCHES
@@ -284,28 +284,9 @@ def ik_seeds() -> np.ndarray:
 def ur_parameters(robot: Robot, home: tuple[float, ...]) -> UrParameters:
     """The link lengths, limits and home that the kernels need; refuses a robot without a UR's
     structure."""
-    T = [*robot.T_parent_joint, robot.T_wrist3_flange @ robot.T_flange_ee]
     ur = UrParameters()
-    # T[i] takes joint i's frame to the one before. A UR's six lengths stand in known entries (d and
-    # a of Denavit and Hartenberg 1955); what else the frames hold must be quarter turns, or the
-    # closed form is that of another arm.
-    ur.d1, ur.a2, ur.a3 = T[0][2, 3], -T[2][0, 3], -T[3][0, 3]
-    ur.d4, ur.d5, ur.tool = T[3][2, 3], -T[4][1, 3], T[5][1, 3] + T[6][2, 3]
-    straight, half = np.eye(3), np.diag([-1.0, -1.0, 1.0])
-    up, down = (
-        np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
-        np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
-    )
-    rotations = [half, up, straight, straight, up, down, straight]
-    d6 = float(T[5][1, 3])
-    origins = [
-        [0, 0, ur.d1], [0, 0, 0], [-ur.a2, 0, 0], [-ur.a3, 0, ur.d4], [0, -ur.d5, 0], [0, d6, 0], [0, 0, ur.tool - d6]
-    ]  # fmt: skip
-    for i, (R, p) in enumerate(zip(rotations, origins, strict=True)):
-        if np.abs(T[i][:3, :3] - R).max() > 1e-9 or np.abs(T[i][:3, 3] - p).max() > 1e-9:
-            raise ValueError(
-                f"robot frame {i} is not that of a UR arm with a straight tool: the IK kernel cannot be used"
-            )
+    for name, length in ur_lengths(robot)._asdict().items():
+        setattr(ur, name, length)
     ur.home, ur.lower, ur.upper = vec6d(*home), vec6d(*robot.lower), vec6d(*robot.upper)
     return ur
 

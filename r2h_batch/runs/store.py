@@ -369,6 +369,11 @@ class _Benchmark(_Open):
     flags: Annotated[list[Text], Field(max_length=100)]
 
 
+class _Robot(_Open):
+    name: Name
+    digest: Hash
+
+
 class _Predictors(_Open):
     noise_factor: Annotated[float, Field(ge=0, le=1e12)]
 
@@ -391,6 +396,7 @@ class Header(_Record):
     motion: _Motion = _ABSENT
     objects: list[_Object] = _ABSENT
     benchmark: _Benchmark = _ABSENT
+    robot: _Robot = _ABSENT
     hands: list[JsonValue] = _ABSENT  # sides of the hand set in order, as (side, number of hands)
     platform: Text = ""
     git_commit: Text | None = None

@@ -91,6 +91,10 @@ class Options:
     grasps: tuple[str, ...] = _option(
         (), _TRIALS, "grasp candidates: NAME=FILE, a file, or a folder"
     )
+    robot: str = _option("", _TRIALS, "ur5e_2f85 (default), ur3e_2f85, or a folder of import robot")
+    persons: Literal["", "for-robot", "as-for-ur5e"] = _option(
+        "", _CONFIG, "persons stand as the robot's reach asks (for-robot, default) or the UR5e's"
+    )
     hands: str = _option("", _TRIALS, "another hand set: .npz of import hands")
     hand_model: str = _option("", _TRIALS, "MANO_RIGHT.pkl, or .npz of import hand")
     preset: Literal["default", "paper", "release"] = _option(

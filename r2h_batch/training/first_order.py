@@ -13,10 +13,11 @@ from jaxtyping import Bool, Float, Int32, Int64
 from torch import Tensor
 
 from r2h_batch import se3
+from r2h_batch.bodies.robot import UrLengths
 from r2h_batch.kernels.witness.closing import EMPTY, MATERIAL, STEP_HIGH, STEP_LOW
 
 __all__ = [
-    "Arm", "Closed", "Closing", "Contact", "Poses0", "UrLengths",
+    "Arm", "Closed", "Closing", "Contact", "Poses0",
     "attached", "carried", "closed", "missed", "receded", "separation",
 ]  # fmt: skip
 
@@ -198,7 +199,7 @@ def ee_motion(poses: Poses0) -> Float[Tensor, "b 6"]:
     return torch.cat([poses.T_world_ee[:, :3, 3] - poses.T_world_ee_0[:, :3, 3], 0.5 * turn], 1)
 
 
-def missed(T_world_ee: Float[Tensor, "b 4 4"], ur: "UrLengths") -> Float[Tensor, " b"]:
+def missed(T_world_ee: Float[Tensor, "b 4 4"], ur: UrLengths) -> Float[Tensor, " b"]:
     """By how much the arm misses a target with the hand turned as asked (m): the closed form of
     kernels/ik/nearest.py.
 
@@ -230,18 +231,6 @@ def missed(T_world_ee: Float[Tensor, "b 4 4"], ur: "UrLengths") -> Float[Tensor,
             beyond = torch.maximum(d - ur.a2 - ur.a3, abs(ur.a2 - ur.a3) - d).clamp(min=0.0)
             least = torch.minimum(least, _root(beyond * beyond + off * off))
     return least
-
-
-@dataclass(frozen=True)
-class UrLengths:
-    """The arm's lengths (m), as in kernels/robot/fk.py."""
-
-    d1: float
-    a2: float
-    a3: float
-    d4: float
-    d5: float
-    tool: float
 
 
 def _root(square: Tensor) -> Tensor:

@@ -13,12 +13,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from r2h_batch import se3
-from r2h_batch.bodies.robot import Robot, ee_pose
+from r2h_batch.bodies.robot import ee_pose, ur_lengths
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, Thresholds
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.grasp import CUT_CAP_M
-from r2h_batch.judge.ik import ur_parameters
 from r2h_batch.scene.scene import Scene
 from r2h_batch.soft import with_gradient
 from r2h_batch.training import first_order, witnesses
@@ -255,7 +254,7 @@ class MarginChanges:
         ) - first_order.carried(point, self.other, no_fingers, at_home, self.arm)
         plan = torch.where(
             self.unreachable,
-            -first_order.missed(T_world_ee, _lengths(self.robot)),
+            -first_order.missed(T_world_ee, ur_lengths(self.robot)),
             se3.dot(self.goal.push, apart),
         )
         changes = {
@@ -275,14 +274,6 @@ def _carrier(body: Tensor, links: Tensor, n_robot: int) -> Tensor:
     link = links[body.clamp(min=0, max=n_robot - 1).long()].long()
     return torch.where(
         body < 0, first_order.FIXED, torch.where(body >= n_robot, first_order.OBJECT, link)
-    )
-
-
-@lru_cache(maxsize=4)
-def _lengths(robot: Robot) -> first_order.UrLengths:
-    ur = ur_parameters(robot, robot.home_q)
-    return first_order.UrLengths(
-        *(float(getattr(ur, k)) for k in ("d1", "a2", "a3", "d4", "d5", "tool"))
     )
 
 

@@ -14,6 +14,7 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -28,7 +29,7 @@ from r2h_batch.bodies.bounds import capsule_of_primitive
 from r2h_batch.bodies.given_objects import checked_objects
 from r2h_batch.bodies.hand import HandSet, palm_frame
 from r2h_batch.bodies.objects import ObjectModel
-from r2h_batch.bodies.robot import Robot, ee_pose, forward_kinematics
+from r2h_batch.bodies.robot import DEFAULT_ROBOT, Robot, ee_pose, forward_kinematics, load_robot
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.schedule import PROTOCOL, PROTOCOLS, RELEASE, assign_hands, assign_objects, trial_ids
 from r2h_batch.trials import palms, receivers, recorded
@@ -55,7 +56,8 @@ MOST_TRIALS = 10**9
 NEAREST_M, FARTHEST_M = 0.45, 0.80
 """Horizontal distance of the ball centre c_h from the axis of joint 1 [choice]."""
 LOWEST_M, HIGHEST_M = 0.10, 0.60
-"""Height of c_h above the table [choice]."""
+"""Height of c_h above the table [choice]. These four are the UR5e's; of another robot the ring and
+the height above LOWEST_M are to these as the reaches are (`Room`)."""
 SECTOR_DEG, CONE_DEG, TURNED_AWAY_DEG = 50.0, 75.0, 120.0
 """c_h within +-50 degrees of +x; palm normal within 75 degrees of the direction to the robot or of
 up, never more than 120 degrees from the former [choice]."""
@@ -108,11 +110,12 @@ def make_trials(
         found = read_benchmark(benchmark) if isinstance(benchmark, (str, Path)) else benchmark
         if found.listed is not None:
             return _listed(found.listed, splits, trials).named(found.objects)
+        placed = _for_persons(found)
         objects, hand_set, robot, config, protocol = (
-            found.objects,
-            found.hand_set,
-            found.robot,
-            found.config(),
+            placed.objects,
+            placed.hand_set,
+            placed.robot,
+            placed.config(),
             protocol or found.drawn,
         )
     plan = dict.fromkeys(splits, trials)
@@ -138,6 +141,7 @@ def trials_of(benchmark: Benchmark, trial_id: Int64[Tensor, " n"]) -> Trials:
     instance_of(Benchmark, "read_benchmark(FILE)")("benchmark", benchmark)
     if benchmark.listed is not None:
         return listed_with_ids(benchmark.listed, trial_id).named(benchmark.objects)
+    benchmark = _for_persons(benchmark)
     return trials_with_ids(
         trial_id,
         objects=benchmark.objects,
@@ -146,6 +150,13 @@ def trials_of(benchmark: Benchmark, trial_id: Int64[Tensor, " n"]) -> Trials:
         config=benchmark.config(),
         protocol=benchmark.drawn,
     )
+
+
+def _for_persons(benchmark: Benchmark) -> Benchmark:
+    """The benchmark whose robot says where persons stand."""
+    if benchmark.persons == "for-robot":
+        return benchmark
+    return benchmark.on(load_robot(DEFAULT_ROBOT), benchmark.persons)
 
 
 def trials_with_ids(
@@ -230,6 +241,26 @@ def trials_digest(trials: Trials, *, objects: Sequence[ObjectModel] | None = Non
     return digest.hexdigest()
 
 
+class Room(NamedTuple):
+    """Where ball centres may lie: distances from the axis of joint 1, and the height, m."""
+
+    nearest_m: float
+    farthest_m: float
+    highest_m: float
+
+    @staticmethod
+    @lru_cache(maxsize=8)
+    def of(robot: Robot) -> "Room":
+        """In proportion to the robot's reach; a micrometre is the unit."""
+        factor = robot.reach_m / load_robot(DEFAULT_ROBOT).reach_m
+        lengths = (
+            NEAREST_M * factor,
+            FARTHEST_M * factor,
+            LOWEST_M + (HIGHEST_M - LOWEST_M) * factor,
+        )
+        return Room(*(round(x, 6) for x in lengths))
+
+
 class _Hands:
     """The hands of a set as float64 arrays in their own frames."""
 
@@ -275,7 +306,7 @@ def _draw_poses(
         rows: NDArray[np.int64], attempt: int | NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], tuple[NDArray[np.float32]]]:
         u = rng.uniforms(key, ids[rows], 7, purpose=_POSE, attempt=attempt)
-        inside, center = _ball_center(u[:3])
+        inside, center = _ball_center(u[:3], Room.of(robot))
         turned, R = rng.rotation(u[3:])
         kept = np.flatnonzero(inside & turned)
         hand, center, R = hand_index[rows[kept]], center[kept], R[kept]
@@ -356,7 +387,7 @@ def _draw_people(
             + se3.rotate(R, hands.palm_point[hand] - hands.wrist[hand])
             + offset_m * palm
         )
-        kept = np.flatnonzero(able & _in_set(center))
+        kept = np.flatnonzero(able & _in_set(center, Room.of(robot)))
         kept = kept[_faces_robot_or_up(center[kept], palm[kept])]
         kept = kept[receivers.clear_of_torso(people.rows(kept))]
         kept = kept[_arm_is_clear(people.rows(kept), robot, at)]
@@ -374,13 +405,14 @@ def _draw_people(
     )
 
 
-def _in_set(center: Array) -> NDArray[np.bool_]:
+def _in_set(center: Array, room: "Room") -> NDArray[np.bool_]:
     """Whether ball centres (n, 3) lie in the sector of a ring that r2h-v0 draws them from."""
     slope = round(math.tan(math.radians(SECTOR_DEG)), 12)
     x, y, z = center[:, 0], center[:, 1], center[:, 2]
     square = x * x + y * y
-    ring = (square >= NEAREST_M**2) & (square <= FARTHEST_M**2) & (np.abs(y) <= slope * x)
-    return np.asarray(ring & (z >= LOWEST_M) & (z <= HIGHEST_M))
+    ring = (square >= room.nearest_m**2) & (square <= room.farthest_m**2)
+    ring &= np.abs(y) <= slope * x
+    return np.asarray(ring & (z >= LOWEST_M) & (z <= room.highest_m))
 
 
 def _arm_is_clear(people: receivers.Person, robot: Robot, at: Workplace) -> NDArray[np.bool_]:
@@ -402,16 +434,16 @@ def _arm_is_clear(people: receivers.Person, robot: Robot, at: Workplace) -> NDAr
     return clear
 
 
-def _ball_center(u: Array) -> tuple[NDArray[np.bool_], Array]:
+def _ball_center(u: Array, room: "Room") -> tuple[NDArray[np.bool_], Array]:
     """c_h (n, 3) uniform in a box, and whether it lies in the sector of a ring that the box
     encloses."""
-    x_low = round(NEAREST_M * math.cos(math.radians(SECTOR_DEG)), 12)
-    y_high = round(FARTHEST_M * math.sin(math.radians(SECTOR_DEG)), 12)
-    x = x_low + (FARTHEST_M - x_low) * u[0]
+    x_low = round(room.nearest_m * math.cos(math.radians(SECTOR_DEG)), 12)
+    y_high = round(room.farthest_m * math.sin(math.radians(SECTOR_DEG)), 12)
+    x = x_low + (room.farthest_m - x_low) * u[0]
     y = y_high * (2.0 * u[1] - 1.0)
-    z = LOWEST_M + (HIGHEST_M - LOWEST_M) * u[2]
+    z = LOWEST_M + (room.highest_m - LOWEST_M) * u[2]
     center = np.stack([x, y, z], axis=1)
-    return _in_set(center), center
+    return _in_set(center, room), center
 
 
 def _faces_robot_or_up(center: Array, normal: Array) -> NDArray[np.bool_]:

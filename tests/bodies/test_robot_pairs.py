@@ -5,8 +5,8 @@ from itertools import pairwise
 import mujoco
 import numpy as np
 
-from r2h_batch.assets.robot import self_pairs
 from r2h_batch.bodies.robot import load_robot
+from r2h_batch.importers import robot_pairs as self_pairs
 
 P = np.pi
 

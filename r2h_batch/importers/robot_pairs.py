@@ -1,6 +1,6 @@
 """Which links of the robot can touch: a table of contact rates per pair of links, measured with MuJoCo C.
 
-    python -m r2h_batch.assets.robot.self_pairs [--configurations 20000]
+    python -m r2h_batch.importers.robot_pairs [--configurations 20000]
 
 Prints, for each pair of links, the joints between them, the share of random configurations in which their primitives
 overlap (gripper at 85 mm and closed, both present) and the smallest distance seen. Pairs at 1 are neighbours in their
@@ -27,7 +27,12 @@ def mjcf(robot: Robot) -> str:
     T_gripper_ee = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee
     geoms: dict[str, list[str]] = {link: [] for link in robot.links}
     for name, link, kind, T, size in zip(
-        robot.arm.names, robot.arm.link, robot.arm.kind, robot.arm.T_link_prim, robot.arm.size, strict=True
+        robot.arm.names,
+        robot.arm.link,
+        robot.arm.kind,
+        robot.arm.T_link_prim,
+        robot.arm.size,
+        strict=True,
     ):
         geoms[robot.links[link]].append(_geom(f"{robot.links[link]}/{name}", int(kind), T, size))
     for i, opening in enumerate(OPENINGS_M):
@@ -41,11 +46,16 @@ def mjcf(robot: Robot) -> str:
             geoms["gripper"].append(_geom(f"gripper/{name}@{i}", int(kind), T_gripper_ee @ T, size))
     xml, tail = "".join(geoms["base"]), ""
     for i in range(JOINTS):
-        xml += f'<body {_pose(robot.T_parent_joint[i])}><joint name="{robot.joints[i]}"/>' + "".join(
-            geoms[robot.links[i + 1]]
+        xml += (
+            f'<body {_pose(robot.T_parent_joint[i])}><joint name="{robot.joints[i]}"/>'
+            + "".join(geoms[robot.links[i + 1]])
         )
         tail += "</body>"
-    xml += f"<body {_pose(robot.T_wrist3_flange @ robot.T_flange_gripper)}>" + "".join(geoms["gripper"]) + "</body>"
+    xml += (
+        f"<body {_pose(robot.T_wrist3_flange @ robot.T_flange_gripper)}>"
+        + "".join(geoms["gripper"])
+        + "</body>"
+    )
     return (
         '<mujoco><option><flag filterparent="disable"/></option><size memory="64M"/>'
         f'<default><geom mass="0.1" margin="{FAR_M}" gap="0"/></default>'
@@ -53,11 +63,15 @@ def mjcf(robot: Robot) -> str:
     )
 
 
-def contact_rates(robot: Robot, configurations: int, seed: int = 0) -> dict[tuple[str, str], tuple[float, float]]:
+def contact_rates(
+    robot: Robot, configurations: int, seed: int = 0
+) -> dict[tuple[str, str], tuple[float, float]]:
     """Per pair of links: share of configurations in contact, smallest distance in m (FAR_M if it was never nearer)."""
     model = mujoco.MjModel.from_xml_string(mjcf(robot))
     data = mujoco.MjData(model)
-    owner = np.array([robot.links.index(model.geom(g).name.split("/")[0]) for g in range(model.ngeom)])
+    owner = np.array(
+        [robot.links.index(model.geom(g).name.split("/")[0]) for g in range(model.ngeom)]
+    )
     touched = np.zeros((len(robot.links),) * 2, int)
     nearest = np.full((len(robot.links),) * 2, FAR_M)
     for q in np.random.default_rng(seed).uniform(-np.pi, np.pi, (configurations, JOINTS)):
@@ -77,7 +91,9 @@ def contact_rates(robot: Robot, configurations: int, seed: int = 0) -> dict[tupl
 
 def _geom(name: str, kind: int, T: NDArray[np.float64], size: NDArray[np.float64]) -> str:
     numbers = size if kind == Kind.BOX else size[:2]
-    return f'<geom name="{name}" type="{Kind(kind).name.lower()}" size="{_text(numbers)}" {_pose(T)}/>'
+    return (
+        f'<geom name="{name}" type="{Kind(kind).name.lower()}" size="{_text(numbers)}" {_pose(T)}/>'
+    )
 
 
 def _pose(T: NDArray[np.float64]) -> str:
@@ -90,11 +106,15 @@ def _text(numbers: NDArray[np.float64]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Contact rates of the robot's links with each other.")
+    parser = argparse.ArgumentParser(
+        description="Contact rates of the robot's links with each other."
+    )
     parser.add_argument("--configurations", type=int, default=20_000)
     robot = load_robot()
     checked = {tuple(robot.links[i] for i in pair) for pair in robot.self_pairs}
-    for (a, b), (rate, distance) in contact_rates(robot, parser.parse_args().configurations).items():
+    for (a, b), (rate, distance) in contact_rates(
+        robot, parser.parse_args().configurations
+    ).items():
         state = "checked" if (a, b) in checked else "-"
         print(f"{a:10s} {b:10s} contact {rate:7.4f}  nearest {1e3 * distance:7.2f} mm  {state}")
 

@@ -1,0 +1,254 @@
+"""The chain of a URDF between two links: joint frames, limits, masses, visual meshes.
+
+The file comes from a stranger. It is text of bounded size without a doctype, so it has no entities;
+meshes lie in its folder or in a package's that the caller names. Nothing is fetched.
+"""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from r2h_batch.bodies.mesh_import.file import load_mesh_file
+from r2h_batch.io.read import FileError, path_within, printable, read_file
+
+__all__ = ["Chain", "Link", "read_chain"]
+
+Array = NDArray[np.float64]
+Element = ElementTree.Element
+
+MAX_BYTES, MAX_LINKS = 8 << 20, 256
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid part: its own link and what is fixed to it, in the frame of the joint that moves it."""
+
+    name: str
+    triangles: Array  # (F, 3, 3) of the visual meshes, m
+    mass: float
+    com: Array  # (3,)
+    inertia: Array  # (3, 3) about com
+
+
+@dataclass(frozen=True)
+class Chain:
+    """N joints from base to flange, each about z of its frame, and the N + 1 rigid parts."""
+
+    joints: tuple[str, ...]
+    T_parent_joint: Array  # (N, 4, 4)
+    T_last_flange: Array
+    lower: Array  # (N,) rad
+    upper: Array
+    velocity: Array
+    effort: Array
+    links: tuple[Link, ...]
+
+
+def read_chain(path: Path, base: str, flange: str, packages: Mapping[str, Path]) -> Chain:
+    """The chain between two links of a URDF.
+
+    Args:
+        path: the URDF.
+        base: the link that stands still.
+        flange: the link that carries the gripper.
+        packages: folder of each package that `package://NAME/` names.
+
+    Raises:
+        FileError: one line that says what the file has and what is allowed.
+    """
+    root, shown = _parsed(path), printable(path)
+    links = {str(e.get("name")): e for e in root.findall("link")}
+    if len(links) > MAX_LINKS:
+        raise FileError(f"{shown}: has {len(links)} links; {MAX_LINKS} are allowed")
+    for flag, name in (("--base", base), ("--flange", flange)):
+        if name not in links:
+            found = ", ".join(printable(n)[:40] for n in list(links)[:12])
+            raise FileError(f"{shown}: {flag} {printable(name)} is no link of it; it has {found}")
+    joints = root.findall("joint")
+    into = {_end(j, "child", shown): j for j in joints}
+    way: list[Element] = []
+    at = flange
+    while at != base:
+        if at not in into or len(way) > len(joints):
+            raise FileError(f"{shown}: no chain of joints leads from {base} to {flange}")
+        way.append(into[at])
+        at = _end(into[at], "parent", shown)
+    moving = [j for j in reversed(way) if _moves(j, shown)]
+    T_before, frames = np.eye(4), []
+    for joint in reversed(way):
+        T_before = T_before @ _origin(joint, shown)
+        if joint in moving:
+            turn = _to_axis(joint, shown)
+            frames.append(T_before @ turn)
+            T_before = turn.T
+    limits = np.array([_limits(j, shown) for j in moving]).reshape(-1, 4)
+    carried = [base, *(_end(j, "child", shown) for j in moving)]
+    back = [np.eye(4), *(_to_axis(j, shown).T for j in moving)]
+    parts = [
+        _rigid(name, T, links, joints, set(carried), path, packages)
+        for name, T in zip(carried, back, strict=True)
+    ]
+    names = tuple(str(j.get("name")) for j in moving)
+    low, high, speed, effort = limits.T
+    T = _exact(np.array(frames))
+    return Chain(names, T, _exact(T_before), low, high, speed, effort, tuple(parts))
+
+
+def _parsed(path: Path) -> Element:
+    text, shown = read_file(path, MAX_BYTES).decode("utf-8", errors="replace"), printable(path)
+    if re.search(r"<!\s*(doctype|entity)", text, re.IGNORECASE):
+        raise FileError(f"{shown}: declares a document type; remove it, a URDF needs none")
+    if "xacro:" in text or path.suffix == ".xacro":
+        how = "expand it with: xacro FILE > robot.urdf"
+        raise FileError(f"{shown}: is a xacro program, which is not run here; {how}")
+    try:  # prefixes that a file does not declare, such as drake:, say nothing that is read here
+        root = ElementTree.fromstring(
+            re.sub(r"(</?|\s)[A-Za-z]+:(?=[A-Za-z_]+[\s=/>])", r"\1", text)
+        )
+    except (ElementTree.ParseError, RecursionError) as error:
+        raise FileError(f"{shown}: is no XML: {printable(error)[:100]}") from None
+    if root.tag != "robot":
+        raise FileError(f"{shown}: begins with <{printable(root.tag)[:40]}>; a URDF has <robot>")
+    return root
+
+
+def _end(joint: Element, which: str, shown: str) -> str:
+    found = joint.find(which)
+    if found is None or found.get("link") is None:
+        raise FileError(f"{shown}: joint {printable(joint.get('name'))} has no {which} link")
+    return str(found.get("link"))
+
+
+def _moves(joint: Element, shown: str) -> bool:
+    kind, name = joint.get("type"), printable(joint.get("name"))
+    if kind not in ("fixed", "revolute", "continuous") or joint.find("mimic") is not None:
+        what = "a mimic joint" if joint.find("mimic") is not None else f"{printable(kind)[:20]}"
+        raise FileError(f"{shown}: joint {name} is {what}; the arm's joints must be revolute")
+    return kind != "fixed"
+
+
+def _numbers(text: str, count: int, what: str) -> Array:
+    try:
+        found = np.array([float(x) for x in text.split()])
+    except ValueError:
+        found = np.zeros(0)
+    if len(found) != count or not np.isfinite(found).all() or np.abs(found).max() > 1e6:
+        raise FileError(f"{what} is {printable(text)[:60]!r}; it must be {count} numbers")
+    return found
+
+
+def _origin(element: Element, shown: str) -> Array:
+    node, T = element.find("origin"), np.eye(4)
+    if node is not None:
+        where = f"{shown}: an origin"
+        rpy = _numbers(node.get("rpy", "0 0 0"), 3, where)
+        T[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
+        T[:3, 3] = _numbers(node.get("xyz", "0 0 0"), 3, where)
+    return T
+
+
+def _to_axis(joint: Element, shown: str) -> Array:
+    """The turn (4, 4) that takes z to the joint's axis."""
+    node, T = joint.find("axis"), np.eye(4)
+    axis = _numbers("1 0 0" if node is None else node.get("xyz", "1 0 0"), 3, f"{shown}: an axis")
+    if np.linalg.norm(axis) < 1e-6:
+        raise FileError(f"{shown}: joint {printable(joint.get('name'))} has an axis of length 0")
+    if not np.array_equal(axis, [0, 0, 1]):
+        T[:3, :3] = Rotation.align_vectors(axis[None], [[0, 0, 1]])[0].as_matrix()
+    return T
+
+
+def _limits(joint: Element, shown: str) -> tuple[float, float, float, float]:
+    """Lower, upper (rad), speed and torque; a continuous joint gets one turn each way."""
+    node, name = joint.find("limit"), printable(joint.get("name"))
+    if node is None:
+        raise FileError(f"{shown}: joint {name} has no <limit>; speed and effort are needed")
+    low, high, speed, effort = (
+        float(_numbers(node.get(k, d), 1, f"{shown}: joint {name}: {k}")[0])
+        for k, d in (
+            ("lower", "-6.2831853"),
+            ("upper", "6.2831853"),
+            ("velocity", "0"),
+            ("effort", "0"),
+        )
+    )
+    if joint.get("type") == "continuous":
+        low, high = -2 * np.pi, 2 * np.pi
+    if not (low < high and speed > 0 and effort > 0):
+        wanted = "lower < upper, and velocity and effort above 0"
+        raise FileError(f"{shown}: joint {name}: limits {low:g} {high:g}; it needs {wanted}")
+    return low, high, speed, effort
+
+
+def _exact(T: Array) -> Array:
+    """Entries rounded to 1e-9: 1.570796327 becomes a quarter turn, 1e-11 m become 0."""
+    return np.round(T, 9) + 0.0
+
+
+def _rigid(
+    name: str, T: Array, links: Mapping[str, Element], joints: list[Element], ends: set[str],
+    path: Path, packages: Mapping[str, Path],
+) -> Link:  # fmt: skip
+    """A link and all that is fixed to it; T: the link in the frame of the joint that moves it."""
+    shown, triangles, bodies, todo = printable(path), [], [], [(name, T)]
+    seen = {name}
+    while todo:
+        at, T_at = todo.pop()
+        for visual in links[at].findall("visual"):
+            if (mesh := visual.find("geometry/mesh")) is not None:
+                triangles.append(_mesh(mesh, T_at @ _origin(visual, shown), path, packages))
+        if (inertial := links[at].find("inertial")) is not None:
+            bodies.append(_body(inertial, T_at, f"{shown}: link {printable(at)}"))
+        for joint in joints:
+            child = _end(joint, "child", shown)
+            fixed = joint.get("type") == "fixed" and _end(joint, "parent", shown) == at
+            if fixed and child not in seen | ends and child in links:
+                seen.add(child)
+                todo.append((child, T_at @ _origin(joint, shown)))
+    if not triangles:
+        raise FileError(f"{shown}: link {printable(name)} has no visual mesh")
+    mass = sum(m for m, _, _ in bodies)
+    com = sum((m * c for m, c, _ in bodies), np.zeros(3)) / (mass or 1.0)
+    about = np.zeros((3, 3))
+    for m, c, inertia in bodies:  # the parallel axis theorem
+        d = c - com
+        about += inertia + m * ((d @ d) * np.eye(3) - np.outer(d, d))
+    return Link(name, np.concatenate(triangles), mass, com, about)
+
+
+def _body(inertial: Element, T: Array, where: str) -> tuple[float, Array, Array]:
+    mass, tensor = inertial.find("mass"), inertial.find("inertia")
+    if mass is None or tensor is None:
+        raise FileError(f"{where}: its <inertial> has no mass or no inertia")
+    m = float(_numbers(mass.get("value", ""), 1, f"{where}: mass")[0])
+    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    xx, xy, xz, yy, yz, zz = (float(_numbers(tensor.get(k, ""), 1, where)[0]) for k in keys)
+    T = T @ _origin(inertial, where)
+    R = T[:3, :3]
+    return m, T[:3, 3], R @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ R.T
+
+
+def _mesh(mesh: Element, T: Array, path: Path, packages: Mapping[str, Path]) -> Array:
+    """Triangles (F, 3, 3) of a mesh in the link's frame."""
+    name = str(mesh.get("filename"))
+    scale = _numbers(mesh.get("scale", "1 1 1"), 3, f"{printable(path)}: a mesh's scale")
+    if name.startswith("package://"):
+        package, _, inside = name.removeprefix("package://").partition("/")
+        if package not in packages:
+            how = f"give --package {printable(package)}=FOLDER"
+            raise FileError(f"{printable(path)}: {printable(name)[:120]}: {how}")
+        file = path_within(packages[package], inside)
+    else:
+        file = path_within(path.parent, name)
+    try:
+        loaded = load_mesh_file(file, "a visual mesh")
+    except ValueError as error:
+        raise FileError(f"{printable(path)}: {error}") from None
+    corners = np.asarray(loaded.vertices, np.float64) * scale
+    return np.asarray((corners @ T[:3, :3].T + T[:3, 3])[loaded.faces])

@@ -1,0 +1,141 @@
+"""Robot files: what is written is read as the same robot, built-in arms hold what the import promises, bad files say why."""
+
+import json
+from dataclasses import fields, replace
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from r2h_batch.bodies.robot import (
+    ROBOTS,
+    Dynamics,
+    Linkage,
+    Primitives,
+    Robot,
+    ee_pose,
+    load_robot,
+    read_robot,
+    robot_arrays,
+    write_robot,
+)
+from r2h_batch.importers.urdf import read_chain
+from r2h_batch.io.read import FileError
+
+OTHERS = ROBOTS[1:]
+
+
+def same(a: object, b: object) -> bool:
+    if isinstance(a, (Dynamics, Linkage, Primitives)):
+        return all(same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
+    return np.array_equal(a, b) if isinstance(a, np.ndarray) else a == b
+
+
+def test_the_ur5e_written_and_read_is_equal_field_by_field(tmp_path: Path) -> None:
+    ur5e = load_robot()
+    write_robot(tmp_path, ur5e)
+    again = read_robot(tmp_path)
+    for f in fields(Robot):
+        assert f.name == "digest" or same(getattr(ur5e, f.name), getattr(again, f.name)), f.name
+    assert read_robot(tmp_path) == again != ur5e
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_built_in_arm_keeps_what_the_import_promises(name: str) -> None:
+    robot = load_robot(name)
+    report = json.loads((files("r2h_batch.assets") / "robot" / name / "report.json").read_text())
+    for link, row in report["links"].items():
+        assert row["mean_mm"] <= 3.0 and row["worst_protrusion_mm"] <= 0.1, link
+    tool, home = load_robot().T_wrist3_ee, ee_pose(robot, robot.home_q)
+    assert np.array_equal(robot.T_wrist3_ee, tool) and home[2, 2] < -0.9999 and abs(home[1, 3]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda y: y.update(format=2), "format"),
+        (lambda y: y.update(more=1), "more"),
+        (lambda y: y["arm"].update(family="numerical"), "family"),
+        (lambda y: y["arm"].update(home_rad=[0.0] * 5), "home_rad"),
+        (lambda y: y["arm"].update(home_rad=[7.0] * 6), "home_rad"),
+        (lambda y: y["arm"].update(max_velocity_rad_s=[0.0] * 6), "max_velocity_rad_s"),
+        (lambda y: y["arm"].update(visuals="../../x"), "visuals"),
+        (lambda y: y["arm"].update(upper_rad=[-6.0] * 6), "home_rad is outside"),
+    ],
+)
+def test_a_wrong_robot_yaml_is_refused_in_one_line(change, words, tmp_path):
+    write_robot(tmp_path, load_robot())
+    data = yaml.safe_load((tmp_path / "robot.yaml").read_text())
+    change(data)
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump(data))
+    with pytest.raises(FileError, match=words) as refused:
+        read_robot(tmp_path)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda a: a.pop("com"), "has no com"),
+        (lambda a: a.update(mass=a["mass"][:5]), "mass is"),
+        (lambda a: a.update(size=np.full_like(a["size"], np.nan)), "size holds a number that is not finite"),
+        (lambda a: a.update(size=a["size"][:3]), "size is"),
+        (lambda a: a.update(link=a["link"] * 0), "every link"),
+        (lambda a: a.update(kind=a["kind"] * 0), "kind must be"),
+        (lambda a: a.update(self_pairs=a["self_pairs"] + 9), "pairs name links"),
+        (lambda a: a.update(T_link_prim=2 * a["T_link_prim"]), "no rigid pose"),
+        (lambda a: a.update(T_parent_joint=a["T_parent_joint"][::-1].copy()), "not that of a UR"),
+        (lambda a: a.update(mass=-a["mass"]), "above 0"),
+    ],
+)
+def test_a_wrong_robot_npz_is_refused_in_one_line(change, words, tmp_path):
+    write_robot(tmp_path, load_robot())
+    arrays = robot_arrays(load_robot())
+    change(arrays)
+    np.savez(tmp_path / "robot.npz", **arrays)
+    with pytest.raises(FileError, match=words) as refused:
+        read_robot(tmp_path)
+    assert "\n" not in str(refused.value)
+
+
+URDF = """<robot name="one"><link name="base"><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link>
+<link name="hand"/><joint name="turn" type="{kind}"><parent link="base"/><child link="hand"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="1"/>{more}</joint></robot>"""
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('<!DOCTYPE r [<!ENTITY a "b">]>' + URDF, "declares a document type"),
+        (URDF.replace("<robot", '<robot xmlns:xacro="x"').replace("<axis", "<xacro:if/><axis"), "xacro"),
+        (URDF.replace("{kind}", "prismatic"), "turn is prismatic"),
+        (URDF.replace("{more}", '<mimic joint="x"/>'), "mimic"),
+        (URDF.replace("{mesh}", "http://x.org/a.stl"), "points outside the folder"),
+        (URDF.replace("{mesh}", "../a.stl"), "points outside the folder"),
+        (URDF.replace("{mesh}", "package://arm/a.stl"), "--package arm=FOLDER"),
+        (URDF.replace('velocity="1"', ""), "velocity and effort above 0"),
+        (URDF.replace('link="base"', 'link="hand"'), "no chain"),
+        (URDF.replace("0 0 1", "0 nan 1"), "3 numbers"),
+        ("<html/>", "begins with <html>"),
+        ("<robot", "is no XML"),
+    ],
+)
+def test_a_bad_urdf_is_refused_in_one_line(text, words, tmp_path):
+    for name, usual in (("{kind}", "revolute"), ("{mesh}", "a.stl"), ("{more}", "")):
+        text = text.replace(name, usual)
+    (tmp_path / "one.urdf").write_text(text)
+    with pytest.raises(FileError, match=words) as refused:
+        read_chain(tmp_path / "one.urdf", "base", "hand", {})
+    assert "\n" not in str(refused.value)
+
+
+def test_the_chain_of_the_ur5es_urdf_is_the_built_in_one() -> None:
+    from r2h_batch.bodies.robot_visuals import arm_urdf
+
+    chain, robot = read_chain(arm_urdf("ur5e"), "base_link", "tool0", {}), load_robot()
+    assert np.array_equal(chain.T_parent_joint, robot.T_parent_joint)
+    assert np.array_equal(chain.T_last_flange, robot.T_wrist3_flange)
+    assert np.array_equal(chain.effort, robot.max_torque)
+    assert replace(robot, digest="other") != robot

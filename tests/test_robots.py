@@ -1,0 +1,51 @@
+"""Another arm goes through the whole evaluator, and no stage falls back to the UR5e."""
+
+import numpy as np
+import pytest
+import torch
+
+from r2h_batch import Evaluator
+from r2h_batch.benchmark import built_in
+from r2h_batch.bodies.robot import ee_pose, load_robot
+from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.judge.ik import solve_ik
+from r2h_batch.methods.oracle import predict
+from r2h_batch.trials.protocol import make_trials
+
+KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
+UR3E = load_robot("ur3e_2f85")
+
+
+def test_the_closed_form_reaches_every_posture_of_another_ur() -> None:
+    q = np.random.default_rng(3).uniform(UR3E.lower / 2, UR3E.upper / 2, (2000, 6))
+    target = torch.from_numpy(ee_pose(UR3E, q).astype(np.float32))
+    found = solve_ik(target, robot=UR3E)
+    assert found.reachable.all()
+    rows, slots = found.valid.nonzero(as_tuple=True)
+    again = ee_pose(UR3E, found.q[rows, slots].double().numpy())
+    assert np.abs(again - target[rows].double().numpy()).max() < 2e-6
+
+
+@pytest.mark.check
+def test_the_oracle_succeeds_on_another_ur_and_its_paths_are_that_arms() -> None:
+    benchmark = built_in().on(UR3E)
+    evaluator = Evaluator.from_benchmark(benchmark, KINEMATIC)
+    trials = make_trials(trials=3, benchmark=benchmark)
+    answer = predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
+    scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
+    assert scores.success.all()
+    start, goal = scores.path[:, 0], scores.path[torch.arange(len(trials)), scores.path_len.long() - 1]
+    assert torch.equal(start, torch.tensor([UR3E.home_q]).expand_as(start))
+    assert np.abs(ee_pose(UR3E, goal.double().numpy())[:, :3, 3] - answer.T_world_ee[:, :3, 3].numpy()).max() < 1e-5
+    usual = Evaluator(KINEMATIC).score(answer.T_obj_ee, answer.T_world_ee, trials)
+    assert not torch.equal(usual.path[:, 0], start)
+
+
+def test_persons_stand_for_the_robot_or_as_for_the_ur5e() -> None:
+    usual = make_trials(trials=4, benchmark=built_in())
+    same = make_trials(trials=4, benchmark=built_in().on(UR3E, "as-for-ur5e"))
+    own = make_trials(trials=4, benchmark=built_in().on(UR3E))
+    assert torch.equal(usual.T_world_hand, same.T_world_hand)
+    assert own.T_world_hand[:, 0, 3].mean() < 0.8 * usual.T_world_hand[:, 0, 3].mean()
+    digests = {b.digest for b in (built_in(), built_in().on(UR3E), built_in().on(UR3E, "as-for-ur5e"))}
+    assert len(digests) == 3
