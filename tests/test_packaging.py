@@ -30,7 +30,20 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @needs("setuptools")
 def test_a_wheel_holds_the_modules_and_data_of_the_tree_and_nothing_else(wheel: Path) -> None:
-    kinds = {".py", ".json", ".npy", ".npz", ".safetensors", ".csv", ".html", ".typed", ".md", ".parquet", ".h"}
+    kinds = {
+        ".py",
+        ".json",
+        ".npy",
+        ".npz",
+        ".safetensors",
+        ".csv",
+        ".html",
+        ".typed",
+        ".md",
+        ".parquet",
+        ".h",
+        ".yaml",
+    }
     listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split()
     tracked = [Path(f) for f in listed if f.split("/")[0] in ("r2h_batch", "kernels", "assets") and (ROOT / f).exists()]
     wanted = {str(f if f.parts[0] == "r2h_batch" else "r2h_batch" / f) for f in tracked if f.suffix in kinds}

@@ -38,6 +38,8 @@ def test_every_field_comes_back_from_a_file(tmp_path):
         predictor_noise=0.5,
         hand_errors="tails",
         receiver="body",
+        robot="ur3e_2f85",
+        persons="as-for-ur5e",
         candidates="as-generated",
         reach="hull",
         plan_hand="true",
