@@ -104,7 +104,6 @@ def test_latex_rows_hold_the_names_with_every_special_character_escaped(run):
     for text in (
         render(table_of(run), "latex"),
         render(table_of(run), "latex", columns=1),
-        object_lines(run, "latex"),
         render_comparison(compared, "latex"),
     ):
         body = text[text.index(r"\begin{tabular}") :]
@@ -137,7 +136,7 @@ def test_the_page_and_its_charts_say_the_names_and_gain_no_tag(run, tmp_path):
 def drawing(name):
     row = {"trial_id": 3, "object": "a_b", "side": "left", "split": "S0", "outcome": "plan", "plan_reason": name}
     stored = SimpleNamespace(row=row, method=name, note=name, moves=False)
-    return SimpleNamespace(stored=stored, witness=None)
+    return SimpleNamespace(stored=stored, witness=None, marks=())
 
 
 @pytest.mark.parametrize("name", ODD)
