@@ -1,5 +1,7 @@
 """Another arm goes through the whole evaluator, and no stage falls back to the UR5e."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +12,7 @@ from r2h_batch.bodies.robot import ee_pose, load_robot
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.oracle import predict
+from r2h_batch.scene.model import build_scene_model
 from r2h_batch.trials.protocol import make_trials
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
@@ -49,3 +52,12 @@ def test_persons_stand_for_the_robot_or_as_for_the_ur5e() -> None:
     assert own.T_world_hand[:, 0, 3].mean() < 0.8 * usual.T_world_hand[:, 0, 3].mean()
     digests = {b.digest for b in (built_in(), built_in().on(UR3E), built_in().on(UR3E, "as-for-ur5e"))}
     assert len(digests) == 3
+
+
+def test_an_arm_that_airo_models_does_not_show_is_simulated_without_its_meshes() -> None:
+    scene = Evaluator(KINEMATIC, robot=UR3E).scene
+    bare = replace(UR3E, visuals="", digest="without meshes")
+    shown, hidden = (
+        build_scene_model(robot, scene.objects[:1], scene.hands, [0], step_s=0.002).model for robot in (UR3E, bare)
+    )
+    assert shown.ngeom - hidden.ngeom == 7 and np.array_equal(shown.body_mass, hidden.body_mass)

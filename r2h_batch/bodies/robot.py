@@ -557,7 +557,7 @@ def read_robot(folder: str | Path) -> Robot:
         check_poses(f"{where}: {name}", arrays[name])
     check_poses(f"{where}: T_wrist3_flange", arrays["T_wrist3_flange"][None])
     arrays = {name: arrays[name] for name in SPECS}
-    robot = _robot(file, arrays, Path(folder) / "visual")
+    robot = _robot(file, arrays)
     try:
         ur_lengths(robot)
         _check(robot)
@@ -591,7 +591,7 @@ def _check(robot: Robot) -> None:
         raise ValueError("an inertia is that of no body (one moment exceeds the sum of the others)")
 
 
-def _robot(file: RobotFile, a: dict[str, Array], shown: Path) -> Robot:
+def _robot(file: RobotFile, a: dict[str, Array]) -> Robot:
     arm, own = file.arm, load_robot(DEFAULT_ROBOT)
     digest = hashlib.sha256(json.dumps(file.model_dump(), sort_keys=True).encode())
     for array in a.values():
@@ -607,7 +607,7 @@ def _robot(file: RobotFile, a: dict[str, Array], shown: Path) -> Robot:
         name=file.name,
         home_q=tuple(arm.home_rad),
         table_from=arm.table_from,
-        visuals=str(shown) if not arm.visuals and shown.is_dir() else arm.visuals,
+        visuals=arm.visuals,
         dynamics=Dynamics(
             frozen(a["mass"]),
             frozen(a["com"]),

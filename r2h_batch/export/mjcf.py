@@ -39,7 +39,7 @@ from r2h_batch.bodies.robot import (
     finger_motion,
     gripper_primitives_at,
 )
-from r2h_batch.bodies.robot_visuals import part_origin
+from r2h_batch.bodies.robot_visuals import ARM_LINKS, part_origin
 from r2h_batch.config import ExecConfig, Thresholds
 from r2h_batch.export.stored import StoredTrial
 from r2h_batch.scene.dynamics import (
@@ -511,7 +511,9 @@ def _add_part(
     color: str,
     **how: Any,
 ) -> None:
-    """A part of the robot as airo-models shows it."""
+    """A part of the robot as airo-models shows it; of an arm that it does not have, nothing."""
+    if part in ARM_LINKS and not robot.visuals:
+        return
     shape = trimesh.Trimesh(*visual_mesh(robot.visuals, part), process=False)
     arm = robot.visuals
     _add_surface(spec, body, name, f"robot_{part}", shape, color, T=T, arm=arm, **how)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.bodies.robot import Kind, Primitives, Robot
-from r2h_batch.bodies.robot_visuals import part_origin, visual_triangles
+from r2h_batch.bodies.robot_visuals import ARM_LINKS, part_origin, visual_triangles
 from r2h_batch.scene.dynamics import (
     FINGER_MASS_KG,
     GRIPPER_MASS_KG,
@@ -235,7 +235,9 @@ def add_visual(
     T: Array,
     color: str,
 ) -> None:
-    """A part of the robot as airo-models shows it."""
+    """A part of the robot as airo-models shows it; of an arm that it does not have, nothing."""
+    if mesh in ARM_LINKS and not robot.visuals:
+        return
     if spec.mesh(f"robot_{mesh}") is None:
         add_mesh(spec, f"robot_{mesh}", *visual_mesh(robot.visuals, mesh), convex=False)
     add_mesh_geom(body, name, f"robot_{mesh}", color, T=T)
