@@ -86,6 +86,28 @@ def test_without_memory_for_all_worlds_half_as_many_give_the_same_motion(monkeyp
         run(MJWARP)
 
 
+def test_more_contacts_than_there_is_room_for_are_noticed_by_their_count(monkeypatch):
+    """Contacts are pooled over worlds and the simulator may stay silent: every trial of the pool is run again."""
+    honest, sizes, whole = sim_mjwarp._fields, [], reference_run(MJWARP)
+    sim_mjwarp.forget_worlds()  # theirs are read when they are built
+
+    def crowded(model, data):
+        fields = honest(model, data)
+        sizes.append(data.naconmax)
+        if len(sizes) < 3:
+            fields.naconmax = -1  # less than the 0 contacts there are
+        return fields
+
+    monkeypatch.setattr(sim_mjwarp, "_fields", crowded)
+    e = run(MJWARP)
+    sim_mjwarp.forget_worlds()
+    assert sizes == [sizes[0] * 4**k for k in range(3)] and e.valid.all() and torch.equal(e.path, whole.path)
+    monkeypatch.setattr(sim_mjwarp, "TRIES", 2)
+    sizes.clear()
+    assert run(MJWARP).valid.tolist() == (problems().plan.length == 0).tolist()
+    sim_mjwarp.forget_worlds()
+
+
 def test_the_table_stops_the_gripper_and_nobody_else_notices():
     path, length, row = into_the_table()
     with_crash = {c: run(c, path, length) for c in (BRIEF, BRIEF_WARP)}
