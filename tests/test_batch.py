@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, replace
 from functools import cache
 
+import numpy as np
 import pytest
 import torch
 from problems import Batch, assert_same, default_evaluator, make_batch
@@ -54,6 +55,12 @@ def test_smaller_batches_give_the_same_rows(n, stages):
     for first in range(0, SIZE, n)[: 5 if n == 1 else None]:
         rows = slice(first, first + n)
         assert_same(reference(stages)[rows], score(batch(SIZE).rows(rows), None, stages))
+
+
+@every_stage
+def test_the_order_of_a_batch_changes_no_row(stages):
+    order = torch.from_numpy(np.random.default_rng(2).permutation(SIZE))
+    assert_same(reference(stages)[order], score(batch(SIZE).rows(order), None, stages))
 
 
 def test_searched_paths_do_not_depend_on_their_batch():

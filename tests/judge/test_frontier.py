@@ -23,7 +23,7 @@ from r2h_batch.kernels.robot.world import TrialBodies, World
 from r2h_batch.launch import launch_trials
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.protocol import trials_with_ids
+from r2h_batch.trials.protocol import make_trials, trials_with_ids
 from r2h_batch.types import Scores
 
 wp.set_module_options(OPTIONS)
@@ -101,7 +101,7 @@ def test_a_problem_that_one_form_solves_the_other_solves_too(scene: Scene, metho
 
 SHORT = {
     "planning": {(levels, "LEAST"): 256, (levels, "PER_ROW"): 1},
-    "Safe": {(safe, "PER_INTERVAL"): {**safe.PER_INTERVAL, "bodies": 1}},
+    "Safe": {(safe, "PER_INTERVAL"): {**safe.PER_INTERVAL, "bodies": 1}, (levels, "LEAST"): 1 << 12},
 }
 
 
@@ -198,6 +198,17 @@ def test_where_queues_are_too_short_fewer_rows_go_at_once_and_come_out_the_same(
             patched.enter_context(mock.patch.object(module, name, value))
         assert_same(evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials), whole)
     assert "out of memory with 96 rows" in caplog.text
+
+
+def test_a_single_row_has_room_for_its_whole_path() -> None:
+    """Trial 79 of the method `random`: its clearance needs more than 4,096 intervals at once."""
+    evaluator = Evaluator(EvalConfig(execute=ExecConfig(sim="none")))
+    trials = make_trials(trials=100)
+    asked = random.predict(trials, evaluator.scene, seed=0)
+    row = trials.trial_id == 79
+    with levels.planning_form("frontier"):
+        scores = evaluator.score(asked.T_obj_ee[row], asked.T_world_ee[row], trials[row])
+    assert scores.path_len[0] > 2
 
 
 def test_a_queue_that_is_too_short_ends_the_batch_and_says_so(scene: Scene) -> None:

@@ -14,7 +14,6 @@ from r2h_batch import evaluate
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, nearer_of, person_distance
-from r2h_batch.judge.frontier import levels
 from r2h_batch.judge.frontier.levels import planning_form
 from r2h_batch.methods import fc
 from r2h_batch.sweep import command as sweep
@@ -116,8 +115,7 @@ def test_the_frontier_finds_the_distances_of_one_thread(asked):
     sampled = path[:, :1] + torch.linspace(0, 1, 151)[None, :, None] * (ends[:, None] - path[:, :1])
     for motion, n in ((path, length), (sampled, torch.where(length > 0, 151, 0).to(torch.int32))):
         here, body = person_distance(scene, body_poses, receiver, motion, n)
-        # the Evaluator would halve the batch where a queue is too short
-        with planning_form("frontier"), mock.patch.object(levels, "LEAST", 1 << 14):
+        with planning_form("frontier"):
             there, body_there = person_distance(scene, body_poses, receiver, motion, n)
         assert torch.equal(torch.isnan(here), n == 0) and torch.equal(torch.isnan(there), n == 0)
         found = n > 0

@@ -39,9 +39,10 @@ from r2h_batch.launch.arguments import new_struct, parameters, struct_of
 
 LANES, CUDA_LANES = 1, 1 << 16
 """Threads of a launch on a CPU and on CUDA; thread i takes entries i, i + threads, ... of a queue."""
-PER_ROW, LEAST, LEAST_CUDA = 16, 1 << 12, 1 << 16
+PER_ROW, LEAST = 16, 1 << 16
 """Intervals that the queue has room for: so many a row of the batch, and so many at least. Where
-that is too little half the rows have twice as much each (r2h_batch.launch.memory)."""
+that is too little half the rows have twice as much each (r2h_batch.launch.memory). The hardest
+single rows need more than 4,096."""
 BODIES_PER_INTERVAL, PAIRS_PER_INTERVAL = 8, 6
 SEGMENTS_PER_ROW, LEAST_SEGMENTS, SEGMENTS_AT_ONCE = 4, 1 << 10, 32
 NO_PAIR = 0x7FFFFFFF
@@ -94,7 +95,7 @@ class Levels:
 
     def __init__(self, tables: dict[str, Any], device: str) -> None:
         self.device = device
-        self.lanes, self.least = (LANES, LEAST) if device == "cpu" else (CUDA_LANES, LEAST_CUDA)
+        self.lanes = LANES if device == "cpu" else CUDA_LANES
         self.full = torch.zeros(1, dtype=torch.int32, device=device)
         self.counts = torch.zeros(int(queues.COUNTS), dtype=torch.int32, device=device)
         self.tables = tables | {"counts": struct_of(queues.Counts, {"n": self.counts})}
@@ -149,7 +150,7 @@ class Frontier(Levels):
     def __init__(self, world: Any, bodies: Any, device: str, rows: int) -> None:
         self.scene = {"world": world, "bodies": bodies}
         super().__init__(self.scene, device)
-        self._room = max(PER_ROW * rows, self.least)
+        self._room = max(PER_ROW * rows, LEAST)
         self.tables |= self._queues(self._room)
 
     def _queues(self, n: int) -> dict[str, Any]:

@@ -55,7 +55,7 @@ class SafeFrontier(levels.Levels):
         super().__init__(tables, scene.device)
         self._rows, self._width = len(length), path.shape[1]
         per_row = PER_ROW if self._width <= WAYPOINTS else PER_MOVED_ROW
-        self.tables |= self._queues(max(per_row * self._rows, self.least))
+        self.tables |= self._queues(max(per_row * self._rows, levels.LEAST))
 
     def _queues(self, n: int) -> dict[str, Any]:
         """Room for n intervals."""
