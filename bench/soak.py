@@ -2,6 +2,7 @@
 
 `python bench/soak.py --trials 1000000 --kill-every 180 --json bench/results/soak.json`: 2 M trials twice. The real evaluator,
 `--sim none`. At the end the digests of both folders must be equal, time per trial and memory flat from 10,000 trials on.
+`--parts 4 --kills 30 --kill-every 3 --trials 50000 --shard-trials 1000`: a job array, whose jobs are killed and start again.
 """
 
 import json
@@ -37,10 +38,11 @@ class Watched:
     done: dict[str, int] = field(default_factory=dict)
 
 
-def sweep(out: Path, given: object) -> subprocess.Popen[str]:
-    """The sweep command as a process of its own, quiet."""
+def sweep(out: Path, given: object, part: str = "1/1") -> subprocess.Popen[str]:
+    """The sweep command, or a part of it, as a process of its own, quiet."""
     line = [sys.executable, "-m", "r2h_batch.sweep", "--method", "random", "--sim", "none", "--out", str(out)]
     line += ["--trials", str(given.trials), "--shard-trials", str(given.shard_trials), "--format", "csv"]  # type: ignore[attr-defined]
+    line += ["--shard", part]
     return subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=ROOT)
 
 
@@ -104,6 +106,28 @@ def under_fire(out: Path, given: object, dice: random.Random) -> Watched:
         disturb(process, how, out, dice)
 
 
+def job_array(out: Path, given: object, dice: random.Random) -> int:
+    """Sweep the folder as so many jobs at once, each killed and started again at random; the number of kills."""
+    parts = [f"{i + 1}/{given.parts}" for i in range(given.parts)]  # type: ignore[attr-defined]
+    jobs, kills = {p: sweep(out, given, p) for p in parts}, 0
+    while jobs:
+        time.sleep(dice.uniform(0, 2 * given.kill_every))  # type: ignore[attr-defined]
+        part = dice.choice(sorted(jobs))
+        if kills < given.kills and jobs[part].poll() is None:  # type: ignore[attr-defined]
+            jobs[part].send_signal(signal.SIGKILL)
+            kills += 1
+        for part, job in list(jobs.items()):
+            if job.poll() is None:
+                continue
+            text, _ = job.communicate()
+            if job.returncode == -signal.SIGKILL:
+                jobs[part] = sweep(out, given, part)
+                continue
+            assert job.returncode == 0, text[-2000:]
+            del jobs[part]
+    return kills
+
+
 def seconds_per_trial(out: Path) -> list[tuple[int, float]]:
     """(trials before it, seconds a trial) of every shard, from the receipts."""
     data = [json.loads(p.read_text()) for p in receipts(out)]
@@ -117,12 +141,22 @@ def drift(points: list[tuple[int, float]]) -> float:
     return median(values[-quarter:]) / median(values[:quarter])
 
 
+def finish(report: Report, plain: Path, fire: Path) -> None:
+    """Whether the disturbed run has the rows of the other."""
+    same = load_run(plain).digest("random") == load_run(fire).digest("random")
+    report.add("soak.digest_equal", same)
+    report.add("soak.verified", verify(fire) == 0)
+    assert same, "the disturbed run has other rows"
+
+
 def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--trials", type=int, default=1_000_000, help="of each of two splits")
     parser.add_argument("--shard-trials", type=int, default=10_000)
     parser.add_argument("--kill-every", type=float, default=180.0, help="seconds between disturbances, on average")
     parser.add_argument("--seed", type=int, default=0, help="of the disturbances")
+    parser.add_argument("--parts", type=int, default=1, help="instead: a job array of so many parts, all at once")
+    parser.add_argument("--kills", type=int, default=30, help="of jobs of the array")
     parser.add_argument("--folder", type=Path, help="keep both run folders here")
     given = parser.parse_args()
     report, dice = Report(), random.Random(given.seed)
@@ -141,6 +175,12 @@ def main() -> None:
         report.add("soak.trials", 2 * given.trials)
         report.add("soak.undisturbed_s", time.perf_counter() - start)
         start = time.perf_counter()
+        if given.parts > 1:
+            report.add("soak.parts", given.parts)
+            report.add("soak.kills", job_array(fire, given, dice))
+            finish(report, plain, fire)
+            report.write(given.json)
+            return
         seen = under_fire(fire, given, dice)
         report.add("soak.disturbed_s", time.perf_counter() - start)
         for how, count in seen.done.items():
@@ -151,11 +191,8 @@ def main() -> None:
         report.add("soak.memory_mib", max(v for _, v in calm.memory))
         report.add("soak.memory_drift", drift(calm.memory))
         report.add("soak.memory_disturbed_mib", max(v for _, v in seen.memory))
-        same = load_run(plain).digest("random") == load_run(fire).digest("random")
-        report.add("soak.digest_equal", same)
-        report.add("soak.verified", verify(fire) == 0)
+        finish(report, plain, fire)
         report.write(given.json)
-        assert same, "the disturbed run has other rows"
 
 
 if __name__ == "__main__":
