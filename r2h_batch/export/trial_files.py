@@ -464,7 +464,7 @@ def _frames(benchmark: Benchmark) -> dict[str, Any]:
     return {
         "protocol": benchmark.protocol,
         "benchmark_digest": benchmark.digest,
-        "robot": "Universal Robots UR5e, Robotiq 2F-85",
+        "robot": robot.name,
         "joints": list(robot.joints),
         "home_rad": list(home),
         "T_world_ee_at_home": np.asarray(ee_pose(robot, home)).tolist(),

@@ -168,7 +168,9 @@ def _home(robot: Robot) -> tuple[float, ...]:
 
     found = least_squares(off, usual.home_q, xtol=1e-14, ftol=1e-14, gtol=1e-14)
     if np.abs(off(found.x)).max() > 1e-6:
-        raise FileError(f"{robot.name}: the arm does not reach its start; give --home")
+        raise FileError(
+            f"{robot.name}: no posture puts the gripper where trials start, the UR5e's place times the ratio of the reaches"
+        )
     return tuple(np.round(found.x, 4).tolist())
 
 

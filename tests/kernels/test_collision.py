@@ -8,7 +8,13 @@ import pytest
 import torch
 from convex_twin import bodies, point_to_segment
 
-from r2h_batch.bodies.robot import Kind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere
+from r2h_batch.bodies.robot import (
+    Kind,
+    forward_kinematics,
+    gripper_primitives_at,
+    lever_bound_for_sphere,
+    load_robot,
+)
 from r2h_batch.judge.plan import CLEARANCE_TOLERANCE_M, Planner
 from r2h_batch.kernels.plan.lines import path_clearance, straight_lines
 from r2h_batch.launch import launch_trials
@@ -79,6 +85,12 @@ def test_verdicts_on_10_000_postures_agree_with_mujoco_c(scene, trials=40, least
 @pytest.mark.slow
 def test_verdicts_on_100_000_postures_agree_with_mujoco_c(scene):
     test_verdicts_on_10_000_postures_agree_with_mujoco_c(scene, 400, 100, seed=2)
+
+
+def test_verdicts_on_postures_of_a_ur3e_agree_with_mujoco_c():
+    wrong, alone, _ = compare_postures(Scene(robot=load_robot("ur3e_2f85")), 12, 250, seed=4)
+    assert not wrong, wrong[:3]
+    assert min(alone[c] for c in ("hand", "table", "self", "object_hand")) >= 5
 
 
 @pytest.mark.parametrize("name", ["cup", "hammer"])
