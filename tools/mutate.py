@@ -42,8 +42,8 @@ MUTATIONS = (
     Mutation(
         "reach: sign of the margin",
         METRICS,
-        "thresholds.reach_radius_m - distance",
-        "distance - thresholds.reach_radius_m",
+        "e.config.thresholds.reach_radius_m - made[\"distance\"]",
+        "made[\"distance\"] - e.config.thresholds.reach_radius_m",
         (f"{T_METRICS}::test_reach_passes_up_to_the_balls_radius",),
     ),
     Mutation(
@@ -175,8 +175,8 @@ MUTATIONS = (
     Mutation(
         "statistics: a criterion that was not evaluated fails",
         "r2h_batch/runs/columns.py",
-        "failed = PATTERNS[:, columns] == FAILED",
-        "failed = PATTERNS[:, columns] <= FAILED",
+        "failed = PATTERNS == FAILED",
+        "failed = PATTERNS <= FAILED",
         ("tests/statistics/test_breakdown.py::test_the_outcome_of_every_pattern_is_its_first_failure_and_never_a_success_that_was_not_fully_judged",),
     ),
 )  # fmt: skip

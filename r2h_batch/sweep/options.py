@@ -96,7 +96,7 @@ class Options:
         "", _CONFIG, "persons stand as the robot's reach asks (for-robot, default) or the UR5e's"
     )
     hands: str = _option("", _TRIALS, "another hand set: .npz of import hands")
-    hand_model: str = _option("", _TRIALS, "MANO_RIGHT.pkl, or .npz of import hand")
+    hand_model: str = _option("", _CONFIG, "MANO_RIGHT.pkl, or .npz of import hand")
     preset: Literal["default", "paper", "release"] = _option(
         "default",
         _VERDICT,

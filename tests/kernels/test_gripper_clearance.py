@@ -122,10 +122,9 @@ def _fcl_hits(model: fcl.BVHModel, kind: int, size: np.ndarray, T: np.ndarray) -
 
 
 def test_a_pad_wholly_inside_the_object_and_an_object_wholly_inside_the_palm_are_cuts() -> None:
-    tables = grasp_tables(
-        [model_of(trimesh.creation.box((0.4, 0.4, 0.4))), model_of(trimesh.creation.box((0.01, 0.01, 0.01)))]
-    )
     robot = load_robot()
+    boxes = [model_of(trimesh.creation.box((size, size, size))) for size in (0.4, 0.01)]
+    tables = grasp_tables(boxes, robot)
     pad = robot.gripper.names.index("left_pad")
     palm = gripper_primitives_at(robot, OPEN_GAP_M)[robot.gripper_part.index("body"), :3, 3]
     T = torch.tensor(np.stack([pose_at(), np.linalg.inv(pose_at(*palm))]), dtype=torch.float32)
