@@ -79,7 +79,7 @@ def test_the_commit_is_part_of_this_history():
     assert subprocess.run([*git, "merge-base", "--is-ancestor", made_from()["commit"], "HEAD"]).returncode == 0
 
 
-@pytest.mark.parametrize("path", sorted(p.name for p in RESULTS.glob("*") if p.is_file()))
+@pytest.mark.parametrize("path", sorted(p.name for p in RESULTS.glob("*") if p.is_file() and p.suffix != ".png"))
 def test_no_published_file_names_a_place_on_a_machine_or_a_changed_checkout(path):
     text = (RESULTS / path).read_text()
     assert not re.search(r"(?<![\w.~])/(work|tmp|home|root|Users|mnt|opt|usr)/", text)

@@ -127,9 +127,9 @@ class Taken(Exception):
 
 class _Judge(Judge):
     def __init__(self):
-        self.other = ("code",)  # the method is not asked again
+        self.other = ()
 
-    def rows(self, *_):
+    def __getattr__(self, name):
         raise Taken
 
 
