@@ -180,7 +180,7 @@ def robot_of(name: str) -> Robot:
         return load_robot(name)
     if not Path(name).is_dir():
         how = f"allowed are {', '.join(ROBOTS)} and folders of r2h-batch import robot"
-        raise FileError(f"robot {printable(name)!r} is none of them; {how}")
+        raise FileError(f"no robot is called {printable(name)!r}; {how}")
     return read_robot(name)
 
 

@@ -64,6 +64,8 @@ class Log:
 
     def __init__(self, path: Path) -> None:
         self.path, self.methods, self._written = path, {}, 0.0  # type: ignore[var-annotated]
+        for left in path.parent.glob(f".{path.name}.*.tmp"):  # by a sweep that was killed
+            left.unlink(missing_ok=True)
 
     def say(self, name: str, done: int, total: int, seconds: float) -> None:
         """Note a method's state; the file is replaced every few seconds and when the method is
@@ -74,7 +76,10 @@ class Log:
         now = time.monotonic()
         if done == total or now - self._written >= LOG_EVERY_S:
             state: dict[str, Any] = {"updated": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
-            replace_json(self.path, {**state, "methods": self.methods})
+            with contextlib.suppress(
+                FileNotFoundError
+            ):  # another sweep began and took it for a rest
+                replace_json(self.path, {**state, "methods": self.methods})
             self._written = now
 
 

@@ -120,3 +120,9 @@ def test_a_sweep_that_waits_for_another_one_says_for_whom(tmp_path, monkeypatch,
     said = [line for line in capsys.readouterr().err.splitlines() if "waiting" in line]
     assert said == [f"m: waiting for shard 1, which process {os.getpid()} on {socket.gethostname()} scores"]
     assert len(naps) == 3 and load_run(tmp_path / "run").methods == ("m",)
+
+
+def test_half_a_progress_file_of_a_killed_sweep_is_removed(tmp_path):
+    (tmp_path / ".progress.json.0.tmp").touch()
+    engine.Log(tmp_path / "progress.json").say("m", 1, 1, 1.0)
+    assert [p.name for p in tmp_path.iterdir()] == ["progress.json"]
