@@ -8,11 +8,8 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import torch
 import warp as wp
-from jaxtyping import Bool
 from numpy.typing import NDArray
-from torch import Tensor
 
 from r2h_batch.bodies.objects import ObjectModel
 from r2h_batch.bodies.robot import Robot
@@ -34,7 +31,6 @@ class GraspTables:
     surfaces: Surfaces
     gripper: Gripper
     objects: int
-    has_region: Bool[Tensor, " n"]
     every: int  # bit masks of gripper primitives: all of them,
     moving: int  # all but coupling and palm,
     behind_pads: int  # all but the pads
@@ -56,7 +52,6 @@ def grasp_tables(objects: Sequence[ObjectModel], robot: Robot, device: str = "cp
         surfaces=surface_tables(triangles + regions, device),
         gripper=gripper_tables(robot, device),
         objects=len(objects),
-        has_region=torch.tensor([len(r) > 0 for r in regions], dtype=torch.bool, device=device),
         every=(1 << len(robot.gripper_part)) - 1,
         moving=sum(1 << i for i, motion in enumerate(robot.gripper_motion) if motion != "fixed"),
         behind_pads=sum(1 << i for i, part in enumerate(robot.gripper_part) if part != "pad"),

@@ -17,25 +17,14 @@ from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.store import RunError, load_run
 from r2h_batch.sweep.command import main as sweep
 
+LINE = ["--method", "random", "--trials", "12", "--sim", "none", "--shard-trials", "9", "--save-paths"]
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """24 rows of `random` in 3 shards, as a sweep stores them unless told otherwise."""
     out = tmp_path_factory.mktemp("rejudge") / "run"
-    line = [
-        "--method",
-        "random",
-        "--trials",
-        "12",
-        "--sim",
-        "none",
-        "--shard-trials",
-        "9",
-        "--save-paths",
-        "--out",
-        str(out),
-    ]
-    assert sweep(line) == 0
+    assert sweep([*LINE, "--out", str(out)]) == 0
     return out
 
 
@@ -164,20 +153,7 @@ def test_an_answer_that_is_said_to_be_missing_is_found_by_its_pose(folder, tmp_p
 
 def test_rows_and_poses_of_another_answer_are_found_under_a_built_in_methods_name(folder, tmp_path, judge, capsys):
     """Of seed 1 in the run of seed 0: verdicts, checksums and plan agree, only the method would not answer so."""
-    line = [
-        "--method",
-        "random",
-        "--trials",
-        "12",
-        "--sim",
-        "none",
-        "--shard-trials",
-        "9",
-        "--save-paths",
-        "--seed",
-        "1",
-    ]
-    assert sweep([*line, "--out", str(tmp_path / "other")]) == 0
+    assert sweep([*LINE, "--seed", "1", "--out", str(tmp_path / "other")]) == 0
     run = load_run(folder)
     shutil.copytree(folder, tmp_path / "run")
     for kind in ("trials", "details", "poses", "paths", "manifest"):

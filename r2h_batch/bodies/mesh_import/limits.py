@@ -12,8 +12,6 @@ __all__ = ["Budget", "ObjectMeshError"]
 MOST_BYTES = 1 << 30
 """Of a mesh file, and of each file that it names."""
 MOST_GIVEN_FACES = 5_000_000
-MOST_TURNED_FACES = 500_000
-"""Faces whose winding is repaired: that walks from face to face in Python, 10 s for these."""
 MOST_BODIES = 1000
 """Bodies that do not touch: more are a cloud of triangles, no object."""
 MOST_SECONDS = 60.0
