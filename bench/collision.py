@@ -1,4 +1,4 @@
-"""How fast and how right is a yes-or-no collision check? Own kernel, MuJoCo C and mujoco-warp on the same configurations.
+"""How fast and how right is a yes-or-no collision check? Own kernel and MuJoCo C on the same configurations.
 
 python bench/collision.py [--trials N] [--per-trial M] [--json FILE]
 
@@ -10,8 +10,7 @@ robot's and the object's pairs with the robot.
 
 Times are process time of one thread, the best of several runs, taken in turns; other work on the machine counts little.
 MuJoCo C runs mj_kinematics and mj_collision; what the Python loop around them costs is measured on an empty model and taken
-off. mujoco-warp runs kinematics and collision from a captured graph, one world per configuration; conversion is not
-counted. A disagreement counts when MuJoCo C's distance of that configuration is more than 0.1 mm from zero.
+off. A disagreement counts when MuJoCo C's distance of that configuration is more than 0.1 mm from zero.
 """
 
 import argparse
@@ -85,40 +84,6 @@ def python_overhead(count: int) -> float:
     return min(times)
 
 
-class MujocoWarp:
-    """mujoco-warp on the CPU: per trial a model, per configuration a world, kinematics and collision as one graph."""
-
-    def __init__(self, models, datas, q) -> None:
-        import mujoco_warp as mjw
-
-        self.runs = []
-        per_trial = q.shape[1]
-        for k, (m, d) in enumerate(zip(models, datas, strict=True)):
-            model, data = mjw.put_model(m), mjw.put_data(m, d, nworld=per_trial, nconmax=96, njmax=1)
-            wp.copy(data.qpos, wp.array(q[k].astype(np.float32), dtype=float, device="cpu"))
-            mjw.kinematics(model, data)
-            mjw.collision(model, data)
-            with wp.ScopedCapture(device="cpu") as capture:
-                mjw.kinematics(model, data)
-                mjw.collision(model, data)
-            self.runs.append((model, data, capture.graph))
-
-    def run(self) -> None:
-        for _, _, graph in self.runs:
-            wp.capture_launch(graph)
-
-    def free(self) -> tuple[np.ndarray, bool]:
-        """Free or not per configuration, and whether contacts were dropped."""
-        out, dropped = [], False
-        for _, data, _ in self.runs:
-            n = int(data.nacon.numpy()[0])
-            dropped |= n > data.naconmax
-            hit = np.zeros(data.nworld, bool)
-            hit[data.contact.worldid.numpy()[: min(n, data.naconmax)]] = True
-            out.append(~hit)
-        return np.stack(out), dropped
-
-
 def fastest(run, others=()) -> list[float]:
     """Shortest process time of each run, taken in turns."""
     times: list[list[float]] = [[] for _ in range(1 + len(others))]
@@ -135,9 +100,6 @@ def options() -> argparse.Namespace:
     parser = arguments(__doc__)
     parser.add_argument("--trials", type=int, default=32)
     parser.add_argument("--per-trial", type=int, default=320)
-    parser.add_argument(
-        "--no-warp", action="store_true", help="leave mujoco-warp out (its kernels take minutes to compile)"
-    )
     return parser.parse_args()
 
 
@@ -159,7 +121,7 @@ def main() -> None:
     with_self = scene.world.self_links
     for suffix, classes in (("", oracle.CLASSES), ("_noself", tuple(c for c in oracle.CLASSES if c not in SELF))):
         scene.world.self_links = with_self if suffix == "" else wp.zeros(9, dtype=int, device="cpu")
-        engines = Engines(scene, problems, twins, classes, q, with_warp=not args.no_warp)
+        engines = Engines(scene, problems, twins, classes, q)
         report_times(report, suffix, count, engines.times(), overhead)
         if suffix == "":
             report_disagreements(report, engines, truth)
@@ -169,7 +131,7 @@ def main() -> None:
 class Engines:
     """Every engine on the same configurations and pairs, each run once: compiled, and with its answers at hand."""
 
-    def __init__(self, scene: Scene, problems, twins, classes, q: np.ndarray, *, with_warp: bool) -> None:
+    def __init__(self, scene: Scene, problems, twins, classes, q: np.ndarray) -> None:
         self.models = [contacts_of(t, classes) for t in twins]
         self.datas = [t.data for t in twins]
         self.q, self.scene, self.bodies = q, scene, problems.body_poses.bodies
@@ -178,7 +140,6 @@ class Engines:
         self.c_free = np.zeros(q.shape[:2], bool)
         self.run_own()
         self.run_mujoco()
-        self.warp = MujocoWarp(self.models, self.datas, q) if with_warp else None
 
     def run_own(self) -> None:
         launch_trials(
@@ -195,8 +156,8 @@ class Engines:
         run_c(self.models, self.datas, self.q, self.c_free)
 
     def times(self) -> list[float]:
-        """Shortest process time (s) of the own kernel, of MuJoCo C and, where it runs, of mujoco-warp."""
-        return fastest(self.run_own, (self.run_mujoco, *([self.warp.run] if self.warp else [])))
+        """Shortest process time (s) of the own kernel and of MuJoCo C."""
+        return fastest(self.run_own, (self.run_mujoco,))
 
 
 def report_times(report: Report, suffix: str, count: int, times: list[float], overhead: float) -> None:
@@ -204,9 +165,6 @@ def report_times(report: Report, suffix: str, count: int, times: list[float], ov
     report.add(f"collision.configs_per_s{suffix}", count / times[0])
     report.add(f"collision.mujoco_c_configs_per_s{suffix}", count / times[1])
     report.add(f"collision.ratio_to_mujoco_c{suffix}", times[1] / times[0])
-    if len(times) > 2:
-        report.add(f"collision.mujoco_warp_configs_per_s{suffix}", count / times[2])
-        report.add(f"collision.ratio_to_mujoco_warp{suffix}", times[2] / times[0])
 
 
 def report_disagreements(report: Report, engines: Engines, truth: np.ndarray) -> None:
@@ -215,10 +173,6 @@ def report_disagreements(report: Report, engines: Engines, truth: np.ndarray) ->
     clear = np.abs(truth) >= BAND_M
     report.add("collision.disagreements_outside_band", int(((flags != (truth > 0)) & clear).sum()))
     report.add("collision.mujoco_c_contacts_missed", int((engines.c_free & (truth < -BAND_M)).sum()))
-    if engines.warp:
-        hits, dropped = engines.warp.free()
-        report.add("collision.mujoco_warp_disagreements", int(((hits != (truth > 0)) & clear).sum()))
-        report.add("collision.mujoco_warp_dropped_contacts", dropped)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How fast and how faithfully do the engines move the arm, and what does the executed motion change?
 
-python bench/execute.py [--trials N] [--ask speed worlds models auto parity tracking step ...] [--json FILE]
+python bench/execute.py [--trials N] [--ask speed models auto parity tracking batches] [--json FILE]
 
 Trials and predictions are those of bench/mix.npz (half oracle, half random; S0 and S1 by turns). Speed counts process time,
 so other work on the machine counts little; `trial` = the whole Evaluator.score. Tracking errors are those of the point
@@ -11,36 +11,28 @@ between the fingertips, against the reference at the same time. A trial is in th
 import copy
 import json
 import time
-from dataclasses import replace
 from typing import Any, Literal
 from unittest import mock
 
 import numpy as np
 import torch
-import warp as wp
 from _mix import load_mix, on
 from _report import Report, arguments
 
 import r2h_batch.evaluate as evaluate
 from r2h_batch.bodies.robot import ee_pose
-from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
+from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.kernels.motion.time_law import servo_commands
 from r2h_batch.launch import launch_trials
 from r2h_batch.motion import sim_mjwarp, sim_mujoco
 from r2h_batch.motion.execute import Executed, execute
 from r2h_batch.motion.time_law import servo_law
-from r2h_batch.scene.dynamics import Payload
-from r2h_batch.scene.model import MESH_FIELDS
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.protocol import trials_with_ids
 from r2h_batch.types import Scores, Trials
 
-ASK = (
-    "speed", "worlds", "models", "auto", "parity", "tracking", "step", "edges", "payload", "batches",
-)  # fmt: skip
-CPU_WORLDS, CUDA_WORLDS = (1, 16, 64, 256), (256, 1024, 4096, 16384)
-GRASPS = 8  # candidates of each object that are closed in physics
+ASK = ("speed", "models", "auto", "parity", "tracking", "batches")
 TIP_M = np.array([0.0, 0.0, 0.02, 1.0])  # fingertips in the ee frame
 
 
@@ -54,12 +46,10 @@ class Mix:
         rows = in_order(trials)
         self.g, self.h, self.trials = on((g[rows], h[rows], trials[rows]), device)
 
-    def score(self, config: ExecConfig, plan: PlanConfig | None = None) -> tuple[Scores, Executed, dict[str, Any]]:
+    def score(self, config: ExecConfig) -> tuple[Scores, Executed, dict[str, Any]]:
         """Scores, the executed motion, what execute was given, process seconds under `seconds`, and under `rows` which
         rows were simulated in the whole scene (True) and with the arm alone (False)."""
-        evaluator = Evaluator(
-            EvalConfig(execute=config, plan=plan or PlanConfig()), device=self.device, threads=self.threads
-        )
+        evaluator = Evaluator(EvalConfig(execute=config), device=self.device, threads=self.threads)
         seen: dict[str, Any] = {}
 
         def watched(scene: Any, body_poses: Any, path: Any, length: Any, motion: Any, c: Any, **k: Any) -> Executed:
@@ -145,42 +135,6 @@ def speed(mix: Mix, report: Report) -> None:
         report.add(f"{name}.steps_per_s", steps_of(executed) / seen["execute_wall_s"])
 
 
-def worlds(mix: Mix, report: Report) -> None:
-    """mujoco-warp by its number of worlds: steps per second, and the bytes that a world more takes.
-
-    Two trials a world, at full speed (about 1 s each) on a CPU, as they are on CUDA.
-    """
-    cuda = mix.device != "cpu"
-    config = ExecConfig(sim="mjwarp", model="scene")
-    config = config if cuda else replace(config, scale=1.0, settle_s=0.01, dwell_s=0.1)
-    used: dict[int, int] = {}
-    honest = sim_mjwarp._fields
-
-    def watched(model: Any, data: Any) -> Any:
-        rows = (*sim_mjwarp.BATCHED, *MESH_FIELDS)  # the rest of the model is there once
-        used[data.nworld] = array_bytes(data) + sum(getattr(model, name).capacity for name in rows)
-        return honest(model, data)
-
-    for n in CUDA_WORLDS if cuda else CPU_WORLDS:
-        part = Mix(max(3 * n, 24), mix.device, mix.threads)  # about two of three have a path
-        sizes = {"cpu": n, "cuda": n}
-        with mock.patch.dict(sim_mjwarp.MAX_WORLDS, sizes), mock.patch.object(sim_mjwarp, "_fields", watched):
-            _, executed, seen = part.score(config)
-        per = "wall" if cuda else "core"
-        seconds = seen["execute_wall_s"] if cuda else seen["execute_s"]
-        report.add(f"execute.worlds.{n}.steps_per_{per}_s", steps_of(executed) / seconds)
-        report.add(f"execute.worlds.{n}.moved_trials", int((executed.length > 0).sum()))
-    low, high = min(used), max(used)
-    report.add("execute.worlds.bytes_per_world", (used[high] - used[low]) / (high - low))
-
-
-def array_bytes(value: Any) -> int:
-    """Bytes of all Warp arrays in a dataclass, nested ones included."""
-    if isinstance(value, wp.array):
-        return int(value.capacity)
-    return sum(array_bytes(v) for v in vars(value).values()) if hasattr(value, "__dataclass_fields__") else 0
-
-
 def models(mix: Mix, report: Report) -> None:
     """The whole scene against the arm alone with a rigid gripper, in MuJoCo C: what the linkage and the contacts change."""
     a, ea, sa = mix.score(ExecConfig(sim="mujoco", model="arm"))
@@ -260,8 +214,8 @@ def batches(mix: Mix, report: Report) -> None:
             report.add(f"execute.batches.{engine}.{name}.rows_that_differ", differ)
 
 
-def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: str = "known_object") -> None:
-    config = config or ExecConfig(sim="mujoco", model="scene")
+def tracking(mix: Mix, report: Report) -> None:
+    config = ExecConfig(sim="mujoco", model="scene")
     scores, executed, seen = mix.score(config)
     rows = torch.nonzero(executed.length > 0).flatten()
     assert executed.sample_s is not None, "engines record samples; only `none` does not"
@@ -290,69 +244,19 @@ def tracking(mix: Mix, report: Report, config: ExecConfig | None = None, name: s
         ]
         error.append(np.linalg.norm(tips[0] - tips[1], axis=1))
     each = np.concatenate(error) * 1e3
-    report.add(f"execute.tracking.{name}.trials", len(error))
+    report.add("execute.tracking.known_object.trials", len(error))
     for key, value in (("mean", each.mean()), ("p95", np.percentile(each, 95)), ("max", each.max())):
-        report.add(f"execute.tracking.{name}.{key}_mm", float(value))
-    report.add(f"execute.tracking.{name}.slack_mean_um", float(executed.slack_m[rows].mean()) * 1e6)
-    report.add(f"execute.tracking.{name}.slack_max_um", float(executed.slack_m[rows].max()) * 1e6)
-    report.add(f"execute.tracking.{name}.not_settled", int((~executed.settled[rows]).sum()))
+        report.add(f"execute.tracking.known_object.{key}_mm", float(value))
+    report.add("execute.tracking.known_object.slack_mean_um", float(executed.slack_m[rows].mean()) * 1e6)
+    report.add("execute.tracking.known_object.slack_max_um", float(executed.slack_m[rows].max()) * 1e6)
+    report.add("execute.tracking.known_object.not_settled", int((~executed.settled[rows]).sum()))
     certified = executed.deviation_m < scores.margin[:, 1] - 1e-4  # the margin is located to 0.1 mm
-    report.add(f"execute.tracking.{name}.deviation_max_mm", float(executed.deviation_m[rows].max()) * 1e3)
-    report.add(f"execute.tracking.{name}.deviation_mean_mm", float(executed.deviation_m[rows].mean()) * 1e3)
-    report.add(f"execute.tracking.{name}.certified_free_share", float(certified[rows].double().mean()))
+    report.add("execute.tracking.known_object.deviation_max_mm", float(executed.deviation_m[rows].max()) * 1e3)
+    report.add("execute.tracking.known_object.deviation_mean_mm", float(executed.deviation_m[rows].mean()) * 1e3)
+    report.add("execute.tracking.known_object.certified_free_share", float(certified[rows].double().mean()))
     t = scores.t_exec_s[~scores.t_exec_s.isnan()].numpy()
     for key, value in (("mean", t.mean()), *((f"p{p}", np.percentile(t, p)) for p in (5, 50, 95, 100))):
-        report.add(f"execute.t_exec.{name}.{key}_s", float(value))
-
-
-def payload(mix: Mix, report: Report) -> None:
-    """The same motions with nothing and with a 1 kg ball of 6 cm between the fingers, compensated and not.
-
-    The arm alone: in the scene the trial's object would come along, on a grasp that nobody planned for.
-    """
-    for mass in (0.0, 1.0):
-
-        def ball(model: Any, T: Any, mass: float = mass) -> Payload:
-            T = np.eye(4)
-            T[2, 3] = 0.1422
-            return Payload(T, max(mass, 1e-6), np.zeros(3), np.eye(3) * 0.4 * max(mass, 1e-6) * 0.03**2)
-
-        for known in ("known", "unknown"):
-            with mock.patch.object(Payload, "of", staticmethod(ball)):
-                tracking(mix, report, ExecConfig(sim="mujoco", model="arm", payload=known), f"{mass:g}_kg_{known}")
-
-
-def step(mix: Mix, report: Report) -> None:
-    """The same motions at other time steps, sampled at the same times."""
-    base = ExecConfig(sim="mujoco", model="scene", step_s=0.001, record_steps=8)
-    a, ea, _ = mix.score(base)
-    for step_s, record in ((0.002, 4), (0.004, 2)):
-        b, eb, _ = mix.score(replace(base, step_s=step_s, record_steps=record))
-        name = f"execute.step.{1000 * step_s:g}_ms_against_1_ms"
-        differ, outside, ids = changed(a, b)
-        report.add(f"{name}.verdicts_that_differ", differ)
-        report.add(f"{name}.outside_the_band", f"{outside} {ids}")
-        report.add(f"{name}.dq_max_rad", float((ea.path - eb.path).abs().max()))
-        report.add(f"{name}.safe_margin_max_difference_m", worst_margin(a, b))
-        report.add(f"{name}.t_exec_max_difference_s", float(torch.nan_to_num(a.t_exec_s - b.t_exec_s).abs().max()))
-
-
-def edges(mix: Mix, report: Report) -> None:
-    """Safe under the two edge checks, on the planned and on the executed motion."""
-    for check, plan in (
-        ("exact", PlanConfig()),
-        ("exact_no_margin", PlanConfig(hand_clearance_m=0.0)),
-        ("moveit", PlanConfig(edge_check="moveit", hand_clearance_m=0.0)),
-    ):
-        for engine in ("none", "mujoco"):
-            s, _, _ = mix.score(ExecConfig(sim=engine, model="scene"), plan)
-            moved = s.evaluated[:, 4]
-            name = f"execute.edges.{check}.{engine}"
-            report.add(f"{name}.moved", int(moved.sum()))
-            report.add(f"{name}.not_safe", int((moved & ~s.passed[:, 4]).sum()))
-            low = s.margin[moved, 4]
-            report.add(f"{name}.smallest_safe_margin_mm", float(low.min()) * 1e3)
-            report.add(f"{name}.trials_below_1_mm", int((low < 1e-3).sum()))
+        report.add(f"execute.t_exec.known_object.{key}_s", float(value))
 
 
 def main() -> None:

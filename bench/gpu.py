@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -31,7 +30,6 @@ from r2h_batch import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.levels import FORMS, planning_form
-from r2h_batch.launch.cached import CachedLaunch
 from r2h_batch.methods import random
 from r2h_batch.trials.protocol import trials_with_ids
 
@@ -282,42 +280,8 @@ def worlds(bench: Bench) -> None:
             return
 
 
-def profile(bench: Bench) -> None:
-    """The five kernels that take longest in one full call of the mix, and their shares."""
-    batch = bench.there(bench.mix)
-    bench.evaluator.score(*batch)
-    spent: dict[str, float] = {}
-    if bench.cuda:
-        wp.timing_begin(cuda_filter=wp.TIMING_KERNEL, synchronize=True)
-        bench.evaluator.score(*batch)
-        for event in wp.timing_end():
-            spent[event.name] = spent.get(event.name, 0.0) + event.elapsed / 1e3
-    else:
-        recorded: Callable[..., Any] = CachedLaunch.run
-        direct: Callable[..., Any] = wp.launch
-
-        def timed(call: Callable[..., Any], name: str, *args: Any, **kwargs: Any) -> Any:
-            start = time.perf_counter()
-            try:
-                return call(*args, **kwargs)
-            finally:
-                spent[name] = spent.get(name, 0.0) + time.perf_counter() - start
-
-        def launch_recorded(packed: CachedLaunch, *args: Any) -> Any:
-            return timed(recorded, packed.kernel.key, packed, *args)
-
-        def launch_direct(kernel: wp.Kernel, *args: Any, **kwargs: Any) -> Any:
-            return timed(direct, kernel.key, kernel, *args, **kwargs)
-
-        with mock.patch.object(CachedLaunch, "run", launch_recorded), mock.patch.object(wp, "launch", launch_direct):
-            bench.evaluator.score(*batch)
-    total = sum(spent.values())
-    for rank, name in enumerate(sorted(spent, key=lambda k: -spent[k])[:5], 1):
-        bench.report.add(f"gpu.profile.{rank}", f"{name} {spent[name] * 1e3:.3f} ms, {100 * spent[name] / total:.1f} %")
-
-
 PARTS: tuple[Callable[[Bench], None], ...] = (
-    machine, capture_first, compile_times, equal_to_cpu, equal_bits, both_forms, throughput, pose_stage, worlds, profile,
+    machine, capture_first, compile_times, equal_to_cpu, equal_bits, both_forms, throughput, pose_stage, worlds,
     marked_tests, memcheck,
 )  # fmt: skip
 """In the order of what is missed most when the time ends."""

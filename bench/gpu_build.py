@@ -1,19 +1,16 @@
-"""Every kernel as a GPU would get it, without a GPU: CPU seconds to compile, registers, stack, spills, code size (sm_90).
+"""Every kernel as a GPU would get it, without a GPU: CPU seconds to compile, registers, stack, spills (sm_90).
 
-python bench/gpu_build.py [--modules plan.rrt judge.safe ...] [--ptxas FILE] [--json FILE] [--lines FILE]
+python bench/gpu_build.py [--modules plan.rrt judge.safe ...] [--ptxas FILE] [--json FILE]
 
 A module is compiled as a first launch on a GPU does: Warp's C++ to PTX (NVRTC, which is part of Warp), PTX to machine code
-(ptxas). cpu_s is process time of both, of one process, with one module after the other; no kernel cache is used. ptxas is
-looked for in --ptxas, in the package nvidia-cuda-nvcc where it is installed (`pip install --no-deps nvidia-cuda-nvcc`, as
-new as Warp's NVRTC or newer), then on PATH.
+(ptxas). cpu_s is process time of both, of one process, with one module after the other; no kernel cache is used.
+ptxas is `--ptxas` or on PATH (package nvidia-cuda-nvcc, as new as Warp's NVRTC or newer).
 
 stack_bytes: of one thread, calls included. spill_*_bytes: stores and loads of registers that did not fit, of the kernel and
 of all functions that its module keeps out of line, as they are compiled for this kernel (ptxas makes a copy for each).
-code_bytes: machine code of the kernel, without those functions.
 """
 
 import argparse
-import json
 import pkgutil
 import re
 import resource
@@ -25,7 +22,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
 from types import ModuleType
 
@@ -55,7 +51,6 @@ class Kernel:
     stack_bytes: int
     spill_store_bytes: int
     spill_load_bytes: int
-    code_bytes: int
 
 
 @dataclass(frozen=True)
@@ -65,7 +60,6 @@ class Build:
     module: str
     cpu_s: float
     nvrtc_s: float
-    functions_code_bytes: int
     kernels: tuple[Kernel, ...]
 
 
@@ -80,16 +74,8 @@ def has_kernels(module: ModuleType) -> bool:
 
 
 def find_ptxas(given: Path | None = None) -> Path | None:
-    """ptxas as given, of the package nvidia-cuda-nvcc, or on PATH."""
-    if given is not None:
-        return given
-    try:
-        for file in files("nvidia-cuda-nvcc") or ():
-            if file.name in ("ptxas", "ptxas.exe"):
-                return Path(str(file.locate()))
-    except PackageNotFoundError:
-        pass
-    found = shutil.which("ptxas")
+    """ptxas as given, or on PATH."""
+    found = given or shutil.which("ptxas")
     return Path(found) if found else None
 
 
@@ -108,11 +94,9 @@ def build(module: ModuleType, ptxas: Path) -> Build:
         if done.returncode:
             raise RuntimeError(f"{ptxas}: {(done.stderr or done.stdout).strip().splitlines()[0]}")
         ptxas_s = children_s() - before
-        sizes = code_sizes(cubin.read_bytes())
-    kernels = tuple(read_kernels(done.stdout + done.stderr, sizes))
-    functions = sum(sizes.values()) - sum(k.code_bytes for k in kernels)
+    kernels = tuple(read_kernels(done.stdout + done.stderr))
     name = module.__name__.removeprefix(PACKAGE)
-    return Build(name, nvrtc_s + ptxas_s, nvrtc_s, functions, kernels)
+    return Build(name, nvrtc_s + ptxas_s, nvrtc_s, kernels)
 
 
 def children_s() -> float:
@@ -121,8 +105,8 @@ def children_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def read_kernels(said: str, sizes: dict[str, int]) -> list[Kernel]:
-    """The kernels in what `ptxas -v` printed; `sizes`: code bytes by symbol."""
+def read_kernels(said: str) -> list[Kernel]:
+    """The kernels in what `ptxas -v` printed."""
     entries = list(ENTRY.finditer(said))
     before_all = spills(said[: entries[0].start()] if entries else said)
     found = []
@@ -136,31 +120,13 @@ def read_kernels(said: str, sizes: dict[str, int]) -> list[Kernel]:
         frame = of_block[symbol][0]
         stores, loads = (sum(p[i] for p in (before_all | of_block).values()) for i in (1, 2))
         stack = int(with_calls[1]) if with_calls else frame
-        found.append(Kernel(entry[1], int(used[1]), stack, stores, loads, sizes.get(symbol, 0)))
+        found.append(Kernel(entry[1], int(used[1]), stack, stores, loads))
     return found
 
 
 def spills(said: str) -> dict[str, tuple[int, int, int]]:
     """Stack frame, spill stores and spill loads (bytes) by symbol, as `ptxas -v` printed them."""
     return {m[1]: (int(m[2]), int(m[3]), int(m[4])) for m in PROPERTIES.finditer(said)}
-
-
-def code_sizes(elf: bytes) -> dict[str, int]:
-    """Bytes of machine code by symbol: the sections .text.NAME of a 64-bit ELF file."""
-    at, size, count, names = (int.from_bytes(elf[a:b], "little") for a, b in ((40, 48), (58, 60), (60, 62), (62, 64)))
-
-    def field(section: int, first: int, length: int) -> int:
-        start = at + section * size + first
-        return int.from_bytes(elf[start : start + length], "little")
-
-    strings = field(names, 24, 8)
-    found = {}
-    for section in range(count):
-        start = strings + field(section, 0, 4)
-        name = elf[start : elf.index(b"\0", start)].decode()
-        if name.startswith(".text."):
-            found[name.removeprefix(".text.")] = field(section, 32, 8)
-    return found
 
 
 def report_all(builds: Sequence[Build], report: Report) -> None:
@@ -181,7 +147,6 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--modules", nargs="+", metavar="NAME", help="only these (plan.rrt); all without")
     parser.add_argument("--ptxas", type=Path, metavar="FILE", help="the assembler; looked for without")
-    parser.add_argument("--lines", type=Path, metavar="FILE", help="one JSON object a module, written as it is built")
     options = parser.parse_args(given)
     ptxas, known = find_ptxas(options.ptxas), kernel_modules()
     if ptxas is None:
@@ -194,9 +159,6 @@ def main(given: Sequence[str] | None = None) -> int:
         built = build(import_module(PACKAGE + name), ptxas)
         builds.append(built)
         report.add(f"gpu_build.{name}.cpu_s", built.cpu_s)
-        if options.lines:
-            with options.lines.open("a", encoding="utf-8") as lines:
-                lines.write(json.dumps(asdict(built)) + "\n")
     report_all(builds, report)
     report.write(options.json)
     return 0

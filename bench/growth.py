@@ -1,9 +1,9 @@
-"""How a run folder grows: start of a resumed sweep, verify, report, compare, and the driver's work per shard.
+"""How a run folder grows: start of a resumed sweep, verify, report, compare.
 
 `python bench/growth.py --trials 2000000 20000000 --json FILE`. Rows are synthetic, half of them of each of two methods, and go
 through the real writer. Margins and times have full float32 mantissas and compress no better than real ones. Each step is a
-process of its own, so that its peak memory is its own. `--workers`: simulated Ray workers that answer at once; what is left is
-the driver's own time. `--sequences 1335`: instead, the import of a data set of GRAB's size: 1.62 million frames of two hands.
+process of its own, so that its peak memory is its own.
+`--sequences 1335`: instead, the import of a data set of GRAB's size: 1.62 million frames of two hands.
 """
 
 import json
@@ -14,7 +14,6 @@ import tempfile
 import time
 from importlib import import_module
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -162,73 +161,6 @@ def command(*words: str) -> dict[str, float]:
 STEPS = {f.__name__: f for f in (write, resume, verify, report, compare)}
 
 
-class Ray:
-    """As much of Ray as the driver sees: every actor is ready and every shard is scored the moment it is asked for."""
-
-    exceptions = SimpleNamespace(RayError=RuntimeError, RayTaskError=KeyError)
-
-    def __init__(self, setting_header: dict[str, Any], answer: Any) -> None:
-        self.header, self.answer = setting_header, answer
-
-    def actor(self) -> Any:
-        """An actor whose methods answer with a new reference."""
-        return SimpleNamespace(
-            header=SimpleNamespace(remote=lambda: Ref(self.header)),
-            score=SimpleNamespace(remote=lambda name, shard: Ref(self.answer(shard))),
-        )
-
-    @staticmethod
-    def wait(refs: list[Any], *, num_returns: int, timeout: float) -> tuple[list[Any], list[Any]]:
-        return refs[:num_returns], refs[num_returns:]
-
-    @staticmethod
-    def get(ref: Any) -> Any:
-        return ref.value
-
-    @staticmethod
-    def kill(actor: Any) -> None:
-        del actor
-
-
-class Ref:
-    """A reference to what is known already."""
-
-    def __init__(self, value: Any) -> None:
-        self.value = value
-
-
-def driver(workers: int, shards: int) -> dict[str, float]:
-    """Milliseconds of the driver for each shard with so many workers: feeding, waiting, storing rows and receipt."""
-    from collections import deque
-
-    from r2h_batch.runs.store import ShardWriter
-    from r2h_batch.sweep.cluster import Pool, _feed  # the loop alone: no public way goes round Ray itself
-
-    size = 1000
-    with tempfile.TemporaryDirectory() as temporary:
-        run = open_folder(Path(temporary) / "run", size * shards, size)
-
-        def answer(shard: Any) -> tuple[ShardWriter, float]:
-            writer = ShardWriter()
-            writer.append(trials=rows(shard.first, shard.last, size * shards // 2))
-            return writer, 1.0
-
-        todo, making = deque((METHODS[0], s) for s in run.todo(METHODS[0])), [0.0]
-
-        def timed(shard: Any) -> Any:
-            begin = time.perf_counter()
-            answered = answer(shard)
-            making[0] += time.perf_counter() - begin
-            return answered
-
-        ray = Ray(run.header, timed)
-        setting: Any = SimpleNamespace(header=run.header)
-        pool = Pool(ray, ray.actor)
-        start = time.perf_counter()
-        _feed(pool, workers, todo, run, setting, lambda: False, lambda n: None, {})
-        return {"ms_per_shard": 1e3 * (time.perf_counter() - start - making[0]) / shards}
-
-
 GRAB_FRAMES, GRAB_SEQUENCES = 1_622_459, 1335
 """Taheri et al. 2020."""
 
@@ -257,8 +189,6 @@ def main() -> None:
     parser = arguments(__doc__)
     parser.add_argument("--trials", type=int, nargs="+", default=[2_000_000, 20_000_000], help="sizes, small to large")
     parser.add_argument("--shard-trials", type=int, default=100_000)
-    parser.add_argument("--workers", type=int, nargs="*", default=[10, 100, 1000])
-    parser.add_argument("--shards", type=int, default=2000, help="for the driver's work")
     parser.add_argument("--folder", type=Path, help="where the run folders are made (default: a temporary folder)")
     parser.add_argument("--step", choices=STEPS, help="run one step only and print its figures as JSON")
     parser.add_argument("--sequences", type=int, help="measure an import of so many sequences only")
@@ -292,9 +222,6 @@ def main() -> None:
             share = seconds[last, step] / seconds[first, step] / (last / first)
             report_.add(f"growth.{step}_times_its_share", share)
             report_.add(f"growth.{step}_linear", share <= LINEAR)
-    for workers in given.workers:  # last: a process's peak memory starts at that of the one which started it
-        for name, value in driver(workers, given.shards).items():
-            report_.add(f"growth.driver_{workers}_workers_{name}", value)
     report_.write(given.json)
 
 

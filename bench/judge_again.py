@@ -24,9 +24,9 @@ import numpy as np
 import torch
 import trimesh
 import ur_analytic_ik
-from _drawn import write as write_drawn
 from _report import Report, arguments
 from _twins import MujocoScene, Staged, grasp_cases, oracle, winding_number
+from meshes import drawn
 from numpy.typing import NDArray
 
 from r2h_batch.benchmark.build import BenchmarkFlags, BenchmarkOverrides
@@ -335,7 +335,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as kept:
         meshes = Path(kept) / "meshes"
         meshes.mkdir()
-        write_drawn(meshes)
+        for thing, mesh in drawn().items():
+            mesh.export(meshes / f"{thing}.obj")
         for name in args.sets:
             for criterion, t in judge_set(name, SETS[name], Path(kept) / name, meshes, args.trials).items():
                 figures = {"rows": t.rows, "wrong": t.wrong, "largest_difference_mm": round(t.largest, 4)}

@@ -13,20 +13,13 @@ time of one more warm call, taken around the stages of evaluate.py; other = what
 
 import statistics
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from typing import Any
-from unittest import mock
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from _mix import MIX, load_mix
 from _report import Report, arguments
 
-import r2h_batch.evaluate as evaluate
-import r2h_batch.judge.attach as attach
-import r2h_batch.judge.plan as plan
-import r2h_batch.judge.scores as verdict
 import r2h_batch.launch as launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
@@ -35,60 +28,6 @@ from r2h_batch.types import Outcome, PlanReason, Scores
 
 REPEATS = 5
 MIX_TRIALS = 1024
-STAGES: tuple[tuple[str, Any, tuple[str, ...]], ...] = (
-    ("grasp", attach, ("close_pads", "open_clearance")),
-    ("place", evaluate.Scene, ("body_poses",)),
-    ("ik", evaluate, ("solve_ik",)),
-    ("plan", evaluate, ("plan_paths",)),
-    ("execute", evaluate, ("time_path", "execute")),
-    ("execute", verdict, ("executed_time_at", "time_at")),
-    ("reach", evaluate.metrics, ("reach",)),
-    ("affordance", evaluate.metrics, ("affordance",)),
-    ("safe", evaluate, ("hand_distance",)),
-)
-"""Name of a stage, where its functions are looked up when called, and their names."""
-
-
-class Clock:
-    """Time spent inside wrapped functions, by name: process time on a CPU, wall time with synchronisation on a GPU."""
-
-    def __init__(self, device: str) -> None:
-        self.spent: dict[str, float] = {}
-        self._cuda = device != "cpu"
-
-    def now(self) -> float:
-        if self._cuda:
-            torch.cuda.synchronize()
-            return time.perf_counter()
-        return time.process_time()
-
-    def wrap(self, name: str, function: Callable) -> Callable:
-        def timed(*args: Any, **kwargs: Any) -> Any:
-            start = self.now()
-            try:
-                return function(*args, **kwargs)
-            finally:
-                self.spent[name] = self.spent.get(name, 0.0) + self.now() - start
-
-        return timed
-
-    def wrap_kernel(self, function: Callable) -> Callable:
-        def timed(kernel: Any, *args: Any, **kwargs: Any) -> None:
-            self.wrap(f"kernel.{kernel.key}", function)(kernel, *args, **kwargs)
-
-        return timed
-
-
-@contextmanager
-def watched(device: str) -> Iterator[Clock]:
-    """A clock around every stage and every planning kernel."""
-    clock = Clock(device)
-    with ExitStack() as stack:
-        for name, owner, functions in STAGES:
-            for f in functions:
-                stack.enter_context(mock.patch.object(owner, f, clock.wrap(name, getattr(owner, f))))
-        stack.enter_context(mock.patch.object(plan, "launch_trials", clock.wrap_kernel(launch.launch_trials)))
-        yield clock
 
 
 def freeze(evaluator: Evaluator) -> None:
@@ -160,17 +99,7 @@ def main() -> None:
     report.add("throughput.core_s_per_trial", min(t[1] for t in times) / options.trials)
     report.add("throughput.trials_per_core_s", options.trials / min(t[1] for t in times))
 
-    with watched(options.device) as clock:
-        start = clock.now()
-        scores = run()
-        total = clock.now() - start
-    stages = dict.fromkeys(name for name, _, _ in STAGES)
-    for name in stages:
-        report.add(f"throughput.stage.{name}_share", clock.spent.get(name, 0.0) / total)
-    report.add("throughput.stage.other_share", 1 - sum(clock.spent.get(name, 0.0) for name in stages) / total)
-    for name in sorted(k for k in clock.spent if k.startswith("kernel.")):
-        report.add(f"throughput.{name}_share", clock.spent[name] / total)
-
+    scores = run()
     path = scores.path_len > 0
     report.add("throughput.straight_line_share", float((scores.path_len[path] == 2).double().mean()))
     report.add("throughput.success_of_oracle_half", float(scores.success.cpu()[by_oracle].double().mean()))

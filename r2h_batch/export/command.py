@@ -72,7 +72,7 @@ def trials(
         trials: of each split, 1 or more.
         splits: S0 free handover, S1 functional.
         benchmark: your own, as in r2h-batch sweep; by default the built-in one.
-        open_formats: also as OBJ, PLY, CSV and JSON in OUT/open, for methods in any language.
+        open_formats: also as OBJ and JSON in OUT/open, for methods in any language.
     """
     check_range("--trials", trials, 1, MOST_TRIALS, ": all are held in memory")
     if not splits:

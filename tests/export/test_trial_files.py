@@ -11,7 +11,6 @@ from r2h_batch.__main__ import main
 from r2h_batch.bodies.hand import load_hand
 from r2h_batch.bodies.objects import S0_NAMES, S1_NAMES, load_objects
 from r2h_batch.export.trial_files import write_trials
-from r2h_batch.predictions import align, load_predictions
 from r2h_batch.trials.protocol import make_trials, trials_digest
 
 
@@ -63,28 +62,11 @@ def test_written_trials_agree_with_the_library(written):
         assert data["point_receiver"].any() == (o.split == "S1")
 
 
-def test_a_predictions_file_made_from_the_written_files_is_accepted(written, tmp_path):
-    folder, _ = written
-    made = np.load(folder / "trials.npz")
-    grasp = np.stack([np.load(folder / "objects" / f"{n}.npz")["grasp_T_obj_ee"][0] for n in made["object_name"]])
-    goal = np.eye(4, dtype=np.float32)[None].repeat(len(grasp), 0)
-    goal[:, :3, 3] = made["ball_center"]
-    np.savez(tmp_path / "mine.npz", trial_id=made["trial_id"], T_obj_ee=grasp, T_world_ee=goal, method="mine")
-    predictions = load_predictions(tmp_path / "mine.npz")
-    trials = make_trials(trials=12)
-    assert align(predictions, trials.trial_id, source="mine.npz").tolist() == list(range(24))
-    assert predictions.method == "mine"
-
-
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
         (["--out", "x", "--trails", "3"], "did you mean --trials?"),
         (["--out", "x", "--trials", "0"], "1 to 1000000: all are held in memory"),
-        (["--out", "x", "--trials", "ten"], "'ten'"),
-        (["--out", "x", "--splits", "S3"], "invalid choice 'S3'"),
-        (["--out", "x", "--protocol", "r2h-v9"], "invalid choice 'r2h-v9'"),
-        (["--trials", "3"], "--out"),
         (["--out", "{full}"], "is not empty; give a new or empty folder"),
         (["--out", "x", "--object-mesh", "missing.obj"], "missing.obj"),
     ],
@@ -102,10 +84,3 @@ def test_a_wrong_command_line_gets_one_clear_line_and_code_2(arguments, told, tm
     assert code == 2 and captured.out == ""
     assert len(captured.err.strip().splitlines()) == 1 and told in captured.err
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["full", "mine.txt"]
-
-
-def test_the_command_writes_and_says_where(tmp_path, capsys):
-    assert main(["trials", "--out", str(tmp_path / "out"), "--trials", "2", "--splits", "S1"]) == 0
-    captured = capsys.readouterr()
-    assert "r2h-v1" in captured.out and trials_digest(make_trials(["S1"], 2)) in captured.out
-    assert len(list((tmp_path / "out" / "objects").iterdir())) == len(S1_NAMES)
