@@ -42,8 +42,8 @@ $(VENV)/.installed-test: $(SETUP)
 	$(BIN)/python -m pip install -q -c constraints.txt -e '.[test]'
 	touch $@
 
-docs: $(SETUP)  ## the documentation as a site, build/site/index.html: strict, without network
-	$(BIN)/python -c 'import mkdocs, mkdocstrings' 2>/dev/null || $(BIN)/python -m pip install -q -c constraints.txt -e '.[docs]'
+docs: $(SETUP)  ## the documentation as a site, build/site/index.html: strict, without network, notebooks run
+	$(BIN)/python -c 'import mkdocs, mkdocstrings, IPython, nbformat, viser' 2>/dev/null || $(BIN)/python -m pip install -q -c constraints.txt -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict -q
 
 assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its scripts

@@ -6,6 +6,7 @@ part if some do. A person wrote the causes below (CAUSES has the date); all figu
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -224,6 +225,16 @@ def distance_lines(tables: Mapping[str, Cells]) -> list[str]:
     return lines
 
 
+def success_lines(tables: Mapping[str, Cells]) -> list[str]:
+    """A Markdown table: SR of each method and split, the paper's and ours."""
+    cells = {"paper": paper_cells(), **tables}
+    lines = ["| SR | split | " + " | ".join(cells) + " |", "|---|---|" + "--:|" * len(cells)]
+    for who, split in product(SHORT.values(), ("S0", "S1")):
+        rates = " | ".join(f"{cell(split, who, 'sr'):.1f}" for cell in cells.values())
+        lines.append(f"| {who} | {split} | {rates} |")
+    return lines
+
+
 def some_of(ids: list[int]) -> str:
     """The ids, of many the number and the first five."""
     shown = ", ".join(map(str, ids[:5] if len(ids) > 10 else ids))
@@ -263,13 +274,17 @@ def page(tables: Mapping[str, Mapping]) -> str:
     here = {name: cells_of(d) for name, d in data.items()}
     first = next(iter(data.values()))
     parts = [
-        "# The paper's findings, one by one",
-        "This page says which findings of the paper appear in this benchmark, and why others do not. Objects, hands and"
+        "# Compare with the paper",
+        "The paper's Table I beside ours, which of its findings appear here, and why others do not. Objects, hands and"
         " networks are stand-ins ([baselines](../baselines.md)): a finding that does not appear is no evidence against the"
         " paper. `make tables` makes this page from the"
-        f" [tables](table1-v1.md) ({first['origin']['trials']} trials, commit {first['provenance']['commit'][:12]}). The paper's"
-        " own figures are in `r2h_batch/study/paper/table1.csv`. A finding is a list of conditions: `yes` means that all hold,"
-        " `no` that none holds; `not:` names those that do not hold.",
+        f" [tables](table1-v1.md) ({first['origin']['trials']} trials, commit {first['provenance']['commit'][:12]}) and the"
+        " paper's figures as printed (`r2h_batch/study/paper/table1.csv`).",
+        "## Success rates",
+        "\n".join(success_lines(here)),
+        "## Findings",
+        "A finding is a list of conditions: `yes` means that all hold, `no` that none holds; `not:` names those that do not"
+        " hold.",
         "\n".join(appearing(here)),
         "## Causes",
         "Causes are a person's reading of the tables, not tests.",

@@ -178,6 +178,22 @@ def finger_lines(run) -> list[str]:
     return lines
 
 
+def object_matrix(run) -> list[str]:
+    """A Markdown table: SR of each object, a column for each method."""
+    from r2h_batch.report.table import object_lines
+    from r2h_batch.report.text import short_names
+
+    rows = json.loads(object_lines(run, "json"))["rows"]
+    names = short_names(run.methods)
+    lines = ["| split | object | N | " + " | ".join(names.values()) + " |", "|---|---|--:|" + "--:|" * len(names)]
+    rates = {(r["split"], r["object"], r["method"]): r for r in rows}
+    for split, name in dict.fromkeys(key[:2] for key in rates):
+        own = [rates[split, name, method] for method in names]
+        cells = " | ".join(f"{r['sr']:.1f}" for r in own)
+        lines.append(f"| {split} | {name.replace('_', ' ')} | {own[0]['n']} | {cells} |")
+    return lines
+
+
 def pairs_of(run) -> list[dict[str, object]]:
     """The paired test of the methods on all trials of each split and of both: who is apart from whom."""
     from r2h_batch.statistics.paired import compare, pair_up
@@ -202,7 +218,7 @@ def unsolved(run) -> dict[str, list[int]]:
 
 def table_files(published: Published, rows: Path) -> dict[str, str]:
     """Name -> text of the table's .md, .csv and .json, from stored rows alone."""
-    from r2h_batch.report.table import object_lines, render, table_of
+    from r2h_batch.report.table import render, table_of
     from r2h_batch.runs.store import load_run
 
     run = load_run(rows)
@@ -227,7 +243,9 @@ def table_files(published: Published, rows: Path) -> dict[str, str]:
         + FINGERS[header["protocol"]],
         "\n".join(finger_lines(run)),
         "## By object",
-        object_lines(run).rstrip(),
+        f"SR in percent; `r2h-batch report {published.rows.as_posix()} --by-object` prints the other rates, intervals and which"
+        " criteria fail together.",
+        "\n".join(object_matrix(run)),
     ]
     data = json.loads(render(table, "json")) | {"provenance": origin, "pairs": pairs_of(run)} | unsolved(run)
     return {

@@ -25,7 +25,7 @@ from dataclasses import fields, is_dataclass
 from functools import partial, wraps
 from logging.handlers import MemoryHandler
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Annotated, Any, TextIO
 
 from r2h_batch.io.read import FileError, printable
 from r2h_batch.validate import expand_home, parse_number, parse_whole_number
@@ -373,12 +373,29 @@ def _deferred(function: Command) -> Command:
     """
     words = inspect.cleandoc(function.__doc__ or "")
     function.__doc__ = re.sub(r"(?<=\S)\n(?: {8})?(?=\S)", " ", words)
+    _say_defaults(function)
 
     @wraps(function)
     def later(*args: Any, **kwargs: Any) -> Command:
         return partial(function, *args, **kwargs)
 
     return later
+
+
+def _say_defaults(owner: Any) -> None:
+    """Let the help of each flag say its default only where there is one to say, not `(default:
+    None)`."""
+    import tyro
+
+    def said(default: str) -> str:
+        return "" if default in ("None", "False", "", "''") else f"(default: {default})"
+
+    hints = owner.__annotations__
+    for name, kind in hints.items():
+        if is_dataclass(kind):
+            _say_defaults(kind)
+        elif name != "return" and "_say_defaults" not in str(kind):
+            hints[name] = Annotated[kind, tyro.conf.arg(help_behavior_hint=said)]
 
 
 def _flags(command: Command) -> list[str]:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from needs import is_here, needs
+from needs import CHROMIUM, is_here, needs
 
 from r2h_batch import config
 from r2h_batch.types import Predictions, Scores, Trials
@@ -32,17 +32,48 @@ def test_the_reference_explains_every_field(kind):
     assert named == [f.name for f in dataclasses.fields(kind) if not f.name.startswith("_")]
 
 
-@needs("mkdocs")
-def test_the_site_builds_strictly_without_network(tmp_path):
-    line = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(tmp_path / "site")]
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """`make docs`: built strictly, without network; both notebooks run."""
+    folder = tmp_path_factory.mktemp("docs") / "site"
+    line = [sys.executable, "-m", "mkdocs", "build", "--strict", "-q", "-d", str(folder)]
     line = ["unshare", "-rn", *line] if is_here("unshare") else line
-    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=600, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    page = (tmp_path / "site" / "reference" / "python.html").read_text(encoding="utf-8")
+    return folder
+
+
+@needs("mkdocs", "viser", "pandas")
+def test_the_site_fetches_nothing_and_holds_the_notebooks_with_what_they_show(site):
+    page = (site / "reference" / "python.html").read_text(encoding="utf-8")
     assert "make_trials" in page and "r2h_batch.evaluate.Evaluator" in page
     outside = [
         address
-        for file in (tmp_path / "site").rglob("*.html")
+        for file in site.rglob("*.html")
         for address in re.findall(r'(?:src|<link[^>]*href)="(https?://[^"]+)"', file.read_text(encoding="utf-8"))
     ]
     assert outside == []
+    tutorial, training = ((site / "notebooks" / f"{name}.html").read_text() for name in ("tutorial", "training"))
+    assert all(words in tutorial for words in ("Scores(32 rows on cpu", "<b>Evaluator(cpu", 'src="tutorial-1.html"'))
+    assert "__VISER_EMBED_DATA__" in (site / "notebooks" / "tutorial-1.html").read_text()
+    assert training.count("Scores(16 rows on cpu") >= 2 and "CUDA" not in tutorial + training
+    assert 'href="notebooks/tutorial.html"' in (site / "index.html").read_text()
+
+
+@needs("mkdocs", "viser", "pandas", "chromium")
+def test_the_site_is_searched_from_a_disk_with_suggestions_and_highlights(site, tmp_path):
+    def shown(address):
+        flags = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom"]
+        line = [CHROMIUM, *flags, f"--user-data-dir={tmp_path}/profile", f"{site.as_uri()}/{address}"]
+        return subprocess.run(line, capture_output=True, text=True, timeout=240, check=True).stdout
+
+    key = "document.querySelector('.md-search__input').dispatchEvent(new KeyboardEvent('keydown'))"
+    page = (
+        (site / "index.html").read_text().replace("</body>", f"<script>setTimeout(() => {key}, 3000)</script></body>")
+    )
+    (site / "typed.html").write_text(page)
+    found = shown("typed.html?q=leaderb")  # the beginning of a word in a title
+    assert re.search(r'result__meta">\s*[1-9]\d* matching documents', found)
+    assert re.search(r'search__suggest"[^>]*>leaderboard', found)
+    (address,) = set(re.findall(r'href="[^"]*/(howto/report.html\?h=leaderb)', found))
+    assert re.search(r"<mark[^>]*>leaderboard", shown(address))

@@ -112,7 +112,8 @@ def test_latex_rows_hold_the_names_with_every_special_character_escaped(run):
 
 
 def test_the_page_and_its_charts_say_the_names_and_gain_no_tag(run, tmp_path):
-    gallery = {name: [{"src": "data:,", "alt": f"1 of {name}", "caption": name, "href": "x"}] for name in ODD}
+    picture = {"src": "data:,", "trial": "1", "href": "x"}
+    gallery = {n: [{**picture, "alt": f"1 of {n}", "caption": n, "command": n}] for n in ODD}
     usual = page.page(write_run(tmp_path / "run", {"a": np.arange(8), "b": np.arange(8)}, 4, 4), {"a": gallery[ODD[0]]})
     text = page.page(run, gallery)
     found, allowed = Text(text), Text(usual)

@@ -122,7 +122,8 @@ def licences() -> str:
             "",
             "`make licences` writes this page; do not edit it. r2h_batch itself: Apache-2.0.",
             "",
-            "The scripts beside the bundled data made all of it, under the project's licence: `assets/SOURCES.md`.",
+            "The scripts beside the bundled data made all of it, under the project's licence: `assets/SOURCES.md`. The site"
+            " carries iframe-worker (MIT, `docs/javascripts/iframe-worker.js`).",
             "",
             "## Packages",
             "",

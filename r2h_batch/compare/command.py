@@ -51,6 +51,7 @@ def compare(
     format: Literal["md", "latex", "csv", "json"] = "md",
     method: Annotated[tuple[str, ...], tyro.conf.arg(aliases=["--methods"])] = (),
     all_pairs: bool = False,
+    across_robots: bool = False,
 ) -> int:
     """Compare the methods of run folders on the trials that they share.
 
@@ -65,6 +66,7 @@ def compare(
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; all unless given.
         all_pairs: also compare the baselines with each other.
+        across_robots: also pair runs of several robots, by the number of the trial.
     """
     from r2h_batch.compare.text import render
     from r2h_batch.statistics import paired as statistics
@@ -72,7 +74,7 @@ def compare(
 
     check_seed(seed)
     stored = load_runs(runs, method)
-    common = common_trials(stored, proven=stored_rows())
+    common = common_trials(stored, proven=stored_rows(), across_robots=across_robots)
     paired = statistics.pair_up(stored, common)
     shipped = [stored[k].folder in FOLDERS for k in paired.runs]
     mine = [n for n, s in zip(paired.names, shipped, strict=True) if not s]

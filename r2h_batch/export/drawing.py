@@ -37,7 +37,9 @@ ROBOT, TORSO_ROOM = np.array([0.0, 0.0, 0.5]), 0.3
 """A point of the robot that a picture shows, and by how much the torso's box counts as larger."""
 FOV_DEG = 45.0  # vertical, of every camera
 ELEVATION_DEG = -14.0
-BOUNDS_POSTURES = 12  # of a motion that the camera's bounds are made of
+BOUNDS_POSTURES = 60  # of a motion that the camera's bounds are made of
+AZIMUTHS_DEG = np.arange(0, 360, 5)  # directions in which the first camera may look
+SEEN_M = 0.04  # an event is seen where nothing but what takes part stands this far before it
 NEAR_M = 0.5  # farther pairs of bodies are not called near
 COARSE_M = 0.002  # grid on which vertices of large robot meshes are joined
 COARSE_FACES = 4000  # larger meshes of the robot are coarsened
@@ -181,6 +183,23 @@ class Drawing:
         # the stored pair is the last branch's; in the drawn posture another one may overlap
         return found if found and found.distance_m < 0 else self._nearest(q, pairs)
 
+    @cached_property
+    def event(self) -> tuple[Array, Array, frozenset[str]]:
+        """Where the verdict is decided: the posture (6,) rad, the point (3,) m in the world, and the
+        bodies that take part."""
+        stored, witness = self.stored, self.witness
+        row, q = stored.row, stored.target_q
+        if row["outcome"] == "safe" and row.get("witness_point_m"):
+            times, motion = self.motion()
+            q = motion[np.abs(times - row["witness_time_s"]).argmin()]
+            return q, np.array(row["witness_point_m"], np.float64), frozenset({"hand", "gripper"})
+        if row.get("plan_reason") == "start_in_collision":
+            q = np.array(stored.workplace.home_q)
+        if witness is None:
+            return q, self.at(q).site("ee").xpos.copy(), frozenset({"gripper", "object"})
+        bodies = (self.body_of(int(self.model.geom(name).id)) for name in witness.geoms)
+        return q, witness.line.mean(0), frozenset(bodies)
+
     def _collision_geoms(self) -> dict[str, list[int]]:
         """Body -> its geoms that can collide."""
         model, found = self.model, dict[str, list[int]]()
@@ -316,7 +335,7 @@ class Drawing:
 
     def bounds(self, close: bool = False) -> Array:
         """Corners (N, 3) of boxes around robot, object and hand over the whole motion; `close`:
-        around gripper, object and hand at the target alone."""
+        around gripper, object and hand where the verdict is decided."""
         model = self.model
         near = ("object", "hand", "gripper")
         names = [model.body(i).name for i in range(model.nbody)]
@@ -329,26 +348,46 @@ class Drawing:
         corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3)
         local = model.geom_aabb[geoms, None, :3] + corners * model.geom_aabb[geoms, None, 3:]
         points = []
-        for posture in [self.stored.target_q] if close else [home, *q[some]]:
+        for posture in [self.event[0]] if close else [home, *q[some]]:
             data = self.at(posture)
             turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
             world = local @ turn.swapaxes(1, 2) + data.geom_xpos[geoms, None]
             points.append(world.reshape(-1, 3))
         return np.concatenate(points)
 
-    def azimuth_deg(self) -> float:
-        """From the receiver's side, where hand and gripper stand beside each other at the end, and
-        the receiver's torso hides neither them nor the robot."""
+    @cached_property
+    def sides(self) -> Array:
+        """How well the trial is seen from each of `AZIMUTHS_DEG`.
+
+        First of all the event must be seen. Then the camera stands on the receiver's side, the
+        torso hides neither hand nor object nor robot, and hand and gripper stand beside each other.
+        """
         data = self.at(self.stored.target_q)
-        hand, target = data.geom("hand/mesh_visual").xpos, data.site("target").xpos
+        hand, target = data.geom("hand/mesh_visual").xpos.copy(), data.site("target").xpos.copy()
         apart = (hand - target)[:2]
         flat = apart / max(float(np.linalg.norm(apart)), 1e-6)
-        degrees = np.arange(90, 271, 5)
-        angles = np.radians(degrees)
+        angles = np.radians(AZIMUTHS_DEG)
         side = np.abs(np.cos(angles) * flat[1] - np.sin(angles) * flat[0])
-        hidden = [self._hidden(np.stack([hand, target, ROBOT]), float(a)) for a in degrees]
+        hidden = [self._hidden(np.stack([hand, target, ROBOT]), float(a)) for a in AZIMUTHS_DEG]
+        behind = np.cos(angles) > 1e-9
+        seen = self._seen()
+        around = sum(np.roll(seen, k) for k in (-2, -1, 0, 1, 2)) / 5
         best = side - 0.35 * np.cos(angles - np.pi) ** 2 - np.array(hidden)
-        return float(degrees[np.argmax(best)])
+        return best + 16.0 * seen + around - 8.0 * behind
+
+    def _seen(self) -> Array:
+        """1 for each of `AZIMUTHS_DEG` from which the event is seen, else 0: a ray from there meets
+        nothing before it but what takes part."""
+        q, point, bodies = self.event
+        model, data, shown = self.model, self.at(q), np.array([0, 0, 0, 0, 0, 0], np.uint8)
+        shown[VISUAL] = 1
+        found, geom = np.zeros(len(AZIMUTHS_DEG)), np.zeros(1, np.int32)
+        for k, azimuth in enumerate(AZIMUTHS_DEG):
+            forward = _axes(float(azimuth), ELEVATION_DEG)[2]
+            far = mujoco.mj_ray(model, data, point - 2.0 * forward, forward, shown, 1, -1, geom)
+            free = far < 0 or far > 2.0 - SEEN_M
+            found[k] = free or self.body_of(int(geom[0])) in bodies
+        return found
 
     def _hidden(self, points: Array, azimuth_deg: float) -> int:
         """How many of the points (N, 3) the torso hides from a camera in that direction."""
@@ -377,7 +416,10 @@ def view_of(
         apart_m: how far the trials stand from each other along y.
     """
     points = np.concatenate([d.bounds(close) + [0, k * apart_m, 0] for k, d in enumerate(drawings)])
-    azimuth = drawings[0].azimuth_deg() if apart_m == 0 or len(drawings) == 1 else 180.0
+    best = np.sum([d.sides for d in drawings], 0)
+    if apart_m and len(drawings) > 1:  # none stands before another
+        best = np.where(np.abs(AZIMUTHS_DEG - 180) <= 30, best, -np.inf)
+    azimuth = float(AZIMUTHS_DEG[best.argmax()])
     axes, half = _axes(azimuth, ELEVATION_DEG), np.tan(np.radians(FOV_DEG / 2))
     at = points @ axes.T
     middle = (at.min(0) + at.max(0)) / 2

@@ -97,7 +97,7 @@ def gallery(
         base: folder that links to the pages start from.
 
     Returns:
-        Method -> src, alt, caption and href of each picture.
+        Method -> trial, src, alt, caption, href and command of each picture.
     """
     found: dict[str, list[dict[str, str]]] = {}
     shown = {method: first_of_each_outcome(run, method, n) for method in run.methods}
@@ -111,6 +111,8 @@ def gallery(
                 image = image_at_end(Drawing(stored), THUMBNAIL, close=outcome in CLOSE)
                 found[method].append(
                     {
+                        "trial": str(trial),
+                        "command": f"{run.view_command(method)} {trial}",
                         "src": _data_url(image),
                         "alt": f"trial {trial} of {method}: {words}",
                         "caption": f"{trial} {stored.row['object'].replace('_', ' ')}: {words}",

@@ -55,7 +55,7 @@ def page(
 
     Args:
         run: what `load_run` or `join` gives.
-        gallery: method -> pictures with `src`, `alt`, `caption` and perhaps `href`.
+        gallery: method -> pictures with `trial`, `src`, `alt`, `caption`, `command` and `href`.
         common: the trials on which several runs are compared; None: they are not compared.
 
     Raises:
@@ -93,7 +93,7 @@ def page(
         headings=list(HEADINGS.values()),
         notes=[*FOOTNOTES, BEST_NOTE],
         facts=_all_facts(runs),
-        trials=_trials(run),
+        trials=_trials(run, gallery or {}),
     )
 
 
@@ -234,13 +234,20 @@ def _table(table: Table) -> list[dict[str, Any]]:
     return lines
 
 
-def _trials(run: Run) -> dict[str, Any]:
-    """The trials as columns of one JSON block, which the page's script filters; the notes name the
-    methods of which it holds a part."""
+def _trials(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]]) -> dict[str, Any]:
+    """The trials as columns of one JSON block, which the page's script filters, with the page of a
+    trial and the command that shows one; the notes name the methods of which it holds a part."""
     each = max(1, TRIALS_SHOWN // len(run.methods))
-    data: dict[str, Any] = {"columns": list(breakdown.SHOWN), "methods": {}}
+    data: dict[str, Any] = {
+        "columns": list(breakdown.SHOWN),
+        "methods": {},
+        "view": {},
+        "pages": {},
+    }
     notes = []
     for method in run.methods:
+        data["view"][method] = run.view_command(method)
+        data["pages"][method] = {p["trial"]: p["href"] for p in gallery.get(method, ())}
         table, total = breakdown.examples(run, method, each)
         data["methods"][method] = [_column(table[c].to_pylist()) for c in breakdown.SHOWN]
         if len(table) < total:
@@ -257,7 +264,7 @@ def _column(values: list[Any]) -> list[Any]:
 
 
 FACTS = (
-    "protocol", "trials", "seed", "configuration", "digests", "objects", "versions", "device", "platform",
+    "protocol", "robot", "trials", "seed", "configuration", "digests", "objects", "versions", "device", "platform",
     "git_commit", "command", "created", "stored", "shard_trials", "hash",
 )  # fmt: skip
 """Fields of run.json in the order in which a page shows them."""

@@ -90,7 +90,11 @@ def table_of(run: Run, counted: Sequence[Tally] | None = None) -> Table:
     """
     tallies = [tally(run, method) for method in run.methods] if counted is None else counted
     runs = run.runs if isinstance(run, JoinedRun) else (run,)
-    origin = _joined([(r.folder.absolute().name, _origin(r.header)) for r in runs])
+    robots = {
+        r.robot for r in runs if "robot" in r.header["digests"]
+    }  # none: all have the usual one
+    named = [(r, {"robot": r.robot} if robots else {}) for r in runs]
+    origin = _joined([(r.folder.absolute().name, robot | _origin(r.header)) for r, robot in named])
     averages = {str(r.header["configuration"].get("averages", "trials")) for r in runs}
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials")
     if all(
@@ -204,12 +208,13 @@ def best_cells(table: Table) -> set[tuple[str, str, str]]:
         all are equal.
     """
     best = set()
+    same = "; " not in table.origin.get("trials digest", "")  # see `_joined`
     for split in dict.fromkeys(row.split for row in table.rows):
         rows = [row for row in table.rows if row.split == split]
         for column in (c for c in HEADINGS if c in RATES):
             printed = {r.method: cell(r, column) for r in rows}
             values = {method: float(text) for method, text in printed.items() if text != NA}
-            if len(set(values.values())) > 1 and len({r.n for r in rows}) == 1:
+            if len(set(values.values())) > 1 and len({r.n for r in rows}) == 1 and same:
                 top = (max if column == "sr" else min)(values.values())
                 best |= {(split, method, column) for method, v in values.items() if v == top}
     return best

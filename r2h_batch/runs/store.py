@@ -25,6 +25,7 @@ import itertools
 import json
 import os
 import re
+import shlex
 import socket
 import stat
 import time
@@ -716,6 +717,11 @@ class Run:
     entries: tuple[dict[str, Any], ...]
 
     @property
+    def robot(self) -> str:
+        """The robot's name; runs that name none are older than the choice."""
+        return str((self.header.get("robot") or {}).get("name", "ur5e_2f85"))
+
+    @property
     def methods(self) -> tuple[str, ...]:
         """Names of the complete methods, in the order in which they were added."""
         return tuple(e["name"] for e in self.entries if self._complete(e["name"]))
@@ -773,6 +779,25 @@ class Run:
         hint = f", did you mean {close[0]}?" if close else ""
         has = ", ".join(names) or "none"
         raise RunError(f"{self.folder}: no method {word!r}{hint}; it has {has}")
+
+    def view_command(self, method: str) -> str:
+        """The command that shows trials of a method: `r2h-batch view RUN --method WORD --trial`, with
+        the files that the sweep was given."""
+        function = str(self.entry(method)["source"].get("function", ""))
+        word = function.removeprefix("r2h_batch.methods.").partition(":")[0].replace("_", "-")
+        with contextlib.suppress(RunError):
+            method = word if self.named(word) == method else method
+        flags = (self.header.get("benchmark") or {}).get("flags") or []
+        given = [f.split() for f in flags if not f.startswith(("--protocol", "--receiver"))]
+        words = [
+            "r2h-batch",
+            "view",
+            str(self.folder),
+            "--method",
+            method,
+            *itertools.chain(*given),
+        ]
+        return shlex.join([*words, "--trial"])
 
     def only(self, words: Sequence[str]) -> "Run":
         """The same run with these methods alone (see `named`), in stored order; empty: all."""
@@ -963,6 +988,11 @@ class JoinedRun(Run):
         run, name = self.origin[method]
         return run.missing(name)
 
+    def view_command(self, method: str) -> str:
+        """The command that shows trials of a method."""
+        run, name = self.origin[method]
+        return run.view_command(name)
+
     def shards(
         self, kind: str, method: str, columns: Sequence[str] | None = None
     ) -> Iterator[pa.Table]:
@@ -972,21 +1002,36 @@ class JoinedRun(Run):
         return run.shards(kind, name, columns)
 
 
+def robot_words(runs: Sequence[Run]) -> dict[str, str]:
+    """Robot -> what stands before its methods' names: nothing where all have the same robot, else
+    `ur5e/`, or the whole name where several start so."""
+    names = list(dict.fromkeys(run.robot for run in runs))
+    short = [name.partition("_")[0] for name in names]
+    words = short if len(set(short)) == len(names) else names
+    return {name: f"{word}/" if len(names) > 1 else "" for name, word in zip(names, words)}
+
+
 def join(runs: Sequence[Run]) -> Run:
-    """Several runs as one: a method whose name stands in several has its run's name in front.
+    """Several runs as one.
+
+    A method has its robot's name in front if the runs have several, and its run's name if there is
+    another method of that name.
 
     Raises:
         RunError: two folders of one name hold a method of one name.
     """
     if len(runs) == 1:
         return runs[0]
-    names = Counter(e["name"] for run in runs for e in run.entries)
+    robots = robot_words(runs)
+    names = Counter(robots[run.robot] + e["name"] for run in runs for e in run.entries)
     origin: dict[str, tuple[Run, str]] = {}
     entries = []
     for run in runs:
         for entry in run.entries:
             own = entry["name"]
-            name = own if names[own] == 1 else f"{run.folder.absolute().name}/{own}"
+            name = robots[run.robot] + own
+            if names[name] > 1:
+                name = f"{run.folder.absolute().name}/{own}"
             if name in origin:
                 raise RunError(f"two run folders of one name hold {name!r}; rename one of them")
             origin[name] = (run, own)

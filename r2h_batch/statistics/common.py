@@ -9,7 +9,7 @@ from typing import Any
 from r2h_batch.config import EvalConfig
 from r2h_batch.runs.store import Run
 from r2h_batch.schedule import PROTOCOLS
-from r2h_batch.validate import check_arguments, sequence_of
+from r2h_batch.validate import boolean, check_arguments, sequence_of
 from r2h_batch.verdicts import SPLITS
 
 __all__ = ["Common", "common_trials"]
@@ -32,8 +32,11 @@ class Common:
 @check_arguments(
     runs=sequence_of(Run, "what load_run(FOLDER) gives"),
     proven=sequence_of(Path, "folders", least=0),
+    across_robots=boolean,
 )
-def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Common:
+def common_trials(
+    runs: Sequence[Run], *, proven: Collection[Path] = (), across_robots: bool = False
+) -> Common:
     """Find the trials that all runs share.
 
     Trials follow from protocol, objects and hands, and a run holds the first N of each split. So
@@ -43,19 +46,23 @@ def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Comm
         runs: what `load_run` gives.
         proven: folders whose rows come out the same under this code, which the project's tests
             show of the shipped baselines. Their digest of the code may differ.
+        across_robots: also take runs of several robots: a trial of theirs is the same object, hand
+            and random draw; where the person and the table stand may differ.
 
     Raises:
         ValueError: if the runs were not asked, or not judged, the same.
     """
     first, notes = runs[0], []
     for run in runs[1:]:
-        if what := _differing(first, run, proven):
+        if what := _differing(first, run, proven, across_robots):
             advice = "sweep both methods with the same version and options"
             if {first.folder, run.folder} & set(proven):
                 advice = (
                     "the shipped baselines have the default options and protocol, with --sim mujoco"
                     " and with --sim none: sweep like that"
                 )
+            if what.startswith("robot"):
+                advice = "compare --across-robots takes a trial's number for the same trial"
             raise ValueError(
                 f"{first.folder} and {run.folder} differ in {what}: their trials cannot be paired; {advice}"
             )
@@ -70,6 +77,11 @@ def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Comm
         notes.append(
             f"The runs hold different trials; compared are the first {shared}, which all of them hold."
         )
+    if len(robots := list(dict.fromkeys(run.robot for run in runs))) > 1:
+        notes.append(
+            f"Robots {', '.join(robots)}: a trial is the same object, hand and draw; where person and table stand"
+            " follows each robot's reach, unless the sweep said persons=as-for-ur5e."
+        )
     if len({run.header["digests"].get("code") for run in runs}) > 1:
         notes.append(
             "The shipped baselines were scored by an earlier version of the code; "
@@ -78,9 +90,12 @@ def common_trials(runs: Sequence[Run], *, proven: Collection[Path] = ()) -> Comm
     return Common(trials, tuple(notes))
 
 
-def _differing(a: Run, b: Run, proven: Collection[Path]) -> str:
+def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) -> str:
     """The first difference between what two runs were asked, or how they were judged; else empty."""
     left, right = a.header, b.header
+    robots = a.robot != b.robot
+    if robots and not across_robots:
+        return f"robot ({a.robot}, {b.robot})"
     if left["protocol"] != right["protocol"]:
         return "protocol"
     same_plan = left["trials"] == right["trials"]
@@ -90,10 +105,14 @@ def _differing(a: Run, b: Run, proven: Collection[Path]) -> str:
     skipped = set(FINER) if same_plan else {"trials", *FINER}
     if a.folder in proven or b.folder in proven:
         skipped.add("code")
+    if robots and follow:
+        skipped |= {"robot", "benchmark", "trials"}
     digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]
     if digests[0] != digests[1]:
         return f"digests ({_other_keys(*digests)})"
     configurations = [_complete(h["configuration"]) for h in (left, right)]
+    for configuration in configurations if robots else ():
+        del configuration["workplace"], configuration["execute"]["max_velocity_rad_s"]
     if configurations[0] != configurations[1]:
         return f"configuration ({_other_keys(*configurations)})"
     return ""

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 
 from r2h_batch.io.read import printable
 from r2h_batch.runs.columns import codes
-from r2h_batch.runs.store import Run
+from r2h_batch.runs.store import Run, robot_words
 from r2h_batch.statistics.aggregate import ratio
 from r2h_batch.statistics.common import Common, common_trials
 from r2h_batch.statistics.tally import check_planned
@@ -258,14 +258,16 @@ def _once(streams: Sequence["_Stream"], paired: Paired) -> list[int]:
 
 
 def _names(streams: Sequence["_Stream"]) -> list[str]:
-    """Names of the methods. One has its run's name in front if it is there already, or if it equals
-    that of a built-in method."""
+    """Names of the methods. One has its robot's name in front if there are several robots, and its
+    run's name if it is there already, or if it equals that of a built-in method."""
     own = {_plain(s.method) for s in streams if s.is_built_in}
+    robots = robot_words([s.run for s in streams])
     names: list[str] = []
     for s in streams:
-        taken = s.method in names or (not s.is_built_in and _plain(s.method) in own)
+        name = robots[s.run.robot] + s.method
+        taken = name in names or (not s.is_built_in and _plain(s.method) in own)
         folder = printable(s.run.folder.absolute().name)
-        names.append(f"{folder}/{s.method}" if taken else s.method)
+        names.append(f"{folder}/{s.method}" if taken else name)
     return names
 
 
@@ -286,7 +288,7 @@ class _Stream:
         # a built-in method is the same method in each release; its verdicts tell whether it answers
         # the same
         source = {k: v for k, v in entry["source"].items() if k != "sha256" or not self.is_built_in}
-        self.source = (method, source, header["seed"], header.get("predictors"))
+        self.source = (method, source, header["seed"], header.get("predictors"), run.robot)
         """What answered: two methods with one source give the same rows for the same trials."""
 
     def pieces(self) -> Iterator[pa.Table]:

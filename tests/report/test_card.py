@@ -39,10 +39,14 @@ def test_the_summary_holds_the_table_and_names_the_rows_of_every_method(run):
 
 
 @needs("datasets")
-def test_a_run_folder_is_a_data_set_of_the_hugging_face_library(run, tmp_path):
+def test_a_run_folder_is_a_data_set_of_the_hugging_face_library(run, tmp_path, monkeypatch):
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     import datasets
 
     slug = run.entry("a")["slug"]
+    files = str(run.folder / "trials" / slug / "*.parquet")
+    alone = datasets.load_dataset("parquet", data_files=files, cache_dir=str(tmp_path / "alone"))["train"]
+    assert alone["outcome"][:] == run.trials("a")["outcome"].to_pylist()
     rows = datasets.load_dataset(str(run.folder), slug, cache_dir=str(tmp_path / "cache"))["trials"]
     assert rows["trial_id"] == run.trials("a")["trial_id"].to_pylist() and rows["outcome"][0] == "success"
 

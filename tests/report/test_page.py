@@ -128,8 +128,11 @@ def test_edges_have_no_nan(tmp_path, code, n_s0, n_s1):
 
 @needs("chromium")
 def test_the_search_works_in_a_browser(paper, tmp_path):
-    run, text = paper
-    (tmp_path / "page.html").write_text(text, encoding="utf-8")
+    run, _ = paper
+    ids = run.trials(run.methods[0])["trial_id"].to_pylist()
+    failed = next(i for i, o in zip(ids, run.trials(run.methods[0])["outcome"].to_pylist()) if o == "reach")
+    picture = {"src": "data:,", "alt": "", "caption": "", "href": "a/b.html", "trial": str(failed), "command": "x"}
+    (tmp_path / "page.html").write_text(page.page(run, {run.methods[0]: [picture]}), encoding="utf-8")
     flags = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000", "--dump-dom"]
     address = f"file://{tmp_path}/page.html#outcome=reach"
     assert CHROMIUM
@@ -139,6 +142,8 @@ def test_the_search_works_in_a_browser(paper, tmp_path):
     assert f"{expected} of 1000 trials; margins in mm" in shown
     rows = shown.partition('<div id="search">')[2].partition("<script")[0].count("<tr>")
     assert rows == expected + 1
+    assert f'<td><a href="a/b.html" target="_blank" rel="noopener">{failed}</a></td>' in shown
+    assert f"r2h-batch view {run.folder} --method {run.methods[0]} --trial ID" in shown
 
 
 def test_a_page_says_who_is_better_on_which_object_and_shows_only_what_is_there(paper, tmp_path):
@@ -152,9 +157,12 @@ def test_a_page_says_who_is_better_on_which_object_and_shows_only_what_is_there(
     assert re.search(r"<b>\d", text.partition("id=full")[2]) and "<b>8.5" not in text  # rates may be bold, times never
     alone = page.page(write_run(tmp_path / "run", {"m": np.zeros(8, int)}, 4, 4))
     assert "Criteria that fail together" not in alone and "id=significance" not in alone and "<b>100" not in alone
-    pictures = {"m": [{"src": "data:image/png;base64,AA==", "alt": "<x>", "caption": "trial 3", "href": "t.html"}]}
-    shown = page.page(run, pictures)
+    pictures = {"src": "data:image/png;base64,AA==", "alt": "<x>", "caption": "trial 3", "href": "t.html"}
+    pictures |= {"trial": "3", "command": "r2h-batch view RUN --trial 3"}
+    shown = page.page(run, {run.methods[0]: [pictures]})
     assert 'alt="&lt;x&gt;"' in shown and '<a href="t.html"' in shown and "<h2>Gallery</h2>" in shown
+    assert "<code>r2h-batch view RUN --trial 3</code>" in shown
+    assert trials_of(shown)["pages"][run.methods[0]] == {"3": "t.html"}
 
 
 @needs("chromium")

@@ -18,6 +18,7 @@ from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
 from r2h_batch.report import text as text_of
 from r2h_batch.runs.store import join, load_run, open_run
+from r2h_batch.statistics import common
 from r2h_batch.statistics.aggregate import RATES, Mean
 from r2h_batch.types import Outcome
 
@@ -270,6 +271,39 @@ def test_several_runs_are_one_table_and_one_page(tmp_path, capsys):
     assert not report.best_cells(report.table_of(join([mine, theirs])))  # other trials
     assert "<title>mine, theirs</title>" in page and "theirs/a" in page and "trials.S0 (theirs)" in page
     assert command("report", mine.folder, theirs.folder, format="html", gallery=1, out=tmp_path / "no.html") == 2
+
+
+def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only_when_asked(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(common, "PROTOCOLS", ("made",))
+    of = {"digests": {"trials": "1" * 16, "objects": "a", "hand_set": "b"}}
+    other = {
+        **of,
+        "digests": {**of["digests"], "trials": "2" * 16, "robot": "c"},
+        "robot": {"name": "ur3e", "digest": "c" * 64},
+    }
+    codes = {"a": np.zeros(20, int), "b": np.arange(20) % 3}
+    folders = [
+        write_run(tmp_path / "old", codes, 10, 10, **of).folder,
+        write_run(tmp_path / "new", codes, 10, 10, **other).folder,
+    ]
+    out = tmp_path / "both.html"
+    assert command("report", *folders, format="html", out=out) == 0
+    assert "differ in robot (ur5e_2f85, ur3e)" in capsys.readouterr().err
+    page = out.read_text()
+    assert "ur5e/a" in page and "ur3e/a" in page and "old: ur5e_2f85; new: ur3e" in page
+    assert command("compare", *folders) == 2
+    assert "compare --across-robots" in capsys.readouterr().err
+    assert command("compare", *folders, across_robots=True, format="json") == 0
+    groups = json.loads(capsys.readouterr().out)
+    assert groups[-1]["names"] == ["ur5e/a", "ur5e/b", "ur3e/a", "ur3e/b"]
+    (same,) = [p for p in groups[-1]["pairs"] if (p["a"], p["b"]) == ("ur5e/b", "ur3e/b")]
+    assert same["difference"] == 0 and same["verdict"] == "tied"
+    hands = {**other, "digests": {**other["digests"], "hand_set": "x"}}
+    strange = write_run(tmp_path / "strange", codes, 10, 10, **hands).folder
+    assert command("compare", folders[0], strange, across_robots=True) == 2
+    assert "differ in digests (hand_set)" in capsys.readouterr().err
 
 
 def _rows(folder, capsys):

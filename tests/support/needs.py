@@ -93,9 +93,7 @@ WANTS = {
         lambda: bool(shutil.which("g++") or shutil.which("clang++")),
     ),
     "clang-format": Want("clang-format", "pip install clang-format", lambda: shutil.which("clang-format") is not None),
-    "datasets": Want(
-        "the package datasets (Hugging Face)", "pip install datasets", lambda: bool(find_spec("datasets"))
-    ),
+    "datasets": _module("datasets", "test"),
     "h5py": _module("h5py", "import"),
     "onnxruntime": _module("onnxruntime", "onnx"),
     "unshare": Want(
@@ -109,7 +107,6 @@ WANTS = {
     "setuptools": _module("setuptools", "test"),
     "tensorboard": _module("tensorboard", "tensorboard"),
     "viser": _module("viser", "view"),
-    "nbclient": _module("nbclient", "notebook"),
     "pandas": _module("pandas", "pandas"),
     "coacd": _module("coacd", "build"),
     "ur_analytic_ik": Want(

@@ -172,6 +172,22 @@ def test_the_camera_has_robot_object_and_hand_in_view_all_the_time(reader):
                     assert forward > 0 and abs(right) < half * aspect * forward and abs(up) < half * forward
 
 
+def test_the_first_camera_sees_what_decides(reader):
+    """A ray of a second program (trimesh) from the camera to the event meets nothing of others before it."""
+    trials = [first(reader, outcome=o) for o in ("plan", "reach", "affordance")]
+    for drawing in map(Drawing, [*trials, reader.trial(1, "oracle")]):
+        q, point, bodies = drawing.event
+        data, view = drawing.at(q), view_of([drawing], 1.2)
+        parts = []
+        for g in drawing.visual_geoms():
+            body, made = data.body(drawing.body_of(g)), drawing.surface(g)
+            if drawing.body_of(g) not in bodies:
+                parts.append(trimesh.Trimesh(made.vertices @ body.xmat.reshape(3, 3).T + body.xpos, made.faces))
+        others, eye = trimesh.util.concatenate(parts), point - 2.0 * view.axes[2]
+        hits, *_ = others.ray.intersects_location(eye[None], view.axes[2][None])
+        assert all(np.linalg.norm(hit - eye) > 2.0 - 0.045 for hit in hits)
+
+
 def test_a_surface_stands_where_mujoco_has_the_geom(reader):
     drawing = Drawing(reader.trial(1, "oracle"))
     data = drawing.at(drawing.stored.target_q)
